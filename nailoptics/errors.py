@@ -1,0 +1,19 @@
+"""What can go wrong, in the user's words: one line, and the exit code it ends with."""
+
+
+class NailopticsError(Exception):
+    """An error whose message is one clear line for the user."""
+
+    exit_code = 1
+
+
+class InputError(NailopticsError):
+    """The user's input is at fault: which field, which rule, which value, what to do."""
+
+    exit_code = 2
+
+
+class NotReachedError(NailopticsError):
+    """A tolerance or a time limit could not be met; what was reached has been kept."""
+
+    exit_code = 3

@@ -1,0 +1,26 @@
+"""WHAT THE USER WROTE: frozen models of a scene, read from and written to TOML."""
+
+from .files import digest, json_schema, load_scene, parse_scene, to_toml
+from .finger import Finger
+from .models import Accuracy, Blood, Board, Electronics, Layer, Led, Light, Phantom, Photodiode, Scene
+from .touch import Touch
+
+__all__ = [
+    "Accuracy",
+    "Blood",
+    "Board",
+    "Electronics",
+    "Finger",
+    "Layer",
+    "Led",
+    "Light",
+    "Phantom",
+    "Photodiode",
+    "Scene",
+    "Touch",
+    "digest",
+    "json_schema",
+    "load_scene",
+    "parse_scene",
+    "to_toml",
+]

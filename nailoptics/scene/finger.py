@@ -1,0 +1,72 @@
+"""The finger a scene asks for: sizes from anatomy, each of which can be overridden."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from .base import Fraction, Positive, Table
+
+# Sizes of adult digits in mm. Transverse nail radii and the distance from the bone's end to the
+# tip are measured per digit; widths and thicknesses of the index span 16-20 and 12-15, nails
+# 10-14 wide and 11-13 long, and the other digits are set within or in proportion to these.
+ANATOMY: dict[str, dict[str, float]] = {
+    "thumb": dict(width_mm=21.0, thickness_mm=15.0, nail_width_mm=14.0, nail_length_mm=13.0, nail_radius_mm=11.4, bone_to_tip_mm=5.7),
+    "index": dict(width_mm=17.5, thickness_mm=13.5, nail_width_mm=11.5, nail_length_mm=12.0, nail_radius_mm=8.9, bone_to_tip_mm=3.8),
+    "middle": dict(width_mm=18.0, thickness_mm=14.0, nail_width_mm=12.0, nail_length_mm=12.5, nail_radius_mm=8.8, bone_to_tip_mm=4.0),
+    "ring": dict(width_mm=16.5, thickness_mm=13.0, nail_width_mm=10.5, nail_length_mm=12.0, nail_radius_mm=7.3, bone_to_tip_mm=4.0),
+    "little": dict(width_mm=14.5, thickness_mm=12.0, nail_width_mm=8.5, nail_length_mm=11.0, nail_radius_mm=5.8, bone_to_tip_mm=3.7),
+}  # fmt: skip
+
+
+class Finger(Table):
+    """A fingertip: a digit sets every size that is not given. Lengths in mm."""
+
+    digit: Literal["thumb", "index", "middle", "ring", "little"] = "index"
+    """Which digit; sets the sizes from anatomy."""
+    width_mm: Annotated[float, Field(ge=5, le=40)] = ANATOMY["index"]["width_mm"]
+    """Width of the fingertip. [mm]"""
+    thickness_mm: Annotated[float, Field(ge=5, le=40)] = ANATOMY["index"]["thickness_mm"]
+    """Thickness of the fingertip, nail to pulp. [mm]"""
+    nail_width_mm: Annotated[float, Field(ge=2, le=30)] = ANATOMY["index"]["nail_width_mm"]
+    """Width of the nail plate along its curve. [mm]"""
+    nail_length_mm: Annotated[float, Field(ge=2, le=30)] = ANATOMY["index"]["nail_length_mm"]
+    """Length of the visible nail plate. [mm]"""
+    nail_radius_mm: Annotated[float, Field(ge=2, le=100)] = ANATOMY["index"]["nail_radius_mm"]
+    """Transverse radius of the nail plate. [mm]"""
+    bone_to_tip_mm: Annotated[float, Field(ge=1, le=15)] = ANATOMY["index"]["bone_to_tip_mm"]
+    """Distance from the end of the distal phalanx to the tip. [mm]"""
+    nail_thickness_mm: Annotated[float, Field(ge=0.05, le=3)] = 0.45
+    """Thickness of the nail plate. [mm]"""
+    bed_thickness_mm: Annotated[float, Field(ge=0.1, le=5)] = 1.7
+    """Thickness of the nail bed, plate to bone. [mm]"""
+    epidermis_thickness_mm: Annotated[float, Field(ge=0.02, le=1)] = 0.1
+    """Thickness of the epidermis outside the nail. [mm]"""
+    length_mm: Positive = 20.0
+    """Length of finger that is modelled, from the tip. [mm]"""
+    melanin_fraction: Fraction = 0.013
+    """Volume fraction of melanosomes in the epidermis."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _sizes_from_anatomy(cls, data: object) -> object:
+        if isinstance(data, dict):
+            return ANATOMY.get(data.get("digit", "index"), {}) | data
+        return data
+
+    @model_validator(mode="after")
+    def _shape_is_possible(self) -> Self:
+        radius, half_width = self.nail_radius_mm, self.width_mm / 2
+        if self.nail_width_mm > 2.6 * min(radius, half_width):
+            raise ValueError(
+                f"nail_width_mm = {self.nail_width_mm} does not fit a nail of radius {radius} mm on a finger "
+                f"{self.width_mm} mm wide; at most {2.6 * min(radius, half_width):.2f}"
+            )
+        deep = self.nail_thickness_mm + self.bed_thickness_mm
+        if deep > 0.6 * min(self.thickness_mm, 2 * radius) - 1:
+            raise ValueError(
+                f"nail_thickness_mm + bed_thickness_mm = {deep:.2f} leaves no room for the bone in a finger "
+                f"{self.thickness_mm} mm thick with a nail radius of {radius} mm; make them thinner"
+            )
+        if self.length_mm < self.nail_length_mm + 4:
+            raise ValueError(f"length_mm = {self.length_mm} is too short for the nail; at least {self.nail_length_mm + 4}")
+        return self

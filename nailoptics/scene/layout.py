@@ -1,0 +1,161 @@
+"""Where everything lies on the flat board: dies, photodiode elements, barrier walls, outline."""
+
+from dataclasses import dataclass
+
+from .models import Scene
+
+GAP_MM = 1e-6
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """An axis-parallel rectangle on the board, in nail coordinates (u across, v to the tip). [mm]"""
+
+    name: str
+    u_min: float
+    u_max: float
+    v_min: float
+    v_max: float
+
+    @property
+    def area_mm2(self) -> float:
+        """Area. [mm^2]"""
+        return (self.u_max - self.u_min) * (self.v_max - self.v_min)
+
+    @property
+    def center_mm(self) -> tuple[float, float]:
+        """Centre (u, v). [mm]"""
+        return (self.u_min + self.u_max) / 2, (self.v_min + self.v_max) / 2
+
+    def overlap_mm(self, other: "Rectangle") -> float:
+        """How deep the two rectangles overlap; negative is the gap between them. [mm]"""
+        return min(
+            min(self.u_max, other.u_max) - max(self.u_min, other.u_min),
+            min(self.v_max, other.v_max) - max(self.v_min, other.v_min),
+        )
+
+    @staticmethod
+    def around(name: str, center: tuple[float, float], size: tuple[float, float]) -> "Rectangle":
+        """The rectangle of a given size around a centre. [mm]"""
+        (u, v), (du, dv) = center, size
+        return Rectangle(name, u - du / 2, u + du / 2, v - dv / 2, v + dv / 2)
+
+
+@dataclass(frozen=True)
+class Element:
+    """One photodiode element that is read, and which entry of scene.photodiodes it came from."""
+
+    area: Rectangle
+    entry: int
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The board as rectangles in nail coordinates: (0, 0) is the centre of the nail plate."""
+
+    outline: Rectangle
+    leds: tuple[Rectangle, ...]
+    photodiodes: tuple[Element, ...]
+    unwired: tuple[Rectangle, ...]
+    barriers: tuple[Rectangle, ...]
+
+
+def lay_out(scene: Scene) -> Layout:
+    """The layout of a finger scene's board; raises ValueError where it is impossible."""
+    assert scene.finger is not None
+    board, finger = scene.board, scene.finger
+    du, dv = board.center_mm
+    leds = tuple(
+        Rectangle.around(led.name, (led.position_mm[0] + du, led.position_mm[1] + dv), led.size_mm) for led in scene.leds
+    )
+    wired, unwired = _elements(scene)
+    parts = [(f'leds "{r.name}"', r) for r in leds] + [(f'photodiode "{e.area.name}"', e.area) for e in wired]
+    parts += [(f'photodiode element "{r.name}"', r) for r in unwired]
+    _check_apart(parts)
+    rectangles = [r for _, r in parts]
+    if board.size_mm is None:
+        margin = 0.5
+        outline = Rectangle(
+            "board",
+            min(r.u_min for r in rectangles) - margin,
+            max(r.u_max for r in rectangles) + margin,
+            min(r.v_min for r in rectangles) - margin,
+            max(r.v_max for r in rectangles) + margin,
+        )
+    else:
+        outline = Rectangle.around("board", board.center_mm, board.size_mm)
+    for name, r in parts:
+        if min(r.u_min - outline.u_min, outline.u_max - r.u_max, r.v_min - outline.v_min, outline.v_max - r.v_max) < GAP_MM:
+            raise ValueError(f"{name} reaches over the board's edge; move it or enlarge board.size_mm")
+    for axis, low, high, size in (
+        ("wide", outline.u_min, outline.u_max, finger.nail_width_mm),
+        ("long", outline.v_min, outline.v_max, finger.nail_length_mm),
+    ):
+        if low < -size / 2 + 0.05 or high > size / 2 - 0.05:
+            raise ValueError(
+                f"board: {low:.2f} to {high:.2f} mm does not fit on the nail, which is {size:g} mm {axis}; "
+                "make the board smaller or move its center_mm"
+            )
+    barriers = _barriers(scene, leds, [e.area for e in wired] + list(unwired), outline) if board.barrier else ()
+    return Layout(outline, leds, tuple(wired), tuple(unwired), barriers)
+
+
+def _elements(scene: Scene) -> tuple[list[Element], list[Rectangle]]:
+    """Photodiode elements that are read, and those that are there but not wired."""
+    wired: list[Element] = []
+    unwired: list[Rectangle] = []
+    du, dv = scene.board.center_mm
+    for entry, photodiode in enumerate(scene.photodiodes):
+        u, v = photodiode.position_mm
+        pitch = photodiode.pitch_mm or photodiode.size_mm[1]
+        for i in range(photodiode.elements):
+            name = photodiode.name if photodiode.elements == 1 else f"{photodiode.name}.{i}"
+            center = (u + du, v + dv + (i - (photodiode.elements - 1) / 2) * pitch)
+            area = Rectangle.around(name, center, photodiode.size_mm)
+            if photodiode.wired is None or i in photodiode.wired:
+                wired.append(Element(area, entry))
+            else:
+                unwired.append(area)
+    return wired, unwired
+
+
+def _check_apart(parts: list[tuple[str, Rectangle]]) -> None:
+    for i, (name, r) in enumerate(parts):
+        for other_name, other in parts[i + 1 :]:
+            depth = r.overlap_mm(other)
+            if depth > GAP_MM:
+                raise ValueError(f"{name}: position_mm lies {depth:.3g} mm inside {other_name}; move one of them")
+
+
+def _barriers(
+    scene: Scene, leds: tuple[Rectangle, ...], photodiodes: list[Rectangle], outline: Rectangle
+) -> tuple[Rectangle, ...]:
+    """Straight walls over the whole board, each midway between the LEDs on one side and the photodiodes."""
+    width = scene.board.barrier_um * 1e-3
+    u_low, u_high = min(r.u_min for r in photodiodes), max(r.u_max for r in photodiodes)
+    v_low, v_high = min(r.v_min for r in photodiodes), max(r.v_max for r in photodiodes)
+    sides: dict[str, list[Rectangle]] = {"left": [], "right": [], "below": [], "above": []}
+    for led in leds:
+        gaps = {"left": u_low - led.u_max, "right": led.u_min - u_high, "below": v_low - led.v_max, "above": led.v_min - v_high}
+        side = max(gaps, key=lambda key: gaps[key])
+        if gaps[side] < width + 0.02:
+            raise ValueError(
+                f'board.barrier: LED "{led.name}" lies {max(gaps[side], 0):.3g} mm beside the photodiodes, which leaves no room '
+                f"for a wall of {width:g} mm; move it, make barrier_um smaller, or set barrier = false"
+            )
+        sides[side].append(led)
+    walls = []
+    for side, group in sides.items():
+        if not group:
+            continue
+        if side in ("left", "right"):
+            middle = (u_low + max(r.u_max for r in group)) / 2 if side == "left" else (u_high + min(r.u_min for r in group)) / 2
+            walls.append(Rectangle(side, middle - width / 2, middle + width / 2, outline.v_min, outline.v_max))
+        else:
+            middle = (v_low + max(r.v_max for r in group)) / 2 if side == "below" else (v_high + min(r.v_min for r in group)) / 2
+            walls.append(Rectangle(side, outline.u_min, outline.u_max, middle - width / 2, middle + width / 2))
+    for wall in walls:
+        for led in leds:
+            if wall.overlap_mm(led) > GAP_MM:
+                raise ValueError(f'board.barrier: the wall would cut LED "{led.name}"; move it or set barrier = false')
+    return tuple(walls)

@@ -1,0 +1,281 @@
+"""A scene: a finger or a phantom, with the LEDs and photodiodes that look at it."""
+
+import math
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, ValidationInfo, model_validator
+
+from ..assets import load_part
+from .base import Fraction, Name, NonNegative, Point, Positive, Size, Table
+from .finger import Finger
+from .touch import Touch
+
+Wavelength = Annotated[float, Field(ge=200, le=3000)]
+
+
+def with_part(data: object, key: str, info: ValidationInfo) -> object:
+    """The table with the fields of its part filled in where it does not give them itself."""
+    if isinstance(data, dict) and isinstance(data.get(key), str):
+        part = load_part(data[key], beside=(info.context or {}).get("folder"))
+        return {name: value for name, value in part.scene_fields().items() if name not in data} | data
+    return data
+
+
+class Layer(Table):
+    """One layer of a phantom, laterally infinite."""
+
+    name: Name
+    """Name of the layer, unique in the phantom."""
+    thickness_mm: Annotated[float, Field(gt=0, allow_inf_nan=True)]
+    """Thickness; inf closes the stack. [mm]"""
+    mu_a_per_mm: NonNegative
+    """Absorption coefficient. [mm^-1]"""
+    mu_s_per_mm: NonNegative
+    """Scattering coefficient. [mm^-1]"""
+    g: Annotated[float, Field(ge=-0.9999, le=0.9999)] = 0.0
+    """Anisotropy of Henyey-Greenstein scattering."""
+    n: Annotated[float, Field(ge=1, le=4)] = 1.0
+    """Refractive index."""
+
+    @model_validator(mode="after")
+    def _not_nan(self) -> Self:
+        if math.isnan(self.thickness_mm):
+            raise ValueError("thickness_mm is NaN; give a positive number or inf")
+        return self
+
+
+class Phantom(Table):
+    """A laterally infinite stack of layers in place of the finger, its top face at z = 0."""
+
+    n_above: Annotated[float, Field(ge=1, le=4)] = 1.0
+    """Refractive index above the stack."""
+    n_below: Annotated[float, Field(ge=1, le=4)] = 1.0
+    """Refractive index below the stack."""
+    layers: Annotated[tuple[Layer, ...], Field(min_length=1, max_length=50)]
+    """The layers from the top down."""
+
+    @model_validator(mode="after")
+    def _layers_are_a_stack(self) -> Self:
+        names = [layer.name for layer in self.layers]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f'layers: the name "{name}" is used twice; give each layer its own')
+        for layer in self.layers[:-1]:
+            if math.isinf(layer.thickness_mm):
+                raise ValueError(f'layers: "{layer.name}" has thickness_mm = inf but is not the last; only the last can be infinite')
+        return self
+
+
+class Led(Table):
+    """A light-emitting die, or a beam on a phantom."""
+
+    name: Name
+    """Name of the LED, unique in the scene."""
+    part: str | None = None
+    """A part from assets/parts or beside the scene; fills the fields that are not given."""
+    wavelength_nm: Wavelength
+    """Peak wavelength. [nm]"""
+    fwhm_nm: NonNegative = 0.0
+    """Full width at half maximum of the spectrum (Gaussian). [nm]"""
+    flux_mw: Positive = 1.0
+    """Radiant flux. [mW]"""
+    pattern: Literal["lambertian", "pencil", "measured"] = "lambertian"
+    """Angular pattern: Lambertian, a measured table, or (phantom) a pencil beam at normal incidence."""
+    pattern_deg: tuple[NonNegative, ...] | None = None
+    """Angles from the normal of a measured pattern. [deg]"""
+    pattern_relative: tuple[NonNegative, ...] | None = None
+    """Relative radiant intensity at those angles."""
+    position_mm: Point = (0.0, 0.0)
+    """Centre of the die. [mm]"""
+    size_mm: Size = (0.25, 0.25)
+    """Size of the die (u, v); a pencil beam has none. [mm]"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_from_part(cls, data: object, info: ValidationInfo) -> object:
+        return with_part(data, "part", info)
+
+    @model_validator(mode="after")
+    def _pattern_is_complete(self) -> Self:
+        if self.pattern == "measured":
+            angles, values = self.pattern_deg or (), self.pattern_relative or ()
+            if len(angles) < 2 or len(angles) != len(values) or not any(values):
+                raise ValueError('pattern = "measured" needs pattern_deg and pattern_relative of equal length, two or more')
+            if angles[0] != 0 or angles[-1] > 90 or any(b <= a for a, b in zip(angles, angles[1:], strict=False)):
+                raise ValueError("pattern_deg must rise from 0 to at most 90")
+        elif self.pattern_deg is not None or self.pattern_relative is not None:
+            raise ValueError(f'pattern_deg and pattern_relative belong to pattern = "measured", not "{self.pattern}"')
+        return self
+
+
+class Photodiode(Table):
+    """A photodiode, an array of them, or (phantom) an aperture that counts all light through it."""
+
+    name: Name
+    """Name, unique in the scene; the elements of an array are called name.0, name.1 and so on."""
+    array: str | None = None
+    """A photodiode array from assets/parts or beside the scene; fills the fields that are not given."""
+    wired: tuple[Annotated[int, Field(ge=0)], ...] | None = None
+    """Which elements of the array are read, from 0 at the proximal end; all of them if not given."""
+    elements: Annotated[int, Field(ge=1, le=256)] = 1
+    """Number of elements in a row along v."""
+    pitch_mm: Positive | None = None
+    """Distance from element to element; their size along v if not given. [mm]"""
+    aperture: bool = False
+    """Counts all light that leaves the top face of a phantom through it, at every angle."""
+    position_mm: Point
+    """Centre of the photodiode or array. [mm]"""
+    size_mm: Size = (1.0, 1.0)
+    """Size of one element (u, v). [mm]"""
+    quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.85
+    """Electrons per photon that arrives."""
+    dark_current_na: NonNegative = 0.1
+    """Dark current of one element. [nA]"""
+    shunt_mohm: Positive = 1000.0
+    """Shunt resistance of one element. [Mohm]"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_from_part(cls, data: object, info: ValidationInfo) -> object:
+        data = with_part(data, "array", info)
+        return {"name": data["array"]} | data if isinstance(data, dict) and isinstance(data.get("array"), str) else data
+
+    @model_validator(mode="after")
+    def _wiring_exists(self) -> Self:
+        for index in self.wired or ():
+            if index >= self.elements:
+                raise ValueError(f"wired names element {index}, but the array has elements 0 to {self.elements - 1}")
+        if self.wired is not None and len(set(self.wired)) < len(self.wired):
+            raise ValueError(f"wired names an element twice: {list(self.wired)}")
+        if self.pitch_mm is not None and self.pitch_mm < self.size_mm[1]:
+            raise ValueError(f"pitch_mm = {self.pitch_mm} is less than the element's size along v, {self.size_mm[1]}")
+        return self
+
+
+class Board(Table):
+    """The flexible board that is bent onto the nail, and what fills the space below it."""
+
+    size_mm: Size | None = None
+    """Size of the board (u, v) around its origin; enough for its parts if not given. [mm]"""
+    center_mm: Point = (0.0, 0.0)
+    """Where the board's origin lies on the nail, from the nail's centre (u, v). [mm]"""
+    kapton_um: Annotated[float, Field(ge=5, le=500)] = 25.0
+    """Thickness of the Kapton film. [um]"""
+    clear_epoxy_um: Annotated[float, Field(ge=20, le=3000)] = 400.0
+    """Depth of the clear epoxy under the board. [um]"""
+    adhesive_um: Annotated[float, Field(ge=0, le=1000)] = 50.0
+    """Thickness of the clear adhesive on the nail; it has the epoxy's index. [um]"""
+    barrier: bool = True
+    """A wall of opaque epoxy between LEDs and photodiodes, from the board to the nail."""
+    barrier_um: Annotated[float, Field(ge=20, le=2000)] = 150.0
+    """Thickness of that wall. [um]"""
+    cover_um: Annotated[float, Field(ge=20, le=5000)] = 500.0
+    """Thickness of the opaque cover on top. [um]"""
+    opaque_reflectance: Fraction = 0.04
+    """Diffuse reflectance of the opaque epoxy: barrier, rim and cover."""
+
+
+class Blood(Table):
+    """The blood in the nail bed and the vessels that carry it."""
+
+    parameters: str = "listed"
+    """Named set of hemodynamic parameters."""
+    rest_blood_fraction: Fraction = 0.03
+    """Volume fraction of blood in the nail bed at rest."""
+    so2: Fraction = 0.97
+    """Oxygen saturation of the blood."""
+    zone_edges_mm: Annotated[tuple[float, ...], Field(min_length=1, max_length=1)] = (0.0,)
+    """Where proximal and distal blood zone meet, along the nail from its centre. [mm]"""
+    zone_width_mm: Positive = 2.0
+    """Width of the smooth passage from zone to zone. [mm]"""
+
+
+class Electronics(Table):
+    """The transimpedance stage and the converter behind each photodiode."""
+
+    feedback_ohm: Positive = 1e6
+    """Feedback resistance: the gain from photocurrent to volts. [ohm]"""
+    bandwidth_hz: Positive = 100.0
+    """Noise bandwidth. [Hz]"""
+    capacitance_pf: NonNegative = 50.0
+    """Capacitance at the amplifier's input. [pF]"""
+    noise_nv_per_rt_hz: NonNegative = 10.0
+    """Voltage noise density of the amplifier. [nV/sqrt(Hz)]"""
+    adc_bits: Annotated[int, Field(ge=1, le=32)] = 16
+    """Resolution of the converter."""
+    adc_range_v: Positive = 5.0
+    """Full scale of the converter. [V]"""
+    temperature_k: Positive = 305.0
+    """Temperature of the electronics. [K]"""
+
+
+class Light(Table):
+    """How the light is traced."""
+
+    engine: Literal["auto", "photons", "volpath"] = "auto"
+    """photons: forward walk, one trace for every blood state; volpath: stock Mitsuba, the check and the fallback."""
+    index_steps: bool = True
+    """Refraction and Fresnel reflection where the refractive index changes."""
+
+
+class Accuracy(Table):
+    """What the answer must reach."""
+
+    relative_error: Annotated[float, Field(gt=0, le=1)] | None = None
+    """Relative standard error that every reading must reach."""
+    max_seconds: Positive | None = None
+    """Wall time after which tracing stops. [s]"""
+    photons: Annotated[int, Field(ge=1, le=10_000_000_000)] | None = None
+    """Photons per LED wavelength, in place of a tolerance."""
+
+
+class Scene(Table):
+    """What was asked: everything that determines the answer, in one frozen model."""
+
+    schema_version: Literal[1]
+    """Version of this format."""
+    phantom: Phantom | None = None
+    """A stack of layers in place of the finger."""
+    finger: Finger | None = None
+    """The finger."""
+    blood: Blood = Blood()
+    """Blood in the nail bed."""
+    touch: Touch = Touch()
+    """Force over time."""
+    board: Board = Board()
+    """The board on the nail."""
+    leds: Annotated[tuple[Led, ...], Field(min_length=1, max_length=64)]
+    """The LEDs, lit in turn."""
+    photodiodes: Annotated[tuple[Photodiode, ...], Field(max_length=256)] = ()
+    """The photodiodes."""
+    electronics: Electronics = Electronics()
+    """Amplifier and converter."""
+    light: Light = Light()
+    """How the light is traced."""
+    accuracy: Accuracy = Accuracy()
+    """What the answer must reach."""
+
+    @model_validator(mode="after")
+    def _finger_or_phantom(self) -> Self:
+        if (self.phantom is None) == (self.finger is None):
+            raise ValueError("a scene has either [finger] or [phantom]; give exactly one of them")
+        for kind, items in (("leds", self.leds), ("photodiodes", self.photodiodes)):
+            names = [item.name for item in items]
+            for name in names:
+                if names.count(name) > 1:
+                    raise ValueError(f'{kind}: the name "{name}" is used twice; give each its own')
+        for i, led in enumerate(self.leds):
+            if self.finger is not None and led.pattern == "pencil":
+                raise ValueError(f'leds[{i}].pattern = "pencil" is for phantoms; a die on a board is "lambertian" or "measured"')
+        for i, photodiode in enumerate(self.photodiodes):
+            if photodiode.aperture != (self.phantom is not None):
+                which = "needs aperture = true: a phantom has no board" if self.phantom else "is for phantoms; leave it out"
+                raise ValueError(f"photodiodes[{i}].aperture {which}")
+        if self.finger is not None and not self.photodiodes:
+            raise ValueError("photodiodes: a finger scene needs at least one")
+        # The board is laid out here so that every impossible layout is the scene's own error.
+        if self.finger is not None:
+            from .layout import lay_out
+
+            lay_out(self)
+        return self
