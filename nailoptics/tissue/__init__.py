@@ -1,0 +1,27 @@
+"""Blood to media: from chromophores to mu_a, mu_s, g and n of every region, and the blood zones under the nail."""
+
+from nailoptics.tissue.properties import (
+    REGIONS,
+    Absorption,
+    OpticalProperties,
+    Region,
+    absorption,
+    optical_properties,
+    scattering,
+)
+from nailoptics.tissue.spectra import WAVELENGTH_RANGE_NM, blood_mu_a_per_mm
+from nailoptics.tissue.zones import BloodZones, mu_a_field
+
+__all__ = [
+    "REGIONS",
+    "WAVELENGTH_RANGE_NM",
+    "Absorption",
+    "BloodZones",
+    "OpticalProperties",
+    "Region",
+    "absorption",
+    "blood_mu_a_per_mm",
+    "mu_a_field",
+    "optical_properties",
+    "scattering",
+]

@@ -1,0 +1,87 @@
+"""Absorption of the pure chromophores, from the shipped tables, at any wavelength from 450 to 1000 nm."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nailoptics.assets import read_table
+from nailoptics.errors import InputError
+
+WAVELENGTH_RANGE_NM = (450.0, 1000.0)
+
+HAEMOGLOBIN_G_PER_L = 150.0
+HAEMOGLOBIN_G_PER_MOL = 64500.0
+
+Array = NDArray[np.float64]
+
+
+def checked_wavelength_nm(wavelength_nm: ArrayLike) -> Array:
+    """Return the wavelengths as an array; InputError where one lies outside the tables."""
+    wavelength = np.asarray(wavelength_nm, dtype=float)
+    low, high = WAVELENGTH_RANGE_NM
+    outside = ~((wavelength >= low) & (wavelength <= high))
+    if outside.any():
+        raise InputError(
+            f"wavelength_nm = {wavelength[outside].flat[0]:g} has no optical data; choose from {low:g} to {high:g} nm"
+        )
+    return wavelength
+
+
+def checked_fraction(name: str, value: ArrayLike) -> Array:
+    """Return the value as an array; InputError where it lies outside 0 to 1."""
+    fraction = np.asarray(value, dtype=float)
+    outside = ~((fraction >= 0) & (fraction <= 1))
+    if outside.any():
+        raise InputError(f"{name} = {fraction[outside].flat[0]:g} is not a fraction; choose from 0 to 1")
+    return fraction
+
+
+def tabulated(table: str, column: str, wavelength_nm: ArrayLike) -> Array:
+    """Interpolate one column of a shipped spectrum, linearly between its rows."""
+    wavelength = checked_wavelength_nm(wavelength_nm)
+    rows = read_table(f"spectra/{table}.csv")
+    return np.asarray(np.interp(wavelength, rows["wavelength_nm"], rows[column]), dtype=float)
+
+
+def blood_mu_a_per_mm(wavelength_nm: ArrayLike, so2: ArrayLike) -> Array:
+    """Return the absorption coefficient of whole blood with 150 g/L of haemoglobin.
+
+    mu_a = ln(10) eps c / 64500 g/mol, with the molar, decadic extinction eps of Prahl's table.
+
+    Parameters
+    ----------
+    wavelength_nm : array of 450-1000. [nm]
+    so2 : array that broadcasts with it. Oxygen saturation, 0-1.
+
+    Returns
+    -------
+    mu_a : float, of the broadcast shape. [mm^-1]
+
+    Raises InputError for a wavelength outside 450-1000 nm or a saturation outside 0-1.
+
+    The curves of oxygenated and deoxygenated blood cross at 796.8 nm in this table; in Bosschaart's (Lasers Med.
+    Sci. 29, 453 (2014)) they cross at 820-825 nm.
+
+    References: S. Prahl, Oregon Medical Laser Center, from W. B. Gratzer and N. Kollias.
+    """
+    saturation = checked_fraction("so2", so2)
+    molar_to_per_mm = np.log(10) * HAEMOGLOBIN_G_PER_L / HAEMOGLOBIN_G_PER_MOL / 10
+    oxy = tabulated("hemoglobin", "oxy_per_cm_per_molar", wavelength_nm)
+    deoxy = tabulated("hemoglobin", "deoxy_per_cm_per_molar", wavelength_nm)
+    return np.asarray(molar_to_per_mm * (saturation * oxy + (1 - saturation) * deoxy))
+
+
+def melanosome_mu_a_per_mm(wavelength_nm: ArrayLike) -> Array:
+    """Return the absorption of the interior of a melanosome. [mm^-1]
+
+    References: Jacques 2013, Phys. Med. Biol. 58 R37: 519 (wavelength / 500 nm)^-3 per cm.
+    """
+    return np.asarray(51.9 * (checked_wavelength_nm(wavelength_nm) / 500) ** -3.0)
+
+
+def bloodless_skin_mu_a_per_mm(wavelength_nm: ArrayLike) -> Array:
+    """Return the absorption of skin without blood, melanin and water: the baseline. [mm^-1]
+
+    References: I. S. Saidi, thesis, Rice University (1992), as given by S. L. Jacques:
+    0.244 + 85.3 exp(-(wavelength - 154 nm) / 66.2 nm) per cm, from bloodless neonatal skin.
+    """
+    return np.asarray(0.0244 + 8.53 * np.exp(-(checked_wavelength_nm(wavelength_nm) - 154) / 66.2))
