@@ -3,13 +3,12 @@
 import re
 import tomllib
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 from nailoptics.errors import InputError
 
@@ -51,14 +50,20 @@ def read_table(relative: str) -> dict[str, NDArray[np.float64]]:
     return dict(zip(lines[0].split(","), columns, strict=True))
 
 
-def _is_pattern(rows: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
-    angles = [angle for angle, _ in rows]
-    rising = all(first < second for first, second in pairwise(angles))
-    if len(rows) < 2 or angles[0] != 0 or angles[-1] > 90 or not rising:
-        raise ValueError("needs two or more rows [angle_deg, relative] with angles rising from 0 to at most 90")
-    if any(value < 0 for _, value in rows) or not any(value > 0 for _, value in rows):
-        raise ValueError("needs relative intensities that are not negative and not all zero")
-    return rows
+def _pattern(value: object) -> object:
+    rule = 'must be "lambertian" or rows [angle_deg, relative] with angles rising from 0 to at most 90, relative >= 0'
+    if value == "lambertian":
+        return value
+    try:
+        rows = np.asarray(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ValueError(rule) from error
+    if rows.ndim != 2 or rows.shape[1] != 2 or len(rows) < 2 or not np.isfinite(rows).all():
+        raise ValueError(rule)
+    angle, relative = rows.T
+    if angle[0] != 0 or angle[-1] > 90 or (np.diff(angle) <= 0).any() or (relative < 0).any() or not relative.any():
+        raise ValueError(rule)
+    return tuple(map(tuple, rows.tolist()))
 
 
 class _Part(BaseModel):
@@ -78,10 +83,9 @@ class LedPart(_Part):
     fwhm_nm: Annotated[float, Field(ge=0, le=200)] = Field(description="0 makes a single line")
     flux_mw: Positive
     die_size_mm: Pair = Field(default=(0.25, 0.25), description="across the nail (u), along it (v)")
-    pattern: (
-        Literal["lambertian"]
-        | Annotated[tuple[tuple[float, float], ...], Field(strict=False), AfterValidator(_is_pattern)]
-    ) = Field(default="lambertian", description="lambertian, or rows [angle_deg, relative intensity per solid angle]")
+    pattern: Annotated[Literal["lambertian"] | tuple[tuple[float, float], ...], BeforeValidator(_pattern)] = Field(
+        default="lambertian", description="lambertian, or rows [angle_deg, relative intensity per solid angle]"
+    )
 
     def line(self, points: int = 5) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return wavelengths and weights that integrate over the LED's Gaussian line.
@@ -145,7 +149,7 @@ def load_part(name: str, beside: Path | str | None = None, *, expect: type | Non
         raise InputError(f"part {path}: {one_line(error)}") from error
     if expect is not None and not isinstance(part, expect):
         wanted = expect.model_fields["kind"].annotation.__args__[0]  # type: ignore[attr-defined]
-        raise InputError(f'part "{name}" is a {part.kind}, and a {wanted} is needed here; name another part')
+        raise InputError(f'part "{name}" has kind "{part.kind}", and "{wanted}" is needed here; name another part')
     return part
 
 
@@ -174,5 +178,5 @@ def one_line(error: ValidationError) -> str:
         return f"{field} is missing; add it"
     if first["type"].startswith("union_tag"):
         return 'kind must be "led" or "photodiode_array"; set it'
-    message = first["msg"].removeprefix("Value error, ")
-    return f"{field} = {first['input']!r}: {message[:1].lower()}{message[1:]}"
+    rule = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+    return f"{field} = {first['input']!r} {rule}; correct it"

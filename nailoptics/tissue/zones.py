@@ -69,7 +69,7 @@ class BloodZones:
         table : (n, K) float. Linear interpolation keeps the sum 1; its error is at most 0.75 (step / width_mm)^2.
         """
         if n < 2 or not v_max_mm > v_min_mm:
-            raise InputError(f"a zone table of n = {n} from {v_min_mm:g} to {v_max_mm:g} mm needs n >= 2 and a rising range")
+            raise InputError(f"a zone table needs n >= 2 and v_min < v_max, not {n}, {v_min_mm:g} and {v_max_mm:g}")
         return self.weights(np.linspace(v_min_mm, v_max_mm, n))
 
 
