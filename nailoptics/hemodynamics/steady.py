@@ -1,0 +1,220 @@
+"""Steady states: the diameters at which blood, wall and touch balance, for many touches at once.
+
+Two nested roots, each bracketed: the pressure of the vein node, and at a given one the diameter of each unit.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from nailoptics.errors import InputError
+from nailoptics.hemodynamics.parameters import Parameters
+from nailoptics.hemodynamics.walls import CLOSED_FRACTION, Walls, build_walls
+from nailoptics.hemodynamics.zones import PAPER_ZONES, Zones
+
+
+@dataclasses.dataclass(frozen=True)
+class SteadyState:
+    """Balanced diameters and pressures; S is the shape of the pressures given, () for single numbers.
+
+    capillary_diameter_m : (N, *S) float. D_C + x_C; N is 2 unless other zones were given, proximal first. [m]
+    vein_diameter_m : S float. D_V + x_V. [m]
+    capillary_pressure_pa : (N, *S) float. Blood pressure. [Pa]
+    vein_pressure_pa : S float. Blood pressure. [Pa]
+    """
+
+    capillary_diameter_m: np.ndarray
+    vein_diameter_m: np.ndarray
+    capillary_pressure_pa: np.ndarray
+    vein_pressure_pa: np.ndarray
+
+
+def steady_state(
+    parameters: Parameters,
+    *,
+    proximal_pressure_pa: ArrayLike = 0.0,
+    distal_pressure_pa: ArrayLike = 0.0,
+    arterial_pressure_pa: ArrayLike | None = None,
+    venous_pressure_pa: ArrayLike | None = None,
+    zones: Zones = PAPER_ZONES,
+    pressure_pa: ArrayLike | None = None,
+) -> SteadyState:
+    """Return the steady state at given pressures; arrays are broadcast and solved together.
+
+    proximal_pressure_pa, distal_pressure_pa : P_F1 on the vein and P_F2 on the distal capillaries. [Pa]
+    arterial_pressure_pa, venous_pressure_pa : P_H and P_L; None takes those of the parameters. [Pa]
+    zones : units along the nail and the reach of each pressure.
+    pressure_pa : (M, *S) float. All touch pressures, for zones with other than two inputs. [Pa]
+
+    Vessels close on contact at a thousandth of their listed diameter, past which nothing moves. Should a unit balance
+    at more than one diameter (strong feedback of R_A on D_C), the widest is taken: the one reached from rest.
+
+    Raises
+    ------
+    InputError
+        If a pressure is not finite, or the shapes do not fit.
+    """
+    p = parameters
+    touch = touch_inputs(zones, proximal_pressure_pa, distal_pressure_pa, pressure_pa)
+    high, low, *touch = np.broadcast_arrays(
+        finite(
+            "arterial_pressure_pa", p.arterial_pressure_pa if arterial_pressure_pa is None else arterial_pressure_pa
+        ),
+        finite("venous_pressure_pa", p.venous_pressure_pa if venous_pressure_pa is None else venous_pressure_pa),
+        *touch,
+    )
+    shape = high.shape
+    walls = build_walls(p, zones)
+    outside = wall_pressures(zones, np.array([t.ravel() for t in touch]))
+    width, pressure = _solve(walls, outside, high.ravel(), low.ravel())
+    n = zones.count
+    return SteadyState(
+        capillary_diameter_m=width[:n].reshape((n, *shape)),
+        vein_diameter_m=width[n].reshape(shape)[()],
+        capillary_pressure_pa=pressure[:n].reshape((n, *shape)),
+        vein_pressure_pa=pressure[n].reshape(shape)[()],
+    )
+
+
+def finite(name: str, value: ArrayLike) -> np.ndarray:
+    """Return an input as a float array, or say what is wrong with it."""
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"hemodynamics.{name} must be numbers, got {value!r}; give a number or an array.") from None
+    bad = ~np.isfinite(array)
+    if bad.any():
+        first = np.argwhere(bad)[0].tolist()
+        where = f"[{', '.join(map(str, first))}]" if first else ""
+        raise InputError(f"hemodynamics.{name}{where} must be finite, got {array[bad][0]}; replace NaN and inf.")
+    return array
+
+
+def touch_inputs(
+    zones: Zones, proximal_pressure_pa: ArrayLike, distal_pressure_pa: ArrayLike, pressure_pa: ArrayLike | None
+) -> list[np.ndarray]:
+    """Return one checked array for each touch pressure that the zones take."""
+    if pressure_pa is not None:
+        given = finite("pressure_pa", pressure_pa)
+        if given.ndim < 1 or given.shape[0] != zones.inputs:
+            raise InputError(
+                f"hemodynamics.pressure_pa must hold {zones.inputs} inputs along its first axis, got shape {given.shape}."
+            )
+        return list(given)
+    if zones.inputs != 2:
+        raise InputError(f"hemodynamics: zones take {zones.inputs} pressures, not 2; give them all in pressure_pa.")
+    return [finite("proximal_pressure_pa", proximal_pressure_pa), finite("distal_pressure_pa", distal_pressure_pa)]
+
+
+def wall_pressures(zones: Zones, touch_pa: np.ndarray) -> np.ndarray:
+    """Return the (N+1, S) touch pressure on each wall from the (M, S) inputs. [Pa]"""
+    rows = [*zones.reach, zones.vein_reach]
+    return np.array([sum(part * p for part, p in zip(row, touch_pa, strict=True)) for row in rows])
+
+
+def _solve(walls: Walls, outside: np.ndarray, high: np.ndarray, low: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return widths and pressures, (N+1, S), of the steady states."""
+    n = len(walls.venule)
+    rest = np.array(walls.diameter)[:, None]
+    tension = np.array(walls.stiffness)[:, None] * rest / np.array(walls.area)[:, None]
+    conductance = np.array(walls.flow_factor)[:, None] * rest**4
+    venule = np.array(walls.venule)[:, None]
+    barrier = venule / conductance[:n]
+
+    def unit_opening(node: np.ndarray) -> np.ndarray:
+        return _openings(tension[:n], barrier, node - outside[:n], high - node)
+
+    def vein_opening(node: np.ndarray) -> np.ndarray:
+        return np.maximum(CLOSED_FRACTION, 1.0 + (node - outside[n]) / tension[n])
+
+    def excess_outflow(node: np.ndarray) -> np.ndarray:
+        arteriole = conductance[:n] * unit_opening(node) ** 4
+        inflow = ((high - node) * arteriole * venule / (arteriole + venule)).sum(axis=0)
+        return conductance[n] * vein_opening(node) ** 4 * (node - low) - inflow
+
+    # The sign of P_H - P_L tells which end has more outflow.
+    sign = np.where(high >= low, 1.0, -1.0)
+    scale = np.maximum(np.abs(high), np.abs(low)) + 1.0
+    node = _bracketed_root(
+        lambda x: sign * excess_outflow(x), np.minimum(high, low), np.maximum(high, low), tolerance=1e-14 * scale
+    )
+    opening = unit_opening(node)
+    arteriole = conductance[:n] * opening**4
+    pressure = (arteriole * high + venule * node) / (arteriole + venule)
+    width = np.concatenate([opening, vein_opening(node)[None]]) * rest
+    return width, np.concatenate([pressure, node[None]])
+
+
+def _openings(tension: np.ndarray, barrier: np.ndarray, push: np.ndarray, head: np.ndarray) -> np.ndarray:
+    """Return the widest u = (D+x)/D with tension (u-1) = push + head u^4/(u^4 + barrier), or contact.
+
+    push : P_N - P_F. head : P_H - P_N. tension : k D/A. barrier : R_A0/R_V. Shapes broadcast to (N, S). [Pa, 1]
+    """
+    tension, barrier, push, head = np.broadcast_arrays(tension, barrier, push, head)
+
+    def balance(u: np.ndarray) -> np.ndarray:
+        u4 = u**4
+        return tension * (u - 1.0) - push - head * u4 / (u4 + barrier)
+
+    lowest = np.full(push.shape, CLOSED_FRACTION)
+    bottom = np.maximum(lowest, 1.0 + (push + np.minimum(head, 0.0)) / tension)
+    top = np.maximum(lowest, 1.0 + (push + np.maximum(head, 0.0)) / tension)
+    # Feedback steeper than the wall's tension anywhere: there may be three roots. The widest lies right of the minimum
+    # of the balance, which lies right of the steepest point of the feedback.
+    steepest = (0.6 * barrier) ** 0.25
+    slope = 4.0 * head * barrier * steepest**3 / (1.6 * barrier) ** 2
+    if (slope > tension).any():
+        with np.errstate(over="ignore"):
+            far = np.maximum(steepest, top) + 1.0
+            turn = _bracketed_root(
+                lambda u: tension - 4.0 * head * barrier * u**3 / (u**4 + barrier) ** 2,
+                steepest,
+                far,
+                tolerance=1e-13 * far,
+            )
+        folded = slope > tension
+        wide = folded & (turn < top) & (balance(turn) <= 0.0)
+        bottom = np.where(wide, np.maximum(bottom, turn), bottom)
+        narrow = folded & ~wide
+        top = np.where(narrow, np.clip(steepest, bottom, top), top)
+    return _bracketed_root(balance, bottom, top, tolerance=1e-14 * top)
+
+
+def _bracketed_root(
+    function: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray, *, tolerance: np.ndarray
+) -> np.ndarray:
+    """Return a root of each component of a function that is <= 0 at low and >= 0 at high (Chandrupatla's method).
+
+    Where the function is positive at low (or negative at high) already, that end is returned.
+    """
+    a, b = high.astype(float), low.astype(float)
+    fa, fb = function(a), function(b)
+    at_low, at_high = fb >= 0.0, fa <= 0.0
+    c, fc = a.copy(), fa.copy()
+    part = np.full(a.shape, 0.5)
+    for _ in range(100):
+        x = a + part * (b - a)
+        fx = function(x)
+        same = np.sign(fx) == np.sign(fa)
+        c, fc = np.where(same, a, b), np.where(same, fa, fb)
+        b, fb = np.where(same, b, a), np.where(same, fb, fa)
+        a, fa = x, fx
+        a_best = np.abs(fa) < np.abs(fb)
+        best, f_best = np.where(a_best, a, b), np.where(a_best, fa, fb)
+        width = np.abs(b - a)
+        done = (f_best == 0.0) | (width <= 2.0 * tolerance) | at_low | at_high
+        if done.all():
+            break
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            xi = (a - b) / (c - b)
+            phi = (fa - fb) / (fc - fb)
+            quadratic = (phi**2 < xi) & ((1.0 - phi) ** 2 < 1.0 - xi)
+            guess = fa / (fb - fa) * fc / (fb - fc) + (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)
+            smallest = tolerance / width
+        part = np.where(quadratic & np.isfinite(guess), guess, 0.5)
+        part = np.where(done, 0.0, np.clip(part, np.minimum(smallest, 0.5), np.maximum(1.0 - smallest, 0.5)))
+    return np.where(at_low, low, np.where(at_high, high, best))

@@ -1,0 +1,160 @@
+"""The network of vessels behind moving walls: pressures and wall speeds from diameters, for any number of units.
+
+Every function takes, for each wall, one Python float or one numpy array: the time stepper (floats, quick) and the
+tables of results (arrays over time) share the same formulas. Walls are ordered: capillary units, then the vein.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from nailoptics.hemodynamics.parameters import Parameters
+from nailoptics.hemodynamics.zones import Zones
+
+CLOSED_FRACTION = 1e-3
+"""Diameter of a closed vessel over its listed one: its resistance is then 1e12 times as large, yet finite. [1]"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Walls:
+    """Constants of N capillary units and the vein (last), with each unit's share of the bed, in SI units.
+
+    area, damping, stiffness, mass, diameter, closed : (N+1,) floats. ``closed`` is the diameter at contact.
+    flow_factor : (N+1,) floats. Times (D+x)^4 it is 1/R of eq. (3). [m^-1 Pa^-1 s^-1]
+    venule : (N,) floats. 1/R_Vi. [m^3 Pa^-1 s^-1]
+    mobile : (N+1,) floats. A/b: speed that a pressure gives to a free wall. [m Pa^-1 s^-1]
+    """
+
+    area: tuple[float, ...]
+    damping: tuple[float, ...]
+    stiffness: tuple[float, ...]
+    mass: tuple[float, ...]
+    diameter: tuple[float, ...]
+    closed: tuple[float, ...]
+    flow_factor: tuple[float, ...]
+    venule: tuple[float, ...]
+    mobile: tuple[float, ...]
+
+
+def build_walls(parameters: Parameters, zones: Zones) -> Walls:
+    """Return the constants of every wall."""
+    p = parameters
+    share = zones.share
+    area = (*(s * p.capillary_area_m2 for s in share), p.vein_area_m2)
+    damping = (*(s * p.capillary_damping_n_s_per_m for s in share), p.vein_damping_n_s_per_m)
+    diameter = (*(p.capillary_diameter_m for _ in share), p.vein_diameter_m)
+    capillary_flow = p.capillary_count * math.pi / (128.0 * p.capillary_length_m * p.viscosity_pa_s)
+    vein_flow = p.vein_count * math.pi / (128.0 * p.vein_length_m * p.viscosity_pa_s)
+    return Walls(
+        area=area,
+        damping=damping,
+        stiffness=(*(s * p.capillary_stiffness_n_per_m for s in share), p.vein_stiffness_n_per_m),
+        mass=(*(s * p.capillary_mass_kg for s in share), p.vein_mass_kg),
+        diameter=diameter,
+        closed=tuple(CLOSED_FRACTION * d for d in diameter),
+        flow_factor=(*(s * capillary_flow for s in share), vein_flow),
+        venule=tuple(s / p.venule_resistance_pa_s_per_m3 for s in share),
+        mobile=tuple(a / b for a, b in zip(area, damping, strict=True)),
+    )
+
+
+def massless(
+    walls: Walls, width: Sequence[Any], load: Sequence[Any], free: Sequence[Any], high: Any, low: Any
+) -> tuple[list[Any], list[Any]]:
+    """Return pressures and wall speeds of the network whose walls have no mass.
+
+    width : N+1 values. D + x, no less than ``walls.closed``. [m]
+    load : N+1 values. Force that presses the wall inward against the blood: A P_F + k x. [N]
+    free : N+1 values. 1 where the wall may move, 0 where it is held in contact.
+    high, low : P_H and P_L. [Pa]
+
+    Returns pressures [Pa] and speeds [m/s], N+1 each. With A P - load = b dx/dt at each free wall, each unit's pressure
+    follows from the vein node's, and the vein node's from one sum: exact elimination, no matrix.
+    """
+    n = len(walls.venule)
+    mobile, area = walls.mobile, walls.area
+    numerators, sums, ratios = [], [], []
+    flow_in: Any = 0.0
+    conductance: Any = 0.0
+    for i in range(n):
+        w2 = width[i] * width[i]
+        arteriole = walls.flow_factor[i] * (w2 * w2)
+        m = mobile[i] * free[i]
+        own = arteriole + m * area[i]
+        total = own + walls.venule[i]
+        ratio = walls.venule[i] / total
+        numerator = arteriole * high + m * load[i]
+        flow_in = flow_in + ratio * numerator
+        conductance = conductance + ratio * own
+        numerators.append(numerator)
+        sums.append(total)
+        ratios.append(ratio)
+    w2 = width[n] * width[n]
+    vein = walls.flow_factor[n] * (w2 * w2)
+    m = mobile[n] * free[n]
+    node = (flow_in + m * load[n] + vein * low) / (conductance + m * area[n] + vein)
+    pressures = [numerators[i] / sums[i] + ratios[i] * node for i in range(n)]
+    pressures.append(node)
+    speeds = [free[i] * (area[i] * pressures[i] - load[i]) / walls.damping[i] for i in range(n + 1)]
+    return pressures, speeds
+
+
+def massless_jacobian(
+    walls: Walls, width: Sequence[float], free: Sequence[float], pressures: Sequence[float], high: float, low: float
+) -> tuple[list[float], list[float], list[float]]:
+    """Return d(speed_i)/d(width_j) of ``massless`` as diag(d) + outer(p, q): three lists of N+1 floats.
+
+    The units meet in the vein node only, hence the rank of one.
+    """
+    n = len(walls.venule)
+    node = pressures[n]
+    w = width[n]
+    vein_slope = 4.0 * walls.flow_factor[n] * w * w * w
+    vein = 0.25 * vein_slope * w
+    m = walls.mobile[n] * free[n]
+    below = m * walls.area[n] + vein
+    diagonal, left, own_slopes = [], [], []
+    for i in range(n):
+        w = width[i]
+        slope = 4.0 * walls.flow_factor[i] * w * w * w
+        arteriole = 0.25 * slope * w
+        m_i = walls.mobile[i] * free[i]
+        own = arteriole + m_i * walls.area[i]
+        total = own + walls.venule[i]
+        ratio = walls.venule[i] / total
+        rise = slope * (high - pressures[i]) + m_i * walls.stiffness[i]
+        below += ratio * own
+        own_slopes.append(ratio * rise)
+        diagonal.append(m_i * rise / total - free[i] * walls.stiffness[i] / walls.damping[i])
+        left.append(m_i * ratio)
+    right = [s / below for s in own_slopes]
+    right.append((m * walls.stiffness[n] - vein_slope * (node - low)) / below)
+    diagonal.append(-free[n] * walls.stiffness[n] / walls.damping[n])
+    left.append(m)
+    return diagonal, left, right
+
+
+def moving(walls: Walls, width: Sequence[Any], speed: Sequence[Any], high: Any, low: Any) -> list[Any]:
+    """Return the N+1 pressures [Pa] of the network whose walls move at given speeds [m/s] (the six-state model)."""
+    n = len(walls.venule)
+    numerators, sums, ratios = [], [], []
+    flow_in: Any = 0.0
+    conductance: Any = 0.0
+    for i in range(n):
+        w2 = width[i] * width[i]
+        arteriole = walls.flow_factor[i] * (w2 * w2)
+        total = arteriole + walls.venule[i]
+        ratio = walls.venule[i] / total
+        numerator = arteriole * high - walls.area[i] * speed[i]
+        flow_in = flow_in + ratio * numerator
+        conductance = conductance + ratio * arteriole
+        numerators.append(numerator)
+        sums.append(total)
+        ratios.append(ratio)
+    w2 = width[n] * width[n]
+    vein = walls.flow_factor[n] * (w2 * w2)
+    node = (flow_in - walls.area[n] * speed[n] + vein * low) / (conductance + vein)
+    return [numerators[i] / sums[i] + ratios[i] * node for i in range(n)] + [node]

@@ -1,0 +1,101 @@
+"""How the nail bed is cut into capillary units, and which touch pressure reaches which wall."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from nailoptics.errors import InputError
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Zones:
+    """Capillary units along the nail, from the cuticle to the tip, and the reach of the pressure inputs.
+
+    share : (N,) floats. Size of a unit over that of one of the paper's two; the sum is 2. [1]
+    reach : (N, M) floats. Part of pressure input m that acts on the capillary wall of unit i. [1]
+    vein_reach : (M,) floats. Part of pressure input m that acts on the vein wall. [1]
+
+    A unit of share s has s N_C capillaries, s A_C, s k_C, s b_C, s m_C and R_V1/s: cutting a bed into units
+    that feel one pressure changes nothing.
+    """
+
+    share: tuple[float, ...]
+    reach: tuple[tuple[float, ...], ...]
+    vein_reach: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        share, reach, vein_reach = np.asarray(self.share), np.asarray(self.reach), np.asarray(self.vein_reach)
+        if share.ndim != 1 or share.size < 1 or not np.all(np.isfinite(share)) or np.any(share <= 0.0):
+            raise InputError(
+                f"zones.share must hold positive finite numbers, got {self.share}; give one for each unit."
+            )
+        if not np.isclose(share.sum(), 2.0, rtol=1e-9):
+            raise InputError(f"zones.share must sum to 2 (the paper's two beds), got {share.sum():g}; scale it.")
+        if reach.shape != (share.size, vein_reach.size) or vein_reach.ndim != 1:
+            raise InputError(
+                f"zones.reach must have shape (units, inputs) = ({share.size}, {vein_reach.size}), got {reach.shape}; "
+                "give one row for each unit and one column for each input."
+            )
+        if not (np.all(np.isfinite(reach)) and np.all(np.isfinite(vein_reach))):
+            raise InputError("zones.reach and zones.vein_reach must be finite; replace NaN and inf.")
+
+    @property
+    def count(self) -> int:
+        """Number of capillary units."""
+        return len(self.share)
+
+    @property
+    def inputs(self) -> int:
+        """Number of pressure inputs."""
+        return len(self.vein_reach)
+
+    @property
+    def names(self) -> list[str]:
+        """One name for each unit."""
+        return ["proximal", "distal"] if self.count == 2 else [f"zone_{i + 1}" for i in range(self.count)]
+
+    @property
+    def position(self) -> np.ndarray:
+        """(N,) float. Centre of each unit along the bed, 0 at the cuticle and 1 at the tip. [1]"""
+        edges = np.concatenate(([0.0], np.cumsum(self.share))) / sum(self.share)
+        return 0.5 * (edges[:-1] + edges[1:])
+
+
+PAPER_ZONES = Zones(share=(1.0, 1.0), reach=((0.0, 0.0), (0.0, 1.0)), vein_reach=(1.0, 0.0))
+
+
+def zones(count: int, *, decay_length: float | None = None) -> Zones:
+    """Cut the bed into equal units with the paper's two inputs, proximal and distal.
+
+    count : int. Number of units, 2 or more. Two units without decay are the paper's model.
+    decay_length : float. Reach of the distal pressure. None: the distal half feels it in full, the proximal
+        half nothing (the paper). Otherwise unit i feels exp(-d_i/decay_length) of it, with d_i the distance of
+        its centre from that of the last unit, both in lengths of the bed: the white band then widens with force. [1]
+
+    The pressure that the pulp passes on to the bed falls off with the distance from the tip. An exponential is the
+    simplest law with one constant: a unit closes once exp(-d/decay_length) P_F2 passes its closing pressure, so the
+    band's width grows as decay_length log(force).
+
+    Raises
+    ------
+    InputError
+        If the count is under 2, is odd without decay, or the length is not positive.
+    """
+    if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 2:
+        raise InputError(f"zones.count must be an integer of 2 or more, got {count!r}; use 2 for the paper's model.")
+    if decay_length is None:
+        if count % 2:
+            raise InputError(f"zones.count must be even without decay_length, got {count}; the bed has two halves.")
+        distal = np.repeat([0.0, 1.0], count // 2)
+    else:
+        if not (np.isfinite(decay_length) and decay_length > 0.0):
+            raise InputError(f"zones.decay_length must be positive and finite, got {decay_length}; 0.3 is usual.")
+        centre = (np.arange(count) + 0.5) / count
+        distal = np.exp((centre - centre[-1]) / decay_length)
+    return Zones(
+        share=(2.0 / count,) * int(count),
+        reach=tuple((0.0, float(part)) for part in distal),
+        vein_reach=(1.0, 0.0),
+    )
