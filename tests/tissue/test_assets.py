@@ -1,0 +1,129 @@
+"""Shipped facts: each with its citation, found from both kinds of install; parts checked, the user's own first."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from nailoptics import assets
+from nailoptics.assets import LedPart, PhotodiodeArrayPart, asset_path, data_dir, load_part, read_table
+from nailoptics.errors import InputError
+
+SPECTRA = sorted(path.name for path in (data_dir("assets") / "spectra").glob("*.csv"))
+PARTS = sorted(path.name for path in (data_dir("assets") / "parts").glob("*.toml"))
+LED = 'kind = "led"\npeak_nm = 805\nfwhm_nm = 30\nflux_mw = 2\n'
+
+
+@pytest.mark.parametrize("name", SPECTRA)
+def test_a_spectrum_covers_450_to_1000_nm_and_cites_its_source(name):
+    header = [line for line in asset_path(f"spectra/{name}").read_text().splitlines() if line.startswith("#")]
+    assert "Source:" in "".join(header) or "FITTED" in header[0]
+    assert any(char.isdigit() for char in "".join(header))
+    wavelength_nm = read_table(f"spectra/{name}")["wavelength_nm"]
+    assert wavelength_nm[0] <= 450 and wavelength_nm[-1] >= 1000 and (np.diff(wavelength_nm) > 0).all()
+    assert all(np.isfinite(column).all() for column in read_table(f"spectra/{name}").values())
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_a_shipped_part_loads_and_cites_its_source(name):
+    assert asset_path(f"parts/{name}").read_text().startswith("# ")
+    load_part(name.removesuffix(".toml"))
+
+
+def test_spectra_cannot_be_changed_by_a_caller():
+    with pytest.raises(ValueError, match="read-only"):
+        read_table("spectra/water.csv")["mu_a_per_mm"][0] = 1.0
+
+
+def test_a_wheels_own_folder_comes_first(tmp_path, monkeypatch):
+    package = tmp_path / "nailoptics"
+    (package / "_assets").mkdir(parents=True)
+    (tmp_path / "assets").mkdir()
+    monkeypatch.setattr(assets, "_PACKAGE", package)
+    assert data_dir("assets") == package / "_assets"
+    shutil.rmtree(package / "_assets")
+    assert data_dir("assets") == tmp_path / "assets"
+    with pytest.raises(InputError, match="scenes is missing"):
+        data_dir("scenes")
+
+
+def test_the_papers_parts():
+    array = load_part("pd_array_4x1", expect=PhotodiodeArrayPart)
+    assert array.elements * array.pitch_mm == 4.0 and array.element_size_mm == (1.0, 0.25)
+    leds = [load_part(f"led_{peak}", expect=LedPart) for peak in (660, 800, 940)]
+    assert [(led.peak_nm, led.fwhm_nm) for led in leds] == [(660, 17), (800, 33), (940, 42)]
+
+
+def test_a_users_own_part_beside_the_scene_wins(tmp_path):
+    (tmp_path / "led_800.toml").write_text(LED)
+    assert load_part("led_800", tmp_path).peak_nm == 805
+    assert load_part("led_800").peak_nm == 800
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "mine.toml").write_text(LED + "pattern = [[0, 1], [45.0, 0.6], [90, 0]]")
+    assert load_part("mine", tmp_path).pattern == ((0, 1), (45, 0.6), (90, 0))
+
+
+def test_a_lines_nodes_have_its_mean_and_width():
+    led = load_part("led_800", expect=LedPart)
+    wavelength_nm, weight = led.line()
+    assert weight.sum() == pytest.approx(1, rel=1e-12)
+    assert weight @ wavelength_nm == pytest.approx(800, rel=1e-12)
+    sigma_nm = 33 / np.sqrt(8 * np.log(2))  # full width at half maximum of a Gaussian
+    assert weight @ (wavelength_nm - 800) ** 2 == pytest.approx(sigma_nm**2, rel=1e-9)
+
+
+def test_five_nodes_read_blood_through_the_line_as_a_fine_sum_does():
+    from nailoptics.tissue import blood_mu_a_per_mm
+
+    for name in ("led_660", "led_800", "led_940"):
+        led = load_part(name, expect=LedPart)
+        fine_nm = np.linspace(-4, 4, 2001) * led.fwhm_nm / np.sqrt(8 * np.log(2)) + led.peak_nm
+        fine_nm = fine_nm[fine_nm <= 1000]
+        line = np.exp(-4 * np.log(2) * ((fine_nm - led.peak_nm) / led.fwhm_nm) ** 2)
+        # A path of 10 mm through 3 % of blood at 80 % saturation.
+        exact = np.average(np.exp(-0.3 * blood_mu_a_per_mm(fine_nm, 0.8)), weights=line)
+        wavelength_nm, weight = led.line()
+        assert weight @ np.exp(-0.3 * blood_mu_a_per_mm(wavelength_nm, 0.8)) == pytest.approx(exact, rel=1e-3)
+
+
+def test_a_line_at_the_end_of_the_tables_stays_within_them(tmp_path):
+    (tmp_path / "far.toml").write_text(LED.replace("805", "995"))
+    wavelength_nm, weight = load_part("far", tmp_path, expect=LedPart).line()
+    assert wavelength_nm.max() <= 1000 and weight.sum() == pytest.approx(1)
+    (tmp_path / "laser.toml").write_text(LED.replace("fwhm_nm = 30", "fwhm_nm = 0"))
+    assert load_part("laser", tmp_path, expect=LedPart).line()[0] == pytest.approx([805])
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        (LED + "colour = 3", "colour is not a known field"),
+        (LED.replace("805", "1200"), "peak_nm = 1200 must be less than or equal to 1000"),
+        (LED.replace("805", '"x"'), "peak_nm = 'x' must be a valid number"),
+        (LED.replace("805", "nan"), "peak_nm = nan must be a finite number"),
+        (LED.replace("flux_mw = 2", ""), "flux_mw is missing"),
+        (LED + "die_size_mm = [0.2, -1]", r"die_size_mm.1 = -1 must be greater than 0"),
+        (LED + 'pattern = "cosine"', "pattern = 'cosine' must be \"lambertian\" or rows"),
+        (LED + "pattern = [[5, 1], [90, 0]]", "angles rising from 0"),
+        (LED + "pattern = [[0, 1], [90, -1]]", "relative >= 0"),
+        (LED.replace('"led"', '"lamp"'), "kind must be"),
+        ("peak_nm = 3", "kind must be"),
+        ("x =", "cannot be read"),
+    ],
+)
+def test_a_part_that_breaks_a_rule_is_refused_in_one_line(tmp_path, text, words):
+    (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises(InputError, match=words) as caught:
+        load_part("mine", tmp_path)
+    assert "mine.toml" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_an_unknown_part_names_the_known_ones():
+    with pytest.raises(InputError, match="choose one of led_660, led_800, led_940, pd_array_4x1"):
+        load_part("led_850")
+    with pytest.raises(InputError, match="give no path"):
+        load_part("../led_800")
+    with pytest.raises(InputError, match='kind "led", and "photodiode_array" is needed'):
+        load_part("led_800", expect=PhotodiodeArrayPart)
+    with pytest.raises(InputError, match="does not exist"):
+        asset_path("spectra/air.csv")
