@@ -1,0 +1,294 @@
+"""Which of Mitsuba's backends work on this machine: found out in subprocesses, then remembered.
+
+A broken libLLVM does not fail, it aborts the process at its first kernel; so no library is loaded
+into this process before another one has run a kernel with it and lived.
+"""
+
+import json
+import logging
+import os
+import platform
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import zlib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Literal
+
+from ..errors import InputError
+
+log = logging.getLogger(__name__)
+
+Name = Literal["cuda", "llvm", "scalar"]
+NAMES: tuple[Name, ...] = ("cuda", "llvm", "scalar")
+VARIANTS: dict[Name, str] = {"cuda": "cuda_ad_mono", "llvm": "llvm_ad_mono", "scalar": "scalar_spectral"}
+ADVICE = (
+    "the scalar backend is slow; to trace much faster install libLLVM 17 or newer "
+    "(Debian, Ubuntu: apt install libllvm19), or set DRJIT_LIBLLVM_PATH to one"
+)
+PROBE_TIMEOUT_S = 120.0
+FOLDERS = ("/usr/lib", "/usr/lib64", "/lib", "/lib64", "/usr/local/lib", "/usr/local/lib64")
+
+# A kernel alone is not enough: on CUDA, rays need OptiX, which can be missing where kernels work.
+PROBE = """
+import sys
+try:
+    import resource
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+except (ImportError, ValueError, OSError):
+    pass
+import mitsuba as mi
+mi.set_variant(sys.argv[1])
+import drjit as dr
+x = dr.maximum(dr.arange(mi.Float, 16), dr.opaque(mi.Float, 2.0))
+dr.eval(x)
+assert dr.allclose(dr.sum(x), 123.0), "a kernel computed a wrong sum"
+scene = mi.load_dict({"type": "scene", "ball": {"type": "sphere"}})
+hit = scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(0, 0, -5), mi.Vector3f(0, 0, 1)))
+assert dr.allclose(hit.t, 4.0), "a ray met a sphere at the wrong place"
+print("works")
+"""
+
+_answers: dict[str, tuple[bool, str]] = {}
+
+
+@dataclass(frozen=True)
+class Backend:
+    """A usable backend: its Mitsuba variant, its library, why it was taken, what would be faster."""
+
+    name: Name
+    variant: str
+    jit: bool
+    library: str | None
+    reason: str
+    advice: str | None = None
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One candidate: a backend, its library, whether it works here, and why it is taken or not."""
+
+    name: Name
+    library: str | None
+    usable: bool
+    why: str
+
+
+def choose(requested: str = "auto") -> Backend:
+    """The backend to trace with: the one asked for, or the first that works of cuda, llvm, scalar.
+
+    Does not import mitsuba. A library seen for the first time costs a subprocess of about a second.
+
+    Raises: InputError, one line, where the requested backend is unknown or does not work here.
+    """
+    if requested != "auto" and requested not in NAMES:
+        raise InputError(f'backend "{requested}" is not known; choose one of auto, {", ".join(NAMES)}.')
+    failures: list[str] = []
+    for name in NAMES:
+        if requested not in ("auto", name):
+            continue
+        failed = []
+        for finding in _look(name):
+            if finding.usable:
+                reason = "asked for" if requested == name else "; ".join(failures) or "the fastest that there is"
+                advice = ADVICE if name == "scalar" and requested == "auto" else None
+                return Backend(name, VARIANTS[name], name != "scalar", finding.library, reason, advice)
+            failed.append(f"{finding.library}: {finding.why}" if finding.library else finding.why)
+        failures.append(f"{name} is not usable ({'; '.join(failed)})")
+    raise InputError(f"backend {failures[0]}; use --backend auto, or see nailoptics doctor.")
+
+
+def findings() -> list[Finding]:
+    """Every candidate of every backend, in the order they are tried, and why it is taken or not."""
+    found: list[Finding] = []
+    taken: Finding | None = None
+    for finding in (f for name in NAMES for f in _look(name)):
+        if finding.usable:
+            which = f"{taken.name} ({taken.library})" if taken else ""
+            why = f"{finding.why}; not needed, {which} comes first" if taken else f"{finding.why}; taken"
+            finding = Finding(finding.name, finding.library, True, why)
+            taken = taken or finding
+        found.append(finding)
+    return found
+
+
+def activate(backend: Backend) -> Any:
+    """Mitsuba with the backend's variant set.
+
+    Raises: InputError where mitsuba cannot be imported.
+    """
+    if backend.name == "llvm" and backend.library:
+        os.environ["DRJIT_LIBLLVM_PATH"] = backend.library
+    try:
+        import mitsuba as mi
+
+        if mi.variant() != backend.variant:
+            mi.set_variant(backend.variant)
+    except ImportError as error:
+        why = _last_line(str(error))
+        raise InputError(f"mitsuba cannot be used: {why}; reinstall it: pip install mitsuba.") from None
+    return mi
+
+
+def _look(name: Name) -> Iterator[Finding]:
+    """The candidates of one backend; each is probed when it is asked for, not before."""
+    if name == "scalar":
+        yield Finding("scalar", None, True, "works everywhere")
+        return
+    libraries = list(_cuda_libraries() if name == "cuda" else _llvm_libraries())
+    if not libraries:
+        wanted = "NVIDIA driver and device" if name == "cuda" else "libLLVM"
+        yield Finding(name, None, False, f"no {wanted} found")
+    for library in libraries:
+        yield Finding(name, library, *_works(name, library))
+
+
+def _cuda_libraries() -> list[str]:
+    """The CUDA driver's library, if there is a device to drive."""
+    if not (_devices() or Path("/dev/dxg").exists()):
+        return []
+    files = (Path(folder) / "libcuda.so.1" for folder in [*_system_folders(), "/usr/lib/wsl/lib"])
+    return [str(file.resolve()) for file in files if file.is_file()][:1]
+
+
+def _system_folders() -> list[str | Path]:
+    machine = f"{platform.machine()}-linux-gnu"
+    return [*FOLDERS, *(f"{root}/{machine}" for root in ("/usr/lib", "/lib", "/usr/local/lib"))]
+
+
+def _devices() -> list[str]:
+    return sorted(p.name for p in Path("/dev").glob("nvidia[0-9]*"))
+
+
+def _llvm_libraries(folders: Iterable[str | Path] | None = None) -> list[str]:
+    """Files that could be libLLVM, newest major version first; only the user's choice where there is one."""
+    if chosen := os.environ.get("DRJIT_LIBLLVM_PATH"):
+        return [chosen]
+    if folders is None:
+        folders = [*_system_folders(), Path(sys.prefix) / "lib"]
+        for root in ("/usr/lib", "/usr/lib64", "/usr/local/opt", "/opt/homebrew/opt"):
+            folders += sorted(Path(root).glob("llvm*/lib*"))
+    patterns = ("libLLVM.so*", "libLLVM-*.so*", "libLLVM*.dylib")
+    # Many names lead to one file.
+    found = {file.resolve() for folder in folders for pattern in patterns for file in Path(folder).glob(pattern)}
+    files = sorted(str(file) for file in found if file.is_file())
+    return sorted(files, key=_major_version, reverse=True)
+
+
+def _major_version(path: str) -> int:
+    match = re.search(r"libLLVM[-.](?:so\.)?(\d+)", Path(path).name) or re.search(r"llvm[-@]?(\d+)", path)
+    return int(match.group(1)) if match else 0
+
+
+def _works(name: Name, library: str) -> tuple[bool, str]:
+    """Whether a library works and why not: from memory, from the user's cache, or from a probe."""
+    key = _key(name, library)
+    if key in _answers:
+        return _answers[key]
+    file = _cache_file()
+    remembered = _read(file).get(key)
+    if isinstance(remembered, dict) and isinstance(remembered.get("usable"), bool):
+        answer = remembered["usable"], str(remembered.get("why", ""))
+    else:
+        usable, why, lasting = _probe(name, library)
+        answer = usable, why
+        log.info("backend %s with %s: %s", name, library, why)
+        if lasting:
+            _remember(file, key, usable, why)
+    _answers[key] = answer
+    return answer
+
+
+def _key(name: Name, library: str) -> str:
+    """What the answer depends on: the library's file, the packages and the machine."""
+    try:
+        stat = Path(library).stat()
+        file: list[Any] = [stat.st_mtime_ns, stat.st_size]
+    except OSError:
+        file = []
+    versions = [zlib.crc32(PROBE.encode()), _version("drjit"), _version("mitsuba"), platform.python_version(), platform.machine()]
+    seen = [os.environ.get("CUDA_VISIBLE_DEVICES"), platform.node(), *_devices()] if name == "cuda" else []
+    return json.dumps([name, library, file, versions, seen])
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "none"
+
+
+def _probe(name: Name, library: str) -> tuple[bool, str, bool]:
+    """Whether a kernel and a ray work in another process, why not, and whether the answer lasts."""
+    environment = dict(os.environ)
+    if name == "llvm":
+        environment["DRJIT_LIBLLVM_PATH"] = library
+    with tempfile.TemporaryDirectory(prefix="nailoptics-") as folder:
+        # Kernels compiled earlier, perhaps by another library, must not answer for this one.
+        environment["DRJIT_CACHE_DIR"] = folder
+        command = [sys.executable, "-P", "-c", PROBE, VARIANTS[name]]
+        try:
+            run = subprocess.run(
+                command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, timeout=PROBE_TIMEOUT_S
+            )
+        except subprocess.TimeoutExpired:
+            return False, f"gave no answer in {PROBE_TIMEOUT_S:g} s", False
+        except OSError as error:
+            return False, f"could not be tried: {error}", False
+    said = run.stderr.decode(errors="replace")
+    if run.returncode == 0 and run.stdout.decode(errors="replace").strip().endswith("works"):
+        return True, "works", True
+    if run.returncode < 0:
+        return False, f"kills the process at its first kernel ({_signal_name(-run.returncode)})", True
+    # Dr.Jit's own words come first; the exception that follows them only says that there is no backend.
+    refusal = re.search(r"jit_(?:llvm|cuda)\w*\(\): (.+?)(?:, shutting down|[.\n]|$)", said)
+    why = refusal.group(1) if refusal else _last_line(said)
+    missing = "ModuleNotFoundError" in said or not said
+    return False, f"refused: {why}" if why else f"ended with code {run.returncode}", not missing
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def _last_line(text: str) -> str:
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return lines[-1][:200].rstrip(".") if lines else ""
+
+
+def _cache_file() -> Path | None:
+    try:
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    except RuntimeError:
+        return None
+    return folder / "nailoptics" / "backends.json"
+
+
+def _read(file: Path | None) -> dict[str, Any]:
+    try:
+        answers = json.loads(file.read_text(encoding="utf-8")) if file else {}
+    except (OSError, ValueError):
+        return {}
+    return answers if isinstance(answers, dict) else {}
+
+
+def _remember(file: Path | None, key: str, usable: bool, why: str) -> None:
+    """Add an answer to the user's cache; without one the next process probes again."""
+    if file is None:
+        return
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        answers = _read(file) | {key: {"usable": usable, "why": why}}
+        with tempfile.NamedTemporaryFile("w", dir=file.parent, suffix=".part", delete=False, encoding="utf-8") as aside:
+            json.dump(answers, aside, indent=1)
+        os.replace(aside.name, file)
+    except OSError as error:
+        log.debug("backends are not remembered: %s", error)
