@@ -4,7 +4,7 @@ import re
 import tomllib
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar, overload
+from typing import Annotated, Any, Literal, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,23 +87,18 @@ class LedPart(_Part):
         default="lambertian", description="lambertian, or rows [angle_deg, relative intensity per solid angle]"
     )
 
-    def line(self, points: int = 5) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return wavelengths and weights that integrate over the LED's Gaussian line.
-
-        Gauss-Hermite nodes, so that 5 points are exact for any response that is a polynomial of degree 9. Nodes
-        outside 450-1000 nm, where nothing is tabulated, are dropped and the rest rescaled.
-
-        Returns
-        -------
-        wavelength_nm : (n,) float, n <= points. [nm]
-        weight : (n,) float, summing to 1.
-        """
-        if self.fwhm_nm == 0 or points == 1:
-            return np.array([self.peak_nm]), np.ones(1)
-        node, weight = np.polynomial.hermite.hermgauss(points)
-        wavelength_nm = self.peak_nm + node * self.fwhm_nm / (2 * np.sqrt(np.log(2)))
-        inside = (wavelength_nm >= 450) & (wavelength_nm <= 1000)
-        return wavelength_nm[inside], weight[inside] / weight[inside].sum()
+    def scene_fields(self) -> dict[str, Any]:
+        """Return the part under the names that an LED has in a scene."""
+        fields: dict[str, Any] = {
+            "wavelength_nm": self.peak_nm,
+            "fwhm_nm": self.fwhm_nm,
+            "flux_mw": self.flux_mw,
+            "size_mm": self.die_size_mm,
+        }
+        if self.pattern == "lambertian":
+            return fields | {"pattern": "lambertian"}
+        angle_deg, relative = zip(*self.pattern, strict=True)
+        return fields | {"pattern": "measured", "pattern_deg": angle_deg, "pattern_relative": relative}
 
 
 class PhotodiodeArrayPart(_Part):
@@ -116,6 +111,17 @@ class PhotodiodeArrayPart(_Part):
     quantum_efficiency: Annotated[float, Field(gt=0, le=1)]
     dark_current_na: Annotated[float, Field(ge=0)] = Field(description="of one element")
     shunt_ohm: Positive = Field(description="of one element")
+
+    def scene_fields(self) -> dict[str, Any]:
+        """Return the part under the names that a photodiode has in a scene."""
+        return {
+            "elements": self.elements,
+            "size_mm": self.element_size_mm,
+            "pitch_mm": self.pitch_mm,
+            "quantum_efficiency": self.quantum_efficiency,
+            "dark_current_na": self.dark_current_na,
+            "shunt_mohm": self.shunt_ohm / 1e6,
+        }
 
 
 Part = LedPart | PhotodiodeArrayPart

@@ -1,12 +1,12 @@
 """Detected light to volts: responsivity, photocurrent, transimpedance gain, noise and the converter's range."""
 
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
 from nailoptics.errors import InputError
+from nailoptics.scene.models import Electronics
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 BOLTZMANN_J_PER_K = 1.380649e-23
@@ -14,33 +14,6 @@ BOLTZMANN_J_PER_K = 1.380649e-23
 PHOTON_NM_PER_V = 1239.841984
 
 Array = NDArray[np.float64]
-Positive = Annotated[float, Field(gt=0)]
-
-
-class Amplifier(BaseModel):
-    """A transimpedance stage and its converter: the scene's `[electronics]` table.
-
-    The defaults give 0.05-0.5 V for the 0.1-1 uW that a photodiode of the prototype receives.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
-
-    feedback_ohm: Positive = Field(default=1e6, description="transimpedance gain [V/A]")
-    bandwidth_hz: Positive = Field(default=1e3, description="equivalent noise bandwidth [Hz]")
-    capacitance_pf: Annotated[float, Field(ge=0)] = Field(
-        default=50.0, description="photodiode, wiring and amplifier input together [pF]"
-    )
-    noise_nv_per_rt_hz: Annotated[float, Field(ge=0)] = Field(
-        default=10.0, description="the amplifier's input voltage noise [nV/Hz^0.5]"
-    )
-    adc_bits: Annotated[int, Field(ge=1, le=32)] = Field(default=16, description="resolution of the converter")
-    adc_range_v: Positive = Field(default=3.3, description="the converter reads 0 to this [V]")
-    temperature_k: Positive = Field(default=300.0, description="of the resistors [K]")
-
-    @property
-    def lsb_v(self) -> float:
-        """The converter's step. [V]"""
-        return self.adc_range_v / 2.0**self.adc_bits
 
 
 class NoiseBudget(NamedTuple):
@@ -82,8 +55,13 @@ def responsivity_a_per_w(wavelength_nm: ArrayLike, quantum_efficiency: ArrayLike
     return np.asarray(efficiency * wavelength / PHOTON_NM_PER_V)
 
 
+def lsb_v(amplifier: Electronics) -> float:
+    """Return the converter's step. [V]"""
+    return amplifier.adc_range_v / 2.0**amplifier.adc_bits
+
+
 def noise_budget(
-    current_a: ArrayLike, amplifier: Amplifier, *, dark_current_na: float = 0.1, shunt_ohm: float = 1e9
+    current_a: ArrayLike, amplifier: Electronics, *, dark_current_na: float = 0.1, shunt_ohm: float = 1e9
 ) -> NoiseBudget:
     """Return the output's noise variances at a photocurrent.
 
@@ -108,7 +86,7 @@ def noise_budget(
         feedback_v2=same * thermal_j * bandwidth * amplifier.feedback_ohm,
         shunt_v2=same * thermal_j / shunt_ohm * bandwidth * gain2,
         amplifier_v2=same * charge_noise**2 * bandwidth**3 / 3 * gain2,
-        adc_v2=same * amplifier.lsb_v**2 / 12,
+        adc_v2=same * lsb_v(amplifier) ** 2 / 12,
     )
 
 
@@ -116,7 +94,7 @@ def read(
     power_w: ArrayLike,
     *,
     responsivity: ArrayLike,
-    amplifier: Amplifier,
+    amplifier: Electronics,
     dark_current_na: float = 0.1,
     shunt_ohm: float = 1e9,
 ) -> Voltage:
@@ -126,7 +104,7 @@ def read(
     ----------
     power_w : array. Power on the photodiode. [W]
     responsivity : array that broadcasts with it, from `responsivity_a_per_w`. [A/W]
-    amplifier : the stage and its converter.
+    amplifier : the stage and its converter, a scene's `[electronics]`.
     dark_current_na, shunt_ohm : of the photodiode element. [nA], [ohm]
 
     Returns
@@ -141,7 +119,7 @@ def read(
     budget = noise_budget(current, amplifier, dark_current_na=dark_current_na, shunt_ohm=shunt_ohm)
     volts = (current + dark_current_na * 1e-9) * amplifier.feedback_ohm
     # The last code begins one step below the range: from there on the converter cannot tell more light.
-    saturated = volts >= amplifier.adc_range_v - amplifier.lsb_v
+    saturated = volts >= amplifier.adc_range_v - lsb_v(amplifier)
     return Voltage(
         volts=np.asarray(np.minimum(volts, amplifier.adc_range_v)),
         volts_noise_rms=np.asarray(np.sqrt(np.sum(np.stack(budget), axis=0))),

@@ -2,6 +2,7 @@
 
 from nailoptics.tissue.properties import (
     REGIONS,
+    REST_BLOOD_FRACTION,
     Absorption,
     OpticalProperties,
     Region,
@@ -14,6 +15,7 @@ from nailoptics.tissue.zones import BloodZones, mu_a_field
 
 __all__ = [
     "REGIONS",
+    "REST_BLOOD_FRACTION",
     "WAVELENGTH_RANGE_NM",
     "Absorption",
     "BloodZones",

@@ -50,7 +50,8 @@ _BED_WATER, _EPIDERMIS_WATER, _PULP_FAT = 0.65, 0.60, 0.30
 # Bone of the phalanx with the blood that it holds, no spectrum known that holds for it.
 _BONE_MU_A_PER_MM = 0.18
 
-_REST_BLOOD_FRACTION: dict[str, float] = {"bed": 0.03, "pulp": 0.02}
+# Blood by volume at rest, where it is not given; the bed's is 0.01-0.05. Regions that are not named carry none.
+REST_BLOOD_FRACTION: dict[str, float] = {"bed": 0.03, "pulp": 0.02}
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ def absorption(
             base = 4 * np.pi * tabulated("kapton", "k", wavelength) / (wavelength * 1e-6)
         case _:
             raise InputError(_unknown("region", region, REGIONS))
-    carries_blood = region in _REST_BLOOD_FRACTION
+    carries_blood = region in REST_BLOOD_FRACTION
     slope = blood_mu_a_per_mm(wavelength, so2) if carries_blood else np.zeros_like(wavelength)
     return Absorption(base_per_mm=_plain(base), per_blood_fraction_per_mm=_plain(slope))
 
@@ -195,7 +196,7 @@ def optical_properties(
     absorbs = absorption(
         region, wavelength_nm, so2=so2, melanin_fraction=melanin_fraction, dermis_absorption=dermis_absorption
     )
-    blood = _REST_BLOOD_FRACTION.get(region, 0.0) if blood_fraction is None else blood_fraction
+    blood = REST_BLOOD_FRACTION.get(region, 0.0) if blood_fraction is None else blood_fraction
     mu_s, g, n = scattering(region, wavelength_nm)
     return OpticalProperties(mu_a_per_mm=absorbs.mu_a_per_mm(blood), mu_s_per_mm=mu_s, g=g, n=n)
 

@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from nailoptics import assets
+from nailoptics import assets, scene
 from nailoptics.assets import LedPart, PhotodiodeArrayPart, asset_path, data_dir, load_part, read_table
 from nailoptics.errors import InputError
 
@@ -63,35 +63,15 @@ def test_a_users_own_part_beside_the_scene_wins(tmp_path):
     assert load_part("mine", tmp_path).pattern == ((0, 1), (45, 0.6), (90, 0))
 
 
-def test_a_lines_nodes_have_its_mean_and_width():
-    led = load_part("led_800", expect=LedPart)
-    wavelength_nm, weight = led.line()
-    assert weight.sum() == pytest.approx(1, rel=1e-12)
-    assert weight @ wavelength_nm == pytest.approx(800, rel=1e-12)
-    sigma_nm = 33 / np.sqrt(8 * np.log(2))  # full width at half maximum of a Gaussian
-    assert weight @ (wavelength_nm - 800) ** 2 == pytest.approx(sigma_nm**2, rel=1e-9)
-
-
-def test_five_nodes_read_blood_through_the_line_as_a_fine_sum_does():
-    from nailoptics.tissue import blood_mu_a_per_mm
-
-    for name in ("led_660", "led_800", "led_940"):
-        led = load_part(name, expect=LedPart)
-        fine_nm = np.linspace(-4, 4, 2001) * led.fwhm_nm / np.sqrt(8 * np.log(2)) + led.peak_nm
-        fine_nm = fine_nm[fine_nm <= 1000]
-        line = np.exp(-4 * np.log(2) * ((fine_nm - led.peak_nm) / led.fwhm_nm) ** 2)
-        # A path of 10 mm through 3 % of blood at 80 % saturation.
-        exact = np.average(np.exp(-0.3 * blood_mu_a_per_mm(fine_nm, 0.8)), weights=line)
-        wavelength_nm, weight = led.line()
-        assert weight @ np.exp(-0.3 * blood_mu_a_per_mm(wavelength_nm, 0.8)) == pytest.approx(exact, rel=1e-3)
-
-
-def test_a_line_at_the_end_of_the_tables_stays_within_them(tmp_path):
-    (tmp_path / "far.toml").write_text(LED.replace("805", "995"))
-    wavelength_nm, weight = load_part("far", tmp_path, expect=LedPart).line()
-    assert wavelength_nm.max() <= 1000 and weight.sum() == pytest.approx(1)
-    (tmp_path / "laser.toml").write_text(LED.replace("fwhm_nm = 30", "fwhm_nm = 0"))
-    assert load_part("laser", tmp_path, expect=LedPart).line()[0] == pytest.approx([805])
+def test_a_scene_gets_a_parts_numbers_under_its_own_names(tmp_path):
+    (tmp_path / "mine.toml").write_text(LED + "pattern = [[0, 1], [45.0, 0.6], [90, 0]]")
+    led = scene.Led.model_validate({"name": "ir", "part": "mine"}, context={"folder": tmp_path})
+    assert (led.wavelength_nm, led.fwhm_nm, led.flux_mw, led.size_mm) == (805, 30, 2, (0.25, 0.25))
+    assert (led.pattern, led.pattern_deg, led.pattern_relative) == ("measured", (0, 45, 90), (1, 0.6, 0))
+    assert scene.Led.model_validate({"name": "red", "part": "led_660"}).pattern == "lambertian"
+    array = scene.Photodiode.model_validate({"array": "pd_array_4x1", "position_mm": (0.0, 0.0)})
+    assert (array.elements, array.pitch_mm, array.size_mm) == (16, 0.25, (1.0, 0.25))
+    assert (array.quantum_efficiency, array.dark_current_na, array.shunt_mohm) == (0.85, 0.1, pytest.approx(1000))
 
 
 @pytest.mark.parametrize(
