@@ -14,6 +14,10 @@ class InputError(NailopticsError):
 
 
 class NotReachedError(NailopticsError):
-    """A tolerance or a time limit could not be met; what was reached has been kept."""
+    """A tolerance or a time limit could not be met; `result` is what was reached."""
 
     exit_code = 3
+
+    def __init__(self, message: str, *, result: object = None) -> None:
+        super().__init__(message)
+        self.result = result

@@ -37,12 +37,18 @@ def parse_scene(text: str, *, folder: str | Path | None = None, name: str = "sce
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{name}: is not valid TOML: {error}.") from None
     try:
-        # Through JSON, because strict validation takes TOML's arrays for tuples only there.
-        return Scene.model_validate_json(json.dumps(data, default=str), context={"folder": folder})
+        return Scene.model_validate(_tuples(data), context={"folder": folder})
     except ValidationError as error:
         raise InputError(f"{name}: {explain(error, Scene)}") from None
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
+
+
+def _tuples(data: Any) -> Any:
+    """TOML's arrays as tuples, which is what frozen models hold."""
+    if isinstance(data, dict):
+        return {key: _tuples(value) for key, value in data.items()}
+    return tuple(_tuples(item) for item in data) if isinstance(data, list) else data
 
 
 def explain(error: ValidationError, model: type[BaseModel]) -> str:

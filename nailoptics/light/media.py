@@ -1,0 +1,120 @@
+"""What a photon meets: the optics of every region of a scene, and how absorption follows the blood."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import tissue
+from ..errors import InputError
+from ..scene import Led, Scene
+
+# Named as in the geometry. Whatever is not a medium is opaque.
+TISSUES = ("plate", "bed", "bone", "pulp", "epidermis", "epoxy", "kapton")
+
+
+@dataclass(frozen=True)
+class Media:
+    """The optics of each region at one wavelength, (r,) float each.
+
+    opaque : (r,) bool. Light does not enter; it is reflected diffusely with `reflectance` or swallowed.
+    mu_a, mu_s : [mm^-1]. Of the bed, mu_a is that of its bloodless tissue; blood comes by zones.
+    """
+
+    opaque: np.ndarray
+    reflectance: np.ndarray
+    mu_a: np.ndarray
+    mu_s: np.ndarray
+    g: np.ndarray
+    n: np.ndarray
+
+
+def zones(scene: Scene) -> tissue.BloodZones:
+    """The blood zones of the nail bed."""
+    return tissue.BloodZones(edges_mm=scene.blood.zone_edges_mm, width_mm=scene.blood.zone_width_mm)
+
+
+def absorbers(scene: Scene) -> tuple[str, ...]:
+    """Names of the absorbing regions that a trace keeps paths for; the bed counts by blood zone: bed_1, bed_2."""
+    if scene.phantom is not None:
+        return tuple(layer.name for layer in scene.phantom.layers)
+    beds = [f"bed_{k + 1}" for k in range(zones(scene).count)]
+    return ("plate", *beds, *TISSUES[2:])
+
+
+def finger_media(scene: Scene, regions: tuple[str, ...], wavelength_nm: float) -> Media:
+    """The optics of a finger scene's regions, at rest, in the order of the geometry's regions."""
+    assert scene.finger is not None
+    values: dict[str, list[Any]] = {name: [] for name in ("opaque", "reflectance", "mu_a", "mu_s", "g", "n")}
+    for region in regions:
+        opaque = region not in TISSUES and region != "air"
+        black = region not in ("barrier", "cover")
+        optics = (0.0, 0.0, 0.0, 1.0)
+        if region in TISSUES:
+            base = tissue.absorption(region, wavelength_nm, melanin_fraction=scene.finger.melanin_fraction)  # type: ignore[arg-type]
+            optics = (float(base.base_per_mm), *(float(x) for x in tissue.scattering(region, wavelength_nm)))  # type: ignore[arg-type, assignment]
+        values["opaque"].append(opaque)
+        values["reflectance"].append(scene.board.opaque_reflectance if opaque and not black else 0.0)
+        for name, value in zip(("mu_a", "mu_s", "g", "n"), optics, strict=True):
+            values[name].append(value)
+    if not scene.light.index_steps:
+        values["n"] = [1.0] * len(regions)
+    return Media(**{name: np.array(column) for name, column in values.items()})
+
+
+def absorption(
+    scene: Scene, wavelength_nm: ArrayLike, *, blood_fraction: ArrayLike | None = None, so2: ArrayLike | None = None
+) -> np.ndarray:
+    """Absorption of every absorber of a scene at blood states and wavelengths.
+
+    Parameters
+    ----------
+    wavelength_nm : (q,) float. [nm]
+    blood_fraction : (..., K) float in 0-1. Blood in each zone of the bed; at rest if not given.
+    so2 : (...) float in 0-1. Oxygen saturation; the scene's if not given.
+
+    Returns
+    -------
+    mu_a : (..., q, r) float, in the order of `absorbers(scene)`. [mm^-1]
+    """
+    wavelength = np.atleast_1d(np.asarray(wavelength_nm, float))
+    if scene.phantom is not None:
+        if blood_fraction is not None or so2 is not None:
+            raise InputError("a phantom has no blood; give mu_a_per_mm by layer name instead of blood_fraction or so2.")
+        return np.tile([layer.mu_a_per_mm for layer in scene.phantom.layers], (len(wavelength), 1))
+    assert scene.finger is not None
+    count = zones(scene).count
+    fraction = np.asarray([scene.blood.rest_blood_fraction] * count if blood_fraction is None else blood_fraction, float)
+    if fraction.shape[-1:] != (count,):
+        raise InputError(f"blood_fraction has shape {fraction.shape}; its last axis needs one value for each of the {count} zones.")
+    if not (np.all(fraction >= 0) and np.all(fraction <= 1)):
+        raise InputError(f"blood_fraction = {fraction.min():g} to {fraction.max():g}; must lie in 0 to 1.")
+    saturation = np.asarray(scene.blood.so2 if so2 is None else so2, float)[..., None]
+    columns = []
+    shape = np.broadcast_shapes(fraction.shape[:-1], saturation.shape[:-1])
+    for name in absorbers(scene):
+        region = "bed" if name.startswith("bed_") else name
+        mixed = tissue.absorption(region, wavelength, so2=saturation, melanin_fraction=scene.finger.melanin_fraction)  # type: ignore[arg-type]
+        blood: Any = 0.0
+        if region == "bed":
+            blood = fraction[..., int(name[4:]) - 1, None]
+        elif region == "pulp":
+            blood = tissue.REST_BLOOD_FRACTION["pulp"]
+        column = np.asarray(mixed.base_per_mm) + blood * np.asarray(mixed.per_blood_fraction_per_mm)
+        columns.append(np.broadcast_to(column, (*shape, len(wavelength))))
+    return np.stack(columns, -1)
+
+
+def spectrum(led: Led, points: int = 5) -> tuple[np.ndarray, np.ndarray]:
+    """Wavelengths and weights that integrate over an LED's Gaussian line (Gauss-Hermite), (q,) float each. [nm]
+
+    Nodes at which tissue has no data are left out and the rest rescaled.
+    """
+    if led.fwhm_nm == 0:
+        return np.array([led.wavelength_nm]), np.ones(1)
+    node, weight = np.polynomial.hermite.hermgauss(points)
+    wavelength = led.wavelength_nm + node * led.fwhm_nm / (2 * np.sqrt(np.log(2)))
+    low, high = tissue.WAVELENGTH_RANGE_NM
+    inside = (wavelength >= low) & (wavelength <= high)
+    return wavelength[inside], weight[inside] / weight[inside].sum()

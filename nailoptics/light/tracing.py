@@ -1,0 +1,225 @@
+"""One trace per LED, in batches, until the asked error, the time or the number of photons is reached."""
+
+import logging
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, NotReachedError
+from ..scene import Accuracy, Scene
+from . import backend as backends
+from . import media
+from .transfer import MIN_EFFECTIVE_PHOTONS, LedTrace, Transfer, stderr_of_mean
+
+log = logging.getLogger(__name__)
+
+DEFAULT_PHOTONS = 1_000_000
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a trace is.
+
+    relative_error is the largest over the LED's photodiodes, inf while one of them has seen nothing.
+    """
+
+    led: str
+    photons: int
+    relative_error: float
+    target: float | None
+    fraction_done: float
+    seconds: float
+
+    @property
+    def seconds_left(self) -> float:
+        """Time left at the present pace. [s]"""
+        return self.seconds * (1 / self.fraction_done - 1) if self.fraction_done > 0 else math.inf
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What one batch left behind: detected photons, and energy sums (weight and its square) by where it went."""
+
+    photons: int
+    photodiode: np.ndarray
+    weight: np.ndarray
+    path_mm: np.ndarray
+    energy: dict[str, tuple[float, float]]
+    events: int
+
+
+def trace(
+    scene: Scene,
+    *,
+    photons: int | None = None,
+    relative_error: float | None = None,
+    max_seconds: float | None = None,
+    seed: int = 0,
+    backend: str = "auto",
+    progress: Callable[[Progress], None] | None = None,
+) -> Transfer:
+    """Trace the light of every LED once; the result can be read at any blood state.
+
+    Parameters
+    ----------
+    photons : how many per LED; or
+    relative_error : largest relative standard error over all readings at rest; and/or
+    max_seconds : wall time after which to stop. Whatever is not given here is taken from the scene, if none of the
+        three is; without any, a million photons.
+    seed : same seed, same bits, on one backend.
+    backend : auto, cuda or llvm.
+    progress : called after every batch.
+
+    Raises: InputError; NotReachedError with `.result`, the Transfer as far as it got, when the tolerance was not met
+    within max_seconds or the trace was interrupted.
+    """
+    chosen = backends.choose(backend)
+    if not chosen.jit:
+        raise InputError(f"the photons engine needs a JIT backend, and {chosen.name} is none: {chosen.advice}")
+    asked = accuracy(scene, photons=photons, relative_error=relative_error, max_seconds=max_seconds)
+    backends.activate(chosen)
+    tracer: Any
+    if scene.phantom is not None:
+        from .stack import StackTracer as tracer
+    else:
+        from .mesh import MeshTracer as tracer
+    engine = tracer(scene)
+    start, cpu = time.perf_counter(), time.process_time()
+    traces, events, complaint = [], 0, None
+    for i, led in enumerate(scene.leds):
+        # A fair share of the time for each LED that is left.
+        deadline = None
+        if asked.max_seconds is not None:
+            left = asked.max_seconds - (time.perf_counter() - start)
+            deadline = time.perf_counter() + left / (len(scene.leds) - i)
+        gathered, why = _trace_led(engine, i, asked, seed, deadline, progress)
+        complaint = complaint or why
+        events += sum(b.events for _, b in gathered)
+        traces.append(_joined(engine, i, gathered))
+    result = Transfer(
+        scene=scene,
+        photodiodes=engine.photodiodes,
+        absorbers=media.absorbers(scene),
+        traces=tuple(traces),
+        engine="photons",
+        backend=chosen.name,
+        versions={name: version(name) for name in ("nailoptics", "mitsuba", "drjit", "numpy")},
+        cpu_seconds=time.process_time() - cpu,
+        wall_seconds=time.perf_counter() - start,
+        events=events,
+    )
+    if complaint:
+        raise NotReachedError(complaint, result=result)
+    return result
+
+
+def accuracy(scene: Scene, *, photons: int | None, relative_error: float | None, max_seconds: float | None) -> Accuracy:
+    """What to reach: as asked, else as the scene says, else a million photons."""
+    given = {"photons": photons, "relative_error": relative_error, "max_seconds": max_seconds}
+    given = {name: value for name, value in given.items() if value is not None}
+    asked = scene.accuracy
+    if given:
+        # Asking for photons alone sets the scene's tolerance aside; a time limit alone keeps it.
+        kept = {} if {"photons", "relative_error"} & given.keys() else scene.accuracy.model_dump(exclude_none=True)
+        try:
+            asked = Accuracy(**(kept | given))
+        except ValueError as error:
+            from ..scene.files import explain
+
+            raise InputError(explain(error, Accuracy)) from None  # type: ignore[arg-type]
+    if asked.photons is None and asked.relative_error is None and asked.max_seconds is None:
+        return Accuracy(photons=DEFAULT_PHOTONS)
+    return asked
+
+
+def _trace_led(
+    engine: Any, led: int, asked: Accuracy, seed: int, deadline: float | None, progress: Callable[[Progress], None] | None
+) -> tuple[list[tuple[int, Batch]], str | None]:
+    """Batches of one LED with their seeds, and why they fall short of what was asked, if they do."""
+    name, begin = engine.scene.leds[led].name, time.perf_counter()
+    gathered: list[tuple[int, Batch]] = []
+    count = len(engine.photodiodes)
+    weight, square, done = np.zeros(count), np.zeros(count), 0
+    planned = asked.photons or engine.batch_photons
+    error = math.inf
+    try:
+        for batch_seed in _seeds(seed, led):
+            size = min(engine.batch_photons, planned - done)
+            batch = engine.batch(led, photons=size, seed=batch_seed)
+            gathered.append((batch_seed, batch))
+            done += size
+            weight += np.bincount(batch.photodiode, batch.weight, minlength=count)
+            square += np.bincount(batch.photodiode, batch.weight**2, minlength=count)
+            error = _largest_error(weight, square, done)
+            late = deadline is not None and time.perf_counter() >= deadline
+            if asked.photons is None and done >= planned:
+                planned = _plan(asked.relative_error, error, done, engine.batch_photons)
+            if progress:
+                if deadline is not None and (asked.relative_error is None or planned == math.inf):
+                    share = min(1.0, (time.perf_counter() - begin) / max(deadline - begin, 1e-9))
+                else:
+                    share = min(1.0, done / planned)
+                progress(Progress(name, done, error, asked.relative_error, share, time.perf_counter() - begin))
+            if done >= planned:
+                return gathered, None
+            if late:
+                if asked.relative_error is None and asked.photons is None:
+                    return gathered, None
+                what = f"relative error {error:.3g}, {asked.relative_error:g} asked" if asked.relative_error else f"{done} photons"
+                return gathered, f'max_seconds ended the trace of LED "{name}" at {what}; allow more time or ask for less.'
+    except KeyboardInterrupt:
+        if not gathered:
+            raise
+        return gathered, f'interrupted: LED "{name}" has {done} photons, relative error {error:.3g}.'
+    raise AssertionError("seeds never end")
+
+
+def _plan(target: float | None, error: float, done: int, batch: int) -> float:
+    """Photons in all that should meet the target, decided in few rounds so that stopping hardly favours luck."""
+    if target is None:
+        return math.inf
+    if error <= target:
+        return done
+    if math.isinf(error):
+        return 4 * done
+    needed = done * min((error / target) ** 2 * 1.02, 64.0)
+    return math.ceil(max(needed - done, 1) / batch) * batch + done
+
+
+def _largest_error(weight: np.ndarray, square: np.ndarray, photons: int) -> float:
+    """Largest relative standard error; inf as long as a photodiode has too few photons for one."""
+    if not len(weight):
+        return 0.0
+    if np.any(weight**2 < MIN_EFFECTIVE_PHOTONS * square) or np.any(square == 0):
+        return math.inf
+    return float(np.max(stderr_of_mean(weight, square, photons) / (weight / photons)))
+
+
+def _seeds(seed: int, led: int) -> Iterator[int]:
+    """Independent seeds for the batches of one LED."""
+    batch = 0
+    while True:
+        sequence = np.random.SeedSequence(seed, spawn_key=(led, batch))
+        yield int(sequence.generate_state(1, np.uint64)[0])
+        batch += 1
+
+
+def _joined(engine: Any, led: int, gathered: list[tuple[int, Batch]]) -> LedTrace:
+    batches = [b for _, b in gathered]
+    energy = {
+        name: (sum(b.energy[name][0] for b in batches), sum(b.energy[name][1] for b in batches)) for name in batches[0].energy
+    }
+    return LedTrace(
+        photons=sum(b.photons for b in batches),
+        mu_a=engine.mu_a(led),
+        photodiode=np.concatenate([b.photodiode for b in batches]),
+        weight=np.concatenate([b.weight for b in batches]),
+        path_mm=np.concatenate([b.path_mm for b in batches]),
+        energy=energy,
+        seeds=tuple(s for s, _ in gathered),
+    ).thinned()

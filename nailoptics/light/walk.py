@@ -1,0 +1,101 @@
+"""What both photon walks are made of, as Dr.Jit arithmetic: scattering, refraction, emission, long lives."""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..scene import Led
+
+# Absorption ends a photon at half its rate; the other half only dims it. Ending it all the way makes long paths
+# rare that a reading with less absorption needs, not at all wastes events on photons that no longer count.
+KILLED_SHARE = 0.5
+# From here on a photon survives each doubling of its events with probability 1/2 and counts twice.
+LONG_LIFE = 1 << 16
+TOP, BOTTOM, ABSORBED, LOST = 1, 2, 3, 4
+FAR = 1e9  # mm; stands for infinity where infinity would make NaN of zero
+
+
+def lifetime(u: Any) -> Any:
+    """Optical depth of absorption at which a photon ends, for a uniform number u."""
+    return -dr.log(1 - u) / KILLED_SHARE
+
+
+def henyey_greenstein(g: Any, u: Any) -> Any:
+    """Cosine of the scattering angle for anisotropy g and a uniform number u (Henyey, Greenstein 1941)."""
+    isotropic = dr.abs(g) < 1e-3  # below, the formula loses its digits, and cos = 2u - 1 + O(g) is exact to 1e-3 in g
+    s = (1 - g * g) / (1 - g + 2 * g * u)
+    cos = (1 + g * g - s * s) / (2 * dr.select(isotropic, 1, g))
+    first_order = 2 * u - 1 + 6 * g * u * (1 - u)
+    return dr.select(isotropic, dr.clip(first_order, -1, 1), dr.clip(cos, -1, 1))
+
+
+def turn(w: Any, cos: Any, phi: Any) -> Any:
+    """Direction w turned by an angle of the given cosine about a random azimuth phi (Duff et al., JCGT 6(1), 2017)."""
+    sin_phi, cos_phi = dr.sincos(phi)
+    sin = dr.safe_sqrt(1 - cos * cos)
+    sign = dr.copysign(mi.Float(1), w.z)
+    a = -dr.rcp(sign + w.z)
+    b = w.x * w.y * a
+    x, y = sin * cos_phi, sin * sin_phi
+    turned = mi.Vector3f(
+        x * (1 + sign * w.x * w.x * a) + y * b + cos * w.x,
+        x * sign * b + y * (sign + w.y * w.y * a) + cos * w.y,
+        -x * sign * w.x - y * w.y + cos * w.z,
+    )
+    # One Newton step: hundreds of turns would otherwise let the length drift.
+    return turned * (1.5 - 0.5 * dr.squared_norm(turned))
+
+
+def fresnel(cos_in: Any, *, n_in: Any, n_out: Any) -> tuple[Any, Any, Any]:
+    """Unpolarised Fresnel reflectance of an interface.
+
+    Returns: reflectance (1 beyond the critical angle), cosine of the refracted angle, n_in / n_out.
+    """
+    eta = n_in / n_out
+    cos_out = dr.safe_sqrt(1 - eta * eta * (1 - cos_in * cos_in))
+    s = (n_in * cos_in - n_out * cos_out) * dr.rcp(n_in * cos_in + n_out * cos_out)
+    p = (n_in * cos_out - n_out * cos_in) * dr.rcp(n_in * cos_out + n_out * cos_in)
+    return dr.select(cos_out > 0, 0.5 * (s * s + p * p), 1), cos_out, eta
+
+
+def emission_table(led: Led, points: int = 257) -> np.ndarray:
+    """Squared cosines of emission at equal steps of probability, (points,) float.
+
+    Squares, because a Lambertian emitter's are linear in probability, so that interpolation is exact. A measured
+    radiant intensity I(theta) emits I sin(theta) per angle.
+    """
+    u = np.linspace(0, 1, points)
+    if led.pattern == "pencil":
+        return np.ones(points)
+    if led.pattern == "lambertian":
+        return 1 - u
+    assert led.pattern_deg is not None and led.pattern_relative is not None
+    theta = np.linspace(0, np.radians(led.pattern_deg[-1]), 4001)
+    density = np.interp(theta, np.radians(led.pattern_deg), led.pattern_relative) * np.sin(theta)
+    cumulative = np.concatenate([[0], np.cumsum(density[1:] + density[:-1])])
+    return np.cos(np.interp(u, cumulative / cumulative[-1], theta)) ** 2
+
+
+def emission_cosine(table: Any, u: Any) -> Any:
+    """Cosine of emission for a uniform number u, from an `emission_table`."""
+    place = u * (dr.width(table) - 1)
+    cell = dr.minimum(mi.UInt32(place), dr.width(table) - 2)
+    low, high = dr.gather(mi.Float, table, cell), dr.gather(mi.Float, table, cell + 1)
+    return dr.safe_sqrt(dr.lerp(low, high, place - mi.Float(cell)))
+
+
+def energy_sums(outcome: np.ndarray, weight: np.ndarray, roulette: np.ndarray) -> dict[str, tuple[float, float]]:
+    """Sums over photons of their parts reflected, transmitted, absorbed and lost, and of the squares of those.
+
+    Parameters
+    ----------
+    weight : (n,) float. Weight at the end, 0 for those that absorption ended.
+    roulette : (n,) float. What roulette took from a photon less what it gave; even on average, it counts as lost.
+    """
+    reflected = np.where(outcome == TOP, weight, 0.0)
+    transmitted = np.where(outcome == BOTTOM, weight, 0.0)
+    lost = np.where(outcome == LOST, weight, 0.0) + roulette
+    parts = {"reflected": reflected, "transmitted": transmitted, "absorbed": 1 - reflected - transmitted - lost, "lost": lost}
+    return {name: (float(part.sum()), float((part**2).sum())) for name, part in parts.items()}
