@@ -1,0 +1,6 @@
+"""SHAPE: fingertip, nail, bone and board of a scene as watertight interfaces that know both sides."""
+
+from .build import build
+from .model import Face, Geometry, nail_coordinates
+
+__all__ = ["Face", "Geometry", "build", "nail_coordinates"]

@@ -1,0 +1,126 @@
+"""The board bent onto the nail: its edges as angles and places, and what each cell above the nail is."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..scene import Scene
+from ..scene.layout import Layout, Rectangle, lay_out
+from .regions import AIR, BARRIER, COVER, EPOXY, KAPTON, REGIONS, SILICON, led_region, photodiode_region
+from .shape import Shape
+
+Array = NDArray[np.float64]
+
+RIM_MM = 0.15
+EDGE_MM = 0.01  # the rim ends this far before the nail's edges
+
+
+@dataclass(frozen=True)
+class BentBoard:
+    """A board whose underside is a cylinder around the nail's axis.
+
+    Positions across the board are arc lengths on that underside: a film that bends keeps its lengths there, and its
+    dies keep their areas; on the nail's own face they would grow by the height over the radius.
+    """
+
+    scene: Scene
+    shape: Shape
+
+    @cached_property
+    def layout(self) -> Layout:
+        """The flat board."""
+        return lay_out(self.scene)
+
+    @property
+    def height_mm(self) -> float:
+        """Height of the underside above the nail: clear epoxy and adhesive. [mm]"""
+        return (self.scene.board.clear_epoxy_um + self.scene.board.adhesive_um) * 1e-3
+
+    @property
+    def radius_mm(self) -> float:
+        """Radius of the underside. [mm]"""
+        return self.shape.finger.nail_radius_mm + self.height_mm
+
+    @property
+    def heights_mm(self) -> Array:
+        """Heights of underside, film and cover above the nail, (3,) float. [mm]"""
+        board = self.scene.board
+        return self.height_mm + np.array([0.0, board.kapton_um, board.kapton_um + board.cover_um]) * 1e-3
+
+    @cached_property
+    def rim(self) -> Rectangle:
+        """The outline with the rim of opaque epoxy around it, as far as the nail carries it."""
+        outline, shape = self.layout.outline, self.shape
+        u_end = shape.nail_half_angle * self.radius_mm - EDGE_MM
+        v_end = shape.nail_end - EDGE_MM
+        return Rectangle(
+            "rim",
+            max(outline.u_min - RIM_MM, -u_end),
+            min(outline.u_max + RIM_MM, u_end),
+            max(outline.v_min - RIM_MM, -v_end),
+            min(outline.v_max + RIM_MM, v_end),
+        )
+
+    @cached_property
+    def parts(self) -> tuple[tuple[int, Rectangle], ...]:
+        """Region and rectangle of each part in the film: LEDs, photodiodes, unwired elements."""
+        layout, leds = self.layout, len(self.layout.leds)
+        named = [(len(REGIONS) + i, r) for i, r in enumerate(layout.leds)]
+        named += [(len(REGIONS) + leds + i, e.area) for i, e in enumerate(layout.photodiodes)]
+        return (*named, *((SILICON, r) for r in layout.unwired))
+
+    @property
+    def regions(self) -> tuple[str, ...]:
+        """Names of all regions."""
+        layout = self.layout
+        names = [led_region(r.name) for r in layout.leds] + [photodiode_region(e.area.name) for e in layout.photodiodes]
+        return (*REGIONS, *names)
+
+    @property
+    def _rectangles(self) -> list[Rectangle]:
+        return [self.rim, self.layout.outline, *self.layout.barriers, *(r for _, r in self.parts)]
+
+    @property
+    def angles(self) -> list[float]:
+        """Angles around the nail's axis at which something on the board begins or ends. [rad]"""
+        return [u / self.radius_mm for r in self._rectangles for u in (r.u_min, r.u_max)]
+
+    @property
+    def places(self) -> list[float]:
+        """Places along the nail at which something on the board begins or ends. [mm]"""
+        return [v for r in self._rectangles for v in (r.v_min, r.v_max)]
+
+    @property
+    def led_angles(self) -> list[tuple[float, float]]:
+        """Span of each LED die around the nail's axis. [rad]"""
+        return [(r.u_min / self.radius_mm, r.u_max / self.radius_mm) for r in self.layout.leds]
+
+    @property
+    def led_places(self) -> list[tuple[float, float]]:
+        """Span of each LED die along the nail. [mm]"""
+        return [(r.v_min, r.v_max) for r in self.layout.leds]
+
+    def labels(self, theta: Array, v: Array) -> NDArray[np.int32]:
+        """Region of the three layers above the nail, (a, n, 3), in cells with middles theta (a,) [rad], v (n,) [mm]."""
+        result = np.full((len(theta), len(v), 3), AIR, np.int32)
+
+        def inside(r: Rectangle) -> NDArray[np.bool_]:
+            u = theta * self.radius_mm
+            return ((u > r.u_min) & (u < r.u_max))[:, None] & ((v > r.v_min) & (v < r.v_max))
+
+        result[inside(self.rim)] = COVER
+        result[inside(self.layout.outline)] = EPOXY, KAPTON, COVER
+        for wall in self.layout.barriers:
+            result[inside(wall), 0] = BARRIER
+        for region, r in self.parts:
+            cells = inside(r)
+            if not cells.any() or (result[cells][:, 1] != KAPTON).any():
+                raise InputError(
+                    f'board: "{r.name}" is smaller than the geometry can show, or lies on another part; '
+                    "make it larger than 1 um and move it."
+                )
+            result[cells, 1] = region
+        return result

@@ -1,0 +1,86 @@
+"""From a scene to its geometry."""
+
+import logging
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..scene import Scene
+from .board import BentBoard
+from .grid import Grid
+from .model import Face, Geometry
+from .nodes import BELOW, Nodes
+from .regions import REGIONS
+from .shape import Shape
+
+log = logging.getLogger(__name__)
+
+
+def build(scene: Scene, *, resolution: float = 1.0) -> Geometry:
+    """Build the finger of a scene and the board on its nail.
+
+    resolution : Divides the size of the cells; the nail's facets lie within 2 um / resolution^2 of its cylinder, but
+        an LED die is always flat.
+
+    Raises: InputError where the scene has no finger, or its sizes make no finger.
+    """
+    if scene.finger is None:
+        raise InputError("geometry: a phantom is a stack of layers with no finger to build; give a scene with [finger].")
+    if not 0.1 <= resolution <= 10:
+        raise InputError(f"resolution = {resolution:g}: must be between 0.1 and 10.")
+    shape = Shape(scene.finger)
+    board = BentBoard(scene, shape)
+    nodes = Nodes(shape, board, resolution)
+    grid = Grid(nodes.positions(), nodes.labels())
+    _check_unfolded(grid)
+    vertices, triangles, below, above = grid.interfaces()
+    parts = board.layout
+    first = len(REGIONS)
+    geometry = Geometry(
+        vertices=vertices,
+        triangles=triangles,
+        below=below,
+        above=above,
+        regions=board.regions,
+        leds=tuple(_face(grid, r.name, first + i) for i, r in enumerate(parts.leds)),
+        photodiodes=tuple(
+            _face(grid, e.area.name, first + len(parts.leds) + i) for i, e in enumerate(parts.photodiodes)
+        ),
+        nail_radius_mm=scene.finger.nail_radius_mm,
+        board_radius_mm=board.radius_mm,
+        grid=grid,
+    )
+    log.info("geometry: %d triangles between %d regions", len(triangles), len(geometry.regions))
+    return geometry
+
+
+def _check_unfolded(grid: Grid) -> None:
+    corners, labels, _ = grid.tetrahedra()
+    volume = np.linalg.det(corners[:, 1:] - corners[:, :1])
+    if volume.min() < -1e-9:
+        raise InputError(
+            "finger: these sizes do not make a finger: its layers cross one another; bring width_mm, thickness_mm, "
+            "nail_width_mm, nail_radius_mm and the layers' thicknesses closer to anatomy."
+        )
+
+
+def _face(grid: Grid, name: str, region: int) -> Face:
+    """The lower face of a part in the board's film."""
+    cells = grid.labels[:, :, BELOW + 1] == region
+    column = np.nonzero(cells.any(axis=1))[0]
+    row = np.nonzero(cells.any(axis=0))[0]
+    nodes = grid.nodes[:, :, BELOW + 1]
+    # A column is straight along the nail, so its cells are one rectangle. Corners run along the nail first, then
+    # across, because the nail side sees the board from below.
+    first, last = row[0], row[-1] + 1
+    quads = np.stack(
+        [nodes[column, first], nodes[column, last], nodes[column + 1, last], nodes[column + 1, first]], axis=1
+    )
+    return _planar(name, region, quads)
+
+
+def _planar(name: str, region: int, quads: NDArray[np.float64]) -> Face:
+    cross = np.cross(quads[:, 1] - quads[:, 0], quads[:, 3] - quads[:, 0])
+    area = np.linalg.norm(cross, axis=1)
+    return Face(name, region, quads, cross / area[:, None], float(area.sum()))

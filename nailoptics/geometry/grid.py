@@ -1,0 +1,131 @@
+"""A labelled curvilinear grid: cells with one region each, the interfaces between them, and the cells as tetrahedra.
+
+Axes are (around, along, outward), right-handed; the first one is closed on itself. Every cell is split in six
+tetrahedra along the diagonal from its lowest to its highest corner (Kuhn's split), and every face of a cell along the
+diagonal that this split gives it, so that neighbours agree and the grid fills space exactly once.
+"""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .regions import AIR
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int32]
+
+MIN_AREA_MM2 = 1e-12
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Nodes and the region of each cell.
+
+    nodes : (a, n + 1, k + 1, 3) float. Corners of the cells; those of one row lie in one plane y = const. [mm]
+    labels : (a, n, k) int. Region of each cell; cells may have collapsed to a plane, a line or a point.
+    """
+
+    nodes: Array
+    labels: Indices
+
+    @property
+    def rows_mm(self) -> Array:
+        """Places of the planes between the rows, (n + 1,) float. [mm]"""
+        return self.nodes[0, :, 0, 1]
+
+    def tetrahedra(self, *, drop_air: bool = True) -> tuple[Array, Indices, Indices]:
+        """Corners (m, 4, 3) with positive volume where the grid does not fold, region (m,) and row (m,) of each."""
+        cells = np.nonzero(self.labels != AIR) if drop_air else np.nonzero(np.ones_like(self.labels, bool))
+        a, n, k = cells
+        around = self.nodes.shape[0]
+        corners = []
+        for order in itertools.permutations(range(3)):
+            step = np.zeros(3, int)
+            path = [step.copy()]
+            for axis in order:
+                step[axis] = 1
+                path.append(step.copy())
+            odd = order in ((0, 2, 1), (1, 0, 2), (2, 1, 0))
+            if odd:
+                path[1], path[2] = path[2], path[1]
+            corners.append(np.stack([self.nodes[(a + i) % around, n + j, k + m] for i, j, m in path], axis=1))
+        labels = self.labels[cells].astype(np.int32)
+        return np.concatenate(corners), np.tile(labels, 6), np.tile(n.astype(np.int32), 6)
+
+    def interfaces(self) -> tuple[Array, Indices, Indices, Indices]:
+        """Vertices (v, 3), triangles (m, 3), and the regions (m,) below and above each: every face between two once."""
+        a, n, k = self.labels.shape
+        index = np.arange(a * (n + 1) * (k + 1)).reshape(a, n + 1, k + 1)
+        index = np.concatenate([index, index[:1]])
+        quads, below, above = [], [], []
+
+        def add(low: Indices, high: Indices, corners: list[NDArray[np.int64]]) -> None:
+            differ = low != high
+            quads.append(np.stack([c[differ] for c in corners], axis=-1))
+            below.append(low[differ])
+            above.append(high[differ])
+
+        labels = np.pad(self.labels, ((0, 0), (1, 1), (0, 1)), constant_values=AIR)
+        i = index
+        add(labels[:, 1:-1, :-1], labels[:, 1:-1, 1:], [c[:, :, 1:] for c in (i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:])])
+        inner = labels[:, 1:-1, :-1]
+        add(np.roll(inner, 1, 0), inner, [i[:-1, :-1, :-1], i[:-1, 1:, :-1], i[:-1, 1:, 1:], i[:-1, :-1, 1:]])
+        add(labels[:, :-1, :-1], labels[:, 1:, :-1], [i[:-1, :, :-1], i[:-1, :, 1:], i[1:, :, 1:], i[1:, :, :-1]])
+        q = np.concatenate(quads)
+        triangles = np.concatenate([q[:, [0, 1, 2]], q[:, [0, 2, 3]]])
+        return _clean(self.nodes.reshape(-1, 3), triangles, np.tile(np.concatenate(below), 2), np.tile(np.concatenate(above), 2))
+
+
+def _clean(
+    points: Array, triangles: NDArray[np.int64], below: Indices, above: Indices
+) -> tuple[Array, Indices, Indices, Indices]:
+    """Merge equal vertices, drop triangles without area, and join those that a collapsed cell left on one another."""
+    used, flat = np.unique(triangles, return_inverse=True)
+    vertices, merged = np.unique(points[used] + 0.0, axis=0, return_inverse=True)
+    triangles = merged.reshape(-1)[flat.reshape(-1)].reshape(-1, 3)
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    keep = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2 > MIN_AREA_MM2
+    triangles, below, above = triangles[keep], below[keep], above[keep]
+
+    order = np.sort(triangles, axis=1)
+    _, group, size = np.unique(order, axis=0, return_inverse=True, return_counts=True)
+    group = group.reshape(-1)
+    multiple = np.nonzero(size[group] > 1)[0]
+    if len(multiple):
+        drop, low, high = _join(triangles, below, above, group, multiple)
+        keep = np.ones(len(triangles), bool)
+        keep[drop] = False
+        below, above = low[keep], high[keep]
+        triangles = triangles[keep]
+    used, flat = np.unique(triangles, return_inverse=True)
+    return vertices[used], flat.reshape(-1, 3).astype(np.int32), below.astype(np.int32), above.astype(np.int32)
+
+
+def _join(
+    triangles: NDArray[np.int64], below: Indices, above: Indices, group: NDArray[np.int64], multiple: NDArray[np.int64]
+) -> tuple[list[int], Indices, Indices]:
+    """Each stack of triangles on the same three vertices as one: what lies between them has no volume."""
+    below, above = below.copy(), above.copy()
+    drop: list[int] = []
+    stacks: dict[int, list[int]] = {}
+    for t in multiple.tolist():
+        stacks.setdefault(int(group[t]), []).append(t)
+    for stack in stacks.values():
+        first = stack[0]
+        corners = triangles[first].tolist()
+        turns = [corners, corners[1:] + corners[:1], corners[2:] + corners[:2]]
+        crossings: dict[int, int] = {}
+        for t in stack:
+            sign = 1 if triangles[t].tolist() in turns else -1
+            crossings[int(below[t])] = crossings.get(int(below[t]), 0) - sign
+            crossings[int(above[t])] = crossings.get(int(above[t]), 0) + sign
+        left = [r for r, count in crossings.items() if count == -1]
+        entered = [r for r, count in crossings.items() if count == 1]
+        drop += stack[1:]
+        if left and entered:
+            below[first], above[first] = left[0], entered[0]
+        else:
+            drop.append(first)
+    return drop, below, above

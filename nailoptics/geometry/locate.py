@@ -1,0 +1,98 @@
+"""Which region a point lies in, by arithmetic on the grid's tetrahedra."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .grid import Grid
+from .regions import AIR
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int32]
+
+BINS = 64
+CHUNK = 100_000
+
+
+@dataclass(frozen=True)
+class Locator:
+    """The tetrahedra of a grid, sorted into boxes: rows along y, even bins across x and z.
+
+    rows : (n + 1,) float. Planes between rows. [mm]
+    low, per_mm : (2,) float. Corner and bins per mm in (x, z).
+    start : (n * BINS^2 + 1,) int. Where the list of each box starts in members.
+    members : (l,) int. Tetrahedra that may reach into each box.
+    inverse, origin : (m, 3, 3), (m, 3) float. From a point to barycentric coordinates 1 to 3.
+    labels : (m,) int. Region of each tetrahedron.
+    """
+
+    rows: Array
+    low: Array
+    per_mm: Array
+    start: NDArray[np.int64]
+    members: Indices
+    inverse: Array
+    origin: Array
+    labels: Indices
+
+    @classmethod
+    def of(cls, grid: Grid) -> Self:
+        """Sort the tetrahedra of a grid."""
+        corners, labels, rows = grid.tetrahedra()
+        edges = corners[:, 1:] - corners[:, :1]
+        solid = np.linalg.det(edges) > 1e-15
+        corners, labels, rows, edges = corners[solid], labels[solid], rows[solid], edges[solid]
+        flat = corners[:, :, [0, 2]]
+        low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
+        per_mm = BINS / (high - low)
+        # A little wider than the tetrahedra, so that rounding leaves no point between boxes.
+        first = np.clip(((flat.min(axis=1) - 1e-9 - low) * per_mm).astype(np.int64), 0, BINS - 1)
+        last = np.clip(((flat.max(axis=1) + 1e-9 - low) * per_mm).astype(np.int64), 0, BINS - 1)
+        wide = last - first + 1
+        count = wide[:, 0] * wide[:, 1]
+        owner = np.repeat(np.arange(len(count), dtype=np.int32), count)
+        rank = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+        bin_x = first[owner, 0] + rank // wide[owner, 1]
+        bin_z = first[owner, 1] + rank % wide[owner, 1]
+        box = ((rows[owner].astype(np.int64) * BINS) + bin_x) * BINS + bin_z
+        boxes = (len(grid.rows_mm) - 1) * BINS * BINS
+        start = np.concatenate([[0], np.cumsum(np.bincount(box, minlength=boxes))])
+        inverse = np.linalg.inv(np.swapaxes(edges, 1, 2))
+        return cls(
+            grid.rows_mm, low, per_mm, start, owner[np.argsort(box, kind="stable")], inverse, corners[:, 0].copy(), labels
+        )
+
+    def region_at(self, points: Array) -> Indices:
+        """Region (k,) at points (k, 3)."""
+        points = np.asarray(points, float).reshape(-1, 3)
+        if not len(points):
+            return np.empty(0, np.int32)
+        return np.concatenate([self._chunk(points[i : i + CHUNK]) for i in range(0, len(points), CHUNK)])
+
+    def _chunk(self, points: Array) -> Indices:
+        row = np.searchsorted(self.rows, points[:, 1], side="right") - 1
+        bins = np.floor((points[:, [0, 2]] - self.low) * self.per_mm).astype(np.int64)
+        inside = (row >= 0) & (row < len(self.rows) - 1) & (bins >= 0).all(axis=1) & (bins < BINS).all(axis=1)
+        result = np.full(len(points), AIR, np.int32)
+        where = np.nonzero(inside)[0]
+        if not len(where):
+            return result
+        box = (row[where] * BINS + bins[where, 0]) * BINS + bins[where, 1]
+        count = self.start[box + 1] - self.start[box]
+        where, box, count = where[count > 0], box[count > 0], count[count > 0]
+        if not len(where):
+            return result
+        begin = np.cumsum(count) - count
+        tetrahedra = self.members[np.repeat(self.start[box] - begin, count) + np.arange(count.sum())]
+        offset = points[np.repeat(where, count)] - self.origin[tetrahedra]
+        weights = np.einsum("kij,kj->ki", self.inverse[tetrahedra], offset)
+        margin = np.minimum(weights.min(axis=1), 1 - weights.sum(axis=1))
+        best = np.maximum.reduceat(margin, begin)
+        # Rounding may put a point on a face a little outside both neighbours: the better one takes it.
+        chosen = np.nonzero(margin == np.repeat(best, count))[0]
+        owner = np.repeat(np.arange(len(where)), count)[chosen]
+        found = best[owner] > -1e-9
+        result[where[owner[found]]] = self.labels[tetrahedra[chosen[found]]]
+        return result

@@ -1,0 +1,119 @@
+"""What the geometry of a finger with its board is: interfaces that know both sides, and its emitting and reading faces."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .grid import Grid
+from .locate import Locator
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Face:
+    """The face of an LED die or a photodiode element that looks at the nail.
+
+    name : as in the scene's layout.
+    region : index of the part's own region; the epoxy lies on the face's other side.
+    quads : (k, 4, 3) float. Planar rectangles, corners counter-clockwise seen from the nail side. [mm]
+    normal : (k, 3) float. Unit normals of the quads, into the epoxy and towards the nail.
+    area_mm2 : Area of all quads. [mm^2]
+    """
+
+    name: str
+    region: int
+    quads: Array
+    normal: Array
+    area_mm2: float
+
+    @property
+    def center_mm(self) -> Array:
+        """Middle of the face, weighted by area, (3,) float. [mm]"""
+        area = np.linalg.norm(np.cross(self.quads[:, 1] - self.quads[:, 0], self.quads[:, 3] - self.quads[:, 0]), axis=1)
+        return np.average(self.quads.mean(axis=1), axis=0, weights=area)
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """A finger with its board as interfaces between regions, each face once.
+
+    Millimetres; the origin is the centre of the nail plate's outer face, x across, y to the tip, z out of the nail.
+
+    vertices : (n, 3) float. [mm]
+    triangles : (m, 3) int. Counter-clockwise seen from the side of `above`: normals point from `below` to `above`.
+    below, above : (m,) int. Region on either side of each triangle.
+    regions : Names of the regions; 0 is air. The first ones are `regions.REGIONS`, then "led:NAME" for each LED and
+        "photodiode:NAME" for each element that is read.
+    leds, photodiodes : Faces in the order of the scene's layout.
+    nail_radius_mm : Radius of the nail plate's outer face. [mm]
+    board_radius_mm : Radius of the board's underside, on which positions on the board are arc lengths. [mm]
+    """
+
+    vertices: Array
+    triangles: Indices
+    below: Indices
+    above: Indices
+    regions: tuple[str, ...]
+    leds: tuple[Face, ...]
+    photodiodes: tuple[Face, ...]
+    nail_radius_mm: float
+    board_radius_mm: float
+    grid: Grid = field(repr=False)
+
+    @cached_property
+    def _locator(self) -> Locator:
+        return Locator.of(self.grid)
+
+    @property
+    def bounds_mm(self) -> Array:
+        """Lowest and highest corner of the whole, (2, 3) float. [mm]"""
+        return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+    def region_at(self, points: Array) -> Indices:
+        """Region at each point, by arithmetic on the grid's cells, not by the triangles.
+
+        points : (k, 3) float. [mm]
+
+        Returns (k,) int; a point on an interface gets either side.
+        """
+        return self._locator.region_at(points)
+
+    def volumes_mm3(self) -> dict[str, float]:
+        """Volume of each region but air, from its faces by the divergence theorem. [mm^3]"""
+        # About the middle, because the sum of large opposite terms would cost digits.
+        a, b, c = (self.vertices[self.triangles[:, i]] - self.vertices.mean(axis=0) for i in range(3))
+        six = np.einsum("ij,ij->i", a, np.cross(b, c))
+        count = len(self.regions)
+        signed = np.bincount(self.below, six, count) - np.bincount(self.above, six, count)
+        return {name: float(v) / 6 for name, v in zip(self.regions[1:], signed[1:], strict=True)}
+
+    def interfaces(self) -> dict[tuple[int, int], Indices]:
+        """Triangles (k, 3) of each interface by its regions (below, above), the lower index below.
+
+        Triangles are turned round where that is needed, so that each pair of regions comes once.
+        """
+        swap = self.below > self.above
+        triangles = np.where(swap[:, None], self.triangles[:, ::-1], self.triangles)
+        low, high = np.minimum(self.below, self.above), np.maximum(self.below, self.above)
+        key = low.astype(np.int64) * len(self.regions) + high
+        return {
+            (int(k) // len(self.regions), int(k) % len(self.regions)): triangles[key == k] for k in np.unique(key)
+        }
+
+
+def nail_coordinates(points: Array, *, nail_radius_mm: float) -> Array:
+    """Place on the nail (u, v) and depth below the plate's outer face of points (x, y, z).
+
+    points : (k, 3) float. [mm]
+    nail_radius_mm : Radius of the nail plate's outer face. [mm]
+
+    Returns (k, 3) float: u, the arc length across on the plate's outer face; v along, to the tip; depth, negative above
+    the plate. [mm]
+    """
+    x, y, z = np.moveaxis(np.asarray(points, float), -1, 0)
+    height = z + nail_radius_mm
+    return np.stack([nail_radius_mm * np.arctan2(x, height), y, nail_radius_mm - np.hypot(x, height)], axis=-1)

@@ -1,0 +1,186 @@
+"""Grid lines and nodes of a finger with a board: columns around it, rows along it, layers outward."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .board import BentBoard
+from .lines import grid_lines
+from .regions import AIR, BED, BONE, CUT, EPIDERMIS, PLATE, PULP
+from .shape import BONE_ROUNDING_MM, Shape, taper
+
+Array = NDArray[np.float64]
+
+SAGITTA_MM = 0.0019  # how far the nail's facets may lie inside its cylinder
+NAIL_STEP_MM = 0.5
+BODY_STEP_MM = 1.0
+CUT_SLICE_MM = 1.0
+SNAP_BONE_MM = 0.1  # a thinner gap between bone and bed is closed
+BELOW = 5  # layers below the skin or the nail's face: bone, pulp, and three between the depths
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Columns, rows and layers of the grid.
+
+    The first `len(theta)` columns cross the nail, at angles theta around the nail's axis; the others go on around the
+    finger. Layers from the inside: the central line, the bone's surface, three depths below the skin (the bed's lower
+    face, and the plate's and the epidermis's in their order), the skin or the nail's face, and three above the nail.
+    """
+
+    shape: Shape
+    board: BentBoard
+    resolution: float
+
+    @cached_property
+    def theta(self) -> Array:
+        """Angles of the nail's columns around its axis, (a_nail,) float. [rad]"""
+        radius, edge = self.shape.finger.nail_radius_mm, self.shape.nail_half_angle
+        step = min(NAIL_STEP_MM, np.sqrt(8 * SAGITTA_MM * radius)) / self.resolution
+        required = [x * radius for x in (-edge, edge, *self.board.angles)]
+        spans = [(low * radius, high * radius) for low, high in self.board.led_angles]
+        return grid_lines(required, step=lambda _: step, closed=spans) / radius
+
+    @cached_property
+    def phi(self) -> Array:
+        """Angles of all columns around the central line, (a,) float. [rad]"""
+        shape, nail = self.shape, self.shape.nail_angle_to_phi(self.theta)
+        reach = max(shape.finger.width_mm / 2, shape.finger.thickness_mm + shape.center_z)
+        span = 2 * np.pi - (nail[-1] - nail[0])
+        count = int(np.ceil(span * reach * self.resolution / BODY_STEP_MM))
+        return np.concatenate([nail, nail[-1] + span * np.arange(1, count) / count])
+
+    @cached_property
+    def y(self) -> Array:
+        """Places of the rows, (n + 1,) float. [mm]"""
+        shape, end = self.shape, self.shape.nail_end
+        required = [shape.cut - CUT_SLICE_MM, shape.cut, -end, end, *self.board.places]
+        required += [shape.tip - x for x in (0.0, *self.tip_depths)]
+        if shape.bone_end > shape.cut:
+            required.append(shape.bone_end)
+        pieces = int(np.ceil(9 * self.resolution))
+        arc = np.sin(np.pi / 2 * np.arange(1, pieces) / pieces)
+        wanted = [*(end + shape.beyond_nail * arc), *(shape.bone_end - BONE_ROUNDING_MM * (1 - arc))]
+
+        def step(place: float) -> float:
+            if place < shape.cut:
+                return 2 * CUT_SLICE_MM
+            size = NAIL_STEP_MM if -end < place < shape.tip else BODY_STEP_MM
+            return size / self.resolution
+
+        return grid_lines(required, wanted=wanted, step=step, closed=self.board.led_places)
+
+    @cached_property
+    def _depths(self) -> tuple[Array, Array, bool]:
+        """Three depths below the nail and below the skin, deepest first, and whether the plate's is the second."""
+        finger, deep = self.shape.finger, self.shape.deep
+        plate, bed, epidermis = finger.nail_thickness_mm, finger.bed_thickness_mm, finger.epidermis_thickness_mm
+        # Where a depth bounds nothing it only has to keep its place among the others.
+        if epidermis < plate:
+            below_nail = [deep, plate, min(epidermis, 0.8 * plate)]
+            below_skin = [max(deep, 2 * epidermis), max(plate, 1.25 * epidermis), epidermis]
+        else:
+            below_nail = [deep, float(np.clip(epidermis, plate + 0.2 * bed, plate + 0.5 * bed)), plate]
+            below_skin = [max(deep, 1.5 * epidermis), epidermis, 0.8 * plate]
+        return np.array(below_nail), np.array(below_skin), epidermis < plate
+
+    @cached_property
+    def tip_depths(self) -> Array:
+        """How far before the tip the three depths end, (3,) float. [mm]"""
+        beyond = self.shape.beyond_nail
+        first = min(self._depths[1][2], 0.2 * beyond)
+        second = max(1.2 * first, min(self._depths[1][1], 0.25 * beyond))
+        return np.array([max(1.2 * second, min(self._depths[1][0], 0.3 * beyond)), second, first])
+
+    def positions(self) -> Array:
+        """Nodes, (a, n + 1, 9, 3) float. [mm]"""
+        shape, y = self.shape, self.y
+        center = np.array([0.0, shape.center_z])
+        straight = y <= shape.nail_end
+        rows = y[straight]
+        beyond = y[~straight]
+        ring = self._layers(rows)
+        growth = np.stack([self._growth(beyond, depth) for depth in (*self.tip_depths, 0.0)], axis=-1)
+        tip = center + (ring[:, -1:] - center) * growth[..., None]
+        layers = np.concatenate([ring, tip], axis=1)
+        bone = self._bone(layers[:, :, 0] - center)
+        flat = np.concatenate(
+            [
+                np.broadcast_to(center, (*layers.shape[:2], 1, 2)),
+                bone[:, :, None],
+                layers,
+                self._above(layers[:, :, -1]),
+            ],
+            axis=2,
+        )
+        along = np.broadcast_to(y[None, :, None], flat.shape[:3])
+        return np.stack([flat[..., 0], along, flat[..., 1]], axis=-1)
+
+    def _layers(self, rows: Array) -> Array:
+        """The three depths and the skin, (a, n, 4, 2) in (x, z), in rows no further than the nail's free edge."""
+        shape, radius = self.shape, self.shape.finger.nail_radius_mm
+        below_nail, below_skin, _ = self._depths
+        theta, outer = self.theta, self.phi[len(self.theta) :]
+        direction = np.stack([np.sin(theta), np.cos(theta)], axis=-1)
+        shells = radius - np.append(below_nail, 0.0)
+        nail = shells[:, None] * direction[:, None] - [0.0, radius]
+        nail = np.broadcast_to(nail[:, None], (len(theta), len(rows), 4, 2))
+        distance = shape.skin(outer, rows)
+        skin = [0.0, shape.center_z] + distance[..., None] * np.stack([np.sin(outer), np.cos(outer)], axis=-1)[:, None]
+        depth = np.minimum(np.append(below_skin, 0.0), np.array([0.45, 0.3, 0.2, 0.0]) * distance[..., None])
+        body = skin[:, :, None] + depth[..., None] * shape.inward(outer, skin)[:, :, None]
+        return np.concatenate([nail, body])
+
+    def _growth(self, beyond: Array, depth: float) -> Array:
+        """Size of the sections beyond the nail, relative to that at its free edge, (a, n) float; 0 at the end."""
+        shape = self.shape
+        stretched = shape.nail_end + (beyond - shape.nail_end) * shape.beyond_nail / (shape.beyond_nail - depth)
+        size = shape.skin(self.phi, stretched) / shape.skin(self.phi, np.array([shape.nail_end]))
+        return np.where(beyond < shape.tip - depth - 1e-6, size, 0.0)
+
+    def _bone(self, bed: Array) -> Array:
+        """The bone's surface in each column, (a, n + 1, 2), at most out to the deepest layer.
+
+        bed : (a, n + 1, 2) float. The deepest layer, from the central line. [mm]
+        """
+        shape, length = self.shape, np.linalg.norm(bed, axis=-1)
+        rows = np.broadcast_to(self.y, length.shape)
+        bone = np.minimum(shape.bone(np.arctan2(bed[..., 0], bed[..., 1]), rows), length)
+        bone = np.where(length - bone < SNAP_BONE_MM, length, bone)
+        bone = np.where(bone < 0.2 * SNAP_BONE_MM, 0.0, bone)
+        center = np.array([0.0, shape.center_z])
+        part = bone / length.clip(1e-12)
+        # A column whose bone touches the bed must share its node to the last bit, else a gap of no width is left.
+        return np.where((bone == length)[..., None], center + bed, center + bed * part[..., None])
+
+    def _above(self, surface: Array) -> Array:
+        """Three layers above the nail, (a, n + 1, 3, 2); elsewhere they lie on the skin and hold no cells."""
+        theta, radius = self.theta, self.shape.finger.nail_radius_mm
+        above = np.repeat(surface[:, :, None], 3, axis=2)
+        on_nail = np.abs(self.y) <= self.shape.nail_end
+        direction = np.stack([np.sin(theta), np.cos(theta)], axis=-1)
+        shells = (radius + self.board.heights_mm)[:, None] * direction[:, None] - [0.0, radius]
+        above[: len(theta), on_nail] = shells[:, None]
+        return above
+
+    def labels(self) -> NDArray[np.int32]:
+        """Region of each cell, (a, n, 8) int."""
+        shape, y = self.shape, (self.y[1:] + self.y[:-1]) / 2
+        below_nail, below_skin, plate_is_second = self._depths
+        labels = np.full((len(self.phi), len(y), BELOW + 3), AIR, np.int32)
+        labels[:, :, :BELOW] = PULP
+        labels[:, y < shape.bone_end, 0] = BONE
+        skin_cells = [4] if plate_is_second else [3, 4]
+        labels[:, :, skin_cells] = EPIDERMIS
+        nail_columns = np.arange(len(self.theta) - 1)
+        nail_rows = np.nonzero(np.abs(y) < shape.nail_end)[0]
+        nail = np.ix_(nail_columns, nail_rows)
+        labels[(*nail, 2)] = BED
+        labels[(*nail, 3)] = PLATE if plate_is_second else BED
+        labels[(*nail, 4)] = PLATE
+        middle = (self.theta[1:] + self.theta[:-1]) / 2
+        labels[: len(middle), :, BELOW:] = self.board.labels(middle, y)
+        labels[:, y < shape.cut, :BELOW] = CUT
+        return labels

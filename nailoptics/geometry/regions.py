@@ -1,0 +1,40 @@
+"""Names of the regions of a finger with its board, in the order of their indices."""
+
+REGIONS = (
+    "air",
+    "plate",
+    "bed",
+    "bone",
+    "pulp",
+    "epidermis",
+    "epoxy",
+    "barrier",
+    "kapton",
+    "cover",
+    "cut",
+    "silicon",
+)
+"""Regions that every geometry names, though some may be empty; dies and photodiode elements follow.
+
+plate, bed, bone : the nail and what lies under it.
+pulp : all other soft tissue.
+epidermis : the outermost skin, outside the nail.
+epoxy : clear epoxy and adhesive, one region because they have one index.
+barrier : opaque walls between LEDs and photodiodes, from the nail to the board.
+kapton : the board's film beside its parts.
+cover : opaque epoxy over the board, and the rim of it that closes the board's four sides down to the nail.
+cut : a slice beyond the proximal end of the modelled finger, to tell light that goes up the finger from light that
+    leaves to the air.
+silicon : photodiode elements that are not wired.
+"""
+AIR, PLATE, BED, BONE, PULP, EPIDERMIS, EPOXY, BARRIER, KAPTON, COVER, CUT, SILICON = range(len(REGIONS))
+
+
+def led_region(name: str) -> str:
+    """Name of the region of an LED die."""
+    return f"led:{name}"
+
+
+def photodiode_region(name: str) -> str:
+    """Name of the region of a photodiode element that is read."""
+    return f"photodiode:{name}"

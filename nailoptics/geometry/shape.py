@@ -1,0 +1,172 @@
+"""The finger's shape: skin, nail, layers and bone as functions of the angle around it and the place along it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..scene import Finger
+
+Array = NDArray[np.float64]
+
+SKIN_EXPONENT = 2.3  # of the superellipse that the fingertip's section is; 2 would be an ellipse
+PHALANX_MM = 15.8  # length of the distal phalanx
+BONE_ROUNDING_MM = 3.0
+FOLD_RAD = 0.55  # angle over which the skin beside the nail leaves the nail's cylinder
+
+
+def smooth_step(x: Array | float) -> Array:
+    """0 below 0, 1 above 1, and smooth between."""
+    t = np.clip(x, 0.0, 1.0)
+    return t * t * (3 - 2 * t)
+
+
+def taper(x: Array, *, exponent: float) -> Array:
+    """1 at x <= 0, falling as a superellipse to 0 at x >= 1."""
+    return (1 - np.clip(x, 0.0, 1.0) ** exponent) ** (1 / exponent)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A fingertip around a nail that is a piece of a cylinder; lengths in mm.
+
+    The origin is the centre of the nail plate's outer face, x across, y to the tip, z out of the nail. The nail's
+    cylinder has its axis at x = 0, z = -nail_radius. Sections are described around the line x = 0, z = center_z,
+    which runs inside the bone: phi is the angle around it from z towards x.
+
+    Sizes are anatomy's (see the finger's fields); what is between them, the rounding of the tip, the bone's waist and
+    base, is set by eye in proportion to these.
+    """
+
+    finger: Finger
+
+    def __post_init__(self) -> None:
+        finger, edge = self.finger, self.nail_half_angle
+        half_span = finger.nail_radius_mm * np.sin(edge)
+        if half_span > 0.95 * finger.width_mm / 2:
+            raise InputError(
+                f"finger.nail_width_mm = {finger.nail_width_mm:g} spans {2 * half_span:.2f} mm across a finger "
+                f"{finger.width_mm:g} mm wide; at most {0.95 * finger.width_mm:.2f}: make the nail narrower."
+            )
+        drop = finger.nail_radius_mm * (1 - np.cos(edge))
+        if drop > 0.5 * finger.thickness_mm:
+            raise InputError(
+                f"finger.nail_radius_mm = {finger.nail_radius_mm:g} bends the nail down by {drop:.2f} mm at its sides, "
+                f"more than half of thickness_mm = {finger.thickness_mm:g}; make the nail narrower or its radius larger."
+            )
+        if self.bed_radius < 0.15 * finger.nail_radius_mm:
+            raise InputError(
+                f"finger: nail_thickness_mm + bed_thickness_mm = {self.deep:g} reaches the axis of a nail of radius "
+                f"{finger.nail_radius_mm:g} mm; make them thinner."
+            )
+
+    @property
+    def nail_half_angle(self) -> float:
+        """Half of the angle that the nail spans around its axis. [rad]"""
+        return self.finger.nail_width_mm / 2 / self.finger.nail_radius_mm
+
+    @property
+    def deep(self) -> float:
+        """Depth of the bed's lower face."""
+        return self.finger.nail_thickness_mm + self.finger.bed_thickness_mm
+
+    @property
+    def bed_radius(self) -> float:
+        """Radius of the bed's lower face."""
+        return self.finger.nail_radius_mm - self.deep
+
+    @property
+    def bone_half_height(self) -> float:
+        """Half thickness of the bone under the nail."""
+        thickness = self.finger.thickness_mm
+        return min(0.17 * thickness, 0.3 * (thickness - self.deep), 0.8 * self.bed_radius)
+
+    @property
+    def center_z(self) -> float:
+        """Height of the line around which sections are described."""
+        return -(self.deep + self.bone_half_height)
+
+    @property
+    def nail_end(self) -> float:
+        """Place of the nail's free edge; its other end lies at -nail_end."""
+        return self.finger.nail_length_mm / 2
+
+    @property
+    def beyond_nail(self) -> float:
+        """How far the tip reaches beyond the nail."""
+        return float(np.clip(0.15 * self.finger.thickness_mm, 1.0, 2.0))
+
+    @property
+    def tip(self) -> float:
+        """Place of the tip."""
+        return self.nail_end + self.beyond_nail
+
+    @property
+    def cut(self) -> float:
+        """Place of the proximal end of what is modelled."""
+        return self.tip - self.finger.length_mm
+
+    @property
+    def bone_end(self) -> float:
+        """Place of the end of the distal phalanx."""
+        return self.tip - self.finger.bone_to_tip_mm
+
+    def skin(self, phi: Array, y: Array) -> Array:
+        """Distance from the central line to the skin (or nail), (n, m) for (n,) angles and (m,) places."""
+        finger, half_width = self.finger, self.finger.width_mm / 2
+        width = half_width * taper((y - self.tip) / half_width + 1, exponent=2.5)
+        down_length = 0.6 * finger.thickness_mm
+        down = (finger.thickness_mm + self.center_z) * taper((y - self.tip) / down_length + 1, exponent=2.0)
+        top = taper((y - self.nail_end) / self.beyond_nail, exponent=2.0)
+        sin, cos = np.abs(np.sin(phi))[:, None], np.cos(phi)[:, None]
+        tiny = 1e-12  # keeps the section of zero size at the tip finite
+        height = np.where(cos > 0, -self.center_z * top, down)
+        section = ((sin / (width + tiny)) ** SKIN_EXPONENT + (np.abs(cos) / (height + tiny)) ** SKIN_EXPONENT) ** (
+            -1 / SKIN_EXPONENT
+        )
+        nail = self._nail_circle(phi)[:, None] * top
+        weight = self._fold_weight(phi)[:, None]
+        # The mean of inverse squares follows the nearer of the two, so that a flat nail raises no fold.
+        return ((1 - weight) / (nail + tiny) ** 2 + weight / section**2) ** -0.5
+
+    def inward(self, phi: Array, points: Array) -> Array:
+        """Unit vectors (n, m, 2) in (x, z) along which layers lie below points (n, m, 2) of the skin."""
+        to_axis = np.array([0.0, -self.finger.nail_radius_mm]) - points
+        to_center = np.array([0.0, self.center_z]) - points
+        weight = self._fold_weight(phi)[:, None, None]
+        mixed = (1 - weight) * _unit(to_axis) + weight * _unit(to_center)
+        return _unit(mixed)
+
+    def bone(self, phi: Array, y: Array) -> Array:
+        """Distance from the central line to the bone, same shape as phi; 0 beyond its end.
+
+        phi, y : (n, m) float.
+        """
+        finger = self.finger
+        base = smooth_step((self.bone_end - y - 0.55 * PHALANX_MM) / (0.4 * PHALANX_MM))
+        rounded = taper((y - self.bone_end) / BONE_ROUNDING_MM + 1, exponent=2.0)
+        wide = finger.width_mm * (0.23 + 0.08 * base) * rounded + 1e-12
+        high = self.bone_half_height * (1 + 0.25 * base) * rounded + 1e-12
+        return ((np.sin(phi) / wide) ** 2 + (np.cos(phi) / high) ** 2) ** -0.5
+
+    def nail_angle_to_phi(self, theta: Array) -> Array:
+        """Angle around the central line of points of the nail's outer face at angle theta around the nail's axis."""
+        radius = self.finger.nail_radius_mm
+        return np.arctan2(radius * np.sin(theta), radius * np.cos(theta) - radius - self.center_z)
+
+    def _nail_circle(self, phi: Array) -> Array:
+        """Distance from the central line to the nail's cylinder."""
+        radius = self.finger.nail_radius_mm
+        offset = -radius - self.center_z
+        along = offset * np.cos(phi)
+        return along + np.sqrt(along**2 - offset**2 + radius**2)
+
+    def _fold_weight(self, phi: Array) -> Array:
+        edge = self.nail_angle_to_phi(np.array(self.nail_half_angle))
+        beyond = np.pi - np.abs(np.remainder(phi, 2 * np.pi) - np.pi) - edge
+        return smooth_step(beyond / FOLD_RAD)
+
+
+def _unit(vectors: Array) -> Array:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True).clip(1e-30)
