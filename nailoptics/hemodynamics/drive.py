@@ -16,7 +16,7 @@ class Drive:
     time_s : (T,) float, increasing. values : (channels, T) float.
 
     Samples on a line with their neighbours are dropped (nothing is lost). ``stops`` holds the instants of a kink, and
-    enough instants of a smooth curve that no feature can hide between two: an impulse of one sample is never stepped over.
+    enough instants of a smooth curve that no feature can hide between two: an impulse of one sample is never missed.
     """
 
     def __init__(self, time_s: np.ndarray, values: np.ndarray) -> None:

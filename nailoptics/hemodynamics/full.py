@@ -1,4 +1,4 @@
-"""The paper's six-state model over time: walls with mass, the check on the massless one; written for trust, not speed."""
+"""The paper's six-state model over time: walls with mass, the check on the massless one."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def respond(
     rtol : allowed error of a step relative to a diameter. [1]
 
     The Dataset has dims zone and time; capillary_diameter_m (zone, time), capillary_pressure_pa (zone, time),
-    vein_diameter_m (time), vein_pressure_pa (time), capillary_closed (zone, time) and vein_closed (time), and the inputs.
+    vein_diameter_m (time), vein_pressure_pa (time), capillary_closed (zone, time), vein_closed (time), and the inputs.
     Eq. (3)-(4) of the paper move A dx/dt of blood, which is not the change of its eq. (7): the paper's areas and
     diameters disagree on volume. Here (3)-(4) give the motion, (7) the blood (``blood_fraction``), as in the paper.
 

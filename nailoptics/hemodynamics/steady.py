@@ -70,7 +70,7 @@ def steady_state(
     shape = high.shape
     walls = build_walls(p, zones)
     outside = wall_pressures(zones, np.array([t.ravel() for t in touch]))
-    width, pressure = _solve(walls, outside, high.ravel(), low.ravel())
+    width, pressure = solve_walls(walls, outside, high.ravel(), low.ravel())
     n = zones.count
     return SteadyState(
         capillary_diameter_m=width[:n].reshape((n, *shape)),
@@ -102,7 +102,7 @@ def touch_inputs(
         given = finite("pressure_pa", pressure_pa)
         if given.ndim < 1 or given.shape[0] != zones.inputs:
             raise InputError(
-                f"hemodynamics.pressure_pa must hold {zones.inputs} inputs along its first axis, got shape {given.shape}."
+                f"hemodynamics.pressure_pa must hold {zones.inputs} inputs on its first axis, got shape {given.shape}."
             )
         return list(given)
     if zones.inputs != 2:
@@ -116,17 +116,28 @@ def wall_pressures(zones: Zones, touch_pa: np.ndarray) -> np.ndarray:
     return np.array([sum(part * p for part, p in zip(row, touch_pa, strict=True)) for row in rows])
 
 
-def _solve(walls: Walls, outside: np.ndarray, high: np.ndarray, low: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return widths and pressures, (N+1, S), of the steady states."""
+def solve_walls(
+    walls: Walls, outside: np.ndarray, high: np.ndarray, low: np.ndarray, *, tolerance: float = 1e-14
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return widths [m] and pressures [Pa], (N+1, *S), of the steady states.
+
+    outside : (N+1, *S) float. Touch pressure on each wall. high, low : S float. P_H and P_L. [Pa]
+    tolerance : error of the vein's pressure, relative to P_H and P_L, and of the diameters. [1]
+
+    The constants of ``walls`` may be arrays that broadcast to S.
+    """
     n = len(walls.venule)
-    rest = np.array(walls.diameter)[:, None]
-    tension = np.array(walls.stiffness)[:, None] * rest / np.array(walls.area)[:, None]
-    conductance = np.array(walls.flow_factor)[:, None] * rest**4
-    venule = np.array(walls.venule)[:, None]
+    one = np.ones((1,) * high.ndim)
+    rest, stiffness, area, factor, venule = (
+        np.stack([one * value for value in values])
+        for values in (walls.diameter, walls.stiffness, walls.area, walls.flow_factor, walls.venule)
+    )
+    tension = stiffness * rest / area
+    conductance = factor * rest**4
     barrier = venule / conductance[:n]
 
     def unit_opening(node: np.ndarray) -> np.ndarray:
-        return _openings(tension[:n], barrier, node - outside[:n], high - node)
+        return _openings(tension[:n], barrier, node - outside[:n], high - node, tolerance=tolerance)
 
     def vein_opening(node: np.ndarray) -> np.ndarray:
         return np.maximum(CLOSED_FRACTION, 1.0 + (node - outside[n]) / tension[n])
@@ -140,7 +151,7 @@ def _solve(walls: Walls, outside: np.ndarray, high: np.ndarray, low: np.ndarray)
     sign = np.where(high >= low, 1.0, -1.0)
     scale = np.maximum(np.abs(high), np.abs(low)) + 1.0
     node = _bracketed_root(
-        lambda x: sign * excess_outflow(x), np.minimum(high, low), np.maximum(high, low), tolerance=1e-14 * scale
+        lambda x: sign * excess_outflow(x), np.minimum(high, low), np.maximum(high, low), tolerance=tolerance * scale
     )
     opening = unit_opening(node)
     arteriole = conductance[:n] * opening**4
@@ -149,7 +160,9 @@ def _solve(walls: Walls, outside: np.ndarray, high: np.ndarray, low: np.ndarray)
     return width, np.concatenate([pressure, node[None]])
 
 
-def _openings(tension: np.ndarray, barrier: np.ndarray, push: np.ndarray, head: np.ndarray) -> np.ndarray:
+def _openings(
+    tension: np.ndarray, barrier: np.ndarray, push: np.ndarray, head: np.ndarray, *, tolerance: float
+) -> np.ndarray:
     """Return the widest u = (D+x)/D with tension (u-1) = push + head u^4/(u^4 + barrier), or contact.
 
     push : P_N - P_F. head : P_H - P_N. tension : k D/A. barrier : R_A0/R_V. Shapes broadcast to (N, S). [Pa, 1]
@@ -174,14 +187,14 @@ def _openings(tension: np.ndarray, barrier: np.ndarray, push: np.ndarray, head: 
                 lambda u: tension - 4.0 * head * barrier * u**3 / (u**4 + barrier) ** 2,
                 steepest,
                 far,
-                tolerance=1e-13 * far,
+                tolerance=tolerance * far,
             )
         folded = slope > tension
         wide = folded & (turn < top) & (balance(turn) <= 0.0)
         bottom = np.where(wide, np.maximum(bottom, turn), bottom)
         narrow = folded & ~wide
         top = np.where(narrow, np.clip(steepest, bottom, top), top)
-    return _bracketed_root(balance, bottom, top, tolerance=1e-14 * top)
+    return _bracketed_root(balance, bottom, top, tolerance=tolerance * top)
 
 
 def _bracketed_root(
