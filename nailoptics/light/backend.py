@@ -211,9 +211,9 @@ def _key(name: Name, library: str) -> str:
         file: list[Any] = [stat.st_mtime_ns, stat.st_size]
     except OSError:
         file = []
-    versions = [zlib.crc32(PROBE.encode()), _version("drjit"), _version("mitsuba"), platform.python_version(), platform.machine()]
+    versions = [_version("drjit"), _version("mitsuba"), platform.python_version(), platform.machine()]
     seen = [os.environ.get("CUDA_VISIBLE_DEVICES"), platform.node(), *_devices()] if name == "cuda" else []
-    return json.dumps([name, library, file, versions, seen])
+    return json.dumps([name, library, file, versions, seen, zlib.crc32(PROBE.encode())])
 
 
 def _version(package: str) -> str:
@@ -228,18 +228,18 @@ def _probe(name: Name, library: str) -> tuple[bool, str, bool]:
     environment = dict(os.environ)
     if name == "llvm":
         environment["DRJIT_LIBLLVM_PATH"] = library
-    with tempfile.TemporaryDirectory(prefix="nailoptics-") as folder:
-        # Kernels compiled earlier, perhaps by another library, must not answer for this one.
-        environment["DRJIT_CACHE_DIR"] = folder
-        command = [sys.executable, "-P", "-c", PROBE, VARIANTS[name]]
-        try:
+    command = [sys.executable, "-P", "-c", PROBE, VARIANTS[name]]
+    try:
+        with tempfile.TemporaryDirectory(prefix="nailoptics-") as folder:
+            # Kernels compiled earlier, perhaps by another library, must not answer for this one.
+            environment["DRJIT_CACHE_DIR"] = folder
             run = subprocess.run(
                 command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, timeout=PROBE_TIMEOUT_S
             )
-        except subprocess.TimeoutExpired:
-            return False, f"gave no answer in {PROBE_TIMEOUT_S:g} s", False
-        except OSError as error:
-            return False, f"could not be tried: {error}", False
+    except subprocess.TimeoutExpired:
+        return False, f"gave no answer in {PROBE_TIMEOUT_S:g} s", False
+    except OSError as error:
+        return False, f"could not be tried: {error}", False
     said = run.stderr.decode(errors="replace")
     if run.returncode == 0 and run.stdout.decode(errors="replace").strip().endswith("works"):
         return True, "works", True
