@@ -26,7 +26,7 @@ def build(scene: Scene, *, resolution: float = 1.0) -> Geometry:
     Raises: InputError where the scene has no finger, or its sizes make no finger.
     """
     if scene.finger is None:
-        raise InputError("geometry: a phantom is a stack of layers with no finger to build; give a scene with [finger].")
+        raise InputError("geometry: a phantom has no finger to build; give a scene with [finger].")
     if not 0.1 <= resolution <= 10:
         raise InputError(f"resolution = {resolution:g}: must be between 0.1 and 10.")
     shape = Shape(scene.finger)

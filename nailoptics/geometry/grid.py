@@ -69,13 +69,14 @@ class Grid:
 
         labels = np.pad(self.labels, ((0, 0), (1, 1), (0, 1)), constant_values=AIR)
         i = index
-        add(labels[:, 1:-1, :-1], labels[:, 1:-1, 1:], [c[:, :, 1:] for c in (i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:])])
+        add(labels[:, 1:-1, :-1], labels[:, 1:-1, 1:], [i[:-1, :-1, 1:], i[1:, :-1, 1:], i[1:, 1:, 1:], i[:-1, 1:, 1:]])
         inner = labels[:, 1:-1, :-1]
         add(np.roll(inner, 1, 0), inner, [i[:-1, :-1, :-1], i[:-1, 1:, :-1], i[:-1, 1:, 1:], i[:-1, :-1, 1:]])
         add(labels[:, :-1, :-1], labels[:, 1:, :-1], [i[:-1, :, :-1], i[:-1, :, 1:], i[1:, :, 1:], i[1:, :, :-1]])
         q = np.concatenate(quads)
         triangles = np.concatenate([q[:, [0, 1, 2]], q[:, [0, 2, 3]]])
-        return _clean(self.nodes.reshape(-1, 3), triangles, np.tile(np.concatenate(below), 2), np.tile(np.concatenate(above), 2))
+        low, high = np.tile(np.concatenate(below), 2), np.tile(np.concatenate(above), 2)
+        return _clean(self.nodes.reshape(-1, 3), triangles, low, high)
 
 
 def _clean(

@@ -60,9 +60,8 @@ class Locator:
         boxes = (len(grid.rows_mm) - 1) * BINS * BINS
         start = np.concatenate([[0], np.cumsum(np.bincount(box, minlength=boxes))])
         inverse = np.linalg.inv(np.swapaxes(edges, 1, 2))
-        return cls(
-            grid.rows_mm, low, per_mm, start, owner[np.argsort(box, kind="stable")], inverse, corners[:, 0].copy(), labels
-        )
+        members = owner[np.argsort(box, kind="stable")]
+        return cls(grid.rows_mm, low, per_mm, start, members, inverse, corners[:, 0].copy(), labels)
 
     def region_at(self, points: Array) -> Indices:
         """Region (k,) at points (k, 3)."""

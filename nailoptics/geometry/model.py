@@ -1,4 +1,4 @@
-"""What the geometry of a finger with its board is: interfaces that know both sides, and its emitting and reading faces."""
+"""What a geometry is: interfaces that know both sides, and the faces that emit and read."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -33,7 +33,8 @@ class Face:
     @property
     def center_mm(self) -> Array:
         """Middle of the face, weighted by area, (3,) float. [mm]"""
-        area = np.linalg.norm(np.cross(self.quads[:, 1] - self.quads[:, 0], self.quads[:, 3] - self.quads[:, 0]), axis=1)
+        one, other = self.quads[:, 1] - self.quads[:, 0], self.quads[:, 3] - self.quads[:, 0]
+        area = np.linalg.norm(np.cross(one, other), axis=1)
         return np.average(self.quads.mean(axis=1), axis=0, weights=area)
 
 

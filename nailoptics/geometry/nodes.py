@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from .board import BentBoard
 from .lines import grid_lines
 from .regions import AIR, BED, BONE, CUT, EPIDERMIS, PLATE, PULP
-from .shape import BONE_ROUNDING_MM, Shape, taper
+from .shape import BONE_ROUNDING_MM, Shape, signed_angle, smooth_step
 
 Array = NDArray[np.float64]
 
 SAGITTA_MM = 0.0019  # how far the nail's facets may lie inside its cylinder
 NAIL_STEP_MM = 0.5
-BODY_STEP_MM = 1.0
+BODY_STEP_MM = 0.8
 CUT_SLICE_MM = 1.0
 SNAP_BONE_MM = 0.1  # a thinner gap between bone and bed is closed
 BELOW = 5  # layers below the skin or the nail's face: bone, pulp, and three between the depths
@@ -62,7 +62,7 @@ class Nodes:
             required.append(shape.bone_end)
         pieces = int(np.ceil(9 * self.resolution))
         arc = np.sin(np.pi / 2 * np.arange(1, pieces) / pieces)
-        wanted = [*(end + shape.beyond_nail * arc), *(shape.bone_end - BONE_ROUNDING_MM * (1 - arc))]
+        wanted = [-end - 0.5, *(end + shape.beyond_nail * arc), *(shape.bone_end - BONE_ROUNDING_MM * (1 - arc))]
 
         def step(place: float) -> float:
             if place < shape.cut:
@@ -102,7 +102,9 @@ class Nodes:
         rows = y[straight]
         beyond = y[~straight]
         ring = self._layers(rows)
-        growth = np.stack([self._growth(beyond, depth) for depth in (*self.tip_depths, 0.0)], axis=-1)
+        phi = np.arctan2(ring[:, -1, :, 0], ring[:, -1, :, 1] - shape.center_z)
+        depths = (*self.tip_depths, 0.0)
+        growth = np.stack([self._growth(phi[:, k], beyond, depth) for k, depth in enumerate(depths)], axis=-1)
         tip = center + (ring[:, -1:] - center) * growth[..., None]
         layers = np.concatenate([ring, tip], axis=1)
         bone = self._bone(layers[:, :, 0] - center)
@@ -122,22 +124,33 @@ class Nodes:
         """The three depths and the skin, (a, n, 4, 2) in (x, z), in rows no further than the nail's free edge."""
         shape, radius = self.shape, self.shape.finger.nail_radius_mm
         below_nail, below_skin, _ = self._depths
-        theta, outer = self.theta, self.phi[len(self.theta) :]
-        direction = np.stack([np.sin(theta), np.cos(theta)], axis=-1)
+        direction = _direction(self.theta)
         shells = radius - np.append(below_nail, 0.0)
-        nail = shells[:, None] * direction[:, None] - [0.0, radius]
-        nail = np.broadcast_to(nail[:, None], (len(theta), len(rows), 4, 2))
-        distance = shape.skin(outer, rows)
-        skin = [0.0, shape.center_z] + distance[..., None] * np.stack([np.sin(outer), np.cos(outer)], axis=-1)[:, None]
-        depth = np.minimum(np.append(below_skin, 0.0), np.array([0.45, 0.3, 0.2, 0.0]) * distance[..., None])
-        body = skin[:, :, None] + depth[..., None] * shape.inward(outer, skin)[:, :, None]
+        risen = shells + shape.fold(rows)[:, None]
+        nail = risen[:, :, None] * direction[:, None, None] - [0.0, radius]
+        outer = signed_angle(self.phi[len(self.theta) :])
+        body = np.empty((len(outer), len(rows), 4, 2))
+        caps = np.array([0.45, 0.3, 0.2, 0.0])
+        edge = nail[-1] - [0.0, shape.center_z]
+        edge_phi = np.arctan2(edge[0, :, 0], edge[0, :, 1])
+        around = (np.abs(outer) - self.phi[len(self.theta) - 1]) / (np.pi - self.phi[len(self.theta) - 1])
+        for k, depth in enumerate((*below_skin, 0.0)):
+            # Under the nail columns point to its axis and elsewhere to the central line; angles that run evenly from
+            # the nail's edge to the pulp keep columns from crossing on the way from one to the other.
+            phi = np.sign(outer) * (edge_phi[k] + (np.pi - edge_phi[k]) * around)
+            both = np.append(phi, edge_phi[k])
+            skin = shape.skin(both, rows)
+            distance = skin - np.minimum(depth, caps[k] * skin)
+            step = np.linalg.norm(edge[:, k], axis=-1) - distance[-1]
+            distance = distance[:-1] + step * (1 - smooth_step(2 * around))[:, None]
+            body[:, :, k] = [0.0, shape.center_z] + distance[..., None] * _direction(phi)[:, None]
         return np.concatenate([nail, body])
 
-    def _growth(self, beyond: Array, depth: float) -> Array:
+    def _growth(self, phi: Array, beyond: Array, depth: float) -> Array:
         """Size of the sections beyond the nail, relative to that at its free edge, (a, n) float; 0 at the end."""
         shape = self.shape
         stretched = shape.nail_end + (beyond - shape.nail_end) * shape.beyond_nail / (shape.beyond_nail - depth)
-        size = shape.skin(self.phi, stretched) / shape.skin(self.phi, np.array([shape.nail_end]))
+        size = shape.skin(phi, stretched) / shape.skin(phi, np.array([shape.nail_end]))
         return np.where(beyond < shape.tip - depth - 1e-6, size, 0.0)
 
     def _bone(self, bed: Array) -> Array:
@@ -160,7 +173,7 @@ class Nodes:
         theta, radius = self.theta, self.shape.finger.nail_radius_mm
         above = np.repeat(surface[:, :, None], 3, axis=2)
         on_nail = np.abs(self.y) <= self.shape.nail_end
-        direction = np.stack([np.sin(theta), np.cos(theta)], axis=-1)
+        direction = _direction(theta)
         shells = (radius + self.board.heights_mm)[:, None] * direction[:, None] - [0.0, radius]
         above[: len(theta), on_nail] = shells[:, None]
         return above
@@ -176,11 +189,14 @@ class Nodes:
         labels[:, :, skin_cells] = EPIDERMIS
         nail_columns = np.arange(len(self.theta) - 1)
         nail_rows = np.nonzero(np.abs(y) < shape.nail_end)[0]
-        nail = np.ix_(nail_columns, nail_rows)
-        labels[(*nail, 2)] = BED
-        labels[(*nail, 3)] = PLATE if plate_is_second else BED
-        labels[(*nail, 4)] = PLATE
+        for layer, region in zip((2, 3, 4), (BED, PLATE if plate_is_second else BED, PLATE), strict=True):
+            labels[:, :, layer][np.ix_(nail_columns, nail_rows)] = region
         middle = (self.theta[1:] + self.theta[:-1]) / 2
         labels[: len(middle), :, BELOW:] = self.board.labels(middle, y)
         labels[:, y < shape.cut, :BELOW] = CUT
         return labels
+
+
+def _direction(angle: Array) -> Array:
+    """Unit vectors (..., 2) in (x, z) at angles from z towards x."""
+    return np.stack([np.sin(angle), np.cos(angle)], axis=-1)

@@ -10,10 +10,12 @@ from ..scene import Finger
 
 Array = NDArray[np.float64]
 
-SKIN_EXPONENT = 2.3  # of the superellipse that the fingertip's section is; 2 would be an ellipse
+PULP_EXPONENT = 2.3  # of the superellipse that the section is on the pulp's side; on the nail's it is an ellipse
 PHALANX_MM = 15.8  # length of the distal phalanx
 BONE_ROUNDING_MM = 3.0
-FOLD_RAD = 0.55  # angle over which the skin beside the nail leaves the nail's cylinder
+FOLD_RAD = 0.28  # angle over which the skin beside the nail leaves the nail's cylinder
+FOLD_MM = 0.4  # how high the fold of skin at the nail's root rises above the nail
+FOLD_LENGTH_MM = 1.5
 
 
 def smooth_step(x: Array | float) -> Array:
@@ -25,6 +27,11 @@ def smooth_step(x: Array | float) -> Array:
 def taper(x: Array, *, exponent: float) -> Array:
     """1 at x <= 0, falling as a superellipse to 0 at x >= 1."""
     return (1 - np.clip(x, 0.0, 1.0) ** exponent) ** (1 / exponent)
+
+
+def signed_angle(phi: Array) -> Array:
+    """The same angle between -pi and pi. [rad]"""
+    return np.remainder(phi + np.pi, 2 * np.pi) - np.pi
 
 
 @dataclass(frozen=True)
@@ -52,8 +59,8 @@ class Shape:
         drop = finger.nail_radius_mm * (1 - np.cos(edge))
         if drop > 0.5 * finger.thickness_mm:
             raise InputError(
-                f"finger.nail_radius_mm = {finger.nail_radius_mm:g} bends the nail down by {drop:.2f} mm at its sides, "
-                f"more than half of thickness_mm = {finger.thickness_mm:g}; make the nail narrower or its radius larger."
+                f"finger.nail_radius_mm = {finger.nail_radius_mm:g} bends the nail down by {drop:.2f} mm at its "
+                f"sides, more than half of thickness_mm = {finger.thickness_mm:g}; make the nail narrower or flatter."
             )
         if self.bed_radius < 0.15 * finger.nail_radius_mm:
             raise InputError(
@@ -122,21 +129,17 @@ class Shape:
         sin, cos = np.abs(np.sin(phi))[:, None], np.cos(phi)[:, None]
         tiny = 1e-12  # keeps the section of zero size at the tip finite
         height = np.where(cos > 0, -self.center_z * top, down)
-        section = ((sin / (width + tiny)) ** SKIN_EXPONENT + (np.abs(cos) / (height + tiny)) ** SKIN_EXPONENT) ** (
-            -1 / SKIN_EXPONENT
-        )
+        power = np.where(cos > 0, 2.0, PULP_EXPONENT)
+        section = ((sin / (width + tiny)) ** power + (np.abs(cos) / (height + tiny)) ** power) ** (-1 / power)
         nail = self._nail_circle(phi)[:, None] * top
         weight = self._fold_weight(phi)[:, None]
         # The mean of inverse squares follows the nearer of the two, so that a flat nail raises no fold.
-        return ((1 - weight) / (nail + tiny) ** 2 + weight / section**2) ** -0.5
+        mixed = ((1 - weight) / (nail + tiny) ** 2 + weight / section**2) ** -0.5
+        return mixed + (1 - weight) * self.fold(y)
 
-    def inward(self, phi: Array, points: Array) -> Array:
-        """Unit vectors (n, m, 2) in (x, z) along which layers lie below points (n, m, 2) of the skin."""
-        to_axis = np.array([0.0, -self.finger.nail_radius_mm]) - points
-        to_center = np.array([0.0, self.center_z]) - points
-        weight = self._fold_weight(phi)[:, None, None]
-        mixed = (1 - weight) * _unit(to_axis) + weight * _unit(to_center)
-        return _unit(mixed)
+    def fold(self, y: Array) -> Array:
+        """Height of the skin above the nail's cylinder, same shape as y: the fold of skin over the nail's root."""
+        return FOLD_MM * smooth_step((-self.nail_end - y) / FOLD_LENGTH_MM)
 
     def bone(self, phi: Array, y: Array) -> Array:
         """Distance from the central line to the bone, same shape as phi; 0 beyond its end.
@@ -164,9 +167,4 @@ class Shape:
 
     def _fold_weight(self, phi: Array) -> Array:
         edge = self.nail_angle_to_phi(np.array(self.nail_half_angle))
-        beyond = np.pi - np.abs(np.remainder(phi, 2 * np.pi) - np.pi) - edge
-        return smooth_step(beyond / FOLD_RAD)
-
-
-def _unit(vectors: Array) -> Array:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True).clip(1e-30)
+        return smooth_step((np.abs(signed_angle(phi)) - edge) / FOLD_RAD)
