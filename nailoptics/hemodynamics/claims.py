@@ -1,8 +1,7 @@
-"""Every claim of the paper about touch and blood, measured on a parameter set and judged: met or not met.
+"""What the paper claims about its Figs. 10-12, as rules on observations that one set or thousands can be held to.
 
-The claims are the words of the paper about its Figs. 10-12 and 15-18. Where the paper gives a number it is used; where it
-gives a word ("much more slowly", "nearly linear") the rule here is a choice, written in the claim.
-Readings follow eq. (9): they fall with (D+x)^2, the blood under the photodiode.
+Where the paper gives a number it is used; where it gives a word ("much more slowly", "nearly linear") the bound is a
+choice, spelled out with the claim. Readings follow eq. (9): they fall with (D+x)^2, the blood under the photodiode.
 """
 
 from __future__ import annotations
@@ -13,47 +12,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from nailoptics.hemodynamics.observe import CURVE_PA, PHASE_S, STEPS_PA, Observations, observe
-from nailoptics.hemodynamics.parameters import Parameters
-from nailoptics.hemodynamics.respond import respond
-from nailoptics.hemodynamics.steady import steady_state
-from nailoptics.hemodynamics.zones import zones
-
-N_PER_CM2 = 1e4
+from nailoptics.hemodynamics.observe import CURVE_PA, N_PER_CM2, PHASE_S, Observations
 
 
 @dataclasses.dataclass(frozen=True)
-class Claim:
-    """One claim, judged.
+class Rule:
+    """One claim of a figure: what it says, and the bounds within which its measure must lie.
 
-    figure : of the paper. text : what it says. rule : what counts as met. unit : of value.
-    value : measured. low, high : bounds of the rule. met : within them.
+    measure : from observations of batch shape B to B floats, in the unit.
     """
 
-    figure: str
-    text: str
-    unit: str
-    value: float
-    low: float
-    high: float
-
-    @property
-    def met(self) -> bool:
-        """Whether the value lies within the bounds."""
-        return bool(self.low <= self.value <= self.high)
-
-    @property
-    def rule(self) -> str:
-        """The bounds in words."""
-        if math.isinf(self.high):
-            return f">= {self.low:g}"
-        if math.isinf(self.low):
-            return f"<= {self.high:g}"
-        return f"{self.low:g} to {self.high:g}"
-
-
-@dataclasses.dataclass(frozen=True)
-class _Rule:
     figure: str
     text: str
     unit: str
@@ -160,7 +128,7 @@ _ONE = int(np.searchsorted(CURVE_PA, N_PER_CM2 - 1.0))
 
 # figure, text, unit, low, high, measure
 RULES = tuple(
-    _Rule(*row)
+    Rule(*row)
     for row in (
         (
             "10",
@@ -264,28 +232,29 @@ RULES = tuple(
             lambda o: _after(_proximal(o)),
         ),
         (
-            "15-18",
-            "proximal loading to 1 N takes 0.1 to 0.4 s",
+            "17-18",
+            "readings follow a force of 1 N like the subjects' in 0.1 to 0.4 s: proximal loading",
             "s",
             0.1,
             0.4,
-            lambda o: _rise_time(o.both_on[0] ** 2)[..., -1],
+            lambda o: _rise_time(o.force_on[0] ** 2)[..., 0],
+        ),
+        ("17-18", "the same, proximal unloading", "s", 0.1, 0.4, lambda o: _rise_time(o.force_off[0] ** 2)[..., 0]),
+        (
+            "17-18",
+            "the distal reading takes 0.18 s on loading (within a quarter)",
+            "s",
+            0.135,
+            0.225,
+            lambda o: _rise_time(o.force_on[1] ** 2)[..., 0],
         ),
         (
-            "15-18",
-            "distal loading to 1 N takes 0.1 to 0.4 s",
+            "17-18",
+            "the distal reading takes 0.36 s on unloading (within a quarter)",
             "s",
-            0.1,
-            0.4,
-            lambda o: _rise_time(o.both_on[1] ** 2)[..., -1],
-        ),
-        (
-            "15-18",
-            "distal unloading from 1 N takes 0.1 to 0.4 s",
-            "s",
-            0.1,
-            0.4,
-            lambda o: _rise_time(o.both_off[1] ** 2)[..., -1],
+            0.27,
+            0.45,
+            lambda o: _rise_time(o.force_off[1] ** 2)[..., 0],
         ),
     )
 )

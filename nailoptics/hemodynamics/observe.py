@@ -11,12 +11,16 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from nailoptics.hemodynamics.parameters import Parameters
 from nailoptics.hemodynamics.respond import respond
 from nailoptics.hemodynamics.steady import solve_walls, steady_state
 from nailoptics.hemodynamics.walls import Walls, build_walls, massless, massless_jacobian
 from nailoptics.hemodynamics.zones import PAPER_ZONES
+
+N_PER_CM2 = 1e4
+"""1 N/cm^2, the paper's unit of pressure. [Pa]"""
 
 CURVE_PA = np.linspace(0.0, 2e4, 41)
 """(41,) float. Pressures of the static curves: 0 to 2 N/cm^2. [Pa]"""
@@ -31,12 +35,17 @@ PHASE_S = ON_S * np.linspace(0.0, 1.0, 81) ** 2
 """(81,) float. Instants within each phase, dense after the step. [s]"""
 
 
+LOADING_S, UNLOADING_S = 0.16, 0.12
+"""Time constants of the subjects' force in the paper's Figs. 17-18. [s]"""
+
+
 @dataclasses.dataclass(frozen=True)
 class Observations:
     """Diameters of [proximal capillary, distal capillary, vein] under touch; B is a batch shape, () for one set. [m]
 
     proximal, both : (3, *B, 41) float. Steady, with P_F1 alone or P_F1 = P_F2 on CURVE_PA.
     proximal_on, proximal_off, both_on, both_off : (3, *B, 10, 81) float. Over PHASE_S after each step on and off.
+    force_on, force_off : (3, *B, 1, 81) float. The same for the subjects' force of 1 N on 1 cm^2 (``subject_force``).
     """
 
     proximal: np.ndarray
@@ -45,6 +54,19 @@ class Observations:
     proximal_off: np.ndarray
     both_on: np.ndarray
     both_off: np.ndarray
+    force_on: np.ndarray
+    force_off: np.ndarray
+
+
+def subject_force(time_s: ArrayLike, *, force_n: float = 1.0, on_s: float = 0.5, off_s: float = 2.5) -> np.ndarray:
+    """Return the force of the paper's subjects: exponential, with 0.16 s on loading and 0.12 s on unloading. [N]
+
+    References: Mascaro and Asada 2001, Figs. 17-18.
+    """
+    time = np.asarray(time_s, dtype=float)
+    top = force_n * (1.0 - np.exp(-(off_s - on_s) / LOADING_S))
+    loading = force_n * (1.0 - np.exp(-np.maximum(time - on_s, 0.0) / LOADING_S))
+    return np.where(time < off_s, loading, top * np.exp(-np.maximum(time - off_s, 0.0) / UNLOADING_S))
 
 
 def observe(parameters: Parameters) -> Observations:
@@ -67,6 +89,12 @@ def observe(parameters: Parameters) -> Observations:
             on.append(width[:, :size])
             off.append(width[:, size - 1 :])
         fields[f"{name}_on"], fields[f"{name}_off"] = np.stack(on, axis=1), np.stack(off, axis=1)
+    fine = np.union1d(np.arange(0.0, 2.0 * ON_S, 1e-3), time)
+    touch = N_PER_CM2 * subject_force(fine, on_s=0.0, off_s=ON_S)
+    run = respond(parameters, fine, proximal_pressure_pa=touch, distal_pressure_pa=touch)
+    width = np.vstack([run["capillary_diameter_m"].values, run["vein_diameter_m"].values])
+    width = width[:, None, np.searchsorted(fine, time)]
+    fields["force_on"], fields["force_off"] = width[..., :size], width[..., size - 1 :]
     return Observations(**fields)
 
 
@@ -83,6 +111,11 @@ def observe_batch(values: dict[str, np.ndarray]) -> Observations:
         rest = np.repeat(fields[name][:, :, :1], STEPS_PA.size, axis=2)
         fields[f"{name}_on"] = _relax(columns, rest, STEPS_PA, distal_part, high, low)
         fields[f"{name}_off"] = _relax(columns, fields[f"{name}_on"][..., -1], 0.0 * STEPS_PA, distal_part, high, low)
+    loading = 1.0 - np.exp(-PHASE_S / LOADING_S)
+    unloading = loading[-1] * np.exp(-PHASE_S / UNLOADING_S)
+    top = np.array([N_PER_CM2])
+    fields["force_on"] = _relax(columns, fields["both"][..., :1], top, 1.0, high, low, course=loading)
+    fields["force_off"] = _relax(columns, fields["force_on"][..., -1], top, 1.0, high, low, course=unloading)
     return Observations(**fields)
 
 
@@ -97,20 +130,32 @@ def _balances(walls: Walls, touch: np.ndarray, distal_part: float, high: np.ndar
 
 
 def _relax(
-    walls: Walls, start: np.ndarray, touch: np.ndarray, distal_part: float, high: np.ndarray, low: np.ndarray
+    walls: Walls,
+    start: np.ndarray,
+    touch: np.ndarray,
+    distal_part: float,
+    high: np.ndarray,
+    low: np.ndarray,
+    *,
+    course: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return (3, B, steps, 81) diameters over PHASE_S by ROS2, second order and L-stable (Verwer et al. 1999)."""
+    """Return (3, B, steps, 81) diameters over PHASE_S by ROS2, second order and L-stable (Verwer et al. 1999).
+
+    course : (81,) float. Factor of the touch over PHASE_S; None is a constant touch. [1]
+    """
     gamma = 1.0 - np.sqrt(0.5)
     width = [np.array(w) for w in start]
     force = [0.0 * touch, walls.area[1] * distal_part * touch, walls.area[2] * touch]
 
-    def load(w: list[np.ndarray]) -> list[np.ndarray]:
-        return [f + k * (x - d) for f, k, x, d in zip(force, walls.stiffness, w, walls.diameter, strict=True)]
+    part = np.ones(PHASE_S.size) if course is None else course
+
+    def load(w: list[np.ndarray], factor: float) -> list[np.ndarray]:
+        return [factor * f + k * (x - d) for f, k, x, d in zip(force, walls.stiffness, w, walls.diameter, strict=True)]
 
     path = [np.stack(width)]
-    for h in np.diff(PHASE_S):
+    for h, now, then in zip(np.diff(PHASE_S), part[:-1], part[1:], strict=True):
         held = [np.where(w <= c, 0.0, 1.0) for w, c in zip(width, walls.closed, strict=True)]
-        loads = load(width)
+        loads = load(width, now)
         pressures, _ = massless(walls, width, loads, held, high, low)
         free = [
             np.where((f > 0.0) | (a * p > g), 1.0, 0.0)
@@ -118,10 +163,20 @@ def _relax(
         ]
         pressures, first = massless(walls, width, loads, free, high, low)
         diagonal, left, right = massless_jacobian(walls, width, free, pressures, high, low)
+        drift: list[Any] = [0.0, 0.0, 0.0]
+        if course is not None:
+            _, drift = massless(walls, width, [(then - now) / h * f for f in force], free, 0.0 * high, 0.0 * low)
+        first = [f + gamma * h * d for f, d in zip(first, drift, strict=True)]
         k1 = _rank_one_solve(first, diagonal, left, right, gamma * h)
         middle = [np.maximum(w + h * k, c) for w, k, c in zip(width, k1, walls.closed, strict=True)]
-        _, second = massless(walls, middle, load(middle), free, high, low)
-        k2 = _rank_one_solve([s - 2.0 * k for s, k in zip(second, k1, strict=True)], diagonal, left, right, gamma * h)
+        _, second = massless(walls, middle, load(middle, then), free, high, low)
+        k2 = _rank_one_solve(
+            [s - 2.0 * k - gamma * h * d for s, k, d in zip(second, k1, drift, strict=True)],
+            diagonal,
+            left,
+            right,
+            gamma * h,
+        )
         width = [
             np.maximum(w + h * (1.5 * a + 0.5 * b), c) for w, a, b, c in zip(width, k1, k2, walls.closed, strict=True)
         ]

@@ -71,11 +71,11 @@ def zones(count: int, *, decay_length: float | None = None) -> Zones:
 
     count : int. Number of units, 2 or more. Two units without decay are the paper's model.
     decay_length : float. Reach of the distal pressure. None: the distal half feels it in full, the proximal
-        half nothing (the paper). Otherwise unit i feels exp(-d_i/decay_length) of it, with d_i the distance of
-        its centre from that of the last unit, both in lengths of the bed: the white band then widens with force. [1]
+        half nothing (the paper). Otherwise it falls off as exp(-d/decay_length) with the distance d from the last
+        unit, and P_F2 is its mean over the distal half; both lengths in lengths of the bed. [1]
 
     The pressure that the pulp passes on to the bed falls off with the distance from the tip. An exponential is the
-    simplest law with one constant: a unit closes once exp(-d/decay_length) P_F2 passes its closing pressure, so the
+    simplest law with one constant: a unit closes once its part of P_F2 passes its closing pressure, so the white
     band's width grows as decay_length log(force).
 
     Raises
@@ -93,7 +93,10 @@ def zones(count: int, *, decay_length: float | None = None) -> Zones:
         if not (np.isfinite(decay_length) and decay_length > 0.0):
             raise InputError(f"zones.decay_length must be positive and finite, got {decay_length}; 0.3 is usual.")
         centre = (np.arange(count) + 0.5) / count
-        distal = np.exp((centre - centre[-1]) / decay_length)
+        falling = np.exp((centre - centre[-1]) / decay_length)
+        # The half itself would be cut through a unit if the count is odd: weigh by what lies in it.
+        inside = np.clip((centre - 0.5) * count + 0.5, 0.0, 1.0)
+        distal = falling * inside.sum() / (falling @ inside)
     return Zones(
         share=(2.0 / count,) * int(count),
         reach=tuple((0.0, float(part)) for part in distal),
