@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 Name = Literal["cuda", "llvm", "scalar"]
 NAMES: tuple[Name, ...] = ("cuda", "llvm", "scalar")
-VARIANTS: dict[Name, str] = {"cuda": "cuda_ad_mono", "llvm": "llvm_ad_mono", "scalar": "scalar_spectral"}
+VARIANTS: dict[Name, str] = {"cuda": "cuda_ad_mono", "llvm": "llvm_ad_mono", "scalar": "scalar_rgb"}
 ADVICE = (
     "the scalar backend is slow; to trace much faster install libLLVM 17 or newer "
     "(Debian, Ubuntu: apt install libllvm19), or set DRJIT_LIBLLVM_PATH to one"

@@ -124,7 +124,7 @@ def test_findings_name_one_backend_as_taken(fresh, monkeypatch):
 
 
 def test_scalar_needs_no_library_and_an_unknown_backend_is_one_line():
-    assert backend.choose("scalar").variant == "scalar_spectral"
+    assert backend.choose("scalar").variant == "scalar_rgb"
     with pytest.raises(InputError, match="auto, cuda, llvm, scalar"):
         backend.choose("opencl")
 
@@ -142,4 +142,4 @@ def test_choosing_imports_no_mitsuba():
 
 def test_activation_sets_the_variant():
     mi = backend.activate(backend.choose("scalar"))
-    assert mi.variant() == "scalar_spectral"
+    assert mi.variant() == "scalar_rgb"
