@@ -2,6 +2,18 @@
 
 from .build import build
 from .check import Report, check
+from .distance import DistanceGrid, distance_grid
+from .export import export
 from .model import Face, Geometry, nail_coordinates
 
-__all__ = ["Face", "Geometry", "Report", "build", "check", "nail_coordinates"]
+__all__ = [
+    "DistanceGrid",
+    "Face",
+    "Geometry",
+    "Report",
+    "build",
+    "check",
+    "distance_grid",
+    "export",
+    "nail_coordinates",
+]

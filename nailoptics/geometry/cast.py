@@ -92,8 +92,8 @@ class _Boxes:
             signed = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
             left[i] = (signed >= 0) != turned
             area[i] = np.where(turned, -signed, signed)
-        forward = left.all(axis=0)
-        hit = np.nonzero(forward | ~left.any(axis=0))[0]
+        forward, back = np.all(left, axis=0), ~np.any(left, axis=0)
+        hit = np.nonzero(forward | back)[0]
         weights = area[:, hit] / area[:, hit].sum(axis=0)
         z = self.vertices[:, 2][corner[hit]]
         # The area over edge i belongs to the corner opposite to it.
