@@ -1,0 +1,268 @@
+"""The stock volpath engine against adding-doubling, published readings, and itself."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nailoptics import geometry
+from nailoptics.errors import InputError
+from nailoptics.light import backend, volpath, volpath_scene
+from nailoptics.light.media import finger_media
+from nailoptics.scene import parse_scene
+
+# Dermis, measured by Shimojo (mu_a), and reduced scattering 4.6 (lambda / 500)^-1.421 (Jacques 2013). [mm^-1]
+DERMIS = {660.0: (0.065, 3.10), 800.0: (0.050, 2.36), 940.0: (0.066, 1.88)}
+SQUARE = """
+[[photodiodes]]
+name = "square"
+aperture = true
+position_mm = [2.0, 0.0]
+size_mm = [1.0, 1.0]
+"""
+
+
+@pytest.fixture(scope="module")
+def jit_backend():
+    """A backend that compiles kernels; without one the test is skipped, with the reason."""
+    chosen = backend.choose("auto")
+    if not chosen.jit:
+        pytest.skip(f"no JIT backend works here: {chosen.reason}")
+    return chosen
+
+
+@pytest.fixture(params=[pytest.param("jit", marks=pytest.mark.jit), "scalar"])
+def engine(request):
+    """Each kind of backend in turn."""
+    return backend.choose("scalar") if request.param == "scalar" else request.getfixturevalue("jit_backend")
+
+
+def slab(*, mu_a, mu_s, g, n, thickness=1.0, n_below=1.0, led='pattern = "pencil"', wavelength=800.0, photodiode=""):
+    return parse_scene(f"""
+schema_version = 1
+[phantom]
+n_below = {n_below}
+[[phantom.layers]]
+name = "slab"
+thickness_mm = {thickness}
+mu_a_per_mm = {mu_a}
+mu_s_per_mm = {mu_s}
+g = {g}
+n = {n}
+[[leds]]
+name = "led"
+wavelength_nm = {wavelength}
+{led}
+{photodiode}
+""")
+
+
+def statistics(batches):
+    return batches.mean(axis=0), batches.std(axis=0, ddof=1) / np.sqrt(len(batches))
+
+
+@pytest.mark.parametrize("n", [1.0, 1.4])
+@pytest.mark.parametrize("wavelength", DERMIS)
+def test_a_slab_at_each_wavelength_meets_adding_doubling(wavelength, n, engine):
+    """R and T of 1 mm of dermis under a beam, index-matched and not."""
+    iadpython = pytest.importorskip("iadpython")
+    mu_a, reduced = DERMIS[wavelength]
+    g = 0.8
+    mu_s = reduced / (1 - g)
+    exact = iadpython.Sample(a=mu_s / (mu_a + mu_s), b=mu_a + mu_s, g=g, n=n, quad_pts=20).rt()[:2]
+    scene = slab(mu_a=mu_a, mu_s=mu_s, g=g, n=n, wavelength=wavelength)
+    batches = volpath.phantom_energy(scene, batches=16, paths_per_batch=4096, seed=1, backend=engine)
+    mean, stderr = statistics(batches)
+    assert np.all(abs(mean - exact) < 4 * stderr)
+    assert np.all(stderr < 0.01 * mean)
+
+
+def test_a_lambertian_die_meets_adding_doubling(engine):
+    """R and T of diffuse light from a die that lies on the slab, which proves the die's factor of pi."""
+    iadpython = pytest.importorskip("iadpython")
+    exact = iadpython.Sample(a=0.99, b=10, g=0.8, n=1.4, quad_pts=20).rt()[2:]
+    scene = slab(mu_a=0.1, mu_s=9.9, g=0.8, n=1.4, led="size_mm = [0.25, 0.25]")
+    batches = volpath.phantom_energy(scene, batches=16, paths_per_batch=4096, seed=2, backend=engine)
+    mean, stderr = statistics(batches)
+    assert np.all(abs(mean - exact) < 4 * stderr)
+    assert np.all(stderr < 0.01 * mean)
+
+
+@pytest.mark.parametrize("led", ['pattern = "pencil"', "size_mm = [0.5, 0.5]"])
+def test_without_absorption_all_light_comes_out(led, engine):
+    """R + T = 1 path by path, also where the index below differs: radiance over n squared is what is reciprocal."""
+    scene = slab(mu_a=0.0, mu_s=8.0, g=0.5, n=1.5, n_below=1.33, led=led)
+    batches = volpath.phantom_energy(scene, batches=2, paths_per_batch=4096, seed=3, backend=engine)
+    assert np.allclose(batches.sum(axis=1), 1, atol=1e-3)
+    assert np.all(batches > 0.1)
+
+
+def test_three_blood_states_in_one_heterogeneous_medium_meet_adding_doubling(engine):
+    """The colours of one path are three absorptions: R of each state on its own, from the grid that carries the bed."""
+    iadpython = pytest.importorskip("iadpython")
+    states, mu_s, g = np.array([0.05, 0.1, 0.2]), 12.0, 0.8
+    exact = [iadpython.Sample(a=mu_s / (m + mu_s), b=m + mu_s, g=g, n=1.4, quad_pts=20).rt()[0] for m in states]
+    with volpath._mitsuba(engine) as mi:
+        scene = slab(mu_a=0.05, mu_s=mu_s, g=g, n=1.4)
+        made = volpath_scene.phantom_scene(
+            mi, scene.phantom, scene.leds[0], [volpath_scene.Window((0.0, 0.0), volpath_scene.EVERYTHING)]
+        )
+        bed = volpath.BedAbsorption(np.array([-80.0, 0.0, 80.0]), np.repeat(states[:, None], 3, axis=1))
+        box = np.array([[-80.0, -80, -1.2], [80, 80, 0.2]])
+        made["medium_0"] = volpath_scene.bed_medium(mi, bed, mu_s=mu_s, g=g, bounds_mm=box)
+        made["window_0"]["emitter"] = volpath_scene.emitter([1.0, 1.0, 1.0])
+        loaded = mi.load_dict(made, optimize=False)
+        batches = np.stack([volpath._render(mi, loaded, paths=4096, seed=seed) for seed in range(12)])
+    mean, stderr = statistics(batches)
+    assert np.all(abs(mean - exact) < 4 * stderr)
+    assert np.all(stderr < 0.01 * mean)
+
+
+def test_a_photodiode_sized_reading(engine):
+    """8.977(9)e-3 through a 1 x 1 mm square 2 mm from a beam on 10 mm of matched medium: pmmc, MCX and plain C."""
+    scene = slab(mu_a=0.05, mu_s=10, g=0.9, n=1, thickness=10, photodiode=SQUARE)
+    batches = volpath.phantom_fractions(scene, batches=20, paths_per_batch=5120, seed=4, backend=engine)
+    mean, stderr = statistics(batches)
+    assert abs(mean - 8.977e-3) < 4 * stderr and stderr < 0.04 * mean
+
+
+def test_same_seed_same_bits_and_the_variant_is_given_back(engine):
+    mi = backend.activate(backend.choose("scalar"))
+    scene = slab(mu_a=0.1, mu_s=1, g=0, n=1.3, photodiode=SQUARE)
+    first, second, other = (
+        volpath.phantom_fractions(scene, batches=2, paths_per_batch=512, seed=seed, backend=engine)
+        for seed in (5, 5, 6)
+    )
+    assert np.array_equal(first, second) and not np.array_equal(first, other)
+    assert mi.variant() == "scalar_rgb"
+
+
+def test_what_stock_mitsuba_cannot_do_is_said():
+    scene = slab(
+        mu_a=0.1,
+        mu_s=1,
+        g=0,
+        n=1,
+        led='pattern = "measured"\npattern_deg = [0.0, 90.0]\npattern_relative = [1.0, 0.5]',
+        photodiode=SQUARE,
+    )
+    with pytest.raises(InputError, match="measured"):
+        volpath.phantom_fractions(scene, batches=1, paths_per_batch=256, seed=1, backend=backend.choose("scalar"))
+    plain = slab(mu_a=0.1, mu_s=1, g=0, n=1, photodiode=SQUARE)
+    with pytest.raises(ValueError, match="float32"):
+        volpath.phantom_fractions(plain, batches=1, paths_per_batch=10**8, seed=1, backend=backend.choose("scalar"))
+    for places, values in (([0, 1], [0.1, 0.2]), ([0, 1, 3], [[0.1] * 3]), ([0, 1], [[0.1] * 2] * 4)):
+        with pytest.raises(ValueError):
+            volpath.BedAbsorption(np.array(places), np.array(values))
+
+
+def test_the_bed_varies_along_the_nail_as_asked():
+    """sigma_t and albedo read back from Mitsuba's grids at places between the nodes."""
+    mi = backend.activate(backend.choose("scalar"))
+    v = np.linspace(-6, 6, 121)
+    states = np.stack([0.1 + 0.05 * np.tanh(v), 0.2 - 0.01 * v, np.full_like(v, 0.3)])
+    made = volpath_scene.bed_medium(
+        mi, volpath.BedAbsorption(v, states), mu_s=20.0, g=0.9, bounds_mm=np.array([[-5.0, -5, -9], [5, 5, 0]])
+    )
+    sigma_t, albedo = mi.load_dict(made["sigma_t"]), mi.load_dict(made["albedo"])
+    assert sigma_t.max() >= 1.05 * (states.max() + 20)
+    for x, y, z in ((0, 0.0, -1), (4.9, 3.33, -8.9), (-4.9, -4.87, -0.1)):
+        point = mi.Interaction3f()
+        point.p = mi.Point3f(x, y, z)
+        expected = np.array([np.interp(y, v, state) for state in states])
+        total, share = (np.array(volume.eval(point)) for volume in (sigma_t, albedo))
+        assert np.allclose(total, expected + 20, rtol=1e-5)
+        assert np.allclose(total * (1 - share), expected, rtol=1e-3)
+    with pytest.raises(ValueError, match="does not cover"):
+        volpath_scene.bed_medium(
+            mi, volpath.BedAbsorption(v, states), mu_s=20.0, g=0.9, bounds_mm=np.array([[-5.0, -9, -9], [5, 5, 0]])
+        )
+
+
+FINGER = """
+schema_version = 1
+[finger]
+[[leds]]
+name = "ir"
+wavelength_nm = 800.0
+position_mm = [-1.2, 0.0]
+[[photodiodes]]
+name = "near"
+position_mm = [0.0, 0.0]
+size_mm = [1.0, 0.25]
+"""
+
+
+@pytest.fixture(scope="module")
+def finger():
+    """A finger with one LED and one photodiode beside it, and its media in three blood states."""
+    return prepare(FINGER)
+
+
+def prepare(text):
+    scene = parse_scene(text)
+    shape = geometry.build(scene)
+    optics = finger_media(scene, shape.regions, 800.0)
+    v = np.linspace(-14, 9, 231)
+    bloodless = optics.mu_a[shape.regions.index("bed")]
+    # 1, 3 and 6 % of blood of 0.437 per mm, smoothly less towards the tip.
+    states = bloodless + 0.437 * np.outer([0.01, 0.03, 0.06], 1 - 0.3 / (1 + np.exp(-v)))
+    return scene, shape, optics, volpath.BedAbsorption(v, states)
+
+
+def read(finger, engine, *, seed, batches, swapped=True, keep=slice(None), optics=None):
+    scene, shape, media, bed = finger
+    return volpath.finger_fractions(
+        scene,
+        shape,
+        optics or media,
+        bed=volpath.BedAbsorption(bed.v_mm, bed.mu_a_per_mm[keep]),
+        led=0,
+        photodiode=0,
+        batches=batches,
+        paths_per_batch=2048,
+        seed=seed,
+        backend=engine,
+        swapped=swapped,
+    )
+
+
+@pytest.mark.jit
+def test_a_finger_reads_the_same_with_either_backend(finger, jit_backend):
+    (one, one_error), (two, two_error) = (
+        statistics(read(finger, engine, seed=seed, batches=8))
+        for seed, engine in ((1, jit_backend), (2, backend.choose("scalar")))
+    )
+    assert np.all(abs(one - two) < 4 * np.hypot(one_error, two_error))
+    assert np.all(np.hypot(one_error, two_error) < 0.2 * one)
+
+
+def test_more_blood_dims_the_reading_and_states_share_their_noise(finger):
+    batches = read(finger, backend.choose("scalar"), seed=3, batches=8)
+    assert batches.shape == (8, 3)
+    mean, stderr = statistics(batches)
+    for a, b in ((0, 1), (1, 2)):
+        change, error = statistics(batches[:, b] - batches[:, a])
+        assert change < -4 * error
+        assert error < 0.3 * stderr[a]
+
+
+@pytest.mark.slow
+def test_swapped_roles_give_the_same_reading(finger):
+    """Reciprocity on a finger with refraction: from the die to the photodiode as back."""
+    # A large die, because tracing from the photodiode must find it.
+    wide = prepare(FINGER.replace("position_mm = [-1.2, 0.0]", "position_mm = [-1.25, 0.0]\nsize_mm = [1.0, 1.0]"))
+    engine = backend.choose("auto")
+    (one, one_error), (two, two_error) = (
+        statistics(read(wide, engine, seed=seed, batches=24, swapped=swapped))
+        for seed, swapped in ((4, True), (5, False))
+    )
+    assert np.all(abs(one - two) < 4 * np.hypot(one_error, two_error))
+    assert np.all(np.hypot(one_error, two_error) < 0.1 * one)
+
+
+def test_without_index_steps_the_finger_is_traced_through_null_boundaries(finger):
+    scene, shape, media, bed = finger
+    matched = replace(media, n=np.ones_like(media.n))
+    batches = read(finger, backend.choose("scalar"), seed=6, batches=4, keep=slice(1), optics=matched)
+    assert batches.shape == (4, 1) and 0 < batches.mean() < 0.1
