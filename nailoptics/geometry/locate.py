@@ -42,7 +42,7 @@ class Locator:
         """Sort the tetrahedra of a grid."""
         corners, labels, rows = grid.tetrahedra()
         edges = corners[:, 1:] - corners[:, :1]
-        solid = np.linalg.det(edges) > 1e-15
+        solid = np.linalg.det(edges) > 1e-14
         corners, labels, rows, edges = corners[solid], labels[solid], rows[solid], edges[solid]
         flat = corners[:, :, [0, 2]]
         low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
@@ -59,7 +59,9 @@ class Locator:
         box = ((rows[owner].astype(np.int64) * BINS) + bin_x) * BINS + bin_z
         boxes = (len(grid.rows_mm) - 1) * BINS * BINS
         start = np.concatenate([[0], np.cumsum(np.bincount(box, minlength=boxes))])
-        inverse = np.linalg.inv(np.swapaxes(edges, 1, 2))
+        one, two, three = edges[:, 0], edges[:, 1], edges[:, 2]
+        normals = np.stack([np.cross(two, three), np.cross(three, one), np.cross(one, two)], axis=1)
+        inverse = normals / np.einsum("ij,ij->i", one, normals[:, 0])[:, None, None]
         members = owner[np.argsort(box, kind="stable")]
         return cls(grid.rows_mm, low, per_mm, start, members, inverse, corners[:, 0].copy(), labels)
 

@@ -132,25 +132,24 @@ class Nodes:
         body = np.empty((len(outer), len(rows), 4, 2))
         caps = np.array([0.45, 0.3, 0.2, 0.0])
         edge = nail[-1] - [0.0, shape.center_z]
-        edge_phi = np.arctan2(edge[0, :, 0], edge[0, :, 1])
         around = (np.abs(outer) - self.phi[len(self.theta) - 1]) / (np.pi - self.phi[len(self.theta) - 1])
         for k, depth in enumerate((*below_skin, 0.0)):
             # Under the nail columns point to its axis and elsewhere to the central line; angles that run evenly from
             # the nail's edge to the pulp keep columns from crossing on the way from one to the other.
-            phi = np.sign(outer) * (edge_phi[k] + (np.pi - edge_phi[k]) * around)
-            both = np.append(phi, edge_phi[k])
-            skin = shape.skin(both, rows)
+            edge_phi = np.arctan2(edge[:, k, 0], edge[:, k, 1])
+            phi = np.sign(outer)[:, None] * (edge_phi + (np.pi - edge_phi) * around[:, None])
+            skin = shape.skin(np.concatenate([phi, edge_phi[None]]), rows)
             distance = skin - np.minimum(depth, caps[k] * skin)
             step = np.linalg.norm(edge[:, k], axis=-1) - distance[-1]
             distance = distance[:-1] + step * (1 - smooth_step(2 * around))[:, None]
-            body[:, :, k] = [0.0, shape.center_z] + distance[..., None] * _direction(phi)[:, None]
+            body[:, :, k] = [0.0, shape.center_z] + distance[..., None] * _direction(phi)
         return np.concatenate([nail, body])
 
     def _growth(self, phi: Array, beyond: Array, depth: float) -> Array:
         """Size of the sections beyond the nail, relative to that at its free edge, (a, n) float; 0 at the end."""
         shape = self.shape
         stretched = shape.nail_end + (beyond - shape.nail_end) * shape.beyond_nail / (shape.beyond_nail - depth)
-        size = shape.skin(phi, stretched) / shape.skin(phi, np.array([shape.nail_end]))
+        size = shape.skin(phi[:, None], stretched) / shape.skin(phi[:, None], np.array([shape.nail_end]))
         return np.where(beyond < shape.tip - depth - 1e-6, size, 0.0)
 
     def _bone(self, bed: Array) -> Array:

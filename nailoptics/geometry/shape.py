@@ -120,22 +120,30 @@ class Shape:
         return self.tip - self.finger.bone_to_tip_mm
 
     def skin(self, phi: Array, y: Array) -> Array:
-        """Distance from the central line to the skin (or nail), (n, m) for (n,) angles and (m,) places."""
+        """Distance from the central line to the skin (or nail), for angles and places that broadcast."""
         finger, half_width = self.finger, self.finger.width_mm / 2
-        width = half_width * taper((y - self.tip) / half_width + 1, exponent=2.5)
+        width = half_width * taper((y - self.tip) / self._width_rounding + 1, exponent=2.5)
         down_length = 0.6 * finger.thickness_mm
         down = (finger.thickness_mm + self.center_z) * taper((y - self.tip) / down_length + 1, exponent=2.0)
         top = taper((y - self.nail_end) / self.beyond_nail, exponent=2.0)
-        sin, cos = np.abs(np.sin(phi))[:, None], np.cos(phi)[:, None]
+        sin, cos = np.abs(np.sin(phi)), np.cos(phi)
         tiny = 1e-12  # keeps the section of zero size at the tip finite
         height = np.where(cos > 0, -self.center_z * top, down)
         power = np.where(cos > 0, 2.0, PULP_EXPONENT)
         section = ((sin / (width + tiny)) ** power + (np.abs(cos) / (height + tiny)) ** power) ** (-1 / power)
-        nail = self._nail_circle(phi)[:, None] * top
-        weight = self._fold_weight(phi)[:, None]
+        nail = self._nail_circle(phi) * top
+        weight = self._fold_weight(phi)
         # The mean of inverse squares follows the nearer of the two, so that a flat nail raises no fold.
         mixed = ((1 - weight) / (nail + tiny) ** 2 + weight / section**2) ** -0.5
         return mixed + (1 - weight) * self.fold(y)
+
+    @property
+    def _width_rounding(self) -> float:
+        """Length over which the tip narrows; blunter where a wide nail needs the width to its end."""
+        half_width = self.finger.width_mm / 2
+        span = self.finger.nail_radius_mm * np.sin(self.nail_half_angle)
+        needed = min(1.08 * span / half_width, 0.97)
+        return float(min(half_width, self.beyond_nail / (1 - (1 - needed**2.5) ** 0.4)))
 
     def fold(self, y: Array) -> Array:
         """Height of the skin above the nail's cylinder, same shape as y: the fold of skin over the nail's root."""
@@ -167,4 +175,8 @@ class Shape:
 
     def _fold_weight(self, phi: Array) -> Array:
         edge = self.nail_angle_to_phi(np.array(self.nail_half_angle))
-        return smooth_step((np.abs(signed_angle(phi)) - edge) / FOLD_RAD)
+        across, up = self.finger.width_mm / 2, -self.center_z
+        section = ((np.sin(edge) / across) ** 2 + (np.cos(edge) / up) ** 2) ** -0.5
+        # Where the skin lies much higher than the nail's edge it takes a longer way up.
+        rise = max(0.0, float(section / self._nail_circle(edge)) - 1)
+        return smooth_step((np.abs(signed_angle(phi)) - edge) / (FOLD_RAD + 0.5 * rise))
