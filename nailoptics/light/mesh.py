@@ -1,0 +1,320 @@
+"""The photon walk through a finger: scattering between interfaces, and rays only where one may be met."""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import geometry
+from ..geometry import Geometry
+from ..scene import Scene
+from . import media
+from .tracing import Batch
+from .walk import (
+    ABSORBED,
+    BOTTOM,
+    FAR,
+    KILLED_SHARE,
+    LONG_LIFE,
+    LOST,
+    TOP,
+    emission_cosine,
+    emission_table,
+    energy_sums,
+    fresnel,
+    henyey_greenstein,
+    lifetime,
+    turn,
+)
+
+# Outcomes from here on name the photodiode that a photon reached.
+DETECTED = 16
+# How a region treats light that arrives from a medium.
+ENTERED, MIRRORED, LEFT = 0, 1, 2
+# Scatterings without a ray before lanes wait for each other; more leave lanes idle, fewer cast rays for few lanes.
+FREE_EVENTS = 24
+
+
+class MeshTracer:
+    """Traces the LEDs of a finger scene."""
+
+    batch_photons = 1 << 17
+
+    def __init__(self, scene: Scene, shape: Geometry | None = None) -> None:
+        self.scene = scene
+        self.shape = geometry.build(scene) if shape is None else shape
+        self.photodiodes = tuple(self.shape.regions[face.region].partition(":")[2] for face in self.shape.photodiodes)
+        self.absorbers = media.absorbers(scene)
+        self.mesh_scene = _mesh_scene(self.shape)
+        self.triangles = _triangle_table(self.shape)
+        self.grid = _Grid(geometry.distance_grid(self.shape))
+        self.regions = [_RegionTable(self, led.wavelength_nm) for led in scene.leds]
+
+    def mu_a(self, led: int) -> np.ndarray:
+        """Absorption for which the weights hold, (r,) float. [mm^-1]"""
+        return media.absorption(self.scene, self.scene.leds[led].wavelength_nm)[0]
+
+    def batch(self, led: int, *, photons: int, seed: int) -> Batch:
+        """Trace some photons of one LED."""
+        outcome, weight, roulette, paths, events = self.walk(led, photons=photons, seed=seed)
+        seen = np.flatnonzero(outcome >= DETECTED)
+        # Light that ends in a photodiode is absorbed there, as far as the energy goes.
+        whereabouts = np.where(outcome >= DETECTED, ABSORBED, outcome)
+        return Batch(
+            photons=photons,
+            photodiode=(outcome[seen] - DETECTED).astype(np.uint16),
+            weight=weight[seen].astype(float),
+            path_mm=self._by_zone(paths[:, seen]),
+            energy=energy_sums(whereabouts, weight.astype(float), roulette.astype(float)),
+            events=events,
+        )
+
+    def walk(self, led: int, *, photons: int, seed: int, section: Any = None) -> tuple[np.ndarray, ...]:
+        """Outcome, weight, roulette (n,) and paths (media + zones - 1, n) of each photon, and the scatterings in all."""
+        lanes = min(photons, 8192 if dr.backend_v(mi.Float) == dr.JitBackend.LLVM else 1 << 18)
+        count = dr.full(mi.UInt32, photons // lanes, lanes) + dr.select(
+            dr.arange(mi.UInt32, lanes) < photons % lanes, mi.UInt32(1), mi.UInt32(0)
+        )
+        blood = media.zones(self.scene)
+        tallies = len(media.TISSUES) + blood.count - 1
+        results = [dr.zeros(mi.UInt32, photons)] + [dr.zeros(mi.Float, photons) for _ in range(2 + tallies)]
+        events = _walk(
+            mi.PCG32(size=lanes, initstate=dr.opaque(mi.UInt64, seed)),
+            count,
+            self.mesh_scene,
+            self.triangles,
+            self.grid,
+            self.regions[led],
+            _emitter(self.shape.leds[led], self.scene.leds[led]),
+            [dr.opaque(mi.Float, edge) for edge in blood.edges_mm],
+            dr.opaque(mi.Float, blood.width_mm),
+            results,
+        )
+        dr.eval(events, results)
+        outcome, weight, roulette, *paths = (np.array(a) for a in results)
+        return outcome, weight, roulette, np.stack(paths), int(np.array(events).sum(dtype=np.int64))
+
+    def _by_zone(self, paths: np.ndarray) -> np.ndarray:
+        """Paths in the order of the absorbers, (n, r): the bed's divided among its zones."""
+        bed = media.TISSUES.index("bed")
+        beyond = [paths[bed], *paths[len(media.TISSUES) :], np.zeros_like(paths[bed])]
+        zones = [a - b for a, b in zip(beyond, beyond[1:], strict=False)]
+        return np.stack([paths[0], *zones, *paths[bed + 1 : len(media.TISSUES)]], -1).astype(np.float32)
+
+
+class _RegionTable:
+    """Optics of each region as Dr.Jit arrays, at rest and at one wavelength."""
+
+    def __init__(self, tracer: MeshTracer, wavelength_nm: float) -> None:
+        names = tracer.shape.regions
+        optics = media.finger_media(tracer.scene, names, wavelength_nm)
+        rest = dict(zip(tracer.absorbers, media.absorption(tracer.scene, wavelength_nm)[0], strict=True))
+        rest["bed"] = rest["bed_1"]  # at rest all zones hold the same blood
+        first = {name: i for i, name in enumerate(names)}
+        detectors = {face.region: DETECTED + i for i, face in enumerate(tracer.shape.photodiodes)}
+        end = [BOTTOM if name == "cut" else detectors.get(i, ABSORBED) for i, name in enumerate(names)]
+        self.mu_a = mi.Float([rest.get(name, 0.0) for name in names])
+        self.mu_s = mi.Float(optics.mu_s)
+        self.g = mi.Float(optics.g)
+        self.n = mi.Float(optics.n)
+        self.opaque = mi.UInt32(optics.opaque.astype(np.uint32))
+        self.reflectance = mi.Float(optics.reflectance)
+        self.end = mi.UInt32(np.array(end, np.uint32))
+        self.medium = mi.UInt32(np.array([media.TISSUES.index(n) if n in media.TISSUES else 99 for n in names], np.uint32))
+        self.bed, self.epoxy, self.air = (dr.opaque(mi.UInt32, first[name]) for name in ("bed", "epoxy", "air"))
+
+
+class _Grid:
+    """Lower bounds of the distance to the nearest interface, at the centres of a regular grid."""
+
+    def __init__(self, grid: Any) -> None:
+        self.values = mi.Float(np.ascontiguousarray(grid.distance_mm.transpose(2, 1, 0), np.float32).ravel())
+        self.shape = [dr.opaque(mi.UInt32, int(n)) for n in grid.distance_mm.shape]
+        self.origin = [dr.opaque(mi.Float, float(x)) for x in grid.origin_mm]
+        self.spacing = dr.opaque(mi.Float, float(grid.spacing_mm))
+
+    def free(self, p: Any, active: Any) -> Any:
+        """A distance at p within which no interface lies; 0 where nothing is known."""
+        cell, off = [], mi.Float(0)
+        inside = mi.Bool(active)
+        for value, low, n in zip(p, self.origin, self.shape, strict=True):
+            place = (value - low) * dr.rcp(self.spacing)
+            index = mi.Int32(dr.floor(place))
+            inside &= (index >= 0) & (mi.UInt32(index) < n)
+            cell.append(mi.UInt32(index))
+            off += dr.square(place - mi.Float(index) - 0.5)
+        at = cell[0] + self.shape[0] * (cell[1] + self.shape[1] * cell[2])
+        return dr.maximum(dr.gather(mi.Float, self.values, at, inside) - dr.sqrt(off) * self.spacing, 0)
+
+
+def _mesh_scene(shape: Geometry) -> Any:
+    mesh = mi.Mesh("interfaces", len(shape.vertices), len(shape.triangles))
+    params = mi.traverse(mesh)
+    params["vertex_positions"] = mi.Float(shape.vertices.astype(np.float32).ravel())
+    params["faces"] = mi.UInt32(shape.triangles.astype(np.uint32).ravel())
+    params.update()
+    return mi.load_dict({"type": "scene", "interfaces": mesh}, optimize=False)
+
+
+def _triangle_table(shape: Geometry) -> Any:
+    """Per triangle: normal (3) and, packed into the bits of the fourth number, the regions below and above."""
+    a, b, c = (shape.vertices[shape.triangles[:, i]] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    table = np.empty((len(normal), 4), np.float32)
+    table[:, :3] = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    table[:, 3] = (shape.below + 1 + (shape.above.astype(np.uint32) + 1) * 1024).astype(np.float32)
+    return mi.Float(table.ravel())
+
+
+def _emitter(face: Any, led: Any) -> dict[str, Any]:
+    """Corners of the die's facets and their shares of its area."""
+    quads = np.asarray(face.quads)
+    area = np.linalg.norm(np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]), axis=1) / 2
+    return {
+        "upto": mi.Float(np.cumsum(area) / area.sum()),
+        "corners": mi.Float(quads.astype(np.float32).ravel()),
+        "normal": mi.Float(np.asarray(face.normal, np.float32).ravel()),
+        "emission": mi.Float(emission_table(led)),
+    }
+
+
+def _launch(rng: Any, emitter: dict[str, Any]) -> tuple[Any, Any, Any]:
+    """Place and direction of a new photon, and the optical depth of absorption at which it will end."""
+    facets = dr.width(emitter["upto"])
+    pick, facet = rng.next_float32(), mi.UInt32(0)
+    for i in range(facets - 1):
+        facet += dr.select(pick >= dr.gather(mi.Float, emitter["upto"], i), mi.UInt32(1), mi.UInt32(0))
+    a, b, c, d = (dr.gather(mi.Point3f, emitter["corners"], 4 * facet + i) for i in range(4))
+    u, v = rng.next_float32(), rng.next_float32()
+    normal = dr.gather(mi.Vector3f, emitter["normal"], facet)
+    p = dr.lerp(dr.lerp(a, b, u), dr.lerp(d, c, u), v)
+    cos = emission_cosine(emitter["emission"], rng.next_float32())
+    w = turn(normal, cos, 2 * dr.pi * rng.next_float32())
+    return mi.Point3f(_off(p, normal)), mi.Vector3f(w), lifetime(rng.next_float32())
+
+
+def _off(p: Any, normal: Any) -> Any:
+    """A point moved off a face by a little more than float32 resolves there."""
+    return p + normal * (2e-6 * (1 + dr.max(dr.abs(p))))
+
+
+@dr.syntax
+def _walk(
+    rng: Any,
+    count: Any,
+    scene: Any,
+    triangles: Any,
+    grid: _Grid,
+    region_of: _RegionTable,
+    emitter: dict[str, Any],
+    edges: list[Any],
+    width: Any,
+    results: list[Any],
+) -> Any:
+    """Scatterings per lane; a lane walks one photon after the other, so that none waits for one long life."""
+    F, U, B = mi.Float, mi.UInt32, mi.Bool
+    outcome_of, weight_of, roulette_of, *path_of = results
+    lanes, kinds, inner = dr.width(count), len(media.TISSUES), len(edges)
+    photon = dr.arange(U, lanes)
+    p, w, life = _launch(rng, emitter)
+    tau, boost, given = dr.zeros(F, lanes), dr.full(F, 1, lanes), dr.zeros(F, lanes)
+    region = dr.full(U, 0, lanes) + region_of.epoxy
+    age, events = dr.zeros(U, lanes), dr.zeros(U, lanes)
+    path = [dr.zeros(F, lanes) for _ in range(kinds + inner)]
+    active = count > 0
+    while dr.hint(active, label="finger walk"):
+        mu_s = dr.gather(F, region_of.mu_s, region, active)
+        g = dr.gather(F, region_of.g, region, active)
+        in_bed = region == region_of.bed
+        scatters = mu_s > 0
+        length = dr.select(scatters, -dr.rcp(mu_s), -FAR)
+        step = length * dr.log(1 - rng.next_float32())
+        step = dr.select(scatters, step, FAR)
+        free = grid.free(p, active)
+        along, spent = F(0), U(0)
+        passed = [F(0) for _ in range(inner)]
+        # Inside the free distance nothing can be met: scatter without asking where the interfaces are.
+        while active & (step < free) & (spent < FREE_EVENTS):
+            middle = dr.fma(0.5 * step, w.y, p.y)
+            for k in range(inner):
+                t = dr.clip((middle - edges[k]) / width + 0.5, 0, 1)
+                passed[k] = passed[k] + dr.select(in_bed, step * t * t * (3 - 2 * t), 0)
+            p = mi.Point3f(p + w * step)
+            along += step
+            w = mi.Vector3f(turn(w, henyey_greenstein(g, rng.next_float32()), 2 * dr.pi * rng.next_float32()))
+            step = length * dr.log(1 - rng.next_float32())
+            free = grid.free(p, True)
+            spent += 1
+
+        stuck = active & (spent < FREE_EVENTS)
+        pi = scene.ray_intersect_preliminary(mi.Ray3f(p, w, step, 0, []), coherent=False, active=stuck)
+        hit = stuck & pi.is_valid()
+        gone = stuck & ~hit & ~scatters
+        step = dr.select(stuck & ~gone, dr.select(hit, pi.t, step), 0)
+        middle = dr.fma(0.5 * step, w.y, p.y)
+        for k in range(inner):
+            t = dr.clip((middle - edges[k]) / width + 0.5, 0, 1)
+            passed[k] = passed[k] + dr.select(in_bed, step * t * t * (3 - 2 * t), 0)
+            path[kinds + k] = path[kinds + k] + passed[k]
+        along += step
+        kind = dr.gather(U, region_of.medium, region, active)
+        for k in range(kinds):
+            path[k] = path[k] + dr.select(kind == k, along, 0)
+        tau = dr.fma(along, dr.gather(F, region_of.mu_a, region, active), tau)
+        p = mi.Point3f(p + w * step)
+        spent += dr.select(stuck & ~hit & ~gone, U(1), U(0))
+        events += spent
+        older = age + spent + 1
+
+        absorbed = tau > life
+        outcome = dr.select(gone, dr.select(region == region_of.air, U(TOP), U(LOST)), U(0))
+        spin, phi = rng.next_float32(), 2 * dr.pi * rng.next_float32()
+        turned = turn(w, henyey_greenstein(g, spin), phi)
+        if hit:
+            row = dr.gather(mi.Vector4f, triangles, pi.prim_index)
+            normal = mi.Vector3f(row.x, row.y, row.z)
+            pair = U(row.w)
+            below, above = (pair & 1023) - 1, (pair >> 10) - 1
+            up = dr.dot(w, normal) > 0
+            there = dr.select(up, above, below)
+            normal = dr.select(up, -normal, normal)
+            mirrored, cos_out, eta = fresnel(
+                -dr.dot(w, normal), n_in=dr.gather(F, region_of.n, region), n_out=dr.gather(F, region_of.n, there)
+            )
+            cos_in = -dr.dot(w, normal)
+            opaque = dr.gather(U, region_of.opaque, there) == 1
+            reflected = spin < dr.select(opaque, dr.gather(F, region_of.reflectance, there), mirrored)
+            diffuse = turn(mi.Vector3f(normal), dr.sqrt(rng.next_float32()), phi)
+            turned = dr.select(
+                reflected,
+                dr.select(opaque, diffuse, w + 2 * cos_in * normal),
+                dr.normalize(eta * w + (eta * cos_in - cos_out) * normal),
+            )
+            outcome = dr.select(opaque & ~reflected, dr.gather(U, region_of.end, there), outcome)
+            # Whoever meets a face from a region that does not touch it has slipped through an edge.
+            outcome = dr.select(dr.select(up, below, above) == region, outcome, U(LOST))
+            p = mi.Point3f(_off(p, dr.select(reflected, normal, -normal)))
+            region = dr.select(reflected, region, there)
+        w = mi.Vector3f(dr.select(stuck, turned, w))
+        outcome = dr.select(absorbed, U(ABSORBED), outcome)
+        if (older >= LONG_LIFE) & ((older ^ age) > age):
+            ends = rng.next_float32() < 0.5
+            given = dr.select(ends, given, given + boost * dr.exp(-(1 - KILLED_SHARE) * tau))
+            boost = dr.select(ends, boost, 2 * boost)
+            outcome = dr.select((outcome == 0) & ends, U(LOST), outcome)
+        age = older
+        if outcome > 0:
+            dr.scatter(outcome_of, outcome, photon)
+            dr.scatter(weight_of, dr.select(absorbed, 0, boost * dr.exp(-(1 - KILLED_SHARE) * tau)), photon)
+            dr.scatter(roulette_of, -given, photon)
+            for target, value in zip(path_of, path, strict=True):
+                dr.scatter(target, value, photon)
+            path = [F(0) for _ in path]
+            photon += lanes
+            count -= 1
+            p, w, life = _launch(rng, emitter)
+            tau, boost, given = F(0), F(1), F(0)
+            region, age = U(region_of.epoxy), U(0)
+        active &= count > 0
+    return events
