@@ -113,14 +113,14 @@ def _phantom(
 
 
 class FingerPaths:
-    """Traces one LED and one photodiode of a finger in up to three blood states at once.
+    """Traces one LED of a finger to one photodiode in up to three blood states, or to up to three in one state.
 
     Parameters
     ----------
     geometry : the finger.
     media : optics of its regions; the bed's own mu_a is not used.
     bed : absorption of the bed along the nail in each state.
-    led, photodiode : indices into geometry.leds and geometry.photodiodes.
+    led, photodiodes : indices into geometry.leds and geometry.photodiodes; several only with one state.
     pattern : the LED, whose angular pattern must be Lambertian.
     swapped : sense at the die and emit from the photodiode (less noise), or the other way round.
     """
@@ -132,32 +132,36 @@ class FingerPaths:
         *,
         bed: BedAbsorption,
         led: int,
-        photodiode: int,
+        photodiodes: tuple[int, ...],
         pattern: Led | None = None,
         backend: Backend | None = None,
         swapped: bool = True,
     ) -> None:
         if pattern is not None:
             check_pattern(pattern)
-        die, element = geometry.leds[led], geometry.photodiodes[photodiode]
-        sensor, light = (die, element) if swapped else (element, die)
-        self.states = len(bed.mu_a_per_mm)
+        states = len(bed.mu_a_per_mm)
+        if not 1 <= len(photodiodes) <= 3 or (len(photodiodes) > 1 and (states > 1 or not swapped)):
+            raise ValueError("three colours can tell states or photodiodes apart, not both")
+        self.channels = max(states, len(photodiodes))
+        die, elements = geometry.leds[led], [geometry.photodiodes[i] for i in photodiodes]
+        colours = {e.region: [float(i == k) for k in range(3)] for i, e in enumerate(elements)}
+        if len(elements) == 1:
+            colours = {(elements[0] if swapped else die).region: [1.0, 1.0, 1.0]}
+        sensor = die if swapped else elements[0]
         self._backend = backend or choose()
         # Irradiance E under radiance 1 gives a throughput E A; a Lambertian die of radiance 1 emits pi A.
         self._scale = sensor.area_mm2 / (math.pi * die.area_mm2)
         with _mitsuba(self._backend) as mi, tempfile.TemporaryDirectory(prefix="nailoptics-") as folder:
-            made = finger_scene(
-                mi, geometry, media, bed, sensor=sensor.region, emitters=(light.region,), folder=Path(folder)
-            )
+            made = finger_scene(mi, geometry, media, bed, sensor=sensor.region, emitters=colours, folder=Path(folder))
             self._scene = mi.load_dict(made, optimize=False)
 
     def batch(self, *, paths: int, seed: int) -> NDArray[np.float64]:
-        """Detected fraction of the LED's power in each state from one batch, (states,) float.
+        """Detected fraction of the LED's power in each state or photodiode from one batch, (channels,) float.
 
         Cannot be interrupted where kernels are compiled: ask `paths_for` how many paths a second or two can hold.
         """
         with _mitsuba(self._backend) as mi:
-            return _render(mi, self._scene, paths=paths, seed=seed)[: self.states] * self._scale
+            return _render(mi, self._scene, paths=paths, seed=seed)[: self.channels] * self._scale
 
     def paths_for(self, seconds: float) -> int:
         """How many paths take about this long; measured, and rounded to whole samples per pixel."""
@@ -200,7 +204,7 @@ def finger_fractions(
         media,
         bed=bed,
         led=led,
-        photodiode=photodiode,
+        photodiodes=(photodiode,),
         pattern=scene.leds[led],
         backend=backend,
         swapped=swapped,

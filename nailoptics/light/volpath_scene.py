@@ -222,10 +222,12 @@ def finger_scene(
     bed: BedAbsorption,
     *,
     sensor: int,
-    emitters: tuple[int, ...],
+    emitters: dict[int, list[float]],
     folder: Path,
 ) -> dict[str, Any]:
-    """A finger seen from the region `sensor`, lit by the regions `emitters`; its meshes are written to a folder.
+    """A finger seen from the region `sensor`, lit by `emitters`; its meshes are written to a folder.
+
+    emitters : Colours (3,) by region.
 
     Dies and photodiodes look into the epoxy only; what else they touch is black.
     """
@@ -262,7 +264,7 @@ def finger_scene(
                 inside = {"medium": {"type": "ref", "id": refs[epoxy]}} if refs[epoxy] else {}
                 shape["sensor"] = {"type": "irradiancemeter", "film": film()} | inside
             if above == epoxy and below in emitters:
-                shape["emitter"] = emitter([1.0, 1.0, 1.0])
+                shape["emitter"] = emitter(emitters[below])
         else:
             bsdf = boundary(n_below=float(media.n[below]), n_above=float(media.n[above]))
             if bsdf["type"] == "null" and refs[below] is refs[above] is None:

@@ -7,7 +7,7 @@ import pytest
 
 from nailoptics import geometry
 from nailoptics.errors import InputError
-from nailoptics.light import backend, volpath, volpath_scene
+from nailoptics.light import backend, volpath, volpath_scene, volpath_states
 from nailoptics.light.media import finger_media
 from nailoptics.scene import parse_scene
 
@@ -266,3 +266,47 @@ def test_without_index_steps_the_finger_is_traced_through_null_boundaries(finger
     matched = replace(media, n=np.ones_like(media.n))
     batches = read(finger, backend.choose("scalar"), seed=6, batches=4, keep=slice(1), optics=matched)
     assert batches.shape == (4, 1) and 0 < batches.mean() < 0.1
+
+
+def test_photodiodes_told_apart_by_colour_read_what_each_reads_alone():
+    """Three photodiodes in one trace against one each, in the scalar variant."""
+    two = """
+[[photodiodes]]
+name = "far"
+position_mm = [0.0, 1.0]
+size_mm = [1.0, 1.0]
+"""
+    scene, shape, media, bed = prepare(FINGER + two)
+    rest = volpath.BedAbsorption(bed.v_mm, bed.mu_a_per_mm[:1])
+    scalar = backend.choose("scalar")
+
+    def trace(photodiodes, seed):
+        paths = volpath.FingerPaths(shape, media, bed=rest, led=0, photodiodes=photodiodes, backend=scalar)
+        return statistics(np.stack([paths.batch(paths=2048, seed=100 * seed + k) for k in range(6)]))
+
+    together, error = trace((0, 1), 1)
+    for i in (0, 1):
+        alone, alone_error = trace((i,), 2 + i)
+        assert abs(alone[0] - together[i]) < 4 * np.hypot(alone_error[0], error[i])
+        assert alone_error[0] < 0.3 * alone[0]
+    with pytest.raises(ValueError, match="not both"):
+        volpath.FingerPaths(shape, media, bed=bed, led=0, photodiodes=(0, 1), backend=scalar)
+
+
+def test_states_of_every_photodiode_within_a_time_or_a_tolerance(finger, monkeypatch):
+    scene, shape, media, bed = finger
+    monkeypatch.setattr(volpath_states, "BATCH_SECONDS", 0.2)
+    heard = []
+    common = dict(bed=bed, led=0, seed=1, backend=backend.choose("scalar"))
+    result = volpath_states.finger_states(
+        scene, shape, media, relative_error=0.25, max_seconds=60, progress=lambda *told: heard.append(told), **common
+    )
+    assert result.reached and result.fraction.shape == result.ratio_stderr.shape == (1, 3)
+    assert np.all(result.fraction_stderr < 0.3 * result.fraction)
+    assert np.all(result.ratio[:, 0] == 1) and np.all(result.ratio_stderr[:, 0] < 1e-12)
+    other, other_error = volpath_states.ratio_to_first(read(finger, backend.choose("scalar"), seed=9, batches=8))
+    assert np.all(abs(result.ratio[0] - other)[1:] < 4 * np.hypot(result.ratio_stderr[0], other_error)[1:])
+    assert np.all(result.ratio_stderr < 0.03)
+    assert heard[-1][0] <= 0.25 and len(heard) >= result.batches
+    hurried = volpath_states.finger_states(scene, shape, media, relative_error=1e-4, max_seconds=0.1, **common)
+    assert not hurried.reached and hurried.batches >= volpath_states.RATIO_BATCHES
