@@ -6,8 +6,10 @@ import bisect
 
 import numpy as np
 
-_QUANTUM = 0.02
-"""Change of slope, over one sample and relative to the input's range, after which the integrator stops. [1]"""
+_KINK = 0.01
+"""Change of slope, over one sample and relative to the input's range, that is a kink. [1]"""
+_TURN = 0.3
+"""Sum of the roots of such changes after which a smooth curve gets a stop; a bump of any width sums to some 4. [1]"""
 
 
 class Drive:
@@ -26,8 +28,9 @@ class Drive:
         bend = np.abs(np.diff(slopes, axis=1)) * np.minimum(step[1:], step[:-1]) / span
         bend = bend.max(axis=0, initial=0.0)
         kept = np.concatenate(([0], 1 + np.flatnonzero(bend > 1e-9), [time_s.size - 1]))
-        level = np.floor(np.concatenate(([0.0], np.cumsum(bend))) / _QUANTUM)
-        turns = 1 + np.flatnonzero(np.diff(level) > 0)
+        # The root, since a change of slope over a sample goes with the square of the samples' distance.
+        level = np.floor(np.concatenate(([0.0], np.cumsum(np.sqrt(np.where(bend < _KINK, bend, 0.0))))) / _TURN)
+        turns = 1 + np.flatnonzero((np.diff(level) > 0) | (bend >= _KINK))
         times, points = time_s[kept], values[:, kept]
         piece_slopes = np.diff(points, axis=1) / np.diff(times)
         is_stop = np.isin(kept, turns)

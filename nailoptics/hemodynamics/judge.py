@@ -14,8 +14,8 @@ from nailoptics.hemodynamics.observe import N_PER_CM2, observe
 from nailoptics.hemodynamics.parameters import NAMES, Parameters, parameters
 from nailoptics.hemodynamics.zones import PAPER_ZONES, Zones, zones
 
-REACH = 0.3
-"""Decay length of the distal pressure with eight zones, in lengths of the bed: a band of about half of it at 4 N. [1]"""
+REACH = 0.15
+"""Decay length of the distal pressure with eight zones: the white band takes a part of the bed at 4 N, not all. [1]"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +111,7 @@ def band_width(set_of_parameters: Parameters, force_n: np.ndarray, *, cut: Zones
 
 
 def _band(p: Parameters) -> list[Claim]:
-    """Claims about force past 1 N, with the paper's two zones and with eight that the distal pressure reaches in part."""
+    """Claims about force past 1 N, with two zones and with eight that the distal pressure reaches in part."""
     claims = []
     force = np.linspace(0.0, 4.0, 81)
     inf = math.inf

@@ -116,7 +116,20 @@ _SETS: dict[str, dict[str, float]] = {
         "vein_stiffness_n_per_m": 4e3,
         "capillary_count": 1.4e4,
     },
-    "best": {},
+    # Differential evolution (search), seed 11, 9e4 sets; rounded to three digits.
+    "best": {
+        "capillary_stiffness_n_per_m": 2.22e5,
+        "vein_stiffness_n_per_m": 3.27e3,
+        "capillary_damping_n_s_per_m": 1.43e4,
+        "vein_damping_n_s_per_m": 209.0,
+        "capillary_area_m2": 1.88e-4,
+        "vein_area_m2": 3.53e-5,
+        "capillary_diameter_m": 2.35e-6,
+        "vein_diameter_m": 5.21e-5,
+        "capillary_count": 8.71e4,
+        "vein_count": 16.4,
+        "venule_resistance_pa_s_per_m3": 2.14e10,
+    },
 }
 
 NAMES = tuple(_SETS)

@@ -113,7 +113,8 @@ def _step_panels(figure: Figure, axes: list[Axes], time: np.ndarray, panels: lis
         for path, colour in zip(paths, _step_colours(), strict=True):
             axis.plot(time, path, color=colour)
         axis.set(title=title, ylabel=label, xlabel="time [s]", xlim=(time[0], time[-1]))
-        axis.text(1.0, 1.0, "touch on", transform=axis.get_xaxis_transform(), ha="center", va="top", color=_FAINT)
+        axis.margins(y=0.1)
+        axis.text(1.0, 0.985, "touch on", transform=axis.get_xaxis_transform(), ha="center", va="top", color=_FAINT)
     _colour_scale(figure, axes)
 
 
@@ -127,8 +128,8 @@ def _figure_10(parameters: Parameters) -> Figure:
         axes,
         run["time"].values,
         [
-            ("Capillaries, slow at low pressure and on release", "$D_C + x_{C1}$ [µm]", capillary),
-            ("Vein, equally fast both ways", "$D_V + x_V$ [µm]", vein),
+            ("Proximal capillaries", "$D_C + x_{C1}$ [µm]", capillary),
+            ("Vein", "$D_V + x_V$ [µm]", vein),
         ],
     )
     return figure
@@ -144,8 +145,8 @@ def _figure_11(parameters: Parameters) -> Figure:
         axes,
         run["time"].values,
         [
-            ("Proximal reading: falls (reddening)", "change of $V_{P1}$, eq. (9) [rest blood]", proximal),
-            ("Distal reading: rises (whitening)", "change of $V_{P2}$, eq. (9) [rest blood]", distal),
+            ("Proximal reading", "change of $V_{P1}$, eq. (9) [rest blood]", proximal),
+            ("Distal reading", "change of $V_{P2}$, eq. (9) [rest blood]", distal),
         ],
     )
     return figure
@@ -165,7 +166,7 @@ def _figure_12(parameters: Parameters) -> Figure:
 
 
 def _figures_15_to_18(parameters: Parameters, time_s: np.ndarray, force_n: np.ndarray) -> Figure:
-    figure, axes = _canvas(2, width=9.5, height=4.0)
+    figure, axes = _canvas(2, width=9.5, height=4.3)
     force = np.linspace(0.0, 4.0, 321)
     many = zones(8, decay_length=REACH)
     static, moving = axes
@@ -176,7 +177,7 @@ def _figures_15_to_18(parameters: Parameters, time_s: np.ndarray, force_n: np.nd
     static.axvline(1.0, color=_FAINT, lw=0.9, ls=(0, (4, 3)))
     static.set(title="Steady, against force", xlabel="force on 1 cm² [N]", ylabel="change, eq. (9) [rest blood]")
     static.set_xlim(0.0, 4.0)
-    static.legend(fontsize=8, loc="best")
+    static.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
     proximal, distal = curves.press(parameters, time_s, force_n)
     moving.plot(time_s, proximal, color=_PROXIMAL, label="proximal")
     moving.plot(time_s, distal, color=_DISTAL, label="distal")
@@ -189,5 +190,5 @@ def _figures_15_to_18(parameters: Parameters, time_s: np.ndarray, force_n: np.nd
     side.grid(False)
     side.spines["right"].set_visible(True)
     side.set_ylim(0.0, max(1.25 * float(np.max(force_n)), 1e-9))
-    moving.legend(fontsize=8, loc="best")
+    moving.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
     return figure

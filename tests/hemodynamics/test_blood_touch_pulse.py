@@ -1,0 +1,87 @@
+"""Blood of eq. (7), pressures of a touch, and the pulse of the heart."""
+
+import math
+
+import numpy as np
+import pytest
+
+from nailoptics.errors import InputError
+from nailoptics.hemodynamics import (
+    blood_fraction,
+    cardiac_pressure,
+    parameters,
+    pressures,
+    steady_state,
+    tissue_volume_m3,
+)
+
+
+def test_blood_fraction_is_that_of_rest_at_rest_and_goes_with_the_square():
+    p = parameters("figures")
+    rest = steady_state(p).capillary_diameter_m
+    assert np.allclose(blood_fraction(p, rest, rest_blood_fraction=0.02), 0.02, rtol=1e-14)
+    assert np.allclose(blood_fraction(p, 2 * rest, rest_blood_fraction=0.02), 0.08, rtol=1e-14)
+
+
+def test_tissue_volume_and_blood_fraction_are_both_of_eq_7():
+    p = parameters("listed")
+    diameter = 1.3e-5
+    volume = tissue_volume_m3(p, rest_blood_fraction=0.03)
+    direct = p.capillary_count * p.capillary_length_m * math.pi * diameter**2 / (4 * volume)
+    assert blood_fraction(p, diameter, rest_blood_fraction=0.03) == pytest.approx(direct, rel=1e-12)
+
+
+def test_blood_cannot_be_more_than_all_of_the_tissue():
+    p = parameters("listed")
+    with pytest.raises(InputError, match="more than 1"):
+        blood_fraction(p, 1e-3, rest_blood_fraction=0.03)
+    for bad in (0.0, 1.0, -0.1, math.nan):
+        with pytest.raises(InputError, match="rest_blood_fraction"):
+            blood_fraction(p, 1e-5, rest_blood_fraction=bad)
+    with pytest.raises(InputError, match="must be positive"):
+        blood_fraction(p, -1e-5)
+
+
+def test_an_even_touch_of_1_n_on_1_cm2_is_1_n_per_cm2_on_both():
+    assert pressures(1.0) == (1e4, 1e4)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.5, 1.0])
+def test_the_two_halves_carry_the_force(share):
+    force, area = np.array([0.0, 0.5, 3.0]), 80.0
+    proximal, distal = pressures(force, area, share)
+    half = 0.5 * area * 1e-6
+    assert np.allclose((proximal + distal) * half, force, rtol=1e-12)
+    assert np.allclose(proximal * half, share * force, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        ((-1.0,), "force_n"),
+        ((1.0, 0.0), "contact_area_mm2"),
+        ((1.0, 100.0, 1.1), "proximal_share"),
+        ((np.nan,), "force_n"),
+    ],
+)
+def test_a_touch_that_cannot_be_is_refused(arguments, name):
+    with pytest.raises(InputError, match=name):
+        pressures(*arguments)
+
+
+def test_pulse_has_the_mean_height_and_rate_asked_for():
+    time = np.arange(0.0, 60.0, 1e-3)
+    wave = cardiac_pressure(time, mean_pressure_pa=1.2e4, pulse_pressure_pa=3e3, rate_per_min=72.0)
+    assert wave.mean() == pytest.approx(1.2e4, rel=1e-6)
+    assert np.ptp(wave) == pytest.approx(3e3, rel=1e-3)
+    power = np.abs(np.fft.rfft(wave - wave.mean()))
+    assert np.fft.rfftfreq(time.size, 1e-3)[np.argmax(power)] == pytest.approx(72.0 / 60.0)
+    # It climbs faster than it falls, as an artery does.
+    beat = wave[: int(60e3 / 72.0)]
+    assert np.argmax(beat) - np.argmin(beat) < 0.35 * beat.size
+
+
+@pytest.mark.parametrize("bad", [{"rate_per_min": 0.0}, {"pulse_pressure_pa": -1.0}, {"mean_pressure_pa": np.nan}])
+def test_a_pulse_that_cannot_be_is_refused(bad):
+    with pytest.raises(InputError, match=next(iter(bad))):
+        cardiac_pressure([0.0, 1.0], **bad)

@@ -1,0 +1,111 @@
+"""Steady states: that they balance, close where they should, and agree one by one and all together."""
+
+import numpy as np
+import pytest
+
+from nailoptics.errors import InputError
+from nailoptics.hemodynamics import NAMES, parameters, steady_state, zones
+from nailoptics.hemodynamics.network import state_matrices
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_open_steady_states_are_fixed_points_of_the_printed_equations(name):
+    p = parameters(name)
+    rest = np.array([p.capillary_diameter_m, p.capillary_diameter_m, p.vein_diameter_m])
+    for proximal, distal in [(0.0, 0.0), (2e3, 0.0), (5e3, 3e3), (-1e3, -2e3), (8e3, 8e3)]:
+        s = steady_state(p, proximal_pressure_pa=proximal, distal_pressure_pa=distal)
+        width = np.append(s.capillary_diameter_m, s.vein_diameter_m)
+        a, b = state_matrices(p, width)
+        state = np.concatenate([width - rest, np.zeros(3)])
+        pull = a @ state
+        push = b @ [p.arterial_pressure_pa, p.venous_pressure_pa, proximal, distal]
+        assert np.abs(pull + push).max() < 1e-9 * np.abs(push).max()
+
+
+def test_results_have_the_shapes_of_the_contract():
+    rest = steady_state(parameters("listed"), proximal_pressure_pa=0.0, distal_pressure_pa=0.0)
+    assert rest.capillary_diameter_m.shape == (2,) and rest.capillary_diameter_m.dtype == float
+    assert rest.capillary_pressure_pa.shape == (2,)
+    assert np.ndim(rest.vein_diameter_m) == 0 and np.ndim(rest.vein_pressure_pa) == 0
+    many = steady_state(
+        parameters("listed"), proximal_pressure_pa=np.zeros((3, 1)), distal_pressure_pa=np.zeros((1, 4))
+    )
+    assert many.capillary_diameter_m.shape == (2, 3, 4) and many.vein_diameter_m.shape == (3, 4)
+
+
+def test_many_states_at_once_are_the_states_one_by_one():
+    p = parameters("figures")
+    rng = np.random.default_rng(1)
+    proximal, distal = rng.uniform(-5e3, 2e4, (2, 40))
+    together = steady_state(p, proximal_pressure_pa=proximal, distal_pressure_pa=distal)
+    for i in range(40):
+        alone = steady_state(p, proximal_pressure_pa=proximal[i], distal_pressure_pa=distal[i])
+        assert np.allclose(alone.capillary_diameter_m, together.capillary_diameter_m[:, i], rtol=1e-12)
+        assert alone.vein_diameter_m == pytest.approx(together.vein_diameter_m[i], rel=1e-11)
+
+
+def test_listed_set_gives_the_known_rise_and_closing_pressure():
+    # physics.md, section 2: 7.7 % rise of D_C1^2; the vein closes at P_H + k_V D_V/A_V = 1.1 N/cm^2.
+    p = parameters("listed")
+    touch = np.array([0.0, 1.0985e4, 1.1e4, 1.2e4, 1e6])
+    s = steady_state(p, proximal_pressure_pa=touch)
+    rise = (s.capillary_diameter_m[0] / s.capillary_diameter_m[0, 0]) ** 2 - 1
+    assert rise[-1] == pytest.approx(0.077, abs=5e-4)
+    assert s.vein_diameter_m[1] > 1.4e-3 * p.vein_diameter_m
+    assert np.all(s.vein_diameter_m[2:] == 1e-3 * p.vein_diameter_m)
+    assert np.ptp(s.capillary_diameter_m[:, 2:]) < 1e-12 * p.capillary_diameter_m
+
+
+def test_without_a_pressure_difference_there_is_no_flow():
+    p = parameters("listed").replace(arterial_pressure_pa=3e3, venous_pressure_pa=3e3)
+    s = steady_state(p)
+    assert s.vein_pressure_pa == pytest.approx(3e3) and np.allclose(s.capillary_pressure_pa, 3e3)
+    assert s.vein_diameter_m == pytest.approx(p.vein_diameter_m * (1 + 3e3 / 1e3))
+
+
+@pytest.mark.parametrize("count", [2, 4, 8])
+def test_cutting_a_bed_into_units_that_feel_the_same_changes_nothing(count):
+    p = parameters("figures")
+    s2 = steady_state(p, proximal_pressure_pa=4e3, distal_pressure_pa=7e3)
+    s = steady_state(p, proximal_pressure_pa=4e3, distal_pressure_pa=7e3, zones=zones(count))
+    expected = np.repeat(s2.capillary_diameter_m, count // 2)
+    if count == 2:
+        assert np.array_equal(s.capillary_diameter_m, expected)  # bit for bit
+    assert np.allclose(s.capillary_diameter_m, expected, rtol=1e-11)
+    assert s.vein_diameter_m == pytest.approx(s2.vein_diameter_m, rel=1e-11)
+
+
+def test_where_a_unit_could_balance_twice_the_widest_balance_is_returned():
+    # Strong feedback (R_A0/R_V1 about 120) on a soft wall: open and nearly closed both balance.
+    p = parameters("listed").replace(capillary_count=1e3, capillary_stiffness_n_per_m=1.5e4)
+    touch = np.linspace(0.0, 9e3, 2000)
+    s = steady_state(p, distal_pressure_pa=touch)
+    width = s.capillary_diameter_m[1] / p.capillary_diameter_m
+    jumps = -np.diff(width)
+    assert jumps.max() > 0.3 and np.sum(jumps > 0.05) == 1  # one fold, and smooth elsewhere
+    # At each pressure the state balances, before the fold and after it.
+    tension = p.capillary_stiffness_n_per_m * p.capillary_diameter_m / p.capillary_area_m2
+    balance = s.capillary_pressure_pa[1] - touch - tension * (width - 1)
+    assert np.abs(balance[width > 1.0001e-3]).max() < 1e-6
+    at_fold = int(np.argmax(jumps))
+    assert width[at_fold] > width[at_fold + 1]
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, "much", [1.0, np.nan]])
+def test_pressures_must_be_finite_numbers(bad):
+    with pytest.raises(InputError, match="proximal_pressure_pa"):
+        steady_state(parameters("listed"), proximal_pressure_pa=bad)
+
+
+def test_zones_with_other_inputs_take_all_pressures_together():
+    from nailoptics.hemodynamics import Zones
+
+    cut = Zones(share=(1.0, 1.0), reach=((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)), vein_reach=(1.0, 0.0, 0.0))
+    p = parameters("listed")
+    with pytest.raises(InputError, match="zones take 3 pressures"):
+        steady_state(p, zones=cut)
+    with pytest.raises(InputError, match="must hold 3 inputs"):
+        steady_state(p, zones=cut, pressure_pa=[1.0, 2.0])
+    three = steady_state(p, zones=cut, pressure_pa=[2e3, 3e3, 0.0])
+    two = steady_state(p, proximal_pressure_pa=2e3, distal_pressure_pa=3e3)
+    assert np.array_equal(three.capillary_diameter_m, two.capillary_diameter_m)
