@@ -16,6 +16,8 @@ from .shape import Shape
 
 log = logging.getLogger(__name__)
 
+FOLDS_RAD = (0.28, 0.6, 1.2)
+
 
 def build(scene: Scene, *, resolution: float = 1.0) -> Geometry:
     """Build the finger of a scene and the board on its nail.
@@ -29,11 +31,7 @@ def build(scene: Scene, *, resolution: float = 1.0) -> Geometry:
         raise InputError("geometry: a phantom has no finger to build; give a scene with [finger].")
     if not 0.1 <= resolution <= 10:
         raise InputError(f"resolution = {resolution:g}: must be between 0.1 and 10.")
-    shape = Shape(scene.finger)
-    board = BentBoard(scene, shape)
-    nodes = Nodes(shape, board, resolution)
-    grid = Grid(nodes.positions(), nodes.labels())
-    _check_unfolded(grid)
+    board, grid = _grid(scene, resolution)
     vertices, triangles, below, above = grid.interfaces()
     parts = board.layout
     first = len(REGIONS)
@@ -55,14 +53,21 @@ def build(scene: Scene, *, resolution: float = 1.0) -> Geometry:
     return geometry
 
 
-def _check_unfolded(grid: Grid) -> None:
-    corners, labels, _ = grid.tetrahedra()
-    volume = np.linalg.det(corners[:, 1:] - corners[:, :1])
-    if volume.min() < -1e-9:
-        raise InputError(
-            "finger: these sizes do not make a finger: its layers cross one another; bring width_mm, thickness_mm, "
-            "nail_width_mm, nail_radius_mm and the layers' thicknesses closer to anatomy."
-        )
+def _grid(scene: Scene, resolution: float) -> tuple[BentBoard, Grid]:
+    """The board and the grid, with the steepest folds of skin beside the nail that leave the layers apart."""
+    assert scene.finger is not None
+    for fold_rad in FOLDS_RAD:
+        shape = Shape(scene.finger, fold_rad)
+        board = BentBoard(scene, shape)
+        nodes = Nodes(shape, board, resolution)
+        grid = Grid(nodes.positions(), nodes.labels())
+        corners, _, _ = grid.tetrahedra()
+        if np.linalg.det(corners[:, 1:] - corners[:, :1]).min() > -1e-9:
+            return board, grid
+    raise InputError(
+        "finger: these sizes do not make a finger: its layers cross one another; bring width_mm, thickness_mm, "
+        "nail_width_mm, nail_radius_mm and the layers' thicknesses closer to anatomy."
+    )
 
 
 def _face(grid: Grid, name: str, region: int) -> Face:

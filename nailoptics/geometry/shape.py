@@ -13,7 +13,6 @@ Array = NDArray[np.float64]
 PULP_EXPONENT = 2.3  # of the superellipse that the section is on the pulp's side; on the nail's it is an ellipse
 PHALANX_MM = 15.8  # length of the distal phalanx
 BONE_ROUNDING_MM = 3.0
-FOLD_RAD = 0.28  # angle over which the skin beside the nail leaves the nail's cylinder
 FOLD_MM = 0.4  # how high the fold of skin at the nail's root rises above the nail
 FOLD_LENGTH_MM = 1.5
 
@@ -47,6 +46,8 @@ class Shape:
     """
 
     finger: Finger
+    fold_rad: float = 0.28
+    """Angle over which the skin beside the nail leaves the nail's cylinder, at least. [rad]"""
 
     def __post_init__(self) -> None:
         finger, edge = self.finger, self.nail_half_angle
@@ -179,4 +180,4 @@ class Shape:
         section = ((np.sin(edge) / across) ** 2 + (np.cos(edge) / up) ** 2) ** -0.5
         # Where the skin lies much higher than the nail's edge it takes a longer way up.
         rise = max(0.0, float(section / self._nail_circle(edge)) - 1)
-        return smooth_step((np.abs(signed_angle(phi)) - edge) / (FOLD_RAD + 0.5 * rise))
+        return smooth_step((np.abs(signed_angle(phi)) - edge) / (self.fold_rad + 0.5 * rise))
