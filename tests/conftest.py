@@ -1,0 +1,64 @@
+"""What all tests share: the backends that trace light, and no skips in CI."""
+
+import os
+from collections.abc import Iterator
+
+import pytest
+
+from nailoptics.errors import InputError
+from nailoptics.light import backend
+
+IN_CI = os.environ.get("CI", "").lower() in ("true", "1")
+
+
+@pytest.fixture(scope="session")
+def chosen_llvm() -> backend.Backend:
+    try:
+        return backend.choose("llvm")
+    except InputError as error:
+        pytest.skip(f"no LLVM works here: {error}")
+
+
+@pytest.fixture(scope="session")
+def chosen_jit() -> backend.Backend:
+    chosen = backend.choose("auto")
+    if not chosen.jit:
+        pytest.skip(f"no JIT backend works here: {chosen.reason}")
+    return chosen
+
+
+# Another test may have set another variant, so each activates its own again.
+@pytest.fixture
+def llvm(chosen_llvm: backend.Backend) -> backend.Backend:
+    """The LLVM backend, active; without one the test is skipped, with the reason."""
+    backend.activate(chosen_llvm)
+    return chosen_llvm
+
+
+@pytest.fixture
+def jit_backend(chosen_jit: backend.Backend) -> backend.Backend:
+    """The fastest backend that compiles kernels, active; without one the test is skipped, with the reason."""
+    backend.activate(chosen_jit)
+    return chosen_jit
+
+
+def _refuse_skip(report: pytest.TestReport | pytest.CollectReport) -> None:
+    """Turn a skip into a failure in CI: what is not run there is run nowhere."""
+    if IN_CI and report.skipped and not hasattr(report, "wasxfail"):
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+        report.outcome = "failed"
+        report.longrepr = f"{report.nodeid}: in CI a skip is a failure. {reason}"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Iterator[None]:
+    report = yield
+    _refuse_skip(report)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Iterator[None]:
+    report = yield
+    _refuse_skip(report)
+    return report
