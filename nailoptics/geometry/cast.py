@@ -90,7 +90,9 @@ class _Boxes:
             (ax, ay), (bx, by) = self.vertices[low, :2].T, self.vertices[high, :2].T
             # Always from the lower to the higher vertex: both triangles at an edge get the same number.
             signed = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
-            left[i] = (signed >= 0) != turned
+            # On the edge itself, the ray counts as moved by a little along x, and by much less along y.
+            tie = (by < ay) | ((by == ay) & (bx > ax))
+            left[i] = ((signed > 0) | ((signed == 0) & tie)) != turned
             area[i] = np.where(turned, -signed, signed)
         forward, back = np.all(left, axis=0), ~np.any(left, axis=0)
         hit = np.nonzero(forward | back)[0]

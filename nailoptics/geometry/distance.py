@@ -47,7 +47,7 @@ def distance_grid(
     bounds_mm : (2, 3) float. Lowest and highest corner; the whole geometry if not given. [mm]
     cap_mm : Distances beyond it are not told apart, which saves time in deep tissue. [mm]
 
-    The bound is short by at most 2 % and 0.25 spacings, or 0.4 spacings where an interface is closer than half of one.
+    The bound is short by at most 2 % and 0.3 spacings, or 0.4 spacings where an interface is closer than half of one.
 
     Triangles are sampled on a lattice, and the nearest sample is looked up. If q is the place on an interface nearest
     to a point, then a sample of the same triangle (or edge, or vertex) lies within the lattice's covering radius r of
@@ -69,7 +69,7 @@ def distance_grid(
     fine_radius, coarse_radius = FINE * spacing_mm, COARSE * spacing_mm
     fine, coarse = tree(fine_radius), tree(coarse_radius)
     # Beyond this the coarse samples are good enough: they cost radius^2 / (2 distance).
-    near_mm = 2.5 * coarse_radius
+    near_mm = 3 * coarse_radius
     for start in range(0, len(cells), CHUNK):
         chunk = cells[start : start + CHUNK]
         points = grid.centers(chunk)

@@ -1,0 +1,216 @@
+"""The geometry of a finger with its board: sizes, places, labels, faces."""
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from nailoptics.errors import InputError
+from nailoptics.geometry import build, check, nail_coordinates
+from nailoptics.scene import parse_scene
+
+DIGITS = ("thumb", "index", "middle", "ring", "little")
+
+
+def heights(geometry):
+    """Least height of each triangle: how far it is from having no area. [mm]"""
+    p = geometry.vertices[geometry.triangles]
+    doubled = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    return doubled / np.linalg.norm(p - np.roll(p, 1, axis=1), axis=2).max(axis=1)
+
+
+def region(geometry, x, y, z):
+    return geometry.regions[geometry.region_at(np.array([[x, y, z]]))[0]]
+
+
+@pytest.mark.parametrize("digit", DIGITS)
+def test_every_digit_builds_quickly_and_partitions_space(sensor, digit):
+    scene = sensor(finger=f'digit = "{digit}"')
+    start = time.thread_time()
+    geometry = build(scene)
+    assert time.thread_time() - start < 1.0
+    assert len(geometry.triangles) < 100_000
+    assert heights(geometry).min() > 1e-3
+    report = check(geometry, crossings=20_000, seed=1)
+    assert report.disagreements == 0 and report.crossings >= 20_000
+    assert report.volume_error < 1e-12
+
+
+def test_regions_lie_where_anatomy_has_them(geometry):
+    # Index finger: plate 0.45 mm, bed 1.7 mm, bone below it ending 3.8 mm before the tip at 6 + 2 mm.
+    assert region(geometry, 4, 0, -0.9446 - 0.2) == "plate"  # 4 mm across, the nail lies 0.94 mm lower
+    assert region(geometry, 0, 0, -0.2) == "plate"
+    assert region(geometry, 0, 0, -0.46) == "bed"
+    assert region(geometry, 0, 0, -2.14) == "bed"
+    assert region(geometry, 0, 0, -2.16) == "bone"
+    assert region(geometry, 0, 4.1, -4.4) == "bone"
+    assert region(geometry, 0, 4.3, -4.4) == "pulp"
+    assert region(geometry, 0, 0, -10) == "pulp"
+    assert region(geometry, 0, 0, -13.45) == "epidermis"
+    assert region(geometry, 0, 7.95, -4.45) == "epidermis"
+    assert region(geometry, 0, -12.5, -5) == "cut"
+    assert region(geometry, 0, 8.1, -4.4) == "air"
+
+
+def test_the_board_stands_on_the_nail_layer_by_layer(geometry):
+    # 0.45 mm of epoxy and adhesive, 25 um of film, 0.5 mm of cover, counted from the nail along its radius.
+    def at(u, v, height):
+        angle, r = u / geometry.board_radius_mm, geometry.nail_radius_mm + height
+        return region(geometry, r * np.sin(angle), v, r * np.cos(angle) - geometry.nail_radius_mm)
+
+    assert at(-1.2, 0, 0.2) == "epoxy"
+    assert at(-1.2, 0, 0.46) == "led:led0"
+    assert at(-1.2, 0.6, 0.46) == "led:led1"
+    assert at(0, -4 + 2.5 * 0.25, 0.46) == "photodiode:pd.2"
+    assert at(0, -4 + 3.5 * 0.25, 0.46) == "silicon"
+    assert at(-0.9, 0, 0.46) == "kapton"
+    assert at(-1.2, 0, 0.6) == "cover"
+    # Midway between the die's edge at -1.075 and the photodiodes' at -0.5 stands the wall, down to the nail.
+    assert at(-0.7875, 0, 0.01) == at(-0.7875, 0, 0.44) == "barrier"
+    # The rim closes the sides of the clear epoxy.
+    assert at(1.05, 0, 0.2) == at(-1.2, 4.55, 0.2) == "cover"
+
+
+def test_no_clear_epoxy_meets_the_air(geometry):
+    pairs = geometry.interfaces()
+    epoxy = geometry.regions.index("epoxy")
+    neighbours = {geometry.regions[high if low == epoxy else low] for low, high in pairs if epoxy in (low, high)}
+    assert neighbours - {r for r in neighbours if r.startswith("photodiode:")} == {
+        "plate", "barrier", "kapton", "cover", "silicon", "led:led0", "led:led1",
+    }  # fmt: skip
+
+
+def test_interfaces_hold_every_triangle_once_with_its_sides(geometry):
+    pairs = geometry.interfaces()
+    assert sum(len(t) for t in pairs.values()) == len(geometry.triangles)
+    assert all(low < high for low, high in pairs)
+    assert len(np.unique(np.sort(geometry.triangles, axis=1), axis=0)) == len(geometry.triangles)
+    for (low, high), triangles in list(pairs.items())[::3]:
+        p = geometry.vertices[triangles[:200]]
+        normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+        middle, step = p.mean(axis=1), 1e-6 * normal / np.linalg.norm(normal, axis=1, keepdims=True)
+        assert (geometry.region_at(middle + step) == high).all()
+        assert (geometry.region_at(middle - step) == low).all()
+
+
+def test_faces_look_at_the_nail_and_keep_their_areas(geometry):
+    assert [f.name for f in geometry.leds] == ["led0", "led1"]
+    assert [f.name for f in geometry.photodiodes] == [f"pd.{i}" for i in range(2, 32, 4)]
+    for face, area in [*((f, 0.0625) for f in geometry.leds), *((f, 0.25) for f in geometry.photodiodes)]:
+        # A chord of 0.25 to 0.5 mm on a radius of 9.35 mm is shorter than its arc by less than 1.2e-4.
+        assert face.area_mm2 == pytest.approx(area, rel=2e-4)
+        for quad, normal in zip(face.quads, face.normal, strict=True):
+            a, b, c, d = quad
+            assert np.cross(b - a, c - a) @ normal > 0 and abs((d - a) @ normal) < 1e-12
+            assert np.linalg.norm(normal) == pytest.approx(1)
+            into = geometry.region_at(np.stack([quad.mean(axis=0) + 1e-6 * normal, quad.mean(axis=0) - 1e-6 * normal]))
+            assert [geometry.regions[r] for r in into] == ["epoxy", geometry.regions[face.region]]
+    assert all(len(f.quads) == 1 for f in geometry.leds)
+
+
+def test_dies_lie_where_the_scene_puts_them(geometry):
+    center = geometry.leds[1].center_mm
+    u, v, depth = nail_coordinates(center[None], nail_radius_mm=geometry.nail_radius_mm)[0]
+    # A flat die lies a sagitta under the cylinder: 0.25^2 / 8 / 9.35 mm.
+    assert u * geometry.board_radius_mm / geometry.nail_radius_mm == pytest.approx(-1.2, abs=1e-9)
+    assert v == pytest.approx(0.6)
+    assert depth == pytest.approx(-0.45 + 0.25**2 / 8 / 9.35, abs=1e-6)
+
+
+@pytest.mark.parametrize("digit", DIGITS)
+def test_the_nails_facets_lie_within_2_um_of_its_cylinder(sensor, digit):
+    geometry = build(sensor(finger=f'digit = "{digit}"'))
+    plate = geometry.regions.index("plate")
+    outer = [t for (low, high), t in geometry.interfaces().items() if plate in (low, high)]
+    p = geometry.vertices[np.concatenate(outer)]
+    on_face = (np.abs(nail_coordinates(p.reshape(-1, 3), nail_radius_mm=geometry.nail_radius_mm)[:, 2]) < 1e-9)
+    p = p[on_face.reshape(-1, 3).all(axis=1)]
+    inside = nail_coordinates(((p + np.roll(p, 1, axis=1)) / 2).reshape(-1, 3), nail_radius_mm=geometry.nail_radius_mm)
+    assert len(p) > 500 and inside[:, 2].max() < 2e-3
+
+
+def test_finer_grids_approach_the_smooth_finger_quadratically(sensor):
+    # Facets cut chords: what they miss of the volume falls with the square of their size.
+    volumes = [sum(build(sensor(), resolution=r).volumes_mm3().values()) for r in (0.5, 1.0, 2.0)]
+    assert 3 < (volumes[1] - volumes[0]) / (volumes[2] - volumes[1]) < 5.5
+
+
+def test_plate_volume_is_that_of_its_shell(geometry):
+    # Arc of 11.5 mm on 8.9 mm, 12 mm long, 0.45 mm thick; facets lose less than 2e-4 of it.
+    shell = 11.5 / 8.9 / 2 * (8.9**2 - 8.45**2) * 12
+    assert geometry.volumes_mm3()["plate"] == pytest.approx(shell, rel=5e-4)
+
+
+def test_nail_coordinates_are_arc_length_place_and_depth():
+    angle, r = 0.3, 8.0
+    point = np.array([[r * np.sin(angle), 2.0, r * np.cos(angle) - 9.0]])
+    assert nail_coordinates(point, nail_radius_mm=9.0)[0] == pytest.approx([9.0 * angle, 2.0, 1.0])
+
+
+@pytest.mark.parametrize("led", [(-1.2, 0.1), (1.2, 0.1), (0.1, -2.4), (0.1, 2.4)])
+@pytest.mark.parametrize("barrier", [True, False])
+def test_leds_may_lie_on_any_side(sensor, led, barrier):
+    geometry = build(sensor(leds=(led,), board=f"barrier = {str(barrier).lower()}", elements=4, wired=[0, 2]))
+    assert (geometry.volumes_mm3()["barrier"] > 0) == barrier
+    report = check(geometry, crossings=10_000, seed=2)
+    assert report.disagreements == 0 and report.volume_error < 1e-12
+    assert len(geometry.leds[0].quads) == 1
+
+
+def test_one_sensor_may_have_leds_on_several_sides(sensor):
+    geometry = build(sensor(leds=((-1.2, 0), (1.2, 0.3), (0, 2.4)), elements=4, wired=[0, 2]))
+    assert check(geometry, crossings=10_000, seed=3).disagreements == 0
+
+
+# The widest thing a scene can ask for: where no finger comes of it, one line says so; where one does, it is whole.
+@settings(max_examples=8, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(
+    width=st.floats(5, 40), thickness=st.floats(5, 40), radius=st.floats(2, 100), nail_width=st.floats(3, 30),
+    nail_length=st.floats(3, 30), plate=st.floats(0.05, 3), bed=st.floats(0.1, 5), epidermis=st.floats(0.02, 1),
+    bone=st.floats(1, 15),
+)  # fmt: skip
+def test_extreme_sizes_build_or_say_why(
+    sensor, width, thickness, radius, nail_width, nail_length, plate, bed, epidermis, bone
+):
+    finger = (
+        f"width_mm={width}\nthickness_mm={thickness}\nnail_radius_mm={radius}\nnail_width_mm={nail_width}\n"
+        f"nail_length_mm={nail_length}\nnail_thickness_mm={plate}\nbed_thickness_mm={bed}\n"
+        f"epidermis_thickness_mm={epidermis}\nbone_to_tip_mm={bone}\nlength_mm={nail_length + 6}"
+    )
+    try:
+        geometry = build(sensor(finger=finger, leds=((-0.8, 0),), elements=2, wired=[0]))
+    except InputError as error:
+        assert "\n" not in str(error)
+        return
+    report = check(geometry, crossings=2000, seed=4)
+    assert report.disagreements == 0 and report.volume_error < 1e-10
+
+
+@pytest.mark.parametrize(
+    ("finger", "words"),
+    [
+        ("width_mm = 11.0\nnail_width_mm = 11.5", "spans"),
+        ("nail_radius_mm = 5.0\nnail_width_mm = 12.0\nthickness_mm = 6.0\nbed_thickness_mm = 1.0", "bends the nail"),
+        ("nail_radius_mm = 3.0\nnail_width_mm = 5.0\nbed_thickness_mm = 2.1\nnail_thickness_mm = 0.48", "the axis"),
+    ],
+)
+def test_impossible_fingers_get_one_clear_line(sensor, finger, words):
+    with pytest.raises(InputError, match=words) as caught:
+        build(sensor(finger=finger, leds=((-0.8, 0),), elements=2, wired=[0]))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_phantom_has_no_finger_to_build():
+    scene = parse_scene(
+        "schema_version = 1\n[phantom]\n[[phantom.layers]]\nname = 'a'\nthickness_mm = 1.0\nmu_a_per_mm = 0.1\n"
+        "mu_s_per_mm = 1.0\n[[leds]]\nname = 'beam'\nwavelength_nm = 800.0\npattern = 'pencil'\n"
+    )
+    with pytest.raises(InputError, match="phantom"):
+        build(scene)
+
+
+def test_a_wild_resolution_is_refused(sensor):
+    with pytest.raises(InputError, match="resolution = 0"):
+        build(sensor(), resolution=0)
