@@ -1,6 +1,7 @@
 """MEDIA AND SHAPE TO DETECTED LIGHT: the only room that imports Mitsuba, and only when light is traced."""
 
+from .engines import Light, open_light
 from .tracing import Progress, trace
 from .transfer import RereadWarning, Transfer
 
-__all__ = ["Progress", "RereadWarning", "Transfer", "trace"]
+__all__ = ["Light", "Progress", "RereadWarning", "Transfer", "open_light", "trace"]

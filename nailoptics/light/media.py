@@ -19,7 +19,7 @@ class Media:
     """The optics of each region at one wavelength, (r,) float each.
 
     opaque : (r,) bool. Light does not enter; it is reflected diffusely with `reflectance` or swallowed.
-    mu_a, mu_s : [mm^-1]. Of the bed, mu_a is that of its bloodless tissue; blood comes by zones.
+    mu_a, mu_s : [mm^-1]. With the blood at rest.
     """
 
     opaque: np.ndarray
@@ -44,16 +44,18 @@ def absorbers(scene: Scene) -> tuple[str, ...]:
 
 
 def finger_media(scene: Scene, regions: tuple[str, ...], wavelength_nm: float) -> Media:
-    """The optics of a finger scene's regions, at rest, in the order of the geometry's regions."""
+    """The optics of a finger scene's regions at rest, in the order of the geometry's regions."""
     assert scene.finger is not None
+    rest = dict(zip(absorbers(scene), absorption(scene, wavelength_nm)[0], strict=True))
+    rest["bed"] = rest["bed_1"]  # at rest all zones hold the same blood
     values: dict[str, list[Any]] = {name: [] for name in ("opaque", "reflectance", "mu_a", "mu_s", "g", "n")}
     for region in regions:
         opaque = region not in TISSUES and region != "air"
         black = region not in ("barrier", "cover")
         optics = (0.0, 0.0, 0.0, 1.0)
         if region in TISSUES:
-            base = tissue.absorption(region, wavelength_nm, melanin_fraction=scene.finger.melanin_fraction)  # type: ignore[arg-type]
-            optics = (float(base.base_per_mm), *(float(x) for x in tissue.scattering(region, wavelength_nm)))  # type: ignore[arg-type, assignment]
+            mu_s, g, n = (float(x) for x in tissue.scattering(region, wavelength_nm))  # type: ignore[arg-type]
+            optics = (rest[region], mu_s, g, n)
         values["opaque"].append(opaque)
         values["reflectance"].append(scene.board.opaque_reflectance if opaque and not black else 0.0)
         for name, value in zip(("mu_a", "mu_s", "g", "n"), optics, strict=True):

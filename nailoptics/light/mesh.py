@@ -48,7 +48,7 @@ class MeshTracer:
         self.absorbers = media.absorbers(scene)
         self.mesh_scene = _mesh_scene(self.shape)
         self.triangles = _triangle_table(self.shape)
-        self.grid = _Grid(geometry.distance_grid(self.shape))
+        self.grid = _Grid(geometry.distance_grid(self.shape, bounds_mm=_near_board(self.shape)))
         self.regions = [_RegionTable(self, led.wavelength_nm) for led in scene.leds]
 
     def mu_a(self, led: int) -> np.ndarray:
@@ -70,7 +70,7 @@ class MeshTracer:
             events=events,
         )
 
-    def walk(self, led: int, *, photons: int, seed: int, section: Any = None) -> tuple[np.ndarray, ...]:
+    def walk(self, led: int, *, photons: int, seed: int, section: "Section | None" = None) -> tuple[np.ndarray, ...]:
         """Outcome, weight, roulette (n,) and paths (media + zones - 1, n) of each photon, and the scatterings in all."""
         lanes = min(photons, 8192 if dr.backend_v(mi.Float) == dr.JitBackend.LLVM else 1 << 18)
         count = dr.full(mi.UInt32, photons // lanes, lanes) + dr.select(
@@ -90,6 +90,7 @@ class MeshTracer:
             [dr.opaque(mi.Float, edge) for edge in blood.edges_mm],
             dr.opaque(mi.Float, blood.width_mm),
             results,
+            section,
         )
         dr.eval(events, results)
         outcome, weight, roulette, *paths = (np.array(a) for a in results)
@@ -103,18 +104,37 @@ class MeshTracer:
         return np.stack([paths[0], *zones, *paths[bed + 1 : len(media.TISSUES)]], -1).astype(np.float32)
 
 
+class Section:
+    """The light's path density on the longitudinal section, summed over the finger's width."""
+
+    def __init__(self, y_mm: np.ndarray, z_mm: np.ndarray) -> None:
+        self.y_mm, self.z_mm, self.spacing_mm = y_mm, z_mm, float(y_mm[1] - y_mm[0])
+        self.values = dr.zeros(mi.Float64, len(y_mm) * len(z_mm))
+        self.low = [dr.opaque(mi.Float, float(axis[0] - self.spacing_mm / 2)) for axis in (y_mm, z_mm)]
+        self.shape = [dr.opaque(mi.UInt32, len(axis)) for axis in (y_mm, z_mm)]
+
+    def add(self, p: Any, path: Any, active: Any) -> None:
+        """Add paths (weighted) at their middles. [mm]"""
+        j = mi.Int32(dr.floor((p.y - self.low[0]) / self.spacing_mm))
+        k = mi.Int32(dr.floor((p.z - self.low[1]) / self.spacing_mm))
+        inside = active & (j >= 0) & (k >= 0) & (mi.UInt32(j) < self.shape[0]) & (mi.UInt32(k) < self.shape[1])
+        dr.scatter_reduce(dr.ReduceOp.Add, self.values, mi.Float64(path), mi.UInt32(j) * self.shape[1] + mi.UInt32(k), inside)
+
+    def density(self, photons: int) -> np.ndarray:
+        """Path per area of the section and emitted photon, (y, z) float. [mm^-1]"""
+        return np.array(self.values).reshape(len(self.y_mm), len(self.z_mm)) / (photons * self.spacing_mm**2)
+
+
 class _RegionTable:
     """Optics of each region as Dr.Jit arrays, at rest and at one wavelength."""
 
     def __init__(self, tracer: MeshTracer, wavelength_nm: float) -> None:
         names = tracer.shape.regions
         optics = media.finger_media(tracer.scene, names, wavelength_nm)
-        rest = dict(zip(tracer.absorbers, media.absorption(tracer.scene, wavelength_nm)[0], strict=True))
-        rest["bed"] = rest["bed_1"]  # at rest all zones hold the same blood
         first = {name: i for i, name in enumerate(names)}
         detectors = {face.region: DETECTED + i for i, face in enumerate(tracer.shape.photodiodes)}
         end = [BOTTOM if name == "cut" else detectors.get(i, ABSORBED) for i, name in enumerate(names)]
-        self.mu_a = mi.Float([rest.get(name, 0.0) for name in names])
+        self.mu_a = mi.Float(optics.mu_a)
         self.mu_s = mi.Float(optics.mu_s)
         self.g = mi.Float(optics.g)
         self.n = mi.Float(optics.n)
@@ -146,6 +166,14 @@ class _Grid:
             off += dr.square(place - mi.Float(index) - 0.5)
         at = cell[0] + self.shape[0] * (cell[1] + self.shape[1] * cell[2])
         return dr.maximum(dr.gather(mi.Float, self.values, at, inside) - dr.sqrt(off) * self.spacing, 0)
+
+
+def _near_board(shape: Geometry) -> np.ndarray:
+    """The box (2, 3) in which most scatterings happen; beyond it every step asks for a ray, which is only slower."""
+    corners = np.concatenate([np.asarray(face.quads).reshape(-1, 3) for face in (*shape.leds, *shape.photodiodes)])
+    low, high = corners.min(0) - [5, 5, 6.5], corners.max(0) + [5, 5, 0.1]
+    bounds = np.asarray(shape.bounds_mm)
+    return np.stack([np.maximum(low, bounds[0]), np.minimum(high, bounds[1])])
 
 
 def _mesh_scene(shape: Geometry) -> Any:
@@ -194,6 +222,11 @@ def _launch(rng: Any, emitter: dict[str, Any]) -> tuple[Any, Any, Any]:
     return mi.Point3f(_off(p, normal)), mi.Vector3f(w), lifetime(rng.next_float32())
 
 
+def _dimmed(tau: Any) -> Any:
+    """Weight after an optical depth of absorption, of which a part ends photons instead."""
+    return dr.exp(-(1 - KILLED_SHARE) * tau)
+
+
 def _off(p: Any, normal: Any) -> Any:
     """A point moved off a face by a little more than float32 resolves there."""
     return p + normal * (2e-6 * (1 + dr.max(dr.abs(p))))
@@ -211,6 +244,7 @@ def _walk(
     edges: list[Any],
     width: Any,
     results: list[Any],
+    section: Section | None,
 ) -> Any:
     """Scatterings per lane; a lane walks one photon after the other, so that none waits for one long life."""
     F, U, B = mi.Float, mi.UInt32, mi.Bool
@@ -233,6 +267,7 @@ def _walk(
         step = dr.select(scatters, step, FAR)
         free = grid.free(p, active)
         along, spent = F(0), U(0)
+        mu_a = dr.gather(F, region_of.mu_a, region, active)
         passed = [F(0) for _ in range(inner)]
         # Inside the free distance nothing can be met: scatter without asking where the interfaces are.
         while active & (step < free) & (spent < FREE_EVENTS):
@@ -240,6 +275,8 @@ def _walk(
             for k in range(inner):
                 t = dr.clip((middle - edges[k]) / width + 0.5, 0, 1)
                 passed[k] = passed[k] + dr.select(in_bed, step * t * t * (3 - 2 * t), 0)
+            if section is not None:
+                section.add(p + w * (0.5 * step), step * boost * _dimmed(dr.fma(along, mu_a, tau)), True)
             p = mi.Point3f(p + w * step)
             along += step
             w = mi.Vector3f(turn(w, henyey_greenstein(g, rng.next_float32()), 2 * dr.pi * rng.next_float32()))
@@ -257,11 +294,13 @@ def _walk(
             t = dr.clip((middle - edges[k]) / width + 0.5, 0, 1)
             passed[k] = passed[k] + dr.select(in_bed, step * t * t * (3 - 2 * t), 0)
             path[kinds + k] = path[kinds + k] + passed[k]
+        if section is not None:
+            section.add(p + w * (0.5 * step), step * boost * _dimmed(dr.fma(along, mu_a, tau)), stuck)
         along += step
         kind = dr.gather(U, region_of.medium, region, active)
         for k in range(kinds):
             path[k] = path[k] + dr.select(kind == k, along, 0)
-        tau = dr.fma(along, dr.gather(F, region_of.mu_a, region, active), tau)
+        tau = dr.fma(along, mu_a, tau)
         p = mi.Point3f(p + w * step)
         spent += dr.select(stuck & ~hit & ~gone, U(1), U(0))
         events += spent
@@ -300,13 +339,13 @@ def _walk(
         outcome = dr.select(absorbed, U(ABSORBED), outcome)
         if (older >= LONG_LIFE) & ((older ^ age) > age):
             ends = rng.next_float32() < 0.5
-            given = dr.select(ends, given, given + boost * dr.exp(-(1 - KILLED_SHARE) * tau))
+            given = dr.select(ends, given, given + boost * _dimmed(tau))
             boost = dr.select(ends, boost, 2 * boost)
             outcome = dr.select((outcome == 0) & ends, U(LOST), outcome)
         age = older
         if outcome > 0:
             dr.scatter(outcome_of, outcome, photon)
-            dr.scatter(weight_of, dr.select(absorbed, 0, boost * dr.exp(-(1 - KILLED_SHARE) * tau)), photon)
+            dr.scatter(weight_of, dr.select(absorbed, 0, boost * _dimmed(tau)), photon)
             dr.scatter(roulette_of, -given, photon)
             for target, value in zip(path_of, path, strict=True):
                 dr.scatter(target, value, photon)

@@ -5,7 +5,6 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from ..errors import InputError, NotReachedError
 from ..scene import Accuracy, Scene
 from . import backend as backends
 from . import media
-from .transfer import MIN_EFFECTIVE_PHOTONS, LedTrace, Transfer, stderr_of_mean
+from .transfer import MIN_EFFECTIVE_PHOTONS, LedTrace, Transfer, stderr_of_mean, versions
 
 log = logging.getLogger(__name__)
 
@@ -108,7 +107,7 @@ def trace(
         traces=tuple(traces),
         engine="photons",
         backend=chosen.name,
-        versions={name: version(name) for name in ("nailoptics", "mitsuba", "drjit", "numpy")},
+        versions=versions(),
         cpu_seconds=time.process_time() - cpu,
         wall_seconds=time.perf_counter() - start,
         events=events,

@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -303,18 +304,31 @@ class Transfer:
         out["wavelength_nm"] = ("led", [led.wavelength_nm for led in self.scene.leds], {"units": "nm", "long_name": "peak wavelength"})
         return out.assign_attrs(self.attributes())
 
-    def attributes(self) -> dict[str, str | int]:
+    def attributes(self) -> dict[str, Any]:
         """What a result carries about its making: scene, digest, engine, backend, versions, photons."""
-        return {
-            "Conventions": "CF-1.11",
-            "scene": to_toml(self.scene),
-            "digest": digest(self.scene),
-            "engine": self.engine,
-            "backend": self.backend,
-            "photons": self.photons,
-            "seeds": " ".join(str(t.seeds[0]) for t in self.traces if t.seeds),
-            "versions": " ".join(f"{name}={version}" for name, version in self.versions.items()),
+        seeds = " ".join(str(t.seeds[0]) for t in self.traces if t.seeds)
+        return provenance(self.scene, engine=self.engine, backend=self.backend, photons=self.photons, seeds=seeds) | {
+            "versions": " ".join(f"{name}={number}" for name, number in self.versions.items())
         }
+
+
+def versions() -> dict[str, str]:
+    """Versions of what decides a result's bits."""
+    return {name: version(name) for name in ("nailoptics", "mitsuba", "drjit", "numpy")}
+
+
+def provenance(scene: Scene, *, engine: str, backend: str, photons: int, seeds: str) -> dict[str, Any]:
+    """Attributes of a result that tell how it was made and let it be made again."""
+    return {
+        "Conventions": "CF-1.11",
+        "scene": to_toml(scene),
+        "digest": digest(scene),
+        "engine": engine,
+        "backend": backend,
+        "photons": photons,
+        "seeds": seeds,
+        "versions": " ".join(f"{name}={number}" for name, number in versions().items()),
+    }
 
 
 def optical_key(scene: Scene) -> str:

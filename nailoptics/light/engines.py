@@ -1,0 +1,256 @@
+"""Either engine behind one face: a course of blood states in, detected fractions out."""
+
+import json
+import logging
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from .. import geometry
+from ..errors import InputError, NotReachedError
+from ..geometry import Geometry
+from ..scene import Scene
+from . import backend as backends
+from . import media
+from .reread import Course, course
+from .tracing import Progress, accuracy, trace
+from .transfer import Transfer, provenance
+
+log = logging.getLogger(__name__)
+
+SECTION_MM = 0.05
+SECTION_PHOTONS = 1 << 17
+# The stock integrator answers for states one by one, so it stops at this relative error even if less is asked.
+VOLPATH_RELATIVE_ERROR = 0.05
+
+
+@dataclass(frozen=True)
+class Light:
+    """Detected light of a finger scene, whatever engine traced it.
+
+    over : reads a course of blood states, (t, zones) float -> Course.
+    mean_path, mean_path_stderr : (led, photodiode, absorber) float at rest; NaN where the engine cannot tell. [mm]
+    section : regions along the finger at u = 0 and, if traced, the light's path density.
+    """
+
+    over: Callable[[np.ndarray], Course]
+    absorbers: tuple[str, ...]
+    mean_path: np.ndarray
+    mean_path_stderr: np.ndarray
+    section: xr.Dataset
+    attributes: dict[str, Any]
+
+
+def open_light(
+    scene: Scene,
+    *,
+    states: np.ndarray,
+    seed: int = 0,
+    backend: str = "auto",
+    photons: int | None = None,
+    relative_error: float | None = None,
+    max_seconds: float | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Light:
+    """Trace a finger scene with the engine that it asks for, or the best that this machine can run.
+
+    Parameters
+    ----------
+    states : (t, zones) float. The blood states that will be read; volpath traces three that span them.
+
+    Raises: NotReachedError with the Light so far as result.
+    """
+    chosen = backends.choose(backend)
+    engine = scene.light.engine
+    if engine == "photons" and not chosen.jit:
+        raise InputError(f'light.engine = "photons" needs a JIT backend, and {chosen.name} is none: {chosen.advice}')
+    shape = geometry.build(scene)
+    asked: dict[str, Any] = {"photons": photons, "relative_error": relative_error, "max_seconds": max_seconds}
+    if engine == "volpath" or not chosen.jit:
+        return _volpath(scene, shape, chosen, states, seed, asked, progress)
+    try:
+        transfer = trace(scene, **asked, seed=seed, backend=backend, progress=progress)
+    except NotReachedError as error:
+        if isinstance(error.result, Transfer):
+            error.result = _photons(error.result, shape, seed)
+        raise
+    return _photons(transfer, shape, seed)
+
+
+def _photons(transfer: Transfer, shape: Geometry, seed: int) -> Light:
+    rest = transfer.at()
+    worst = float((rest.detected_fraction_stderr / rest.detected_fraction).max())
+    return Light(
+        over=lambda states: course(transfer, states, electrons=True),
+        absorbers=transfer.absorbers,
+        mean_path=rest.mean_path_mm.values,
+        mean_path_stderr=rest.mean_path_mm_stderr.values,
+        section=_section(transfer.scene, shape, seed, traced=True),
+        attributes=transfer.attributes()
+        | {
+            "cpu_seconds": transfer.cpu_seconds,
+            "wall_seconds": transfer.wall_seconds,
+            "accuracy_reached": f"relative standard error of every reading at rest at most {worst:.2g}",
+        },
+    )
+
+
+def _section(scene: Scene, shape: Geometry, seed: int, *, traced: bool) -> xr.Dataset:
+    """The longitudinal section at u = 0: regions and, if traced, each LED's path density."""
+    low, high = np.asarray(shape.bounds_mm)
+    y = np.arange(max(low[1], -14.0), high[1] + 0.5, SECTION_MM)
+    z = np.arange(max(low[2], -9.0), high[2] + 0.3, SECTION_MM)
+    grid = np.stack(np.meshgrid(0.0, y, z, indexing="ij"), -1).reshape(-1, 3)
+    data: dict[str, Any] = {
+        "section_region": (
+            ("section_y", "section_z"),
+            shape.region_at(grid).reshape(len(y), len(z)).astype(np.int16),
+            {"long_name": "region along the section at u = 0", "regions": json.dumps(shape.regions)},
+        )
+    }
+    if traced:
+        from .mesh import MeshTracer, Section
+
+        tracer = MeshTracer(scene, shape)
+        density = []
+        for led in range(len(scene.leds)):
+            section = Section(y, z)
+            tracer.walk(led, photons=SECTION_PHOTONS, seed=seed, section=section)
+            density.append(section.density(SECTION_PHOTONS))
+        text = "path density of an LED's light, summed over the finger's width, per emitted photon"
+        data["path_density"] = (("led", "section_y", "section_z"), density, {"long_name": text, "units": "mm-1"})
+    coords = {
+        "section_y": ("section_y", y, {"units": "mm", "long_name": "along the nail, towards the tip"}),
+        "section_z": ("section_z", z, {"units": "mm", "long_name": "out of the nail, from the plate's face"}),
+    }
+    return xr.Dataset(data, coords=coords)
+
+
+def _volpath(
+    scene: Scene,
+    shape: Geometry,
+    chosen: backends.Backend,
+    states: np.ndarray,
+    seed: int,
+    asked: dict[str, Any],
+    progress: Callable[[Progress], None] | None,
+) -> Light:
+    """Trace rest and one changed state per zone; between them each zone dims as in Beer-Lambert (8)."""
+    from .volpath_scene import BedAbsorption
+    from .volpath_states import finger_states
+
+    wanted = accuracy(scene, **asked)
+    target = max(wanted.relative_error or 0.0, VOLPATH_RELATIVE_ERROR)
+    log.warning(
+        "volpath traces three blood states to a relative error of %g and takes Beer-Lambert (8) between them", target
+    )
+    corners = _corners(np.asarray(states, float))
+    zones = media.zones(scene)
+    beds = [media.absorbers(scene).index(f"bed_{k + 1}") for k in range(zones.count)]
+    low, high = np.asarray(shape.bounds_mm)[:, 1]
+    v = np.linspace(low, high, 1 + round((high - low) / (zones.width_mm / 40)))
+    begin, cpu = time.perf_counter(), time.process_time()
+    traced, paths, complaint = [], 0, None
+    for i, led in enumerate(scene.leds):
+        mu_a = media.absorption(scene, led.wavelength_nm, blood_fraction=corners)[:, 0]
+        limit = math.inf
+        if wanted.max_seconds is not None:
+            limit = (wanted.max_seconds - (time.perf_counter() - begin)) / (len(scene.leds) - i)
+
+        def told(error: float, seconds: float, led: str = led.name, limit: float = limit) -> None:
+            # The error falls with the root of the time.
+            share = min(1.0, max((target / error) ** 2 if error > 0 else 1.0, seconds / limit))
+            if progress:
+                progress(Progress(led, 0, error, target, share, seconds))
+
+        readings = finger_states(
+            scene,
+            shape,
+            media.finger_media(scene, shape.regions, led.wavelength_nm),
+            bed=BedAbsorption(v, mu_a[:, beds] @ zones.weights(v).T),
+            led=i,
+            relative_error=target,
+            max_seconds=limit,
+            seed=int(np.random.SeedSequence(seed, spawn_key=(i,)).generate_state(1)[0]),
+            backend=chosen,
+            progress=told,
+        )
+        traced.append(readings)
+        paths += readings.paths * readings.batches
+        if not readings.reached:
+            complaint = (
+                f'max_seconds ended the trace of LED "{led.name}" before the relative error of {target:g} was reached; '
+                "allow more time or ask for less."
+            )
+    fraction = np.stack([r.fraction[:, 0] for r in traced])
+    relative = np.stack([r.fraction_stderr[:, 0] for r in traced]) / fraction
+    ratio, ratio_stderr = np.stack([r.ratio for r in traced]), np.stack([r.ratio_stderr for r in traced])
+    mean_path, mean_path_stderr = _secant_paths(scene, corners, ratio, ratio_stderr)
+    light = Light(
+        over=lambda blood: _between(fraction, relative, ratio, ratio_stderr, corners, np.asarray(blood, float)),
+        absorbers=media.absorbers(scene),
+        mean_path=mean_path,
+        mean_path_stderr=mean_path_stderr,
+        section=_section(scene, shape, seed, traced=False),
+        attributes=provenance(scene, engine="volpath", backend=chosen.name, photons=paths, seeds=str(seed))
+        | {
+            "cpu_seconds": time.process_time() - cpu,
+            "wall_seconds": time.perf_counter() - begin,
+            "accuracy_reached": f"relative standard error of every reading at rest at most {relative.max():.2g}; "
+            "three blood states traced, Beer-Lambert (8) between them",
+        },
+    )
+    if complaint:
+        raise NotReachedError(complaint, result=light)
+    return light
+
+
+def _corners(states: np.ndarray) -> np.ndarray:
+    """The first state, and for each zone a state in which that zone alone is as far from it as it ever gets."""
+    rest = states[0]
+    far = states[np.abs(states - rest).argmax(0), np.arange(len(rest))]
+    # A zone that hardly changes still gets a state of its own, so that its mean path is known.
+    far = np.where(np.abs(far - rest) < 0.02 * rest, 1.2 * rest, far)
+    return np.stack([rest, *(np.where(np.arange(len(rest)) == k, far, rest) for k in range(len(rest)))])
+
+
+def _secant_paths(
+    scene: Scene, corners: np.ndarray, ratio: np.ndarray, ratio_stderr: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean path in each blood zone, -d ln S / d mu_a between its two states; NaN for the other absorbers. [mm]"""
+    absorbers = media.absorbers(scene)
+    out = np.full((2, *ratio.shape[:2], len(absorbers)), np.nan)
+    for i, led in enumerate(scene.leds):
+        mu_a = media.absorption(scene, led.wavelength_nm, blood_fraction=corners)[:, 0]
+        for k in range(len(corners) - 1):
+            column = absorbers.index(f"bed_{k + 1}")
+            span = mu_a[k + 1, column] - mu_a[0, column]
+            out[0, i, :, column] = -np.log(ratio[i, :, k + 1]) / span
+            out[1, i, :, column] = ratio_stderr[i, :, k + 1] / ratio[i, :, k + 1] / abs(span)
+    return out[0], out[1]
+
+
+def _between(
+    rest: np.ndarray, relative: np.ndarray, ratio: np.ndarray, ratio_stderr: np.ndarray, corners: np.ndarray, blood: np.ndarray
+) -> Course:
+    """Readings between the corner states: ln S is linear in the blood of each zone.
+
+    The errors of the zones' ratios share noise of unknown sign, so they are added, which is an upper bound.
+    """
+    x = (blood - corners[0]) / (np.diagonal(corners[1:]) - corners[0])
+    of_rest = np.exp(np.log(ratio[..., 1:]) @ x.T)
+    spread = (ratio_stderr[..., 1:] / ratio[..., 1:]) @ np.abs(x).T
+    first = of_rest[..., :1]
+    fraction, level = rest[..., None] * of_rest, relative[..., None]
+    change = fraction - rest[..., None] * first
+    return Course(
+        fraction=fraction,
+        stderr=fraction * np.hypot(level, spread),
+        change=change,
+        change_stderr=np.hypot(np.abs(change) * level, fraction * np.maximum(spread - spread[..., :1], 0)),
+    )

@@ -1,0 +1,1 @@
+"""QUESTIONS: one file each."""

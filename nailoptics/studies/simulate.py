@@ -1,0 +1,182 @@
+"""The main job: touch, blood, traced light, volts, beside the paper's reduced optics (8) and (9)."""
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from .. import electronics, hemodynamics, reduced
+from ..errors import InputError, NotReachedError
+from ..light import Light, Progress, open_light
+from ..scene import Scene
+from ..scene.layout import lay_out
+
+ZONES = ("proximal", "distal")
+
+
+def simulate(
+    scene: Scene,
+    *,
+    seed: int = 0,
+    backend: str = "auto",
+    photons: int | None = None,
+    relative_error: float | None = None,
+    max_seconds: float | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> xr.Dataset:
+    """Simulate a touch on a finger scene, from force to the volts of every photodiode.
+
+    Returns: Dataset over led, photodiode, zone and time with the force, pressures, vessel diameters, blood, detected
+    fraction and volts, each estimate with its standard error, the fits of (8) and (9), and the traced section.
+
+    Raises: InputError; NotReachedError, whose result is the Dataset as far as the accuracy went.
+    """
+    if scene.finger is None:
+        raise InputError("simulate needs a [finger] scene; a [phantom] has no blood, use trace for its light.")
+    course = blood_course(scene)
+    blood = course.blood_fraction.values.T
+    unmet = None
+    try:
+        light = open_light(
+            scene,
+            states=blood,
+            seed=seed,
+            backend=backend,
+            photons=photons,
+            relative_error=relative_error,
+            max_seconds=max_seconds,
+            progress=progress,
+        )
+    except NotReachedError as error:
+        if not isinstance(error.result, Light):
+            raise
+        light, unmet = error.result, error
+    result = course.merge(_volts(scene, light, blood))
+    result = result.merge(_reduced(scene, result))
+    result = result.merge(light.section)
+    result.attrs = light.attributes | {
+        "title": "nailoptics: touch to volts",
+        "references": "S. A. Mascaro, H. H. Asada, IEEE Trans. Robotics and Automation 17(5), 2001",
+    }
+    if unmet:
+        raise NotReachedError(str(unmet), result=result) from None
+    return result
+
+
+def blood_course(scene: Scene) -> xr.Dataset:
+    """Force, pressures, vessel diameters and blood fractions over the scene's touch."""
+    touch = scene.touch
+    time_s = touch.times_s()
+    force_n = touch.force_at(time_s)
+    parameters = hemodynamics.parameters(scene.blood.parameters)
+    proximal_pa, distal_pa = hemodynamics.pressures(force_n, touch.contact_area_mm2, touch.proximal_share)
+    run = hemodynamics.respond(
+        parameters, time_s, proximal_pressure_pa=proximal_pa, distal_pressure_pa=distal_pa, start="steady"
+    )
+    run = run[["capillary_diameter_m", "vein_diameter_m", "proximal_pressure_pa", "distal_pressure_pa"]].drop_vars("zone_position")
+    run = run.assign_coords(zone=list(ZONES))
+    fraction = hemodynamics.blood_fraction(
+        parameters, run.capillary_diameter_m.values, rest_blood_fraction=scene.blood.rest_blood_fraction
+    )
+    run["blood_fraction"] = (("zone", "time"), fraction, {"units": "1", "long_name": "blood fraction of the nail bed"})
+    run["force_n"] = ("time", force_n, {"units": "N", "long_name": "touch force"})
+    return run
+
+
+def _volts(scene: Scene, light: Light, blood: np.ndarray) -> xr.Dataset:
+    """Detected fractions and volts over the course, with standard errors and noise."""
+    layout = lay_out(scene)
+    readings = light.over(blood)
+    shape = readings.fraction.shape
+    volts, change, noise, saturated = (np.zeros(shape) for _ in range(4))
+    volts_stderr, change_stderr = np.zeros(shape), np.zeros(shape)
+    responsivity = np.zeros(shape[:2])
+    for i, led in enumerate(scene.leds):
+        for j, element in enumerate(layout.photodiodes):
+            diode = scene.photodiodes[element.entry]
+            responsivity[i, j] = electronics.responsivity_a_per_w(led.wavelength_nm, diode.quantum_efficiency)
+            read = electronics.read(
+                readings.fraction[i, j] * led.flux_mw * 1e-3,
+                responsivity=responsivity[i, j],
+                amplifier=scene.electronics,
+                dark_current_na=diode.dark_current_na,
+                shunt_ohm=diode.shunt_mohm * 1e6,
+            )
+            per_fraction = led.flux_mw * 1e-3 * responsivity[i, j] * scene.electronics.feedback_ohm
+            volts[i, j], noise[i, j], saturated[i, j] = read.volts, read.volts_noise_rms, read.saturated
+            volts_stderr[i, j] = readings.stderr[i, j] * per_fraction
+            change[i, j] = read.volts - read.volts[0]
+            change_stderr[i, j] = readings.change_stderr[i, j] * per_fraction
+    over, pair = ("led", "photodiode", "time"), ("led", "photodiode")
+    edge = scene.blood.zone_edges_mm[0]
+    zone = [int(element.area.center_mm[1] >= edge) for element in layout.photodiodes]
+    return xr.Dataset(
+        {
+            "detected_fraction": (over, readings.fraction, _of("1", "detected fraction of the emitted power", True, "detected_fraction")),
+            "detected_fraction_stderr": (over, readings.stderr, _of("1", "standard error of the detected fraction")),
+            "volts": (over, volts, _of("V", "photodiode voltage", True, "volts")),
+            "volts_stderr": (over, volts_stderr, _of("V", "standard error of the voltage (light tracing)")),
+            "volts_change": (over, change, _of("V", "change of the voltage from the start", True, "volts_change")),
+            "volts_change_stderr": (over, change_stderr, _of("V", "standard error of the change (light tracing)")),
+            "volts_noise_rms": (over, noise, _of("V", "electronic noise of one reading, rms")),
+            "saturated": (over, saturated.astype(bool), {"long_name": "converter at its limit"}),
+            "responsivity_a_per_w": (pair, responsivity, _of("A W-1", "responsivity at the LED's peak")),
+            "mean_path_mm": ((*pair, "absorber"), light.mean_path, _of("mm", "mean path of the light detected at rest", True, "mean_path_mm")),
+            "mean_path_mm_stderr": ((*pair, "absorber"), light.mean_path_stderr, _of("mm", "standard error of the mean path")),
+            "zone_of_photodiode": ("photodiode", zone, {"long_name": "blood zone above which it lies, 0 proximal"}),
+            "wavelength_nm": ("led", [led.wavelength_nm for led in scene.leds], _of("nm", "peak wavelength")),
+        },
+        coords={
+            "led": [led.name for led in scene.leds],
+            "photodiode": [element.area.name for element in layout.photodiodes],
+            "absorber": list(light.absorbers),
+        },
+    )
+
+
+def _reduced(scene: Scene, result: xr.Dataset) -> xr.Dataset:
+    """Beer-Lambert (8) and Taylor (9), each fitted to the volts of every photodiode over its own zone's diameter."""
+    leds, photodiodes, times = result.volts.shape
+    curves = {name: np.zeros((leds, photodiodes, times)) for name in ("beer_lambert", "taylor")}
+    names = {"beer_lambert": ("v0_v", "v1_v", "alpha_per_m2"), "taylor": ("v0_v", "v1_v_per_m2")}
+    table: dict[str, np.ndarray] = {}
+    for model, fields in names.items():
+        for field in (*fields, *(f"{f}_stderr" for f in fields), "residual_rms_v", "residual_max_v"):
+            table[f"{model}_{field}"] = np.zeros((leds, photodiodes))
+    notes = np.full((leds, photodiodes), "", dtype=object)
+    for i in range(leds):
+        for j in range(photodiodes):
+            diameter = result.capillary_diameter_m.values[int(result.zone_of_photodiode[j])]
+            volts = result.volts.values[i, j]
+            for model, fit in (("beer_lambert", reduced.fit_beer_lambert), ("taylor", reduced.fit_taylor)):
+                found: Any = fit(diameter, volts)
+                curves[model][i, j] = found.predict(diameter)
+                for field, error in zip(names[model], found.stderr, strict=True):
+                    table[f"{model}_{field}"][i, j] = getattr(found, field)
+                    table[f"{model}_{field}_stderr"][i, j] = error
+                table[f"{model}_residual_rms_v"][i, j] = found.residual_rms_v
+                table[f"{model}_residual_max_v"][i, j] = found.residual_max_v
+                if found.note:
+                    notes[i, j] = found.note
+    units = {"v0_v": "V", "v1_v": "V", "alpha_per_m2": "m-2", "v1_v_per_m2": "V m-2", "residual_rms_v": "V", "residual_max_v": "V"}
+    data: dict[str, Any] = {
+        "volts_beer_lambert": (("led", "photodiode", "time"), curves["beer_lambert"], _of("V", "Beer-Lambert (8), fitted")),
+        "volts_taylor": (("led", "photodiode", "time"), curves["taylor"], _of("V", "Taylor (9), fitted")),
+        "fit_note": (("led", "photodiode"), notes.astype(str), {"long_name": "what the fit could not determine"}),
+    }
+    for name, values in table.items():
+        field = name.removeprefix("beer_lambert_").removeprefix("taylor_").removesuffix("_stderr")
+        data[name] = (("led", "photodiode"), values, _of(units[field], name.replace("_", " ")))
+    return xr.Dataset(data)
+
+
+def _of(units: str, long_name: str, has_error: bool = False, name: str = "") -> dict[str, str]:
+    attributes = {"units": units, "long_name": long_name}
+    return attributes | {"ancillary_variables": f"{name}_stderr"} if has_error else attributes
+
+
+def section_attributes(regions: tuple[str, ...]) -> dict[str, str]:
+    """Attributes of the map of regions along the section."""
+    return {"long_name": "region along the section", "regions": json.dumps(regions)}
