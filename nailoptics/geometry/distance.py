@@ -1,6 +1,7 @@
 """How far the nearest interface is: a grid of safe distances for light that wants to skip the search for a crossing."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,7 +81,8 @@ def distance_grid(
     return grid
 
 
-def _bound(tree: "cKDTree", points: Array, radius: float, cap_mm: float) -> Array:  # type: ignore[name-defined] # noqa: F821
+def _bound(tree: Any, points: Array, radius: float, cap_mm: float) -> Array:
+    """Lower bounds (k,) at points (k, 3) from a tree of samples that cover the interfaces within a radius."""
     reach = (1 + SLACK) * float(np.hypot(cap_mm, radius))
     nearest, _ = tree.query(points, eps=SLACK, distance_upper_bound=reach, workers=-1)
     return np.sqrt(np.maximum((np.minimum(nearest, reach) / (1 + SLACK)) ** 2 - radius**2, 0))
