@@ -4,11 +4,16 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
+# Where the optics of every tissue are known.
+WAVELENGTH_RANGE_NM = (450.0, 1000.0)
+
 
 class Table(BaseModel):
     """One table of a scene file."""
 
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
+    model_config = ConfigDict(
+        frozen=True, strict=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 Positive = Annotated[float, Field(gt=0)]

@@ -3,6 +3,7 @@
 import difflib
 import hashlib
 import json
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ def load_scene(path: str | Path) -> Scene:
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")  # some editors write a byte order mark
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}; give the path of a scene file.") from None
     except UnicodeDecodeError:
@@ -35,13 +36,19 @@ def parse_scene(text: str, *, folder: str | Path | None = None, name: str = "sce
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{name}: is not valid TOML: {error}.") from None
+        raise InputError(_one_line(f"{name}: is not valid TOML: {error}.")) from None
+    except RecursionError:
+        raise InputError(f"{name}: is not a scene: its tables or arrays are nested too deep.") from None
     try:
         return Scene.model_validate(_tuples(data), context={"folder": folder})
     except ValidationError as error:
-        raise InputError(f"{name}: {explain(error, Scene)}") from None
+        raise InputError(_one_line(f"{name}: {explain(error, Scene)}")) from None
     except InputError as error:
-        raise InputError(f"{name}: {error}") from None
+        raise InputError(_one_line(f"{name}: {error}")) from None
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.splitlines())
 
 
 def _tuples(data: Any) -> Any:
@@ -54,22 +61,32 @@ def _tuples(data: Any) -> Any:
 def explain(error: ValidationError, model: type[BaseModel]) -> str:
     """The first fault of a validation in one line: field, rule, value, what to do."""
     faults = error.errors(include_url=False)
+    # An array with a faulty item is also called too short; once is enough.
+    faults = [f for f in faults if f["type"] != "too_short" or not f["input"]]
     fault = faults[0]
     where = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in fault["loc"]).lstrip(".")
     value = fault.get("input")
     if fault["type"] == "extra_forbidden":
         known = _fields_at(model, fault["loc"][:-1])
         close = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1)
-        line = f"{where} is not a known field; " + (f'did you mean "{close[0]}"?' if close else f"known here: {', '.join(known)}.")
+        line = f"{where} is not a known field; " + (
+            f'did you mean "{close[0]}"?' if close else f"known here: {', '.join(known)}."
+        )
     elif fault["type"] == "missing":
         line = f"{where} is missing; add it."
     elif fault["type"] == "value_error":
         line = (f"{where}: " if where else "") + str(fault["ctx"]["error"]) + "."
     else:
-        rule = fault["msg"].removeprefix("Input should be ").removeprefix("Value should ")
         shown = json.dumps(value, default=str) if not isinstance(value, dict) else "a table"
-        line = f"{where} = {shown[:60]}: must be {rule}."
+        line = f"{where} = {shown[:60]}: must {_rule(fault['msg'])}."
     return line + (f" (and {len(faults) - 1} more)" if len(faults) > 1 else "")
+
+
+def _rule(message: str) -> str:
+    """Pydantic's rule in TOML's words: "Tuple should have at least 1 item ..." is "have at least 1 item ..."."""
+    rule = re.sub(r"^(Input|Value|Tuple|String) should ", "", message)
+    rule = re.sub(r"a valid dictionary or instance of \w+", "a table", rule)
+    return rule.replace("a valid tuple", "an array").replace(" after validation", "")
 
 
 def _fields_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:

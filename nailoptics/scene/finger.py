@@ -9,13 +9,15 @@ from .base import Fraction, Positive, Table
 # Sizes of adult digits in mm. Transverse nail radii and the distance from the bone's end to the
 # tip are measured per digit; widths and thicknesses of the index span 16-20 and 12-15, nails
 # 10-14 wide and 11-13 long, and the other digits are set within or in proportion to these.
-ANATOMY: dict[str, dict[str, float]] = {
-    "thumb": dict(width_mm=21.0, thickness_mm=15.0, nail_width_mm=14.0, nail_length_mm=13.0, nail_radius_mm=11.4, bone_to_tip_mm=5.7),
-    "index": dict(width_mm=17.5, thickness_mm=13.5, nail_width_mm=11.5, nail_length_mm=12.0, nail_radius_mm=8.9, bone_to_tip_mm=3.8),
-    "middle": dict(width_mm=18.0, thickness_mm=14.0, nail_width_mm=12.0, nail_length_mm=12.5, nail_radius_mm=8.8, bone_to_tip_mm=4.0),
-    "ring": dict(width_mm=16.5, thickness_mm=13.0, nail_width_mm=10.5, nail_length_mm=12.0, nail_radius_mm=7.3, bone_to_tip_mm=4.0),
-    "little": dict(width_mm=14.5, thickness_mm=12.0, nail_width_mm=8.5, nail_length_mm=11.0, nail_radius_mm=5.8, bone_to_tip_mm=3.7),
-}  # fmt: skip
+_SIZES = ("width_mm", "thickness_mm", "nail_width_mm", "nail_length_mm", "nail_radius_mm", "bone_to_tip_mm")
+_DIGITS = {
+    "thumb": (21.0, 15.0, 14.0, 13.0, 11.4, 5.7),
+    "index": (17.5, 13.5, 11.5, 12.0, 8.9, 3.8),
+    "middle": (18.0, 14.0, 12.0, 12.5, 8.8, 4.0),
+    "ring": (16.5, 13.0, 10.5, 12.0, 7.3, 4.0),
+    "little": (14.5, 12.0, 8.5, 11.0, 5.8, 3.7),
+}
+ANATOMY = {digit: dict(zip(_SIZES, sizes, strict=True)) for digit, sizes in _DIGITS.items()}
 
 
 class Finger(Table):
@@ -49,9 +51,8 @@ class Finger(Table):
     @model_validator(mode="before")
     @classmethod
     def _sizes_from_anatomy(cls, data: object) -> object:
-        if isinstance(data, dict):
-            return ANATOMY.get(data.get("digit", "index"), {}) | data
-        return data
+        digit = data.get("digit", "index") if isinstance(data, dict) else None
+        return ANATOMY.get(digit, {}) | data if isinstance(data, dict) and isinstance(digit, str) else data
 
     @model_validator(mode="after")
     def _shape_is_possible(self) -> Self:
@@ -68,5 +69,7 @@ class Finger(Table):
                 f"{self.thickness_mm} mm thick with a nail radius of {radius} mm; make them thinner"
             )
         if self.length_mm < self.nail_length_mm + 4:
-            raise ValueError(f"length_mm = {self.length_mm} is too short for the nail; at least {self.nail_length_mm + 4}")
+            raise ValueError(
+                f"length_mm = {self.length_mm} is too short for the nail; at least {self.nail_length_mm + 4}"
+            )
         return self

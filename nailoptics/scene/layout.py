@@ -66,7 +66,8 @@ def lay_out(scene: Scene) -> Layout:
     board, finger = scene.board, scene.finger
     du, dv = board.center_mm
     leds = tuple(
-        Rectangle.around(led.name, (led.position_mm[0] + du, led.position_mm[1] + dv), led.size_mm) for led in scene.leds
+        Rectangle.around(led.name, (led.position_mm[0] + du, led.position_mm[1] + dv), led.size_mm)
+        for led in scene.leds
     )
     wired, unwired = _elements(scene)
     parts = [(f'leds "{r.name}"', r) for r in leds] + [(f'photodiode "{e.area.name}"', e.area) for e in wired]
@@ -85,7 +86,10 @@ def lay_out(scene: Scene) -> Layout:
     else:
         outline = Rectangle.around("board", board.center_mm, board.size_mm)
     for name, r in parts:
-        if min(r.u_min - outline.u_min, outline.u_max - r.u_max, r.v_min - outline.v_min, outline.v_max - r.v_max) < GAP_MM:
+        if (
+            min(r.u_min - outline.u_min, outline.u_max - r.u_max, r.v_min - outline.v_min, outline.v_max - r.v_max)
+            < GAP_MM
+        ):
             raise ValueError(f"{name} reaches over the board's edge; move it or enlarge board.size_mm")
     for axis, low, high, size in (
         ("wide", outline.u_min, outline.u_max, finger.nail_width_mm),
@@ -136,12 +140,17 @@ def _barriers(
     v_low, v_high = min(r.v_min for r in photodiodes), max(r.v_max for r in photodiodes)
     sides: dict[str, list[Rectangle]] = {"left": [], "right": [], "below": [], "above": []}
     for led in leds:
-        gaps = {"left": u_low - led.u_max, "right": led.u_min - u_high, "below": v_low - led.v_max, "above": led.v_min - v_high}
+        gaps = {
+            "left": u_low - led.u_max,
+            "right": led.u_min - u_high,
+            "below": v_low - led.v_max,
+            "above": led.v_min - v_high,
+        }
         side = max(gaps, key=lambda key: gaps[key])
         if gaps[side] < width + 0.02:
             raise ValueError(
-                f'board.barrier: LED "{led.name}" lies {max(gaps[side], 0):.3g} mm beside the photodiodes, which leaves no room '
-                f"for a wall of {width:g} mm; move it, make barrier_um smaller, or set barrier = false"
+                f'board.barrier: LED "{led.name}" lies {max(gaps[side], 0):.3g} mm beside the photodiodes, which '
+                f"leaves no room for a wall of {width:g} mm; move it, make barrier_um smaller, or set barrier = false"
             )
         sides[side].append(led)
     walls = []
@@ -149,10 +158,18 @@ def _barriers(
         if not group:
             continue
         if side in ("left", "right"):
-            middle = (u_low + max(r.u_max for r in group)) / 2 if side == "left" else (u_high + min(r.u_min for r in group)) / 2
+            middle = (
+                (u_low + max(r.u_max for r in group)) / 2
+                if side == "left"
+                else (u_high + min(r.u_min for r in group)) / 2
+            )
             walls.append(Rectangle(side, middle - width / 2, middle + width / 2, outline.v_min, outline.v_max))
         else:
-            middle = (v_low + max(r.v_max for r in group)) / 2 if side == "below" else (v_high + min(r.v_min for r in group)) / 2
+            middle = (
+                (v_low + max(r.v_max for r in group)) / 2
+                if side == "below"
+                else (v_high + min(r.v_min for r in group)) / 2
+            )
             walls.append(Rectangle(side, outline.u_min, outline.u_max, middle - width / 2, middle + width / 2))
     for wall in walls:
         for led in leds:

@@ -5,20 +5,37 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationInfo, model_validator
 
-from ..assets import load_part
-from .base import Fraction, Name, NonNegative, Point, Positive, Size, Table
+from ..assets import LedPart, PhotodiodeArrayPart, load_part
+from ..errors import InputError
+from .base import WAVELENGTH_RANGE_NM, Fraction, Name, NonNegative, Point, Positive, Size, Table
 from .finger import Finger
 from .touch import Touch
 
 Wavelength = Annotated[float, Field(ge=200, le=3000)]
+PARTS = {"part": LedPart, "array": PhotodiodeArrayPart}
+FROM_PART = {
+    "part": {"wavelength_nm", "fwhm_nm", "flux_mw", "size_mm", "pattern"},
+    "array": {"elements", "size_mm", "pitch_mm", "quantum_efficiency", "dark_current_na", "shunt_mohm"},
+}
 
 
 def with_part(data: object, key: str, info: ValidationInfo) -> object:
-    """The table with the fields of its part filled in where it does not give them itself."""
-    if isinstance(data, dict) and isinstance(data.get(key), str):
-        part = load_part(data[key], beside=(info.context or {}).get("folder"))
-        return {name: value for name, value in part.scene_fields().items() if name not in data} | data
-    return data
+    """The table with the fields of its part filled in where it does not give them itself.
+
+    A table that gives them all, as a written scene does, needs no part any more.
+    """
+    if not isinstance(data, dict) or not isinstance(data.get(key), str) or FROM_PART[key] <= data.keys():
+        return data
+    try:
+        part = load_part(data[key], beside=(info.context or {}).get("folder"), expect=PARTS[key])
+    except InputError as error:
+        # As a ValueError it is told with the place in the scene that names the part.
+        raise ValueError(str(error).rstrip(".")) from None
+    fields = part.scene_fields()
+    if data.get("pattern", "measured") != "measured":
+        # The part's measured table goes with the part's own pattern only.
+        fields = {name: value for name, value in fields.items() if not name.startswith("pattern")}
+    return fields | data
 
 
 class Layer(Table):
@@ -62,7 +79,9 @@ class Phantom(Table):
                 raise ValueError(f'layers: the name "{name}" is used twice; give each layer its own')
         for layer in self.layers[:-1]:
             if math.isinf(layer.thickness_mm):
-                raise ValueError(f'layers: "{layer.name}" has thickness_mm = inf but is not the last; only the last can be infinite')
+                raise ValueError(
+                    f'layers: "{layer.name}" has thickness_mm = inf but is not the last; only the last can be infinite'
+                )
         return self
 
 
@@ -100,7 +119,9 @@ class Led(Table):
         if self.pattern == "measured":
             angles, values = self.pattern_deg or (), self.pattern_relative or ()
             if len(angles) < 2 or len(angles) != len(values) or not any(values):
-                raise ValueError('pattern = "measured" needs pattern_deg and pattern_relative of equal length, two or more')
+                raise ValueError(
+                    'pattern = "measured" needs pattern_deg and pattern_relative of equal length, two or more'
+                )
             if angles[0] != 0 or angles[-1] > 90 or any(b <= a for a, b in zip(angles, angles[1:], strict=False)):
                 raise ValueError("pattern_deg must rise from 0 to at most 90")
         elif self.pattern_deg is not None or self.pattern_relative is not None:
@@ -134,6 +155,10 @@ class Photodiode(Table):
     shunt_mohm: Positive = 1000.0
     """Shunt resistance of one element. [Mohm]"""
 
+    def element_names(self) -> tuple[str, ...]:
+        """Names of the elements: its own where it is one photodiode, name.0, name.1 and so on of an array."""
+        return (self.name,) if self.elements == 1 else tuple(f"{self.name}.{i}" for i in range(self.elements))
+
     @model_validator(mode="before")
     @classmethod
     def _fill_from_part(cls, data: object, info: ValidationInfo) -> object:
@@ -142,6 +167,8 @@ class Photodiode(Table):
 
     @model_validator(mode="after")
     def _wiring_exists(self) -> Self:
+        if self.wired == ():
+            raise ValueError("wired is empty; name the elements that are read, or leave it out to read all")
         for index in self.wired or ():
             if index >= self.elements:
                 raise ValueError(f"wired names element {index}, but the array has elements 0 to {self.elements - 1}")
@@ -259,17 +286,30 @@ class Scene(Table):
     def _finger_or_phantom(self) -> Self:
         if (self.phantom is None) == (self.finger is None):
             raise ValueError("a scene has either [finger] or [phantom]; give exactly one of them")
-        for kind, items in (("leds", self.leds), ("photodiodes", self.photodiodes)):
-            names = [item.name for item in items]
+        leds, photodiodes = (
+            [led.name for led in self.leds],
+            [name for p in self.photodiodes for name in p.element_names()],
+        )
+        for kind, names in (("leds", leds), ("photodiodes", photodiodes)):
             for name in names:
                 if names.count(name) > 1:
                     raise ValueError(f'{kind}: the name "{name}" is used twice; give each its own')
         for i, led in enumerate(self.leds):
             if self.finger is not None and led.pattern == "pencil":
-                raise ValueError(f'leds[{i}].pattern = "pencil" is for phantoms; a die on a board is "lambertian" or "measured"')
+                raise ValueError(
+                    f'leds[{i}].pattern = "pencil" is for phantoms; a die on a board is "lambertian" or "measured"'
+                )
+            low, high = WAVELENGTH_RANGE_NM
+            if self.finger is not None and not low <= led.wavelength_nm <= high:
+                raise ValueError(
+                    f"leds[{i}].wavelength_nm = {led.wavelength_nm:g} has no tissue data, which reach from "
+                    f"{low:g} to {high:g} nm; choose a wavelength in there"
+                )
         for i, photodiode in enumerate(self.photodiodes):
             if photodiode.aperture != (self.phantom is not None):
-                which = "needs aperture = true: a phantom has no board" if self.phantom else "is for phantoms; leave it out"
+                which = (
+                    "needs aperture = true: a phantom has no board" if self.phantom else "is for phantoms; leave it out"
+                )
                 raise ValueError(f"photodiodes[{i}].aperture {which}")
         if self.finger is not None and not self.photodiodes:
             raise ValueError("photodiodes: a finger scene needs at least one")

@@ -16,7 +16,7 @@ class Touch(Table):
     """Force on the fingertip over time, and how it spreads over the pulp."""
 
     profile: Literal["step", "ramp", "hold", "recorded"] = "step"
-    """step: force from start_s to release_s; ramp: the same with linear edges of ramp_s; hold: constant; recorded: from a CSV."""
+    """step: force_n from start_s to release_s; ramp: with linear edges; hold: constant; recorded: from a CSV."""
     force_n: Annotated[float, Field(ge=0, le=100)] = 1.0
     """Force of the step, ramp or hold. [N]"""
     start_s: NonNegative = 0.25
@@ -58,9 +58,13 @@ class Touch(Table):
         if self.profile in ("step", "ramp") and self.release_s <= self.start_s:
             raise ValueError(f"release_s = {self.release_s} must come after start_s = {self.start_s}")
         if self.profile == "ramp" and self.release_s < self.start_s + self.ramp_s:
-            raise ValueError(f"release_s = {self.release_s} cuts the ramp, which ends at {self.start_s + self.ramp_s} s")
+            raise ValueError(
+                f"release_s = {self.release_s} cuts the ramp, which ends at {self.start_s + self.ramp_s} s"
+            )
         if self.duration_s * self.sample_rate_hz > 10_000_000:
-            raise ValueError(f"duration_s * sample_rate_hz = {self.duration_s * self.sample_rate_hz:g} samples; at most 1e7")
+            raise ValueError(
+                f"duration_s * sample_rate_hz = {self.duration_s * self.sample_rate_hz:g} samples; at most 1e7"
+            )
         return self
 
     def times_s(self) -> np.ndarray:
@@ -83,30 +87,38 @@ class Touch(Table):
         return np.interp(time_s, knots, [0.0, self.force_n, self.force_n, 0.0])
 
 
-def read_recording(path: Path) -> tuple[list[float], list[float]]:
+def read_recording(path: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Time [s] and force [N] of a recorded touch, from a CSV with the header time_s,force_n."""
     try:
-        with path.open(newline="", encoding="utf-8") as handle:
-            rows = [row for row in csv.reader(handle) if row and not row[0].lstrip().startswith("#")]
-    except (OSError, UnicodeDecodeError) as error:
+        # Spreadsheets write a byte order mark.
+        with path.open(newline="", encoding="utf-8-sig") as handle:
+            reader = csv.reader(handle)
+            lines = [(reader.line_num, row) for row in reader if row and not row[0].lstrip().startswith("#")]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else "not a text file"
-        raise InputError(f"touch.file {str(path)!r} cannot be read: {reason}; give a CSV with columns time_s,force_n.") from None
-    header = [name.strip() for name in rows[0]] if rows else []
+        raise InputError(
+            f"touch.file {str(path)!r} cannot be read: {reason}; give a CSV with columns time_s,force_n."
+        ) from None
+    header = [name.strip() for name in lines[0][1]] if lines else []
     if "time_s" not in header or "force_n" not in header:
-        raise InputError(f"touch.file {str(path)!r} needs a header with time_s and force_n, has {','.join(header) or 'nothing'!r}.")
+        raise InputError(
+            f"touch.file {str(path)!r} needs a header with time_s and force_n, has {','.join(header) or 'nothing'!r}."
+        )
     columns = header.index("time_s"), header.index("force_n")
     time_s, force_n = [], []
-    for number, row in enumerate(rows[1:], start=2):
+    for number, row in lines[1:]:
         try:
             time_s.append(float(row[columns[0]]))
             force_n.append(float(row[columns[1]]))
         except (ValueError, IndexError):
-            raise InputError(f"touch.file {str(path)!r} row {number}: {','.join(row)!r} is not two numbers.") from None
+            raise InputError(f"touch.file {str(path)!r} line {number}: {','.join(row)!r} is not two numbers.") from None
     check_recording(time_s, force_n, f"touch.file {str(path)!r}")
-    return time_s, force_n
+    return tuple(time_s), tuple(force_n)
 
 
-def check_recording(time_s: "list[float] | tuple[float, ...]", force_n: "list[float] | tuple[float, ...]", name: str) -> None:
+def check_recording(
+    time_s: "list[float] | tuple[float, ...]", force_n: "list[float] | tuple[float, ...]", name: str
+) -> None:
     """Raise InputError unless the recording has rising finite times and forces of 0 to 100 N."""
     if len(time_s) < 2 or len(time_s) != len(force_n):
         raise InputError(f"{name} needs at least two samples of time and force, has {len(time_s)} and {len(force_n)}.")
@@ -115,7 +127,10 @@ def check_recording(time_s: "list[float] | tuple[float, ...]", force_n: "list[fl
     falling = np.flatnonzero(np.diff(time_s) <= 0)
     if falling.size:
         at = int(falling[0]) + 1
-        raise InputError(f"{name}: time_s must rise, but sample {at + 1} ({time_s[at]:g}) follows {time_s[at - 1]:g}; sort or remove it.")
+        raise InputError(
+            f"{name}: time_s must rise, but sample {at + 1} ({time_s[at]:g}) follows {time_s[at - 1]:g}; "
+            "sort or remove it."
+        )
     if min(force_n) < 0 or max(force_n) > 100:
         wrong = min(force_n) if min(force_n) < 0 else max(force_n)
         raise InputError(f"{name}: force_n must lie in 0 to 100 N, found {wrong:g}; check sign and unit.")

@@ -1,0 +1,284 @@
+"""Every bad scene ends in one clear line: which field, which rule, which value, what to do."""
+
+import math
+import traceback
+from pathlib import Path
+
+import pytest
+
+from nailoptics.assets import LedPart
+from nailoptics.errors import InputError
+from nailoptics.scene import load_scene, parse_scene
+from nailoptics.scene.base import WAVELENGTH_RANGE_NM
+from nailoptics.tissue import WAVELENGTH_RANGE_NM as TISSUE_RANGE_NM
+
+FINGER = """
+schema_version = 1
+[finger]
+[[leds]]
+name = "ir"
+part = "led_800"
+position_mm = [-1.2, 0.0]
+[[photodiodes]]
+array = "pd_array_4x1"
+position_mm = [0.0, 0.0]
+"""
+PHANTOM = """
+schema_version = 1
+[phantom]
+[[phantom.layers]]
+name = "slab"
+thickness_mm = inf
+mu_a_per_mm = 0.1
+mu_s_per_mm = 1.0
+[[leds]]
+name = "beam"
+wavelength_nm = 800.0
+pattern = "pencil"
+"""
+FINGERLESS = FINGER.replace("[finger]", "")
+LAYERS = PHANTOM.split("[phantom]")[1].split("[[leds]]")[0]
+
+
+def complaint(text: str, folder: Path | None = None) -> str:
+    """What the user reads about a bad scene, having checked that it is nothing but that."""
+    with pytest.raises(InputError) as caught:
+        parse_scene(text, folder=folder, name="bad.toml")
+    error = caught.value
+    line = str(error)
+    assert error.exit_code == 2
+    assert line.startswith("bad.toml: ") and line.endswith((".", "?", ")")) and len(line.splitlines()) == 1
+    assert ".. " not in line and not line.endswith("..")
+    # No chain: the user's traceback, if any, holds this error alone.
+    assert "During handling" not in "".join(traceback.format_exception(error))
+    assert "direct cause" not in "".join(traceback.format_exception(error))
+    return line
+
+
+def in_finger(line: str) -> str:
+    return FINGER.replace("[finger]", f"[finger]\n{line}")
+
+
+def in_led(line: str) -> str:
+    return FINGER.replace('part = "led_800"', line)
+
+
+def in_photodiode(line: str) -> str:
+    return FINGER + line + "\n"
+
+
+def test_the_scenes_that_the_bad_ones_are_made_from_are_good():
+    assert parse_scene(FINGER).finger and parse_scene(PHANTOM).phantom
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (in_finger("nail_thicknes_mm = 0.4"), ["finger.nail_thicknes_mm", "not a known field", '"nail_thickness_mm"?']),
+        (in_led('part = "led_800"\nwavelenght_nm = 800.0'), ["leds[0].wavelenght_nm", '"wavelength_nm"?']),
+        ("leds_ = 1\n" + FINGER, ["leds_", '"leds"?']),
+        (in_finger("colour = 1"), ["finger.colour", "known here: digit, width_mm"]),
+        (in_finger('"a\\nb" = 1'), ["finger.a b"]),
+    ],
+    ids=["finger", "led", "scene", "nothing alike", "line break"],
+)
+def test_an_unknown_field_is_named_with_what_it_may_mean(text, words):
+    line = complaint(text)
+    assert all(word in line for word in words), line
+
+
+@pytest.mark.parametrize(
+    ("text", "field", "value"),
+    [
+        (in_finger("nail_thickness_mm = 450.0"), "finger.nail_thickness_mm", "450.0"),
+        (in_finger("melanin_fraction = 1.3"), "finger.melanin_fraction", "1.3"),
+        (FINGER + "[blood]\nso2 = 97", "blood.so2", "97"),
+        (FINGER + "[blood]\nrest_blood_fraction = -0.01", "blood.rest_blood_fraction", "-0.01"),
+        (FINGER + "[board]\nkapton_um = 0.025", "board.kapton_um", "0.025"),
+        (FINGER + "[board]\nopaque_reflectance = 4.0", "board.opaque_reflectance", "4.0"),
+        (FINGER + "[touch]\nforce_n = 1000.0", "touch.force_n", "1000.0"),
+        (FINGER + "[touch]\nproximal_share = 50", "touch.proximal_share", "50"),
+        (FINGER + "[touch]\ncontact_area_mm2 = 0", "touch.contact_area_mm2", "0"),
+        (FINGER + "[electronics]\nadc_bits = 64", "electronics.adc_bits", "64"),
+        (FINGER + "[accuracy]\nrelative_error = 0.0", "accuracy.relative_error", "0.0"),
+        (FINGER + "[accuracy]\nphotons = 1.5", "accuracy.photons", "1.5"),
+        (FINGER + "[accuracy]\nmax_seconds = -1", "accuracy.max_seconds", "-1"),
+        (FINGER + '[light]\nengine = "photon"', "light.engine", '"photon"'),
+        (PHANTOM.replace("= inf", "= 0.0"), "phantom.layers[0].thickness_mm", "0.0"),
+        (PHANTOM.replace("mu_s_per_mm = 1.0", "mu_s_per_mm = -1.0"), "phantom.layers[0].mu_s_per_mm", "-1.0"),
+        (PHANTOM.replace("mu_s_per_mm", "g = 1.0\nmu_s_per_mm"), "phantom.layers[0].g", "1.0"),
+        (PHANTOM.replace("mu_s_per_mm", "n = 0.9\nmu_s_per_mm"), "phantom.layers[0].n", "0.9"),
+        (FINGER.replace("schema_version = 1", "schema_version = 2"), "schema_version", "2"),
+    ],
+    ids=lambda value: value if isinstance(value, str) and len(value) < 40 else "",
+)
+def test_a_value_out_of_range_is_told_with_its_field_and_rule(text, field, value):
+    line = complaint(text)
+    assert f"bad.toml: {field} = {value}: must " in line, line
+
+
+@pytest.mark.parametrize(
+    ("text", "field"),
+    [
+        (in_finger('nail_thickness_mm = "0.4"'), "finger.nail_thickness_mm"),
+        (in_finger("nail_thickness_mm = true"), "finger.nail_thickness_mm"),
+        (in_finger("digit = {}"), "finger.digit"),
+        (in_finger("digit = [1]"), "finger.digit"),
+        (FINGERLESS.replace("schema_version = 1", "schema_version = 1\nfinger = 3"), "finger"),
+        ("schema_version = 1\nleds = []\n[finger]", "leds"),
+        ("schema_version = 1\nleds = {}\n[finger]", "leds"),
+        (FINGER.replace("[-1.2, 0.0]", "[-1.2, 0.0, 1.0]"), "leds[0].position_mm"),
+        (FINGER.replace("[-1.2, 0.0]", "-1.2"), "leds[0].position_mm"),
+        (FINGER.replace('"ir"', '"1 r"'), "leds[0].name"),
+        (FINGER + "[touch]\nforce_n = 1" + 400 * "0", "touch.force_n"),
+    ],
+)
+def test_a_value_of_the_wrong_kind_is_told_with_its_field(text, field):
+    assert f": {field} = " in complaint(text)
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+@pytest.mark.parametrize("field", ["finger.nail_thickness_mm", "blood.so2", "touch.force_n", "leds[0].position_mm[0]"])
+def test_nan_and_infinity_are_refused(field, value):
+    table, name = field.rsplit(".", 1)
+    text = {
+        "finger": in_finger(f"{name} = {value}"),
+        "leds[0]": FINGER.replace("-1.2", value),
+    }.get(table, f"{FINGER}[{table}]\n{name} = {value}")
+    assert field in complaint(text)
+
+
+def test_only_the_last_layers_thickness_may_be_infinite_and_none_nan():
+    assert math.isinf(parse_scene(PHANTOM).phantom.layers[-1].thickness_mm)
+    assert "thickness_mm = NaN" in complaint(PHANTOM.replace("= inf", "= nan"))
+    assert '"slab" has thickness_mm = inf but is not the last' in complaint(
+        PHANTOM.replace("[[leds]]", LAYERS.replace('"slab"', '"below"') + "[[leds]]")
+    )
+
+
+def test_an_led_inside_a_photodiode_is_told_with_the_depth():
+    # Element 7 of 16 spans v from -0.25 to 0 mm, the die at 0.1 spans v from -0.125 to 0.125.
+    line = complaint(FINGER.replace("-1.2", "0.1"))
+    assert 'leds "ir": position_mm lies 0.125 mm inside photodiode "pd_array_4x1.7"' in line
+
+
+def test_a_board_wider_or_longer_than_the_nail_is_refused():
+    assert "-7.00 to 7.00 mm does not fit on the nail, which is 11.5 mm wide" in complaint(
+        FINGER + "[board]\nsize_mm = [14.0, 8.0]"
+    )
+    assert "mm long" in complaint(FINGER + "[board]\nsize_mm = [6.0, 13.0]")
+    assert "does not fit on the nail" in complaint(FINGER + "[board]\ncenter_mm = [5.0, 0.0]")
+    assert "reaches over the board's edge" in complaint(FINGER + "[board]\nsize_mm = [2.0, 6.0]")
+
+
+def test_a_barrier_without_room_is_refused_with_the_way_out():
+    line = complaint(FINGER.replace("-1.2", "-0.7"))
+    assert line.startswith("bad.toml: board.barrier: LED ") and "barrier = false" in line
+
+
+@pytest.mark.parametrize("wavelength", ["449.9", "1000.1", "300.5"])
+def test_a_wavelength_without_tissue_data_is_refused(wavelength):
+    line = complaint(in_led(f"wavelength_nm = {wavelength}"))
+    assert f"leds[0].wavelength_nm = {wavelength}" in line and "450 to 1000 nm" in line
+
+
+@pytest.mark.parametrize("wavelength", [450.0, 1000.0])
+def test_wavelengths_at_the_ends_of_the_data_are_good(wavelength):
+    assert parse_scene(in_led(f"wavelength_nm = {wavelength}")).leds[0].wavelength_nm == wavelength
+
+
+def test_scene_parts_and_tissue_agree_on_the_wavelengths_that_have_data():
+    limits = {type(rule).__name__: rule for rule in LedPart.model_fields["peak_nm"].metadata}
+    assert WAVELENGTH_RANGE_NM == TISSUE_RANGE_NM == (limits["Ge"].ge, limits["Le"].le)
+
+
+def test_names_given_twice_are_refused():
+    led = FINGER.split("[[photodiodes]]")[0].split("[[leds]]")[1]
+    photodiode = FINGER.split("[[photodiodes]]")[1]
+    assert 'leds: the name "ir" is used twice' in complaint(FINGER + "[[leds]]" + led.replace("-1.2", "1.2"))
+    assert "photodiodes: the name" in complaint(
+        FINGER + "[[photodiodes]]" + photodiode.replace("[0.0, 0.0]", "[2.0, 0.0]")
+    )
+    single = '[[photodiodes]]\nname = "pd_array_4x1.3"\nposition_mm = [2.0, 0.0]\n'
+    assert 'the name "pd_array_4x1.3" is used twice' in complaint(FINGER + single)
+    assert 'phantom.layers: the name "slab"' in complaint(
+        PHANTOM.replace("[[leds]]", LAYERS + "[[leds]]").replace("inf", "1.0")
+    ).replace("phantom: layers", "phantom.layers")
+
+
+def test_a_scene_has_either_a_finger_or_a_phantom():
+    assert "either [finger] or [phantom]" in complaint(FINGERLESS)
+    assert "either [finger] or [phantom]" in complaint(FINGER + "[phantom]" + LAYERS)
+
+
+def test_what_belongs_to_a_phantom_is_refused_on_a_finger_and_the_other_way_round():
+    assert 'leds[0].pattern = "pencil" is for phantoms' in complaint(
+        in_led('wavelength_nm = 800.0\npattern = "pencil"')
+    )
+    assert "photodiodes[0].aperture is for phantoms" in complaint(in_photodiode("aperture = true"))
+    assert "photodiodes[0].aperture needs aperture = true" in complaint(
+        PHANTOM + '[[photodiodes]]\nname = "square"\nposition_mm = [2.0, 0.0]'
+    )
+
+
+def test_what_is_missing_is_named():
+    assert "schema_version is missing" in complaint("")
+    assert "leds is missing" in complaint("schema_version = 1\n[finger]")
+    assert "phantom.layers is missing" in complaint(PHANTOM.replace(LAYERS, "\n"))
+    assert "photodiodes: a finger scene needs at least one" in complaint(FINGER.split("[[photodiodes]]")[0])
+
+
+def test_a_missing_or_wrong_part_is_named_with_those_there_are(tmp_path):
+    line = complaint(in_led('part = "led_801"'), tmp_path)
+    assert "leds[0]" in line and '"led_801" is unknown' in line and "led_660, led_800" in line and str(tmp_path) in line
+    assert 'has kind "photodiode_array"' in complaint(in_led('part = "pd_array_4x1"'))
+    assert "no path" in complaint(in_led('part = "../led_800"'))
+    (tmp_path / "mine.toml").write_text('kind = "led"\npeak_nm = 8000.0\nfwhm_nm = 30\nflux_mw = 2')
+    line = complaint(in_led('part = "mine"'), tmp_path)
+    assert "peak_nm = 8000.0" in line and "mine.toml" in line
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ("wired = [16]", "wired names element 16, but the array has elements 0 to 15"),
+        ("wired = [1, 1]", "wired names an element twice"),
+        ("wired = []", "wired is empty"),
+        ("wired = [-1]", "wired[0] = -1"),
+        ("pitch_mm = 0.1", "pitch_mm = 0.1 is less than the element's size"),
+    ],
+)
+def test_impossible_wiring_is_refused(fields, words):
+    line = complaint(in_photodiode(fields))
+    assert "photodiodes[0]" in line and words in line
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ('pattern = "measured"', "needs pattern_deg and pattern_relative"),
+        ('pattern = "measured"\npattern_deg = [0, 90]\npattern_relative = [0, 0]', "needs pattern_deg"),
+        (
+            'pattern = "measured"\npattern_deg = [0, 95]\npattern_relative = [1, 0]',
+            "pattern_deg must rise from 0 to at most 90",
+        ),
+        ('pattern = "measured"\npattern_deg = [0, 50, 40]\npattern_relative = [1, 1, 0]', "pattern_deg must rise"),
+        ("pattern_deg = [0, 90]\npattern_relative = [1, 0]", 'belong to pattern = "measured"'),
+    ],
+)
+def test_an_impossible_pattern_is_refused(fields, words):
+    assert words in complaint(in_led("wavelength_nm = 800.0\n" + fields))
+
+
+@pytest.mark.parametrize("text", ["x = ", "= 1", "[finger", "a = " + 5000 * "[", '"\x00" = 1'])
+def test_what_is_not_toml_is_told_as_such(text):
+    assert "is not " in complaint(text)
+
+
+def test_a_scene_file_that_cannot_be_read_is_named(tmp_path):
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    for path, words in ((tmp_path / "none.toml", "No such file"), (tmp_path, "directory"), (binary, "not a text file")):
+        with pytest.raises(InputError, match=words) as caught:
+            load_scene(path)
+        assert str(caught.value).startswith(f"{path}: ") and len(str(caught.value).splitlines()) == 1

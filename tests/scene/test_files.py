@@ -1,0 +1,208 @@
+"""Scenes to TOML and back, their digest, their parts, and the schema that editors use."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import jsonschema
+import pytest
+from pydantic import ValidationError
+
+import nailoptics
+from nailoptics.assets import data_dir
+from nailoptics.errors import InputError
+from nailoptics.scene import Scene, digest, json_schema, load_scene, parse_scene, to_toml
+
+SHIPPED = sorted(data_dir("scenes").rglob("*.toml"))
+# A sweep holds scenes in place of being one.
+SCENES = [path for path in SHIPPED if "sweeps" not in path.parts]
+FINGER = """
+schema_version = 1
+[finger]
+[[leds]]
+name = "ir"
+part = "mine"
+position_mm = [-1.2, 0.0]
+[[photodiodes]]
+array = "row"
+position_mm = [0.0, 0.0]
+wired = [0, 2]
+[touch]
+profile = "recorded"
+file = "touch.csv"
+"""
+PHANTOM = """
+schema_version = 1
+[phantom]
+n_above = 1.4
+[[phantom.layers]]
+name = "upper"
+thickness_mm = 0.5
+mu_a_per_mm = 0.02
+mu_s_per_mm = 5
+g = 0.9
+[[phantom.layers]]
+name = "lower"
+thickness_mm = inf
+mu_a_per_mm = 0.1
+mu_s_per_mm = 1e1
+[[leds]]
+name = "beam"
+wavelength_nm = 800
+pattern = "pencil"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A user's own parts and recording."""
+    (tmp_path / "mine.toml").write_text(
+        'kind = "led"\npeak_nm = 850.0\nfwhm_nm = 30\nflux_mw = 3\npattern = [[0, 1.0], [60, 0.5], [90, 0]]\n'
+    )
+    (tmp_path / "row.toml").write_text(
+        'kind = "photodiode_array"\nelements = 3\nelement_size_mm = [1.0, 0.5]\npitch_mm = 0.6\n'
+        "quantum_efficiency = 0.8\ndark_current_na = 0.2\nshunt_ohm = 1e8\n"
+    )
+    (tmp_path / "touch.csv").write_text("time_s,force_n\n0,0\n0.5,1\n1,0\n")
+    return tmp_path
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.name)
+def test_shipped_scenes_survive_a_round_trip_through_toml(path):
+    scene = load_scene(path)
+    again = parse_scene(to_toml(scene))
+    assert again == scene and digest(again) == digest(scene)
+
+
+def test_a_written_scene_needs_neither_its_parts_nor_its_recording(folder):
+    """Rationale: results carry their scene, and are read on machines that lack the user's files.
+    Expected: equality without the folder, though a part and a recording came from there."""
+    scene = parse_scene(FINGER, folder=folder)
+    assert scene.leds[0].wavelength_nm == 850.0 and scene.leds[0].pattern_relative == (1.0, 0.5, 0.0)
+    assert scene.photodiodes[0].shunt_mohm == 100.0 and scene.touch.recorded_force_n == (0.0, 1.0, 0.0)
+    assert parse_scene(to_toml(scene)) == scene
+    with pytest.raises(InputError):
+        parse_scene(FINGER)
+
+
+def test_infinite_thickness_survives_a_round_trip():
+    scene = parse_scene(PHANTOM)
+    again = parse_scene(to_toml(scene))
+    assert again == scene and math.isinf(again.phantom.layers[1].thickness_mm)
+
+
+def test_fields_of_the_scene_come_before_those_of_its_part(folder):
+    text = FINGER.replace('part = "mine"', 'part = "mine"\nflux_mw = 7.0')
+    led = parse_scene(text, folder=folder).leds[0]
+    assert led.flux_mw == 7.0 and led.fwhm_nm == 30.0
+
+
+def test_a_pattern_in_the_scene_sets_the_parts_measured_pattern_aside(folder):
+    text = FINGER.replace('part = "mine"', 'part = "mine"\npattern = "lambertian"')
+    scene = parse_scene(text, folder=folder)
+    led = scene.leds[0]
+    assert led.pattern == "lambertian" and led.pattern_deg is None and led.pattern_relative is None
+    assert led.wavelength_nm == 850.0
+    assert parse_scene(to_toml(scene)) == scene
+
+
+def test_a_users_part_comes_before_a_shipped_one_of_that_name(folder):
+    (folder / "mine.toml").rename(folder / "led_800.toml")
+    assert parse_scene(FINGER.replace('"mine"', '"led_800"'), folder=folder).leds[0].wavelength_nm == 850.0
+
+
+def test_the_digest_is_that_of_the_content_not_of_its_writing():
+    scene = parse_scene(PHANTOM)
+    written_otherwise = PHANTOM.replace("= 5\n", "= 5.0 # a comment\n").replace("1e1", "10.0").replace("800", "800.00")
+    assert digest(parse_scene(written_otherwise)) == digest(scene)
+    assert len(digest(scene)) == 64
+
+
+@pytest.mark.parametrize("hash_seed", ["1", "2"])
+def test_the_digest_is_the_same_in_every_process(hash_seed):
+    code = f"from nailoptics.scene import digest, parse_scene; print(digest(parse_scene({PHANTOM!r})))"
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"PYTHONHASHSEED": hash_seed, "PYTHONPATH": str(Path(nailoptics.__file__).parents[1])},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert run.stdout.strip() == digest(parse_scene(PHANTOM))
+
+
+def test_every_number_of_a_scene_changes_its_digest():
+    scene = parse_scene(PHANTOM)
+    seen = {digest(scene)}
+    layer = scene.phantom.layers[0]
+    for name, value in layer.model_dump().items():
+        other = layer.model_copy(update={name: value + 1e-9 if isinstance(value, float) else value + "x"})
+        phantom = scene.phantom.model_copy(update={"layers": (other, scene.phantom.layers[1])})
+        seen.add(digest(scene.model_copy(update={"phantom": phantom})))
+    finite = scene.phantom.layers[1].model_copy(update={"thickness_mm": 1e9})
+    phantom = scene.phantom.model_copy(update={"layers": (layer, finite)})
+    seen.add(digest(scene.model_copy(update={"phantom": phantom})))
+    assert len(seen) == 1 + len(layer.model_dump()) + 1
+
+
+def test_a_scene_is_frozen():
+    scene = parse_scene(PHANTOM)
+    with pytest.raises(ValidationError, match="frozen"):
+        scene.leds[0].flux_mw = 2.0
+
+
+def test_a_byte_order_mark_is_no_obstacle(tmp_path):
+    path = tmp_path / "scene.toml"
+    path.write_text(PHANTOM, encoding="utf-8-sig")
+    assert load_scene(path) == parse_scene(PHANTOM)
+
+
+def test_the_shipped_schema_is_the_models_own():
+    shipped = json.loads((data_dir("scenes") / "scene.schema.json").read_text(encoding="utf-8"))
+    assert shipped == json_schema()
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.name)
+def test_shipped_scenes_name_and_meet_the_schema(path):
+    text = path.read_text(encoding="utf-8")
+    assert text.splitlines()[0] == "#:schema ./scene.schema.json"
+    validator = jsonschema.Draft202012Validator(json_schema())
+    validator.check_schema(json_schema())
+    data = tomllib.loads(text)
+    assert [error.message for error in validator.iter_errors(data)] == []
+    data["colour"] = "red"
+    data["leds"][0]["flux_mw"] = -1.0
+    data["leds"][0].pop("name")
+    assert len(list(validator.iter_errors(data))) == 3
+
+
+def test_every_field_of_the_schema_says_what_it_is():
+    schema = json_schema()
+    tables = {"Scene": schema} | schema["$defs"]
+    silent = [
+        f"{name}.{field}"
+        for name, table in tables.items()
+        for field, rule in table["properties"].items()
+        if not {"description", "$ref"} & rule.keys()
+    ]
+    assert not silent
+
+
+def test_every_dimension_carries_its_unit():
+    """Fields that hold a float and are no pure number end in their unit, in name and in description."""
+    units = {"mm", "um", "nm", "mm2", "s", "n", "pf", "k", "v", "ohm", "mohm", "hz", "na", "mw", "deg"}
+    pure = {"g", "n", "n_above", "n_below"}
+    for name, table in json_schema()["$defs"].items():
+        for field, rule in table["properties"].items():
+            ends = field.split("_")[-1]
+            if field not in pure and ends in units:
+                assert rule["description"].rstrip().endswith("]"), f"{name}.{field}"
+
+
+def test_a_scene_that_is_no_scene_cannot_be_built_in_python_either():
+    with pytest.raises(ValidationError):
+        Scene(schema_version=1, leds=())

@@ -1,0 +1,92 @@
+"""Touch profiles: the force they mean at each time, and recordings that are refused."""
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from nailoptics.errors import InputError
+from nailoptics.scene import Touch
+
+
+def test_a_step_begins_at_start_and_ends_at_release():
+    touch = Touch(force_n=2.0, start_s=0.25, release_s=2.25)
+    assert touch.force_at(np.array([0.0, 0.2499, 0.25, 1.0, 2.2499, 2.25, 4.0])).tolist() == [0, 0, 2, 2, 2, 0, 0]
+
+
+def test_a_ramp_has_linear_edges_of_equal_length():
+    touch = Touch(profile="ramp", force_n=2.0, start_s=0.5, ramp_s=1.0, release_s=2.0)
+    expected = [0, 0, 1, 2, 2, 2, 1, 0, 0]
+    assert touch.force_at(np.array([0, 0.5, 1, 1.5, 1.75, 2, 2.5, 3, 4])) == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_hold_is_constant():
+    assert Touch(profile="hold", force_n=3.0).force_at(np.linspace(0, 4, 5)).tolist() == [3.0] * 5
+
+
+def test_samples_span_the_duration_without_drift():
+    times = Touch(duration_s=4.0, sample_rate_hz=100.0).times_s()
+    assert len(times) == 401 and times[0] == 0 and times[-1] == 4.0
+    assert np.ptp(np.diff(times)) < 1e-12
+
+
+def recorded(tmp_path, text, **fields):
+    path = tmp_path / "touch.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return Touch(profile="recorded", file=str(path), **fields)
+
+
+def test_a_recording_is_followed_between_its_samples(tmp_path):
+    touch = recorded(tmp_path, "# pressed by hand\ntime_s,force_n\n1.0,0\n2.0,4\n4.0,0\n", sample_rate_hz=2.0)
+    assert touch.times_s().tolist() == [1, 1.5, 2, 2.5, 3, 3.5, 4]
+    assert touch.force_at(touch.times_s()) == pytest.approx([0, 2, 4, 3, 2, 1, 0])
+
+
+def test_a_recording_may_have_other_columns_and_a_byte_order_mark(tmp_path):
+    touch = recorded(tmp_path, "\ufeffnote, force_n, time_s\na, 1, 0\nb, 2, 1\n".encode())
+    assert touch.recorded_time_s == (0.0, 1.0) and touch.recorded_force_n == (1.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "needs a header with time_s and force_n, has 'nothing'"),
+        ("t,f\n0,0\n1,1\n", "needs a header with time_s and force_n, has 't,f'"),
+        ("time_s,force_n\n0,0\n", "at least two samples"),
+        ("time_s,force_n\n0,0\n1,one\n", "line 3: '1,one' is not two numbers"),
+        ("# by hand\ntime_s,force_n\n0,0\n1\n", "line 4: '1' is not two numbers"),
+        ("time_s,force_n\n0,0\n2,1\n1,1\n", "time_s must rise, but sample 3 (1) follows 2"),
+        ("time_s,force_n\n0,0\n1,1\n1,1\n", "time_s must rise, but sample 3"),
+        ("time_s,force_n\n0,0\nnan,1\n", "not finite"),
+        ("time_s,force_n\n0,0\n1,inf\n", "not finite"),
+        ("time_s,force_n\n0,0\n1,-0.5\n", "0 to 100 N, found -0.5"),
+        ("time_s,force_n\n0,0\n1,1000\n", "0 to 100 N, found 1000"),
+        (b"\xff\xfe\x00\x01", "not a text file"),
+    ],
+)
+def test_a_recording_that_cannot_be_followed_is_refused_in_one_line(tmp_path, text, words):
+    with pytest.raises(InputError) as caught:
+        recorded(tmp_path, text)
+    line = str(caught.value)
+    assert words in line and line.startswith("touch.file ") and "touch.csv" in line
+    assert len(line.splitlines()) == 1 and caught.value.exit_code == 2
+    assert caught.value.__cause__ is None
+
+
+def test_a_recording_that_is_not_there_is_named(tmp_path):
+    for place in (tmp_path / "none.csv", tmp_path):
+        with pytest.raises(InputError, match="cannot be read"):
+            Touch(profile="recorded", file=str(place))
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"profile": "recorded"}, "go together"),
+        ({"start_s": 2.0, "release_s": 2.0}, "must come after start_s"),
+        ({"profile": "ramp", "start_s": 0.0, "ramp_s": 3.0, "release_s": 2.0}, "cuts the ramp"),
+        ({"duration_s": 80_000.0, "sample_rate_hz": 1000.0}, "at most 1e7"),
+    ],
+)
+def test_impossible_profiles_are_refused(fields, words):
+    with pytest.raises(ValidationError, match=words):
+        Touch(**fields)
