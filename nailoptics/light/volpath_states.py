@@ -27,7 +27,8 @@ BATCH_SECONDS = 1.5
 class StateReadings:
     """Readings of every photodiode in a few blood states.
 
-    fraction, fraction_stderr : (photodiodes, states) float. Detected fraction of the LED's power.
+    fraction, fraction_stderr : (photodiodes, states) float. Detected fraction of the LED's power; the error is infinite
+        where nothing was seen.
     ratio, ratio_stderr : (photodiodes, states) float. Reading over that of the first state; far less noisy than either.
     batches : Batches in all, each of `paths` paths.
     reached : Whether every fraction has the relative error that was asked for.
@@ -122,9 +123,12 @@ def finger_states(
     mean = np.array([np.mean(values) for values in level])
     relative = np.array([relative_stderr(values) for values in level])
     fraction = mean[:, None] * ratio
+    error = np.full_like(fraction, math.inf)
+    seen = mean > 0
+    error[seen] = fraction[seen] * np.hypot(relative[seen, None], ratio_stderr[seen] / ratio[seen])
     return StateReadings(
         fraction=fraction,
-        fraction_stderr=fraction * np.hypot(relative[:, None], ratio_stderr / ratio),
+        fraction_stderr=error,
         ratio=ratio,
         ratio_stderr=ratio_stderr,
         batches=done,
