@@ -1,0 +1,125 @@
+"""The package as it is installed: its data, its licence, its extras and its public names."""
+
+import ast
+import importlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import nailoptics
+from nailoptics import assets
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+# Packages whose distribution has another name.
+DISTRIBUTION = {"colour": "colour-science", "dask": "distributed"}
+
+
+def distributions(requirements: list[str]) -> set[str]:
+    return {re.split(r"[\[<>=!~; ]", requirement)[0].lower() for requirement in requirements}
+
+
+def third_party(paths) -> set[str]:
+    """Top-level packages imported by files, that are neither Python's own nor this one."""
+    names = set()
+    for path in paths:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                names |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
+                names.add(node.module.split(".")[0])
+    return names - sys.stdlib_module_names - {"nailoptics"}
+
+
+def test_a_plain_install_finds_its_assets_and_scenes(tmp_path):
+    """Rationale: a wheel carries the data inside the package, a checkout beside it.
+    Expected: a copy laid out as the wheel's rules say reads its prototype from itself, parts and all."""
+    shutil.copytree(
+        ROOT / "nailoptics", tmp_path / "nailoptics", ignore=shutil.ignore_patterns("__pycache__", "_assets", "_scenes")
+    )
+    for source, target in PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"].items():
+        shutil.copytree(ROOT / source, tmp_path / target)
+    code = """if True:
+        import nailoptics
+        from nailoptics.assets import data_dir, load_part, read_table
+        scene = nailoptics.load_scene(data_dir("scenes") / "prototype.toml")
+        print(data_dir("assets"), data_dir("scenes"), len(read_table("spectra/water.csv")), sep="\\n")
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    found_assets, found_scenes, columns = done.stdout.split("\n")[:3]
+    assert (
+        Path(found_assets) == tmp_path / "nailoptics/_assets" and Path(found_scenes) == tmp_path / "nailoptics/_scenes"
+    )
+    assert int(columns) >= 2
+
+
+def test_a_checkout_finds_its_assets_and_scenes():
+    assert assets.data_dir("assets").resolve() == ROOT / "assets"
+    assert assets.data_dir("scenes").resolve() == ROOT / "scenes"
+
+
+def test_a_package_without_its_data_says_so(monkeypatch, tmp_path):
+    monkeypatch.setattr(assets, "_PACKAGE", tmp_path / "nailoptics")
+    with pytest.raises(nailoptics.InputError, match="install nailoptics again"):
+        assets.data_dir("assets")
+
+
+def test_every_public_name_exists_and_is_documented():
+    for name in nailoptics.__all__:
+        assert getattr(nailoptics, name).__doc__, name
+    with pytest.raises(AttributeError, match="no_such_name"):
+        nailoptics.no_such_name  # noqa: B018
+
+
+def test_every_module_says_what_it_is_for_in_its_first_line():
+    for path in sorted((ROOT / "nailoptics").rglob("*.py")):
+        doc = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
+        assert doc and doc.splitlines()[0].strip(), path
+
+
+def test_the_version_is_in_the_change_log():
+    assert re.fullmatch(r"\d+\.\d+\.\d+", nailoptics.__version__)
+    assert nailoptics.__version__ in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_the_licence_is_the_one_that_the_package_names():
+    text = (ROOT / "LICENSE").read_text(encoding="utf-8")
+    assert PROJECT["project"]["license"] == "BSD-3-Clause" and text.startswith("BSD 3-Clause License")
+    assert "nailoptics developers" in text
+
+
+def test_the_readme_of_the_package_is_there():
+    assert (ROOT / PROJECT["project"]["readme"]).read_text(encoding="utf-8").startswith("# nailoptics")
+
+
+def test_every_package_that_the_code_imports_is_required():
+    needed = {DISTRIBUTION.get(name, name) for name in third_party((ROOT / "nailoptics").rglob("*.py"))}
+    declared = distributions(PROJECT["project"]["dependencies"])
+    optional = distributions(PROJECT["project"]["optional-dependencies"]["cluster"])
+    assert {name.replace("_", "-") for name in needed} <= declared | optional
+
+
+def test_every_package_that_the_tests_import_is_in_the_test_extra():
+    needed = {DISTRIBUTION.get(name, name) for name in third_party((ROOT / "tests").rglob("*.py"))}
+    extras = PROJECT["project"]["optional-dependencies"]
+    known = distributions(PROJECT["project"]["dependencies"] + extras["test"])
+    local = {path.stem for path in (ROOT / "tests").rglob("*.py")} | {"tests"}
+    assert {name.replace("_", "-") for name in needed - local} <= known
+
+
+def test_the_command_exists():
+    module, function = PROJECT["project"]["scripts"]["nailoptics"].split(":")
+    assert callable(getattr(importlib.import_module(module), function))
