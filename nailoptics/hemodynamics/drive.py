@@ -7,7 +7,7 @@ import bisect
 import numpy as np
 
 _KINK = 0.01
-"""Change of slope, over one sample and relative to the input's range, that is a kink. [1]"""
+"""Change of slope, over the shorter side and relative to the input's range, that is a kink. [1]"""
 _TURN = 0.3
 """Sum of the roots of such changes after which a smooth curve gets a stop; a bump of any width sums to some 4. [1]"""
 
@@ -22,19 +22,14 @@ class Drive:
     """
 
     def __init__(self, time_s: np.ndarray, values: np.ndarray) -> None:
-        step = np.diff(time_s)
-        slopes = np.diff(values, axis=1) / step
-        span = np.maximum(np.ptp(values, axis=1), 1.0)[:, None]
-        bend = np.abs(np.diff(slopes, axis=1)) * np.minimum(step[1:], step[:-1]) / span
-        bend = bend.max(axis=0, initial=0.0)
-        kept = np.concatenate(([0], 1 + np.flatnonzero(bend > 1e-9), [time_s.size - 1]))
-        # The root, since a change of slope over a sample goes with the square of the samples' distance.
-        level = np.floor(np.concatenate(([0.0], np.cumsum(np.sqrt(np.where(bend < _KINK, bend, 0.0))))) / _TURN)
-        turns = 1 + np.flatnonzero((np.diff(level) > 0) | (bend >= _KINK))
+        kept = np.concatenate(([0], 1 + np.flatnonzero(_bends(time_s, values) > 1e-9), [time_s.size - 1]))
         times, points = time_s[kept], values[:, kept]
         piece_slopes = np.diff(points, axis=1) / np.diff(times)
-        is_stop = np.isin(kept, turns)
-        is_stop[[0, -1]] = True
+        bends = _bends(times, points)
+        # The root, since a change of slope over a sample goes with the square of the samples' distance.
+        level = np.floor(np.concatenate(([0.0], np.cumsum(np.sqrt(np.where(bends < _KINK, bends, 0.0))))) / _TURN)
+        is_stop = np.ones(times.size, dtype=bool)
+        is_stop[1:-1] = (np.diff(level) > 0) | (bends >= _KINK)
         self.stops: list[float] = times[is_stop].tolist()
         self._times: list[float] = times.tolist()
         self._values: list[list[float]] = points.T.tolist()
@@ -58,6 +53,15 @@ class Drive:
         i = self._piece(time)
         dt = time - self._times[i]
         return [v + s * dt for v, s in zip(self._left[i], self._turn[i], strict=True)]
+
+
+def _bends(times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the change of slope at each inner sample over the shorter of its sides, relative to the range. [1]"""
+    sides = np.diff(times)
+    slopes = np.diff(values, axis=1) / sides
+    span = np.maximum(np.ptp(values, axis=1), 1.0)[:, None]
+    bends = np.abs(np.diff(slopes, axis=1)) * np.minimum(sides[1:], sides[:-1]) / span
+    return bends.max(axis=0, initial=0.0)
 
 
 def _node_slopes(times: np.ndarray, slopes: np.ndarray, is_stop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -22,6 +22,12 @@ def test_a_line_has_no_stops_and_an_impulse_of_one_sample_has_all_of_its_own():
     assert Drive(time, impulse).stops == [0.0, time[999], time[1000], time[1001], time[-1]]
 
 
+def test_the_corner_of_a_ramp_is_a_stop_however_finely_it_is_sampled():
+    time = np.linspace(0.0, 1.0, 40001)
+    ramp = np.interp(time, [0.0, 0.4, 0.6, 1.0], [0.0, 1e4, 1e4, 0.0])
+    assert np.allclose(Drive(time, ramp[None]).stops, [0.0, 0.4, 0.6, 1.0], atol=3e-5)
+
+
 def test_a_smooth_curve_has_few_stops_and_a_smooth_slope():
     time = np.arange(0.0, 4.0, 1e-3)
     drive = Drive(time, 1e4 * np.sin(np.pi * time)[None])
