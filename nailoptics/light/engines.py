@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -20,6 +20,9 @@ from . import media
 from .reread import Course, course
 from .tracing import Progress, accuracy, trace
 from .transfer import Transfer, provenance
+
+if TYPE_CHECKING:
+    from .volpath_states import StateReadings
 
 log = logging.getLogger(__name__)
 
@@ -141,45 +144,19 @@ def _volpath(
     progress: Callable[[Progress], None] | None,
 ) -> Light:
     """Trace rest and one changed state per zone; between them each zone dims as in Beer-Lambert (8)."""
-    from .volpath_scene import BedAbsorption
-    from .volpath_states import finger_states
-
     wanted = accuracy(scene, **asked)
     target = max(wanted.relative_error or 0.0, VOLPATH_RELATIVE_ERROR)
     log.warning(
         "volpath traces three blood states to a relative error of %g and takes Beer-Lambert (8) between them", target
     )
     corners = _corners(np.asarray(states, float))
-    zones = media.zones(scene)
-    beds = [media.absorbers(scene).index(f"bed_{k + 1}") for k in range(zones.count)]
-    low, high = np.asarray(shape.bounds_mm)[:, 1]
-    v = np.linspace(low, high, 1 + round((high - low) / (zones.width_mm / 40)))
     begin, cpu = time.perf_counter(), time.process_time()
     traced, paths, complaint = [], 0, None
     for i, led in enumerate(scene.leds):
-        mu_a = media.absorption(scene, led.wavelength_nm, blood_fraction=corners)[:, 0]
         limit = math.inf
         if wanted.max_seconds is not None:
             limit = (wanted.max_seconds - (time.perf_counter() - begin)) / (len(scene.leds) - i)
-
-        def told(error: float, seconds: float, led: str = led.name, limit: float = limit) -> None:
-            # The error falls with the root of the time.
-            share = min(1.0, max((target / error) ** 2 if error > 0 else 1.0, seconds / limit))
-            if progress:
-                progress(Progress(led, 0, error, target, share, seconds))
-
-        readings = finger_states(
-            scene,
-            shape,
-            media.finger_media(scene, shape.regions, led.wavelength_nm),
-            bed=BedAbsorption(v, mu_a[:, beds] @ zones.weights(v).T),
-            led=i,
-            relative_error=target,
-            max_seconds=limit,
-            seed=int(np.random.SeedSequence(seed, spawn_key=(i,)).generate_state(1)[0]),
-            backend=chosen,
-            progress=told,
-        )
+        readings = volpath_states(scene, shape, chosen, corners, i, seed, target, limit, progress)
         traced.append(readings)
         paths += readings.paths * readings.batches
         if not readings.reached:
@@ -210,6 +187,47 @@ def _volpath(
     return light
 
 
+def volpath_states(
+    scene: Scene,
+    shape: Geometry,
+    chosen: backends.Backend,
+    blood: np.ndarray,
+    led: int,
+    seed: int,
+    target: float,
+    max_seconds: float,
+    progress: Callable[[Progress], None] | None,
+) -> "StateReadings":
+    """Readings of one LED by volpath in up to three blood states, (states, zones) float."""
+    from .volpath_scene import BedAbsorption
+    from .volpath_states import finger_states
+
+    name, wavelength, zones = scene.leds[led].name, scene.leds[led].wavelength_nm, media.zones(scene)
+    beds = [media.absorbers(scene).index(f"bed_{k + 1}") for k in range(zones.count)]
+    mu_a = media.absorption(scene, wavelength, blood_fraction=blood)[:, 0]
+    low, high = np.asarray(shape.bounds_mm)[:, 1]
+    v = np.linspace(low - 0.2, high + 0.2, 1 + round((high - low) / (zones.width_mm / 40)))
+
+    def told(error: float, seconds: float) -> None:
+        # The error falls with the root of the time.
+        share = min(1.0, max((target / error) ** 2 if error > 0 else 1.0, seconds / max_seconds))
+        if progress:
+            progress(Progress(name, 0, error, target, share, seconds))
+
+    return finger_states(
+        scene,
+        shape,
+        media.finger_media(scene, shape.regions, wavelength),
+        bed=BedAbsorption(v, mu_a[:, beds] @ zones.weights(v).T),
+        led=led,
+        relative_error=target,
+        max_seconds=max_seconds,
+        seed=int(np.random.SeedSequence(seed, spawn_key=(led,)).generate_state(1)[0]),
+        backend=chosen,
+        progress=told,
+    )
+
+
 def _corners(states: np.ndarray) -> np.ndarray:
     """The first state, and for each zone a state in which that zone alone is as far from it as it ever gets."""
     rest = states[0]
@@ -236,7 +254,12 @@ def _secant_paths(
 
 
 def _between(
-    rest: np.ndarray, relative: np.ndarray, ratio: np.ndarray, ratio_stderr: np.ndarray, corners: np.ndarray, blood: np.ndarray
+    rest: np.ndarray,
+    relative: np.ndarray,
+    ratio: np.ndarray,
+    ratio_stderr: np.ndarray,
+    corners: np.ndarray,
+    blood: np.ndarray,
 ) -> Course:
     """Readings between the corner states: ln S is linear in the blood of each zone.
 

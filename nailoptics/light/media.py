@@ -87,9 +87,13 @@ def absorption(
         return np.tile([layer.mu_a_per_mm for layer in scene.phantom.layers], (len(wavelength), 1))
     assert scene.finger is not None
     count = zones(scene).count
-    fraction = np.asarray([scene.blood.rest_blood_fraction] * count if blood_fraction is None else blood_fraction, float)
+    fraction = np.asarray(
+        [scene.blood.rest_blood_fraction] * count if blood_fraction is None else blood_fraction, float
+    )
     if fraction.shape[-1:] != (count,):
-        raise InputError(f"blood_fraction has shape {fraction.shape}; its last axis needs one value for each of the {count} zones.")
+        raise InputError(
+            f"blood_fraction has shape {fraction.shape}; its last axis needs one value for each of the {count} zones."
+        )
     if not (np.all(fraction >= 0) and np.all(fraction <= 1)):
         raise InputError(f"blood_fraction = {fraction.min():g} to {fraction.max():g}; must lie in 0 to 1.")
     saturation = np.asarray(scene.blood.so2 if so2 is None else so2, float)[..., None]

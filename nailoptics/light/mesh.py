@@ -71,7 +71,7 @@ class MeshTracer:
         )
 
     def walk(self, led: int, *, photons: int, seed: int, section: "Section | None" = None) -> tuple[np.ndarray, ...]:
-        """Outcome, weight, roulette (n,) and paths (media + zones - 1, n) of each photon, and the scatterings in all."""
+        """Outcome, weight, roulette (n,) and paths (media + zones - 1, n) of each photon; scatterings in all."""
         lanes = min(photons, 8192 if dr.backend_v(mi.Float) == dr.JitBackend.LLVM else 1 << 18)
         count = dr.full(mi.UInt32, photons // lanes, lanes) + dr.select(
             dr.arange(mi.UInt32, lanes) < photons % lanes, mi.UInt32(1), mi.UInt32(0)
@@ -118,7 +118,9 @@ class Section:
         j = mi.Int32(dr.floor((p.y - self.low[0]) / self.spacing_mm))
         k = mi.Int32(dr.floor((p.z - self.low[1]) / self.spacing_mm))
         inside = active & (j >= 0) & (k >= 0) & (mi.UInt32(j) < self.shape[0]) & (mi.UInt32(k) < self.shape[1])
-        dr.scatter_reduce(dr.ReduceOp.Add, self.values, mi.Float64(path), mi.UInt32(j) * self.shape[1] + mi.UInt32(k), inside)
+        dr.scatter_reduce(
+            dr.ReduceOp.Add, self.values, mi.Float64(path), mi.UInt32(j) * self.shape[1] + mi.UInt32(k), inside
+        )
 
     def density(self, photons: int) -> np.ndarray:
         """Path per area of the section and emitted photon, (y, z) float. [mm^-1]"""
@@ -141,7 +143,9 @@ class _RegionTable:
         self.opaque = mi.UInt32(optics.opaque.astype(np.uint32))
         self.reflectance = mi.Float(optics.reflectance)
         self.end = mi.UInt32(np.array(end, np.uint32))
-        self.medium = mi.UInt32(np.array([media.TISSUES.index(n) if n in media.TISSUES else 99 for n in names], np.uint32))
+        self.medium = mi.UInt32(
+            np.array([media.TISSUES.index(n) if n in media.TISSUES else 99 for n in names], np.uint32)
+        )
         self.bed, self.epoxy, self.air = (dr.opaque(mi.UInt32, first[name]) for name in ("bed", "epoxy", "air"))
 
 
@@ -247,7 +251,7 @@ def _walk(
     section: Section | None,
 ) -> Any:
     """Scatterings per lane; a lane walks one photon after the other, so that none waits for one long life."""
-    F, U, B = mi.Float, mi.UInt32, mi.Bool
+    F, U = mi.Float, mi.UInt32
     outcome_of, weight_of, roulette_of, *path_of = results
     lanes, kinds, inner = dr.width(count), len(media.TISSUES), len(edges)
     photon = dr.arange(U, lanes)

@@ -30,7 +30,9 @@ class Course:
     change_stderr: np.ndarray
 
 
-def course(transfer: "Transfer", blood_fraction: np.ndarray, *, so2: float | None = None, electrons: bool = False) -> Course:
+def course(
+    transfer: "Transfer", blood_fraction: np.ndarray, *, so2: float | None = None, electrons: bool = False
+) -> Course:
     """Readings over a course of blood states; a press of ten thousand steps takes about as long as one of a hundred.
 
     Readings are smooth in the blood, so they are evaluated at Chebyshev nodes over the range of states and
@@ -92,7 +94,10 @@ def _sums(
         wavelength, share = media.spectrum(led)
         if electrons:
             share = share * wavelength / led.wavelength_nm
-        mu_a = media.absorption(transfer.scene, wavelength, blood_fraction=np.vstack([first, states]), so2=so2) - trace.mu_a
+        mu_a = (
+            media.absorption(transfer.scene, wavelength, blood_fraction=np.vstack([first, states]), so2=so2)
+            - trace.mu_a
+        )
         order = np.argsort(trace.photodiode, kind="stable")
         edges = np.searchsorted(trace.photodiode[order], np.arange(len(transfer.photodiodes) + 1))
         moving = np.flatnonzero(np.ptp(mu_a, axis=(0, 1)) + np.abs(mu_a[0, 0]))

@@ -37,7 +37,11 @@ def save(transfer: Transfer, path: Path) -> None:
             "mu_a_per_mm": (("led", "absorber"), [t.mu_a for t in transfer.traces], {"units": "mm-1"}),
             "energy": (("led", "part", "moment"), [list(t.energy.values()) for t in transfer.traces]),
         },
-        coords={"led": list(transfer.leds), "absorber": list(transfer.absorbers), "part": list(transfer.traces[0].energy)},
+        coords={
+            "led": list(transfer.leds),
+            "absorber": list(transfer.absorbers),
+            "part": list(transfer.traces[0].energy),
+        },
         attrs={
             **transfer.attributes(),
             "photodiodes": json.dumps(transfer.photodiodes),
@@ -60,7 +64,9 @@ def load(path: Path) -> Transfer:
         ends = np.cumsum(data.records.values)
         traces = []
         for i, (start, end) in enumerate(zip(np.r_[0, ends[:-1]], ends, strict=True)):
-            energy = {str(p): (float(a), float(b)) for p, (a, b) in zip(data.part.values, data.energy.values[i], strict=True)}
+            energy = {
+                str(p): (float(a), float(b)) for p, (a, b) in zip(data.part.values, data.energy.values[i], strict=True)
+            }
             traces.append(
                 LedTrace(
                     photons=int(data.photons[i]),

@@ -90,7 +90,7 @@ def trace(
     engine = tracer(scene)
     start, cpu = time.perf_counter(), time.process_time()
     traces, events, complaint = [], 0, None
-    for i, led in enumerate(scene.leds):
+    for i in range(len(scene.leds)):
         # A fair share of the time for each LED that is left.
         deadline = None
         if asked.max_seconds is not None:
@@ -137,7 +137,12 @@ def accuracy(scene: Scene, *, photons: int | None, relative_error: float | None,
 
 
 def _trace_led(
-    engine: Any, led: int, asked: Accuracy, seed: int, deadline: float | None, progress: Callable[[Progress], None] | None
+    engine: Any,
+    led: int,
+    asked: Accuracy,
+    seed: int,
+    deadline: float | None,
+    progress: Callable[[Progress], None] | None,
 ) -> tuple[list[tuple[int, Batch]], str | None]:
     """Batches of one LED with their seeds, and why they fall short of what was asked, if they do."""
     name, begin = engine.scene.leds[led].name, time.perf_counter()
@@ -169,8 +174,15 @@ def _trace_led(
             if late:
                 if asked.relative_error is None and asked.photons is None:
                     return gathered, None
-                what = f"relative error {error:.3g}, {asked.relative_error:g} asked" if asked.relative_error else f"{done} photons"
-                return gathered, f'max_seconds ended the trace of LED "{name}" at {what}; allow more time or ask for less.'
+                what = (
+                    f"relative error {error:.3g}, {asked.relative_error:g} asked"
+                    if asked.relative_error
+                    else f"{done} photons"
+                )
+                return (
+                    gathered,
+                    f'max_seconds ended the trace of LED "{name}" at {what}; allow more time or ask for less.',
+                )
     except KeyboardInterrupt:
         if not gathered:
             raise
@@ -211,7 +223,8 @@ def _seeds(seed: int, led: int) -> Iterator[int]:
 def _joined(engine: Any, led: int, gathered: list[tuple[int, Batch]]) -> LedTrace:
     batches = [b for _, b in gathered]
     energy = {
-        name: (sum(b.energy[name][0] for b in batches), sum(b.energy[name][1] for b in batches)) for name in batches[0].energy
+        name: (sum(b.energy[name][0] for b in batches), sum(b.energy[name][1] for b in batches))
+        for name in batches[0].energy
     }
     return LedTrace(
         photons=sum(b.photons for b in batches),

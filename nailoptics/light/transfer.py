@@ -53,14 +53,18 @@ class LedTrace:
             raise InputError("these traces were made at different absorption; trace both at the same blood state.")
         common = set(self.seeds) & set(other.seeds)
         if common:
-            raise InputError(f"these traces share {len(common)} seed(s), so they are not independent; use different seeds.")
+            raise InputError(
+                f"these traces share {len(common)} seed(s), so they are not independent; use different seeds."
+            )
         return LedTrace(
             photons=self.photons + other.photons,
             mu_a=self.mu_a,
             photodiode=np.concatenate([self.photodiode, other.photodiode]),
             weight=np.concatenate([self.weight, other.weight]),
             path_mm=np.concatenate([self.path_mm, other.path_mm]),
-            energy={k: (self.energy[k][0] + other.energy[k][0], self.energy[k][1] + other.energy[k][1]) for k in self.energy},
+            energy={
+                k: (self.energy[k][0] + other.energy[k][0], self.energy[k][1] + other.energy[k][1]) for k in self.energy
+            },
             seeds=self.seeds + other.seeds,
         ).thinned()
 
@@ -229,13 +233,17 @@ class Transfer:
 
         return load(Path(path))
 
-    def _mu_a(self, led: int, blood: ArrayLike | None, so2: ArrayLike | None, override: Mapping[str, float] | None) -> Any:
+    def _mu_a(
+        self, led: int, blood: ArrayLike | None, so2: ArrayLike | None, override: Mapping[str, float] | None
+    ) -> Any:
         """Absorption (q, r) over the LED's line, and the line's weights (q,)."""
         wavelengths, weights = media.spectrum(self.scene.leds[led])
         mu_a = media.absorption(self.scene, wavelengths, blood_fraction=blood, so2=so2)
         for name, value in (override or {}).items():
             if name not in self.absorbers:
-                raise InputError(f'mu_a_per_mm names "{name}", which is no absorber here; known: {", ".join(self.absorbers)}.')
+                raise InputError(
+                    f'mu_a_per_mm names "{name}", which is no absorber here; known: {", ".join(self.absorbers)}.'
+                )
             if not (np.isfinite(value) and value >= 0):
                 raise InputError(f"mu_a_per_mm of {name} = {value}; must be a number of at least 0.")
             mu_a[..., self.absorbers.index(name)] = value
@@ -281,8 +289,8 @@ class Transfer:
             if thin.any():
                 i = int(np.argmin(np.where(thin, left, np.inf)))
                 warnings.warn(
-                    f'LED "{led}", photodiode "{self.photodiodes[i]}": this state is so far from the traced one that only '
-                    f"{left[i]:.1f} effective photons of {traced[i]:.0f} remain; trace a scene nearer to it, or more photons.",
+                    f'LED "{led}", photodiode "{self.photodiodes[i]}": this state is so far from the traced one that '
+                    f"only {left[i]:.1f} effective photons of {traced[i]:.0f} remain; trace nearer to it, or more photons.",
                     RereadWarning,
                     stacklevel=3,
                 )
@@ -301,7 +309,11 @@ class Transfer:
             if f"{name}_stderr" in out:
                 out[name].attrs["ancillary_variables"] = f"{name}_stderr"
                 out[f"{name}_stderr"].attrs = {"long_name": f"standard error of the {long_name}", "units": unit}
-        out["wavelength_nm"] = ("led", [led.wavelength_nm for led in self.scene.leds], {"units": "nm", "long_name": "peak wavelength"})
+        out["wavelength_nm"] = (
+            "led",
+            [led.wavelength_nm for led in self.scene.leds],
+            {"units": "nm", "long_name": "peak wavelength"},
+        )
         return out.assign_attrs(self.attributes())
 
     def attributes(self) -> dict[str, Any]:
@@ -333,7 +345,13 @@ def provenance(scene: Scene, *, engine: str, backend: str, photons: int, seeds: 
 
 def optical_key(scene: Scene) -> str:
     """Digest of what decides where light goes and how it is traced; blood, touch and electronics do not."""
-    light_only = scene.model_copy(update={"touch": type(scene.touch)(), "electronics": type(scene.electronics)(), "accuracy": type(scene.accuracy)()})
+    light_only = scene.model_copy(
+        update={
+            "touch": type(scene.touch)(),
+            "electronics": type(scene.electronics)(),
+            "accuracy": type(scene.accuracy)(),
+        }
+    )
     return digest(light_only)
 
 

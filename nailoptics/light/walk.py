@@ -97,5 +97,10 @@ def energy_sums(outcome: np.ndarray, weight: np.ndarray, roulette: np.ndarray) -
     reflected = np.where(outcome == TOP, weight, 0.0)
     transmitted = np.where(outcome == BOTTOM, weight, 0.0)
     lost = np.where(outcome == LOST, weight, 0.0) + roulette
-    parts = {"reflected": reflected, "transmitted": transmitted, "absorbed": 1 - reflected - transmitted - lost, "lost": lost}
+    parts = {
+        "reflected": reflected,
+        "transmitted": transmitted,
+        "absorbed": 1 - reflected - transmitted - lost,
+        "lost": lost,
+    }
     return {name: (float(part.sum()), float((part**2).sum())) for name, part in parts.items()}

@@ -75,7 +75,9 @@ def blood_course(scene: Scene) -> xr.Dataset:
     run = hemodynamics.respond(
         parameters, time_s, proximal_pressure_pa=proximal_pa, distal_pressure_pa=distal_pa, start="steady"
     )
-    run = run[["capillary_diameter_m", "vein_diameter_m", "proximal_pressure_pa", "distal_pressure_pa"]].drop_vars("zone_position")
+    run = run[["capillary_diameter_m", "vein_diameter_m", "proximal_pressure_pa", "distal_pressure_pa"]].drop_vars(
+        "zone_position"
+    )
     run = run.assign_coords(zone=list(ZONES))
     fraction = hemodynamics.blood_fraction(
         parameters, run.capillary_diameter_m.values, rest_blood_fraction=scene.blood.rest_blood_fraction
@@ -114,7 +116,11 @@ def _volts(scene: Scene, light: Light, blood: np.ndarray) -> xr.Dataset:
     zone = [int(element.area.center_mm[1] >= edge) for element in layout.photodiodes]
     return xr.Dataset(
         {
-            "detected_fraction": (over, readings.fraction, _of("1", "detected fraction of the emitted power", True, "detected_fraction")),
+            "detected_fraction": (
+                over,
+                readings.fraction,
+                _of("1", "detected fraction of the emitted power", True, "detected_fraction"),
+            ),
             "detected_fraction_stderr": (over, readings.stderr, _of("1", "standard error of the detected fraction")),
             "volts": (over, volts, _of("V", "photodiode voltage", True, "volts")),
             "volts_stderr": (over, volts_stderr, _of("V", "standard error of the voltage (light tracing)")),
@@ -123,8 +129,16 @@ def _volts(scene: Scene, light: Light, blood: np.ndarray) -> xr.Dataset:
             "volts_noise_rms": (over, noise, _of("V", "electronic noise of one reading, rms")),
             "saturated": (over, saturated.astype(bool), {"long_name": "converter at its limit"}),
             "responsivity_a_per_w": (pair, responsivity, _of("A W-1", "responsivity at the LED's peak")),
-            "mean_path_mm": ((*pair, "absorber"), light.mean_path, _of("mm", "mean path of the light detected at rest", True, "mean_path_mm")),
-            "mean_path_mm_stderr": ((*pair, "absorber"), light.mean_path_stderr, _of("mm", "standard error of the mean path")),
+            "mean_path_mm": (
+                (*pair, "absorber"),
+                light.mean_path,
+                _of("mm", "mean path of the light detected at rest", True, "mean_path_mm"),
+            ),
+            "mean_path_mm_stderr": (
+                (*pair, "absorber"),
+                light.mean_path_stderr,
+                _of("mm", "standard error of the mean path"),
+            ),
             "zone_of_photodiode": ("photodiode", zone, {"long_name": "blood zone above which it lies, 0 proximal"}),
             "wavelength_nm": ("led", [led.wavelength_nm for led in scene.leds], _of("nm", "peak wavelength")),
         },
@@ -160,9 +174,20 @@ def _reduced(scene: Scene, result: xr.Dataset) -> xr.Dataset:
                 table[f"{model}_residual_max_v"][i, j] = found.residual_max_v
                 if found.note:
                     notes[i, j] = found.note
-    units = {"v0_v": "V", "v1_v": "V", "alpha_per_m2": "m-2", "v1_v_per_m2": "V m-2", "residual_rms_v": "V", "residual_max_v": "V"}
+    units = {
+        "v0_v": "V",
+        "v1_v": "V",
+        "alpha_per_m2": "m-2",
+        "v1_v_per_m2": "V m-2",
+        "residual_rms_v": "V",
+        "residual_max_v": "V",
+    }
     data: dict[str, Any] = {
-        "volts_beer_lambert": (("led", "photodiode", "time"), curves["beer_lambert"], _of("V", "Beer-Lambert (8), fitted")),
+        "volts_beer_lambert": (
+            ("led", "photodiode", "time"),
+            curves["beer_lambert"],
+            _of("V", "Beer-Lambert (8), fitted"),
+        ),
         "volts_taylor": (("led", "photodiode", "time"), curves["taylor"], _of("V", "Taylor (9), fitted")),
         "fit_note": (("led", "photodiode"), notes.astype(str), {"long_name": "what the fit could not determine"}),
     }
