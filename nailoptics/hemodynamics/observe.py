@@ -119,7 +119,7 @@ def observe_batch(values: dict[str, np.ndarray]) -> Observations:
     return Observations(**fields)
 
 
-def _columns(values: tuple[Any, ...]) -> tuple[np.ndarray, ...]:
+def _columns(values: tuple[Any, ...]) -> Any:
     return tuple(np.asarray(value)[:, None] for value in values)
 
 

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from typing import Any
 
 from nailoptics.hemodynamics.parameters import Parameters
 from nailoptics.hemodynamics.zones import Zones
+
+PerWall = Any
+"""A sequence with one float or one array for each wall, or an array with walls along its first axis."""
 
 CLOSED_FRACTION = 1e-3
 """Diameter of a closed vessel over its listed one: its resistance is then 1e12 times as large, yet finite. [1]"""
@@ -62,7 +64,7 @@ def build_walls(parameters: Parameters, zones: Zones) -> Walls:
 
 
 def massless(
-    walls: Walls, width: Sequence[Any], load: Sequence[Any], free: Sequence[Any], high: Any, low: Any
+    walls: Walls, width: PerWall, load: PerWall, free: PerWall, high: Any, low: Any
 ) -> tuple[list[Any], list[Any]]:
     """Return pressures and wall speeds of the network whose walls have no mass.
 
@@ -103,7 +105,7 @@ def massless(
 
 
 def massless_jacobian(
-    walls: Walls, width: Sequence[float], free: Sequence[float], pressures: Sequence[float], high: float, low: float
+    walls: Walls, width: PerWall, free: PerWall, pressures: PerWall, high: Any, low: Any
 ) -> tuple[list[float], list[float], list[float]]:
     """Return d(speed_i)/d(width_j) of ``massless`` as diag(d) + outer(p, q): three lists of N+1 floats.
 
@@ -137,7 +139,7 @@ def massless_jacobian(
     return diagonal, left, right
 
 
-def moving(walls: Walls, width: Sequence[Any], speed: Sequence[Any], high: Any, low: Any) -> list[Any]:
+def moving(walls: Walls, width: PerWall, speed: PerWall, high: Any, low: Any) -> list[Any]:
     """Return the N+1 pressures [Pa] of the network whose walls move at given speeds [m/s] (the six-state model)."""
     n = len(walls.venule)
     numerators, sums, ratios = [], [], []

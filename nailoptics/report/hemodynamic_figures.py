@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PROXIMAL, _DISTAL, _INK, _FAINT = "#b2182b", "#2166ac", "#222222", "#999999"
-_STYLE = {
+_STYLE: Any = {
     "font.size": 9.5,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -104,7 +104,7 @@ def _colour_scale(figure: Figure, axes: list[Axes]) -> None:
     norm = BoundaryNorm(np.append(steps - half, steps[-1] + half), STEPS_PA.size)
     bar = figure.colorbar(ScalarMappable(norm, ListedColormap(_step_colours())), ax=axes, ticks=steps[::3], pad=0.02)
     bar.set_label("pressure of the step [N/cm²]")
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    bar.outline.set_visible(False)
 
 
 def _step_panels(figure: Figure, axes: list[Axes], time: np.ndarray, panels: list[tuple[str, str, np.ndarray]]) -> None:
