@@ -1,4 +1,8 @@
-"""The table of the paper's claims: each measured on each parameter set, met or not met."""
+"""The table of the paper's claims: each measured on each parameter set, met or not met.
+
+No set can meet two of them with two zones: a white band that widens, and a proximal reading that rises late; a zone is
+white or not. Eight zones show both (``zones`` with a decay length).
+"""
 
 from __future__ import annotations
 

@@ -109,3 +109,36 @@ def test_zones_with_other_inputs_take_all_pressures_together():
     three = steady_state(p, zones=cut, pressure_pa=[2e3, 3e3, 0.0])
     two = steady_state(p, proximal_pressure_pa=2e3, distal_pressure_pa=3e3)
     assert np.array_equal(three.capillary_diameter_m, two.capillary_diameter_m)
+
+
+def unbalanced(p, touch):
+    """Largest force that would still move a free wall, over that of the arterial pressure. [1]"""
+    from nailoptics.hemodynamics import PAPER_ZONES
+    from nailoptics.hemodynamics.walls import build_walls, massless
+
+    s = steady_state(p, proximal_pressure_pa=touch[0], distal_pressure_pa=touch[1])
+    walls = build_walls(p, PAPER_ZONES)
+    width = np.vstack([s.capillary_diameter_m, s.vein_diameter_m[None]])
+    area, stiffness, rest, closed, damping = (
+        np.array(v)[:, None] for v in (walls.area, walls.stiffness, walls.diameter, walls.closed, walls.damping)
+    )
+    free = np.where(width <= closed * (1 + 1e-12), 0.0, 1.0)
+    load = area * np.stack([0.0 * touch[0], touch[1], touch[0]]) + stiffness * (width - rest)
+    pressure, speed = massless(walls, list(width), list(load), list(free), 1e4, 0.0)
+    lift = area * np.array(pressure) - load
+    assert np.all(lift[free == 0.0] <= 1e-9 * area.max() * 1e4)  # what is closed is pressed shut
+    return np.max(np.abs(np.array(speed)) * damping / (area * 1e4))
+
+
+@pytest.mark.parametrize("feedback", [1.0, 100.0])
+def test_any_set_within_bounds_balances_at_any_touch(feedback):
+    from nailoptics.hemodynamics import bounds
+    from nailoptics.hemodynamics.search import SEARCHED
+
+    rng = np.random.default_rng(int(feedback))
+    limits = bounds()
+    for _ in range(60):
+        values = {name: float(np.exp(rng.uniform(*np.log(limits[name])))) for name in SEARCHED}
+        p = parameters("listed").replace(**values)
+        p = p.replace(capillary_count=p.capillary_count / feedback, capillary_stiffness_n_per_m=2e4)
+        assert unbalanced(p, rng.uniform(0.0, 2e4, (2, 50))) < 1e-6
