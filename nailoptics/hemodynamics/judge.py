@@ -1,7 +1,8 @@
 """The table of the paper's claims: each measured on each parameter set, met or not met.
 
-No set can meet two of them with two zones: a white band that widens, and a proximal reading that rises late; a zone is
-white or not. Eight zones show both (``zones`` with a decay length).
+With two zones a set whose vein closes near 1 N cannot show a proximal reading that rises late: once the vein is closed
+nothing that the distal half does reaches it. Nor can its distal reading go on rising once that zone is closed. Eight
+zones (``zones`` with a decay length) show both.
 """
 
 from __future__ import annotations

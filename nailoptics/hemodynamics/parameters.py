@@ -141,9 +141,9 @@ def parameters(name: str = "listed") -> Parameters:
     - listed: the paper's orders of magnitude.
     - figures: every value within a factor 2 of the list; shows the paper's Figs. 10 and 12.
     - compromise: meets a part of Figs. 10, 11 and 12.
-    - best: found by global search within an order of magnitude of the list (``search``). Of 21 claims about two zones it
-      meets 20: all of Figs. 10, 12 and 15-18 that two zones can show, and of Fig. 11 all but equal times for distal
-      loading and unloading, which is at odds with the subjects' 0.18 and 0.36 s.
+    - best: found by global search within an order of magnitude of the list (``search``). It meets 20 of the 21 claims
+      about two zones (``claims.RULES``): all but equal times for distal loading and unloading (Fig. 11), which is at
+      odds with the subjects' 0.18 and 0.36 s.
 
     Raises
     ------

@@ -77,10 +77,18 @@ def loss(observations: Observations) -> np.ndarray:
     return total
 
 
-def search(*, seed: int, max_seconds: float = 600.0, population: int = 150, factor: float = 10.0) -> Found:
+def search(
+    *,
+    seed: int,
+    max_seconds: float = 600.0,
+    population: int = 150,
+    factor: float = 10.0,
+    start: Parameters | None = None,
+) -> Found:
     """Return the best set that differential evolution finds in a time, each value within a factor of the listed one.
 
     seed : of the random numbers. max_seconds : wall time. population : sets in each generation.
+    start : a set to begin with, among the random ones.
 
     Raises
     ------
@@ -124,6 +132,7 @@ def search(*, seed: int, max_seconds: float = 600.0, population: int = 150, fact
         vectorized=True,
         updating="deferred",
         callback=late,
+        x0=None if start is None else np.log10([start.as_dict()[name] for name in SEARCHED]),
     )
     values = {name: float(f"{10.0**x:.3g}") for name, x in zip(SEARCHED, result.x, strict=True)}
     parameters = Parameters(**values)
