@@ -1,0 +1,202 @@
+"""Tracing until a tolerance, a time or a number of photons is reached, and saying so when it is not."""
+
+import itertools
+import logging
+import math
+import time
+
+import numpy as np
+import pytest
+
+import nailoptics as nail
+from nailoptics.errors import InputError, NotReachedError
+from nailoptics.light import Progress, tracing
+from nailoptics.light.stack import StackTracer
+from nailoptics.scene import Scene, parse_scene
+
+pytestmark = pytest.mark.jit
+LED = '[[leds]]\nname = "{name}"\nwavelength_nm = 800.0\npattern = "pencil"\nposition_mm = [{x}, 0.0]\n'
+
+
+def slab(*, leds: int = 1, accuracy: str = "", square: float = 2.0) -> Scene:
+    beams = "".join(LED.format(name=f"beam{i}", x=0.5 * i) for i in range(leds))
+    return parse_scene(f"""
+schema_version = 1
+[phantom]
+[[phantom.layers]]
+name = "slab"
+thickness_mm = 10.0
+mu_a_per_mm = 0.05
+mu_s_per_mm = 5.0
+g = 0.8
+{beams}
+[[photodiodes]]
+name = "square"
+aperture = true
+position_mm = [{square}, 0.0]
+size_mm = [1.0, 1.0]
+[accuracy]
+{accuracy}
+""")
+
+
+def error_of(transfer) -> float:
+    seen = transfer.at()
+    return float((seen.detected_fraction_stderr / seen.detected_fraction).max())
+
+
+@pytest.mark.parametrize("target", [0.02, 0.003])
+def test_the_tolerance_is_met_and_not_far_overdone(jit_backend, monkeypatch, target):
+    monkeypatch.setattr(StackTracer, "batch_photons", 1 << 14)
+    transfer = nail.trace(slab(leds=2), relative_error=target, seed=4)
+    seen = transfer.at()
+    errors = (seen.detected_fraction_stderr / seen.detected_fraction).values
+    assert np.all(errors <= target)
+    # What is needed is foreseen, in whole batches: never much more.
+    assert np.all((errors > 0.8 * target) | (np.array([t.photons for t in transfer.traces]) <= 2 * (1 << 14)))
+
+
+def test_stopping_at_a_tolerance_hardly_favours_luck(jit_backend, monkeypatch):
+    """Rationale: a rule that stops when the error looks small enough prefers runs that err low.
+    Expected: 100 traces to a coarse tolerance agree on average with one of many photons."""
+    monkeypatch.setattr(StackTracer, "batch_photons", 1 << 11)
+    scene = slab()
+    truth = nail.trace(scene, photons=1 << 20, seed=999).at().squeeze()
+    runs = [nail.trace(scene, relative_error=0.05, seed=seed).at().squeeze() for seed in range(100)]
+    z = [(r.detected_fraction - truth.detected_fraction) / r.detected_fraction_stderr for r in runs]
+    assert abs(np.mean(z)) < 4 / np.sqrt(100) and 0.7 < np.std(z) < 1.4
+
+
+@pytest.mark.parametrize("photons", [1, 2, 255, 8191, 8193, 50_001])
+def test_the_number_of_photons_is_exact(jit_backend, monkeypatch, photons):
+    monkeypatch.setattr(StackTracer, "batch_photons", 1 << 14)
+    transfer = nail.trace(slab(leds=2), photons=photons)
+    assert [trace.photons for trace in transfer.traces] == [photons, photons] and transfer.photons == 2 * photons
+    assert sum(part["value"] for part in transfer.energy().values()) == pytest.approx(1, abs=1e-9)
+    assert all(len(set(trace.seeds)) == math.ceil(photons / (1 << 14)) for trace in transfer.traces)
+
+
+def test_the_same_seed_in_other_batches_is_the_same_light(jit_backend, monkeypatch):
+    whole = nail.trace(slab(), photons=1 << 17, seed=1).at().squeeze()
+    monkeypatch.setattr(StackTracer, "batch_photons", 1 << 12)
+    parts = nail.trace(slab(), photons=1 << 17, seed=1).at().squeeze()
+    spread = np.hypot(whole.detected_fraction_stderr, parts.detected_fraction_stderr)
+    assert abs(whole.detected_fraction - parts.detected_fraction) < 3.5 * spread
+
+
+def test_time_alone_ends_a_trace_without_complaint(jit_backend, monkeypatch):
+    monkeypatch.setattr(StackTracer, "batch_photons", 1 << 14)
+    nail.trace(slab(), photons=1 << 14)  # compiles
+    start = time.perf_counter()
+    transfer = nail.trace(slab(leds=2), max_seconds=1.0)
+    assert 0.8 < time.perf_counter() - start < 3
+    shares = [trace.photons for trace in transfer.traces]
+    assert min(shares) > 0.2 * max(shares)
+
+
+def test_a_tolerance_out_of_reach_saves_what_was_reached(jit_backend, monkeypatch):
+    monkeypatch.setattr(StackTracer, "batch_photons", 1 << 14)
+    with pytest.raises(NotReachedError, match=r"max_seconds.*1e-06 asked") as caught:
+        nail.trace(slab(leds=2), relative_error=1e-6, max_seconds=0.4)
+    error = caught.value
+    assert error.exit_code == 3 and len(str(error).splitlines()) == 1
+    assert error.result.photons > 0 and all(trace.photons for trace in error.result.traces)
+    assert error_of(error.result) < 0.2
+
+
+def test_photons_out_of_reach_say_how_many_there_were(jit_backend, monkeypatch):
+    monkeypatch.setattr(StackTracer, "batch_photons", 1 << 14)
+    with pytest.raises(NotReachedError, match="photons") as caught:
+        nail.trace(slab(), photons=10**10, max_seconds=0.2)
+    assert 0 < caught.value.result.photons < 10**10
+
+
+def test_a_photodiode_that_sees_nothing_does_not_pass_for_exact(jit_backend, monkeypatch):
+    monkeypatch.setattr(StackTracer, "batch_photons", 1 << 12)
+    with pytest.raises(NotReachedError, match="relative error inf"):
+        nail.trace(slab(square=500.0), relative_error=0.5, max_seconds=0.3)
+
+
+def test_an_interrupt_keeps_what_was_traced(jit_backend, monkeypatch):
+    calls = itertools.count()
+    batch = StackTracer.batch
+
+    def interrupted(self, led, **more):
+        if next(calls) == 3:
+            raise KeyboardInterrupt
+        return batch(self, led, **more)
+
+    monkeypatch.setattr(StackTracer, "batch_photons", 1 << 12)
+    monkeypatch.setattr(StackTracer, "batch", interrupted)
+    with pytest.raises(NotReachedError, match="interrupted") as caught:
+        nail.trace(slab(), photons=1 << 16)
+    assert caught.value.result.photons == 3 * (1 << 12)
+
+
+def test_progress_is_told_after_every_batch(jit_backend, monkeypatch):
+    monkeypatch.setattr(StackTracer, "batch_photons", 1 << 13)
+    told: list[Progress] = []
+    nail.trace(slab(leds=2), photons=5 << 13, progress=told.append)
+    assert [p.led for p in told] == 5 * ["beam0"] + 5 * ["beam1"]
+    first = told[:5]
+    assert [p.photons for p in first] == [i << 13 for i in range(1, 6)]
+    assert [p.fraction_done for p in first] == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
+    errors = [p.relative_error for p in first]
+    assert errors[-1] < errors[0] < math.inf and first[-1].seconds_left == 0
+    assert all(a.seconds < b.seconds for a, b in itertools.pairwise(first))
+
+
+def test_progress_towards_a_tolerance_ends_at_one(jit_backend, monkeypatch):
+    monkeypatch.setattr(StackTracer, "batch_photons", 1 << 12)
+    told: list[Progress] = []
+    nail.trace(slab(), relative_error=0.01, progress=told.append)
+    assert told[-1].fraction_done == 1 and told[-1].relative_error <= 0.01 == told[-1].target
+    assert all(0 < p.fraction_done <= 1 for p in told)
+
+
+def test_the_library_prints_nothing(jit_backend, capfd, caplog):
+    caplog.set_level(logging.WARNING)
+    nail.trace(slab(), photons=1000)
+    assert capfd.readouterr() == ("", "") and not caplog.records
+
+
+@pytest.mark.parametrize(
+    ("asked", "expected"),
+    [
+        ({}, {"relative_error": 0.1, "max_seconds": 5.0}),
+        ({"photons": 10}, {"photons": 10}),
+        ({"relative_error": 0.2}, {"relative_error": 0.2}),
+        ({"max_seconds": 1.0}, {"relative_error": 0.1, "max_seconds": 1.0}),
+        ({"relative_error": 0.2, "max_seconds": 1.0}, {"relative_error": 0.2, "max_seconds": 1.0}),
+    ],
+)
+def test_what_is_asked_in_the_call_comes_before_the_scene(asked, expected):
+    scene = slab(accuracy="relative_error = 0.1\nmax_seconds = 5.0")
+    nothing = {"photons": None, "relative_error": None, "max_seconds": None}
+    assert tracing.accuracy(scene, **(nothing | asked)).model_dump(exclude_none=True) == expected
+
+
+def test_a_million_photons_are_the_default():
+    assert tracing.accuracy(slab(), photons=None, relative_error=None, max_seconds=None).photons == 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("asked", "field"),
+    [
+        ({"photons": 0}, "photons = 0"),
+        ({"relative_error": -0.1}, "relative_error = -0.1"),
+        ({"relative_error": math.nan}, "relative_error = NaN"),
+        ({"max_seconds": 0.0}, "max_seconds = 0.0"),
+        ({"backend": "opencl"}, "opencl"),
+        ({"backend": "scalar"}, "JIT"),
+    ],
+)
+def test_impossible_demands_are_refused_in_one_line(asked, field):
+    with pytest.raises(InputError, match=field) as caught:
+        nail.trace(slab(), **asked)
+    assert len(str(caught.value).splitlines()) == 1 and caught.value.exit_code == 2
+
+
+def test_seeds_of_leds_and_batches_are_all_different():
+    seen = [seed for run in (0, 1) for led in range(3) for seed in itertools.islice(tracing._seeds(run, led), 100)]
+    assert len(set(seen)) == len(seen)

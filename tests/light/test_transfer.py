@@ -1,0 +1,299 @@
+"""One trace read at other states: against fresh traces, finite differences, and what is merged, thinned and stored."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import nailoptics as nail
+from nailoptics.errors import InputError
+from nailoptics.light import RereadWarning, Transfer, transfer
+from nailoptics.light.transfer import LedTrace, stderr_of_mean
+from nailoptics.scene import Scene, parse_scene
+
+
+def two_layers(*, upper: float = 0.05, lower: float = 0.1, photodiodes: int = 2, extra: str = "") -> Scene:
+    """A clear-ish plate on a deep bed, seen by squares 1.5 and 2.5 mm from a beam."""
+    text = f"""
+schema_version = 1
+[phantom]
+[[phantom.layers]]
+name = "upper"
+thickness_mm = 0.5
+mu_a_per_mm = {upper}
+mu_s_per_mm = 5.0
+g = 0.8
+n = 1.4
+[[phantom.layers]]
+name = "lower"
+thickness_mm = inf
+mu_a_per_mm = {lower}
+mu_s_per_mm = 8.0
+g = 0.8
+n = 1.4
+[[leds]]
+name = "beam"
+wavelength_nm = 800.0
+pattern = "pencil"
+{extra}
+"""
+    for i in range(photodiodes):
+        text += (
+            f'[[photodiodes]]\nname = "p{i}"\naperture = true\nposition_mm = [{1.5 + i}, 0.0]\nsize_mm = [1.0, 1.0]\n'
+        )
+    return parse_scene(text)
+
+
+@pytest.fixture(scope="module")
+def traced(chosen_jit) -> Transfer:
+    return nail.trace(two_layers(), photons=1 << 18, seed=1)
+
+
+def small(weights: np.ndarray, paths: np.ndarray, *, photons: int = 1000, seeds: tuple[int, ...] = (1,)) -> LedTrace:
+    """A trace made by hand, of one photodiode."""
+    return LedTrace(
+        photons=photons,
+        mu_a=np.zeros(paths.shape[1]),
+        photodiode=np.zeros(len(weights), np.uint16),
+        weight=weights,
+        path_mm=paths.astype(np.float32),
+        energy={name: (1.0, 1.0) for name in ("reflected", "transmitted", "absorbed", "lost")},
+        seeds=seeds,
+    )
+
+
+def by_hand(trace: LedTrace) -> Transfer:
+    return Transfer(
+        scene=two_layers(photodiodes=1),
+        photodiodes=("p0",),
+        absorbers=("upper", "lower"),
+        traces=(trace,),
+        engine="photons",
+        backend="none",
+        versions={"nailoptics": "0"},
+        cpu_seconds=1.0,
+        wall_seconds=1.0,
+        events=1,
+    )
+
+
+def test_sums_are_those_of_the_definition():
+    """w exp(-sum mu_a L) over all emitted photons, its standard error, its mean path and its derivative."""
+    rng = np.random.default_rng(0)
+    weight, path = rng.uniform(0.5, 1, 400), rng.exponential(3.0, (400, 2)).astype(np.float32)
+    seen = by_hand(small(weight, path)).at(mu_a_per_mm={"upper": 0.02, "lower": 0.05}).squeeze()
+    w = np.concatenate([weight * np.exp(-path @ np.array([0.02, 0.05])), np.zeros(600)])
+    every = np.concatenate([path, np.zeros((600, 2))])
+    assert float(seen.detected_fraction) == pytest.approx(w.mean(), rel=1e-12)
+    assert float(seen.detected_fraction_stderr) == pytest.approx(w.std(ddof=1) / np.sqrt(1000), rel=1e-6)
+    assert float(seen.effective_photons) == pytest.approx(w.sum() ** 2 / (w**2).sum(), rel=1e-12)
+    assert seen.mean_path_mm.values == pytest.approx((w @ every) / w.sum(), rel=1e-6)
+    assert seen.derivative_mm.values == pytest.approx(-(w @ every) / 1000, rel=1e-6)
+    expected = (w[:, None] * every).std(axis=0, ddof=1) / np.sqrt(1000)
+    assert seen.derivative_mm_stderr.values == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_standard_error_of_a_mean_path_is_that_of_resampling():
+    rng = np.random.default_rng(1)
+    weight, path = rng.uniform(0.1, 1, 2000), rng.exponential(3.0, (2000, 2))
+    seen = by_hand(small(weight, path, photons=2000)).at(mu_a_per_mm={"upper": 0.0, "lower": 0.0}).squeeze()
+    picks = rng.integers(0, 2000, (800, 2000))
+    means = np.array([weight[p] @ path[p] / weight[p].sum() for p in picks])
+    assert seen.mean_path_mm_stderr.values == pytest.approx(means.std(axis=0), rel=0.1)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(("upper", "lower"), [(0.05, 0.3), (0.0, 0.05), (0.2, 0.02)])
+def test_another_state_meets_a_fresh_trace_of_it(jit_backend, traced, upper, lower):
+    reread = traced.at(mu_a_per_mm={"upper": upper, "lower": lower})
+    fresh = nail.trace(two_layers(upper=upper, lower=lower), photons=1 << 18, seed=77).at()
+    for name in ("detected_fraction", "mean_path_mm", "derivative_mm"):
+        difference = reread[name] - fresh[name]
+        assert np.all(abs(difference) < 3.5 * np.hypot(reread[f"{name}_stderr"], fresh[f"{name}_stderr"])), name
+    assert np.all(reread.detected_fraction_stderr < 0.02 * reread.detected_fraction)
+
+
+@pytest.mark.jit
+def test_the_derivative_is_the_limit_of_finite_differences(traced):
+    """Expected: the error of central differences of the same photons falls with the square of their step."""
+    state = {"upper": 0.05, "lower": 0.1}
+    exact = traced.at(mu_a_per_mm=state).derivative_mm
+    for absorber, value in state.items():
+        errors = []
+        for step in (0.02, 0.01, 0.005):
+            up, down = (traced.at(mu_a_per_mm=state | {absorber: value + s}).detected_fraction for s in (step, -step))
+            errors.append(float(abs((up - down) / (2 * step) / exact.sel(absorber=absorber) - 1).max()))
+        order = np.log2(np.divide(errors[:-1], errors[1:]))
+        assert order == pytest.approx(2.0, abs=0.1) and errors[-1] < 1e-2
+
+
+@pytest.mark.jit
+def test_the_derivative_meets_the_difference_of_two_fresh_traces(jit_backend, traced):
+    step = 0.05
+    ends = [
+        nail.trace(two_layers(lower=0.1 + s), photons=1 << 18, seed=50 + i).at() for i, s in enumerate((-step, step))
+    ]
+    slope = (ends[1].detected_fraction - ends[0].detected_fraction) / (2 * step)
+    spread = np.hypot(*(end.detected_fraction_stderr for end in ends)) / (2 * step)
+    # What a central difference leaves out, from the same photons.
+    up, down = (traced.at(mu_a_per_mm={"lower": 0.1 + s}).detected_fraction for s in (step, -step))
+    here = traced.at().sel(absorber="lower")
+    bias = (up - down) / (2 * step) - here.derivative_mm
+    assert np.all(abs(slope - bias - here.derivative_mm) < 3.5 * np.hypot(spread, here.derivative_mm_stderr))
+    assert np.all(spread < 0.05 * abs(slope))
+
+
+@pytest.mark.jit
+def test_a_small_change_is_sharper_than_either_reading(traced):
+    """Rationale: states share their photons, so that their noise goes out of a difference.
+    Expected: the change for 10 % of absorption matches its first and second order far within the reading's error."""
+    before, after = traced.at(), traced.at(mu_a_per_mm={"lower": 0.11})
+    change = after.detected_fraction - before.detected_fraction
+    assert np.all(change < 0)
+    first_order = 0.005 * (before.derivative_mm + after.derivative_mm).sel(absorber="lower")
+    assert np.all(abs(change - first_order) < 0.01 * abs(change))
+
+
+@pytest.mark.jit
+def test_merged_traces_are_one_trace_of_all_their_photons(jit_backend, traced):
+    other = nail.trace(two_layers(), photons=1 << 17, seed=2)
+    merged = traced.merge(other)
+    a, b, both = traced.at(), other.at(), merged.at()
+    assert merged.photons == traced.photons + other.photons and merged.events == traced.events + other.events
+    assert merged.cpu_seconds == traced.cpu_seconds + other.cpu_seconds
+    mean = (2 * a.detected_fraction + b.detected_fraction) / 3
+    assert both.detected_fraction.values == pytest.approx(mean.values, rel=1e-12)
+    spread = np.hypot(2 * a.detected_fraction_stderr, b.detected_fraction_stderr) / 3
+    assert both.detected_fraction_stderr.values == pytest.approx(spread.values, rel=1e-3)
+    expected = (2 * traced.energy()["reflected"]["value"] + other.energy()["reflected"]["value"]) / 3
+    assert merged.energy()["reflected"]["value"] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.jit
+def test_traces_that_share_a_seed_are_not_merged(jit_backend, traced):
+    with pytest.raises(InputError, match="share 1 seed"):
+        traced.merge(nail.trace(two_layers(), photons=1 << 10, seed=1))
+    with pytest.raises(InputError, match="share"):
+        traced.merge(traced)
+    more = nail.trace(two_layers(), photons=1 << 10, seed=2)
+    with pytest.raises(InputError, match="share"):
+        traced.merge(more).merge(more)
+
+
+@pytest.mark.jit
+def test_traces_of_different_light_are_not_merged(jit_backend, traced):
+    for other in (two_layers(upper=0.06), two_layers(photodiodes=1), two_layers(extra="flux_mw = 2.0")):
+        with pytest.raises(InputError, match="different scenes"):
+            traced.merge(nail.trace(other, photons=1 << 10, seed=9))
+    with pytest.raises(InputError, match="engines"):
+        traced.merge(replace(traced, engine="other"))
+
+
+@pytest.mark.jit
+def test_a_stored_transfer_reads_as_before(traced, tmp_path):
+    path = tmp_path / "new" / "transfer.nc"
+    traced.save(path)
+    again = Transfer.load(path)
+    assert [p.name for p in path.parent.iterdir()] == ["transfer.nc"]
+    assert again.at(mu_a_per_mm={"lower": 0.2}).identical(traced.at(mu_a_per_mm={"lower": 0.2}))
+    assert again.energy() == traced.energy() and again.scene == traced.scene
+    for name in (
+        "photodiodes",
+        "absorbers",
+        "engine",
+        "backend",
+        "versions",
+        "cpu_seconds",
+        "wall_seconds",
+        "events",
+        "photons",
+    ):
+        assert getattr(again, name) == getattr(traced, name), name
+    for a, b in zip(again.traces, traced.traces, strict=True):
+        assert a.seeds == b.seeds
+        for name in ("photodiode", "weight", "path_mm", "mu_a"):
+            assert getattr(a, name).dtype == getattr(b, name).dtype
+            assert getattr(a, name).tobytes() == getattr(b, name).tobytes(), name
+    with pytest.raises(InputError, match="share"):
+        again.merge(traced)
+
+
+@pytest.mark.jit
+def test_a_transfer_that_saw_nothing_is_stored_too(jit_backend, tmp_path):
+    nothing = nail.trace(two_layers(photodiodes=0), photons=1 << 10, seed=1)
+    nothing.save(tmp_path / "nothing.nc")
+    again = Transfer.load(tmp_path / "nothing.nc")
+    assert again.energy() == nothing.energy() and again.photodiodes == ()
+
+
+def test_files_that_are_no_transfer_are_refused_in_one_line(tmp_path):
+    (tmp_path / "text.nc").write_text("no")
+    for name in ("text.nc", "none.nc"):
+        with pytest.raises(InputError, match="not a transfer") as caught:
+            Transfer.load(tmp_path / name)
+        assert len(str(caught.value).splitlines()) == 1
+    with pytest.raises(InputError, match="cannot be written"):
+        by_hand(small(np.ones(3), np.ones((3, 2)))).save(tmp_path / "text.nc" / "below.nc")
+
+
+@pytest.mark.jit
+def test_a_state_too_far_away_warns(traced):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        traced.at(mu_a_per_mm={"lower": 0.2})
+    with pytest.warns(RereadWarning, match=r'photodiode "p[01]".*effective photons'):
+        traced.at(mu_a_per_mm={"upper": 200.0, "lower": 50.0})
+
+
+@pytest.mark.jit
+def test_an_absorber_that_is_none_is_refused(traced):
+    with pytest.raises(InputError, match="known: upper, lower"):
+        traced.at(mu_a_per_mm={"bed": 0.1})
+    for wrong in (-0.1, float("nan"), float("inf")):
+        with pytest.raises(InputError, match="mu_a_per_mm of lower"):
+            traced.at(mu_a_per_mm={"lower": wrong})
+    with pytest.raises(InputError, match="has no blood"):
+        traced.at(blood_fraction=[0.03, 0.02])
+
+
+def test_thinning_is_unbiased_and_its_standard_error_honest(monkeypatch):
+    """Expected: over many thinnings the reading's mean is that of all photons, within its own standard error, and each
+    thinned trace states an error that covers the loss."""
+    monkeypatch.setattr(transfer, "MAX_RECORDS", 1000)
+    rng = np.random.default_rng(3)
+    weight, path = rng.uniform(0.1, 1, 3000), rng.exponential(2.0, (3000, 2))
+    full = by_hand(small(weight, path, photons=10_000)).at(mu_a_per_mm={"upper": 0.1, "lower": 0.1}).squeeze()
+    values, stderrs = [], []
+    for seed in range(300):
+        thin = small(weight, path, photons=10_000, seeds=(seed,)).thinned()
+        assert len(thin.weight) <= 1000
+        seen = by_hand(thin).at(mu_a_per_mm={"upper": 0.1, "lower": 0.1}).squeeze()
+        values.append(float(seen.detected_fraction))
+        stderrs.append(float(seen.detected_fraction_stderr))
+    spread = np.std(values)
+    assert abs(np.mean(values) - float(full.detected_fraction)) < 4 * spread / np.sqrt(300)
+    # The photons' own noise is common to all thinnings here; the stated error holds both.
+    assert np.mean(stderrs) == pytest.approx(np.hypot(spread, float(full.detected_fraction_stderr)), rel=0.1)
+
+
+def test_thinning_does_not_lean_on_what_was_merged_in_which_order(monkeypatch):
+    monkeypatch.setattr(transfer, "MAX_RECORDS", 1000)
+    parts = [small(np.ones(400), np.ones((400, 2)), seeds=(seed,)) for seed in range(40)]
+    merged = parts[0]
+    for part in parts[1:]:
+        merged = merged.merged(part)
+    assert len(merged.weight) <= 1000 and merged.photons == 40_000
+    # 16 000 of weight 1: what is kept is worth as much within the noise that it states.
+    stderr = 40_000 * stderr_of_mean(merged.weight.sum(), (merged.weight**2).sum(), merged.photons)
+    assert abs(merged.weight.sum() - 16_000) < 4 * stderr
+
+
+@pytest.mark.jit
+def test_datasets_carry_units_errors_and_their_scene(traced):
+    seen = traced.at()
+    for name in ("detected_fraction", "mean_path_mm", "derivative_mm"):
+        assert seen[name].attrs["ancillary_variables"] == f"{name}_stderr" and seen[name].attrs["units"]
+        assert seen[f"{name}_stderr"].attrs["long_name"].startswith("standard error")
+    assert parse_scene(seen.attrs["scene"]) == traced.scene
+    assert seen.attrs["Conventions"].startswith("CF-") and seen.attrs["photons"] == traced.photons
