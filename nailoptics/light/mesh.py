@@ -33,13 +33,13 @@ DETECTED = 16
 # How a region treats light that arrives from a medium.
 ENTERED, MIRRORED, LEFT = 0, 1, 2
 # Scatterings without a ray before lanes wait for each other; more leave lanes idle, fewer cast rays for few lanes.
-FREE_EVENTS = 24
+FREE_EVENTS = 6
 
 
 class MeshTracer:
     """Traces the LEDs of a finger scene."""
 
-    batch_photons = 1 << 17
+    batch_photons = 1 << 18
 
     def __init__(self, scene: Scene, shape: Geometry | None = None) -> None:
         self.scene = scene
@@ -70,7 +70,9 @@ class MeshTracer:
             events=events,
         )
 
-    def walk(self, led: int, *, photons: int, seed: int, section: "Section | None" = None) -> tuple[np.ndarray, ...]:
+    def walk(
+        self, led: int, *, photons: int, seed: int, section: "Section | None" = None, board: "BoardMap | None" = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
         """Outcome, weight, roulette (n,) and paths (media + zones - 1, n) of each photon; scatterings in all."""
         lanes = min(photons, 8192 if dr.backend_v(mi.Float) == dr.JitBackend.LLVM else 1 << 18)
         count = dr.full(mi.UInt32, photons // lanes, lanes) + dr.select(
@@ -91,6 +93,7 @@ class MeshTracer:
             dr.opaque(mi.Float, blood.width_mm),
             results,
             section,
+            board,
         )
         dr.eval(events, results)
         outcome, weight, roulette, *paths = (np.array(a) for a in results)
@@ -127,6 +130,33 @@ class Section:
         return np.array(self.values).reshape(len(self.y_mm), len(self.z_mm)) / (photons * self.spacing_mm**2)
 
 
+class BoardMap:
+    """Light that arrives at the board's underside, by place on the flat board (u across, v along the nail)."""
+
+    def __init__(self, shape: Geometry, u_mm: np.ndarray, v_mm: np.ndarray) -> None:
+        self.u_mm, self.v_mm, self.spacing_mm = u_mm, v_mm, float(u_mm[1] - u_mm[0])
+        self.weight = dr.zeros(mi.Float64, len(u_mm) * len(v_mm))
+        self.square = dr.zeros(mi.Float64, len(u_mm) * len(v_mm))
+        self.low = [dr.opaque(mi.Float, float(axis[0] - self.spacing_mm / 2)) for axis in (u_mm, v_mm)]
+        self.shape = [dr.opaque(mi.UInt32, len(axis)) for axis in (u_mm, v_mm)]
+        self.nail_mm, self.board_mm = (dr.opaque(mi.Float, r) for r in (shape.nail_radius_mm, shape.board_radius_mm))
+
+    def add(self, p: Any, weight: Any, active: Any) -> None:
+        """Count the weights of photons that arrive at p."""
+        u = self.board_mm * dr.atan2(p.x, p.z + self.nail_mm)
+        j = mi.Int32(dr.floor((u - self.low[0]) / self.spacing_mm))
+        k = mi.Int32(dr.floor((p.y - self.low[1]) / self.spacing_mm))
+        inside = active & (j >= 0) & (k >= 0) & (mi.UInt32(j) < self.shape[0]) & (mi.UInt32(k) < self.shape[1])
+        at, value = mi.UInt32(j) * self.shape[1] + mi.UInt32(k), mi.Float64(weight)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.weight, value, at, inside)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.square, value * value, at, inside)
+
+    def sums(self) -> tuple[np.ndarray, np.ndarray]:
+        """Sums of weights and of their squares, (u, v) float64 each."""
+        shape = len(self.u_mm), len(self.v_mm)
+        return np.array(self.weight).reshape(shape), np.array(self.square).reshape(shape)
+
+
 class _RegionTable:
     """Optics of each region as Dr.Jit arrays, at rest and at one wavelength."""
 
@@ -142,6 +172,8 @@ class _RegionTable:
         self.n = mi.Float(optics.n)
         self.opaque = mi.UInt32(optics.opaque.astype(np.uint32))
         self.reflectance = mi.Float(optics.reflectance)
+        on_board = [name in ("kapton", "silicon") or ":" in name for name in names]
+        self.on_board = mi.UInt32(np.array(on_board, np.uint32))
         self.end = mi.UInt32(np.array(end, np.uint32))
         self.medium = mi.UInt32(
             np.array([media.TISSUES.index(n) if n in media.TISSUES else 99 for n in names], np.uint32)
@@ -249,6 +281,7 @@ def _walk(
     width: Any,
     results: list[Any],
     section: Section | None,
+    board: BoardMap | None,
 ) -> Any:
     """Scatterings per lane; a lane walks one photon after the other, so that none waits for one long life."""
     F, U = mi.Float, mi.UInt32
@@ -326,6 +359,9 @@ def _walk(
                 -dr.dot(w, normal), n_in=dr.gather(F, region_of.n, region), n_out=dr.gather(F, region_of.n, there)
             )
             cos_in = -dr.dot(w, normal)
+            if board is not None:
+                arrives = (region == region_of.epoxy) & (dr.gather(U, region_of.on_board, there) == 1)
+                board.add(p, dr.select(tau > life, 0, boost * _dimmed(tau)), arrives)
             opaque = dr.gather(U, region_of.opaque, there) == 1
             reflected = spin < dr.select(opaque, dr.gather(F, region_of.reflectance, there), mirrored)
             diffuse = turn(mi.Vector3f(normal), dr.sqrt(rng.next_float32()), phi)

@@ -290,7 +290,7 @@ class Transfer:
                 i = int(np.argmin(np.where(thin, left, np.inf)))
                 warnings.warn(
                     f'LED "{led}", photodiode "{self.photodiodes[i]}": this state is so far from the traced one that '
-                    f"only {left[i]:.1f} effective photons of {traced[i]:.0f} remain; trace nearer to it, or more photons.",
+                    f"only {left[i]:.1f} effective photons of {traced[i]:.0f} remain; trace nearer or more photons",
                     RereadWarning,
                     stacklevel=3,
                 )
