@@ -47,7 +47,7 @@ def respond(
     model : "reduced" has massless walls, the tool; "full" is the paper's six-state model (4 N + 2 - N states for N
         units), the check: it agrees within 1e-5 um and takes many times as long.
     contact : False, in the full model only, lets walls pass through each other as printed.
-    rtol : allowed error of a step relative to a diameter. A noisy record has a kink at every sample, each to be resolved:
+    rtol : allowed error of a step, relative to a diameter. A noisy record has a kink at every sample to be resolved:
         1e-4 is then several times as fast. [1]
 
     The Dataset has dims zone and time; capillary_diameter_m (zone, time), capillary_pressure_pa (zone, time),
