@@ -1,0 +1,5 @@
+"""PICTURES AND WORDS: figures of a result and one self-contained page of them."""
+
+from .page import write_report
+
+__all__ = ["write_report"]

@@ -1,0 +1,122 @@
+"""What a result says in words: what was simulated, what came out, what was reached."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+
+from ..scene import Scene
+from .numbers import quantity, significant
+from .readings import Reading
+
+
+def title(scene: Scene | None) -> str:
+    """What was simulated, in a few words."""
+    if scene is None or scene.finger is None:
+        return "Fingernail sensor"
+    touch = scene.touch
+    kind = {"step": "step", "ramp": "ramp", "hold": "hold", "recorded": "recorded touch"}[touch.profile]
+    force = "" if touch.profile == "recorded" else f" of {touch.force_n:g} N"
+    article = "an" if scene.finger.digit == "index" else "a"
+    return f"A {kind}{force} on {article} {scene.finger.digit} finger".replace("thumb finger", "thumb")
+
+
+def sentence(scene: Scene | None, result: xr.Dataset) -> str:
+    """What was simulated, in one sentence."""
+    leds, photodiodes = result.sizes["led"], result.sizes["photodiode"]
+    waves = _list([f"{float(w):g}" for w in result.wavelength_nm]) + " nm"
+    text = f"{leds} LED{'s' * (leds != 1)} ({waves}) and {photodiodes} photodiode{'s' * (photodiodes != 1)} on the nail"
+    duration = float(result.time[-1] - result.time[0])
+    force = result.force_n
+    text += f"; touched with up to {float(force.max()):.3g} N" + (f" for {duration:.3g} s" if duration else "")
+    if scene is not None and scene.finger is not None:
+        blood = scene.blood
+        text += f"; blood {100 * blood.rest_blood_fraction:g} % of the bed at rest, {100 * blood.so2:g} % saturated"
+        text += f', vessels "{blood.parameters}"'
+    return text + "."
+
+
+def findings(found: Sequence[Reading], result: xr.Dataset) -> list[tuple[str, str]]:
+    """Key findings as (figure, words), the most wanted first."""
+    lines: list[tuple[str, str]] = []
+    several = result.sizes["led"] > 1
+
+    def name(r: Reading) -> str:
+        return f"{r.photodiode} under {r.led}" if several else r.photodiode
+
+    falling = [r for r in found if r.change_v < 0]
+    rising = [r for r in found if r.change_v > 0]
+    for group, word in ((falling, "fall"), (rising, "rise")):
+        if group:
+            r = max(group, key=lambda r: abs(r.change_v))
+            percent = f"{significant(r.change_percent, 3, sign=True)} %"
+            ratio = f"{significant(r.signal_to_noise, 3)} times the noise of one sample"
+            words = f"largest {word}: {name(r)}, {percent}, {ratio}"
+            lines.append((quantity(r.change_v, "V", sign=True), words))
+    resolved = [r for r in found if math.isfinite(r.resolution_n) and r.resolution_n > 0]
+    if resolved:
+        r = min(resolved, key=lambda r: r.resolution_n)
+        words = f"force that one sample resolves at best (noise / slope): {name(r)}"
+        lines.append((quantity(r.resolution_n, "N"), words))
+    if falling or rising:
+        lines.append(_signs(found))
+    lines.append(_models(found, result))
+    return lines
+
+
+def warnings(found: Sequence[Reading], result: xr.Dataset) -> list[str]:
+    """What the reader must know before trusting the numbers."""
+    lines = []
+    full = [f"{r.photodiode} under {r.led}" for r in found if r.saturated]
+    if full:
+        lines.append(f"The converter is at its limit: {_list(full)}. These volts do not tell the light.")
+    if not any(r.change_v for r in found):
+        lines.append("No reading changes: the force does not change within the simulated time, or no blood moves.")
+    return lines
+
+
+def reached(result: xr.Dataset) -> list[tuple[str, str]]:
+    """What was reached and what it took, as (name, value)."""
+    attrs = result.attrs
+    rows = []
+    if "accuracy_reached" in attrs:
+        rows.append(("Accuracy reached", str(attrs["accuracy_reached"])))
+    if "photons" in attrs:
+        rows.append(("Photons", f"{int(attrs['photons']):,}".replace(",", "\u202f")))
+    engine = [str(attrs[k]) for k in ("engine", "backend") if k in attrs]
+    if engine:
+        rows.append(("Engine", " on ".join(engine)))
+    for key, label in (("wall_seconds", "Time taken"), ("cpu_seconds", "Processor time")):
+        if key in attrs:
+            rows.append((label, f"{float(attrs[key]):.3g} s"))
+    return rows
+
+
+def _signs(found: Sequence[Reading]) -> tuple[str, str]:
+    """Whether each zone's readings move the way that the paper saw: proximal down, distal up."""
+    expected = {"proximal": -1, "distal": 1}
+    judged = [r for r in found if r.zone in expected]
+    right = [r for r in judged if np.sign(r.change_v) == expected[r.zone]]
+    words = "readings move as in the paper: proximal ones fall, distal ones rise"
+    least = min((r.sigmas for r in right), default=math.nan)
+    if math.isfinite(least):
+        words += f"; each by {significant(least, 2)} σ of the trace or more"
+    return f"{len(right)} of {len(judged)}", words
+
+
+def _models(found: Sequence[Reading], result: xr.Dataset) -> tuple[str, str]:
+    """How far (8) and (9) are from the traced light at worst, beside the noise."""
+    worst = {}
+    for model in ("beer_lambert", "taylor"):
+        rms = result[f"{model}_residual_rms_v"]
+        worst[model] = float(rms.max())
+    noise = max((r.noise_rms_v for r in found), default=0.0)
+    verdict = "both below" if max(worst.values()) < noise else "not both below"
+    one, other = (quantity(worst[m], "V", digits=2) for m in ("beer_lambert", "taylor"))
+    limit = quantity(noise, "V", digits=2)
+    return one, f"rms that (8) misses at worst, and {other} for (9); {verdict} the noise of one sample, {limit}"
+
+
+def _list(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]

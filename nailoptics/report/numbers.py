@@ -1,0 +1,67 @@
+"""Numbers for people: rounded to their uncertainty, in a prefix of the unit that suits them."""
+
+import math
+
+_PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+MINUS = "−"
+
+
+def prefix(magnitude: float) -> tuple[float, str]:
+    """Scale and prefix in which a magnitude reads as 1 to 1000: 0.0123 V is 12.3 with (1e-3, "m")."""
+    if not math.isfinite(magnitude) or magnitude == 0:
+        return 1.0, ""
+    # The nudge keeps 999.96, which is shown as 1000, from staying in the smaller unit.
+    power = 3 * math.floor(math.log10(abs(magnitude) * 1.0001) / 3)
+    power = min(max(power, -12), 9)
+    return 10.0**power, _PREFIXES[power]
+
+
+def decimals_for(uncertainty: float, *, digits: int = 2) -> int:
+    """Decimals that show an uncertainty with its leading digits; negative where it is worth tens or more."""
+    if not math.isfinite(uncertainty) or uncertainty <= 0:
+        return 0
+    return digits - 1 - math.floor(math.log10(uncertainty))
+
+
+def fixed(value: float, decimals: int, *, sign: bool = False) -> str:
+    """A number with so many decimals and a real minus sign; 0 is shown without a sign."""
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else ("∞" if value > 0 else MINUS + "∞")
+    rounded = round(value, decimals)
+    text = f"{abs(rounded):.{max(decimals, 0)}f}"
+    return (MINUS if rounded < 0 else "+" if sign and rounded > 0 else "") + text
+
+
+def significant(value: float, digits: int = 3, *, sign: bool = False) -> str:
+    """A number with so many significant digits, in powers of ten where it is far from 1."""
+    if not math.isfinite(value) or value == 0:
+        return fixed(value, 0)
+    power = math.floor(math.log10(abs(value)))
+    if -3 <= power < 5:
+        return fixed(value, digits - 1 - power, sign=sign)
+    return f"{fixed(value / 10.0**power, digits - 1, sign=sign)} × 10{str(power).translate(_SUPERSCRIPT)}"
+
+
+def with_error(value: float, error: float, *, sign: bool = False) -> str:
+    """Value ± standard error, both rounded to two digits of the error; powers of ten where needed."""
+    if not math.isfinite(value):
+        return "–"
+    if error == 0:
+        return significant(value, 4, sign=sign)
+    if not math.isfinite(error):
+        return f"{significant(value, 3, sign=sign)} (error unknown)"
+    largest = max(abs(value), error)
+    power = math.floor(math.log10(largest))
+    scale, tail = (1.0, "") if -3 <= power < 5 else (10.0**power, f" × 10{str(power).translate(_SUPERSCRIPT)}")
+    decimals = min(max(decimals_for(error / scale), 0), 9)
+    text = f"{fixed(value / scale, decimals, sign=sign)} ± {fixed(error / scale, decimals)}"
+    return f"({text}){tail}" if tail else text
+
+
+def quantity(value: float, unit: str, *, digits: int = 3, sign: bool = False) -> str:
+    """A number with unit and prefix: 0.0123, "V" is "12.3 mV"."""
+    if not math.isfinite(value):
+        return fixed(value, 0)
+    scale, letter = prefix(value)
+    return f"{significant(value / scale, digits, sign=sign)} {letter}{unit}"

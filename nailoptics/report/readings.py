@@ -1,0 +1,151 @@
+"""What each photodiode tells about the touch: rest, change at the end of the hold, noise, resolution."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from ..scene import Scene
+from ..scene.layout import lay_out
+
+
+@dataclass(frozen=True)
+class Moments:
+    """The two moments between which a touch is judged: indices into time.
+
+    rest : the first sample.
+    hold : the end of the hold, the last sample whose force is (nearly) as far from the first as any.
+    """
+
+    rest: int
+    hold: int
+
+    @classmethod
+    def of(cls, result: xr.Dataset) -> "Moments":
+        """The moments of a result."""
+        departure = np.abs(result.force_n.to_numpy() - float(result.force_n[0]))
+        return cls(0, int(np.flatnonzero(departure >= 0.995 * departure.max())[-1]))
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One photodiode under one LED."""
+
+    led: str
+    photodiode: str
+    led_index: int
+    photodiode_index: int
+    zone: str
+    distance_mm: float
+    rest_v: float
+    rest_stderr_v: float
+    noise_rms_v: float
+    change_v: float
+    change_stderr_v: float
+    force_change_n: float
+    saturated: bool
+
+    @property
+    def change_percent(self) -> float:
+        """Change at the end of the hold, in percent of the reading at rest."""
+        return 100 * self.change_v / self.rest_v if self.rest_v else float("nan")
+
+    @property
+    def sigmas(self) -> float:
+        """Change in standard errors of the trace: how sure its sign is."""
+        return _ratio(abs(self.change_v), self.change_stderr_v)
+
+    @property
+    def signal_to_noise(self) -> float:
+        """Change over the electronics' noise of one sample."""
+        return _ratio(abs(self.change_v), self.noise_rms_v)
+
+    @property
+    def resolution_n(self) -> float:
+        """Force that one sample resolves: noise over the mean slope from rest to hold; NaN without a touch. [N]"""
+        if not self.force_change_n:
+            return float("nan")
+        return _ratio(self.noise_rms_v * abs(self.force_change_n), abs(self.change_v))
+
+
+def _ratio(value: float, by: float) -> float:
+    if by > 0:
+        return value / by
+    return float("inf") if value > 0 else float("nan")
+
+
+def change_v(result: xr.Dataset) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Change of every reading from rest and its standard error, (led, photodiode, time) each; whether that is a bound.
+
+    All times are read from one trace and share its noise, so the error of a change is far less than that of a reading;
+    `volts_change_stderr` holds it. Without that variable the two errors are added as if independent: an upper bound.
+    """
+    volts = result.volts.transpose("led", "photodiode", "time").to_numpy()
+    change = volts - volts[..., :1]
+    if "volts_change_stderr" in result:
+        return change, result.volts_change_stderr.transpose("led", "photodiode", "time").to_numpy(), False
+    stderr = result.volts_stderr.transpose("led", "photodiode", "time").to_numpy()
+    bound = np.sqrt(stderr**2 + stderr[..., :1] ** 2)
+    bound[..., 0] = 0.0
+    return change, bound, True
+
+
+def readings(result: xr.Dataset, scene: Scene | None) -> list[Reading]:
+    """Every LED and photodiode, LED by LED, photodiodes from proximal to distal."""
+    moments = Moments.of(result)
+    change, change_stderr, _ = change_v(result)
+    at_rest, at_hold = result.isel(time=moments.rest), result.isel(time=moments.hold)
+    force = result.force_n.to_numpy()
+    moved_n = float(force[moments.hold] - force[moments.rest])
+    distance = distances_mm(result, scene)
+    zones = [str(z) for z in result.zone.values]
+    saturated = result.saturated.any("time")
+    found = []
+    for i, led in enumerate(result.led.values):
+        for j in order_along_nail(result, scene):
+            found.append(
+                Reading(
+                    led=str(led),
+                    photodiode=str(result.photodiode.values[j]),
+                    led_index=i,
+                    photodiode_index=j,
+                    zone=zones[int(result.zone_of_photodiode[j])],
+                    distance_mm=float(distance[i, j]),
+                    rest_v=float(at_rest.volts[i, j]),
+                    rest_stderr_v=float(at_rest.volts_stderr[i, j]),
+                    noise_rms_v=float(at_hold.volts_noise_rms[i, j]),
+                    change_v=float(change[i, j, moments.hold]),
+                    change_stderr_v=float(change_stderr[i, j, moments.hold]),
+                    force_change_n=moved_n,
+                    saturated=bool(saturated[i, j]),
+                )
+            )
+    return found
+
+
+def _centres(result: xr.Dataset, scene: Scene | None) -> tuple[np.ndarray, np.ndarray] | None:
+    """Centres of LEDs and of photodiodes on the board, or None where the scene does not match the result."""
+    if scene is None or scene.finger is None:
+        return None
+    layout = lay_out(scene)
+    leds = np.array([r.center_mm for r in layout.leds])
+    photodiodes = np.array([e.area.center_mm for e in layout.photodiodes])
+    fits = len(leds) == result.sizes["led"] and len(photodiodes) == result.sizes["photodiode"]
+    return (leds, photodiodes) if fits else None
+
+
+def order_along_nail(result: xr.Dataset, scene: Scene | None) -> list[int]:
+    """Indices of the photodiodes from the most proximal to the most distal."""
+    centres = _centres(result, scene)
+    if centres is None:
+        return list(range(result.sizes["photodiode"]))
+    return [int(i) for i in np.argsort(centres[1][:, 1], kind="stable")]
+
+
+def distances_mm(result: xr.Dataset, scene: Scene | None) -> np.ndarray:
+    """Distance from each LED to each photodiode, centre to centre on the board, (led, photodiode). [mm]"""
+    centres = _centres(result, scene)
+    if centres is None:
+        return np.full((result.sizes["led"], result.sizes["photodiode"]), np.nan)
+    leds, photodiodes = centres
+    return np.asarray(np.linalg.norm(leds[:, None] - photodiodes[None], axis=-1))

@@ -1,0 +1,141 @@
+"""How every figure looks: colours that mean one thing each, type, and SVG that follows the page's light or dark."""
+
+import io
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# These four are replaced by the page's own colours, so that figures turn dark with it.
+INK, MUTED, GRID, PAPER = "#1c2126", "#65707c", "#e3e7ea", "#fefefd"
+_VARIABLES = {INK: "--ink", MUTED: "--muted", GRID: "--grid", PAPER: "--paper"}
+# On coloured surfaces, which stay as they are in the dark.
+DARK_INK = "#22262b"
+
+# Warm is proximal, cool is distal; of middling lightness throughout, to be seen on white and on black, and told apart
+# by lightness too where red and green are not.
+_PLACES = ("#a31f34", "#d0482f", "#e08a3c", "#5fa8dc", "#2f7fc9", "#3a55b0")
+ZONES = (_PLACES[0], _PLACES[-1])
+VEIN = "#7a5aa6"
+
+_RC: Any = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 9,
+    "svg.fonttype": "none",
+    "text.color": INK,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.facecolor": "none",
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "axes.titlepad": 5,
+    "axes.labelsize": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.unicode_minus": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.7,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "lines.linewidth": 1.6,
+    "lines.solid_capstyle": "round",
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "figure.facecolor": "none",
+    "savefig.facecolor": "none",
+    "image.interpolation": "nearest",
+}
+
+
+@contextmanager
+def drawing() -> Iterator[None]:
+    """The look of all figures, for as long as one is drawn."""
+    import matplotlib
+
+    with matplotlib.rc_context(_RC):
+        yield
+
+
+def new_figure(width_in: float, height_in: float) -> "Figure":
+    """An empty figure that no global state knows of."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def place_colours(count: int) -> list[str]:
+    """One colour per photodiode, from the most proximal to the most distal."""
+    from matplotlib.colors import LinearSegmentedColormap, to_hex
+
+    scale = LinearSegmentedColormap.from_list("place", _PLACES)
+    return [to_hex(scale(x)) for x in (np.linspace(0, 1, count) if count > 1 else [0.0])]
+
+
+def plain(text: object) -> str:
+    """Text that a figure shows as it is, dollar signs included."""
+    return str(text).replace("$", r"\$")
+
+
+def spread(places: Sequence[float], gap: float) -> list[float]:
+    """Places for labels, in the same order, at least a gap apart and as near as can be to where they belong."""
+    order = np.argsort(np.asarray(places, float), kind="stable")
+    groups: list[list[float]] = []  # centre, count
+    for index in order:
+        groups.append([float(places[index]), 1])
+        while len(groups) > 1 and groups[-1][0] - groups[-2][0] < gap * (groups[-1][1] + groups[-2][1]) / 2:
+            (one, n), (other, m) = groups[-2], groups[-1]
+            groups[-2:] = [[(one * n + other * m) / (n + m), n + m]]
+    sorted_places = [c + gap * (i - (n - 1) / 2) for c, n in groups for i in range(int(n))]
+    result = [0.0] * len(sorted_places)
+    for index, place in zip(order, sorted_places, strict=True):
+        result[index] = place
+    return result
+
+
+def note(axes: "Axes", text: str) -> None:
+    """A line of small print inside the axes' upper right corner."""
+    axes.text(0.99, 0.97, text, transform=axes.transAxes, ha="right", va="top", fontsize=8, color=MUTED)
+
+
+def to_svg(figure: "Figure", *, name: str, description: str) -> str:
+    """The figure as an SVG element for a page: no ids that could clash, no references, colours of the page."""
+    import html
+
+    import matplotlib
+
+    buffer = io.StringIO()
+    with drawing(), matplotlib.rc_context({"svg.hashsalt": name}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
+    text = re.sub(r'<(g|text) id="[^"]*"', r"<\1", text)
+    text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)
+    opening, rest = text.split(">", 1)
+    box = re.search(r'viewBox="[^"]*"', opening)
+    width_pt = figure.get_figwidth() * 72
+    label = html.escape(description)
+    opening = f'<svg role="img" aria-label="{label}" style="--natural:{width_pt:.0f}pt" {box.group() if box else ""}'
+    text = f"{opening}>{rest}".replace("xlink:href", "href")
+    text = re.sub(r"font: ([^;\"]*?)'DejaVu Sans'[^;\"]*", r"font: \1var(--type)", text)
+    for colour, variable in _VARIABLES.items():
+        text = text.replace(colour, f"var({variable})")
+    return text.strip()
