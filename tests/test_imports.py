@@ -4,7 +4,6 @@ import ast
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -134,25 +133,22 @@ def test_help_loads_nothing_slow():
     assert not set(run(code).split()) & SLOW
 
 
-def quickest(command: list[str], attempts: int = 5) -> float:
-    """The least wall time of a command: what it costs when nothing else has the machine. [s]"""
-    times = []
+def cost(command: list[str], attempts: int = 5) -> float:
+    """The least CPU time of a command, which is its time on the clock where nothing else has the machine. [s]"""
+    costs = []
     for _ in range(attempts):
-        start = time.perf_counter()
-        subprocess.run(
-            [sys.executable, *command],
-            env=os.environ | {"PYTHONPATH": str(PACKAGE.parent)},
-            check=True,
-            capture_output=True,
-        )
-        times.append(time.perf_counter() - start)
-        if min(times) < 0.3:
+        before = os.times()
+        environment = os.environ | {"PYTHONPATH": str(PACKAGE.parent)}
+        subprocess.run([sys.executable, *command], env=environment, check=True, capture_output=True)
+        after = os.times()
+        costs.append(after.children_user - before.children_user + after.children_system - before.children_system)
+        if costs[-1] < 0.4:
             break
-    return min(times)
+    return min(costs)
 
 
 @pytest.mark.parametrize(
     "command", [["-c", "import nailoptics"], ["-m", "nailoptics", "--help"]], ids=["import", "help"]
 )
 def test_import_and_help_take_less_than_half_a_second(command):
-    assert quickest(command) < 0.5
+    assert cost(command) < 0.5

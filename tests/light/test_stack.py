@@ -6,7 +6,9 @@ import pytest
 from scipy import special, stats
 
 import nailoptics as nail
+from nailoptics.light.stack import StackTracer, arc_share, walk_stack
 from nailoptics.light.tracing import _seeds
+from nailoptics.light.walk import TOP
 from nailoptics.scene import Scene, parse_scene
 
 pytestmark = pytest.mark.jit
@@ -230,9 +232,7 @@ def test_a_lambertian_die_on_a_scattering_slab_meets_adding_doubling(jit_backend
     assert np.all(abs(value - exact) < 3.5 * stderr) and np.all(stderr < 0.005 * exact)
 
 
-def test_arc_share_is_what_counting_azimuths_gives(jit_backend):
-    from nailoptics.light.stack import arc_share
-
+def test_arc_share_is_what_counting_azimuths_gives():
     rng = np.random.default_rng(5)
     azimuth = 2 * np.pi * (np.arange(20_000) + 0.5) / 20_000
     ring = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
@@ -250,9 +250,7 @@ def test_arc_share_is_what_counting_azimuths_gives(jit_backend):
     assert seen > 40
 
 
-def test_arc_share_of_corner_cases_is_exact(jit_backend):
-    from nailoptics.light.stack import arc_share
-
+def test_arc_share_of_corner_cases_is_exact():
     origin, square = np.zeros((1, 2)), (-1.0, 1.0, -1.0, 1.0)
     for radius, share in ((0.0, 1.0), (0.5, 1.0), (1.0, 1.0), (np.sqrt(2) + 1e-9, 0.0), (5.0, 0.0)):
         assert arc_share(np.array([[radius, 0.0]]), origin, square)[0] == pytest.approx(share, abs=1e-7)
@@ -273,9 +271,6 @@ def test_arc_share_of_corner_cases_is_exact(jit_backend):
 def test_a_square_sees_what_counting_exits_in_it_gives(jit_backend, led, center):
     """Rationale: readings average over azimuth, which takes a symmetry for granted; counting takes nothing.
     Expected: equal within errors, of the same photons."""
-    from nailoptics.light.stack import StackTracer, walk_stack
-    from nailoptics.light.walk import TOP
-
     square = SQUARE.replace("[2.0, 0.0]", str(list(center)))
     scene = phantom(layer(thickness=2.0, mu_a=0.1, mu_s=5.0, g=0.7, n=1.4), led=led, photodiodes=square)
     photons = 1 << 19
@@ -307,9 +302,6 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_others(jit_backend):
 
 def test_photons_of_a_batch_and_batches_of_a_seed_are_independent(jit_backend):
     """Expected: no correlation between what photons i and i + k became, nor between photons i of two batches."""
-    from nailoptics.light.stack import walk_stack
-    from nailoptics.light.walk import TOP
-
     scene = slab(a=0.9, b=2.0, g=0.0, n=1.0)
     seeds = _seeds(7, 0)
     one, two = (

@@ -191,7 +191,7 @@ def test_a_million_photons_are_the_default():
         ({"backend": "scalar"}, "JIT"),
     ],
 )
-def test_impossible_demands_are_refused_in_one_line(asked, field):
+def test_impossible_demands_are_refused_in_one_line(jit_backend, asked, field):
     with pytest.raises(InputError, match=field) as caught:
         nail.trace(slab(), **asked)
     assert len(str(caught.value).splitlines()) == 1 and caught.value.exit_code == 2
