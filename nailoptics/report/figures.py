@@ -74,11 +74,6 @@ def vessels(result: xr.Dataset) -> "Figure":
 def overview(result: xr.Dataset, scene: Scene | None) -> "Figure":
     """Change of every photodiode from rest, one panel per LED, over the force."""
     leds = result.sizes["led"]
-    order = order_along_nail(result, scene)
-    colours = style.place_colours(len(order))
-    change, _, _ = change_v(result)
-    hold = Moments.of(result).hold
-    scale, letter = prefix(float(np.abs(change).max()))
     with style.drawing():
         per_led = 3.6 if leds > 1 else 4.2
         figure = style.new_figure(9.2, 0.9 + per_led * leds)
@@ -86,30 +81,43 @@ def overview(result: xr.Dataset, scene: Scene | None) -> "Figure":
             leds + 1, 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": [0.8] + [per_led] * leds}
         )[:, 0]
         seen = _thin(result)
-        index = seen.attrs["samples"]
         _line(panels[0], seen, seen.force_n, color=style.INK)
         panels[0].fill_between(seen.time, 0, seen.force_n, color=style.MUTED, alpha=0.15, lw=0)
         panels[0].set_ylabel("force [N]")
         panels[0].set_ylim(0, None)
         for i, axes in enumerate(panels[1:]):
-            axes.axhline(0, color=style.MUTED, lw=0.8)
-            for colour, j in zip(colours, order, strict=True):
-                label = f"{result.photodiode.values[j]}  {quantity(change[i, j, hold], 'V', sign=True)}"
-                _line(axes, seen, change[i, j, index] / scale, color=colour, label=style.plain(label))
-            axes.set_ylabel(f"change from rest [{letter}V]")
-            axes.axvline(float(result.time[hold]), color=style.MUTED, lw=0.8, ls=(0, (2, 2)))
-            axes.set_title(style.plain(_led_title(result, i)))
-            _not_too_close(axes)
-            columns = 1 + (len(order) - 1) // 16
-            axes.legend(
-                loc="center left",
-                bbox_to_anchor=(1.0, 0.5),
-                title=f"at {float(result.time[hold]):.3g} s",
-                labelcolor=style.INK,
-                ncols=columns,
-            )
-        _time_axis(panels[-1], result)
+            draw_change(axes, result, scene, led=i)
+            if i < leds - 1:
+                axes.set_xlabel("")
     return figure
+
+
+def draw_change(axes: "Axes", result: xr.Dataset, scene: Scene | None, *, led: int) -> None:
+    """Draw the change of every photodiode from rest under one LED into axes, with its value at the hold's end."""
+    order = order_along_nail(result, scene)
+    change, _, _ = change_v(result)
+    hold = Moments.of(result).hold
+    scale, letter = prefix(float(np.abs(change).max()))
+    seen = _thin(result)
+    axes.axhline(0, color=style.MUTED, lw=0.8)
+    for colour, j in zip(style.place_colours(len(order)), order, strict=True):
+        label = f"{result.photodiode.values[j]}  {quantity(change[led, j, hold], 'V', sign=True)}"
+        _line(axes, seen, change[led, j, seen.attrs["samples"]] / scale, color=colour, label=style.plain(label))
+    axes.set_ylabel(f"change from rest [{letter}V]")
+    axes.axvline(float(result.time[hold]), color=style.MUTED, lw=0.8, ls=(0, (2, 2)))
+    axes.set_title(style.plain(_led_title(result, led)))
+    _not_too_close(axes)
+    _time_axis(axes, result)
+    handles, labels = axes.get_legend_handles_labels()
+    # From the tip down, as on the nail.
+    axes.legend(
+        handles[::-1],
+        labels[::-1],
+        loc="center left",
+        bbox_to_anchor=(1.0, 0.5),
+        title=f"at {float(result.time[hold]):.3g} s",
+        ncols=1 + (len(order) - 1) // 16,
+    )
 
 
 def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
@@ -138,7 +146,7 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
             main, below = grid[2 * row, column], grid[2 * row + 1, column]
             _reading(main, result, led, j, colours[k])
             _residual(below, result, led, j, residual_scale)
-            below.set_ylabel(f"− traced\n[{letter}V]", fontsize=8)
+            below.set_ylabel(f"missed\n[{letter}V]", fontsize=8)
         limit = 1.15 * max(abs(y) for axes in grid[1::2].ravel() for y in axes.dataLim.intervaly if np.isfinite(y))
         for axes in grid[1::2].ravel():
             axes.set_ylim(-(limit or 1.0), limit or 1.0)

@@ -29,7 +29,7 @@ def sentence(scene: Scene | None, result: xr.Dataset) -> str:
     text = f"{leds} LED{'s' * (leds != 1)} ({waves}) and {photodiodes} photodiode{'s' * (photodiodes != 1)} on the nail"
     duration = float(result.time[-1] - result.time[0])
     force = result.force_n
-    text += f"; touched with up to {float(force.max()):.3g} N" + (f" for {duration:.3g} s" if duration else "")
+    text += f"; force up to {float(force.max()):.3g} N" + (f" within {duration:.3g} s" if duration else "")
     if scene is not None and scene.finger is not None:
         blood = scene.blood
         text += f"; blood {100 * blood.rest_blood_fraction:g} % of the bed at rest, {100 * blood.so2:g} % saturated"
@@ -98,10 +98,13 @@ def _signs(found: Sequence[Reading]) -> tuple[str, str]:
     expected = {"proximal": -1, "distal": 1}
     judged = [r for r in found if r.zone in expected]
     right = [r for r in judged if np.sign(r.change_v) == expected[r.zone]]
-    words = "readings move as in the paper: proximal ones fall, distal ones rise"
+    words = "readings move as in the paper, proximal ones down and distal ones up"
     least = min((r.sigmas for r in right), default=math.nan)
     if math.isfinite(least):
-        words += f"; each by {significant(least, 2)} σ of the trace or more"
+        words += f", by {significant(least, 2)} σ of the trace or more"
+    wrong = [r.photodiode for r in judged if r not in right]
+    if right and 0 < len(wrong) < 4:
+        words += f"; not {_list(wrong)}"
     return f"{len(right)} of {len(judged)}", words
 
 
@@ -112,10 +115,9 @@ def _models(found: Sequence[Reading], result: xr.Dataset) -> tuple[str, str]:
         rms = result[f"{model}_residual_rms_v"]
         worst[model] = float(rms.max())
     noise = max((r.noise_rms_v for r in found), default=0.0)
-    verdict = "both below" if max(worst.values()) < noise else "not both below"
     one, other = (quantity(worst[m], "V", digits=2) for m in ("beer_lambert", "taylor"))
     limit = quantity(noise, "V", digits=2)
-    return one, f"rms that (8) misses at worst, and {other} for (9); {verdict} the noise of one sample, {limit}"
+    return one, f"rms that Beer–Lambert (8) misses at worst; Taylor (9): {other}; noise of one sample: {limit}"
 
 
 def _list(words: Sequence[str]) -> str:

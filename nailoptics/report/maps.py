@@ -66,13 +66,13 @@ def draw_top_view(axes: "Axes", scene: Scene, result: xr.Dataset) -> None:
         fill(wired.area, 4, fc=colours.get(j, SILICON), ec=style.DARK_INK, lw=0.6)
     for led in layout.leds:
         fill(led, 4, fc=LED, ec=style.DARK_INK, lw=0.8)
-    _label_parts(axes, scene, layout, half_u, half_v)
+    _label_parts(axes, scene, layout, half_v)
     axes.set_xlim(-half_u - 0.3, half_u + 0.3)
     axes.set_ylim(-half_v - 0.3, half_v + 0.3)
     axes.set_aspect("equal")
     axes.grid(False)
     axes.set_xlabel("across the nail [mm]")
-    axes.set_ylabel("along the nail, tip at the top [mm]")
+    axes.set_ylabel("along the nail, towards the tip [mm]")
 
 
 def _blood_zones(axes: "Axes", scene: Scene, half_u: float, half_v: float) -> None:
@@ -84,46 +84,40 @@ def _blood_zones(axes: "Axes", scene: Scene, half_u: float, half_v: float) -> No
     tint = weights @ np.array([to_rgb(c) for c in style.place_colours(weights.shape[1])])
     image = np.concatenate([tint, np.full((len(v), 1), 0.30)], axis=1)[:, None]
     axes.imshow(image, extent=(-half_u, half_u, -half_v, half_v), origin="lower", aspect="auto", zorder=1)
+    text: dict[str, Any] = {"color": style.DARK_INK, "fontsize": 8, "zorder": 5}
     for edge in scene.blood.zone_edges_mm:
-        for place in (edge - scene.blood.zone_width_mm / 2, edge + scene.blood.zone_width_mm / 2):
+        low, high = edge - scene.blood.zone_width_mm / 2, edge + scene.blood.zone_width_mm / 2
+        for place in (low, high):
             axes.plot([-half_u, half_u], [place, place], color=style.DARK_INK, lw=0.6, ls=(0, (2, 3)), zorder=1.5)
-        width = scene.blood.zone_width_mm
-        text = f"proximal blood\npasses to distal\nover {width:g} mm"
-        axes.text(-half_u + 0.2, edge, text, color=style.DARK_INK, fontsize=8, va="center", zorder=5)
+        axes.text(-half_u + 0.15, high + 0.1, "distal blood", va="bottom", clip_on=True, **text)
+        axes.text(-half_u + 0.15, low - 0.1, "proximal blood", va="top", clip_on=True, **text)
 
 
-def _label_parts(axes: "Axes", scene: Scene, layout: Layout, half_u: float, half_v: float) -> None:
-    """Names beside the parts: photodiodes on the right, LEDs and the rest on the left, none on another."""
-    gap = 0.07 * half_v
-    names = [e.area for e in layout.photodiodes]
-    size = 8.0
-    if len(names) * gap > 1.9 * half_v:
-        size, gap = max(8.0 * 1.9 * half_v / (len(names) * gap), 3.0), 1.9 * half_v / len(names)
-    start = layout.outline.u_max + 0.45
-    line: dict[str, Any] = {"color": style.DARK_INK, "lw": 0.6, "zorder": 6}
-    for area, place in zip(names, style.spread([a.center_mm[1] for a in names], gap), strict=True):
-        v = area.center_mm[1]
-        axes.plot([area.u_max, layout.outline.u_max, start - 0.08], [v, v, place], **line)
-        text = style.plain(area.name)
-        axes.text(start, place, text, fontsize=size, va="center", color=style.DARK_INK, zorder=6)
-    left = layout.outline.u_min - 0.45
-    parts = [(r, f"LED {r.name}, {led.wavelength_nm:g} nm") for r, led in zip(layout.leds, scene.leds, strict=True)]
+def _label_parts(axes: "Axes", scene: Scene, layout: Layout, half_v: float) -> None:
+    """Names beside the parts, none on another: photodiodes on the right, the rest on the side where it lies."""
+    right = [(e.area, e.area.name) for e in layout.photodiodes]
+    middle = sum(r.center_mm[0] for r, _ in right) / len(right)
+    others = [(r, f"LED {r.name}, {led.wavelength_nm:g} nm") for r, led in zip(layout.leds, scene.leds, strict=True)]
     if layout.barriers:
         wall = layout.barriers[0]
-        tall = wall.v_max - wall.v_min > wall.u_max - wall.u_min
-        at = wall.v_min + 0.88 * (wall.v_max - wall.v_min)
-        parts.append((Rectangle("", wall.u_min, wall.u_max, at, at) if tall else wall, "opaque barrier"))
+        at = wall.v_min + 0.93 * (wall.v_max - wall.v_min)
+        others.append((Rectangle("", wall.u_min, wall.u_max, at, at), "opaque barrier"))
     if layout.unwired:
         lowest = min(layout.unwired, key=lambda r: r.v_min)
-        parts.append((Rectangle("", lowest.u_min + 0.1, 0, lowest.v_min, lowest.v_max), "elements not wired"))
-    # Labels keep off the band in which the blood zones are named.
-    places = [r.center_mm[1] for r, _ in parts]
-    band = 0.6 + scene.blood.zone_width_mm / 4
-    edge = scene.blood.zone_edges_mm[0]
-    places = [edge + band + 0.5 if abs(p - edge) < band else p for p in places]
-    for (r, text), place in zip(parts, style.spread(places, 0.5), strict=True):
-        axes.plot([r.u_min, left + 0.08], [r.center_mm[1], place], **line)
-        axes.text(left, place, style.plain(text), fontsize=8, ha="right", va="center", color=style.DARK_INK, zorder=6)
+        others.append((Rectangle("", lowest.u_min + 0.1, lowest.u_max, lowest.v_min, lowest.v_max), "not wired"))
+    left = [(r, name) for r, name in others if r.center_mm[0] <= middle]
+    right += [(r, name) for r, name in others if r.center_mm[0] > middle]
+    gap = min(0.07 * half_v, 1.9 * half_v / len(right))
+    size = max(8.0 * gap / (0.07 * half_v), 3.0)
+    for group, side in ((left, -1), (right, 1)):
+        edge = layout.outline.u_max if side > 0 else layout.outline.u_min
+        for (r, name), place in zip(group, style.spread([r.center_mm[1] for r, _ in group], gap), strict=True):
+            v, near = r.center_mm[1], r.u_max if side > 0 else r.u_min
+            u = [near, edge, edge + side * 0.37]
+            axes.plot(u, [v, v, place], color=style.DARK_INK, lw=0.6, zorder=6)
+            look: dict[str, Any] = {"color": style.DARK_INK, "fontsize": size if side > 0 else 8.0}
+            where: dict[str, Any] = {"ha": "left" if side > 0 else "right", "va": "center"}
+            axes.text(edge + side * 0.45, place, style.plain(name), zorder=6, **look, **where)
 
 
 def section(scene: Scene | None, result: xr.Dataset) -> "Figure":
@@ -147,6 +141,7 @@ def section(scene: Scene | None, result: xr.Dataset) -> "Figure":
 def draw_section(axes: "Axes", scene: Scene | None, result: xr.Dataset, *, led: int) -> None:
     """Draw the close view of the section under the board, with one LED's path density, into axes."""
     from matplotlib.colors import LogNorm
+    from scipy.ndimage import gaussian_filter
 
     low_y, high_y, low_z, high_z = _close_view(scene, result)
     _regions(axes, result)
@@ -156,14 +151,17 @@ def draw_section(axes: "Axes", scene: Scene | None, result: xr.Dataset, *, led: 
         inside = values[values > 0]
         if inside.size:
             top = float(np.quantile(inside, 0.9995))
-            shown = np.ma.masked_less(values, top * 10**-DECADES)
+            # Single photons far from the board are noise; a pixel of smoothing joins them.
+            smooth = gaussian_filter(values, 1.0)
+            shown = np.ma.masked_less(smooth, top * 10**-DECADES)
+            faded = np.clip(np.log10(np.maximum(smooth / top, 1e-9)) / DECADES + 1, 0, 1)
             image = axes.imshow(
                 (shown / top).T,
                 extent=_extent(result),
                 origin="lower",
                 norm=LogNorm(10**-DECADES, 1),
                 cmap="magma",
-                alpha=np.clip(0.25 + 0.75 * (np.log10(np.maximum(values / top, 1e-9)) / DECADES + 1), 0, 1).T,
+                alpha=np.minimum(1.4 * faded, 1).T,
                 zorder=3,
                 interpolation="bilinear",
             )
@@ -174,6 +172,7 @@ def draw_section(axes: "Axes", scene: Scene | None, result: xr.Dataset, *, led: 
         name = f"Paths of the light of LED {result.led.values[led]}, {float(result.wavelength_nm[led]):g} nm"
         axes.set_title(style.plain(name))
     _outlines(axes, result)
+    _layer_names(axes, result, low_y, low_z)
     _parts_above(axes, scene, result, led, high_z)
     axes.set_xlim(low_y, high_y)
     axes.set_ylim(low_z, high_z)
@@ -224,6 +223,19 @@ def _outlines(axes: "Axes", result: xr.Dataset) -> None:
             y, z = result.section_y.to_numpy(), result.section_z.to_numpy()
             axes.contour(y, z, here.T, levels=[0.5], colors=["#ffffff"], linewidths=1.6, alpha=0.55, zorder=4)
             axes.contour(y, z, here.T, levels=[0.5], colors=[style.DARK_INK], linewidths=0.7, zorder=4)
+
+
+def _layer_names(axes: "Axes", result: xr.Dataset, left: float, bottom: float) -> None:
+    """Name the layers where they meet the left edge."""
+    if "section_region" not in result:
+        return
+    names = _names(result)
+    z = result.section_z.to_numpy()
+    column = result.section_region.sel(section_y=left + 0.1, method="nearest").to_numpy()
+    for name in ("plate", "bed", "bone"):
+        heights = z[(column == names.index(name)) & (z > bottom)] if name in names else z[:0]
+        if heights.size:
+            axes.text(left + 0.12, heights.mean(), name, fontsize=8, color=style.DARK_INK, va="center", zorder=6)
 
 
 def _holding(axes: "Axes", result: xr.Dataset, values: np.ndarray) -> None:

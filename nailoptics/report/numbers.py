@@ -44,13 +44,16 @@ def significant(value: float, digits: int = 3, *, sign: bool = False) -> str:
 
 
 def with_error(value: float, error: float, *, sign: bool = False) -> str:
-    """Value ± standard error, both rounded to two digits of the error; powers of ten where needed."""
+    """Value ± standard error, both rounded to two digits of the error; powers of ten where needed.
+
+    An error that is not known is shown as "± ?".
+    """
     if not math.isfinite(value):
         return "–"
     if error == 0:
         return significant(value, 4, sign=sign)
     if not math.isfinite(error):
-        return f"{significant(value, 3, sign=sign)} (error unknown)"
+        return f"{significant(value, 3, sign=sign)} ± ?"
     largest = max(abs(value), error)
     power = math.floor(math.log10(largest))
     scale, tail = (1.0, "") if -3 <= power < 5 else (10.0**power, f" × 10{str(power).translate(_SUPERSCRIPT)}")
@@ -60,8 +63,8 @@ def with_error(value: float, error: float, *, sign: bool = False) -> str:
 
 
 def quantity(value: float, unit: str, *, digits: int = 3, sign: bool = False) -> str:
-    """A number with unit and prefix: 0.0123, "V" is "12.3 mV"."""
+    """A number with unit and prefix, not to be parted at a line's end: 0.0123, "V" is "12.3 mV"."""
     if not math.isfinite(value):
         return fixed(value, 0)
     scale, letter = prefix(value)
-    return f"{significant(value / scale, digits, sign=sign)} {letter}{unit}"
+    return f"{significant(value / scale, digits, sign=sign)}\u00a0{letter}{unit}"

@@ -99,9 +99,9 @@ def _readings_section(result: xr.Dataset, scene: Scene | None, found: list) -> l
             f"distal. {many}",
         ),
         tables.readings_table(found, hold_s, bound=bound),
-        f"<p class='small'>± is one standard error of the light tracing. {error} Noise is that of the electronics and "
-        "the converter in one sample; the force that it hides is noise divided by the mean slope from rest to the "
-        "end of the hold.</p></section>",
+        f"<p class='small'>± is one standard error of the light tracing, and σ counts a change in them. {error} Noise "
+        "is that of the electronics and the converter in one sample; a sample resolves the force that equals its "
+        "noise, by the mean slope from rest to the end of the hold.</p></section>",
     ]
 
 
@@ -143,12 +143,16 @@ def _models_section(result: xr.Dataset, scene: Scene | None, found: list) -> lis
         "<section><h2>Traced light beside the reduced optics</h2>",
         "<p>Each photodiode's traced volts with equations (8), V = V<sub>0</sub> + V<sub>1</sub> exp(−αD²), and (9), "
         "V = V′<sub>0</sub> − V′<sub>1</sub>D², fitted to them over the capillary diameter D of the photodiode's own "
-        "zone. Below each, what they miss, on one scale for all, with the noise of one sample in grey.</p>",
+        "zone. Below each, what they miss (model minus traced light), on one scale for all, with the noise of one "
+        "sample in grey.</p>",
     ]
     for i, led in enumerate(result.led.values):
         heading = f"<h3>LED {_(str(led))}, {significant(float(result.wavelength_nm[i]))} nm</h3>"
         lines.append(heading if result.sizes["led"] > 1 else "")
-        text = "Volts over time: proximal photodiodes on the left, distal ones on the right."
+        text = (
+            "Volts over time: proximal photodiodes on the left, distal ones on the right. Where no band is seen it is "
+            "thinner than the line."
+        )
         if result.sizes["photodiode"] > figures.PANELS:
             text += f" {figures.PANELS} of {result.sizes['photodiode']} are shown, evenly spaced."
         lines.append(_figure(figures.volts(result, scene, led=i), f"volts{i}", text))

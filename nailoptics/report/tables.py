@@ -27,15 +27,15 @@ def readings_table(found: Sequence[Reading], hold_s: float, *, bound: bool) -> s
     noise, noise_letter = prefix(max((r.noise_rms_v for r in found), default=0.0))
     head = [
         "Photodiode",
-        "Blood zone",
-        "From LED<br>[mm]",
+        "Blood<br>zone",
+        "LED at<br>[mm]",
         f"At rest<br>[{letter}V]",
-        f"Change at {significant(hold_s)} s<br>[{change_letter}V]",
+        f"Change at<br>{significant(hold_s)} s [{change_letter}V]",
         "Change<br>[%]",
-        "Change in errors<br>of the trace [σ]",
-        f"Noise of one<br>sample, rms [{noise_letter}V]",
-        "Signal to<br>noise",
-        "Force that one<br>sample resolves [mN]",
+        "Sure by<br>[σ]",
+        f"Noise,<br>rms [{noise_letter}V]",
+        "Signal<br>to noise",
+        "Resolves<br>[mN]",
     ]
     order = _ranks(found)
     rows = []
@@ -67,18 +67,25 @@ def path_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
     if not np.isfinite(mean).any():
         return ""
     order = _ranks(found)
-    head = ["Photodiode", *(f"{html.escape(str(a))}<br>[mm]" for a in result.absorber.values)]
+    zones = [str(z) for z in result.zone.values]
+    names = {f"bed_{k}": f"bed,<br>{html.escape(zone)}" for k, zone in enumerate(zones, start=1)}
+    head = ["Photodiode", *(f"{names.get(str(a), html.escape(str(a)))} [mm]" for a in result.absorber.values)]
     rows = []
     for r in found:
         here = {"led": r.led_index, "photodiode": r.photodiode_index}
         pairs = zip(mean.isel(here).values.tolist(), stderr.isel(here).values.tolist(), strict=True)
         name = _swatch(order[r.photodiode_index], len(order)) + html.escape(r.photodiode)
-        rows.append((r.led, [name, *(number(value, with_error(value, error)) for value, error in pairs)]))
+        rows.append((r.led, [name, *(number(value, _path(value, error)) for value, error in pairs)]))
     return _table("paths", head, rows)
 
 
+def _path(value: float, error: float) -> str:
+    """A mean path in mm; one that is nothing beside a finger is not told in powers of ten."""
+    return "< 0.001" if 0 <= value + 2 * error < 1e-3 else with_error(value, error)
+
+
 def fit_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
-    """Constants of (8) and (9) as fitted, with what they miss and what they could not determine."""
+    """Constants of (8) and (9) as fitted, with what they miss; below, what they could not determine."""
     order = _ranks(found)
     fields = [
         ("beer_lambert_v0_v", "(8) V<sub>0</sub><br>[mV]", 1e-3),
@@ -90,20 +97,23 @@ def fit_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
         ("taylor_residual_rms_v", "(9) misses,<br>rms [µV]", 1e-6),
     ]
     rows = []
+    marks: dict[str, str] = {}
     for r in found:
         here = {"led": r.led_index, "photodiode": r.photodiode_index}
-        cells = [_swatch(order[r.photodiode_index], len(order)) + html.escape(r.photodiode)]
-        for name, _, unit in fields:
-            value = float(result[name].isel(here))
-            if f"{name}_stderr" in result:
-                text = with_error(value / unit, float(result[f"{name}_stderr"].isel(here)) / unit)
+        note = str(result.fit_note.isel(here).item()) if "fit_note" in result else ""
+        mark = marks.setdefault(note, chr(ord("a") + len(marks) % 26)) if note else ""
+        name = _swatch(order[r.photodiode_index], len(order)) + html.escape(r.photodiode)
+        cells = [name + (f" <sup>{mark}</sup>" if mark else "")]
+        for field, _, unit in fields:
+            value = float(result[field].isel(here))
+            if f"{field}_stderr" in result:
+                text = with_error(value / unit, float(result[f"{field}_stderr"].isel(here)) / unit)
             else:
                 text = significant(value / unit, 3)
             cells.append(number(value, text))
-        note = str(result.fit_note.isel(here).item()) if "fit_note" in result else ""
-        cells.append(f'<span class="small">{html.escape(note)}</span>')
         rows.append((r.led, cells))
-    return _table("fits", ["Photodiode", *(title for _, title, _ in fields), "Note"], rows)
+    notes = "".join(f"<p class='small'><sup>{mark}</sup> {html.escape(note)}</p>" for note, mark in marks.items())
+    return _table("fits", ["Photodiode", *(title for _, title, _ in fields)], rows) + notes
 
 
 def _ranks(found: Iterable[Reading]) -> dict[int, int]:

@@ -1,0 +1,39 @@
+"""One wide picture of a result, for a README: board, section with light, and what the photodiodes read."""
+
+from pathlib import Path
+
+import xarray as xr
+
+from ..errors import InputError
+from ..scene import parse_scene
+from ..scene.layout import lay_out
+from . import figures, maps, style
+
+
+def readme_picture(result: xr.Dataset, path: Path) -> None:
+    """Write one wide picture of a result; the suffix of path says which kind (.png, .svg).
+
+    Raises: InputError where the result's scene cannot be read or the file not be written.
+    """
+    scene = parse_scene(str(result.attrs.get("scene", "")), name="the result's scene")
+    with style.drawing():
+        figure = style.new_figure(11.0, 6.4)
+        # The page's paper would be transparent, which dark surroundings make unreadable.
+        figure.set_facecolor("white")
+        grid = figure.add_gridspec(2, 2, width_ratios=[4.1, 6.4], height_ratios=[1.0, 1.05])
+        board, change = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[1, 1])
+        maps.draw_top_view(board, scene, result)
+        outline = lay_out(scene).outline
+        board.set_ylim(outline.v_min - 0.6, outline.v_max + 0.6)
+        board.set_xlim(outline.u_min - 2.4, outline.u_max + 2.4)
+        board.set_title("The board on the nail")
+        if "section_region" in result or "path_density" in result:
+            cut = figure.add_subplot(grid[0, 1])
+            maps.draw_section(cut, scene, result, led=0)
+            cut.set_title("Its light in the finger, cut lengthwise")
+        figures.draw_change(change, result, scene, led=0)
+        change.set_title("What the photodiodes read while the finger presses")
+        try:
+            figure.savefig(path, dpi=110, facecolor="white")
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {error.strerror}; choose another folder.") from None
