@@ -12,6 +12,8 @@ from ..scene import Led, Scene
 
 # Named as in the geometry. Whatever is not a medium is opaque.
 TISSUES = ("plate", "bed", "bone", "pulp", "epidermis", "epoxy", "kapton")
+# Whose optics a part takes that is left out.
+AROUND = {"bone": "pulp", "epidermis": "pulp", "kapton": "epoxy"}
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,10 @@ def finger_media(scene: Scene, regions: tuple[str, ...], wavelength_nm: float) -
         black = region not in ("barrier", "cover")
         optics = (0.0, 0.0, 0.0, 1.0)
         if region in TISSUES:
-            mu_s, g, n = (float(x) for x in tissue.scattering(region, wavelength_nm))  # type: ignore[arg-type]
+            mu_s, g, n = (float(x) for x in tissue.scattering(_optics_of(scene, region), wavelength_nm))
+            mu_s *= scene.light.bed_scattering if region == "bed" else 1.0
+            if scene.light.similarity:
+                mu_s, g = mu_s * (1 - g), 0.0
             optics = (rest[region], mu_s, g, n)
         values["opaque"].append(opaque)
         values["reflectance"].append(scene.board.opaque_reflectance if opaque and not black else 0.0)
@@ -63,6 +68,11 @@ def finger_media(scene: Scene, regions: tuple[str, ...], wavelength_nm: float) -
     if not scene.light.index_steps:
         values["n"] = [1.0] * len(regions)
     return Media(**{name: np.array(column) for name, column in values.items()})
+
+
+def _optics_of(scene: Scene, region: str) -> Any:
+    """The region whose optics a region has: its own, or those around it where it is left out."""
+    return AROUND[region] if region in scene.light.left_out else region
 
 
 def absorption(
@@ -100,8 +110,8 @@ def absorption(
     columns = []
     shape = np.broadcast_shapes(fraction.shape[:-1], saturation.shape[:-1])
     for name in absorbers(scene):
-        region = "bed" if name.startswith("bed_") else name
-        mixed = tissue.absorption(region, wavelength, so2=saturation, melanin_fraction=scene.finger.melanin_fraction)  # type: ignore[arg-type]
+        region = _optics_of(scene, "bed" if name.startswith("bed_") else name)
+        mixed = tissue.absorption(region, wavelength, so2=saturation, melanin_fraction=scene.finger.melanin_fraction)
         blood: Any = 0.0
         if region == "bed":
             blood = fraction[..., int(name[4:]) - 1, None]

@@ -243,6 +243,12 @@ class Light(Table):
     """photons: forward walk, one trace for every blood state; volpath: stock Mitsuba, the check and the fallback."""
     index_steps: bool = True
     """Refraction and Fresnel reflection where the refractive index changes."""
+    similarity: bool = False
+    """Isotropic scattering of equal mu_s (1 - g) in a finger: ten times fewer scatterings, wrong near the LED."""
+    left_out: tuple[Literal["bone", "epidermis", "kapton"], ...] = ()
+    """Parts that take the optics of what they lie in: bone and epidermis those of the pulp, Kapton those of epoxy."""
+    bed_scattering: Positive = 1.0
+    """Factor on the nail bed's scattering, to see how much a reading depends on it."""
 
 
 class Accuracy(Table):
