@@ -1,6 +1,5 @@
 """The main job: touch, blood, traced light, volts, beside the paper's reduced optics (8) and (9)."""
 
-import json
 from collections.abc import Callable
 from typing import Any
 
@@ -14,6 +13,13 @@ from ..scene import Scene
 from ..scene.layout import lay_out
 
 ZONES = ("proximal", "distal")
+COORDINATES = {
+    "zone": "blood zone of the nail bed",
+    "time": "time from the start of the simulation",
+    "led": "LED",
+    "photodiode": "photodiode",
+    "absorber": "absorbing region or blood zone",
+}
 
 
 def simulate(
@@ -33,6 +39,8 @@ def simulate(
 
     Raises: InputError; NotReachedError, whose result is the Dataset as far as the accuracy went.
     """
+    if not 0 <= seed < 2**63:
+        raise InputError(f"seed = {seed}; must be a whole number of at least 0 and below 2^63.")
     if scene.finger is None:
         raise InputError("simulate needs a [finger] scene; a [phantom] has no blood, use trace for its light.")
     course = blood_course(scene)
@@ -56,7 +64,10 @@ def simulate(
     result = course.merge(_volts(scene, light, blood))
     result = result.merge(_reduced(scene, result))
     result = result.merge(light.section)
+    for name, text in COORDINATES.items():
+        result[name].attrs = {"long_name": text} | result[name].attrs
     result.attrs = light.attributes | {
+        "seed": seed,
         "title": "nailoptics: touch to volts",
         "references": "S. A. Mascaro, H. H. Asada, IEEE Trans. Robotics and Automation 17(5), 2001",
     }
@@ -127,7 +138,7 @@ def _volts(scene: Scene, light: Light, blood: np.ndarray) -> xr.Dataset:
             "volts_change": (over, change, _of("V", "change of the voltage from the start", True, "volts_change")),
             "volts_change_stderr": (over, change_stderr, _of("V", "standard error of the change (light tracing)")),
             "volts_noise_rms": (over, noise, _of("V", "electronic noise of one reading, rms")),
-            "saturated": (over, saturated.astype(bool), {"long_name": "converter at its limit"}),
+            "saturated": (over, saturated.astype(bool), _of("1", "converter at its limit")),
             "responsivity_a_per_w": (pair, responsivity, _of("A W-1", "responsivity at the LED's peak")),
             "mean_path_mm": (
                 (*pair, "absorber"),
@@ -139,7 +150,7 @@ def _volts(scene: Scene, light: Light, blood: np.ndarray) -> xr.Dataset:
                 light.mean_path_stderr,
                 _of("mm", "standard error of the mean path"),
             ),
-            "zone_of_photodiode": ("photodiode", zone, {"long_name": "blood zone above which it lies, 0 proximal"}),
+            "zone_of_photodiode": ("photodiode", zone, _of("1", "blood zone above which it lies, 0 proximal")),
             "wavelength_nm": ("led", [led.wavelength_nm for led in scene.leds], _of("nm", "peak wavelength")),
         },
         coords={
@@ -200,8 +211,3 @@ def _reduced(scene: Scene, result: xr.Dataset) -> xr.Dataset:
 def _of(units: str, long_name: str, has_error: bool = False, name: str = "") -> dict[str, str]:
     attributes = {"units": units, "long_name": long_name}
     return attributes | {"ancillary_variables": f"{name}_stderr"} if has_error else attributes
-
-
-def section_attributes(regions: tuple[str, ...]) -> dict[str, str]:
-    """Attributes of the map of regions along the section."""
-    return {"long_name": "region along the section", "regions": json.dumps(regions)}
