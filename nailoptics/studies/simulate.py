@@ -61,7 +61,15 @@ def simulate(
         if not isinstance(error.result, Light):
             raise
         light, unmet = error.result, error
-    result = course.merge(_volts(scene, light, blood))
+    result = simulate_from(scene, light, course=course, seed=seed)
+    if unmet:
+        raise NotReachedError(str(unmet), result=result) from None
+    return result
+
+
+def simulate_from(scene: Scene, light: Light, *, course: xr.Dataset, seed: int) -> xr.Dataset:
+    """What `simulate` returns, from light that is already traced and the scene's `blood_course`."""
+    result = course.merge(_volts(scene, light, course.blood_fraction.values.T))
     result = result.merge(_reduced(scene, result))
     result = result.merge(light.section)
     for name, text in COORDINATES.items():
@@ -71,8 +79,6 @@ def simulate(
         "title": "nailoptics: touch to volts",
         "references": "S. A. Mascaro, H. H. Asada, IEEE Trans. Robotics and Automation 17(5), 2001",
     }
-    if unmet:
-        raise NotReachedError(str(unmet), result=result) from None
     return result
 
 
