@@ -130,7 +130,7 @@ def section(scene: Scene | None, result: xr.Dataset) -> "Figure":
         _regions(whole, result)
         low_y, high_y, low_z, high_z = _close_view(scene, result)
         frame = [low_y, high_y, high_y, low_y, low_y], [low_z, low_z, high_z, high_z, low_z]
-        whole.plot(*frame, color=style.INK, lw=1.0, ls=(0, (3, 2)))
+        whole.plot(*frame, color=style.MUTED, lw=1.2, ls=(0, (3, 2)))
         whole.set_title("Finger and board, cut lengthwise")
         _key(whole, result)
         for i, axes in enumerate(panels[1:]):
@@ -165,7 +165,7 @@ def draw_section(axes: "Axes", scene: Scene | None, result: xr.Dataset, *, led: 
                 zorder=3,
                 interpolation="bilinear",
             )
-            bar = axes.figure.colorbar(image, ax=axes, pad=0.01, fraction=0.03)
+            bar = axes.figure.colorbar(image, cax=axes.inset_axes((1.01, 0.0, 0.02, 1.0)))
             bar.set_label("light paths [of largest]", fontsize=8)
             bar.outline.set_visible(False)
             _holding(axes, result, values)
@@ -242,7 +242,7 @@ def _holding(axes: "Axes", result: xr.Dataset, values: np.ndarray) -> None:
     """Outline the densest places that hold half and 90 % of the paths."""
     from scipy.ndimage import gaussian_filter
 
-    smooth = gaussian_filter(values, 2.0)
+    smooth = gaussian_filter(values, 1.5)
     flat = np.sort(smooth.ravel())[::-1]
     held = np.cumsum(flat)
     y, z = result.section_y.to_numpy(), result.section_z.to_numpy()

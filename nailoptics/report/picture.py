@@ -6,7 +6,6 @@ import xarray as xr
 
 from ..errors import InputError
 from ..scene import parse_scene
-from ..scene.layout import lay_out
 from . import figures, maps, style
 
 
@@ -17,15 +16,12 @@ def readme_picture(result: xr.Dataset, path: Path) -> None:
     """
     scene = parse_scene(str(result.attrs.get("scene", "")), name="the result's scene")
     with style.drawing():
-        figure = style.new_figure(11.0, 6.4)
+        figure = style.new_figure(12.0, 6.0)
         # The page's paper would be transparent, which dark surroundings make unreadable.
         figure.set_facecolor("white")
-        grid = figure.add_gridspec(2, 2, width_ratios=[4.1, 6.4], height_ratios=[1.0, 1.05])
+        grid = figure.add_gridspec(2, 2, width_ratios=[5.2, 6.6], height_ratios=[1.0, 1.05])
         board, change = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[1, 1])
         maps.draw_top_view(board, scene, result)
-        outline = lay_out(scene).outline
-        board.set_ylim(outline.v_min - 0.6, outline.v_max + 0.6)
-        board.set_xlim(outline.u_min - 2.4, outline.u_max + 2.4)
         board.set_title("The board on the nail")
         if "section_region" in result or "path_density" in result:
             cut = figure.add_subplot(grid[0, 1])

@@ -1,0 +1,53 @@
+"""Numbers for people: never more digits than are known, never a unit that does not suit."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nailoptics.report.numbers import fixed, prefix, quantity, significant, with_error
+from nailoptics.report.style import spread
+
+
+@pytest.mark.parametrize(
+    "value, error, text",
+    [
+        (1.23456, 0.012, "1.235 ± 0.012"),
+        (-0.0, 0.5, "0.00 ± 0.50"),
+        (1234.5, 67.0, "1234 ± 67"),
+        (3.2e9, 4.1e7, "(3.200 ± 0.041) × 10⁹"),
+        (5.0, 0.0, "5.000"),
+        (5.0, math.inf, "5.00 ± ?"),
+        (math.nan, 1.0, "–"),
+    ],
+)
+def test_a_value_is_rounded_to_its_error(value, error, text):
+    assert with_error(value, error) == text
+
+
+@pytest.mark.parametrize(
+    "value, text", [(0.0123, "12.3\u00a0mV"), (-4.7e-5, "−47.0\u00a0µV"), (0.0, "0\u00a0V"), (math.inf, "∞")]
+)
+def test_a_quantity_takes_the_prefix_that_suits(value, text):
+    assert quantity(value, "V") == text
+
+
+@given(st.floats(1e-11, 1e11))
+def test_a_prefix_leaves_one_to_a_thousand(value):
+    scale, _ = prefix(value)
+    assert 0.999 <= value / scale < 1000 or scale == 1e9
+
+
+@given(st.floats(allow_nan=True), st.integers(1, 6))
+def test_every_number_can_be_shown(value, digits):
+    assert significant(value, digits, sign=True) and fixed(value, digits) and with_error(value, abs(value) / 3)
+
+
+@given(st.lists(st.floats(-10, 10), min_size=1, max_size=20), st.floats(0.01, 2))
+def test_labels_keep_their_order_and_their_distance(places, gap):
+    moved = spread(places, gap)
+    order = sorted(range(len(places)), key=lambda i: (places[i], i))
+    sorted_places = [moved[i] for i in order]
+    assert all(b - a >= gap * (1 - 1e-6) for a, b in zip(sorted_places, sorted_places[1:], strict=False))
+    assert sum(moved) == pytest.approx(sum(places), abs=1e-6)

@@ -1,0 +1,174 @@
+"""The page: it tells what the result holds, needs nothing else, and bears whatever names and gaps a result has."""
+
+import os
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from nailoptics.errors import InputError
+from nailoptics.report import readme_picture, write_report
+from nailoptics.report.page import page
+
+VOID = {"meta", "br"}
+
+
+class Page(HTMLParser):
+    """Tables by class as rows of (text, values), all tags with their attributes, and whether tags nest."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tables, self.tags, self.open, self.rows, self.in_svg = {}, [], [], None, 0
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        attrs = dict(attrs)
+        self.tags.append((tag, attrs))
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "table":
+            self.rows = self.tables[attrs["class"]] = []
+        elif tag == "tr" and self.rows is not None:
+            self.rows.append(([], []))
+        elif tag == "data":
+            self.rows[-1][1].append(float(attrs["value"]))
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+        if tag == "table":
+            self.rows = None
+
+    def handle_data(self, data):
+        if self.rows and data.strip():
+            self.rows[-1][0].append(data.strip())
+
+
+def body_rows(table):
+    return [row for row in table[1:] if row[1]]
+
+
+@pytest.mark.parametrize("leds", [1, 2])
+def test_the_page_holds_every_reading_with_the_numbers_of_the_result(make, leds):
+    result = make(leds=leds)
+    rows = body_rows(Page(page(result)).tables["readings"])
+    assert len(rows) == 8 * leds
+    hold = int(np.flatnonzero(result.force_n.values > 0)[-1])
+    change = result.volts.values[..., hold] - result.volts.values[..., 0]
+    for (texts, values), (i, j) in zip(rows, np.ndindex(leds, 8), strict=True):
+        assert texts[0] == result.photodiode.values[j]
+        distance, rest, moved, percent, sigmas, noise, ratio, resolved = values
+        assert rest == result.volts.values[i, j, 0] and moved == change[i, j]
+        assert percent == pytest.approx(100 * moved / rest)
+        assert sigmas == pytest.approx(50) and noise == 2.2e-5  # the error is made 2 % of the change
+        assert ratio == pytest.approx(abs(moved) / 2.2e-5)
+        assert resolved == pytest.approx(2.2e-5 / abs(moved))  # noise over the slope, after 1 N
+        if i == 0 and j == 0:
+            assert distance == pytest.approx(np.hypot(1.2, 2.375))  # the LED at (-1.2, 0), element 6 of 16 at -2
+    shown = [t for t in rows[0][0] if "±" in t]
+    assert len(shown) == 2 and re.fullmatch(r"−?[\d.]+ ± [\d.]+", shown[0])
+
+
+def test_the_fits_and_paths_are_those_of_the_result(make):
+    result = make(leds=2, section=False)
+    tables = Page(page(result)).tables
+    for (_, values), (i, j) in zip(body_rows(tables["paths"]), np.ndindex(2, 8), strict=True):
+        assert values == result.mean_path_mm.values[i, j].tolist()
+    for (_, values), (i, j) in zip(body_rows(tables["fits"]), np.ndindex(2, 8), strict=True):
+        assert values[0] == result.beer_lambert_v0_v.values[i, j] and values[5] == result.taylor_v1_v_per_m2[i, j]
+
+
+def test_the_page_needs_nothing_from_outside(make):
+    text = page(make(leds=3))
+    assert "http" not in text and "@import" not in text and "<script" not in text
+    ids = set()
+    for tag, attrs in Page(text).tags:
+        assert tag not in ("link", "script", "iframe", "object")
+        if "id" in attrs:
+            ids.add(attrs["id"])
+        for name in ("src", "href"):
+            assert attrs.get(name, "#").startswith(("#", "data:image/"))
+    for target in re.findall(r'(?:href="#|url\(#)([^")]+)', text):
+        assert target in ids
+
+
+@pytest.mark.parametrize("hostile", ["<script>alert(1)</script>$a_b^{c$ & <b>", '"><img src=x onerror=y>'])
+def test_names_and_notes_are_text_wherever_they_are_shown(make, hostile):
+    result = make(section=False)
+    result = result.assign_coords(photodiode=[f"{hostile}{i}" for i in range(8)], led=[hostile])
+    result["fit_note"] = (("led", "photodiode"), np.full((1, 8), hostile))
+    result.attrs.update(accuracy_reached=hostile, versions=hostile, seeds=hostile)
+    result.attrs["scene"] += f"# {hostile}\n"
+    text = page(result)
+    tags = {tag for tag, _ in Page(text).tags}
+    assert not tags & {"script", "img", "b>"} and "onerror=y>" not in re.sub(r"&gt;", "", text).replace("&quot;", "")
+    assert Page(text).tables["readings"][1][0][0] == f"{hostile}0"
+
+
+@pytest.mark.parametrize(
+    "left_out",
+    [["path_density", "fit_note"], ["section_region"], ["path_density", "section_region"], ["volts_change_stderr"]],
+)
+def test_what_was_not_computed_is_left_out(make, left_out):
+    text = page(make().drop_vars(left_out))
+    assert len(body_rows(Page(text).tables["readings"])) == 8
+    assert ("was not computed" in text) == (len(left_out) == 2)
+    assert ("upper bounds" in text) == (left_out == ["volts_change_stderr"])
+
+
+def test_without_paired_errors_a_change_carries_both_errors(make):
+    rows = body_rows(Page(page(make(paired=False, section=False))).tables["readings"])
+    _, rest, moved, _, sigmas, *_ = rows[0][1]
+    assert sigmas == pytest.approx(abs(moved) / np.hypot(0.01 * rest, 0.01 * (rest + moved)))
+
+
+def test_one_moment_and_readings_that_do_not_change(make):
+    for result in (make(times=1), make(swing=0.0, section=False)):
+        text = page(result)
+        assert "No reading changes" in text and "nan" not in Page(text).tables["readings"][1][0]
+        assert len(body_rows(Page(text).tables["readings"])) == 8
+
+
+def test_readings_that_are_nothing_at_all(make):
+    result = make()
+    for name in ("volts", "volts_stderr", "volts_change_stderr", "volts_noise_rms", "volts_taylor"):
+        result[name] = result[name] * 0
+    result["mean_path_mm"] = result.mean_path_mm * np.nan  # as from an engine that keeps no paths
+    parsed = Page(page(result))
+    assert "paths" not in parsed.tables and len(parsed.tables["readings"]) == 9
+
+
+def test_saturation_is_said_at_the_top(make):
+    result = make(section=False)
+    result.saturated[0, 2, 5] = True
+    text = page(result)
+    assert text.index("at its limit: proximal.12 under ir") < text.index("<h2>")
+
+
+def test_a_scene_that_cannot_be_read_costs_the_drawing_of_the_board_only(make, caplog):
+    result = make(section=False).assign_attrs(scene="not [a scene")
+    parsed = Page(page(result))
+    assert len(parsed.tables["readings"]) == 9 and "cannot be read" in caplog.text
+
+
+def test_it_is_written_whole_or_not_at_all(make, tmp_path, monkeypatch):
+    path = tmp_path / "report.html"
+    write_report(make(section=False), path)
+    before = path.read_text(encoding="utf-8")
+    assert before.endswith("</html>\n") and os.listdir(tmp_path) == ["report.html"]
+    monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    with pytest.raises(InputError, match="No space left"):
+        write_report(make(times=1, section=False), path)
+    assert path.read_text(encoding="utf-8") == before and os.listdir(tmp_path) == ["report.html"]
+    with pytest.raises(InputError, match="cannot be written"):
+        write_report(make(times=1, section=False), tmp_path / "nowhere" / "report.html")
+
+
+def test_the_picture_for_the_readme_is_small(make, tmp_path):
+    readme_picture(make(), tmp_path / "picture.png")
+    assert 20_000 < (tmp_path / "picture.png").stat().st_size < 300_000
