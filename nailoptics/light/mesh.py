@@ -322,7 +322,7 @@ def _walk(
             spent += 1
 
         stuck = active & (spent < FREE_EVENTS)
-        pi = scene.ray_intersect_preliminary(mi.Ray3f(p, w, step, 0, []), coherent=False, active=stuck)
+        pi = scene.ray_intersect_preliminary(mi.Ray3f(p, w, step, mi.Float(0), []), coherent=False, active=stuck)
         hit = stuck & pi.is_valid()
         gone = stuck & ~hit & ~scatters
         step = dr.select(stuck & ~gone, dr.select(hit, pi.t, step), 0)

@@ -125,16 +125,16 @@ def _sums(
             media.absorption(transfer.scene, wavelength, blood_fraction=np.vstack([first, states]), so2=so2)
             - trace.mu_a
         )
-        sums = np.zeros((4, shape[1], shape[2]))
-        for start in range(0, len(trace.weight), CHUNK):
-            chunk = slice(start, start + CHUNK)
+        sums = np.zeros((4, *shape[1:]))
+        order = np.argsort(trace.photodiode, kind="stable")
+        edges = np.searchsorted(trace.photodiode[order], np.arange(shape[1] + 1))
+        for j, start in ((j, start) for j in range(shape[1]) for start in range(edges[j], edges[j + 1], CHUNK)):
+            chunk = order[start : min(start + CHUNK, edges[j + 1])]
             weight = _weights(trace.path_mm[chunk], mu_a, share) * trace.weight[chunk, None]
             change = weight[:, 1:] - weight[:, :1]
             weight = weight[:, 1:]
-            # One row per photodiode picks its photons: sums by matrix products.
-            picks = (trace.photodiode[chunk] == np.arange(shape[1])[:, None]).astype(float)
             for total, values in zip(sums, (weight, weight**2, change, change**2), strict=True):
-                total += picks @ values
+                total[j] += values.sum(0)
         for k in (0, 2):
             out[k][i] = sums[k] / trace.photons
             out[k + 1][i] = stderr_of_mean(sums[k], sums[k + 1], trace.photons)

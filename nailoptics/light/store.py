@@ -1,5 +1,6 @@
 """Transfers on disk: NetCDF, written aside and renamed, so that a file is whole or not there."""
 
+import contextlib
 import json
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,8 @@ def write_dataset(dataset: xr.Dataset, path: Path, *, group: str | None = None) 
         dataset.to_netcdf(aside, engine="h5netcdf", group=group)
         aside.replace(path)
     except OSError as error:
-        aside.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            aside.unlink(missing_ok=True)
         raise InputError(f"{path}: cannot be written: {error.strerror or error}; choose another place.") from None
 
 

@@ -13,7 +13,7 @@ from ..errors import InputError, NotReachedError
 from ..scene import Accuracy, Scene
 from . import backend as backends
 from . import media
-from .transfer import MIN_EFFECTIVE_PHOTONS, LedTrace, Transfer, stderr_of_mean, versions
+from .transfer import MAX_RECORDS, MIN_EFFECTIVE_PHOTONS, LedTrace, Transfer, joined, stderr_of_mean, versions
 
 log = logging.getLogger(__name__)
 
@@ -98,8 +98,8 @@ def trace(
             deadline = time.perf_counter() + left / (len(scene.leds) - i)
         gathered, why = _trace_led(engine, i, asked, seed, deadline, progress)
         complaint = complaint or why
-        events += sum(b.events for _, b in gathered)
-        traces.append(_joined(engine, i, gathered))
+        events += gathered.events
+        traces.append(gathered.trace())
     result = Transfer(
         scene=scene,
         photodiodes=engine.photodiodes,
@@ -136,6 +136,38 @@ def accuracy(scene: Scene, *, photons: int | None, relative_error: float | None,
     return asked
 
 
+class _Gathered:
+    """Batches of one LED as they come in; memory stays bounded however many there are."""
+
+    def __init__(self, mu_a: np.ndarray) -> None:
+        self.mu_a, self.events = mu_a, 0
+        self._whole: LedTrace | None = None
+        self._loose: list[LedTrace] = []
+
+    def add(self, seed: int, batch: Batch) -> None:
+        """Add one batch and the seed that made it."""
+        self.events += batch.events
+        self._loose.append(
+            LedTrace(
+                photons=batch.photons,
+                mu_a=self.mu_a,
+                photodiode=batch.photodiode,
+                weight=batch.weight,
+                path_mm=batch.path_mm,
+                energy=batch.energy,
+                seeds=(seed,),
+            )
+        )
+        if sum(len(trace.weight) for trace in self._loose) > MAX_RECORDS:
+            self.trace()
+
+    def trace(self) -> LedTrace:
+        """All batches so far as one."""
+        traces = ([self._whole] if self._whole else []) + self._loose
+        self._whole, self._loose = joined(traces), []
+        return self._whole
+
+
 def _trace_led(
     engine: Any,
     led: int,
@@ -143,10 +175,10 @@ def _trace_led(
     seed: int,
     deadline: float | None,
     progress: Callable[[Progress], None] | None,
-) -> tuple[list[tuple[int, Batch]], str | None]:
+) -> tuple[_Gathered, str | None]:
     """Batches of one LED with their seeds, and why they fall short of what was asked, if they do."""
     name, begin = engine.scene.leds[led].name, time.perf_counter()
-    gathered: list[tuple[int, Batch]] = []
+    gathered = _Gathered(engine.mu_a(led))
     count = len(engine.photodiodes)
     weight, square, done = np.zeros(count), np.zeros(count), 0
     planned = asked.photons or engine.batch_photons
@@ -155,7 +187,7 @@ def _trace_led(
         for batch_seed in _seeds(seed, led):
             size = min(engine.batch_photons, planned - done)
             batch = engine.batch(led, photons=size, seed=batch_seed)
-            gathered.append((batch_seed, batch))
+            gathered.add(batch_seed, batch)
             done += size
             weight += np.bincount(batch.photodiode, batch.weight, minlength=count)
             square += np.bincount(batch.photodiode, batch.weight**2, minlength=count)
@@ -184,7 +216,7 @@ def _trace_led(
                     f'max_seconds ended the trace of LED "{name}" at {what}; allow more time or ask for less.',
                 )
     except KeyboardInterrupt:
-        if not gathered:
+        if not done:
             raise
         return gathered, f'interrupted: LED "{name}" has {done} photons, relative error {error:.3g}.'
     raise AssertionError("seeds never end")
@@ -218,20 +250,3 @@ def _seeds(seed: int, led: int) -> Iterator[int]:
         sequence = np.random.SeedSequence(seed, spawn_key=(led, batch))
         yield int(sequence.generate_state(1, np.uint64)[0])
         batch += 1
-
-
-def _joined(engine: Any, led: int, gathered: list[tuple[int, Batch]]) -> LedTrace:
-    batches = [b for _, b in gathered]
-    energy = {
-        name: (sum(b.energy[name][0] for b in batches), sum(b.energy[name][1] for b in batches))
-        for name in batches[0].energy
-    }
-    return LedTrace(
-        photons=sum(b.photons for b in batches),
-        mu_a=engine.mu_a(led),
-        photodiode=np.concatenate([b.photodiode for b in batches]),
-        weight=np.concatenate([b.weight for b in batches]),
-        path_mm=np.concatenate([b.path_mm for b in batches]),
-        energy=energy,
-        seeds=tuple(s for s, _ in gathered),
-    ).thinned()

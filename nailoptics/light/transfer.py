@@ -1,7 +1,7 @@
 """Transfer, what a trace returns: each detected photon's weight and paths, readable at any blood state."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
@@ -47,35 +47,38 @@ class LedTrace:
     energy: Mapping[str, tuple[float, float]]
     seeds: tuple[int, ...]
 
-    def merged(self, other: "LedTrace") -> "LedTrace":
-        """Both traces as one; they must share no seed."""
-        if not np.array_equal(self.mu_a, other.mu_a):
-            raise InputError("these traces were made at different absorption; trace both at the same blood state.")
-        common = set(self.seeds) & set(other.seeds)
-        if common:
-            raise InputError(
-                f"these traces share {len(common)} seed(s), so they are not independent; use different seeds."
-            )
-        return LedTrace(
-            photons=self.photons + other.photons,
-            mu_a=self.mu_a,
-            photodiode=np.concatenate([self.photodiode, other.photodiode]),
-            weight=np.concatenate([self.weight, other.weight]),
-            path_mm=np.concatenate([self.path_mm, other.path_mm]),
-            energy={
-                k: (self.energy[k][0] + other.energy[k][0], self.energy[k][1] + other.energy[k][1]) for k in self.energy
-            },
-            seeds=self.seeds + other.seeds,
-        ).thinned()
-
     def thinned(self) -> "LedTrace":
         """At most MAX_RECORDS photons: a random half dropped, the others doubled, as often as it takes."""
-        if len(self.weight) <= MAX_RECORDS:
-            return self
-        keep = np.random.default_rng(self.seeds).random(len(self.weight)) < 0.5
-        return replace(
-            self, photodiode=self.photodiode[keep], weight=2 * self.weight[keep], path_mm=self.path_mm[keep]
-        ).thinned()
+        # One generator for all rounds: the same numbers twice would drop the same photons twice.
+        rng, thin = np.random.default_rng(self.seeds), self
+        while len(thin.weight) > MAX_RECORDS:
+            keep = rng.random(len(thin.weight)) < 0.5
+            thin = replace(
+                thin, photodiode=thin.photodiode[keep], weight=2 * thin.weight[keep], path_mm=thin.path_mm[keep]
+            )
+        return thin
+
+
+def joined(traces: Sequence[LedTrace]) -> LedTrace:
+    """Traces of one LED as one; raises InputError if they share a seed or were made at different absorption."""
+    seeds = [seed for trace in traces for seed in trace.seeds]
+    shared = len(seeds) - len(set(seeds))
+    if shared:
+        raise InputError(f"these traces share {shared} seed(s), so they are not independent; use different seeds.")
+    if any(not np.array_equal(trace.mu_a, traces[0].mu_a) for trace in traces):
+        raise InputError("these traces were made at different absorption; trace both at the same blood state.")
+    return LedTrace(
+        photons=sum(trace.photons for trace in traces),
+        mu_a=traces[0].mu_a,
+        photodiode=np.concatenate([trace.photodiode for trace in traces]),
+        weight=np.concatenate([trace.weight for trace in traces]),
+        path_mm=np.concatenate([trace.path_mm for trace in traces]),
+        energy={
+            part: (sum(t.energy[part][0] for t in traces), sum(t.energy[part][1] for t in traces))
+            for part in traces[0].energy
+        },
+        seeds=tuple(seeds),
+    ).thinned()
 
 
 @dataclass(frozen=True)
@@ -214,7 +217,7 @@ class Transfer:
             raise InputError("these traces are of different scenes or engines; merge traces of one scene.")
         return replace(
             self,
-            traces=tuple(a.merged(b) for a, b in zip(self.traces, other.traces, strict=True)),
+            traces=tuple(joined(pair) for pair in zip(self.traces, other.traces, strict=True)),
             cpu_seconds=self.cpu_seconds + other.cpu_seconds,
             wall_seconds=self.wall_seconds + other.wall_seconds,
             events=self.events + other.events,
