@@ -80,6 +80,8 @@ def overview(result: xr.Dataset, scene: Scene | None) -> "Figure":
         panels = figure.subplots(
             leds + 1, 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": [0.8] + [per_led] * leds}
         )[:, 0]
+        for axes in panels[2:]:
+            axes.sharey(panels[1])
         seen = _thin(result)
         _line(panels[0], seen, seen.force_n, color=style.INK)
         panels[0].fill_between(seen.time, 0, seen.force_n, color=style.MUTED, alpha=0.15, lw=0)

@@ -89,8 +89,8 @@ def _blood_zones(axes: "Axes", scene: Scene, half_u: float, half_v: float) -> No
         low, high = edge - scene.blood.zone_width_mm / 2, edge + scene.blood.zone_width_mm / 2
         for place in (low, high):
             axes.plot([-half_u, half_u], [place, place], color=style.DARK_INK, lw=0.6, ls=(0, (2, 3)), zorder=1.5)
-        axes.text(-half_u + 0.15, high + 0.1, "distal blood", va="bottom", clip_on=True, **text)
-        axes.text(-half_u + 0.15, low - 0.1, "proximal blood", va="top", clip_on=True, **text)
+    axes.text(-half_u + 0.15, half_v - 0.15, "distal blood", va="top", **text)
+    axes.text(-half_u + 0.15, -half_v + 0.15, "proximal blood", va="bottom", **text)
 
 
 def _label_parts(axes: "Axes", scene: Scene, layout: Layout, half_v: float) -> None:

@@ -122,7 +122,10 @@ def _touch_section(result: xr.Dataset) -> list[str]:
 def _space_section(result: xr.Dataset, scene: Scene | None) -> list[str]:
     lines = ["<section><h2>The sensor on the finger</h2>"]
     if scene is not None and scene.finger is not None:
-        text = "The board on the nail, from above and rolled flat. The tint of the nail shows which blood lies below."
+        text = (
+            "The board on the nail, from above and rolled flat. The tint of the nail shows which blood lies below; "
+            "between the dotted lines one passes into the other."
+        )
         lines.append(_figure(maps.top_view(scene, result), "top", text, narrow=True))
     if "section_region" in result or "path_density" in result:
         text = "The section along the middle of the nail."
