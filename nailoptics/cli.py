@@ -2,14 +2,16 @@
 
 import json
 import logging
+import math
 import os
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, CycloptsError, Parameter, validators
 
 from . import __version__
 from .errors import InputError, NailopticsError, NotReachedError
@@ -27,7 +29,9 @@ app = App(
 BackendName = Literal["auto", "cuda", "llvm", "scalar"]
 ScenePath = Annotated[str, Parameter(help="A scene file (TOML), or the name of a shipped one such as prototype.")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print one JSON object on stdout, nothing else.")]
-Seed = Annotated[int, Parameter(help="Same seed, same bits, on one backend.")]
+Seed = Annotated[
+    int, Parameter(help="Same seed, same bits, on one backend.", validator=validators.Number(gte=0, lt=2**63))
+]
 Backend = Annotated[BackendName, Parameter(help="What runs the light: auto takes the fastest that works here.")]
 RelativeError = Annotated[float | None, Parameter(help="Relative standard error that every reading must reach.")]
 MaxSeconds = Annotated[float | None, Parameter(help="Wall time after which tracing stops. [s]")]
@@ -45,31 +49,72 @@ def main() -> None:
 
 def run(arguments: list[str]) -> int:
     """Run one command and return its exit code; errors are one line on stderr."""
-    logging.basicConfig(level=logging.WARNING, format="nailoptics: %(message)s", stream=sys.stderr)
-    logging.captureWarnings(True)
-    try:
-        app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
-        return 0
-    except CycloptsError as error:
-        return _complain(" ".join(str(error).split()) + " (nailoptics --help shows what is known)", 2)
-    except NailopticsError as error:
-        return _complain(str(error), error.exit_code)
-    except KeyboardInterrupt:
-        return _complain("interrupted; nothing was finished.", 130)
-    except BrokenPipeError:
-        return 0
-    except Exception as error:  # the last resort of a command line
-        if os.environ.get("NAILOPTICS_DEBUG"):
-            raise
-        kind = type(error).__name__
-        return _complain(
-            f"internal error, our fault: {kind}: {error} (NAILOPTICS_DEBUG=1 shows where; please report it)", 1
-        )
+    with _plain_messages():
+        try:
+            app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+            if sys.stdout:
+                sys.stdout.flush()
+            return 0
+        except CycloptsError as error:
+            return _complain(f"{error} (nailoptics --help shows what is known)", 2)
+        except NailopticsError as error:
+            return _complain(str(error), error.exit_code)
+        except KeyboardInterrupt:
+            return _complain("interrupted; nothing was finished.", 130)
+        except BrokenPipeError:
+            _silence_stdout()
+            return 0
+        except OSError as error:
+            _silence_stdout()
+            return _complain(f"{error.filename or 'the output'}: {error.strerror or error}.", 1)
+        except MemoryError:
+            return _complain("not enough memory; ask for fewer samples (touch.sample_rate_hz) or photons.", 1)
+        except Exception as error:  # the last resort of a command line
+            if os.environ.get("NAILOPTICS_DEBUG"):
+                raise
+            kind = type(error).__name__
+            return _complain(
+                f"internal error, our fault: {kind}: {error} (NAILOPTICS_DEBUG=1 shows where; please report it)", 1
+            )
 
 
 def _complain(line: str, code: int) -> int:
-    print(f"nailoptics: {line}", file=sys.stderr)
+    print(f"nailoptics: {' '.join(line.split())}", file=sys.stderr)
     return code
+
+
+def _silence_stdout() -> None:
+    """Nothing more can be written there, and Python must not try when it ends."""
+    try:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (OSError, ValueError, AttributeError):  # no real file, as under a test
+        pass
+
+
+@contextmanager
+def _plain_messages() -> Iterator[None]:
+    """Our own warnings become one line each on stderr; what other packages say is for NAILOPTICS_DEBUG only."""
+    debug = bool(os.environ.get("NAILOPTICS_DEBUG"))
+
+    def show(
+        message: Warning | str, category: type[Warning], filename: str, lineno: int, file: Any = None, line: Any = None
+    ) -> None:
+        if category.__module__.startswith("nailoptics"):
+            _complain(str(message), 0)
+        elif debug:
+            _complain(f"{filename}:{lineno}: {category.__name__}: {message}", 0)
+
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("nailoptics: %(message)s"))
+    handler.setLevel(logging.WARNING)
+    handler.addFilter(lambda record: debug or record.name.startswith("nailoptics"))
+    logging.getLogger().addHandler(handler)
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = show
+            yield
+    finally:
+        logging.getLogger().removeHandler(handler)
 
 
 @app.command
@@ -93,26 +138,30 @@ def simulate(
     from .studies.simulate import simulate as study
 
     asked = _load(scene)
-    folder = _writable(output or Path("results") / Path(scene).stem)
+    if asked.finger is None:
+        raise InputError(f"{scene}: simulate needs a [finger] scene; a [phantom] has no blood, use nailoptics trace.")
+    name, _ = _announced(backend, asked)
+    result: Any = None
     unmet = None
-    try:
-        with _progress() as progress:
-            result = study(
-                asked,
-                seed=seed,
-                backend=_announced(backend, asked),
-                photons=photons,
-                relative_error=relative_error,
-                max_seconds=max_seconds,
-                progress=progress,
-            )
-    except NotReachedError as error:
-        if error.result is None:
-            raise
-        result, unmet = error.result, error
-    paths = {"result": folder / "result.nc", "report": folder / "report.html"}
-    write_dataset(result, paths["result"])
-    write_report(result, paths["report"])
+    with _writable(output or Path("results") / Path(scene).stem, "result.nc", "report.html") as folder:
+        try:
+            with _progress() as progress:
+                result = study(
+                    asked,
+                    seed=seed,
+                    backend=name,
+                    photons=photons,
+                    relative_error=relative_error,
+                    max_seconds=max_seconds,
+                    progress=progress,
+                )
+        except NotReachedError as error:
+            if error.result is None:
+                raise
+            result, unmet = error.result, error
+        paths = {"result": folder / "result.nc", "report": folder / "report.html"}
+        write_dataset(result, paths["result"])
+        write_report(result, paths["report"])
     if json_:
         _print_json(_summary(result) | {name: str(path) for name, path in paths.items()})
     else:
@@ -138,37 +187,38 @@ def trace(
     from .light import read_rest
 
     asked = _load(scene)
-    if output is not None:
-        _writable(output.parent)
+    name, engine = _announced(backend, asked)
+    if output is not None and engine == "volpath":
+        raise InputError(f"{output}: volpath traces readings, not a transfer that could be saved; leave -o out.")
+    rest: Any = None
     unmet = None
-    try:
-        with _progress() as progress:
-            rest = read_rest(
-                asked,
-                seed=seed,
-                backend=_announced(backend, asked),
-                photons=photons,
-                relative_error=relative_error,
-                max_seconds=max_seconds,
-                progress=progress,
-            )
-    except NotReachedError as error:
-        if error.result is None:
-            raise
-        rest, unmet = error.result, error
-    if output is not None:
-        if rest.transfer is None:
-            raise InputError(f"{output}: volpath traces readings, not a transfer that could be saved; leave -o out.")
-        rest.transfer.save(output)
+    with _writable_file(output):
+        try:
+            with _progress() as progress:
+                rest = read_rest(
+                    asked,
+                    seed=seed,
+                    backend=name,
+                    photons=photons,
+                    relative_error=relative_error,
+                    max_seconds=max_seconds,
+                    progress=progress,
+                )
+        except NotReachedError as error:
+            if error.result is None:
+                raise
+            rest, unmet = error.result, error
+        if output is not None and rest.transfer is not None:
+            rest.transfer.save(output)
     if json_:
         _print_json(rest.as_dict())
     else:
         for row in rest.readings:
             print(f"{row['led']:>10} {row['photodiode']:<16} {row['detected_fraction']:.4e} +- {row['stderr']:.1e}")
-        for name, part in (rest.energy or {}).items():
-            print(f"{name:>11} {part['value']:.5f} +- {part['stderr']:.5f}")
+        for part, share in (rest.energy or {}).items():
+            print(f"{part:>11} {share['value']:.5f} +- {share['stderr']:.5f}")
     if unmet:
-        raise NotReachedError(str(unmet))
+        raise NotReachedError(f"{unmet} What was reached is in {output}." if output is not None else str(unmet))
 
 
 @app.command
@@ -210,8 +260,8 @@ def export(scene: ScenePath, *, output: Annotated[Path, Parameter(name=["--outpu
     asked = _load(scene)
     if asked.finger is None:
         raise InputError(f"{scene}: a phantom has no mesh to export; give a [finger] scene.")
-    _writable(output.parent)
-    write(build(asked), output)
+    with _writable_file(output):
+        write(build(asked), output)
     print(output)
 
 
@@ -223,14 +273,18 @@ def figures(
     json_: Json = False,
 ) -> None:
     """Draw the paper's Figs. 10-12 and 15-18 from parameter sets, and judge its claims."""
-    from .report.hemodynamic_figures import write_figures
+    from . import hemodynamics
+    from .hemodynamics.judge import as_rows, as_text, table
+    from .report.hemodynamic_figures import draw
 
-    _writable(output)
-    table = write_figures(output, sets or None)
+    named = {name: hemodynamics.parameters(name) for name in sets or hemodynamics.NAMES}
+    with _writable(output):
+        pictures = [path for name, values in named.items() for path in draw(output, values, name=name)]
+    judged = table(named)
     if json_:
-        _print_json(table.as_dict())
+        _print_json({"claims": as_rows(judged), "pictures": [str(path) for path in pictures]})
     else:
-        print(table)
+        print(as_text(judged), *pictures, sep="\n")
 
 
 @app.command
@@ -265,45 +319,86 @@ def _load(name: str) -> "Scene":
     from .scene import load_scene
 
     path = Path(name)
-    if not path.exists():
+    if not _exists(path) and path.parent in (Path(), Path("scenes")):
         shipped = data_dir("scenes") / (path.name if path.suffix else f"{path.name}.toml")
-        if shipped.exists() and path.parent in (Path(), Path("scenes")):
+        if _exists(shipped):
             path = shipped
+        elif not path.suffix:
+            known = ", ".join(sorted(p.stem for p in data_dir("scenes").glob("*.toml")))
+            raise InputError(f"{name}: there is no such file and no shipped scene of that name; shipped: {known}.")
     return load_scene(path)
 
 
-def _writable(folder: Path) -> Path:
-    """The folder, made if need be; raises InputError before any work is done if nothing can be written there."""
+def _exists(path: Path) -> bool:
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / f".nailoptics-{os.getpid()}"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror}; choose another folder with -o.") from None
-    return folder
+        return path.exists()
+    except OSError:  # a name too long for the file system, or a folder that may not be searched
+        return False
 
 
-def _announced(backend: str, scene: "Scene") -> str:
-    """The backend that will be used; says in one line what would be faster if it is the slow one."""
+@contextmanager
+def _writable(folder: Path, *files: str) -> Iterator[Path]:
+    """The folder, made if need be, and taken away again if nothing came to lie in it.
+
+    Raises: InputError before any work is done if nothing can be written there.
+    """
+    made: list[Path] = []
+    try:
+        try:
+            made = [path for path in (folder, *folder.parents) if not path.exists()]
+            folder.mkdir(parents=True, exist_ok=True)
+            probe = folder / f".nailoptics-{os.getpid()}"
+            probe.touch()
+            probe.unlink()
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be written: {error.strerror}; choose another place with -o.") from None
+        for name in files:
+            if (folder / name).is_dir():
+                raise InputError(f"{folder / name}: is a folder where a file is to be written; choose another with -o.")
+        yield folder
+    finally:
+        for path in made:
+            try:
+                path.rmdir()
+            except OSError:  # something lies in it, or it was never made
+                pass
+
+
+@contextmanager
+def _writable_file(path: Path | None) -> Iterator[None]:
+    """The same for a file, if there is one to write."""
+    if path is None:
+        yield
+        return
+    with _writable(path.parent, path.name):
+        yield
+
+
+def _announced(backend: BackendName, scene: "Scene") -> tuple[BackendName, str]:
+    """The backend and the engine that will be used; says in one line what would be faster if it is the slow one."""
     from .light import backend as backends
+    from .light.engines import engine_for
 
     chosen = backends.choose(backend)
+    engine = engine_for(scene, chosen)
     if chosen.name == "scalar" and chosen.advice and backend == "auto":
-        print(f"nailoptics: {chosen.advice}", file=sys.stderr)
-    return chosen.name
+        _complain(chosen.advice, 0)
+    return chosen.name, engine
 
 
 @contextmanager
 def _progress() -> Iterator[Any]:
     """A progress callback: a bar with time left on a terminal, a line every ten seconds elsewhere."""
-    if not sys.stderr.isatty():
-        last = [0.0]
+    if not (sys.stderr and sys.stderr.isatty()):
+        told: dict[str, float] = {}
 
         def log_line(p: "Progress") -> None:
-            if p.seconds - last[0] >= 10 or p.fraction_done >= 1:
-                last[0] = 0.0 if p.fraction_done >= 1 else p.seconds
-                print(f"nailoptics: {_told(p)}, {p.seconds_left:.0f} s left", file=sys.stderr, flush=True)
+            done = p.fraction_done >= 1
+            if p.seconds - told.get(p.led, 0.0) < 10 and not done or told.get(p.led) == math.inf:
+                return
+            told[p.led] = math.inf if done else p.seconds
+            when = f"{p.seconds:.0f} s" if done else f"{p.seconds_left:.0f} s left"
+            _complain(f"LED {p.led}, {_told(p)}, {when}", 0)
 
         yield log_line
         return
@@ -324,23 +419,25 @@ def _progress() -> Iterator[Any]:
         def show(p: "Progress") -> None:
             if p.led not in tasks:
                 tasks[p.led] = bar.add_task(f"LED {p.led}", total=1.0, told="")
-            bar.update(tasks[p.led], completed=p.fraction_done, told=_told(p).partition(", ")[2])
+            bar.update(tasks[p.led], completed=p.fraction_done, told=_told(p))
 
         yield show
 
 
 def _told(p: "Progress") -> str:
     error = f"error {p.relative_error:.2%}" if p.relative_error < 1 else "error not known yet"
-    return f"LED {p.led}, {error}" + (f" of {p.target:.2%} asked" if p.target else "")
+    return error + (f" ({p.target:.2%} asked)" if p.target else "")
 
 
 def _summary(result: Any) -> dict[str, Any]:
     """What simulate prints as JSON: rest, largest change, noise, for each pair."""
+    import numpy as np
+
     rows = []
     for led in result.led.values:
         for photodiode in result.photodiode.values:
             one = result.sel(led=led, photodiode=photodiode)
-            peak = int(abs(one.volts_change).argmax())
+            peak = int(np.abs(one.volts_change.values).argmax())
             rows.append(
                 {
                     "led": str(led),
@@ -370,4 +467,15 @@ def _print_readings(result: Any) -> None:
 
 
 def _print_json(value: Any) -> None:
-    print(json.dumps(value, indent=2, allow_nan=False, default=float))
+    print(json.dumps(_finite(value), indent=2, allow_nan=False))
+
+
+def _finite(value: Any) -> Any:
+    """JSON has neither NaN nor infinity: what is not known is null."""
+    if isinstance(value, dict):
+        return {name: _finite(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    return float(value) if math.isfinite(value) else None

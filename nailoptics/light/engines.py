@@ -69,12 +69,11 @@ def open_light(
     Raises: NotReachedError with the Light so far as result.
     """
     chosen = backends.choose(backend)
-    engine = scene.light.engine
-    if engine == "photons" and not chosen.jit:
-        raise InputError(f'light.engine = "photons" needs a JIT backend, and {chosen.name} is none: {chosen.advice}')
-    shape = geometry.build(scene)
+    engine = engine_for(scene, chosen)
     asked: dict[str, Any] = {"photons": photons, "relative_error": relative_error, "max_seconds": max_seconds}
-    if engine == "volpath" or not chosen.jit:
+    accuracy(scene, **asked)  # what cannot be asked is said before any work
+    shape = geometry.build(scene)
+    if engine == "volpath":
         return _volpath(scene, shape, chosen, states, seed, asked, progress)
     try:
         transfer = trace(scene, **asked, seed=seed, backend=backend, progress=progress)
@@ -85,11 +84,46 @@ def open_light(
     return _photons(transfer, shape, seed)
 
 
+def engine_for(scene: Scene, chosen: backends.Backend) -> str:
+    """The engine that traces a scene on a backend: "photons" or "volpath".
+
+    Raises: InputError where the scene asks for photons and the backend compiles no kernels.
+    """
+    if scene.light.engine == "photons" and not chosen.jit:
+        raise InputError(
+            f'light.engine = "photons" needs a backend that compiles kernels (llvm or cuda), which {chosen.name} does '
+            'not; take another one (nailoptics doctor shows which work), or engine = "volpath".'
+        )
+    return "volpath" if scene.light.engine == "volpath" or not chosen.jit else "photons"
+
+
+def _reached(relative: np.ndarray) -> str:
+    """The largest relative standard error at rest, in words; NaN or infinite where nothing was seen."""
+    worst = float(np.max(relative))
+    if not math.isfinite(worst):
+        return "some photodiode saw no light"
+    return f"relative standard error of every reading at rest at most {worst:.2g}"
+
+
 def _photons(transfer: Transfer, shape: Geometry, seed: int) -> Light:
     rest = transfer.at()
-    worst = float((rest.detected_fraction_stderr / rest.detected_fraction).max())
+    blind = rest.detected_fraction.values == 0
+    if blind.any():
+        names = sorted({transfer.photodiodes[j] for j in np.nonzero(blind)[1]})
+        log.warning(
+            "%s saw no light, so that nothing is known of their standard errors; trace more photons", ", ".join(names)
+        )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        relative = rest.detected_fraction_stderr.values / rest.detected_fraction.values
+
+    def over(states: np.ndarray) -> Course:
+        seen = course(transfer, states, electrons=True)
+        # A sum of no photons has no spread, which is not the same as no error.
+        seen.stderr[blind] = seen.change_stderr[blind] = np.nan
+        return seen
+
     return Light(
-        over=lambda states: course(transfer, states, electrons=True),
+        over=over,
         absorbers=transfer.absorbers,
         mean_path=rest.mean_path_mm.values,
         mean_path_stderr=rest.mean_path_mm_stderr.values,
@@ -98,7 +132,7 @@ def _photons(transfer: Transfer, shape: Geometry, seed: int) -> Light:
         | {
             "cpu_seconds": transfer.cpu_seconds,
             "wall_seconds": transfer.wall_seconds,
-            "accuracy_reached": f"relative standard error of every reading at rest at most {worst:.2g}",
+            "accuracy_reached": _reached(relative),
         },
     )
 
@@ -165,7 +199,8 @@ def _volpath(
                 "allow more time or ask for less."
             )
     fraction = np.stack([r.fraction[:, 0] for r in traced])
-    relative = np.stack([r.fraction_stderr[:, 0] for r in traced]) / fraction
+    with np.errstate(invalid="ignore", divide="ignore"):
+        relative = np.stack([r.fraction_stderr[:, 0] for r in traced]) / fraction
     ratio, ratio_stderr = np.stack([r.ratio for r in traced]), np.stack([r.ratio_stderr for r in traced])
     mean_path, mean_path_stderr = _secant_paths(scene, corners, ratio, ratio_stderr)
     light = Light(
@@ -178,8 +213,7 @@ def _volpath(
         | {
             "cpu_seconds": time.process_time() - cpu,
             "wall_seconds": time.perf_counter() - begin,
-            "accuracy_reached": f"relative standard error of every reading at rest at most {relative.max():.2g}; "
-            "three blood states traced, Beer-Lambert (8) between them",
+            "accuracy_reached": _reached(relative) + "; three blood states traced, Beer-Lambert (8) between them",
         },
     )
     if complaint:
@@ -233,7 +267,8 @@ def _corners(states: np.ndarray) -> np.ndarray:
     rest = states[0]
     far = states[np.abs(states - rest).argmax(0), np.arange(len(rest))]
     # A zone that hardly changes still gets a state of its own, so that its mean path is known.
-    far = np.where(np.abs(far - rest) < 0.02 * rest, 1.2 * rest, far)
+    apart = np.where(rest < 0.5, 1.2 * rest + 1e-3, 0.8 * rest)
+    far = np.where(np.abs(far - rest) <= 0.02 * rest, apart, far)
     return np.stack([rest, *(np.where(np.arange(len(rest)) == k, far, rest) for k in range(len(rest)))])
 
 
@@ -266,14 +301,16 @@ def _between(
     The errors of the zones' ratios share noise of unknown sign, so they are added, which is an upper bound.
     """
     x = (blood - corners[0]) / (np.diagonal(corners[1:]) - corners[0])
-    of_rest = np.exp(np.log(ratio[..., 1:]) @ x.T)
-    spread = (ratio_stderr[..., 1:] / ratio[..., 1:]) @ np.abs(x).T
-    first = of_rest[..., :1]
-    fraction, level = rest[..., None] * of_rest, relative[..., None]
-    change = fraction - rest[..., None] * first
-    return Course(
-        fraction=fraction,
-        stderr=fraction * np.hypot(level, spread),
-        change=change,
-        change_stderr=np.hypot(np.abs(change) * level, fraction * np.maximum(spread - spread[..., :1], 0)),
-    )
+    # Where nothing was seen the errors are infinite, and what comes of them is not a number.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        of_rest = np.exp(np.log(ratio[..., 1:]) @ x.T)
+        each = ratio_stderr[..., 1:] / ratio[..., 1:]
+        spread, moved = (each @ np.abs(d).T for d in (x, x - x[0]))
+        fraction, level = rest[..., None] * of_rest, relative[..., None]
+        change = fraction - fraction[..., :1]
+        return Course(
+            fraction=fraction,
+            stderr=fraction * np.hypot(level, spread),
+            change=change,
+            change_stderr=np.hypot(np.abs(change) * level, fraction * moved),
+        )

@@ -1,5 +1,6 @@
 """Readings at a scene's rest state, from either engine: what `trace` prints."""
 
+import logging
 import math
 import time
 from collections.abc import Callable
@@ -10,13 +11,18 @@ import numpy as np
 
 from .. import geometry
 from ..errors import InputError, NotReachedError
-from ..scene import Scene
+from ..scene import Accuracy, Scene
 from . import backend as backends
 from . import media
-from .tracing import DEFAULT_PHOTONS, Progress, accuracy, trace
+from .engines import engine_for, volpath_states
+from .tracing import Progress, accuracy, trace
 from .transfer import Transfer
 
+log = logging.getLogger(__name__)
+
 VOLPATH_BATCHES = 32
+FIRST_ROUND = 1 << 16
+MAX_PATHS = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,7 @@ class Rest:
     transfer: Transfer | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything but the transfer, ready for JSON."""
+        """Everything but the transfer."""
         return {name: value for name, value in vars(self).items() if name != "transfer"}
 
 
@@ -50,7 +56,7 @@ def read_rest(
     """Trace a scene and read it at rest; raises NotReachedError with the Rest so far as result."""
     chosen = backends.choose(backend)
     asked: dict[str, Any] = {"photons": photons, "relative_error": relative_error, "max_seconds": max_seconds}
-    if scene.light.engine == "volpath" or (scene.light.engine == "auto" and not chosen.jit):
+    if engine_for(scene, chosen) == "volpath":
         return _volpath(scene, chosen, seed, asked, progress)
     try:
         return _of_transfer(trace(scene, **asked, seed=seed, backend=backend, progress=progress))
@@ -130,26 +136,49 @@ def _volpath(
 ) -> Rest:
     wanted = accuracy(scene, **asked)
     begin, cpu = time.perf_counter(), time.process_time()
-    rows, paths, complaint, energy = [], 0, None, None
+    rows, paths, complaint, energy = [], 0, None, []
     for i, led in enumerate(scene.leds):
         if scene.phantom is not None:
-            values, energy, spent = _phantom(scene, chosen, i, seed, wanted.photons or DEFAULT_PHOTONS)
-            reached = wanted.relative_error is None or _worst(values) <= wanted.relative_error
+            limit = math.inf
+            if wanted.max_seconds is not None:
+                limit = (wanted.max_seconds - (time.perf_counter() - begin)) / (len(scene.leds) - i)
+            values, split, spent, reached = _phantom(scene, chosen, i, seed, wanted, limit, progress)
+            energy.append(split)
             names = [p.name for p in scene.photodiodes]
         else:
             values, spent, reached = _finger(scene, chosen, i, seed, wanted, progress)
             names = [p.partition(":")[2] for p in geometry.build(scene).regions if p.startswith("photodiode:")]
         paths += spent
         if not reached:
-            complaint = f'LED "{led.name}" has a relative error of {_worst(values):.3g}; allow more photons or time.'
+            complaint = (
+                f'max_seconds ended the trace of LED "{led.name}" at relative error {_worst(values):.3g}; '
+                "allow more time or ask for less."
+            )
         rows += [
             _row(led.name, name, led.wavelength_nm, float(v), float(e), {}, {}, spent)
             for name, (v, e) in zip(names, values, strict=True)
         ]
-    rest = Rest(rows, energy, paths, "volpath", chosen.name, time.process_time() - cpu, time.perf_counter() - begin)
+    rest = Rest(
+        readings=rows,
+        energy=_mean_of_leds(energy) if energy else None,
+        photons=paths,
+        engine="volpath",
+        backend=chosen.name,
+        cpu_seconds=time.process_time() - cpu,
+        wall_seconds=time.perf_counter() - begin,
+    )
     if complaint:
         raise NotReachedError(complaint, result=rest)
     return rest
+
+
+def _mean_of_leds(energy: list[dict[str, tuple[float, float]]]) -> dict[str, dict[str, float]]:
+    """Where the light of all LEDs went, in equal parts."""
+    out = {}
+    for name in energy[0]:
+        values, errors = zip(*(split[name] for split in energy), strict=True)
+        out[name] = {"value": float(np.mean(values)), "stderr": float(np.linalg.norm(errors) / len(errors))}
+    return out
 
 
 def _worst(values: list[tuple[float, float]]) -> float:
@@ -157,32 +186,64 @@ def _worst(values: list[tuple[float, float]]) -> float:
 
 
 def _phantom(
-    scene: Scene, chosen: backends.Backend, led: int, seed: int, photons: int
-) -> tuple[list[tuple[float, float]], dict[str, dict[str, float]] | None, int]:
+    scene: Scene,
+    chosen: backends.Backend,
+    led: int,
+    seed: int,
+    wanted: Accuracy,
+    max_seconds: float,
+    progress: Callable[[Progress], None] | None,
+) -> tuple[list[tuple[float, float]], dict[str, tuple[float, float]], int, bool]:
+    """Readings and energy of one LED, the paths spent on each, and whether all that was asked is met.
+
+    Paths are traced in rounds, each as long as all before it; the first always runs, and none begins after max_seconds.
+    """
     from .volpath import phantom_energy, phantom_fractions
 
     if scene.leds[led].pattern == "measured":
         raise InputError(f'leds[{led}].pattern = "measured" cannot be traced by volpath; use the photons engine.')
-    each = max(1, math.ceil(photons / VOLPATH_BATCHES))
-    options: dict[str, Any] = {"led": led, "batches": VOLPATH_BATCHES, "paths_per_batch": each, "backend": chosen}
-    values = []
-    for j in range(len(scene.photodiodes)):
-        batches = phantom_fractions(scene, photodiode=j, seed=seed + j, **options)
-        values.append(_mean(batches))
-    split = phantom_energy(scene, seed=seed + len(values), **options)
-    (r, r_error), (t, t_error) = (_mean(column) for column in split.T)
-    a_error = float(np.std(split.sum(1), ddof=1) / math.sqrt(len(split)))
+    begin, sequence = time.perf_counter(), np.random.SeedSequence(seed, spawn_key=(led,))
+    rounds: list[np.ndarray] = []
+    sizes: list[int] = []
+    done, met, share = 0, False, 0.0
+    while share < 1:
+        asked = wanted.photons - done if wanted.photons else max(done, FIRST_ROUND)
+        each = min(math.ceil(asked / VOLPATH_BATCHES), MAX_PATHS)
+        options: dict[str, Any] = {"led": led, "batches": VOLPATH_BATCHES, "paths_per_batch": each, "backend": chosen}
+        *seeds, last = (int(s) for s in sequence.spawn(1)[0].generate_state(len(scene.photodiodes) + 1))
+        columns = [phantom_fractions(scene, photodiode=j, seed=s, **options) for j, s in enumerate(seeds)]
+        rounds.append(np.column_stack([*columns, phantom_energy(scene, seed=last, **options)]))
+        sizes.append(each)
+        done += each * VOLPATH_BATCHES
+        values = [_pooled([r[:, k] for r in rounds], sizes) for k in range(len(columns))]
+        error, seconds = _worst(values), time.perf_counter() - begin
+        if wanted.photons:
+            share = done / wanted.photons
+        elif wanted.relative_error:
+            share = min(1.0, (wanted.relative_error / error) ** 2) if error > 0 else 1.0
+        met = share >= 1 or not (wanted.photons or wanted.relative_error)
+        share = min(1.0, max(share, seconds / max_seconds)) if max_seconds > 0 else 1.0
+        if progress:
+            progress(Progress(scene.leds[led].name, done, error, wanted.relative_error, share, seconds))
+    reflected, transmitted, out = (
+        _pooled(columns, sizes)
+        for columns in ([r[:, -2] for r in rounds], [r[:, -1] for r in rounds], [r[:, -2:].sum(1) for r in rounds])
+    )
     energy = {
-        "reflected": {"value": r, "stderr": r_error},
-        "transmitted": {"value": t, "stderr": t_error},
-        "absorbed": {"value": 1 - r - t, "stderr": a_error},
-        "lost": {"value": 0.0, "stderr": 0.0},
+        "reflected": reflected,
+        "transmitted": transmitted,
+        "absorbed": (1 - out[0], out[1]),
+        "lost": (0.0, 0.0),
     }
-    return values, energy, each * VOLPATH_BATCHES * (len(values) + 1)
+    return values, energy, done, met
 
 
-def _mean(batches: np.ndarray) -> tuple[float, float]:
-    return float(np.mean(batches)), float(np.std(batches, ddof=1) / math.sqrt(len(batches)))
+def _pooled(rounds: list[np.ndarray], sizes: list[int]) -> tuple[float, float]:
+    """Mean and standard error of rounds of batches, each round weighed by the paths in a batch of it."""
+    weight = np.array(sizes) / sum(sizes)
+    mean = [float(np.mean(batches)) for batches in rounds]
+    stderr = [float(np.std(batches, ddof=1) / math.sqrt(len(batches))) for batches in rounds]
+    return float(weight @ mean), float(np.linalg.norm(weight * stderr))
 
 
 def _finger(
@@ -190,14 +251,14 @@ def _finger(
     chosen: backends.Backend,
     led: int,
     seed: int,
-    wanted: Any,
+    wanted: Accuracy,
     progress: Callable[[Progress], None] | None,
 ) -> tuple[list[tuple[float, float]], int, bool]:
-    from .engines import volpath_states
-
     target = wanted.relative_error or 0.05
     rest = np.full((1, media.zones(scene).count), scene.blood.rest_blood_fraction)
     limit = (wanted.max_seconds or math.inf) / len(scene.leds)
+    if wanted.relative_error is None and wanted.max_seconds is None:
+        log.warning("volpath traces a finger to a relative error, not a number of photons; it takes %g", target)
     shape = geometry.build(scene)
     readings = volpath_states(scene, shape, chosen, rest, led, seed, target, limit, progress)
     pairs = list(zip(readings.fraction[:, 0], readings.fraction_stderr[:, 0], strict=True))
