@@ -5,11 +5,12 @@ import math
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MINUS = "−"
+TINY = 1e-290  # what is less has no power of ten to divide by
 
 
 def prefix(magnitude: float) -> tuple[float, str]:
     """Scale and prefix in which a magnitude reads as 1 to 1000: 0.0123 V is 12.3 with (1e-3, "m")."""
-    if not math.isfinite(magnitude) or magnitude == 0:
+    if not math.isfinite(magnitude) or abs(magnitude) < TINY:
         return 1.0, ""
     # The nudge keeps 999.96, which is shown as 1000, from staying in the smaller unit.
     power = 3 * math.floor(math.log10(abs(magnitude) * 1.0001) / 3)
@@ -19,7 +20,7 @@ def prefix(magnitude: float) -> tuple[float, str]:
 
 def decimals_for(uncertainty: float, *, digits: int = 2) -> int:
     """Decimals that show an uncertainty with its leading digits; negative where it is worth tens or more."""
-    if not math.isfinite(uncertainty) or uncertainty <= 0:
+    if not math.isfinite(uncertainty) or uncertainty < TINY:
         return 0
     return digits - 1 - math.floor(math.log10(uncertainty))
 
@@ -35,7 +36,7 @@ def fixed(value: float, decimals: int, *, sign: bool = False) -> str:
 
 def significant(value: float, digits: int = 3, *, sign: bool = False) -> str:
     """A number with so many significant digits, in powers of ten where it is far from 1."""
-    if not math.isfinite(value) or value == 0:
+    if not math.isfinite(value) or abs(value) < TINY:
         return fixed(value, 0)
     power = math.floor(math.log10(abs(value)))
     if -3 <= power < 5:
@@ -50,7 +51,7 @@ def with_error(value: float, error: float, *, sign: bool = False) -> str:
     """
     if not math.isfinite(value):
         return "–"
-    if error == 0:
+    if error < TINY:
         return significant(value, 4, sign=sign)
     if not math.isfinite(error):
         return f"{significant(value, 3, sign=sign)} ± ?"

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from nailoptics.report.numbers import fixed, prefix, quantity, significant, with_error
@@ -40,6 +40,8 @@ def test_a_prefix_leaves_one_to_a_thousand(value):
 
 
 @given(st.floats(allow_nan=True), st.integers(1, 6))
+@example(5e-324, 3)
+@example(1e-291, 3)
 def test_every_number_can_be_shown(value, digits):
     assert significant(value, digits, sign=True) and fixed(value, digits) and with_error(value, abs(value) / 3)
 
