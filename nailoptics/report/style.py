@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # These four are replaced by the page's own colours, so that figures turn dark with it.
@@ -108,11 +107,6 @@ def spread(places: Sequence[float], gap: float) -> list[float]:
     for index, place in zip(order, sorted_places, strict=True):
         result[index] = place
     return result
-
-
-def note(axes: "Axes", text: str) -> None:
-    """A line of small print inside the axes' upper right corner."""
-    axes.text(0.99, 0.97, text, transform=axes.transAxes, ha="right", va="top", fontsize=8, color=MUTED)
 
 
 def to_svg(figure: "Figure", *, name: str, description: str) -> str:
