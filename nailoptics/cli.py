@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 app = App(
     name="nailoptics",
     version=__version__,
+    suppress_keyboard_interrupt=False,
     help="Simulate an optical sensor on a fingernail: touch, blood, traced light, photodiode volts.",
 )
 

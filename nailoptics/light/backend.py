@@ -15,6 +15,7 @@ import sys
 import tempfile
 import zlib
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -125,14 +126,33 @@ def activate(backend: Backend) -> Any:
     if backend.name == "llvm" and backend.library:
         os.environ["DRJIT_LIBLLVM_PATH"] = backend.library
     try:
-        import mitsuba as mi
+        # Dr.Jit complains of a missing or broken libLLVM even where none is needed.
+        with _quiet_stderr() if backend.name == "scalar" else nullcontext():
+            import mitsuba as mi
 
-        if mi.variant() != backend.variant:
-            mi.set_variant(backend.variant)
+            if mi.variant() != backend.variant:
+                mi.set_variant(backend.variant)
     except ImportError as error:
         why = _last_line(str(error))
         raise InputError(f"mitsuba cannot be used: {why}; reinstall it: pip install mitsuba.") from None
     return mi
+
+
+@contextmanager
+def _quiet_stderr() -> Iterator[None]:
+    """Nothing that compiled code says reaches stderr meanwhile."""
+    try:
+        kept = os.dup(2)
+    except OSError:  # there is no stderr
+        yield
+        return
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
 
 
 def _look(name: Name) -> Iterator[Finding]:

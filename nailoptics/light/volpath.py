@@ -7,6 +7,7 @@ Where no JIT backend works it does the main job in the scalar variant.
 
 import logging
 import math
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -39,11 +40,12 @@ MAX_SPP = 10_000
 def _mitsuba(backend: Backend | None) -> Iterator[Any]:
     """Mitsuba in the variant that this engine needs; the one that was set before returns afterwards."""
     backend = backend or choose()
-    import mitsuba as mi
-
-    before = mi.variant()
+    # Dr.Jit looks for its library at import, so only `activate`, which knows the right one, may import it.
+    loaded = sys.modules.get("mitsuba")
+    before = loaded.variant() if loaded else None
+    mi = activate(replace(backend, variant=VARIANTS[backend.name]))
     try:
-        yield activate(replace(backend, variant=VARIANTS[backend.name]))
+        yield mi
     finally:
         if before:
             mi.set_variant(before)

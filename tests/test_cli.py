@@ -1,0 +1,482 @@
+"""The command line: what it prints and writes, its exit codes, and one plain line for every mistake."""
+
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import nailoptics
+from nailoptics.cli import run
+from nailoptics.light import Transfer, backend
+
+ROOT = Path(nailoptics.__file__).parents[1]
+PROTOTYPE = (ROOT / "scenes/prototype.toml").read_text(encoding="utf-8")
+PHANTOM = """
+schema_version = 1
+[phantom]
+[[phantom.layers]]
+name = "slab"
+thickness_mm = 2.0
+mu_a_per_mm = 0.1
+mu_s_per_mm = 5.0
+g = 0.5
+n = 1.4
+[[leds]]
+name = "beam"
+wavelength_nm = 800.0
+pattern = "pencil"
+[[photodiodes]]
+name = "square"
+aperture = true
+position_mm = [1.0, 0.0]
+size_mm = [1.0, 1.0]
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """An empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def contents(folder: Path) -> dict[str, bytes | None]:
+    return {str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None for p in folder.rglob("*")}
+
+
+def spawn(*arguments, **options) -> subprocess.CompletedProcess:
+    """The command in a process of its own."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)} | options.pop("env", {})
+    return subprocess.run(
+        [sys.executable, "-m", "nailoptics", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env=environment,
+        **options,
+    )
+
+
+def changed(old: str, new: str) -> str:
+    """The prototype with one thing wrong."""
+    assert PROTOTYPE.count(old) == 1, old
+    return PROTOTYPE.replace(old, new)
+
+
+RECORDED = changed('profile = "step"', 'profile = "recorded"\nfile = "touch.csv"')
+BAD_SCENES = {
+    "an unknown field": (changed("digit =", "digitt ="), "digitt"),
+    "an unknown table": (PROTOTYPE + "\n[bord]\n", "bord"),
+    "a fraction in percent": (changed("so2 = 0.97", "so2 = 97"), "so2"),
+    "a text for a number": (changed("force_n = 1.0", 'force_n = "much"'), "force_n"),
+    "an LED inside a photodiode": (changed("[-1.2, 0.0]", "[0.0, 2.0]"), "ir"),
+    "a board wider than the nail": (changed("kapton_um", "size_mm = [40.0, 12.0]\nkapton_um"), "11.5 mm wide"),
+    "a wavelength without data": (changed('part = "led_800"', "wavelength_nm = 1550.0"), "1550"),
+    "a part that is not there": (changed("led_800", "led_801"), "led_801"),
+    "a recording that is not there": (RECORDED, "touch.csv"),
+    "a recording whose time stands still": (RECORDED, "touch.csv", "time_s,force_n\n0,0\n1,1\n1,2\n"),
+    "a recording of words": (RECORDED, "touch.csv", "time_s,force_n\n0,0\n1,much\n"),
+    "a recording of nothing": (RECORDED, "touch.csv", ""),
+    "a recording of bytes": (RECORDED, "touch.csv", "\x00\x01\x02"),
+    "an unknown hemodynamic set": (changed('parameters = "best"', 'parameters = "bset"'), "bset"),
+    "two names alike": (changed('name = "distal"', 'name = "proximal"'), "proximal"),
+    "neither finger nor phantom": (changed('[finger]\ndigit = "index"', ""), "[finger]"),
+    "no TOML": ("this is no scene", "TOML"),
+    "an empty file": ("", "schema_version"),
+    "more blood than the bed can hold": (changed("rest_blood_fraction = 0.03", "rest_blood_fraction = 1.0"), "blood"),
+    "an engine that the backend cannot run": (PROTOTYPE + '\n[light]\nengine = "photons"\n', "scalar"),
+}
+
+
+@pytest.mark.parametrize("mistake", BAD_SCENES)
+def test_a_bad_scene_is_one_line_and_exit_code_2_and_nothing_is_written(mistake, folder, capfd):
+    text, word, *recording = BAD_SCENES[mistake]
+    (folder / "scene.toml").write_text(text, encoding="utf-8")
+    if recording:
+        (folder / "touch.csv").write_text(recording[0], encoding="utf-8")
+    before = contents(folder)
+    assert run(["simulate", "scene.toml", "-o", "deep/results", "--backend", "scalar"]) == 2
+    out, err = capfd.readouterr()
+    assert out == "" and len(err.splitlines()) == 1 and err.startswith("nailoptics: ")
+    assert word in err and "Traceback" not in err
+    assert contents(folder) == before
+
+
+BAD_COMMANDS = {
+    "an unknown command": (["simulte", "prototype"], "simulte"),
+    "an unknown option": (["simulate", "prototype", "--fast"], "--fast"),
+    "an option without its value": (["simulate", "prototype", "-o"], "-o"),
+    "no scene": (["simulate"], "scene"),
+    "one scene too many": (["check", "prototype", "prototype"], "prototype"),
+    "a scene that is not there": (["simulate", "missing.toml"], "missing.toml"),
+    "a name that is no shipped scene": (["simulate", "protoype"], "shipped: prototype"),
+    "a folder for a scene": (["simulate", "."], "."),
+    "a scene's name too long to be one": (["check", "x" * 300], "xxx"),
+    "a binary file for a scene": (["check", sys.executable], "not a text file"),
+    "a backend that does not exist": (["simulate", "prototype", "--backend", "gpu"], "scalar"),
+    "a seed that is none": (["trace", "prototype", "--seed", "-1"], "seed"),
+    "a tolerance above 1": (["simulate", "prototype", "--relative-error", "5"], "relative_error"),
+    "a tolerance of 0": (["trace", "prototype", "--relative-error", "0"], "relative_error"),
+    "a tolerance that is no number": (["simulate", "prototype", "--relative-error", "nan"], "relative_error"),
+    "a tolerance in words": (["simulate", "prototype", "--relative-error", "1%"], "1%"),
+    "no photons": (["simulate", "prototype", "--photons", "0"], "photons"),
+    "less than no time": (["simulate", "prototype", "--max-seconds", "-1"], "max_seconds"),
+    "a folder below a file": (["simulate", "prototype", "-o", "existing/sub"], "existing/sub"),
+    "a file below a file": (["trace", "prototype", "-o", "existing/sub/transfer.nc"], "existing/sub"),
+    "a folder in the place of a file": (["trace", "prototype", "-o", "full"], "full"),
+    "a folder where result.nc will be": (["simulate", "prototype", "-o", "full"], "result.nc"),
+    "pictures below a file": (["figures", "-o", "existing/sub"], "existing/sub"),
+    "a mesh below a file": (["export", "prototype", "-o", "existing/sub/finger.glb"], "existing/sub"),
+    "a mesh of no known kind": (["export", "prototype", "-o", "finger.stl"], ".ply"),
+    "a mesh of a phantom": (["export", "phantom.toml", "-o", "deep/phantom.glb"], "phantom"),
+    "a touch on a phantom": (["simulate", "phantom.toml", "-o", "deep/results"], "phantom"),
+    "a transfer of volpath": (["trace", "prototype", "--backend", "scalar", "-o", "deep/transfer.nc"], "volpath"),
+    "an unknown set": (["figures", "-o", "deep/pictures", "--set", "nonsense"], "nonsense"),
+}
+
+
+@pytest.mark.parametrize("mistake", BAD_COMMANDS)
+def test_a_mistaken_command_is_one_line_and_exit_code_2_and_nothing_is_written(mistake, folder, capfd):
+    arguments, word = BAD_COMMANDS[mistake]
+    (folder / "existing").write_text("a file")
+    (folder / "full/result.nc").mkdir(parents=True)
+    (folder / "phantom.toml").write_text(PHANTOM)
+    before = contents(folder)
+    assert run(arguments) == 2
+    out, err = capfd.readouterr()
+    assert out == "" and len(err.splitlines()) == 1 and err.startswith("nailoptics: ")
+    assert word in err and "Traceback" not in err and "internal error" not in err
+    assert contents(folder) == before
+
+
+def test_a_folder_that_may_not_be_written_is_told_before_any_light_is_traced(folder, capfd, monkeypatch):
+    """Rationale: the tests may run as root, whom no permission stops; so touching a file fails by order."""
+
+    def refuse(self, *_, **__):
+        raise PermissionError(13, "Permission denied", str(self))
+
+    monkeypatch.setattr(Path, "touch", refuse)
+    start = time.perf_counter()
+    assert run(["simulate", "prototype", "-o", "locked/below"]) == 2
+    assert time.perf_counter() - start < 10
+    assert "locked/below: cannot be written: Permission denied" in capfd.readouterr().err
+    assert contents(folder) == {}
+
+
+def test_mistakes_in_a_process_of_their_own_leave_one_line_too(folder):
+    for arguments in (["simulate", "missing.toml"], ["check", "prototype", "--wat"], ["wat"]):
+        done = spawn(*arguments)
+        assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1), done
+
+
+def test_a_fault_of_ours_is_one_line_and_exit_code_1(capfd, monkeypatch):
+    monkeypatch.setattr("nailoptics.scene.json_schema", lambda: 1 / 0)
+    assert run(["schema"]) == 1
+    err = capfd.readouterr().err
+    assert len(err.splitlines()) == 1 and "ZeroDivisionError" in err and "NAILOPTICS_DEBUG=1" in err
+    monkeypatch.setenv("NAILOPTICS_DEBUG", "1")
+    with pytest.raises(ZeroDivisionError):
+        run(["schema"])
+
+
+def test_an_interrupt_before_anything_was_finished_is_one_line_and_exit_code_130(capfd, monkeypatch):
+    def interrupt():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("nailoptics.scene.json_schema", interrupt)
+    assert run(["schema"]) == 130
+    assert len(capfd.readouterr().err.splitlines()) == 1
+
+
+def test_help_and_version_are_quick_and_on_stdout(folder):
+    for arguments in ([], ["--help"], ["simulate", "--help"], ["--version"]):
+        done = spawn(*arguments)
+        assert done.returncode == 0 and done.stdout and not done.stderr
+    assert spawn("--version").stdout.strip() == nailoptics.__version__
+
+
+def test_a_reader_that_goes_away_is_no_error(folder):
+    """`nailoptics schema | head -c 1`: no traceback, no complaint when Python ends."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [sys.executable, "-m", "nailoptics", "schema"],
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+def test_a_full_disk_behind_stdout_is_one_line(folder):
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "nailoptics", "schema"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+        )
+    assert done.returncode == 1 and len(done.stderr.splitlines()) == 1 and "No space left" in done.stderr
+
+
+def only_json(capfd) -> dict:
+    """What was printed, which must be one JSON object without NaN, and nothing else."""
+
+    def refuse(constant):
+        raise AssertionError(f"{constant} is not JSON")
+
+    out = capfd.readouterr().out
+    found = json.loads(out, parse_constant=refuse)
+    assert isinstance(found, dict) and out.startswith("{") and out.endswith("}\n")
+    return found
+
+
+def assert_traced(found: dict, *, engine: str, name: str) -> None:
+    assert set(found) == {"readings", "energy", "photons", "engine", "backend", "cpu_seconds", "wall_seconds"}
+    assert (found["engine"], found["backend"]) == (engine, name)
+    assert found["photons"] > 0 and found["cpu_seconds"] > 0 and found["wall_seconds"] > 0
+    for row in found["readings"]:
+        assert {
+            "led",
+            "photodiode",
+            "wavelength_nm",
+            "detected_fraction",
+            "stderr",
+            "mean_path_mm",
+            "mean_path_stderr_mm",
+        } <= set(row)
+        assert 0 < row["detected_fraction"] < 1 and 0 < row["stderr"] < row["detected_fraction"]
+        assert set(row["mean_path_mm"]) == set(row["mean_path_stderr_mm"])
+    for part in found["energy"].values() if found["energy"] else ():
+        assert set(part) == {"value", "stderr"}
+
+
+@pytest.mark.parametrize("backend_name", [pytest.param("auto", marks=pytest.mark.jit), "scalar"])
+def test_trace_of_a_phantom_prints_the_agreed_json(backend_name, folder, capfd, request):
+    chosen = request.getfixturevalue("chosen_jit") if backend_name == "auto" else backend.choose("scalar")
+    (folder / "phantom.toml").write_text(PHANTOM)
+    assert run(["trace", "phantom.toml", "--json", "--photons", "20000", "--backend", backend_name]) == 0
+    found = only_json(capfd)
+    assert_traced(found, engine="photons" if chosen.jit else "volpath", name=chosen.name)
+    assert set(found["energy"]) == {"reflected", "transmitted", "absorbed", "lost"}
+    assert sum(part["value"] for part in found["energy"].values()) == pytest.approx(1, abs=1e-3)
+    assert found["photons"] == 20000 and contents(folder).keys() == {"phantom.toml"}
+
+
+def test_both_backends_print_the_same_light_of_a_phantom(folder, capfd, chosen_jit):
+    (folder / "phantom.toml").write_text(PHANTOM)
+    found = []
+    for name in (chosen_jit.name, "scalar"):
+        assert run(["trace", "phantom.toml", "--json", "--relative-error", "0.02", "--backend", name]) == 0
+        found.append(only_json(capfd))
+    one, two = (f["readings"][0] for f in found)
+    stderr = (one["stderr"] ** 2 + two["stderr"] ** 2) ** 0.5
+    assert abs(one["detected_fraction"] - two["detected_fraction"]) < 4 * stderr < 0.1 * one["detected_fraction"]
+    for part in ("reflected", "transmitted", "absorbed"):
+        a, b = (f["energy"][part] for f in found)
+        assert abs(a["value"] - b["value"]) < 4 * (a["stderr"] ** 2 + b["stderr"] ** 2) ** 0.5 < 0.1 * a["value"]
+
+
+@pytest.mark.jit
+def test_trace_of_a_finger_prints_the_agreed_json_and_keeps_the_transfer(folder, capfd, chosen_jit):
+    options = ["--photons", "500000", "--seed", "3", "--json"]
+    assert run(["trace", "prototype", *options, "-o", "deep/transfer.nc"]) == 0
+    found = only_json(capfd)
+    assert_traced(found, engine="photons", name=chosen_jit.name)
+    assert len(found["readings"]) == 8 and found["photons"] == 500_000
+    assert {"plate", "bed_1", "bed_2", "epoxy"} <= set(found["readings"][0]["mean_path_mm"])
+    assert contents(folder).keys() == {"deep", "deep/transfer.nc"}
+    again = Transfer.load(Path("deep/transfer.nc")).at()
+    first = found["readings"][0]
+    assert float(again.detected_fraction[0, 0]) == first["detected_fraction"]
+
+
+@pytest.mark.jit
+def test_what_was_reached_in_max_seconds_is_saved_and_the_exit_code_is_3(folder, capfd, chosen_jit):
+    options = ["--relative-error", "0.001", "--max-seconds", "0.5"]
+    assert run(["trace", "prototype", *options, "-o", "transfer.nc", "--json"]) == 3
+    out, err = capfd.readouterr()
+    assert json.loads(out)["photons"] > 0
+    last = err.splitlines()[-1]
+    assert "max_seconds" in last and "0.001 asked" in last and "transfer.nc" in last and "Traceback" not in err
+    assert Transfer.load(Path("transfer.nc")).photons == json.loads(out)["photons"]
+
+
+def test_scalar_phantoms_stop_at_max_seconds_with_exit_code_3(folder, capfd):
+    (folder / "phantom.toml").write_text(PHANTOM)
+    options = ["--backend", "scalar", "--relative-error", "1e-6", "--max-seconds", "0.1", "--json"]
+    assert run(["trace", "phantom.toml", *options]) == 3
+    out, err = capfd.readouterr()
+    assert json.loads(out)["readings"][0]["detected_fraction"] > 0 and "max_seconds" in err.splitlines()[-1]
+
+
+@pytest.mark.jit
+def test_a_photodiode_that_saw_nothing_is_told_as_such(folder, capfd, chosen_jit):
+    """No photon seen is no standard error known; it must not be told as 0, nor break the JSON."""
+    assert run(["simulate", "prototype", "--photons", "64", "-o", "few", "--json"]) == 0
+    out, err = capfd.readouterr()
+    rows = json.loads(out)["readings"]
+    assert any(row["volts_start_stderr"] is None for row in rows) and "saw no light" in err
+    assert run(["trace", "prototype", "--photons", "64", "--json"]) == 0
+    assert any(0 < row.get("upper_limit_95", 0) <= 1 for row in only_json(capfd)["readings"])
+
+
+@pytest.mark.jit
+def test_simulate_writes_its_two_files_and_prints_where(folder, capfd, chosen_jit):
+    assert run(["simulate", "prototype", "--photons", "300000"]) == 0
+    out, err = capfd.readouterr()
+    assert contents(folder).keys() == {
+        "results",
+        "results/prototype",
+        "results/prototype/report.html",
+        "results/prototype/result.nc",
+    }
+    assert out.splitlines()[-2:] == ["results/prototype/report.html", "results/prototype/result.nc"]
+    assert len(out.splitlines()) == 11  # a head, eight photodiodes, two files
+    page = Path("results/prototype/report.html").read_text(encoding="utf-8")
+    assert "<svg" in page or "data:image" in page
+    assert not re.search(r"<(script|link|img)[^>]+(src|href)=.http", page)
+    assert all(line.startswith("nailoptics: LED ir, error ") for line in err.splitlines()), err
+
+
+def test_a_shipped_scene_is_found_by_name_from_anywhere(folder, capfd):
+    for name in ("prototype", "prototype.toml", "scenes/prototype.toml"):
+        assert run(["check", name, "--json"]) == 0
+        found = only_json(capfd)
+        assert found["valid"] and found["disagreements"] == 0 and found["volume_error"] < 1e-6
+    (folder / "prototype.toml").write_text(PHANTOM)
+    assert run(["check", "prototype.toml", "--json"]) == 0
+    assert "regions" not in only_json(capfd)  # the user's own file comes first
+    assert contents(folder).keys() == {"prototype.toml"}
+
+
+def test_export_writes_meshes_that_trimesh_reads(folder, capfd):
+    import trimesh
+
+    assert run(["export", "prototype", "-o", "deep/finger.glb"]) == 0
+    assert run(["export", "prototype", "-o", "finger.PLY"]) == 0
+    assert capfd.readouterr().out.split() == ["deep/finger.glb", "finger.PLY"]
+    loaded = trimesh.load("deep/finger.glb")
+    assert {"plate", "bed", "bone", "led:ir"} <= set(loaded.geometry)
+    assert (folder / "finger.PLY").read_bytes().startswith(b"ply")
+    assert contents(folder).keys() == {"deep", "deep/finger.glb", "finger.PLY"}
+
+
+def test_schema_and_doctor_print_json(folder, capfd):
+    assert run(["schema"]) == 0
+    assert only_json(capfd)["$schema"].startswith("https://json-schema.org/")
+    assert run(["doctor", "--json"]) == 0
+    found = only_json(capfd)
+    assert {row["backend"] for row in found["findings"]} == {"cuda", "llvm", "scalar"}
+    assert run(["doctor"]) == 0
+    text = capfd.readouterr().out
+    assert "taken" in text and "scalar" in text
+
+
+def test_figures_draws_a_set_and_judges_it(folder, capfd):
+    assert run(["figures", "-o", "pictures", "--set", "best", "--json"]) == 0
+    found = only_json(capfd)
+    assert found["claims"] and all((folder / picture).stat().st_size > 10_000 for picture in found["pictures"])
+    assert {row["sets"]["best"]["met"] for row in found["claims"]} <= {True, False}
+
+
+def test_a_library_that_is_none_costs_the_main_job_nothing_but_speed(folder):
+    """Rationale: DRJIT_LIBLLVM_PATH may point to a text file, or to a library that aborts the process.
+    Expected: one line of advice, then the scalar backend's answer."""
+    (folder / "phantom.toml").write_text(PHANTOM)
+    broken = folder / "libLLVM-99.so"
+    broken.write_text("not a library")
+    environment = {
+        "DRJIT_LIBLLVM_PATH": str(broken),
+        "XDG_CACHE_HOME": str(folder / "cache"),
+        "CUDA_VISIBLE_DEVICES": "",
+    }
+    done = spawn("trace", "phantom.toml", "--json", "--photons", "2000", env=environment)
+    if json.loads(done.stdout or "{}").get("backend") == "cuda":
+        pytest.skip("CUDA works here, so no libLLVM is asked")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["backend"] == "scalar"
+    advice, *progress = done.stderr.splitlines()
+    assert "libllvm19" in advice and all("LED beam" in line for line in progress)
+    done = spawn("trace", "phantom.toml", "--backend", "llvm", env=environment)
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and broken.name in done.stderr
+
+
+def test_a_library_that_aborts_cannot_take_the_main_job_with_it(folder, chosen_llvm):
+    """The same with a real library that loads and then aborts, where one is installed."""
+    old = [path for path in backend._llvm_libraries() if backend._major_version(path) in (15, 16)]
+    if not old:
+        pytest.skip("no libLLVM 15 or 16, which abort, is installed here")
+    (folder / "phantom.toml").write_text(PHANTOM)
+    environment = {"DRJIT_LIBLLVM_PATH": old[0], "XDG_CACHE_HOME": str(folder / "cache")}
+    done = spawn("trace", "phantom.toml", "--json", "--photons", "2000", env=environment)
+    assert done.returncode == 0 and json.loads(done.stdout)["readings"], done.stderr
+
+
+def test_progress_is_plain_lines_in_a_log_and_a_bar_on_a_terminal(folder):
+    (folder / "phantom.toml").write_text(PHANTOM)
+    arguments = ["trace", "phantom.toml", "--backend", "scalar", "--photons", "20000"]
+    logged = spawn(*arguments).stderr
+    assert logged.startswith("nailoptics: LED beam, error ") and "\x1b" not in logged and "\r" not in logged
+    assert len(logged.splitlines()) == 1
+    shown = on_terminal(arguments)
+    assert "LED beam" in shown and "\x1b[" in shown and "━" in shown and "Traceback" not in shown
+
+
+def on_terminal(arguments: list[str]) -> str:
+    """What the command shows on a terminal."""
+    main, side = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "nailoptics", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=side,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "100"},
+    )
+    os.close(side)
+    shown = b""
+    while True:
+        try:
+            piece = os.read(main, 4096)
+        except OSError:  # the terminal is gone with the process
+            break
+        if not piece:
+            break
+        shown += piece
+    os.close(main)
+    assert process.stdout is not None
+    process.stdout.close()
+    assert process.wait(60) == 0
+    return shown.decode(errors="replace")
+
+
+@pytest.mark.jit
+def test_ctrl_c_keeps_what_was_traced(folder, chosen_jit):
+    """A real interrupt of a real process after its first progress line."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "nailoptics", "trace", "prototype", "--relative-error", "0.0005", "-o", "transfer.nc"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    assert process.stderr is not None
+    try:
+        assert "LED ir" in process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 3, err
+    assert "interrupted" in err.splitlines()[-1] and "Traceback" not in err
+    assert Transfer.load(Path("transfer.nc")).photons > 0 and len(out.splitlines()) == 12
