@@ -1,0 +1,161 @@
+"""A batch folder: where plan, traced light, results and failures lie, and who works on what."""
+
+import json
+import logging
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..light.reuse import LedBatches
+from ..light.tracing import Batch
+from . import record
+
+log = logging.getLogger(__name__)
+
+FORMAT = 1
+# Older leftovers of killed writers are swept away; a writer at work is never this slow. [s]
+_LEFTOVER_S = 3600.0
+_COLUMNS = ("photodiode", "weight", "path_mm")
+_PARTS = ("reflected", "transmitted", "absorbed", "lost")
+
+
+@dataclass(frozen=True)
+class Folder:
+    """The files of one batch; whatever is there is whole, and is data only."""
+
+    root: Path
+
+    def make(self) -> None:
+        """Make the folder; raises InputError where nothing can be written."""
+        try:
+            for name in ("results", "light", "failed"):
+                (self.root / name).mkdir(parents=True, exist_ok=True)
+            record.write_whole(self.root / ".writable", b"", flush=False)
+            (self.root / ".writable").unlink(missing_ok=True)
+            old = time.time() - _LEFTOVER_S
+            for part in self.root.glob("*/.*.part"):
+                if part.stat().st_mtime < old:
+                    part.unlink(missing_ok=True)
+        except FileNotFoundError:
+            pass  # another run swept first
+        except OSError as error:
+            raise InputError(f"{self.root}: cannot be written: {error.strerror}; choose another folder.") from None
+
+    def result(self, digest: str) -> Path:
+        """The result of one scene."""
+        return self.root / "results" / f"{digest}.dat"
+
+    def failure(self, digest: str) -> Path:
+        """Why a scene failed."""
+        return self.root / "failed" / f"{digest}.json"
+
+    def light(self, key: str, led: int) -> Path:
+        """The traced light of one LED."""
+        return self.root / "light" / f"{key}-{led}.dat"
+
+    def read_plan(self) -> dict[str, Any]:
+        """The plan of the last run; raises InputError where there is none."""
+        path = self.root / "plan.json"
+        try:
+            plan = json.loads(path.read_text(encoding="utf-8"))
+            if plan["format"] != FORMAT:
+                raise InputError(f"{path}: format {plan['format']} is not known here; use a newer nailoptics.")
+            return plan
+        except FileNotFoundError:
+            raise InputError(
+                f"{self.root}: is not a batch folder (it has no plan.json); give the folder of a batch."
+            ) from None
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(f"{path}: cannot be read ({error}); run the batch again to write it anew.") from None
+
+    def write_plan(self, plan: dict[str, Any]) -> None:
+        """Write the plan, whole or not at all."""
+        record.write_whole(self.root / "plan.json", json.dumps({"format": FORMAT} | plan).encode())
+
+    def read_result(self, digest: str) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
+        """A scene's result, or None; raises CorruptError where it is not what was written."""
+        found = record.read(self.result(digest))
+        if found is not None and found[0].get("digest") != digest:
+            raise record.CorruptError("it belongs to another scene")
+        return found
+
+    def read_failure(self, digest: str) -> dict[str, Any] | None:
+        """Why a scene failed, or None."""
+        try:
+            found = json.loads(self.failure(digest).read_text(encoding="utf-8"))
+            return found if isinstance(found, dict) else None
+        except (OSError, ValueError):
+            return None
+
+    def write_failure(self, digest: str, failure: dict[str, Any]) -> None:
+        """Record why a scene failed."""
+        record.write_whole(self.failure(digest), json.dumps(failure).encode())
+
+    def read_light(self, key: str, led: int, *, made: dict[str, Any]) -> LedBatches | None:
+        """The batches that are traced, or None; raises CorruptError where they are not what was written.
+
+        made : how the light must have been made.
+        """
+        found = record.read(self.light(key, led))
+        if found is None:
+            return None
+        header, arrays = found
+        if header["made"] != made:
+            return None
+        pieces, start = {}, 0
+        for piece in header["pieces"]:
+            chunk = slice(start, start + piece["records"])
+            start += piece["records"]
+            pieces[piece["number"], piece["photons"]] = Batch(
+                photons=piece["photons"],
+                **{name: arrays[name][chunk] for name in _COLUMNS},
+                energy={name: (a, b) for name, (a, b) in zip(_PARTS, piece["energy"], strict=True)},
+                events=piece["events"],
+            )
+        return LedBatches(arrays["mu_a"], pieces)
+
+    def write_light(self, key: str, led: int, light: LedBatches, *, made: dict[str, Any]) -> int:
+        """Write the batches that are traced, and return the size of the file; losing it costs time only."""
+        pieces = [
+            {
+                "number": number,
+                "photons": photons,
+                "records": len(batch.weight),
+                "energy": [batch.energy[name] for name in _PARTS],
+                "events": batch.events,
+            }
+            for (number, photons), batch in light.pieces.items()
+        ]
+        arrays = {name: np.concatenate([getattr(b, name) for b in light.pieces.values()]) for name in _COLUMNS}
+        data = record.pack({"made": made, "pieces": pieces}, arrays | {"mu_a": light.mu_a})
+        record.write_whole(self.light(key, led), data, flush=False)
+        return len(data)
+
+    @contextmanager
+    def claimed(self, name: str) -> Iterator[bool]:
+        """Whether this process is the only one that works on something; the system frees the claims of the dead.
+
+        Claims save work; without them (some network file systems) two runs do the same twice, with the same bits.
+        """
+        try:
+            import fcntl
+        except ImportError:  # not a POSIX system
+            yield True
+            return
+        place = int(name[:15], 16)
+        with open(self.root / ".claims", "ab") as file:
+            try:
+                fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place, os.SEEK_SET)
+            except (BlockingIOError, PermissionError):
+                yield False
+                return
+            except OSError as error:
+                log.debug("no claims in %s: %s", self.root, error)
+            yield True

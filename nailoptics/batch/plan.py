@@ -1,0 +1,131 @@
+"""Which scenes of a sweep are still to do, grouped so that scenes with the same light are traced once."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import InputError
+from ..light import reuse
+from ..scene import Scene, digest
+from . import record
+from .folder import Folder
+from .sweep import Sweep
+from .work import Job, Settings, meets, reads_transfer
+
+# Scenes read from one light by one worker before others may help.
+CHUNK = 16
+
+
+@dataclass(frozen=True)
+class Planned:
+    """One scene of a batch: its digest, and the key of its light."""
+
+    digest: str
+    key: str
+    scene: Scene
+
+
+def plan(sweep: Sweep, settings: Settings) -> list[Planned]:
+    """Digest and light of every scene, in the sweep's order."""
+    planned = []
+    for scene in sweep.scenes:
+        own = digest(scene)
+        planned.append(Planned(own, reuse.light_digest(scene) if reads_transfer(scene, settings) else own, scene))
+    return planned
+
+
+def parse_shard(text: str | None) -> tuple[int, int]:
+    """A shard I/N as numbers: I of 1 to N."""
+    if text is None:
+        return 1, 1
+    part, slash, count = text.partition("/")
+    if not (slash and part.isdigit() and count.isdigit() and 1 <= int(part) <= int(count)):
+        raise InputError(f"--shard {text}: must be I/N with I of 1 to N, such as 1/8 (job arrays that count from 1).")
+    return int(part), int(count)
+
+
+def of_shard(planned: list[Planned], shard: tuple[int, int]) -> list[Planned]:
+    """The scenes of one shard: whole groups, so that no light is traced by two shards."""
+    keys = {key: i for i, key in enumerate(dict.fromkeys(p.key for p in planned))}
+    return [p for p in planned if keys[p.key] % shard[1] == shard[0] - 1]
+
+
+@dataclass(frozen=True)
+class Todo:
+    """What is left of a plan.
+
+    jobs : one per light, each with all its scenes.
+    kept : digests that are done as asked. failed : those that failed before, which stay so.
+    corrupt : results that are not what was written, and will be made again.
+    """
+
+    jobs: list[Job]
+    kept: list[str]
+    failed: list[str]
+    corrupt: list[str]
+
+
+def left(planned: list[Planned], folder: Folder, settings: Settings, *, retry_failed: bool) -> Todo:
+    """What is left to do, checking every result that is there."""
+    groups: dict[str, dict[str, Scene]] = {}
+    kept, failed, corrupt = [], [], []
+    for p in {p.digest: p for p in planned}.values():
+        try:
+            found = folder.read_result(p.digest)
+        except record.CorruptError:
+            corrupt.append(p.digest)
+            found = None
+        if found is not None and meets(found[0], settings.asked(p.scene)):
+            kept.append(p.digest)
+        elif not retry_failed and folder.failure(p.digest).exists():
+            failed.append(p.digest)
+        else:
+            groups.setdefault(p.key, {})[p.digest] = p.scene
+    return Todo([Job(key, tuple(scenes.items())) for key, scenes in groups.items()], kept, failed, corrupt)
+
+
+def first_of(job: Job) -> Job:
+    """The part of a job that is done first: the light of all its scenes, and the readings of some."""
+    return Job(job.key, job.scenes[:CHUNK], tuple(scene for _, scene in job.scenes[CHUNK:]))
+
+
+def rest_of(job: Job) -> list[Job]:
+    """The other parts, which only read that light."""
+    return [Job(job.key, job.scenes[i : i + CHUNK]) for i in range(CHUNK, len(job.scenes), CHUNK)]
+
+
+def as_json(sweep: Sweep, planned: list[Planned], settings: Settings) -> dict[str, Any]:
+    """The plan for the folder: enough to open the results and to tell how far they are."""
+    return {
+        "sweep": sweep.name,
+        "dims": sweep.dims,
+        "axes": [{"name": a.name, "path": a.path, "values": a.values} for a in sweep.axes],
+        "seed": settings.seed,
+        "backend": settings.backend,
+        "photons": settings.photons,
+        "relative_error": settings.relative_error,
+        "scenes": [p.digest for p in planned],
+        "asked": [settings.asked(p.scene).model_dump(exclude_none=True) for p in planned],
+        "lights": len({p.key for p in planned}),
+    }
+
+
+def check_same(folder: Folder, settings: Settings) -> None:
+    """Raise InputError where the folder holds results of another seed or backend."""
+    if not (folder.root / "plan.json").exists():
+        return
+    try:
+        old = folder.read_plan()
+    except InputError:
+        return  # written anew
+    for name, mine in (("seed", settings.seed), ("backend", settings.backend)):
+        if old.get(name) != mine:
+            raise InputError(
+                f"{folder.root}: was begun with {name} {old.get(name)}, and {mine} is asked for; "
+                f"use --{name} {old.get(name)} or another folder."
+            )
+
+
+def size(dims: dict[str, int]) -> int:
+    """How many scenes lie along some dimensions."""
+    return math.prod(dims.values())

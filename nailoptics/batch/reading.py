@@ -1,0 +1,161 @@
+"""What a batch keeps of a scene: its readings as a dataset, and that dataset as a record."""
+
+import math
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from ..errors import NotReachedError
+from ..light import Transfer, reuse
+from ..scene import Scene
+
+
+def of_transfer(transfer: Transfer, *, seed: int) -> xr.Dataset:
+    """The readings of a phantom at rest, or the simulated touch of a finger."""
+    return _at_rest(transfer) if transfer.scene.phantom is not None else _simulate(transfer, seed)
+
+
+def relative_error(dataset: xr.Dataset) -> float:
+    """Largest relative standard error at rest; inf where a photodiode has seen nothing."""
+    fraction, stderr = dataset["detected_fraction_rest"].values, dataset["detected_fraction_rest_stderr"].values
+    if np.any(fraction <= 0):
+        return math.inf
+    return float(np.max(stderr / fraction, initial=0.0))
+
+
+def _at_rest(transfer: Transfer) -> xr.Dataset:
+    rest = transfer.at()
+    keep = ("effective_photons", "mean_path_mm", "mean_path_mm_stderr", "wavelength_nm")
+    dataset = rest[list(keep)]
+    energy = transfer.energy()
+    return dataset.assign(
+        {
+            "detected_fraction_rest": rest.detected_fraction.assign_attrs(
+                ancillary_variables="detected_fraction_rest_stderr"
+            ),
+            "detected_fraction_rest_stderr": rest.detected_fraction_stderr,
+            "energy": (
+                "part",
+                [part["value"] for part in energy.values()],
+                {"units": "1", "long_name": "share of the emitted power", "ancillary_variables": "energy_stderr"},
+            ),
+            "energy_stderr": (
+                "part",
+                [part["stderr"] for part in energy.values()],
+                {"units": "1", "long_name": "standard error of the share of the emitted power"},
+            ),
+        }
+    ).assign_coords(part=list(energy))
+
+
+def _simulate(transfer: Transfer, seed: int) -> xr.Dataset:
+    from ..studies.simulate import blood_course, simulate_from
+
+    course = blood_course(transfer.scene)
+    return _summarised(simulate_from(transfer.scene, reuse.light_of(transfer), course=course, seed=seed))
+
+
+def _summarised(result: xr.Dataset) -> xr.Dataset:
+    """A simulated touch with the numbers that a sweep is about: at the start, and where it changes most."""
+    peak = abs(result.volts_change).argmax("time")
+
+    def of(values: xr.DataArray, name: str, error: str | None = None) -> xr.DataArray:
+        out = values.drop_vars("time", errors="ignore")
+        out.attrs = {"units": values.attrs["units"], "long_name": name}
+        return out.assign_attrs(ancillary_variables=error) if error else out
+
+    first = result.isel(time=0)
+    return result.assign(
+        detected_fraction_rest=of(
+            first.detected_fraction, "detected fraction at the start", "detected_fraction_rest_stderr"
+        ),
+        detected_fraction_rest_stderr=of(first.detected_fraction_stderr, "standard error of that fraction"),
+        volts_start=of(first.volts, "voltage at the start", "volts_start_stderr"),
+        volts_start_stderr=of(first.volts_stderr, "standard error of the voltage at the start (light tracing)"),
+        volts_change_peak=of(
+            result.volts_change.isel(time=peak), "largest change of the voltage", "volts_change_peak_stderr"
+        ),
+        volts_change_peak_stderr=of(
+            result.volts_change_stderr.isel(time=peak), "standard error of the largest change (light tracing)"
+        ),
+        volts_noise_peak=of(result.volts_noise_rms.isel(time=peak), "electronic noise at the largest change, rms"),
+        saturated_ever=(
+            ("led", "photodiode"),
+            result.saturated.any("time").values,
+            {"units": "1", "long_name": "converter at its limit at any time"},
+        ),
+    )
+
+
+def by_volpath(
+    scene: Scene, *, seed: int, backend: str, photons: int | None, relative_error: float | None
+) -> tuple[xr.Dataset, int, bool]:
+    """The same from volpath, which traces every scene anew: the dataset, its photons, and whether it is accurate."""
+    common: dict[str, Any] = {"seed": seed, "backend": backend, "photons": photons, "relative_error": relative_error}
+    reached = True
+    if scene.finger is not None:
+        from ..studies.simulate import simulate
+
+        try:
+            result = simulate(scene, **common)
+        except NotReachedError as error:
+            if not isinstance(error.result, xr.Dataset):
+                raise
+            result, reached = error.result, False
+        kept = [name for name in result.variables if not str(name).startswith(("section_", "path_density"))]
+        return _summarised(result[kept]), int(result.attrs["photons"]), reached
+    from ..light import Rest, read_rest
+
+    try:
+        rest = read_rest(scene, **common)
+    except NotReachedError as error:
+        if not isinstance(error.result, Rest):
+            raise
+        rest, reached = error.result, False
+    names = reuse.photodiode_names(scene)
+    shape = (len(scene.leds), len(names))
+    pair = ("led", "photodiode")
+    unit = {"units": "1", "long_name": "detected fraction of the emitted power"}
+    dataset = xr.Dataset(
+        {
+            "detected_fraction_rest": (
+                pair,
+                np.reshape([row["detected_fraction"] for row in rest.readings], shape),
+                unit | {"ancillary_variables": "detected_fraction_rest_stderr"},
+            ),
+            "detected_fraction_rest_stderr": (
+                pair,
+                np.reshape([row["stderr"] for row in rest.readings], shape),
+                unit | {"long_name": "standard error of the detected fraction of the emitted power"},
+            ),
+        },
+        coords={"led": [led.name for led in scene.leds], "photodiode": list(names)},
+        attrs={"engine": "volpath", "backend": rest.backend},
+    )
+    return dataset, rest.photons, reached
+
+
+def to_record(dataset: xr.Dataset) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """A dataset as a header for JSON and arrays of numbers."""
+    variables, arrays = {}, {}
+    for name, variable in dataset.variables.items():
+        entry: dict[str, Any] = {"dims": variable.dims, "attrs": variable.attrs, "coord": name in dataset.coords}
+        if variable.dtype.kind in "biuf":
+            arrays[str(name)] = variable.values
+        else:
+            entry["text"] = [str(item) for item in variable.values.ravel()]
+            entry["shape"] = variable.shape
+        variables[str(name)] = entry
+    kept = {k: v for k, v in dataset.attrs.items() if k not in ("scene", "cpu_seconds", "wall_seconds")}
+    return {"variables": variables, "attrs": kept}, arrays
+
+
+def from_record(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> xr.Dataset:
+    """The dataset that `to_record` took apart."""
+    data: dict[str, Any] = {}
+    coords: dict[str, Any] = {}
+    for name, entry in header["variables"].items():
+        values = arrays[name] if name in arrays else np.array(entry["text"], dtype=str).reshape(entry["shape"])
+        (coords if entry["coord"] else data)[name] = (tuple(entry["dims"]), values, entry["attrs"])
+    return xr.Dataset(data, coords=coords, attrs=header["attrs"])

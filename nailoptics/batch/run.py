@@ -1,0 +1,292 @@
+"""The driver of a batch: hands out jobs, takes reports, replaces dead workers, stops when all that can be is done."""
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..errors import InputError, NotReachedError
+from ..light import backend as backends
+from . import plan as plans
+from .executors import ClusterSlots, LocalSlots, Slots, cores, single_threaded_blas
+from .folder import Folder
+from .sweep import Sweep
+from .work import Job, Report, Settings, work
+
+log = logging.getLogger(__name__)
+
+# A scene whose worker dies so often is recorded as failed.
+DEATHS = 2
+_BUSY_WAIT_S = 0.5
+
+
+@dataclass
+class Outcome:
+    """What a run did: digests by what became of them; kept were there before, corrupt are files made again."""
+
+    total: int
+    lights: int
+    kept: list[str] = field(default_factory=list)
+    done: list[str] = field(default_factory=list)
+    unmet: list[str] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)
+    corrupt: list[str] = field(default_factory=list)
+    unfinished: int = 0
+    deaths: int = 0
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a run is; said is news such as a failure, empty if there is none. [s]"""
+
+    done: int
+    total: int
+    failed: int
+    seconds: float
+    seconds_left: float | None
+    said: str = ""
+
+
+def run_batch(
+    sweep: Sweep,
+    folder: str | Path,
+    *,
+    workers: int | None = None,
+    threads: int | None = None,
+    scheduler: str | None = None,
+    shard: str | None = None,
+    retry_failed: bool = False,
+    seed: int = 0,
+    backend: str = "auto",
+    photons: int | None = None,
+    relative_error: float | None = None,
+    max_seconds: float | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Outcome:
+    """Do what is left of a sweep in a folder; what is there already is kept, or continued if it is not good enough.
+
+    Parameters
+    ----------
+    workers : processes on this machine; one per core (on CUDA: one) if not given.
+    threads : threads of each; the cores divided among the workers if not given.
+    scheduler : address of a Dask scheduler in place of local workers; its workers must see the folder.
+    shard : I/N, to do the I-th of N parts.
+    retry_failed : try scenes again that failed before.
+    max_seconds : wall time after which the run stops; what was traced stays, and the next run goes on from there.
+
+    Raises: InputError; NotReachedError, whose result is the Outcome, where scenes failed, missed their tolerance or
+    were not reached.
+    """
+    if not 0 <= seed < 2**63:
+        raise InputError(f"seed = {seed}; must be a whole number of at least 0 and below 2^63.")
+    for name, value in (("workers", workers), ("threads", threads), ("max_seconds", max_seconds)):
+        if value is not None and not value > 0:
+            raise InputError(f"{name} = {value}; must be above 0.")
+    if workers is not None and scheduler is not None:
+        raise InputError("--workers and --scheduler exclude each other; a scheduler has its own workers.")
+    begin = time.time()
+    settings = Settings(
+        folder=Path(folder).resolve(),
+        seed=seed,
+        backend=backends.choose(backend).name,
+        photons=photons,
+        relative_error=relative_error,
+        deadline=None if max_seconds is None else begin + max_seconds,
+    )
+    part = plans.parse_shard(shard)
+    planned = plans.plan(sweep, settings)
+    place = Folder(settings.folder)
+    plans.check_same(place, settings)
+    place.make()
+    try:
+        place.write_plan(plans.as_json(sweep, planned, settings))
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror}; choose another folder.") from None
+    mine = plans.of_shard(planned, part)
+    todo = plans.left(mine, place, settings, retry_failed=retry_failed)
+    outcome = Outcome(total=len({p.digest for p in mine}), lights=len({p.key for p in mine}), kept=todo.kept)
+    outcome.corrupt += todo.corrupt
+    for digest in todo.failed:
+        outcome.failed[digest] = (place.read_failure(digest) or {}).get("error", "unknown")
+    driver = _Driver(settings, todo.jobs, outcome, begin, progress)
+    for digest in todo.corrupt:
+        driver.tell(f"result {digest[:12]} was not what had been written (checksum); made again")
+    if todo.jobs:
+        with single_threaded_blas():
+            driver.run(_slots(settings, scheduler, workers, threads, len(todo.jobs)))
+    outcome.seconds = time.time() - begin
+    return _judged(outcome, driver.trouble)
+
+
+def _slots(settings: Settings, scheduler: str | None, workers: int | None, threads: int | None, jobs: int) -> Slots:
+    if scheduler is not None:
+        return ClusterSlots(scheduler)
+    if workers is None:
+        workers = 1 if settings.backend == "cuda" else cores()
+    return LocalSlots(workers, threads or max(1, cores() // workers))
+
+
+def _judged(outcome: Outcome, trouble: str) -> Outcome:
+    """The outcome, or NotReachedError with it as result where anything is missing."""
+    reasons = [trouble] if trouble else []
+    if outcome.failed:
+        first = next(iter(outcome.failed.values()))
+        reasons.append(
+            f"{len(outcome.failed)} failed (the first: {first.rstrip('.')}; --retry-failed tries them again)"
+        )
+    if outcome.unmet:
+        reasons.append(f"{len(outcome.unmet)} missed their relative error in their time (run again to continue them)")
+    if outcome.unfinished and not trouble:
+        reasons.append(f"max_seconds ended the run with {outcome.unfinished} left (run again to go on)")
+    if reasons:
+        good = len(outcome.kept) + len(outcome.done)
+        raise NotReachedError(f"{good} of {outcome.total} scenes are done; {'; '.join(reasons)}.", result=outcome)
+    return outcome
+
+
+class _Driver:
+    """The loop of one run."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        jobs: list[Job],
+        outcome: Outcome,
+        begin: float,
+        progress: Callable[[Progress], None] | None,
+    ) -> None:
+        self.settings, self.outcome, self.begin, self.progress = settings, outcome, begin, progress
+        self.queue = deque(plans.first_of(job) for job in jobs)
+        self.later = {job.key: plans.rest_of(job) for job in jobs}
+        self.running: dict[Future[Report], tuple[int, Job]] = {}
+        self.deaths: dict[str, int] = {}
+        self.left = {digest for job in jobs for digest, _ in job.scenes}
+        self.first_report: float | None = None
+        self.reported, self.trouble = 0, ""
+
+    def run(self, slots: Slots) -> None:
+        """Hand out jobs until none is left, the time is over, or nothing more can be written."""
+        free = deque(range(len(slots.executors)))
+        waiting_until = 0.0
+        orderly = False
+        try:
+            while (self.queue or self.running) and not (self.trouble and not self.running):
+                now = time.time()
+                late = self.settings.deadline is not None and now >= self.settings.deadline
+                if late or self.trouble:
+                    self.queue.clear()
+                while free and self.queue and now >= waiting_until:
+                    slot = free.popleft()
+                    job = self.queue.popleft()
+                    try:
+                        self.running[slots.executors[slot].submit(work, job, self.settings)] = slot, job
+                    except BrokenExecutor:  # it died while idle
+                        slots.renew(slot)
+                        self.queue.appendleft(job)
+                        free.append(slot)
+                    except Exception as error:  # a scheduler that went away
+                        self._lost(error)
+                        break
+                if not self.running:
+                    time.sleep(min(0.05, max(0.0, waiting_until - time.time())))
+                    continue
+                finished, _ = wait(self.running, timeout=1.0, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    slot, job = self.running.pop(future)
+                    free.append(slot)
+                    busy = self._take(future, slot, job, slots)
+                    if busy and not self.running:
+                        waiting_until = time.time() + _BUSY_WAIT_S
+                if self.trouble.startswith("the scheduler"):
+                    self.running.clear()
+                self._show()
+            orderly = True
+        finally:
+            self.outcome.unfinished = len(self.left)
+            slots.close(now=not orderly)
+
+    def _take(self, future: "Future[Report]", slot: int, job: Job, slots: Slots) -> bool:
+        """Book a job's report, or its worker's death; True if somebody else works on it."""
+        try:
+            report = future.result()
+        except BrokenExecutor:
+            slots.renew(slot)
+            self._died(job)
+            return False
+        except (CancelledError, Exception) as error:
+            if type(error).__name__ == "KilledWorker":
+                self._died(job, times=DEATHS)
+            elif isinstance(error, CancelledError | OSError | TimeoutError) and not slots.own_process:
+                self._lost(error)
+            else:
+                raise
+            return False
+        if report.busy:
+            self.queue.append(job)
+            return True
+        if report.storage:
+            self.trouble = f"the folder takes no more ({report.storage}); make room and run again"
+            return False
+        self.reported += len(report.done) + len(report.unmet) + len(report.failed)
+        self.first_report = self.first_report or time.time()
+        self.outcome.done += report.done
+        self.outcome.unmet += report.unmet
+        self.outcome.failed |= report.failed
+        self.outcome.corrupt += report.corrupt
+        self.left -= {*report.done, *report.unmet, *report.failed}
+        for name in report.corrupt:
+            self.tell(f"light {name[:12]} was not what had been written (checksum); traced again")
+        for digest, why in report.failed.items():
+            self.tell(f"scene {digest[:12]} failed: {why}")
+        # The others can read the light now.
+        self.queue.extendleft(reversed(self.later.pop(job.key, [])))
+        return False
+
+    def _died(self, job: Job, times: int = 1) -> None:
+        """After a worker's death: scenes of its job go on one by one, and one that kills again is given up."""
+        self.outcome.deaths += 1
+        scenes = [*job.scenes, *(s for part in self.later.pop(job.key, []) for s in part.scenes)]
+        if len(scenes) > 1:
+            self.queue.extend(Job(job.key, (scene,)) for scene in scenes)
+            self.tell(f"a worker was killed; its {len(scenes)} scenes are tried one by one")
+            return
+        digest = scenes[0][0]
+        self.deaths[digest] = self.deaths.get(digest, 0) + times
+        if self.deaths[digest] < DEATHS:
+            self.queue.append(job)
+            self.tell(f"a worker was killed; scene {digest[:12]} is tried again")
+            return
+        why = f"its worker was killed {self.deaths[digest]} times; out of memory?"
+        try:
+            Folder(self.settings.folder).write_failure(digest, {"error": why, "time": time.time()})
+        except OSError as error:
+            self.trouble = f"the folder takes no more ({error.strerror}); make room and run again"
+            return
+        self.outcome.failed[digest] = why
+        self.left.discard(digest)
+        self.tell(f"scene {digest[:12]} failed: {why}")
+
+    def _lost(self, error: BaseException) -> None:
+        log.debug("scheduler lost: %r", error)
+        self.trouble = "the scheduler went away; what is done is kept, run again to go on"
+
+    def tell(self, said: str) -> None:
+        """Say something at once."""
+        self._show(said)
+
+    def _show(self, said: str = "") -> None:
+        if self.progress is None:
+            return
+        now, seconds_left = time.time(), None
+        if self.first_report is not None and self.reported:
+            # The start of the workers is not part of the pace.
+            paced = max(now - (self.first_report if self.reported > 20 else self.begin), 1e-9)
+            seconds_left = paced / self.reported * len(self.left)
+        done = self.outcome.total - len(self.left) - len(self.outcome.failed)
+        self.progress(
+            Progress(done, self.outcome.total, len(self.outcome.failed), now - self.begin, seconds_left, said)
+        )

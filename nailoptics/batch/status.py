@@ -1,0 +1,70 @@
+"""How far the batch in a folder is, seen from outside."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..scene import Accuracy
+from .folder import Folder
+from .record import CorruptError
+from .work import meets
+
+# The pace is that of the results of the last minutes.
+_WINDOW_S = 600.0
+
+
+@dataclass(frozen=True)
+class Status:
+    """Counts of a batch's scenes; seconds_left at the pace of the last ten minutes, None where nothing moved.
+
+    below : results that are there, but not yet as accurate as asked.
+    """
+
+    total: int
+    lights: int
+    done: int
+    below: int
+    corrupt: int
+    failed: dict[str, str]
+    seconds_left: float | None
+    last_result_s_ago: float | None
+
+    @property
+    def left(self) -> int:
+        """Scenes that a run would still work on."""
+        return self.total - self.done - len(self.failed)
+
+
+def status(folder: str | Path) -> Status:
+    """How far a batch is; raises InputError where the folder holds none."""
+    place = Folder(Path(folder))
+    plan = place.read_plan()
+    asked = {digest: Accuracy(**wanted) for digest, wanted in zip(plan["scenes"], plan["asked"], strict=True)}
+    now = time.time()
+    done, below, corrupt, times, failed = 0, 0, 0, [], {}
+    for digest, wanted in asked.items():
+        try:
+            found = place.read_result(digest)
+        except CorruptError:
+            corrupt += 1
+            continue
+        if found is not None and meets(found[0], wanted):
+            done += 1
+            times.append(place.result(digest).stat().st_mtime)
+        elif (failure := place.read_failure(digest)) is not None:
+            failed[digest] = str(failure.get("error", "unknown"))
+        elif found is not None:
+            below += 1
+    left = len(asked) - done - len(failed)
+    recent = sorted(t for t in times if now - t < _WINDOW_S)
+    pace = len(recent) / max(now - recent[0], 1.0) if recent else 0.0
+    return Status(
+        total=len(asked),
+        lights=plan["lights"],
+        done=done,
+        below=below,
+        corrupt=corrupt,
+        failed=failed,
+        seconds_left=0.0 if not left else (left / pace if pace else None),
+        last_result_s_ago=now - max(times) if times else None,
+    )

@@ -1,0 +1,282 @@
+"""What a worker does with a job: light that is missing is traced, then every scene of the job is read from it."""
+
+import errno
+import math
+import multiprocessing
+import os
+import signal
+import threading
+import time
+import traceback
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import NailopticsError
+from ..light import RereadWarning, Transfer, reuse
+from ..light.tracing import accuracy
+from ..scene import Accuracy, Scene, to_toml
+from . import reading, record
+from .folder import Folder
+
+# Mitsuba's variant is one per process, and so is a claim: a worker with several threads still does one job at a time.
+_one_job = threading.Lock()
+_STORAGE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.ESTALE}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What all jobs of a batch share; deadline is in seconds since the epoch."""
+
+    folder: Path
+    seed: int
+    backend: str
+    photons: int | None = None
+    relative_error: float | None = None
+    deadline: float | None = None
+
+    def asked(self, scene: Scene) -> Accuracy:
+        """What a scene's light must reach."""
+        return accuracy(scene, photons=self.photons, relative_error=self.relative_error, max_seconds=None)
+
+    def made(self) -> dict[str, Any]:
+        """What stored light must have been made with."""
+        return {"seed": self.seed, "backend": self.backend, "engine": "photons"}
+
+
+@dataclass(frozen=True)
+class Job:
+    """Scenes that share their light.
+
+    scenes : (digest, scene) of those to read now.
+    also : scenes that will be read later from the same light, which is traced for them too.
+    """
+
+    key: str
+    scenes: tuple[tuple[str, Scene], ...]
+    also: tuple[Scene, ...] = ()
+
+    @property
+    def claim(self) -> str:
+        """What nobody else should work on meanwhile."""
+        return self.key if self.also or len(self.scenes) == 1 else self.scenes[0][0]
+
+
+@dataclass
+class Report:
+    """What became of a job: digests of the scenes by what happened to them."""
+
+    done: list[str] = field(default_factory=list)
+    unmet: list[str] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)
+    corrupt: list[str] = field(default_factory=list)
+    busy: bool = False
+    late: bool = False
+    storage: str = ""
+    light_seconds: float = 0.0
+
+
+def prepare(threads: int) -> None:
+    """Make a new local process a worker: few threads, deaf to Ctrl-C, and gone when its parent is."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+
+        def watch() -> None:
+            parent.join()
+            os._exit(1)
+
+        threading.Thread(target=watch, daemon=True).start()
+    reuse.set_threads(threads)
+
+
+def work(job: Job, settings: Settings) -> Report:
+    """Do a job; what goes wrong with a scene is in the report, never raised."""
+    report = Report()
+    with _one_job:
+        try:
+            with Folder(settings.folder).claimed(job.claim) as mine:
+                if mine:
+                    _do(job, settings, report)
+                else:
+                    report.busy = True
+        except OSError as error:
+            if error.errno not in _STORAGE:
+                raise
+            report.storage = error.strerror or str(error)
+    return report
+
+
+def _do(job: Job, settings: Settings, report: Report) -> None:
+    folder = Folder(settings.folder)
+    todo = [(digest, scene) for digest, scene in job.scenes if not _is_done(folder, digest, settings.asked(scene))]
+    report.done += [digest for digest, _ in job.scenes if digest not in dict(todo)]
+    if not todo:
+        return
+    begin = time.process_time()
+    light = None
+    try:
+        if reads_transfer(todo[0][1], settings):
+            light = _Light(job, [scene for _, scene in todo], settings, report)
+    except Exception as error:
+        _raise_if_storage(error)
+        for digest, _ in todo:
+            _failed(folder, digest, error, report)
+        return
+    report.light_seconds = time.process_time() - begin
+    for digest, scene in todo:
+        try:
+            header, arrays = _result(scene, light, settings)
+            if header is None:
+                report.late = True
+                continue
+            folder.result(digest).parent.mkdir(exist_ok=True)
+            record.write_whole(folder.result(digest), record.pack({"digest": digest} | header, arrays))
+            folder.failure(digest).unlink(missing_ok=True)
+            (report.done if header["reached"] else report.unmet).append(digest)
+        except Exception as error:
+            _raise_if_storage(error)
+            _failed(folder, digest, error, report)
+
+
+def _raise_if_storage(error: Exception) -> None:
+    """A full disk is nobody's fault among the scenes: it ends the batch."""
+    if isinstance(error, OSError) and error.errno in _STORAGE:
+        raise error
+
+
+def _failed(folder: Folder, digest: str, error: Exception, report: Report) -> None:
+    why = str(error) if isinstance(error, NailopticsError) else f"{type(error).__name__}: {error}"
+    why = " ".join(why.splitlines())
+    folder.write_failure(digest, {"error": why, "traceback": traceback.format_exception(error), "time": time.time()})
+    report.failed[digest] = why
+
+
+def reads_transfer(scene: Scene, settings: Settings) -> bool:
+    """Whether a scene is read from stored light; volpath traces every scene anew."""
+    return scene.light.engine != "volpath" and settings.backend != "scalar"
+
+
+def meets(header: dict[str, Any], asked: Accuracy) -> bool:
+    """Whether a stored result is at least as accurate as what is asked."""
+    if asked.photons is not None:
+        return header["photons_per_led"] >= asked.photons
+    if asked.relative_error is not None:
+        reached = header["relative_error"]
+        return reached is not None and reached <= asked.relative_error
+    return True
+
+
+def _is_done(folder: Folder, digest: str, asked: Accuracy) -> bool:
+    try:
+        found = folder.read_result(digest)
+    except record.CorruptError:
+        return False
+    return found is not None and meets(found[0], asked)
+
+
+class _Light:
+    """The light of a job's scenes: stored batches, and those that were missing."""
+
+    def __init__(self, job: Job, scenes: list[Scene], settings: Settings, report: Report) -> None:
+        self.settings = settings
+        folder, first = Folder(settings.folder), scenes[0]
+        kind, made = reuse.tracer(first, settings.backend), settings.made()
+        self.full: int = kind.batch_photons
+        opened: list[Any] = []
+
+        def engine() -> Any:
+            if not opened:
+                opened.append(kind(reuse.reference(first)))
+            return opened[0]
+
+        def stop() -> bool:
+            return settings.deadline is not None and time.time() >= settings.deadline
+
+        self.leds: list[reuse.LedBatches] = []
+        self.needs: list[dict[int, reuse.Need]] = []
+        for led in range(len(first.leds)):
+            have = None
+            try:
+                have = folder.read_light(job.key, led, made=made)
+            except record.CorruptError:
+                report.corrupt.append(folder.light(job.key, led).name)
+            mu_a = have.mu_a if have else engine().mu_a(led)
+            # Scenes that differ only in what comes after the light need the same of it.
+            needs: dict[Any, reuse.Need] = {}
+            own = {}
+            for scene in (*scenes, *job.also):
+                asked = settings.asked(scene)
+                same = (scene.blood, scene.finger, scene.leds[led].fwhm_nm, asked)
+                if same not in needs:
+                    needs[same] = reuse.Need(scene, led, asked, mu_a)
+                own[id(scene)] = needs[same]
+
+            def save(batches: reuse.LedBatches, led: int = led) -> None:
+                folder.write_light(job.key, led, batches, made=made)
+
+            self.leds.append(
+                reuse.grow(
+                    engine, led, have, list(needs.values()), seed=settings.seed, full=self.full, stop=stop, save=save
+                )
+            )
+            self.needs.append(own)
+
+    def transfer(self, scene: Scene) -> tuple[Transfer, bool, float | None] | None:
+        """The scene's light, whether it is as accurate as asked, and its largest relative error if that was looked at.
+
+        None where the batch's time ended before.
+        """
+        settings, traces, reached = self.settings, [], True
+        errors: list[float | None] = []
+        for led, (batches, own) in enumerate(zip(self.leds, self.needs, strict=True)):
+            need = own[id(scene)]
+            sizes, met = need.settled(batches, self.full)
+            late = settings.deadline is not None and time.time() >= settings.deadline
+            if not sizes or (not met and late):
+                return None
+            reached &= met
+            errors.append(need.errors[len(sizes) - 1] if sizes[-1] == self.full else None)
+            traces.append(batches.trace(sizes, seed=settings.seed, led=led))
+        known = [error for error in errors if error is not None]
+        worst = max(known) if len(known) == len(errors) else None
+        return reuse.transfer_of(scene, traces, backend=settings.backend), reached, worst
+
+
+def _result(
+    scene: Scene, light: _Light | None, settings: Settings
+) -> tuple[dict[str, Any] | None, dict[str, np.ndarray]]:
+    """Header and arrays of a scene's result; no header where the batch's time ended before its light was traced."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", RereadWarning)
+        if light is None:
+            dataset, photons, reached = reading.by_volpath(
+                scene,
+                seed=settings.seed,
+                backend=settings.backend,
+                photons=settings.photons,
+                relative_error=settings.relative_error,
+            )
+            worst = reading.relative_error(dataset)
+        else:
+            found = light.transfer(scene)
+            if found is None:
+                return None, {}
+            transfer, reached, error = found
+            dataset = reading.of_transfer(transfer, seed=settings.seed)
+            worst = reading.relative_error(dataset) if error is None else error
+            photons = min(t.photons for t in transfer.traces)
+    header, arrays = reading.to_record(dataset)
+    return {
+        **header,
+        "scene": to_toml(scene),
+        "seed": settings.seed,
+        "backend": settings.backend,
+        "photons_per_led": photons,
+        "relative_error": worst if math.isfinite(worst) else None,
+        "reached": reached,
+        "warnings": sorted({str(w.message) for w in caught if issubclass(w.category, RereadWarning)}),
+    }, arrays
