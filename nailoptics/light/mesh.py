@@ -24,6 +24,7 @@ from .walk import (
     energy_sums,
     fresnel,
     henyey_greenstein,
+    lanes,
     lifetime,
     turn,
 )
@@ -74,15 +75,12 @@ class MeshTracer:
         self, led: int, *, photons: int, seed: int, section: "Section | None" = None, board: "BoardMap | None" = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
         """Outcome, weight, roulette (n,) and paths (media + zones - 1, n) of each photon; scatterings in all."""
-        lanes = min(photons, 8192 if dr.backend_v(mi.Float) == dr.JitBackend.LLVM else 1 << 18)
-        count = dr.full(mi.UInt32, photons // lanes, lanes) + dr.select(
-            dr.arange(mi.UInt32, lanes) < photons % lanes, mi.UInt32(1), mi.UInt32(0)
-        )
+        rng, count = lanes(photons, seed)
         blood = media.zones(self.scene)
         tallies = len(media.TISSUES) + blood.count - 1
         results = [dr.zeros(mi.UInt32, photons)] + [dr.zeros(mi.Float, photons) for _ in range(2 + tallies)]
         events = _walk(
-            mi.PCG32(size=lanes, initstate=dr.opaque(mi.UInt64, seed)),
+            rng,
             count,
             self.mesh_scene,
             self.triangles,
@@ -278,7 +276,7 @@ def _walk(
     region_of: _RegionTable,
     emitter: dict[str, Any],
     edges: list[Any],
-    width: Any,
+    passage: Any,
     results: list[Any],
     section: Section | None,
     board: BoardMap | None,
@@ -286,13 +284,13 @@ def _walk(
     """Scatterings per lane; a lane walks one photon after the other, so that none waits for one long life."""
     F, U = mi.Float, mi.UInt32
     outcome_of, weight_of, roulette_of, *path_of = results
-    lanes, kinds, inner = dr.width(count), len(media.TISSUES), len(edges)
-    photon = dr.arange(U, lanes)
+    width, kinds, inner = dr.width(count), len(media.TISSUES), len(edges)
+    photon = dr.arange(U, width)
     p, w, life = _launch(rng, emitter)
-    tau, boost, given = dr.zeros(F, lanes), dr.full(F, 1, lanes), dr.zeros(F, lanes)
-    region = dr.full(U, 0, lanes) + region_of.epoxy
-    age, events = dr.zeros(U, lanes), dr.zeros(U, lanes)
-    path = [dr.zeros(F, lanes) for _ in range(kinds + inner)]
+    tau, boost, given = dr.zeros(F, width), dr.full(F, 1, width), dr.zeros(F, width)
+    region = dr.full(U, 0, width) + region_of.epoxy
+    age, events = dr.zeros(U, width), dr.zeros(U, width)
+    path = [dr.zeros(F, width) for _ in range(kinds + inner)]
     active = count > 0
     while dr.hint(active, label="finger walk"):
         mu_s = dr.gather(F, region_of.mu_s, region, active)
@@ -310,7 +308,7 @@ def _walk(
         while active & (step < free) & (spent < FREE_EVENTS):
             middle = dr.fma(0.5 * step, w.y, p.y)
             for k in range(inner):
-                t = dr.clip((middle - edges[k]) / width + 0.5, 0, 1)
+                t = dr.clip((middle - edges[k]) / passage + 0.5, 0, 1)
                 passed[k] = passed[k] + dr.select(in_bed, step * t * t * (3 - 2 * t), 0)
             if section is not None:
                 section.add(p + w * (0.5 * step), step * boost * _dimmed(dr.fma(along, mu_a, tau)), True)
@@ -322,13 +320,14 @@ def _walk(
             spent += 1
 
         stuck = active & (spent < FREE_EVENTS)
-        pi = scene.ray_intersect_preliminary(mi.Ray3f(p, w, step, mi.Float(0), []), coherent=False, active=stuck)
+        ray: Any = mi.Ray3f(p, w, step, 0, [])  # type: ignore[call-overload]
+        pi = scene.ray_intersect_preliminary(ray, coherent=False, active=stuck)
         hit = stuck & pi.is_valid()
         gone = stuck & ~hit & ~scatters
         step = dr.select(stuck & ~gone, dr.select(hit, pi.t, step), 0)
         middle = dr.fma(0.5 * step, w.y, p.y)
         for k in range(inner):
-            t = dr.clip((middle - edges[k]) / width + 0.5, 0, 1)
+            t = dr.clip((middle - edges[k]) / passage + 0.5, 0, 1)
             passed[k] = passed[k] + dr.select(in_bed, step * t * t * (3 - 2 * t), 0)
             path[kinds + k] = path[kinds + k] + passed[k]
         if section is not None:
@@ -390,7 +389,7 @@ def _walk(
             for target, value in zip(path_of, path, strict=True):
                 dr.scatter(target, value, photon)
             path = [F(0) for _ in path]
-            photon += lanes
+            photon += width
             count -= 1
             p, w, life = _launch(rng, emitter)
             tau, boost, given = F(0), F(1), F(0)

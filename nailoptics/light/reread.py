@@ -53,7 +53,7 @@ def course(
         raise InputError(f"blood_fraction has shape {states.shape}; give (states, {count}), one value for each zone.")
     low, high = states.min(0), states.max(0)
     varies = np.flatnonzero(high - low > 1e-12)
-    counts = [_nodes_needed(transfer, k, high[k] - low[k], so2) for k in varies]
+    counts = [_nodes_needed(transfer, int(k), high[k] - low[k], so2) for k in varies]
     if len(states) <= np.prod(counts) or len(varies) > MAX_ZONES_BETWEEN_NODES:
         return Course(*_sums(transfer, states, states[0], so2, electrons))
     nodes, weights = _barycentric(states[:, varies], low[varies], high[varies], counts)
@@ -128,7 +128,8 @@ def _sums(
         sums = np.zeros((4, *shape[1:]))
         order = np.argsort(trace.photodiode, kind="stable")
         edges = np.searchsorted(trace.photodiode[order], np.arange(shape[1] + 1))
-        for j, start in ((j, start) for j in range(shape[1]) for start in range(edges[j], edges[j + 1], CHUNK)):
+        pieces = [(p, at) for p in range(shape[1]) for at in range(edges[p], edges[p + 1], CHUNK)]
+        for j, start in pieces:
             chunk = order[start : min(start + CHUNK, edges[j + 1])]
             weight = _weights(trace.path_mm[chunk], mu_a, share) * trace.weight[chunk, None]
             change = weight[:, 1:] - weight[:, :1]

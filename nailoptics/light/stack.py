@@ -22,6 +22,7 @@ from .walk import (
     energy_sums,
     fresnel,
     henyey_greenstein,
+    lanes,
     lifetime,
     turn,
 )
@@ -102,14 +103,11 @@ def walk_stack(phantom: Phantom, led: Led, *, photons: int, seed: int) -> StackB
         "thickness": [min(layer.thickness_mm, FAR) for layer in layers],
         "emission": emission_table(led),
     }
-    lanes = min(photons, 8192 if dr.backend_v(mi.Float) == dr.JitBackend.LLVM else 1 << 18)
-    shape = dr.full(mi.UInt32, photons // lanes, lanes) + dr.select(
-        dr.arange(mi.UInt32, lanes) < photons % lanes, mi.UInt32(1), mi.UInt32(0)
-    )
+    rng, count = lanes(photons, seed)
     results = [dr.zeros(mi.UInt32, photons)] + [dr.zeros(mi.Float, photons) for _ in range(6 + len(layers))]
     events = _walk(
-        mi.PCG32(size=lanes, initstate=dr.opaque(mi.UInt64, seed)),
-        shape,
+        rng,
+        count,
         {name: mi.Float(values) for name, values in tables.items()},
         results,
     )
@@ -184,13 +182,13 @@ def _walk(rng: Any, count: Any, tables: dict[str, Any], results: list[Any]) -> A
     n, mu_a, mu_s, g, thickness = (tables[name] for name in ("n", "mu_a", "mu_s", "g", "thickness"))
     emission = tables["emission"]
     outcome_of, weight_of, roulette_of, u_of, v_of, x_of, y_of, *path_of = results
-    lanes, last_layer = dr.width(count), len(path_of) - 1
-    photon = dr.arange(U, lanes)
+    width, last_layer = dr.width(count), len(path_of) - 1
+    photon = dr.arange(U, width)
     u, v, bounced, w, life = _launch(rng, n, emission)
-    x, y, depth, tau = dr.zeros(F, lanes), dr.zeros(F, lanes), dr.zeros(F, lanes), dr.zeros(F, lanes)
-    layer, age, events = dr.zeros(U, lanes), dr.zeros(U, lanes), dr.zeros(U, lanes)
-    boost, given = dr.full(F, 1, lanes), dr.zeros(F, lanes)
-    path = [dr.zeros(F, lanes) for _ in range(last_layer + 1)]
+    x, y, depth, tau = dr.zeros(F, width), dr.zeros(F, width), dr.zeros(F, width), dr.zeros(F, width)
+    layer, age, events = dr.zeros(U, width), dr.zeros(U, width), dr.zeros(U, width)
+    boost, given = dr.full(F, 1, width), dr.zeros(F, width)
+    path = [dr.zeros(F, width) for _ in range(last_layer + 1)]
     active = count > 0
     while dr.hint(active, label="stack walk"):
         mus = dr.gather(F, mu_s, layer, active)
@@ -242,7 +240,7 @@ def _walk(rng: Any, count: Any, tables: dict[str, Any], results: list[Any]) -> A
             for k in range(last_layer + 1):
                 dr.scatter(path_of[k], path[k], photon)
                 path[k] = F(0)
-            photon += lanes
+            photon += width
             count -= 1
             u, v, bounced, w, life = _launch(rng, n, emission)
             x, y, depth, tau, boost, given = F(0), F(0), F(0), F(0), F(1), F(0)

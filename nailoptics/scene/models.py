@@ -1,7 +1,7 @@
 """A scene: a finger or a phantom, with the LEDs and photodiodes that look at it."""
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, model_validator
 
@@ -12,7 +12,7 @@ from .finger import Finger
 from .touch import Touch
 
 Wavelength = Annotated[float, Field(ge=200, le=3000)]
-PARTS = {"part": LedPart, "array": PhotodiodeArrayPart}
+PARTS: dict[str, Any] = {"part": LedPart, "array": PhotodiodeArrayPart}
 FROM_PART = {
     "part": {"wavelength_nm", "fwhm_nm", "flux_mw", "size_mm", "pattern"},
     "array": {"elements", "size_mm", "pitch_mm", "quantum_efficiency", "dark_current_na", "shunt_mohm"},

@@ -77,7 +77,7 @@ class Touch(Table):
     def force_at(self, time_s: np.ndarray) -> np.ndarray:
         """Force at the given times, (t,) float. [N]"""
         time_s = np.asarray(time_s, float)
-        if self.recorded_time_s is not None:
+        if self.recorded_time_s is not None and self.recorded_force_n is not None:
             return np.interp(time_s, self.recorded_time_s, self.recorded_force_n)
         if self.profile == "hold":
             return np.full(time_s.shape, self.force_n)

@@ -39,7 +39,9 @@ def modulation(scene: nail.Scene, walk: nail.Transfer) -> None:
     readings = course(walk, states)
     change, error = readings.change[0, PHOTODIODE, 1], readings.change_stderr[0, PHOTODIODE, 1]
     ours = (change / error) ** 2 / walk.cpu_seconds
-    print(f"modulation   {change:.3e} +- {error:.1e}   figure of merit {ours:10.3g}  one trace, {walk.cpu_seconds:.0f} s")
+    print(
+        f"modulation   {change:.3e} +- {error:.1e}   figure of merit {ours:10.3g}  one trace, {walk.cpu_seconds:.0f} s"
+    )
     shape, zones = geometry.build(scene), media.zones(scene)
     led = scene.leds[0].wavelength_nm
     v = np.linspace(-15, 10, 501)
@@ -71,8 +73,8 @@ def modulation(scene: nail.Scene, walk: nail.Transfer) -> None:
         name = "two renders, roles swapped" if swapped else "two renders"
         found = means[1] - means[0]
         print(
-            f"             {found:.3e} +- {np.sqrt(sum(variances)):.1e}   figure of merit {stock:10.3g}  {name}, {cpu:.0f} s;"
-            f" ratio {ours / stock:.3g}"
+            f"             {found:.3e} +- {np.sqrt(sum(variances)):.1e}   figure of merit {stock:10.3g}  {name}, "
+            f"{cpu:.0f} s; ratio {ours / stock:.3g}"
         )
 
 
@@ -88,7 +90,9 @@ def press(scene: nail.Scene) -> None:
     start = time.perf_counter()
     course(transfer, states, electrons=True)
     seen = sum(len(trace.weight) for trace in transfer.traces)
-    print(f"press        10 000 states x 3 LEDs x 8 photodiodes in {time.perf_counter() - start:.2f} s ({seen} photons)")
+    print(
+        f"press        10 000 states x 3 LEDs x 8 photodiodes in {time.perf_counter() - start:.2f} s ({seen} photons)"
+    )
 
 
 def board(scene: nail.Scene) -> None:
