@@ -8,12 +8,13 @@ from .errors import InputError, NailopticsError, NotReachedError
 from .scene import Scene, load_scene
 
 if TYPE_CHECKING:
+    from .batch import open_results
     from .light import Transfer, trace
 
 __version__ = "0.1.0"
 
 # Names that would pull in slow packages are imported when first used.
-_LATER = {"trace": ".light", "Transfer": ".light"}
+_LATER = {"trace": ".light", "Transfer": ".light", "open_results": ".batch"}
 
 
 def __getattr__(name: str) -> Any:
@@ -30,5 +31,6 @@ __all__ = [
     "Transfer",
     "hemodynamics",
     "load_scene",
+    "open_results",
     "trace",
 ]

@@ -223,6 +223,105 @@ def trace(
 
 
 @app.command
+def batch(
+    sweep: Annotated[Path, Parameter(help="A sweep file (TOML); with --status, the folder of a batch.")],
+    *,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="Folder of the batch.")] = None,
+    workers: Annotated[int | None, Parameter(help="Processes on this machine; one per core if not given.")] = None,
+    scheduler: Annotated[str | None, Parameter(help="Dask scheduler in their place, such as tcp://host:8786.")] = None,
+    shard: Annotated[str | None, Parameter(help="I/N: do only the I-th of N parts, for job arrays.")] = None,
+    dry_run: Annotated[bool, Parameter(negative="", help="Estimate processor time and disk, and end.")] = False,
+    retry_failed: Annotated[bool, Parameter(negative="", help="Try again what failed before.")] = False,
+    status: Annotated[bool, Parameter(negative="", help="Show how far a batch is, and end.")] = False,
+    json_: Json = False,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    relative_error: RelativeError = None,
+    max_seconds: Annotated[float | None, Parameter(help="Wall time after which the run stops. [s]")] = None,
+    photons: Photons = None,
+) -> None:
+    """Do all scenes of a sweep, or what is left of them; a run that was killed goes on where it was.
+
+    Writes table.csv and report.html beside the results; nailoptics.open_results(DIR) opens them in Python.
+    """
+    import dataclasses
+
+    from . import batch as batches
+
+    if status:
+        found = batches.status(output or sweep)
+        _print_json(dataclasses.asdict(found) | {"left": found.left}) if json_ else print(found)
+        return
+    planned = batches.load_sweep(sweep)
+    asked: dict[str, Any] = {"seed": seed, "backend": backend, "photons": photons, "relative_error": relative_error}
+    if dry_run:
+        cost = batches.estimate(planned, **asked)
+        _print_json(dataclasses.asdict(cost)) if json_ else print(cost)
+        return
+    if output is None:
+        raise InputError("batch needs -o DIR, a folder for its results.")
+    unmet = None
+    try:
+        with _batch_progress() as progress:
+            outcome = batches.run_batch(
+                planned,
+                output,
+                workers=workers,
+                scheduler=scheduler,
+                shard=shard,
+                retry_failed=retry_failed,
+                max_seconds=max_seconds,
+                progress=progress,
+                **asked,
+            )
+    except NotReachedError as error:
+        if not isinstance(error.result, batches.Outcome):
+            raise
+        outcome, unmet = error.result, error
+    from .report.sweep_page import write_sweep_page
+
+    results = batches.open_results(output)
+    table = batches.write_table(results, output / "table.csv")
+    write_sweep_page(results, output / "report.html", failures=outcome.failed)
+    if json_:
+        told = dataclasses.asdict(outcome) | {"results": str(output), "table": str(table)}
+        _print_json(told | {"report": str(output / "report.html")})
+    else:
+        print(f"{len(outcome.done)} scenes done from {outcome.lights} traces, {len(outcome.kept)} were there before")
+        print(f"{output / 'report.html'}\n{table}")
+    if unmet:
+        raise NotReachedError(str(unmet))
+
+
+@contextmanager
+def _batch_progress() -> Iterator[Any]:
+    """The same over scenes: a bar with time left, or a line every ten seconds; failures as they come."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+
+    console = Console(stderr=True, soft_wrap=True)
+    live = bool(sys.stderr and sys.stderr.isatty())
+    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    last = 0.0
+    with Bar(*columns, console=console, disable=not live) as bar:
+        task = bar.add_task("", total=None)
+
+        def show(p: Any) -> None:
+            nonlocal last
+            left = "" if p.seconds_left is None else f"{p.seconds_left:.0f} s left"
+            bar.update(task, completed=p.done + p.failed, total=p.total, description=left)
+            if p.said:
+                bar.console.print(f"nailoptics: {p.said}", markup=False, highlight=False)
+            elif not live and p.seconds - last >= 10:
+                last = p.seconds
+                failed = f", {p.failed} failed" if p.failed else ""
+                print(f"nailoptics: {p.done} of {p.total} scenes{failed}, {left}", file=sys.stderr, flush=True)
+
+        yield show
+
+
+@app.command
 def check(scene: ScenePath, *, json_: Json = False) -> None:
     """Check a scene file: fields, parts, layout, hemodynamic set and, for a finger, the geometry."""
     asked = _load(scene)

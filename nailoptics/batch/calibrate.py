@@ -9,6 +9,7 @@ from ..light import reuse
 from ..scene import Scene
 from . import reading, record
 from .plan import plan
+from .status import told_time
 from .sweep import Sweep
 from .work import Settings, reads_transfer
 
@@ -25,6 +26,15 @@ class Estimate:
     cpu_seconds: float
     cpu_seconds_without_sharing: float
     disk_bytes: int
+
+    def __str__(self) -> str:
+        saved = self.cpu_seconds_without_sharing / self.cpu_seconds if self.cpu_seconds else 1.0
+        return (
+            f"{self.scenes} scenes from {self.lights} traces of light\n"
+            f"about {told_time(self.cpu_seconds)} of processor time ({told_time(self.cpu_seconds_without_sharing)} if "
+            f"every scene were traced: {saved:.1f} times as much)\n"
+            f"about {self.disk_bytes / 1e6:.1f} MB of disk"
+        )
 
 
 def estimate(

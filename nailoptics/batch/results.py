@@ -10,7 +10,7 @@ from ..errors import InputError
 from . import reading
 from .folder import Folder
 from .plan import size
-from .record import CorruptError
+from .record import CorruptError, write_whole
 
 DONE, MISSING, FAILED, CORRUPT = "done", "missing", "failed", "corrupt"
 
@@ -129,11 +129,8 @@ def write_table(results: xr.Dataset, path: str | Path) -> Path:
                     kept.append(column)
     frame = results[kept].to_dataframe()
     path = Path(path)
-    aside = path.with_name(f".{path.name}.part")
     try:
-        frame.to_csv(aside)
-        aside.replace(path)
+        write_whole(path, frame.to_csv().encode(), flush=False)
     except OSError as error:
-        aside.unlink(missing_ok=True)
         raise InputError(f"{path}: cannot be written: {error.strerror}; choose another place.") from None
     return path

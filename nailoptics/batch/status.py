@@ -34,6 +34,27 @@ class Status:
         """Scenes that a run would still work on."""
         return self.total - self.done - len(self.failed)
 
+    def __str__(self) -> str:
+        lines = [f"{self.done} of {self.total} scenes done, {self.left} left, {len(self.failed)} failed"]
+        if self.below:
+            lines.append(f"{self.below} of those left are there, but less accurate than asked")
+        if self.corrupt:
+            lines.append(f"{self.corrupt} results are not what was written; the next run makes them again")
+        if self.left:
+            pace = "nothing moved in the last ten minutes"
+            if self.seconds_left is not None:
+                pace = f"about {told_time(self.seconds_left)} left at the pace of the last ten minutes"
+            lines.append(pace)
+        lines += [f"failed: {digest[:12]} {why}" for digest, why in self.failed.items()]
+        return "\n".join(lines)
+
+
+def told_time(seconds: float) -> str:
+    """A duration for people."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
 
 def status(folder: str | Path) -> Status:
     """How far a batch is; raises InputError where the folder holds none."""

@@ -1,0 +1,154 @@
+"""One self-contained HTML page of a sweep: what is done, plots over its axes, and its failures."""
+
+import html
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+
+from ..batch.record import write_whole
+from ..errors import InputError
+from . import style
+from .numbers import prefix, significant
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Axes after which no more figures are drawn, and lines in one of them.
+FIGURES, LINES = 6, 12
+_QUANTITIES = ("volts_change_peak", "volts_start", "detected_fraction_rest")
+
+
+def write_sweep_page(results: xr.Dataset, path: Path, *, failures: Mapping[str, str]) -> None:
+    """Write the page of a sweep, whole or not at all; raises InputError where it cannot be written."""
+    try:
+        write_whole(path, sweep_page(results, failures=failures).encode(), flush=False)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}; choose another folder.") from None
+
+
+def sweep_page(results: xr.Dataset, *, failures: Mapping[str, str]) -> str:
+    """The page as text.
+
+    results : what `batch.open_results` returns.
+    failures : why scenes failed, by digest.
+    """
+    css = resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
+    title = str(results.attrs["title"]).removeprefix("nailoptics: ")
+    states, counts = np.unique(results.state.values, return_counts=True)
+    total = int(counts.sum())
+    lead = f"{total} scenes: " + ", ".join(f"{n} {s}" for s, n in zip(states, counts, strict=True)) + "."
+    body = [
+        f"<header><p class='kicker'>nailoptics · sweep</p><h1>{_(title)}</h1><p class='lead'>{_(lead)}</p></header>",
+        "<section><h2>The axes</h2>",
+        _axes_table(results),
+        "</section>",
+        *_figures(results),
+        *_failures(failures),
+        "<section class='provenance'><h2>To make this again</h2><dl>",
+        *(
+            f"<div><dt>{_(name)}</dt><dd>{_(str(results.attrs[name]))}</dd></div>"
+            for name in ("seed", "backend", "engine", "versions")
+            if name in results.attrs
+        ),
+        "</dl></section>",
+    ]
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        '<meta name="color-scheme" content="light dark">'
+        f"<title>{_(title)} – nailoptics</title><style>{css}</style></head>\n<body><main>\n"
+        + "\n".join(body)
+        + "\n</main></body></html>\n"
+    )
+
+
+def axes_of(results: xr.Dataset) -> list[str]:
+    """Names of the sweep's axes: the coordinates along the dimensions of its scenes."""
+    return [str(n) for n, c in results.coords.items() if c.dims and set(c.dims) <= set(results.state.dims)]
+
+
+def _axes_table(results: xr.Dataset) -> str:
+    rows = []
+    for name in axes_of(results):
+        coord = results[name]
+        values = list(dict.fromkeys(coord.values.tolist()))
+        if coord.dtype.kind in "iuf":
+            told = f"{significant(min(values), 4)} to {significant(max(values), 4)}"
+        else:
+            told = ", ".join(str(v) for v in values[:8]) + (", …" if len(values) > 8 else "")
+        place = str(coord.attrs.get("long_name", ""))
+        rows.append(f"<tr><th>{_(name)}</th><td>{_(place)}</td><td>{len(values)}</td><td>{_(told)}</td></tr>")
+    head = "<tr><th>Axis</th><th>Place in the scene</th><th>Values</th><th>From, to</th></tr>"
+    return f'<div class="scroll"><table><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table></div>'
+
+
+def _figures(results: xr.Dataset) -> list[str]:
+    quantity = next((q for q in _QUANTITIES if q in results), None)
+    if quantity is None:
+        return []
+    text = str(results[quantity].attrs["long_name"])
+    lines = [
+        f"<section><h2>{_(text[0].upper() + text[1:])}</h2>",
+        "<p class='small'>Bars are one standard error of the light tracing. Along an axis, every other axis is held "
+        "at its middle value; in a sweep of single samples every sample is a point.</p>",
+    ]
+    for i, name in enumerate([n for n in axes_of(results) if len(np.unique(results[n])) > 1][:FIGURES]):
+        drawing = style.to_svg(_along(results, quantity, name), name=f"axis{i}", description=f"{text} over {name}")
+        caption = f"Over {results[name].attrs.get('long_name', name) or name}."
+        lines.append(f'<figure><div class="scroll">{drawing}</div><figcaption>{_(caption)}</figcaption></figure>')
+    return [*lines, "</section>"]
+
+
+def _along(results: xr.Dataset, quantity: str, name: str) -> "Figure":
+    (dim,) = results[name].dims
+    others = {d: results.sizes[d] // 2 for d in results.state.dims if d != dim}
+    values, errors = results[quantity].isel(others), results[f"{quantity}_stderr"].isel(others)
+    coordinate = results[name].values
+    numeric = coordinate.dtype.kind in "iuf"
+    x = coordinate.astype(float) if numeric else np.arange(len(coordinate))
+    scattered = name not in results.state.dims
+    scale, letter = prefix(float(np.nanmax(np.abs(values.values), initial=0.0)))
+    pairs = [(i, j) for i in range(values.sizes["led"]) for j in range(values.sizes["photodiode"])]
+    with style.drawing():
+        figure = style.new_figure(6.4, 2.9)
+        axes = figure.add_subplot()
+        for (i, j), colour in zip(pairs[:LINES], style.place_colours(min(len(pairs), LINES)), strict=False):
+            one = {"led": i, "photodiode": j}
+            axes.errorbar(
+                x,
+                values.isel(one).transpose(dim).values / scale,
+                errors.isel(one).transpose(dim).values / scale,
+                color=colour,
+                marker="o",
+                markersize=3,
+                linestyle="none" if scattered or not numeric else "-",
+                linewidth=1.2,
+                label=style.plain(f"{values.led.values[i]} → {values.photodiode.values[j]}"),
+            )
+        unit = str(results[quantity].attrs["units"])
+        axes.set_ylabel(f"[{letter}{unit}]" if unit != "1" else (f"[10^{round(np.log10(scale))}]" if letter else "[1]"))
+        axes.set_xlabel(style.plain(name))
+        if not numeric:
+            axes.set_xticks(x, [style.plain(str(v)[:24]) for v in coordinate])
+        if pairs:
+            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+def _failures(failures: Mapping[str, str]) -> list[str]:
+    if not failures:
+        return []
+    rows = "".join(f"<tr><td>{_(digest[:12])}</td><td>{_(why)}</td></tr>" for digest, why in failures.items())
+    head = "<tr><th>Scene</th><th>Why</th></tr>"
+    return [
+        f"<section><h2>{len(failures)} failed</h2>",
+        f'<div class="scroll"><table><thead>{head}</thead><tbody>{rows}</tbody></table></div></section>',
+    ]
+
+
+def _(text: str) -> str:
+    return html.escape(text)
