@@ -4,6 +4,7 @@ import json
 import logging
 import math
 import os
+import signal
 import sys
 import warnings
 from collections.abc import Iterator
@@ -488,7 +489,44 @@ def _announced(backend: BackendName, scene: "Scene") -> tuple[BackendName, str]:
 
 @contextmanager
 def _progress() -> Iterator[Any]:
-    """A progress callback: a bar with time left on a terminal, a line every ten seconds elsewhere."""
+    """A progress callback that shows how far a trace is, and hears Ctrl-C."""
+    with _shown() as show, _interrupts() as interrupted:
+
+        def told(p: "Progress") -> None:
+            show(p)
+            if interrupted():
+                raise KeyboardInterrupt
+
+        yield told
+
+
+@contextmanager
+def _interrupts() -> Iterator[Any]:
+    """Whether Ctrl-C was pressed, which is asked between batches; a second one ends everything at once.
+
+    Compiled code turns an interrupt into errors of its own, and what was traced would be lost.
+    """
+    pressed: list[int] = []
+
+    def note(number: int, frame: Any) -> None:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        pressed.append(number)
+        _complain("stopping after this batch; press Ctrl-C again to stop at once.", 0)
+
+    try:
+        before = signal.signal(signal.SIGINT, note)
+    except ValueError:  # not the main thread
+        yield lambda: False
+        return
+    try:
+        yield lambda: bool(pressed)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _shown() -> Iterator[Any]:
+    """Shows progress: a bar with time left on a terminal, a line every ten seconds elsewhere."""
     if not (sys.stderr and sys.stderr.isatty()):
         told: dict[str, float] = {}
 
