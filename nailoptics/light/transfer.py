@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -262,7 +262,8 @@ class Transfer:
         count = len(self.photodiodes)
 
         def total(values: np.ndarray) -> np.ndarray:
-            return np.bincount(trace.photodiode, values, minlength=count)
+            # Of no photons at all numpy makes integers.
+            return np.bincount(trace.photodiode, values, minlength=count).astype(float)
 
         def by_absorber(values: np.ndarray, power: int) -> np.ndarray:
             return np.stack([total(values * column**power) for column in path.T], -1)
@@ -281,7 +282,8 @@ class Transfer:
         """Effective photons of each pair in the state that was traced."""
         out = []
         for trace in self.traces:
-            one, two = (np.bincount(trace.photodiode, trace.weight**p, minlength=len(self.photodiodes)) for p in (1, 2))
+            counts = len(self.photodiodes)
+            one, two = (np.bincount(trace.photodiode, trace.weight**p, minlength=counts).astype(float) for p in (1, 2))
             out.append(np.divide(one**2, two, out=np.zeros_like(one), where=two > 0))
         return out
 
@@ -327,6 +329,7 @@ class Transfer:
         }
 
 
+@cache
 def versions() -> dict[str, str]:
     """Versions of what decides a result's bits."""
     return {name: version(name) for name in ("nailoptics", "mitsuba", "drjit", "numpy")}
