@@ -1,8 +1,9 @@
-"""What similarity would buy, and at what bias: why the walk keeps the full phase function. Run: python bench_similarity.py
+"""What similarity would buy, and at what bias: why the walk keeps the full phase function.
 
-The middle of validation's slab scatters less often and more evenly, with the same reduced scattering (g* = 0) or with the
-same first two moments (g* = g / (1 + g)); a margin below and above keeps the full phase function. Printed for each:
-reading of the photodiode 2 mm away, its bias against the full walk in standard errors, and figure of merit per CPU second.
+Run: python bench_similarity.py. The middle of a slab scatters less often and more evenly, with the same reduced
+scattering (g* = 0) or with the
+same first two moments (g* = g / (1 + g)); a margin below and above keeps the full phase function. Printed:
+reading of the photodiode 2 mm away, its bias against the full walk, and figure of merit per CPU second.
 """
 
 import math
