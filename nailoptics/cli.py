@@ -224,6 +224,82 @@ def trace(
 
 
 @app.command
+def compare(
+    scene: ScenePath,
+    *,
+    output: Folder = None,
+    over: Annotated[
+        tuple[Literal["force", "blood", "saturation"], ...],
+        Parameter(help="What is swept: force, blood fraction 0-10 %, saturation 1-0.5. May be repeated."),
+    ] = ("force", "blood"),
+    wavelength_nm: Annotated[
+        tuple[float, ...], Parameter(help="Trace every LED at this wavelength too. May be repeated. [nm]")
+    ] = (),
+    require: Annotated[
+        float | None,
+        Parameter(help="Exit with 1 unless the fitted model stays within this part of every reading's swing."),
+    ] = None,
+    model: Annotated[
+        Literal["taylor", "beer_lambert"], Parameter(help="The model that --require judges: (9) or (8).")
+    ] = "taylor",
+    json_: Json = False,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    relative_error: RelativeError = None,
+    max_seconds: MaxSeconds = None,
+    photons: Photons = None,
+) -> None:
+    """Compare traced light with the paper's Taylor (9) and Beer-Lambert (8): where they hold, and why not further.
+
+    Writes compare.nc and compare.html.
+    """
+    from .light.store import write_dataset
+    from .report.compare_page import write_comparison
+    from .studies.compare import compare as study
+    from .studies.verdict import summary, verdict
+
+    asked = _load(scene)
+    if require is not None and not 0 < require < math.inf:
+        raise InputError(f"--require {require:g} must be a part of the swing above 0, such as 0.05.")
+    result: Any = None
+    unmet = None
+    with _writable(output or Path("results") / Path(scene).stem, "compare.nc", "compare.html") as folder:
+        try:
+            with _progress() as progress:
+                result = study(
+                    asked,
+                    over=over,
+                    wavelengths_nm=wavelength_nm,
+                    seed=seed,
+                    backend=_announced(backend, asked)[0],
+                    photons=photons,
+                    relative_error=relative_error,
+                    max_seconds=max_seconds,
+                    progress=progress,
+                )
+        except NotReachedError as error:
+            if error.result is None:
+                raise
+            result, unmet = error.result, error
+        paths = {"result": folder / "compare.nc", "report": folder / "compare.html"}
+        write_dataset(result, paths["result"])
+        write_comparison(result, paths["report"])
+    judged = verdict(result, 0.05 if require is None else require, model=model)
+    if json_:
+        files = {name: str(path) for name, path in paths.items()}
+        _print_json(summary(result) | {"verdict": vars(judged)} | files)
+    else:
+        for line in (judged, *paths.values()):
+            print(line)
+    if require is not None and judged.outcome == "missed":
+        raise NailopticsError(f"{judged}")
+    if unmet:
+        raise NotReachedError(f"{unmet} What was reached is in {folder}.")
+    if require is not None and judged.outcome == "undecided":
+        raise NotReachedError(f"{judged}")
+
+
+@app.command
 def batch(
     sweep: Annotated[Path, Parameter(help="A sweep file (TOML); with --status, the folder of a batch.")],
     *,
@@ -370,17 +446,24 @@ def export(scene: ScenePath, *, output: Annotated[Path, Parameter(name=["--outpu
 def figures(
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder for the pictures.")],
-    sets: Annotated[tuple[str, ...], Parameter(name="--set", help="Named parameter sets; all if not given.")] = (),
+    sets: Annotated[
+        tuple[str, ...], Parameter(name="--set", negative="", help="Named parameter sets; all if not given.")
+    ] = (),
+    touch: Annotated[
+        Path | None, Parameter(help="Recorded touch for Figs. 17-18, a CSV with time_s, force_n; else the subjects'.")
+    ] = None,
     json_: Json = False,
 ) -> None:
     """Draw the paper's Figs. 10-12 and 15-18 from parameter sets, and judge its claims."""
     from . import hemodynamics
     from .hemodynamics.judge import as_rows, as_text, table
     from .report.hemodynamic_figures import draw
+    from .scene.touch import read_recording
 
+    time_s, force_n = (None, None) if touch is None else read_recording(touch)
     named = {name: hemodynamics.parameters(name) for name in sets or hemodynamics.NAMES}
     with _writable(output):
-        pictures = [path for name, values in named.items() for path in draw(output, values, name=name)]
+        pictures = [path for name, values in named.items() for path in draw(output, values, name=name, time_s=time_s, force_n=force_n)]
     judged = table(named)
     if json_:
         _print_json({"claims": as_rows(judged), "pictures": [str(path) for path in pictures]})

@@ -88,16 +88,16 @@ def as_rows(judged: Mapping[str, list[Claim]]) -> list[dict[str, object]]:
 
 
 def as_text(judged: Mapping[str, list[Claim]]) -> str:
-    """Return the table as text: the measured value for each set, a + before it where the claim is met, else a -."""
+    """Return the table as text: the measured value for each set, and whether it meets the claim."""
     rows = as_rows(judged)
     claim_width = max(len(str(row["claim"])) for row in rows)
     rule_width = max(len(str(row["rule"])) for row in rows)
-    width = max(11, *(len(name) + 1 for name in judged))
+    width = max(18, *(len(name) + 1 for name in judged))
     lines = [f"{'fig.':<6} {'claim':<{claim_width}} {'rule':<{rule_width}} " + "".join(f"{n:>{width}}" for n in judged)]
     for row in rows:
         cells = ""
         for verdict in row["sets"].values():  # type: ignore[attr-defined]
-            cells += f"{('+' if verdict['met'] else '-') + format(verdict['value'], '.3g'):>{width}}"
+            cells += f"{format(verdict['value'] or 0.0, '.3g') + (' met    ' if verdict['met'] else ' not met'):>{width}}"
         lines.append(f"{row['figure']:<6} {row['claim']:<{claim_width}} {row['rule']:<{rule_width}} {cells}")
     met = "".join(f"{sum(claim.met for claim in claims):>{width}}" for claims in judged.values())
     lines.append(f"{'':<6} {'claims met of ' + str(len(rows)):<{claim_width}} {'':<{rule_width}} {met}")
