@@ -134,8 +134,8 @@ def _check_apart(parts: list[tuple[str, Rectangle]]) -> None:
 def _barriers(
     scene: Scene, leds: tuple[Rectangle, ...], photodiodes: list[Rectangle], outline: Rectangle
 ) -> tuple[Rectangle, ...]:
-    """Straight walls over the whole board, each midway between the LEDs on one side and the photodiodes."""
-    width = scene.board.barrier_um * 1e-3
+    """Straight walls over the whole board, each at the asked gap from the LEDs on one side, or midway."""
+    width, beside = scene.board.barrier_um * 1e-3, scene.board.barrier_gap_mm
     u_low, u_high = min(r.u_min for r in photodiodes), max(r.u_max for r in photodiodes)
     v_low, v_high = min(r.v_min for r in photodiodes), max(r.v_max for r in photodiodes)
     sides: dict[str, list[Rectangle]] = {"left": [], "right": [], "below": [], "above": []}
@@ -147,29 +147,28 @@ def _barriers(
             "above": led.v_min - v_high,
         }
         side = max(gaps, key=lambda key: gaps[key])
-        if gaps[side] < width + 0.02:
+        if gaps[side] < width + (beside or 0.0) + 0.02:
             raise ValueError(
                 f'board.barrier: LED "{led.name}" lies {max(gaps[side], 0):.3g} mm beside the photodiodes, which '
-                f"leaves no room for a wall of {width:g} mm; move it, make barrier_um smaller, or set barrier = false"
+                f"leaves no room for a wall of {width:g} mm{f' at a gap of {beside:g} mm' if beside else ''}; "
+                "move it, make barrier_um smaller, or set barrier = false"
             )
         sides[side].append(led)
     walls = []
     for side, group in sides.items():
         if not group:
             continue
+        # The wall's middle: from the edge of the nearest LED outwards, or halfway to the photodiodes.
+        edge, facing, outward = {
+            "left": (max(r.u_max for r in group), u_low, 1),
+            "right": (min(r.u_min for r in group), u_high, -1),
+            "below": (max(r.v_max for r in group), v_low, 1),
+            "above": (min(r.v_min for r in group), v_high, -1),
+        }[side]
+        middle = (edge + facing) / 2 if beside is None else edge + outward * (beside + width / 2)
         if side in ("left", "right"):
-            middle = (
-                (u_low + max(r.u_max for r in group)) / 2
-                if side == "left"
-                else (u_high + min(r.u_min for r in group)) / 2
-            )
             walls.append(Rectangle(side, middle - width / 2, middle + width / 2, outline.v_min, outline.v_max))
         else:
-            middle = (
-                (v_low + max(r.v_max for r in group)) / 2
-                if side == "below"
-                else (v_high + min(r.v_min for r in group)) / 2
-            )
             walls.append(Rectangle(side, outline.u_min, outline.u_max, middle - width / 2, middle + width / 2))
     for wall in walls:
         for led in leds:

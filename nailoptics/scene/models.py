@@ -9,6 +9,7 @@ from ..assets import LedPart, PhotodiodeArrayPart, load_part
 from ..errors import InputError
 from .base import WAVELENGTH_RANGE_NM, Fraction, Name, NonNegative, Point, Positive, Size, Table
 from .finger import Finger
+from .placement import Placement
 from .touch import Touch
 
 Wavelength = Annotated[float, Field(ge=200, le=3000)]
@@ -196,6 +197,8 @@ class Board(Table):
     """A wall of opaque epoxy between LEDs and photodiodes, from the board to the nail."""
     barrier_um: Annotated[float, Field(ge=20, le=2000)] = 150.0
     """Thickness of that wall. [um]"""
+    barrier_gap_mm: Annotated[float, Field(ge=0.02, le=5)] | None = None
+    """Distance from the nearest LED to that wall; midway to the photodiodes if not given. [mm]"""
     cover_um: Annotated[float, Field(ge=20, le=5000)] = 500.0
     """Thickness of the opaque cover on top. [um]"""
     opaque_reflectance: Fraction = 0.04
@@ -287,6 +290,8 @@ class Scene(Table):
     """How the light is traced."""
     accuracy: Accuracy = Accuracy()
     """What the answer must reach."""
+    placement: Placement | None = None
+    """Where LEDs and photodiodes may go, for the search of a layout."""
 
     @model_validator(mode="after")
     def _finger_or_phantom(self) -> Self:
