@@ -30,7 +30,7 @@ class Estimate:
     def __str__(self) -> str:
         saved = self.cpu_seconds_without_sharing / self.cpu_seconds if self.cpu_seconds else 1.0
         return (
-            f"{self.scenes} scenes from {self.lights} traces of light\n"
+            f"{self.scenes} scenes, light traced {self.lights} times\n"
             f"about {told_time(self.cpu_seconds)} of processor time ({told_time(self.cpu_seconds_without_sharing)} if "
             f"every scene were traced: {saved:.1f} times as much)\n"
             f"about {self.disk_bytes / 1e6:.1f} MB of disk"

@@ -4,13 +4,15 @@ import contextlib
 import multiprocessing
 import os
 from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 
-from ..errors import InputError
+from ..errors import InputError, NailopticsError
 from .work import prepare
 
 # Read by NumPy's BLAS when a worker imports it; one thread each, so that sums are the same on every machine.
 _SINGLE = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+# A worker may be killed by chance while it starts, but hardly so often.
+_STARTS = 5
 
 
 class Slots:
@@ -19,6 +21,9 @@ class Slots:
     executors: list[Executor]
     # Whether a slot has its own process, so that its death tells which job it was.
     own_process: bool
+
+    def start(self) -> None:
+        """Wait until there is someone to work."""
 
     def renew(self, slot: int) -> None:
         """Replace a slot whose worker died."""
@@ -41,6 +46,22 @@ class LocalSlots(Slots):
 
     def _new(self) -> ProcessPoolExecutor:
         return ProcessPoolExecutor(1, mp_context=self.context, initializer=prepare, initargs=(self.threads,))
+
+    def start(self) -> None:
+        for _ in range(_STARTS):
+            broken = []
+            for slot, ready in enumerate([e.submit(os.getpid) for e in self.executors]):
+                try:
+                    ready.result()
+                except BrokenExecutor:
+                    broken.append(slot)
+            if not broken:
+                return
+            for slot in broken:
+                self.renew(slot)
+        raise NailopticsError(
+            "the worker processes die as they start; in a script, run batches under if __name__ == '__main__': only."
+        )
 
     def renew(self, slot: int) -> None:
         self.executors[slot].shutdown(wait=False, cancel_futures=True)
@@ -67,7 +88,7 @@ class ClusterSlots(Slots):
         except ImportError:
             raise InputError("--scheduler needs Dask: pip install 'nailoptics[cluster]'.") from None
         try:
-            self.client = Client(address, timeout="20s", set_as_default=False)
+            self.client = Client(address, timeout="10s", set_as_default=False)
         except (OSError, ValueError) as error:
             why = str(error).splitlines()[0]
             raise InputError(f"--scheduler {address}: cannot be reached ({why}); start dask scheduler first.") from None

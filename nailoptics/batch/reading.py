@@ -25,28 +25,24 @@ def relative_error(dataset: xr.Dataset) -> float:
 
 
 def _at_rest(transfer: Transfer) -> xr.Dataset:
-    rest = transfer.at()
-    keep = ("effective_photons", "mean_path_mm", "mean_path_mm_stderr", "wavelength_nm")
-    dataset = rest[list(keep)]
-    energy = transfer.energy()
-    return dataset.assign(
+    rest, energy = transfer.at(), transfer.energy()
+    kept = {name: rest.variables[name] for name in ("effective_photons", "mean_path_mm", "mean_path_mm_stderr")}
+    fraction, pair = rest.variables["detected_fraction"], {"ancillary_variables": "detected_fraction_rest_stderr"}
+    share = {"units": "1", "long_name": "share of the emitted power", "ancillary_variables": "energy_stderr"}
+    error = {"units": "1", "long_name": "standard error of the share of the emitted power"}
+    # One constructor: every further step of xarray costs as much as a small trace.
+    return xr.Dataset(
         {
-            "detected_fraction_rest": rest.detected_fraction.assign_attrs(
-                ancillary_variables="detected_fraction_rest_stderr"
-            ),
-            "detected_fraction_rest_stderr": rest.detected_fraction_stderr,
-            "energy": (
-                "part",
-                [part["value"] for part in energy.values()],
-                {"units": "1", "long_name": "share of the emitted power", "ancillary_variables": "energy_stderr"},
-            ),
-            "energy_stderr": (
-                "part",
-                [part["stderr"] for part in energy.values()],
-                {"units": "1", "long_name": "standard error of the share of the emitted power"},
-            ),
-        }
-    ).assign_coords(part=list(energy))
+            "detected_fraction_rest": (fraction.dims, fraction.values, fraction.attrs | pair),
+            "detected_fraction_rest_stderr": rest.variables["detected_fraction_stderr"],
+            **kept,
+            "wavelength_nm": rest.variables["wavelength_nm"],
+            "energy": ("part", [part["value"] for part in energy.values()], share),
+            "energy_stderr": ("part", [part["stderr"] for part in energy.values()], error),
+        },
+        coords={"part": list(energy)} | {name: rest.variables[name] for name in ("led", "photodiode", "absorber")},
+        attrs=rest.attrs,
+    )
 
 
 def _simulate(transfer: Transfer, seed: int) -> xr.Dataset:

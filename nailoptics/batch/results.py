@@ -27,13 +27,17 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
     place = Folder(Path(folder))
     plan = place.read_plan()
     dims, shape = tuple(plan["dims"]), tuple(plan["dims"].values())
+    names = [axis["name"] for axis in plan["axes"]]
     states, found = [], []
     for digest in plan["scenes"]:
         one, state = None, MISSING
         try:
             stored = place.read_result(digest)
             if stored is not None:
-                one, state = _one(*stored, course), DONE
+                one = _one(*stored, course)
+                # An axis may be called as a result is: leds.ir.wavelength_nm.
+                one = one.rename({name: f"{name}_result" for name in names if name in one.data_vars})
+                state = DONE
         except CorruptError:
             state = CORRUPT
         if one is None and state == MISSING and place.failure(digest).exists():

@@ -165,7 +165,7 @@ class _Driver:
         self.running: dict[Future[Report], tuple[int, Job]] = {}
         self.deaths: dict[str, int] = {}
         self.left = {digest for job in jobs for digest, _ in job.scenes}
-        self.first_report: float | None = None
+        self.started = begin
         self.reported, self.trouble = 0, ""
 
     def run(self, slots: Slots) -> None:
@@ -174,6 +174,8 @@ class _Driver:
         waiting_until = 0.0
         orderly = False
         try:
+            slots.start()
+            self.started = time.time()
             while (self.queue or self.running) and not (self.trouble and not self.running):
                 now = time.time()
                 late = self.settings.deadline is not None and now >= self.settings.deadline
@@ -232,7 +234,6 @@ class _Driver:
             self.trouble = f"the folder takes no more ({report.storage}); make room and run again"
             return False
         self.reported += len(report.done) + len(report.unmet) + len(report.failed)
-        self.first_report = self.first_report or time.time()
         self.outcome.done += report.done
         self.outcome.unmet += report.unmet
         self.outcome.failed |= report.failed
@@ -282,10 +283,8 @@ class _Driver:
         if self.progress is None:
             return
         now, seconds_left = time.time(), None
-        if self.first_report is not None and self.reported:
-            # The start of the workers is not part of the pace.
-            paced = max(now - (self.first_report if self.reported > 20 else self.begin), 1e-9)
-            seconds_left = paced / self.reported * len(self.left)
+        if self.reported:
+            seconds_left = (now - self.started) / self.reported * len(self.left)
         done = self.outcome.total - len(self.left) - len(self.outcome.failed)
         self.progress(
             Progress(done, self.outcome.total, len(self.outcome.failed), now - self.begin, seconds_left, said)

@@ -166,7 +166,7 @@ def _axes(tables: list[dict[str, Any]], combine: str, data: dict[str, Any]) -> t
 
 
 # Names that the results themselves use.
-_TAKEN = {"led", "photodiode", "absorber", "zone", "time", "scene", "sample", "part"}
+_TAKEN = {"led", "photodiode", "absorber", "zone", "time", "scene", "sample", "part", "state", "digest"}
 
 
 def _values(table: dict[str, Any], where: str, column: np.ndarray | None) -> tuple[Any, ...]:

@@ -1,0 +1,74 @@
+"""Small sweeps that batches are tested with."""
+
+from pathlib import Path
+
+import pytest
+
+from nailoptics.batch import Sweep, load_sweep
+
+PHANTOM = """
+schema_version = 1
+{top}
+[base]
+schema_version = 1
+[base.phantom]
+[[base.phantom.layers]]
+name = "slab"
+thickness_mm = 1.0
+mu_a_per_mm = 0.1
+mu_s_per_mm = 5.0
+g = 0.8
+n = 1.4
+[[base.leds]]
+name = "beam"
+wavelength_nm = 800.0
+pattern = "pencil"
+[[base.photodiodes]]
+name = "p"
+aperture = true
+position_mm = [1.0, 0.0]
+[base.accuracy]
+{accuracy}
+"""
+
+
+def phantoms(
+    folder: Path,
+    count: int,
+    *,
+    accuracy: str = "photons = 500",
+    low: float = 0.5,
+    path: str = "phantom.layers.slab.thickness_mm",
+) -> Sweep:
+    """So many slabs of different thickness, each a light of its own."""
+    file = folder / f"slabs{count}.toml"
+    axis = f'[[axes]]\npath = "{path}"\nlinspace = [{low}, 3.0, {count}]\n'
+    file.write_text(PHANTOM.format(top="", accuracy=accuracy) + axis)
+    return load_sweep(file)
+
+
+FINGERS = """
+schema_version = 1
+base = "prototype"
+[[axes]]
+path = "blood.so2"
+values = [0.75, 0.97]
+[[axes]]
+path = "electronics.feedback_ohm"
+values = [1e6, 2e6]
+[[axes]]
+path = "accuracy.photons"
+values = [30000]
+"""
+
+
+@pytest.fixture
+def fingers(tmp_path: Path) -> Sweep:
+    """Four scenes of one finger that share their light."""
+    (tmp_path / "fingers.toml").write_text(FINGERS)
+    return load_sweep(tmp_path / "fingers.toml")
+
+
+def bits(folder: Path) -> dict[str, bytes]:
+    """All results of a batch folder, byte by byte."""
+    return {path.name: path.read_bytes() for path in sorted((folder / "results").glob("*.dat"))}

@@ -1,0 +1,131 @@
+"""One trace for many scenes: what shares it, and that what is read from it is what a trace of the scene gives."""
+
+import numpy as np
+import pytest
+
+import nailoptics as nail
+from nailoptics.light import reuse
+from nailoptics.scene import Accuracy, load_scene, parse_scene
+
+from .conftest import phantoms
+
+
+def prototype():
+    from nailoptics.assets import data_dir
+
+    return load_scene(data_dir("scenes") / "prototype.toml")
+
+
+def changed(scene, table, **update):
+    return scene.model_copy(update={table: getattr(scene, table).model_copy(update=update)})
+
+
+def test_what_does_not_change_the_light_leaves_its_digest():
+    scene = prototype()
+    key = reuse.light_digest(scene)
+    led = scene.leds[0].model_copy(update={"name": "x", "flux_mw": 9.0, "fwhm_nm": 3.0, "part": None})
+    diode = scene.photodiodes[0].model_copy(update={"dark_current_na": 5.0, "quantum_efficiency": 0.5})
+    same = [
+        changed(scene, "blood", so2=0.6, rest_blood_fraction=0.1, parameters="listed"),
+        changed(scene, "finger", melanin_fraction=0.3),
+        changed(scene, "touch", force_n=7.0),
+        changed(scene, "electronics", adc_bits=8),
+        changed(scene, "accuracy", relative_error=0.5),
+        scene.model_copy(update={"leds": (led,)}),
+        scene.model_copy(update={"photodiodes": (diode, *scene.photodiodes[1:])}),
+    ]
+    assert [reuse.light_digest(s) for s in same] == [key] * len(same)
+
+
+def test_what_changes_the_light_changes_its_digest():
+    scene = prototype()
+    other = [
+        changed(scene, "blood", zone_width_mm=1.0),
+        changed(scene, "blood", zone_edges_mm=(0.5,)),
+        changed(scene, "finger", nail_thickness_mm=0.5),
+        changed(scene, "board", clear_epoxy_um=300.0),
+        changed(scene, "light", index_steps=False),
+        scene.model_copy(update={"leds": (scene.leds[0].model_copy(update={"wavelength_nm": 660.0}),)}),
+        scene.model_copy(update={"leds": (scene.leds[0].model_copy(update={"position_mm": (-1.2, 1.0)}),)}),
+    ]
+    assert len({reuse.light_digest(s) for s in [scene, *other]}) == 1 + len(other)
+
+
+def grown(scene, *, asked, have=None, seed=0):
+    kind = reuse.tracer(scene, "auto")
+    need = reuse.Need(scene, 0, asked, kind(reuse.reference(scene)).mu_a(0))
+    traced: list[int] = []
+
+    class Counting(kind):
+        def batch(self, led, *, photons, seed):
+            traced.append(photons)
+            return super().batch(led, photons=photons, seed=seed)
+
+    batches = reuse.grow(
+        lambda: Counting(reuse.reference(scene)),
+        0,
+        have,
+        [need],
+        seed=seed,
+        full=kind.batch_photons,
+        stop=lambda: False,
+        save=lambda _: None,
+    )
+    sizes, met = need.settled(batches, kind.batch_photons)
+    assert met
+    return batches, sizes, traced
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("which", ["phantom", "finger"])
+def test_a_trace_for_many_is_the_trace_of_one_bit_for_bit(jit_backend, tmp_path, which):
+    """A scene whose blood is the reference's: nail.trace walks the same photons with the same seeds."""
+    if which == "phantom":
+        scene, photons = phantoms(tmp_path, 2).scenes[0], 700_000
+    else:
+        scene, photons = prototype(), 50_000
+    batches, sizes, _ = grown(scene, asked=Accuracy(photons=photons), seed=5)
+    mine = reuse.transfer_of(scene, [batches.trace(sizes, seed=5, led=0)], backend=jit_backend.name)
+    theirs = nail.trace(scene, photons=photons, seed=5)
+    assert mine.photodiodes == theirs.photodiodes and mine.absorbers == theirs.absorbers
+    for name in ("photodiode", "weight", "path_mm"):
+        assert np.array_equal(getattr(mine.traces[0], name), getattr(theirs.traces[0], name))
+    assert mine.traces[0].energy == theirs.traces[0].energy and mine.traces[0].seeds == theirs.traces[0].seeds
+
+
+@pytest.mark.jit
+def test_another_state_read_from_the_shared_trace_meets_its_own_trace(jit_backend):
+    scene = changed(changed(prototype(), "blood", so2=0.75, rest_blood_fraction=0.05), "finger", melanin_fraction=0.1)
+    batches, sizes, _ = grown(scene, asked=Accuracy(photons=1 << 19))
+    shared = reuse.transfer_of(scene, [batches.trace(sizes, seed=0, led=0)], backend=jit_backend.name).at()
+    own = nail.trace(scene, photons=1 << 19, seed=99).at()
+    off = (shared.detected_fraction - own.detected_fraction) / np.hypot(
+        shared.detected_fraction_stderr, own.detected_fraction_stderr
+    )
+    assert float(abs(off).max()) < 4
+    total, error = float(own.detected_fraction.sum()), np.linalg.norm(own.detected_fraction_stderr.values)
+    assert error < 0.04 * total
+
+
+@pytest.mark.jit
+def test_a_tighter_error_goes_on_from_what_is_there_and_ends_where_a_fresh_trace_ends(jit_backend, tmp_path):
+    scene = phantoms(tmp_path, 2).scenes[0]
+    coarse, coarse_sizes, _ = grown(scene, asked=Accuracy(relative_error=0.002))
+    fine, fine_sizes, more = grown(scene, asked=Accuracy(relative_error=0.0012), have=coarse)
+    fresh, fresh_sizes, every = grown(scene, asked=Accuracy(relative_error=0.0012))
+    assert len(coarse_sizes) < len(fine_sizes) == len(fresh_sizes)
+    assert len(more) == len(fine_sizes) - len(coarse.pieces) and len(every) == len(fresh_sizes)
+    one, two = (b.trace(fine_sizes, seed=0, led=0) for b in (fine, fresh))
+    assert np.array_equal(one.weight, two.weight) and one.energy == two.energy and one.seeds == two.seeds
+
+
+def test_errors_are_looked_at_seldom_and_at_fixed_numbers():
+    looks = [n for n in range(1, 400) if reuse.is_look(n)]
+    assert looks[:6] == [1, 2, 3, 4, 5, 6] and len(looks) < 30
+    assert all(b <= max(a + 1, 1.25 * a) for a, b in zip(looks, looks[1:], strict=False))
+
+
+def test_the_reference_of_a_scene_is_its_own_reference():
+    for scene in (prototype(), parse_scene(nail.scene.to_toml(prototype()))):
+        once = reuse.reference(scene)
+        assert reuse.reference(once) == once

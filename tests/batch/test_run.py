@@ -1,0 +1,249 @@
+"""A batch loses nothing: kills, failures, damage, full disks and rivals, and always the same bits."""
+
+import multiprocessing
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nailoptics as nail
+from nailoptics.batch import Outcome, Progress, Sweep, estimate, load_sweep, run_batch, status
+from nailoptics.batch.plan import of_shard, parse_shard, plan
+from nailoptics.batch.work import Settings
+from nailoptics.errors import InputError, NotReachedError
+from nailoptics.scene import Accuracy
+
+from .conftest import FINGERS, bits, phantoms
+
+pytestmark = pytest.mark.jit
+
+
+def children() -> list[int]:
+    return [child.pid for child in multiprocessing.active_children() if child.pid]
+
+
+def test_a_run_gives_each_scene_its_reading_and_a_second_run_does_nothing(jit_backend, tmp_path):
+    sweep = phantoms(tmp_path, 6)
+    outcome = run_batch(sweep, tmp_path / "b", workers=1)
+    assert (len(outcome.done), outcome.lights, outcome.failed) == (6, 6, {})
+    results = nail.open_results(tmp_path / "b")
+    assert results.detected_fraction_rest.dims == ("thickness_mm", "led", "photodiode")
+    assert results.thickness_mm.values == pytest.approx(np.linspace(0.5, 3.0, 6))
+    direct = nail.trace(sweep.scenes[4], seed=0).at()
+    assert results.detected_fraction_rest[4].item() == direct.detected_fraction.item()
+    before = bits(tmp_path / "b")
+    again = run_batch(sweep, tmp_path / "b", workers=1)
+    assert (len(again.done), len(again.kept)) == (0, 6) and again.seconds < 2
+    assert bits(tmp_path / "b") == before
+
+
+def test_random_kills_change_no_bit(jit_backend, tmp_path):
+    """A worker is killed (SIGKILL) after every seventh scene; what is left is the work of an undisturbed run."""
+    sweep = phantoms(tmp_path, 40)
+    run_batch(sweep, tmp_path / "calm", workers=1)
+    rng, killed = random.Random(1), [0]
+
+    def kill(p: Progress) -> None:
+        if p.done + p.failed >= 7 * (killed[0] + 1) and children():
+            killed[0] += 1
+            os.kill(rng.choice(children()), signal.SIGKILL)
+
+    outcome = finish(sweep, tmp_path / "killed", workers=2, progress=kill)
+    assert killed[0] >= 4 and outcome.total == 40
+    assert bits(tmp_path / "killed") == bits(tmp_path / "calm")
+    assert not list((tmp_path / "killed").glob("failed/*.json"))
+
+
+def finish(sweep, folder: Path, **options) -> Outcome:
+    """Runs until everything is done."""
+    for _ in range(20):
+        try:
+            return run_batch(sweep, folder, retry_failed=True, **options)
+        except NotReachedError:
+            continue
+    raise AssertionError("twenty runs were not enough")
+
+
+def test_a_scene_that_kills_its_worker_again_and_again_fails_alone(jit_backend, tmp_path):
+    """Of three scenes one is endless; its worker is killed twice, as for lack of memory, and the others are done."""
+    sweep = phantoms(tmp_path, 3)
+    endless = sweep.scenes[2].model_copy(update={"accuracy": Accuracy(photons=10_000_000_000)})
+    sweep = Sweep(sweep.name, sweep.axes, sweep.dims, (*sweep.scenes[:2], endless))
+    last, said = [time.time()], []
+
+    def kill(p: Progress) -> None:
+        if p.said:
+            said.append(p.said)
+            last[0] = time.time()
+        if p.done == 2 and time.time() - last[0] > 3 and children():
+            last[0] = time.time()
+            os.kill(children()[0], signal.SIGKILL)
+
+    with pytest.raises(NotReachedError, match="killed 2 times") as caught:
+        run_batch(sweep, tmp_path / "b", workers=1, progress=kill)
+    assert len(caught.value.result.done) == 2 and len(caught.value.result.failed) == 1
+    assert any("tried again" in line for line in said)
+    assert len(status(tmp_path / "b").failed) == 1
+
+
+def driver(sweep_file: Path, folder: Path, *options: str, **kwargs) -> subprocess.Popen:
+    command = [sys.executable, "-m", "nailoptics", "batch", str(sweep_file), "-o", str(folder), *options]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **kwargs)
+
+
+def test_a_killed_driver_takes_its_workers_along_and_the_next_run_goes_on(jit_backend, tmp_path):
+    sweep = phantoms(tmp_path, 30)
+    process = driver(tmp_path / "slabs30.toml", tmp_path / "b", "--workers", "2")
+    deadline = time.time() + 60
+    while len(bits(tmp_path / "b")) < 4 and time.time() < deadline:
+        time.sleep(0.01)
+    tasks = Path(f"/proc/{process.pid}/task")
+    workers = [int(p) for t in tasks.iterdir() for p in (t / "children").read_text().split()] if tasks.exists() else []
+    process.kill()
+    process.communicate()
+    there = bits(tmp_path / "b")
+    assert 4 <= len(there) < 30
+    while any(Path(f"/proc/{w}").exists() for w in workers) and time.time() < deadline:
+        time.sleep(0.05)
+    assert not [w for w in workers if Path(f"/proc/{w}").exists()]
+    outcome = run_batch(sweep, tmp_path / "b", workers=1)
+    assert len(outcome.kept) >= len(there) and len(outcome.kept) + len(outcome.done) == 30
+    run_batch(sweep, tmp_path / "calm", workers=1)
+    assert bits(tmp_path / "b") == bits(tmp_path / "calm")
+
+
+def test_two_runs_in_one_folder_share_the_work(jit_backend, tmp_path):
+    sweep = phantoms(tmp_path, 30)
+    rivals = [driver(tmp_path / "slabs30.toml", tmp_path / "b", "--workers", "1", "--json") for _ in range(2)]
+    told = [rival.communicate(timeout=120) for rival in rivals]
+    assert [r.returncode for r in rivals] == [0, 0], told
+    run_batch(sweep, tmp_path / "calm", workers=1)
+    assert bits(tmp_path / "b") == bits(tmp_path / "calm")
+
+
+def test_the_number_of_workers_and_threads_changes_no_bit(jit_backend, fingers, tmp_path):
+    run_batch(fingers, tmp_path / "one", workers=1, threads=1)
+    run_batch(fingers, tmp_path / "two", workers=2, threads=2)
+    assert bits(tmp_path / "one") == bits(tmp_path / "two")
+    results = nail.open_results(tmp_path / "one", course=True)
+    volts = results.volts.sel(so2=0.97).squeeze("photons", drop=True)
+    assert volts.dims == ("feedback_ohm", "led", "photodiode", "time")
+    ratio = volts.isel(feedback_ohm=1) / volts.isel(feedback_ohm=0)
+    assert not bool(results.saturated_ever.any()) and float(abs(ratio - 2).max()) < 0.05
+
+
+def test_scenes_of_one_light_trace_it_once(jit_backend, fingers, tmp_path):
+    outcome = run_batch(fingers, tmp_path / "b", workers=1)
+    assert (outcome.lights, outcome.total) == (1, 4)
+    assert len(list((tmp_path / "b" / "light").iterdir())) == 1
+
+
+def test_a_damaged_result_and_damaged_light_are_found_said_and_made_again(jit_backend, tmp_path):
+    sweep = phantoms(tmp_path, 4)
+    run_batch(sweep, tmp_path / "b", workers=1)
+    before = bits(tmp_path / "b")
+    results, lights = (sorted((tmp_path / "b" / n).iterdir()) for n in ("results", "light"))
+    results[0].write_bytes(results[0].read_bytes()[:-1] + b"?")
+    results[1].write_bytes(b"")
+    for light in lights:
+        light.write_bytes(light.read_bytes()[:200])
+    assert status(tmp_path / "b").corrupt == 2
+    said = []
+    outcome = run_batch(sweep, tmp_path / "b", workers=1, progress=lambda p: p.said and said.append(p.said))
+    assert bits(tmp_path / "b") == before
+    assert len(outcome.done) == 2 and len(outcome.kept) == 2 and len(outcome.corrupt) == 4
+    assert sum("checksum" in line for line in said) == 4
+
+
+def test_a_failed_scene_is_recorded_stops_no_other_and_is_retried_when_asked(jit_backend, tmp_path):
+    text = FINGERS.replace("electronics.feedback_ohm", "blood.parameters").replace("[1e6, 2e6]", '["listed", "none"]')
+    (tmp_path / "s.toml").write_text(text)
+    sweep = load_sweep(tmp_path / "s.toml")
+    with pytest.raises(NotReachedError, match="2 failed") as caught:
+        run_batch(sweep, tmp_path / "b", workers=1)
+    assert len(caught.value.result.done) == 2 and all("none" in why for why in caught.value.result.failed.values())
+    with pytest.raises(NotReachedError) as caught:
+        run_batch(sweep, tmp_path / "b", workers=1)
+    assert len(caught.value.result.kept) == 2 and caught.value.result.seconds < 2
+    with pytest.raises(NotReachedError) as caught:
+        run_batch(sweep, tmp_path / "b", workers=1, retry_failed=True)
+    assert caught.value.result.seconds > 1
+    results = nail.open_results(tmp_path / "b")
+    assert sorted(results.state.values.ravel()) == ["done", "done", "failed", "failed"]
+    assert np.isnan(results.volts_start.sel(parameters="none")).all()
+
+
+def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(jit_backend, tmp_path):
+    """A limit on the size of files stands in for a full disk."""
+    import resource
+
+    sweep = phantoms(tmp_path, 3, accuracy="photons = 60000")
+    process = driver(
+        tmp_path / "slabs3.toml",
+        tmp_path / "b",
+        "--workers",
+        "1",
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000)),
+    )
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == 3 and "make room and run again" in told
+    assert not list((tmp_path / "b").glob("*/.*.part"))
+    assert len(run_batch(sweep, tmp_path / "b", workers=1).done) == 3
+
+
+def test_a_time_limit_keeps_the_light_and_the_next_run_continues_it(jit_backend, tmp_path):
+    sweep = phantoms(tmp_path, 2, accuracy="photons = 4_000_000_000")
+    sizes = []
+    for _ in range(2):
+        with pytest.raises(NotReachedError, match="max_seconds") as caught:
+            run_batch(sweep, tmp_path / "b", workers=1, max_seconds=5)
+        assert caught.value.result.unfinished == 2 and not bits(tmp_path / "b")
+        sizes.append(sum(p.stat().st_size for p in (tmp_path / "b" / "light").iterdir()))
+    assert sizes[1] > sizes[0] > 0
+
+
+def test_more_accuracy_later_continues_and_gives_the_bits_of_a_fresh_run(jit_backend, tmp_path):
+    sweep = phantoms(tmp_path, 2, accuracy="relative_error = 0.003")
+    run_batch(sweep, tmp_path / "b", workers=1)
+    run_batch(sweep, tmp_path / "b", workers=1, relative_error=0.0012)
+    assert (nail.open_results(tmp_path / "b").relative_error < 0.0012).all()
+    run_batch(sweep, tmp_path / "fresh", workers=1, relative_error=0.0012)
+    assert bits(tmp_path / "b") == bits(tmp_path / "fresh")
+    assert len(run_batch(sweep, tmp_path / "b", workers=1).kept) == 2
+
+
+def test_shards_are_all_scenes_once_and_never_split_a_light(fingers, tmp_path):
+    settings = Settings(tmp_path, 0, "llvm")
+    planned = plan(phantoms(tmp_path, 11), settings)
+    parts = [of_shard(planned, parse_shard(f"{i}/3")) for i in (1, 2, 3)]
+    assert sorted(p.digest for part in parts for p in part) == sorted(p.digest for p in planned)
+    assert [len(part) for part in parts] == [4, 4, 3]
+    assert [len(of_shard(plan(fingers, settings), (i, 2))) for i in (1, 2)] == [4, 0]
+
+
+@pytest.mark.parametrize("shard", ["0/3", "4/3", "1", "a/b", "1/0"])
+def test_a_wrong_shard_is_told(shard):
+    with pytest.raises(InputError, match="--shard"):
+        parse_shard(shard)
+
+
+def test_a_folder_of_another_seed_or_backend_is_refused(jit_backend, tmp_path):
+    sweep = phantoms(tmp_path, 2)
+    run_batch(sweep, tmp_path / "b", workers=1)
+    for asked in ({"seed": 1}, {"backend": "scalar"}):
+        with pytest.raises(InputError, match="another folder"):
+            run_batch(sweep, tmp_path / "b", **asked)
+    with pytest.raises(InputError, match="exclude"):
+        run_batch(sweep, tmp_path / "b", workers=1, scheduler="tcp://127.0.0.1:1")
+
+
+def test_an_estimate_tells_what_sharing_light_saves(jit_backend, fingers):
+    cost = estimate(fingers)
+    assert (cost.scenes, cost.lights) == (4, 1) and cost.disk_bytes > 10_000
+    assert cost.cpu_seconds < 0.5 * cost.cpu_seconds_without_sharing

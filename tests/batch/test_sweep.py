@@ -1,0 +1,122 @@
+"""Sweep files become scenes in order, and every mistake in one is told in one line."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from nailoptics.assets import data_dir
+from nailoptics.batch import load_sweep
+from nailoptics.errors import InputError
+
+BASE = 'schema_version = 1\nbase = "prototype"\n'
+
+
+def sweep(tmp_path, text):
+    (tmp_path / "s.toml").write_text(text)
+    return load_sweep(tmp_path / "s.toml")
+
+
+def test_a_product_has_every_pair_and_its_last_axis_varies_fastest(tmp_path):
+    found = sweep(
+        tmp_path,
+        BASE
+        + '[[axes]]\npath = "blood.so2"\nlinspace = [0.8, 0.9, 3]\n'
+        + '[[axes]]\npath = "leds.ir.position_mm"\nvalues = [[-1.2, -1.0], [-1.2, 1.0]]\n',
+    )
+    assert found.dims == {"so2": 3, "position_mm": 2}
+    asked = list(itertools.product([0.8, 0.85, 0.9], [(-1.2, -1.0), (-1.2, 1.0)]))
+    assert [(s.blood.so2, s.leds[0].position_mm) for s in found.scenes] == [
+        (pytest.approx(so2), place) for so2, place in asked
+    ]
+
+
+def test_a_zip_walks_all_axes_together(tmp_path):
+    found = sweep(
+        tmp_path,
+        BASE
+        + 'combine = "zip"\n[[axes]]\npath = "touch.force_n"\nvalues = [0.5, 1.0]\n'
+        + '[[axes]]\npath = "leds[0].flux_mw"\nlogspace = [0.1, 10.0, 2]\n',
+    )
+    assert found.dims == {"sample": 2}
+    assert [(s.touch.force_n, s.leds[0].flux_mw) for s in found.scenes] == [(0.5, 0.1), (1.0, pytest.approx(10.0))]
+
+
+def test_a_latin_hypercube_has_one_sample_in_every_stratum_and_repeats_with_its_seed(tmp_path):
+    text = (
+        'combine = "latin_hypercube"\nsamples = 20\nseed = {}\n'
+        '[[axes]]\npath = "blood.so2"\nrange = [0.5, 1.0]\n'
+        '[[axes]]\npath = "finger.digit"\nvalues = ["index", "middle"]\n'
+    )
+    one, two, other = (sweep(tmp_path, BASE + text.format(seed)) for seed in (3, 3, 4))
+    so2 = np.array([s.blood.so2 for s in one.scenes])
+    assert sorted(np.floor((so2 - 0.5) / 0.5 * 20)) == list(range(20))
+    assert [s.finger.digit for s in one.scenes].count("index") == 10
+    assert one.scenes == two.scenes != other.scenes
+
+
+def test_what_is_not_given_follows_what_is_swept(tmp_path):
+    """A digit sets the sizes of the finger, a part those of the LED: the axis counts as if it were in the file."""
+    found = sweep(tmp_path, BASE + '[[axes]]\npath = "finger.digit"\nvalues = ["index", "thumb"]\n')
+    assert [s.finger.width_mm for s in found.scenes] == [17.5, 21.0]
+
+
+def test_scenes_can_be_listed_and_swept_together(tmp_path):
+    text = (data_dir("scenes") / "prototype.toml").read_text()
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.toml").write_text(text.replace("so2 = 0.97", f"so2 = 0.{9 if name == 'a' else 8}"))
+    listed = sweep(tmp_path, 'schema_version = 1\nscenes = ["a.toml", "b.toml"]\n')
+    assert listed.dims == {"scene": 2} and [s.blood.so2 for s in listed.scenes] == [0.9, 0.8]
+    both = sweep(
+        tmp_path,
+        'schema_version = 1\nscenes = ["a.toml", "b.toml"]\n[[axes]]\npath = "touch.force_n"\nvalues = [1.0, 2.0]\n',
+    )
+    assert both.dims == {"scene": 2, "force_n": 2} and len(both.scenes) == 4
+
+
+@pytest.mark.parametrize("path", sorted((data_dir("scenes") / "sweeps").glob("*.toml")), ids=lambda p: p.stem)
+def test_the_shipped_sweeps_load(path):
+    assert len(load_sweep(path).scenes) >= 20
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "schema_version"),
+        ("schema_version = 1", "either base"),
+        ('schema_version = 1\nbase = 3\n[[axes]]\npath = "blood.so2"\nvalues = [0.5]', "base = 3"),
+        (BASE, "at least one [[axes]]"),
+        (BASE + "axis = 3", "axis is not a known field"),
+        (BASE + "[[axes]]\nvalues = [1]", "axes[0].path is missing"),
+        (BASE + '[[axes]]\npath = "blood..so2"\nvalues = [1]', "is no field"),
+        (BASE + '[[axes]]\npath = "blood.so2"', "exactly one of"),
+        (BASE + '[[axes]]\npath = "blood.so2"\nvalues = []', "at least one value"),
+        (BASE + '[[axes]]\npath = "blood.so2"\nvalues = [1.5]', "blood.so2 = 1.5"),
+        (BASE + '[[axes]]\npath = "blod.so2"\nvalues = [0.5]', 'did you mean "blood"'),
+        (BASE + '[[axes]]\npath = "leds.red.flux_mw"\nvalues = [0.5]', "no item red"),
+        (BASE + '[[axes]]\npath = "leds[4].flux_mw"\nvalues = [0.5]', "no item 4"),
+        (BASE + '[[axes]]\npath = "blood.so2.deep"\nvalues = [0.5]', "goes on at"),
+        (BASE + '[[axes]]\npath = "blood.so2"\nlinspace = [0.5, 1]', "low, high, count"),
+        (BASE + '[[axes]]\npath = "blood.so2"\nlogspace = [0, 1, 3]', "above 0"),
+        (BASE + '[[axes]]\npath = "blood.so2"\nrange = [0, 1]', "Latin hypercube"),
+        (BASE + 'combine = "latin_hypercube"\n[[axes]]\npath = "blood.so2"\nrange = [0, 1]', "samples"),
+        (BASE + 'combine = "both"\n[[axes]]\npath = "blood.so2"\nvalues = [1.0]', "combine"),
+        (BASE + "samples = 3\n" + '[[axes]]\npath = "blood.so2"\nvalues = [1.0]', "latin_hypercube"),
+        (BASE + '[[axes]]\npath = "touch.force_n"\nname = "led"\nvalues = [1.0]', "taken"),
+        (BASE + '[[axes]]\npath = "blood.so2"\nlinspace = [0, 1, 2000000]', "count"),
+        (
+            BASE
+            + 'combine = "zip"\n[[axes]]\npath = "blood.so2"\nvalues = [1.0]\n'
+            + '[[axes]]\npath = "touch.force_n"\nvalues = [1.0, 2.0]',
+            "as many of each",
+        ),
+        ('schema_version = 1\nscenes = ["none.toml"]', "cannot be read"),
+        ("schema_version = 1\nscenes = []", "at least one"),
+        ("no toml", "not valid TOML"),
+    ],
+)
+def test_a_mistake_is_one_line_that_names_file_and_field(tmp_path, text, words):
+    with pytest.raises(InputError) as caught:
+        sweep(tmp_path, text)
+    told = str(caught.value)
+    assert words in told and "\n" not in told and ".toml" in told
