@@ -10,6 +10,7 @@ from .. import geometry
 from ..geometry import Geometry
 from ..scene import Scene
 from . import media
+from .arrivals import Recorder
 from .tracing import Batch
 from .walk import (
     ABSORBED,
@@ -66,13 +67,13 @@ class MeshTracer:
             photons=photons,
             photodiode=(outcome[seen] - DETECTED).astype(np.uint16),
             weight=weight[seen].astype(float),
-            path_mm=self._by_zone(paths[:, seen]),
+            path_mm=self.by_zone(paths[:, seen]),
             energy=energy_sums(whereabouts, weight.astype(float), roulette.astype(float)),
             events=events,
         )
 
     def walk(
-        self, led: int, *, photons: int, seed: int, section: "Section | None" = None, board: "BoardMap | None" = None
+        self, led: int, *, photons: int, seed: int, section: "Section | None" = None, board: Recorder | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
         """Outcome, weight, roulette (n,) and paths (media + zones - 1, n) of each photon; scatterings in all."""
         rng, count = lanes(photons, seed)
@@ -97,7 +98,7 @@ class MeshTracer:
         outcome, weight, roulette, *paths = (np.array(a) for a in results)
         return outcome, weight, roulette, np.stack(paths), int(np.array(events).sum(dtype=np.int64))
 
-    def _by_zone(self, paths: np.ndarray) -> np.ndarray:
+    def by_zone(self, paths: np.ndarray) -> np.ndarray:
         """Paths in the order of the absorbers, (n, r): the bed's divided among its zones."""
         bed = media.TISSUES.index("bed")
         beyond = [paths[bed], *paths[len(media.TISSUES) :], np.zeros_like(paths[bed])]
@@ -126,33 +127,6 @@ class Section:
     def density(self, photons: int) -> np.ndarray:
         """Path per area of the section and emitted photon, (y, z) float. [mm^-1]"""
         return np.array(self.values).reshape(len(self.y_mm), len(self.z_mm)) / (photons * self.spacing_mm**2)
-
-
-class BoardMap:
-    """Light that arrives at the board's underside, by place on the flat board (u across, v along the nail)."""
-
-    def __init__(self, shape: Geometry, u_mm: np.ndarray, v_mm: np.ndarray) -> None:
-        self.u_mm, self.v_mm, self.spacing_mm = u_mm, v_mm, float(u_mm[1] - u_mm[0])
-        self.weight = dr.zeros(mi.Float64, len(u_mm) * len(v_mm))
-        self.square = dr.zeros(mi.Float64, len(u_mm) * len(v_mm))
-        self.low = [dr.opaque(mi.Float, float(axis[0] - self.spacing_mm / 2)) for axis in (u_mm, v_mm)]
-        self.shape = [dr.opaque(mi.UInt32, len(axis)) for axis in (u_mm, v_mm)]
-        self.nail_mm, self.board_mm = (dr.opaque(mi.Float, r) for r in (shape.nail_radius_mm, shape.board_radius_mm))
-
-    def add(self, p: Any, weight: Any, active: Any) -> None:
-        """Count the weights of photons that arrive at p."""
-        u = self.board_mm * dr.atan2(p.x, p.z + self.nail_mm)
-        j = mi.Int32(dr.floor((u - self.low[0]) / self.spacing_mm))
-        k = mi.Int32(dr.floor((p.y - self.low[1]) / self.spacing_mm))
-        inside = active & (j >= 0) & (k >= 0) & (mi.UInt32(j) < self.shape[0]) & (mi.UInt32(k) < self.shape[1])
-        at, value = mi.UInt32(j) * self.shape[1] + mi.UInt32(k), mi.Float64(weight)
-        dr.scatter_reduce(dr.ReduceOp.Add, self.weight, value, at, inside)
-        dr.scatter_reduce(dr.ReduceOp.Add, self.square, value * value, at, inside)
-
-    def sums(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sums of weights and of their squares, (u, v) float64 each."""
-        shape = len(self.u_mm), len(self.v_mm)
-        return np.array(self.weight).reshape(shape), np.array(self.square).reshape(shape)
 
 
 class _RegionTable:
@@ -279,7 +253,7 @@ def _walk(
     passage: Any,
     results: list[Any],
     section: Section | None,
-    board: BoardMap | None,
+    board: Recorder | None,
 ) -> Any:
     """Scatterings per lane; a lane walks one photon after the other, so that none waits for one long life."""
     F, U = mi.Float, mi.UInt32
@@ -291,6 +265,7 @@ def _walk(
     region = dr.full(U, 0, width) + region_of.epoxy
     age, events = dr.zeros(U, width), dr.zeros(U, width)
     path = [dr.zeros(F, width) for _ in range(kinds + inner)]
+    arrived = dr.zeros(U, width)
     active = count > 0
     while dr.hint(active, label="finger walk"):
         mu_s = dr.gather(F, region_of.mu_s, region, active)
@@ -360,7 +335,8 @@ def _walk(
             cos_in = -dr.dot(w, normal)
             if board is not None:
                 arrives = (region == region_of.epoxy) & (dr.gather(U, region_of.on_board, there) == 1)
-                board.add(p, dr.select(tau > life, 0, boost * _dimmed(tau)), arrives)
+                board.add(p, boost * _dimmed(tau), path, photon, arrived, arrives & (tau <= life))
+                arrived += dr.select(arrives, U(1), U(0))
             opaque = dr.gather(U, region_of.opaque, there) == 1
             reflected = spin < dr.select(opaque, dr.gather(F, region_of.reflectance, there), mirrored)
             diffuse = turn(mi.Vector3f(normal), dr.sqrt(rng.next_float32()), phi)
@@ -393,6 +369,6 @@ def _walk(
             count -= 1
             p, w, life = _launch(rng, emitter)
             tau, boost, given = F(0), F(1), F(0)
-            region, age = U(region_of.epoxy), U(0)
+            region, age, arrived = U(region_of.epoxy), U(0), U(0)
         active &= count > 0
     return events

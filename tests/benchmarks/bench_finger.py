@@ -97,17 +97,16 @@ def press(scene: nail.Scene) -> None:
 
 def board(scene: nail.Scene) -> None:
     """CPU time of a walk with the map of the whole board over the same walk without, in turns."""
-    from nailoptics.light.mesh import BoardMap, MeshTracer
+    from nailoptics.light.map import BoardTracer
 
-    tracer = MeshTracer(scene)
-    u, v = np.arange(-1.8, 1.0, 0.1), np.arange(-4.5, 4.5, 0.1)
-    tracer.walk(0, photons=1 << 16, seed=0, board=BoardMap(tracer.shape, u, v))  # compiles
+    tracer = BoardTracer(scene)
+    tracer.arrivals(0, photons=1 << 19, seed=0)  # compiles
     ratios = []
     for seed in range(5):
         spent = []
-        for with_map in (None, BoardMap(tracer.shape, u, v)):
+        for walk in (tracer.tracer.walk, tracer.arrivals):
             start = time.process_time()
-            tracer.walk(0, photons=1 << 19, seed=seed, board=with_map)
+            walk(0, photons=1 << 19, seed=seed)
             spent.append(time.process_time() - start)
         ratios.append(spent[1] / spent[0])
     print(f"board map    {np.median(ratios):8.2f} times the cost of the eight readings")
