@@ -116,7 +116,7 @@ BAD_COMMANDS = {
     "no scene": (["simulate"], "scene"),
     "one scene too many": (["check", "prototype", "prototype"], "prototype"),
     "a scene that is not there": (["simulate", "missing.toml"], "missing.toml"),
-    "a name that is no shipped scene": (["simulate", "protoype"], "shipped: prototype"),
+    "a name that is no shipped scene": (["simulate", "protoype"], "shipped: "),
     "a folder for a scene": (["simulate", "."], "."),
     "a scene's name too long to be one": (["check", "x" * 300], "xxx"),
     "a binary file for a scene": (["check", sys.executable], "not a text file"),
@@ -324,11 +324,11 @@ def test_scalar_phantoms_stop_at_max_seconds_with_exit_code_3(folder, capfd):
 @pytest.mark.jit
 def test_a_photodiode_that_saw_nothing_is_told_as_such(folder, capfd, chosen_jit):
     """No photon seen is no standard error known; it must not be told as 0, nor break the JSON."""
-    assert run(["simulate", "prototype", "--photons", "64", "-o", "few", "--json"]) == 0
+    assert run(["simulate", "prototype", "--photons", "1000", "-o", "few", "--json"]) == 0
     out, err = capfd.readouterr()
     rows = json.loads(out)["readings"]
     assert any(row["volts_start_stderr"] is None for row in rows) and "saw no light" in err
-    assert run(["trace", "prototype", "--photons", "64", "--json"]) == 0
+    assert run(["trace", "prototype", "--photons", "1000", "--json"]) == 0
     assert any(0 < row.get("upper_limit_95", 0) <= 1 for row in only_json(capfd)["readings"])
 
 
@@ -413,15 +413,23 @@ def test_a_library_that_is_none_costs_the_main_job_nothing_but_speed(folder):
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and broken.name in done.stderr
 
 
-def test_a_library_that_aborts_cannot_take_the_main_job_with_it(folder, chosen_llvm):
-    """The same with a real library that loads and then aborts, where one is installed."""
-    old = [path for path in backend._llvm_libraries() if backend._major_version(path) in (15, 16)]
-    if not old:
-        pytest.skip("no libLLVM 15 or 16, which abort, is installed here")
+def test_a_library_that_aborts_cannot_take_the_main_job_with_it(folder):
+    """Rationale: libLLVM 15 and 16 abort the process that runs a kernel. Expected: whatever process tries one dies,
+    really, and the command still answers, with its line of advice."""
     (folder / "phantom.toml").write_text(PHANTOM)
-    environment = {"DRJIT_LIBLLVM_PATH": old[0], "XDG_CACHE_HOME": str(folder / "cache")}
+    (folder / "libLLVM-15.so").write_text("stands for one that aborts")
+    (folder / "path").mkdir()
+    (folder / "path/sitecustomize.py").write_text("import os, sys\nif '-c' in sys.orig_argv:\n    os.abort()\n")
+    environment = {
+        "DRJIT_LIBLLVM_PATH": str(folder / "libLLVM-15.so"),
+        "XDG_CACHE_HOME": str(folder / "cache"),
+        "CUDA_VISIBLE_DEVICES": "",
+        "PYTHONPATH": os.pathsep.join([str(folder / "path"), str(ROOT)]),
+    }
     done = spawn("trace", "phantom.toml", "--json", "--photons", "2000", env=environment)
-    assert done.returncode == 0 and json.loads(done.stdout)["readings"], done.stderr
+    assert done.returncode == 0 and json.loads(done.stdout)["backend"] == "scalar", done.stderr
+    assert "libllvm19" in done.stderr.splitlines()[0]
+    assert "SIGABRT" in spawn("doctor", env=environment).stdout
 
 
 def test_progress_is_plain_lines_in_a_log_and_a_bar_on_a_terminal(folder):

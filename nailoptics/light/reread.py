@@ -53,6 +53,9 @@ def course(
         raise InputError(f"blood_fraction has shape {states.shape}; give (states, {count}), one value for each zone.")
     low, high = states.min(0), states.max(0)
     varies = np.flatnonzero(high - low > 1e-12)
+    if not len(varies):
+        one = _sums(transfer, states[:1], states[0], so2, electrons)
+        return Course(*(np.repeat(values, len(states), -1) for values in one))
     counts = [_nodes_needed(transfer, int(k), high[k] - low[k], so2) for k in varies]
     if len(states) <= np.prod(counts) or len(varies) > MAX_ZONES_BETWEEN_NODES:
         return Course(*_sums(transfer, states, states[0], so2, electrons))

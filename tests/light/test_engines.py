@@ -1,0 +1,164 @@
+"""Either engine behind one face: which one is taken, what is read between volpath's states, and what is told."""
+
+import numpy as np
+import pytest
+
+from nailoptics.errors import InputError
+from nailoptics.light import backend, engines, media, read_rest
+from nailoptics.light.engines import engine_for
+from nailoptics.scene import Scene, parse_scene
+
+FINGER = """
+schema_version = 1
+[finger]
+[[leds]]
+name = "ir"
+wavelength_nm = 800.0
+position_mm = [-1.2, 0.0]
+[[photodiodes]]
+name = "near"
+position_mm = [0.0, 0.0]
+size_mm = [1.0, 0.25]
+[light]
+engine = "{engine}"
+"""
+SCALAR = backend.Backend("scalar", "scalar_rgb", False, None, "asked for")
+LLVM = backend.Backend("llvm", "llvm_ad_mono", True, "libLLVM.so", "asked for")
+
+
+def finger(engine: str = "auto") -> Scene:
+    return parse_scene(FINGER.format(engine=engine))
+
+
+def test_photons_are_taken_where_kernels_are_compiled_and_volpath_elsewhere():
+    assert engine_for(finger(), LLVM) == engine_for(finger("photons"), LLVM) == "photons"
+    assert engine_for(finger(), SCALAR) == engine_for(finger("volpath"), SCALAR) == "volpath"
+    assert engine_for(finger("volpath"), LLVM) == "volpath"
+    with pytest.raises(InputError, match="scalar does not.*doctor") as caught:
+        engine_for(finger("photons"), SCALAR)
+    assert "None" not in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_every_zone_gets_a_state_in_which_it_alone_is_far_from_rest():
+    blood = np.array([[0.03, 0.03], [0.02, 0.03], [0.025, 0.05], [0.03, 0.04]])
+    corners = engines._corners(blood)
+    assert np.array_equal(corners, [[0.03, 0.03], [0.02, 0.03], [0.03, 0.05]])
+
+
+@pytest.mark.parametrize("rest", [0.0, 1e-4, 0.03, 0.9, 1.0])
+def test_blood_that_does_not_move_still_gets_states_that_differ_and_are_possible(rest):
+    corners = engines._corners(np.full((5, 2), rest))
+    assert corners.shape == (3, 2) and np.all((corners >= 0) & (corners <= 1))
+    away = np.diagonal(corners[1:]) - corners[0]
+    assert np.all(abs(away) > 1e-5)
+    assert corners[1, 1] == corners[2, 0] == rest
+
+
+def between(blood: np.ndarray, corners: np.ndarray, ratio: np.ndarray, *, relative: float = 0.05):
+    rest = np.array([[1e-3]])
+    stderr = np.where(ratio == 1, 0, 0.001)
+    return engines._between(rest, np.full((1, 1), relative), ratio, stderr, corners, blood)
+
+
+def test_between_the_states_light_dims_as_in_beer_lambert():
+    """Two zones with paths of 2 and 1 mm at 0.4 per mm and unit of blood: exp of minus both, exactly."""
+    corners = np.array([[0.03, 0.03], [0.05, 0.03], [0.03, 0.01]])
+    slope = np.array([2 * 0.4, 1 * 0.4])
+    ratio = np.exp(-(corners - corners[0]) @ slope)[None, None]
+    blood = np.random.default_rng(1).uniform(0.01, 0.05, (20, 2))
+    blood[0] = [0.03, 0.03]
+    seen = between(blood, corners, ratio)
+    exact = 1e-3 * np.exp(-(blood - 0.03) @ slope)
+    assert np.allclose(seen.fraction[0, 0], exact, rtol=1e-12)
+    assert np.allclose(seen.change[0, 0], exact - 1e-3, atol=1e-15)
+    assert seen.change_stderr[0, 0, 0] == 0 and np.all(seen.stderr >= 0.05 * seen.fraction)
+    assert np.all(seen.change_stderr[..., 1:] < seen.stderr[..., 1:])
+
+
+def test_a_change_is_counted_from_the_first_state_wherever_that_lies():
+    """The first state of a course need not be the corner; the error grows with the way from it, in each zone."""
+    corners = np.array([[0.03, 0.03], [0.05, 0.03], [0.03, 0.01]])
+    ratio = np.array([[[1.0, 0.98, 1.01]]])
+    seen = between(np.array([[0.05, 0.01], [0.03, 0.03], [0.05, 0.01]]), corners, ratio)
+    assert seen.change_stderr[0, 0, 0] == seen.change_stderr[0, 0, 2] == 0 == seen.change[0, 0, 2]
+    assert seen.change_stderr[0, 0, 1] > 1e-3 * 0.001
+
+
+def test_a_photodiode_that_saw_nothing_has_no_error_rather_than_none_at_all():
+    corners = np.array([[0.03, 0.03], [0.05, 0.03], [0.03, 0.01]])
+    nothing = np.array([[[1.0, 1.0, 1.0]]])
+    seen = engines._between(
+        np.zeros((1, 1)), np.full((1, 1), np.nan), nothing, np.full_like(nothing, np.inf), corners, corners
+    )
+    assert np.all(seen.fraction == 0) and not np.isfinite(seen.stderr).any()
+    assert engines._reached(np.array([0.01, np.nan])) == "some photodiode saw no light"
+    assert "0.02" in engines._reached(np.array([0.01, 0.02]))
+
+
+def test_secants_give_the_paths_that_made_them():
+    scene = finger()
+    corners = np.array([[0.03, 0.03], [0.05, 0.03], [0.03, 0.01]])
+    mu_a = media.absorption(scene, 800.0, blood_fraction=corners)[:, 0]
+    names = media.absorbers(scene)
+    path = np.zeros(len(names))
+    path[[names.index("bed_1"), names.index("bed_2")]] = 3.0, 1.5
+    ratio = np.exp(-(mu_a - mu_a[0]) @ path)[None, None]
+    mean, stderr = engines._secant_paths(scene, corners, ratio, np.full_like(ratio, 1e-4))
+    assert mean[0, 0, names.index("bed_1")] == pytest.approx(3.0)
+    assert mean[0, 0, names.index("bed_2")] == pytest.approx(1.5)
+    assert 0 < stderr[0, 0, names.index("bed_1")] < 0.1
+    assert np.isnan(mean[0, 0, names.index("plate")])
+
+
+@pytest.mark.jit
+def test_a_slab_with_several_photodiodes_and_leds_reads_the_same_in_both_engines(jit_backend):
+    """Also what `trace` prints beside the readings: where all the light went."""
+    text = """
+schema_version = 1
+[phantom]
+n_below = 1.33
+[[phantom.layers]]
+name = "upper"
+thickness_mm = 0.5
+mu_a_per_mm = 0.05
+mu_s_per_mm = 5.0
+g = 0.8
+n = 1.5
+[[phantom.layers]]
+name = "lower"
+thickness_mm = 2.0
+mu_a_per_mm = 0.1
+mu_s_per_mm = 8.0
+g = 0.8
+n = 1.4
+[[leds]]
+name = "beam"
+wavelength_nm = 660.0
+pattern = "pencil"
+[[leds]]
+name = "die"
+wavelength_nm = 940.0
+[[photodiodes]]
+name = "near"
+aperture = true
+position_mm = [1.5, 0.0]
+[[photodiodes]]
+name = "far"
+aperture = true
+position_mm = [2.5, 0.0]
+[light]
+engine = "%s"
+"""
+    ours, other = (
+        read_rest(parse_scene(text % engine), relative_error=0.05, seed=3) for engine in ("photons", "volpath")
+    )
+    assert (ours.engine, other.engine) == ("photons", "volpath")
+    assert [(r["led"], r["photodiode"]) for r in ours.readings] == [(r["led"], r["photodiode"]) for r in other.readings]
+    for a, b in zip(ours.readings, other.readings, strict=True):
+        stderr = np.hypot(a["stderr"], b["stderr"])
+        assert abs(a["detected_fraction"] - b["detected_fraction"]) < 4 * stderr
+        assert stderr < 0.08 * a["detected_fraction"]
+    assert ours.energy is not None and other.energy is not None
+    for part in ("reflected", "transmitted", "absorbed"):
+        stderr = np.hypot(ours.energy[part]["stderr"], other.energy[part]["stderr"])
+        assert abs(ours.energy[part]["value"] - other.energy[part]["value"]) < 4 * stderr < 0.05

@@ -1,0 +1,248 @@
+"""The main job, from touch to volts: its signs, its dataset, its seeds, and what is kept when it is cut short."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from nailoptics.assets import data_dir
+from nailoptics.errors import InputError, NotReachedError
+from nailoptics.light import engines, volpath_states
+from nailoptics.light.store import write_dataset
+from nailoptics.scene import Scene, digest, load_scene, parse_scene
+from nailoptics.studies.simulate import blood_course, simulate
+
+
+def prototype(**touch) -> Scene:
+    """The shipped prototype, touched differently."""
+    scene = load_scene(data_dir("scenes") / "prototype.toml")
+    return scene.model_copy(update={"touch": scene.touch.model_copy(update=touch)})
+
+
+@pytest.fixture(scope="module")
+def pressed(chosen_jit) -> dict[str, xr.Dataset]:
+    """The prototype as shipped, and with the force on one side only; a million photons each."""
+    shares = {"as shipped": {}, "proximal": {"proximal_share": 1.0}, "distal": {"proximal_share": 0.0}}
+    return {name: simulate(prototype(**touch), photons=1 << 20, seed=1) for name, touch in shares.items()}
+
+
+@pytest.fixture
+def quick_section(chosen_jit, monkeypatch) -> None:
+    """Few photons for the picture of the light's paths, which these tests do not look at."""
+    monkeypatch.setattr(engines, "SECTION_PHOTONS", 1 << 12)
+
+
+def largest_change(result: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Each photodiode's largest change under the first LED and its standard error. [V]"""
+    change, stderr = (result[name].values[0] for name in ("volts_change", "volts_change_stderr"))
+    at = np.abs(change).argmax(-1)[:, None]
+    return np.take_along_axis(change, at, -1)[:, 0], np.take_along_axis(stderr, at, -1)[:, 0]
+
+
+@pytest.mark.jit
+def test_every_proximal_reading_falls_with_proximal_force(pressed):
+    change, stderr = largest_change(pressed["proximal"])
+    proximal = pressed["proximal"].zone_of_photodiode.values == 0
+    assert proximal.sum() == 4 and np.all(change[proximal] < -5 * stderr[proximal])
+
+
+@pytest.mark.jit
+def test_every_distal_reading_rises_with_distal_force(pressed):
+    change, stderr = largest_change(pressed["distal"])
+    distal = pressed["distal"].zone_of_photodiode.values == 1
+    assert distal.sum() == 4 and np.all(change[distal] > 5 * stderr[distal])
+
+
+@pytest.mark.jit
+def test_as_shipped_the_outermost_readings_part(pressed):
+    """One force on both sides: the proximal end darkens while the distal end brightens."""
+    change, stderr = largest_change(pressed["as shipped"])
+    assert change[0] < -5 * stderr[0] and change[-1] > 5 * stderr[-1]
+
+
+@pytest.mark.jit
+def test_readings_are_back_when_the_touch_is_over(pressed):
+    """The press ends at 2.25 s of 4 s; by then nearly all of the change is gone."""
+    result = pressed["as shipped"]
+    change, stderr = largest_change(result)
+    assert np.all(abs(result.volts_change.values[0, :, -1]) < 0.1 * abs(change))
+    assert np.all(abs(result.volts_change.values[..., 0]) < 1e-6 * abs(change))
+    assert np.all(result.volts_change_stderr.values[..., 0] < 1e-3 * stderr)
+
+
+@pytest.mark.jit
+def test_changes_are_sharper_than_readings(pressed):
+    for result in pressed.values():
+        _, stderr = largest_change(result)
+        assert np.all(stderr < 0.3 * result.volts_stderr.values[0, :, 0])
+
+
+def assert_well_described(result: xr.Dataset) -> None:
+    """CF's demands: units and a long name on every variable, errors named, and the making told."""
+    for name, variable in result.variables.items():
+        assert variable.attrs.get("long_name"), name
+        if variable.dtype.kind in "fiu" and name != "section_region":
+            assert "units" in variable.attrs, name
+        for other in variable.attrs.get("ancillary_variables", "").split():
+            assert other in result.variables and result[other].dims == variable.dims, (name, other)
+    for name in ("detected_fraction", "volts", "volts_change", "mean_path_mm"):
+        assert result[name].attrs["ancillary_variables"] == f"{name}_stderr"
+    attrs = result.attrs
+    assert attrs["Conventions"].startswith("CF-") and attrs["title"] and "2001" in attrs["references"]
+    assert {"seed", "engine", "backend", "photons", "cpu_seconds", "wall_seconds", "accuracy_reached"} <= attrs.keys()
+    for package in ("nailoptics=", "mitsuba=", "drjit=", "numpy="):
+        assert package in attrs["versions"]
+    scene = parse_scene(attrs["scene"])
+    assert digest(scene) == attrs["digest"]
+
+
+@pytest.mark.jit
+def test_the_result_tells_what_it_holds_and_how_it_was_made(pressed):
+    result = pressed["as shipped"]
+    assert_well_described(result)
+    assert result.attrs["seed"] == 1 and result.attrs["engine"] == "photons"
+    assert parse_scene(result.attrs["scene"]) == prototype()
+    assert {"led": 1, "photodiode": 8, "zone": 2, "time": 401}.items() <= dict(result.sizes).items()
+    for name in ("volts_beer_lambert", "volts_taylor", "path_density", "force_n", "capillary_diameter_m"):
+        assert np.isfinite(result[name].values).all()
+
+
+@pytest.mark.jit
+def test_the_reduced_optics_follow_the_traced_volts(pressed):
+    """(8) and (9), fitted to small changes, leave less than a third of the change of the outermost photodiodes."""
+    result = pressed["as shipped"]
+    change, _ = largest_change(result)
+    for name in ("beer_lambert", "taylor"):
+        residual = result[f"{name}_residual_rms_v"].values[0]
+        assert np.all(residual[[0, -1]] < 0.3 * abs(change[[0, -1]]))
+        off = result.volts.values[0] - result[f"volts_{name}"].values[0]
+        assert np.allclose(np.sqrt(np.mean(off**2, -1)), residual, rtol=0.05, atol=1e-9)
+
+
+@pytest.mark.jit
+def test_a_result_survives_its_file(pressed, tmp_path):
+    path = tmp_path / "result.nc"
+    write_dataset(pressed["as shipped"], path)
+    with xr.open_dataset(path) as stored:
+        again = stored.load()
+    xr.testing.assert_identical(again.drop_attrs(), pressed["as shipped"].drop_attrs())
+    for name in ("scene", "digest", "seed", "versions", "photons"):
+        assert again.attrs[name] == pressed["as shipped"].attrs[name]
+    assert [p.name for p in tmp_path.iterdir()] == ["result.nc"]
+
+
+@pytest.mark.jit
+def test_the_same_seed_gives_the_same_bits_and_another_one_others(quick_section):
+    first, second, other = (simulate(prototype(), photons=1 << 17, seed=seed) for seed in (5, 5, 6))
+    xr.testing.assert_identical(first.drop_attrs(), second.drop_attrs())
+    assert not np.array_equal(first.volts, other.volts)
+
+
+@pytest.mark.jit
+def test_too_little_time_gives_what_was_reached(quick_section):
+    with pytest.raises(NotReachedError, match="max_seconds") as caught:
+        simulate(prototype(), relative_error=0.002, max_seconds=0.3, seed=2)
+    result = caught.value.result
+    assert isinstance(result, xr.Dataset) and "\n" not in str(caught.value)
+    assert_well_described(result)
+    assert result.attrs["photons"] > 0 and result.volts.notnull().all()
+
+
+@pytest.mark.jit
+def test_an_interrupt_after_a_batch_keeps_the_batch(quick_section):
+    heard = []
+
+    def stop(progress):
+        heard.append(progress)
+        raise KeyboardInterrupt
+
+    with pytest.raises(NotReachedError, match="interrupted") as caught:
+        simulate(prototype(), relative_error=0.002, seed=2, progress=stop)
+    assert caught.value.result.attrs["photons"] == heard[-1].photons > 0
+    assert np.isfinite(caught.value.result.volts.values).all()
+
+
+@pytest.mark.jit
+def test_without_a_touch_nothing_changes(quick_section):
+    result = simulate(prototype(force_n=0.0), photons=1 << 17, seed=1)
+    assert abs(result.volts_change.values).max() < 1e-9
+    assert_well_described(result)
+
+
+def test_the_main_job_runs_without_a_jit_backend(monkeypatch, caplog):
+    """Rationale: where no LLVM is usable, volpath in the scalar variant answers. Expected: the same dataset, errors no
+    larger than asked, and the signs of the largest changes, of which the states share their noise."""
+    monkeypatch.setattr(engines, "VOLPATH_RELATIVE_ERROR", 0.3)
+    monkeypatch.setattr(volpath_states, "BATCH_SECONDS", 0.3)
+    scene = prototype()
+    scene = scene.model_copy(
+        update={
+            "photodiodes": (
+                scene.photodiodes[0].model_copy(update={"wired": (12,)}),
+                scene.photodiodes[1].model_copy(update={"wired": (3,)}),
+            )
+        }
+    )
+    told = []
+    result = simulate(scene, backend="scalar", relative_error=0.3, seed=1, progress=told.append)
+    assert_well_described(result)
+    assert (result.attrs["engine"], result.attrs["backend"]) == ("volpath", "scalar")
+    assert "three blood states" in result.attrs["accuracy_reached"] and "relative error of 0.3" in caplog.text
+    assert "path_density" not in result and told and told[-1].fraction_done > 0
+    start = result.isel(time=0)
+    assert np.all(start.detected_fraction_stderr <= 0.3 * start.detected_fraction) and np.all(start.volts > 0)
+    change, stderr = largest_change(result)
+    assert np.all(np.isfinite(change)) and np.all(stderr > 0)
+    assert change[0] < 0 < change[1]
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_both_engines_give_the_same_volts_over_time(chosen_jit):
+    """Within 4 combined standard errors at 3 %, and the changes within theirs, plus 3 % for (8) between the states."""
+    scene = prototype()
+    ours = simulate(scene, relative_error=0.02, seed=1)
+    other = simulate(
+        scene.model_copy(update={"light": scene.light.model_copy(update={"engine": "volpath"})}),
+        relative_error=0.05,
+        seed=2,
+    )
+    assert (ours.attrs["engine"], other.attrs["engine"]) == ("photons", "volpath")
+    stderr = np.hypot(ours.volts_stderr, other.volts_stderr)
+    assert np.all(abs(ours.volts - other.volts) < 4 * stderr)
+    stderr = np.hypot(ours.volts_change_stderr, other.volts_change_stderr)
+    assert np.all(abs(ours.volts_change - other.volts_change) < 4 * stderr + 0.03 * abs(ours.volts_change) + 1e-6)
+
+
+def test_what_cannot_be_simulated_is_refused_before_any_light_is_traced(monkeypatch):
+    monkeypatch.setattr("nailoptics.studies.simulate.open_light", None)
+    phantom = parse_scene("""
+schema_version = 1
+[phantom]
+[[phantom.layers]]
+name = "slab"
+thickness_mm = 1.0
+mu_a_per_mm = 0.1
+mu_s_per_mm = 1.0
+[[leds]]
+name = "beam"
+wavelength_nm = 800.0
+pattern = "pencil"
+""")
+    with pytest.raises(InputError, match="finger"):
+        simulate(phantom)
+    for seed in (-1, 2**63):
+        with pytest.raises(InputError, match="seed"):
+            simulate(prototype(), seed=seed)
+    full = prototype()
+    full = full.model_copy(update={"blood": full.blood.model_copy(update={"rest_blood_fraction": 1.0})})
+    with pytest.raises(InputError, match="blood"):
+        simulate(full)
+
+
+def test_the_course_of_the_blood_starts_at_rest_and_parts_under_force():
+    course = blood_course(prototype())
+    blood = course.blood_fraction
+    assert np.allclose(blood.isel(time=0), 0.03, rtol=1e-3)
+    assert blood.sel(zone="distal").min() < 0.027
+    assert set(course.data_vars) >= {"force_n", "capillary_diameter_m", "vein_diameter_m", "proximal_pressure_pa"}
+    assert float(course.force_n.max()) == 1.0
