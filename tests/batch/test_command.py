@@ -1,0 +1,57 @@
+"""The batch command: what it prints, writes and ends with."""
+
+import json
+
+import pytest
+
+from nailoptics import cli
+
+from .conftest import FINGERS, phantoms
+
+pytestmark = pytest.mark.jit
+
+
+def test_a_batch_from_the_command_line(jit_backend, tmp_path, capsys):
+    phantoms(tmp_path, 3)
+    sweep, folder = str(tmp_path / "slabs3.toml"), str(tmp_path / "b")
+    assert cli.run(["batch", sweep, "-o", folder, "--workers", "1", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["total"], len(told["done"]), told["failed"]) == (3, 3, {})
+    lines = (tmp_path / "b" / "table.csv").read_text().splitlines()
+    assert len(lines) == 4 and lines[0].startswith("thickness_mm,led,photodiode,")
+    page = (tmp_path / "b" / "report.html").read_text()
+    assert "3 scenes: 3 done" in page and "<svg" in page and "http" not in page.replace("http://www.w3.org", "")
+    for form in (["--status", folder], [sweep, "-o", folder, "--status"]):
+        assert cli.run(["batch", *form, "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["done"] == 3
+    assert cli.run(["batch", "--status", folder]) == 0
+    assert "3 of 3 scenes done" in capsys.readouterr().out
+    assert cli.run(["batch", sweep, "--dry-run", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["lights"] == 3
+
+
+def test_failures_end_with_3_and_stand_on_the_page(jit_backend, tmp_path, capsys):
+    text = FINGERS.replace("electronics.feedback_ohm", "blood.parameters").replace("[1e6, 2e6]", '["best", "none"]')
+    (tmp_path / "s.toml").write_text(text)
+    assert cli.run(["batch", str(tmp_path / "s.toml"), "-o", str(tmp_path / "b"), "--workers", "1"]) == 3
+    assert "2 failed" in capsys.readouterr().err
+    assert "not a named set" in (tmp_path / "b" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nowhere.toml", "-o", "b"], "cannot be read"),
+        (["--status", "nowhere"], "not a batch folder"),
+        (["SWEEP"], "needs -o"),
+        (["SWEEP", "-o", "b", "--workers", "0"], "workers = 0"),
+        (["SWEEP", "-o", "b", "--shard", "9/3"], "--shard 9/3"),
+        (["SWEEP", "-o", "slabs2.toml"], "slabs2.toml"),
+    ],
+)
+def test_mistakes_end_with_2(jit_backend, tmp_path, monkeypatch, capsys, arguments, words):
+    phantoms(tmp_path, 2)
+    monkeypatch.chdir(tmp_path)
+    assert cli.run(["batch", *("slabs2.toml" if a == "SWEEP" else a for a in arguments)]) == 2
+    told = capsys.readouterr().err
+    assert words in told and told.count("\n") == 1
