@@ -207,6 +207,8 @@ class _Driver:
                     self.running.clear()
                 self._show()
             orderly = True
+        except KeyboardInterrupt:
+            self.trouble = "interrupted; what is done is kept, run again to go on"
         finally:
             self.outcome.unfinished = len(self.left)
             slots.close(now=not orderly)

@@ -18,6 +18,7 @@ import numpy as np
 from ..errors import NailopticsError
 from ..light import RereadWarning, Transfer, reuse
 from ..light.tracing import accuracy
+from ..light.transfer import versions
 from ..scene import Accuracy, Scene, to_toml
 from . import reading, record
 from .folder import Folder
@@ -44,7 +45,7 @@ class Settings:
 
     def made(self) -> dict[str, Any]:
         """What stored light must have been made with."""
-        return {"seed": self.seed, "backend": self.backend, "engine": "photons"}
+        return {"seed": self.seed, "backend": self.backend, "engine": "photons", "versions": versions()}
 
 
 @dataclass(frozen=True)

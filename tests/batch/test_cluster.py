@@ -76,6 +76,7 @@ def test_a_cluster_gives_the_same_bits_and_when_it_goes_the_rest_is_done_elsewhe
     assert bits(tmp_path / "lost") == bits(tmp_path / "local")
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_not_there_is_told(tmp_path, jit_backend, monkeypatch):
     with pytest.raises(InputError, match="cannot be reached"):
         run_batch(phantoms(tmp_path, 2), tmp_path / "b", scheduler="tcp://127.0.0.1:9")

@@ -93,6 +93,7 @@ def test_a_trace_for_many_is_the_trace_of_one_bit_for_bit(jit_backend, tmp_path,
     assert mine.traces[0].energy == theirs.traces[0].energy and mine.traces[0].seeds == theirs.traces[0].seeds
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_another_state_read_from_the_shared_trace_meets_its_own_trace(jit_backend):
     scene = changed(changed(prototype(), "blood", so2=0.75, rest_blood_fraction=0.05), "finger", melanin_fraction=0.1)

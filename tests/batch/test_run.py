@@ -60,6 +60,55 @@ def test_random_kills_change_no_bit(jit_backend, tmp_path):
     assert not list((tmp_path / "killed").glob("failed/*.json"))
 
 
+@pytest.mark.slow
+def test_two_thousand_scenes_survive_kills_at_any_moment(jit_backend, tmp_path):
+    """Workers and whole runs are killed at random times until all is done; no bit differs from a calm run's."""
+    sweep = phantoms(tmp_path, 2000)
+    run_batch(sweep, tmp_path / "calm", workers=2)
+    rng, runs, killed = random.Random(2), 0, 0
+    while True:
+        process = driver(tmp_path / "slabs2000.toml", tmp_path / "b", "--workers", "2", "--retry-failed")
+        runs, ends = runs + 1, time.time() + rng.uniform(5, 25)
+        while process.poll() is None and time.time() < ends:
+            time.sleep(rng.uniform(0.5, 3.0))
+            workers = [w for w in offspring(process.pid) if b"spawn_main" in command_of(w)]
+            if workers:
+                kill_one(rng.choice(workers))
+                killed += 1
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+        if process.returncode == 0:
+            break
+        assert runs < 100
+    print(f"{runs} runs, {killed} workers killed")
+    assert runs > 2 and killed > 10
+    assert bits(tmp_path / "b") == bits(tmp_path / "calm")
+
+
+def command_of(pid: int) -> bytes:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
+def kill_one(pid: int) -> None:
+    try:
+        os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        pass
+
+
+def offspring(pid: int) -> list[int]:
+    """Children of a process."""
+    try:
+        tasks = list(Path(f"/proc/{pid}/task").iterdir())
+        return [int(p) for t in tasks for p in (t / "children").read_text().split()]
+    except OSError:
+        return []
+
+
 def finish(sweep, folder: Path, **options) -> Outcome:
     """Runs until everything is done."""
     for _ in range(20):
@@ -103,8 +152,7 @@ def test_a_killed_driver_takes_its_workers_along_and_the_next_run_goes_on(jit_ba
     deadline = time.time() + 60
     while len(bits(tmp_path / "b")) < 4 and time.time() < deadline:
         time.sleep(0.01)
-    tasks = Path(f"/proc/{process.pid}/task")
-    workers = [int(p) for t in tasks.iterdir() for p in (t / "children").read_text().split()] if tasks.exists() else []
+    workers = offspring(process.pid)
     process.kill()
     process.communicate()
     there = bits(tmp_path / "b")
@@ -116,6 +164,19 @@ def test_a_killed_driver_takes_its_workers_along_and_the_next_run_goes_on(jit_ba
     assert len(outcome.kept) >= len(there) and len(outcome.kept) + len(outcome.done) == 30
     run_batch(sweep, tmp_path / "calm", workers=1)
     assert bits(tmp_path / "b") == bits(tmp_path / "calm")
+
+
+def test_an_interrupted_run_ends_at_once_and_keeps_what_is_done(jit_backend, tmp_path):
+    sweep = phantoms(tmp_path, 30)
+    process = driver(tmp_path / "slabs30.toml", tmp_path / "b", "--workers", "2", start_new_session=True)
+    deadline = time.time() + 60
+    while len(bits(tmp_path / "b")) < 4 and time.time() < deadline:
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C does, to the workers too
+    _, told = process.communicate(timeout=20)
+    assert process.returncode == 3 and "interrupted; what is done is kept" in told
+    assert 4 <= len(bits(tmp_path / "b")) < 30
+    assert len(run_batch(sweep, tmp_path / "b", workers=1).failed) == 0
 
 
 def test_two_runs_in_one_folder_share_the_work(jit_backend, tmp_path):
@@ -204,7 +265,7 @@ def test_a_time_limit_keeps_the_light_and_the_next_run_continues_it(jit_backend,
     sizes = []
     for _ in range(2):
         with pytest.raises(NotReachedError, match="max_seconds") as caught:
-            run_batch(sweep, tmp_path / "b", workers=1, max_seconds=5)
+            run_batch(sweep, tmp_path / "b", workers=1, max_seconds=3)
         assert caught.value.result.unfinished == 2 and not bits(tmp_path / "b")
         sizes.append(sum(p.stat().st_size for p in (tmp_path / "b" / "light").iterdir()))
     assert sizes[1] > sizes[0] > 0
