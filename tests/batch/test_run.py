@@ -68,7 +68,7 @@ def test_two_thousand_scenes_survive_kills_at_any_moment(jit_backend, tmp_path):
     rng, runs, killed = random.Random(2), 0, 0
     while True:
         process = driver(tmp_path / "slabs2000.toml", tmp_path / "b", "--workers", "2", "--retry-failed")
-        runs, ends = runs + 1, time.time() + rng.uniform(5, 25)
+        runs, ends = runs + 1, time.time() + rng.uniform(4, 10)
         while process.poll() is None and time.time() < ends:
             time.sleep(rng.uniform(0.5, 3.0))
             workers = [w for w in offspring(process.pid) if b"spawn_main" in command_of(w)]
