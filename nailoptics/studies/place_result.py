@@ -1,0 +1,199 @@
+"""What a placement found, as a Dataset, as rows of a table, and the best layout as a scene and as KiCad parts."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+
+from ..light.map import PhotonMap, map_dataset
+from ..light.transfer import provenance
+from ..scene import Scene, parse_scene, to_toml
+from ..scene.kicad import PlacedPart
+from ..scene.layout import lay_out
+from . import place_merit as merit
+from .place_light import View, jackknife
+
+if TYPE_CHECKING:
+    from .place import Judged, Layout
+    from .place_search import Spot
+
+
+def as_dataset(
+    scene: Scene,
+    layouts: "Sequence[Layout]",
+    judged: "Sequence[Judged]",
+    *,
+    views: Sequence[View],
+    maps: Sequence[PhotonMap],
+    tried: "Sequence[tuple[Spot, float]]",
+    checked: dict[str, Any],
+    attributes: dict[str, Any],
+) -> xr.Dataset:
+    """Everything of a placement; layouts come best first.
+
+    maps : of the best layout's bare board on the first finger, one per LED.
+    tried : places of the LED and what the search found there.
+    checked : a fresh trace of the best layout's own board.
+    """
+    data: dict[str, Any] = {}
+
+    def add(name: str, dims: tuple[str, ...], values: Any, units: str, text: str, error: Any = None) -> None:
+        data[name] = (dims, np.asarray(values), {"units": units, "long_name": text})
+        if error is not None:
+            data[name][2]["ancillary_variables"] = f"{name}_stderr"
+            data[f"{name}_stderr"] = (dims, np.asarray(error), {"units": units, "long_name": f"standard error: {text}"})
+
+    one, both = ("layout",), ("layout", "finger")
+    intervals = np.array([j.interval_n for j in judged])
+    add(
+        "force_resolution_n",
+        one,
+        [j.score_n[0] for j in judged],
+        "N",
+        "force resolution of one sample, rms, whatever the split of the force, over the fingers",
+        [j.score_n[0] * j.relative_error for j in judged],
+    )
+    add("force_resolution_low_n", one, intervals[:, 0], "N", "lower end of its 95 % interval")
+    add("force_resolution_high_n", one, intervals[:, 1], "N", "upper end of its 95 % interval")
+    add("tied", one, intervals[:, 0] <= intervals[0, 1], "1", "whether its interval overlaps that of the best")
+    add("origin", one, [layout.origin for layout in layouts], "1", "given, searched or the paper's")
+    add("scene", one, [to_toml(layout.scene) for layout in layouts], "1", "the layout as a scene")
+    add(
+        "finger_resolution_n",
+        both,
+        [j.resolution_n[0] for j in judged],
+        "N",
+        "force resolution on each finger",
+        [jackknife(j.resolution_n) for j in judged],
+    )
+    add("known_split_n", both, [j.known_split_n[0] for j in judged], "N", "force resolution if the split is known")
+    pressures = (*both, "pressure")
+    add("pressure_resolution_pa", pressures, [j.pressures_pa[0] for j in judged], "Pa", "resolution of each pressure")
+    conditions = [[max(merit.condition(_first(r)) for r in by_led) for by_led in j.volts] for j in judged]
+    add("condition_number", both, conditions, "1", "condition number of the matrix of readings by blood zones")
+    _readings(add, layouts, judged)
+    add("led_tried_mm", ("spot", "axis"), [s.place_mm for s, _ in tried] or np.zeros((0, 2)), "mm", "LED place tried")
+    add("led_tried_n", ("spot",), [found for _, found in tried], "N", "force resolution that the search found there")
+    add("checked_fraction", ("led", "best_photodiode"), checked["fraction"], "1", "fresh trace of the best layout",
+        checked["fraction_stderr"])  # fmt: skip
+    best = judged[0].volts[0]
+    amplifier = layouts[0].scene.electronics
+    add("foretold_volts", ("led", "best_photodiode"), [_first(r).volts for r in best], "V", "volts by the map",
+        [jackknife(r.volts) for r in best])  # fmt: skip
+    result = xr.Dataset(
+        data,
+        coords={
+            "layout": [layout.name for layout in layouts],
+            "finger": [view.case.name for view in views],
+            "pressure": ["proximal", "distal"],
+            "axis": ["u", "v"],
+        },
+    )
+    plane = map_dataset([led.name for led in scene.leds], maps)
+    result = result.merge(plane)
+    at = views[0].at
+    entry = layouts[0].scene.photodiodes[0]
+    area = entry.size_mm[0] * entry.size_mm[1]
+    tells, noise = [], []
+    for led, one_map in zip(layouts[0].scene.leds, maps, strict=True):
+        density = np.moveaxis(one_map.per_mm2()[0], 0, -1) * area
+        read = merit.volts(density, led, entry, amplifier, at)
+        with np.errstate(divide="ignore"):
+            tells.append(merit.known_split_n(merit.information(read), at))
+        noise.append(np.sqrt(read.noise_v2))
+    text = "force resolution of one photodiode with the light of this place all over it, split known"
+    result["place_resolution_n"] = (("led", "u", "v"), np.array(tells), {"units": "N", "long_name": text})
+    text = "noise of such a photodiode in one sample, rms"
+    result["place_noise_v"] = (("led", "u", "v"), np.array(noise), {"units": "V", "long_name": text})
+    result.attrs = (
+        provenance(
+            scene,
+            engine="photons",
+            backend=attributes.pop("backend"),
+            photons=attributes.pop("photons"),
+            seeds=str(attributes["seed"]),
+        )
+        | {"title": "nailoptics: layouts ranked by force resolution"}
+        | attributes
+        | {f"checked_{name}": checked[name] for name in ("resolution_n", "resolution_n_stderr")}
+    )
+    return result
+
+
+def _first(read: merit.Volts) -> merit.Volts:
+    """Readings by all photons."""
+    return merit.Volts(*(part[0] for part in vars(read).values()))
+
+
+def _readings(add: Any, layouts: "Sequence[Layout]", judged: "Sequence[Judged]") -> None:
+    """Volts, noise, crosstalk and headroom, over the fingers' extremes."""
+    for name, units, text, pick in (
+        ("least_volts", "V", "least reading of a photodiode over fingers", lambda r, a: r.volts.min()),
+        ("most_volts", "V", "largest reading of a photodiode over fingers", lambda r, a: -r.volts.max()),
+        ("adc_headroom", "1", "full scale over the largest reading; 1 is saturated",
+         lambda r, a: a.adc_range_v / r.volts.max()),
+        ("least_snr", "1", "least reading over its noise in one sample", lambda r, a: (
+            r.volts / np.sqrt(r.noise_v2)).min()),
+        ("crosstalk", "1", "largest part of a photodiode's light that was never in the bed",
+         lambda r, a: -r.crosstalk.max()),
+    ):  # fmt: skip
+        values = []
+        for layout, one in zip(layouts, judged, strict=True):
+            each = [pick(_first(r), layout.scene.electronics) for by_led in one.volts for r in by_led]
+            values.append(abs(min(each)))
+        add(name, ("layout",), values, units, text)
+
+
+def chosen(result: xr.Dataset) -> Scene:
+    """The best layout as a scene."""
+    return parse_scene(str(result.scene.values[0]), name="the best layout")
+
+
+def rows(result: xr.Dataset) -> list[dict[str, Any]]:
+    """The ranking, best first; layouts whose intervals overlap that of the best share its rank."""
+    named: tuple[str, ...] = (
+        "force_resolution_n",
+        "force_resolution_n_stderr",
+        "force_resolution_low_n",
+        "force_resolution_high_n",
+    )
+    named += ("least_volts", "most_volts", "adc_headroom", "least_snr", "crosstalk")
+    out = []
+    for i, layout in enumerate(result.layout.values):
+        tied = bool(result.tied[i])
+        row: dict[str, Any] = {
+            "rank": 1 if tied else i + 1,
+            "layout": str(layout),
+            "origin": str(result.origin[i].item()),
+        }
+        row |= {"tied": tied and int(result.tied.sum()) > 1} | {name: float(result[name][i]) for name in named}
+        row["condition_number"] = float(result.condition_number[i].max())
+        row["known_split_n"] = float(result.known_split_n[i].max())
+        out.append(row)
+    return out
+
+
+def gain(result: xr.Dataset) -> tuple[float, float] | None:
+    """How many times finer the best resolves force than the paper's layout, and its standard error; None without it."""
+    names = [str(name) for name in result.layout.values]
+    if "paper" not in names:
+        return None
+    i = names.index("paper")
+    score, error = result.force_resolution_n.values, result.force_resolution_n_stderr.values
+    ratio = score[i] / score[0]
+    spread = ratio * np.hypot(error[i] / score[i], error[0] / score[0]) if i else 0.0
+    return float(ratio), float(spread)
+
+
+def kicad_parts(scene: Scene) -> list[PlacedPart]:
+    """A layout's LEDs and photodiodes as lines of a KiCad position file, all on the bottom, which faces the nail."""
+    layout = lay_out(scene)
+    parts = []
+    for i, (led, area) in enumerate(zip(scene.leds, layout.leds, strict=True), start=1):
+        parts.append(PlacedPart(f"D{i}", led.part or led.name, "LED_die", area.center_mm, 0.0, "bottom"))
+    for i, element in enumerate(layout.photodiodes, start=1):
+        width, length = scene.photodiodes[element.entry].size_mm
+        package = f"PD_{width:g}x{length:g}mm"
+        parts.append(PlacedPart(f"PD{i}", element.area.name, package, element.area.center_mm, 0.0, "bottom"))
+    return parts
