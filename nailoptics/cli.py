@@ -300,6 +300,89 @@ def compare(
 
 
 @app.command
+def place(
+    scene: ScenePath,
+    *,
+    output: Folder = None,
+    negate_x_on_bottom: Annotated[
+        bool, Parameter(negative="", help="Write the position file with X negated on the bottom side.")
+    ] = False,
+    json_: Json = False,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    relative_error: Annotated[
+        float | None, Parameter(help="Layouts whose force resolution is known this well may stay tied.")
+    ] = None,
+    max_seconds: MaxSeconds = None,
+    photons: Annotated[int | None, Parameter(help="Photons per layout and finger, in place of a tolerance.")] = None,
+) -> None:
+    """Rank layouts of LEDs and photodiodes by the force that they resolve; search better ones.
+
+    Writes place.nc, ranking.csv, place.html, and the best layout as best.toml, best.csv (KiCad), outline and best.glb.
+    """
+    import csv
+
+    from . import geometry
+    from .light.store import write_dataset
+    from .report.place_page import write_placement
+    from .scene import to_toml
+    from .scene.kicad import write_outline, write_positions
+    from .studies.place import place as study
+    from .studies.place_result import chosen, gain, kicad_parts, outline, rows
+
+    asked = _load(scene)
+    name, _ = _announced(backend, asked)
+    result: Any = None
+    unmet = None
+    files = ("place.nc", "ranking.csv", "place.html", "best.toml", "best.csv", "best.glb")
+    with _writable(output or Path("results") / Path(scene).stem, *files) as folder:
+        try:
+            with _progress() as progress:
+                result = study(
+                    asked,
+                    seed=seed,
+                    backend=name,
+                    photons=photons,
+                    relative_error=relative_error,
+                    max_seconds=max_seconds,
+                    progress=progress,
+                )
+        except NotReachedError as error:
+            if error.result is None:
+                raise
+            result, unmet = error.result, error
+        ranking, best = rows(result), chosen(result)
+        write_dataset(result, folder / "place.nc")
+        with (folder / "ranking.csv").open("w", newline="", encoding="utf-8") as handle:
+            table = csv.DictWriter(handle, list(ranking[0]))
+            table.writeheader()
+            table.writerows(ranking)
+        (folder / "best.toml").write_text(to_toml(best), encoding="utf-8")
+        write_positions(folder / "best.csv", kicad_parts(best), negate_x_on_bottom=negate_x_on_bottom)
+        asked_as = Path((asked.placement and asked.placement.outline) or "outline.csv").suffix.lower()
+        write_outline(folder / f"outline{asked_as}", outline(result))
+        geometry.export(geometry.build(best), folder / "best.glb")
+        write_placement(result, folder / "place.html")
+    better = gain(result)
+    if json_:
+        told = {"ranking": ranking, "checked_resolution_n": result.attrs["checked_resolution_n"]}
+        told["gain_over_paper"] = {"value": better[0], "stderr": better[1]} if better else None
+        kept = ("photons", "cpu_seconds", "wall_seconds", "digest", "rank_by")
+        _print_json(told | {key: result.attrs[key] for key in kept} | {"folder": str(folder)})
+    else:
+        for row in ranking:
+            print(
+                f"{row['rank']:>3} {row['layout']:<28} {1e3 * row['force_resolution_n']:9.3f} mN "
+                f"+- {1e3 * row['force_resolution_n_stderr']:.3f}{'  tied' if row['tied'] else ''}"
+            )
+        if better:
+            print(f"the best resolves force {better[0]:.2f} +- {better[1]:.2f} times as finely as the paper's layout")
+        print(f"{folder / 'place.html'}\n{folder / 'best.toml'}")
+    if unmet:
+        raise NotReachedError(f"{unmet} What was reached is in {folder}.")
+
+
+@app.command
 def batch(
     sweep: Annotated[Path, Parameter(help="A sweep file (TOML); with --status, the folder of a batch.")],
     *,

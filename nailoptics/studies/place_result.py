@@ -57,8 +57,8 @@ def as_dataset(
     add("force_resolution_low_n", one, intervals[:, 0], "N", "lower end of its 95 % interval")
     add("force_resolution_high_n", one, intervals[:, 1], "N", "upper end of its 95 % interval")
     add("tied", one, intervals[:, 0] <= intervals[0, 1], "1", "whether its interval overlaps that of the best")
-    add("origin", one, [layout.origin for layout in layouts], "1", "given, searched or the paper's")
-    add("scene", one, [to_toml(layout.scene) for layout in layouts], "1", "the layout as a scene")
+    data["origin"] = (one, [layout.origin for layout in layouts], {"long_name": "given, searched or the paper's"})
+    data["scene"] = (one, [to_toml(layout.scene) for layout in layouts], {"long_name": "the layout as a scene"})
     add(
         "finger_resolution_n",
         both,
@@ -74,6 +74,11 @@ def as_dataset(
     add("condition_number", both, conditions, "1", "condition number of the matrix of readings by blood zones")
     _readings(add, layouts, judged)
     add("led_tried_mm", ("spot", "axis"), [s.place_mm for s, _ in tried] or np.zeros((0, 2)), "mm", "LED place tried")
+    data["led_tried_side"] = (
+        ("spot",),
+        np.array([s.side or "" for s, _ in tried], str),
+        {"long_name": "LED lies there"},
+    )
     add("led_tried_n", ("spot",), [found for _, found in tried], "N", "force resolution that the search found there")
     add("checked_fraction", ("led", "best_photodiode"), checked["fraction"], "1", "fresh trace of the best layout",
         checked["fraction_stderr"])  # fmt: skip
@@ -148,6 +153,15 @@ def _readings(add: Any, layouts: "Sequence[Layout]", judged: "Sequence[Judged]")
 def chosen(result: xr.Dataset) -> Scene:
     """The best layout as a scene."""
     return parse_scene(str(result.scene.values[0]), name="the best layout")
+
+
+def outline(result: xr.Dataset) -> list[tuple[float, float]]:
+    """Corners of the board's outline, as asked for or as the best layout has it. [mm]"""
+    asked = parse_scene(str(result.attrs["scene"]), name="the scene").placement
+    if asked is not None and asked.outline_mm is not None:
+        return list(asked.outline_mm)
+    r = lay_out(chosen(result)).outline
+    return [(r.u_min, r.v_min), (r.u_max, r.v_min), (r.u_max, r.v_max), (r.u_min, r.v_max)]
 
 
 def rows(result: xr.Dataset) -> list[dict[str, Any]]:
