@@ -108,7 +108,7 @@ def walk_stack(phantom: Phantom, led: Led, *, photons: int, seed: int) -> StackB
     events = _walk(
         rng,
         count,
-        {name: mi.Float(values) for name, values in tables.items()},
+        {name: _opaque(values) for name, values in tables.items()},
         results,
     )
     dr.eval(events, results)
@@ -124,6 +124,13 @@ def walk_stack(phantom: Phantom, led: Led, *, photons: int, seed: int) -> StackB
         path_mm=np.stack(paths, -1),
         events=int(np.array(events).sum(dtype=np.int64)),
     )
+
+
+def _opaque(values: Any) -> Any:
+    """A table whose values do not become part of the kernel: a table of one would, and be compiled for every scene."""
+    table = mi.Float(values)
+    dr.make_opaque(table)
+    return table
 
 
 def arc_share(shift_mm: np.ndarray, start_mm: np.ndarray, aperture: tuple[float, float, float, float]) -> np.ndarray:

@@ -18,6 +18,8 @@ from .transfer import MAX_RECORDS, MIN_EFFECTIVE_PHOTONS, LedTrace, Transfer, jo
 log = logging.getLogger(__name__)
 
 DEFAULT_PHOTONS = 1_000_000
+# A photodiode that none of so many photons reached is taken for dark, unless a time limit says otherwise.
+UNSEEN_PHOTONS = 100_000_000
 
 
 @dataclass(frozen=True)
@@ -203,6 +205,12 @@ def _trace_led(
                 progress(Progress(name, done, error, asked.relative_error, share, time.perf_counter() - begin))
             if done >= planned:
                 return gathered, None
+            if asked.photons is None and deadline is None and done >= UNSEEN_PHOTONS and not weight.all():
+                unseen = engine.photodiodes[int(np.argmin(weight))]
+                return gathered, (
+                    f'of {done} photons of LED "{name}" none reached photodiode "{unseen}", so no error can be '
+                    "told there; move it nearer, leave it out, or set max_seconds or photons."
+                )
             if late:
                 if asked.relative_error is None and asked.photons is None:
                     return gathered, None

@@ -200,3 +200,17 @@ def test_impossible_demands_are_refused_in_one_line(jit_backend, asked, field):
 def test_seeds_of_leds_and_batches_are_all_different():
     seen = [seed for run in (0, 1) for led in range(3) for seed in itertools.islice(tracing._seeds(run, led), 100)]
     assert len(set(seen)) == len(seen)
+
+
+@pytest.mark.jit
+def test_a_photodiode_that_no_light_reaches_ends_the_trace_with_a_word(chosen_jit, monkeypatch):
+    monkeypatch.setattr(tracing, "UNSEEN_PHOTONS", 1_000_000)
+    scene = nail.scene.parse_scene(
+        "schema_version = 1\n[phantom]\n"
+        'layers = [{name = "slab", thickness_mm = 1.0, mu_a_per_mm = 5.0, mu_s_per_mm = 1.0}]\n'
+        '[[leds]]\nname = "beam"\nwavelength_nm = 800.0\npattern = "pencil"\n'
+        '[[photodiodes]]\nname = "far"\naperture = true\nposition_mm = [500.0, 0.0]\n'
+    )
+    with pytest.raises(NotReachedError, match='none reached photodiode "far"') as caught:
+        nail.trace(scene, relative_error=0.01)
+    assert caught.value.result.at().detected_fraction.item() == 0
