@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHOWN = 20
+SMOOTH_CELLS = 2.0
 
 
 def write_placement(result: xr.Dataset, path: Path) -> None:
@@ -69,13 +70,14 @@ def page(result: xr.Dataset) -> str:
             "maps",
             "On the flat board with this LED and wall, first finger, logarithmic scales with contours: light per area; "
             "its part that was never in the bed; what one more photodiode there would resolve by itself, were the "
-            "split of the force known (dark is fine).",
+            "split of the force known (bright is fine; round the LED it would be saturated).",
         ),
         drawing(
             sensitivity_figure(best, result),
             "sensitivity",
             "How much the light at each place falls with blood in the proximal (left) and in the distal zone (right), "
-            "relative to the light there: percent for each percentage point of blood.",
+            "relative to the light there: percent for each percent of the bed that is blood. Blank where too few "
+            "photons came.",
         ),
     ]
     if result.sizes["spot"]:
@@ -122,8 +124,12 @@ def board_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     names = [e.area.name for e in lay_out(scene).photodiodes]
     shown = xr.Dataset(coords={"led": [led.name for led in scene.leds], "photodiode": names})
     with style.drawing():
-        figure = style.new_figure(6.4, 6.2)
-        maps.draw_top_view(figure.subplots(), scene, shown)
+        figure = style.new_figure(7.6, 5.8)
+        axes = figure.subplots()
+        maps.draw_top_view(axes, scene, shown)
+        # Boards may be as wide as the nail, and their labels want room beside it.
+        low, high = axes.get_xlim()
+        axes.set_xlim(low - 2.6, high + 1.2)
     return figure
 
 
@@ -160,6 +166,8 @@ def sensitivity_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     with style.drawing():
         figure = style.new_figure(7.6, 4.6)
         light = _smooth(result.irradiance.isel(led=0).to_numpy())
+        # Where few photons came, the ratio is noise and is left blank.
+        light[_smooth(result.irradiance_stderr.isel(led=0).to_numpy()) > 0.7 * light] = np.nan
         each = [_smooth(-result.sensitivity.isel(led=0, blood_zone=k).to_numpy()) for k in range(2)]
         with np.errstate(invalid="ignore", divide="ignore"):
             fall = [np.where(light > 0, one / light, np.nan) for one in each]
@@ -205,6 +213,9 @@ def tried_figure(result: xr.Dataset) -> "Figure":
                 linewidths=0.4,
             )
         figure.colorbar(image, ax=axes, label="force resolution [mN]")
+        left, right, low, high = _extent(result)
+        axes.set_xlim(left, right)
+        axes.set_ylim(low, high)
         axes.set_aspect("equal")
         axes.set_xlabel("across the nail [mm]")
         axes.set_ylabel("along the nail, towards the tip [mm]")
@@ -235,9 +246,9 @@ def _smooth(values: np.ndarray) -> np.ndarray:
     from scipy.ndimage import gaussian_filter
 
     known = np.isfinite(values)
-    weight = gaussian_filter(known.astype(float), 1.5)
+    weight = gaussian_filter(known.astype(float), SMOOTH_CELLS)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(weight > 0.05, gaussian_filter(np.where(known, values, 0.0), 1.5) / weight, np.nan)
+        return np.where(weight > 0.05, gaussian_filter(np.where(known, values, 0.0), SMOOTH_CELLS) / weight, np.nan)
 
 
 def _extent(result: xr.Dataset) -> tuple[float, float, float, float]:

@@ -24,7 +24,7 @@ from .place_result import as_dataset
 
 log = logging.getLogger(__name__)
 
-DEFAULT_SECONDS = 300.0
+DEFAULT_SECONDS = 480.0
 DEFAULT_RELATIVE_ERROR = 0.02
 # Photons per LED and finger: to choose photodiodes for a place of the LED, and of a round of judging.
 SEARCH_PHOTONS = 1 << 18
@@ -34,7 +34,7 @@ BLOCKS = 32
 # Searched layouts that are judged with photons of their own beside those that were given.
 FINALISTS = 5
 # Parts of the time for the search; the rest is for judging, but for what the last check needs.
-SEARCH_SHARE = 0.45
+SEARCH_SHARE = 0.55
 CHECK_SHARE = 0.15
 Z = 1.96
 
@@ -92,7 +92,7 @@ def place(
     ----------
     photons : per layout, LED and finger, in place of a tolerance.
     relative_error : judging ends when the best is apart from all others or every force resolution is known so well.
-    max_seconds : wall time after which it ends in any case; 300 if nothing is asked.
+    max_seconds : wall time after which it ends in any case; 480 if nothing is asked.
 
     Returns: Dataset over layout (best first), finger, photodiode and, for the best, the plane of the board.
 

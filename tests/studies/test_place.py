@@ -1,13 +1,19 @@
 """Placement: the merit's arithmetic, a planted best layout is found, and the ranking is what fresh light confirms."""
 
+import json
 import time
 
 import numpy as np
 import pytest
+import xarray as xr
 
+from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.light.map import Arrivals, PhotonMap
-from nailoptics.scene import FingerCase, parse_scene
+from nailoptics.light.store import write_dataset
+from nailoptics.report.place_page import write_placement
+from nailoptics.scene import FingerCase, load_scene, parse_scene
+from nailoptics.scene.kicad import read_outline, read_positions, write_outline
 from nailoptics.scene.layout import Rectangle, lay_out
 from nailoptics.studies import place, place_boards, place_light, place_merit, place_result, place_search
 
@@ -53,7 +59,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def found(chosen_jit, scene):
-    return place.place(scene, photons=1 << 19, seed=1)
+    return place.place(scene, photons=1 << 18, seed=1)
 
 
 def test_resolution_is_the_error_of_a_least_squares_fit():
@@ -169,6 +175,32 @@ def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene
     assert min(spent) < 0.05 and np.all(np.isfinite(judged.score_n))
 
 
+def test_the_page_stands_alone_and_the_result_is_kept(found, tmp_path):
+    write_placement(found, tmp_path / "place.html")
+    text = (tmp_path / "place.html").read_text(encoding="utf-8")
+    assert text.count("<svg") == 4 and "http" not in text.replace("http://www.w3.org/", "") and "paper" in text
+    write_dataset(found, tmp_path / "place.nc")
+    with xr.open_dataset(tmp_path / "place.nc") as kept:
+        assert place_result.rows(kept) == place_result.rows(found)
+
+
+@pytest.mark.slow
+def test_one_layout_serves_digits_and_bloods_alike(chosen_jit):
+    """The worst of three fingers ranks; blood alone shares the trace of its digit."""
+    cases = "".join(
+        f'[[placement.fingers]]\nname = "{name}"\n{more}\n'
+        for name, more in (
+            ("usual", ""),
+            ("dark", 'rest_blood_fraction = 0.06\ndermis = "salomatina"'),
+            ("thumb", 'digit = "thumb"'),
+        )
+    )
+    result = place.place(parse_scene(SCENE + cases), photons=1 << 18)
+    assert result.attrs["photons"] == 2 * 2 * (1 << 18)
+    assert np.allclose(result.force_resolution_n, result.finger_resolution_n.max("finger"))
+    assert result.sizes["finger"] == 3
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -195,3 +227,30 @@ def test_a_search_finds_at_least_what_was_given_and_seeds_agree(chosen_jit):
         a, b = one.sel(layout=name), two.sel(layout=name)
         error = np.hypot(a.force_resolution_n_stderr, b.force_resolution_n_stderr)
         assert abs(a.force_resolution_n - b.force_resolution_n) < 4 * error
+
+
+@pytest.mark.slow
+def test_the_command_writes_what_other_programs_read(chosen_jit, tmp_path, capsys):
+    """Position file and outline from KiCad in, the best in the same form out, with scene, GLB and page."""
+    (tmp_path / "pos.csv").write_text(
+        "Ref,Val,Package,PosX,PosY,Rot,Side\nD1,ir,die,3.0,0.0,0,bottom\nPD1,e,pd,1.0,-1.0,0,bottom\n"
+        "PD2,e,pd,1.0,1.0,0,bottom\n"
+    )
+    write_outline(tmp_path / "board.dxf", [(-4.5, -4.5), (4.5, -4.5), (4.5, 4.5), (-4.5, 4.5)])
+    text = SCENE[: SCENE.index("[placement]")] + (
+        '[placement]\nsearch = false\noutline = "board.dxf"\n[[placement.candidates]]\nname = "mine"\n'
+        'positions = "pos.csv"\nnegate_x_on_bottom = true\n'
+    )
+    (tmp_path / "mine.toml").write_text(text)
+    out = tmp_path / "out"
+    asked = ["place", str(tmp_path / "mine.toml"), "-o", str(out), "--photons", str(1 << 18), "--json"]
+    assert run([*asked, "--negate-x-on-bottom"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert {row["layout"] for row in told["ranking"]} == {"mine", "paper"}
+    made = {path.name for path in out.iterdir()}
+    assert made == {"place.nc", "ranking.csv", "place.html", "best.toml", "best.csv", "best.glb", "outline.dxf"}
+    best = load_scene(out / "best.toml")
+    areas = [element.area for element in lay_out(best).photodiodes]
+    back = [part for part in read_positions(out / "best.csv", negate_x_on_bottom=True) if not part.is_led]
+    assert np.allclose([p.position_mm for p in back], [a.center_mm for a in areas], atol=1e-6)
+    assert len(read_outline(out / "outline.dxf")) == 4
