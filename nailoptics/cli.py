@@ -538,15 +538,19 @@ def figures(
     json_: Json = False,
 ) -> None:
     """Draw the paper's Figs. 10-12 and 15-18 from parameter sets, and judge its claims."""
+    import numpy as np
+
     from . import hemodynamics
     from .hemodynamics.judge import as_rows, as_text, table
     from .report.hemodynamic_figures import draw
     from .scene.touch import read_recording
 
-    time_s, force_n = (None, None) if touch is None else read_recording(touch)
+    recorded: dict[str, Any] = {}
+    if touch is not None:
+        recorded = dict(zip(("time_s", "force_n"), map(np.asarray, read_recording(touch)), strict=True))
     named = {name: hemodynamics.parameters(name) for name in sets or hemodynamics.NAMES}
     with _writable(output):
-        pictures = [path for name, values in named.items() for path in draw(output, values, name=name, time_s=time_s, force_n=force_n)]
+        pictures = [path for name, values in named.items() for path in draw(output, values, name=name, **recorded)]
     judged = table(named)
     if json_:
         _print_json({"claims": as_rows(judged), "pictures": [str(path) for path in pictures]})

@@ -97,7 +97,8 @@ def as_text(judged: Mapping[str, list[Claim]]) -> str:
     for row in rows:
         cells = ""
         for verdict in row["sets"].values():  # type: ignore[attr-defined]
-            cells += f"{format(verdict['value'] or 0.0, '.3g') + (' met    ' if verdict['met'] else ' not met'):>{width}}"
+            told = "met    " if verdict["met"] else "not met"
+            cells += f"{format(verdict['value'] or 0.0, '.3g') + ' ' + told:>{width}}"
         lines.append(f"{row['figure']:<6} {row['claim']:<{claim_width}} {row['rule']:<{rule_width}} {cells}")
     met = "".join(f"{sum(claim.met for claim in claims):>{width}}" for claims in judged.values())
     lines.append(f"{'':<6} {'claims met of ' + str(len(rows)):<{claim_width}} {'':<{rule_width}} {met}")
