@@ -17,7 +17,7 @@ from .replicates import LedReadings, read_led, stderr
 
 Over = Literal["force", "blood", "saturation"]
 OVER: tuple[Over, ...] = ("force", "blood", "saturation")
-MODELS, WAYS = ("taylor", "beer_lambert"), ("fitted", "predicted")
+MODELS, WAYS = ("taylor", "beer_lambert"), ("fitted", "predicted", "predicted_both")
 PARTS = ("truncation", "one_path", "both_zones", "blood_scattering")
 TOLERANCES = (0.01, 0.05)
 POINTS = 41
@@ -104,7 +104,7 @@ def _at_wavelength(scene: Scene, wavelength_nm: float) -> Scene:
         led.model_dump() | {"wavelength_nm": wavelength_nm, "name": f"{led.name[:30]}.{wavelength_nm:g}nm"}
         for led in scene.leds
     ]
-    return _revised(scene, {"leds": leds})
+    return _revised(scene, {"leds": tuple(leds)})
 
 
 def _revised(scene: Scene, changes: dict[str, Any]) -> Scene:
@@ -216,13 +216,13 @@ def _judge(transfer: Transfer, sweeps: list[Sweep], slopes: np.ndarray, seed: in
         "model": list(MODELS),
         "way": list(WAYS),
         "part": list(PARTS),
-        "tolerance": list(TOLERANCES),
+        "within": list(TOLERANCES),
     }
     seconds = {"cpu_seconds": transfer.cpu_seconds, "wall_seconds": transfer.wall_seconds}
     return xr.Dataset(data, coords=coords, attrs=transfer.attributes() | seconds)
 
 
-_PAIR, _CURVE, _LIMIT = ("photodiode",), ("photodiode", "point"), ("photodiode", "way", "model", "tolerance")
+_PAIR, _CURVE, _LIMIT = ("photodiode",), ("photodiode", "point"), ("photodiode", "way", "model", "within")
 _MODEL = ("photodiode", "way", "model", "point")
 _VARIABLES: dict[str, tuple[tuple[str, ...], tuple[str, str]]] = {
     "reading": (_CURVE, ("1", "traced reading, as a fraction of the emitted power")),
@@ -232,12 +232,14 @@ _VARIABLES: dict[str, tuple[tuple[str, ...], tuple[str, str]]] = {
     "part_error": (("photodiode", "way", "part", "point"), ("percent", "part of the error of (9), of the swing")),
     "swing": (_PAIR, ("1", "traced reading's largest less its least, as a fraction of the emitted power")),
     "alpha_d2": (_CURVE, ("1", "alpha D^2 of the photodiode's own zone")),
+    "bed_alpha_d2": (_CURVE, ("1", "alpha D^2 of all the blood in the bed, zone by zone")),
     "path_mm": (_PAIR, ("mm", "mean path in the photodiode's own zone where the sweep starts")),
     "path_fitted_mm": (_PAIR, ("mm", "mean path there that the (8) fitted over the sweep has in its place")),
     "limit": (_LIMIT, ("1", "setting up to which the model holds")),
     "limit_ends": (_LIMIT, ("1", "whether it fails within the sweep at all")),
     "limit_blood_fraction": (_LIMIT, ("1", "blood fraction of the photodiode's own zone there")),
     "limit_alpha_d2": (_LIMIT, ("1", "alpha D^2 of the photodiode's own zone there")),
+    "limit_bed_alpha_d2": (_LIMIT, ("1", "alpha D^2 of all the blood in the bed there")),
 }
 
 
@@ -246,8 +248,8 @@ def _judge_sweep(
 ) -> dict[str, np.ndarray]:
     """Results of one LED over one sweep, photodiode by photodiode."""
     scene = transfer.scene
-    wavelength, _ = media.spectrum(scene.leds[led])
-    peak_nm = scene.leds[led].wavelength_nm
+    wavelength, share = media.spectrum(scene.leds[led])
+    share = share * wavelength / np.sum(share * wavelength)
     mu_a = media.absorption(scene, wavelength, blood_fraction=sweep.blood, so2=sweep.so2)
     states = [mu_a]
     for name in ("bed_1", "bed_2"):
@@ -258,10 +260,16 @@ def _judge_sweep(
         states.append(alone)
     blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, float(sweep.so2[0])))
     read = read_led(transfer, led, np.concatenate(states), blood, seed=seed)
-    x = sweep.blood * np.asarray(tissue.blood_mu_a_per_mm(peak_nm, sweep.so2))[:, None]
-    bed = tissue.optical_properties("bed", peak_nm)
-    denser = BLOOD_REDUCED_SCATTERING_PER_MM / (float(bed.mu_s_per_mm) * (1 - float(bed.g))) * (sweep.blood - sweep.blood[0])
-    rows = [_judge_photodiode(read, j, int(zone[j]), x, denser, slopes[:, j], sweep) for j in range(len(zone))]
+    # One absorption for the whole line: that a line has many is an error of one path for all light.
+    over_line = np.asarray(tissue.blood_mu_a_per_mm(wavelength, sweep.so2[:, None])) @ share
+    x = sweep.blood * over_line[:, None]
+    bed = tissue.optical_properties("bed", scene.leds[led].wavelength_nm)
+    denser = (
+        BLOOD_REDUCED_SCATTERING_PER_MM / (float(bed.mu_s_per_mm) * (1 - float(bed.g))) * (sweep.blood - sweep.blood[0])
+    )
+    # Where a photodiode saw nothing, or nothing changes, there is no answer: NaN.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rows = [_judge_photodiode(read, j, int(zone[j]), x, denser, slopes[:, j], sweep) for j in range(len(zone))]
     return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 
 
@@ -276,39 +284,44 @@ def _judge_photodiode(
 ) -> dict[str, np.ndarray]:
     """Results of one photodiode: the chain from (9) to the trace, each step with its error.
 
-    x : (t, zones) float. Absorption of the blood in each zone. [mm^-1]
+    x : (t, zones) float. Absorption of the blood in each zone, averaged over the LED's line. [mm^-1]
     denser : (t, zones) float. What the blood added since the first state scatters, relative to the bed.
     slope : (2,) float. Slope of ln reading by ln of the bed's scattering, and its error.
     """
     own_x, path = x[:, own], read.fall[:, j]
     traced, alone = read.reading[:, j, :POINTS], read.reading[:, j, (1 + own) * POINTS : (2 + own) * POINTS]
     depth = path[:, own, None] * (own_x - own_x[0])
-    single = traced[:, :1] * np.exp(-depth)
-    tangent = traced[:, :1] * (1 - depth)
+    single, tangent = traced[:, :1] * np.exp(-depth), traced[:, :1] * (1 - depth)
+    all_depth = path @ (x - x[0]).T
+    single_all, tangent_all = traced[:, :1] * np.exp(-all_depth), traced[:, :1] * (1 - all_depth)
     # The slope is known for the whole bed; each zone gets the part of it that the light's path has there.
     denser_here = (denser @ path.T / path.sum(1)).T
-    scattered = traced * np.exp(slope[0] * denser_here)
+    scattered, surer = (traced * np.exp(value * denser_here) for value in (slope[0], slope[0] + slope[1]))
     swing = np.ptp(traced, axis=1)[:, None]
     curves, a = fits.exponential(own_x, traced)
-    model = np.stack([[fits.line(own_x, traced), curves], [tangent, single]])
+    model = np.stack([[fits.line(own_x, traced), curves], [tangent, single], [tangent_all, single_all]])
     error = (model - traced) / swing
 
     chain = [single, alone, traced, scattered]
     missed = [fits.line(own_x, level) - level for level in chain]
     fitted = [missed[0], *(b - a for a, b in zip(missed, missed[1:], strict=False))]
     predicted = [tangent - single, single - alone, alone - traced, traced - scattered]
-    part = np.stack([fitted, predicted]) / swing
+    knowing_both = [tangent_all - single_all, single_all - traced, np.zeros_like(traced), predicted[3]]
+    part = np.stack([fitted, predicted, knowing_both]) / swing
     part_stderr = stderr(np.moveaxis(part, 2, 0))
-    # The slope comes from traces of its own; its error is independent, and the part nearly linear in it.
-    part_stderr[:, 3] = np.hypot(part_stderr[:, 3], part[:, 3, 0] * slope[1] / slope[0])
+    # The slope comes from traces of its own, so its error is independent.
+    moved = (scattered - surer)[:1]
+    by_slope = np.concatenate([fits.line(own_x, -moved) + moved, moved, moved]) / swing[0]
+    part_stderr[:, 3] = np.hypot(part_stderr[:, 3], by_slope)
 
     ranges = np.stack(
         [
             [fits.fitted_range_errors(own_x, traced, name) for name in MODELS],
             [fits.range_errors(one, traced) for one in (tangent, single)],
+            [fits.range_errors(one, traced) for one in (tangent_all, single_all)],
         ]
     )
-    alpha_d2 = path[:, own, None] * own_x
+    alpha_d2, bed_alpha_d2 = path[:, own, None] * own_x, path @ x.T
     out = {
         "reading": traced[0],
         "reading_stderr": stderr(traced),
@@ -323,6 +336,8 @@ def _judge_photodiode(
         "part_error_stderr": 100 * part_stderr,
         "alpha_d2": alpha_d2[0],
         "alpha_d2_stderr": stderr(alpha_d2),
+        "bed_alpha_d2": bed_alpha_d2[0],
+        "bed_alpha_d2_stderr": stderr(bed_alpha_d2),
         "path_mm": path[0, own],
         "path_mm_stderr": stderr(path)[own],
         "path_fitted_mm": a[0],
@@ -347,6 +362,7 @@ def _limits(found: dict[str, np.ndarray], sweep: Sweep, own: int) -> dict[str, n
         "limit": (sweep.setting, np.zeros(POINTS)),
         "limit_blood_fraction": (sweep.blood[:, own], np.zeros(POINTS)),
         "limit_alpha_d2": (found["alpha_d2"], found["alpha_d2_stderr"]),
+        "limit_bed_alpha_d2": (found["bed_alpha_d2"], found["bed_alpha_d2_stderr"]),
     }
     for name, (curve, error) in curves.items():
         out[name] = np.interp(limit, points, curve)

@@ -4,6 +4,7 @@ import numpy as np
 
 # Curvatures alpha (x_max - x_min) that a fit of (8) tries: below, it is a straight line; above, a step.
 CURVATURES = np.geomspace(1e-3, 30, 161)
+GAUSS_NEWTON_STEPS = 3
 Z95 = 1.96
 
 
@@ -19,14 +20,16 @@ def line(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def exponential(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least-squares V0 + V1 exp(-a x) through replicates: its values (r, t) at x, and a (r,); a in CURVATURES / range."""
+    """Least-squares V0 + V1 exp(-a x) through replicates.
+
+    Returns: its values at x, (r, t) float, and a, (r,) float in CURVATURES / range of x.
+    """
     span = float(np.ptp(x))
     if span <= 0:
         return line(x, y), np.zeros(len(y))
     s = (x - x.min()) / span
     level = y.mean(1, keepdims=True)
-    shapes = np.exp(-np.outer(CURVATURES, s))
-    shapes -= shapes.mean(1, keepdims=True)
+    shapes = _centred(np.exp(-np.outer(CURVATURES, s)))
     gain = (shapes @ (y - level).T) ** 2 / np.sum(shapes**2, 1)[:, None]
     best = np.clip(gain.argmax(0), 1, len(CURVATURES) - 2)
     rows = np.arange(len(y))
@@ -35,10 +38,28 @@ def exponential(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     with np.errstate(invalid="ignore", divide="ignore"):
         off = np.where(bend < 0, 0.5 * (low - high) / bend, 0.0)
     a = CURVATURES[best] * (CURVATURES[1] / CURVATURES[0]) ** np.clip(off, -1, 1)
-    shape = np.exp(-np.outer(a, s))
-    shape -= shape.mean(1, keepdims=True)
+    for _ in range(GAUSS_NEWTON_STEPS):
+        a = np.clip(a * (1 + np.clip(_step(a, s, y - level), -0.2, 0.2)), CURVATURES[0], CURVATURES[-1])
+    shape = _centred(np.exp(-np.outer(a, s)))
     scale = np.sum(shape * (y - level), 1) / np.sum(shape**2, 1)
     return level + scale[:, None] * shape, a / span
+
+
+def _step(a: np.ndarray, s: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Relative change of the curvatures a (r,) that a fit of level, scale and curvature asks for at once."""
+    shape = np.exp(-np.outer(a, s))
+    bend = _centred(-s * shape)
+    shape = _centred(shape)
+    # What the change of curvature adds to the shape itself is the scale's affair.
+    bend -= shape * (np.sum(bend * shape, 1) / np.sum(shape**2, 1))[:, None]
+    scale = np.sum(shape * y, 1) / np.sum(shape**2, 1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        step = np.sum(bend * y, 1) / np.sum(bend**2, 1) / scale / a
+    return np.where(np.isfinite(step), step, 0.0)
+
+
+def _centred(rows: np.ndarray) -> np.ndarray:
+    return np.asarray(rows - rows.mean(1, keepdims=True))
 
 
 def range_errors(model: np.ndarray, traced: np.ndarray) -> np.ndarray:
@@ -79,8 +100,13 @@ def crossing(setting: np.ndarray, error: np.ndarray, tolerance: float) -> tuple[
     return float(setting[i - 1] + part * (setting[i] - setting[i - 1])), True
 
 
-def limit(setting: np.ndarray, error: np.ndarray, stderr: np.ndarray, tolerance: float) -> tuple[float, float, float, bool]:
-    """Setting up to which an error stays within a tolerance: value, ends of its 95 % interval, whether it ends at all."""
+def limit(
+    setting: np.ndarray, error: np.ndarray, stderr: np.ndarray, tolerance: float
+) -> tuple[float, float, float, bool]:
+    """Setting up to which an error stays within a tolerance.
+
+    Returns: value, lower and upper end of its 95 % interval, and whether the error exceeds the tolerance at all.
+    """
     value, ends = crossing(setting, error, tolerance)
     first, _ = crossing(setting, error + Z95 * stderr, tolerance)
     last, _ = crossing(setting, error - Z95 * stderr, tolerance)

@@ -18,7 +18,7 @@ class LedReadings:
     reading : (1 + groups, photodiodes, states) float. Fraction of the emitted power, weighed by the photodiode's
         response relative to that at the LED's peak.
     fall : (1 + groups, photodiodes, zones) float. In the first state, minus the derivative of ln reading by the
-        absorption of the blood in each zone at the LED's peak: the mean path there. [mm]
+        absorption of the blood in each zone, averaged over the line: the mean path there. [mm]
     """
 
     reading: np.ndarray
@@ -37,7 +37,7 @@ def read_led(transfer: Transfer, led: int, mu_a: np.ndarray, blood_per_mm: np.nd
     trace, source = transfer.traces[led], transfer.scene.leds[led]
     wavelength, share = media.spectrum(source)
     share = share * wavelength / source.wavelength_nm
-    peak = float(np.interp(source.wavelength_nm, wavelength, blood_per_mm))
+    mean = float(share @ blood_per_mm / share.sum())
     zones = [k for k, name in enumerate(transfer.absorbers) if name.startswith("bed_")]
     count = len(transfer.photodiodes)
     weight = np.zeros((count, GROUPS, len(mu_a)))
@@ -53,7 +53,7 @@ def read_led(transfer: Transfer, led: int, mu_a: np.ndarray, blood_per_mm: np.nd
             for q, part in enumerate(share):
                 seen = part * np.exp(-(lengths @ (mu_a[:, q] - trace.mu_a).T)) * trace.weight[chunk, None]
                 own += seen
-                slope += seen[:, 0] * blood_per_mm[q] / peak
+                slope += seen[:, 0] * blood_per_mm[q] / mean
             picks = (groups[chunk] == numbers).astype(float)
             weight[j] += picks @ own
             path[j] += picks @ (slope[:, None] * lengths[:, zones])

@@ -1,0 +1,224 @@
+"""Figures of a comparison: how far (8) and (9) hold, what they leave out, how large alpha D^2 is."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+
+from . import style
+from .numbers import significant
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+X_LABELS = {"force": "force [N]", "blood": "blood fraction of both zones [%]", "saturation": "oxygen saturation [%]"}
+PART_NAMES = {
+    "truncation": "exponential cut to a line",
+    "one_path": "one path for all light",
+    "both_zones": "both zones seen",
+    "blood_scattering": "blood scatters too",
+}
+_PART_COLOURS = {"truncation": "#e08a3c", "one_path": "#7a5aa6", "both_zones": "#2f7fc9", "blood_scattering": "#4b8b5a"}
+_PART_MARKS = {"truncation": "s", "one_path": "D", "both_zones": "o", "blood_scattering": "^"}
+WAY_TITLES = {
+    "fitted": "constants fitted to the readings",
+    "predicted": "no fit: own zone's mean path",
+    "predicted_both": "no fit: both zones' mean paths",
+}
+_FLOOR, _CEILING = 0.01, 150.0
+
+
+def scale(sweep: str) -> float:
+    """What a sweep's settings are multiplied by to be shown."""
+    return 1.0 if sweep == "force" else 100.0
+
+
+def order(result: xr.Dataset) -> list[int]:
+    """Photodiodes as the figures list them: proximal ones first, in the scene's order."""
+    return [int(i) for i in np.argsort(result.zone_of_photodiode.values, kind="stable")]
+
+
+def holds(result: xr.Dataset, *, led: int) -> "Figure":
+    """The error of fitted (9) and (8) over each range from the sweep's start, beside 1 % and 5 %."""
+    sweeps = [str(s) for s in result.sweep.values]
+    places = order(result)
+    colours = style.place_colours(len(places))
+    with style.drawing():
+        figure = style.new_figure(9.6, 0.9 + 3.0 * len(sweeps))
+        grid = figure.subplots(len(sweeps), 2, sharey=True, sharex="row", squeeze=False)
+        for row, sweep in enumerate(sweeps):
+            x = result.setting.sel(sweep=sweep).values * scale(sweep)
+            for column, (model, name) in enumerate((("taylor", "(9) Taylor"), ("beer_lambert", "(8) Beer–Lambert"))):
+                axes = grid[row, column]
+                one = result.sel(sweep=sweep, way="fitted", model=model).isel(led=led)
+                for colour, j in zip(colours, places, strict=True):
+                    error, stderr = one.range_error.values[j], one.range_error_stderr.values[j]
+                    low, high = (np.clip(error + k * 1.96 * stderr, _FLOOR, _CEILING) for k in (-1, 1))
+                    axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
+                    label = style.plain(result.photodiode.values[j])
+                    axes.plot(x, np.clip(error, _FLOOR, None), color=colour, label=label)
+                for tolerance in (1, 5):
+                    axes.axhline(tolerance, color=style.INK, lw=0.9, ls=(0, (4, 2)))
+                    axes.text(
+                        0.995,
+                        tolerance * 1.08,
+                        f"{tolerance} %",
+                        transform=axes.get_yaxis_transform(),
+                        ha="right",
+                        fontsize=8,
+                    )
+                axes.set_yscale("log")
+                axes.set_ylim(_FLOOR, _CEILING)
+                axes.set_yticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
+                axes.set_xlim(x[0], x[-1])
+                axes.set_xlabel(f"range from {x[0]:g} to this {X_LABELS[sweep]}")
+                axes.set_title(f"{name}, fitted, over {sweep}")
+            grid[row, 0].set_ylabel("largest error [% of swing]")
+        handles, labels = grid[0, 0].get_legend_handles_labels()
+        figure.legend(
+            handles, labels, loc="outside upper center", ncols=min(len(labels), 8), columnspacing=1.2, handlelength=1.4
+        )
+    return figure
+
+
+def split(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
+    """What the error of (9) is made of, photodiode by photodiode, where it is largest."""
+    places = order(result)
+    with style.drawing():
+        figure = style.new_figure(9.6, 1.3 + 0.42 * len(places))
+        panels = figure.subplots(1, result.sizes["way"], sharey=True, sharex=True, squeeze=False)[0]
+        for axes, way in zip(panels, result.way.values, strict=True):
+            one = result.sel(sweep=sweep, way=way).isel(led=led)
+            for row, j in enumerate(places):
+                at = int(np.abs(one.error.sel(model="taylor").values[j]).argmax())
+                axes.axhspan(row - 0.5, row + 0.5, color=style.GRID, alpha=0.5 * (row % 2), lw=0)
+                for k, part in enumerate(result.part.values):
+                    here = one.sel(part=part).isel(photodiode=j, point=at)
+                    _dot(
+                        axes,
+                        float(here.part_error),
+                        float(here.part_error_stderr),
+                        row + 0.17 * (k - 1.5),
+                        str(part),
+                        row == 0,
+                    )
+            axes.set_title(WAY_TITLES[str(way)])
+            axes.set_xscale("log")
+            axes.set_xlabel("error of (9) [% of swing], without its sign")
+            for tolerance in (1, 5):
+                axes.axvline(tolerance, color=style.INK, lw=0.8, ls=(0, (4, 2)))
+        low, high = panels[0].get_xlim()
+        panels[0].set_xlim(max(low, 0.01), min(high, 2000))
+        ticks = [t for t in (0.01, 0.1, 1, 10, 100, 1000) if max(low, 0.01) <= t <= high]
+        panels[0].set_xticks(ticks, [f"{t:g}" for t in ticks])
+        panels[0].set_yticks(range(len(places)), [style.plain(result.photodiode.values[j]) for j in places])
+        panels[0].set_ylim(len(places) - 0.5, -0.5)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=4)
+    return figure
+
+
+def _dot(axes: "Axes", value: float, stderr: float, y: float, part: str, labelled: bool) -> None:
+    """One part of an error with its 95 % interval; hollow where it is not told from nothing."""
+    if not np.isfinite(value) or value == 0:
+        if labelled:
+            axes.plot([], [], ls="none", marker=_PART_MARKS[part], color=_PART_COLOURS[part], label=PART_NAMES[part])
+        return
+    sure = abs(value) > 1.96 * stderr
+    low, high = max(abs(value) - 1.96 * stderr, 1e-3), abs(value) + 1.96 * stderr
+    colour = _PART_COLOURS[part]
+    axes.plot([low, high], [y, y], color=colour, lw=1.2)
+    face = colour if sure else style.PAPER
+    look: Any = {"color": colour, "markerfacecolor": face, "markersize": 5.5, "ls": "none", "marker": _PART_MARKS[part]}
+    axes.plot([abs(value)], [y], **look, label=PART_NAMES[part] if labelled else None)
+
+
+def alpha(result: xr.Dataset, *, led: int) -> "Figure":
+    """How large alpha D^2 is over the force and up to which (9) holds, beside the paper's 1e-2."""
+    places = order(result)
+    colours = style.place_colours(len(places))
+    first = result.isel(led=led, sweep=0)
+    fails = result.isel(led=led, sweep=-1).sel(way="fitted", model="taylor")
+    over = str(fails.sweep.values)
+    with style.drawing():
+        figure = style.new_figure(9.6, 1.3 + 0.4 * len(places))
+        axes = figure.subplots()
+        for row, (j, colour) in enumerate(zip(places, colours, strict=True)):
+            values = first.bed_alpha_d2.values[j]
+            axes.plot(
+                [max(values.min(), 1e-4), values.max()],
+                [row, row],
+                color=colour,
+                lw=7,
+                solid_capstyle="butt",
+                alpha=0.75,
+            )
+            axes.plot(values[0], row, "|", color=style.INK, ms=13, mew=2, label="at the start" if row == 0 else None)
+            for mark, within in (("o", 0.01), ("s", 0.05)):
+                here = fails.sel(within=within).isel(photodiode=j)
+                value, low, high = (float(here[f"limit_bed_alpha_d2{s}"]) for s in ("", "_low", "_high"))
+                ends = bool(here.limit_ends)
+                y = row + 0.27
+                axes.plot([low, high], [y, y], color=style.INK, lw=1)
+                label = f"(9) errs by {100 * within:g} % of swing, over {over}" if row == 0 else None
+                face = style.INK if ends else style.PAPER
+                axes.plot(
+                    value,
+                    y,
+                    mark if ends else ">",
+                    ms=5,
+                    color=style.INK,
+                    markerfacecolor=face,
+                    label=label if ends else None,
+                )
+                if not ends:
+                    break
+        axes.axvline(0.01, color=style.ZONES[0], lw=1.4, ls=(0, (5, 2)))
+        axes.text(0.0103, -0.62, "the paper: about 10$^{-2}$", color=style.ZONES[0], fontsize=8.5, va="bottom")
+        axes.set_xscale("log")
+        axes.set_yticks(range(len(places)), [style.plain(result.photodiode.values[j]) for j in places])
+        axes.set_ylim(len(places) - 0.4, -0.7)
+        axes.set_xlabel(f"αD² of all the blood in the bed: bars, its range over {first.sweep.values}")
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3)
+        axes.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
+    return figure
+
+
+def readings(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
+    """Every photodiode's traced change over a sweep beside the models, in percent of its reading at the start."""
+    places = order(result)
+    colours = style.place_colours(len(places))
+    columns = min(4, len(places))
+    rows = -(-len(places) // columns)
+    one = result.sel(sweep=sweep).isel(led=led)
+    x = one.setting.values * scale(sweep)
+    with style.drawing():
+        figure = style.new_figure(9.6, 0.6 + 2.0 * rows)
+        grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
+        for axes, j, colour in zip(grid.ravel(), places, colours, strict=False):
+            traced = one.reading.values[j]
+            looks = (
+                ("predicted", "beer_lambert", style.MUTED, (0, (1, 1.5)), "(8), no fit, own zone"),
+                ("predicted_both", "beer_lambert", style.VEIN, (0, (6, 2)), "(8), no fit, both zones"),
+                ("fitted", "taylor", style.INK, (0, (4, 2)), "(9) fitted"),
+            )
+            axes.plot(x, 100 * (traced / traced[0] - 1), color=colour, lw=3, alpha=0.8, label="traced")
+            for way, model, ink, dashes, label in looks:
+                values = one.sel(way=way, model=model).model_reading.values[j]
+                axes.plot(x, 100 * (values / traced[0] - 1), color=ink, ls=dashes, lw=1.2, label=label)
+            swing = 100 * float(one.swing[j] / traced[0])
+            axes.set_title(style.plain(result.photodiode.values[j]))
+            axes.set_title(
+                f"swing {significant(swing, 2)} %", loc="right", fontsize=8, fontweight="normal", color=style.MUTED
+            )
+            axes.set_xlim(x[0], x[-1])
+        for axes in grid.ravel()[len(places) :]:
+            axes.set_visible(False)
+        for axes in grid[-1]:
+            axes.set_xlabel(X_LABELS[sweep])
+        for axes in grid[:, 0]:
+            axes.set_ylabel("change [%]")
+        handles, labels = grid[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=4)
+    return figure

@@ -1,0 +1,155 @@
+"""The page of a comparison: whether (8) and (9) hold on the user's scene, how far, and why not further."""
+
+import html
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from ..studies.verdict import claim, verdict
+from . import compare_figures, study_page
+from .numbers import significant, with_error
+
+
+def write_comparison(result: xr.Dataset, path: Path) -> None:
+    """Write the page, whole or not at all; raises InputError if the place cannot be written."""
+    body = []
+    for led, name in enumerate(result.led.values):
+        heading = f"LED {html.escape(str(name))}, {float(result.wavelength_nm[led]):g} nm"
+        body += ["<section>", f"<h2>How far the models hold: {heading}</h2>"]
+        body.append(
+            study_page.drawing(
+                compare_figures.holds(result, led=led),
+                f"holds{led}",
+                "Each model is fitted anew to every range from the start; its largest distance from the trace is "
+                "given as a part of the reading's swing over that range. Warm colours are proximal, cool ones distal; "
+                "bands are 95 % intervals of the light tracing.",
+            )
+        )
+        body.append(_limits(result, led))
+        for sweep in (str(s) for s in result.sweep.values):
+            body.append(f"<h3>What (9) leaves out, over {html.escape(sweep)}</h3>")
+            body.append(
+                study_page.drawing(
+                    compare_figures.split(result, led=led, sweep=sweep),
+                    f"split{led}{sweep}",
+                    "The error of (9), split where it is largest. Hollow marks cannot be told from nothing. The first "
+                    "three add up to the error against the trace; that blood scatters too is in neither, and comes on "
+                    "top. What changes the mean path with the blood is the spread of paths: one path for all light.",
+                )
+            )
+            body.append(
+                study_page.drawing(
+                    compare_figures.readings(result, led=led, sweep=sweep),
+                    f"readings{led}{sweep}",
+                    "Traced readings and models, as change from the start of the sweep.",
+                )
+            )
+        body.append("<h3>How large αD² is</h3>")
+        body.append(
+            study_page.drawing(
+                compare_figures.alpha(result, led=led),
+                f"alpha{led}",
+                "αD² is the mean path in the bed times the absorption of its blood: the exponent of (8). Open arrows: "
+                "(9) stays within the tolerance over the whole sweep.",
+            )
+        )
+        body.append("</section>")
+    study_page.write(
+        study_page.document(
+            kicker="reduced optics against traced light",
+            title=_title(result),
+            lead=str(verdict(result, 0.05)),
+            cards=_cards(result),
+            body=body,
+            provenance=study_page.provenance(result.attrs),
+            scene=str(result.attrs["scene"]),
+        ),
+        path,
+    )
+
+
+def _counts(result: xr.Dataset, model: str, within: float) -> tuple[int, int]:
+    """Readings that a fitted model meets for sure over the whole first sweep, and all readings."""
+    one = result.isel(sweep=0, point=-1).sel(way="fitted", model=model)
+    return int(np.sum((one.range_error + 1.96 * one.range_error_stderr).values <= 100 * within)), one.range_error.size
+
+
+def _title(result: xr.Dataset) -> str:
+    met, total = _counts(result, "taylor", 0.05)
+    sweep = {"force": "force range", "blood": "blood range", "saturation": "range of saturation"}
+    return f"Taylor (9) holds to 5 % for {met} of {total} readings over the whole {sweep[str(result.sweep.values[0])]}"
+
+
+def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
+    found = claim(result)["bed_alpha_d2"]["at_start"]
+    cards = [
+        (
+            f"{significant(found['least'], 2)} – {significant(found['largest'], 2)}",
+            f"αD² where the {result.sweep.values[0]} starts, over all photodiodes; the paper says about 0.01",
+        )
+    ]
+    for within in (0.01, 0.05):
+        taylor, total = _counts(result, "taylor", within)
+        exact, _ = _counts(result, "beer_lambert", within)
+        text = f"fitted readings within {100 * within:g} % of their swing by (9), and by (8)"
+        cards.append((f"{taylor} and {exact} of {total}", f"{text}, over the whole {result.sweep.values[0]}"))
+    if "blood" in result.sweep.values:
+        one = result.sel(sweep="blood", way="fitted", model="taylor", within=0.01)
+        low, high = (100 * float(f(one.limit)) for f in (np.min, np.max))
+        cards.append(
+            (
+                f"{significant(low, 2)} – {significant(high, 2)} %",
+                "blood fraction up to which (9) errs by less than 1 %",
+            )
+        )
+    parts = np.abs(result.isel(sweep=0, point=-1).sel(way="fitted").part_error).median(("led", "photodiode"))
+    worst = str(result.part.values[int(parts.values.argmax())])
+    cards.append(
+        (
+            f"{significant(float(parts.max()), 2)} %",
+            f"of the swing is the largest part, by the median: {compare_figures.PART_NAMES[worst]}",
+        )
+    )
+    return cards
+
+
+def _limits(result: xr.Dataset, led: int) -> str:
+    """Up to what force, blood and alpha D^2 each fitted model stays within 1 % and 5 %."""
+    head, rows = ["Photodiode", "Swing<br>[% of reading]", "Mean path in<br>own zone [mm]"], []
+    units = {"force": "N", "blood": "%", "saturation": "%"}
+    for sweep in result.sweep.values:
+        for model in ("(9)", "(8)"):
+            for within in result.within.values:
+                head.append(f"{model} to {100 * within:g} %<br>{html.escape(str(sweep))} [{units[str(sweep)]}]")
+    head += ["αD² at which (9)<br>errs by 1 %", "at which (9)<br>errs by 5 %"]
+    for j in compare_figures.order(result):
+        one = result.isel(led=led, photodiode=j)
+        first = one.isel(sweep=0)
+        cells = [
+            html.escape(str(one.photodiode.values)),
+            with_error(100 * float(first.swing / first.reading[0]), 100 * float(first.swing_stderr / first.reading[0])),
+            with_error(float(first.path_mm), float(first.path_mm_stderr)),
+        ]
+        for sweep in result.sweep.values:
+            by = compare_figures.scale(str(sweep))
+            for model in ("taylor", "beer_lambert"):
+                for within in result.within.values:
+                    cells.append(_interval(one.sel(sweep=sweep, way="fitted", model=model, within=within), "limit", by))
+        for within in result.within.values:
+            at = one.isel(sweep=-1).sel(way="fitted", model="taylor", within=within)
+            cells.append(_interval(at, "limit_bed_alpha_d2", 1.0))
+        rows.append(cells)
+    note = (
+        f"<p class='small'>Numbers in brackets are 95 % intervals; “all” means the whole sweep. αD² is that of all the "
+        f"blood in the bed, over {html.escape(str(result.sweep.values[-1]))}.</p>"
+    )
+    return study_page.table(head, rows) + note
+
+
+def _interval(one: xr.Dataset, name: str, by: float) -> str:
+    value, low, high = (by * float(one[f"{name}{suffix}"]) for suffix in ("", "_low", "_high"))
+    if not bool(one.limit_ends):
+        return "all" if name == "limit" else f"&gt; {significant(value, 2)}"
+    low, high = max(min(low, high), 0.0), max(low, high)
+    return f"{significant(value, 2)} <span class='small'>({significant(low, 2)}–{significant(high, 2)})</span>"
