@@ -68,6 +68,15 @@ class BoardTracer:
         photon, place, weight, paths = recorder.arrays()
         return Arrivals(photons, photon, place, weight, self.tracer.by_zone(paths))
 
+    def detected(self, led: int, point: "BloodPoint", *, photons: int, seed: int) -> np.ndarray:
+        """What the scene's own photodiodes read, (photodiodes, 2 + K) float: means of a BloodPoint's values."""
+        backends.activate(self.backend)
+        batch = self.tracer.batch(led, photons=photons, seed=seed)
+        nowhere = np.zeros((len(batch.weight), 2))
+        seen = point.values(Arrivals(photons, np.arange(len(nowhere)), nowhere, batch.weight, batch.path_mm))
+        count = len(self.tracer.photodiodes)
+        return np.stack([np.bincount(batch.photodiode, column, minlength=count) for column in seen.T], -1) / photons
+
 
 @dataclass(frozen=True)
 class BloodPoint:
