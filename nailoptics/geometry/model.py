@@ -101,9 +101,7 @@ class Geometry:
         triangles = np.where(swap[:, None], self.triangles[:, ::-1], self.triangles)
         low, high = np.minimum(self.below, self.above), np.maximum(self.below, self.above)
         key = low.astype(np.int64) * len(self.regions) + high
-        return {
-            (int(k) // len(self.regions), int(k) % len(self.regions)): triangles[key == k] for k in np.unique(key)
-        }
+        return {(int(k) // len(self.regions), int(k) % len(self.regions)): triangles[key == k] for k in np.unique(key)}
 
 
 def nail_coordinates(points: Array, *, nail_radius_mm: float) -> Array:

@@ -125,7 +125,7 @@ def test_the_nails_facets_lie_within_2_um_of_its_cylinder(sensor, digit):
     plate = geometry.regions.index("plate")
     outer = [t for (low, high), t in geometry.interfaces().items() if plate in (low, high)]
     p = geometry.vertices[np.concatenate(outer)]
-    on_face = (np.abs(nail_coordinates(p.reshape(-1, 3), nail_radius_mm=geometry.nail_radius_mm)[:, 2]) < 1e-9)
+    on_face = np.abs(nail_coordinates(p.reshape(-1, 3), nail_radius_mm=geometry.nail_radius_mm)[:, 2]) < 1e-9
     p = p[on_face.reshape(-1, 3).all(axis=1)]
     inside = nail_coordinates(((p + np.roll(p, 1, axis=1)) / 2).reshape(-1, 3), nail_radius_mm=geometry.nail_radius_mm)
     assert len(p) > 500 and inside[:, 2].max() < 2e-3

@@ -43,15 +43,16 @@ def by_volpath(scene: Scene, *, relative_error: float, seed: int) -> tuple[np.nd
     return found.fraction[:, 0], found.fraction_stderr[:, 0]
 
 
-def assert_engines_agree(scene: Scene, *, relative_error: float, sigmas: float) -> None:
-    traced = nail.trace(scene, relative_error=relative_error, seed=1)
+def assert_engines_agree(scene: Scene, *, ours: float, volpath: float, sigmas: float) -> None:
+    """ours, volpath : relative standard error that each engine must reach."""
+    traced = nail.trace(scene, relative_error=ours, seed=1)
     seen = traced.at().isel(led=0)
-    other, other_error = by_volpath(scene, relative_error=relative_error, seed=2)
+    other, other_error = by_volpath(scene, relative_error=volpath, seed=2)
     stderr = np.hypot(seen.detected_fraction_stderr.values, other_error)
     away = abs(seen.detected_fraction.values - other) / stderr
     assert np.all(away < sigmas), away
-    assert np.all(seen.detected_fraction_stderr.values <= relative_error * seen.detected_fraction.values)
-    assert np.all(other_error <= relative_error * other)
+    assert np.all(seen.detected_fraction_stderr.values <= ours * seen.detected_fraction.values)
+    assert np.all(other_error <= volpath * other)
     assert traced.energy()["lost"]["value"] < 1e-5
 
 
@@ -63,15 +64,15 @@ NEAREST = ((15,), ())
 @pytest.mark.parametrize("index_steps", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_prototype(jit_backend, index_steps):
     """Within 3 combined standard errors at 3 % each."""
-    assert_engines_agree(prototype(index_steps=index_steps, elements=NEAREST), relative_error=0.03, sigmas=3)
+    assert_engines_agree(prototype(index_steps=index_steps, elements=NEAREST), ours=0.03, volpath=0.03, sigmas=3)
 
 
 @pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize("index_steps", [True, False])
 def test_photons_and_volpath_read_the_same_on_every_photodiode_of_the_prototype(jit_backend, index_steps):
-    """All eight at 2 % each; of eight, one beyond 3.5 is a chance of 1 in 270."""
-    assert_engines_agree(prototype(index_steps=index_steps), relative_error=0.02, sigmas=3.5)
+    """All eight, photons at 2 % and volpath, of which 2 % would take an hour, at 5 %; of eight, one beyond 3.5 is a chance of 1 in 270."""
+    assert_engines_agree(prototype(index_steps=index_steps), ours=0.02, volpath=0.05, sigmas=3.5)
 
 
 @pytest.mark.jit

@@ -218,7 +218,7 @@ def test_impossible_layouts_are_refused_in_one_line(change, words):
 @pytest.mark.slow
 def test_a_search_finds_at_least_what_was_given_and_seeds_agree(chosen_jit):
     """Eight photodiodes and one LED; intervals of two seeds overlap for the layout that both know."""
-    text = SCENE.replace("search = false", "search = true\nled_step_mm = 3.0").replace(
+    text = SCENE.replace("search = false", "search = true\nled_step_mm = 5.0").replace(
         "photodiodes = 4", "photodiodes = 8"
     )
     one, two = (place.place(parse_scene(text), photons=1 << 20, seed=seed) for seed in (1, 2))
