@@ -216,20 +216,6 @@ def test_impossible_layouts_are_refused_in_one_line(change, words):
 
 
 @pytest.mark.slow
-def test_a_search_finds_at_least_what_was_given_and_seeds_agree(chosen_jit):
-    """Eight photodiodes and one LED; intervals of two seeds overlap for the layout that both know."""
-    text = SCENE.replace("search = false", "search = true\nled_step_mm = 5.0").replace(
-        "photodiodes = 4", "photodiodes = 8"
-    )
-    one, two = (place.place(parse_scene(text), photons=1 << 20, seed=seed) for seed in (1, 2))
-    assert str(one.origin.values[0]) == "searched"
-    for name in ("near", "paper"):
-        a, b = one.sel(layout=name), two.sel(layout=name)
-        error = np.hypot(a.force_resolution_n_stderr, b.force_resolution_n_stderr)
-        assert abs(a.force_resolution_n - b.force_resolution_n) < 4 * error
-
-
-@pytest.mark.slow
 def test_the_command_writes_what_other_programs_read(chosen_jit, tmp_path, capsys):
     """Position file and outline from KiCad in, the best in the same form out, with scene, GLB and page."""
     (tmp_path / "pos.csv").write_text(
