@@ -71,7 +71,10 @@ def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_prototype(jit_
 @pytest.mark.jit
 @pytest.mark.parametrize("index_steps", [True, False])
 def test_photons_and_volpath_read_the_same_on_every_photodiode_of_the_prototype(jit_backend, index_steps):
-    """All eight, photons at 2 % and volpath, of which 2 % would take an hour, at 5 %; of eight, one beyond 3.5 is a chance of 1 in 270."""
+    """All eight, photons at 2 % and volpath, of which 2 % would take an hour, at 5 %.
+
+    Of eight, one beyond 3.5 standard errors is a chance of 1 in 270.
+    """
     assert_engines_agree(prototype(index_steps=index_steps), ours=0.02, volpath=0.05, sigmas=3.5)
 
 
