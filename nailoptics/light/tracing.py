@@ -20,6 +20,7 @@ log = logging.getLogger(__name__)
 DEFAULT_PHOTONS = 1_000_000
 # A photodiode that none of so many photons reached is taken for dark, unless a time limit says otherwise.
 UNSEEN_PHOTONS = 100_000_000
+INTERRUPTED = "interrupted"
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,9 @@ def trace(
     """
     chosen = backends.choose(backend)
     if not chosen.jit:
-        raise InputError(f"the photons engine needs a JIT backend, and {chosen.name} is none: {chosen.advice}")
+        raise InputError(
+            f"the photons engine needs a JIT backend, and {chosen.name} is none: {chosen.advice or 'ask for auto'}"
+        )
     asked = accuracy(scene, photons=photons, relative_error=relative_error, max_seconds=max_seconds)
     backends.activate(chosen)
     tracer: Any
@@ -100,6 +103,9 @@ def trace(
             deadline = time.perf_counter() + left / (len(scene.leds) - i)
         gathered, why = _trace_led(engine, i, asked, seed, deadline, progress)
         complaint = complaint or why
+        if why and why.startswith(INTERRUPTED):
+            # What is there is of use only with something from every LED: one batch each, then the end.
+            asked = Accuracy(photons=engine.batch_photons)
         events += gathered.events
         traces.append(gathered.trace())
     result = Transfer(
@@ -226,7 +232,7 @@ def _trace_led(
     except KeyboardInterrupt:
         if not done:
             raise
-        return gathered, f'interrupted: LED "{name}" has {done} photons, relative error {error:.3g}.'
+        return gathered, f'{INTERRUPTED}: LED "{name}" has {done} photons, relative error {error:.3g}.'
     raise AssertionError("seeds never end")
 
 
