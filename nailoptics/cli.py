@@ -482,6 +482,43 @@ def _batch_progress() -> Iterator[Any]:
 
 
 @app.command
+def explain(
+    scene: ScenePath,
+    *,
+    tolerance: Annotated[
+        float | None, Parameter(help="Relative change of a reading that matters; the scene's error if not given.")
+    ] = None,
+    json_: Json = False,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    relative_error: RelativeError = None,
+    max_seconds: Annotated[
+        float | None, Parameter(help="Wall time for all traces together; 90 if nothing else is asked. [s]")
+    ] = None,
+    photons: Photons = None,
+) -> None:
+    """Explain what a scene models and what it leaves out, and measure how far each of these moves the readings."""
+    from .studies.explain import explain as study
+
+    asked = _load(scene)
+    with _progress() as progress:
+        found = study(
+            asked,
+            tolerance=tolerance,
+            seed=seed,
+            backend=_announced(backend, asked)[0],
+            photons=photons,
+            relative_error=relative_error,
+            max_seconds=max_seconds,
+            progress=progress,
+        )
+    if json_:
+        _print_json(found.as_dict())
+    else:
+        print(found)
+
+
+@app.command
 def check(scene: ScenePath, *, json_: Json = False) -> None:
     """Check a scene file: fields, parts, layout, hemodynamic set and, for a finger, the geometry."""
     asked = _load(scene)

@@ -79,7 +79,7 @@ def test_light_of_one_path_in_one_zone_is_beer_lambert():
 def test_a_spread_of_paths_is_told_from_truncation():
     """Gamma-distributed paths of shape k and scale s read (1 + s x)^-k; (8) with their mean is off by the rest."""
     shape, scale = 2.0, 2.5
-    draw = np.random.default_rng(3).gamma(shape, scale, 60_000)
+    draw = np.random.default_rng(3).gamma(shape, scale, 20_000)
     transfer = made_up(draw, np.zeros_like(draw))
     blood = judged(transfer, "blood").isel(led=0, sweep=0, photodiode=0)
     # Drawn at rest; without blood longer paths count more: gamma again, of a larger scale.
@@ -123,6 +123,7 @@ def test_a_straight_line_fits_an_exponential_up_to_where_theory_says():
     assert depth == pytest.approx(0.10, rel=0.05)  # the tangent misses half the depth
 
 
+@pytest.mark.slow
 def test_standard_errors_are_those_of_repeated_traces():
     """The jackknife's errors against the spread of 30 made-up traces, for ratios and for a difference of readings."""
     rng = np.random.default_rng(11)

@@ -1,0 +1,85 @@
+"""One effect on the readings: how it was measured, how far it moves them, and whether that matters."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from .fits import Z95
+from .variants import Look
+
+# An effect matters for sure at this many standard errors: of a hundred changes looked at, one in twenty times one errs.
+SURE = 3.5
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One part or effect: whether the scene models it, and by how much readings move when that is changed.
+
+    change, stderr : relative change of the reading at rest, of the photodiode that it could move most.
+    bound : what no photodiode's change exceeds, with 95 % confidence each; the one named reaches it.
+    typical, typical_stderr : change over all photodiodes, weighed by their errors.
+    modulation_bound : the same bound on the modulation by touch, as a part of the largest modulation.
+    lines : scene lines that change it; empty where no line can.
+    """
+
+    name: str
+    modelled: bool
+    changed_to: str
+    how: Literal["reread", "retraced", "derived"]
+    change: float
+    stderr: float
+    bound: float
+    photodiode: str
+    typical: float
+    typical_stderr: float
+    modulation_bound: float | None
+    lines: str
+    tolerance: float
+
+    @property
+    def matters(self) -> Literal["yes", "no", "cannot tell"]:
+        """Whether it moves a reading by more than the tolerance, as far as the traces can tell."""
+        if self.bound <= self.tolerance:
+            return "no"
+        return "yes" if abs(self.change) - SURE * self.stderr > self.tolerance else "cannot tell"
+
+
+def effect_of(
+    name: str,
+    modelled: bool,
+    changed_to: str,
+    ratio: np.ndarray,
+    error: np.ndarray,
+    swing: tuple[np.ndarray, np.ndarray] | None,
+    lines: str,
+    tolerance: float,
+    how: Literal["reread", "retraced", "derived"],
+    base: Look,
+) -> Effect:
+    """An effect from relative changes of the readings and their errors, (led, photodiode) float each."""
+    bounds = np.where(np.isfinite(ratio), np.abs(ratio) + Z95 * error, np.inf)
+    i, j = np.unravel_index(int(np.argmax(bounds)), bounds.shape)
+    # What is told best, not what is noisiest, says by how much readings move at least.
+    sure = np.where(np.isfinite(ratio), np.abs(ratio) - SURE * error, -np.inf)
+    best = np.unravel_index(int(np.argmax(sure)), sure.shape)
+    good = np.isfinite(ratio) & np.isfinite(error)
+    weight = np.where(good, 1 / np.maximum(np.where(good, error, 1), 1e-9) ** 2, 0)
+    total = float(weight.sum())
+    mean = float(np.sum(weight * np.where(good, ratio, 0)) / total) if total else float("nan")
+    swing_bound = float(np.nanmax(np.abs(swing[0]) + Z95 * swing[1])) if swing is not None else None
+    return Effect(
+        name=name,
+        modelled=modelled,
+        changed_to=changed_to,
+        how=how,
+        change=float(ratio[best]),
+        stderr=float(error[best]),
+        bound=float(bounds[i, j]),
+        photodiode=f"{base.transfer.leds[i]} {base.transfer.photodiodes[j]}",
+        typical=mean,
+        typical_stderr=total**-0.5 if total else float("inf"),
+        modulation_bound=swing_bound,
+        lines=lines,
+        tolerance=tolerance,
+    )
