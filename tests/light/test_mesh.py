@@ -63,8 +63,30 @@ NEAREST = ((15,), ())
 @pytest.mark.jit
 @pytest.mark.parametrize("index_steps", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_prototype(jit_backend, index_steps):
-    """Within 3 combined standard errors at 3 % each."""
-    assert_engines_agree(prototype(index_steps=index_steps, elements=NEAREST), ours=0.03, volpath=0.03, sigmas=3)
+    """Within 3 combined standard errors at 3 % each.
+
+    A fixed number of paths: volpath's batches are skewed, and stopping where they first look settled favours low ones.
+    """
+    scene = prototype(index_steps=index_steps, elements=NEAREST)
+    seen = nail.trace(scene, relative_error=0.015, seed=1).at().isel(led=0, photodiode=0)
+    shape = geometry.build(scene)
+    optics = media.finger_media(scene, shape.regions, 800.0)
+    v = np.linspace(*(np.asarray(shape.bounds_mm)[:, 1] + [-0.2, 0.2]), 101)
+    batches = volpath.finger_fractions(
+        scene,
+        shape,
+        optics,
+        bed=volpath.BedAbsorption(v, np.full((1, len(v)), optics.mu_a[shape.regions.index("bed")])),
+        led=0,
+        photodiode=0,
+        batches=60,
+        paths_per_batch=5632,
+        seed=2,
+        backend=backend.choose("auto"),
+    )[:, 0]
+    other, error = batches.mean(), batches.std(ddof=1) / np.sqrt(len(batches))
+    assert error < 0.03 * other and seen.detected_fraction_stderr < 0.03 * seen.detected_fraction
+    assert abs(seen.detected_fraction - other) < 3 * np.hypot(error, seen.detected_fraction_stderr)
 
 
 @pytest.mark.slow
