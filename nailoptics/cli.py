@@ -519,6 +519,53 @@ def explain(
 
 
 @app.command
+def tradeoff(
+    scene: ScenePath,
+    *,
+    output: Folder = None,
+    tolerance: Annotated[float, Parameter(help="Relative error that a reading may have.")] = 0.02,
+    json_: Json = False,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    relative_error: RelativeError = None,
+    max_seconds: Annotated[
+        float | None, Parameter(help="Wall time for all levels together; 120 if nothing else is asked. [s]")
+    ] = None,
+    photons: Photons = None,
+) -> None:
+    """Measure error against processor time for every level of model; the cheapest that meets a tolerance.
+
+    Writes tradeoff.json and tradeoff.html, and tradeoff.png for a README.
+    """
+    from .report.tradeoff_page import draw, write_tradeoff
+    from .studies.tradeoff import tradeoff as study
+
+    asked = _load(scene)
+    files = ("tradeoff.json", "tradeoff.html", "tradeoff.png")
+    with _writable(output or Path("results") / Path(scene).stem, *files) as folder:
+        with _progress() as progress:
+            found = study(
+                asked,
+                tolerance=tolerance,
+                seed=seed,
+                backend=_announced(backend, asked)[0],
+                photons=photons,
+                relative_error=relative_error,
+                max_seconds=max_seconds,
+                progress=progress,
+            )
+        table, page, picture = (folder / name for name in files)
+        table.write_text(json.dumps(_finite(found.as_dict()), indent=1) + "\n", encoding="utf-8")
+        write_tradeoff(found, page)
+        draw(found).savefig(picture, dpi=120, facecolor="white")
+    if json_:
+        _print_json(found.as_dict() | {"report": str(page)})
+    else:
+        print(found)
+        print(page)
+
+
+@app.command
 def check(scene: ScenePath, *, json_: Json = False) -> None:
     """Check a scene file: fields, parts, layout, hemodynamic set and, for a finger, the geometry."""
     asked = _load(scene)

@@ -14,6 +14,7 @@ from ..scene import Scene
 from ..scene.layout import lay_out
 from . import fits
 from .replicates import LedReadings, read_led, stderr
+from .variants import validated
 
 Over = Literal["force", "blood", "saturation"]
 OVER: tuple[Over, ...] = ("force", "blood", "saturation")
@@ -104,18 +105,7 @@ def _at_wavelength(scene: Scene, wavelength_nm: float) -> Scene:
         led.model_dump() | {"wavelength_nm": wavelength_nm, "name": f"{led.name[:30]}.{wavelength_nm:g}nm"}
         for led in scene.leds
     ]
-    return _revised(scene, {"leds": tuple(leds)})
-
-
-def _revised(scene: Scene, changes: dict[str, Any]) -> Scene:
-    from pydantic import ValidationError
-
-    from ..scene.files import explain
-
-    try:
-        return Scene.model_validate(scene.model_dump() | changes)
-    except ValidationError as error:
-        raise InputError(explain(error, Scene)) from None
+    return validated(scene.model_dump() | {"leds": tuple(leds)})
 
 
 def _sweep(scene: Scene, over: Over) -> Sweep:

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from .fits import Z95
-from .variants import Look
+from .variants import Look, pooled
 
 # An effect matters for sure at this many standard errors: of a hundred changes looked at, one in twenty times one errs.
 SURE = 3.5
@@ -18,7 +18,7 @@ class Effect:
 
     change, stderr : relative change of the reading at rest, of the photodiode that it could move most.
     bound : what no photodiode's change exceeds, with 95 % confidence each; the one named reaches it.
-    typical, typical_stderr : change over all photodiodes, weighed by their errors.
+    typical, typical_stderr : change over all photodiodes, weighed by the errors of the scene's readings.
     modulation_bound : the same bound on the modulation by touch, as a part of the largest modulation.
     lines : scene lines that change it; empty where no line can.
     """
@@ -63,10 +63,7 @@ def effect_of(
     # What is told best, not what is noisiest, says by how much readings move at least.
     sure = np.where(np.isfinite(ratio), np.abs(ratio) - SURE * error, -np.inf)
     best = np.unravel_index(int(np.argmax(sure)), sure.shape)
-    good = np.isfinite(ratio) & np.isfinite(error)
-    weight = np.where(good, 1 / np.maximum(np.where(good, error, 1), 1e-9) ** 2, 0)
-    total = float(weight.sum())
-    mean = float(np.sum(weight * np.where(good, ratio, 0)) / total) if total else float("nan")
+    mean, spread = pooled(ratio, error, base)
     swing_bound = float(np.nanmax(np.abs(swing[0]) + Z95 * swing[1])) if swing is not None else None
     return Effect(
         name=name,
@@ -78,7 +75,7 @@ def effect_of(
         bound=float(bounds[i, j]),
         photodiode=f"{base.transfer.leds[i]} {base.transfer.photodiodes[j]}",
         typical=mean,
-        typical_stderr=total**-0.5 if total else float("inf"),
+        typical_stderr=spread,
         modulation_bound=swing_bound,
         lines=lines,
         tolerance=tolerance,

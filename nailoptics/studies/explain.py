@@ -197,11 +197,8 @@ def _changes(scene: Scene) -> Iterator[_Change]:
 
 def _effect(change: _Change, base: Look, other: Look, tolerance: float) -> Effect:
     """The difference between two looks; of the same photons, its error is that of their few lost or gained weights."""
+    ratio, error = variants.difference(base, other)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = other.level / base.level - 1
-        error = (1 + ratio) * np.hypot(base.relative_stderr, other.relative_stderr)
-        # Same photons: a change is a mean over them of factors near 1, whose spread is at most the change itself.
-        error = np.abs(ratio) * base.relative_stderr if change.same_photons else error
         unit = np.nanmax(np.abs(base.modulation)) if np.isfinite(base.modulation).any() else np.nan
         swing = (other.modulation - base.modulation) / unit
         noise = np.hypot(base.modulation_stderr, other.modulation_stderr) / unit

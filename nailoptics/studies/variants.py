@@ -112,3 +112,32 @@ def end_states(scene: Scene) -> np.ndarray:
     blood = hemodynamics.blood_fraction(parameters, steady.capillary_diameter_m, rest_blood_fraction=rest)
     assert blood.shape[0] == media.zones(scene).count
     return np.asarray(blood.T)
+
+
+def difference(base: Look, other: Look) -> tuple[np.ndarray, np.ndarray]:
+    """Relative change of each reading at rest and its error, (led, photodiode) float each; NaN where nothing was seen.
+
+    Of the same photons a change is a mean of factors near 1, whose spread is at most about the change itself.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = other.level / base.level - 1
+        if other.transfer.traces is base.transfer.traces:
+            return ratio, np.abs(ratio) * base.relative_stderr
+        return ratio, error_of_ratio(ratio, base.relative_stderr, other.relative_stderr)
+
+
+def error_of_ratio(ratio: np.ndarray, *relative_stderr: np.ndarray) -> np.ndarray:
+    """Error of a relative change; few photons that happen to be dim must not pass for a sure small reading."""
+    return np.asarray(np.maximum(1 + ratio, 1) * np.hypot(*relative_stderr))
+
+
+def pooled(ratio: np.ndarray, error: np.ndarray, base: Look) -> tuple[float, float]:
+    """Mean change over the readings and its error, weighed by the reference's errors; NaN and inf where one is unknown.
+
+    The weights are the same for all that is compared with the reference, so that none is drawn to its own low values.
+    """
+    if not (np.isfinite(ratio).all() and np.isfinite(error).all()):
+        return float("nan"), float("inf")
+    weight = base.relative_stderr**-2.0
+    weight = weight / weight.sum()
+    return float((weight * ratio).sum()), float(np.linalg.norm(weight * error))
