@@ -1,0 +1,344 @@
+"""Light at every extreme: each case meets its analytic limit within its error, or is refused in one clear line.
+
+Where float32 stops being enough, and what is done there:
+
+- Depth. A walk counts depths from the top of its layer, so that 1 um under 1 m keeps its digits.
+- Accumulation. Weights are summed in float64; in float32 1e9 photons would stop counting at 2^24.
+- g near 0. The sampling formula loses its digits below 1e-3; there a first-order one takes its place.
+- Far from the origin. Lateral places are displacements from the start, added in float64.
+- Long lives. After 65536 scatterings roulette halves the photons, so that total reflection without loss ends.
+"""
+
+import math
+
+import numpy as np
+import pytest
+
+import nailoptics as nail
+from nailoptics import geometry
+from nailoptics.errors import InputError
+from nailoptics.light.transfer import stderr_of_mean
+from nailoptics.scene import Scene, load_scene, parse_scene
+
+jit = pytest.mark.jit
+
+
+def stack(*layers: dict, n_above: float = 1.0, n_below: float = 1.0, led: str = "", apertures: str = "") -> Scene:
+    """A phantom lit by a pencil beam at the origin, with a square aperture beside it."""
+    text = f"schema_version = 1\n[phantom]\nn_above = {n_above!r}\nn_below = {n_below!r}\n"
+    for i, layer in enumerate(layers):
+        values = {"thickness_mm": 1.0, "mu_a_per_mm": 0.0, "mu_s_per_mm": 0.0, "g": 0.0, "n": 1.0} | layer
+        text += f'[[phantom.layers]]\nname = "layer{i}"\n' + "".join(f"{k} = {v!r}\n" for k, v in values.items())
+    beam = 'name = "beam"\nwavelength_nm = 800.0\npattern = "pencil"\n'
+    text += f"[[leds]]\n{led or beam}"
+    square = '[[photodiodes]]\nname = "square"\naperture = true\nposition_mm = [2.0, 0.0]\nsize_mm = [1.0, 1.0]\n'
+    return parse_scene(text + (apertures or square))
+
+
+def energy(scene: Scene, photons: int = 200_000, seed: int = 1) -> dict[str, tuple[float, float]]:
+    parts = nail.trace(scene, photons=photons, seed=seed).energy()
+    assert sum(part["value"] for part in parts.values()) == pytest.approx(1, abs=1e-9)
+    return {name: (part["value"], part["stderr"]) for name, part in parts.items()}
+
+
+def meets(found: tuple[float, float], exact: float, floor: float = 1e-6) -> bool:
+    return abs(found[0] - exact) < 4.5 * found[1] + floor
+
+
+@jit
+@pytest.mark.parametrize("mu_a", [0.0, 1e-6, 1e-3, 1.0, 30.0, 1000.0])
+def test_absorption_alone_is_exponential(jit_backend, mu_a):
+    found = energy(stack({"mu_a_per_mm": mu_a}))
+    assert meets(found["transmitted"], math.exp(-mu_a)) and found["reflected"][0] == 0 and found["lost"][0] == 0
+
+
+def adding_doubling(mu_a: float, mu_s: float, g: float, n: float) -> tuple[float, float]:
+    iad = pytest.importorskip("iadpython")
+    r, t, _, _ = iad.Sample(a=mu_s / (mu_a + mu_s), b=mu_a + mu_s, g=g, n=n, n_above=1, n_below=1, quad_pts=16).rt()
+    return float(r), float(t)
+
+
+@jit
+@pytest.mark.parametrize(
+    ("mu_a", "mu_s", "g", "n"),
+    [
+        (1.0, 1e-3, 0.0, 1.4),
+        (0.01, 100.0, 0.0, 1.0),
+        (1.0, 1000.0, 0.0, 1.4),
+        (1000.0, 1000.0, 0.5, 1.4),
+        (1e-3, 20.0, 0.9, 1.4),
+        (0.1, 10.0, -0.9, 1.0),
+        (0.1, 10.0, 1e-4, 1.0),
+        (0.1, 10.0, 0.5, 2.5),
+        (1e-4, 9.9999, 0.5, 1.4),  # albedo 0.99999
+    ],
+)
+def test_slabs_from_thin_to_thick_meet_adding_doubling(jit_backend, mu_a, mu_s, g, n):
+    found = energy(stack({"mu_a_per_mm": mu_a, "mu_s_per_mm": mu_s, "g": g, "n": n}), photons=60_000)
+    reflected, transmitted = adding_doubling(mu_a, mu_s, g, n)
+    # Sixteen quadrature angles are good to a few 1e-4.
+    assert meets(found["reflected"], reflected, floor=6e-4) and meets(found["transmitted"], transmitted, floor=6e-4)
+
+
+@jit
+@pytest.mark.parametrize("g", [-0.99, -0.5, -1e-3, 0.0, 9.99e-4, 1.001e-3, 0.5, 0.99, 0.999])
+def test_one_scattering_turns_light_as_henyey_and_greenstein_say(jit_backend, g):
+    """Thin matched layer: of what is scattered the part (1 - g^2)/(2g) ((1+g^2)^-1/2 - (1+g)^-1) + ... goes back."""
+    depth = 0.01
+    found = energy(stack({"thickness_mm": 1.0, "mu_s_per_mm": depth, "g": g}), photons=1_000_000)
+    cosine = np.linspace(-1, 1, 400_001)
+    density = 0.5 * (1 - g * g) / (1 + g * g - 2 * g * cosine) ** 1.5
+    back = float(np.trapezoid(density[cosine < 0], cosine[cosine < 0]))
+    # Twice scattered light is of second order in the depth, with logarithms from light along the layer.
+    assert meets(found["reflected"], back * depth, floor=4 * depth**2 + 1e-6)
+
+
+@jit
+@pytest.mark.parametrize("n", [1.0, 1.0001, 1.4, 2.5])
+def test_a_clear_plate_reflects_as_fresnel_says(jit_backend, n):
+    single = ((n - 1) / (n + 1)) ** 2
+    assert meets(energy(stack({"n": n}))["reflected"], 2 * single / (1 + single))
+
+
+@jit
+def test_total_reflection_keeps_light_in_and_all_of_it_leaves_in_the_end(jit_backend):
+    """Nothing absorbs, n 2.5: what is trapped can only leave by scattering, so reflected and transmitted are 1."""
+    found = energy(stack({"mu_s_per_mm": 5.0, "n": 2.5}), photons=20_000)
+    assert meets((found["reflected"][0] + found["transmitted"][0], found["lost"][1]), 1.0)
+    assert found["absorbed"][0] == pytest.approx(0, abs=1e-9)
+
+
+@jit
+@pytest.mark.parametrize("thickness_mm", [1e-3, 1.0, 1000.0])
+def test_layers_of_a_micrometre_and_of_a_metre(jit_backend, thickness_mm):
+    found = energy(
+        stack({"thickness_mm": thickness_mm, "mu_a_per_mm": 0.7 / thickness_mm, "n": 1.4}, n_above=1.4, n_below=1.4)
+    )
+    assert meets(found["transmitted"], math.exp(-0.7))
+
+
+@jit
+def test_a_micrometre_under_a_metre_keeps_its_digits(jit_backend):
+    found = energy(
+        stack({"thickness_mm": 1000.0}, {"thickness_mm": 1e-3, "mu_a_per_mm": 500.0}, {"thickness_mm": 1000.0})
+    )
+    assert meets(found["transmitted"], math.exp(-0.5)) and found["transmitted"][1] < 2e-3
+
+
+@jit
+def test_a_photodiode_that_sees_nothing_reads_zero_below_a_limit(jit_backend):
+    from nailoptics.light import read_rest
+
+    blind = '[[photodiodes]]\nname = "far"\naperture = true\nposition_mm = [1e6, 0.0]\nsize_mm = [1.0, 1.0]\n'
+    rest = read_rest(stack({"mu_a_per_mm": 1.0, "mu_s_per_mm": 1.0}, apertures=blind), photons=10_000)
+    row = rest.readings[0]
+    assert row["detected_fraction"] == 0 and row["upper_limit_95"] == pytest.approx(-math.log(0.05) / 10_000)
+    assert all(value is None or np.isfinite(value) for value in row["mean_path_mm"].values())
+
+
+@jit
+def test_one_photon_is_traced_and_accounted_for(jit_backend):
+    transfer = nail.trace(stack({"mu_a_per_mm": 0.1, "mu_s_per_mm": 5.0, "n": 1.4}), photons=1)
+    assert transfer.photons == 1 and sum(p["value"] for p in transfer.energy().values()) == pytest.approx(1)
+    with np.errstate(all="raise"):
+        assert float(transfer.at().detected_fraction.sum()) >= 0
+
+
+def test_a_billion_photons_lose_nothing_in_the_sum():
+    """1e9 weights, as batches sum them: float64 loses under 1e-12; float32 alone would be off by more than half."""
+    batch, count = 1 << 18, 1_000_000_000
+    weight = np.random.default_rng(1).random(batch).astype(np.float32).astype(float)
+    once, total, square = math.fsum(weight), 0.0, 0.0
+    for _ in range(count // batch):
+        total += float(np.bincount(np.zeros(batch, np.uint16), weight)[0])
+        square += float(weight[:8] @ weight[:8])
+    assert total == pytest.approx(once * (count // batch), rel=1e-6) and square > 0
+    assert float(stderr_of_mean(total, total, count)) == pytest.approx(math.sqrt(0.25 / count), rel=0.01)
+
+
+@jit
+@pytest.mark.parametrize("away_mm", [1000.0, -1000.0])
+def test_a_phantom_moved_a_metre_reads_the_same(jit_backend, away_mm):
+    def reading(x: float) -> tuple[float, float]:
+        led = f'name = "beam"\nwavelength_nm = 800.0\npattern = "pencil"\nposition_mm = [{x!r}, {x!r}]\n'
+        square = (
+            f'[[photodiodes]]\nname = "s"\naperture = true\nposition_mm = [{x + 2.0!r}, {x!r}]\nsize_mm = [1.0, 1.0]\n'
+        )
+        layer = {"thickness_mm": 10.0, "mu_a_per_mm": 0.05, "mu_s_per_mm": 10.0, "g": 0.9}
+        rest = nail.trace(stack(layer, led=led, apertures=square), photons=50_000, seed=3).at().squeeze()
+        return float(rest.detected_fraction), float(rest.detected_fraction_stderr)
+
+    # The same seed walks the same displacements, so that the two agree to rounding.
+    assert reading(away_mm)[0] == pytest.approx(reading(0.0)[0], rel=1e-6)
+
+
+@jit
+def test_a_beam_inside_its_photodiode_and_dies_that_touch_it(jit_backend):
+    """A photodiode that covers everything reads all that is reflected; one that ends at the beam, half of the rest."""
+    layer = {"thickness_mm": 10.0, "mu_a_per_mm": 0.05, "mu_s_per_mm": 10.0, "g": 0.5}
+    both = (
+        '[[photodiodes]]\nname = "all"\naperture = true\nposition_mm = [0.0, 0.0]\nsize_mm = [1e5, 1e5]\n'
+        '[[photodiodes]]\nname = "half"\naperture = true\nposition_mm = [5e4, 0.0]\nsize_mm = [1e5, 1e5]\n'
+    )
+    transfer = nail.trace(stack(layer, apertures=both), photons=100_000)
+    everything, half = transfer.at().detected_fraction.values[0]
+    assert everything == pytest.approx(transfer.energy()["reflected"]["value"], rel=1e-9)
+    assert half == pytest.approx(everything / 2, rel=1e-6)
+
+
+def prototype_with(**tables: dict) -> Scene:
+    from nailoptics.studies.variants import revised
+
+    return revised(load_scene(PROTOTYPE), tables)
+
+
+PROTOTYPE = __import__("pathlib").Path(__file__).parents[2] / "scenes" / "prototype.toml"
+
+
+@pytest.fixture(scope="module")
+def finger(chosen_jit):
+    """A trace of the prototype, to be read at extreme states."""
+    return nail.trace(prototype_with(), photons=400_000, seed=2)
+
+
+@jit
+@pytest.mark.parametrize("so2", [0.0, 1.0])
+@pytest.mark.parametrize("blood", [0.0, 0.1])
+def test_no_blood_and_much_of_it_at_both_ends_of_saturation(finger, blood, so2):
+    rest, read = finger.at(), finger.at(blood_fraction=[blood, blood], so2=so2)
+    assert np.isfinite(read.detected_fraction).all() and (read.detected_fraction_stderr > 0).all()
+    more = read.detected_fraction > rest.detected_fraction
+    assert more.all() if blood == 0 and so2 == 1 else True
+    assert (~more).all() if blood == 0.1 else True
+
+
+@jit
+def test_a_bed_of_pure_blood_reads_less_and_says_when_too_few_photons_stand_behind_it(finger):
+    from nailoptics.light import RereadWarning
+
+    with pytest.warns(RereadWarning, match="effective photons"):
+        read = finger.at(blood_fraction=[1.0, 1.0])
+    assert (read.detected_fraction < finger.at().detected_fraction).all() and (read.detected_fraction >= 0).all()
+
+
+@jit
+@pytest.mark.parametrize("wavelength_nm", [450.0, 1000.0])
+def test_the_ends_of_the_spectrum_are_traced(jit_backend, wavelength_nm):
+    scene = prototype_with()
+    leds = tuple(led.model_copy(update={"wavelength_nm": wavelength_nm}) for led in scene.leds)
+    transfer = nail.trace(scene.model_copy(update={"leds": leds}), photons=30_000)
+    parts = transfer.energy()
+    assert sum(p["value"] for p in parts.values()) == pytest.approx(1) and abs(parts["lost"]["value"]) < 1e-3
+    # Blue light is swallowed by blood and melanin; near 1000 nm more comes back.
+    assert np.isfinite(transfer.at().detected_fraction).all()
+
+
+@jit
+def test_an_led_that_touches_a_photodiode_is_traced_and_bright(jit_backend):
+    """Without a barrier, edge to edge: light crosses 0.45 mm of clear epoxy and back by nail and bed."""
+    scene = prototype_with(board={"barrier": False})
+    near = nail.trace(_led_at(scene, -0.625), photons=60_000).at().detected_fraction.max()
+    far = nail.trace(scene, photons=60_000).at().detected_fraction.max()
+    assert 0 < far < near < 1
+
+
+def _led_at(scene: Scene, u: float) -> Scene:
+    tables = scene.model_dump()
+    return Scene.model_validate(tables | {"leds": tuple(led | {"position_mm": (u, 0.0)} for led in tables["leds"])})
+
+
+def test_overlapping_and_empty_parts_are_refused_in_one_line():
+    scene = prototype_with(board={"barrier": False})
+    with pytest.raises(ValueError, match="inside"):
+        _led_at(scene, -0.5)
+    with pytest.raises(InputError, match=r"size_mm.*\n?") as caught:
+        text = PROTOTYPE.read_text(encoding="utf-8").replace(
+            'part = "led_800"', 'part = "led_800"\nsize_mm = [0.0, 0.25]'
+        )
+        parse_scene(text)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("layer", "field"),
+    [
+        ({"thickness_mm": 0.0}, "thickness_mm"),
+        ({"mu_a_per_mm": -1e-9}, "mu_a_per_mm"),
+        ({"mu_s_per_mm": math.nan}, "mu_s_per_mm"),
+        ({"g": 1.0}, "g"),
+        ({"n": 0.99}, "n"),
+    ],
+)
+def test_layers_beyond_physics_are_refused_in_one_line(layer, field):
+    text = {k: ("nan" if isinstance(v, float) and math.isnan(v) else v) for k, v in layer.items()}
+    with pytest.raises(InputError, match=rf"layers\[0\]\.{field}") as caught:
+        stack({k: _Bare(v) for k, v in text.items()})
+    assert len(str(caught.value).splitlines()) == 1
+
+
+class _Bare(str):
+    """A value that TOML reads as it stands."""
+
+    def __repr__(self) -> str:
+        return str(self)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("resolution", "least"), [(0.1, 1000), (6.0, 1_000_000)])
+def test_meshes_from_coarse_to_a_million_triangles_are_closed(resolution, least):
+    shape = geometry.build(prototype_with(), resolution=resolution)
+    assert len(shape.triangles) >= least
+    assert geometry.check(shape, crossings=20_000).disagreements <= 20
+
+
+@jit
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["photons", "volpath"])
+def test_intervals_cover_the_truth_as_often_as_they_say(jit_backend, engine):
+    """300 small runs of each engine: 68 % and 95 % intervals hold the truth in 68 and 95 % of them, within chance."""
+    from nailoptics.light import read_rest
+
+    layer = {"thickness_mm": 2.0, "mu_a_per_mm": 0.2, "mu_s_per_mm": 5.0, "g": 0.5}
+    near = '[[photodiodes]]\nname = "s"\naperture = true\nposition_mm = [0.8, 0.0]\nsize_mm = [1.0, 1.0]\n'
+    scene = stack(layer, apertures=near)
+    truth = nail.trace(scene, photons=4_000_000, seed=10_000).at().squeeze()
+    chosen = scene.model_copy(update={"light": scene.light.model_copy(update={"engine": engine})})
+    photons = 4000 if engine == "photons" else 32_000
+    z = []
+    for seed in range(300):
+        row = read_rest(chosen, photons=photons, seed=seed).readings[0]
+        z.append((row["detected_fraction"] - float(truth.detected_fraction)) / row["stderr"])
+    _covers(np.array(z), 300)
+
+
+@jit
+@pytest.mark.slow
+def test_intervals_of_paths_changes_and_stopped_traces_cover_too(jit_backend, monkeypatch):
+    """The other estimators: mean path, a reread state, and the reading of a trace that stopped at a tolerance."""
+    from nailoptics.light.stack import StackTracer
+
+    monkeypatch.setattr(StackTracer, "batch_photons", 1 << 11)
+    scene = stack({"thickness_mm": 2.0, "mu_a_per_mm": 0.2, "mu_s_per_mm": 5.0, "g": 0.5})
+    state = {"mu_a_per_mm": {"layer0": 0.4}}
+    long = nail.trace(scene, photons=4_000_000, seed=10_000)
+    true_rest, true_state = long.at().squeeze(), long.at(**state).squeeze()
+    z: dict[str, list[float]] = {"stopped": [], "path": [], "state": []}
+    for seed in range(300):
+        trace = nail.trace(scene, relative_error=0.04, seed=seed)
+        rest, other = trace.at().squeeze(), trace.at(**state).squeeze()
+        z["stopped"].append(
+            float((rest.detected_fraction - true_rest.detected_fraction) / rest.detected_fraction_stderr)
+        )
+        z["path"].append(float((rest.mean_path_mm - true_rest.mean_path_mm) / rest.mean_path_mm_stderr))
+        change = (other.detected_fraction - true_state.detected_fraction) / other.detected_fraction_stderr
+        z["state"].append(float(change))
+    for name, values in z.items():
+        _covers(np.array(values), 300)
+        # Stopping early on a lucky error would draw the mean to one side.
+        assert abs(np.mean(values)) < 4 / math.sqrt(300), name
+
+
+def _covers(z: np.ndarray, runs: int) -> None:
+    for limit, wanted in ((1.0, 0.683), (1.96, 0.95)):
+        found, chance = float(np.mean(np.abs(z) < limit)), math.sqrt(wanted * (1 - wanted) / runs)
+        assert abs(found - wanted) < 3.5 * chance, (limit, found)
