@@ -1,14 +1,9 @@
-"""The command line: parse, call, print; progress bars live here."""
+"""The command line: parse, call, print."""
 
 import json
-import logging
 import math
 import os
-import signal
 import sys
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -16,9 +11,20 @@ from cyclopts import App, CycloptsError, Parameter, validators
 
 from . import __version__
 from .errors import InputError, NailopticsError, NotReachedError
+from .terminal import (
+    as_far_as_reached,
+    batch_progress,
+    complain,
+    finite,
+    plain_messages,
+    print_json,
+    progress,
+    silence_stdout,
+    writable,
+    writable_file,
+)
 
 if TYPE_CHECKING:
-    from .light import Progress
     from .scene import Scene
 
 app = App(
@@ -51,72 +57,33 @@ def main() -> None:
 
 def run(arguments: list[str]) -> int:
     """Run one command and return its exit code; errors are one line on stderr."""
-    with _plain_messages():
+    with plain_messages():
         try:
             app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
             if sys.stdout:
                 sys.stdout.flush()
             return 0
         except CycloptsError as error:
-            return _complain(f"{error} (nailoptics --help shows what is known)", 2)
+            return complain(f"{error} (nailoptics --help shows what is known)", 2)
         except NailopticsError as error:
-            return _complain(str(error), error.exit_code)
+            return complain(str(error), error.exit_code)
         except KeyboardInterrupt:
-            return _complain("interrupted; nothing was finished.", 130)
+            return complain("interrupted; nothing was finished.", 130)
         except BrokenPipeError:
-            _silence_stdout()
+            silence_stdout()
             return 0
         except OSError as error:
-            _silence_stdout()
-            return _complain(f"{error.filename or 'the output'}: {error.strerror or error}.", 1)
+            silence_stdout()
+            return complain(f"{error.filename or 'the output'}: {error.strerror or error}.", 1)
         except MemoryError:
-            return _complain("not enough memory; ask for fewer samples (touch.sample_rate_hz) or photons.", 1)
+            return complain("not enough memory; ask for fewer samples (touch.sample_rate_hz) or photons.", 1)
         except Exception as error:  # the last resort of a command line
             if os.environ.get("NAILOPTICS_DEBUG"):
                 raise
             kind = type(error).__name__
-            return _complain(
+            return complain(
                 f"internal error, our fault: {kind}: {error} (NAILOPTICS_DEBUG=1 shows where; please report it)", 1
             )
-
-
-def _complain(line: str, code: int) -> int:
-    print(f"nailoptics: {' '.join(line.split())}", file=sys.stderr)
-    return code
-
-
-def _silence_stdout() -> None:
-    """Nothing more can be written there, and Python must not try when it ends."""
-    try:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (OSError, ValueError, AttributeError):  # no real file, as under a test
-        pass
-
-
-@contextmanager
-def _plain_messages() -> Iterator[None]:
-    """Our own warnings become one line each on stderr; what other packages say is for NAILOPTICS_DEBUG only."""
-    debug = bool(os.environ.get("NAILOPTICS_DEBUG"))
-
-    def show(
-        message: Warning | str, category: type[Warning], filename: str, lineno: int, file: Any = None, line: Any = None
-    ) -> None:
-        if category.__module__.startswith("nailoptics"):
-            _complain(str(message), 0)
-        elif debug:
-            _complain(f"{filename}:{lineno}: {category.__name__}: {message}", 0)
-
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter("nailoptics: %(message)s"))
-    handler.setLevel(logging.WARNING)
-    handler.addFilter(lambda record: debug or record.name.startswith("nailoptics"))
-    logging.getLogger().addHandler(handler)
-    try:
-        with warnings.catch_warnings():
-            warnings.showwarning = show
-            yield
-    finally:
-        logging.getLogger().removeHandler(handler)
 
 
 @app.command
@@ -143,29 +110,23 @@ def simulate(
     if asked.finger is None:
         raise InputError(f"{scene}: simulate needs a [finger] scene; a [phantom] has no blood, use nailoptics trace.")
     name, _ = _announced(backend, asked)
-    result: Any = None
-    unmet = None
-    with _writable(output or Path("results") / Path(scene).stem, "result.nc", "report.html") as folder:
-        try:
-            with _progress() as progress:
-                result = study(
-                    asked,
-                    seed=seed,
-                    backend=name,
-                    photons=photons,
-                    relative_error=relative_error,
-                    max_seconds=max_seconds,
-                    progress=progress,
-                )
-        except NotReachedError as error:
-            if error.result is None:
-                raise
-            result, unmet = error.result, error
+    with writable(output or Path("results") / Path(scene).stem, "result.nc", "report.html") as folder:
+        result, unmet = as_far_as_reached(
+            lambda told: study(
+                asked,
+                seed=seed,
+                backend=name,
+                photons=photons,
+                relative_error=relative_error,
+                max_seconds=max_seconds,
+                progress=told,
+            )
+        )
         paths = {"result": folder / "result.nc", "report": folder / "report.html"}
         write_dataset(result, paths["result"])
         write_report(result, paths["report"])
     if json_:
-        _print_json(_summary(result) | {name: str(path) for name, path in paths.items()})
+        print_json(_summary(result) | {name: str(path) for name, path in paths.items()})
     else:
         _print_readings(result)
         print(f"{paths['report']}\n{paths['result']}")
@@ -192,28 +153,22 @@ def trace(
     name, engine = _announced(backend, asked)
     if output is not None and engine == "volpath":
         raise InputError(f"{output}: volpath traces readings, not a transfer that could be saved; leave -o out.")
-    rest: Any = None
-    unmet = None
-    with _writable_file(output):
-        try:
-            with _progress() as progress:
-                rest = read_rest(
-                    asked,
-                    seed=seed,
-                    backend=name,
-                    photons=photons,
-                    relative_error=relative_error,
-                    max_seconds=max_seconds,
-                    progress=progress,
-                )
-        except NotReachedError as error:
-            if error.result is None:
-                raise
-            rest, unmet = error.result, error
+    with writable_file(output):
+        rest, unmet = as_far_as_reached(
+            lambda told: read_rest(
+                asked,
+                seed=seed,
+                backend=name,
+                photons=photons,
+                relative_error=relative_error,
+                max_seconds=max_seconds,
+                progress=told,
+            )
+        )
         if output is not None and rest.transfer is not None:
             rest.transfer.save(output)
     if json_:
-        _print_json(rest.as_dict())
+        print_json(rest.as_dict())
     else:
         for row in rest.readings:
             print(f"{row['led']:>10} {row['photodiode']:<16} {row['detected_fraction']:.4e} +- {row['stderr']:.1e}")
@@ -261,33 +216,27 @@ def compare(
     asked = _load(scene)
     if require is not None and not 0 < require < math.inf:
         raise InputError(f"--require {require:g} must be a part of the swing above 0, such as 0.05.")
-    result: Any = None
-    unmet = None
-    with _writable(output or Path("results") / Path(scene).stem, "compare.nc", "compare.html") as folder:
-        try:
-            with _progress() as progress:
-                result = study(
-                    asked,
-                    over=over,
-                    wavelengths_nm=wavelength_nm,
-                    seed=seed,
-                    backend=_announced(backend, asked)[0],
-                    photons=photons,
-                    relative_error=relative_error,
-                    max_seconds=max_seconds,
-                    progress=progress,
-                )
-        except NotReachedError as error:
-            if error.result is None:
-                raise
-            result, unmet = error.result, error
+    with writable(output or Path("results") / Path(scene).stem, "compare.nc", "compare.html") as folder:
+        result, unmet = as_far_as_reached(
+            lambda told: study(
+                asked,
+                over=over,
+                wavelengths_nm=wavelength_nm,
+                seed=seed,
+                backend=_announced(backend, asked)[0],
+                photons=photons,
+                relative_error=relative_error,
+                max_seconds=max_seconds,
+                progress=told,
+            )
+        )
         paths = {"result": folder / "compare.nc", "report": folder / "compare.html"}
         write_dataset(result, paths["result"])
         write_comparison(result, paths["report"])
     judged = verdict(result, 0.05 if require is None else require, model=model)
     if json_:
         files = {name: str(path) for name, path in paths.items()}
-        _print_json(summary(result) | {"verdict": vars(judged)} | files)
+        print_json(summary(result) | {"verdict": vars(judged)} | files)
     else:
         for line in (judged, *paths.values()):
             print(line)
@@ -332,25 +281,19 @@ def place(
 
     asked = _load(scene)
     name, _ = _announced(backend, asked)
-    result: Any = None
-    unmet = None
     files = ("place.nc", "ranking.csv", "place.html", "best.toml", "best.csv", "best.glb")
-    with _writable(output or Path("results") / Path(scene).stem, *files) as folder:
-        try:
-            with _progress() as progress:
-                result = study(
-                    asked,
-                    seed=seed,
-                    backend=name,
-                    photons=photons,
-                    relative_error=relative_error,
-                    max_seconds=max_seconds,
-                    progress=progress,
-                )
-        except NotReachedError as error:
-            if error.result is None:
-                raise
-            result, unmet = error.result, error
+    with writable(output or Path("results") / Path(scene).stem, *files) as folder:
+        result, unmet = as_far_as_reached(
+            lambda told: study(
+                asked,
+                seed=seed,
+                backend=name,
+                photons=photons,
+                relative_error=relative_error,
+                max_seconds=max_seconds,
+                progress=told,
+            )
+        )
         ranking, best = rows(result), chosen(result)
         write_dataset(result, folder / "place.nc")
         with (folder / "ranking.csv").open("w", newline="", encoding="utf-8") as handle:
@@ -368,7 +311,7 @@ def place(
         told = {"ranking": ranking, "checked_resolution_n": result.attrs["checked_resolution_n"]}
         told["gain_over_paper"] = {"value": better[0], "stderr": better[1]} if better else None
         kept = ("photons", "cpu_seconds", "wall_seconds", "digest", "rank_by")
-        _print_json(told | {key: result.attrs[key] for key in kept} | {"folder": str(folder)})
+        print_json(told | {key: result.attrs[key] for key in kept} | {"folder": str(folder)})
     else:
         for row in ranking:
             print(
@@ -410,19 +353,19 @@ def batch(
 
     if status:
         found = batches.status(output or sweep)
-        _print_json(dataclasses.asdict(found) | {"left": found.left}) if json_ else print(found)
+        print_json(dataclasses.asdict(found) | {"left": found.left}) if json_ else print(found)
         return
     planned = batches.load_sweep(sweep)
     asked: dict[str, Any] = {"seed": seed, "backend": backend, "photons": photons, "relative_error": relative_error}
     if dry_run:
         cost = batches.estimate(planned, **asked)
-        _print_json(dataclasses.asdict(cost)) if json_ else print(cost)
+        print_json(dataclasses.asdict(cost)) if json_ else print(cost)
         return
     if output is None:
         raise InputError("batch needs -o DIR, a folder for its results.")
     unmet = None
     try:
-        with _batch_progress() as progress:
+        with batch_progress() as told:
             outcome = batches.run_batch(
                 planned,
                 output,
@@ -431,7 +374,7 @@ def batch(
                 shard=shard,
                 retry_failed=retry_failed,
                 max_seconds=max_seconds,
-                progress=progress,
+                progress=told,
                 **asked,
             )
     except NotReachedError as error:
@@ -445,40 +388,12 @@ def batch(
     write_sweep_page(results, output / "report.html", failures=outcome.failed)
     if json_:
         told = dataclasses.asdict(outcome) | {"results": str(output), "table": str(table)}
-        _print_json(told | {"report": str(output / "report.html")})
+        print_json(told | {"report": str(output / "report.html")})
     else:
         print(f"{len(outcome.done)} scenes done from {outcome.lights} traces, {len(outcome.kept)} were there before")
         print(f"{output / 'report.html'}\n{table}")
     if unmet:
         raise NotReachedError(str(unmet))
-
-
-@contextmanager
-def _batch_progress() -> Iterator[Any]:
-    """The same over scenes: a bar with time left, or a line every ten seconds; failures as they come."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bar
-
-    console = Console(stderr=True, soft_wrap=True)
-    live = bool(sys.stderr and sys.stderr.isatty())
-    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    last = 0.0
-    with Bar(*columns, console=console, disable=not live) as bar:
-        task = bar.add_task("", total=None)
-
-        def show(p: Any) -> None:
-            nonlocal last
-            left = "" if p.seconds_left is None else f"{p.seconds_left:.0f} s left"
-            bar.update(task, completed=p.done + p.failed, total=p.total, description=left)
-            if p.said:
-                bar.console.print(f"nailoptics: {p.said}", markup=False, highlight=False)
-            elif not live and p.seconds - last >= 10:
-                last = p.seconds
-                failed = f", {p.failed} failed" if p.failed else ""
-                print(f"nailoptics: {p.done} of {p.total} scenes{failed}, {left}", file=sys.stderr, flush=True)
-
-        yield show
 
 
 @app.command
@@ -501,7 +416,7 @@ def explain(
     from .studies.explain import explain as study
 
     asked = _load(scene)
-    with _progress() as progress:
+    with progress() as told:
         found = study(
             asked,
             tolerance=tolerance,
@@ -510,10 +425,10 @@ def explain(
             photons=photons,
             relative_error=relative_error,
             max_seconds=max_seconds,
-            progress=progress,
+            progress=told,
         )
     if json_:
-        _print_json(found.as_dict())
+        print_json(found.as_dict())
     else:
         print(found)
 
@@ -542,8 +457,8 @@ def tradeoff(
 
     asked = _load(scene)
     files = ("tradeoff.json", "tradeoff.html", "tradeoff.png")
-    with _writable(output or Path("results") / Path(scene).stem, *files) as folder:
-        with _progress() as progress:
+    with writable(output or Path("results") / Path(scene).stem, *files) as folder:
+        with progress() as told:
             found = study(
                 asked,
                 tolerance=tolerance,
@@ -552,14 +467,14 @@ def tradeoff(
                 photons=photons,
                 relative_error=relative_error,
                 max_seconds=max_seconds,
-                progress=progress,
+                progress=told,
             )
         table, page, picture = (folder / name for name in files)
-        table.write_text(json.dumps(_finite(found.as_dict()), indent=1) + "\n", encoding="utf-8")
+        table.write_text(json.dumps(finite(found.as_dict()), indent=1) + "\n", encoding="utf-8")
         write_tradeoff(found, page)
         draw(found).savefig(picture, dpi=120, facecolor="white")
     if json_:
-        _print_json(found.as_dict() | {"report": str(page)})
+        print_json(found.as_dict() | {"report": str(page)})
     else:
         print(found)
         print(page)
@@ -587,7 +502,7 @@ def check(scene: ScenePath, *, json_: Json = False) -> None:
             "valid": bool(found.passed),
         }
     if json_:
-        _print_json(report)
+        print_json(report)
     else:
         for name, value in report.items():
             print(f"{name}: {', '.join(value) if isinstance(value, list) else value}")
@@ -604,7 +519,7 @@ def export(scene: ScenePath, *, output: Annotated[Path, Parameter(name=["--outpu
     asked = _load(scene)
     if asked.finger is None:
         raise InputError(f"{scene}: a phantom has no mesh to export; give a [finger] scene.")
-    with _writable_file(output):
+    with writable_file(output):
         write(build(asked), output)
     print(output)
 
@@ -633,11 +548,11 @@ def figures(
     if touch is not None:
         recorded = dict(zip(("time_s", "force_n"), map(np.asarray, read_recording(touch)), strict=True))
     named = {name: hemodynamics.parameters(name) for name in sets or hemodynamics.NAMES}
-    with _writable(output):
+    with writable(output):
         pictures = [path for name, values in named.items() for path in draw(output, values, name=name, **recorded)]
     judged = table(named)
     if json_:
-        _print_json({"claims": as_rows(judged), "pictures": [str(path) for path in pictures]})
+        print_json({"claims": as_rows(judged), "pictures": [str(path) for path in pictures]})
     else:
         print(as_text(judged), *pictures, sep="\n")
 
@@ -647,7 +562,7 @@ def schema() -> None:
     """Print the JSON Schema of scene files, for editors."""
     from .scene import json_schema
 
-    _print_json(json_schema())
+    print_json(json_schema())
 
 
 @app.command
@@ -658,7 +573,7 @@ def doctor(*, json_: Json = False) -> None:
     chosen, findings = backends.choose("auto"), backends.findings()
     if json_:
         rows = [{"backend": f.name, "library": f.library, "usable": f.usable, "why": f.why} for f in findings]
-        _print_json({"backend": chosen.name, "library": chosen.library, "advice": chosen.advice, "findings": rows})
+        print_json({"backend": chosen.name, "library": chosen.library, "advice": chosen.advice, "findings": rows})
         return
     for finding in findings:
         taken = "taken" if (finding.name, finding.library) == (chosen.name, chosen.library) else ""
@@ -691,44 +606,6 @@ def _exists(path: Path) -> bool:
         return False
 
 
-@contextmanager
-def _writable(folder: Path, *files: str) -> Iterator[Path]:
-    """The folder, made if need be, and taken away again if nothing came to lie in it.
-
-    Raises: InputError before any work is done if nothing can be written there.
-    """
-    made: list[Path] = []
-    try:
-        try:
-            made = [path for path in (folder, *folder.parents) if not path.exists()]
-            folder.mkdir(parents=True, exist_ok=True)
-            probe = folder / f".nailoptics-{os.getpid()}"
-            probe.touch()
-            probe.unlink()
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be written: {error.strerror}; choose another place with -o.") from None
-        for name in files:
-            if (folder / name).is_dir():
-                raise InputError(f"{folder / name}: is a folder where a file is to be written; choose another with -o.")
-        yield folder
-    finally:
-        for path in made:
-            try:
-                path.rmdir()
-            except OSError:  # something lies in it, or it was never made
-                pass
-
-
-@contextmanager
-def _writable_file(path: Path | None) -> Iterator[None]:
-    """The same for a file, if there is one to write."""
-    if path is None:
-        yield
-        return
-    with _writable(path.parent, path.name):
-        yield
-
-
 def _announced(backend: BackendName, scene: "Scene") -> tuple[BackendName, str]:
     """The backend and the engine that will be used; says in one line what would be faster if it is the slow one."""
     from .light import backend as backends
@@ -737,88 +614,8 @@ def _announced(backend: BackendName, scene: "Scene") -> tuple[BackendName, str]:
     chosen = backends.choose(backend)
     engine = engine_for(scene, chosen)
     if chosen.name == "scalar" and chosen.advice and backend == "auto":
-        _complain(chosen.advice, 0)
+        complain(chosen.advice, 0)
     return chosen.name, engine
-
-
-@contextmanager
-def _progress() -> Iterator[Any]:
-    """A progress callback that shows how far a trace is, and hears Ctrl-C."""
-    with _shown() as show, _interrupts() as interrupted:
-
-        def told(p: "Progress") -> None:
-            show(p)
-            if interrupted():
-                raise KeyboardInterrupt
-
-        yield told
-
-
-@contextmanager
-def _interrupts() -> Iterator[Any]:
-    """Whether Ctrl-C was pressed, which is asked between batches; a second one ends everything at once.
-
-    Compiled code turns an interrupt into errors of its own, and what was traced would be lost.
-    """
-    pressed: list[int] = []
-
-    def note(number: int, frame: Any) -> None:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        pressed.append(number)
-        _complain("stopping after this batch; press Ctrl-C again to stop at once.", 0)
-
-    try:
-        before = signal.signal(signal.SIGINT, note)
-    except ValueError:  # not the main thread
-        yield lambda: False
-        return
-    try:
-        yield lambda: bool(pressed)
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-@contextmanager
-def _shown() -> Iterator[Any]:
-    """Shows progress: a bar with time left on a terminal, a line every ten seconds elsewhere."""
-    if not (sys.stderr and sys.stderr.isatty()):
-        told: dict[str, float] = {}
-
-        def log_line(p: "Progress") -> None:
-            done = p.fraction_done >= 1
-            if p.seconds - told.get(p.led, 0.0) < 10 and not done or told.get(p.led) == math.inf:
-                return
-            told[p.led] = math.inf if done else p.seconds
-            when = f"{p.seconds:.0f} s" if done else f"{p.seconds_left:.0f} s left"
-            _complain(f"LED {p.led}, {_told(p)}, {when}", 0)
-
-        yield log_line
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[told]}"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Bar(*columns, console=Console(stderr=True)) as bar:
-        tasks: dict[str, Any] = {}
-
-        def show(p: "Progress") -> None:
-            if p.led not in tasks:
-                tasks[p.led] = bar.add_task(f"LED {p.led}", total=1.0, told="")
-            bar.update(tasks[p.led], completed=p.fraction_done, told=_told(p))
-
-        yield show
-
-
-def _told(p: "Progress") -> str:
-    error = f"error {p.relative_error:.2%}" if p.relative_error < 1 else "error not known yet"
-    return error + (f" ({p.target:.2%} asked)" if p.target else "")
 
 
 def _summary(result: Any) -> dict[str, Any]:
@@ -856,18 +653,3 @@ def _print_readings(result: Any) -> None:
             f"{1e3 * row['volts_change']:10.3f} {1e3 * row['volts_change_stderr']:7.3f} "
             f"{1e3 * row['volts_noise_rms']:9.4f}"
         )
-
-
-def _print_json(value: Any) -> None:
-    print(json.dumps(_finite(value), indent=2, allow_nan=False))
-
-
-def _finite(value: Any) -> Any:
-    """JSON has neither NaN nor infinity: what is not known is null."""
-    if isinstance(value, dict):
-        return {name: _finite(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    if value is None or isinstance(value, str | bool | int):
-        return value
-    return float(value) if math.isfinite(value) else None

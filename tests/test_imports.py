@@ -23,6 +23,7 @@ ORDER = [
     {"studies"},
     {"batch"},
     {"report"},
+    {"terminal"},
     {"cli"},
     {"__main__"},
 ]
