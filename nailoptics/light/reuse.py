@@ -30,7 +30,8 @@ SAVE_EVERY_S = 20.0
 def reference(scene: Scene) -> Scene:
     """The scene with the same light paths and everything else at its default; equal for all that can share a trace.
 
-    Blood, saturation and melanin only dim the light, and touch, electronics, flux and line width come after it.
+    Blood, saturation and melanin only dim the light; touch, electronics, flux and line width come after it; and the
+    fingers and boards of a search for a layout are not those of its scene.
     """
     none: dict[str, Any] = {}
     blood = type(scene.blood)(zone_edges_mm=scene.blood.zone_edges_mm, zone_width_mm=scene.blood.zone_width_mm)
@@ -53,6 +54,7 @@ def reference(scene: Scene) -> Scene:
         "light": scene.light.model_copy(update={"engine": "auto"}),
         "leds": leds,
         "photodiodes": photodiodes,
+        "placement": None,
     }
     if scene.finger is not None:
         melanin = type(scene.finger).model_fields["melanin_fraction"].default

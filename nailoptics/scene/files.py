@@ -132,4 +132,5 @@ def json_schema() -> dict[str, Any]:
     # Parts fill what is required of an LED or a photodiode, so an editor must not ask for it.
     schema["$defs"]["Led"]["required"] = ["name"]
     schema["$defs"]["Photodiode"]["required"] = ["position_mm"]
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "nailoptics scene"} | schema
+    schema["title"] = "nailoptics scene"
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema

@@ -6,6 +6,7 @@ import pytest
 import nailoptics as nail
 from nailoptics.light import reuse
 from nailoptics.scene import Accuracy, load_scene, parse_scene
+from nailoptics.scene.placement import Placement
 
 from .conftest import phantoms
 
@@ -31,6 +32,7 @@ def test_what_does_not_change_the_light_leaves_its_digest():
         changed(scene, "touch", force_n=7.0),
         changed(scene, "electronics", adc_bits=8),
         changed(scene, "accuracy", relative_error=0.5),
+        scene.model_copy(update={"placement": Placement()}),
         scene.model_copy(update={"leds": (led,)}),
         scene.model_copy(update={"photodiodes": (diode, *scene.photodiodes[1:])}),
     ]
