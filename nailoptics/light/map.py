@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -9,13 +10,16 @@ from numpy.typing import ArrayLike
 
 from .. import tissue
 from ..errors import InputError
-from ..geometry import Geometry
+from ..geometry import Face, Geometry
 from ..scene import Scene
 from ..scene.layout import Rectangle, lay_out
 from ..tissue.properties import DermisAbsorption
 from . import backend as backends
 from . import media
 from .transfer import provenance
+
+if TYPE_CHECKING:
+    from .depth import Cells
 
 # A photon that never entered the bed has no path there, but for rounding between the zones.
 NO_PATH_MM = 1e-5
@@ -42,7 +46,10 @@ class Arrivals:
 class BoardTracer:
     """Traces a finger scene's LEDs onto its board, whatever its photodiodes."""
 
-    def __init__(self, scene: Scene, shape: Geometry | None = None, *, backend: str = "auto") -> None:
+    def __init__(
+        self, scene: Scene, shape: Geometry | None = None, *, backend: str = "auto", spacing_mm: float = 0.1
+    ) -> None:
+        """spacing_mm : cells of the distances that the walk asks for; wider ones are made sooner and walk slower."""
         if scene.finger is None:
             raise InputError("a photon map needs a [finger] scene; a phantom has no board, give it apertures.")
         self.backend = backends.choose(backend)
@@ -54,28 +61,73 @@ class BoardTracer:
         from .mesh import MeshTracer
 
         self.scene = scene
-        self.tracer = MeshTracer(scene, shape)
+        self.tracer = MeshTracer(scene, shape, spacing_mm=spacing_mm)
         self.batch_photons = self.tracer.batch_photons
 
     def arrivals(self, led: int, *, photons: int, seed: int) -> Arrivals:
         """Trace some photons of one LED; same seed, same bits."""
+        return self._onto_board(led, None, photons, seed)[0]
+
+    def back(self, photodiode: int, led: int, *, photons: int, seed: int) -> tuple[Arrivals, Arrivals]:
+        """Trace light the other way, from a photodiode that shines as a Lambertian LED of the wavelength of one LED.
+
+        By reciprocity a photodiode of area A reads, of a Lambertian LED that lies where this light arrives, A times the
+        irradiance there; and of diffuse light from outside n^2 A times its irradiance times the part that leaves.
+
+        Returns: light that arrives on the board, and light that leaves into the air; that has no place (nan).
+        """
+        return self._onto_board(led, self.tracer.shape.photodiodes[photodiode], photons, seed)
+
+    def _onto_board(self, led: int, face: Face | None, photons: int, seed: int) -> tuple[Arrivals, Arrivals]:
         from .arrivals import Recorder
+        from .walk import TOP
 
         backends.activate(self.backend)
         tallies = len(media.TISSUES) + media.zones(self.scene).count - 1
         recorder = Recorder(self.tracer.shape, photons=photons, tallies=tallies)
-        self.tracer.walk(led, photons=photons, seed=seed, board=recorder)
+        outcome, last, _, ways, _ = self.tracer.walk(led, photons=photons, seed=seed, face=face, board=recorder)
         photon, place, weight, paths = recorder.arrays()
-        return Arrivals(photons, photon, place, weight, self.tracer.by_zone(paths))
+        left = np.flatnonzero(outcome == TOP)
+        nowhere = np.full((len(left), 2), np.nan)
+        return (
+            Arrivals(photons, photon, place, weight, self.tracer.by_zone(paths)),
+            Arrivals(photons, left, nowhere, last[left].astype(float), self.tracer.by_zone(ways[:, left])),
+        )
 
-    def detected(self, led: int, point: "BloodPoint", *, photons: int, seed: int) -> np.ndarray:
-        """What the scene's own photodiodes read, (photodiodes, 2 + K) float: means of a BloodPoint's values."""
+    def detected(
+        self, led: int, point: "BloodPoint", *, photons: int, seed: int, cells: "Cells | None" = None
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """What the scene's own photodiodes read, (photodiodes, 2 + K) float: means of a BloodPoint's values.
+
+        cells : ask, too, where in the finger each photodiode looks: how its reading falls with absorption in each
+            cell, per volume, (photodiodes, u, v, depth) float. [mm^-2]
+        """
+        from .depth import Launches, Seen
+        from .mesh import DETECTED
+
         backends.activate(self.backend)
-        batch = self.tracer.batch(led, photons=photons, seed=seed)
-        nowhere = np.zeros((len(batch.weight), 2))
-        seen = point.values(Arrivals(photons, np.arange(len(nowhere)), nowhere, batch.weight, batch.path_mm))
-        count = len(self.tracer.photodiodes)
-        return np.stack([np.bincount(batch.photodiode, column, minlength=count) for column in seen.T], -1) / photons
+        launches = Launches(photons, seed) if cells else None
+        outcome, weight, _, paths, _ = self.tracer.walk(led, photons=photons, seed=seed, launches=launches)
+        ended, count = np.flatnonzero(outcome >= DETECTED), len(self.tracer.photodiodes)
+        where, nowhere = outcome[ended] - DETECTED, np.zeros((len(ended), 2))
+        arrived = Arrivals(photons, ended, nowhere, weight[ended].astype(float), self.tracer.by_zone(paths[:, ended]))
+        values = point.values(arrived)
+        means = np.stack([np.bincount(where, column, minlength=count) for column in values.T], -1) / photons
+        if cells is None or launches is None:
+            return means, None
+        if not len(ended):
+            return means, np.zeros((count, *cells.shape))
+        seen = Seen(cells, values[:, 0], where, count)
+        again = self.tracer.replay(led, launches, ended, seen)
+        if np.count_nonzero(again != outcome[ended]) > 1 + 0.01 * len(ended):
+            raise RuntimeError("photons walked otherwise when they walked again; this backend does not repeat itself.")
+        return means, seen.sums() / (photons * cells.volume_mm3)
+
+    def cells(self) -> "Cells":
+        """Cells under the nail of this finger, for `detected`."""
+        from .depth import Cells
+
+        return Cells.under_nail(self.scene, self.tracer.shape)
 
 
 @dataclass(frozen=True)
@@ -210,10 +262,14 @@ class PhotonMap:
         t = self._table
         return (1 - a) * ((1 - b) * t[i, j] + b * t[i, j + 1]) + a * ((1 - b) * t[i + 1, j] + b * t[i + 1, j + 1])
 
+    def blocks_per_mm2(self) -> np.ndarray:
+        """Means per emitted photon and area in each block, (values, blocks, u, v) float. [mm^-2]"""
+        area = (self.u_mm[1] - self.u_mm[0]) * (self.v_mm[1] - self.v_mm[0])
+        return self.sums * (self.blocks / self.photons / area)
+
     def per_mm2(self) -> tuple[np.ndarray, np.ndarray]:
         """Means per emitted photon and area, and their standard errors over blocks, (values, u, v) float. [mm^-2]"""
-        area = (self.u_mm[1] - self.u_mm[0]) * (self.v_mm[1] - self.v_mm[0])
-        each = self.sums * (self.blocks / self.photons / area)
+        each = self.blocks_per_mm2()
         return each.mean(1), each.std(1, ddof=1) / np.sqrt(self.blocks)
 
 

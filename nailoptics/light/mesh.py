@@ -7,16 +7,18 @@ import mitsuba as mi
 import numpy as np
 
 from .. import geometry
-from ..geometry import Geometry
+from ..geometry import Face, Geometry
 from ..scene import Scene
 from . import media
 from .arrivals import Recorder
+from .depth import Launches, Seen
 from .tracing import Batch
 from .walk import (
     ABSORBED,
     BOTTOM,
     FAR,
     KILLED_SHARE,
+    LAMBERTIAN,
     LONG_LIFE,
     LOST,
     TOP,
@@ -43,14 +45,16 @@ class MeshTracer:
 
     batch_photons = 1 << 18
 
-    def __init__(self, scene: Scene, shape: Geometry | None = None) -> None:
+    def __init__(self, scene: Scene, shape: Geometry | None = None, *, spacing_mm: float = 0.1) -> None:
+        """spacing_mm : cells of the distances; wider ones are made sooner and let light skip less. [mm]"""
         self.scene = scene
         self.shape = geometry.build(scene) if shape is None else shape
         self.photodiodes = tuple(self.shape.regions[face.region].partition(":")[2] for face in self.shape.photodiodes)
         self.absorbers = media.absorbers(scene)
         self.mesh_scene = _mesh_scene(self.shape)
         self.triangles = _triangle_table(self.shape)
-        self.grid = _Grid(geometry.distance_grid(self.shape, bounds_mm=_near_board(self.shape)))
+        bounds = _near_board(self.shape)
+        self.grid = _Grid(geometry.distance_grid(self.shape, bounds_mm=bounds, spacing_mm=spacing_mm))
         self.regions = [_RegionTable(self, led.wavelength_nm) for led in scene.leds]
 
     def mu_a(self, led: int) -> np.ndarray:
@@ -73,10 +77,44 @@ class MeshTracer:
         )
 
     def walk(
-        self, led: int, *, photons: int, seed: int, section: "Section | None" = None, board: Recorder | None = None
+        self,
+        led: int,
+        *,
+        photons: int,
+        seed: int,
+        face: Face | None = None,
+        section: "Section | None" = None,
+        board: Recorder | None = None,
+        launches: Launches | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
-        """Outcome, weight, roulette (n,) and paths (media + zones - 1, n) of each photon; scatterings in all."""
+        """Outcome, weight, roulette (n,) and paths (media + zones - 1, n) of each photon; scatterings in all.
+
+        face : what shines, at the LED's wavelength and Lambertian, in the LED's place.
+        """
         rng, count = lanes(photons, seed)
+        return self._run(led, rng, count, photons, face, section, board, launches)
+
+    def replay(self, led: int, launches: Launches, which: np.ndarray, seen: Seen) -> np.ndarray:
+        """Walk some photons (n,) of a walk once more, to see where they were; returns their outcome (n,).
+
+        It is the walk's, but for a photon in ten thousand or so whose rays round otherwise among other rays.
+        """
+        once = dr.full(mi.UInt32, 1, len(which))
+        return self._run(led, launches.again(which), once, len(which), None, seen, None, None)[0]
+
+    def _run(
+        self,
+        led: int,
+        rng: Any,
+        count: Any,
+        photons: int,
+        face: Face | None,
+        section: "Section | Seen | None",
+        board: Recorder | None,
+        launches: Launches | None,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
+        source, shines = face or self.shape.leds[led], self.scene.leds[led]
+        emission = LAMBERTIAN if face else emission_table(shines)
         blood = media.zones(self.scene)
         tallies = len(media.TISSUES) + blood.count - 1
         results = [dr.zeros(mi.UInt32, photons)] + [dr.zeros(mi.Float, photons) for _ in range(2 + tallies)]
@@ -87,12 +125,13 @@ class MeshTracer:
             self.triangles,
             self.grid,
             self.regions[led],
-            _emitter(self.shape.leds[led], self.scene.leds[led]),
+            _emitter(source, emission),
             [dr.opaque(mi.Float, edge) for edge in blood.edges_mm],
             dr.opaque(mi.Float, blood.width_mm),
             results,
             section,
             board,
+            launches,
         )
         dr.eval(events, results)
         outcome, weight, roulette, *paths = (np.array(a) for a in results)
@@ -115,13 +154,13 @@ class Section:
         self.low = [dr.opaque(mi.Float, float(axis[0] - self.spacing_mm / 2)) for axis in (y_mm, z_mm)]
         self.shape = [dr.opaque(mi.UInt32, len(axis)) for axis in (y_mm, z_mm)]
 
-    def add(self, p: Any, path: Any, active: Any) -> None:
-        """Add paths (weighted) at their middles. [mm]"""
+    def add(self, p: Any, path: Any, weight: Any, photon: Any, active: Any) -> None:
+        """Add paths, weighted, at their middles. [mm]"""
         j = mi.Int32(dr.floor((p.y - self.low[0]) / self.spacing_mm))
         k = mi.Int32(dr.floor((p.z - self.low[1]) / self.spacing_mm))
         inside = active & (j >= 0) & (k >= 0) & (mi.UInt32(j) < self.shape[0]) & (mi.UInt32(k) < self.shape[1])
         dr.scatter_reduce(
-            dr.ReduceOp.Add, self.values, mi.Float64(path), mi.UInt32(j) * self.shape[1] + mi.UInt32(k), inside
+            dr.ReduceOp.Add, self.values, mi.Float64(path * weight), mi.UInt32(j) * self.shape[1] + mi.UInt32(k), inside
         )
 
     def density(self, photons: int) -> np.ndarray:
@@ -203,15 +242,15 @@ def _triangle_table(shape: Geometry) -> Any:
     return mi.Float(table.ravel())
 
 
-def _emitter(face: Any, led: Any) -> dict[str, Any]:
-    """Corners of the die's facets and their shares of its area."""
+def _emitter(face: Face, emission: np.ndarray) -> dict[str, Any]:
+    """Corners of the die's facets and their shares of its area; and its `emission_table`."""
     quads = np.asarray(face.quads)
     area = np.linalg.norm(np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]), axis=1) / 2
     return {
         "upto": mi.Float(np.cumsum(area) / area.sum()),
         "corners": mi.Float(quads.astype(np.float32).ravel()),
         "normal": mi.Float(np.asarray(face.normal, np.float32).ravel()),
-        "emission": mi.Float(emission_table(led)),
+        "emission": mi.Float(emission),
     }
 
 
@@ -252,14 +291,17 @@ def _walk(
     edges: list[Any],
     passage: Any,
     results: list[Any],
-    section: Section | None,
+    section: Section | Seen | None,
     board: Recorder | None,
+    launches: Launches | None,
 ) -> Any:
     """Scatterings per lane; a lane walks one photon after the other, so that none waits for one long life."""
     F, U = mi.Float, mi.UInt32
     outcome_of, weight_of, roulette_of, *path_of = results
     width, kinds, inner = dr.width(count), len(media.TISSUES), len(edges)
     photon = dr.arange(U, width)
+    if launches is not None:
+        launches.add(rng, photon, count > 0)
     p, w, life = _launch(rng, emitter)
     tau, boost, given = dr.zeros(F, width), dr.full(F, 1, width), dr.zeros(F, width)
     region = dr.full(U, 0, width) + region_of.epoxy
@@ -286,7 +328,8 @@ def _walk(
                 t = dr.clip((middle - edges[k]) / passage + 0.5, 0, 1)
                 passed[k] = passed[k] + dr.select(in_bed, step * t * t * (3 - 2 * t), 0)
             if section is not None:
-                section.add(p + w * (0.5 * step), step * boost * _dimmed(dr.fma(along, mu_a, tau)), True)
+                weight = boost * _dimmed(dr.fma(along, mu_a, tau))
+                section.add(p + w * (0.5 * step), step, weight, photon, True)
             p = mi.Point3f(p + w * step)
             along += step
             w = mi.Vector3f(turn(w, henyey_greenstein(g, rng.next_float32()), 2 * dr.pi * rng.next_float32()))
@@ -306,7 +349,7 @@ def _walk(
             passed[k] = passed[k] + dr.select(in_bed, step * t * t * (3 - 2 * t), 0)
             path[kinds + k] = path[kinds + k] + passed[k]
         if section is not None:
-            section.add(p + w * (0.5 * step), step * boost * _dimmed(dr.fma(along, mu_a, tau)), stuck)
+            section.add(p + w * (0.5 * step), step, boost * _dimmed(dr.fma(along, mu_a, tau)), photon, stuck)
         along += step
         kind = dr.gather(U, region_of.medium, region, active)
         for k in range(kinds):
@@ -367,6 +410,8 @@ def _walk(
             path = [F(0) for _ in path]
             photon += width
             count -= 1
+            if launches is not None:
+                launches.add(rng, photon, count > 0)
             p, w, life = _launch(rng, emitter)
             tau, boost, given = F(0), F(1), F(0)
             region, age, arrived = U(region_of.epoxy), U(0), U(0)

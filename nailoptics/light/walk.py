@@ -14,6 +14,8 @@ KILLED_SHARE = 0.5
 # From here on a photon survives each doubling of its events with probability 1/2 and counts twice.
 LONG_LIFE = 1 << 16
 TOP, BOTTOM, ABSORBED, LOST = 1, 2, 3, 4
+# Squared cosines of emission at equal steps of probability: linear, because a Lambertian emitter's are.
+LAMBERTIAN = np.linspace(1, 0, 257)
 FAR = 1e9  # mm; stands for infinity where infinity would make NaN of zero
 
 
@@ -73,21 +75,21 @@ def fresnel(cos_in: Any, *, n_in: Any, n_out: Any) -> tuple[Any, Any, Any]:
     return dr.select(cos_out > 0, 0.5 * (s * s + p * p), 1), cos_out, eta
 
 
-def emission_table(led: Led, points: int = 257) -> np.ndarray:
-    """Squared cosines of emission at equal steps of probability, (points,) float.
+def emission_table(led: Led) -> np.ndarray:
+    """Squared cosines of emission at equal steps of probability, (257,) float.
 
-    Squares, because a Lambertian emitter's are linear in probability, so that interpolation is exact. A measured
+    Squares, because those of a Lambertian emitter are linear, so that interpolation is exact. A measured
     radiant intensity I(theta) emits I sin(theta) per angle.
     """
-    u = np.linspace(0, 1, points)
     if led.pattern == "pencil":
-        return np.ones(points)
+        return np.ones_like(LAMBERTIAN)
     if led.pattern == "lambertian":
-        return 1 - u
+        return LAMBERTIAN
     assert led.pattern_deg is not None and led.pattern_relative is not None
     theta = np.linspace(0, np.radians(led.pattern_deg[-1]), 4001)
     density = np.interp(theta, np.radians(led.pattern_deg), led.pattern_relative) * np.sin(theta)
     cumulative = np.concatenate([[0], np.cumsum(density[1:] + density[:-1])])
+    u = np.linspace(0, 1, len(LAMBERTIAN))
     return np.cos(np.interp(u, cumulative / cumulative[-1], theta)) ** 2
 
 
