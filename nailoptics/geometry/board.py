@@ -111,8 +111,9 @@ class BentBoard:
             u = theta * self.radius_mm
             return ((u > r.u_min) & (u < r.u_max))[:, None] & ((v > r.v_min) & (v < r.v_max))
 
-        result[inside(self.rim)] = COVER
-        result[inside(self.layout.outline)] = EPOXY, KAPTON, COVER
+        top = COVER if self.scene.board.cover_um else AIR
+        result[inside(self.rim)] = COVER, COVER, top
+        result[inside(self.layout.outline)] = EPOXY, KAPTON, top
         for wall in self.layout.barriers:
             result[inside(wall), 0] = BARRIER
         for region, r in self.parts:

@@ -22,7 +22,8 @@ epidermis : the outermost skin, outside the nail.
 epoxy : clear epoxy and adhesive, one region because they have one index.
 barrier : opaque walls between LEDs and photodiodes, from the nail to the board.
 kapton : the board's film beside its parts.
-cover : opaque epoxy over the board, and the rim of it that closes the board's four sides down to the nail.
+cover : opaque epoxy over the board, if it has a cover, and the rim of it that closes the board's four sides down to
+    the nail.
 cut : a slice beyond the proximal end of the modelled finger, to tell light that goes up the finger from light that
     leaves to the air.
 silicon : photodiode elements that are not wired.

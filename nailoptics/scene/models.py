@@ -199,10 +199,16 @@ class Board(Table):
     """Thickness of that wall. [um]"""
     barrier_gap_mm: Annotated[float, Field(ge=0.02, le=5)] | None = None
     """Distance from the nearest LED to that wall; midway to the photodiodes if not given. [mm]"""
-    cover_um: Annotated[float, Field(ge=20, le=5000)] = 500.0
-    """Thickness of the opaque cover on top. [um]"""
+    cover_um: Annotated[float, Field(ge=0, le=5000)] = 500.0
+    """Thickness of the opaque cover on top; 0 leaves it away, and light passes through the film. [um]"""
     opaque_reflectance: Fraction = 0.04
     """Diffuse reflectance of the opaque epoxy: barrier, rim and cover."""
+
+    @model_validator(mode="after")
+    def _cover_is_thick_or_none(self) -> Self:
+        if 0 < self.cover_um < 20:
+            raise ValueError(f"cover_um = {self.cover_um:g} is too thin a cover; give 20 or more, or 0 for none")
+        return self
 
 
 class Blood(Table):

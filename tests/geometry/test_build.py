@@ -82,6 +82,16 @@ def test_no_clear_epoxy_meets_the_air(geometry):
     }  # fmt: skip
 
 
+def test_without_a_cover_the_film_meets_the_air_and_the_rim_still_stands(sensor):
+    bare = build(sensor(board="cover_um = 0"))
+    names = [{bare.regions[low], bare.regions[high]} for low, high in bare.interfaces()]
+    assert {"air", "kapton"} in names and {"air", "led:led0"} in names and {"epoxy", "air"} not in names
+    assert {"epoxy", "cover"} in names and check(bare, crossings=20_000, seed=1).passed
+    # Film and epoxy end 0.475 mm above the nail; beside them the rim is as high.
+    r = bare.nail_radius_mm + 0.47
+    assert region(bare, r * np.sin(1.05 / 9.35), 0, r * np.cos(1.05 / 9.35) - bare.nail_radius_mm) == "cover"
+
+
 def test_interfaces_hold_every_triangle_once_with_its_sides(geometry):
     pairs = geometry.interfaces()
     assert sum(len(t) for t in pairs.values()) == len(geometry.triangles)
