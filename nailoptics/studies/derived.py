@@ -8,6 +8,7 @@ from .. import tissue
 from ..scene import Scene
 from ..scene.layout import lay_out
 from . import variants
+from .ambient import collecting_area_mm2
 from .compare import BLOOD_REDUCED_SCATTERING_PER_MM
 from .effects import Effect, effect_of
 from .fits import Z95
@@ -64,15 +65,15 @@ def swapped_scene(scene: Scene) -> Scene:
 
 
 def ambient(scene: Scene, base: Look, swapped: Look, tolerance: float) -> Effect:
-    """Ambient light that reaches the farthest photodiode through the skin, beside the LED's light there.
-
-    By reciprocity: of diffuse irradiance E on the finger a photodiode of area A in epoxy of index n collects
-    n^2 A E times the part of the light that would leave the finger if the photodiode were a Lambertian LED.
-    """
+    """Ambient light that reaches the farthest photodiode through the skin, beside the LED's light there."""
     escapes = swapped.transfer.energy()["reflected"]
     led = swapped.transfer.scene.leds[0]
-    area_m2 = led.size_mm[0] * led.size_mm[1] * 1e-6
-    collected_mw = [1e3 * EPOXY_INDEX**2 * area_m2 * AMBIENT_W_PER_M2 * escapes[k] for k in ("value", "stderr")]
+    area_mm2 = led.size_mm[0] * led.size_mm[1]
+    # A watt per square metre is a thousandth of a milliwatt per square millimetre.
+    collected_mw = [
+        1e-3 * AMBIENT_W_PER_M2 * collecting_area_mm2(escapes[k], area_mm2=area_mm2, n=EPOXY_INDEX)
+        for k in ("value", "stderr")
+    ]
     flux = np.array([one.flux_mw for one in scene.leds])[:, None]
     with np.errstate(divide="ignore"):
         ratio, error = (np.where(base.level > 0, x / (base.level * flux), np.inf) for x in collected_mw)

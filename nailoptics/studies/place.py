@@ -5,7 +5,6 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -13,13 +12,12 @@ import xarray as xr
 from ..assets import data_dir
 from ..errors import InputError, NotReachedError
 from ..light import Progress
-from ..light.map import BoardTracer, blood_point
 from ..scene import FingerCase, Placement, Scene, digest, load_scene
-from ..scene.layout import lay_out
 from . import place_boards as boards
 from . import place_merit as merit
 from . import place_search as search
-from .place_light import Bank, View, jackknife, left_out
+from .place_best import look
+from .place_light import Bank, View, jackknife
 from .place_result import as_dataset
 
 log = logging.getLogger(__name__)
@@ -115,7 +113,7 @@ def place(
     paper = _papers(base, views)
     tried: list[tuple[search.Spot, float]] = []
     if rules.search:
-        bank = Bank(views, seed=seed, stream=0, backend=backend, spacing_mm=SPACING_MM, blocks=1)
+        bank = Bank(views, seed=seed, stream=0, backend=backend, spacing_mm=SPACING_MM, blocks=1, quick=True)
         found, tried = _searched(base, rules, bank, begin + SEARCH_SHARE * limit, told)
         layouts += found
         spent = bank.photons
@@ -131,16 +129,19 @@ def place(
     judged, unmet = _judge(layouts, bank, rules, asked, wanted, begin + (1 - CHECK_SHARE) * limit, told)
     order = sorted(range(len(layouts)), key=lambda i: float(judged[i].score_n[0]))
     layouts, judged = [layouts[i] for i in order], [judged[i] for i in order]
-    checked = _checked(layouts[0], views[0], bank, seed, backend, begin + limit)
+    maps = bank.maps(layouts[0].board)[0]
+    closer = look(
+        layouts[0].scene, views[0], photons=maps[0].photons, seed=seed, backend=backend, deadline=begin + limit
+    )
     told("check", 1.0, judged[0].relative_error, None)
     result = as_dataset(
         scene,
         layouts,
         judged,
         views=views,
-        maps=bank.maps(layouts[0].board)[0],
+        maps=maps,
         tried=tried,
-        checked=checked,
+        closer=closer,
         attributes={
             "seed": seed,
             "photons": bank.photons + spent,
@@ -306,34 +307,3 @@ def _judge(
                 f"max_seconds ended with {len(tied)} layouts tied at relative error {worst:.3g}, {wanted:g} asked; "
                 "allow more time or ask for less."
             )
-
-
-def _checked(best: Layout, view: View, bank: Bank, seed: int, backend: str, deadline: float) -> dict[str, Any]:
-    """The best layout on its own board, photodiodes and all, in a fresh trace: what the map foretold must come."""
-    scene = boards.on_finger(best.scene, view.case)
-    tracer = BoardTracer(scene, backend=backend)
-    least = 8
-    blocks = []
-    most = max(least, bank.maps(best.board)[0][0].photons // tracer.batch_photons)
-    for batch in range(most):
-        if batch >= least and time.perf_counter() > deadline:
-            break
-        by_led = []
-        for led in range(len(scene.leds)):
-            point = blood_point(scene, led, blood_fraction=view.at.blood_fraction, dermis=view.case.dermis)
-            state = np.random.SeedSequence(seed, spawn_key=(2, led, batch)).generate_state(1, np.uint64)
-            by_led.append(tracer.detected(led, point, photons=tracer.batch_photons, seed=int(state[0])))
-        blocks.append(np.stack(by_led))
-    each = left_out(np.stack(blocks))
-    photodiode = scene.photodiodes[lay_out(scene).photodiodes[0].entry]
-    total: Any = 0.0
-    for led, source in enumerate(scene.leds):
-        read = merit.volts(each[:, led], source, photodiode, scene.electronics, view.at)
-        total = total + merit.information(read).sum(1)
-    resolution = merit.resolution_n(total, view.at)
-    return {
-        "resolution_n": float(resolution[0]),
-        "resolution_n_stderr": float(resolution[0] * jackknife(np.log(resolution))),
-        "fraction": each[0, :, :, 0],
-        "fraction_stderr": jackknife(each[..., 0]),
-    }

@@ -70,13 +70,22 @@ class Volts:
     crosstalk: Array
 
 
-def volts(values: Array, led: Led, photodiode: Photodiode, amplifier: Electronics, at: Operating) -> Volts:
+def volts(
+    values: Array,
+    led: Led,
+    photodiode: Photodiode,
+    amplifier: Electronics,
+    at: Operating,
+    *,
+    ambient_a: float | Array = 0.0,
+) -> Volts:
     """Volts from a photon map's means per emitted photon.
 
     values : (..., 4) float. Reading, direct part, derivative by the blood of each zone.
+    ambient_a : Photocurrent by light from outside, which tells nothing. [A]
     """
     responsivity = electronics.responsivity_a_per_w(led.wavelength_nm, photodiode.quantum_efficiency)
-    current = np.maximum(values[..., 0], 0.0) * led.flux_mw * 1e-3 * float(responsivity)
+    current = np.maximum(values[..., 0], 0.0) * led.flux_mw * 1e-3 * float(responsivity) + ambient_a
     shunt_ohm = photodiode.shunt_mohm * 1e6
     budget = electronics.noise_budget(
         current, amplifier, dark_current_na=photodiode.dark_current_na, shunt_ohm=shunt_ohm

@@ -27,14 +27,14 @@ def as_dataset(
     views: Sequence[View],
     maps: Sequence[PhotonMap],
     tried: "Sequence[tuple[Spot, float]]",
-    checked: dict[str, Any],
+    closer: xr.Dataset,
     attributes: dict[str, Any],
 ) -> xr.Dataset:
     """Everything of a placement; layouts come best first.
 
     maps : of the best layout's bare board on the first finger, one per LED.
     tried : places of the LED and what the search found there.
-    checked : a fresh trace of the best layout's own board.
+    closer : what is known of the best layout on the first finger, from `place_best.look`.
     """
     data: dict[str, Any] = {}
 
@@ -70,6 +70,9 @@ def as_dataset(
     add("known_split_n", both, [j.known_split_n[0] for j in judged], "N", "force resolution if the split is known")
     pressures = (*both, "pressure")
     add("pressure_resolution_pa", pressures, [j.pressures_pa[0] for j in judged], "Pa", "resolution of each pressure")
+    information = [[_matrix(by_led) for by_led in j.volts] for j in judged]
+    add("fisher_information_per_pa2", (*pressures, "pressure_too"), information, "Pa-2",
+        "Fisher information of the two pressures in one sample of all readings")  # fmt: skip
     conditions = [[max(merit.condition(_first(r)) for r in by_led) for by_led in j.volts] for j in judged]
     add("condition_number", both, conditions, "1", "condition number of the matrix of readings by blood zones")
     _readings(add, layouts, judged)
@@ -80,24 +83,20 @@ def as_dataset(
         {"long_name": "LED lies there"},
     )
     add("led_tried_n", ("spot",), [found for _, found in tried], "N", "force resolution that the search found there")
-    add("checked_fraction", ("led", "best_photodiode"), checked["fraction"], "1", "fresh trace of the best layout",
-        checked["fraction_stderr"])  # fmt: skip
-    best = judged[0].volts[0]
-    amplifier = layouts[0].scene.electronics
-    add("foretold_volts", ("led", "best_photodiode"), [_first(r).volts for r in best], "V", "volts by the map",
-        [jackknife(r.volts) for r in best])  # fmt: skip
+    _of_the_best(add, judged[0].volts[0])
     result = xr.Dataset(
         data,
         coords={
             "layout": [layout.name for layout in layouts],
             "finger": [view.case.name for view in views],
             "pressure": ["proximal", "distal"],
+            "pressure_too": ["proximal", "distal"],
             "axis": ["u", "v"],
         },
     )
     plane = map_dataset([led.name for led in scene.leds], maps)
-    result = result.merge(plane)
-    at = views[0].at
+    result = result.merge(plane).merge(closer)
+    at, amplifier = views[0].at, layouts[0].scene.electronics
     entry = layouts[0].scene.photodiodes[0]
     area = entry.size_mm[0] * entry.size_mm[1]
     tells, noise = [], []
@@ -121,7 +120,7 @@ def as_dataset(
         )
         | {"title": "nailoptics: layouts ranked by force resolution"}
         | attributes
-        | {f"checked_{name}": checked[name] for name in ("resolution_n", "resolution_n_stderr")}
+        | closer.attrs
     )
     return result
 
@@ -129,6 +128,26 @@ def as_dataset(
 def _first(read: merit.Volts) -> merit.Volts:
     """Readings by all photons."""
     return merit.Volts(*(part[0] for part in vars(read).values()))
+
+
+def _matrix(by_led: "Sequence[merit.Volts]") -> np.ndarray:
+    """Information of all readings as a matrix, (2, 2) float. [Pa^-2]"""
+    one, both, two = np.sum([merit.information(_first(read)).sum(0) for read in by_led], axis=0)
+    return np.array([[one, both], [both, two]])
+
+
+def _of_the_best(add: Any, by_led: "Sequence[merit.Volts]") -> None:
+    """What each photodiode of the best layout reads, by the map."""
+    dims = ("led", "best_photodiode")
+    first = [_first(read) for read in by_led]
+    add("foretold_volts", dims, [r.volts for r in first], "V", "volts by the map",
+        [jackknife(r.volts) for r in by_led])  # fmt: skip
+    add("foretold_noise_v", dims, [np.sqrt(r.noise_v2) for r in first], "V", "noise of one sample by the map, rms")
+    add("foretold_crosstalk", dims, [r.crosstalk for r in first], "1", "part of the light that was never in the bed",
+        [jackknife(r.crosstalk) for r in by_led])  # fmt: skip
+    add("foretold_zone_v", (*dims, "blood_zone"), [r.zone_v for r in first], "V",
+        "change of the reading with the blood fraction of a zone by the map",
+        [jackknife(r.zone_v) for r in by_led])  # fmt: skip
 
 
 def _readings(add: Any, layouts: "Sequence[Layout]", judged: "Sequence[Judged]") -> None:

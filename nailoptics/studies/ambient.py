@@ -1,0 +1,85 @@
+"""Light from outside on a photodiode: by reciprocity, from the part of its own light that would leave the finger."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import electronics, tissue
+from ..light import media
+from ..light.map import Arrivals
+from ..scene import Scene
+
+Array = NDArray[np.float64]
+
+LUMENS_PER_WATT = 683.0
+SECOND_RADIATION_NM_K = 1.438777e7
+STEP_NM = 10.0
+# Silicon sees from here to there; where tissue has no data, that of the nearest wavelength stands for it.
+SILICON_NM = (380.0, 1100.0)
+
+
+@dataclass(frozen=True)
+class Ambient:
+    """Light from all sides with the spectrum of a black body; every part of the skin gets so much of it."""
+
+    name: str
+    kelvin: float
+    lux: float
+
+    def irradiance(self, wavelength_nm: ArrayLike) -> Array:
+        """Spectral irradiance. [W m^-2 nm^-1]"""
+        visible = np.arange(380.0, 781.0)
+        lumens = LUMENS_PER_WATT * np.trapezoid(luminous_efficiency(visible) * self._planck(visible), visible)
+        return self._planck(np.asarray(wavelength_nm, float)) * self.lux / lumens
+
+    def _planck(self, wavelength_nm: Array) -> Array:
+        """Planck's law, relative."""
+        return (wavelength_nm / 560.0) ** -5 / np.expm1(SECOND_RADIATION_NM_K / wavelength_nm / self.kelvin)
+
+
+# Full sun, and a bright place in the light of incandescent lamps, the kind with the most infrared for its lux.
+SOURCES = (Ambient("sun", 5778.0, 1e5), Ambient("lamp", 2856.0, 1e3))
+
+
+def luminous_efficiency(wavelength_nm: ArrayLike) -> Array:
+    """Photopic V(lambda) by the fit of C. Wyman, P.-P. Sloan, P. Shirley, JCGT 2(2), 2013, to 1 % of its maximum."""
+
+    def lobe(peak: float, below: float, above: float) -> Array:
+        away = np.asarray(wavelength_nm, float) - peak
+        return np.exp(-0.5 * (away / np.where(away < 0, below, above)) ** 2)
+
+    return 0.821 * lobe(568.8, 46.9, 40.5) + 0.286 * lobe(530.9, 16.3, 31.1)
+
+
+def collecting_area_mm2(escaping: ArrayLike, *, area_mm2: float, n: float) -> Array:
+    """Area that would collect in the open what a photodiode gets of diffuse light from all sides.
+
+    By reciprocity: of diffuse irradiance E on the finger, a photodiode of area A in a medium of index n collects
+    n^2 A E times the part of the light that would leave the finger if the photodiode were a Lambertian LED. A sun in
+    one place gives no part of the skin more than its irradiance, so that the same from all sides is no less, but for
+    the few percent by which steep light enters more easily.
+
+    escaping : Part of that light, 0-1.
+    """
+    return n**2 * area_mm2 * np.asarray(escaping, float)
+
+
+def photocurrents_a(
+    escaped: Arrivals, scene: Scene, ambient: Ambient, *, traced_nm: float, quantum_efficiency: float, area_mm2: float
+) -> Array:
+    """What each photon that left adds to the photocurrent by light from outside, (n,) float; its sum over the photons
+    that were emitted is the photocurrent. [A]
+
+    Absorption is that of every wavelength, scattering that of the one traced: at shorter ones light scatters more and
+    leaks less.
+    """
+    wavelength = np.arange(SILICON_NM[0], SILICON_NM[1] + STEP_NM / 2, STEP_NM)
+    inside = np.clip(wavelength, *tissue.WAVELENGTH_RANGE_NM)
+    mu_a, traced = media.absorption(scene, inside), media.absorption(scene, traced_nm)[0]
+    # In amperes for each square millimetre that collects; steps are equal, so that the sum is the integral.
+    per_mm2 = 1e-6 * STEP_NM * ambient.irradiance(wavelength)
+    per_mm2 = per_mm2 * electronics.responsivity_a_per_w(wavelength, quantum_efficiency)
+    part = np.exp(-(escaped.path_mm.astype(float) @ (mu_a - traced).T)) @ per_mm2
+    n = float(tissue.scattering("epoxy", traced_nm)[2]) if scene.light.index_steps else 1.0
+    return collecting_area_mm2(escaped.weight * part / escaped.photons, area_mm2=area_mm2, n=n)
