@@ -384,13 +384,18 @@ def batch(
     from .report.sweep_page import write_sweep_page
 
     results = batches.open_results(output)
-    table = batches.write_table(results, output / "table.csv")
-    write_sweep_page(results, output / "report.html", failures=outcome.failed)
+    try:
+        table = batches.write_table(results, output / "table.csv")
+        write_sweep_page(results, output / "report.html", failures=outcome.failed)
+    except InputError as error:  # a full disk has been told already
+        raise unmet or error from None
     if json_:
         told = dataclasses.asdict(outcome) | {"results": str(output), "table": str(table)}
         print_json(told | {"report": str(output / "report.html")})
     else:
-        print(f"{len(outcome.done)} scenes done from {outcome.lights} traces, {len(outcome.kept)} were there before")
+        print(
+            f"{len(outcome.done)} scenes done, {len(outcome.kept)} were there before; {outcome.lights} traces for all"
+        )
         print(f"{output / 'report.html'}\n{table}")
     if unmet:
         raise NotReachedError(str(unmet))

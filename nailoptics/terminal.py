@@ -203,14 +203,14 @@ def batch_progress() -> Iterator[Any]:
 
         def show(p: Any) -> None:
             nonlocal last
-            left = "" if p.seconds_left is None else f"{p.seconds_left:.0f} s left"
-            bar.update(task, completed=p.done + p.failed, total=p.total, description=left)
+            left = "" if p.seconds_left is None else f", {p.seconds_left:.0f} s left"
+            bar.update(task, completed=p.done + p.failed, total=p.total, description=left[2:])
             if p.said:
                 bar.console.print(f"nailoptics: {p.said}", markup=False, highlight=False)
             elif not live and p.seconds - last >= 10:
                 last = p.seconds
                 failed = f", {p.failed} failed" if p.failed else ""
-                print(f"nailoptics: {p.done} of {p.total} scenes{failed}, {left}", file=sys.stderr, flush=True)
+                print(f"nailoptics: {p.done} of {p.total} scenes{failed}{left}", file=sys.stderr, flush=True)
 
         yield show
 

@@ -3,10 +3,12 @@
 import math
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 from ..light import backend as backends
 from ..light import reuse
-from ..scene import Scene
+from ..light.engines import VOLPATH_RELATIVE_ERROR
+from ..scene import Accuracy, Scene
 from . import reading, record
 from .plan import plan
 from .status import told_time
@@ -15,6 +17,8 @@ from .work import Settings, reads_transfer
 
 # Lights that are tried, evenly spaced in the sweep.
 SAMPLES = 3
+# How long volpath is tried on each. [s]
+VOLPATH_SECONDS = 5.0
 
 
 @dataclass(frozen=True)
@@ -46,8 +50,6 @@ def estimate(
     relative_error: float | None = None,
 ) -> Estimate:
     """Estimate a sweep's cost; compiling is not counted, as it happens once per worker."""
-    from pathlib import Path
-
     settings = Settings(Path(), seed, backends.choose(backend).name, photons, relative_error)
     planned = plan(sweep, settings)
     groups: dict[str, list[Scene]] = {}
@@ -72,11 +74,15 @@ def _cost(scene: Scene, settings: Settings) -> tuple[float, float, float, float]
     """Processor seconds of a scene's light and of its reading, and the bytes of both."""
     if not reads_transfer(scene, settings):
         begin = time.process_time()
-        dataset, _, _ = reading.by_volpath(
-            scene, seed=settings.seed, backend=settings.backend, photons=None, relative_error=0.5
-        )
-        target = settings.asked(scene).relative_error or 0.05
-        more = max((reading.relative_error(dataset) / target) ** 2, 1.0)
+        rough = Accuracy(relative_error=0.5, max_seconds=VOLPATH_SECONDS)
+        dataset, paths, _ = reading.by_volpath(scene, seed=settings.seed, backend=settings.backend, asked=rough)
+        asked = settings.asked(scene)
+        if scene.phantom is not None and asked.photons:
+            more = max(asked.photons / paths, 1.0)
+        else:
+            floor = VOLPATH_RELATIVE_ERROR if scene.finger is not None else 0.0
+            error = min(reading.relative_error(dataset), 1.0)  # a photodiode may have seen nothing yet
+            more = max((error / max(asked.relative_error or floor, floor)) ** 2, 1.0)
         size = len(record.pack(*reading.to_record(dataset)))
         return (time.process_time() - begin) * more, 0.0, 0.0, float(size)
     kind = reuse.tracer(scene, settings.backend)

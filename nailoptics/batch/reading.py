@@ -8,7 +8,7 @@ import xarray as xr
 
 from ..errors import NotReachedError
 from ..light import Transfer, reuse
-from ..scene import Scene
+from ..scene import Accuracy, Scene
 
 
 def of_transfer(transfer: Transfer, *, seed: int) -> xr.Dataset:
@@ -84,11 +84,9 @@ def _summarised(result: xr.Dataset) -> xr.Dataset:
     )
 
 
-def by_volpath(
-    scene: Scene, *, seed: int, backend: str, photons: int | None, relative_error: float | None
-) -> tuple[xr.Dataset, int, bool]:
+def by_volpath(scene: Scene, *, seed: int, backend: str, asked: Accuracy) -> tuple[xr.Dataset, int, bool]:
     """The same from volpath, which traces every scene anew: the dataset, its photons, and whether it is accurate."""
-    common: dict[str, Any] = {"seed": seed, "backend": backend, "photons": photons, "relative_error": relative_error}
+    common: dict[str, Any] = {"seed": seed, "backend": backend} | asked.model_dump()
     reached = True
     if scene.finger is not None:
         from ..studies.simulate import simulate

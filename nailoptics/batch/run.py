@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from dataclasses import dataclass, field
@@ -18,8 +18,10 @@ from .work import Job, Report, Settings, work
 
 log = logging.getLogger(__name__)
 
-# A scene whose worker dies so often is recorded as failed.
+# A scene whose worker dies so often is recorded as failed, and after so many of one light all the others of it.
 DEATHS = 2
+FATAL = 3
+# What somebody else works on is asked for again after this time.
 _BUSY_WAIT_S = 0.5
 
 
@@ -163,7 +165,10 @@ class _Driver:
         self.queue = deque(plans.first_of(job) for job in jobs)
         self.later = {job.key: plans.rest_of(job) for job in jobs}
         self.running: dict[Future[Report], tuple[int, Job]] = {}
-        self.deaths: dict[str, int] = {}
+        self.asleep: deque[tuple[float, Job]] = deque()
+        # Deaths by scene; and by light, scenes given up since one of it was reported.
+        self.deaths: Counter[str] = Counter()
+        self.fatal: Counter[str] = Counter()
         self.left = {digest for job in jobs for digest, _ in job.scenes}
         self.started = begin
         self.reported, self.trouble = 0, ""
@@ -171,17 +176,18 @@ class _Driver:
     def run(self, slots: Slots) -> None:
         """Hand out jobs until none is left, the time is over, or nothing more can be written."""
         free = deque(range(len(slots.executors)))
-        waiting_until = 0.0
         orderly = False
         try:
             slots.start()
             self.started = time.time()
-            while (self.queue or self.running) and not (self.trouble and not self.running):
+            while self.queue or self.running or self.asleep:
                 now = time.time()
-                late = self.settings.deadline is not None and now >= self.settings.deadline
-                if late or self.trouble:
+                if self.settings.is_late() or self.trouble:
                     self.queue.clear()
-                while free and self.queue and now >= waiting_until:
+                    self.asleep.clear()
+                while self.asleep and self.asleep[0][0] <= now:
+                    self.queue.append(self.asleep.popleft()[1])
+                while free and self.queue:
                     slot = free.popleft()
                     job = self.queue.popleft()
                     try:
@@ -194,15 +200,13 @@ class _Driver:
                         self._lost(error)
                         break
                 if not self.running:
-                    time.sleep(min(0.05, max(0.0, waiting_until - time.time())))
+                    time.sleep(0.05 if self.asleep else 0)
                     continue
-                finished, _ = wait(self.running, timeout=1.0, return_when=FIRST_COMPLETED)
+                finished, _ = wait(self.running, timeout=_BUSY_WAIT_S, return_when=FIRST_COMPLETED)
                 for future in finished:
                     slot, job = self.running.pop(future)
                     free.append(slot)
-                    busy = self._take(future, slot, job, slots)
-                    if busy and not self.running:
-                        waiting_until = time.time() + _BUSY_WAIT_S
+                    self._take(future, slot, job, slots)
                 if self.trouble.startswith("the scheduler"):
                     self.running.clear()
                 self._show()
@@ -213,14 +217,14 @@ class _Driver:
             self.outcome.unfinished = len(self.left)
             slots.close(now=not orderly)
 
-    def _take(self, future: "Future[Report]", slot: int, job: Job, slots: Slots) -> bool:
-        """Book a job's report, or its worker's death; True if somebody else works on it."""
+    def _take(self, future: "Future[Report]", slot: int, job: Job, slots: Slots) -> None:
+        """Book a job's report, or its worker's death."""
         try:
             report = future.result()
         except BrokenExecutor:
             slots.renew(slot)
             self._died(job)
-            return False
+            return
         except (CancelledError, Exception) as error:
             if type(error).__name__ == "KilledWorker":
                 self._died(job, times=DEATHS)
@@ -228,13 +232,13 @@ class _Driver:
                 self._lost(error)
             else:
                 raise
-            return False
+            return
         if report.busy:
-            self.queue.append(job)
-            return True
+            self.asleep.append((time.time() + _BUSY_WAIT_S, job))
+            return
         if report.storage:
-            self.trouble = f"the folder takes no more ({report.storage}); make room and run again"
-            return False
+            self._no_room(report.storage)
+            return
         self.reported += len(report.done) + len(report.unmet) + len(report.failed)
         self.outcome.done += report.done
         self.outcome.unmet += report.unmet
@@ -246,32 +250,51 @@ class _Driver:
         for digest, why in report.failed.items():
             self.tell(f"scene {digest[:12]} failed: {why}")
         # The others can read the light now.
+        self.fatal.pop(job.key, None)
         self.queue.extendleft(reversed(self.later.pop(job.key, [])))
-        return False
 
     def _died(self, job: Job, times: int = 1) -> None:
-        """After a worker's death: scenes of its job go on one by one, and one that kills again is given up."""
+        """After a worker's death: the scenes of its light wait until one of them alone has come through.
+
+        A scene that kills again is given up, and so is a light that killed with several of its scenes.
+        """
         self.outcome.deaths += 1
-        scenes = [*job.scenes, *(s for part in self.later.pop(job.key, []) for s in part.scenes)]
-        if len(scenes) > 1:
-            self.queue.extend(Job(job.key, (scene,)) for scene in scenes)
-            self.tell(f"a worker was killed; its {len(scenes)} scenes are tried one by one")
-            return
-        digest = scenes[0][0]
-        self.deaths[digest] = self.deaths.get(digest, 0) + times
+        alone = len(job.scenes) == 1 and not job.also
+        others = [*job.scenes[1:], *(s for part in self.later.pop(job.key, []) for s in part.scenes)]
+        digest = job.scenes[0][0]
+        self.deaths[digest] += times if alone else 0
         if self.deaths[digest] < DEATHS:
-            self.queue.append(job)
-            self.tell(f"a worker was killed; scene {digest[:12]} is tried again")
-            return
-        why = f"its worker was killed {self.deaths[digest]} times; out of memory?"
-        try:
-            Folder(self.settings.folder).write_failure(digest, {"error": why, "time": time.time()})
-        except OSError as error:
-            self.trouble = f"the folder takes no more ({error.strerror}); make room and run again"
-            return
-        self.outcome.failed[digest] = why
-        self.left.discard(digest)
-        self.tell(f"scene {digest[:12]} failed: {why}")
+            self.queue.append(Job(job.key, job.scenes[:1]))
+            self.tell(
+                f"a worker was killed; scene {digest[:12]} is tried again"
+                + ("" if alone else ", and those with it one by one")
+            )
+        else:
+            self._give_up([digest], f"its worker was killed {self.deaths[digest]} times; out of memory?")
+            self.fatal[job.key] += 1
+            if self.fatal[job.key] >= FATAL and others:
+                why = f"{FATAL} scenes with its light had their workers killed; out of memory?"
+                self._give_up([digest for digest, _ in others], why)
+                return
+            if others:
+                self.queue.append(Job(job.key, (others.pop(0),)))
+        if others:
+            self.later[job.key] = [Job(job.key, (scene,)) for scene in others]
+
+    def _give_up(self, digests: list[str], why: str) -> None:
+        """Record scenes as failed."""
+        for digest in digests:
+            try:
+                Folder(self.settings.folder).write_failure(digest, {"error": why, "time": time.time()})
+            except OSError as error:
+                self._no_room(error.strerror or str(error))
+                return
+            self.outcome.failed[digest] = why
+            self.left.discard(digest)
+            self.tell(f"scene {digest[:12]} failed: {why}")
+
+    def _no_room(self, why: str) -> None:
+        self.trouble = f"the folder takes no more ({why}); make room and run again"
 
     def _lost(self, error: BaseException) -> None:
         log.debug("scheduler lost: %r", error)

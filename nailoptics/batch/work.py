@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import NailopticsError
+from ..errors import NailopticsError, NotReachedError
 from ..light import RereadWarning, Transfer, reuse
 from ..light.tracing import accuracy
 from ..light.transfer import versions
@@ -42,6 +42,18 @@ class Settings:
     def asked(self, scene: Scene) -> Accuracy:
         """What a scene's light must reach."""
         return accuracy(scene, photons=self.photons, relative_error=self.relative_error, max_seconds=None)
+
+    def in_time(self, scene: Scene) -> Accuracy:
+        """The same, but no longer than the run has left."""
+        asked = self.asked(scene)
+        if self.deadline is None:
+            return asked
+        left = max(self.deadline - time.time(), 1e-3)
+        return asked.model_copy(update={"max_seconds": min(left, asked.max_seconds or left)})
+
+    def is_late(self) -> bool:
+        """Whether the run's time is over."""
+        return self.deadline is not None and time.time() >= self.deadline
 
     def made(self) -> dict[str, Any]:
         """What stored light must have been made with."""
@@ -75,9 +87,7 @@ class Report:
     failed: dict[str, str] = field(default_factory=dict)
     corrupt: list[str] = field(default_factory=list)
     busy: bool = False
-    late: bool = False
     storage: str = ""
-    light_seconds: float = 0.0
 
 
 def prepare(threads: int) -> None:
@@ -117,22 +127,23 @@ def _do(job: Job, settings: Settings, report: Report) -> None:
     report.done += [digest for digest, _ in job.scenes if digest not in dict(todo)]
     if not todo:
         return
-    begin = time.process_time()
     light = None
     try:
         if reads_transfer(todo[0][1], settings):
             light = _Light(job, [scene for _, scene in todo], settings, report)
     except Exception as error:
         _raise_if_storage(error)
-        for digest, _ in todo:
-            _failed(folder, digest, error, report)
+        if len(todo) > 1 or job.also:
+            # One of the scenes may ask for what cannot be done, and the others not.
+            for one in todo:
+                _do(Job(job.key, (one,)), settings, report)
+        else:
+            _failed(folder, todo[0][0], error, report)
         return
-    report.light_seconds = time.process_time() - begin
     for digest, scene in todo:
         try:
             header, arrays = _result(scene, light, settings)
-            if header is None:
-                report.late = True
+            if header is None:  # too late for it
                 continue
             folder.result(digest).parent.mkdir(exist_ok=True)
             record.write_whole(folder.result(digest), record.pack({"digest": digest} | header, arrays))
@@ -151,6 +162,8 @@ def _raise_if_storage(error: Exception) -> None:
 
 def _failed(folder: Folder, digest: str, error: Exception, report: Report) -> None:
     why = str(error) if isinstance(error, NailopticsError) else f"{type(error).__name__}: {error}"
+    if isinstance(error, MemoryError):
+        why = f"not enough memory for it ({error})"
     why = " ".join(why.splitlines())
     folder.write_failure(digest, {"error": why, "traceback": traceback.format_exception(error), "time": time.time()})
     report.failed[digest] = why
@@ -163,6 +176,8 @@ def reads_transfer(scene: Scene, settings: Settings) -> bool:
 
 def meets(header: dict[str, Any], asked: Accuracy) -> bool:
     """Whether a stored result is at least as accurate as what is asked."""
+    if header["reached"] and header.get("asked") == asked.model_dump(exclude_none=True):
+        return True  # volpath answers a finger's tolerance as well as it can
     if asked.photons is not None:
         return header["photons_per_led"] >= asked.photons
     if asked.relative_error is not None:
@@ -194,9 +209,6 @@ class _Light:
                 opened.append(kind(reuse.reference(first)))
             return opened[0]
 
-        def stop() -> bool:
-            return settings.deadline is not None and time.time() >= settings.deadline
-
         self.leds: list[reuse.LedBatches] = []
         self.needs: list[dict[int, reuse.Need]] = []
         for led in range(len(first.leds)):
@@ -221,7 +233,14 @@ class _Light:
 
             self.leds.append(
                 reuse.grow(
-                    engine, led, have, list(needs.values()), seed=settings.seed, full=self.full, stop=stop, save=save
+                    engine,
+                    led,
+                    have,
+                    list(needs.values()),
+                    seed=settings.seed,
+                    full=self.full,
+                    stop=settings.is_late,
+                    save=save,
                 )
             )
             self.needs.append(own)
@@ -235,9 +254,10 @@ class _Light:
         errors: list[float | None] = []
         for led, (batches, own) in enumerate(zip(self.leds, self.needs, strict=True)):
             need = own[id(scene)]
+            if need.dark:
+                raise NotReachedError(need.dark)
             sizes, met = need.settled(batches, self.full)
-            late = settings.deadline is not None and time.time() >= settings.deadline
-            if not sizes or (not met and late):
+            if not sizes or (not met and settings.is_late()):
                 return None
             reached &= met
             errors.append(need.errors[len(sizes) - 1] if sizes[-1] == self.full else None)
@@ -251,16 +271,18 @@ def _result(
     scene: Scene, light: _Light | None, settings: Settings
 ) -> tuple[dict[str, Any] | None, dict[str, np.ndarray]]:
     """Header and arrays of a scene's result; no header where the batch's time ended before its light was traced."""
+    own: dict[str, Any] = {}
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RereadWarning)
         if light is None:
+            asked, limited = settings.asked(scene), settings.in_time(scene)
             dataset, photons, reached = reading.by_volpath(
-                scene,
-                seed=settings.seed,
-                backend=settings.backend,
-                photons=settings.photons,
-                relative_error=settings.relative_error,
+                scene, seed=settings.seed, backend=settings.backend, asked=limited
             )
+            timed = asked.photons is None and asked.relative_error is None
+            if limited.max_seconds != asked.max_seconds and settings.is_late() and (timed or not reached):
+                return None, {}
+            own = {"asked": asked.model_dump(exclude_none=True)}
             worst = reading.relative_error(dataset)
         else:
             found = light.transfer(scene)
@@ -273,6 +295,7 @@ def _result(
     header, arrays = reading.to_record(dataset)
     return {
         **header,
+        **own,
         "scene": to_toml(scene),
         "seed": settings.seed,
         "backend": settings.backend,

@@ -17,7 +17,7 @@ from . import backend as backends
 from . import media
 from .engines import Light
 from .reread import course
-from .tracing import Batch, _largest_error, _seeds
+from .tracing import UNSEEN_PHOTONS, Batch, _largest_error, _seeds, unseen
 from .transfer import LedTrace, Transfer, versions
 
 # Errors are looked at after so many batches, each time a quarter more: seldom enough that stopping hardly favours luck.
@@ -114,13 +114,15 @@ class Need:
     """How many batches of one LED a scene asks for, followed as the batches come."""
 
     def __init__(self, scene: Scene, led: int, asked: Accuracy, mu_a: np.ndarray) -> None:
-        self.asked = asked
+        self.scene, self.led, self.asked = scene, led, asked
         self.seconds = asked.max_seconds / len(scene.leds) if asked.max_seconds else math.inf
         wavelengths, self.share = media.spectrum(scene.leds[led])
         self.mu_a = media.absorption(scene, wavelengths) - mu_a
         count = len(photodiode_names(scene))
         self.weight, self.square, self.photons = np.zeros(count), np.zeros(count), 0
         self.errors: list[float] = []
+        # Why no number of photons will do: a photodiode has seen none of very many.
+        self.dark = ""
 
     def add(self, batch: Batch) -> None:
         """Take in the next full batch."""
@@ -132,6 +134,10 @@ class Need:
         self.square += np.bincount(batch.photodiode, weight**2, minlength=len(self.weight))
         self.photons += batch.photons
         self.errors.append(_largest_error(self.weight, self.square, self.photons))
+        endless = self.asked.photons is None and math.isinf(self.seconds)
+        if endless and not self.dark and self.photons >= UNSEEN_PHOTONS and not self.weight.all():
+            photodiode = photodiode_names(self.scene)[int(np.argmin(self.weight))]
+            self.dark = unseen(self.scene.leds[self.led].name, photodiode, self.photons)
 
     def sizes(self, full: int) -> list[int] | None:
         """Sizes of the batches that meet the need; None while that is not known.
@@ -149,7 +155,7 @@ class Need:
     def wants(self, number: int, full: int) -> bool:
         """Whether the full batch of this number is needed."""
         sizes = self.sizes(full)
-        return sizes is None or sizes[number : number + 1] == [full]
+        return (sizes is None and not self.dark) or (sizes or [])[number : number + 1] == [full]
 
     def settled(self, traced: LedBatches, full: int) -> tuple[list[int], bool]:
         """Sizes of the batches to read, and whether they meet the need; as many as there are if they do not."""

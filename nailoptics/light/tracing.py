@@ -212,11 +212,7 @@ def _trace_led(
             if done >= planned:
                 return gathered, None
             if asked.photons is None and deadline is None and done >= UNSEEN_PHOTONS and not weight.all():
-                unseen = engine.photodiodes[int(np.argmin(weight))]
-                return gathered, (
-                    f'of {done} photons of LED "{name}" none reached photodiode "{unseen}", so no error can be '
-                    "told there; move it nearer, leave it out, or set max_seconds or photons."
-                )
+                return gathered, unseen(name, engine.photodiodes[int(np.argmin(weight))], done)
             if late:
                 if asked.relative_error is None and asked.photons is None:
                     return gathered, None
@@ -234,6 +230,14 @@ def _trace_led(
             raise
         return gathered, f'{INTERRUPTED}: LED "{name}" has {done} photons, relative error {error:.3g}.'
     raise AssertionError("seeds never end")
+
+
+def unseen(led: str, photodiode: str, photons: int) -> str:
+    """Why a trace ends without an error for one of its photodiodes."""
+    return (
+        f'of {photons} photons of LED "{led}" none reached photodiode "{photodiode}", so no error can be '
+        "told there; move it nearer, leave it out, or set max_seconds or photons."
+    )
 
 
 def _plan(target: float | None, error: float, done: int, batch: int) -> float:

@@ -38,11 +38,12 @@ def phantoms(
     *,
     accuracy: str = "photons = 500",
     low: float = 0.5,
+    high: float = 3.0,
     path: str = "phantom.layers.slab.thickness_mm",
 ) -> Sweep:
     """So many slabs of different thickness, each a light of its own."""
     file = folder / f"slabs{count}.toml"
-    axis = f'[[axes]]\npath = "{path}"\nlinspace = [{low}, 3.0, {count}]\n'
+    axis = f'[[axes]]\npath = "{path}"\nlinspace = [{low}, {high}, {count}]\n'
     file.write_text(PHANTOM.format(top="", accuracy=accuracy) + axis)
     return load_sweep(file)
 

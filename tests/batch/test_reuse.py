@@ -132,3 +132,22 @@ def test_the_reference_of_a_scene_is_its_own_reference():
     for scene in (prototype(), parse_scene(nail.scene.to_toml(prototype()))):
         once = reuse.reference(scene)
         assert reuse.reference(once) == once
+
+
+@pytest.mark.jit
+def test_a_photodiode_that_no_light_reaches_ends_the_trace_with_a_word(jit_backend, tmp_path, monkeypatch):
+    """However many other scenes go on tracing, and seen or not by their photons later."""
+    monkeypatch.setattr(reuse, "UNSEEN_PHOTONS", 1_000_000)
+    scene = phantoms(tmp_path, 2, path="photodiodes.p.position_mm[0]", high=500.0).scenes[1]
+    kind = reuse.tracer(scene, "auto")
+    mu_a = kind(reuse.reference(scene)).mu_a(0)
+    dark, more = (
+        reuse.Need(scene, 0, asked, mu_a) for asked in (Accuracy(relative_error=0.01), Accuracy(photons=1 << 22))
+    )
+    engine = kind(reuse.reference(scene))
+    options = {"seed": 0, "full": kind.batch_photons, "stop": lambda: False, "save": lambda _: None}
+    batches = reuse.grow(lambda: engine, 0, None, [dark], **options)
+    assert sum(size for _, size in batches.pieces) < 2_000_000 and 'none reached photodiode "p"' in dark.dark
+    again = reuse.Need(scene, 0, Accuracy(relative_error=0.01), mu_a)
+    assert len(reuse.grow(lambda: engine, 0, batches, [again, more], **options).pieces) == 8
+    assert again.dark == dark.dark and not more.dark
