@@ -29,6 +29,10 @@ class Slots:
         """Replace a slot whose worker died."""
         raise NotImplementedError
 
+    def deserted(self) -> bool:
+        """Whether nobody is left to work, though somebody may come."""
+        return False
+
     def close(self, *, now: bool) -> None:
         """Let the workers go; at once, with whatever they do, or when they are done."""
         raise NotImplementedError
@@ -102,6 +106,12 @@ class ClusterSlots(Slots):
 
     def renew(self, slot: int) -> None:
         """Dask starts dead workers again by itself."""
+
+    def deserted(self) -> bool:
+        try:
+            return not self.client.nthreads()
+        except Exception:  # the scheduler went away, which its futures tell
+            return False
 
     def close(self, *, now: bool) -> None:
         self.client.close(timeout=5)

@@ -171,7 +171,7 @@ class _Driver:
         self.fatal: Counter[str] = Counter()
         self.left = {digest for job in jobs for digest, _ in job.scenes}
         self.started = begin
-        self.reported, self.trouble = 0, ""
+        self.reported, self.trouble, self.deserted = 0, "", False
 
     def run(self, slots: Slots) -> None:
         """Hand out jobs until none is left, the time is over, or nothing more can be written."""
@@ -203,6 +203,8 @@ class _Driver:
                     time.sleep(0.05 if self.asleep else 0)
                     continue
                 finished, _ = wait(self.running, timeout=_BUSY_WAIT_S, return_when=FIRST_COMPLETED)
+                if not finished:
+                    self._look_for_workers(slots)
                 for future in finished:
                     slot, job = self.running.pop(future)
                     free.append(slot)
@@ -226,8 +228,8 @@ class _Driver:
             self._died(job)
             return
         except (CancelledError, Exception) as error:
-            if type(error).__name__ == "KilledWorker":
-                self._died(job, times=DEATHS)
+            if type(error).__name__ == "KilledWorker":  # of the cluster, and maybe for another job of that worker
+                self._died(job)
             elif isinstance(error, CancelledError | OSError | TimeoutError) and not slots.own_process:
                 self._lost(error)
             else:
@@ -253,7 +255,16 @@ class _Driver:
         self.fatal.pop(job.key, None)
         self.queue.extendleft(reversed(self.later.pop(job.key, [])))
 
-    def _died(self, job: Job, times: int = 1) -> None:
+    def _look_for_workers(self, slots: Slots) -> None:
+        """Say once that nobody is left to work; nothing comes from them in time."""
+        deserted = slots.deserted()
+        if deserted and not self.deserted:
+            self.tell("the cluster has no workers any more; waiting for new ones (Ctrl-C keeps what is done)")
+        self.deserted = deserted
+        if deserted and self.settings.is_late():
+            self.running.clear()
+
+    def _died(self, job: Job) -> None:
         """After a worker's death: the scenes of its light wait until one of them alone has come through.
 
         A scene that kills again is given up, and so is a light that killed with several of its scenes.
@@ -262,7 +273,7 @@ class _Driver:
         alone = len(job.scenes) == 1 and not job.also
         others = [*job.scenes[1:], *(s for part in self.later.pop(job.key, []) for s in part.scenes)]
         digest = job.scenes[0][0]
-        self.deaths[digest] += times if alone else 0
+        self.deaths[digest] += alone
         if self.deaths[digest] < DEATHS:
             self.queue.append(Job(job.key, job.scenes[:1]))
             self.tell(

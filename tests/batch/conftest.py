@@ -1,5 +1,7 @@
 """Small sweeps that batches are tested with."""
 
+import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -73,3 +75,28 @@ def fingers(tmp_path: Path) -> Sweep:
 def bits(folder: Path) -> dict[str, bytes]:
     """All results of a batch folder, byte by byte."""
     return {path.name: path.read_bytes() for path in sorted((folder / "results").glob("*.dat"))}
+
+
+def command_of(pid: int) -> bytes:
+    """The command line of a process."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
+def kill_one(pid: int) -> None:
+    """SIGKILL, if the process is still there."""
+    try:
+        os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        pass
+
+
+def offspring(pid: int) -> list[int]:
+    """Children of a process."""
+    try:
+        tasks = list(Path(f"/proc/{pid}/task").iterdir())
+        return [int(p) for t in tasks for p in (t / "children").read_text().split()]
+    except OSError:
+        return []

@@ -1,5 +1,6 @@
 """A real Dask scheduler with real worker processes on loopback: the same bits, and nothing lost when they go."""
 
+import json
 import os
 import signal
 import subprocess
@@ -10,70 +11,132 @@ from pathlib import Path
 
 import pytest
 
-from nailoptics.batch import run_batch
+from nailoptics.batch import Outcome, Progress, Sweep, run_batch
 from nailoptics.errors import InputError, NotReachedError
+from nailoptics.scene import Accuracy
 
-from .conftest import bits, phantoms
+from .conftest import bits, command_of, kill_one, offspring, phantoms
 
 distributed = pytest.importorskip("distributed")
 pytestmark = [pytest.mark.jit, pytest.mark.filterwarnings("ignore::ResourceWarning")]
 
 
 class Cluster:
-    """A scheduler and two workers, each a process of its own."""
+    """A scheduler and two workers; each of these is a nanny whose child works, and is replaced when it dies."""
 
     def __init__(self, folder: Path) -> None:
-        file = folder / "scheduler.json"
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder, "start_new_session": True}
-        python = [sys.executable, "-m"]
-        common = ["--scheduler-file", str(file), "--host", "127.0.0.1", "--no-dashboard"]
-        self.scheduler = subprocess.Popen([*python, "distributed.cli.dask_scheduler", *common, "--port", "0"], **quiet)
-        worker = [*python, "distributed.cli.dask_worker", *common, "--nthreads", "1", "--local-directory", str(folder)]
-        self.workers = [subprocess.Popen(worker, **quiet) for _ in range(2)]
+        self.folder, self.file = folder, folder / "scheduler.json"
+        # A job is given up with the first worker that it kills, not with the fourth.
+        impatient = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
+        self.scheduler = self._start("dask_scheduler", "--no-dashboard", "--port", "0", env=os.environ | impatient)
+        self.nannies = [self.add_worker(), self.add_worker()]
         deadline = time.time() + 60
-        while not file.exists() and time.time() < deadline:
+        while not self.file.exists() and time.time() < deadline:
             time.sleep(0.1)
-        import json
-
-        self.address: str = json.loads(file.read_text())["address"]
+        self.address: str = json.loads(self.file.read_text())["address"]
         with distributed.Client(self.address, set_as_default=False) as client:
             client.wait_for_workers(2, timeout=60)
 
-    def close(self) -> None:
-        for process in (*self.workers, self.scheduler):
-            try:
-                os.killpg(process.pid, signal.SIGKILL)
-            except ProcessLookupError:
-                pass
-            process.wait()
+    def _start(self, what: str, *options: str, **more) -> subprocess.Popen:
+        command = [sys.executable, "-m", f"distributed.cli.{what}", "--scheduler-file", str(self.file)]
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": self.folder}
+        return subprocess.Popen([*command, "--host", "127.0.0.1", *options], start_new_session=True, **quiet, **more)
+
+    def add_worker(self) -> subprocess.Popen:
+        return self._start("dask_worker", "--no-dashboard", "--nthreads", "1", "--local-directory", str(self.folder))
+
+    def workers(self) -> list[int]:
+        """The processes that do the work."""
+        found = [child for nanny in self.nannies for child in offspring(nanny.pid)]
+        return [pid for pid in found if b"spawn_main" in command_of(pid)]
+
+    def end(self, process: subprocess.Popen) -> None:
+        """Kill a process of this cluster with all its children."""
+        try:
+            os.killpg(process.pid, signal.SIGKILL)
+        except ProcessLookupError:
+            pass
+        process.wait()
 
 
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Cluster]:
     cluster = Cluster(tmp_path)
     yield cluster
-    cluster.close()
+    for process in (*cluster.nannies, cluster.scheduler):
+        cluster.end(process)
 
 
-def test_a_cluster_gives_the_same_bits_and_when_it_goes_the_rest_is_done_elsewhere(jit_backend, cluster, tmp_path):
+def once(at: int, act) -> tuple[list[str], object]:
+    """A progress callback that acts when so many scenes are done, and what it was told."""
+    said, left = [], [act]
+
+    def progress(p: Progress) -> None:
+        if p.said:
+            said.append(p.said)
+        if p.done >= at and left:
+            left.pop()()
+
+    return said, progress
+
+
+def test_a_cluster_gives_the_same_bits_and_loses_nothing_when_workers_or_scheduler_go(jit_backend, cluster, tmp_path):
     sweep = phantoms(tmp_path, 30)
     run_batch(sweep, tmp_path / "local", workers=1)
-    outcome = run_batch(sweep, tmp_path / "cluster", scheduler=cluster.address)
-    assert len(outcome.done) == 30
-    assert bits(tmp_path / "cluster") == bits(tmp_path / "local")
+    calm = bits(tmp_path / "local")
 
-    def gone(p) -> None:
-        if p.done >= 8 and cluster.scheduler.poll() is None:
-            os.killpg(cluster.scheduler.pid, signal.SIGKILL)
-            cluster.scheduler.wait()
+    def run(name: str, progress) -> Outcome:
+        outcome = run_batch(sweep, tmp_path / name, scheduler=cluster.address, retry_failed=True, progress=progress)
+        assert len(outcome.done) + len(outcome.kept) == 30 and bits(tmp_path / name) == calm
+        return outcome
 
+    # A worker process is killed; its nanny starts another.
+    _, progress = once(8, lambda: kill_one(cluster.workers()[0]))
+    run("worker", progress)
+
+    # A machine goes: worker and nanny.
+    _, progress = once(8, lambda: cluster.end(cluster.nannies[0]))
+    run("machine", progress)
+
+    # The last one goes, too; the run says so, and goes on with one that comes later.
+    said, progress = once(8, lambda: cluster.end(cluster.nannies[1]))
+
+    def progress_and_add(p: Progress) -> None:
+        progress(p)
+        if "no workers any more" in p.said:
+            cluster.nannies.append(cluster.add_worker())
+
+    run("all", progress_and_add)
+    assert any("no workers any more" in line for line in said)
+
+    # The scheduler goes.
+    _, progress = once(8, lambda: cluster.end(cluster.scheduler))
     with pytest.raises(NotReachedError, match="scheduler went away"):
-        run_batch(sweep, tmp_path / "lost", scheduler=cluster.address, progress=gone)
+        run_batch(sweep, tmp_path / "lost", scheduler=cluster.address, progress=progress)
     there = len(bits(tmp_path / "lost"))
     assert 8 <= there < 30
     outcome = run_batch(sweep, tmp_path / "lost", workers=1)
-    assert len(outcome.kept) >= there
-    assert bits(tmp_path / "lost") == bits(tmp_path / "local")
+    assert len(outcome.kept) >= there and bits(tmp_path / "lost") == calm
+
+
+@pytest.mark.slow
+def test_a_scene_that_kills_every_worker_of_a_cluster_fails_alone(jit_backend, cluster, tmp_path):
+    sweep = phantoms(tmp_path, 5)
+    endless = sweep.scenes[0].model_copy(update={"accuracy": Accuracy(photons=10_000_000_000)})
+    sweep = Sweep(sweep.name, sweep.axes, sweep.dims, (endless, *sweep.scenes[1:]))
+    killed = [time.time()]
+
+    def kill(p: Progress) -> None:
+        """The others take milliseconds: whoever still works works on the endless one."""
+        if p.done == 4 and time.time() - killed[-1] > 5:
+            killed.append(time.time())
+            for pid in cluster.workers():
+                kill_one(pid)
+
+    with pytest.raises(NotReachedError, match="its worker was killed") as caught:
+        run_batch(sweep, tmp_path / "b", scheduler=cluster.address, progress=kill)
+    outcome = caught.value.result
+    assert len(outcome.done) == 4 and len(outcome.failed) == 1 and 2 <= len(killed) <= 4
 
 
 @pytest.mark.slow

@@ -14,12 +14,14 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.batch import Outcome, Progress, Sweep, estimate, load_sweep, run_batch, status
-from nailoptics.batch.plan import of_shard, parse_shard, plan
-from nailoptics.batch.work import Settings
+from nailoptics.batch.folder import Folder
+from nailoptics.batch.plan import left, of_shard, parse_shard, plan
+from nailoptics.batch.work import Settings, meets, work
 from nailoptics.errors import InputError, NotReachedError
+from nailoptics.light import read_rest, reuse
 from nailoptics.scene import Accuracy
 
-from .conftest import FINGERS, bits, phantoms
+from .conftest import FINGERS, bits, command_of, kill_one, offspring, phantoms
 
 pytestmark = pytest.mark.jit
 
@@ -84,29 +86,6 @@ def test_two_thousand_scenes_survive_kills_at_any_moment(jit_backend, tmp_path):
     print(f"{runs} runs, {killed} workers killed")
     assert runs > 2 and killed > 10
     assert bits(tmp_path / "b") == bits(tmp_path / "calm")
-
-
-def command_of(pid: int) -> bytes:
-    try:
-        return Path(f"/proc/{pid}/cmdline").read_bytes()
-    except OSError:
-        return b""
-
-
-def kill_one(pid: int) -> None:
-    try:
-        os.kill(pid, signal.SIGKILL)
-    except ProcessLookupError:
-        pass
-
-
-def offspring(pid: int) -> list[int]:
-    """Children of a process."""
-    try:
-        tasks = list(Path(f"/proc/{pid}/task").iterdir())
-        return [int(p) for t in tasks for p in (t / "children").read_text().split()]
-    except OSError:
-        return []
 
 
 def finish(sweep, folder: Path, **options) -> Outcome:
@@ -240,6 +219,68 @@ def test_a_failed_scene_is_recorded_stops_no_other_and_is_retried_when_asked(jit
     results = nail.open_results(tmp_path / "b")
     assert sorted(results.state.values.ravel()) == ["done", "done", "failed", "failed"]
     assert np.isnan(results.volts_start.sel(parameters="none")).all()
+
+
+@pytest.mark.slow
+def test_a_scene_that_needs_too_much_memory_fails_alone(jit_backend, tmp_path):
+    """Ten million samples of a touch need 3 GB and more; a limit on memory stands in for a smaller machine."""
+    import resource
+
+    axis = '[[axes]]\npath = "touch.{}"\nvalues = [{}]\n'
+    text = 'schema_version = 1\nbase = "prototype"\n[[axes]]\npath = "accuracy.photons"\nvalues = [5000]\n'
+    text += axis.format("sample_rate_hz", "10.0, 100000.0") + axis.format("duration_s", "90.0")
+    (tmp_path / "s.toml").write_text(text)
+    limit = 4_000_000_000
+    process = driver(
+        tmp_path / "s.toml",
+        tmp_path / "b",
+        *("--workers", "1", "--backend", "llvm"),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
+    )
+    _, told = process.communicate(timeout=300)
+    assert process.returncode == 3 and "1 of 2 scenes are done; 1 failed" in told
+    assert all("memory" in why for why in status(tmp_path / "b").failed.values())
+
+
+def test_a_light_that_one_scene_cannot_have_is_there_for_the_others(jit_backend, tmp_path, monkeypatch):
+    """One scene's share of the common light needs too much memory; those that share it are done without it."""
+    sweep = phantoms(tmp_path, 4, path="leds.beam.flux_mw")
+    greedy, need = sweep.scenes[0], reuse.Need
+
+    def limited(scene, *arguments):
+        if scene == greedy:
+            raise MemoryError("Unable to allocate 99 TiB")
+        return need(scene, *arguments)
+
+    monkeypatch.setattr(reuse, "Need", limited)
+    settings = Settings(tmp_path / "b", 0, jit_backend.name)
+    Folder(settings.folder).make()
+    [job] = left(plan(sweep, settings), Folder(settings.folder), settings, retry_failed=False).jobs
+    report = work(job, settings)
+    [why] = report.failed.values()
+    assert len(report.done) == 3 and "not enough memory for it (Unable to allocate 99 TiB)" in why
+
+
+def test_without_a_jit_backend_volpath_does_the_scenes_and_resumes(tmp_path):
+    sweep = phantoms(tmp_path, 3, accuracy="photons = 2000")
+    assert len(run_batch(sweep, tmp_path / "b", workers=1, backend="scalar").done) == 3
+    before, results = bits(tmp_path / "b"), nail.open_results(tmp_path / "b")
+    direct = read_rest(sweep.scenes[1], seed=0, backend="scalar").readings[0]
+    assert results.detected_fraction_rest[1].item() == direct["detected_fraction"]
+    assert results.detected_fraction_rest_stderr[1].item() == direct["stderr"]
+    (tmp_path / "b" / "results" / next(iter(before))).unlink()
+    again = run_batch(sweep, tmp_path / "b", workers=1, backend="scalar")
+    assert (len(again.done), len(again.kept)) == (1, 2) and bits(tmp_path / "b") == before
+    with pytest.raises(NotReachedError, match="max_seconds ended the run with 3 left"):
+        run_batch(sweep, tmp_path / "b", workers=1, backend="scalar", relative_error=1e-5, max_seconds=1)
+    assert bits(tmp_path / "b") == before
+
+
+def test_what_volpath_answered_as_well_as_it_can_is_not_asked_again():
+    """It holds a finger to 5 % at best, and counts no photons there."""
+    header = {"reached": True, "relative_error": 0.049, "photons_per_led": 700, "asked": {"relative_error": 0.01}}
+    assert meets(header, Accuracy(relative_error=0.01)) and not meets(header, Accuracy(relative_error=0.02))
+    assert not meets(header | {"reached": False}, Accuracy(relative_error=0.01))
 
 
 def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(jit_backend, tmp_path):
