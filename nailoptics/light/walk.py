@@ -32,6 +32,14 @@ def lanes(photons: int, seed: int) -> tuple[Any, Any]:
     return rng, count
 
 
+def state_of(first: Any, photon: Any) -> Any:
+    """Where a lane's generator stands when one of its photons starts, whatever those before it drew.
+
+    So two walks of one seed, in scenes that differ in one part, have all photons in common that never meet it.
+    """
+    return first + mi.sample_tea_64(mi.UInt32(first), photon)  # type: ignore[call-overload]
+
+
 def lifetime(u: Any) -> Any:
     """Optical depth of absorption at which a photon ends, for a uniform number u."""
     return -dr.log(1 - u) / KILLED_SHARE
