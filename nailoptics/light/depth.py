@@ -10,7 +10,6 @@ import numpy as np
 
 from ..geometry import Geometry
 from ..scene import Scene
-from .walk import lanes
 
 ACROSS_MM, ALONG_MM = 0.3, 0.2
 # Cells through the bed's depth; below it a part as deep again as half the bed is looked at, too.
@@ -59,28 +58,11 @@ class Cells:
         return (area * (self.depth_mm[1] - self.depth_mm[0]) * radius / self.board_radius_mm)[None, None]
 
 
-class Launches:
-    """The state of the random numbers with which each photon of a walk began."""
-
-    def __init__(self, photons: int, seed: int) -> None:
-        self.photons, self.seed, self.state = photons, seed, dr.zeros(mi.UInt64, photons)
-
-    def add(self, rng: Any, photon: Any, active: Any) -> None:
-        """Keep the state of photons that are about to begin."""
-        dr.scatter(self.state, rng.state, photon, active)
-
-    def again(self, which: np.ndarray) -> Any:
-        """Random numbers with which some of the photons begin again, each in a lane of its own."""
-        first, _ = lanes(self.photons, self.seed)
-        photon = mi.UInt32(which.astype(np.uint32))
-        rng: Any = mi.PCG32(size=len(which))  # type: ignore[operator]
-        rng.state = dr.gather(mi.UInt64, self.state, photon)
-        rng.inc = dr.gather(mi.UInt64, mi.UInt64(first.inc), photon % dr.width(first.inc))
-        return rng
-
-
 class Seen:
-    """Sums of paths on cells, each times what its photon counts for, in several groups of photons."""
+    """Sums of paths on cells, each times what its photon counts for, in several groups of photons.
+
+    weight, group : (photons,) of each photon of the walk, seen or not.
+    """
 
     def __init__(self, cells: Cells, weight: np.ndarray, group: np.ndarray, groups: int) -> None:
         self.cells, self.groups = cells, groups

@@ -102,23 +102,24 @@ class BoardTracer:
         cells : ask, too, where in the finger each photodiode looks: how its reading falls with absorption in each
             cell, per volume, (photodiodes, u, v, depth) float. [mm^-2]
         """
-        from .depth import Launches, Seen
+        from .depth import Seen
         from .mesh import DETECTED
 
         backends.activate(self.backend)
-        launches = Launches(photons, seed) if cells else None
-        outcome, weight, _, paths, _ = self.tracer.walk(led, photons=photons, seed=seed, launches=launches)
+        outcome, weight, _, paths, _ = self.tracer.walk(led, photons=photons, seed=seed)
         ended, count = np.flatnonzero(outcome >= DETECTED), len(self.tracer.photodiodes)
         where, nowhere = outcome[ended] - DETECTED, np.zeros((len(ended), 2))
         arrived = Arrivals(photons, ended, nowhere, weight[ended].astype(float), self.tracer.by_zone(paths[:, ended]))
         values = point.values(arrived)
         means = np.stack([np.bincount(where, column, minlength=count) for column in values.T], -1) / photons
-        if cells is None or launches is None:
+        if cells is None:
             return means, None
         if not len(ended):
             return means, np.zeros((count, *cells.shape))
-        seen = Seen(cells, values[:, 0], where, count)
-        again = self.tracer.replay(led, launches, ended, seen)
+        counts, looks = np.zeros(photons), np.zeros(photons, int)
+        counts[ended], looks[ended] = values[:, 0], where
+        seen = Seen(cells, counts, looks, count)
+        again = self.tracer.replay(led, photons=photons, seed=seed, which=ended, seen=seen)
         if np.count_nonzero(again != outcome[ended]) > 1 + 0.01 * len(ended):
             raise RuntimeError("photons walked otherwise when they walked again; this backend does not repeat itself.")
         return means, seen.sums() / (photons * cells.volume_mm3)

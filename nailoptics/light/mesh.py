@@ -11,7 +11,8 @@ from ..geometry import Face, Geometry
 from ..scene import Scene
 from . import media
 from .arrivals import Recorder
-from .depth import Launches, Seen
+from .depth import Seen
+from .splitting import COPIES, Splitting
 from .tracing import Batch
 from .walk import (
     ABSORBED,
@@ -29,6 +30,7 @@ from .walk import (
     henyey_greenstein,
     lanes,
     lifetime,
+    state_of,
     turn,
 )
 
@@ -38,6 +40,8 @@ DETECTED = 16
 ENTERED, MIRRORED, LEFT = 0, 1, 2
 # Scatterings without a ray before lanes wait for each other; more leave lanes idle, fewer cast rays for few lanes.
 FREE_EVENTS = 6
+# Through these light comes back from the bed to the photodiodes.
+OVER_BED = ("plate", "epoxy")
 
 
 class MeshTracer:
@@ -63,14 +67,17 @@ class MeshTracer:
 
     def batch(self, led: int, *, photons: int, seed: int) -> Batch:
         """Trace some photons of one LED."""
-        outcome, weight, roulette, paths, events = self.walk(led, photons=photons, seed=seed)
-        seen = np.flatnonzero(outcome >= DETECTED)
+        splitting = Splitting(self.shape, photons)
+        rng, count = lanes(photons, seed)
+        outcome, weight, roulette, paths, events = self._run(led, rng, count, photons, splitting=splitting)
+        photodiode, score = np.array(splitting.photodiode), np.array(splitting.score)
+        seen = np.flatnonzero(score)
         # Light that ends in a photodiode is absorbed there, as far as the energy goes.
         whereabouts = np.where(outcome >= DETECTED, ABSORBED, outcome)
         return Batch(
             photons=photons,
-            photodiode=(outcome[seen] - DETECTED).astype(np.uint16),
-            weight=weight[seen].astype(float),
+            photodiode=photodiode[seen].astype(np.uint16),
+            weight=score[seen].astype(float),
             path_mm=self.by_zone(paths[:, seen]),
             energy=energy_sums(whereabouts, weight.astype(float), roulette.astype(float)),
             events=events,
@@ -85,22 +92,25 @@ class MeshTracer:
         face: Face | None = None,
         section: "Section | None" = None,
         board: Recorder | None = None,
-        launches: Launches | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
         """Outcome, weight, roulette (n,) and paths (media + zones - 1, n) of each photon; scatterings in all.
 
         face : what shines, at the LED's wavelength and Lambertian, in the LED's place.
         """
         rng, count = lanes(photons, seed)
-        return self._run(led, rng, count, photons, face, section, board, launches)
+        return self._run(led, rng, count, photons, face=face, section=section, board=board)
 
-    def replay(self, led: int, launches: Launches, which: np.ndarray, seen: Seen) -> np.ndarray:
+    def replay(self, led: int, *, photons: int, seed: int, which: np.ndarray, seen: Seen) -> np.ndarray:
         """Walk some photons (n,) of a walk once more, to see where they were; returns their outcome (n,).
 
         It is the walk's, but for a photon in ten thousand or so whose rays round otherwise among other rays.
         """
+        lane, _ = lanes(photons, seed)
+        photon = mi.UInt32(which.astype(np.uint32))
+        rng: Any = mi.PCG32(size=len(which))  # type: ignore[operator]
+        rng.state, rng.inc = (dr.gather(mi.UInt64, a, photon % dr.width(a)) for a in (lane.state, mi.UInt64(lane.inc)))
         once = dr.full(mi.UInt32, 1, len(which))
-        return self._run(led, launches.again(which), once, len(which), None, seen, None, None)[0]
+        return self._run(led, rng, once, photons, first=photon, section=seen)[0][which]
 
     def _run(
         self,
@@ -108,10 +118,12 @@ class MeshTracer:
         rng: Any,
         count: Any,
         photons: int,
-        face: Face | None,
-        section: "Section | Seen | None",
-        board: Recorder | None,
-        launches: Launches | None,
+        *,
+        first: Any = None,
+        face: Face | None = None,
+        section: "Section | Seen | None" = None,
+        board: Recorder | None = None,
+        splitting: Splitting | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
         source, shines = face or self.shape.leds[led], self.scene.leds[led]
         emission = LAMBERTIAN if face else emission_table(shines)
@@ -121,6 +133,7 @@ class MeshTracer:
         events = _walk(
             rng,
             count,
+            dr.arange(mi.UInt32, dr.width(count)) if first is None else first,
             self.mesh_scene,
             self.triangles,
             self.grid,
@@ -131,7 +144,7 @@ class MeshTracer:
             results,
             section,
             board,
-            launches,
+            splitting,
         )
         dr.eval(events, results)
         outcome, weight, roulette, *paths = (np.array(a) for a in results)
@@ -189,6 +202,7 @@ class _RegionTable:
         self.medium = mi.UInt32(
             np.array([media.TISSUES.index(n) if n in media.TISSUES else 99 for n in names], np.uint32)
         )
+        self.over_bed = mi.Bool(np.array([name in OVER_BED for name in names]))
         self.bed, self.epoxy, self.air = (dr.opaque(mi.UInt32, first[name]) for name in ("bed", "epoxy", "air"))
 
 
@@ -283,6 +297,7 @@ def _off(p: Any, normal: Any) -> Any:
 def _walk(
     rng: Any,
     count: Any,
+    photon: Any,
     scene: Any,
     triangles: Any,
     grid: _Grid,
@@ -293,21 +308,29 @@ def _walk(
     results: list[Any],
     section: Section | Seen | None,
     board: Recorder | None,
-    launches: Launches | None,
+    splitting: Splitting | None,
 ) -> Any:
-    """Scatterings per lane; a lane walks one photon after the other, so that none waits for one long life."""
+    """Scatterings per lane; a lane walks one photon after the other, so that none waits for one long life.
+
+    With `splitting`, a photon over the bed and within reach of a photodiode is walked as `fan` copies, one after the
+    other, each from where the first came within reach until it ends or goes away. All of them may be detected; it is
+    the last that goes on, with the whole weight. `copies` of them are still to come.
+    """
     F, U = mi.Float, mi.UInt32
     outcome_of, weight_of, roulette_of, *path_of = results
     width, kinds, inner = dr.width(count), len(media.TISSUES), len(edges)
-    photon = dr.arange(U, width)
-    if launches is not None:
-        launches.add(rng, photon, count > 0)
+    lane = mi.UInt64(rng.state)
+    rng.state = state_of(lane, photon)
     p, w, life = _launch(rng, emitter)
     tau, boost, given = dr.zeros(F, width), dr.full(F, 1, width), dr.zeros(F, width)
     region = dr.full(U, 0, width) + region_of.epoxy
     age, events = dr.zeros(U, width), dr.zeros(U, width)
     path = [dr.zeros(F, width) for _ in range(kinds + inner)]
     arrived = dr.zeros(U, width)
+    fan, copies, score = dr.full(U, 1, width), dr.zeros(U, width), dr.zeros(F, width)
+    plate, epoxy = (media.TISSUES.index(name) for name in OVER_BED)
+    p0, w0, tau0, boost0, region0 = mi.Point3f(p), mi.Vector3f(w), F(tau), F(boost), U(region)
+    plate0, epoxy0 = dr.zeros(F, width), dr.zeros(F, width)
     active = count > 0
     while dr.hint(active, label="finger walk"):
         mu_s = dr.gather(F, region_of.mu_s, region, active)
@@ -395,25 +418,52 @@ def _walk(
             region = dr.select(reflected, region, there)
         w = mi.Vector3f(dr.select(stuck, turned, w))
         outcome = dr.select(absorbed, U(ABSORBED), outcome)
-        if (older >= LONG_LIFE) & ((older ^ age) > age):
+        if (outcome == 0) & (older >= LONG_LIFE) & ((older ^ age) > age):
             ends = rng.next_float32() < 0.5
-            given = dr.select(ends, given, given + boost * _dimmed(tau))
+            given = dr.select(ends | (copies > 0), given, given + boost * F(fan) * _dimmed(tau))
             boost = dr.select(ends, boost, 2 * boost)
-            outcome = dr.select((outcome == 0) & ends, U(LOST), outcome)
+            outcome = dr.select(ends, U(LOST), 0)
         age = older
+        if splitting is not None:
+            if outcome >= DETECTED:
+                worth = boost * _dimmed(tau)
+                score += worth
+                if rng.next_float32() * score < worth:
+                    dr.scatter(splitting.photodiode, outcome - DETECTED, photon)
+                    for target, value in zip(path_of, path, strict=True):
+                        dr.scatter(target, value, photon)
+            over_bed = dr.gather(mi.Bool, region_of.over_bed, region, active)
+            near = splitting.within_reach(p, over_bed)
+            if near & (fan == 1) & (outcome == 0):
+                fan, copies, boost = U(COPIES), U(COPIES - 1), boost / COPIES
+                p0, w0, tau0, boost0, region0 = mi.Point3f(p), mi.Vector3f(w), F(tau), F(boost), U(region)
+                plate0, epoxy0 = F(path[plate]), F(path[epoxy])
+            done = (fan > 1) & ((outcome > 0) | ~near)
+            if done & (copies == 0):
+                boost, fan = boost * F(fan), U(1)
+            if done & (copies > 0):
+                p, w, tau, boost, region = mi.Point3f(p0), mi.Vector3f(w0), F(tau0), F(boost0), U(region0)
+                path = [*path[:plate], F(plate0), *path[plate + 1 : epoxy], F(epoxy0), *path[epoxy + 1 :]]
+                # What absorption leaves a photon knows nothing of how far it came.
+                life = tau + lifetime(rng.next_float32())
+                copies -= 1
+                outcome = U(0)
         if outcome > 0:
             dr.scatter(outcome_of, outcome, photon)
             dr.scatter(weight_of, dr.select(absorbed, 0, boost * _dimmed(tau)), photon)
             dr.scatter(roulette_of, -given, photon)
-            for target, value in zip(path_of, path, strict=True):
-                dr.scatter(target, value, photon)
+            if splitting is None:
+                for target, value in zip(path_of, path, strict=True):
+                    dr.scatter(target, value, photon)
+            else:
+                dr.scatter(splitting.score, score, photon)
             path = [F(0) for _ in path]
             photon += width
             count -= 1
-            if launches is not None:
-                launches.add(rng, photon, count > 0)
+            rng.state = state_of(lane, photon)
             p, w, life = _launch(rng, emitter)
             tau, boost, given = F(0), F(1), F(0)
             region, age, arrived = U(region_of.epoxy), U(0), U(0)
+            fan, score = U(1), F(0)
         active &= count > 0
     return events
