@@ -18,7 +18,7 @@ from ..scene import Scene
 from . import backend as backends
 from . import media
 from .reread import Course, course
-from .tracing import Progress, accuracy, trace
+from .tracing import INTERRUPTED, Progress, accuracy, trace
 from .transfer import Transfer, provenance
 
 if TYPE_CHECKING:
@@ -193,11 +193,9 @@ def _volpath(
         readings = volpath_states(scene, shape, chosen, corners, i, seed, target, limit, progress)
         traced.append(readings)
         paths += readings.paths * readings.batches
-        if not readings.reached:
-            complaint = (
-                f'max_seconds ended the trace of LED "{led.name}" before the relative error of {target:g} was reached; '
-                "allow more time or ask for less."
-            )
+        complaint = complaint or readings.fell_short
+        if (readings.fell_short or "").startswith(INTERRUPTED) and led is not scene.leds[-1]:
+            raise KeyboardInterrupt  # nothing is known of the other LEDs
     fraction = np.stack([r.fraction[:, 0] for r in traced])
     with np.errstate(invalid="ignore", divide="ignore"):
         relative = np.stack([r.fraction_stderr[:, 0] for r in traced]) / fraction

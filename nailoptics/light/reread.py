@@ -46,7 +46,18 @@ def course(
     ----------
     blood_fraction : (t, K) float in 0-1. Blood of each zone in each state.
     electrons : weigh the LED's line by the photodiode's response, relative to that at the peak wavelength.
+
+    Warns: RereadWarning where fewer than 100 effective photons stand behind a reading of some state.
     """
+    found = _course(transfer, blood_fraction, so2, electrons)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # Of n equal photons the relative error is 1 / sqrt(n).
+        effective = np.square(found.fraction / found.stderr)
+    transfer.warn_if_thin(np.nan_to_num(effective, nan=np.inf).min(-1))
+    return found
+
+
+def _course(transfer: "Transfer", blood_fraction: np.ndarray, so2: float | None, electrons: bool) -> Course:
     states = np.asarray(blood_fraction, float)
     count = media.zones(transfer.scene).count
     if states.ndim != 2 or states.shape[1] != count or not len(states):

@@ -15,7 +15,7 @@ from ..scene import Accuracy, Scene
 from . import backend as backends
 from . import media
 from .engines import engine_for, volpath_states
-from .tracing import Progress, accuracy, trace
+from .tracing import INTERRUPTED, Progress, accuracy, trace
 from .transfer import Transfer
 
 log = logging.getLogger(__name__)
@@ -144,16 +144,19 @@ def _volpath(
                 limit = (wanted.max_seconds - (time.perf_counter() - begin)) / (len(scene.leds) - i)
             values, split, spent, reached = _phantom(scene, chosen, i, seed, wanted, limit, progress)
             energy.append(split)
+            if not reached:
+                complaint = (
+                    f'max_seconds ended the trace of LED "{led.name}" at relative error {_worst(values):.3g}; '
+                    "allow more time or ask for less."
+                )
             names = [p.name for p in scene.photodiodes]
         else:
-            values, spent, reached = _finger(scene, chosen, i, seed, wanted, progress)
+            values, spent, fell_short = _finger(scene, chosen, i, seed, wanted, progress)
+            if (fell_short or "").startswith(INTERRUPTED) and led is not scene.leds[-1]:
+                raise KeyboardInterrupt  # nothing is known of the other LEDs
+            complaint = complaint or fell_short
             names = [p.partition(":")[2] for p in geometry.build(scene).regions if p.startswith("photodiode:")]
         paths += spent
-        if not reached:
-            complaint = (
-                f'max_seconds ended the trace of LED "{led.name}" at relative error {_worst(values):.3g}; '
-                "allow more time or ask for less."
-            )
         rows += [
             _row(led.name, name, led.wavelength_nm, float(v), float(e), {}, {}, spent)
             for name, (v, e) in zip(names, values, strict=True)
@@ -253,7 +256,8 @@ def _finger(
     seed: int,
     wanted: Accuracy,
     progress: Callable[[Progress], None] | None,
-) -> tuple[list[tuple[float, float]], int, bool]:
+) -> tuple[list[tuple[float, float]], int, str | None]:
+    """Readings of one LED, the paths spent on all, and why they fall short of what was asked, if they do."""
     target = wanted.relative_error or 0.05
     rest = np.full((1, media.zones(scene).count), scene.blood.rest_blood_fraction)
     limit = (wanted.max_seconds or math.inf) / len(scene.leds)
@@ -262,4 +266,4 @@ def _finger(
     shape = geometry.build(scene)
     readings = volpath_states(scene, shape, chosen, rest, led, seed, target, limit, progress)
     pairs = list(zip(readings.fraction[:, 0], readings.fraction_stderr[:, 0], strict=True))
-    return pairs, readings.paths * readings.batches, readings.reached
+    return pairs, readings.paths * readings.batches, readings.fell_short

@@ -179,7 +179,7 @@ class Transfer:
         Warns: RereadWarning where fewer than 100 effective photons stand behind a reading of this state.
         """
         moments = [self._moments(i, self._mu_a(i, blood_fraction, so2, mu_a_per_mm)) for i in range(len(self.traces))]
-        self._warn_if_thin(moments)
+        self.warn_if_thin(np.array([m.effective_photons for m in moments]))
         pairs = ("led", "photodiode")
         paths = [m.mean_path for m in moments]
         slopes = [m.derivative for m in moments]
@@ -287,9 +287,9 @@ class Transfer:
             out.append(np.divide(one**2, two, out=np.zeros_like(one), where=two > 0))
         return out
 
-    def _warn_if_thin(self, moments: list[Moments]) -> None:
-        for led, m, traced in zip(self.leds, moments, self._effective_at_trace, strict=True):
-            left = m.effective_photons
+    def warn_if_thin(self, effective: np.ndarray) -> None:
+        """Warn where few of the effective photons that were traced are left, (led, photodiode) float."""
+        for led, left, traced in zip(self.leds, effective, self._effective_at_trace, strict=True):
             thin = (left < MIN_EFFECTIVE_PHOTONS) & (left < 0.5 * traced)
             if thin.any():
                 i = int(np.argmin(np.where(thin, left, np.inf)))

@@ -13,6 +13,7 @@ from ..geometry import Geometry
 from ..scene import Scene
 from .backend import Backend
 from .media import Media
+from .tracing import INTERRUPTED, unseen
 from .volpath import BedAbsorption, FingerPaths
 
 log = logging.getLogger(__name__)
@@ -21,6 +22,12 @@ log = logging.getLogger(__name__)
 RATIO_BATCHES = 16
 RATIO_SHARE = 0.4
 BATCH_SECONDS = 1.5
+# Batches are skewed: few of them look settled too soon, and stopping whenever they do favours low ones. So none stops
+# before so many, and what is still needed is decided in few rounds.
+LEAST_BATCHES = 30
+ROUND_FACTOR = 4.0
+# A photodiode that so many batches saw nothing of is taken for dark.
+DARK_BATCHES = 400
 
 
 @dataclass(frozen=True)
@@ -31,7 +38,7 @@ class StateReadings:
         where nothing was seen.
     ratio, ratio_stderr : (photodiodes, states) float. Reading over that of the first state; far less noisy than either.
     batches : Batches in all, each of `paths` paths.
-    reached : Whether every fraction has the relative error that was asked for.
+    fell_short : Why some fraction does not have the relative error that was asked for; None if all have.
     """
 
     fraction: NDArray[np.float64]
@@ -40,7 +47,7 @@ class StateReadings:
     ratio_stderr: NDArray[np.float64]
     batches: int
     paths: int
-    reached: bool
+    fell_short: str | None
     seconds: float
 
 
@@ -60,7 +67,8 @@ def finger_states(
     """Readings of all photodiodes in up to three blood states, until each has the relative error or time is up.
 
     Colours first tell the states apart, photodiode by photodiode, which settles the ratios; then the photodiodes, three
-    in one trace, which settles the level. The first part always runs, whatever the time.
+    in one trace, which settles the level. The first part always runs, whatever the time; an interrupt (from `progress`)
+    in the second ends it with what is there.
 
     relative_error : Relative standard error that every reading must reach.
     max_seconds : Wall time after which no new batch begins. [s]
@@ -87,12 +95,11 @@ def finger_states(
         [child] = sequence.spawn(1)
         return traced.batch(paths=paths, seed=int(child.generate_state(1)[0]))
 
-    def told() -> float:
+    def told() -> None:
         worst = max(relative_stderr(values) for values in level)
         log.debug("volpath: %d batches, worst relative error %.3g", done, worst)
         if progress:
             progress(worst, time.perf_counter() - start)
-        return worst
 
     level: list[list[float]] = [[] for _ in range(count)]
     ratio, ratio_stderr = np.ones((count, states)), np.zeros((count, states))
@@ -113,13 +120,31 @@ def finger_states(
     order = sorted(range(count), key=lambda i: relative_stderr(level[i]))
     groups = [tuple(order[k : k + 3]) for k in range(0, count, 3)]
     tracers: dict[tuple[int, ...], FingerPaths] = {}
-    while told() > relative_error and time.perf_counter() - start < max_seconds:
-        worst = max(groups, key=lambda group: max(relative_stderr(level[i]) for i in group))
-        if worst not in tracers:
-            tracers[worst] = tracer(rest, worst)
-        for i, value in zip(worst, batch(tracers[worst]), strict=True):
-            level[i].append(float(value))
-        done += 1
+    planned, name, fell_short = dict.fromkeys(groups, LEAST_BATCHES), scene.leds[led].name, None
+    try:
+        while unfinished := [group for group in groups if len(level[group[0]]) < planned[group]]:
+            if time.perf_counter() - start >= max_seconds:
+                fell_short = (
+                    f'max_seconds ended the trace of LED "{name}" before the relative error of {relative_error:g} was '
+                    "reached; allow more time or ask for less."
+                )
+                break
+            group = max(unfinished, key=lambda group: planned[group] / len(level[group[0]]))
+            if group not in tracers:
+                tracers[group] = tracer(rest, group)
+            for i, value in zip(group, batch(tracers[group]), strict=True):
+                level[i].append(float(value))
+            done += 1
+            told()
+            if len(level[group[0]]) == planned[group]:
+                dark = [i for i in group if not any(level[i])]
+                if dark and planned[group] >= DARK_BATCHES:
+                    photodiode = geometry.regions[geometry.photodiodes[dark[0]].region].partition(":")[2]
+                    fell_short = unseen(name, photodiode, planned[group] * paths)
+                else:
+                    planned[group] = max(batches_for(relative_error, level[i]) for i in group)
+    except KeyboardInterrupt:
+        fell_short = f'{INTERRUPTED}: LED "{name}" has {done} batches.'
     mean = np.array([np.mean(values) for values in level])
     relative = np.array([relative_stderr(values) for values in level])
     fraction = mean[:, None] * ratio
@@ -133,9 +158,15 @@ def finger_states(
         ratio_stderr=ratio_stderr,
         batches=done,
         paths=paths,
-        reached=bool(relative.max() <= relative_error),
+        fell_short=fell_short,
         seconds=time.perf_counter() - start,
     )
+
+
+def batches_for(relative_error: float, values: list[float]) -> int:
+    """Batches in all that should reach a relative error, judged by those that are there; at most so many times more."""
+    factor = (relative_stderr(values) / relative_error) ** 2
+    return len(values) if factor <= 1 else math.ceil(len(values) * min(1.05 * factor, ROUND_FACTOR))
 
 
 def ratio_to_first(batches: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -39,7 +39,7 @@ def by_volpath(scene: Scene, *, relative_error: float, seed: int) -> tuple[np.nd
         seed=seed,
         backend=backend.choose("auto"),
     )
-    assert found.reached
+    assert found.fell_short is None
     return found.fraction[:, 0], found.fraction_stderr[:, 0]
 
 

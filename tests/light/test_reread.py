@@ -7,7 +7,7 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.errors import InputError
-from nailoptics.light import Transfer, media, reread
+from nailoptics.light import RereadWarning, Transfer, media, reread
 from nailoptics.light.reread import course
 from nailoptics.light.transfer import LedTrace
 from nailoptics.scene import Scene, parse_scene
@@ -158,6 +158,16 @@ def test_ten_thousand_states_take_little_longer_than_a_hundred():
         took[count] = time.process_time() - start
         assert seen.fraction.shape == (1, 2, count)
     assert took[10_000] < 5 and took[10_000] < 4 * took[100] + 1
+
+
+def test_a_course_into_states_too_far_away_warns():
+    """Even where only one state of many is, and only between nodes; nearer ones say nothing (warnings are errors)."""
+    trace = made_up(600)
+    course(trace, random_states(50, high=0.1))
+    states = np.full((200, 2), 0.03)
+    states[77] = 1.0
+    with pytest.warns(RereadWarning, match='photodiode "(near|far)".*effective photons'):
+        course(trace, states)
 
 
 def test_states_of_the_wrong_shape_are_refused_in_one_line():
