@@ -4,7 +4,7 @@ import html
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -98,14 +98,26 @@ def _figures(results: xr.Dataset) -> list[str]:
     ]
     for i, name in enumerate([n for n in axes_of(results) if len(np.unique(results[n])) > 1][:FIGURES]):
         drawing = style.to_svg(_along(results, quantity, name), name=f"axis{i}", description=f"{text} over {name}")
-        caption = f"Over {results[name].attrs.get('long_name', name) or name}."
+        held = _held(results, name)
+        caption = f"Over {results[name].attrs.get('long_name', name)}" + (f", at {held}." if held else ".")
         lines.append(f'<figure><div class="scroll">{drawing}</div><figcaption>{_(caption)}</figcaption></figure>')
     return [*lines, "</section>"]
 
 
+def _others(results: xr.Dataset, name: str) -> dict[Any, int]:
+    """Where the other axes are held in a plot along one: at their middle."""
+    return {d: results.sizes[d] // 2 for d in results.state.dims if d not in results[name].dims}
+
+
+def _held(results: xr.Dataset, name: str) -> str:
+    """The same in words: so2 = 0.85, force_n = 1."""
+    values = {d: results[d].values[i] for d, i in _others(results, name).items() if d in results.coords}
+    return ", ".join(f"{d} = {v:.4g}" if isinstance(v, float) else f"{d} = {v}" for d, v in values.items())
+
+
 def _along(results: xr.Dataset, quantity: str, name: str) -> "Figure":
     (dim,) = results[name].dims
-    others = {d: results.sizes[d] // 2 for d in results.state.dims if d != dim}
+    others = _others(results, name)
     values, errors = results[quantity].isel(others), results[f"{quantity}_stderr"].isel(others)
     coordinate = results[name].values
     numeric = coordinate.dtype.kind in "iuf"

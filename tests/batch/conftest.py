@@ -2,11 +2,12 @@
 
 import os
 import signal
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from nailoptics.batch import Sweep, load_sweep
+from nailoptics.batch import Sweep, load_sweep, run_batch
 
 PHANTOM = """
 schema_version = 1
@@ -50,6 +51,37 @@ def phantoms(
     return load_sweep(file)
 
 
+@dataclass(frozen=True)
+class Calm:
+    """A sweep, its file, and what one undisturbed worker makes of it."""
+
+    sweep: Sweep
+    file: Path
+    bits: dict[str, bytes]
+
+
+@pytest.fixture(scope="session")
+def calm(chosen_jit, tmp_path_factory) -> Calm:
+    """Thirty slabs, done once, by one worker of two threads, for all tests that disturb a run of them."""
+    folder = tmp_path_factory.mktemp("calm")
+    sweep = phantoms(folder, 30)
+    run_batch(sweep, folder / "b", workers=1, threads=2)
+    return Calm(sweep, folder / "slabs30.toml", bits(folder / "b"))
+
+
+FAILING = PHANTOM.replace(
+    'pattern = "pencil"', 'pattern = "measured"\npattern_deg = [0, 90]\npattern_relative = [1, 0]'
+).format(top="", accuracy="photons = 500")
+# volpath knows no measured pattern, so two of these four scenes fail.
+FAILING += """
+[[axes]]
+path = "light.engine"
+values = ["photons", "volpath"]
+[[axes]]
+path = "phantom.layers.slab.thickness_mm"
+values = [1.0, 2.0]
+"""
+
 FINGERS = """
 schema_version = 1
 base = "prototype"
@@ -61,7 +93,7 @@ path = "electronics.feedback_ohm"
 values = [1e6, 2e6]
 [[axes]]
 path = "accuracy.photons"
-values = [30000]
+values = [8000]
 """
 
 

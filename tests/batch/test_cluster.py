@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from nailoptics.batch import Outcome, Progress, Sweep, run_batch
+from nailoptics.batch import Progress, Sweep, run_batch
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.scene import Accuracy
 
-from .conftest import bits, command_of, kill_one, offspring, phantoms
+from .conftest import Calm, bits, command_of, kill_one, offspring, phantoms
 
 distributed = pytest.importorskip("distributed")
 pytestmark = [pytest.mark.jit, pytest.mark.filterwarnings("ignore::ResourceWarning")]
@@ -80,43 +80,39 @@ def once(at: int, act) -> tuple[list[str], object]:
     return said, progress
 
 
-def test_a_cluster_gives_the_same_bits_and_loses_nothing_when_workers_or_scheduler_go(jit_backend, cluster, tmp_path):
-    sweep = phantoms(tmp_path, 30)
-    run_batch(sweep, tmp_path / "local", workers=1)
-    calm = bits(tmp_path / "local")
+def done_with(cluster: Cluster, calm: Calm, folder: Path, progress) -> None:
+    """Run the calm sweep on a cluster, which must give the calm bits."""
+    outcome = run_batch(calm.sweep, folder, scheduler=cluster.address, progress=progress)
+    assert len(outcome.done) == 30 and bits(folder) == calm.bits
 
-    def run(name: str, progress) -> Outcome:
-        outcome = run_batch(sweep, tmp_path / name, scheduler=cluster.address, retry_failed=True, progress=progress)
-        assert len(outcome.done) + len(outcome.kept) == 30 and bits(tmp_path / name) == calm
-        return outcome
 
-    # A worker process is killed; its nanny starts another.
-    _, progress = once(8, lambda: kill_one(cluster.workers()[0]))
-    run("worker", progress)
-
-    # A machine goes: worker and nanny.
-    _, progress = once(8, lambda: cluster.end(cluster.nannies[0]))
-    run("machine", progress)
-
-    # The last one goes, too; the run says so, and goes on with one that comes later.
-    said, progress = once(8, lambda: cluster.end(cluster.nannies[1]))
-
-    def progress_and_add(p: Progress) -> None:
-        progress(p)
-        if "no workers any more" in p.said:
-            cluster.nannies.append(cluster.add_worker())
-
-    run("all", progress_and_add)
-    assert any("no workers any more" in line for line in said)
+def test_a_cluster_gives_the_same_bits_and_loses_nothing_when_workers_or_scheduler_go(calm, cluster, tmp_path):
+    # A worker process is killed, and a whole machine: worker and nanny.
+    _, kill = once(5, lambda: kill_one(cluster.workers()[0]))
+    _, end = once(12, lambda: cluster.end(cluster.nannies[1]))
+    done_with(cluster, calm, tmp_path / "workers", lambda p: (kill(p), end(p)))
 
     # The scheduler goes.
     _, progress = once(8, lambda: cluster.end(cluster.scheduler))
     with pytest.raises(NotReachedError, match="scheduler went away"):
-        run_batch(sweep, tmp_path / "lost", scheduler=cluster.address, progress=progress)
+        run_batch(calm.sweep, tmp_path / "lost", scheduler=cluster.address, progress=progress)
     there = len(bits(tmp_path / "lost"))
     assert 8 <= there < 30
-    outcome = run_batch(sweep, tmp_path / "lost", workers=1)
-    assert len(outcome.kept) >= there and bits(tmp_path / "lost") == calm
+    outcome = run_batch(calm.sweep, tmp_path / "lost", workers=1)
+    assert len(outcome.kept) >= there and bits(tmp_path / "lost") == calm.bits
+
+
+@pytest.mark.slow
+def test_a_run_without_workers_says_so_and_goes_on_with_new_ones(calm, cluster, tmp_path):
+    said, end = once(8, lambda: [cluster.end(nanny) for nanny in cluster.nannies])
+
+    def progress(p: Progress) -> None:
+        end(p)
+        if "no workers any more" in p.said:
+            cluster.nannies.append(cluster.add_worker())
+
+    done_with(cluster, calm, tmp_path / "b", progress)
+    assert any("no workers any more" in line for line in said)
 
 
 @pytest.mark.slow

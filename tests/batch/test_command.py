@@ -6,7 +6,7 @@ import pytest
 
 from nailoptics import cli
 
-from .conftest import FINGERS, phantoms
+from .conftest import FAILING, phantoms
 
 pytestmark = pytest.mark.jit
 
@@ -31,11 +31,11 @@ def test_a_batch_from_the_command_line(jit_backend, tmp_path, capsys):
 
 
 def test_failures_end_with_3_and_stand_on_the_page(jit_backend, tmp_path, capsys):
-    text = FINGERS.replace("electronics.feedback_ohm", "blood.parameters").replace("[1e6, 2e6]", '["best", "none"]')
-    (tmp_path / "s.toml").write_text(text)
+    (tmp_path / "s.toml").write_text(FAILING)
     assert cli.run(["batch", str(tmp_path / "s.toml"), "-o", str(tmp_path / "b"), "--workers", "1"]) == 3
     assert "2 failed" in capsys.readouterr().err
-    assert "not a named set" in (tmp_path / "b" / "report.html").read_text()
+    page = (tmp_path / "b" / "report.html").read_text()
+    assert "cannot be traced by volpath" in page and "Over light.engine, at thickness_mm = 2." in page
 
 
 @pytest.mark.parametrize(

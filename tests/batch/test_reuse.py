@@ -55,7 +55,6 @@ def test_what_changes_the_light_changes_its_digest():
 
 def grown(scene, *, asked, have=None, seed=0):
     kind = reuse.tracer(scene, "auto")
-    need = reuse.Need(scene, 0, asked, kind(reuse.reference(scene)).mu_a(0))
     traced: list[int] = []
 
     class Counting(kind):
@@ -63,8 +62,10 @@ def grown(scene, *, asked, have=None, seed=0):
             traced.append(photons)
             return super().batch(led, photons=photons, seed=seed)
 
+    engine = Counting(reuse.reference(scene))
+    need = reuse.Need(scene, 0, asked, engine.mu_a(0))
     batches = reuse.grow(
-        lambda: Counting(reuse.reference(scene)),
+        lambda: engine,
         0,
         have,
         [need],
@@ -85,7 +86,7 @@ def test_a_trace_for_many_is_the_trace_of_one_bit_for_bit(jit_backend, tmp_path,
     if which == "phantom":
         scene, photons = phantoms(tmp_path, 2).scenes[0], 700_000
     else:
-        scene, photons = prototype(), 50_000
+        scene, photons = prototype(), 8_000
     batches, sizes, _ = grown(scene, asked=Accuracy(photons=photons), seed=5)
     mine = reuse.transfer_of(scene, [batches.trace(sizes, seed=5, led=0)], backend=jit_backend.name)
     theirs = nail.trace(scene, photons=photons, seed=5)
@@ -113,9 +114,9 @@ def test_another_state_read_from_the_shared_trace_meets_its_own_trace(jit_backen
 @pytest.mark.jit
 def test_a_tighter_error_goes_on_from_what_is_there_and_ends_where_a_fresh_trace_ends(jit_backend, tmp_path):
     scene = phantoms(tmp_path, 2).scenes[0]
-    coarse, coarse_sizes, _ = grown(scene, asked=Accuracy(relative_error=0.002))
-    fine, fine_sizes, more = grown(scene, asked=Accuracy(relative_error=0.0012), have=coarse)
-    fresh, fresh_sizes, every = grown(scene, asked=Accuracy(relative_error=0.0012))
+    coarse, coarse_sizes, _ = grown(scene, asked=Accuracy(relative_error=0.004))
+    fine, fine_sizes, more = grown(scene, asked=Accuracy(relative_error=0.0015), have=coarse)
+    fresh, fresh_sizes, every = grown(scene, asked=Accuracy(relative_error=0.0015))
     assert len(coarse_sizes) < len(fine_sizes) == len(fresh_sizes)
     assert len(more) == len(fine_sizes) - len(coarse.pieces) and len(every) == len(fresh_sizes)
     one, two = (b.trace(fine_sizes, seed=0, led=0) for b in (fine, fresh))

@@ -46,7 +46,7 @@ def test_a_latin_hypercube_has_one_sample_in_every_stratum_and_repeats_with_its_
     text = (
         'combine = "latin_hypercube"\nsamples = 20\nseed = {}\n'
         '[[axes]]\npath = "blood.so2"\nrange = [0.5, 1.0]\n'
-        '[[axes]]\npath = "finger.digit"\nvalues = ["index", "middle"]\n'
+        '[[axes]]\npath = "finger.digit"\nvalues = ["index", "little"]\n'
     )
     one, two, other = (sweep(tmp_path, BASE + text.format(seed)) for seed in (3, 3, 4))
     so2 = np.array([s.blood.so2 for s in one.scenes])
@@ -57,8 +57,8 @@ def test_a_latin_hypercube_has_one_sample_in_every_stratum_and_repeats_with_its_
 
 def test_what_is_not_given_follows_what_is_swept(tmp_path):
     """A digit sets the sizes of the finger, a part those of the LED: the axis counts as if it were in the file."""
-    found = sweep(tmp_path, BASE + '[[axes]]\npath = "finger.digit"\nvalues = ["index", "thumb"]\n')
-    assert [s.finger.width_mm for s in found.scenes] == [17.5, 21.0]
+    found = sweep(tmp_path, BASE + '[[axes]]\npath = "finger.digit"\nvalues = ["index", "little"]\n')
+    assert [s.finger.width_mm for s in found.scenes] == [17.5, 14.5]
 
 
 def test_scenes_can_be_listed_and_swept_together(tmp_path):
