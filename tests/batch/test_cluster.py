@@ -22,14 +22,14 @@ pytestmark = [pytest.mark.jit, pytest.mark.filterwarnings("ignore::ResourceWarni
 
 
 class Cluster:
-    """A scheduler and two workers; each of these is a nanny whose child works, and is replaced when it dies."""
+    """A scheduler and two workers; with nannies these are parents of who works, and replace it when it dies."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.file = folder, folder / "scheduler.json"
+    def __init__(self, folder: Path, *, nannies: bool = False) -> None:
+        self.folder, self.file, self.nanny = folder, folder / "scheduler.json", "--nanny" if nannies else "--no-nanny"
         # A job is given up with the first worker that it kills, not with the fourth.
         impatient = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
         self.scheduler = self._start("dask_scheduler", "--no-dashboard", "--port", "0", env=os.environ | impatient)
-        self.nannies = [self.add_worker(), self.add_worker()]
+        self.workers = [self.add_worker(), self.add_worker()]
         deadline = time.time() + 60
         while not self.file.exists() and time.time() < deadline:
             time.sleep(0.1)
@@ -43,11 +43,12 @@ class Cluster:
         return subprocess.Popen([*command, "--host", "127.0.0.1", *options], start_new_session=True, **quiet, **more)
 
     def add_worker(self) -> subprocess.Popen:
-        return self._start("dask_worker", "--no-dashboard", "--nthreads", "1", "--local-directory", str(self.folder))
+        options = ("--no-dashboard", "--nthreads", "1", "--local-directory", str(self.folder))
+        return self._start("dask_worker", self.nanny, *options)
 
-    def workers(self) -> list[int]:
-        """The processes that do the work."""
-        found = [child for nanny in self.nannies for child in offspring(nanny.pid)]
+    def nursed(self) -> list[int]:
+        """The processes that work under nannies."""
+        found = [child for nanny in self.workers for child in offspring(nanny.pid)]
         return [pid for pid in found if b"spawn_main" in command_of(pid)]
 
     def end(self, process: subprocess.Popen) -> None:
@@ -58,13 +59,23 @@ class Cluster:
             pass
         process.wait()
 
+    def close(self) -> None:
+        for process in (*self.workers, self.scheduler):
+            self.end(process)
+
 
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Cluster]:
     cluster = Cluster(tmp_path)
     yield cluster
-    for process in (*cluster.nannies, cluster.scheduler):
-        cluster.end(process)
+    cluster.close()
+
+
+@pytest.fixture
+def cluster_with_nannies(tmp_path: Path) -> Iterator[Cluster]:
+    cluster = Cluster(tmp_path, nannies=True)
+    yield cluster
+    cluster.close()
 
 
 def once(at: int, act) -> tuple[list[str], object]:
@@ -87,10 +98,9 @@ def done_with(cluster: Cluster, calm: Calm, folder: Path, progress) -> None:
 
 
 def test_a_cluster_gives_the_same_bits_and_loses_nothing_when_workers_or_scheduler_go(calm, cluster, tmp_path):
-    # A worker process is killed, and a whole machine: worker and nanny.
-    _, kill = once(5, lambda: kill_one(cluster.workers()[0]))
-    _, end = once(12, lambda: cluster.end(cluster.nannies[1]))
-    done_with(cluster, calm, tmp_path / "workers", lambda p: (kill(p), end(p)))
+    # A worker is killed.
+    _, progress = once(8, lambda: cluster.end(cluster.workers[0]))
+    done_with(cluster, calm, tmp_path / "workers", progress)
 
     # The scheduler goes.
     _, progress = once(8, lambda: cluster.end(cluster.scheduler))
@@ -104,19 +114,20 @@ def test_a_cluster_gives_the_same_bits_and_loses_nothing_when_workers_or_schedul
 
 @pytest.mark.slow
 def test_a_run_without_workers_says_so_and_goes_on_with_new_ones(calm, cluster, tmp_path):
-    said, end = once(8, lambda: [cluster.end(nanny) for nanny in cluster.nannies])
+    said, end = once(8, lambda: [cluster.end(worker) for worker in cluster.workers])
 
     def progress(p: Progress) -> None:
         end(p)
         if "no workers any more" in p.said:
-            cluster.nannies.append(cluster.add_worker())
+            cluster.workers.append(cluster.add_worker())
 
     done_with(cluster, calm, tmp_path / "b", progress)
     assert any("no workers any more" in line for line in said)
 
 
 @pytest.mark.slow
-def test_a_scene_that_kills_every_worker_of_a_cluster_fails_alone(jit_backend, cluster, tmp_path):
+def test_a_scene_that_kills_every_worker_of_a_cluster_fails_alone(jit_backend, cluster_with_nannies, tmp_path):
+    cluster = cluster_with_nannies
     sweep = phantoms(tmp_path, 5)
     endless = sweep.scenes[0].model_copy(update={"accuracy": Accuracy(photons=10_000_000_000)})
     sweep = Sweep(sweep.name, sweep.axes, sweep.dims, (endless, *sweep.scenes[1:]))
@@ -126,7 +137,7 @@ def test_a_scene_that_kills_every_worker_of_a_cluster_fails_alone(jit_backend, c
         """The others take milliseconds: whoever still works works on the endless one."""
         if p.done == 4 and time.time() - killed[-1] > 5:
             killed.append(time.time())
-            for pid in cluster.workers():
+            for pid in cluster.nursed():
                 kill_one(pid)
 
     with pytest.raises(NotReachedError, match="its worker was killed") as caught:

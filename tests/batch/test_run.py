@@ -16,8 +16,8 @@ import pytest
 import nailoptics as nail
 from nailoptics.batch import Outcome, Progress, Sweep, estimate, load_sweep, run_batch, status
 from nailoptics.batch.folder import Folder
-from nailoptics.batch.plan import left, of_shard, parse_shard, plan
-from nailoptics.batch.work import Settings, meets, work
+from nailoptics.batch.plan import as_json, left, of_shard, parse_shard, plan
+from nailoptics.batch.work import Report, Settings, meets, work
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.light import read_rest, reuse
 from nailoptics.scene import Accuracy
@@ -95,6 +95,14 @@ def finish(sweep, folder: Path, **options) -> Outcome:
         except NotReachedError:
             continue
     raise AssertionError("twenty runs were not enough")
+
+
+def done_here(sweep: Sweep, settings: Settings) -> list[Report]:
+    """What workers do, without them: all that is left of a sweep."""
+    folder, planned = Folder(settings.folder), plan(sweep, settings)
+    folder.make()
+    folder.write_plan(as_json(sweep, planned, settings))
+    return [work(job, settings) for job in left(planned, folder, settings, retry_failed=False).jobs]
 
 
 def test_a_scene_that_kills_its_worker_again_and_again_fails_alone(jit_backend, tmp_path):
@@ -254,10 +262,7 @@ def test_a_light_that_one_scene_cannot_have_is_there_for_the_others(jit_backend,
         return need(scene, *arguments)
 
     monkeypatch.setattr(reuse, "Need", limited)
-    settings = Settings(tmp_path / "b", 0, jit_backend.name)
-    Folder(settings.folder).make()
-    [job] = left(plan(sweep, settings), Folder(settings.folder), settings, retry_failed=False).jobs
-    report = work(job, settings)
+    [report] = done_here(sweep, Settings(tmp_path / "b", 0, jit_backend.name))
     [why] = report.failed.values()
     assert len(report.done) == 3 and "not enough memory for it (Unable to allocate 99 TiB)" in why
 
@@ -315,12 +320,12 @@ def test_a_time_limit_keeps_the_light_and_the_next_run_continues_it(jit_backend,
 
 def test_more_accuracy_later_continues_and_gives_the_bits_of_a_fresh_run(jit_backend, tmp_path):
     sweep = phantoms(tmp_path, 1, accuracy="relative_error = 0.004")
-    run_batch(sweep, tmp_path / "b", workers=1)
+    [report] = done_here(sweep, Settings(tmp_path / "b", 0, jit_backend.name))
     [light] = (tmp_path / "b" / "light").iterdir()
     first = light.stat().st_size
-    run_batch(sweep, tmp_path / "b", workers=1, relative_error=0.002)
+    assert len(run_batch(sweep, tmp_path / "b", workers=1, relative_error=0.002).done) == len(report.done) == 1
     assert nail.open_results(tmp_path / "b").relative_error.item() < 0.002 and light.stat().st_size >= 2 * first
-    run_batch(sweep, tmp_path / "fresh", workers=1, relative_error=0.002)
+    done_here(sweep, Settings(tmp_path / "fresh", 0, jit_backend.name, relative_error=0.002))
     assert bits(tmp_path / "b") == bits(tmp_path / "fresh")
     assert len(run_batch(sweep, tmp_path / "b", workers=1).kept) == 1
 
