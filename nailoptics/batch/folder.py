@@ -121,8 +121,8 @@ class Folder:
             )
         return LedBatches(arrays["mu_a"], pieces)
 
-    def write_light(self, key: str, led: int, light: LedBatches, *, made: dict[str, Any]) -> int:
-        """Write the batches that are traced, and return the size of the file; losing it costs time only."""
+    def write_light(self, key: str, led: int, light: LedBatches, *, made: dict[str, Any]) -> None:
+        """Write the batches that are traced; losing them costs time only."""
         pieces = [
             {
                 "number": number,
@@ -136,7 +136,6 @@ class Folder:
         arrays = {name: np.concatenate([getattr(b, name) for b in light.pieces.values()]) for name in _COLUMNS}
         data = record.pack({"made": made, "pieces": pieces}, arrays | {"mu_a": light.mu_a})
         record.write_whole(self.light(key, led), data, flush=False)
-        return len(data)
 
     @contextmanager
     def claimed(self, name: str) -> Iterator[bool]:

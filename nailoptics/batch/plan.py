@@ -1,6 +1,5 @@
 """Which scenes of a sweep are still to do, grouped so that scenes with the same light are traced once."""
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -124,8 +123,3 @@ def check_same(folder: Folder, settings: Settings) -> None:
                 f"{folder.root}: was begun with {name} {old.get(name)}, and {mine} is asked for; "
                 f"use --{name} {old.get(name)} or another folder."
             )
-
-
-def size(dims: dict[str, int]) -> int:
-    """How many scenes lie along some dimensions."""
-    return math.prod(dims.values())

@@ -9,7 +9,6 @@ import xarray as xr
 from ..errors import InputError
 from . import reading
 from .folder import Folder
-from .plan import size
 from .record import CorruptError, write_whole
 
 DONE, MISSING, FAILED, CORRUPT = "done", "missing", "failed", "corrupt"
@@ -117,7 +116,6 @@ def _coordinates(plan: dict[str, Any]) -> dict[str, Any]:
             values = np.array([str(v) for v in values])
         dim = axis["name"] if axis["name"] in plan["dims"] else "sample"
         coordinates[axis["name"]] = (dim, values, {"long_name": axis["path"]} if axis["path"] else {})
-    assert size(plan["dims"]) == len(plan["scenes"])
     return coordinates
 
 

@@ -15,7 +15,7 @@ _WINDOW_S = 600.0
 
 @dataclass(frozen=True)
 class Status:
-    """Counts of a batch's scenes; seconds_left at the pace of the last ten minutes, None where nothing moved.
+    """Counts of a batch's scenes; seconds_left at the pace of the last ten minutes, None where there was none.
 
     below : results that are there, but not yet as accurate as asked.
     """
@@ -41,7 +41,7 @@ class Status:
         if self.corrupt:
             lines.append(f"{self.corrupt} results are not what was written; the next run makes them again")
         if self.left:
-            pace = "nothing moved in the last ten minutes"
+            pace = "no new result in the last ten minutes"
             if self.seconds_left is not None:
                 pace = f"about {told_time(self.seconds_left)} left at the pace of the last ten minutes"
             lines.append(pace)

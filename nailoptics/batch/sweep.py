@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from ..assets import data_dir
 from ..errors import InputError
 from ..scene import Scene, load_scene
-from ..scene.files import explain
+from ..scene.files import explain, frozen
 
 MAX_SCENES = 1_000_000
 _COMBINE = ("product", "zip", "latin_hypercube")
@@ -219,7 +219,7 @@ def _scene(raw: dict[str, Any], folder: Path, name: str, picks: list[tuple[Axis,
         _set(data, axis, value)
     try:
         # The values are set in what the user wrote, so that a digit or a part still fills what was not given.
-        return Scene.model_validate(_frozen(data), context={"folder": folder})
+        return Scene.model_validate(frozen(data), context={"folder": folder})
     except (ValidationError, InputError) as error:
         why = explain(error, Scene) if isinstance(error, ValidationError) else str(error)
         at = ", ".join(f"{axis.path} = {value}" for axis, value in picks)
@@ -251,10 +251,3 @@ def _place(items: Any, step: str | int, axis: Axis, depth: int) -> int:
         known = f"0 to {len(items) - 1}" + (f" or {', '.join(n for n in names if n)}" if any(names) else "")
         raise InputError(f'axis path "{axis.path}": there is no item {step} here; known: {known}.')
     raise InputError(f'axis path "{axis.path}" goes on at {step!r} where the base scene has a value; correct the path.')
-
-
-def _frozen(data: Any) -> Any:
-    """TOML's arrays as tuples, which is what frozen models hold."""
-    if isinstance(data, dict):
-        return {key: _frozen(value) for key, value in data.items()}
-    return tuple(_frozen(item) for item in data) if isinstance(data, list) else data

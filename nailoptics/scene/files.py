@@ -40,7 +40,7 @@ def parse_scene(text: str, *, folder: str | Path | None = None, name: str = "sce
     except RecursionError:
         raise InputError(f"{name}: is not a scene: its tables or arrays are nested too deep.") from None
     try:
-        return Scene.model_validate(_tuples(data), context={"folder": folder})
+        return Scene.model_validate(frozen(data), context={"folder": folder})
     except ValidationError as error:
         raise InputError(_one_line(f"{name}: {explain(error, Scene)}")) from None
     except InputError as error:
@@ -51,11 +51,11 @@ def _one_line(text: str) -> str:
     return " ".join(text.splitlines())
 
 
-def _tuples(data: Any) -> Any:
+def frozen(data: Any) -> Any:
     """TOML's arrays as tuples, which is what frozen models hold."""
     if isinstance(data, dict):
-        return {key: _tuples(value) for key, value in data.items()}
-    return tuple(_tuples(item) for item in data) if isinstance(data, list) else data
+        return {key: frozen(value) for key, value in data.items()}
+    return tuple(frozen(item) for item in data) if isinstance(data, list) else data
 
 
 def explain(error: ValidationError, model: type[BaseModel]) -> str:
