@@ -3,6 +3,7 @@
 import contextlib
 import multiprocessing
 import os
+from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 
@@ -21,6 +22,8 @@ class Slots:
     executors: list[Executor]
     # Whether a slot has its own process, so that its death tells which job it was.
     own_process: bool
+    # Workers of one machine that have yet to divide its cores.
+    sharers = 0
 
     def start(self) -> None:
         """Wait until there is someone to work."""
@@ -96,13 +99,14 @@ class ClusterSlots(Slots):
         except (OSError, ValueError) as error:
             why = str(error).splitlines()[0]
             raise InputError(f"--scheduler {address}: cannot be reached ({why}); start dask scheduler first.") from None
-        threads = sum(self.client.nthreads().values())
-        if not threads:
+        found = self.client.nthreads()
+        if not found:
             self.client.close()
             raise InputError(f"--scheduler {address}: has no workers; start dask worker {address} --nthreads 1.")
         executor = self.client.get_executor(pure=False)
         # One more than there are workers, so that none waits for the driver.
-        self.executors = [executor] * (2 * threads)
+        self.executors = [executor] * (2 * sum(found.values()))
+        self.sharers = max(Counter(address.rpartition(":")[0] for address in found).values())
 
     def renew(self, slot: int) -> None:
         """Dask starts dead workers again by itself."""
@@ -130,8 +134,3 @@ def single_threaded_blas() -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
-
-
-def cores() -> int:
-    """Processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

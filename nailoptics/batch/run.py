@@ -11,10 +11,10 @@ from pathlib import Path
 from ..errors import InputError, NotReachedError
 from ..light import backend as backends
 from . import plan as plans
-from .executors import ClusterSlots, LocalSlots, Slots, cores, single_threaded_blas
+from .executors import ClusterSlots, LocalSlots, Slots, single_threaded_blas
 from .folder import Folder
 from .sweep import Sweep
-from .work import Job, Report, Settings, work
+from .work import Job, Report, Settings, cores, work
 
 log = logging.getLogger(__name__)
 
@@ -191,7 +191,7 @@ class _Driver:
                     slot = free.popleft()
                     job = self.queue.popleft()
                     try:
-                        self.running[slots.executors[slot].submit(work, job, self.settings)] = slot, job
+                        self.running[slots.executors[slot].submit(work, job, self.settings, slots.sharers)] = slot, job
                     except BrokenExecutor:  # it died while idle
                         slots.renew(slot)
                         self.queue.appendleft(job)

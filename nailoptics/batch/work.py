@@ -104,10 +104,20 @@ def prepare(threads: int) -> None:
     reuse.set_threads(threads)
 
 
-def work(job: Job, settings: Settings) -> Report:
-    """Do a job; what goes wrong with a scene is in the report, never raised."""
+def cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def work(job: Job, settings: Settings, sharers: int = 0) -> Report:
+    """Do a job; what goes wrong with a scene is in the report, never raised.
+
+    sharers : workers among which this machine's cores are to be divided, if that has not been done.
+    """
     report = Report()
     with _one_job:
+        if sharers:
+            reuse.set_threads(max(1, cores() // sharers))
         try:
             with Folder(settings.folder).claimed(job.claim) as mine:
                 if mine:

@@ -275,4 +275,5 @@ def set_threads(count: int) -> None:
     """Let Dr.Jit use so many threads in this process."""
     import drjit as dr
 
-    dr.set_thread_count(count)
+    if dr.thread_count() != count:
+        dr.set_thread_count(count)

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from nailoptics.batch import Progress, Sweep, run_batch
+from nailoptics.batch.work import cores
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.scene import Accuracy
 
@@ -101,6 +102,9 @@ def test_a_cluster_gives_the_same_bits_and_loses_nothing_when_workers_or_schedul
     # A worker is killed.
     _, progress = once(8, lambda: cluster.end(cluster.workers[0]))
     done_with(cluster, calm, tmp_path / "workers", progress)
+    with distributed.Client(cluster.address, set_as_default=False) as client:
+        [threads] = client.run(eval, "__import__('drjit').thread_count()").values()
+    assert threads == max(1, cores() // 2)  # the cores of this machine, for each of two workers
 
     # The scheduler goes.
     _, progress = once(8, lambda: cluster.end(cluster.scheduler))

@@ -17,7 +17,7 @@ class Dying(Executor):
     def __init__(self, kills: Callable[[Job], bool]) -> None:
         self.kills = kills
 
-    def submit(self, fn, /, job, settings):
+    def submit(self, fn, /, job, settings, sharers):
         future = Future()
         if self.kills(job):
             future.set_exception(BrokenExecutor())
