@@ -2,12 +2,12 @@
 
 import html
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..studies.fits import Z95
-from ..studies.tradeoff import TARGETS, Level, Tradeoff
+from ..studies.tradeoff import REFERENCE, STATES, TARGETS, Level, Tradeoff
 from . import study_page, style
 from .numbers import significant, with_error
 
@@ -20,9 +20,9 @@ FLOOR_PERCENT = 0.01
 def write_tradeoff(found: Tradeoff, path: Path) -> None:
     """Write the page, whole or not at all; raises InputError if the place cannot be written."""
     choice = found.choice
-    reference = next(one for one in found.levels if one.name == "reference")
+    reference = next(one for one in found.levels if one.name == REFERENCE)
     gain = reference.cpu_seconds[0] / choice.cpu_seconds[0]
-    lines = choice.lines or "nothing: the scene as it is"
+    lines = "<br>".join(html.escape(line) for line in choice.lines) or "none: the scene is so already"
     cards = [
         (choice.name, f"the cheapest level that provably keeps every reading within {100 * found.tolerance:g} %"),
         (f"{significant(choice.cpu_seconds[0], 2)} s", "of processor time to 1 % on the worst photodiode"),
@@ -33,14 +33,17 @@ def write_tradeoff(found: Tradeoff, path: Path) -> None:
         study_page.drawing(
             draw(found),
             "pareto",
-            "Each level of model: error of the reading at rest against the full model, and processor time to 1 % on "
-            "the worst photodiode. Bars are 95 % intervals; filled marks provably meet the tolerance everywhere. "
+            "Each level of model: error against the full model, and processor time to 1 % on the worst photodiode; "
+            "left of the reading at rest, right of its change by touch, as a part of the largest change. Marks are "
+            "means over the photodiodes with 95 % intervals; the thin line goes up to what no photodiode exceeds. "
+            "Filled: provably within the tolerance. Dashed: the Pareto front. "
             f"Errors below {FLOOR_PERCENT:g} % are drawn there.",
         ),
         _table(found),
-        f"<p class='small'>Scene lines that select it: <code>{html.escape(lines)}</code>. (9) and (8) take their "
-        "constants from the full trace: at rest they are right by construction, and they cost what it costs. Memory is "
-        "that of the photons kept for 1 %.</p>",
+        f"<p>Scene lines that select it: <code>{lines}</code></p>",
+        "<p class='small'>(9) and (8) take their constants from the full trace: at rest they are right by "
+        "construction, and they cost what it costs. Memory is that of the photons kept for 1 %. A level counts as "
+        "cheaper than the full model only beyond the noise of its cost.</p>",
         "<h3>Number of batches</h3>",
         study_page.table(
             ["Photons in a batch", "Processor time per million photons [s]"],
@@ -63,95 +66,120 @@ def write_tradeoff(found: Tradeoff, path: Path) -> None:
 
 
 def draw(found: Tradeoff) -> "Figure":
-    """Error of every level against processor time to 1 %, with the front that nothing beats."""
+    """Error of every level against processor time to 1 %, of the reading with the Pareto front, and of the signal."""
     with style.drawing():
-        figure = style.new_figure(9.2, 4.8)
-        axes = figure.subplots()
-        front = _front(found.levels)
-        x = [one.cpu_seconds[0] for one in front]
-        axes.step(x, [_height(one) for one in front], where="post", color=style.MUTED, lw=1.2, ls=(0, (4, 2)), zorder=1)
-        names: dict[tuple[float, float], list[str]] = {}
-        for one in found.levels:
-            if not np.isfinite(one.bias) or not np.isfinite(one.cpu_seconds[0]):
-                continue
-            height, spread = _height(one), 100 * Z95 * one.bias_stderr
-            low, high = max(height - spread, FLOOR_PERCENT), height + spread
-            colour = style.ZONES[1] if one.proven else style.ZONES[0]
-            axes.plot([one.cpu_seconds[0]] * 2, [low, high], color=colour, lw=1.3, alpha=0.7)
-            face = colour if one.proven else style.PAPER
-            chosen = one.name == found.chosen
-            axes.plot(
-                one.cpu_seconds[0], height, "o", ms=11 if chosen else 7, color=colour, markerfacecolor=face, zorder=3
-            )
-            names.setdefault((one.cpu_seconds[0], height), []).append(one.name)
-        axes.axhline(100 * found.tolerance, color=style.INK, lw=1, ls=(0, (4, 2)))
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        axes.set_ylim(0.6 * FLOOR_PERCENT, None)
-        low_x, high_x = axes.get_xlim()
-        axes.set_xlim(low_x, high_x * (high_x / low_x) ** 0.25)
-        text = f"tolerance {100 * found.tolerance:g} %"
-        axes.text(
-            0.995, 100 * found.tolerance * 1.08, text, transform=axes.get_yaxis_transform(), ha="right", fontsize=8.5
+        figure = style.new_figure(11.0, 4.6)
+        left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+        front = found.front
+        left.step(
+            [one.cpu_seconds[0] for one in front],
+            [_height(one.bias) for one in front],
+            where="post",
+            color=style.MUTED,
+            lw=1.2,
+            ls=(0, (4, 2)),
+            zorder=1,
         )
-        order = sorted(names.items(), key=lambda item: item[0][1])
-        places = style.spread([float(np.log10(height)) for (_, height), _ in order], 0.16)
-        for ((seconds, height), words), place in zip(order, places, strict=True):
-            label = style.plain(", ".join(words))
-            arrow = {"arrowstyle": "-", "color": style.MUTED, "lw": 0.6}
-            axes.annotate(
-                label,
-                (seconds, height),
-                xytext=(seconds * (high_x / low_x) ** 0.02, 10**place),
-                va="center",
-                fontsize=8.5,
-                fontweight="bold" if found.chosen in words else "normal",
-                arrowprops=arrow if abs(place - np.log10(height)) > 0.08 else None,
-            )
-        axes.set_xlabel("processor time to 1 % on the worst photodiode [s]")
-        axes.set_ylabel("error of the reading [%]")
-        axes.yaxis.set_major_formatter(lambda y, _: f"{y:g}")
-        axes.xaxis.set_major_formatter(lambda y, _: f"{y:g}")
-        axes.set_title(f"Cheapest that provably meets {100 * found.tolerance:g} %: {style.plain(found.chosen)}")
+        for axes, which in ((left, "bias"), (right, "signal")):
+            _marks(axes, found, which)
+            axes.axhline(100 * found.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)))
+            axes.set_xlabel("processor time to 1 % on the worst photodiode [s]")
+        left.set_xscale("log")
+        left.set_yscale("log")
+        left.set_ylim(0.6 * FLOOR_PERCENT, 200)
+        left.set_xlim(*_range(found))
+        left.set_ylabel("error [%]")
+        text = f"tolerance {100 * found.tolerance:g} %"
+        left.text(0.995, 112 * found.tolerance, text, transform=left.get_yaxis_transform(), ha="right", fontsize=8.5)
+        for axis in (left.xaxis, left.yaxis):
+            axis.set_major_formatter(lambda value, _: f"{value:g}")
+        left.set_title("Reading at rest")
+        right.set_title("Signal by touch")
+        for axes, which in ((left, "bias"), (right, "signal")):
+            _labels(axes, found, which)
     return figure
 
 
-def _height(one: Level) -> float:
-    return max(100 * abs(one.bias), FLOOR_PERCENT)
+def _values(one: Level, which: str) -> tuple[float, float, float] | None:
+    """Error, its standard error and bound of the reading or the signal; None where it is not known."""
+    if which == "bias":
+        return (one.bias, one.bias_stderr, one.bias_bound) if np.isfinite(one.bias) else None
+    if one.signal_bias is None or one.signal_bias_stderr is None or one.signal_bound is None:
+        return None
+    return (one.signal_bias, one.signal_bias_stderr, one.signal_bound) if np.isfinite(one.signal_bias) else None
 
 
-def _front(levels: tuple[Level, ...]) -> list[Level]:
-    """Levels than which no other is both cheaper and nearer to the reference."""
-    out: list[Level] = []
-    for one in sorted(levels, key=lambda level: (level.cpu_seconds[0], abs(level.bias))):
-        if np.isfinite(one.bias) and (not out or abs(one.bias) < abs(out[-1].bias)):
-            out.append(one)
-    return out
+def _marks(axes: Any, found: Tradeoff, which: str) -> None:
+    for one in found.levels:
+        values = _values(one, which)
+        if values is None or not np.isfinite(one.cpu_seconds[0]):
+            continue
+        error, stderr, bound = values
+        height, spread, x = _height(error), 100 * Z95 * stderr, one.cpu_seconds[0]
+        colour = style.ZONES[1] if one.proven else style.ZONES[0]
+        axes.plot([x, x], [height, max(100 * bound, height)], color=colour, lw=0.7, alpha=0.6)
+        axes.plot([x, x], [max(height - spread, FLOOR_PERCENT), height + spread], color=colour, lw=2.2, alpha=0.5)
+        face, size = colour if one.proven else style.PAPER, 11 if one.name == found.chosen else 7
+        axes.plot(x, height, "o", ms=size, color=colour, markerfacecolor=face, zorder=3)
+
+
+def _labels(axes: Any, found: Tradeoff, which: str) -> None:
+    """Names beside the marks; those of one mark together, those of near ones one below the other."""
+    names: dict[tuple[float, float], list[str]] = {}
+    for one in found.levels:
+        values = _values(one, which)
+        if values is not None and np.isfinite(one.cpu_seconds[0]):
+            names.setdefault((one.cpu_seconds[0], _height(values[0])), []).append(one.name)
+    order = sorted(names.items(), key=lambda item: item[0][1])
+    places = style.spread([float(np.log10(height)) for (_, height), _ in order], 0.22)
+    low, high = axes.get_xlim()
+    for ((seconds, height), words), place in zip(order, places, strict=True):
+        arrow = {"arrowstyle": "-", "color": style.MUTED, "lw": 0.6}
+        axes.annotate(
+            style.plain(", ".join(words)),
+            (seconds, height),
+            xytext=(seconds * (high / low) ** 0.025, 10**place),
+            va="center",
+            fontsize=8,
+            fontweight="bold" if found.chosen in words else "normal",
+            arrowprops=arrow if abs(place - np.log10(height)) > 0.1 else None,
+        )
+
+
+def _range(found: Tradeoff) -> tuple[float, float]:
+    """Processor times from the cheapest to the dearest, with room for the names at the right."""
+    seconds = [one.cpu_seconds[0] for one in found.levels if np.isfinite(one.cpu_seconds[0])]
+    low, high = min(seconds) / 2, max(seconds) * 2
+    return low, high * (high / low) ** 0.35
+
+
+def _height(error: float) -> float:
+    return max(100 * abs(error), FLOOR_PERCENT)
 
 
 def _table(found: Tradeoff) -> str:
-    head = ["Level", "Reading off by<br>[%]", "at most<br>[%]", "Signal off by<br>[%]"]
-    head += [f"CPU to {100 * target:g} %<br>[s]" for target in TARGETS] + [
-        "Memory<br>[MB]",
-        "Setup<br>[s]",
-        "Scene lines",
-    ]
+    head = ["Level", "Reading off by<br>[%]", "at most<br>[%]", "Signal off by<br>[%]", "at most<br>[%]"]
+    head += [f"CPU to {100 * target:g} %<br>[s]" for target in TARGETS]
+    head += [f"{STATES} more<br>states [s]", "Memory<br>[MB]", "Setup<br>[s]", "Front", "Scene lines"]
     rows = []
     for one in found.levels:
-        signal = "–"
-        if one.signal_bias is not None and one.signal_bias_stderr is not None:
+        signal, bound = "–", "–"
+        if one.signal_bias is not None and one.signal_bias_stderr is not None and one.signal_bound is not None:
             signal = with_error(100 * one.signal_bias, 100 * one.signal_bias_stderr, sign=True)
-        name = html.escape(one.name) + (" <b>✓</b>" if one.name == found.chosen else "")
+            bound = significant(100 * one.signal_bound, 2)
         rows.append(
             [
-                name,
+                html.escape(one.name) + (" <b>✓</b>" if one.name == found.chosen else ""),
                 with_error(100 * one.bias, 100 * one.bias_stderr, sign=True),
                 significant(100 * one.bias_bound, 2),
                 signal,
+                bound,
                 *(significant(seconds, 2) for seconds in one.cpu_seconds),
+                "–" if one.reread_seconds is None else significant(one.reread_seconds, 2),
                 "–" if one.memory_mb is None else significant(one.memory_mb, 2),
                 significant(one.setup_seconds, 2),
-                f"<code>{html.escape(one.lines)}</code>",
+                "●" if one in found.front else "",
+                "<br>".join(f"<code>{html.escape(line)}</code>" for line in one.lines),
             ]
         )
     return study_page.table(head, rows)

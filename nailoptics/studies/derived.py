@@ -1,23 +1,23 @@
 """Effects that no retraced reading can show, derived from other traces: light from outside, from beyond, from blood."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
-from .. import tissue
+from .. import electronics, tissue
 from ..scene import Scene
-from ..scene.layout import lay_out
-from . import variants
-from .ambient import collecting_area_mm2
+from ..scene.layout import Rectangle, lay_out
+from .ambient import SILICON_NM, SOURCES, STEP_NM, collecting_area_mm2
 from .compare import BLOOD_REDUCED_SCATTERING_PER_MM
 from .effects import Effect, effect_of
 from .fits import Z95
-from .variants import Look, revised
+from .looks import UNSEEN, Difference, Look, end_states, read
+from .variants import Changes, revised, validated
 
 SCATTERING_FACTOR = 1.4
-# Diffuse light in the band of the photodiodes, from all sides. [W m^-2] About a bright room; full sun is 100 times it.
-AMBIENT_W_PER_M2 = 10.0
-EPOXY_INDEX, BED_INDEX = 1.55, 1.38
+# A part that less of a reading returns from is cut off.
+RETURNING = 1e-4
 
 
 def denser(scene: Scene) -> Scene:
@@ -30,21 +30,32 @@ def blood_scattering(scene: Scene, base: Look, denser: Look, tolerance: float) -
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = np.log(denser.level / base.level) / np.log(SCATTERING_FACTOR)
         error = np.hypot(base.relative_stderr, denser.relative_stderr) / np.log(SCATTERING_FACTOR)
-    moved = np.abs(np.diff(variants.end_states(scene), axis=0)).max()
+    moved = np.abs(np.diff(end_states(scene), axis=0)).max()
     bed = [tissue.optical_properties("bed", led.wavelength_nm) for led in scene.leds]
     reduced = np.array([float(b.mu_s_per_mm) * (1 - float(b.g)) for b in bed])[:, None]
     more = moved * BLOOD_REDUCED_SCATTERING_PER_MM / reduced
     text = f"bed's mu_s' follows the blood ({float(more.max()):.1%} of it)"
-    return effect_of(
-        "blood's own scattering", False, text, slope * more, error * more, None, "", tolerance, "derived", base
+    found = _moved(slope * more, error * more)
+    return effect_of("blood's own scattering", False, text, found, {}, tolerance, "derived", base)
+
+
+def farthest(scene: Scene) -> Scene:
+    """The photodiode farthest from the first LED, swapped with it."""
+    layout = lay_out(scene)
+    return swapped(
+        scene,
+        max((e.area for e in layout.photodiodes), key=lambda area: math.dist(area.center_mm, layout.leds[0].center_mm)),
     )
 
 
-def swapped_scene(scene: Scene) -> Scene:
-    """The farthest photodiode as a Lambertian LED, and a photodiode where the first LED was."""
+def most_proximal(scene: Scene) -> Scene:
+    """The photodiode nearest to the hand, swapped with the first LED."""
+    return swapped(scene, min((e.area for e in lay_out(scene).photodiodes), key=lambda area: area.center_mm[1]))
+
+
+def swapped(scene: Scene, far: Rectangle) -> Scene:
+    """A photodiode as a Lambertian LED, and a photodiode where the first LED was."""
     layout, tables = lay_out(scene), scene.model_dump()
-    first = layout.leds[0].center_mm
-    far = max(layout.photodiodes, key=lambda e: math.dist(e.area.center_mm, first)).area
     # The board stays where it is, though its parts no longer span it evenly.
     center, (du, dv), (u, v) = layout.outline.center_mm, scene.board.center_mm, scene.leds[0].position_mm
     led = tables["leds"][0] | {
@@ -61,29 +72,56 @@ def swapped_scene(scene: Scene) -> Scene:
     outline = layout.outline
     size = (outline.u_max - outline.u_min, outline.v_max - outline.v_min)
     board = tables["board"] | {"size_mm": size, "center_mm": center}
-    return variants.validated(tables | {"board": board, "leds": (led,), "photodiodes": (photodiode,)})
+    return validated(tables | {"board": board, "leds": (led,), "photodiodes": (photodiode,)})
 
 
 def ambient(scene: Scene, base: Look, swapped: Look, tolerance: float) -> Effect:
-    """Ambient light that reaches the farthest photodiode through the skin, beside the LED's light there."""
+    """A lamp's light from all sides on the farthest photodiode through the skin, beside the LED's light there.
+
+    All of it is taken to be absorbed as the LED's light is, which is less than blood does to what is shorter.
+    """
+    lamp = SOURCES[-1]
+    wavelength = np.arange(SILICON_NM[0], SILICON_NM[1] + STEP_NM / 2, STEP_NM)
+    efficiency = scene.photodiodes[0].quantum_efficiency
+    # In amperes for each square millimetre that collects.
+    per_mm2 = 1e-6 * STEP_NM * lamp.irradiance(wavelength) @ electronics.responsivity_a_per_w(wavelength, efficiency)
     escapes = swapped.transfer.energy()["reflected"]
     led = swapped.transfer.scene.leds[0]
-    area_mm2 = led.size_mm[0] * led.size_mm[1]
-    # A watt per square metre is a thousandth of a milliwatt per square millimetre.
-    collected_mw = [
-        1e-3 * AMBIENT_W_PER_M2 * collecting_area_mm2(escapes[k], area_mm2=area_mm2, n=EPOXY_INDEX)
-        for k in ("value", "stderr")
+    area_mm2, index = led.size_mm[0] * led.size_mm[1], index_of("epoxy", led.wavelength_nm)
+    current = [
+        per_mm2 * float(collecting_area_mm2(escapes[k], area_mm2=area_mm2, n=index)) for k in ("value", "stderr")
     ]
-    flux = np.array([one.flux_mw for one in scene.leds])[:, None]
+    response = electronics.responsivity_a_per_w(np.array([one.wavelength_nm for one in scene.leds]), efficiency)
+    full = 1e-3 * np.array([one.flux_mw for one in scene.leds]) * response
     with np.errstate(divide="ignore"):
-        ratio, error = (np.where(base.level > 0, x / (base.level * flux), np.inf) for x in collected_mw)
-    text = f"{AMBIENT_W_PER_M2:g} W/m2 from all sides"
-    moves = (ratio, np.hypot(error, ratio * base.relative_stderr))
-    return effect_of("ambient light", False, text, *moves, None, "", tolerance, "derived", base)
+        ratio, error = (np.where(base.level > 0, x / (base.level * full[:, None]), np.inf) for x in current)
+    found = _moved(ratio, np.hypot(error, ratio * base.relative_stderr))
+    text = f"{lamp.name} of {lamp.lux:g} lux on all sides"
+    return effect_of("ambient light", False, text, found, {}, tolerance, "derived", base)
+
+
+def index_of(region: str, wavelength_nm: float) -> float:
+    """Refractive index of a region."""
+    return float(tissue.scattering(region, wavelength_nm)[2])  # type: ignore[arg-type]
+
+
+def from_deep(base: Look) -> Effect:
+    """What of a reading comes back from the pulp, which lies under the bed and around the bone."""
+    pulp = base.transfer.absorbers.index("pulp")
+    deep = []
+    for trace in base.transfer.traces:
+        on = trace.path_mm[:, pulp] > 0
+        deep.append(replace(trace, photodiode=trace.photodiode[on], weight=trace.weight[on], path_mm=trace.path_mm[on]))
+    seen = read(replace(base.transfer, traces=tuple(deep)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # A photon more or less may have been missed.
+        noise = np.hypot(seen.level_stderr / base.level, math.sqrt(UNSEEN) * base.relative_stderr**2)
+        found = _moved(-seen.level / base.level, noise)
+    return effect_of("light back from the pulp", True, "pulp swallows all", found, {}, RETURNING, "derived", base)
 
 
 def returning(
-    name: str, modelled: bool, changed_to: str, lines: str, base: Look, cut: Look, back: Look, tolerance: float
+    name: str, modelled: bool, changed_to: str, changes: Changes, base: Look, cut: Look, back: Look
 ) -> Effect:
     """Light that would come back from beyond a cut through the finger, at most.
 
@@ -100,12 +138,20 @@ def returning(
         left = one.transfer.energy()["transmitted"]
         # Of n photons none may have passed: with 95 % confidence the part is below 3 / n.
         passed *= left["value"] + Z95 * left["stderr"] + 3 / one.transfer.photons
-    returned = passed * EPOXY_INDEX**2 * diode.area_mm2 / (BED_INDEX**2 * area_mm2)
+    wavelength = base.transfer.scene.leds[0].wavelength_nm
+    ratio_of_indices = index_of("epoxy", wavelength) / index_of("bed", wavelength)
+    returned = passed * ratio_of_indices**2 * diode.area_mm2 / area_mm2
     with np.errstate(divide="ignore"):
         ratio = np.where(base.level > 0, returned / base.level, np.inf)
-    return effect_of(name, modelled, changed_to, ratio, 0 * base.level, None, lines, tolerance, "derived", base)
+    return effect_of(name, modelled, changed_to, _moved(ratio, 0 * base.level), changes, RETURNING, "derived", base)
 
 
 def nothing(name: str, why: str, tolerance: float) -> Effect:
     """An effect that is none by construction."""
-    return Effect(name, False, why, "derived", 0.0, 0.0, 0.0, "", 0.0, 0.0, 0.0, "", tolerance)
+    return Effect(name, False, why, "derived", 0.0, 0.0, 0.0, "", 0.0, 0.0, 0.0, {}, tolerance)
+
+
+def _moved(ratio: np.ndarray, error: np.ndarray) -> Difference:
+    """A difference of which only the readings are known."""
+    unknown = np.full_like(ratio, np.nan)
+    return Difference(ratio, error, unknown, unknown)

@@ -6,7 +6,8 @@ from typing import Literal
 import numpy as np
 
 from .fits import Z95
-from .variants import Look, pooled
+from .looks import Difference, Look, pooled
+from .variants import Changes, lines_of
 
 # An effect matters for sure at this many standard errors: of a hundred changes looked at, one in twenty times one errs.
 SURE = 3.5
@@ -16,11 +17,11 @@ SURE = 3.5
 class Effect:
     """One part or effect: whether the scene models it, and by how much readings move when that is changed.
 
-    change, stderr : relative change of the reading at rest, of the photodiode that it could move most.
+    change, stderr : relative change of the reading at rest, of the photodiode that it surely moves most.
     bound : what no photodiode's change exceeds, with 95 % confidence each; the one named reaches it.
     typical, typical_stderr : change over all photodiodes, weighed by the errors of the scene's readings.
     modulation_bound : the same bound on the modulation by touch, as a part of the largest modulation.
-    lines : scene lines that change it; empty where no line can.
+    changes : what of the scene changes it; nothing where no line can.
     """
 
     name: str
@@ -34,7 +35,7 @@ class Effect:
     typical: float
     typical_stderr: float
     modulation_bound: float | None
-    lines: str
+    changes: Changes
     tolerance: float
 
     @property
@@ -44,27 +45,31 @@ class Effect:
             return "no"
         return "yes" if abs(self.change) - SURE * self.stderr > self.tolerance else "cannot tell"
 
+    @property
+    def lines(self) -> list[str]:
+        """The scene lines that change it."""
+        return lines_of(self.changes)
+
 
 def effect_of(
     name: str,
     modelled: bool,
     changed_to: str,
-    ratio: np.ndarray,
-    error: np.ndarray,
-    swing: tuple[np.ndarray, np.ndarray] | None,
-    lines: str,
+    found: Difference,
+    changes: Changes,
     tolerance: float,
     how: Literal["reread", "retraced", "derived"],
     base: Look,
 ) -> Effect:
-    """An effect from relative changes of the readings and their errors, (led, photodiode) float each."""
+    """An effect from the differences that it makes; without a swing where its difference has none."""
+    ratio, error = found.ratio, found.ratio_stderr
     bounds = np.where(np.isfinite(ratio), np.abs(ratio) + Z95 * error, np.inf)
     i, j = np.unravel_index(int(np.argmax(bounds)), bounds.shape)
     # What is told best, not what is noisiest, says by how much readings move at least.
     sure = np.where(np.isfinite(ratio), np.abs(ratio) - SURE * error, -np.inf)
     best = np.unravel_index(int(np.argmax(sure)), sure.shape)
     mean, spread = pooled(ratio, error, base)
-    swing_bound = float(np.nanmax(np.abs(swing[0]) + Z95 * swing[1])) if swing is not None else None
+    swing = np.abs(found.swing) + Z95 * found.swing_stderr
     return Effect(
         name=name,
         modelled=modelled,
@@ -76,7 +81,7 @@ def effect_of(
         photodiode=f"{base.transfer.leds[i]} {base.transfer.photodiodes[j]}",
         typical=mean,
         typical_stderr=spread,
-        modulation_bound=swing_bound,
-        lines=lines,
+        modulation_bound=float(np.max(swing)) if np.isfinite(swing).all() else None,
+        changes=changes,
         tolerance=tolerance,
     )

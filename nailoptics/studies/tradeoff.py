@@ -1,8 +1,8 @@
 """Error against processor time for every level of model, side by side on the user's scene."""
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,19 +11,33 @@ from .. import tissue
 from ..errors import InputError, NotReachedError
 from ..light import Progress, Rest, media, read_rest
 from ..light import backend as backends
+from ..light.reread import course
 from ..scene import Scene
-from . import variants
 from .fits import Z95
+from .looks import Look, Tracing, checked, difference, end_states, error_of_ratio, pooled, reread
 from .replicates import read_led, stderr
-from .variants import Look, revised
+from .variants import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, lines_of, revised
 
 DEFAULT_SECONDS, DEFAULT_TOLERANCE = 120.0, 0.02
 TARGETS = (0.01, 0.003, 0.001)
-REFERENCE = "reference"
-# Shares of the time: everything is measured against the reference, and volpath needs a start.
-REFERENCE_SHARE, VOLPATH_SHARE = 3, 2
+REFERENCE = "full"
 BATCHES = (1 << 14, 1 << 16, 1 << 18)
-VOLPATH_ERROR = 0.01
+# Stock Mitsuba gets this part of the time on each backend, towards this error.
+VOLPATH_SHARE, VOLPATH_ERROR = 0.15, 0.01
+# Costs of one level, measured twice, differ by about this part.
+COST_NOISE = 0.1
+# Blood states that a level is read at again, to see what one more costs.
+STATES = 1000
+PARTS = ("bone", "epidermis", "kapton")
+CHEAPER: tuple[tuple[str, Changes], ...] = (
+    ("matched indices", {"light": {"index_steps": False}}),
+    ("similarity", {"light": {"similarity": True}}),
+    ("similarity, matched", {"light": {"similarity": True, "index_steps": False}}),
+    ("no epidermis, no Kapton", {"light": {"left_out": ["epidermis", "kapton"]}}),
+    ("no bone either", {"light": {"left_out": list(PARTS)}}),
+)
+FULL: Changes = {"light": {"engine": "auto", "index_steps": True, "similarity": False, "left_out": ()}} | PART_WIDTH
+STOCK: Changes = {"light": {"engine": "volpath"}}
 
 
 @dataclass(frozen=True)
@@ -32,36 +46,49 @@ class Level:
 
     bias, bias_stderr : relative error of the reading at rest, over all photodiodes weighed by the reference's errors.
     bias_bound : what no photodiode's error exceeds, with 95 % confidence each.
-    signal_bias, signal_bias_stderr : relative error of the change by touch, likewise; None where it is not traced.
+    signal_bias, signal_bias_stderr : error of the change by touch over all photodiodes, as a part of the largest;
+        None where that is not traced. signal_bound : what no photodiode's exceeds.
     cpu_seconds : to a relative standard error of 1 %, 0.3 % and 0.1 % of the worst reading.
+    reread_seconds : for a thousand more blood states from what gives 1 %; None where each is traced anew.
     memory_mb : of the photons kept for 1 %; None where none are.
     setup_seconds : before the first photon.
-    lines : scene lines that select it; empty for the scene as it is.
-    proven : whether the bound, or for the reference nothing, lies within the tolerance.
+    changes : what of the scene selects it; nothing where the scene is so already.
+    proven : whether its bounds, on what it does not take from the reference, lie within the tolerance.
     """
 
     name: str
     backend: str
-    lines: str
+    changes: Changes
     bias: float
     bias_stderr: float
     bias_bound: float
     signal_bias: float | None
     signal_bias_stderr: float | None
+    signal_bound: float | None
     cpu_seconds: tuple[float, ...]
+    reread_seconds: float | None
     memory_mb: float | None
     setup_seconds: float
     proven: bool
 
+    @property
+    def lines(self) -> list[str]:
+        """The scene lines that select it."""
+        return lines_of(self.changes)
+
 
 @dataclass(frozen=True)
 class Tradeoff:
-    """All levels, the cheapest first; the one to take; what a batch of so many photons costs per million."""
+    """All levels, the cheapest first; the one to take, as a scene; what a batch of so many photons costs per million.
+
+    seconds_to_prove : about how long would tell whether a cheaper level meets the tolerance; None where none could.
+    """
 
     levels: tuple[Level, ...]
     tolerance: float
     chosen: str
-    seconds_to_prove: float
+    scene: Scene
+    seconds_to_prove: float | None
     batches: dict[int, float]
     wall_seconds: float
     attributes: dict[str, Any]
@@ -71,33 +98,46 @@ class Tradeoff:
         """The cheapest level that provably meets the tolerance."""
         return next(level for level in self.levels if level.name == self.chosen)
 
+    @property
+    def front(self) -> list[Level]:
+        """The Pareto front: levels than which none is both cheaper and nearer to the reference, cheapest first."""
+        out: list[Level] = []
+        for one in sorted(self.levels, key=lambda level: (level.cpu_seconds[0], abs(level.bias))):
+            if np.isfinite(one.bias) and (not out or abs(one.bias) < abs(out[-1].bias)):
+                out.append(one)
+        return out
+
     def as_dict(self) -> dict[str, Any]:
         """Everything, ready for JSON."""
-        kept = {name: value for name, value in vars(self).items() if name not in ("levels", "attributes", "batches")}
+        kept = {name: getattr(self, name) for name in ("tolerance", "chosen", "seconds_to_prove", "wall_seconds")}
         batches = {str(photons): seconds for photons, seconds in self.batches.items()}
         made = {name: self.attributes[name] for name in ("digest", "photons")}
-        rows = [vars(level) for level in self.levels]
+        rows = [vars(level) | {"lines": level.lines, "front": level in self.front} for level in self.levels]
         return kept | {"lines": self.choice.lines, "batches": batches} | made | {"levels": rows}
 
     def __str__(self) -> str:
         lines = [
-            f"{'level':<26} {'reading off by':>18} {'at most':>8} {'signal off by':>17} "
-            f"{'CPU s to 1 %':>12} {'0.3 %':>8} {'0.1 %':>8} {'MB':>6}"
+            f"{'level':<24} {'reading off by':>18} {'at most':>8} {'signal off by':>17} {'at most':>8} "
+            f"{'CPU s to 1 %':>12} {'0.3 %':>8} {'0.1 %':>8} {'MB':>6}  front"
         ]
         for one in self.levels:
-            signal = ""
-            if one.signal_bias is not None and one.signal_bias_stderr is not None:
+            signal, bound = "", ""
+            if one.signal_bias is not None and one.signal_bias_stderr is not None and one.signal_bound is not None:
                 signal = f"{100 * one.signal_bias:+7.2f} +- {100 * one.signal_bias_stderr:4.2f} %"
+                bound = f"{one.signal_bound:.1%}"
             memory = "" if one.memory_mb is None else f"{one.memory_mb:.0f}"
             lines.append(
-                f"{one.name:<26} {100 * one.bias:+8.2f} +- {100 * one.bias_stderr:4.2f} % {one.bias_bound:>8.1%} "
-                f"{signal:>17} "
-                f"{one.cpu_seconds[0]:>12.3g} {one.cpu_seconds[1]:>8.3g} {one.cpu_seconds[2]:>8.3g} {memory:>6}"
+                f"{one.name:<24} {100 * one.bias:+8.2f} +- {100 * one.bias_stderr:4.2f} % {one.bias_bound:>8.1%} "
+                f"{signal:>17} {bound:>8} {one.cpu_seconds[0]:>12.3g} {one.cpu_seconds[1]:>8.3g} "
+                f"{one.cpu_seconds[2]:>8.3g} {memory:>6}  {'*' if one in self.front else ''}"
             )
         choice = self.choice
         lines.append(f"Cheapest that provably meets {self.tolerance:.2%} on every photodiode: {choice.name}.")
-        lines.append(f"Scene lines: {choice.lines}" if choice.lines else "No scene line needs to change.")
-        if np.isfinite(self.seconds_to_prove):
+        if choice.lines:
+            lines += ["Scene lines that select it:", *(f"  {line}" for line in choice.lines)]
+        else:
+            lines.append("The scene is that already: no line needs to change.")
+        if self.seconds_to_prove is not None:
             lines.append(f"A cheaper one could be told with about --max-seconds {self.seconds_to_prove:.0f}.")
         return "\n".join(lines)
 
@@ -115,157 +155,163 @@ def tradeoff(
 ) -> Tradeoff:
     """Measure bias and cost of every level of model on a finger scene, against its full model.
 
+    All levels that the photon walk gives are traced with the same random numbers, so that photons which never meet
+    what a level leaves out are no part of its error.
+
     Parameters
     ----------
     tolerance : relative error of a reading at rest that a level may have.
-    max_seconds : for all levels together; 120 if neither photons nor an error is asked for.
+    photons : of each LED in each trace; or
+    relative_error : of the full model's trace, all others having as many photons; or
+    max_seconds : for all levels together, about; 120 if nothing else is asked for.
 
-    Raises: InputError.
+    Raises: InputError; NotReachedError, whose result is the Tradeoff as far as it was made, if interrupted.
     """
-    if scene.finger is None:
-        raise InputError("tradeoff needs a [finger] scene; a [phantom] has one level, itself.")
-    if not 0 < tolerance < 1:
-        raise InputError(f"tolerance = {tolerance:g} must lie between 0 and 1.")
+    checked(scene, tolerance, "tradeoff", "has one level, itself")
     chosen = backends.choose(backend)
     if not chosen.jit:
         raise InputError(f"tradeoff needs a JIT backend to compare levels, and {chosen.name} is none: {chosen.advice}")
     if photons is None and relative_error is None and max_seconds is None:
         max_seconds = DEFAULT_SECONDS
     start = time.perf_counter()
-    full = revised(scene, {"light": {"engine": "auto", "index_steps": True, "similarity": False, "left_out": ()}})
-    full = full.model_copy(update={"accuracy": type(scene.accuracy)()})
-    levels = _levels(full)
-    others = [f.name for f in backends.findings() if f.usable and f.name != chosen.name and f.name == "cuda"]
-    stock = [chosen.name, *(["scalar"] if chosen.name != "scalar" else [])]
-    shares = REFERENCE_SHARE + len(levels) + len(others) + VOLPATH_SHARE * len(stock)
-
-    def seen(one: Scene, number: int, parts: int = 1, on: str = chosen.name) -> tuple[Look, float]:
-        nonlocal shares
-        begin = time.perf_counter()
-        found, _ = variants.look(
-            one,
-            seed=seed + number,
-            backend=on,
-            photons=photons,
-            relative_error=relative_error,
-            max_seconds=None if max_seconds is None else max(1.0, (max_seconds - (begin - start)) * parts / shares),
-            progress=progress,
-        )
-        shares -= parts
-        return found, max(time.perf_counter() - begin - found.transfer.wall_seconds, 0.0)
-
-    base, setup = seen(full, 0, REFERENCE_SHARE)
-    measured = [_measured(REFERENCE, "", base, base, setup, tolerance)]
-    measured += _formulas(full, base, setup, seed, tolerance)
-    narrow = variants.reread(base.transfer, variants.without_lines(full))
-    measured.append(_measured("one wavelength", "leds.fwhm_nm = 0", base, narrow, setup, tolerance))
-    for number, (name, lines, one) in enumerate(levels, start=1):
-        found, before = seen(one, number)
-        measured.append(_measured(name, lines, base, found, before, tolerance))
-    for name in others:
-        found, before = seen(full, 50, on=name)
-        measured.append(_measured(f"{REFERENCE} on {name}", "", base, found, before, tolerance))
-    for name in stock:
-        limit = (max_seconds or DEFAULT_SECONDS) - (time.perf_counter() - start)
-        limit = max(1.0, limit * VOLPATH_SHARE / max(shares, VOLPATH_SHARE))
-        shares -= VOLPATH_SHARE
-        measured.append(_stock(full, narrow, seed, name, limit, tolerance, progress))
-    measured.sort(key=lambda level: level.cpu_seconds[0])
-    choice = next(level for level in measured if level.proven)
-    return Tradeoff(
-        levels=tuple(measured),
+    full = revised(scene, FULL)
+    others = [f.name for f in backends.findings() if f.usable and f.name not in (chosen.name, "scalar")]
+    stock = [chosen.name, *(f.name for f in backends.findings() if f.usable and f.name == "scalar")]
+    volpath_seconds = VOLPATH_SHARE * (max_seconds or DEFAULT_SECONDS)
+    traced = None if max_seconds is None else max_seconds - len(stock) * volpath_seconds
+    tracing = Tracing(1 + len(CHEAPER) + len(others), seed, chosen.name, photons, relative_error, traced, progress)
+    base = tracing.look(full)
+    measured: list[Level] = []
+    unmet = None
+    try:
+        for level in _levels(full, base, tracing, others, tolerance, seed):
+            measured.append(level)
+        for name in stock:
+            measured.append(_stock(full, base, seed, name, volpath_seconds, tolerance, progress))
+        batches = _batches(full, tracing)
+    except NotReachedError as error:
+        unmet, batches = f"{error} {len(measured)} levels were measured before.", {}
+    # The full model first among those that cost the same.
+    measured.sort(key=lambda level: (level.cpu_seconds[0], level.name != REFERENCE))
+    choice = _cheapest(measured)
+    scene_of_choice = revised(full, choice.changes)
+    spent = time.perf_counter() - start
+    result = Tradeoff(
+        levels=tuple(replace(one, changes=changes_between(scene, revised(full, one.changes))) for one in measured),
         tolerance=tolerance,
         chosen=choice.name,
-        seconds_to_prove=_to_prove(measured, choice, tolerance, time.perf_counter() - start),
-        batches=_batches(full, chosen.name, seed),
-        wall_seconds=time.perf_counter() - start,
+        scene=scene_of_choice,
+        seconds_to_prove=_to_prove(measured, choice, tolerance, spent),
+        batches=batches,
+        wall_seconds=spent,
         attributes=base.transfer.attributes(),
     )
+    if unmet:
+        raise NotReachedError(unmet, result=result)
+    return result
 
 
-def _levels(full: Scene) -> list[tuple[str, str, Scene]]:
-    """Cheaper scenes, with the lines that select them."""
-    parts = ("bone", "epidermis", "kapton")
-    light: Sequence[tuple[str, dict[str, Any]]] = (
-        ("matched indices", {"index_steps": False}),
-        ("similarity", {"similarity": True}),
-        ("similarity, matched", {"similarity": True, "index_steps": False}),
-        ("bare layers", {"left_out": parts}),
-    )
-    out = []
-    for name, changes in light:
-        shown = ("true" if v is True else "false" if v is False else str(list(v)) for v in changes.values())
-        lines = "; ".join(f"light.{key} = {value}" for key, value in zip(changes, shown, strict=True))
-        out.append((name, lines, revised(full, {"light": changes})))
-    return out
+def _levels(
+    full: Scene, base: Look, tracing: Tracing, others: Sequence[str], tolerance: float, seed: int
+) -> Iterator[Level]:
+    """Every level that the photon walk gives, as soon as it is measured."""
+    reference = _measured(REFERENCE, {}, base, base, tolerance)
+    yield reference
+    yield from _formulas(full, base, reference, seed, tolerance)
+    if any(led.fwhm_nm for led in full.leds):
+        narrow = reread(base.transfer, revised(full, ONE_WAVELENGTH))
+        level = _measured("one wavelength", ONE_WAVELENGTH, base, narrow, tolerance)
+        # The same trace, so the same cost, whatever the noise of its error.
+        yield replace(level, cpu_seconds=reference.cpu_seconds, memory_mb=reference.memory_mb)
+    for name, changes in CHEAPER:
+        yield _measured(name, changes, base, tracing.look(revised(full, changes)), tolerance)
+    for name in others:
+        yield _measured(f"{REFERENCE}, {name}", {}, base, tracing.look(full, backend=name), tolerance)
 
 
-def _measured(name: str, lines: str, base: Look, other: Look, setup: float, tolerance: float) -> Level:
-    """A traced level against the reference; of the same photons only their spread about the change is an error."""
-    ratio, error = variants.difference(base, other)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        swing = other.modulation / base.modulation - 1
-        noise = np.hypot(base.modulation_stderr / base.modulation, other.modulation_stderr / other.modulation)
-    if other.transfer.traces is base.transfer.traces:
-        noise = swing * base.relative_stderr
-    bias, bias_stderr, bound = _pooled(ratio, error, base)
-    signal, signal_stderr, _ = _pooled(swing, np.abs(noise), base)
+def _measured(name: str, changes: Changes, base: Look, other: Look, tolerance: float) -> Level:
+    """A traced level against the reference."""
+    found = difference(base, other)
+    bias, bias_stderr, bound = _summed(found.ratio, found.ratio_stderr, base)
+    signal, signal_stderr, signal_bound = _summed(found.swing, found.swing_stderr, base)
+    if other is base:
+        bound = signal_bound = 0.0
     worst = float(other.relative_stderr.max())
     kept = sum(t.weight.nbytes + t.path_mm.nbytes + t.photodiode.nbytes for t in other.transfer.traces)
+    more = (worst / TARGETS[0]) ** 2
+    begin = time.perf_counter()
+    course(other.transfer, _between(*end_states(other.transfer.scene)), electrons=True)
+    reread_seconds = more * (time.perf_counter() - begin)
     return Level(
         name=name,
         backend=other.transfer.backend,
-        lines=lines,
+        changes=changes,
         bias=bias,
         bias_stderr=bias_stderr,
         bias_bound=bound,
         signal_bias=signal,
         signal_bias_stderr=signal_stderr,
+        signal_bound=signal_bound,
         cpu_seconds=_cost(other.transfer.cpu_seconds, worst),
-        memory_mb=kept * (worst / TARGETS[0]) ** 2 / 1e6,
-        setup_seconds=setup,
-        proven=name == REFERENCE or bound <= tolerance,
+        reread_seconds=reread_seconds,
+        memory_mb=kept * more / 1e6,
+        setup_seconds=other.setup_seconds,
+        proven=bound <= tolerance,
     )
 
 
-def _pooled(ratio: np.ndarray, error: np.ndarray, base: Look) -> tuple[float, float, float]:
+def _between(first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    return first + np.linspace(0, 1, STATES)[:, None] * (last - first)
+
+
+def _summed(values: np.ndarray, error: np.ndarray, base: Look) -> tuple[float, float, float]:
     """Mean over the readings, its error, and what no one exceeds."""
-    bounds = np.abs(ratio) + Z95 * error
-    return *variants.pooled(ratio, error, base), float(np.max(np.where(np.isfinite(bounds), bounds, np.inf)))
+    bounds = np.abs(values) + Z95 * error
+    return *pooled(values, error, base), float(np.max(np.where(np.isfinite(bounds), bounds, np.inf)))
 
 
 def _cost(cpu_seconds: float, error: float) -> tuple[float, ...]:
     return tuple(cpu_seconds * (error / target) ** 2 for target in TARGETS)
 
 
-def _formulas(full: Scene, base: Look, setup: float, seed: int, tolerance: float) -> list[Level]:
-    """Taylor (9) and Beer-Lambert (8) with the constants that the reference's mean paths give them."""
-    errors: dict[str, list[np.ndarray]] = {"taylor": [], "beer_lambert": []}
-    states = variants.end_states(full)
+def _formulas(full: Scene, base: Look, reference: Level, seed: int, tolerance: float) -> Iterator[Level]:
+    """Taylor (9) and Beer-Lambert (8) with the constants that the reference's mean paths give them.
+
+    At rest a formula is the reading that gave it its constants, at what that costs; it is the signal that it may miss.
+    """
+    states, along = end_states(full), np.linspace(0, 1, STATES)
+    unit = float(np.nanmax(np.abs(base.modulation)))
+    off: dict[str, list[np.ndarray]] = {"taylor": [], "beer_lambert": []}
+    depth = np.zeros(len(base.transfer.photodiodes))
     for i, led in enumerate(full.leds):
         wavelength, share = media.spectrum(led)
         mu_a = media.absorption(full, wavelength, blood_fraction=states)
         blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, full.blood.so2))
         read = read_led(base.transfer, i, mu_a, blood, seed=seed)
-        mean = float(np.average(blood, weights=share * wavelength))
-        depth = read.fall @ ((states[1] - states[0]) * mean)
+        depth = read.fall @ ((states[1] - states[0]) * float(np.average(blood, weights=share * wavelength)))
         traced = read.reading[..., 1] / read.reading[..., 0] - 1
-        errors["taylor"].append(-depth / traced - 1)
-        errors["beer_lambert"].append(np.expm1(-depth) / traced - 1)
-    reference = _measured(REFERENCE, "", base, base, setup, tolerance)
-    out = []
-    for name, words in (("taylor", "Taylor (9)"), ("beer_lambert", "Beer-Lambert (8)")):
-        values = np.stack(errors[name])
-        signal, error, _ = _pooled(values[:, 0], np.stack([stderr(one) for one in values]), base)
-        # At rest the formula is the reading that gave it its constants; it is the signal that it gets wrong.
-        shown = vars(reference) | {"name": words, "signal_bias": signal, "signal_bias_stderr": error}
-        out.append(Level(**shown | {"proven": abs(signal) + Z95 * error <= tolerance}))
-    return out
+        off["taylor"].append((-depth - traced) / unit)
+        off["beer_lambert"].append((np.expm1(-depth) - traced) / unit)
+    formulas = (("taylor", "Taylor (9)", lambda x: 1 - x), ("beer_lambert", "Beer-Lambert (8)", lambda x: np.exp(-x)))
+    for name, words, formula in formulas:
+        values = np.stack(off[name])
+        signal, error, bound = _summed(values[:, 0], np.stack([stderr(one) for one in values]), base)
+        begin = time.perf_counter()
+        formula(np.outer(depth, along))
+        yield replace(
+            reference,
+            name=words,
+            signal_bias=signal,
+            signal_bias_stderr=error,
+            signal_bound=bound,
+            reread_seconds=len(full.leds) * (time.perf_counter() - begin),
+            proven=bound <= tolerance,
+        )
 
 
 def _stock(
     full: Scene,
-    narrow: Look,
+    base: Look,
     seed: int,
     backend: str,
     max_seconds: float,
@@ -273,7 +319,8 @@ def _stock(
     progress: Callable[[Progress], None] | None,
 ) -> Level:
     """Stock Mitsuba, which traces one wavelength, against the reference at that wavelength."""
-    scene = revised(full, {"light": {"engine": "volpath"}})
+    narrow = reread(base.transfer, revised(full, ONE_WAVELENGTH))
+    scene = revised(full, STOCK)
     begin, cpu = time.perf_counter(), time.process_time()
     asked: dict[str, Any] = {"relative_error": VOLPATH_ERROR, "max_seconds": max_seconds}
     try:
@@ -288,40 +335,50 @@ def _stock(
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.where(value > 0, relative / value, np.inf)
         ratio = value / narrow.level - 1
-        error_of = variants.error_of_ratio(ratio, relative, narrow.relative_stderr)
-    bias, bias_stderr, bound = _pooled(ratio, error_of, narrow)
+        error_of = error_of_ratio(ratio, relative, narrow.relative_stderr)
+    bias, bias_stderr, bound = _summed(ratio, error_of, narrow)
     return Level(
         name=f"stock Mitsuba, {backend}",
         backend=backend,
-        lines='light.engine = "volpath"',
+        changes=STOCK,
         bias=bias,
         bias_stderr=bias_stderr,
         bias_bound=bound,
         signal_bias=None,
         signal_bias_stderr=None,
+        signal_bound=None,
         cpu_seconds=_cost(time.process_time() - cpu, float(relative.max())),
+        reread_seconds=None,
         memory_mb=None,
         setup_seconds=max(time.perf_counter() - begin - rest.wall_seconds, 0.0),
         proven=bound <= tolerance,
     )
 
 
-def _to_prove(levels: list[Level], choice: Level, tolerance: float, spent: float) -> float:
-    """Seconds after which a cheaper level would be told to meet the tolerance, if it does; NaN where none could."""
+def _cheapest(measured: list[Level]) -> Level:
+    """The cheapest proven level; the full model unless another is cheaper by more than the noise of what they cost."""
+    full = next(level for level in measured if level.name == REFERENCE)
+    first = next(level for level in measured if level.proven)
+    return first if first.cpu_seconds[0] < (1 - COST_NOISE) * full.cpu_seconds[0] else full
+
+
+def _to_prove(levels: list[Level], choice: Level, tolerance: float, spent: float) -> float | None:
+    """Seconds after which a cheaper level would be told to meet the tolerance, if it does; None where none could."""
     needed = [
         spent * ((one.bias_bound - abs(one.bias)) / (tolerance - abs(one.bias))) ** 2
         for one in levels
-        if one.cpu_seconds[0] < choice.cpu_seconds[0] and abs(one.bias) + one.bias_stderr < tolerance and not one.proven
-        and one.bias_bound > tolerance
-    ]  # fmt: skip
-    return min(needed, default=float("nan"))
+        if not one.proven
+        and one.cpu_seconds[0] < choice.cpu_seconds[0]
+        and abs(one.bias) + one.bias_stderr < tolerance < one.bias_bound < np.inf
+    ]
+    return min(needed, default=None)
 
 
-def _batches(full: Scene, backend: str, seed: int) -> dict[int, float]:
+def _batches(full: Scene, tracing: Tracing) -> dict[int, float]:
     """Processor seconds per million photons in batches of several sizes: what many small batches cost."""
     one_led = full.model_copy(update={"leds": full.leds[:1]})
     out = {}
     for photons in BATCHES:
-        look, _ = variants.look(one_led, seed=seed + 90, backend=backend, photons=photons)
-        out[photons] = look.transfer.cpu_seconds / photons * 1e6
+        found = replace(tracing, photons=photons, progress=None).look(one_led)
+        out[photons] = found.transfer.cpu_seconds / photons * 1e6
     return out

@@ -1,0 +1,253 @@
+"""Intervals hold the truth as often as they say: every engine and estimator, over hundreds of small runs."""
+
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nailoptics as nail
+from nailoptics import tissue
+from nailoptics.light import Transfer, media, read_rest, reuse
+from nailoptics.light.map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
+from nailoptics.light.mesh import MeshTracer
+from nailoptics.light.reread import course
+from nailoptics.light.tracing import Batch, _trace_led
+from nailoptics.light.transfer import LedTrace, joined, stderr_of_mean
+from nailoptics.scene import Accuracy, Scene, parse_scene
+from nailoptics.scene.layout import lay_out
+from nailoptics.studies import fits, place_merit, replicates
+from nailoptics.studies.place_light import jackknife, left_out
+
+FINGER = """
+schema_version = 1
+[finger]
+[touch]
+force_n = 1.0
+[[leds]]
+name = "ir"
+wavelength_nm = 800.0
+fwhm_nm = 30.0
+position_mm = [-1.2, 0.0]
+[[photodiodes]]
+name = "proximal"
+position_mm = [0.6, -1.2]
+size_mm = [2.0, 2.0]
+[[photodiodes]]
+name = "distal"
+position_mm = [0.6, 1.2]
+size_mm = [2.0, 2.0]
+[board]
+barrier = false
+[electronics]
+feedback_ohm = 1e4
+"""
+SLAB = """
+schema_version = 1
+[phantom]
+[[phantom.layers]]
+name = "slab"
+thickness_mm = 2.0
+mu_a_per_mm = 0.2
+mu_s_per_mm = 5.0
+g = 0.5
+[[leds]]
+name = "beam"
+wavelength_nm = 800.0
+pattern = "pencil"
+[[photodiodes]]
+name = "square"
+aperture = true
+position_mm = [{u}, 0.0]
+"""
+# A value and its standard error, each of any shape, by the estimator's name.
+Estimates = dict[str, tuple[np.ndarray, np.ndarray]]
+RUNS = [pytest.param(40, id="40 runs"), pytest.param(300, id="300 runs", marks=pytest.mark.slow)]
+
+
+def covers(runs: list[Estimates], truth: Estimates) -> None:
+    """68 and 95 % intervals hold the truth as often as that, within chance, and values lie to neither side of it."""
+    assert runs
+    for name, (value, _) in truth.items():
+        z = np.array([(run[name][0] - value) / run[name][1] for run in runs])
+        assert np.isfinite(z).all(), name
+        count = len(runs)
+        for limit, wanted in ((1.0, 0.683), (1.96, 0.95)):
+            # Values of one run may err together: chance is that of the runs.
+            found, chance = float(np.mean(np.abs(z) < limit)), math.sqrt(wanted * (1 - wanted) / count)
+            assert abs(found - wanted) < 3.5 * chance, (name, limit, found)
+        assert np.abs(z.mean(0)).max() < 4.5 / math.sqrt(count), (name, z.mean(0))
+
+
+def small_traces(
+    scene: Scene, tracer: Any, backend: str, *, runs: int, photons: int
+) -> tuple[list[Transfer], Transfer]:
+    """Many small traces of a scene's first LED, and all of them as one."""
+    engine, traces = tracer(scene), []
+    for seed in range(runs):
+        batch = engine.batch(0, photons=photons, seed=1000 + seed)
+        kept = {name: getattr(batch, name) for name in ("photodiode", "weight", "path_mm", "energy")}
+        traces.append(LedTrace(photons=photons, mu_a=engine.mu_a(0), seeds=(seed,), **kept))
+    small = [reuse.transfer_of(scene, [trace], backend=backend) for trace in traces]
+    return small, reuse.transfer_of(scene, [joined(traces)], backend=backend)
+
+
+def of_trace(transfer: Transfer) -> Estimates:
+    """Everything that is offered of one trace of a finger, with its standard error."""
+    rest, other = transfer.at(), transfer.at(blood_fraction=[0.05, 0.01], so2=0.8)
+    bed = {"absorber": "bed_1"}
+    states = np.linspace([0.03, 0.03], [0.06, 0.015], 9)
+    moved = course(transfer, states, electrons=True)
+    out = {
+        "reading": (rest.detected_fraction.values, rest.detected_fraction_stderr.values),
+        "other state": (other.detected_fraction.values, other.detected_fraction_stderr.values),
+        "mean path": (rest.mean_path_mm.sel(bed).values, rest.mean_path_mm_stderr.sel(bed).values),
+        "derivative": (rest.derivative_mm.sel(bed).values, rest.derivative_mm_stderr.sel(bed).values),
+        "change": (moved.change[..., -1], moved.change_stderr[..., -1]),
+    }
+    led = transfer.scene.leds[0]
+    wavelength, _ = media.spectrum(led)
+    mu_a = media.absorption(transfer.scene, wavelength, blood_fraction=states)
+    blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, 0.97))
+    read = replicates.read_led(transfer, 0, mu_a, blood, seed=1)
+    ratio = read.reading[..., -1] / read.reading[..., 0]
+    fitted = fits.exponential(states[:, 0], read.reading[:, 0])[0][:, -1] / read.reading[:, 0, 0]
+    for name, values in (("ratio of states", ratio), ("predicted path", read.fall[..., 0]), ("fit of (8)", fitted)):
+        out[name] = (values[0], replicates.stderr(values))
+    return out
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("runs", RUNS)
+def test_intervals_of_everything_read_from_a_trace_of_a_finger(jit_backend, runs):
+    small, whole = small_traces(parse_scene(FINGER), MeshTracer, jit_backend.name, runs=runs, photons=8192)
+    covers([of_trace(one) for one in small], of_trace(whole))
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("runs", RUNS)
+def test_intervals_of_the_map_and_of_the_force_that_a_layout_resolves(jit_backend, runs):
+    """Expected: sums over a rectangle by photons, cells of the map by blocks, the resolution by their jackknife."""
+    scene = parse_scene(FINGER)
+    tracer, point, at = BoardTracer(scene), blood_point(scene, 0), place_merit.operating(scene, 0.5)
+    areas, outline = [e.area for e in lay_out(scene).photodiodes], lay_out(scene).outline
+
+    def mapped(several: list[Arrivals]) -> Estimates:
+        one = PhotonMap(outline, values=4, spacing_mm=1.0)
+        for arrivals in several:
+            one.add(arrivals, point.values(arrivals))
+        photons = several[0].photons
+        columns = [np.concatenate([getattr(a, name) for a in several]) for name in ("place_mm", "weight", "path_mm")]
+        numbers = np.concatenate([a.photon + i * photons for i, a in enumerate(several)])
+        together = Arrivals(photons * len(several), numbers, *columns)
+        left = left_out(one.over(areas))
+        volts = place_merit.volts(left, scene.leds[0], scene.photodiodes[0], scene.electronics, at)
+        resolution = place_merit.resolution_n(place_merit.information(volts).sum(-2), at)
+        mean, error = one.per_mm2()
+        # The cell in which the first photodiode's centre lies.
+        u, v = areas[0].center_mm
+        cell = np.searchsorted(one.u_mm, u) - 1, np.searchsorted(one.v_mm, v) - 1
+        return {
+            "rectangle": readings(together, point.values(together), areas),
+            "cell": (mean[0][cell], error[0][cell]),
+            "resolution": (resolution[0], jackknife(resolution)),
+        }
+
+    runs_of = [tracer.arrivals(0, photons=12288, seed=seed) for seed in range(runs)]
+    covers([mapped([one]) for one in runs_of], mapped(runs_of))
+
+
+@pytest.mark.jit
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["photons", "volpath"])
+def test_intervals_of_each_engine_on_a_phantom(jit_backend, engine):
+    scene = parse_scene(SLAB.format(u=0.8))
+    chosen = scene.model_copy(update={"light": scene.light.model_copy(update={"engine": engine})})
+    truth = nail.trace(scene, photons=4_000_000, seed=10_000).at()
+    photons, runs = 4000 if engine == "photons" else 32_000, []
+    for seed in range(300):
+        row = read_rest(chosen, photons=photons, seed=seed).readings[0]
+        runs.append({"reading": (np.array([[row["detected_fraction"]]]), np.array([[row["stderr"]]]))})
+    covers(runs, {"reading": (truth.detected_fraction.values, truth.detected_fraction_stderr.values)})
+
+
+@pytest.mark.jit
+@pytest.mark.slow
+def test_intervals_of_a_trace_that_stopped_at_a_tolerance(jit_backend, monkeypatch):
+    """Paths and a reread state of a trace that stopped by its reading, beside the reading."""
+    from nailoptics.light.stack import StackTracer
+
+    monkeypatch.setattr(StackTracer, "batch_photons", 1 << 11)
+    scene = parse_scene(SLAB.format(u=2.0))
+
+    def estimates(transfer: Transfer) -> Estimates:
+        rest, other = transfer.at(), transfer.at(mu_a_per_mm={"slab": 0.4})
+        return {
+            "reading": (rest.detected_fraction.values, rest.detected_fraction_stderr.values),
+            "path": (rest.mean_path_mm.values, rest.mean_path_mm_stderr.values),
+            "state": (other.detected_fraction.values, other.detected_fraction_stderr.values),
+        }
+
+    truth = estimates(nail.trace(scene, photons=4_000_000, seed=10_000))
+    covers([estimates(nail.trace(scene, relative_error=0.04, seed=seed)) for seed in range(300)], truth)
+
+
+class Urn:
+    """Stands for an engine whose truth is known: each photon is detected with one probability, at a skewed weight."""
+
+    photodiodes = ("a",)
+    scene = SimpleNamespace(leds=(SimpleNamespace(name="urn"),))
+    batch_photons = 1024
+    probability = 0.05
+    truth = probability / 4  # the mean of u^3
+
+    def mu_a(self, led: int) -> np.ndarray:
+        return np.zeros(1)
+
+    def batch(self, led: int, *, photons: int, seed: int) -> Batch:
+        rng = np.random.default_rng(seed)
+        count = int(rng.binomial(photons, self.probability))
+        weight = rng.random(count) ** 3
+        return Batch(photons, np.zeros(count, np.uint16), weight, np.zeros((count, 1), np.float32), {}, 0)
+
+
+def stopped(seed: int, target: float) -> tuple[float, float]:
+    """Relative departure from the truth, and relative standard error, of a run that stops at a tolerance."""
+    gathered, why = _trace_led(Urn(), 0, Accuracy(relative_error=target), seed, None, None)
+    assert why is None
+    trace = gathered.trace()
+    total = trace.weight.sum()
+    error = stderr_of_mean(total, (trace.weight**2).sum(), trace.photons) * trace.photons / total
+    return float(total / trace.photons / Urn.truth - 1), float(error)
+
+
+def stopped_by_luck(seed: int, target: float) -> tuple[float, float]:
+    """The same by a rule that stops as soon as a few small batches happen to lie close together."""
+    urn, seeds, means = Urn(), np.random.default_rng(seed), []
+    error = math.inf
+    while error > target:
+        means.append(float(urn.batch(0, photons=64, seed=int(seeds.integers(1 << 62))).weight.sum()) / 64)
+        if len(means) > 1 and np.mean(means) > 0:
+            error = float(np.std(means, ddof=1) / math.sqrt(len(means)) / np.mean(means))
+    return float(np.mean(means)) / Urn.truth - 1, max(error, 1e-9)
+
+
+def honest(rule: Callable[[int, float], tuple[float, float]], *, runs: int, target: float) -> bool:
+    """Whether stopped runs lie a tenth of their error from the truth on average at most, and intervals cover it."""
+    off, error = np.array([rule(seed, target) for seed in range(runs)]).T
+    z = np.abs(off / error)
+    inside = all(
+        abs(np.mean(z < limit) - wanted) < 3.5 * math.sqrt(wanted * (1 - wanted) / runs)
+        for limit, wanted in ((1.0, 0.683), (1.96, 0.95))
+    )
+    return inside and bool((error <= target).all()) and abs(off.mean()) < (0.1 + 3.5 / math.sqrt(runs)) * target
+
+
+def test_stopping_at_a_tolerance_does_not_bias_the_result():
+    """Rationale: who stops as soon as the error looks small enough prefers runs that look good by luck.
+    Expected: the mean of many stopped runs is off by less than a tenth of one run's standard error; intervals cover;
+    and the same test finds out a rule that trusts the spread of two batches."""
+    assert honest(stopped, runs=600, target=0.05)
+    assert not honest(stopped_by_luck, runs=300, target=0.05)
