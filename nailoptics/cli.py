@@ -18,7 +18,6 @@ from .terminal import (
     finite,
     plain_messages,
     print_json,
-    progress,
     silence_stdout,
     writable,
     writable_file,
@@ -405,6 +404,10 @@ def batch(
 def explain(
     scene: ScenePath,
     *,
+    output: Annotated[
+        Path | None,
+        Parameter(name=["--output", "-o"], help="Write the scene with only what it requires to this TOML file."),
+    ] = None,
     tolerance: Annotated[
         float | None, Parameter(help="Relative change of a reading that matters; the scene's error if not given.")
     ] = None,
@@ -418,24 +421,34 @@ def explain(
     photons: Photons = None,
 ) -> None:
     """Explain what a scene models and what it leaves out, and measure how far each of these moves the readings."""
+    from .scene import to_toml
     from .studies.explain import explain as study
 
     asked = _load(scene)
-    with progress() as told:
-        found = study(
-            asked,
-            tolerance=tolerance,
-            seed=seed,
-            backend=_announced(backend, asked)[0],
-            photons=photons,
-            relative_error=relative_error,
-            max_seconds=max_seconds,
-            progress=told,
+    with writable_file(output):
+        found, unmet = as_far_as_reached(
+            lambda told: study(
+                asked,
+                tolerance=tolerance,
+                seed=seed,
+                backend=_announced(backend, asked)[0],
+                photons=photons,
+                relative_error=relative_error,
+                max_seconds=max_seconds,
+                progress=told,
+            )
         )
+        if output and not unmet:
+            output.write_text(to_toml(found.required), encoding="utf-8")
+    written = str(output) if output and not unmet else None
     if json_:
-        print_json(found.as_dict())
+        print_json(found.as_dict() | {"scene": written})
     else:
         print(found)
+        if written:
+            print(written)
+    if unmet:
+        raise NotReachedError(str(unmet))
 
 
 @app.command
@@ -455,16 +468,17 @@ def tradeoff(
 ) -> None:
     """Measure error against processor time for every level of model; the cheapest that meets a tolerance.
 
-    Writes tradeoff.json and tradeoff.html, and tradeoff.png for a README.
+    Writes tradeoff.json and tradeoff.html, tradeoff.png for a README, and scene.toml: the scene at that level.
     """
     from .report.tradeoff_page import draw, write_tradeoff
+    from .scene import to_toml
     from .studies.tradeoff import tradeoff as study
 
     asked = _load(scene)
-    files = ("tradeoff.json", "tradeoff.html", "tradeoff.png")
+    files = ("tradeoff.json", "tradeoff.html", "tradeoff.png", "scene.toml")
     with writable(output or Path("results") / Path(scene).stem, *files) as folder:
-        with progress() as told:
-            found = study(
+        found, unmet = as_far_as_reached(
+            lambda told: study(
                 asked,
                 tolerance=tolerance,
                 seed=seed,
@@ -474,15 +488,19 @@ def tradeoff(
                 max_seconds=max_seconds,
                 progress=told,
             )
-        table, page, picture = (folder / name for name in files)
+        )
+        table, page, picture, selected = (folder / name for name in files)
         table.write_text(json.dumps(finite(found.as_dict()), indent=1) + "\n", encoding="utf-8")
         write_tradeoff(found, page)
         draw(found).savefig(picture, dpi=120, facecolor="white")
+        selected.write_text(to_toml(found.scene), encoding="utf-8")
     if json_:
-        print_json(found.as_dict() | {"report": str(page)})
+        print_json(found.as_dict() | {"report": str(page), "scene": str(selected)})
     else:
         print(found)
-        print(page)
+        print(f"{page}\n{selected}")
+    if unmet:
+        raise NotReachedError(str(unmet))
 
 
 @app.command
