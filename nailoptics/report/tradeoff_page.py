@@ -69,7 +69,7 @@ def draw(found: Tradeoff) -> "Figure":
     """Error of every level against processor time to 1 %, of the reading with the Pareto front, and of the signal."""
     with style.drawing():
         figure = style.new_figure(11.0, 4.6)
-        left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+        left, right = figure.subplots(1, 2, sharey=True, width_ratios=[1.3, 1])
         front = found.front
         left.step(
             [one.cpu_seconds[0] for one in front],
@@ -80,28 +80,32 @@ def draw(found: Tradeoff) -> "Figure":
             ls=(0, (4, 2)),
             zorder=1,
         )
-        for axes, which in ((left, "bias"), (right, "signal")):
-            _marks(axes, found, which)
-            axes.axhline(100 * found.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)))
-            axes.set_xlabel("processor time to 1 % on the worst photodiode [s]")
-        left.set_xscale("log")
         left.set_yscale("log")
         left.set_ylim(0.6 * FLOOR_PERCENT, 200)
-        left.set_xlim(*_range(found))
         left.set_ylabel("error [%]")
+        left.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        for axes, which, title in ((left, "bias", "Reading at rest"), (right, "signal", "Signal by touch")):
+            axes.set_title(title)
+            axes.set_xscale("log")
+            axes.set_xlim(*_range([one for one in found.levels if _values(one, which)]))
+            axes.axhline(100 * found.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)), zorder=1)
+            axes.set_xlabel("processor time to 1 % on the worst photodiode [s]")
+            axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}" if value >= 1 else f"{value:g}")
+            axes.xaxis.set_minor_formatter("")
+            _marks(axes, found, which)
+            _labels(axes, found, which)
         text = f"tolerance {100 * found.tolerance:g} %"
         left.text(0.995, 112 * found.tolerance, text, transform=left.get_yaxis_transform(), ha="right", fontsize=8.5)
-        for axis in (left.xaxis, left.yaxis):
-            axis.set_major_formatter(lambda value, _: f"{value:g}")
-        left.set_title("Reading at rest")
-        right.set_title("Signal by touch")
-        for axes, which in ((left, "bias"), (right, "signal")):
-            _labels(axes, found, which)
+        chosen = style.plain(found.chosen)
+        words = f"Cheapest that provably keeps every reading within {100 * found.tolerance:g} %: {chosen}"
+        figure.suptitle(words, x=0.01, ha="left", fontsize=10.5, fontweight="bold")
     return figure
 
 
 def _values(one: Level, which: str) -> tuple[float, float, float] | None:
-    """Error, its standard error and bound of the reading or the signal; None where it is not known."""
+    """Error, its standard error and bound of the reading or the signal; None where these or the cost are not known."""
+    if not np.isfinite(one.cpu_seconds[0]):
+        return None
     if which == "bias":
         return (one.bias, one.bias_stderr, one.bias_bound) if np.isfinite(one.bias) else None
     if one.signal_bias is None or one.signal_bias_stderr is None or one.signal_bound is None:
@@ -110,9 +114,10 @@ def _values(one: Level, which: str) -> tuple[float, float, float] | None:
 
 
 def _marks(axes: Any, found: Tradeoff, which: str) -> None:
-    for one in found.levels:
+    # What is proven lies on top of what is not.
+    for one in sorted(found.levels, key=lambda level: (level.proven, level.name == found.chosen)):
         values = _values(one, which)
-        if values is None or not np.isfinite(one.cpu_seconds[0]):
+        if values is None:
             continue
         error, stderr, bound = values
         height, spread, x = _height(error), 100 * Z95 * stderr, one.cpu_seconds[0]
@@ -128,7 +133,7 @@ def _labels(axes: Any, found: Tradeoff, which: str) -> None:
     names: dict[tuple[float, float], list[str]] = {}
     for one in found.levels:
         values = _values(one, which)
-        if values is not None and np.isfinite(one.cpu_seconds[0]):
+        if values is not None:
             names.setdefault((one.cpu_seconds[0], _height(values[0])), []).append(one.name)
     order = sorted(names.items(), key=lambda item: item[0][1])
     places = style.spread([float(np.log10(height)) for (_, height), _ in order], 0.22)
@@ -143,14 +148,15 @@ def _labels(axes: Any, found: Tradeoff, which: str) -> None:
             fontsize=8,
             fontweight="bold" if found.chosen in words else "normal",
             arrowprops=arrow if abs(place - np.log10(height)) > 0.1 else None,
+            bbox={"facecolor": style.PAPER, "edgecolor": "none", "alpha": 0.75, "pad": 0.6},
         )
 
 
-def _range(found: Tradeoff) -> tuple[float, float]:
+def _range(levels: list[Level]) -> tuple[float, float]:
     """Processor times from the cheapest to the dearest, with room for the names at the right."""
-    seconds = [one.cpu_seconds[0] for one in found.levels if np.isfinite(one.cpu_seconds[0])]
+    seconds = [one.cpu_seconds[0] for one in levels]
     low, high = min(seconds) / 2, max(seconds) * 2
-    return low, high * (high / low) ** 0.35
+    return low, high * (high / low) ** 0.45
 
 
 def _height(error: float) -> float:

@@ -20,7 +20,7 @@ from .variants import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, line
 
 DEFAULT_SECONDS, DEFAULT_TOLERANCE = 120.0, 0.02
 TARGETS = (0.01, 0.003, 0.001)
-REFERENCE = "full"
+REFERENCE, OWN = "full", "the scene itself"
 BATCHES = (1 << 14, 1 << 16, 1 << 18)
 # Stock Mitsuba gets this part of the time on each backend, towards this error.
 VOLPATH_SHARE, VOLPATH_ERROR = 0.15, 0.01
@@ -175,16 +175,18 @@ def tradeoff(
         max_seconds = DEFAULT_SECONDS
     start = time.perf_counter()
     full = revised(scene, FULL)
+    own = changes_between(full, scene)
+    cheaper = (*(((OWN, own),) if own else ()), *CHEAPER)
     others = [f.name for f in backends.findings() if f.usable and f.name not in (chosen.name, "scalar")]
     stock = [chosen.name, *(f.name for f in backends.findings() if f.usable and f.name == "scalar")]
     volpath_seconds = VOLPATH_SHARE * (max_seconds or DEFAULT_SECONDS)
     traced = None if max_seconds is None else max_seconds - len(stock) * volpath_seconds
-    tracing = Tracing(1 + len(CHEAPER) + len(others), seed, chosen.name, photons, relative_error, traced, progress)
+    tracing = Tracing(1 + len(cheaper) + len(others), seed, chosen.name, photons, relative_error, traced, progress)
     base = tracing.look(full)
     measured: list[Level] = []
     unmet = None
     try:
-        for level in _levels(full, base, tracing, others, tolerance, seed):
+        for level in _levels(full, base, tracing, cheaper, others, tolerance, seed):
             measured.append(level)
         for name in stock:
             measured.append(_stock(full, base, seed, name, volpath_seconds, tolerance, progress))
@@ -212,7 +214,13 @@ def tradeoff(
 
 
 def _levels(
-    full: Scene, base: Look, tracing: Tracing, others: Sequence[str], tolerance: float, seed: int
+    full: Scene,
+    base: Look,
+    tracing: Tracing,
+    cheaper: Sequence[tuple[str, Changes]],
+    others: Sequence[str],
+    tolerance: float,
+    seed: int,
 ) -> Iterator[Level]:
     """Every level that the photon walk gives, as soon as it is measured."""
     reference = _measured(REFERENCE, {}, base, base, tolerance)
@@ -223,7 +231,7 @@ def _levels(
         level = _measured("one wavelength", ONE_WAVELENGTH, base, narrow, tolerance)
         # The same trace, so the same cost, whatever the noise of its error.
         yield replace(level, cpu_seconds=reference.cpu_seconds, memory_mb=reference.memory_mb)
-    for name, changes in CHEAPER:
+    for name, changes in cheaper:
         yield _measured(name, changes, base, tracing.look(revised(full, changes)), tolerance)
     for name in others:
         yield _measured(f"{REFERENCE}, {name}", {}, base, tracing.look(full, backend=name), tolerance)
@@ -356,10 +364,10 @@ def _stock(
 
 
 def _cheapest(measured: list[Level]) -> Level:
-    """The cheapest proven level; the full model unless another is cheaper by more than the noise of what they cost."""
-    full = next(level for level in measured if level.name == REFERENCE)
-    first = next(level for level in measured if level.proven)
-    return first if first.cpu_seconds[0] < (1 - COST_NOISE) * full.cpu_seconds[0] else full
+    """The cheapest proven level; but the scene itself, or else the full model, where that costs as little within noise."""
+    proven = {level.name: level for level in measured if level.proven}
+    usual, first = proven.get(OWN, proven[REFERENCE]), next(iter(proven.values()))
+    return first if first.cpu_seconds[0] < (1 - COST_NOISE) * usual.cpu_seconds[0] else usual
 
 
 def _to_prove(levels: list[Level], choice: Level, tolerance: float, spent: float) -> float | None:

@@ -15,7 +15,7 @@ from nailoptics.report import tradeoff_page
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.studies import looks
 from nailoptics.studies import tradeoff as study
-from nailoptics.studies.tradeoff import REFERENCE, Level, Tradeoff, tradeoff
+from nailoptics.studies.tradeoff import OWN, REFERENCE, Level, Tradeoff, tradeoff
 from nailoptics.studies.variants import changes_between, lines_of
 
 
@@ -80,6 +80,10 @@ def test_the_full_model_is_chosen_unless_another_is_cheaper_beyond_the_noise_of_
     wrong = replace(wrong, proven=False)
     assert study._cheapest([wrong, near, full]) is full
     assert study._cheapest([wrong, cheap, near, full]) is cheap
+    # What the scene is already, if that is proven, comes before a change that saves nothing.
+    own = level(OWN, cpu_seconds=(10.5, 0.0, 0.0))
+    assert study._cheapest([wrong, full, own]) is own
+    assert study._cheapest([wrong, full, replace(own, proven=False)]) is full
 
 
 @pytest.fixture(scope="module")
