@@ -300,7 +300,7 @@ def place(
             table.writeheader()
             table.writerows(ranking)
         (folder / "best.toml").write_text(to_toml(best), encoding="utf-8")
-        write_positions(folder / "best.csv", kicad_parts(best), negate_x_on_bottom=negate_x_on_bottom)
+        write_positions(folder / "best.csv", kicad_parts(best, asked), negate_x_on_bottom=negate_x_on_bottom)
         asked_as = Path((asked.placement and asked.placement.outline) or "outline.csv").suffix.lower()
         write_outline(folder / f"outline{asked_as}", outline(result))
         geometry.export(geometry.build(best), folder / "best.glb")

@@ -1,24 +1,19 @@
 """The page of a placement: which layout tells force best, how sure that is, and where on the board the light tells."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from ..scene import Scene
-from ..scene.layout import lay_out
+from ..studies.ambient import SOURCES
 from ..studies.place_result import chosen, gain, rows
-from . import maps, style
+from . import place_figures as figures
 from .numbers import quantity, significant, with_error
 from .study_page import document, drawing, provenance, table, write
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-SHOWN = 20
-SMOOTH_CELLS = 2.0
+# Beyond this nothing but what was known before is told.
+NOTHING_MN = 1e3
 
 
 def write_placement(result: xr.Dataset, path: Path) -> None:
@@ -50,7 +45,7 @@ def page(result: xr.Dataset) -> str:
     body = [
         "<section><h2>The ranking</h2>",
         drawing(
-            ranking_figure(result),
+            figures.ranking_figure(result),
             "ranking",
             "Force resolution of each layout, smaller is finer, with its 95 % interval; those whose intervals overlap "
             "that of the best are tied with it (filled). Small ticks are the single fingers.",
@@ -59,30 +54,55 @@ def page(result: xr.Dataset) -> str:
         _check(result),
         "</section><section><h2>The best layout</h2>",
         drawing(
-            board_figure(best, result),
+            figures.board_figure(best, result),
             "board",
             "The board from above, rolled flat: LED, barrier and photodiodes on the nail, whose tint shows the blood "
             "below.",
         ),
+        _photodiodes(result),
+        "<h3>Where each photodiode looks</h3>",
+        drawing(
+            figures.banana_figure(best, result),
+            "bananas",
+            "Where under the nail each photodiode looks: how much its reading falls by absorption there (shaded: all "
+            "of them, each by its share, over three decades). Outlined are the densest places that hold half of "
+            "it, one colour for each photodiode from proximal (warm) to distal (cool).",
+        ),
+        "<h3>Light from outside</h3>",
+        _ambient(result),
         "</section><section><h2>Where on this board the light tells</h2>",
         drawing(
-            map_figure(best, result),
+            figures.map_figure(best, result),
             "maps",
             "On the flat board with this LED and wall, first finger, logarithmic scales with contours: light per area; "
-            "its part that was never in the bed; what one more photodiode there would resolve by itself, were the "
-            "split of the force known (bright is fine; round the LED it would be saturated).",
+            "its part that was never in the bed; the noise of one more photodiode centred there, rms in one sample "
+            "(even scale); and what it would resolve by itself, were the split of the force known. Bright is fine; "
+            "blank where too few photons came and, round the LED, where it would be saturated.",
         ),
         drawing(
-            sensitivity_figure(best, result),
+            figures.sensitivity_figure(best, result),
             "sensitivity",
             "How much the light at each place falls with blood in the proximal (left) and in the distal zone (right), "
             "relative to the light there: percent for each percent of the bed that is blood. Blank where too few "
             "photons came.",
         ),
     ]
+    if "led_place_fraction" in result:
+        body += [
+            drawing(
+                figures.led_figure(best, result),
+                "led",
+                "The LED elsewhere, photodiodes and wall as they are: the light that it would bring to all of them, "
+                "and the force that they would resolve. One trace from each photodiode gives its reading of an LED at "
+                "every place (reciprocity); blank where too few photons came or little would be told.",
+            ),
+            _reciprocity(result),
+        ]
     if result.sizes["spot"]:
         text = "Places of the LED that were tried: the force that the best photodiodes for each would resolve."
-        body.append(drawing(tried_figure(result), "tried", text + " Triangles point from the LED to its photodiodes."))
+        body.append(
+            drawing(figures.tried_figure(result), "tried", text + " Triangles point from the LED to its photodiodes.")
+        )
     return document(
         kicker="where to put them",
         title=f"{result.sizes['best_photodiode']} photodiodes on the nail",
@@ -94,177 +114,17 @@ def page(result: xr.Dataset) -> str:
     )
 
 
-def ranking_figure(result: xr.Dataset) -> "Figure":
-    """Layouts with their intervals, best on top."""
-    count = min(result.sizes["layout"], SHOWN)
-    with style.drawing():
-        figure = style.new_figure(7.2, 0.9 + 0.32 * count)
-        axes = figure.subplots()
-        for i in range(count):
-            low, high = (1e3 * float(result[f"force_resolution_{end}_n"][i]) for end in ("low", "high"))
-            colour = style.ZONES[0] if str(result.layout.values[i]) == "paper" else style.ZONES[1]
-            axes.plot([low, high], [i, i], color=colour, lw=2.2, solid_capstyle="butt")
-            fill = colour if bool(result.tied[i]) else "none"
-            axes.plot([1e3 * float(result.force_resolution_n[i])], [i], "o", mfc=fill, mec=colour, ms=6)
-            each = 1e3 * result.finger_resolution_n.values[i]
-            axes.plot(each, [i] * len(each), "|", color=style.MUTED, ms=9, mew=1.0, zorder=1)
-        names = [style.plain(name).replace("_", " ") for name in result.layout.values[:count]]
-        axes.set_yticks(range(count), names)
-        axes.set_ylim(count - 0.5, -0.5)
-        if 1e3 * float(result.force_resolution_high_n[:count].max()) > 8e3 * float(result.force_resolution_n[0]):
-            axes.set_xscale("log")
-        else:
-            axes.set_xlim(left=0)
-        axes.set_xlabel("force resolution [mN]")
-    return figure
-
-
-def board_figure(scene: Scene, result: xr.Dataset) -> "Figure":
-    """The best layout from above."""
-    names = [e.area.name for e in lay_out(scene).photodiodes]
-    shown = xr.Dataset(coords={"led": [led.name for led in scene.leds], "photodiode": names})
-    with style.drawing():
-        figure = style.new_figure(7.6, 5.8)
-        axes = figure.subplots()
-        maps.draw_top_view(axes, scene, shown)
-        # Boards may be as wide as the nail, and their labels want room beside it.
-        low, high = axes.get_xlim()
-        axes.set_xlim(low - 2.6, high + 1.2)
-    return figure
-
-
-def map_figure(scene: Scene, result: xr.Dataset) -> "Figure":
-    """Light, its direct part, and the resolution of one photodiode, over the board."""
-    from matplotlib.colors import LogNorm
-
-    panels = (
-        ("irradiance", 1.0, "Light [1/mm²]", "viridis"),
-        ("direct", 1.0, "Never in the bed [1/mm²]", "viridis"),
-        ("place_resolution_n", 1e3, "Resolves [mN]", "viridis_r"),
-    )
-    with style.drawing():
-        figure = style.new_figure(10.5, 4.6)
-        for axes, (name, scale, title, colours) in zip(figure.subplots(1, 3), panels, strict=True):
-            values = _smooth(scale * result[name].isel(led=0).to_numpy())
-            good = values[np.isfinite(values) & (values > 0)]
-            fine = name == "place_resolution_n"
-            low, high = (good.min(), 300 * good.min()) if fine else (good.max() / 3e4, good.max())
-            clipped = np.clip(np.nan_to_num(values, nan=high, posinf=high), low, high)
-            image = axes.imshow(
-                clipped.T, extent=_extent(result), origin="lower", cmap=colours, norm=LogNorm(low, high)
-            )
-            levels = np.geomspace(low, high, 9 if fine else 10)[1:-1]
-            axes.contour(result.u, result.v, clipped.T, levels=levels, colors=["#ffffff"], linewidths=0.5, alpha=0.7)
-            figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02)
-            axes.set_title(title)
-            _parts(axes, scene)
-    return figure
-
-
-def sensitivity_figure(scene: Scene, result: xr.Dataset) -> "Figure":
-    """Fall of the light with the blood of either zone, relative to the light there."""
-    with style.drawing():
-        figure = style.new_figure(7.6, 4.6)
-        light = _smooth(result.irradiance.isel(led=0).to_numpy())
-        # Where few photons came, the ratio is noise and is left blank.
-        light[_smooth(result.irradiance_stderr.isel(led=0).to_numpy()) > 0.7 * light] = np.nan
-        each = [_smooth(-result.sensitivity.isel(led=0, blood_zone=k).to_numpy()) for k in range(2)]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            fall = [np.where(light > 0, one / light, np.nan) for one in each]
-        top = float(np.nanquantile(np.stack(fall), 0.99))
-        for axes, values, title in zip(
-            figure.subplots(1, 2), fall, ("Proximal blood [%/%]", "Distal blood [%/%]"), strict=True
-        ):
-            image = axes.imshow(
-                np.clip(values, 0, top).T, extent=_extent(result), origin="lower", cmap="magma", vmin=0, vmax=top
-            )
-            axes.contour(
-                result.u, result.v, values.T, levels=np.linspace(0, top, 7)[1:-1], colors=["#ffffff"], linewidths=0.5
-            )
-            figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02)
-            axes.set_title(title)
-            _parts(axes, scene)
-    return figure
-
-
-def tried_figure(result: xr.Dataset) -> "Figure":
-    """Places of the LED by what the search found there."""
-    from matplotlib.colors import LogNorm
-
-    with style.drawing():
-        figure = style.new_figure(5.6, 4.8)
-        axes = figure.subplots()
-        place, found = result.led_tried_mm.to_numpy(), 1e3 * result.led_tried_n.to_numpy()
-        norm = LogNorm(found.min(), max(found.max(), 1.001 * found.min()))
-        marks = {"left": ">", "right": "<", "below": "^", "above": "v"}
-        sides = [str(side) for side in result.led_tried_side.values]
-        for side in dict.fromkeys(sides):
-            at = np.array([s == side for s in sides])
-            shift = {"left": (0.12, 0), "right": (-0.12, 0), "below": (0, 0.12), "above": (0, -0.12)}.get(side, (0, 0))
-            image = axes.scatter(
-                place[at, 0] + shift[0],
-                place[at, 1] + shift[1],
-                c=found[at],
-                norm=norm,
-                cmap="viridis_r",
-                marker=marks.get(side, "o"),
-                s=46,
-                edgecolors=style.MUTED,
-                linewidths=0.4,
-            )
-        figure.colorbar(image, ax=axes, label="force resolution [mN]")
-        left, right, low, high = _extent(result)
-        axes.set_xlim(left, right)
-        axes.set_ylim(low, high)
-        axes.set_aspect("equal")
-        axes.set_xlabel("across the nail [mm]")
-        axes.set_ylabel("along the nail, towards the tip [mm]")
-    return figure
-
-
-def _parts(axes: "Axes", scene: Scene) -> None:
-    """Outline the layout's parts over a map."""
-    from matplotlib.patches import Rectangle as Patch
-
-    layout = lay_out(scene)
-    for r in layout.barriers:
-        axes.add_patch(Patch((r.u_min, r.v_min), r.u_max - r.u_min, r.v_max - r.v_min, fc=maps.BARRIER, lw=0))
-    boxes: list[tuple[Any, str]] = [(e.area, "none") for e in layout.photodiodes]
-    boxes += [(led, maps.LED) for led in layout.leds]
-    for r, fill in boxes:
-        for colour, width in (("#ffffff", 1.8), (style.DARK_INK, 0.8)):
-            axes.add_patch(
-                Patch((r.u_min, r.v_min), r.u_max - r.u_min, r.v_max - r.v_min, fc=fill, ec=colour, lw=width)
-            )
-    axes.grid(False)
-    axes.set_xlabel("across [mm]")
-    axes.set_ylabel("along, to the tip [mm]")
-
-
-def _smooth(values: np.ndarray) -> np.ndarray:
-    """A map without the grain of single photons; what is not finite counts as nothing known."""
-    from scipy.ndimage import gaussian_filter
-
-    known = np.isfinite(values)
-    weight = gaussian_filter(known.astype(float), SMOOTH_CELLS)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(weight > 0.05, gaussian_filter(np.where(known, values, 0.0), SMOOTH_CELLS) / weight, np.nan)
-
-
-def _extent(result: xr.Dataset) -> tuple[float, float, float, float]:
-    u, v = result.u.to_numpy(), result.v.to_numpy()
-    du, dv = (u[1] - u[0]) / 2, (v[1] - v[0]) / 2
-    return float(u[0] - du), float(u[-1] + du), float(v[0] - dv), float(v[-1] + dv)
-
-
 def _table(ranking: list[dict[str, Any]]) -> str:
-    head = ["Layout", "Rank", "Resolves<br>[mN]", "Split known<br>[mN]", "Condition", "Least<br>signal / noise"]
+    head = ["Layout", "Rank", "Resolves<br>[mN]", "Split known<br>[mN]", "Proximal, distal<br>pressure [Pa]"]
+    head += ["Condition", "Least<br>signal / noise"]
     head += ["Full scale /<br>reading", "Never in<br>bed [%]"]
     lines = []
-    for row in ranking[:SHOWN]:
+    for row in ranking[: figures.SHOWN]:
         force = with_error(1e3 * row["force_resolution_n"], 1e3 * row["force_resolution_n_stderr"])
         cells = [row["layout"].replace("_", " "), f"{row['rank']}{' (tied)' if row['tied'] else ''}", force]
-        cells += [significant(1e3 * row["known_split_n"]), significant(row["condition_number"])]
+        cells += [significant(1e3 * row["known_split_n"])]
+        cells += [", ".join(significant(row[f"{name}_pressure_pa"]) for name in ("proximal", "distal"))]
+        cells += [significant(row["condition_number"])]
         cells += [significant(row["least_snr"]), significant(row["adc_headroom"]), f"{100 * row['crosstalk']:.0f}"]
         lines.append(cells)
     return table(head, lines)
@@ -279,4 +139,70 @@ def _check(result: xr.Dataset) -> str:
     return (
         f"<p class='small'>Layouts are read from maps of the bare board. The best was traced once more with its "
         f"photodiodes on it: on the first finger it resolves {fresh} mN, {foretold} mN by the map.</p>"
+    )
+
+
+def _photodiodes(result: xr.Dataset) -> str:
+    """What each photodiode of the best layout reads, first finger and LED."""
+    head = ["Photodiode", "Reads<br>[V]", "Full scale /<br>reading", "Noise<br>[µV]", "Signal /<br>noise"]
+    head += ["Never in<br>bed [%]", "Proximal blood<br>[mV / %]", "Distal blood<br>[mV / %]", "Looks at depth<br>[mm]"]
+    best = result.isel(led=0)
+    seen = best.depth_sensitivity * best.cell_volume_mm3
+    with np.errstate(invalid="ignore"):
+        looks = (
+            (seen * best.depth).sum(("under_u", "under_v", "depth")) / seen.sum(("under_u", "under_v", "depth"))
+        ).values
+    lines = []
+    for j, name in enumerate(result.best_photodiode.values):
+        volts, noise = float(best.foretold_volts[j]), float(best.foretold_noise_v[j])
+        line = [str(name), with_error(volts, float(best.foretold_volts_stderr[j]))]
+        line += [significant(result.attrs["adc_range_v"] / volts), significant(1e6 * noise), significant(volts / noise)]
+        crosstalk = (100 * float(best[f"foretold_crosstalk{end}"][j]) for end in ("", "_stderr"))
+        line.append(with_error(*crosstalk))
+        # A hundredth of the bed's volume, in millivolts.
+        line += [
+            with_error(*(10 * float(best[f"foretold_zone_v{end}"][j, k]) for end in ("", "_stderr"))) for k in range(2)
+        ]
+        lines.append([*line, significant(float(looks[j]))])
+    return table(head, lines)
+
+
+def _ambient(result: xr.Dataset) -> str:
+    """Sun and lamp, with and without the cover."""
+    head = ["", "Photocurrent<br>at most [µA]", "Output<br>at most [V]", "Noise<br>at most [µV]", "Resolves<br>[mN]"]
+    noise = 1e6 * float(result.foretold_noise_v.max())
+    own = float(result.foretold_volts.max())
+    lines = [
+        ["none", "0", significant(own), significant(noise), significant(1e3 * float(result.finger_resolution_n[0, 0]))]
+    ]
+    for cover in result.cover.values:
+        for source in SOURCES:
+            at = result.sel(cover=cover, ambient=source.name)
+            current = 1e6 * float((at.ambient_a + 1.96 * at.ambient_a_stderr).max())
+            lux = f"{source.lux:,.0f}".replace(",", "\u202f")
+            name = f"{source.name}, {lux} lux, " + ("with the cover" if cover == "covered" else "without it")
+            tells, volts = 1e3 * float(at.ambient_resolution_n), float(at.ambient_volts.max())
+            end = " (saturated)" if bool((at.ambient_volts >= result.attrs["adc_range_v"]).any()) else ""
+            told = significant(tells) if tells < NOTHING_MN else "nothing"
+            noise = 1e6 * float(at.ambient_noise_v.max())
+            lines.append([name, significant(current), significant(volts) + end, significant(noise), told])
+    note = (
+        "<p class='small'>The largest of all photodiodes, upper end of the 95 % interval, for light from all sides "
+        "with the spectrum of a black body. A steady part can be subtracted; its noise and a saturated converter "
+        "cannot.</p>"
+    )
+    return table(head, lines) + note
+
+
+def _reciprocity(result: xr.Dataset) -> str:
+    """How far the two directions of light agree."""
+    sums, errors = [], []
+    for name in ("reciprocal_fraction", "checked_fraction"):
+        sums.append(float(result[name].isel(led=0).sum()))
+        errors.append(float(np.linalg.norm(result[f"{name}_stderr"].isel(led=0))) / sums[-1])
+    ratio = sums[0] / sums[1]
+    told = with_error(ratio, ratio * float(np.linalg.norm(errors)))
+    return (
+        f"<p class='small'>For the LED where it is, light back from all photodiodes foretells {told} times what they "
+        "read of it in a fresh trace.</p>"
     )

@@ -29,6 +29,11 @@ class PlacedPart:
         """Whether it is an LED, by its reference: D1, LED2 and the like, but not photodiodes PD1."""
         return re.fullmatch(r"(D|LED)[0-9_.-]*", self.ref.upper()) is not None
 
+    @property
+    def is_turned(self) -> bool:
+        """Whether it lies across: turned by 90 or 270 degrees, not by 0 or 180."""
+        return round(self.rotation_deg / 90) % 2 == 1
+
 
 def read_positions(path: Path, *, negate_x_on_bottom: bool = False) -> tuple[PlacedPart, ...]:
     """Read a KiCad position file, both sides, in the order of the file.
@@ -57,6 +62,10 @@ def read_positions(path: Path, *, negate_x_on_bottom: bool = False) -> tuple[Pla
             raise InputError(f'{where}: Side = "{row[at["Side"]]}"; must be top or bottom.')
         if side == "bottom" and negate_x_on_bottom:
             x = -x
+        if abs(turn / 90 - round(turn / 90)) > 1e-3:
+            raise InputError(
+                f"{where}: Rot = {turn:g}; parts on the nail lie along or across it: give a multiple of 90."
+            )
         ref = row[at["Ref"]].strip()
         if any(part.ref == ref for part in parts):
             raise InputError(f'{where}: Ref "{ref}" is there twice; give each part its own.')

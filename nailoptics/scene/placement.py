@@ -22,6 +22,10 @@ class Candidate(Table):
     """Places of the LEDs (u, v), in the order of the scene; filled from positions. [mm]"""
     photodiodes_mm: tuple[Point, ...] = ()
     """Places of the photodiodes (u, v); filled from positions. [mm]"""
+    leds_turned: tuple[bool, ...] = ()
+    """Which LEDs lie turned by 90 degrees; none if not given; filled from positions."""
+    photodiodes_turned: tuple[bool, ...] = ()
+    """Which photodiodes lie turned by 90 degrees; none if not given; filled from positions."""
 
     @model_validator(mode="before")
     @classmethod
@@ -30,15 +34,18 @@ class Candidate(Table):
             return data
         path = Path((info.context or {}).get("folder") or Path()) / data["positions"]
         parts = read_positions(path, negate_x_on_bottom=bool(data.get("negate_x_on_bottom", False)))
-        return data | {
-            "leds_mm": tuple(part.position_mm for part in parts if part.is_led),
-            "photodiodes_mm": tuple(part.position_mm for part in parts if not part.is_led),
-        }
+        groups = {"leds": [p for p in parts if p.is_led], "photodiodes": [p for p in parts if not p.is_led]}
+        places = {f"{name}_mm": tuple(p.position_mm for p in group) for name, group in groups.items()}
+        return data | places | {f"{name}_turned": tuple(p.is_turned for p in group) for name, group in groups.items()}
 
     @model_validator(mode="after")
     def _has_parts(self) -> Self:
         if not self.leds_mm or not self.photodiodes_mm:
             raise ValueError("a candidate needs leds_mm and photodiodes_mm, or a positions file that has both")
+        for name in ("leds", "photodiodes"):
+            places, turned = getattr(self, f"{name}_mm"), getattr(self, f"{name}_turned")
+            if turned and len(turned) != len(places):
+                raise ValueError(f"{name}_turned has {len(turned)} entries for {len(places)} places; give one for each")
         return self
 
 

@@ -174,7 +174,14 @@ def _operating(base: Scene, case: FingerCase, rules: Placement) -> merit.Operati
 def _given(base: Scene, rules: Placement) -> list[Layout]:
     out = []
     for one in rules.candidates:
-        scene = boards.with_parts(base, one.leds_mm, one.photodiodes_mm, name=one.name)
+        scene = boards.with_parts(
+            base,
+            one.leds_mm,
+            one.photodiodes_mm,
+            name=one.name,
+            leds_turned=one.leds_turned,
+            photodiodes_turned=one.photodiodes_turned,
+        )
         out.append(Layout(one.name, scene, boards.bare(boards.explicit(scene, one.name)), "given"))
     return out
 

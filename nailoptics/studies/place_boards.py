@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from ..errors import InputError
-from ..scene import Finger, FingerCase, Placement, Scene
+from ..scene import Finger, FingerCase, Led, Photodiode, Placement, Scene
 from ..scene.layout import Rectangle, lay_out
 
 Places = Sequence[tuple[float, float]]
@@ -64,8 +64,18 @@ def base_board(scene: Scene) -> Scene:
     return scene.model_copy(update={"board": board.model_copy(update=update), "placement": None})
 
 
-def with_parts(base: Scene, leds_mm: Places, photodiodes_mm: Places, *, name: str) -> Scene:
+def with_parts(
+    base: Scene,
+    leds_mm: Places,
+    photodiodes_mm: Places,
+    *,
+    name: str,
+    leds_turned: Sequence[bool] = (),
+    photodiodes_turned: Sequence[bool] = (),
+) -> Scene:
     """The board with its LEDs and photodiodes at places on the nail; photodiodes are all like the scene's first.
+
+    leds_turned, photodiodes_turned : which of them lie turned by 90 degrees; none if not given.
 
     Raises: InputError where the layout is impossible.
     """
@@ -76,16 +86,25 @@ def with_parts(base: Scene, leds_mm: Places, photodiodes_mm: Places, *, name: st
     def on_board(place: tuple[float, float]) -> tuple[float, float]:
         return place[0] - du, place[1] - dv
 
+    def size(part: Led | Photodiode, turned: Sequence[bool], i: int) -> tuple[float, float]:
+        return part.size_mm[::-1] if turned and turned[i] else part.size_mm
+
     pattern = base.photodiodes[0].model_copy(update={"array": None, "wired": None, "elements": 1, "pitch_mm": None})
     scene = base.model_copy(
         update={
             "leds": tuple(
-                led.model_copy(update={"position_mm": on_board(place)})
-                for led, place in zip(base.leds, leds_mm, strict=True)
+                led.model_copy(update={"position_mm": on_board(place), "size_mm": size(led, leds_turned, i)})
+                for i, (led, place) in enumerate(zip(base.leds, leds_mm, strict=True))
             ),
             "photodiodes": tuple(
-                pattern.model_copy(update={"name": f"PD{i}", "position_mm": on_board(place)})
-                for i, place in enumerate(photodiodes_mm, start=1)
+                pattern.model_copy(
+                    update={
+                        "name": f"PD{i + 1}",
+                        "position_mm": on_board(place),
+                        "size_mm": size(pattern, photodiodes_turned, i),
+                    }
+                )
+                for i, place in enumerate(photodiodes_mm)
             ),
         }
     )

@@ -12,11 +12,14 @@ from ..scene import Scene, parse_scene, to_toml
 from ..scene.kicad import PlacedPart
 from ..scene.layout import lay_out
 from . import place_merit as merit
-from .place_light import View, jackknife
+from .place_light import View, jackknife, left_out
 
 if TYPE_CHECKING:
     from .place import Judged, Layout
     from .place_search import Spot
+
+# Spacing of the places at which one more photodiode is looked at.
+PLACES_MM = 0.2
 
 
 def as_dataset(
@@ -96,20 +99,7 @@ def as_dataset(
     )
     plane = map_dataset([led.name for led in scene.leds], maps)
     result = result.merge(plane).merge(closer)
-    at, amplifier = views[0].at, layouts[0].scene.electronics
-    entry = layouts[0].scene.photodiodes[0]
-    area = entry.size_mm[0] * entry.size_mm[1]
-    tells, noise = [], []
-    for led, one_map in zip(layouts[0].scene.leds, maps, strict=True):
-        density = np.moveaxis(one_map.per_mm2()[0], 0, -1) * area
-        read = merit.volts(density, led, entry, amplifier, at)
-        with np.errstate(divide="ignore"):
-            tells.append(merit.known_split_n(merit.information(read), at))
-        noise.append(np.sqrt(read.noise_v2))
-    text = "force resolution of one photodiode with the light of this place all over it, split known"
-    result["place_resolution_n"] = (("led", "u", "v"), np.array(tells), {"units": "N", "long_name": text})
-    text = "noise of such a photodiode in one sample, rms"
-    result["place_noise_v"] = (("led", "u", "v"), np.array(noise), {"units": "V", "long_name": text})
+    result = result.merge(_photodiode_anywhere(layouts[0].scene, maps, views[0].at))
     result.attrs = (
         provenance(
             scene,
@@ -121,8 +111,45 @@ def as_dataset(
         | {"title": "nailoptics: layouts ranked by force resolution"}
         | attributes
         | closer.attrs
+        | {"adc_range_v": layouts[0].scene.electronics.adc_range_v}
     )
     return result
+
+
+def _photodiode_anywhere(scene: Scene, maps: Sequence[PhotonMap], at: merit.Operating) -> xr.Dataset:
+    """What one more photodiode would read by itself, wherever it lies on the board."""
+    entry, outline = scene.photodiodes[0], maps[0].outline
+    half_u, half_v = (size / 2 for size in entry.size_mm)
+    axes = [
+        np.arange(low + half, high - half + 1e-9, PLACES_MM)
+        for low, high, half in (
+            (outline.u_min, outline.u_max, half_u),
+            (outline.v_min, outline.v_max, half_v),
+        )
+    ]
+    u, v = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
+    areas, shape = np.column_stack([u - half_u, u + half_u, v - half_v, v + half_v]), [len(axis) for axis in axes]
+    columns: dict[str, list[np.ndarray]] = {"noise_v": [], "resolution_n": [], "resolution_n_stderr": []}
+    for led, one in zip(scene.leds, maps, strict=True):
+        read = merit.volts(left_out(one.over(areas)), led, entry, scene.electronics, at)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            tells = merit.known_split_n(merit.information(read), at)
+            error = tells[0] * jackknife(np.log(tells))
+        for name, column in zip(columns, (np.sqrt(read.noise_v2[0]), tells[0], error), strict=True):
+            columns[name].append(column.reshape(shape))
+    text = "force resolution of one photodiode centred there by itself, split known"
+    texts = {
+        "noise_v": ("V", "noise of one photodiode centred there in one sample, rms"),
+        "resolution_n": ("N", text),
+        "resolution_n_stderr": ("N", f"standard error: {text}"),
+    }
+    data: dict[str, Any] = {
+        f"place_{name}": (("led", "place_u", "place_v"), column, {"units": texts[name][0], "long_name": texts[name][1]})
+        for name, column in columns.items()
+    }
+    data["place_resolution_n"][2]["ancillary_variables"] = "place_resolution_n_stderr"
+    about = {"units": "mm", "long_name": "centre of the photodiode"}
+    return xr.Dataset(data, coords={"place_u": ("place_u", axes[0], about), "place_v": ("place_v", axes[1], about)})
 
 
 def _first(read: merit.Volts) -> merit.Volts:
@@ -203,6 +230,8 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
         row |= {"tied": tied and int(result.tied.sum()) > 1} | {name: float(result[name][i]) for name in named}
         row["condition_number"] = float(result.condition_number[i].max())
         row["known_split_n"] = float(result.known_split_n[i].max())
+        for name in result.pressure.values:
+            row[f"{name}_pressure_pa"] = float(result.pressure_resolution_pa[i].sel(pressure=name).max())
         out.append(row)
     return out
 
@@ -219,14 +248,23 @@ def gain(result: xr.Dataset) -> tuple[float, float] | None:
     return float(ratio), float(spread)
 
 
-def kicad_parts(scene: Scene) -> list[PlacedPart]:
-    """A layout's LEDs and photodiodes as lines of a KiCad position file, all on the bottom, which faces the nail."""
-    layout = lay_out(scene)
-    parts = []
-    for i, (led, area) in enumerate(zip(scene.leds, layout.leds, strict=True), start=1):
-        parts.append(PlacedPart(f"D{i}", led.part or led.name, "LED_die", area.center_mm, 0.0, "bottom"))
+def kicad_parts(scene: Scene, like: Scene) -> list[PlacedPart]:
+    """A layout's LEDs and photodiodes as lines of a KiCad position file, all on the bottom, which faces the nail.
+
+    like : the scene that was asked, whose parts lie as at a rotation of 0.
+    """
+    layout, parts = lay_out(scene), []
+
+    def rotation(size: tuple[float, float], usual: tuple[float, float]) -> float:
+        return 90.0 if size != usual and size == usual[::-1] else 0.0
+
+    for i, (led, usual, area) in enumerate(zip(scene.leds, like.leds, layout.leds, strict=False), start=1):
+        turn = rotation(led.size_mm, usual.size_mm)
+        parts.append(PlacedPart(f"D{i}", led.part or led.name, "LED_die", area.center_mm, turn, "bottom"))
     for i, element in enumerate(layout.photodiodes, start=1):
-        width, length = scene.photodiodes[element.entry].size_mm
+        size = scene.photodiodes[element.entry].size_mm
+        turn = rotation(size, like.photodiodes[0].size_mm)
+        width, length = size[::-1] if turn else size
         package = f"PD_{width:g}x{length:g}mm"
-        parts.append(PlacedPart(f"PD{i}", element.area.name, package, element.area.center_mm, 0.0, "bottom"))
+        parts.append(PlacedPart(f"PD{i}", element.area.name, package, element.area.center_mm, turn, "bottom"))
     return parts

@@ -1,0 +1,323 @@
+"""Figures of a placement: the ranking, maps on the board, where each photodiode looks, and places of the LED."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+
+from ..scene import Scene
+from ..scene.layout import Layout, Rectangle, lay_out
+from . import maps, style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SHOWN = 20
+SMOOTH_CELLS = 2.0
+# The densest places that hold so much of what a photodiode sees are outlined.
+HELD = 0.5
+# A resolution whose relative error is larger is left blank: few photons make it look finer than it is.
+KNOWN = 0.25
+# Light that is so much less than the brightest is not told apart.
+DIMMEST = 3e4
+
+
+def ranking_figure(result: xr.Dataset) -> "Figure":
+    """Layouts with their intervals, best on top."""
+    count = min(result.sizes["layout"], SHOWN)
+    with style.drawing():
+        figure = style.new_figure(7.2, 0.9 + 0.32 * count)
+        axes = figure.subplots()
+        for i in range(count):
+            low, high = (1e3 * float(result[f"force_resolution_{end}_n"][i]) for end in ("low", "high"))
+            colour = style.ZONES[0] if str(result.layout.values[i]) == "paper" else style.ZONES[1]
+            axes.plot([low, high], [i, i], color=colour, lw=2.2, solid_capstyle="butt")
+            fill = colour if bool(result.tied[i]) else "none"
+            axes.plot([1e3 * float(result.force_resolution_n[i])], [i], "o", mfc=fill, mec=colour, ms=6)
+            each = 1e3 * result.finger_resolution_n.values[i]
+            axes.plot(each, [i] * len(each), "|", color=style.MUTED, ms=9, mew=1.0, zorder=1)
+        names = [style.plain(name).replace("_", " ") for name in result.layout.values[:count]]
+        axes.set_yticks(range(count), names)
+        axes.set_ylim(count - 0.5, -0.5)
+        if 1e3 * float(result.force_resolution_high_n[:count].max()) > 8e3 * float(result.force_resolution_n[0]):
+            axes.set_xscale("log")
+        else:
+            axes.set_xlim(left=0)
+        axes.set_xlabel("force resolution [mN]")
+    return figure
+
+
+def board_figure(scene: Scene, result: xr.Dataset) -> "Figure":
+    """The best layout from above."""
+    names = [e.area.name for e in lay_out(scene).photodiodes]
+    shown = xr.Dataset(coords={"led": [led.name for led in scene.leds], "photodiode": names})
+    with style.drawing():
+        figure = style.new_figure(9.2, 6.4)
+        axes = figure.subplots()
+        maps.draw_top_view(axes, scene, shown)
+        # Boards may be as wide as the nail, and their labels want room beside it.
+        low, high = axes.get_xlim()
+        axes.set_xlim(low - 2.6, high + 1.2)
+    return figure
+
+
+def map_figure(scene: Scene, result: xr.Dataset) -> "Figure":
+    """Light and its direct part, and noise and resolution of one photodiode, over the board."""
+    light, direct = (_smooth(result[name].isel(led=0).to_numpy()) for name in ("irradiance", "direct"))
+    noise = 1e6 * result.place_noise_v.isel(led=0).to_numpy()
+    tells = 1e3 * _known(result, "place_resolution_n")
+    panels = (
+        ("Light [1/mm²]", "u", light, "viridis", _bright(light)),
+        ("Never in the bed [1/mm²]", "u", direct, "viridis", _bright(direct)),
+        ("Noise of a photodiode [µV]", "place_u", noise, "viridis", (noise.min(), noise.max())),
+        ("Resolves by itself [mN]", "place_u", tells, "viridis_r", _fine(tells)),
+    )
+    with style.drawing():
+        figure = style.new_figure(9.2, 8.4)
+        for axes, (title, u, values, colours, span) in zip(figure.subplots(2, 2).flat, panels, strict=True):
+            _plane(axes, result, u, values, colours, span, even=values is noise)
+            axes.set_title(title)
+            _parts(axes, scene)
+            axes.set_xlim(*_extent(result)[:2])
+            axes.set_ylim(*_extent(result)[2:])
+    return figure
+
+
+def _known(result: xr.Dataset, name: str) -> np.ndarray:
+    """Values of the first LED where photons enough stand behind them, nan elsewhere."""
+    value, error = (result[f"{name}{end}"].isel(led=0).to_numpy() for end in ("", "_stderr"))
+    with np.errstate(invalid="ignore"):
+        return np.where((error > 0) & (error < KNOWN * value), value, np.nan)
+
+
+def _bright(light: np.ndarray) -> tuple[float, float]:
+    """From the dimmest that is told apart to the brightest."""
+    top = float(light.max()) or 1.0
+    return top / DIMMEST, top
+
+
+def _fine(tells: np.ndarray) -> tuple[float, float]:
+    """From the finest resolution to a hundred times as much."""
+    finest = float(np.nanmin(tells)) if np.isfinite(tells).any() else 1.0
+    return finest, 100 * finest
+
+
+def _plane(
+    axes: "Axes",
+    result: xr.Dataset,
+    u: str,
+    values: np.ndarray,
+    colours: str,
+    span: tuple[float, float],
+    *,
+    even: bool = False,
+) -> None:
+    """A map with contours and the bar of its colours; blank where nothing is known.
+
+    u : name of the coordinate across; that along has v in its place.
+    span : lowest and highest value that is told apart, on a logarithmic or an even scale.
+    """
+    from matplotlib.colors import LogNorm, Normalize
+
+    across, along = result[u].to_numpy(), result[u.replace("u", "v")].to_numpy()
+    norm, levels = (Normalize(*span), np.linspace(*span, 9)) if even else (LogNorm(*span), np.geomspace(*span, 9))
+    shown = np.clip(values, *span)
+    image = axes.imshow(shown.T, extent=_around(across, along), origin="lower", cmap=colours, norm=norm)
+    if min(shown.shape) > 1:
+        axes.contour(across, along, shown.T, levels=levels[1:-1], colors=["#ffffff"], linewidths=0.5, alpha=0.7)
+    axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02)
+
+
+def sensitivity_figure(scene: Scene, result: xr.Dataset) -> "Figure":
+    """Fall of the light with the blood of either zone, relative to the light there."""
+    with style.drawing():
+        figure = style.new_figure(9.2, 4.7)
+        light = _smooth(result.irradiance.isel(led=0).to_numpy())
+        # Where few photons came, the ratio is noise and is left blank.
+        light[_smooth(result.irradiance_stderr.isel(led=0).to_numpy()) > 0.7 * light] = np.nan
+        each = [_smooth(-result.sensitivity.isel(led=0, blood_zone=k).to_numpy()) for k in range(2)]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            fall = [np.where(light > 0, one / light, np.nan) for one in each]
+        top = float(np.nanquantile(np.stack(fall), 0.99))
+        for axes, values, title in zip(
+            figure.subplots(1, 2), fall, ("Proximal blood [%/%]", "Distal blood [%/%]"), strict=True
+        ):
+            image = axes.imshow(
+                np.clip(values, 0, top).T, extent=_extent(result), origin="lower", cmap="magma", vmin=0, vmax=top
+            )
+            axes.contour(
+                result.u, result.v, values.T, levels=np.linspace(0, top, 7)[1:-1], colors=["#ffffff"], linewidths=0.5
+            )
+            figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02)
+            axes.set_title(title)
+            _parts(axes, scene)
+    return figure
+
+
+def tried_figure(result: xr.Dataset) -> "Figure":
+    """Places of the LED by what the search found there."""
+    from matplotlib.colors import LogNorm
+
+    with style.drawing():
+        figure = style.new_figure(9.2, 4.8)
+        axes = figure.subplots()
+        place, found = result.led_tried_mm.to_numpy(), 1e3 * result.led_tried_n.to_numpy()
+        norm = LogNorm(found.min(), max(found.max(), 1.001 * found.min()))
+        marks = {"left": ">", "right": "<", "below": "^", "above": "v"}
+        sides = [str(side) for side in result.led_tried_side.values]
+        for side in dict.fromkeys(sides):
+            at = np.array([s == side for s in sides])
+            shift = {"left": (0.12, 0), "right": (-0.12, 0), "below": (0, 0.12), "above": (0, -0.12)}.get(side, (0, 0))
+            image = axes.scatter(
+                place[at, 0] + shift[0],
+                place[at, 1] + shift[1],
+                c=found[at],
+                norm=norm,
+                cmap="viridis_r",
+                marker=marks.get(side, "o"),
+                s=46,
+                edgecolors=style.MUTED,
+                linewidths=0.4,
+            )
+        figure.colorbar(image, ax=axes, label="force resolution [mN]")
+        left, right, low, high = _extent(result)
+        axes.set_xlim(left, right)
+        axes.set_ylim(low, high)
+        axes.set_aspect("equal")
+        axes.set_xlabel("across the nail [mm]")
+        axes.set_ylabel("along the nail, towards the tip [mm]")
+    return figure
+
+
+def banana_figure(scene: Scene, result: xr.Dataset) -> "Figure":
+    """Where under the nail each photodiode looks: cut lengthwise, and the bed from above."""
+    assert scene.finger is not None
+    finger, layout = scene.finger, lay_out(scene)
+    plate = finger.nail_thickness_mm
+    bed = (plate, plate + finger.bed_thickness_mm)
+    seen = (result.depth_sensitivity.isel(led=0) * result.cell_volume_mm3).transpose(..., "under_u", "under_v", "depth")
+    in_bed = seen.where((result.depth > bed[0]) & (result.depth < bed[1]), 0.0)
+    v, u, depth = (result[name].to_numpy() for name in ("under_v", "under_u", "depth"))
+    cut, above = seen.sum("under_u").to_numpy(), in_bed.sum("depth").to_numpy()
+    with style.drawing():
+        figure = style.new_figure(9.2, 8.4)
+        section, plan = figure.subplots(2, 1, gridspec_kw={"height_ratios": [2.6, 4.6]})
+        section.axhspan(0, bed[0], color=maps.TISSUE["plate"], lw=0, zorder=0)
+        section.axhspan(*bed, color=maps.TISSUE["bed"], lw=0, zorder=0)
+        section.axhspan(bed[1], depth[-1], color=maps.TISSUE["bone"], lw=0, zorder=0)
+        for name, place in (("plate", bed[0] / 2), ("bed", sum(bed) / 2), ("below", (bed[1] + depth[-1]) / 2)):
+            section.text(v[0] + 0.1, place, name, fontsize=8, color=style.DARK_INK, va="center", zorder=6)
+        colours = _colours(layout)
+        _bananas(section, v, depth, cut, colours)
+        for colour, j in colours:
+            area = layout.photodiodes[j].area
+            section.plot([area.v_min, area.v_max], [-0.12] * 2, color=colour, lw=5, solid_capstyle="butt")
+        section.plot([layout.leds[0].center_mm[1]], [-0.32], "v", color=maps.LED, mec=style.DARK_INK, mew=0.7, ms=8)
+        section.set_xlim(v[0], v[-1])
+        section.set_ylim(depth[-1], -0.5)
+        section.set_aspect("equal")
+        section.set_xlabel("along the nail, towards the tip [mm]")
+        section.set_ylabel("depth [mm]")
+        section.set_title("Cut lengthwise, summed over the width")
+        _bananas(plan, v, u, above.transpose(0, 2, 1), colours)
+        _parts(plan, scene, turned=True)
+        plan.set_xlim(v[0], v[-1])
+        plan.set_ylim(u[0], u[-1])
+        plan.set_aspect("equal")
+        plan.set_title("The bed from above, summed over its depth")
+        for axes in (section, plan):
+            axes.grid(False)
+    return figure
+
+
+def _colours(layout: Layout) -> list[tuple[str, int]]:
+    """Colour and index of each photodiode, from the most proximal to the most distal."""
+    centers = [e.area.center_mm for e in layout.photodiodes]
+    order = sorted(range(len(centers)), key=lambda j: centers[j][::-1])
+    return list(zip(style.place_colours(len(order)), order, strict=True))
+
+
+def _bananas(axes: "Axes", x: np.ndarray, y: np.ndarray, each: np.ndarray, colours: list[tuple[str, int]]) -> None:
+    """Where all photodiodes look, and the densest places that hold half of what each of them sees.
+
+    each : (photodiodes, x, y) float. What each sees in each cell.
+    """
+    from matplotlib.colors import to_rgb
+    from scipy.ndimage import gaussian_filter
+
+    shares = [gaussian_filter(one / max(one.sum(), 1e-300), 1.0) for one in each]
+    whole = np.mean(shares, axis=0)
+    whole /= whole.max()
+    shade = np.zeros((*whole.T.shape, 4))
+    shade[..., :3] = to_rgb(style.DARK_INK)
+    shade[..., 3] = 0.7 * np.clip(1 + np.log10(np.maximum(whole.T, 1e-9)) / maps.DECADES, 0, 1)
+    axes.imshow(shade, extent=_around(x, y), origin="lower", zorder=2, interpolation="bilinear")
+    for colour, j in colours:
+        flat = np.sort(shares[j].ravel())[::-1]
+        level = flat[np.searchsorted(np.cumsum(flat), HELD * flat.sum())]
+        if shares[j].min() < level < shares[j].max():
+            axes.contour(x, y, shares[j].T, levels=[level], colors=[colour], linewidths=1.5, zorder=4)
+
+
+def led_figure(scene: Scene, result: xr.Dataset) -> "Figure":
+    """What the photodiodes as they are would resolve with the LED elsewhere, by light that was traced from them."""
+
+    light = result.led_place_fraction.isel(led=0).sum("best_photodiode").to_numpy()
+    tells = 1e3 * _known(result, "led_place_resolution_n")
+    # What is much worse than the finest is only what was known before any reading.
+    tells = np.where(tells < _fine(tells)[1], tells, np.nan)
+    panels = (
+        ("Light on all photodiodes [of the LED's]", light, "viridis", _bright(light)),
+        ("Resolves with the LED here [mN]", tells, "viridis_r", _fine(tells)),
+    )
+    with style.drawing():
+        figure = style.new_figure(9.2, 4.7)
+        for axes, (title, values, colours, span) in zip(figure.subplots(1, 2), panels, strict=True):
+            _plane(axes, result, "led_u", values, colours, span)
+            axes.set_title(title)
+            _parts(axes, scene)
+    return figure
+
+
+def _parts(axes: "Axes", scene: Scene, *, turned: bool = False) -> None:
+    """Outline the layout's parts over a map, its tip upwards, or turned to the right."""
+    from matplotlib.patches import Rectangle as Patch
+
+    def patch(r: Rectangle, **look: Any) -> None:
+        low, size = (r.u_min, r.v_min), (r.u_max - r.u_min, r.v_max - r.v_min)
+        low, size = (low[::-1], size[::-1]) if turned else (low, size)
+        axes.add_patch(Patch(low, *size, zorder=3, **look))
+
+    layout = lay_out(scene)
+    for r in layout.barriers:
+        patch(r, fc=maps.BARRIER, lw=0)
+    boxes: list[tuple[Any, str]] = [(e.area, "none") for e in layout.photodiodes]
+    boxes += [(led, maps.LED) for led in layout.leds]
+    for r, fill in boxes:
+        for colour, width in (("#ffffff", 1.8), (style.DARK_INK, 0.8)):
+            patch(r, fc=fill, ec=colour, lw=width)
+    axes.grid(False)
+    axes.set_xlabel("along the nail, towards the tip [mm]" if turned else "across [mm]")
+    axes.set_ylabel("across [mm]" if turned else "along, to the tip [mm]")
+
+
+def _smooth(values: np.ndarray) -> np.ndarray:
+    """A map without the grain of single photons; what is not finite counts as nothing known."""
+    from scipy.ndimage import gaussian_filter
+
+    known = np.isfinite(values)
+    weight = gaussian_filter(known.astype(float), SMOOTH_CELLS)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(weight > 0.05, gaussian_filter(np.where(known, values, 0.0), SMOOTH_CELLS) / weight, np.nan)
+
+
+def _extent(result: xr.Dataset) -> tuple[float, float, float, float]:
+    """Edges of the board."""
+    return _around(result.u.to_numpy(), result.v.to_numpy())
+
+
+def _around(u: np.ndarray, v: np.ndarray) -> tuple[float, float, float, float]:
+    """Edges of cells, from their middles."""
+    du, dv = ((x[1] - x[0]) / 2 if len(x) > 1 else 0.5 for x in (u, v))
+    return float(u[0] - du), float(u[-1] + du), float(v[0] - dv), float(v[-1] + dv)

@@ -1,0 +1,92 @@
+"""Light from outside: spectra with the luminous efficacy they must have, and a sky that the other engine shines."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nailoptics import geometry
+from nailoptics.light import backend, media, volpath, volpath_scene
+from nailoptics.light.map import Arrivals, BoardTracer
+from nailoptics.scene import parse_scene
+from nailoptics.studies.ambient import SOURCES, Ambient, collecting_area_mm2, luminous_efficiency, photocurrents_a
+
+SCENE = """
+schema_version = 1
+[finger]
+[board]
+size_mm = [7.0, 7.0]
+barrier = false
+cover_um = {cover}
+[[leds]]
+name = "ir"
+wavelength_nm = 800.0
+position_mm = [-2.5, 0.5]
+[[photodiodes]]
+name = "pd"
+position_mm = [1.0, -0.5]
+size_mm = [1.5, 1.5]
+"""
+
+
+@pytest.mark.parametrize(("kelvin", "lumens_per_watt"), [(5800.0, 93.0), (2800.0, 15.0), (7000.0, 95.0)])
+def test_black_bodies_shine_with_their_luminous_efficacy(kelvin, lumens_per_watt):
+    """Efficacies of ideal black bodies as tables of photometry list them, rounded to whole lm/W."""
+    wavelength = np.arange(100.0, 60_000.0)
+    total = np.trapezoid(Ambient("one", kelvin, 1e5).irradiance(wavelength), wavelength)
+    assert 1e5 / total == pytest.approx(lumens_per_watt, abs=1.0)
+
+
+def test_the_eye_sees_as_the_standard_observer_does():
+    """CIE 1924: V = 1 at 555, 0.323 at 500, 0.107 at 650 nm."""
+    assert np.allclose(luminous_efficiency([500.0, 555.0, 650.0]), [0.323, 1.0, 0.107], atol=0.012)
+
+
+def test_silicon_in_the_open_gives_the_short_circuit_current_of_full_sun():
+    """A photodiode of 1 mm^2 in air whose light all leaves collects 1 mm^2 of sky.
+
+    A silicon cell of perfect efficiency gives 44 mA/cm^2 in the standard sun of 1000 W/m^2, 110 klux, and air takes
+    parts out of the sun's infrared that a black body has: 0.40 mA/mm^2 at 100 klux, within 15 %.
+    """
+    scene = parse_scene(SCENE.format(cover=500)).model_copy()
+    scene = scene.model_copy(update={"light": scene.light.model_copy(update={"index_steps": False})})
+    absorbers = len(media.absorbers(scene))
+    all_left = Arrivals(10, np.arange(10), np.zeros((10, 2)), np.ones(10), np.zeros((10, absorbers), np.float32))
+    each = photocurrents_a(all_left, scene, SOURCES[0], traced_nm=800.0, quantum_efficiency=1.0, area_mm2=1.0)
+    assert each.sum() == pytest.approx(0.40e-3, rel=0.15)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cover", [500, 0])
+def test_a_sky_of_the_other_engine_brings_what_reciprocity_foretells(jit_backend, cover):
+    """Rationale: what leaves the finger from the photodiode, times n^2 A E, must be what volpath collects of a sky.
+
+    volpath's sky has radiance 1 from all sides, irradiance pi; its irradiance meter in the epoxy counts the n^2.
+    Expected: agreement within 4 combined standard errors, of at most 5 %, with and without the cover.
+    """
+    scene = parse_scene(SCENE.format(cover=cover))
+    tracer = BoardTracer(scene)
+    each = []
+    for seed in range(4):
+        _, left = tracer.back(0, 0, photons=1 << 18, seed=seed)
+        each.append(left.weight.sum() / left.photons)
+    shape = tracer.tracer.shape
+    optics = media.finger_media(scene, shape.regions, 800.0)
+    n = optics.n[shape.regions.index("epoxy")]
+    area = shape.photodiodes[0].area_mm2
+    ours = collecting_area_mm2(np.mean(each), area_mm2=area, n=n)
+    error = collecting_area_mm2(np.std(each, ddof=1) / 2, area_mm2=area, n=n)
+    low, high = np.asarray(shape.bounds_mm)[:, 1]
+    v = np.linspace(low - 0.2, high + 0.2, 101)
+    bed = volpath.BedAbsorption(v, np.full((1, len(v)), optics.mu_a[shape.regions.index("bed")]))
+    with volpath._mitsuba(backend.choose("auto")) as mi, tempfile.TemporaryDirectory() as folder:
+        sensor = shape.photodiodes[0].region
+        made = volpath_scene.finger_scene(mi, shape, optics, bed, sensor=sensor, emitters={}, folder=Path(folder))
+        made["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}
+        loaded = mi.load_dict(made, optimize=False)
+        theirs = np.array([volpath._render(mi, loaded, paths=1 << 14, seed=s)[0] for s in range(30)]) * area / np.pi
+    spread = theirs.std(ddof=1) / np.sqrt(len(theirs))
+    assert abs(theirs.mean() - ours) < 4 * np.hypot(error, spread), (theirs.mean(), spread, ours, error)
+    assert error < 0.05 * ours and spread < 0.05 * ours
+    assert geometry.check(shape, crossings=10_000).passed
