@@ -153,7 +153,7 @@ def _section(scene: Scene, shape: Geometry, seed: int, *, traced: bool) -> xr.Da
     if traced:
         from .mesh import MeshTracer, Section
 
-        tracer = MeshTracer(scene, shape)
+        tracer = MeshTracer(scene, shape, spacing_mm=0.2)  # few photons: distances of 0.1 mm would take longer
         density = []
         for led in range(len(scene.leds)):
             section = Section(y, z)
