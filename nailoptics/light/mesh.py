@@ -1,5 +1,6 @@
 """The photon walk through a finger: scattering between interfaces, and rays only where one may be met."""
 
+from functools import lru_cache
 from typing import Any
 
 import drjit as dr
@@ -7,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 
 from .. import geometry
-from ..geometry import Face, Geometry
+from ..geometry import DistanceGrid, Face, Geometry
 from ..scene import Scene
 from . import media
 from .arrivals import Recorder
@@ -44,6 +45,24 @@ FREE_EVENTS = 6
 OVER_BED = ("plate", "epoxy")
 
 
+# What of a scene does not shape it.
+_SHAPELESS = {
+    name: Scene.model_fields[name].default
+    for name in ("blood", "touch", "electronics", "light", "accuracy", "placement")
+}
+
+
+@lru_cache(maxsize=2)
+def _shaped(scene: Scene, spacing_mm: float) -> tuple[Geometry, DistanceGrid]:
+    """A scene's shape and its distances, which take seconds; scenes that differ in optics have them in common."""
+    shape = geometry.build(scene)
+    return shape, _distances(shape, spacing_mm)
+
+
+def _distances(shape: Geometry, spacing_mm: float) -> DistanceGrid:
+    return geometry.distance_grid(shape, bounds_mm=_near_board(shape), spacing_mm=spacing_mm)
+
+
 class MeshTracer:
     """Traces the LEDs of a finger scene."""
 
@@ -52,13 +71,15 @@ class MeshTracer:
     def __init__(self, scene: Scene, shape: Geometry | None = None, *, spacing_mm: float = 0.1) -> None:
         """spacing_mm : cells of the distances; wider ones are made sooner and let light skip less. [mm]"""
         self.scene = scene
-        self.shape = geometry.build(scene) if shape is None else shape
+        if shape is None:
+            self.shape, distances = _shaped(scene.model_copy(update=_SHAPELESS), spacing_mm)
+        else:
+            self.shape, distances = shape, _distances(shape, spacing_mm)
         self.photodiodes = tuple(self.shape.regions[face.region].partition(":")[2] for face in self.shape.photodiodes)
         self.absorbers = media.absorbers(scene)
         self.mesh_scene = _mesh_scene(self.shape)
         self.triangles = _triangle_table(self.shape)
-        bounds = _near_board(self.shape)
-        self.grid = _Grid(geometry.distance_grid(self.shape, bounds_mm=bounds, spacing_mm=spacing_mm))
+        self.grid = _Grid(distances)
         self.regions = [_RegionTable(self, led.wavelength_nm) for led in scene.leds]
 
     def mu_a(self, led: int) -> np.ndarray:

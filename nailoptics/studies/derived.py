@@ -96,7 +96,7 @@ def ambient(scene: Scene, base: Look, swapped: Look, tolerance: float) -> Effect
     with np.errstate(divide="ignore"):
         ratio, error = (np.where(base.level > 0, x / (base.level * full[:, None]), np.inf) for x in current)
     found = _moved(ratio, np.hypot(error, ratio * base.relative_stderr))
-    text = f"{lamp.name} of {lamp.lux:g} lux on all sides"
+    text = f"{lamp.name} of {lamp.lux:g} lux on all sides; a reading with the LED off takes it away"
     return effect_of("ambient light", False, text, found, {}, tolerance, "derived", base)
 
 

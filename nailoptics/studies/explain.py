@@ -141,7 +141,7 @@ def explain(
             found = difference(base, tracing.look(revised(scene, left)))
             together = effect_of(TOGETHER, True, "left out", found, left, limit, "retraced", base)
     except NotReachedError as error:
-        unmet = f"{error} {len(effects)} effects were measured before."
+        unmet = f"{error} ({len(effects)} effects were measured before)"
     effects.sort(key=lambda e: -abs(e.typical))
     # What cannot be told stays as it is.
     told = [e for e in effects if (e.modelled and e.matters == "no") or (not e.modelled and e.matters == "yes")]

@@ -11,6 +11,7 @@ from ..errors import InputError, NotReachedError
 from ..light import Progress, Transfer, media, trace
 from ..light.common import apart
 from ..light.reread import course
+from ..light.tracing import INTERRUPTED
 from ..scene import Scene
 
 PILOT_PHOTONS = 1 << 17
@@ -114,8 +115,8 @@ class Tracing:
                     progress=self.progress,
                 )
             except NotReachedError as error:
-                if share is None or not isinstance(error.result, Transfer):
-                    raise
+                if not isinstance(error.result, Transfer) or str(error).startswith(INTERRUPTED):
+                    raise NotReachedError(str(error)) from None
                 pilot = error.result
             return max(led.photons for led in pilot.traces)
         assert self.max_seconds is not None
@@ -126,7 +127,11 @@ class Tracing:
 
     def _traced(self, scene: Scene, backend: str, *, photons: int) -> Look:
         begin = time.perf_counter()
-        transfer = trace(scene, photons=photons, seed=self.seed, backend=backend, progress=self._told)
+        try:
+            transfer = trace(scene, photons=photons, seed=self.seed, backend=backend, progress=self._told)
+        except NotReachedError as error:
+            # A part of one trace is of no use to those that are compared with it.
+            raise NotReachedError(str(error)) from None
         return read(transfer, max(time.perf_counter() - begin - transfer.wall_seconds, 0.0))
 
     def _told(self, p: Progress) -> None:

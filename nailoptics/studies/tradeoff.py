@@ -12,6 +12,7 @@ from ..errors import InputError, NotReachedError
 from ..light import Progress, Rest, media, read_rest
 from ..light import backend as backends
 from ..light.reread import course
+from ..light.tracing import INTERRUPTED
 from ..scene import Scene
 from .fits import Z95
 from .looks import Look, Tracing, checked, difference, end_states, error_of_ratio, pooled, reread
@@ -191,8 +192,8 @@ def tradeoff(
         for name in stock:
             measured.append(_stock(full, base, seed, name, volpath_seconds, tolerance, progress))
         batches = _batches(full, tracing)
-    except NotReachedError as error:
-        unmet, batches = f"{error} {len(measured)} levels were measured before.", {}
+    except (NotReachedError, KeyboardInterrupt) as error:
+        unmet, batches = f"{str(error) or INTERRUPTED} ({len(measured)} levels were measured before)", {}
     # The full model first among those that cost the same.
     measured.sort(key=lambda level: (level.cpu_seconds[0], level.name != REFERENCE))
     choice = _cheapest(measured)
@@ -334,7 +335,7 @@ def _stock(
     try:
         rest = read_rest(scene, seed=seed, backend=backend, progress=progress, **asked)
     except NotReachedError as error:
-        if not isinstance(error.result, Rest):
+        if not isinstance(error.result, Rest) or str(error).startswith(INTERRUPTED):
             raise
         rest = error.result
     shape = narrow.level.shape
@@ -364,7 +365,7 @@ def _stock(
 
 
 def _cheapest(measured: list[Level]) -> Level:
-    """The cheapest proven level; but the scene itself, or else the full model, where that costs as little within noise."""
+    """The cheapest proven level; the scene itself, else the full model, where that costs as little within noise."""
     proven = {level.name: level for level in measured if level.proven}
     usual, first = proven.get(OWN, proven[REFERENCE]), next(iter(proven.values()))
     return first if first.cpu_seconds[0] < (1 - COST_NOISE) * usual.cpu_seconds[0] else usual

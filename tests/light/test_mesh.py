@@ -7,7 +7,7 @@ import nailoptics as nail
 from nailoptics import geometry
 from nailoptics.assets import data_dir
 from nailoptics.light import backend, media, volpath, volpath_states
-from nailoptics.light.mesh import MeshTracer, Section
+from nailoptics.light.mesh import _SHAPELESS, MeshTracer, Section
 from nailoptics.scene import Scene, load_scene
 
 
@@ -180,3 +180,15 @@ def test_the_sections_path_density_adds_up_to_the_paths_of_all_light(jit_backend
     at = np.unravel_index(density.argmax(), density.shape)
     led = np.asarray(shape.leds[0].quads).reshape(-1, 3)
     assert abs(y[at[0]] - led[:, 1].mean()) < 0.5 and abs(z[at[1]] - led[:, 2].mean()) < 0.5
+
+
+def test_scenes_that_differ_in_optics_have_their_shape_in_common():
+    """Expected: what the cache of shapes leaves aside changes no triangle; what shapes the finger is not left aside."""
+    scene = prototype()
+    light = scene.light.model_copy(update={"index_steps": False, "left_out": ("bone",), "bed_scattering": 2.0})
+    blood = scene.blood.model_copy(update={"zone_edges_mm": (1.0,), "rest_blood_fraction": 0.1})
+    other = scene.model_copy(update={"light": light, "blood": blood})
+    one, two = (geometry.build(s) for s in (scene, other))
+    assert np.array_equal(one.vertices, two.vertices) and np.array_equal(one.triangles, two.triangles)
+    assert one.regions == two.regions
+    assert {"finger", "board", "leds", "photodiodes"}.isdisjoint(_SHAPELESS)

@@ -15,10 +15,10 @@ from nailoptics.studies import derived
 from nailoptics.studies.effects import Effect
 from nailoptics.studies.explain import Explanation, _merged, explain
 from nailoptics.studies.looks import UNSEEN, Tracing, difference, read, reread
-from nailoptics.studies.variants import ONE_WAVELENGTH, PART_WIDTH, changes_between, lines_of, revised
+from nailoptics.studies.variants import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, lines_of, revised
 
 TEXT = (data_dir("scenes") / "prototype.toml").read_text(encoding="utf-8")
-WHOLE = {"light": {"left_out": []}, "finger": {"length_mm": 20.0}} | PART_WIDTH
+WHOLE: Changes = {"light": {"left_out": []}, "finger": {"length_mm": 20.0}, **PART_WIDTH}
 
 
 def prototype() -> Scene:
@@ -196,3 +196,13 @@ def test_an_interrupt_keeps_the_effects_that_were_measured(jit_backend):
     assert isinstance(result, Explanation)
     names = [e.name for e in result.effects]
     assert "light back from the pulp" in names and "index steps" in names and "barrier" not in names
+
+
+@pytest.mark.jit
+def test_an_interrupt_of_the_scenes_own_trace_leaves_nothing(jit_backend):
+    def stop(p):
+        raise KeyboardInterrupt
+
+    with pytest.raises(NotReachedError, match="interrupted") as caught:
+        explain(prototype(), photons=8192, progress=stop)
+    assert caught.value.result is None

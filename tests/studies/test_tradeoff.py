@@ -10,7 +10,7 @@ import pytest
 
 from nailoptics import cli, load_scene
 from nailoptics.assets import data_dir
-from nailoptics.errors import InputError
+from nailoptics.errors import InputError, NotReachedError
 from nailoptics.report import tradeoff_page
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.studies import looks
@@ -23,7 +23,7 @@ def prototype() -> Scene:
     return load_scene(data_dir("scenes") / "prototype.toml")
 
 
-def level(name: str, **changes) -> Level:
+def level(name: str, **changes: Any) -> Level:
     values: dict[str, Any] = {
         "backend": "llvm",
         "changes": {},
@@ -147,6 +147,20 @@ def test_what_has_no_levels_is_one_line():
         tradeoff(load_scene(data_dir("scenes") / "phantom.toml"))
     with pytest.raises(InputError, match="tolerance"):
         tradeoff(prototype(), tolerance=0.0)
+
+
+@pytest.mark.jit
+def test_an_interrupt_keeps_the_levels_that_were_measured(jit_backend):
+    def stop(p):
+        if "trace 2 " in p.led:
+            raise KeyboardInterrupt
+
+    with pytest.raises(NotReachedError, match="interrupted") as caught:
+        tradeoff(prototype(), photons=8192, progress=stop)
+    result = caught.value.result
+    assert isinstance(result, Tradeoff)
+    assert {REFERENCE, "Taylor (9)"} <= {one.name for one in result.levels} and result.choice.proven
+    assert "similarity" not in {one.name for one in result.levels}
 
 
 @pytest.mark.slow
