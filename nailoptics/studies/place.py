@@ -94,8 +94,8 @@ def place(
 
     Returns: Dataset over layout (best first), finger, photodiode and, for the best, the plane of the board.
 
-    Raises: InputError; NotReachedError, with the Dataset as result, where time ran out before the best was told apart
-    or the tolerance was met.
+    Raises: InputError; NotReachedError, with the Dataset as result, where time ran out or the user interrupted before
+    the best was told apart or the tolerance was met; interrupted, what is found so far is finished roughly.
     """
     if scene.finger is None:
         raise InputError("place needs a [finger] scene; a phantom has no board and no force.")
@@ -130,9 +130,8 @@ def place(
     order = sorted(range(len(layouts)), key=lambda i: float(judged[i].score_n[0]))
     layouts, judged = [layouts[i] for i in order], [judged[i] for i in order]
     maps = bank.maps(layouts[0].board)[0]
-    closer = look(
-        layouts[0].scene, views[0], photons=maps[0].photons, seed=seed, backend=backend, deadline=begin + limit
-    )
+    end = time.perf_counter() if told.interrupted else begin + limit
+    closer = look(layouts[0].scene, views[0], photons=maps[0].photons, seed=seed, backend=backend, deadline=end)
     told("check", 1.0, judged[0].relative_error, None)
     result = as_dataset(
         scene,
@@ -157,14 +156,25 @@ def place(
 
 
 class _Told:
-    """Progress of the stages as one callback hears it."""
+    """Progress of the stages as one callback hears it, and whether the user asked to end."""
 
     def __init__(self, progress: Callable[[Progress], None] | None, begin: float, limit: float) -> None:
-        self.progress, self.begin, self.limit = progress, begin, limit
+        self.progress, self.begin, self.limit, self.interrupted = progress, begin, limit, False
+        self.last: tuple[str, float, float, float | None] | None = None
 
     def __call__(self, stage: str, done: float, error: float, target: float | None) -> None:
-        if self.progress:
-            self.progress(Progress(stage, 0, error, target, min(1.0, done), time.perf_counter() - self.begin))
+        self.last = (stage, done, error, target)
+        if self.progress and not self.interrupted:
+            seconds = time.perf_counter() - self.begin
+            try:
+                self.progress(Progress(stage, 0, error, target, min(1.0, done), seconds))
+            except KeyboardInterrupt:
+                self.interrupted = True
+
+    def again(self) -> None:
+        """The same once more, because time has passed and the user may have asked to end."""
+        if self.last:
+            self(*self.last)
 
 
 def _operating(base: Scene, case: FingerCase, rules: Placement) -> merit.Operating:
@@ -231,8 +241,9 @@ def _searched(
     waiting, seen = search.spots(base, rules), set()
     while waiting:
         for i, spot in enumerate(waiting):
-            if results and time.perf_counter() > deadline:
-                log.warning("the search for LED places ran out of time after %d of them", len(results))
+            if results and (told.interrupted or time.perf_counter() > deadline):
+                why = "was interrupted" if told.interrupted else "ran out of time"
+                log.warning("the search for LED places %s after %d of them", why, len(results))
                 return _layouts(base, results), [(s, r[0]) for s, r in results.items()]
             attempt(spot, SEARCH_PHOTONS)
             seen.add(spot)
@@ -287,21 +298,22 @@ def _judge(
         for layout in layouts:
             members = share[digest(layout.board)]
             if layout.name == members[0] and names & set(members):
-                if all(photons.values()) and time.perf_counter() > deadline:
+                if all(photons.values()) and (told.interrupted or time.perf_counter() > deadline):
                     return False
                 bank.grow(layout.board, amount)
                 for name in members:
                     photons[name] += amount
+                told.again()
         return True
 
-    grow(set(photons), asked or JUDGE_PHOTONS)
+    grow(set(photons), SEARCH_PHOTONS if told.interrupted else asked or JUDGE_PHOTONS)
     while True:
         judged = [judge(layout, bank, rules.rank_by) for layout in layouts]
         best = min(range(len(layouts)), key=lambda i: float(judged[i].score_n[0]))
         tied = {layouts[i].name for i, one in enumerate(judged) if one.interval_n[0] <= judged[best].interval_n[1]}
         worst = max(one.relative_error for layout, one in zip(layouts, judged, strict=True) if layout.name in tied)
         told("judge", min(1.0, (wanted / worst) ** 2) if len(tied) > 1 else 1.0, worst, wanted)
-        if asked or len(tied) == 1 or worst <= wanted:
+        if (asked or len(tied) == 1 or worst <= wanted) and not told.interrupted:
             return judged, None
         undecided = {
             layout.name
@@ -309,8 +321,8 @@ def _judge(
             if layout.name in tied and one.relative_error > wanted
         }
         most = max(photons[name] for name in undecided)
-        if not grow(undecided, most // 2):
-            return judged, (
-                f"max_seconds ended with {len(tied)} layouts tied at relative error {worst:.3g}, {wanted:g} asked; "
-                "allow more time or ask for less."
-            )
+        left = f"{len(tied)} layouts tied at relative error {worst:.3g}, {wanted:g} asked"
+        if told.interrupted:
+            return judged, f"interrupted: {left}."
+        if not grow(undecided, most // 2) and not told.interrupted:
+            return judged, f"max_seconds ended with {left}; allow more time or ask for less."

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from nailoptics.cli import run
-from nailoptics.errors import InputError
+from nailoptics.errors import InputError, NotReachedError
 from nailoptics.light.map import Arrivals, PhotonMap
 from nailoptics.light.store import write_dataset
 from nailoptics.report.place_page import write_placement
@@ -317,6 +317,19 @@ def test_the_page_stands_alone_and_the_result_is_kept(found, tmp_path):
     write_dataset(found, tmp_path / "place.nc")
     with xr.open_dataset(tmp_path / "place.nc") as kept:
         assert place_result.rows(kept) == place_result.rows(found)
+
+
+@pytest.mark.slow
+def test_an_interrupt_leaves_the_ranking_as_far_as_it_is(chosen_jit, scene):
+    """Ctrl-C comes out of the progress callback; what is traced by then is judged, looked at and told."""
+
+    def interrupting(progress):
+        if progress.led == "judge":
+            raise KeyboardInterrupt
+
+    with pytest.raises(NotReachedError, match="^interrupted: ") as caught:
+        place.place(scene, relative_error=1e-4, progress=interrupting)
+    assert caught.value.result.sizes["layout"] == 3
 
 
 @pytest.mark.slow

@@ -1,0 +1,69 @@
+"""What a placement costs. Run: python bench_place.py [max_seconds]
+
+Prints, for the shipped scene (one LED and eight photodiodes over the whole nail of an index finger, two cases of it):
+how long the whole placement takes, what it tried and found, and whether it reached what the scene asks; and how long a
+further candidate takes on a board whose light is traced. The first must stay below 600 s on two cores, the other below
+50 ms.
+"""
+
+import os
+import statistics
+import sys
+import time
+
+import xarray as xr
+
+import nailoptics as nail
+from nailoptics.assets import data_dir
+from nailoptics.errors import NotReachedError
+from nailoptics.studies import place, place_boards, place_light, place_result
+
+CANDIDATES = 20
+
+
+def main() -> None:
+    """The whole placement, then a further candidate."""
+    scene = nail.load_scene(data_dir("scenes") / "placement.toml")
+    limit = float(sys.argv[1]) if len(sys.argv) > 1 else None
+    print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
+    begin, cpu, unmet = time.perf_counter(), time.process_time(), "reached"
+    try:
+        found = place.place(scene, max_seconds=limit)
+    except NotReachedError as error:
+        found, unmet = error.result, str(error)
+    wall, cpu = time.perf_counter() - begin, time.process_time() - cpu
+    print(f"whole placement        {wall:8.1f} s, {cpu:.0f} s of processor time; {unmet}")
+    print(f"  {found.sizes['spot']} LED places tried, {found.attrs['photons'] / 1e6:.0f} M photons")
+    for row in place_result.rows(found):
+        error = row["force_resolution_n_stderr"]
+        print(f"  {row['rank']:2d} {row['layout']:22s} {1e3 * row['force_resolution_n']:.3f} +- {1e3 * error:.3f} mN")
+    better = place_result.gain(found)
+    if better:
+        print(f"  {better[0]:.3f} +- {better[1]:.3f} times as fine as the paper's layout")
+    print(f"a further candidate    {1e3 * further(scene, found):8.1f} ms")
+    print(f"load {os.getloadavg()[0]:.1f}")
+
+
+def further(scene: nail.Scene, found: xr.Dataset) -> float:
+    """Median time to judge one more layout on a board whose light is traced. [s]"""
+    rules, base = place_boards.rules(scene), place_boards.base_board(scene)
+    views = [place_light.View(case, place._operating(base, case, rules)) for case in place_boards.fingers(scene)]
+    best = place_result.chosen(found)
+    board = place_boards.bare(place_boards.explicit(best, "best"))
+    bank = place_light.Bank(views, seed=1, stream=1, backend="auto", spacing_mm=place.SPACING_MM, blocks=place.BLOCKS)
+    bank.grow(board, 1 << 18)
+    places = [element.center_mm for element in place_boards.elements(best)]
+    spent = []
+    for i in range(CANDIDATES):
+        begin = time.perf_counter()
+        moved = [(u, v + 0.01 * i) for u, v in places]
+        layout = place_boards.with_parts(
+            base, [r.center_mm for r in place_boards.lay_out(best).leds], moved, name="one"
+        )
+        place.judge(place.Layout("one", layout, board, "given"), bank, rules.rank_by)
+        spent.append(time.perf_counter() - begin)
+    return statistics.median(spent[1:])
+
+
+if __name__ == "__main__":
+    main()
