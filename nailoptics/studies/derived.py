@@ -142,8 +142,10 @@ def returning(
     ratio_of_indices = index_of("epoxy", wavelength) / index_of("bed", wavelength)
     returned = passed * ratio_of_indices**2 * diode.area_mm2 / area_mm2
     with np.errstate(divide="ignore"):
-        ratio = np.where(base.level > 0, returned / base.level, np.inf)
-    return effect_of(name, modelled, changed_to, _moved(ratio, 0 * base.level), changes, RETURNING, "derived", base)
+        most = np.where(base.level > 0, returned / base.level, np.inf)
+    # All that is known is what it is at most.
+    found = _moved(np.zeros_like(most), most / Z95)
+    return effect_of(name, modelled, changed_to, found, changes, RETURNING, "derived", base)
 
 
 def nothing(name: str, why: str, tolerance: float) -> Effect:

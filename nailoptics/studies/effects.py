@@ -63,10 +63,13 @@ def effect_of(
 ) -> Effect:
     """An effect from the differences that it makes; without a swing where its difference has none."""
     ratio, error = found.ratio, found.ratio_stderr
-    bounds = np.where(np.isfinite(ratio), np.abs(ratio) + Z95 * error, np.inf)
+    known = np.isfinite(ratio) & np.isfinite(error)
+    # Where nothing was seen, anything may be.
+    ratio, error = np.where(known, ratio, np.nan), np.where(known, error, np.nan)
+    bounds = np.where(known, np.abs(ratio) + Z95 * error, np.inf)
     i, j = np.unravel_index(int(np.argmax(bounds)), bounds.shape)
     # What is told best, not what is noisiest, says by how much readings move at least.
-    sure = np.where(np.isfinite(ratio), np.abs(ratio) - SURE * error, -np.inf)
+    sure = np.where(known, np.abs(ratio) - SURE * error, -np.inf)
     best = np.unravel_index(int(np.argmax(sure)), sure.shape)
     mean, spread = pooled(ratio, error, base)
     swing = np.abs(found.swing) + Z95 * found.swing_stderr

@@ -1,5 +1,6 @@
 """What a scene models, what it leaves out, how far each of these moves the readings, and what the scene requires."""
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -68,6 +69,7 @@ class Explanation:
         for e in (*self.effects, *([self.together] if self.together else [])):
             swing = "-" if e.modulation_bound is None else _percent(e.modulation_bound)
             told = f"{100 * e.typical:+8.2f} +- {100 * e.typical_stderr:4.2f}%"
+            told = told if math.isfinite(e.typical) else "not known"
             shown = "yes" if e.modelled else "no"
             text = f"{e.name:<26} {shown:<8} {told:>17} {_percent(e.bound):>8} {swing:>8}  {e.matters:<11} "
             lines.append(text + e.changed_to)
@@ -142,7 +144,7 @@ def explain(
             together = effect_of(TOGETHER, True, "left out", found, left, limit, "retraced", base)
     except NotReachedError as error:
         unmet = f"{error} ({len(effects)} effects were measured before)"
-    effects.sort(key=lambda e: -abs(e.typical))
+    effects.sort(key=lambda e: -abs(e.typical) if math.isfinite(e.typical) else 0.0)
     # What cannot be told stays as it is.
     told = [e for e in effects if (e.modelled and e.matters == "no") or (not e.modelled and e.matters == "yes")]
     result = Explanation(

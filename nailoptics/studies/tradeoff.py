@@ -12,7 +12,7 @@ from ..errors import InputError, NotReachedError
 from ..light import Progress, Rest, media, read_rest
 from ..light import backend as backends
 from ..light.reread import course
-from ..light.tracing import INTERRUPTED
+from ..light.tracing import INTERRUPTED, unseen
 from ..scene import Scene
 from .fits import Z95
 from .looks import Look, Tracing, checked, difference, end_states, error_of_ratio, pooled, reread
@@ -127,8 +127,10 @@ class Tradeoff:
                 signal = f"{100 * one.signal_bias:+7.2f} +- {100 * one.signal_bias_stderr:4.2f} %"
                 bound = f"{one.signal_bound:.1%}"
             memory = "" if one.memory_mb is None else f"{one.memory_mb:.0f}"
+            off = f"{100 * one.bias:+8.2f} +- {100 * one.bias_stderr:4.2f} %"
+            off = off if np.isfinite(one.bias) else "not known"
             lines.append(
-                f"{one.name:<24} {100 * one.bias:+8.2f} +- {100 * one.bias_stderr:4.2f} % {one.bias_bound:>8.1%} "
+                f"{one.name:<24} {off:>18} {one.bias_bound:>8.1%} "
                 f"{signal:>17} {bound:>8} {one.cpu_seconds[0]:>12.3g} {one.cpu_seconds[1]:>8.3g} "
                 f"{one.cpu_seconds[2]:>8.3g} {memory:>6}  {'*' if one in self.front else ''}"
             )
@@ -171,7 +173,8 @@ def tradeoff(
     checked(scene, tolerance, "tradeoff", "has one level, itself")
     chosen = backends.choose(backend)
     if not chosen.jit:
-        raise InputError(f"tradeoff needs a JIT backend to compare levels, and {chosen.name} is none: {chosen.advice}")
+        advice = chosen.advice or "ask for auto"
+        raise InputError(f"tradeoff needs a JIT backend to compare levels, and {chosen.name} is none: {advice}")
     if photons is None and relative_error is None and max_seconds is None:
         max_seconds = DEFAULT_SECONDS
     start = time.perf_counter()
@@ -184,6 +187,10 @@ def tradeoff(
     traced = None if max_seconds is None else max_seconds - len(stock) * volpath_seconds
     tracing = Tracing(1 + len(cheaper) + len(others), seed, chosen.name, photons, relative_error, traced, progress)
     base = tracing.look(full)
+    dark = np.argwhere(~(base.level > 0))
+    if len(dark):
+        led, photodiode = base.transfer.leds[dark[0, 0]], base.transfer.photodiodes[dark[0, 1]]
+        raise NotReachedError(unseen(led, photodiode, base.transfer.traces[dark[0, 0]].photons))
     measured: list[Level] = []
     unmet = None
     try:
@@ -289,7 +296,7 @@ def _formulas(full: Scene, base: Look, reference: Level, seed: int, tolerance: f
     At rest a formula is the reading that gave it its constants, at what that costs; it is the signal that it may miss.
     """
     states, along = end_states(full), np.linspace(0, 1, STATES)
-    unit = float(np.nanmax(np.abs(base.modulation)))
+    unit = float(np.abs(base.modulation).max())
     off: dict[str, list[np.ndarray]] = {"taylor": [], "beer_lambert": []}
     depth = np.zeros(len(base.transfer.photodiodes))
     for i, led in enumerate(full.leds):

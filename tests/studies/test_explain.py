@@ -206,3 +206,12 @@ def test_an_interrupt_of_the_scenes_own_trace_leaves_nothing(jit_backend):
     with pytest.raises(NotReachedError, match="interrupted") as caught:
         explain(prototype(), photons=8192, progress=stop)
     assert caught.value.result is None
+
+
+@pytest.mark.jit
+def test_what_was_not_seen_is_not_told(jit_backend):
+    """A handful of photons: no number, no verdict, no warning, and nothing taken for needless."""
+    found = explain(prototype(), photons=100)
+    retraced = [e for e in found.effects if e.how == "retraced"]
+    assert retraced and all(e.matters == "cannot tell" for e in retraced)
+    assert "not known" in str(found) and found.needless == [] and found.required.light == prototype().light

@@ -163,6 +163,13 @@ def test_an_interrupt_keeps_the_levels_that_were_measured(jit_backend):
     assert "similarity" not in {one.name for one in result.levels}
 
 
+@pytest.mark.jit
+def test_a_photodiode_that_saw_nothing_is_one_line(jit_backend):
+    with pytest.raises(NotReachedError, match="none reached photodiode") as caught:
+        tradeoff(prototype(), photons=100)
+    assert caught.value.result is None and len(str(caught.value).splitlines()) == 1
+
+
 @pytest.mark.slow
 @pytest.mark.jit
 def test_the_command_writes_table_page_and_picture(jit_backend, tmp_path, capsys):
