@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FLOOR_PERCENT = 0.01
+# Marks that lie closer than so many decades have one label.
+NEAR = 0.05
 
 
 def write_tradeoff(found: Tradeoff, path: Path) -> None:
@@ -67,6 +69,8 @@ def write_tradeoff(found: Tradeoff, path: Path) -> None:
 
 def draw(found: Tradeoff) -> "Figure":
     """Error of every level against processor time to 1 %, of the reading with the Pareto front, and of the signal."""
+    from matplotlib.ticker import LogLocator
+
     with style.drawing():
         figure = style.new_figure(11.0, 4.6)
         left, right = figure.subplots(1, 2, sharey=True, width_ratios=[1.3, 1])
@@ -91,11 +95,13 @@ def draw(found: Tradeoff) -> "Figure":
             axes.axhline(100 * found.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)), zorder=1)
             axes.set_xlabel("processor time to 1 % on the worst photodiode [s]")
             axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}" if value >= 1 else f"{value:g}")
+            narrow = np.ptp(np.log10(axes.get_xlim())) < 2
+            axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if narrow else (1,)))
             axes.xaxis.set_minor_formatter("")
             _marks(axes, found, which)
             _labels(axes, found, which)
         text = f"tolerance {100 * found.tolerance:g} %"
-        left.text(0.995, 112 * found.tolerance, text, transform=left.get_yaxis_transform(), ha="right", fontsize=8.5)
+        right.text(0.995, 112 * found.tolerance, text, transform=right.get_yaxis_transform(), ha="right", fontsize=8.5)
         chosen = style.plain(found.chosen)
         words = f"Cheapest that provably keeps every reading within {100 * found.tolerance:g} %: {chosen}"
         figure.suptitle(words, x=0.01, ha="left", fontsize=10.5, fontweight="bold")
@@ -131,17 +137,20 @@ def _marks(axes: Any, found: Tradeoff, which: str) -> None:
 def _labels(axes: Any, found: Tradeoff, which: str) -> None:
     """Names beside the marks; those of one mark together, those of near ones one below the other."""
     names: dict[tuple[float, float], list[str]] = {}
-    for one in found.levels:
+    for one in sorted(found.levels, key=lambda level: level.name != found.chosen):
         values = _values(one, which)
-        if values is not None:
-            names.setdefault((one.cpu_seconds[0], _height(values[0])), []).append(one.name)
+        if values is None:
+            continue
+        x, y = one.cpu_seconds[0], _height(values[0])
+        near = (mark for mark in names if abs(np.log10(mark[0] / x)) < NEAR and abs(np.log10(mark[1] / y)) < NEAR)
+        names.setdefault(next(near, (x, y)), []).append(one.name)
     order = sorted(names.items(), key=lambda item: item[0][1])
     places = style.spread([float(np.log10(height)) for (_, height), _ in order], 0.22)
     low, high = axes.get_xlim()
     for ((seconds, height), words), place in zip(order, places, strict=True):
         arrow = {"arrowstyle": "-", "color": style.MUTED, "lw": 0.6}
         axes.annotate(
-            style.plain(", ".join(words)),
+            style.plain("\n".join(", ".join(words[k : k + 2]) for k in range(0, len(words), 2))),
             (seconds, height),
             xytext=(seconds * (high / low) ** 0.025, 10**place),
             va="center",

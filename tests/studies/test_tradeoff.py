@@ -67,8 +67,8 @@ def test_the_picture_and_the_front_know_what_is_cheap_and_near():
     found = Tradeoff(levels, 0.02, "near", prototype(), None, {1000: 1.0}, 1.0, made)
     assert [one.name for one in found.front] == ["far", "near", REFERENCE]
     left, right = tradeoff_page.draw(found).axes
-    # The tolerance and four names at the left; at the right the one level whose signal is known.
-    assert len(left.texts) == 5 and [text.get_text() for text in right.texts] == ["near"]
+    # Four names at the left; at the right the one level whose signal is known, and the tolerance.
+    assert len(left.texts) == 4 and [text.get_text() for text in right.texts] == ["near", "tolerance 2 %"]
     assert found.choice.name == "near" and "near" in str(found) and found.as_dict()["chosen"] == "near"
 
 
