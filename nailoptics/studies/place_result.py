@@ -97,7 +97,7 @@ def as_dataset(
             "axis": ["u", "v"],
         },
     )
-    plane = map_dataset([led.name for led in scene.leds], maps)
+    plane = map_dataset([led.name for led in layouts[0].scene.leds], maps)
     result = result.merge(plane).merge(closer)
     result = result.merge(_photodiode_anywhere(layouts[0].scene, maps, views[0].at))
     result.attrs = (
