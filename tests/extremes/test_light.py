@@ -218,9 +218,10 @@ def test_no_blood_and_much_of_it_at_both_ends_of_saturation(finger, blood, so2):
 
 
 @jit
-def test_a_bed_of_pure_blood_reads_less_and_says_when_too_few_photons_stand_behind_it(finger):
+def test_a_bed_of_pure_blood_reads_less_and_says_when_too_few_photons_stand_behind_it(jit_backend):
     from nailoptics.light import RereadWarning
 
+    finger = nail.trace(prototype_with(), photons=60_000, seed=2)
     with pytest.warns(RereadWarning, match="effective photons"):
         read = finger.at(blood_fraction=[1.0, 1.0])
     assert (read.detected_fraction < finger.at().detected_fraction).all() and (read.detected_fraction >= 0).all()

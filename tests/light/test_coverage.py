@@ -166,7 +166,7 @@ def test_intervals_of_each_engine_on_a_phantom(jit_backend, engine):
     scene = parse_scene(SLAB.format(u=0.8))
     chosen = scene.model_copy(update={"light": scene.light.model_copy(update={"engine": engine})})
     truth = nail.trace(scene, photons=4_000_000, seed=10_000).at()
-    photons, runs = 4000 if engine == "photons" else 32_000, []
+    photons, runs = 4000 if engine == "photons" else 8192, []
     for seed in range(300):
         row = read_rest(chosen, photons=photons, seed=seed).readings[0]
         runs.append({"reading": (np.array([[row["detected_fraction"]]]), np.array([[row["stderr"]]]))})
