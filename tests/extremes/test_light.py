@@ -218,13 +218,13 @@ def test_no_blood_and_much_of_it_at_both_ends_of_saturation(finger, blood, so2):
 
 
 @jit
-def test_a_bed_of_pure_blood_reads_less_and_says_when_too_few_photons_stand_behind_it(jit_backend):
-    from nailoptics.light import RereadWarning
-
-    finger = nail.trace(prototype_with(), photons=60_000, seed=2)
-    with pytest.warns(RereadWarning, match="effective photons"):
-        read = finger.at(blood_fraction=[1.0, 1.0])
-    assert (read.detected_fraction < finger.at().detected_fraction).all() and (read.detected_fraction >= 0).all()
+def test_a_bed_of_pure_blood_read_from_a_trace_at_rest_is_that_of_a_fresh_trace(finger):
+    read = finger.at(blood_fraction=[1.0, 1.0])
+    fresh = nail.trace(prototype_with(blood={"rest_blood_fraction": 1.0}), photons=400_000, seed=3).at()
+    error = np.hypot(read.detected_fraction_stderr, fresh.detected_fraction_stderr)
+    assert (abs(read.detected_fraction - fresh.detected_fraction) < 4 * error).all()
+    assert (error < 0.25 * fresh.detected_fraction).all()
+    assert (read.detected_fraction < finger.at().detected_fraction).all() and (read.detected_fraction > 0).all()
 
 
 @jit
