@@ -87,7 +87,7 @@ BAD_SCENES = {
     "a recording of bytes": (RECORDED, "touch.csv", "\x00\x01\x02"),
     "an unknown hemodynamic set": (changed('parameters = "best"', 'parameters = "bset"'), "bset"),
     "two names alike": (changed('name = "distal"', 'name = "proximal"'), "proximal"),
-    "neither finger nor phantom": (changed('[finger]\ndigit = "index"\nlength_mm = 16.0', ""), "[finger]"),
+    "neither finger nor phantom": (changed('[finger]\ndigit = "index"', ""), "[finger]"),
     "no TOML": ("this is no scene", "TOML"),
     "an empty file": ("", "schema_version"),
     "more blood than the bed can hold": (changed("rest_blood_fraction = 0.03", "rest_blood_fraction = 1.0"), "blood"),

@@ -18,6 +18,8 @@ _DIGITS = {
     "little": (14.5, 12.0, 8.5, 11.0, 5.8, 3.7),
 }
 ANATOMY = {digit: dict(zip(_SIZES, sizes, strict=True)) for digit, sizes in _DIGITS.items()}
+# From farther behind the nail less than 1e-4 of a photodiode's light returns, as explain measures.
+BEYOND_NAIL_MM = 4.0
 
 
 class Finger(Table):
@@ -43,8 +45,8 @@ class Finger(Table):
     """Thickness of the nail bed, plate to bone. [mm]"""
     epidermis_thickness_mm: Annotated[float, Field(ge=0.02, le=1)] = 0.1
     """Thickness of the epidermis outside the nail. [mm]"""
-    length_mm: Positive = 20.0
-    """Length of finger that is modelled, from the tip. [mm]"""
+    length_mm: Positive = ANATOMY["index"]["nail_length_mm"] + BEYOND_NAIL_MM
+    """Length of finger that is modelled, from the tip; the nail's and 4 mm if not given. [mm]"""
     melanin_fraction: Fraction = 0.013
     """Volume fraction of melanosomes in the epidermis."""
 
@@ -52,7 +54,11 @@ class Finger(Table):
     @classmethod
     def _sizes_from_anatomy(cls, data: object) -> object:
         digit = data.get("digit", "index") if isinstance(data, dict) else None
-        return ANATOMY.get(digit, {}) | data if isinstance(data, dict) and isinstance(digit, str) else data
+        if not (isinstance(data, dict) and isinstance(digit, str)):
+            return data
+        sizes = ANATOMY.get(digit, {}) | data
+        nail = sizes.get("nail_length_mm")
+        return {"length_mm": nail + BEYOND_NAIL_MM} | sizes if isinstance(nail, int | float) else sizes
 
     @model_validator(mode="after")
     def _shape_is_possible(self) -> Self:
@@ -68,8 +74,7 @@ class Finger(Table):
                 f"nail_thickness_mm + bed_thickness_mm = {deep:.2f} leaves no room for the bone in a finger "
                 f"{self.thickness_mm} mm thick with a nail radius of {radius} mm; make them thinner"
             )
-        if self.length_mm < self.nail_length_mm + 4:
-            raise ValueError(
-                f"length_mm = {self.length_mm} is too short for the nail; at least {self.nail_length_mm + 4}"
-            )
+        least = self.nail_length_mm + BEYOND_NAIL_MM
+        if self.length_mm < least:
+            raise ValueError(f"length_mm = {self.length_mm} is too short for the nail; at least {least}")
         return self

@@ -9,6 +9,7 @@ from typing import Any
 from ..errors import NotReachedError
 from ..light import Progress
 from ..scene import Scene
+from ..scene.finger import BEYOND_NAIL_MM
 from . import derived
 from .effects import Effect, effect_of
 from .looks import Look, Tracing, checked, difference, reread
@@ -16,8 +17,6 @@ from .variants import ONE_WAVELENGTH, PART_WIDTH, Changes, lines_of, part_width_
 
 DEFAULT_SECONDS = 90.0
 DEFAULT_TOLERANCE = 0.02
-# A finger cannot be cut nearer to the nail than this much more than the nail's length.
-SHORTEST_BEYOND_NAIL_MM = 4.0
 TOGETHER = "all that is not needed"
 
 
@@ -192,7 +191,7 @@ def _effects(scene: Scene, base: Look, changes: list[_Change], tracing: Tracing,
         yield effect_of(*words, difference(base, look), change.changes, limit, how, base)
     yield derived.blood_scattering(scene, base, tracing.look(derived.denser(scene)), limit)
     yield derived.ambient(scene, base, tracing.look(derived.farthest(scene)), limit)
-    length, shortest = finger.length_mm, finger.nail_length_mm + SHORTEST_BEYOND_NAIL_MM
+    length, shortest = finger.length_mm, finger.nail_length_mm + BEYOND_NAIL_MM
     back = tracing.look(derived.most_proximal(scene))
     yield derived.returning(f"finger past {length:g} mm", False, "finger without an end", {}, base, base, back)
     if length > shortest:

@@ -69,7 +69,7 @@ def test_what_is_not_needed_is_told_as_scene_lines_and_makes_the_scene_that_is_r
     assert all(f"  {line}" in str(found).splitlines() for line in lines)
     assert {"[[leds]] fwhm_nm = 0.0", "[finger] length_mm = 16.0"} <= set(lines)
     tables = {"[finger]": 'digit = "index"', "[[leds]]": 'part = "led_800"', "[light]": "[light]"}
-    text = TEXT.split("[light]")[0].replace("length_mm = 16.0\n", "").replace("fwhm_nm = 0.0\n", "")
+    text = TEXT.split("[light]")[0].replace("fwhm_nm = 0.0\n", "")
     text += "[light]\n[accuracy]\nrelative_error = 0.02\n"
     for line in lines:
         table, pasted = line.split(" ", 1)
