@@ -206,3 +206,17 @@ def test_every_dimension_carries_its_unit():
 def test_a_scene_that_is_no_scene_cannot_be_built_in_python_either():
     with pytest.raises(ValidationError):
         Scene(schema_version=1, leds=())
+
+
+@pytest.mark.parametrize("digit", ["thumb", "index", "middle", "ring", "little"])
+def test_any_digit_may_take_the_prototypes_board(digit):
+    """A finger's length follows its nail, that of the digit or the one that is given."""
+    text = (
+        (data_dir("scenes") / "prototype.toml")
+        .read_text(encoding="utf-8")
+        .replace('digit = "index"', f'digit = "{digit}"')
+    )
+    finger = parse_scene(text).finger
+    assert finger.digit == digit and finger.length_mm == finger.nail_length_mm + 4
+    longer = parse_scene(text.replace(f'digit = "{digit}"', f'digit = "{digit}"\nnail_length_mm = 14.0'))
+    assert longer.finger.length_mm == 18.0
