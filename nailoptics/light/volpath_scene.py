@@ -110,7 +110,11 @@ def boundary(*, n_below: float, n_above: float) -> dict[str, Any]:
 
 
 def integrator(*, mu_a: NDArray[np.float64], mu_s: NDArray[np.float64]) -> dict[str, Any]:
-    """volpath that drops no weight that counts: roulette only where less than e^-10 is left of it."""
+    """volpath that drops no weight that counts: roulette only where less than e^-10 is left of it.
+
+    From 400 scatterings on it would take a third of the time in a finger, but leave what comes from far to rare bright
+    paths, which a standard error does not show until one is met: half of a skylight was missed.
+    """
     scattering = mu_s > 0
     share = np.min(mu_a[scattering] / (mu_a + mu_s)[scattering], initial=1.0)
     depth = int(min(50 + 10 / max(share, 1e-9), 1e6))
