@@ -50,7 +50,7 @@ def test_regions_lie_where_anatomy_has_them(geometry):
     assert region(geometry, 0, 0, -10) == "pulp"
     assert region(geometry, 0, 0, -13.45) == "epidermis"
     assert region(geometry, 0, 7.95, -4.45) == "epidermis"
-    assert region(geometry, 0, -12.5, -5) == "cut"
+    assert region(geometry, 0, -8.5, -5) == "cut"  # 4 mm behind the nail
     assert region(geometry, 0, 8.1, -4.4) == "air"
 
 
