@@ -3,6 +3,7 @@
 import contextlib
 import multiprocessing
 import os
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
@@ -16,7 +17,7 @@ _SINGLE = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB
 _STARTS = 5
 
 
-class Slots:
+class Slots(ABC):
     """Executors that take one job at a time; one that broke is replaced."""
 
     executors: list[Executor]
@@ -25,20 +26,21 @@ class Slots:
     # Workers of one machine that have yet to divide its cores.
     sharers = 0
 
+    @abstractmethod
     def start(self) -> None:
         """Wait until there is someone to work."""
 
+    @abstractmethod
     def renew(self, slot: int) -> None:
         """Replace a slot whose worker died."""
-        raise NotImplementedError
 
     def deserted(self) -> bool:
         """Whether nobody is left to work, though somebody may come."""
         return False
 
+    @abstractmethod
     def close(self, *, now: bool) -> None:
         """Let the workers go; at once, with whatever they do, or when they are done."""
-        raise NotImplementedError
 
 
 class LocalSlots(Slots):
@@ -107,6 +109,9 @@ class ClusterSlots(Slots):
         # One more than there are workers, so that none waits for the driver.
         self.executors = [executor] * (2 * sum(found.values()))
         self.sharers = max(Counter(address.rpartition(":")[0] for address in found).values())
+
+    def start(self) -> None:
+        """There were workers when this was made."""
 
     def renew(self, slot: int) -> None:
         """Dask starts dead workers again by itself."""

@@ -37,8 +37,6 @@ from .walk import (
 
 # Outcomes from here on name the photodiode that a photon reached.
 DETECTED = 16
-# How a region treats light that arrives from a medium.
-ENTERED, MIRRORED, LEFT = 0, 1, 2
 # Scatterings without a ray before lanes wait for each other; more leave lanes idle, fewer cast rays for few lanes.
 FREE_EVENTS = 6
 # Through these light comes back from the bed to the photodiodes.

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from ..studies.fits import Z95
 from . import style
 from .numbers import significant
 
@@ -54,7 +55,7 @@ def holds(result: xr.Dataset, *, led: int) -> "Figure":
                 one = result.sel(sweep=sweep, way="fitted", model=model).isel(led=led)
                 for colour, j in zip(colours, places, strict=True):
                     error, stderr = one.range_error.values[j], one.range_error_stderr.values[j]
-                    low, high = (np.clip(error + k * 1.96 * stderr, _FLOOR, _CEILING) for k in (-1, 1))
+                    low, high = (np.clip(error + k * Z95 * stderr, _FLOOR, _CEILING) for k in (-1, 1))
                     axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
                     label = style.plain(result.photodiode.values[j])
                     axes.plot(x, np.clip(error, _FLOOR, None), color=colour, label=label)
@@ -125,8 +126,8 @@ def _dot(axes: "Axes", value: float, stderr: float, y: float, part: str, labelle
         if labelled:
             axes.plot([], [], ls="none", marker=_PART_MARKS[part], color=_PART_COLOURS[part], label=PART_NAMES[part])
         return
-    sure = abs(value) > 1.96 * stderr
-    low, high = max(abs(value) - 1.96 * stderr, 1e-3), abs(value) + 1.96 * stderr
+    sure = abs(value) > Z95 * stderr
+    low, high = max(abs(value) - Z95 * stderr, 1e-3), abs(value) + Z95 * stderr
     colour = _PART_COLOURS[part]
     axes.plot([low, high], [y, y], color=colour, lw=1.2)
     face = colour if sure else style.PAPER

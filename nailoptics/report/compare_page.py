@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from ..studies.fits import Z95
 from ..studies.verdict import claim, verdict
 from . import compare_figures, study_page
 from .numbers import significant, with_error
@@ -72,7 +73,7 @@ def write_comparison(result: xr.Dataset, path: Path) -> None:
 def _counts(result: xr.Dataset, model: str, within: float) -> tuple[int, int]:
     """Readings that a fitted model meets for sure over the whole first sweep, and all readings."""
     one = result.isel(sweep=0, point=-1).sel(way="fitted", model=model)
-    return int(np.sum((one.range_error + 1.96 * one.range_error_stderr).values <= 100 * within)), one.range_error.size
+    return int(np.sum((one.range_error + Z95 * one.range_error_stderr).values <= 100 * within)), one.range_error.size
 
 
 def _title(result: xr.Dataset) -> str:

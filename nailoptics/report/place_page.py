@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 
 from ..studies.ambient import SOURCES
+from ..studies.fits import Z95
 from ..studies.place_result import chosen, gain, rows
 from . import place_figures as figures
 from .numbers import quantity, significant, with_error
@@ -178,7 +179,7 @@ def _ambient(result: xr.Dataset) -> str:
     for cover in result.cover.values:
         for source in SOURCES:
             at = result.sel(cover=cover, ambient=source.name)
-            current = 1e6 * float((at.ambient_a + 1.96 * at.ambient_a_stderr).max())
+            current = 1e6 * float((at.ambient_a + Z95 * at.ambient_a_stderr).max())
             lux = f"{source.lux:,.0f}".replace(",", "\u202f")
             name = f"{source.name}, {lux} lux, " + ("with the cover" if cover == "covered" else "without it")
             tells, volts = 1e3 * float(at.ambient_resolution_n), float(at.ambient_volts.max())

@@ -16,6 +16,7 @@ from ..scene import FingerCase, Placement, Scene, digest, load_scene
 from . import place_boards as boards
 from . import place_merit as merit
 from . import place_search as search
+from .fits import Z95
 from .place_best import look
 from .place_light import Bank, View, jackknife
 from .place_result import as_dataset
@@ -34,7 +35,6 @@ FINALISTS = 5
 # Parts of the time for the search; the rest is for judging, but for what the last check needs.
 SEARCH_SHARE = 0.55
 CHECK_SHARE = 0.15
-Z = 1.96
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Judged:
     @property
     def interval_n(self) -> tuple[float, float]:
         """95 % interval of the score, symmetric in its logarithm. [N]"""
-        spread = Z * float(jackknife(np.log(self.score_n)))
+        spread = Z95 * float(jackknife(np.log(self.score_n)))
         return float(self.score_n[0] * math.exp(-spread)), float(self.score_n[0] * math.exp(spread))
 
     @property

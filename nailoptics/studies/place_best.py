@@ -16,6 +16,7 @@ from ..scene.layout import Layout, lay_out
 from . import place_boards as boards
 from . import place_merit as merit
 from .ambient import SOURCES, photocurrents_a
+from .fits import Z95
 from .place_light import View, jackknife, left_out
 
 LEAST_BATCHES = 8
@@ -25,7 +26,6 @@ BATCHES_PER_ROUND = 2
 LED_SPACING_MM = 0.4
 BLOCKS = 16
 COVERS = ("covered", "uncovered")
-Z = 1.96
 
 Variables = dict[str, Any]
 
@@ -194,7 +194,7 @@ def _ambient(bench: _Bench, values: list[np.ndarray], current: np.ndarray, error
     """What light from outside adds to each photodiode, and what it leaves of the force resolution."""
     dims = ("cover", "ambient", "best_photodiode")
     found = _with_error("ambient_a", dims, current, error, "A", "photocurrent by light from outside, from all sides")
-    at_most = current + Z * error
+    at_most = current + Z95 * error
     read = [bench.read(i, each, at_most) for i, each in enumerate(values)]
     limit = f"{bench.scene.electronics.adc_range_v:g} V"
     text = f"largest output with light from outside at its bound; the converter ends at {limit}"
