@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
-from nailoptics.errors import InputError
+from .errors import InputError
 
 _PACKAGE = Path(__file__).resolve().parent
 

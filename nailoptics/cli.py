@@ -209,8 +209,8 @@ def compare(
     """
     from .light.store import write_dataset
     from .report.compare_page import write_comparison
-    from .studies.compare import compare as study
-    from .studies.verdict import summary, verdict
+    from .studies.comparison.compare import compare as study
+    from .studies.comparison.verdict import summary, verdict
 
     asked = _load(scene)
     if require is not None and not 0 < require < math.inf:
@@ -271,12 +271,13 @@ def place(
     import csv
 
     from . import geometry
+    from .exports.mesh_files import export_mesh
     from .light.store import write_dataset
     from .report.place_page import write_placement
     from .scene import to_toml
     from .scene.kicad import write_outline, write_positions
-    from .studies.place import place as study
-    from .studies.place_result import chosen, gain, kicad_parts, outline, rows
+    from .studies.placement.place import place as study
+    from .studies.placement.result import chosen, gain, kicad_parts, outline, rows
 
     asked = _load(scene)
     name, _ = _announced(backend, asked)
@@ -303,7 +304,7 @@ def place(
         write_positions(folder / "best.csv", kicad_parts(best, asked), negate_x_on_bottom=negate_x_on_bottom)
         asked_as = Path((asked.placement and asked.placement.outline) or "outline.csv").suffix.lower()
         write_outline(folder / f"outline{asked_as}", outline(result))
-        geometry.export(geometry.build(best), folder / "best.glb")
+        export_mesh(geometry.build(best), folder / "best.glb")
         write_placement(result, folder / "place.html")
     better = gain(result)
     if json_:
@@ -422,7 +423,7 @@ def explain(
 ) -> None:
     """Explain what a scene models and what it leaves out, and measure how far each of these moves the readings."""
     from .scene import to_toml
-    from .studies.explain import explain as study
+    from .studies.model_error.explain import explain as study
 
     asked = _load(scene)
     with writable_file(output):
@@ -472,7 +473,7 @@ def tradeoff(
     """
     from .report.tradeoff_page import draw, write_tradeoff
     from .scene import to_toml
-    from .studies.tradeoff import tradeoff as study
+    from .studies.model_error.tradeoff import tradeoff as study
 
     asked = _load(scene)
     files = ("tradeoff.json", "tradeoff.html", "tradeoff.png", "scene.toml")
@@ -536,14 +537,14 @@ def check(scene: ScenePath, *, json_: Json = False) -> None:
 @app.command
 def export(scene: ScenePath, *, output: Annotated[Path, Parameter(name=["--output", "-o"])]) -> None:
     """Write the finger and the board as a mesh: .glb with one named part per region, or .ply."""
+    from .exports.mesh_files import export_mesh
     from .geometry import build
-    from .geometry import export as write
 
     asked = _load(scene)
     if asked.finger is None:
         raise InputError(f"{scene}: a phantom has no mesh to export; give a [finger] scene.")
     with writable_file(output):
-        write(build(asked), output)
+        export_mesh(build(asked), output)
     print(output)
 
 
@@ -563,8 +564,8 @@ def figures(
     import numpy as np
 
     from . import hemodynamics
-    from .hemodynamics.judge import as_rows, as_text, table
-    from .report.hemodynamic_figures import draw
+    from .paper.claims_table import as_rows, as_text, table
+    from .report.blood_figures import draw
     from .scene.touch import read_recording
 
     recorded: dict[str, Any] = {}

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nailoptics.errors import InputError
-from nailoptics.scene.models import Electronics
+from .errors import InputError
+from .scene.models import Electronics
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 BOLTZMANN_J_PER_K = 1.380649e-23

@@ -6,9 +6,9 @@ from typing import Any
 from ..errors import InputError
 from ..light import reuse
 from ..scene import Scene, digest
+from ..scene.sweep import Sweep
 from . import record
 from .folder import Folder
-from .sweep import Sweep
 from .work import Job, Settings, meets, reads_transfer
 
 # Scenes read from one light by one worker before others may help.

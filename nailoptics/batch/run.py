@@ -10,10 +10,10 @@ from pathlib import Path
 
 from ..errors import InputError, NotReachedError
 from ..light import backend as backends
+from ..scene.sweep import Sweep
 from . import plan as plans
 from .executors import ClusterSlots, LocalSlots, Slots, single_threaded_blas
 from .folder import Folder
-from .sweep import Sweep
 from .work import Job, Report, Settings, cores, work
 
 log = logging.getLogger(__name__)

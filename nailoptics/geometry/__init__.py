@@ -3,7 +3,6 @@
 from .build import build
 from .check import Report, check
 from .distance import DistanceGrid, distance_grid
-from .export import export
 from .model import Face, Geometry, nail_coordinates
 
 __all__ = [
@@ -14,6 +13,5 @@ __all__ = [
     "build",
     "check",
     "distance_grid",
-    "export",
     "nail_coordinates",
 ]

@@ -10,7 +10,7 @@ from ..errors import InputError
 from ..scene import Scene
 from ..scene.layout import Layout, Rectangle, lay_out
 from .regions import AIR, BARRIER, COVER, EPOXY, KAPTON, REGIONS, SILICON, led_region, photodiode_region
-from .shape import Shape
+from .surfaces import Shape
 
 Array = NDArray[np.float64]
 

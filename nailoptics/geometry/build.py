@@ -12,7 +12,7 @@ from .grid import Grid
 from .model import Face, Geometry
 from .nodes import BELOW, Nodes
 from .regions import REGIONS
-from .shape import Shape
+from .surfaces import Shape
 
 log = logging.getLogger(__name__)
 

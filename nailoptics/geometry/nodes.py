@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from .board import BentBoard
 from .lines import grid_lines
 from .regions import AIR, BED, BONE, CUT, EPIDERMIS, PLATE, PULP
-from .shape import BONE_ROUNDING_MM, Shape, signed_angle, smooth_step
+from .surfaces import BONE_ROUNDING_MM, Shape, signed_angle, smooth_step
 
 Array = NDArray[np.float64]
 

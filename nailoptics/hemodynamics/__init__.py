@@ -1,13 +1,13 @@
 """Touch to blood: the paper's network of vessels under the nail, eq. (1)-(4), and the blood of eq. (7)."""
 
-from nailoptics.hemodynamics.blood import blood_fraction, tissue_volume_m3
-from nailoptics.hemodynamics.energy import energy
-from nailoptics.hemodynamics.parameters import NAMES, Parameters, bounds, parameters
-from nailoptics.hemodynamics.pulse import cardiac_pressure
-from nailoptics.hemodynamics.respond import respond
-from nailoptics.hemodynamics.steady import SteadyState, steady_state
-from nailoptics.hemodynamics.touch import pressures
-from nailoptics.hemodynamics.zones import PAPER_ZONES, Zones, zones
+from .blood import blood_fraction, tissue_volume_m3
+from .contact import pressures
+from .energy import energy
+from .parameters import NAMES, Parameters, bounds, parameters
+from .pulse import cardiac_pressure
+from .respond import respond
+from .steady import SteadyState, steady_state
+from .zones import PAPER_ZONES, Zones, zones
 
 __all__ = [
     "NAMES",

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nailoptics.errors import InputError
-from nailoptics.hemodynamics.parameters import Parameters
-from nailoptics.hemodynamics.steady import finite, steady_state
+from ..errors import InputError
+from .parameters import Parameters
+from .steady import finite, steady_state
 
 
 def blood_fraction(

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nailoptics.hemodynamics.parameters import Parameters
-from nailoptics.hemodynamics.steady import wall_pressures
-from nailoptics.hemodynamics.walls import build_walls, massless
-from nailoptics.hemodynamics.zones import PAPER_ZONES, Zones
+from .parameters import Parameters
+from .steady import wall_pressures
+from .walls import build_walls, massless_rates
+from .zones import PAPER_ZONES, Zones
 
 if TYPE_CHECKING:
     import xarray
@@ -43,7 +43,7 @@ def energy(parameters: Parameters, run: xarray.Dataset, *, zones: Zones = PAPER_
     )
     stretch = width - rest
     load = area * outside + stiffness * stretch
-    pressures, speeds = massless(walls, list(width), list(load), list(np.where(closed, 0.0, 1.0)), high, low)
+    pressures, speeds = massless_rates(walls, list(width), list(load), list(np.where(closed, 0.0, 1.0)), high, low)
     pressure, speed = np.array(pressures), np.array(speeds)
     conductance = factor * width**4
     venule = np.array(walls.venule)[:, None]

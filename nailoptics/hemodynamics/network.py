@@ -10,7 +10,7 @@ import dataclasses
 
 import numpy as np
 
-from nailoptics.hemodynamics.parameters import Parameters
+from .parameters import Parameters
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,7 @@ import dataclasses
 import difflib
 import math
 
-from nailoptics.errors import InputError
+from ..errors import InputError
 
 _MAY_BE_ANY_SIGN = ("arterial_pressure_pa", "venous_pressure_pa")
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nailoptics.errors import InputError
-from nailoptics.hemodynamics.steady import finite
+from ..errors import InputError
+from .steady import finite
 
 # Height, instant (part of a beat) and sharpness of the systolic, the reflected and the dicrotic wave.
 _WAVES = ((1.0, 0.17, 12.0), (0.55, 0.33, 8.0), (0.35, 0.55, 6.0))

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nailoptics.errors import InputError
-from nailoptics.hemodynamics import full, reduced
-from nailoptics.hemodynamics.drive import Drive
-from nailoptics.hemodynamics.parameters import Parameters
-from nailoptics.hemodynamics.steady import finite, steady_state, touch_inputs, wall_pressures
-from nailoptics.hemodynamics.walls import build_walls, massless, moving
-from nailoptics.hemodynamics.zones import PAPER_ZONES, Zones
+from ..errors import InputError
+from . import inertial, massless
+from .drive import Drive
+from .parameters import Parameters
+from .steady import finite, steady_state, touch_inputs, wall_pressures
+from .walls import build_walls, massless_rates, moving
+from .zones import PAPER_ZONES, Zones
 
 if TYPE_CHECKING:
     import xarray
@@ -98,15 +98,15 @@ def respond(
     outside = wall_pressures(zones, touch)
     drive = Drive(time, np.vstack([high, low, outside]))
     if model == "reduced":
-        run = reduced.integrate(walls, drive, time, first, rtol=rtol)
+        run = massless.integrate(walls, drive, time, first, rtol=rtol)
         force = [
             a * f + k * (w - d)
             for a, f, k, w, d in zip(walls.area, outside, walls.stiffness, run.width_m, walls.diameter, strict=True)
         ]
-        pressure, _ = massless(walls, run.width_m, force, run.free, high, low)
+        pressure, _ = massless_rates(walls, run.width_m, force, run.free, high, low)
         width, closed = run.width_m, run.free == 0.0
     else:
-        state = full.integrate(walls, drive, time, first, rtol=rtol, contact=contact)
+        state = inertial.integrate(walls, drive, time, first, rtol=rtol, contact=contact)
         pressure = moving(walls, state.width_m, state.speed_m_per_s, high, low)
         width, closed = state.width_m, state.closed
     return _dataset(p, zones, time, width, np.array(pressure), closed, touch, high, low, model)

@@ -11,10 +11,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nailoptics.errors import InputError
-from nailoptics.hemodynamics.parameters import Parameters
-from nailoptics.hemodynamics.walls import CLOSED_FRACTION, Walls, build_walls
-from nailoptics.hemodynamics.zones import PAPER_ZONES, Zones
+from ..errors import InputError
+from .parameters import Parameters
+from .walls import CLOSED_FRACTION, Walls, build_walls
+from .zones import PAPER_ZONES, Zones
 
 
 @dataclasses.dataclass(frozen=True)

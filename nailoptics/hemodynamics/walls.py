@@ -10,8 +10,8 @@ import dataclasses
 import math
 from typing import Any
 
-from nailoptics.hemodynamics.parameters import Parameters
-from nailoptics.hemodynamics.zones import Zones
+from .parameters import Parameters
+from .zones import Zones
 
 PerWall = Any
 """A sequence with one float or one array for each wall, or an array with walls along its first axis."""
@@ -63,7 +63,7 @@ def build_walls(parameters: Parameters, zones: Zones) -> Walls:
     )
 
 
-def massless(
+def massless_rates(
     walls: Walls, width: PerWall, load: PerWall, free: PerWall, high: Any, low: Any
 ) -> tuple[list[Any], list[Any]]:
     """Return pressures and wall speeds of the network whose walls have no mass.

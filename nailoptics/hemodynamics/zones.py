@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from nailoptics.errors import InputError
+from ..errors import InputError
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,7 @@
 """MEDIA AND SHAPE TO DETECTED LIGHT: the only room that imports Mitsuba, and only when light is traced."""
 
+from .board_map import map_board
 from .engines import Light, open_light
-from .map import map_board
 from .rest import Rest, read_rest
 from .tracing import Progress, trace
 from .transfer import RereadWarning, Transfer

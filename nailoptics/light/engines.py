@@ -16,13 +16,13 @@ from ..errors import InputError, NotReachedError
 from ..geometry import Geometry
 from ..scene import Scene
 from . import backend as backends
-from . import media
-from .reread import Course, course
+from . import optics
+from .reweight import Course, course
 from .tracing import INTERRUPTED, Progress, accuracy, trace
 from .transfer import Transfer, provenance
 
 if TYPE_CHECKING:
-    from .volpath_states import StateReadings
+    from .volpath.states import StateReadings
 
 log = logging.getLogger(__name__)
 
@@ -151,7 +151,7 @@ def _section(scene: Scene, shape: Geometry, seed: int, *, traced: bool) -> xr.Da
         )
     }
     if traced:
-        from .mesh import MeshTracer, Section
+        from .finger_walk import MeshTracer, Section
 
         tracer = MeshTracer(scene, shape, spacing_mm=0.2)  # few photons: distances of 0.1 mm would take longer
         density = []
@@ -203,7 +203,7 @@ def _volpath(
     mean_path, mean_path_stderr = _secant_paths(scene, corners, ratio, ratio_stderr)
     light = Light(
         over=lambda blood: _between(fraction, relative, ratio, ratio_stderr, corners, np.asarray(blood, float)),
-        absorbers=media.absorbers(scene),
+        absorbers=optics.absorbers(scene),
         mean_path=mean_path,
         mean_path_stderr=mean_path_stderr,
         section=_section(scene, shape, seed, traced=False),
@@ -231,12 +231,12 @@ def volpath_states(
     progress: Callable[[Progress], None] | None,
 ) -> "StateReadings":
     """Readings of one LED by volpath in up to three blood states, (states, zones) float."""
-    from .volpath_scene import BedAbsorption
-    from .volpath_states import finger_states
+    from .volpath.mitsuba_scene import BedAbsorption
+    from .volpath.states import finger_states
 
-    name, wavelength, zones = scene.leds[led].name, scene.leds[led].wavelength_nm, media.zones(scene)
-    beds = [media.absorbers(scene).index(f"bed_{k + 1}") for k in range(zones.count)]
-    mu_a = media.absorption(scene, wavelength, blood_fraction=blood)[:, 0]
+    name, wavelength, zones = scene.leds[led].name, scene.leds[led].wavelength_nm, optics.zones(scene)
+    beds = [optics.absorbers(scene).index(f"bed_{k + 1}") for k in range(zones.count)]
+    mu_a = optics.absorption(scene, wavelength, blood_fraction=blood)[:, 0]
     low, high = np.asarray(shape.bounds_mm)[:, 1]
     v = np.linspace(low - 0.2, high + 0.2, 1 + round((high - low) / (zones.width_mm / 40)))
 
@@ -249,7 +249,7 @@ def volpath_states(
     return finger_states(
         scene,
         shape,
-        media.finger_media(scene, shape.regions, wavelength),
+        optics.finger_media(scene, shape.regions, wavelength),
         bed=BedAbsorption(v, mu_a[:, beds] @ zones.weights(v).T),
         led=led,
         relative_error=target,
@@ -274,10 +274,10 @@ def _secant_paths(
     scene: Scene, corners: np.ndarray, ratio: np.ndarray, ratio_stderr: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean path in each blood zone, -d ln S / d mu_a between its two states; NaN for the other absorbers. [mm]"""
-    absorbers = media.absorbers(scene)
+    absorbers = optics.absorbers(scene)
     out = np.full((2, *ratio.shape[:2], len(absorbers)), np.nan)
     for i, led in enumerate(scene.leds):
-        mu_a = media.absorption(scene, led.wavelength_nm, blood_fraction=corners)[:, 0]
+        mu_a = optics.absorption(scene, led.wavelength_nm, blood_fraction=corners)[:, 0]
         for k in range(len(corners) - 1):
             column = absorbers.index(f"bed_{k + 1}")
             span = mu_a[k + 1, column] - mu_a[0, column]

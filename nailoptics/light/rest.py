@@ -13,7 +13,7 @@ from .. import geometry
 from ..errors import InputError, NotReachedError
 from ..scene import Accuracy, Scene
 from . import backend as backends
-from . import media
+from . import optics
 from .engines import engine_for, volpath_states
 from .tracing import INTERRUPTED, Progress, accuracy, trace
 from .transfer import Transfer
@@ -201,7 +201,7 @@ def _phantom(
 
     Paths are traced in rounds, each as long as all before it; the first always runs, and none begins after max_seconds.
     """
-    from .volpath import phantom_energy, phantom_fractions
+    from .volpath.integrate import phantom_energy, phantom_fractions
 
     if scene.leds[led].pattern == "measured":
         raise InputError(f'leds[{led}].pattern = "measured" cannot be traced by volpath; use the photons engine.')
@@ -259,7 +259,7 @@ def _finger(
 ) -> tuple[list[tuple[float, float]], int, str | None]:
     """Readings of one LED, the paths spent on all, and why they fall short of what was asked, if they do."""
     target = wanted.relative_error or 0.05
-    rest = np.full((1, media.zones(scene).count), scene.blood.rest_blood_fraction)
+    rest = np.full((1, optics.zones(scene).count), scene.blood.rest_blood_fraction)
     limit = (wanted.max_seconds or math.inf) / len(scene.leds)
     if wanted.relative_error is None and wanted.max_seconds is None:
         log.warning("volpath traces a finger to a relative error, not a number of photons; it takes %g", target)

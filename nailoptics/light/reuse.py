@@ -14,9 +14,9 @@ from ..errors import InputError
 from ..scene import Accuracy, Scene, digest
 from ..scene.layout import lay_out
 from . import backend as backends
-from . import media
+from . import optics
 from .engines import Light
-from .reread import course
+from .reweight import course
 from .tracing import UNSEEN_PHOTONS, Batch, _largest_error, _seeds, unseen
 from .transfer import LedTrace, Transfer, versions
 
@@ -116,8 +116,8 @@ class Need:
     def __init__(self, scene: Scene, led: int, asked: Accuracy, mu_a: np.ndarray) -> None:
         self.scene, self.led, self.asked = scene, led, asked
         self.seconds = asked.max_seconds / len(scene.leds) if asked.max_seconds else math.inf
-        wavelengths, self.share = media.spectrum(scene.leds[led])
-        self.mu_a = media.absorption(scene, wavelengths) - mu_a
+        wavelengths, self.share = optics.spectrum(scene.leds[led])
+        self.mu_a = optics.absorption(scene, wavelengths) - mu_a
         count = len(photodiode_names(scene))
         self.weight, self.square, self.photons = np.zeros(count), np.zeros(count), 0
         self.errors: list[float] = []
@@ -180,10 +180,10 @@ def tracer(scene: Scene, backend: str) -> Any:
         raise InputError(f"the photons engine needs a JIT backend, and {chosen.name} is none: {chosen.advice}")
     backends.activate(chosen)
     if scene.phantom is not None:
-        from .stack import StackTracer
+        from .layered_walk import StackTracer
 
         return StackTracer
-    from .mesh import MeshTracer
+    from .finger_walk import MeshTracer
 
     return MeshTracer
 
@@ -245,7 +245,7 @@ def transfer_of(scene: Scene, traces: Sequence[LedTrace], *, backend: str) -> Tr
     return Transfer(
         scene=scene,
         photodiodes=photodiode_names(scene),
-        absorbers=media.absorbers(scene),
+        absorbers=optics.absorbers(scene),
         traces=tuple(traces),
         engine="photons",
         backend=backend,

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import InputError, NotReachedError
 from ..scene import Accuracy, Scene
 from . import backend as backends
-from . import media
+from . import optics
 from .transfer import MAX_RECORDS, MIN_EFFECTIVE_PHOTONS, LedTrace, Transfer, joined, stderr_of_mean, versions
 
 log = logging.getLogger(__name__)
@@ -89,9 +89,9 @@ def trace(
     backends.activate(chosen)
     tracer: Any
     if scene.phantom is not None:
-        from .stack import StackTracer as tracer
+        from .layered_walk import StackTracer as tracer
     else:
-        from .mesh import MeshTracer as tracer
+        from .finger_walk import MeshTracer as tracer
     engine = tracer(scene)
     start, cpu = time.perf_counter(), time.process_time()
     traces, events, complaint = [], 0, None
@@ -111,7 +111,7 @@ def trace(
     result = Transfer(
         scene=scene,
         photodiodes=engine.photodiodes,
-        absorbers=media.absorbers(scene),
+        absorbers=optics.absorbers(scene),
         traces=tuple(traces),
         engine="photons",
         backend=chosen.name,

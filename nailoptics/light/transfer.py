@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import InputError, NailopticsError
 from ..scene import Scene, digest, parse_scene, to_toml
-from . import media
+from . import optics
 
 # Photons kept per LED; of more, a random half is dropped and the others count twice.
 MAX_RECORDS = 8_000_000
@@ -240,8 +240,8 @@ class Transfer:
         self, led: int, blood: ArrayLike | None, so2: ArrayLike | None, override: Mapping[str, float] | None
     ) -> Any:
         """Absorption (q, r) over the LED's line, and the line's weights (q,)."""
-        wavelengths, weights = media.spectrum(self.scene.leds[led])
-        mu_a = media.absorption(self.scene, wavelengths, blood_fraction=blood, so2=so2)
+        wavelengths, weights = optics.spectrum(self.scene.leds[led])
+        mu_a = optics.absorption(self.scene, wavelengths, blood_fraction=blood, so2=so2)
         for name, value in (override or {}).items():
             if name not in self.absorbers:
                 raise InputError(

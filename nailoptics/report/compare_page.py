@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from ..studies.fits import Z95
-from ..studies.verdict import claim, verdict
+from ..studies.comparison.fits import Z95
+from ..studies.comparison.verdict import claim, verdict
 from . import compare_figures, study_page
 from .numbers import significant, with_error
 

@@ -8,7 +8,7 @@ import xarray as xr
 
 from ..scene import Scene
 from ..scene.layout import Layout, Rectangle, lay_out
-from ..tissue.zones import BloodZones
+from ..tissue.blood_zones import BloodZones
 from . import style
 from .readings import order_along_nail
 

@@ -6,7 +6,7 @@ import xarray as xr
 
 from ..errors import InputError
 from ..scene import parse_scene
-from . import figures, maps, style
+from . import maps, simulate_figures, style
 
 
 def readme_picture(result: xr.Dataset, path: Path) -> None:
@@ -27,7 +27,7 @@ def readme_picture(result: xr.Dataset, path: Path) -> None:
             cut = figure.add_subplot(grid[0, 1])
             maps.draw_section(cut, scene, result, led=0)
             cut.set_title("Its light in the finger, cut lengthwise")
-        figures.draw_change(change, result, scene, led=0)
+        simulate_figures.draw_change(change, result, scene, led=0)
         change.set_title("What the photodiodes read while the finger presses")
         try:
             figure.savefig(path, dpi=110, facecolor="white")

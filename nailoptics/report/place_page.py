@@ -7,8 +7,8 @@ import numpy as np
 import xarray as xr
 
 from ..studies.ambient import SOURCES
-from ..studies.fits import Z95
-from ..studies.place_result import chosen, gain, rows
+from ..studies.comparison.fits import Z95
+from ..studies.placement.result import chosen, gain, rows
 from . import place_figures as figures
 from .numbers import quantity, significant, with_error
 from .study_page import document, drawing, provenance, table, write

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..studies.fits import Z95
-from ..studies.tradeoff import REFERENCE, STATES, TARGETS, Level, Tradeoff
+from ..studies.comparison.fits import Z95
+from ..studies.model_error.tradeoff import REFERENCE, STATES, TARGETS, Level, Tradeoff
 from . import study_page, style
 from .numbers import significant, with_error
 

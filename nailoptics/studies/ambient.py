@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import electronics, tissue
-from ..light import media
-from ..light.map import Arrivals
+from ..light import optics
+from ..light.board_map import Arrivals
 from ..scene import Scene
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ def photocurrents_a(
     """
     wavelength = np.arange(SILICON_NM[0], SILICON_NM[1] + STEP_NM / 2, STEP_NM)
     inside = np.clip(wavelength, *tissue.WAVELENGTH_RANGE_NM)
-    mu_a, traced = media.absorption(scene, inside), media.absorption(scene, traced_nm)[0]
+    mu_a, traced = optics.absorption(scene, inside), optics.absorption(scene, traced_nm)[0]
     # In amperes for each square millimetre that collects; steps are equal, so that the sum is the integral.
     per_mm2 = 1e-6 * STEP_NM * ambient.irradiance(wavelength)
     per_mm2 = per_mm2 * electronics.responsivity_a_per_w(wavelength, quantum_efficiency)

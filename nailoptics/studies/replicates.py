@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..light import Transfer, media
+from ..light import Transfer, optics
 
 GROUPS = 40
 # Photons read at once; with a few hundred states their weights fill the processor's cache, not the memory.
@@ -30,12 +30,12 @@ def read_led(transfer: Transfer, led: int, mu_a: np.ndarray, blood_per_mm: np.nd
 
     Parameters
     ----------
-    mu_a : (states, q, absorbers) float. Absorption over the LED's line, `media.spectrum`. [mm^-1]
+    mu_a : (states, q, absorbers) float. Absorption over the LED's line, `optics.spectrum`. [mm^-1]
     blood_per_mm : (q,) float. Absorption of the blood over the line, in the first state. [mm^-1]
     seed : of the photons' groups.
     """
     trace, source = transfer.traces[led], transfer.scene.leds[led]
-    wavelength, share = media.spectrum(source)
+    wavelength, share = optics.spectrum(source)
     share = share * wavelength / source.wavelength_nm
     mean = float(share @ blood_per_mm / share.sum())
     zones = [k for k, name in enumerate(transfer.absorbers) if name.startswith("bed_")]

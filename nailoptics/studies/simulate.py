@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from .. import electronics, hemodynamics, reduced
+from .. import electronics, hemodynamics
 from ..errors import InputError, NotReachedError
 from ..light import Light, Progress, open_light
+from ..paper import reduced_optics
 from ..scene import Scene
 from ..scene.layout import lay_out
 
@@ -181,7 +182,10 @@ def _reduced(scene: Scene, result: xr.Dataset) -> xr.Dataset:
         for j in range(photodiodes):
             diameter = result.capillary_diameter_m.values[int(result.zone_of_photodiode[j])]
             volts = result.volts.values[i, j]
-            for model, fit in (("beer_lambert", reduced.fit_beer_lambert), ("taylor", reduced.fit_taylor)):
+            for model, fit in (
+                ("beer_lambert", reduced_optics.fit_beer_lambert),
+                ("taylor", reduced_optics.fit_taylor),
+            ):
                 found: Any = fit(diameter, volts)
                 curves[model][i, j] = found.predict(diameter)
                 for field, error in zip(names[model], found.stderr, strict=True):

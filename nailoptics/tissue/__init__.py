@@ -1,6 +1,7 @@
 """Blood to media: from chromophores to mu_a, mu_s, g and n of every region, and the blood zones under the nail."""
 
-from nailoptics.tissue.properties import (
+from .blood_zones import BloodZones, mu_a_field
+from .properties import (
     REGIONS,
     REST_BLOOD_FRACTION,
     Absorption,
@@ -10,8 +11,7 @@ from nailoptics.tissue.properties import (
     optical_properties,
     scattering,
 )
-from nailoptics.tissue.spectra import WAVELENGTH_RANGE_NM, blood_mu_a_per_mm
-from nailoptics.tissue.zones import BloodZones, mu_a_field
+from .spectra import WAVELENGTH_RANGE_NM, blood_mu_a_per_mm
 
 __all__ = [
     "REGIONS",

@@ -6,8 +6,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nailoptics.errors import InputError
-from nailoptics.tissue.spectra import (
+from ..errors import InputError
+from .spectra import (
     Array,
     blood_mu_a_per_mm,
     bloodless_skin_mu_a_per_mm,

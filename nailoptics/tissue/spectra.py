@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nailoptics.assets import read_table
-from nailoptics.errors import InputError
+from ..assets import read_table
+from ..errors import InputError
 
 WAVELENGTH_RANGE_NM = (450.0, 1000.0)
 

@@ -10,12 +10,12 @@ import sys
 import time
 
 import numpy as np
+from nailoptics.light.volpath.integrate.integrate import BedAbsorption, FingerPaths
 
 import nailoptics as nail
 from nailoptics import geometry
 from nailoptics.assets import data_dir
-from nailoptics.light import backend, media
-from nailoptics.light.volpath import BedAbsorption, FingerPaths
+from nailoptics.light import backend, optics
 
 GROUPS = ((0, 1, 2), (3, 4), (5, 6, 7))
 PATHS = 11264
@@ -53,11 +53,11 @@ def main() -> None:
 def volpath(scene: nail.Scene, group: tuple[int, ...]) -> FingerPaths:
     """Paths from the LED's die to a group of photodiodes."""
     shape = geometry.build(scene)
-    optics = media.finger_media(scene, shape.regions, scene.leds[0].wavelength_nm)
+    found = optics.finger_media(scene, shape.regions, scene.leds[0].wavelength_nm)
     v = np.linspace(*(np.asarray(shape.bounds_mm)[:, 1] + [-0.2, 0.2]), 101)
-    rest = np.full((1, len(v)), optics.mu_a[shape.regions.index("bed")])
+    rest = np.full((1, len(v)), found.mu_a[shape.regions.index("bed")])
     chosen = backend.choose("auto")
-    return FingerPaths(shape, optics, bed=BedAbsorption(v, rest), led=0, photodiodes=group, backend=chosen)
+    return FingerPaths(shape, found, bed=BedAbsorption(v, rest), led=0, photodiodes=group, backend=chosen)
 
 
 if __name__ == "__main__":

@@ -13,8 +13,8 @@ import numpy as np
 import nailoptics as nail
 from nailoptics import geometry
 from nailoptics.assets import data_dir
-from nailoptics.light import backend, media
-from nailoptics.light.reread import course
+from nailoptics.light import backend, optics
+from nailoptics.light.reweight import course
 
 PHOTODIODE = 1
 MORE_BLOOD = 1.1
@@ -42,20 +42,20 @@ def modulation(scene: nail.Scene, walk: nail.Transfer) -> None:
     print(
         f"modulation   {change:.3e} +- {error:.1e}   figure of merit {ours:10.3g}  one trace, {walk.cpu_seconds:.0f} s"
     )
-    shape, zones = geometry.build(scene), media.zones(scene)
+    shape, zones = geometry.build(scene), optics.zones(scene)
     led = scene.leds[0].wavelength_nm
     v = np.linspace(-15, 10, 501)
-    from nailoptics.light.volpath import FingerPaths
-    from nailoptics.light.volpath_scene import BedAbsorption
+    from nailoptics.light.volpath.integrate.integrate import FingerPaths
+    from nailoptics.light.volpath.integrate.mitsuba_scene import BedAbsorption
 
     for swapped in (False, True):
         means, variances, cpu = [], [], 0.0
         for k, state in enumerate(states):
-            mu_a = media.absorption(scene, led, blood_fraction=state)[0]
+            mu_a = optics.absorption(scene, led, blood_fraction=state)[0]
             bed = BedAbsorption(v, (zones.weights(v) @ mu_a[1 : 1 + zones.count])[None])
             paths = FingerPaths(
                 shape,
-                media.finger_media(scene, shape.regions, led),
+                optics.finger_media(scene, shape.regions, led),
                 bed=bed,
                 led=0,
                 photodiodes=(PHOTODIODE,),
@@ -97,7 +97,7 @@ def press(scene: nail.Scene) -> None:
 
 def board(scene: nail.Scene) -> None:
     """CPU time of a walk with the map of the whole board over the same walk without, in turns."""
-    from nailoptics.light.map import BoardTracer
+    from nailoptics.light.board_map import BoardTracer
 
     tracer = BoardTracer(scene)
     tracer.arrivals(0, photons=1 << 19, seed=0)  # compiles

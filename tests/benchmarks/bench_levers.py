@@ -21,9 +21,9 @@ from nailoptics.light import backend
 backend.activate(backend.choose("auto"))
 import mitsuba as mi  # noqa: E402
 
-from nailoptics.light.map import BoardTracer  # noqa: E402
-from nailoptics.light.mesh import DETECTED, MeshTracer  # noqa: E402
-from nailoptics.light.walk import henyey_greenstein, turn  # noqa: E402
+from nailoptics.light.board_map import BoardTracer  # noqa: E402
+from nailoptics.light.finger_walk import DETECTED, MeshTracer  # noqa: E402
+from nailoptics.light.sampling import henyey_greenstein, turn  # noqa: E402
 
 THICKNESS_MM, MU_A, MU_S, G = 10.0, 0.05, 10.0, 0.9
 LOW, HIGH = (1.5, -0.5), (2.5, 0.5)

@@ -16,7 +16,7 @@ import xarray as xr
 import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.errors import NotReachedError
-from nailoptics.studies import place, place_boards, place_light, place_result
+from nailoptics.studies.placement import boards, photon_maps, place, result
 
 CANDIDATES = 20
 
@@ -34,10 +34,10 @@ def main() -> None:
     wall, cpu = time.perf_counter() - begin, time.process_time() - cpu
     print(f"whole placement        {wall:8.1f} s, {cpu:.0f} s of processor time; {unmet}")
     print(f"  {found.sizes['spot']} LED places tried, {found.attrs['photons'] / 1e6:.0f} M photons")
-    for row in place_result.rows(found):
+    for row in result.rows(found):
         error = row["force_resolution_n_stderr"]
         print(f"  {row['rank']:2d} {row['layout']:22s} {1e3 * row['force_resolution_n']:.3f} +- {1e3 * error:.3f} mN")
-    better = place_result.gain(found)
+    better = result.gain(found)
     if better:
         print(f"  {better[0]:.3f} +- {better[1]:.3f} times as fine as the paper's layout")
     print(f"a further candidate    {1e3 * further(scene, found):8.1f} ms")
@@ -46,20 +46,18 @@ def main() -> None:
 
 def further(scene: nail.Scene, found: xr.Dataset) -> float:
     """Median time to judge one more layout on a board whose light is traced. [s]"""
-    rules, base = place_boards.rules(scene), place_boards.base_board(scene)
-    views = [place_light.View(case, place._operating(base, case, rules)) for case in place_boards.fingers(scene)]
-    best = place_result.chosen(found)
-    board = place_boards.bare(place_boards.explicit(best, "best"))
-    bank = place_light.Bank(views, seed=1, stream=1, backend="auto", spacing_mm=place.SPACING_MM, blocks=place.BLOCKS)
+    rules, base = boards.rules(scene), boards.base_board(scene)
+    views = [photon_maps.View(case, place._operating(base, case, rules)) for case in boards.fingers(scene)]
+    best = result.chosen(found)
+    board = boards.bare(boards.explicit(best, "best"))
+    bank = photon_maps.Bank(views, seed=1, stream=1, backend="auto", spacing_mm=place.SPACING_MM, blocks=place.BLOCKS)
     bank.grow(board, 1 << 18)
-    places = [element.center_mm for element in place_boards.elements(best)]
+    places = [element.center_mm for element in boards.elements(best)]
     spent = []
     for i in range(CANDIDATES):
         begin = time.perf_counter()
         moved = [(u, v + 0.01 * i) for u, v in places]
-        layout = place_boards.with_parts(
-            base, [r.center_mm for r in place_boards.lay_out(best).leds], moved, name="one"
-        )
+        layout = boards.with_parts(base, [r.center_mm for r in boards.lay_out(best).leds], moved, name="one")
         place.judge(place.Layout("one", layout, board, "given"), bank, rules.rank_by)
         spent.append(time.perf_counter() - begin)
     return statistics.median(spent[1:])

@@ -195,7 +195,7 @@ def test_a_beam_inside_its_photodiode_and_dies_that_touch_it(jit_backend):
 
 
 def prototype_with(**tables: dict) -> Scene:
-    from nailoptics.studies.variants import revised
+    from nailoptics.studies.model_error.variants import revised
 
     return revised(load_scene(PROTOTYPE), tables)
 
@@ -301,7 +301,7 @@ def test_meshes_from_coarse_to_a_million_triangles_are_closed(resolution, least)
 @pytest.mark.slow
 def test_readings_do_not_hang_on_the_fineness_of_the_mesh(jit_backend):
     """A million triangles in place of ten thousand: the same readings within the error, and nothing more lost."""
-    from nailoptics.light.mesh import MeshTracer
+    from nailoptics.light.finger_walk import MeshTracer
 
     scene = prototype_with()
     found = []

@@ -5,7 +5,7 @@ import pytest
 
 from nailoptics.hemodynamics import PAPER_ZONES, parameters, steady_state, zones
 from nailoptics.hemodynamics.network import coefficients, resistances, state_matrices
-from nailoptics.hemodynamics.walls import build_walls, massless, massless_jacobian, moving
+from nailoptics.hemodynamics.walls import build_walls, massless_jacobian, massless_rates, moving
 
 
 def kirchhoff(arteriole, venule, vein, injected, high, low):
@@ -87,7 +87,7 @@ def test_eliminations_agree_with_kirchhoff_for_any_number_of_units(count):
 
         load = np.array(walls.area) * rng.uniform(-1e4, 2e4, n)
         free = np.where(rng.random(n) < 0.7, 1.0, 0.0)
-        pressure, speed = massless(walls, width, load, free, high, low)
+        pressure, speed = massless_rates(walls, width, load, free, high, low)
         assert np.allclose(
             pressure, kirchhoff(*network, -np.array(walls.area) * speed, high, low), rtol=1e-9, atol=1e-6
         )
@@ -102,11 +102,11 @@ def test_jacobian_agrees_with_finite_differences():
     outside = np.array(walls.area) * rng.uniform(0, 1e4, 3)
 
     def speed(width, free):
-        return np.array(massless(walls, width, outside + stiffness * (width - rest), free, 1e4, 0.0)[1])
+        return np.array(massless_rates(walls, width, outside + stiffness * (width - rest), free, 1e4, 0.0)[1])
 
     for free in ([1.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]):
         width = rest * rng.uniform(0.3, 2.0, 3)
-        pressure = massless(walls, width, outside + stiffness * (width - rest), free, 1e4, 0.0)[0]
+        pressure = massless_rates(walls, width, outside + stiffness * (width - rest), free, 1e4, 0.0)[0]
         diagonal, left, right = massless_jacobian(walls, width, free, pressure, 1e4, 0.0)
         exact = np.diag(diagonal) + np.outer(left, right)
         step = 1e-5 * rest
@@ -125,7 +125,7 @@ def test_massless_speeds_solve_the_printed_equations_without_mass():
     inputs = np.array([1e4, 200.0, 3e3, 5e3])
     a, b = state_matrices(p, width)
     load = np.array(walls.area) * [0.0, 5e3, 3e3] + np.array(walls.stiffness) * stretch
-    _, speed = massless(walls, width, load, [1.0] * 3, 1e4, 200.0)
+    _, speed = massless_rates(walls, width, load, [1.0] * 3, 1e4, 200.0)
     acceleration = (a @ np.concatenate([stretch, speed]) + b @ inputs)[3:]
     largest = np.abs(a[3:, 3:] @ speed).max()
     assert np.abs(acceleration).max() < 1e-12 * largest

@@ -81,14 +81,14 @@ def test_tightening_the_tolerance_converges_in_proportion(touch):
 
 
 def test_one_step_has_the_order_of_the_method():
-    from nailoptics.hemodynamics import rosenbrock
+    from nailoptics.hemodynamics import rodas
 
     # y' = -y^2 + t, as diag(d) + outer(p, q); local error of an order-4 method falls with h^5.
     def slope(time, state):
         return [-(state[0] ** 2) + time]
 
     def error(step_s):
-        after, estimate, first, second = rosenbrock.step(
+        after, estimate, first, second = rodas.step(
             slope,
             time=0.0,
             state=[1.0],
@@ -100,7 +100,7 @@ def test_one_step_has_the_order_of_the_method():
         exact = solve_ivp(
             lambda t, y: -(y**2) + t, (0, step_s), [1.0], "DOP853", rtol=1e-13, atol=1e-15, t_eval=[step_s / 2, step_s]
         )
-        middle = rosenbrock.interpolate(1.0, after[0], first[0], second[0], 0.5)
+        middle = rodas.interpolate(1.0, after[0], first[0], second[0], 0.5)
         return abs(after[0] - exact.y[0, 1]), abs(estimate[0]), abs(middle - exact.y[0, 0])
 
     steps = np.array([0.05, 0.025, 0.0125])
@@ -240,11 +240,11 @@ def test_bad_input_is_one_clear_line(time, inputs, message):
 
 
 def test_a_tolerance_out_of_reach_is_said():
-    from nailoptics.hemodynamics import PAPER_ZONES, reduced
+    from nailoptics.hemodynamics import PAPER_ZONES, massless
     from nailoptics.hemodynamics.drive import Drive
     from nailoptics.hemodynamics.walls import build_walls
 
     drive = Drive(np.array([0.0, 1.0]), np.array([[1e4, 1e4], [0, 0], [0, 0], [0, 0], [5e3, 5e3]], dtype=float))
     walls = build_walls(parameters("listed"), PAPER_ZONES)
     with pytest.raises(NotReachedError, match="more than 5 steps"):
-        reduced.integrate(walls, drive, np.array([0.0, 1.0]), np.array(walls.diameter), rtol=1e-9, most_steps=5)
+        massless.integrate(walls, drive, np.array([0.0, 1.0]), np.array(walls.diameter), rtol=1e-9, most_steps=5)

@@ -114,7 +114,7 @@ def test_zones_with_other_inputs_take_all_pressures_together():
 def unbalanced(p, touch):
     """Largest force that would still move a free wall, over that of the arterial pressure. [1]"""
     from nailoptics.hemodynamics import PAPER_ZONES
-    from nailoptics.hemodynamics.walls import build_walls, massless
+    from nailoptics.hemodynamics.walls import build_walls, massless_rates
 
     s = steady_state(p, proximal_pressure_pa=touch[0], distal_pressure_pa=touch[1])
     walls = build_walls(p, PAPER_ZONES)
@@ -124,7 +124,7 @@ def unbalanced(p, touch):
     )
     free = np.where(width <= closed * (1 + 1e-12), 0.0, 1.0)
     load = area * np.stack([0.0 * touch[0], touch[1], touch[0]]) + stiffness * (width - rest)
-    pressure, speed = massless(walls, list(width), list(load), list(free), 1e4, 0.0)
+    pressure, speed = massless_rates(walls, list(width), list(load), list(free), 1e4, 0.0)
     lift = area * np.array(pressure) - load
     assert np.all(lift[free == 0.0] <= 1e-9 * area.max() * 1e4)  # what is closed is pressed shut
     return np.max(np.abs(np.array(speed)) * damping / (area * 1e4))
@@ -133,7 +133,7 @@ def unbalanced(p, touch):
 @pytest.mark.parametrize("feedback", [1.0, 100.0])
 def test_any_set_within_bounds_balances_at_any_touch(feedback):
     from nailoptics.hemodynamics import bounds
-    from nailoptics.hemodynamics.search import SEARCHED
+    from nailoptics.paper.parameter_search import SEARCHED
 
     rng = np.random.default_rng(int(feedback))
     limits = bounds()

@@ -10,16 +10,18 @@ import pytest
 
 import nailoptics as nail
 from nailoptics import tissue
-from nailoptics.light import Transfer, media, read_rest, reuse
-from nailoptics.light.map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
-from nailoptics.light.mesh import MeshTracer
-from nailoptics.light.reread import course
+from nailoptics.light import Transfer, optics, read_rest, reuse
+from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
+from nailoptics.light.finger_walk import MeshTracer
+from nailoptics.light.reweight import course
 from nailoptics.light.tracing import Batch, _trace_led
 from nailoptics.light.transfer import LedTrace, joined, stderr_of_mean
 from nailoptics.scene import Accuracy, Scene, parse_scene
 from nailoptics.scene.layout import lay_out
-from nailoptics.studies import fits, place_merit, replicates
-from nailoptics.studies.place_light import jackknife, left_out
+from nailoptics.studies import replicates
+from nailoptics.studies.comparison import fits
+from nailoptics.studies.placement import fisher
+from nailoptics.studies.placement.photon_maps import jackknife, left_out
 
 FINGER = """
 schema_version = 1
@@ -108,8 +110,8 @@ def of_trace(transfer: Transfer) -> Estimates:
         "change": (moved.change[..., -1], moved.change_stderr[..., -1]),
     }
     led = transfer.scene.leds[0]
-    wavelength, _ = media.spectrum(led)
-    mu_a = media.absorption(transfer.scene, wavelength, blood_fraction=states)
+    wavelength, _ = optics.spectrum(led)
+    mu_a = optics.absorption(transfer.scene, wavelength, blood_fraction=states)
     blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, 0.97))
     read = replicates.read_led(transfer, 0, mu_a, blood, seed=1)
     ratio = read.reading[..., -1] / read.reading[..., 0]
@@ -131,7 +133,7 @@ def test_intervals_of_everything_read_from_a_trace_of_a_finger(jit_backend, runs
 def test_intervals_of_the_map_and_of_the_force_that_a_layout_resolves(jit_backend, runs):
     """Expected: sums over a rectangle by photons, cells of the map by blocks, the resolution by their jackknife."""
     scene = parse_scene(FINGER)
-    tracer, point, at = BoardTracer(scene), blood_point(scene, 0), place_merit.operating(scene, 0.5)
+    tracer, point, at = BoardTracer(scene), blood_point(scene, 0), fisher.operating(scene, 0.5)
     areas, outline = [e.area for e in lay_out(scene).photodiodes], lay_out(scene).outline
 
     def mapped(several: list[Arrivals]) -> Estimates:
@@ -143,8 +145,8 @@ def test_intervals_of_the_map_and_of_the_force_that_a_layout_resolves(jit_backen
         numbers = np.concatenate([a.photon + i * photons for i, a in enumerate(several)])
         together = Arrivals(photons * len(several), numbers, *columns)
         left = left_out(one.over(areas))
-        volts = place_merit.volts(left, scene.leds[0], scene.photodiodes[0], scene.electronics, at)
-        resolution = place_merit.resolution_n(place_merit.information(volts).sum(-2), at)
+        volts = fisher.volts(left, scene.leds[0], scene.photodiodes[0], scene.electronics, at)
+        resolution = fisher.resolution_n(fisher.information(volts).sum(-2), at)
         mean, error = one.per_mm2()
         # The cell in which the first photodiode's centre lies.
         u, v = areas[0].center_mm
@@ -177,7 +179,7 @@ def test_intervals_of_each_engine_on_a_phantom(jit_backend, engine):
 @pytest.mark.slow
 def test_intervals_of_a_trace_that_stopped_at_a_tolerance(jit_backend, monkeypatch):
     """Paths and a reread state of a trace that stopped by its reading, beside the reading."""
-    from nailoptics.light.stack import StackTracer
+    from nailoptics.light.layered_walk import StackTracer
 
     monkeypatch.setattr(StackTracer, "batch_photons", 1 << 11)
     scene = parse_scene(SLAB.format(u=2.0))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nailoptics.errors import InputError
-from nailoptics.light import backend, engines, media, read_rest
+from nailoptics.light import backend, engines, optics, read_rest
 from nailoptics.light.engines import engine_for
 from nailoptics.scene import Scene, parse_scene
 
@@ -98,8 +98,8 @@ def test_a_photodiode_that_saw_nothing_has_no_error_rather_than_none_at_all():
 def test_secants_give_the_paths_that_made_them():
     scene = finger()
     corners = np.array([[0.03, 0.03], [0.05, 0.03], [0.03, 0.01]])
-    mu_a = media.absorption(scene, 800.0, blood_fraction=corners)[:, 0]
-    names = media.absorbers(scene)
+    mu_a = optics.absorption(scene, 800.0, blood_fraction=corners)[:, 0]
+    names = optics.absorbers(scene)
     path = np.zeros(len(names))
     path[[names.index("bed_1"), names.index("bed_2")]] = 3.0, 1.5
     ratio = np.exp(-(mu_a - mu_a[0]) @ path)[None, None]

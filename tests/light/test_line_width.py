@@ -5,7 +5,7 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.assets import data_dir
-from nailoptics.light import media
+from nailoptics.light import optics
 
 PHOTONS = 400_000
 
@@ -26,7 +26,7 @@ def test_a_line_read_from_one_trace_is_the_sum_of_narrow_band_traces(chosen_jit,
     scene = scene.model_copy(update={"leds": (led,), "photodiodes": near})
     line = nail.trace(scene, photons=2 * PHOTONS, seed=1).at()
     total, variance = np.zeros(4), np.zeros(4)
-    for k, (nm, share) in enumerate(zip(*media.spectrum(led), strict=True)):
+    for k, (nm, share) in enumerate(zip(*optics.spectrum(led), strict=True)):
         narrow = led.model_copy(update={"wavelength_nm": float(nm), "fwhm_nm": 0.0})
         one = nail.trace(scene.model_copy(update={"leds": (narrow,)}), photons=PHOTONS, seed=10 + k).at()
         total += share * one.detected_fraction.values[0]

@@ -33,7 +33,7 @@ def test_split_photons_read_what_plain_ones_read(jit_backend, prototype):
 
     chi^2 of 24 dependent values: 60 is one in more than 1e4 even of 24 independent ones.
     """
-    from nailoptics.light.mesh import DETECTED, MeshTracer
+    from nailoptics.light.finger_walk import DETECTED, MeshTracer
 
     tracer = MeshTracer(prototype)
     photons, count = 1 << 19, len(tracer.photodiodes)

@@ -11,7 +11,7 @@ import pytest
 import nailoptics as nail
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.light import Progress, tracing
-from nailoptics.light.stack import StackTracer
+from nailoptics.light.layered_walk import StackTracer
 from nailoptics.scene import Scene, parse_scene
 
 pytestmark = pytest.mark.jit

@@ -7,8 +7,9 @@ import pytest
 
 from nailoptics import geometry
 from nailoptics.errors import InputError
-from nailoptics.light import backend, volpath, volpath_scene, volpath_states
-from nailoptics.light.media import finger_media
+from nailoptics.light import backend
+from nailoptics.light.optics import finger_media
+from nailoptics.light.volpath.integrate import integrate, mitsuba_scene, states
 from nailoptics.scene import parse_scene
 
 # Dermis, measured by Shimojo (mu_a), and reduced scattering 4.6 (lambda / 500)^-1.421 (Jacques 2013). [mm^-1]
@@ -71,7 +72,7 @@ def test_a_slab_at_each_wavelength_meets_adding_doubling(wavelength, n, engine):
     mu_s = reduced / (1 - g)
     exact = iadpython.Sample(a=mu_s / (mu_a + mu_s), b=mu_a + mu_s, g=g, n=n, quad_pts=20).rt()[:2]
     scene = slab(mu_a=mu_a, mu_s=mu_s, g=g, n=n, wavelength=wavelength)
-    batches = volpath.phantom_energy(scene, batches=16, paths_per_batch=4096, seed=1, backend=engine)
+    batches = integrate.phantom_energy(scene, batches=16, paths_per_batch=4096, seed=1, backend=engine)
     mean, stderr = statistics(batches)
     assert np.all(abs(mean - exact) < 4 * stderr)
     assert np.all(stderr < 0.01 * mean)
@@ -82,7 +83,7 @@ def test_a_lambertian_die_meets_adding_doubling(engine):
     iadpython = pytest.importorskip("iadpython")
     exact = iadpython.Sample(a=0.99, b=10, g=0.8, n=1.4, quad_pts=20).rt()[2:]
     scene = slab(mu_a=0.1, mu_s=9.9, g=0.8, n=1.4, led="size_mm = [0.25, 0.25]")
-    batches = volpath.phantom_energy(scene, batches=16, paths_per_batch=4096, seed=2, backend=engine)
+    batches = integrate.phantom_energy(scene, batches=16, paths_per_batch=4096, seed=2, backend=engine)
     mean, stderr = statistics(batches)
     assert np.all(abs(mean - exact) < 4 * stderr)
     assert np.all(stderr < 0.01 * mean)
@@ -92,7 +93,7 @@ def test_a_lambertian_die_meets_adding_doubling(engine):
 def test_without_absorption_all_light_comes_out(led, engine):
     """R + T = 1 path by path, also where the index below differs: radiance over n squared is what is reciprocal."""
     scene = slab(mu_a=0.0, mu_s=8.0, g=0.5, n=1.5, n_below=1.33, led=led)
-    batches = volpath.phantom_energy(scene, batches=2, paths_per_batch=4096, seed=3, backend=engine)
+    batches = integrate.phantom_energy(scene, batches=2, paths_per_batch=4096, seed=3, backend=engine)
     assert np.allclose(batches.sum(axis=1), 1, atol=1e-3)
     assert np.all(batches > 0.1)
 
@@ -102,17 +103,17 @@ def test_three_blood_states_in_one_heterogeneous_medium_meet_adding_doubling(eng
     iadpython = pytest.importorskip("iadpython")
     states, mu_s, g = np.array([0.05, 0.1, 0.2]), 12.0, 0.8
     exact = [iadpython.Sample(a=mu_s / (m + mu_s), b=m + mu_s, g=g, n=1.4, quad_pts=20).rt()[0] for m in states]
-    with volpath._mitsuba(engine) as mi:
+    with integrate._mitsuba(engine) as mi:
         scene = slab(mu_a=0.05, mu_s=mu_s, g=g, n=1.4)
-        made = volpath_scene.phantom_scene(
-            mi, scene.phantom, scene.leds[0], [volpath_scene.Window((0.0, 0.0), volpath_scene.EVERYTHING)]
+        made = mitsuba_scene.phantom_scene(
+            mi, scene.phantom, scene.leds[0], [mitsuba_scene.Window((0.0, 0.0), mitsuba_scene.EVERYTHING)]
         )
-        bed = volpath.BedAbsorption(np.array([-80.0, 0.0, 80.0]), np.repeat(states[:, None], 3, axis=1))
+        bed = integrate.BedAbsorption(np.array([-80.0, 0.0, 80.0]), np.repeat(states[:, None], 3, axis=1))
         box = np.array([[-80.0, -80, -1.2], [80, 80, 0.2]])
-        made["medium_0"] = volpath_scene.bed_medium(mi, bed, mu_s=mu_s, g=g, bounds_mm=box)
-        made["window_0"]["emitter"] = volpath_scene.emitter([1.0, 1.0, 1.0])
+        made["medium_0"] = mitsuba_scene.bed_medium(mi, bed, mu_s=mu_s, g=g, bounds_mm=box)
+        made["window_0"]["emitter"] = mitsuba_scene.emitter([1.0, 1.0, 1.0])
         loaded = mi.load_dict(made, optimize=False)
-        batches = np.stack([volpath._render(mi, loaded, paths=4096, seed=seed) for seed in range(12)])
+        batches = np.stack([integrate._render(mi, loaded, paths=4096, seed=seed) for seed in range(12)])
     mean, stderr = statistics(batches)
     assert np.all(abs(mean - exact) < 4 * stderr)
     assert np.all(stderr < 0.01 * mean)
@@ -121,7 +122,7 @@ def test_three_blood_states_in_one_heterogeneous_medium_meet_adding_doubling(eng
 def test_a_photodiode_sized_reading(engine):
     """8.977(9)e-3 through a 1 x 1 mm square 2 mm from a beam on 10 mm of matched medium: pmmc, MCX and plain C."""
     scene = slab(mu_a=0.05, mu_s=10, g=0.9, n=1, thickness=10, photodiode=SQUARE)
-    batches = volpath.phantom_fractions(scene, batches=20, paths_per_batch=5120, seed=4, backend=engine)
+    batches = integrate.phantom_fractions(scene, batches=20, paths_per_batch=5120, seed=4, backend=engine)
     mean, stderr = statistics(batches)
     assert abs(mean - 8.977e-3) < 4 * stderr and stderr < 0.04 * mean
 
@@ -130,7 +131,7 @@ def test_same_seed_same_bits_and_the_variant_is_given_back(engine):
     mi = backend.activate(backend.choose("scalar"))
     scene = slab(mu_a=0.1, mu_s=1, g=0, n=1.3, photodiode=SQUARE)
     first, second, other = (
-        volpath.phantom_fractions(scene, batches=2, paths_per_batch=512, seed=seed, backend=engine)
+        integrate.phantom_fractions(scene, batches=2, paths_per_batch=512, seed=seed, backend=engine)
         for seed in (5, 5, 6)
     )
     assert np.array_equal(first, second) and not np.array_equal(first, other)
@@ -147,13 +148,13 @@ def test_what_stock_mitsuba_cannot_do_is_said():
         photodiode=SQUARE,
     )
     with pytest.raises(InputError, match="measured"):
-        volpath.phantom_fractions(scene, batches=1, paths_per_batch=256, seed=1, backend=backend.choose("scalar"))
+        integrate.phantom_fractions(scene, batches=1, paths_per_batch=256, seed=1, backend=backend.choose("scalar"))
     plain = slab(mu_a=0.1, mu_s=1, g=0, n=1, photodiode=SQUARE)
     with pytest.raises(ValueError, match="float32"):
-        volpath.phantom_fractions(plain, batches=1, paths_per_batch=10**8, seed=1, backend=backend.choose("scalar"))
+        integrate.phantom_fractions(plain, batches=1, paths_per_batch=10**8, seed=1, backend=backend.choose("scalar"))
     for places, values in (([0, 1], [0.1, 0.2]), ([0, 1, 3], [[0.1] * 3]), ([0, 1], [[0.1] * 2] * 4)):
         with pytest.raises(ValueError):
-            volpath.BedAbsorption(np.array(places), np.array(values))
+            integrate.BedAbsorption(np.array(places), np.array(values))
 
 
 def test_the_bed_varies_along_the_nail_as_asked():
@@ -161,8 +162,8 @@ def test_the_bed_varies_along_the_nail_as_asked():
     mi = backend.activate(backend.choose("scalar"))
     v = np.linspace(-6, 6, 121)
     states = np.stack([0.1 + 0.05 * np.tanh(v), 0.2 - 0.01 * v, np.full_like(v, 0.3)])
-    made = volpath_scene.bed_medium(
-        mi, volpath.BedAbsorption(v, states), mu_s=20.0, g=0.9, bounds_mm=np.array([[-5.0, -5, -9], [5, 5, 0]])
+    made = mitsuba_scene.bed_medium(
+        mi, integrate.BedAbsorption(v, states), mu_s=20.0, g=0.9, bounds_mm=np.array([[-5.0, -5, -9], [5, 5, 0]])
     )
     sigma_t, albedo = mi.load_dict(made["sigma_t"]), mi.load_dict(made["albedo"])
     assert sigma_t.max() >= 1.05 * (states.max() + 20)
@@ -174,8 +175,8 @@ def test_the_bed_varies_along_the_nail_as_asked():
         assert np.allclose(total, expected + 20, rtol=1e-5)
         assert np.allclose(total * (1 - share), expected, rtol=1e-3)
     with pytest.raises(ValueError, match="does not cover"):
-        volpath_scene.bed_medium(
-            mi, volpath.BedAbsorption(v, states), mu_s=20.0, g=0.9, bounds_mm=np.array([[-5.0, -9, -9], [5, 5, 0]])
+        mitsuba_scene.bed_medium(
+            mi, integrate.BedAbsorption(v, states), mu_s=20.0, g=0.9, bounds_mm=np.array([[-5.0, -9, -9], [5, 5, 0]])
         )
 
 
@@ -207,16 +208,16 @@ def prepare(text):
     bloodless = optics.mu_a[shape.regions.index("bed")]
     # 1, 3 and 6 % of blood of 0.437 per mm, smoothly less towards the tip.
     states = bloodless + 0.437 * np.outer([0.01, 0.03, 0.06], 1 - 0.3 / (1 + np.exp(-v)))
-    return scene, shape, optics, volpath.BedAbsorption(v, states)
+    return scene, shape, optics, integrate.BedAbsorption(v, states)
 
 
 def read(finger, engine, *, seed, batches, swapped=True, keep=slice(None), optics=None):
     scene, shape, media, bed = finger
-    return volpath.finger_fractions(
+    return integrate.finger_fractions(
         scene,
         shape,
         optics or media,
-        bed=volpath.BedAbsorption(bed.v_mm, bed.mu_a_per_mm[keep]),
+        bed=integrate.BedAbsorption(bed.v_mm, bed.mu_a_per_mm[keep]),
         led=0,
         photodiode=0,
         batches=batches,
@@ -277,11 +278,11 @@ position_mm = [0.0, 1.0]
 size_mm = [1.0, 1.0]
 """
     scene, shape, media, bed = prepare(FINGER + two)
-    rest = volpath.BedAbsorption(bed.v_mm, bed.mu_a_per_mm[:1])
+    rest = integrate.BedAbsorption(bed.v_mm, bed.mu_a_per_mm[:1])
     scalar = backend.choose("scalar")
 
     def trace(photodiodes, seed):
-        paths = volpath.FingerPaths(shape, media, bed=rest, led=0, photodiodes=photodiodes, backend=scalar)
+        paths = integrate.FingerPaths(shape, media, bed=rest, led=0, photodiodes=photodiodes, backend=scalar)
         return statistics(np.stack([paths.batch(paths=2048, seed=100 * seed + k) for k in range(6)]))
 
     together, error = trace((0, 1), 1)
@@ -290,40 +291,40 @@ size_mm = [1.0, 1.0]
         assert abs(alone[0] - together[i]) < 4 * np.hypot(alone_error[0], error[i])
         assert alone_error[0] < 0.3 * alone[0]
     with pytest.raises(ValueError, match="not both"):
-        volpath.FingerPaths(shape, media, bed=bed, led=0, photodiodes=(0, 1), backend=scalar)
+        integrate.FingerPaths(shape, media, bed=bed, led=0, photodiodes=(0, 1), backend=scalar)
 
 
 def test_states_of_every_photodiode_within_a_time_or_a_tolerance(finger, monkeypatch):
     scene, shape, media, bed = finger
-    monkeypatch.setattr(volpath_states, "BATCH_SECONDS", 0.2)
+    monkeypatch.setattr(states, "BATCH_SECONDS", 0.2)
     heard = []
     common = dict(bed=bed, led=0, seed=1, backend=backend.choose("scalar"))
-    result = volpath_states.finger_states(
+    result = states.finger_states(
         scene, shape, media, relative_error=0.25, max_seconds=60, progress=lambda *told: heard.append(told), **common
     )
     assert result.fell_short is None and result.fraction.shape == result.ratio_stderr.shape == (1, 3)
     assert np.all(result.fraction_stderr < 0.3 * result.fraction)
     assert np.all(result.ratio[:, 0] == 1) and np.all(result.ratio_stderr[:, 0] < 1e-12)
-    other, other_error = volpath_states.ratio_to_first(read(finger, backend.choose("scalar"), seed=9, batches=8))
+    other, other_error = states.ratio_to_first(read(finger, backend.choose("scalar"), seed=9, batches=8))
     assert np.all(abs(result.ratio[0] - other)[1:] < 4 * np.hypot(result.ratio_stderr[0], other_error)[1:])
     assert np.all(result.ratio_stderr < 0.03)
     assert heard[-1][0] <= 0.25 and len(heard) >= result.batches
-    hurried = volpath_states.finger_states(scene, shape, media, relative_error=1e-4, max_seconds=0.1, **common)
-    assert "max_seconds" in hurried.fell_short and hurried.batches >= volpath_states.RATIO_BATCHES
+    hurried = states.finger_states(scene, shape, media, relative_error=1e-4, max_seconds=0.1, **common)
+    assert "max_seconds" in hurried.fell_short and hurried.batches >= states.RATIO_BATCHES
 
 
 def test_an_interrupt_keeps_the_batches_that_are_there(finger, monkeypatch):
     scene, shape, media, bed = finger
-    monkeypatch.setattr(volpath_states, "BATCH_SECONDS", 0.05)
+    monkeypatch.setattr(states, "BATCH_SECONDS", 0.05)
     heard = []
 
     def interrupt(error, seconds):
         heard.append(error)
-        if len(heard) > volpath_states.RATIO_BATCHES + 2:
+        if len(heard) > states.RATIO_BATCHES + 2:
             raise KeyboardInterrupt
 
     common = dict(bed=bed, led=0, backend=backend.choose("scalar"), relative_error=1e-4, max_seconds=600)
-    kept = volpath_states.finger_states(scene, shape, media, seed=1, progress=interrupt, **common)
+    kept = states.finger_states(scene, shape, media, seed=1, progress=interrupt, **common)
     assert kept.fell_short.startswith("interrupted") and kept.batches == len(heard)
     assert np.all(np.isfinite(kept.fraction_stderr))
 
@@ -333,8 +334,8 @@ def test_stopping_at_a_tolerance_biases_nothing():
     rng = np.random.default_rng(3)
     means, asked = [], 0.1
     for _ in range(2000):
-        draws, count = rng.exponential(1.0, 1000), volpath_states.LEAST_BATCHES
-        while (wanted := volpath_states.batches_for(asked, list(draws[:count]))) > count:
+        draws, count = rng.exponential(1.0, 1000), states.LEAST_BATCHES
+        while (wanted := states.batches_for(asked, list(draws[:count]))) > count:
             count = wanted
         means.append(draws[:count].mean())
     assert abs(np.mean(means) - 1) < 0.1 * asked

@@ -9,7 +9,7 @@ import pytest
 
 from nailoptics.errors import InputError
 from nailoptics.report import readme_picture, write_report
-from nailoptics.report.page import page
+from nailoptics.report.simulate_page import page
 
 VOID = {"meta", "br"}
 
@@ -162,7 +162,7 @@ def test_it_is_written_whole_or_not_at_all(make, tmp_path, monkeypatch):
     write_report(result, path)
     before = path.read_text(encoding="utf-8")
     assert before.endswith("</html>\n")
-    monkeypatch.setattr("nailoptics.report.page.page", lambda _: "another")
+    monkeypatch.setattr("nailoptics.report.simulate_page.page", lambda _: "another")
     assert os.listdir(tmp_path) == ["report.html"]
     monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
     with pytest.raises(InputError, match="No space left"):

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from nailoptics import geometry
-from nailoptics.light import backend, media, volpath, volpath_scene
-from nailoptics.light.map import Arrivals, BoardTracer
+from nailoptics.light import backend, optics
+from nailoptics.light.board_map import Arrivals, BoardTracer
+from nailoptics.light.volpath.integrate import integrate, mitsuba_scene
 from nailoptics.scene import parse_scene
 from nailoptics.studies.ambient import SOURCES, Ambient, collecting_area_mm2, luminous_efficiency, photocurrents_a
 
@@ -51,7 +52,7 @@ def test_silicon_in_the_open_gives_the_short_circuit_current_of_full_sun():
     """
     scene = parse_scene(SCENE.format(cover=500)).model_copy()
     scene = scene.model_copy(update={"light": scene.light.model_copy(update={"index_steps": False})})
-    absorbers = len(media.absorbers(scene))
+    absorbers = len(optics.absorbers(scene))
     all_left = Arrivals(10, np.arange(10), np.zeros((10, 2)), np.ones(10), np.zeros((10, absorbers), np.float32))
     each = photocurrents_a(all_left, scene, SOURCES[0], traced_nm=800.0, quantum_efficiency=1.0, area_mm2=1.0)
     assert each.sum() == pytest.approx(0.40e-3, rel=0.15)
@@ -72,20 +73,20 @@ def test_a_sky_of_the_other_engine_brings_what_reciprocity_foretells(jit_backend
         _, left = tracer.back(0, 0, photons=1 << 18, seed=seed)
         each.append(left.weight.sum() / left.photons)
     shape = tracer.tracer.shape
-    optics = media.finger_media(scene, shape.regions, 800.0)
-    n = optics.n[shape.regions.index("epoxy")]
+    found = optics.finger_media(scene, shape.regions, 800.0)
+    n = found.n[shape.regions.index("epoxy")]
     area = shape.photodiodes[0].area_mm2
     ours = collecting_area_mm2(np.mean(each), area_mm2=area, n=n)
     error = collecting_area_mm2(np.std(each, ddof=1) / 2, area_mm2=area, n=n)
     low, high = np.asarray(shape.bounds_mm)[:, 1]
     v = np.linspace(low - 0.2, high + 0.2, 101)
-    bed = volpath.BedAbsorption(v, np.full((1, len(v)), optics.mu_a[shape.regions.index("bed")]))
-    with volpath._mitsuba(backend.choose("auto")) as mi, tempfile.TemporaryDirectory() as folder:
+    bed = integrate.BedAbsorption(v, np.full((1, len(v)), found.mu_a[shape.regions.index("bed")]))
+    with integrate._mitsuba(backend.choose("auto")) as mi, tempfile.TemporaryDirectory() as folder:
         sensor = shape.photodiodes[0].region
-        made = volpath_scene.finger_scene(mi, shape, optics, bed, sensor=sensor, emitters={}, folder=Path(folder))
+        made = mitsuba_scene.finger_scene(mi, shape, found, bed, sensor=sensor, emitters={}, folder=Path(folder))
         made["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}
         loaded = mi.load_dict(made, optimize=False)
-        theirs = np.array([volpath._render(mi, loaded, paths=1 << 14, seed=s)[0] for s in range(30)]) * area / np.pi
+        theirs = np.array([integrate._render(mi, loaded, paths=1 << 14, seed=s)[0] for s in range(30)]) * area / np.pi
     spread = theirs.std(ddof=1) / np.sqrt(len(theirs))
     assert abs(theirs.mean() - ours) < 4 * np.hypot(error, spread), (theirs.mean(), spread, ours, error)
     assert error < 0.05 * ours and spread < 0.05 * ours

@@ -6,8 +6,9 @@ import xarray as xr
 
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
-from nailoptics.light import engines, volpath_states
+from nailoptics.light import engines
 from nailoptics.light.store import write_dataset
+from nailoptics.light.volpath.integrate import states
 from nailoptics.scene import Scene, digest, load_scene, parse_scene
 from nailoptics.studies.simulate import blood_course, simulate
 
@@ -172,7 +173,7 @@ def test_the_main_job_runs_without_a_jit_backend(monkeypatch, caplog):
     """Rationale: where no LLVM is usable, volpath in the scalar variant answers. Expected: the same dataset, errors no
     larger than asked, and the signs of the largest changes, of which the states share their noise."""
     monkeypatch.setattr(engines, "VOLPATH_RELATIVE_ERROR", 0.3)
-    monkeypatch.setattr(volpath_states, "BATCH_SECONDS", 0.3)
+    monkeypatch.setattr(states, "BATCH_SECONDS", 0.3)
     scene = prototype()
     scene = scene.model_copy(
         update={

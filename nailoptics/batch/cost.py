@@ -1,0 +1,114 @@
+"""What a sweep will cost, from a quick trace of some of its scenes."""
+
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..light import backend as backends
+from ..light import reuse
+from ..light.engines import VOLPATH_RELATIVE_ERROR
+from ..scene import Accuracy, Scene
+from ..scene.sweep import Sweep
+from . import reading, record
+from .plan import plan
+from .status import told_time
+from .work import Settings, reads_transfer
+
+# Lights that are tried, evenly spaced in the sweep.
+SAMPLES = 3
+# How long volpath is tried on each. [s]
+VOLPATH_SECONDS = 5.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Scenes, traces, processor time and disk of a sweep, all of it and per scene without shared light. [s, bytes]"""
+
+    scenes: int
+    lights: int
+    cpu_seconds: float
+    cpu_seconds_without_sharing: float
+    disk_bytes: int
+
+    def __str__(self) -> str:
+        saved = self.cpu_seconds_without_sharing / self.cpu_seconds if self.cpu_seconds else 1.0
+        return (
+            f"{self.scenes} scenes, light traced {self.lights} times\n"
+            f"about {told_time(self.cpu_seconds)} of processor time ({told_time(self.cpu_seconds_without_sharing)} if "
+            f"every scene were traced: {saved:.1f} times as much)\n"
+            f"about {self.disk_bytes / 1e6:.1f} MB of disk"
+        )
+
+
+def estimate(
+    sweep: Sweep,
+    *,
+    seed: int = 0,
+    backend: str = "auto",
+    photons: int | None = None,
+    relative_error: float | None = None,
+) -> Estimate:
+    """Estimate a sweep's cost; compiling is not counted, as it happens once per worker."""
+    settings = Settings(Path(), seed, backends.choose(backend).name, photons, relative_error)
+    planned = plan(sweep, settings)
+    groups: dict[str, list[Scene]] = {}
+    for p in planned:
+        groups.setdefault(p.key, []).append(p.scene)
+    lights = list(groups.values())
+    count = min(SAMPLES, len(lights))
+    picks = [lights[round(i * (len(lights) - 1) / max(count - 1, 1))] for i in range(count)]
+    costs = [_cost(group[0], settings) for group in picks]
+    light_s, read_s, light_bytes, read_bytes = (sum(column) / len(costs) for column in zip(*costs, strict=True))
+    scenes = len({p.digest for p in planned})
+    return Estimate(
+        scenes=scenes,
+        lights=len(lights),
+        cpu_seconds=len(lights) * light_s + scenes * read_s,
+        cpu_seconds_without_sharing=scenes * (light_s + read_s),
+        disk_bytes=round(len(lights) * light_bytes + scenes * read_bytes),
+    )
+
+
+def _cost(scene: Scene, settings: Settings) -> tuple[float, float, float, float]:
+    """Processor seconds of a scene's light and of its reading, and the bytes of both."""
+    if not reads_transfer(scene, settings):
+        begin = time.process_time()
+        rough = Accuracy(relative_error=0.5, max_seconds=VOLPATH_SECONDS)
+        dataset, paths, _ = reading.by_volpath(scene, seed=settings.seed, backend=settings.backend, asked=rough)
+        asked = settings.asked(scene)
+        if scene.phantom is not None and asked.photons:
+            more = max(asked.photons / paths, 1.0)
+        else:
+            floor = VOLPATH_RELATIVE_ERROR if scene.finger is not None else 0.0
+            error = min(reading.relative_error(dataset), 1.0)  # a photodiode may have seen nothing yet
+            more = max((error / max(asked.relative_error or floor, floor)) ** 2, 1.0)
+        size = len(record.pack(*reading.to_record(dataset)))
+        return (time.process_time() - begin) * more, 0.0, 0.0, float(size)
+    kind = reuse.tracer(scene, settings.backend)
+    engine, asked = kind(reuse.reference(scene)), settings.asked(scene)
+    engine.batch(0, photons=1024, seed=1)  # compiles
+    opening = time.process_time()
+    engine = kind(reuse.reference(scene))
+    opening = time.process_time() - opening
+    light_s, light_bytes, traces = opening, 0.0, []
+    for led in range(len(scene.leds)):
+        begin = time.process_time()
+        batch = engine.batch(led, photons=kind.batch_photons, seed=1)
+        spent = time.process_time() - begin
+        need = reuse.Need(scene, led, asked, engine.mu_a(led))
+        need.add(batch)
+        photons = asked.photons or kind.batch_photons
+        if asked.photons is None and asked.relative_error is not None and math.isfinite(need.errors[0]):
+            photons *= max((need.errors[0] / asked.relative_error) ** 2, 1.0)
+        times = photons / kind.batch_photons
+        light_s += spent * times
+        light_bytes += times * (batch.weight.nbytes + batch.path_mm.nbytes + batch.photodiode.nbytes)
+        batches = reuse.LedBatches(engine.mu_a(led), {(0, kind.batch_photons): batch})
+        traces.append(batches.trace([kind.batch_photons], seed=settings.seed, led=led))
+    transfer = reuse.transfer_of(scene, traces, backend=settings.backend)
+    reading.of_transfer(transfer, seed=settings.seed)  # imports
+    begin = time.process_time()
+    dataset = reading.of_transfer(transfer, seed=settings.seed)
+    size = len(record.pack(*reading.to_record(dataset)))
+    return light_s, time.process_time() - begin, light_bytes, float(size)

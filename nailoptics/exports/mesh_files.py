@@ -1,0 +1,92 @@
+"""Geometry for other programs: GLB with one named part per region, PLY with the regions of every face."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..geometry.model import Geometry
+
+COLOURS = {
+    "plate": (244, 221, 205),
+    "bed": (222, 120, 115),
+    "bone": (236, 228, 200),
+    "pulp": (226, 160, 140),
+    "epidermis": (224, 178, 150),
+    "epoxy": (190, 220, 235),
+    "barrier": (30, 30, 30),
+    "kapton": (205, 140, 40),
+    "cover": (50, 50, 55),
+    "cut": (150, 60, 60),
+    "silicon": (90, 95, 110),
+    "led": (240, 40, 40),
+    "photodiode": (70, 90, 160),
+}
+# glTF counts in metres with y up; the finger lies in it with the nail up and the tip towards the viewer.
+TO_GLTF = np.array([[-1e-3, 0, 0, 0], [0, 0, 1e-3, 0], [0, 1e-3, 0, 0], [0, 0, 0, 1]])
+
+
+def export_mesh(geometry: Geometry, path: str | Path) -> Path:
+    """Write a geometry to a file; the ending of its name chooses the format.
+
+    .glb : one closed mesh per region, named as the region, in metres with the nail up, as glTF asks.
+    .ply : one mesh of all interfaces, each face once, in millimetres; integer face properties `below` and `above` give
+        the regions on both sides (normals point from below to above), and comments in the header name the regions.
+
+    Raises: InputError where the ending is another, or the file cannot be written.
+    """
+    path = Path(path)
+    writers = {".glb": _glb, ".ply": _ply}
+    if path.suffix.lower() not in writers:
+        raise InputError(f'{path}: geometry is written as .glb or .ply, not as "{path.suffix}"; choose one of them.')
+    data = writers[path.suffix.lower()](geometry)
+    aside = path.with_name(path.name + ".part")
+    try:
+        aside.write_bytes(data)
+        aside.replace(path)
+    except OSError as error:
+        if aside.is_file():
+            aside.unlink()
+        raise InputError(f"{path}: cannot be written: {error.strerror}; choose another folder.") from None
+    return path
+
+
+def region_triangles(geometry: Geometry, region: int) -> NDArray[np.int32]:
+    """The closed surface of a region, (k, 3) int, with normals out of it."""
+    out, inward = geometry.below == region, geometry.above == region
+    return np.concatenate([geometry.triangles[out], geometry.triangles[inward][:, ::-1]])
+
+
+def _glb(geometry: Geometry) -> bytes:
+    import trimesh
+
+    scene = trimesh.Scene()
+    for index, name in enumerate(geometry.regions):
+        triangles = region_triangles(geometry, index)
+        if name == "air" or not len(triangles):
+            continue
+        used, flat = np.unique(triangles, return_inverse=True)
+        material = trimesh.visual.material.PBRMaterial(
+            name=name, baseColorFactor=(*COLOURS[name.split(":")[0]], 255), metallicFactor=0.0, roughnessFactor=0.7
+        )
+        mesh = trimesh.Trimesh(
+            geometry.vertices[used],
+            flat.reshape(-1, 3),
+            process=False,
+            visual=trimesh.visual.TextureVisuals(material=material),
+        )
+        scene.add_geometry(mesh, node_name=name, geom_name=name, transform=TO_GLTF)
+    return bytes(scene.export(file_type="glb"))
+
+
+def _ply(geometry: Geometry) -> bytes:
+    import trimesh
+
+    mesh = trimesh.Trimesh(geometry.vertices, geometry.triangles, process=False)
+    mesh.face_attributes["below"] = geometry.below.astype(np.int32)
+    mesh.face_attributes["above"] = geometry.above.astype(np.int32)
+    data = bytes(trimesh.exchange.ply.export_ply(mesh, include_attributes=True))
+    comments = "".join(f"comment region {i} {name}\n" for i, name in enumerate(geometry.regions))
+    first, second, rest = data.split(b"\n", 2)
+    return b"\n".join([first, second, comments.encode() + rest])

@@ -1,0 +1,95 @@
+"""The paper's six-state model over time: walls with mass, the check on the massless one."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ..errors import NotReachedError
+from .drive import Drive
+from .walls import Walls, moving
+
+_CONTACT_OVER_WALL = 1e6
+"""Stiffness of two walls in contact over that of one wall: large, so that contact is hard. [1]"""
+
+
+@dataclasses.dataclass(frozen=True)
+class FullTrajectory:
+    """Walls over time, with their speeds.
+
+    width_m : (N+1, T) float. D + x of each unit and the vein. [m]
+    speed_m_per_s : (N+1, T) float.
+    closed : (N+1, T) bool. True in contact.
+    """
+
+    width_m: np.ndarray
+    speed_m_per_s: np.ndarray
+    closed: np.ndarray
+
+
+def integrate(
+    walls: Walls, drive: Drive, time_s: np.ndarray, start_m: np.ndarray, *, rtol: float, contact: bool
+) -> FullTrajectory:
+    """Return walls and speeds at given times, by scipy's Radau between the stops of the drive.
+
+    start_m : (N+1,) float. D + x at time_s[0], at rest. [m]
+    contact : walls push back once closed (a spring a million times as stiff as the wall, with its damping); without,
+        they pass through each other, as printed in the paper.
+
+    Raises
+    ------
+    NotReachedError
+        If the integrator gives up.
+    """
+    from scipy.integrate import solve_ivp
+
+    area, mass = np.array(walls.area), np.array(walls.mass)
+    damping, stiffness = np.array(walls.damping), np.array(walls.stiffness)
+    rest, closed = np.array(walls.diameter), np.array(walls.closed)
+    n = rest.size
+
+    def rates(time: float, state: np.ndarray) -> np.ndarray:
+        width, speed = state[:n] * rest, state[n:] * rest
+        inputs = drive.at(time)
+        open_width = np.maximum(width, closed) if contact else width
+        pressure = np.array(moving(walls, open_width, speed, inputs[0], inputs[1]))
+        force = area * (pressure - inputs[2:]) - stiffness * (width - rest) - damping * speed
+        if contact:
+            depth = np.maximum(closed - width, 0.0)
+            force += _CONTACT_OVER_WALL * stiffness * depth
+        return np.concatenate([speed, force / mass]) / np.tile(rest, 2)
+
+    # Rates are linear in the speeds, and smooth in the diameters: fixed differences serve, where adaptive ones stall.
+    offset = np.concatenate([np.full(n, 1e-7), np.ones(n)])
+
+    def jacobian(time: float, state: np.ndarray) -> np.ndarray:
+        columns = [(rates(time, state + e) - rates(time, state - e)) / (2.0 * e.sum()) for e in np.diag(offset)]
+        return np.column_stack(columns)
+
+    state = np.concatenate([start_m / rest, np.zeros(n)])
+    samples = np.empty((2 * n, time_s.size))
+    for begin, end in zip(drive.stops[:-1], drive.stops[1:], strict=True):
+        inside = (time_s >= begin) & (time_s <= end)
+        wanted = np.append(time_s[inside], end)
+        solution = solve_ivp(
+            rates,
+            (begin, end),
+            state,
+            method="Radau",
+            t_eval=np.unique(wanted),
+            rtol=max(rtol, 3e-14),
+            atol=rtol,
+            jac=jacobian,
+        )
+        if not solution.success:
+            raise NotReachedError(
+                f"hemodynamics: the full model stopped at {begin:g} s ({solution.message}); raise rtol."
+            )
+        samples[:, inside] = solution.y[:, : np.count_nonzero(inside)]
+        state = solution.y[:, -1]
+    width = samples[:n] * rest[:, None]
+    touching = width <= closed[:, None] if contact else np.zeros(width.shape, dtype=bool)
+    if contact:
+        width = np.maximum(width, closed[:, None])
+    return FullTrajectory(width_m=width, speed_m_per_s=samples[n:] * rest[:, None], closed=touching)

@@ -1,0 +1,343 @@
+"""The photon map: every photon that arrives at the board's underside, read as any photodiode anywhere would read it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from .. import tissue
+from ..errors import InputError
+from ..geometry import Face, Geometry
+from ..scene import Scene
+from ..scene.layout import Rectangle, lay_out
+from ..tissue.properties import DermisAbsorption
+from . import backend as backends
+from . import optics
+from .transfer import provenance
+
+if TYPE_CHECKING:
+    from .tallies.sensitivity import Cells
+
+# A photon that never entered the bed has no path there, but for rounding between the zones.
+NO_PATH_MM = 1e-5
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """Photons of one LED that arrived at the board's underside.
+
+    photons : How many were emitted.
+    photon : (n,) int. Which of them; one that the bare board sent back may arrive again.
+    place_mm : (n, 2) float. Where, on the flat board (u, v). [mm]
+    weight : (n,) float. Weight at arrival of 1 at emission, at the traced absorption.
+    path_mm : (n, r) float32. Path in each absorber. [mm]
+    """
+
+    photons: int
+    photon: np.ndarray
+    place_mm: np.ndarray
+    weight: np.ndarray
+    path_mm: np.ndarray
+
+
+class BoardTracer:
+    """Traces a finger scene's LEDs onto its board, whatever its photodiodes."""
+
+    def __init__(
+        self, scene: Scene, shape: Geometry | None = None, *, backend: str = "auto", spacing_mm: float = 0.1
+    ) -> None:
+        """spacing_mm : cells of the distances that the walk asks for; wider ones are made sooner and walk slower."""
+        if scene.finger is None:
+            raise InputError("a photon map needs a [finger] scene; a phantom has no board, give it apertures.")
+        self.backend = backends.choose(backend)
+        if not self.backend.jit:
+            raise InputError(
+                f"a photon map needs a JIT backend, and {self.backend.name} is none: {self.backend.advice}"
+            )
+        backends.activate(self.backend)
+        from .finger_walk import MeshTracer
+
+        self.scene = scene
+        self.tracer = MeshTracer(scene, shape, spacing_mm=spacing_mm)
+        self.batch_photons = self.tracer.batch_photons
+
+    def arrivals(self, led: int, *, photons: int, seed: int) -> Arrivals:
+        """Trace some photons of one LED; same seed, same bits."""
+        return self._onto_board(led, None, photons, seed)[0]
+
+    def back(self, photodiode: int, led: int, *, photons: int, seed: int) -> tuple[Arrivals, Arrivals]:
+        """Trace light the other way, from a photodiode that shines as a Lambertian LED of the wavelength of one LED.
+
+        By reciprocity a photodiode of area A reads, of a Lambertian LED that lies where this light arrives, A times the
+        irradiance there; and of diffuse light from outside n^2 A times its irradiance times the part that leaves.
+
+        Returns: light that arrives on the board, and light that leaves into the air; that has no place (nan).
+        """
+        return self._onto_board(led, self.tracer.shape.photodiodes[photodiode], photons, seed)
+
+    def _onto_board(self, led: int, face: Face | None, photons: int, seed: int) -> tuple[Arrivals, Arrivals]:
+        from .sampling import TOP
+        from .tallies.board_tally import Recorder
+
+        backends.activate(self.backend)
+        tallies = len(optics.TISSUES) + optics.zones(self.scene).count - 1
+        recorder = Recorder(self.tracer.shape, photons=photons, tallies=tallies)
+        outcome, last, _, ways, _ = self.tracer.walk(led, photons=photons, seed=seed, face=face, board=recorder)
+        photon, place, weight, paths = recorder.arrays()
+        left = np.flatnonzero(outcome == TOP)
+        nowhere = np.full((len(left), 2), np.nan)
+        return (
+            Arrivals(photons, photon, place, weight, self.tracer.by_zone(paths)),
+            Arrivals(photons, left, nowhere, last[left].astype(float), self.tracer.by_zone(ways[:, left])),
+        )
+
+    def detected(
+        self, led: int, point: "BloodPoint", *, photons: int, seed: int, cells: "Cells | None" = None
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """What the scene's own photodiodes read, (photodiodes, 2 + K) float: means of a BloodPoint's values.
+
+        cells : ask, too, where in the finger each photodiode looks: how its reading falls with absorption in each
+            cell, per volume, (photodiodes, u, v, depth) float. [mm^-2]
+        """
+        from .finger_walk import DETECTED
+        from .tallies.sensitivity import Seen
+
+        backends.activate(self.backend)
+        outcome, weight, _, paths, _ = self.tracer.walk(led, photons=photons, seed=seed)
+        ended, count = np.flatnonzero(outcome >= DETECTED), len(self.tracer.photodiodes)
+        where, nowhere = outcome[ended] - DETECTED, np.zeros((len(ended), 2))
+        arrived = Arrivals(photons, ended, nowhere, weight[ended].astype(float), self.tracer.by_zone(paths[:, ended]))
+        values = point.values(arrived)
+        means = np.stack([np.bincount(where, column, minlength=count) for column in values.T], -1) / photons
+        if cells is None:
+            return means, None
+        if not len(ended):
+            return means, np.zeros((count, *cells.shape))
+        counts, looks = np.zeros(photons), np.zeros(photons, int)
+        counts[ended], looks[ended] = values[:, 0], where
+        seen = Seen(cells, counts, looks, count)
+        again = self.tracer.replay(led, photons=photons, seed=seed, which=ended, seen=seen)
+        if np.count_nonzero(again != outcome[ended]) > 1 + 0.01 * len(ended):
+            raise RuntimeError("photons walked otherwise when they walked again; this backend does not repeat itself.")
+        return means, seen.sums() / (photons * cells.volume_mm3)
+
+    def cells(self) -> "Cells":
+        """Cells under the nail of this finger, for `detected`."""
+        from .tallies.sensitivity import Cells
+
+        return Cells.under_nail(self.scene, self.tracer.shape)
+
+
+@dataclass(frozen=True)
+class BloodPoint:
+    """Absorption over an LED's line in one state, and how it changes with the blood of each zone.
+
+    share : (q,) float. Weight of each wavelength times the photodiode's response relative to that at the peak.
+    mu_a, traced : (q, r), (r,) float. Absorption in this state, and when the light was traced. [mm^-1]
+    slope : (q,) float. Absorption per blood fraction. [mm^-1]
+    beds : Columns of the bed's zones.
+    """
+
+    share: np.ndarray
+    mu_a: np.ndarray
+    traced: np.ndarray
+    slope: np.ndarray
+    beds: tuple[int, ...]
+
+    def values(self, arrivals: Arrivals) -> np.ndarray:
+        """What each arrival adds, (n, 2 + K): to the reading, to its part never in the bed, to d reading / d blood."""
+        path = arrivals.path_mm.astype(float)
+        part = self.share * np.exp(-(path @ (self.mu_a - self.traced).T))
+        weight = arrivals.weight * part.sum(1)
+        fall = arrivals.weight * (part @ self.slope)
+        bed = path[:, self.beds]
+        direct = np.where(bed.sum(1) <= NO_PATH_MM, weight, 0.0)
+        return np.column_stack([weight, direct, -fall[:, None] * bed])
+
+
+def blood_point(
+    scene: Scene,
+    led: int,
+    *,
+    traced: Scene | None = None,
+    blood_fraction: ArrayLike | None = None,
+    dermis: DermisAbsorption = "jacques_baseline",
+) -> BloodPoint:
+    """The absorption of a scene's blood state over the line of one of its LEDs.
+
+    traced : the scene whose light was traced, if another of the same shape and scattering.
+    blood_fraction : (K,) float in 0-1; at rest if not given.
+    dermis : what the bloodless bed absorbs.
+    """
+    source = scene.leds[led]
+    wavelength, share = optics.spectrum(source)
+    mu_a = optics.absorption(scene, wavelength, blood_fraction=blood_fraction)
+    names = optics.absorbers(scene)
+    beds = tuple(i for i, name in enumerate(names) if name.startswith("bed_"))
+    usual = tissue.absorption("bed", wavelength, so2=scene.blood.so2)
+    asked = tissue.absorption("bed", wavelength, so2=scene.blood.so2, dermis_absorption=dermis)
+    mu_a[:, beds] += (np.asarray(asked.base_per_mm) - np.asarray(usual.base_per_mm))[:, None]
+    return BloodPoint(
+        share=share * wavelength / source.wavelength_nm,
+        mu_a=mu_a,
+        traced=optics.absorption(traced or scene, source.wavelength_nm)[0],
+        slope=np.asarray(usual.per_blood_fraction_per_mm, float),
+        beds=beds,
+    )
+
+
+def readings(arrivals: Arrivals, values: np.ndarray, rectangles: Sequence[Rectangle]) -> tuple[np.ndarray, np.ndarray]:
+    """Means per emitted photon over each rectangle and their standard errors, (rectangles, values) float each.
+
+    values : (n, q) float, such as those of a BloodPoint.
+    """
+    from .transfer import stderr_of_mean
+
+    (u, v), total, square = arrivals.place_mm.T, [], []
+    for r in rectangles:
+        inside = np.flatnonzero((u >= r.u_min) & (u < r.u_max) & (v >= r.v_min) & (v < r.v_max))
+        # A photon that arrives twice is one photon: its first arrival would have ended it there.
+        inside = inside[np.unique(arrivals.photon[inside], return_index=True)[1]]
+        total.append(values[inside].sum(0))
+        square.append((values[inside] ** 2).sum(0))
+    return np.array(total) / arrivals.photons, stderr_of_mean(np.array(total), np.array(square), arrivals.photons)
+
+
+class PhotonMap:
+    """Sums of arrivals on cells of the board, in blocks of photons: any rectangle is read in microseconds.
+
+    Blocks are independent samples of equal size; statistics over them give every standard error. Between the cells'
+    edges sums are interpolated, which shows only where light changes much within a cell.
+    """
+
+    def __init__(self, outline: Rectangle, *, values: int, spacing_mm: float = 0.1, blocks: int = 32) -> None:
+        self.outline, self.blocks = outline, blocks
+        self.shape = tuple(
+            max(1, round(size / spacing_mm)) for size in (outline.u_max - outline.u_min, outline.v_max - outline.v_min)
+        )
+        self.u_mm = np.linspace(outline.u_min, outline.u_max, self.shape[0] + 1)
+        self.v_mm = np.linspace(outline.v_min, outline.v_max, self.shape[1] + 1)
+        self.sums = np.zeros((values, blocks, *self.shape))
+        self.photons = 0
+        self._table: np.ndarray | None = None
+
+    def add(self, arrivals: Arrivals, values: np.ndarray) -> None:
+        """Add arrivals; values (n, q) float is what each of them counts."""
+        cell = []
+        for place, edges, count in zip(arrivals.place_mm.T, (self.u_mm, self.v_mm), self.shape, strict=True):
+            index = np.floor((place - edges[0]) * (count / (edges[-1] - edges[0])))
+            cell.append(np.clip(index, 0, count - 1).astype(np.int64))
+        flat = ((arrivals.photon % self.blocks) * self.shape[0] + cell[0]) * self.shape[1] + cell[1]
+        for total, column in zip(self.sums, values.T, strict=True):
+            total += np.bincount(flat, column, minlength=total.size).reshape(total.shape)
+        self.photons += arrivals.photons
+        self._table = None
+
+    def over(self, rectangles: Sequence[Rectangle] | np.ndarray) -> np.ndarray:
+        """Means per emitted photon over rectangles in each block, (blocks, rectangles, values) float.
+
+        rectangles : or (m, 4) float, u_min, u_max, v_min, v_max. [mm]
+        """
+        if self._table is None:
+            padded = np.pad(self.sums, ((0, 0), (0, 0), (1, 0), (1, 0)))
+            self._table = np.ascontiguousarray(padded.cumsum(2).cumsum(3).transpose(2, 3, 1, 0))
+        if not isinstance(rectangles, np.ndarray):
+            rectangles = np.array([(r.u_min, r.u_max, r.v_min, r.v_max) for r in rectangles]).reshape(-1, 4)
+        low_u, high_u, low_v, high_v = rectangles.T
+        corner = self._corner
+        sums = corner(high_u, high_v) - corner(low_u, high_v) - corner(high_u, low_v) + corner(low_u, low_v)
+        return sums.transpose(1, 0, 2) * (self.blocks / self.photons)
+
+    def _corner(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Sums of all cells below and left of points, (m, blocks, values), linear between the cells' corners."""
+        assert self._table is not None
+        parts = []
+        for place, edges, count in zip((u, v), (self.u_mm, self.v_mm), self.shape, strict=True):
+            at = np.clip((place - edges[0]) * (count / (edges[-1] - edges[0])), 0, count)
+            index = np.minimum(at.astype(np.int64), count - 1)
+            parts.append((index, (at - index)[:, None, None]))
+        (i, a), (j, b) = parts
+        t = self._table
+        return (1 - a) * ((1 - b) * t[i, j] + b * t[i, j + 1]) + a * ((1 - b) * t[i + 1, j] + b * t[i + 1, j + 1])
+
+    def blocks_per_mm2(self) -> np.ndarray:
+        """Means per emitted photon and area in each block, (values, blocks, u, v) float. [mm^-2]"""
+        area = (self.u_mm[1] - self.u_mm[0]) * (self.v_mm[1] - self.v_mm[0])
+        return self.sums * (self.blocks / self.photons / area)
+
+    def per_mm2(self) -> tuple[np.ndarray, np.ndarray]:
+        """Means per emitted photon and area, and their standard errors over blocks, (values, u, v) float. [mm^-2]"""
+        each = self.blocks_per_mm2()
+        return each.mean(1), each.std(1, ddof=1) / np.sqrt(self.blocks)
+
+
+def map_board(
+    scene: Scene, *, photons: int = 1_000_000, seed: int = 0, backend: str = "auto", spacing_mm: float = 0.1
+) -> xr.Dataset:
+    """Trace where each LED's light arrives on the underside of the board, at rest.
+
+    Where a photodiode would lie, the map's integral is what it would read, but for the light that the bare board sends
+    back there and that then arrives there again, a part in a thousand.
+
+    Parameters
+    ----------
+    spacing_mm : size of the map's cells, about. [mm]
+
+    Returns: Dataset over led, u (across) and v (along the nail, towards the tip): irradiance, its part that was never
+    in the bed, its derivative to the blood of each zone, each with its standard error, as fractions of the emitted
+    power per area. [mm^-2]
+
+    Raises: InputError for a phantom, a bad spacing, or without a JIT backend.
+    """
+    if not 0.01 <= spacing_mm <= 2:
+        raise InputError(f"spacing_mm = {spacing_mm:g} must lie in 0.01 to 2.")
+    tracer = BoardTracer(scene, backend=backend)
+    maps = []
+    for led in range(len(scene.leds)):
+        point = blood_point(scene, led)
+        one = PhotonMap(lay_out(scene).outline, values=2 + len(point.beds), spacing_mm=spacing_mm)
+        count = -(-photons // tracer.batch_photons)
+        for i, batch_seed in enumerate(np.random.SeedSequence(seed, spawn_key=(led,)).generate_state(count, np.uint64)):
+            size = min(tracer.batch_photons, photons - i * tracer.batch_photons)
+            arrivals = tracer.arrivals(led, photons=size, seed=int(batch_seed))
+            one.add(arrivals, point.values(arrivals))
+        maps.append(one)
+    return map_dataset([led.name for led in scene.leds], maps).assign_attrs(
+        provenance(
+            scene, engine="photons", backend=tracer.backend.name, photons=photons * len(scene.leds), seeds=str(seed)
+        )
+    )
+
+
+def map_dataset(leds: Sequence[str], maps: Sequence[PhotonMap]) -> xr.Dataset:
+    """Maps of several LEDs on one board as a Dataset over led, zone, u and v."""
+    mean, error = (np.stack(both) for both in zip(*(one.per_mm2() for one in maps), strict=True))
+    plane, texts = ("led", "u", "v"), {
+        "irradiance": "irradiance of the board's underside per emitted power",
+        "direct": "irradiance by light that was never in the bed, per emitted power",
+        "sensitivity": "derivative of the irradiance to the blood fraction of a zone, per emitted power",
+    }  # fmt: skip
+    data = {}
+    for name, text in texts.items():
+        column = slice(2, None) if name == "sensitivity" else ["irradiance", "direct"].index(name)
+        dims = ("led", "blood_zone", "u", "v") if name == "sensitivity" else plane
+        about = {"units": "mm-2", "long_name": text, "ancillary_variables": f"{name}_stderr"}
+        data[name] = (dims, mean[:, column], about)
+        data[f"{name}_stderr"] = (
+            dims,
+            error[:, column],
+            {"units": "mm-2", "long_name": f"standard error of the {text}"},
+        )
+    u, v = ((edges[1:] + edges[:-1]) / 2 for edges in (maps[0].u_mm, maps[0].v_mm))
+    return xr.Dataset(
+        data,
+        coords={
+            "led": list(leds),
+            "blood_zone": np.arange(mean.shape[1] - 2),
+            "u": ("u", u, {"units": "mm", "long_name": "across the nail, on the flat board"}),
+            "v": ("v", v, {"units": "mm", "long_name": "along the nail, towards the tip"}),
+        },
+    )

@@ -1,0 +1,1 @@
+"""What a walk keeps of its photons on their way."""

@@ -1,0 +1,1 @@
+"""Stock Mitsuba's volpath through real participating media: the engine that checks the photon walk."""

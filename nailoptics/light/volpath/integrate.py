@@ -1,0 +1,214 @@
+"""The independent engine: Mitsuba's stock volpath, traced from the LED back to the photodiode.
+
+It shares nothing with the photon walk but the scene: absorption acts along the way through real participating media,
+and up to three blood states travel as the three colours of one path, so that their difference carries little noise.
+Where no JIT backend works it does the main job in the scalar variant.
+"""
+
+import logging
+import math
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import InputError
+from ...geometry import Geometry
+from ...scene import Led, Scene
+from ..backend import Backend, activate, choose
+from ..optics import Media
+from .mitsuba_scene import EVERYTHING, FILM, BedAbsorption, Window, check_pattern, finger_scene, phantom_scene
+
+__all__ = ["BedAbsorption", "FingerPaths", "finger_fractions", "phantom_energy", "phantom_fractions"]
+
+log = logging.getLogger(__name__)
+
+# The rgb variants carry three plain floats, at the cost of one.
+VARIANTS = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
+PIXELS = FILM * FILM
+MAX_SPP = 10_000
+
+
+@contextmanager
+def _mitsuba(backend: Backend | None) -> Iterator[Any]:
+    """Mitsuba in the variant that this engine needs; the one that was set before returns afterwards."""
+    backend = backend or choose()
+    # Dr.Jit looks for its library at import, so only `activate`, which knows the right one, may import it.
+    loaded = sys.modules.get("mitsuba")
+    before = loaded.variant() if loaded else None
+    mi = activate(replace(backend, variant=VARIANTS[backend.name]))
+    try:
+        yield mi
+    finally:
+        if before:
+            mi.set_variant(before)
+
+
+def _render(mi: Any, scene: Any, *, paths: int, seed: int) -> NDArray[np.float64]:
+    """Mean of each colour over some paths, (3,) float."""
+    spp = max(1, math.ceil(paths / PIXELS))
+    if spp > MAX_SPP:
+        raise ValueError(f"{paths} paths in one batch lose counts in float32; at most {MAX_SPP * PIXELS}")
+    image = np.array(mi.render(scene, spp=spp, seed=seed), dtype=np.float64)
+    mean = image.reshape(-1, image.shape[-1]).mean(axis=0)
+    if not np.isfinite(mean).all():
+        raise FloatingPointError(f"volpath gave {mean}")
+    return np.asarray(mean)
+
+
+def _seeds(seed: int, batches: int) -> list[int]:
+    """Independent seeds of the batches."""
+    return [int(child.generate_state(1)[0]) for child in np.random.SeedSequence(seed).spawn(batches)]
+
+
+def phantom_fractions(
+    scene: Scene,
+    *,
+    led: int = 0,
+    photodiode: int = 0,
+    batches: int,
+    paths_per_batch: int,
+    seed: int,
+    backend: Backend | None = None,
+) -> NDArray[np.float64]:
+    """Detected fraction of an LED's power in an aperture on a phantom, batch by batch.
+
+    led, photodiode : Indices in the scene.
+
+    Returns (batches,) float; the mean is the estimate, their spread gives its standard error.
+
+    Raises: InputError for an LED with a measured pattern.
+    """
+    aperture = scene.photodiodes[photodiode]
+    window = Window(aperture.position_mm, aperture.size_mm)
+    return _phantom(scene, scene.leds[led], [window], batches, paths_per_batch, seed, backend)[:, 0]
+
+
+def phantom_energy(
+    scene: Scene, *, led: int = 0, batches: int, paths_per_batch: int, seed: int, backend: Backend | None = None
+) -> NDArray[np.float64]:
+    """Reflected (specular included) and transmitted fraction of an LED's power, batch by batch, (batches, 2) float."""
+    windows = [Window((0.0, 0.0), EVERYTHING), Window((0.0, 0.0), EVERYTHING, top=False)]
+    return _phantom(scene, scene.leds[led], windows, batches, paths_per_batch, seed, backend)
+
+
+def _phantom(
+    scene: Scene, led: Led, windows: list[Window], batches: int, paths: int, seed: int, backend: Backend | None
+) -> NDArray[np.float64]:
+    assert scene.phantom is not None
+    phantom = scene.phantom
+    # What is reciprocal is radiance over n squared.
+    scale = np.array([1.0 if window.top else (phantom.n_below / phantom.n_above) ** 2 for window in windows])
+    # A beam reads the radiance that leaves along it; a die reads irradiance, pi times as much.
+    scale /= 1.0 if led.pattern == "pencil" else math.pi
+    with _mitsuba(backend) as mi:
+        loaded = mi.load_dict(phantom_scene(mi, phantom, led, windows), optimize=False)
+        colours = np.stack([_render(mi, loaded, paths=paths, seed=s) for s in _seeds(seed, batches)])
+    return np.asarray(colours[:, : len(windows)] * scale)
+
+
+class FingerPaths:
+    """Traces one LED of a finger to one photodiode in up to three blood states, or to up to three in one state.
+
+    Parameters
+    ----------
+    geometry : the finger.
+    media : optics of its regions; the bed's own mu_a is not used.
+    bed : absorption of the bed along the nail in each state.
+    led, photodiodes : indices into geometry.leds and geometry.photodiodes; several only with one state.
+    pattern : the LED, whose angular pattern must be Lambertian.
+    swapped : sense at the die and emit from the photodiode (less noise), or the other way round.
+    """
+
+    def __init__(
+        self,
+        geometry: Geometry,
+        media: Media,
+        *,
+        bed: BedAbsorption,
+        led: int,
+        photodiodes: tuple[int, ...],
+        pattern: Led | None = None,
+        backend: Backend | None = None,
+        swapped: bool = True,
+    ) -> None:
+        if pattern is not None:
+            check_pattern(pattern)
+        states = len(bed.mu_a_per_mm)
+        if not 1 <= len(photodiodes) <= 3 or (len(photodiodes) > 1 and (states > 1 or not swapped)):
+            raise ValueError("three colours can tell states or photodiodes apart, not both")
+        self.channels = max(states, len(photodiodes))
+        die, elements = geometry.leds[led], [geometry.photodiodes[i] for i in photodiodes]
+        colours = {e.region: [float(i == k) for k in range(3)] for i, e in enumerate(elements)}
+        if len(elements) == 1:
+            colours = {(elements[0] if swapped else die).region: [1.0, 1.0, 1.0]}
+        sensor = die if swapped else elements[0]
+        self._backend = backend or choose()
+        # Irradiance E under radiance 1 gives a throughput E A; a Lambertian die of radiance 1 emits pi A.
+        self._scale = sensor.area_mm2 / (math.pi * die.area_mm2)
+        with _mitsuba(self._backend) as mi, tempfile.TemporaryDirectory(prefix="nailoptics-") as folder:
+            made = finger_scene(mi, geometry, media, bed, sensor=sensor.region, emitters=colours, folder=Path(folder))
+            self._scene = mi.load_dict(made, optimize=False)
+
+    def batch(self, *, paths: int, seed: int) -> NDArray[np.float64]:
+        """Detected fraction of the LED's power in each state or photodiode from one batch, (channels,) float.
+
+        Cannot be interrupted where kernels are compiled: ask `paths_for` how many paths a second or two can hold.
+        """
+        with _mitsuba(self._backend) as mi:
+            return _render(mi, self._scene, paths=paths, seed=seed)[: self.channels] * self._scale
+
+    def paths_for(self, seconds: float) -> int:
+        """How many paths take about this long; measured, and rounded to whole samples per pixel."""
+        paths = 4 * PIXELS
+        self.batch(paths=paths, seed=0)  # compiles kernels
+        while True:
+            start = time.perf_counter()
+            self.batch(paths=paths, seed=1)
+            spent = time.perf_counter() - start
+            if spent > 0.1 * seconds or paths >= MAX_SPP * PIXELS:
+                wanted = int(paths * seconds / max(spent, 1e-6)) // PIXELS * PIXELS
+                return min(max(wanted, PIXELS), MAX_SPP * PIXELS)
+            paths *= 4
+
+
+def finger_fractions(
+    scene: Scene,
+    geometry: Geometry,
+    media: Media,
+    *,
+    bed: BedAbsorption,
+    led: int,
+    photodiode: int,
+    batches: int,
+    paths_per_batch: int,
+    seed: int,
+    backend: Backend | None = None,
+    swapped: bool = True,
+) -> NDArray[np.float64]:
+    """Detected fraction of an LED's power on one photodiode of a finger, (batches, states) float.
+
+    States share their paths, so that the noise of their ratio is far below that of each.
+
+    Raises: InputError where the scene is no finger or the LED's pattern is measured.
+    """
+    if scene.finger is None:
+        raise InputError("finger_fractions needs a finger scene; use phantom_fractions for a phantom.")
+    paths = FingerPaths(
+        geometry,
+        media,
+        bed=bed,
+        led=led,
+        photodiodes=(photodiode,),
+        pattern=scene.leds[led],
+        backend=backend,
+        swapped=swapped,
+    )
+    return np.stack([paths.batch(paths=paths_per_batch, seed=s) for s in _seeds(seed, batches)])

@@ -1,0 +1,292 @@
+"""Phantoms and fingers as Mitsuba scenes for the stock volpath integrator, as plain dicts.
+
+Roles are swapped: the LED is the sensor and the photodiode the emitter, which by reciprocity gives the same reading
+with less noise. All three colours of an rgb variant are plain floats here; they tell blood states or windows apart.
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import InputError
+from ...geometry import Geometry
+from ...scene import Led, Phantom
+from ..optics import Media
+
+# The film adds up in float32, which loses counts past about 1e4 samples per pixel; so many pixels, few samples.
+FILM = 16
+# Half-size of "laterally infinite" planes. [mm]
+INFINITE_MM = 1e3
+# Mitsuba leaves a surface by 9e-5 (1 + |p|); what lies above a face must stay clear of that.
+GAP = 5e-4
+MAJORANT = 1.1
+BLACK = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
+
+
+@dataclass(frozen=True)
+class BedAbsorption:
+    """Absorption of the nail bed along the nail, in up to three blood states.
+
+    v_mm : (k,) float. Equally spaced places along the nail, k >= 2. [mm]
+    mu_a_per_mm : (states, k) float. [mm^-1]
+    """
+
+    v_mm: NDArray[np.float64]
+    mu_a_per_mm: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        v, mu_a = np.asarray(self.v_mm, float), np.asarray(self.mu_a_per_mm, float)
+        if mu_a.ndim != 2 or not 1 <= len(mu_a) <= 3 or v.shape != mu_a.shape[1:] or len(v) < 2:
+            raise ValueError(f"mu_a_per_mm has shape {mu_a.shape} for {v.shape} places; give (1 to 3 states, places)")
+        if not np.allclose(np.diff(v), v[1] - v[0]) or not v[1] > v[0]:
+            raise ValueError("v_mm must rise in equal steps")
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle on the top or bottom face of a phantom through which light is counted. [mm]"""
+
+    center_mm: tuple[float, float]
+    size_mm: tuple[float, float]
+    top: bool = True
+
+
+EVERYTHING = (0.9 * 2 * INFINITE_MM, 0.9 * 2 * INFINITE_MM)
+
+
+def medium(*, mu_a: float, mu_s: float, g: float) -> dict[str, Any] | None:
+    """A homogeneous medium, or None where light meets nothing. mu_a, mu_s in mm^-1."""
+    if mu_a + mu_s == 0:
+        return None
+    return {
+        "type": "homogeneous",
+        "sigma_t": mu_a + mu_s,
+        "albedo": mu_s / (mu_a + mu_s),
+        "phase": {"type": "hg", "g": g},
+        # Shadow rays through an index-matched boundary to an emitter close behind it are lost.
+        "sample_emitters": False,
+    }
+
+
+def bed_medium(mi: Any, bed: BedAbsorption, *, mu_s: float, g: float, bounds_mm: NDArray[np.float64]) -> dict[str, Any]:
+    """The nail bed as a heterogeneous medium whose absorption varies along y; bounds_mm (2, 3) must hold all of it."""
+    v, mu_a = np.asarray(bed.v_mm, float), np.asarray(bed.mu_a_per_mm, float)
+    if len(mu_a) == 2:
+        mu_a = mu_a[[0, 1, 1]]
+    sigma_t = (mu_a + mu_s).T[None, :, None, :]
+    # Values sit at the centres of cells.
+    half = (v[1] - v[0]) / 2
+    low, high = np.array(bounds_mm, float)
+    low[1], high[1] = v[0] - half, v[-1] + half
+    if low[1] > bounds_mm[0][1] or high[1] < bounds_mm[1][1]:
+        raise ValueError(
+            f"v_mm {v[0]:g} to {v[-1]:g} does not cover the bed, {bounds_mm[0][1]:g} to {bounds_mm[1][1]:g}"
+        )
+    transform = mi.ScalarTransform4f().translate(low.tolist()).scale((high - low).tolist())
+
+    def volume(values: NDArray[np.float64], **more: float) -> dict[str, Any]:
+        grid = mi.VolumeGrid(np.ascontiguousarray(values, np.float32))
+        return {"type": "gridvolume", "grid": grid, "raw": True, "to_world": transform, "wrap_mode": "clamp"} | more
+
+    return {
+        "type": "heterogeneous",
+        # Without room below the majorant, the states' weights at null collisions would spread without bound.
+        "sigma_t": volume(sigma_t, max_value=MAJORANT * float(sigma_t.max())),
+        "albedo": volume(mu_s / sigma_t),
+        "phase": {"type": "hg", "g": g},
+        "sample_emitters": False,
+    }
+
+
+def boundary(*, n_below: float, n_above: float) -> dict[str, Any]:
+    """The BSDF between two media: refraction where the index changes, else nothing."""
+    if math.isclose(n_below, n_above, rel_tol=1e-9):
+        return {"type": "null"}
+    return {"type": "dielectric", "int_ior": n_below, "ext_ior": n_above}
+
+
+def integrator(*, mu_a: NDArray[np.float64], mu_s: NDArray[np.float64]) -> dict[str, Any]:
+    """volpath that drops no weight that counts: roulette only where less than e^-10 is left of it.
+
+    From 400 scatterings on it would take a third of the time in a finger, but leave what comes from far to rare bright
+    paths, which a standard error does not show until one is met: half of a skylight was missed.
+    """
+    scattering = mu_s > 0
+    share = np.min(mu_a[scattering] / (mu_a + mu_s)[scattering], initial=1.0)
+    depth = int(min(50 + 10 / max(share, 1e-9), 1e6))
+    # Blocks of fixed size give the same bits whatever the number of threads.
+    return {"type": "volpath", "rr_depth": depth, "max_depth": depth + 400, "block_size": 4}
+
+
+def film() -> dict[str, Any]:
+    """A film that keeps the three colours as they are."""
+    return {
+        "type": "hdrfilm",
+        "width": FILM,
+        "height": FILM,
+        "rfilter": {"type": "box"},
+        "pixel_format": "rgb",
+        "component_format": "float32",
+    }
+
+
+def emitter(colour: list[float]) -> dict[str, Any]:
+    """Lambertian emission of the given radiance in each colour."""
+    return {"type": "area", "radiance": {"type": "rgb", "value": colour}}
+
+
+def check_pattern(led: Led) -> None:
+    """Raise InputError for an LED that stock sensors cannot stand for."""
+    if led.pattern == "measured":
+        raise InputError(
+            f'led "{led.name}": pattern = "measured" needs the photons engine; set light.engine = "photons" (with a '
+            'backend that compiles kernels) or pattern = "lambertian".'
+        )
+
+
+def phantom_scene(mi: Any, phantom: Phantom, led: Led, windows: list[Window]) -> dict[str, Any]:
+    """A phantom seen from its LED; window i emits in colour i, and windows of one face must not overlap."""
+    check_pattern(led)
+    T = mi.ScalarTransform4f
+    layers = phantom.layers
+    columns = np.array([[layer.mu_a_per_mm, layer.mu_s_per_mm] for layer in layers])
+    scene: dict[str, Any] = {"type": "scene", "integrator": integrator(mu_a=columns[:, 0], mu_s=columns[:, 1])}
+    media: list[str | None] = [None]
+    for i, layer in enumerate(layers):
+        made = medium(mu_a=layer.mu_a_per_mm, mu_s=layer.mu_s_per_mm, g=layer.g)
+        media.append(f"medium_{i}" if made else None)
+        if made:
+            scene[f"medium_{i}"] = made
+    media.append(None)
+    n = [phantom.n_above, *(layer.n for layer in layers), phantom.n_below]
+    z = -np.cumsum([0.0, *(layer.thickness_mm for layer in layers)])
+    for i in range(len(layers) + 1):
+        if math.isinf(z[i]):
+            break
+        scene[f"face_{i}"] = {
+            "type": "rectangle",
+            "to_world": T().translate([0, 0, float(z[i])]).scale([INFINITE_MM, INFINITE_MM, 1]),
+            "bsdf": boundary(n_below=n[i + 1], n_above=n[i]),
+        } | sides(below=media[i + 1], above=media[i])
+    reach = max(math.hypot(*(abs(c) + s / 2 for c, s in zip(w.center_mm, w.size_mm, strict=True))) for w in windows)
+    gap = GAP * (1 + reach)
+    for i, window in enumerate(windows):
+        if not window.top and math.isinf(z[-1]):
+            continue
+        flip = T().rotate([1, 0, 0], 180) if window.top else T()
+        height = gap if window.top else float(z[-1]) - gap
+        scene[f"window_{i}"] = {
+            "type": "rectangle",
+            "to_world": (T().translate([*window.center_mm, height]) @ flip).scale([*half(window.size_mm), 1]),
+            "bsdf": BLACK,
+            "emitter": emitter([float(i == k) for k in range(3)]),
+        }
+    x, y = led.position_mm
+    if led.pattern == "pencil":
+        look = T().look_at(origin=[x, y, gap / 2], target=[x, y, -1.0], up=[0, 1, 0])
+        scene["sensor"] = {
+            # Collimated, and narrow beside everything: a pencil that can have many pixels.
+            "type": "orthographic",
+            "near_clip": 1e-6,
+            "to_world": look @ T().scale([1e-4, 1e-4, 1]),
+            "film": film(),
+        }
+    else:
+        scene["die"] = {
+            "type": "rectangle",
+            "to_world": T().translate([x, y, gap / 2])
+            @ T().rotate([1, 0, 0], 180)
+            @ T().scale([*half(led.size_mm), 1]),
+            # In a phantom the die stands in nobody's way.
+            "bsdf": {"type": "null"},
+            "sensor": {"type": "irradiancemeter", "film": film()},
+        }
+    return scene
+
+
+def half(size: tuple[float, float]) -> tuple[float, float]:
+    """Half of a size."""
+    return size[0] / 2, size[1] / 2
+
+
+def sides(*, below: str | None, above: str | None) -> dict[str, Any]:
+    """The media on both sides of a face whose normal points above."""
+    named = {"interior": below, "exterior": above}
+    return {side: {"type": "ref", "id": name} for side, name in named.items() if name}
+
+
+def finger_scene(
+    mi: Any,
+    geometry: Geometry,
+    media: Media,
+    bed: BedAbsorption,
+    *,
+    sensor: int,
+    emitters: dict[int, list[float]],
+    folder: Path,
+) -> dict[str, Any]:
+    """A finger seen from the region `sensor`, lit by `emitters`; its meshes are written to a folder.
+
+    emitters : Colours (3,) by region.
+
+    Dies and photodiodes look into the epoxy only; what else they touch is black.
+    """
+    names = geometry.regions
+    bed_region, epoxy = names.index("bed"), names.index("epoxy")
+    mu_a = media.mu_a.copy()
+    mu_a[bed_region] = np.min(bed.mu_a_per_mm)
+    clear = ~media.opaque
+    scene: dict[str, Any] = {"type": "scene", "integrator": integrator(mu_a=mu_a[clear], mu_s=media.mu_s[clear])}
+    refs: list[str | None] = []
+    for region in range(len(names)):
+        made = None
+        if region == bed_region:
+            touching = (geometry.below == region) | (geometry.above == region)
+            points = geometry.vertices[np.unique(geometry.triangles[touching])]
+            bounds = np.stack([points.min(axis=0) - 0.1, points.max(axis=0) + 0.1])
+            made = bed_medium(mi, bed, mu_s=float(media.mu_s[region]), g=float(media.g[region]), bounds_mm=bounds)
+        elif clear[region]:
+            made = medium(mu_a=float(mu_a[region]), mu_s=float(media.mu_s[region]), g=float(media.g[region]))
+        refs.append(f"medium_{region}" if made else None)
+        if made:
+            scene[f"medium_{region}"] = made
+    for (below, above), triangles in geometry.interfaces().items():
+        if media.opaque[below] and media.opaque[above]:
+            continue
+        if media.opaque[above]:
+            # An opaque face reflects and emits on the side that its normal points to.
+            below, above, triangles = above, below, triangles[:, ::-1]
+        shape: dict[str, Any] = {"face_normals": True}
+        if media.opaque[below]:
+            grey = {"type": "rgb", "value": float(media.reflectance[below])}
+            shape |= {"bsdf": {"type": "diffuse", "reflectance": grey}} | sides(below=None, above=refs[above])
+            if above == epoxy and below == sensor:
+                inside = {"medium": {"type": "ref", "id": refs[epoxy]}} if refs[epoxy] else {}
+                shape["sensor"] = {"type": "irradiancemeter", "film": film()} | inside
+            if above == epoxy and below in emitters:
+                shape["emitter"] = emitter(emitters[below])
+        else:
+            bsdf = boundary(n_below=float(media.n[below]), n_above=float(media.n[above]))
+            if bsdf["type"] == "null" and refs[below] is refs[above] is None:
+                continue
+            shape |= {"bsdf": bsdf} | sides(below=refs[below], above=refs[above])
+        file = folder / f"{below}_{above}.ply"
+        file.write_bytes(ply(geometry.vertices, triangles))
+        scene[f"face_{below}_{above}"] = {"type": "ply", "filename": str(file)} | shape
+    return scene
+
+
+def ply(vertices: NDArray[np.float64], triangles: NDArray[Any]) -> bytes:
+    """Triangles as a binary PLY file, with the vertices that they use."""
+    used, index = np.unique(triangles, return_inverse=True)
+    faces = np.empty(len(triangles), [("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, index.reshape(-1, 3)
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(used)}\nproperty float x\nproperty float y\n"
+        f"property float z\nelement face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    return header.encode() + vertices[used].astype("<f4").tobytes() + faces.tobytes()

@@ -1,0 +1,1 @@
+"""THE PAPER AS PRINTED: its optics, the touches of its figures, and what it claims of them."""

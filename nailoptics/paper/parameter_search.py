@@ -1,0 +1,151 @@
+"""Global search for parameter sets near the listed one that meet as many claims at once as possible."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import math
+import time
+
+import numpy as np
+
+from ..errors import InputError
+from ..hemodynamics.parameters import Parameters, bounds
+from .claims import RULES
+from .responses import Observations, observe_batch
+
+_LOG = logging.getLogger(__name__)
+
+SEARCHED = (
+    "capillary_stiffness_n_per_m",
+    "vein_stiffness_n_per_m",
+    "capillary_damping_n_s_per_m",
+    "vein_damping_n_s_per_m",
+    "capillary_area_m2",
+    "vein_area_m2",
+    "capillary_diameter_m",
+    "vein_diameter_m",
+    "capillary_count",
+    "vein_count",
+    "venule_resistance_pa_s_per_m3",
+)
+"""What is varied. The rest changes nothing of its own: lengths and viscosity act as counts do, masses do not matter."""
+
+
+_MARGIN = 0.03  # the search measures coarsely, and what it finds is rounded
+_NEAR = 0.1  # weight of the distance from the list: of sets that meet the same claims, the nearest wins
+
+
+@dataclasses.dataclass(frozen=True)
+class Found:
+    """The best set of a search. met : claims met of ``len(RULES)``. loss : the objective. sets : number tried."""
+
+    parameters: Parameters
+    met: int
+    loss: float
+    sets: int
+
+
+def misses(observations: Observations, *, margin: float = 0.0) -> np.ndarray:
+    """Return how far each claim is from being met, (claims, *B) float: 0 if met, else relative to its bound. [1]
+
+    margin : how far inside its bounds a claim has to be, relative to them. [1]
+    """
+    rows = []
+    for rule in RULES:
+        with np.errstate(all="ignore"):
+            value = np.asarray(rule.measure(observations), dtype=float)
+        miss = np.zeros(value.shape)
+        if math.isfinite(rule.low):
+            miss = np.maximum(miss, (rule.low - value) / max(abs(rule.low), 0.05) + margin * (rule.low != 0.0))
+        if math.isfinite(rule.high):
+            miss = np.maximum(miss, (value - rule.high) / max(abs(rule.high), 0.05) + margin)
+        rows.append(np.where(np.isfinite(value), miss, 10.0))
+    return np.array(rows)
+
+
+def loss(observations: Observations) -> np.ndarray:
+    """Return the objective, B float: a half for each claim missed, plus by how much, at most a half each.
+
+    A static curve that jumps (a fold) is no model of a sensor: more than a fifth of the range in 500 Pa adds to it.
+    """
+    miss = misses(observations, margin=_MARGIN)
+    total = (0.5 * (miss > 0.0) + 0.5 * np.minimum(miss, 1.0)).sum(axis=0)
+    for curve in (observations.proximal, observations.both):
+        jump = np.abs(np.diff(curve, axis=-1)).max(axis=-1) / np.maximum(np.ptp(curve, axis=-1), 1e-30)
+        total = total + np.maximum(jump[:2] - 0.2, 0.0).sum(axis=0) * 5.0
+    return total
+
+
+def search(
+    *,
+    seed: int,
+    max_seconds: float = 600.0,
+    population: int = 150,
+    factor: float = 10.0,
+    start: Parameters | None = None,
+) -> Found:
+    """Return the best set that differential evolution finds in a time, each value within a factor of the listed one.
+
+    seed : of the random numbers. max_seconds : wall time. population : sets in each generation.
+    start : a set to begin with, among the random ones.
+
+    Raises
+    ------
+    InputError
+        If the time or the population is too small.
+
+    References: Storn and Price 1997, J. Global Optimization 11:341.
+    """
+    from scipy.optimize import differential_evolution
+
+    if not max_seconds > 0.0:
+        raise InputError(f"search.max_seconds must be greater than 0, got {max_seconds}.")
+    if population < 5:
+        raise InputError(f"search.population must be 5 or more, got {population}.")
+    limits = bounds(factor=factor)
+    ranges = [tuple(np.log10(limits[name])) for name in SEARCHED]
+    centre = np.mean(ranges, axis=1)[:, None]
+    deadline = time.monotonic() + max_seconds
+    tried = 0
+
+    def objective(points: np.ndarray) -> np.ndarray:
+        nonlocal tried
+        columns = points.reshape(len(SEARCHED), -1)
+        tried += columns.shape[1]
+        return loss(observe_batch(values_of(columns))) + _NEAR * np.mean((columns - centre) ** 2, axis=0)
+
+    def late(intermediate_result: object) -> bool:
+        return time.monotonic() > deadline
+
+    result = differential_evolution(
+        objective,
+        ranges,
+        strategy="rand1bin",
+        maxiter=100_000,
+        popsize=max(1, -(-population // len(SEARCHED))),
+        mutation=(0.4, 0.9),
+        recombination=0.8,
+        tol=0.0,
+        seed=seed,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        callback=late,
+        x0=None if start is None else np.log10([start.as_dict()[name] for name in SEARCHED]),
+    )
+    values = {name: float(f"{10.0**x:.3g}") for name, x in zip(SEARCHED, result.x, strict=True)}
+    parameters = Parameters(**values)
+    observations = observe_batch(values_of(np.log10(np.array([[values[name]] for name in SEARCHED]))))
+    met = int((misses(observations)[:, 0] == 0.0).sum())
+    found = Found(parameters, met, float(loss(observations)[0]), tried)
+    _LOG.info("search with seed %d: %d of %d claims met after %d sets", seed, met, len(RULES), tried)
+    return found
+
+
+def values_of(logarithms: np.ndarray) -> dict[str, np.ndarray]:
+    """Return every parameter as a (B,) array from (len(SEARCHED), B) decimal logarithms of those searched."""
+    size = logarithms.shape[1]
+    values = {name: np.full(size, value) for name, value in Parameters().as_dict().items()}
+    values.update({name: 10.0**row for name, row in zip(SEARCHED, logarithms, strict=True)})
+    return values

@@ -1,0 +1,1 @@
+"""Where the paper's reduced optics hold against traced light."""

@@ -1,0 +1,159 @@
+"""Effects that no retraced reading can show, derived from other traces: light from outside, from beyond, from blood."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from ... import electronics, tissue
+from ...scene import Scene
+from ...scene.layout import Rectangle, lay_out
+from ..ambient import SILICON_NM, SOURCES, STEP_NM, collecting_area_mm2
+from ..comparison.compare import BLOOD_REDUCED_SCATTERING_PER_MM
+from ..comparison.fits import Z95
+from .effect import Effect, effect_of
+from .paired import UNSEEN, Difference, Look, end_states, read
+from .variants import Changes, revised, validated
+
+SCATTERING_FACTOR = 1.4
+# A part that less of a reading returns from is cut off.
+RETURNING = 1e-4
+
+
+def denser(scene: Scene) -> Scene:
+    """The scene with a bed that scatters more."""
+    return revised(scene, {"light": {"bed_scattering": SCATTERING_FACTOR * scene.light.bed_scattering}})
+
+
+def blood_scattering(scene: Scene, base: Look, denser: Look, tolerance: float) -> Effect:
+    """What the scattering of the blood that a touch moves would do to a reading; the model's stays as at rest."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = np.log(denser.level / base.level) / np.log(SCATTERING_FACTOR)
+        error = np.hypot(base.relative_stderr, denser.relative_stderr) / np.log(SCATTERING_FACTOR)
+    moved = np.abs(np.diff(end_states(scene), axis=0)).max()
+    bed = [tissue.optical_properties("bed", led.wavelength_nm) for led in scene.leds]
+    reduced = np.array([float(b.mu_s_per_mm) * (1 - float(b.g)) for b in bed])[:, None]
+    more = moved * BLOOD_REDUCED_SCATTERING_PER_MM / reduced
+    text = f"bed's mu_s' follows the blood ({float(more.max()):.1%} of it)"
+    found = _moved(slope * more, error * more)
+    return effect_of("blood's own scattering", False, text, found, {}, tolerance, "derived", base)
+
+
+def farthest(scene: Scene) -> Scene:
+    """The photodiode farthest from the first LED, swapped with it."""
+    layout = lay_out(scene)
+    return swapped(
+        scene,
+        max((e.area for e in layout.photodiodes), key=lambda area: math.dist(area.center_mm, layout.leds[0].center_mm)),
+    )
+
+
+def most_proximal(scene: Scene) -> Scene:
+    """The photodiode nearest to the hand, swapped with the first LED."""
+    return swapped(scene, min((e.area for e in lay_out(scene).photodiodes), key=lambda area: area.center_mm[1]))
+
+
+def swapped(scene: Scene, far: Rectangle) -> Scene:
+    """A photodiode as a Lambertian LED, and a photodiode where the first LED was."""
+    layout, tables = lay_out(scene), scene.model_dump()
+    # The board stays where it is, though its parts no longer span it evenly.
+    center, (du, dv), (u, v) = layout.outline.center_mm, scene.board.center_mm, scene.leds[0].position_mm
+    led = tables["leds"][0] | {
+        "name": "swapped",
+        "part": None,
+        "pattern": "lambertian",
+        "pattern_deg": None,
+        "pattern_relative": None,
+        "position_mm": (far.center_mm[0] - center[0], far.center_mm[1] - center[1]),
+        "size_mm": (far.u_max - far.u_min, far.v_max - far.v_min),
+    }
+    place = (u + du - center[0], v + dv - center[1])
+    photodiode = {"name": "swapped", "position_mm": place, "size_mm": scene.leds[0].size_mm}
+    outline = layout.outline
+    size = (outline.u_max - outline.u_min, outline.v_max - outline.v_min)
+    board = tables["board"] | {"size_mm": size, "center_mm": center}
+    return validated(tables | {"board": board, "leds": (led,), "photodiodes": (photodiode,)})
+
+
+def ambient(scene: Scene, base: Look, swapped: Look, tolerance: float) -> Effect:
+    """A lamp's light from all sides on the farthest photodiode through the skin, beside the LED's light there.
+
+    All of it is taken to be absorbed as the LED's light is, which is less than blood does to what is shorter.
+    """
+    lamp = SOURCES[-1]
+    wavelength = np.arange(SILICON_NM[0], SILICON_NM[1] + STEP_NM / 2, STEP_NM)
+    efficiency = scene.photodiodes[0].quantum_efficiency
+    # In amperes for each square millimetre that collects.
+    per_mm2 = 1e-6 * STEP_NM * lamp.irradiance(wavelength) @ electronics.responsivity_a_per_w(wavelength, efficiency)
+    escapes = swapped.transfer.energy()["reflected"]
+    led = swapped.transfer.scene.leds[0]
+    area_mm2, index = led.size_mm[0] * led.size_mm[1], index_of("epoxy", led.wavelength_nm)
+    current = [
+        per_mm2 * float(collecting_area_mm2(escapes[k], area_mm2=area_mm2, n=index)) for k in ("value", "stderr")
+    ]
+    response = electronics.responsivity_a_per_w(np.array([one.wavelength_nm for one in scene.leds]), efficiency)
+    full = 1e-3 * np.array([one.flux_mw for one in scene.leds]) * response
+    with np.errstate(divide="ignore"):
+        ratio, error = (np.where(base.level > 0, x / (base.level * full[:, None]), np.inf) for x in current)
+    found = _moved(ratio, np.hypot(error, ratio * base.relative_stderr))
+    text = f"{lamp.name} of {lamp.lux:g} lux on all sides; a reading with the LED off takes it away"
+    return effect_of("ambient light", False, text, found, {}, tolerance, "derived", base)
+
+
+def index_of(region: str, wavelength_nm: float) -> float:
+    """Refractive index of a region."""
+    return float(tissue.scattering(region, wavelength_nm)[2])  # type: ignore[arg-type]
+
+
+def from_deep(base: Look) -> Effect:
+    """What of a reading comes back from the pulp, which lies under the bed and around the bone."""
+    pulp = base.transfer.absorbers.index("pulp")
+    deep = []
+    for trace in base.transfer.traces:
+        on = trace.path_mm[:, pulp] > 0
+        deep.append(replace(trace, photodiode=trace.photodiode[on], weight=trace.weight[on], path_mm=trace.path_mm[on]))
+    seen = read(replace(base.transfer, traces=tuple(deep)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # A photon more or less may have been missed.
+        noise = np.hypot(seen.level_stderr / base.level, math.sqrt(UNSEEN) * base.relative_stderr**2)
+        found = _moved(-seen.level / base.level, noise)
+    return effect_of("light back from the pulp", True, "pulp swallows all", found, {}, RETURNING, "derived", base)
+
+
+def returning(
+    name: str, modelled: bool, changed_to: str, changes: Changes, base: Look, cut: Look, back: Look
+) -> Effect:
+    """Light that would come back from beyond a cut through the finger, at most.
+
+    cut, back : looks whose light left through the cut: from the LED, and (by reciprocity, from a Lambertian source
+        on the board) from the photodiode. Diffuse light from a cut of area A_cut reaches a photodiode of area A with
+        the probability that the photodiode's would reach the cut, times n^2 A / (n_cut^2 A_cut).
+    """
+    finger = base.transfer.scene.finger
+    assert finger is not None
+    area_mm2 = np.pi / 4 * finger.width_mm * finger.thickness_mm
+    diode = max((e.area for e in lay_out(base.transfer.scene).photodiodes), key=lambda r: r.area_mm2)
+    passed = 1.0
+    for one in (cut, back):
+        left = one.transfer.energy()["transmitted"]
+        # Of n photons none may have passed: with 95 % confidence the part is below 3 / n.
+        passed *= left["value"] + Z95 * left["stderr"] + 3 / one.transfer.photons
+    wavelength = base.transfer.scene.leds[0].wavelength_nm
+    ratio_of_indices = index_of("epoxy", wavelength) / index_of("bed", wavelength)
+    returned = passed * ratio_of_indices**2 * diode.area_mm2 / area_mm2
+    with np.errstate(divide="ignore"):
+        most = np.where(base.level > 0, returned / base.level, np.inf)
+    # All that is known is what it is at most.
+    found = _moved(np.zeros_like(most), most / Z95)
+    return effect_of(name, modelled, changed_to, found, changes, RETURNING, "derived", base)
+
+
+def nothing(name: str, why: str, tolerance: float) -> Effect:
+    """An effect that is none by construction."""
+    return Effect(name, False, why, "derived", 0.0, 0.0, 0.0, "", 0.0, 0.0, 0.0, {}, tolerance)
+
+
+def _moved(ratio: np.ndarray, error: np.ndarray) -> Difference:
+    """A difference of which only the readings are known."""
+    unknown = np.full_like(ratio, np.nan)
+    return Difference(ratio, error, unknown, unknown)

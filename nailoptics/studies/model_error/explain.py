@@ -1,0 +1,247 @@
+"""What a scene models, what it leaves out, how far each of these moves the readings, and what the scene requires."""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from ...errors import NotReachedError
+from ...light import Progress
+from ...scene import Scene
+from ...scene.finger import BEYOND_NAIL_MM
+from . import bounds
+from .effect import Effect, effect_of
+from .paired import Look, Tracing, checked, difference, reread
+from .variants import ONE_WAVELENGTH, PART_WIDTH, Changes, lines_of, part_width_nm, revised
+
+DEFAULT_SECONDS = 90.0
+DEFAULT_TOLERANCE = 0.02
+TOGETHER = "all that is not needed"
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """All effects of a scene, the most moving first; what it requires; and what it took.
+
+    together : what leaving out all that is not needed does to the readings; None where all is needed.
+    required : the scene with that left out, and with what it leaves out although it matters.
+    photons : of each LED in each trace.
+    """
+
+    effects: tuple[Effect, ...]
+    together: Effect | None
+    required: Scene
+    tolerance: float
+    photons: int
+    backend: str
+    wall_seconds: float
+
+    @property
+    def needless(self) -> list[Effect]:
+        """What is modelled and surely moves no reading by more than the tolerance."""
+        return [e for e in self.effects if e.modelled and e.matters == "no" and e.changes]
+
+    @property
+    def missing(self) -> list[Effect]:
+        """What is left out and surely matters."""
+        return [e for e in self.effects if not e.modelled and e.matters == "yes"]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything, ready for JSON."""
+
+        def row(effect: Effect) -> dict[str, Any]:
+            return vars(effect) | {"matters": effect.matters, "lines": effect.lines}
+
+        kept = {name: getattr(self, name) for name in ("tolerance", "photons", "backend", "wall_seconds")}
+        together = None if self.together is None else row(self.together)
+        return {
+            "effects": [row(e) for e in self.effects],
+            "not_needed": [e.name for e in self.needless],
+            "missing": [e.name for e in self.missing],
+            "together": together,
+        } | kept
+
+    def __str__(self) -> str:
+        head = f"{'effect':<26} {'in scene':<8} {'reading moves':>17} {'at most':>8} {'signal':>8}  matters"
+        lines = [f"Changes of a reading by more than {self.tolerance:.2%} matter.", head]
+        for e in (*self.effects, *([self.together] if self.together else [])):
+            swing = "-" if e.modulation_bound is None else _percent(e.modulation_bound)
+            told = f"{100 * e.typical:+8.2f} +- {100 * e.typical_stderr:4.2f}%"
+            told = told if math.isfinite(e.typical) else "not known"
+            shown = "yes" if e.modelled else "no"
+            text = f"{e.name:<26} {shown:<8} {told:>17} {_percent(e.bound):>8} {swing:>8}  {e.matters:<11} "
+            lines.append(text + e.changed_to)
+        if self.needless:
+            told = "Not needed; these scene lines leave it out"
+            if self.together and self.together.matters != "no":
+                told += f" (together up to {_percent(self.together.bound)})"
+            lines += [told + ":", *(f"  {line}" for line in lines_of(_merged(self.needless)))]
+        if self.missing:
+            lines.append("Left out, though it matters: " + ", ".join(e.name for e in self.missing))
+        if any(e.matters == "cannot tell" for e in self.effects):
+            lines.append("What cannot be told needs more photons: --max-seconds, --photons or --relative-error.")
+        return "\n".join(lines)
+
+
+def _percent(part: float) -> str:
+    return f"{100 * part:.2g}%" if part < 1 else f"{100 * part:.0f}%"
+
+
+@dataclass(frozen=True)
+class _Change:
+    name: str
+    modelled: bool
+    changed_to: str
+    changes: Changes
+    same_photons: bool = False
+
+
+def explain(
+    scene: Scene,
+    *,
+    tolerance: float | None = None,
+    seed: int = 0,
+    backend: str = "auto",
+    photons: int | None = None,
+    relative_error: float | None = None,
+    max_seconds: float | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Explanation:
+    """Measure what every part and effect of a finger scene does to its readings.
+
+    Absorbers and line widths are reread from one trace; everything else is traced with that one thing changed and the
+    same random numbers, so that only photons that meet it make up the difference and its error.
+
+    Parameters
+    ----------
+    tolerance : relative change of a reading that matters; the scene's relative error if not given, else 2 %.
+    photons : of each LED in each trace; or
+    relative_error : of the scene's own trace, all others having as many photons; or
+    max_seconds : for all traces together, about; 90 if nothing else is asked for.
+
+    Raises: InputError; NotReachedError, whose result is the Explanation as far as it was made, if interrupted.
+    """
+    limit = tolerance or scene.accuracy.relative_error or DEFAULT_TOLERANCE
+    checked(scene, limit if tolerance is None else tolerance, "explain", "is modelled as it is written")
+    if photons is None and relative_error is None and max_seconds is None:
+        max_seconds = DEFAULT_SECONDS
+    start = time.perf_counter()
+    changes = list(_changes(scene))
+    # The scene itself, one with other scattering, two swapped ones, two cut short, and the one that is required.
+    count = sum(not c.same_photons for c in changes) + 7
+    tracing = Tracing(count, seed, backend, photons, relative_error, max_seconds, progress)
+    base = tracing.look(scene)
+    effects: list[Effect] = []
+    together, unmet = None, None
+    try:
+        for effect in _effects(scene, base, changes, tracing, limit):
+            effects.append(effect)
+        left = _merged([e for e in effects if e.modelled and e.matters == "no"])
+        if left:
+            found = difference(base, tracing.look(revised(scene, left)))
+            together = effect_of(TOGETHER, True, "left out", found, left, limit, "retraced", base)
+    except NotReachedError as error:
+        unmet = f"{error} ({len(effects)} effects were measured before)"
+    effects.sort(key=lambda e: -abs(e.typical) if math.isfinite(e.typical) else 0.0)
+    # What cannot be told stays as it is.
+    told = [e for e in effects if (e.modelled and e.matters == "no") or (not e.modelled and e.matters == "yes")]
+    result = Explanation(
+        effects=tuple(effects),
+        together=together,
+        required=revised(scene, _merged(told)),
+        tolerance=limit,
+        photons=base.transfer.traces[0].photons,
+        backend=base.transfer.backend,
+        wall_seconds=time.perf_counter() - start,
+    )
+    if unmet:
+        raise NotReachedError(unmet, result=result)
+    return result
+
+
+def _merged(effects: list[Effect]) -> Changes:
+    """All their changes at once; a part is left out, or put in, beside what others do to the same list."""
+    out: Changes = {}
+    for effect in effects:
+        for table, fields in effect.changes.items():
+            for name, value in fields.items():
+                before = out.setdefault(table, {}).get(name)
+                if name == "left_out" and before is not None:
+                    value = sorted(set(value) | set(before)) if effect.modelled else sorted(set(value) & set(before))
+                out[table][name] = value
+    if "epidermis" in out.get("light", {}).get("left_out", ()):
+        # Its melanin goes with it.
+        out.get("finger", {}).pop("melanin_fraction", None)
+    return {table: fields for table, fields in out.items() if fields}
+
+
+def _effects(scene: Scene, base: Look, changes: list[_Change], tracing: Tracing, limit: float) -> Iterator[Effect]:
+    """Every effect as soon as it is measured; those that cost nothing first."""
+    finger = scene.finger
+    assert finger is not None
+    yield bounds.from_deep(base)
+    if scene.board.cover_um:
+        yield bounds.nothing("decorative nail", "it lies on the opaque cover, which no light leaves", limit)
+    for change in sorted(changes, key=lambda c: not c.same_photons):
+        other = revised(scene, change.changes)
+        look = reread(base.transfer, other) if change.same_photons else tracing.look(other)
+        words = (change.name, change.modelled, change.changed_to)
+        how: Any = "reread" if change.same_photons else "retraced"
+        yield effect_of(*words, difference(base, look), change.changes, limit, how, base)
+    yield bounds.blood_scattering(scene, base, tracing.look(bounds.denser(scene)), limit)
+    yield bounds.ambient(scene, base, tracing.look(bounds.farthest(scene)), limit)
+    length, shortest = finger.length_mm, finger.nail_length_mm + BEYOND_NAIL_MM
+    back = tracing.look(bounds.most_proximal(scene))
+    yield bounds.returning(f"finger past {length:g} mm", False, "finger without an end", {}, base, base, back)
+    if length > shortest:
+        cut: Changes = {"finger": {"length_mm": shortest}}
+        short = revised(scene, cut)
+        looks = (tracing.look(short), tracing.look(bounds.most_proximal(short)))
+        yield bounds.returning(f"finger past {shortest:g} mm", True, "cut there", cut, base, *looks)
+
+
+def _changes(scene: Scene) -> Iterator[_Change]:
+    """The scene's parts and effects, each with what leaves it out, or puts it in."""
+    assert scene.finger is not None
+    light, board, finger = scene.light, scene.board, scene.finger
+    steps = light.index_steps
+    yield _Change(
+        "index steps",
+        steps,
+        "one index everywhere" if steps else "refraction where the index changes",
+        {"light": {"index_steps": not steps}},
+    )
+    yield _Change(
+        "forward scattering",
+        not light.similarity,
+        "isotropic with the same mu_s'" if not light.similarity else "Henyey-Greenstein",
+        {"light": {"similarity": not light.similarity}},
+    )
+    for part in ("bone", "epidermis", "kapton"):
+        gone = part in light.left_out
+        left = [p for p in light.left_out if p != part] if gone else [*light.left_out, part]
+        own = "optics of its own" + (", melanin" if part == "epidermis" else "")
+        text = own if gone else "optics of what surrounds it"
+        yield _Change(part, not gone, text, {"light": {"left_out": left}})
+    if any(led.fwhm_nm for led in scene.leds):
+        yield _Change("LED line width", True, "peak wavelength alone", ONE_WAVELENGTH, same_photons=True)
+    elif any(part_width_nm(led) for led in scene.leds):
+        yield _Change("LED line width", False, "as its part has", PART_WIDTH, same_photons=True)
+    if "epidermis" not in light.left_out:
+        melanin = finger.melanin_fraction
+        usual = type(finger).model_fields["melanin_fraction"].default
+        yield _Change(
+            "melanin",
+            melanin > 0,
+            "none" if melanin else f"{usual:.1%} of the epidermis",
+            {"finger": {"melanin_fraction": 0.0 if melanin else usual}},
+            same_photons=True,
+        )
+    if board.opaque_reflectance:
+        yield _Change("opaque epoxy's reflection", True, "black", {"board": {"opaque_reflectance": 0.0}})
+    if board.barrier:
+        yield _Change("barrier", True, "clear epoxy in its place", {"board": {"barrier": False}})
+    if not board.cover_um:
+        cover = type(board).model_fields["cover_um"].default
+        yield _Change("cover and decorative nail", False, "opaque cover", {"board": {"cover_um": cover}})

@@ -1,0 +1,207 @@
+"""Scenes traced with common photons, what each reads, and how far one reads from another."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ... import hemodynamics
+from ...errors import InputError, NotReachedError
+from ...light import Progress, Transfer, optics, trace
+from ...light.reweight import course
+from ...light.tracing import INTERRUPTED
+from ...scene import Scene
+from .unshared import apart
+
+PILOT_PHOTONS = 1 << 17
+LEAST_PHOTONS = 1 << 14
+# A photon more or less may always have been missed: with this variance in photons, none seen in n is below 3 / n.
+UNSEEN = 2.34
+
+
+@dataclass(frozen=True)
+class Look:
+    """Readings of one scene, (led, photodiode) float each.
+
+    level : fraction of the emitted power at rest, weighed by the photodiode's response over the LED's line.
+    change : of it at the touch's largest force.
+    setup_seconds : before the first photon.
+    """
+
+    level: np.ndarray
+    level_stderr: np.ndarray
+    change: np.ndarray
+    change_stderr: np.ndarray
+    transfer: Transfer
+    setup_seconds: float = 0.0
+
+    @property
+    def modulation(self) -> np.ndarray:
+        """Change by touch, as a part of the reading at rest; NaN where nothing was seen."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return self.change / self.level
+
+    @property
+    def relative_stderr(self) -> np.ndarray:
+        """Relative standard error of the level; inf where nothing was seen."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.level > 0, self.level_stderr / self.level, np.inf)
+
+
+def read(transfer: Transfer, setup_seconds: float = 0.0) -> Look:
+    """Readings of a trace at rest and at the scene's largest force."""
+    found = course(transfer, end_states(transfer.scene), electrons=True)
+    values = (found.fraction[..., 0], found.stderr[..., 0], found.change[..., 1], found.change_stderr[..., 1])
+    return Look(*values, transfer, setup_seconds)
+
+
+def reread(base: Transfer, scene: Scene) -> Look:
+    """Readings of a scene that differs from a traced one only in absorption or LED lines: the same photons."""
+    return read(replace(base, scene=scene))
+
+
+def end_states(scene: Scene) -> np.ndarray:
+    """Blood at rest and at the touch's largest force, (2, zones) float."""
+    touch, rest = scene.touch, scene.blood.rest_blood_fraction
+    largest = max(touch.recorded_force_n) if touch.recorded_force_n else touch.force_n
+    parameters = hemodynamics.parameters(scene.blood.parameters)
+    proximal, distal = hemodynamics.pressures(np.array([0.0, largest]), touch.contact_area_mm2, touch.proximal_share)
+    steady = hemodynamics.steady_state(parameters, proximal_pressure_pa=proximal, distal_pressure_pa=distal)
+    blood = hemodynamics.blood_fraction(parameters, steady.capillary_diameter_m, rest_blood_fraction=rest)
+    assert blood.shape[0] == optics.zones(scene).count
+    return np.asarray(blood.T)
+
+
+@dataclass
+class Tracing:
+    """Looks at several scenes, with one seed and as many photons each, so that what they share cancels.
+
+    scenes : how many looks there will be, for the time that each gets and for the progress.
+    photons : how many each LED of every scene gets; or
+    relative_error, max_seconds : for the first scene, and for all scenes together, from which the number follows.
+    """
+
+    scenes: int
+    seed: int
+    backend: str
+    photons: int | None
+    relative_error: float | None
+    max_seconds: float | None
+    progress: Callable[[Progress], None] | None
+    _done: int = field(default=0, init=False)
+    _start: float = field(default_factory=time.perf_counter, init=False)
+
+    def look(self, scene: Scene, *, backend: str | None = None) -> Look:
+        """Trace and read a scene; raises NotReachedError if interrupted."""
+        # A tolerance in the scene would set each trace's own number of photons.
+        scene = scene.model_copy(update={"accuracy": type(scene.accuracy)()})
+        if self.photons is None:
+            self.photons = self._photons_for(scene)
+        found = self._traced(scene, backend or self.backend, photons=self.photons)
+        self._done += 1
+        return found
+
+    def _photons_for(self, scene: Scene) -> int:
+        if self.relative_error is not None:
+            share = None if self.max_seconds is None else self.max_seconds / self.scenes
+            try:
+                pilot = trace(
+                    scene,
+                    relative_error=self.relative_error,
+                    max_seconds=share,
+                    seed=self.seed,
+                    backend=self.backend,
+                    progress=self.progress,
+                )
+            except NotReachedError as error:
+                if not isinstance(error.result, Transfer) or str(error).startswith(INTERRUPTED):
+                    raise NotReachedError(str(error)) from None
+                pilot = error.result
+            return max(led.photons for led in pilot.traces)
+        assert self.max_seconds is not None
+        pilot_look = self._traced(scene, self.backend, photons=PILOT_PHOTONS)
+        left = self.max_seconds - (time.perf_counter() - self._start)
+        seconds = left / self.scenes - pilot_look.setup_seconds
+        return max(LEAST_PHOTONS, int(PILOT_PHOTONS * seconds / pilot_look.transfer.wall_seconds))
+
+    def _traced(self, scene: Scene, backend: str, *, photons: int) -> Look:
+        begin = time.perf_counter()
+        try:
+            transfer = trace(scene, photons=photons, seed=self.seed, backend=backend, progress=self._told)
+        except NotReachedError as error:
+            # A part of one trace is of no use to those that are compared with it.
+            raise NotReachedError(str(error)) from None
+        return read(transfer, max(time.perf_counter() - begin - transfer.wall_seconds, 0.0))
+
+    def _told(self, p: Progress) -> None:
+        if self.progress:
+            share = (self._done + p.fraction_done) / self.scenes
+            name = f"{p.led}, trace {self._done + 1} of {self.scenes}"
+            seconds = time.perf_counter() - self._start
+            self.progress(replace(p, led=name, fraction_done=min(share, 1.0), seconds=seconds))
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far one look is from another, (led, photodiode) float each; NaN and inf where nothing was seen.
+
+    ratio, ratio_stderr : relative change of the reading at rest.
+    swing, swing_stderr : change of the modulation, as a part of the largest modulation.
+    """
+
+    ratio: np.ndarray
+    ratio_stderr: np.ndarray
+    swing: np.ndarray
+    swing_stderr: np.ndarray
+
+
+def difference(base: Look, other: Look) -> Difference:
+    """How far the other look is from the base; its noise is that of the photons that are not in both."""
+    unit = np.nanmax(np.abs(base.modulation)) if np.isfinite(base.modulation).any() else np.nan
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio, swing = other.level / base.level - 1, (other.modulation - base.modulation) / unit
+        if other.transfer.traces is base.transfer.traces:
+            # Of the same photons a change is a mean of factors near 1, whose spread is at most about the change itself.
+            same = base.relative_stderr
+            return Difference(ratio, np.abs(ratio) * same, swing, np.abs(swing) * same)
+        gone, come = (read(part) for part in apart(base.transfer, other.transfer))
+        photons = [np.array([led.photons for led in one.transfer.traces], float)[:, None] for one in (base, other)]
+        missed = base.level * base.relative_stderr**2 * photons[0] / photons[1]
+        came = np.sqrt(come.level_stderr**2 + UNSEEN * missed**2)
+        kept = np.sqrt(np.maximum(base.level_stderr**2 - gone.level_stderr**2, 0))
+        noise = np.sqrt(came**2 + ((1 + ratio) * gone.level_stderr) ** 2 + (ratio * kept) ** 2) / base.level
+        # Of a change and the level that divides it the errors are such that most of them cancels: the upper side.
+        kept_change = np.sqrt(np.maximum(base.change_stderr**2 - gone.change_stderr**2, 0))
+        swing_noise = [
+            np.hypot(come.change_stderr, other.modulation * came) / other.level,
+            np.hypot(gone.change_stderr, base.modulation * gone.level_stderr) / base.level,
+            (1 / other.level - 1 / base.level) * kept_change,
+            (other.modulation / other.level - base.modulation / base.level) * kept,
+        ]
+        return Difference(ratio, noise, swing, np.linalg.norm(swing_noise, axis=0) / unit)
+
+
+def error_of_ratio(ratio: np.ndarray, *relative_stderr: np.ndarray) -> np.ndarray:
+    """Error of a relative change; few paths that happen to be dim must not pass for a sure small reading."""
+    return np.asarray(np.maximum(1 + ratio, 1) * np.hypot(*relative_stderr))
+
+
+def pooled(values: np.ndarray, error: np.ndarray, base: Look) -> tuple[float, float]:
+    """Mean over the readings and its error, weighed by the reference's errors; NaN and inf where one is unknown.
+
+    The weights are the same for all that is compared with the reference, so that none is drawn to its own low values.
+    """
+    if not (np.isfinite(values).all() and np.isfinite(error).all()):
+        return float("nan"), float("inf")
+    weight = base.relative_stderr**-2.0
+    weight = weight / weight.sum()
+    return float((weight * values).sum()), float(np.linalg.norm(weight * error))
+
+
+def checked(scene: Scene, tolerance: float, study: str, why: str) -> None:
+    """Raise InputError where a study of a scene's model has nothing to work on."""
+    if scene.finger is None:
+        raise InputError(f"{study} needs a [finger] scene; a [phantom] {why}.")
+    if not 0 < tolerance < 1:
+        raise InputError(f"tolerance = {tolerance:g} must lie between 0 and 1.")

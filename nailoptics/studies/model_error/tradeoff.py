@@ -1,0 +1,400 @@
+"""Error against processor time for every level of model, side by side on the user's scene."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ... import tissue
+from ...errors import InputError, NotReachedError
+from ...light import Progress, Rest, optics, read_rest
+from ...light import backend as backends
+from ...light.reweight import course
+from ...light.tracing import INTERRUPTED, unseen
+from ...scene import Scene
+from ..comparison.fits import Z95
+from ..replicates import read_led, stderr
+from .paired import Look, Tracing, checked, difference, end_states, error_of_ratio, pooled, reread
+from .variants import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, lines_of, revised
+
+DEFAULT_SECONDS, DEFAULT_TOLERANCE = 120.0, 0.02
+TARGETS = (0.01, 0.003, 0.001)
+REFERENCE, OWN = "full", "the scene itself"
+BATCHES = (1 << 14, 1 << 16, 1 << 18)
+# Stock Mitsuba gets this part of the time on each backend, towards this error.
+VOLPATH_SHARE, VOLPATH_ERROR = 0.15, 0.01
+# Costs of one level, measured twice, differ by about this part.
+COST_NOISE = 0.1
+# Blood states that a level is read at again, to see what one more costs.
+STATES = 1000
+PARTS = ("bone", "epidermis", "kapton")
+CHEAPER: tuple[tuple[str, Changes], ...] = (
+    ("matched indices", {"light": {"index_steps": False}}),
+    ("similarity", {"light": {"similarity": True}}),
+    ("similarity, matched", {"light": {"similarity": True, "index_steps": False}}),
+    ("no epidermis, no Kapton", {"light": {"left_out": ["epidermis", "kapton"]}}),
+    ("no bone either", {"light": {"left_out": list(PARTS)}}),
+)
+FULL: Changes = {"light": {"engine": "auto", "index_steps": True, "similarity": False, "left_out": ()}} | PART_WIDTH
+STOCK: Changes = {"light": {"engine": "volpath"}}
+
+
+@dataclass(frozen=True)
+class Level:
+    """One level of model, measured.
+
+    bias, bias_stderr : relative error of the reading at rest, over all photodiodes weighed by the reference's errors.
+    bias_bound : what no photodiode's error exceeds, with 95 % confidence each.
+    signal_bias, signal_bias_stderr : error of the change by touch over all photodiodes, as a part of the largest;
+        None where that is not traced. signal_bound : what no photodiode's exceeds.
+    cpu_seconds : to a relative standard error of 1 %, 0.3 % and 0.1 % of the worst reading.
+    reread_seconds : for a thousand more blood states from what gives 1 %; None where each is traced anew.
+    memory_mb : of the photons kept for 1 %; None where none are.
+    setup_seconds : before the first photon.
+    changes : what of the scene selects it; nothing where the scene is so already.
+    proven : whether its bounds, on what it does not take from the reference, lie within the tolerance.
+    """
+
+    name: str
+    backend: str
+    changes: Changes
+    bias: float
+    bias_stderr: float
+    bias_bound: float
+    signal_bias: float | None
+    signal_bias_stderr: float | None
+    signal_bound: float | None
+    cpu_seconds: tuple[float, ...]
+    reread_seconds: float | None
+    memory_mb: float | None
+    setup_seconds: float
+    proven: bool
+
+    @property
+    def lines(self) -> list[str]:
+        """The scene lines that select it."""
+        return lines_of(self.changes)
+
+
+@dataclass(frozen=True)
+class Tradeoff:
+    """All levels, the cheapest first; the one to take, as a scene; what a batch of so many photons costs per million.
+
+    seconds_to_prove : about how long would tell whether a cheaper level meets the tolerance; None where none could.
+    """
+
+    levels: tuple[Level, ...]
+    tolerance: float
+    chosen: str
+    scene: Scene
+    seconds_to_prove: float | None
+    batches: dict[int, float]
+    wall_seconds: float
+    attributes: dict[str, Any]
+
+    @property
+    def choice(self) -> Level:
+        """The cheapest level that provably meets the tolerance."""
+        return next(level for level in self.levels if level.name == self.chosen)
+
+    @property
+    def front(self) -> list[Level]:
+        """The Pareto front: levels than which none is both cheaper and nearer to the reference, cheapest first."""
+        out: list[Level] = []
+        for one in sorted(self.levels, key=lambda level: (level.cpu_seconds[0], abs(level.bias))):
+            if np.isfinite(one.bias) and (not out or abs(one.bias) < abs(out[-1].bias)):
+                out.append(one)
+        return out
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything, ready for JSON."""
+        kept = {name: getattr(self, name) for name in ("tolerance", "chosen", "seconds_to_prove", "wall_seconds")}
+        batches = {str(photons): seconds for photons, seconds in self.batches.items()}
+        made = {name: self.attributes[name] for name in ("digest", "photons")}
+        rows = [vars(level) | {"lines": level.lines, "front": level in self.front} for level in self.levels]
+        return kept | {"lines": self.choice.lines, "batches": batches} | made | {"levels": rows}
+
+    def __str__(self) -> str:
+        lines = [
+            f"{'level':<24} {'reading off by':>18} {'at most':>8} {'signal off by':>17} {'at most':>8} "
+            f"{'CPU s to 1 %':>12} {'0.3 %':>8} {'0.1 %':>8} {'MB':>6}  front"
+        ]
+        for one in self.levels:
+            signal, bound = "", ""
+            if one.signal_bias is not None and one.signal_bias_stderr is not None and one.signal_bound is not None:
+                signal = f"{100 * one.signal_bias:+7.2f} +- {100 * one.signal_bias_stderr:4.2f} %"
+                bound = f"{one.signal_bound:.1%}"
+            memory = "" if one.memory_mb is None else f"{one.memory_mb:.0f}"
+            off = f"{100 * one.bias:+8.2f} +- {100 * one.bias_stderr:4.2f} %"
+            off = off if np.isfinite(one.bias) else "not known"
+            lines.append(
+                f"{one.name:<24} {off:>18} {one.bias_bound:>8.1%} "
+                f"{signal:>17} {bound:>8} {one.cpu_seconds[0]:>12.3g} {one.cpu_seconds[1]:>8.3g} "
+                f"{one.cpu_seconds[2]:>8.3g} {memory:>6}  {'*' if one in self.front else ''}"
+            )
+        choice = self.choice
+        lines.append(f"Cheapest that provably meets {self.tolerance:.2%} on every photodiode: {choice.name}.")
+        if choice.lines:
+            lines += ["Scene lines that select it:", *(f"  {line}" for line in choice.lines)]
+        else:
+            lines.append("The scene is that already: no line needs to change.")
+        if self.seconds_to_prove is not None:
+            lines.append(f"A cheaper one could be told with about --max-seconds {self.seconds_to_prove:.0f}.")
+        return "\n".join(lines)
+
+
+def tradeoff(
+    scene: Scene,
+    *,
+    tolerance: float = DEFAULT_TOLERANCE,
+    seed: int = 0,
+    backend: str = "auto",
+    photons: int | None = None,
+    relative_error: float | None = None,
+    max_seconds: float | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Tradeoff:
+    """Measure bias and cost of every level of model on a finger scene, against its full model.
+
+    All levels that the photon walk gives are traced with the same random numbers, so that photons which never meet
+    what a level leaves out are no part of its error.
+
+    Parameters
+    ----------
+    tolerance : relative error of a reading at rest that a level may have.
+    photons : of each LED in each trace; or
+    relative_error : of the full model's trace, all others having as many photons; or
+    max_seconds : for all levels together, about; 120 if nothing else is asked for.
+
+    Raises: InputError; NotReachedError, whose result is the Tradeoff as far as it was made, if interrupted.
+    """
+    checked(scene, tolerance, "tradeoff", "has one level, itself")
+    chosen = backends.choose(backend)
+    if not chosen.jit:
+        advice = chosen.advice or "ask for auto"
+        raise InputError(f"tradeoff needs a JIT backend to compare levels, and {chosen.name} is none: {advice}")
+    if photons is None and relative_error is None and max_seconds is None:
+        max_seconds = DEFAULT_SECONDS
+    start = time.perf_counter()
+    full = revised(scene, FULL)
+    own = changes_between(full, scene)
+    cheaper = (*(((OWN, own),) if own else ()), *CHEAPER)
+    others = [f.name for f in backends.findings() if f.usable and f.name not in (chosen.name, "scalar")]
+    stock = [chosen.name, *(f.name for f in backends.findings() if f.usable and f.name == "scalar")]
+    volpath_seconds = VOLPATH_SHARE * (max_seconds or DEFAULT_SECONDS)
+    traced = None if max_seconds is None else max_seconds - len(stock) * volpath_seconds
+    tracing = Tracing(1 + len(cheaper) + len(others), seed, chosen.name, photons, relative_error, traced, progress)
+    base = tracing.look(full)
+    dark = np.argwhere(~(base.level > 0))
+    if len(dark):
+        led, photodiode = base.transfer.leds[dark[0, 0]], base.transfer.photodiodes[dark[0, 1]]
+        raise NotReachedError(unseen(led, photodiode, base.transfer.traces[dark[0, 0]].photons))
+    measured: list[Level] = []
+    unmet = None
+    try:
+        for level in _levels(full, base, tracing, cheaper, others, tolerance, seed):
+            measured.append(level)
+        for name in stock:
+            measured.append(_stock(full, base, seed, name, volpath_seconds, tolerance, progress))
+        batches = _batches(full, tracing)
+    except (NotReachedError, KeyboardInterrupt) as error:
+        unmet, batches = f"{str(error) or INTERRUPTED} ({len(measured)} levels were measured before)", {}
+    # The full model first among those that cost the same.
+    measured.sort(key=lambda level: (level.cpu_seconds[0], level.name != REFERENCE))
+    choice = _cheapest(measured)
+    scene_of_choice = revised(full, choice.changes)
+    spent = time.perf_counter() - start
+    result = Tradeoff(
+        levels=tuple(replace(one, changes=changes_between(scene, revised(full, one.changes))) for one in measured),
+        tolerance=tolerance,
+        chosen=choice.name,
+        scene=scene_of_choice,
+        seconds_to_prove=_to_prove(measured, choice, tolerance, spent),
+        batches=batches,
+        wall_seconds=spent,
+        attributes=base.transfer.attributes(),
+    )
+    if unmet:
+        raise NotReachedError(unmet, result=result)
+    return result
+
+
+def _levels(
+    full: Scene,
+    base: Look,
+    tracing: Tracing,
+    cheaper: Sequence[tuple[str, Changes]],
+    others: Sequence[str],
+    tolerance: float,
+    seed: int,
+) -> Iterator[Level]:
+    """Every level that the photon walk gives, as soon as it is measured."""
+    reference = _measured(REFERENCE, {}, base, base, tolerance)
+    yield reference
+    yield from _formulas(full, base, reference, seed, tolerance)
+    if any(led.fwhm_nm for led in full.leds):
+        narrow = reread(base.transfer, revised(full, ONE_WAVELENGTH))
+        level = _measured("one wavelength", ONE_WAVELENGTH, base, narrow, tolerance)
+        # The same trace, so the same cost, whatever the noise of its error.
+        yield replace(level, cpu_seconds=reference.cpu_seconds, memory_mb=reference.memory_mb)
+    for name, changes in cheaper:
+        yield _measured(name, changes, base, tracing.look(revised(full, changes)), tolerance)
+    for name in others:
+        yield _measured(f"{REFERENCE}, {name}", {}, base, tracing.look(full, backend=name), tolerance)
+
+
+def _measured(name: str, changes: Changes, base: Look, other: Look, tolerance: float) -> Level:
+    """A traced level against the reference."""
+    found = difference(base, other)
+    bias, bias_stderr, bound = _summed(found.ratio, found.ratio_stderr, base)
+    signal, signal_stderr, signal_bound = _summed(found.swing, found.swing_stderr, base)
+    if other is base:
+        bound = signal_bound = 0.0
+    worst = float(other.relative_stderr.max())
+    kept = sum(t.weight.nbytes + t.path_mm.nbytes + t.photodiode.nbytes for t in other.transfer.traces)
+    more = (worst / TARGETS[0]) ** 2
+    begin = time.perf_counter()
+    course(other.transfer, _between(*end_states(other.transfer.scene)), electrons=True)
+    reread_seconds = more * (time.perf_counter() - begin)
+    return Level(
+        name=name,
+        backend=other.transfer.backend,
+        changes=changes,
+        bias=bias,
+        bias_stderr=bias_stderr,
+        bias_bound=bound,
+        signal_bias=signal,
+        signal_bias_stderr=signal_stderr,
+        signal_bound=signal_bound,
+        cpu_seconds=_cost(other.transfer.cpu_seconds, worst),
+        reread_seconds=reread_seconds,
+        memory_mb=kept * more / 1e6,
+        setup_seconds=other.setup_seconds,
+        proven=bound <= tolerance,
+    )
+
+
+def _between(first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    return first + np.linspace(0, 1, STATES)[:, None] * (last - first)
+
+
+def _summed(values: np.ndarray, error: np.ndarray, base: Look) -> tuple[float, float, float]:
+    """Mean over the readings, its error, and what no one exceeds."""
+    bounds = np.abs(values) + Z95 * error
+    return *pooled(values, error, base), float(np.max(np.where(np.isfinite(bounds), bounds, np.inf)))
+
+
+def _cost(cpu_seconds: float, error: float) -> tuple[float, ...]:
+    return tuple(cpu_seconds * (error / target) ** 2 for target in TARGETS)
+
+
+def _formulas(full: Scene, base: Look, reference: Level, seed: int, tolerance: float) -> Iterator[Level]:
+    """Taylor (9) and Beer-Lambert (8) with the constants that the reference's mean paths give them.
+
+    At rest a formula is the reading that gave it its constants, at what that costs; it is the signal that it may miss.
+    """
+    states, along = end_states(full), np.linspace(0, 1, STATES)
+    unit = float(np.abs(base.modulation).max())
+    off: dict[str, list[np.ndarray]] = {"taylor": [], "beer_lambert": []}
+    depth = np.zeros(len(base.transfer.photodiodes))
+    for i, led in enumerate(full.leds):
+        wavelength, share = optics.spectrum(led)
+        mu_a = optics.absorption(full, wavelength, blood_fraction=states)
+        blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, full.blood.so2))
+        read = read_led(base.transfer, i, mu_a, blood, seed=seed)
+        depth = read.fall @ ((states[1] - states[0]) * float(np.average(blood, weights=share * wavelength)))
+        traced = read.reading[..., 1] / read.reading[..., 0] - 1
+        off["taylor"].append((-depth - traced) / unit)
+        off["beer_lambert"].append((np.expm1(-depth) - traced) / unit)
+    formulas = (("taylor", "Taylor (9)", lambda x: 1 - x), ("beer_lambert", "Beer-Lambert (8)", lambda x: np.exp(-x)))
+    for name, words, formula in formulas:
+        values = np.stack(off[name])
+        signal, error, bound = _summed(values[:, 0], np.stack([stderr(one) for one in values]), base)
+        begin = time.perf_counter()
+        formula(np.outer(depth, along))
+        yield replace(
+            reference,
+            name=words,
+            signal_bias=signal,
+            signal_bias_stderr=error,
+            signal_bound=bound,
+            reread_seconds=len(full.leds) * (time.perf_counter() - begin),
+            proven=bound <= tolerance,
+        )
+
+
+def _stock(
+    full: Scene,
+    base: Look,
+    seed: int,
+    backend: str,
+    max_seconds: float,
+    tolerance: float,
+    progress: Callable[[Progress], None] | None,
+) -> Level:
+    """Stock Mitsuba, which traces one wavelength, against the reference at that wavelength."""
+    narrow = reread(base.transfer, revised(full, ONE_WAVELENGTH))
+    scene = revised(full, STOCK)
+    begin, cpu = time.perf_counter(), time.process_time()
+    asked: dict[str, Any] = {"relative_error": VOLPATH_ERROR, "max_seconds": max_seconds}
+    try:
+        rest = read_rest(scene, seed=seed, backend=backend, progress=progress, **asked)
+    except NotReachedError as error:
+        if not isinstance(error.result, Rest) or str(error).startswith(INTERRUPTED):
+            raise
+        rest = error.result
+    shape = narrow.level.shape
+    value = np.array([row["detected_fraction"] for row in rest.readings]).reshape(shape)
+    relative = np.array([row["stderr"] for row in rest.readings]).reshape(shape)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.where(value > 0, relative / value, np.inf)
+        ratio = value / narrow.level - 1
+        error_of = error_of_ratio(ratio, relative, narrow.relative_stderr)
+    bias, bias_stderr, bound = _summed(ratio, error_of, narrow)
+    return Level(
+        name=f"stock Mitsuba, {backend}",
+        backend=backend,
+        changes=STOCK,
+        bias=bias,
+        bias_stderr=bias_stderr,
+        bias_bound=bound,
+        signal_bias=None,
+        signal_bias_stderr=None,
+        signal_bound=None,
+        cpu_seconds=_cost(time.process_time() - cpu, float(relative.max())),
+        reread_seconds=None,
+        memory_mb=None,
+        setup_seconds=max(time.perf_counter() - begin - rest.wall_seconds, 0.0),
+        proven=bound <= tolerance,
+    )
+
+
+def _cheapest(measured: list[Level]) -> Level:
+    """The cheapest proven level; the scene itself, else the full model, where that costs as little within noise."""
+    proven = {level.name: level for level in measured if level.proven}
+    usual, first = proven.get(OWN, proven[REFERENCE]), next(iter(proven.values()))
+    return first if first.cpu_seconds[0] < (1 - COST_NOISE) * usual.cpu_seconds[0] else usual
+
+
+def _to_prove(levels: list[Level], choice: Level, tolerance: float, spent: float) -> float | None:
+    """Seconds after which a cheaper level would be told to meet the tolerance, if it does; None where none could."""
+    needed = [
+        spent * ((one.bias_bound - abs(one.bias)) / (tolerance - abs(one.bias))) ** 2
+        for one in levels
+        if not one.proven
+        and one.cpu_seconds[0] < choice.cpu_seconds[0]
+        and abs(one.bias) + one.bias_stderr < tolerance < one.bias_bound < np.inf
+    ]
+    return min(needed, default=None)
+
+
+def _batches(full: Scene, tracing: Tracing) -> dict[int, float]:
+    """Processor seconds per million photons in batches of several sizes: what many small batches cost."""
+    one_led = full.model_copy(update={"leds": full.leds[:1]})
+    out = {}
+    for photons in BATCHES:
+        found = replace(tracing, photons=photons, progress=None).look(one_led)
+        out[photons] = found.transfer.cpu_seconds / photons * 1e6
+    return out

@@ -1,0 +1,68 @@
+"""A scene with something else in it, and the lines of a scene file that make it so."""
+
+from typing import Any
+
+from pydantic import ValidationError
+
+from ...assets import load_part
+from ...errors import InputError
+from ...scene import Led, Scene
+from ...scene.files import explain
+
+# Fields by table of the scene; those of "leds" are every LED's, and None stands for what its part says.
+Changes = dict[str, dict[str, Any]]
+ONE_WAVELENGTH: Changes = {"leds": {"fwhm_nm": 0.0}}
+PART_WIDTH: Changes = {"leds": {"fwhm_nm": None}}
+
+
+def part_width_nm(led: Led) -> float:
+    """Line width that an LED's part has; its own if it has no part that can be found."""
+    try:
+        return float(load_part(led.part).scene_fields()["fwhm_nm"]) if led.part else led.fwhm_nm
+    except InputError:
+        return led.fwhm_nm
+
+
+def revised(scene: Scene, changes: Changes) -> Scene:
+    """The scene with some fields of some of its tables changed; raises InputError where that makes no scene."""
+    tables = scene.model_dump()
+    for table, fields in changes.items():
+        if table != "leds":
+            tables[table] |= {name: tuple(v) if isinstance(v, list) else v for name, v in fields.items()}
+        elif fields == PART_WIDTH["leds"]:
+            widths = [{"fwhm_nm": part_width_nm(led)} for led in scene.leds]
+            tables[table] = tuple(led | width for led, width in zip(tables[table], widths, strict=True))
+        else:
+            tables[table] = tuple(led | fields for led in tables[table])
+    return validated(tables)
+
+
+def validated(tables: dict[str, Any]) -> Scene:
+    """A scene from its tables; raises InputError where they make none."""
+    try:
+        return Scene.model_validate(tables)
+    except ValidationError as error:
+        raise InputError(explain(error, Scene)) from None
+
+
+def changes_between(scene: Scene, other: Scene) -> Changes:
+    """What of its light, and of its LEDs' line widths, makes one scene the other."""
+    before, after = scene.light.model_dump(mode="json"), other.light.model_dump(mode="json")
+    light = {name: value for name, value in after.items() if value != before[name]}
+    changes: Changes = {"light": light} if light else {}
+    if [led.fwhm_nm for led in scene.leds] != [led.fwhm_nm for led in other.leds]:
+        changes |= PART_WIDTH if any(led.fwhm_nm for led in other.leds) else ONE_WAVELENGTH
+    return changes
+
+
+def lines_of(changes: Changes) -> list[str]:
+    """The lines of a scene file that make these changes, each with the table that it belongs in before it."""
+    import tomli_w
+
+    lines = []
+    for table, fields in changes.items():
+        for name, value in fields.items():
+            place = f"[[{table}]]" if table == "leds" else f"[{table}]"
+            text = f"without {name}" if value is None else " ".join(tomli_w.dumps({name: value}).split())
+            lines.append(f"{place} {text}".replace("[ ", "[").replace(", ]", "]"))
+    return lines

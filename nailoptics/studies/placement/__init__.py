@@ -1,0 +1,1 @@
+"""Where LEDs and photodiodes should go."""

@@ -1,0 +1,184 @@
+"""Layouts as scenes: boards with an explicit outline and wall, with photodiodes or bare, on every finger."""
+
+from collections.abc import Sequence
+
+from ...errors import InputError
+from ...scene import Finger, FingerCase, Led, Photodiode, Placement, Scene
+from ...scene.layout import Rectangle, lay_out
+
+Places = Sequence[tuple[float, float]]
+
+NAIL_MARGIN_MM = 0.1
+# A bare board carries one photodiode, because every scene has one; this one is too small to matter.
+SPECK_MM = 0.05
+FAR_SIDE = {"left": (1, 0), "right": (-1, 0), "below": (0, 1), "above": (0, -1)}
+
+
+def rules(scene: Scene) -> Placement:
+    """The scene's [placement], or the usual rules."""
+    return scene.placement or Placement()
+
+
+def fingers(scene: Scene) -> tuple[FingerCase, ...]:
+    """The fingers that a layout must serve."""
+    assert scene.finger is not None
+    return rules(scene).fingers or (FingerCase(name=scene.finger.digit),)
+
+
+def on_finger(scene: Scene, case: FingerCase, *, light_only: bool = False) -> Scene:
+    """The scene on one of the fingers.
+
+    light_only : change what decides where light goes, sizes, and leave blood and melanin, which only dim it.
+    """
+    assert scene.finger is not None
+    kept = {"melanin_fraction": scene.finger.melanin_fraction}
+    finger = scene.finger if case.digit is None else Finger(digit=case.digit, **kept)
+    if light_only:
+        return scene.model_copy(update={"finger": finger})
+    blood = {name: getattr(case, name) for name in ("rest_blood_fraction", "so2")}
+    blood = {name: value for name, value in blood.items() if value is not None}
+    if case.melanin_fraction is not None:
+        finger = finger.model_copy(update={"melanin_fraction": case.melanin_fraction})
+    return scene.model_copy(update={"finger": finger, "blood": scene.blood.model_copy(update=blood)})
+
+
+def base_board(scene: Scene) -> Scene:
+    """The scene with its outline and the wall's gap spelled out and nothing of [placement] left.
+
+    The outline is that of [placement], else of [board], else the smallest of the fingers' nails.
+    """
+    placement, board = rules(scene), scene.board
+    if placement.outline_mm is not None:
+        us, vs = zip(*placement.outline_mm, strict=True)
+        center = ((min(us) + max(us)) / 2, (min(vs) + max(vs)) / 2)
+        size = (max(us) - min(us), max(vs) - min(vs))
+    elif board.size_mm is not None:
+        center, size = board.center_mm, board.size_mm
+    else:
+        nails = [on_finger(scene, case).finger for case in fingers(scene)]
+        widths, lengths = zip(*((n.nail_width_mm, n.nail_length_mm) for n in nails if n), strict=True)
+        center, size = (0.0, 0.0), (min(widths) - 2 * NAIL_MARGIN_MM, min(lengths) - 2 * NAIL_MARGIN_MM)
+    update = {"size_mm": size, "center_mm": center}
+    if board.barrier and board.barrier_gap_mm is None:
+        update["barrier_gap_mm"] = placement.bond_wire_mm  # type: ignore[assignment]
+    return scene.model_copy(update={"board": board.model_copy(update=update), "placement": None})
+
+
+def with_parts(
+    base: Scene,
+    leds_mm: Places,
+    photodiodes_mm: Places,
+    *,
+    name: str,
+    leds_turned: Sequence[bool] = (),
+    photodiodes_turned: Sequence[bool] = (),
+) -> Scene:
+    """The board with its LEDs and photodiodes at places on the nail; photodiodes are all like the scene's first.
+
+    leds_turned, photodiodes_turned : which of them lie turned by 90 degrees; none if not given.
+
+    Raises: InputError where the layout is impossible.
+    """
+    if len(leds_mm) != len(base.leds):
+        raise InputError(f'layout "{name}" places {len(leds_mm)} LEDs, but the scene has {len(base.leds)}.')
+    du, dv = base.board.center_mm
+
+    def on_board(place: tuple[float, float]) -> tuple[float, float]:
+        return place[0] - du, place[1] - dv
+
+    def size(part: Led | Photodiode, turned: Sequence[bool], i: int) -> tuple[float, float]:
+        return part.size_mm[::-1] if turned and turned[i] else part.size_mm
+
+    pattern = base.photodiodes[0].model_copy(update={"array": None, "wired": None, "elements": 1, "pitch_mm": None})
+    scene = base.model_copy(
+        update={
+            "leds": tuple(
+                led.model_copy(update={"position_mm": on_board(place), "size_mm": size(led, leds_turned, i)})
+                for i, (led, place) in enumerate(zip(base.leds, leds_mm, strict=True))
+            ),
+            "photodiodes": tuple(
+                pattern.model_copy(
+                    update={
+                        "name": f"PD{i + 1}",
+                        "position_mm": on_board(place),
+                        "size_mm": size(pattern, photodiodes_turned, i),
+                    }
+                )
+                for i, place in enumerate(photodiodes_mm)
+            ),
+        }
+    )
+    check(scene, name)
+    return scene
+
+
+def check(scene: Scene, name: str) -> None:
+    """Raise InputError unless the scene's board can be laid out."""
+    try:
+        lay_out(scene)
+    except ValueError as error:
+        raise InputError(f'layout "{name}": {error}.') from None
+
+
+def explicit(scene: Scene, name: str) -> Scene:
+    """The same layout with outline and wall spelled out, so that they stay when its photodiodes are taken away."""
+    layout = lay_out(scene)
+    outline, (du, dv) = layout.outline, scene.board.center_mm
+    (u, v), size = outline.center_mm, (outline.u_max - outline.u_min, outline.v_max - outline.v_min)
+    update: dict[str, object] = {"center_mm": (u, v), "size_mm": size}
+    if len(layout.barriers) > 1:
+        raise InputError(f'layout "{name}": has walls on several sides; place takes boards with one wall or none.')
+    for wall in layout.barriers:
+        gaps = {
+            "left": wall.u_min - max(r.u_max for r in layout.leds),
+            "right": min(r.u_min for r in layout.leds) - wall.u_max,
+            "below": wall.v_min - max(r.v_max for r in layout.leds),
+            "above": min(r.v_min for r in layout.leds) - wall.v_max,
+        }
+        update["barrier_gap_mm"] = gaps[wall.name]
+
+    def moved(parts: tuple) -> tuple:
+        shift = (du - u, dv - v)
+        return tuple(
+            part.model_copy(update={"position_mm": (part.position_mm[0] + shift[0], part.position_mm[1] + shift[1])})
+            for part in parts
+        )
+
+    return scene.model_copy(
+        update={
+            "board": scene.board.model_copy(update=update),
+            "leds": moved(scene.leds),
+            "photodiodes": moved(scene.photodiodes),
+            "placement": None,
+        }
+    )
+
+
+def bare(scene: Scene, *, side: str | None = None) -> Scene:
+    """A board of explicit outline and wall without its photodiodes, the same for all layouts that share its light.
+
+    side : on which side of the photodiodes its LEDs lie; as in the scene's layout if not given. Needed with a wall.
+    """
+    if side is None and scene.board.barrier:
+        side = lay_out(scene).barriers[0].name
+    du, dv = scene.board.center_mm
+    size = scene.board.size_mm
+    assert size is not None
+    led = scene.leds[0].position_mm
+    reach = (size[0] / 2 - 2 * SPECK_MM, size[1] / 2 - 2 * SPECK_MM)
+    if side is None:
+        # The corner that is farthest from the LED.
+        place = (-reach[0] if led[0] > 0 else reach[0], -reach[1] if led[1] > 0 else reach[1])
+    else:
+        across, along = FAR_SIDE[side]
+        place = (across * reach[0] if across else led[0], along * reach[1] if along else led[1])
+    speck = scene.photodiodes[0].model_copy(
+        update={"array": None, "wired": None, "elements": 1, "pitch_mm": None, "name": "speck", "position_mm": place}
+        | {"size_mm": (SPECK_MM, SPECK_MM)}
+    )
+    return scene.model_copy(update={"photodiodes": (speck,)})
+
+
+def elements(scene: Scene) -> list[Rectangle]:
+    """The photodiodes that a layout reads."""
+    return [element.area for element in lay_out(scene).photodiodes]

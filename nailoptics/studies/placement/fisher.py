@@ -1,0 +1,140 @@
+"""How well readings tell force: Fisher information of the two pressures, what it leaves unknown, and its neighbours."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ... import electronics, hemodynamics
+from ...scene import Electronics, Led, Photodiode, Scene
+
+Array = NDArray[np.float64]
+
+# What is known of a pressure before any reading: that it is less than some ten N/cm^2. It keeps two unknowns
+# solvable where a layout sees one, and is nothing beside any reading worth having. [Pa]
+PRIOR_PA = 1e5
+STEP_PA = 100.0
+
+
+@dataclass(frozen=True)
+class Operating:
+    """The touch at which a layout is judged.
+
+    blood_fraction : (2,) float. Blood of the proximal and distal zone there.
+    blood_per_pa : (zone, pressure) float. How it changes with the proximal and distal pressure. [Pa^-1]
+    force_per_pa : (2,) float. Force for each pressure: half the contact area each. [N/Pa]
+    pressure_per_n : (2,) float. Pressures for each newton of the scene's touch. [Pa/N]
+    """
+
+    blood_fraction: Array
+    blood_per_pa: Array
+    force_per_pa: Array
+    pressure_per_n: Array
+
+
+def operating(scene: Scene, force_n: float) -> Operating:
+    """The blood at a steady force, and its change with either pressure, from the scene's hemodynamics."""
+    touch, named = scene.touch, hemodynamics.parameters(scene.blood.parameters)
+    one = hemodynamics.pressures(1.0, touch.contact_area_mm2, touch.proximal_share)
+    per_n = np.array([float(p) for p in one])
+    # In columns: there, and half a step up and down in either pressure.
+    step = 0.5 * STEP_PA * np.array([[0, 1, -1, 0, 0], [0, 0, 0, 1, -1]])
+    pressure = np.maximum(force_n * per_n[:, None] + step, 0.0)
+    state = hemodynamics.steady_state(named, proximal_pressure_pa=pressure[0], distal_pressure_pa=pressure[1])
+    blood = hemodynamics.blood_fraction(
+        named, state.capillary_diameter_m, rest_blood_fraction=scene.blood.rest_blood_fraction
+    )
+    width = np.array([pressure[0, 1] - pressure[0, 2], pressure[1, 3] - pressure[1, 4]])
+    return Operating(
+        blood_fraction=blood[:, 0],
+        blood_per_pa=np.stack([blood[:, 1] - blood[:, 2], blood[:, 3] - blood[:, 4]], -1) / width,
+        force_per_pa=np.full(2, touch.contact_area_mm2 * 1e-6 / 2),
+        pressure_per_n=per_n,
+    )
+
+
+@dataclass(frozen=True)
+class Volts:
+    """What photodiodes read and how it changes, any shape (...).
+
+    volts, noise_v2 : reading and the variance of one sample. [V], [V^2]
+    slope_v_per_pa : (..., 2) float. Change with either pressure; 0 where the converter is at its limit. [V/Pa]
+    zone_v : (..., 2) float. Change with the blood of either zone. [V]
+    crosstalk : (...) float. Part of the light that was never in the bed.
+    """
+
+    volts: Array
+    noise_v2: Array
+    slope_v_per_pa: Array
+    zone_v: Array
+    crosstalk: Array
+
+
+def volts(
+    values: Array,
+    led: Led,
+    photodiode: Photodiode,
+    amplifier: Electronics,
+    at: Operating,
+    *,
+    ambient_a: float | Array = 0.0,
+) -> Volts:
+    """Volts from a photon map's means per emitted photon.
+
+    values : (..., 4) float. Reading, direct part, derivative by the blood of each zone.
+    ambient_a : Photocurrent by light from outside, which tells nothing. [A]
+    """
+    responsivity = electronics.responsivity_a_per_w(led.wavelength_nm, photodiode.quantum_efficiency)
+    current = np.maximum(values[..., 0], 0.0) * led.flux_mw * 1e-3 * float(responsivity) + ambient_a
+    shunt_ohm = photodiode.shunt_mohm * 1e6
+    budget = electronics.noise_budget(
+        current, amplifier, dark_current_na=photodiode.dark_current_na, shunt_ohm=shunt_ohm
+    )
+    reading = (current + photodiode.dark_current_na * 1e-9) * amplifier.feedback_ohm
+    tells = reading < amplifier.adc_range_v - electronics.lsb_v(amplifier)
+    zone = values[..., 2:] * (led.flux_mw * 1e-3 * float(responsivity) * amplifier.feedback_ohm)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        crosstalk = np.where(values[..., 0] > 0, values[..., 1] / values[..., 0], 0.0)
+    return Volts(
+        volts=reading,
+        noise_v2=np.sum(np.stack(budget), axis=0),
+        slope_v_per_pa=(zone @ at.blood_per_pa) * tells[..., None],
+        zone_v=zone,
+        crosstalk=crosstalk,
+    )
+
+
+def information(read: Volts) -> Array:
+    """What each reading tells of the two pressures, (..., 3) float: the entries 11, 12, 22 of the matrix. [Pa^-2]"""
+    a, b = read.slope_v_per_pa[..., 0], read.slope_v_per_pa[..., 1]
+    return np.stack([a * a, a * b, b * b], -1) / read.noise_v2[..., None]
+
+
+def resolution_n(total: Array, at: Operating) -> Array:
+    """Standard deviation of the force told by one sample of all readings, whatever its split. [N]
+
+    total : (..., 3) float. Sum of the readings' information. Information is a matrix J; the force w . P has the
+        variance w^T J^-1 w (Cramer-Rao), with w half the contact area for each pressure.
+    """
+    one, both, two = (total[..., i] + (PRIOR_PA**-2 if i != 1 else 0.0) for i in range(3))
+    w = at.force_per_pa
+    variance = (w[0] ** 2 * two - 2 * w[0] * w[1] * both + w[1] ** 2 * one) / (one * two - both**2)
+    return np.sqrt(variance)
+
+
+def known_split_n(total: Array, at: Operating) -> Array:
+    """The same if the touch always splits as the scene's does, so that one number is unknown. [N]"""
+    a, b = at.pressure_per_n
+    return 1 / np.sqrt(a * a * total[..., 0] + 2 * a * b * total[..., 1] + b * b * total[..., 2])
+
+
+def pressures_pa(total: Array) -> Array:
+    """Standard deviation of the proximal and of the distal pressure, (..., 2) float. [Pa]"""
+    one, both, two = (total[..., i] + (PRIOR_PA**-2 if i != 1 else 0.0) for i in range(3))
+    return np.sqrt(np.stack([two, one], -1) / (one * two - both**2)[..., None])
+
+
+def condition(read: Volts) -> float:
+    """Condition number of the matrix of readings by zones (n, 2), each reading in units of its noise."""
+    matrix = read.zone_v / np.sqrt(read.noise_v2)[..., None]
+    return float(np.linalg.cond(matrix)) if len(matrix) > 1 else float("inf")

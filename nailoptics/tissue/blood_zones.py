@@ -1,0 +1,107 @@
+"""Blood zones along the nail: a smooth partition of unity, and the absorption field that it carries."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InputError
+from .properties import DermisAbsorption, absorption
+from .spectra import Array, checked_fraction
+
+
+@dataclass(frozen=True)
+class BloodZones:
+    """Zones of the nail bed along v, each smoothly handing over to the next.
+
+    Zone 0 is the most proximal, zone K - 1 reaches the tip (v grows towards the tip). Around each edge the weight
+    passes from one zone to the next over `width_mm`, with a continuous slope (cubic smoothstep).
+
+    Raises InputError when the edges do not rise, or lie closer together than `width_mm`.
+    """
+
+    edges_mm: tuple[float, ...] = (0.0,)
+    width_mm: float = 2.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "edges_mm", tuple(float(edge) for edge in self.edges_mm))
+        if not np.isfinite(self.edges_mm).all():
+            raise InputError(f"zones.edges_mm = {list(self.edges_mm)} must be finite numbers; correct them")
+        if not (np.isfinite(self.width_mm) and self.width_mm > 0):
+            raise InputError(f"zones.width_mm = {self.width_mm:g} must be above 0; a zone's edge is smooth, not a step")
+        for first, second in pairwise(self.edges_mm):
+            # Closer, three zones would overlap and a weight could turn negative.
+            if second - first < self.width_mm:
+                raise InputError(
+                    f"zones.edges_mm {first:g} and {second:g} lie closer than width_mm = {self.width_mm:g}; "
+                    "move them apart (in rising order) or narrow the width"
+                )
+
+    @property
+    def count(self) -> int:
+        """The number of zones K, one more than edges."""
+        return len(self.edges_mm) + 1
+
+    def weights(self, v_mm: ArrayLike) -> Array:
+        """Return how much of each zone is at v.
+
+        Parameters
+        ----------
+        v_mm : (...) float. Place along the nail, towards the tip positive. [mm]
+
+        Returns
+        -------
+        weights : (..., K) float in 0-1, summing to exactly 1.
+        """
+        v = np.asarray(v_mm, dtype=float)[..., None]
+        t = np.clip((v - np.asarray(self.edges_mm)) / self.width_mm + 0.5, 0.0, 1.0)
+        passed = t * t * (3 - 2 * t)
+        ones, zeros = np.ones_like(v), np.zeros_like(v)
+        # Edges are a width apart, so at most one step is under way at any v and the sum is exact in floating point.
+        return np.asarray(np.concatenate([ones, passed], axis=-1) - np.concatenate([passed, zeros], axis=-1))
+
+    def table(self, v_min_mm: float, v_max_mm: float, n: int) -> Array:
+        """Return the weights at n equally spaced nodes, both ends included, for linear interpolation between them.
+
+        Returns
+        -------
+        table : (n, K) float. Linear interpolation keeps the sum 1; its error is at most 0.75 (step / width_mm)^2.
+        """
+        if n < 2 or not v_max_mm > v_min_mm:
+            raise InputError(f"a zone table needs n >= 2 and v_min < v_max, not {n}, {v_min_mm:g} and {v_max_mm:g}")
+        return self.weights(np.linspace(v_min_mm, v_max_mm, n))
+
+
+def mu_a_field(
+    zones: BloodZones,
+    blood_fraction: ArrayLike,
+    so2: ArrayLike,
+    wavelength_nm: float,
+    v_mm: ArrayLike,
+    *,
+    dermis_absorption: DermisAbsorption = "jacques_baseline",
+) -> Array:
+    """Return the bed's absorption along the nail, for a grid volume.
+
+    For Mitsuba's gridvolume write it as `field.reshape(1, n, 1, 1)` (z, y, x, channel) with v along y. Its values
+    sit at the centres of n equal cells: with nodes from v_min to v_max and h = (v_max - v_min) / (n - 1) its box
+    reaches from v_min - h / 2 to v_max + h / 2.
+
+    Parameters
+    ----------
+    blood_fraction : (K,) float. Blood in each zone, 0-1.
+    so2 : float, or (K,) float where the zones differ. Oxygen saturation, 0-1.
+    wavelength_nm : one wavelength. [nm]
+    v_mm : (n,) float. Places along the nail, such as the nodes of `BloodZones.table`. [mm]
+
+    Returns
+    -------
+    mu_a : (n,) float. [mm^-1]
+    """
+    fraction = checked_fraction("blood_fraction", blood_fraction)
+    if fraction.shape != (zones.count,):
+        raise InputError(f"blood_fraction has shape {fraction.shape}; give one value for each of {zones.count} zones")
+    saturation = np.broadcast_to(np.asarray(so2, dtype=float), fraction.shape)
+    bed = absorption("bed", np.full(zones.count, wavelength_nm), so2=saturation, dermis_absorption=dermis_absorption)
+    return np.asarray(zones.weights(v_mm) @ np.asarray(bed.mu_a_per_mm(fraction)))

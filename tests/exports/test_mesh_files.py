@@ -1,0 +1,37 @@
+"""Files for other programs say what the geometry is."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from nailoptics.errors import InputError
+from nailoptics.exports.mesh_files import export_mesh
+
+
+def test_glb_has_one_closed_named_part_per_region(geometry, tmp_path):
+    scene = trimesh.load_scene(export_mesh(geometry, tmp_path / "finger.glb"))
+    volumes = {name: v for name, v in geometry.volumes_mm3().items() if v > 0}
+    assert set(scene.geometry) == set(volumes)
+    for name in ("plate", "bed", "bone", "epoxy", "cover", "led:led0"):
+        part = scene.geometry[name]
+        assert part.is_watertight and part.is_winding_consistent
+        # The file holds single precision.
+        assert part.volume == pytest.approx(volumes[name], rel=1e-3)
+    # In metres, with the nail up.
+    low, high = geometry.bounds_mm[:, [0, 2, 1]] * 1e-3
+    assert scene.bounds[:, 1:] == pytest.approx(np.array([low, high])[:, 1:], abs=1e-6)
+
+
+def test_ply_has_each_face_once_with_both_regions(geometry, tmp_path):
+    path = export_mesh(geometry, tmp_path / "finger.ply")
+    raw = trimesh.load(path, process=False).metadata["_ply_raw"]["face"]["data"]
+    assert (raw["below"] == geometry.below).all() and (raw["above"] == geometry.above).all()
+    assert b"comment region 2 bed\n" in path.read_bytes()[:4000]
+
+
+def test_other_endings_and_missing_folders_are_refused(geometry, tmp_path):
+    with pytest.raises(InputError, match=r"\.glb or \.ply"):
+        export_mesh(geometry, tmp_path / "finger.stl")
+    with pytest.raises(InputError, match="cannot be written"):
+        export_mesh(geometry, tmp_path / "nowhere" / "finger.glb")
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,186 @@
+"""The photon map: its sums over a photodiode are that photodiode's reading, direct part and sensitivity."""
+
+import numpy as np
+import pytest
+
+import nailoptics as nail
+from nailoptics.errors import InputError
+from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, map_board, readings
+from nailoptics.light.reweight import course
+from nailoptics.scene import parse_scene, to_toml
+from nailoptics.scene.layout import Rectangle, lay_out
+
+BOARD = """
+schema_version = 1
+[finger]
+[board]
+barrier_gap_mm = 0.4
+size_mm = [8.0, 9.0]
+[[leds]]
+name = "ir"
+part = "led_800"
+position_mm = [-2.0, 0.5]
+[[photodiodes]]
+name = "near"
+position_mm = [-0.2, -0.5]
+size_mm = [1.0, 1.0]
+[[photodiodes]]
+name = "far"
+position_mm = [1.4, 2.0]
+size_mm = [1.5, 1.5]
+"""
+BATCHES = 4
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return parse_scene(BOARD)
+
+
+@pytest.fixture(scope="module")
+def arrivals(chosen_jit, scene):
+    """Light onto a board that carries one speck of a photodiode, far from those that will be read."""
+    speck = scene.photodiodes[0].model_copy(update={"position_mm": (3.5, 0.5), "size_mm": (0.05, 0.05)})
+    tracer = BoardTracer(scene.model_copy(update={"photodiodes": (speck,)}))
+    return [tracer.arrivals(0, photons=tracer.batch_photons, seed=i) for i in range(BATCHES)]
+
+
+@pytest.fixture(scope="module")
+def transfer(chosen_jit, scene):
+    return nail.trace(scene, photons=4 << 18, seed=7)
+
+
+def together(arrivals, point, rectangles):
+    """Means over all batches, and their errors."""
+    each = [readings(one, point.values(one), rectangles) for one in arrivals]
+    return np.mean([mean for mean, _ in each], 0), np.sqrt(np.mean([e**2 for _, e in each], 0) / len(each))
+
+
+def test_over_a_photodiode_the_map_reads_what_the_photodiode_reads(scene, arrivals, transfer):
+    """The map's board has no photodiodes, the trace's board has two: same reading, to 3 % and 6 %."""
+    areas = [element.area for element in lay_out(scene).photodiodes]
+    point = blood_point(scene, 0)
+    mean, error = together(arrivals, point, areas)
+    seen = course(transfer, np.array([[0.03, 0.03]]), electrons=True)
+    expected, spread = seen.fraction[0, :, 0], seen.stderr[0, :, 0]
+    assert np.all(np.abs(mean[:, 0] - expected) < 4 * np.hypot(error[:, 0], spread))
+    assert np.all(np.hypot(error[:, 0], spread) < [0.03, 0.06] * expected)
+
+
+def test_sensitivities_are_the_finite_differences_of_a_trace(scene, arrivals, transfer):
+    """The map's derivative by each zone's blood, and 1 % more blood read from the trace of the real board."""
+    areas = [element.area for element in lay_out(scene).photodiodes]
+    mean, error = together(arrivals, blood_point(scene, 0), areas)
+    for zone in range(2):
+        step = np.zeros(2)
+        step[zone] = 3e-4
+        seen = course(transfer, np.array([0.03 - step / 2, 0.03 + step / 2]), electrons=True)
+        slope, spread = (part[0, :, 1] / 3e-4 for part in (seen.change, seen.change_stderr))
+        assert np.all(np.abs(mean[:, 2 + zone] - slope) < 4 * np.hypot(error[:, 2 + zone], spread))
+        assert np.all(np.hypot(error[:, 2 + zone], spread) < 0.1 * np.abs(mean[:, 2:].sum(1)))
+
+
+def test_sensitivities_are_the_finite_differences_of_fresh_traces(scene, arrivals, chosen_jit):
+    """Two traces at 1 and 5 % blood in the whole bed, none of whose photons made the map: their difference.
+
+    Readings fall by a few percent there, and a difference about the middle is bent by less than 1 % of itself.
+    """
+    areas = [element.area for element in lay_out(scene).photodiodes]
+    mean, error = together(arrivals, blood_point(scene, 0), areas)
+    slope, noise = mean[:, 2:].sum(1), np.linalg.norm(error[:, 2:], axis=1)
+    each = []
+    for blood in (0.01, 0.05):
+        at = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": blood})})
+        tracer, point = BoardTracer(at, spacing_mm=0.2), blood_point(at, 0)
+        seen = [tracer.detected(0, point, photons=tracer.batch_photons, seed=70 + i)[0][:, 0] for i in range(BATCHES)]
+        each.append(np.array(seen))
+    difference = (each[1] - each[0]) / 0.04
+    spread = difference.std(0, ddof=1) / np.sqrt(BATCHES)
+    # Four batches know their own spread badly; the map's slopes come from as many photons.
+    assert np.all(np.abs(difference.mean(0) - slope) < 4 * np.hypot(noise, np.maximum(spread, noise)))
+    assert np.all(noise < 0.1 * np.abs(slope)) and np.all(spread < 0.2 * np.abs(slope))
+
+
+def test_a_fresh_trace_with_more_blood_reads_what_the_map_foretells(scene, arrivals, chosen_jit):
+    """No photon is shared: the map's reread reading beside a trace at 5 % blood in the bed."""
+    areas = [element.area for element in lay_out(scene).photodiodes]
+    mean, error = together(arrivals, blood_point(scene, 0, blood_fraction=[0.05, 0.05]), areas)
+    more = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": 0.05})})
+    seen = course(nail.trace(more, photons=3 << 18, seed=11), np.array([[0.05, 0.05]]), electrons=True)
+    assert np.all(np.abs(mean[:, 0] - seen.fraction[0, :, 0]) < 4 * np.hypot(error[:, 0], seen.stderr[0, :, 0]))
+
+
+def test_without_a_wall_light_crosses_that_never_saw_the_bed(scene, arrivals, chosen_jit):
+    areas = [element.area for element in lay_out(scene).photodiodes]
+    point = blood_point(scene, 0)
+    behind, _ = together(arrivals, point, areas)
+    open_board = scene.model_copy(update={"board": scene.board.model_copy(update={"barrier": False})})
+    tracer = BoardTracer(open_board)
+    bare, _ = together([tracer.arrivals(0, photons=1 << 18, seed=3)], point, areas)
+    assert np.all(behind[:, 1] <= behind[:, 0])
+    assert bare[0, 1] > 2 * behind[0, 1]
+
+
+def test_binned_map_and_records_agree_on_any_rectangle(scene, arrivals):
+    point = blood_point(scene, 0)
+    binned = PhotonMap(lay_out(scene).outline, values=4, spacing_mm=0.1)
+    for one in arrivals:
+        binned.add(one, point.values(one))
+    areas = [Rectangle("r", -0.33, 0.62, -1.27, 0.11), Rectangle("s", 0.7, 1.95, 0.33, 2.41)]
+    exact, error = together(arrivals, point, areas)
+    blocks = binned.over(areas)
+    assert blocks.shape == (32, 2, 4) and binned.photons == sum(one.photons for one in arrivals)
+    assert np.all(np.abs(blocks.mean(0) - exact) < 0.5 * error + 0.01 * np.abs(exact))
+    spread = blocks.std(0, ddof=1) / np.sqrt(len(blocks))
+    # 31 degrees of freedom know a standard error to 13 %.
+    assert np.all(np.abs(spread / error - 1) < 0.55)
+
+
+def test_whole_outline_of_the_map_holds_every_arrival_once():
+    rng = np.random.default_rng(1)
+    place = rng.uniform([-1, -2], [1, 2], (1000, 2))
+    one = Arrivals(1000, np.arange(1000), place, np.ones(1000), np.zeros((1000, 3), np.float32))
+    binned = PhotonMap(Rectangle("o", -1, 1, -2, 2), values=1, blocks=10)
+    binned.add(one, np.ones((1000, 1)))
+    assert binned.over(np.array([[-1.0, 1.0, -2.0, 2.0]])).mean() == pytest.approx(1.0, rel=1e-12)
+    halves = binned.over(np.array([[-1.0, 0.03, -2.0, 2.0], [0.03, 1.0, -2.0, 2.0]])).mean(0)
+    assert halves.sum() == pytest.approx(1.0, rel=1e-12)
+    density, error = binned.per_mm2()
+    assert density.mean() == pytest.approx(1 / 8) and error.shape == (1, 20, 40)
+
+
+def test_light_from_a_to_b_is_light_from_b_to_a(chosen_jit, scene):
+    """Reciprocity: equal faces under one medium exchange equal fractions; the wall stands midway both ways."""
+    face = {"size_mm": (1.0, 1.0)}
+    swapped = []
+    board = scene.board.model_copy(update={"barrier_gap_mm": None})
+    for led_at, photodiode_at in (((-1.5, -1.0), (0.5, 1.0)), ((0.5, 1.0), (-1.5, -1.0))):
+        one = scene.model_copy(
+            update={
+                "board": board,
+                "leds": (scene.leds[0].model_copy(update=face | {"position_mm": led_at}),),
+                "photodiodes": (scene.photodiodes[0].model_copy(update=face | {"position_mm": photodiode_at}),),
+            }
+        )
+        tracer = BoardTracer(one)
+        found = [tracer.arrivals(0, photons=1 << 18, seed=i) for i in range(2)]
+        swapped.append(together(found, blood_point(one, 0), [lay_out(one).photodiodes[0].area]))
+    (there, there_error), (back, back_error) = swapped
+    error = np.hypot(there_error, back_error)
+    assert np.all(np.abs(there - back)[0, [0, 2, 3]] < 4 * error[0, [0, 2, 3]])
+    assert error[0, 0] < 0.08 * there[0, 0]
+
+
+def test_map_as_a_dataset_integrates_to_the_light_on_the_board(scene, chosen_jit):
+    found = map_board(scene, photons=1 << 17, spacing_mm=0.5)
+    assert dict(found.sizes) == {"led": 1, "u": 16, "v": 18, "blood_zone": 2}
+    assert 0.1 < float(found.irradiance.sum()) * 0.25 < 1
+    assert bool((found.direct <= found.irradiance + 1e-12).all())
+    assert found.attrs["photons"] == 1 << 17 and parse_scene(to_toml(scene)) == scene
+
+
+@pytest.mark.parametrize("asked", [{"spacing_mm": 0.0}, {"backend": "scalar"}])
+def test_impossible_maps_are_refused_in_one_line(scene, asked):
+    with pytest.raises(InputError) as caught:
+        map_board(scene, **asked)
+    assert len(str(caught.value).splitlines()) == 1

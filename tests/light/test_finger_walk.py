@@ -1,0 +1,195 @@
+"""The photon walk through a finger against stock volpath, which shares nothing with it but the scene."""
+
+import numpy as np
+import pytest
+
+import nailoptics as nail
+from nailoptics import geometry
+from nailoptics.assets import data_dir
+from nailoptics.light import backend, optics
+from nailoptics.light.finger_walk import _SHAPELESS, MeshTracer, Section
+from nailoptics.light.volpath.integrate import integrate, states
+from nailoptics.scene import Scene, load_scene
+
+
+def prototype(*, index_steps: bool = True, elements: tuple[tuple[int, ...], tuple[int, ...]] | None = None) -> Scene:
+    """The shipped prototype, with as many of its photodiodes as are asked for."""
+    scene = load_scene(data_dir("scenes") / "prototype.toml")
+    update: dict = {"light": scene.light.model_copy(update={"index_steps": index_steps})}
+    if elements is not None:
+        kept = zip(scene.photodiodes, elements, strict=True)
+        update["photodiodes"] = tuple(p.model_copy(update={"wired": w}) for p, w in kept if w)
+    return scene.model_copy(update=update)
+
+
+def by_volpath(scene: Scene, *, relative_error: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Readings of all photodiodes at rest by the other engine, and their standard errors."""
+    shape = geometry.build(scene)
+    found = optics.finger_media(scene, shape.regions, 800.0)
+    low, high = np.asarray(shape.bounds_mm)[:, 1]
+    v = np.linspace(low - 0.2, high + 0.2, 101)
+    rest = np.full((1, len(v)), found.mu_a[shape.regions.index("bed")])
+    found = states.finger_states(
+        scene,
+        shape,
+        found,
+        bed=integrate.BedAbsorption(v, rest),
+        led=0,
+        relative_error=relative_error,
+        max_seconds=900,
+        seed=seed,
+        backend=backend.choose("auto"),
+    )
+    assert found.fell_short is None
+    return found.fraction[:, 0], found.fraction_stderr[:, 0]
+
+
+def assert_engines_agree(scene: Scene, *, ours: float, volpath: float, sigmas: float) -> None:
+    """ours, volpath : relative standard error that each engine must reach."""
+    traced = nail.trace(scene, relative_error=ours, seed=1)
+    seen = traced.at().isel(led=0)
+    other, other_error = by_volpath(scene, relative_error=volpath, seed=2)
+    stderr = np.hypot(seen.detected_fraction_stderr.values, other_error)
+    away = abs(seen.detected_fraction.values - other) / stderr
+    assert np.all(away < sigmas), away
+    assert np.all(seen.detected_fraction_stderr.values <= ours * seen.detected_fraction.values)
+    assert np.all(other_error <= volpath * other)
+    assert traced.energy()["lost"]["value"] < 1e-5
+
+
+# The element of the proximal array that lies nearest to the LED: the brightest, so the quickest to settle.
+NEAREST = ((15,), ())
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("index_steps", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_prototype(jit_backend, index_steps):
+    """Within 3 combined standard errors at 3 % each.
+
+    A fixed number of paths: volpath's batches are skewed, and stopping where they first look settled favours low ones.
+    """
+    scene = prototype(index_steps=index_steps, elements=NEAREST)
+    seen = nail.trace(scene, relative_error=0.015, seed=1).at().isel(led=0, photodiode=0)
+    shape = geometry.build(scene)
+    found = optics.finger_media(scene, shape.regions, 800.0)
+    v = np.linspace(*(np.asarray(shape.bounds_mm)[:, 1] + [-0.2, 0.2]), 101)
+    batches = integrate.finger_fractions(
+        scene,
+        shape,
+        found,
+        bed=integrate.BedAbsorption(v, np.full((1, len(v)), found.mu_a[shape.regions.index("bed")])),
+        led=0,
+        photodiode=0,
+        batches=60,
+        paths_per_batch=5632,
+        seed=2,
+        backend=backend.choose("auto"),
+    )[:, 0]
+    other, error = batches.mean(), batches.std(ddof=1) / np.sqrt(len(batches))
+    assert error < 0.03 * other and seen.detected_fraction_stderr < 0.03 * seen.detected_fraction
+    assert abs(seen.detected_fraction - other) < 3 * np.hypot(error, seen.detected_fraction_stderr)
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+@pytest.mark.parametrize("index_steps", [True, False])
+def test_photons_and_volpath_read_the_same_on_every_photodiode_of_the_prototype(jit_backend, index_steps):
+    """All eight, photons at 2 % and volpath, of which 2 % would take an hour, at 5 %.
+
+    Of eight, one beyond 3.5 standard errors is a chance of 1 in 270.
+    """
+    assert_engines_agree(prototype(index_steps=index_steps), ours=0.02, volpath=0.05, sigmas=3.5)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("index_steps", [True, False])
+def test_every_photon_is_accounted_for(jit_backend, index_steps):
+    """Parts of the energy are fractions that sum to 1 within their noise, and fewer than 1 in 1e5 is lost."""
+    traced = nail.trace(prototype(index_steps=index_steps), photons=1 << 19, seed=5)
+    energy = traced.energy()
+    stderr = np.linalg.norm([part["stderr"] for part in energy.values()])
+    assert abs(sum(part["value"] for part in energy.values()) - 1) < 4 * stderr < 0.01
+    assert energy["lost"]["value"] < 1e-5
+    assert energy["absorbed"]["value"] > 0.2 and all(part["value"] >= 0 for part in energy.values())
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_a_bed_that_absorbs_more_dims_both_engines_alike(jit_backend):
+    """Rationale: volpath absorbs along the way, photons only afterwards, from the paths that they kept.
+    Expected: the ratio of two states, in which most noise cancels, agrees to a small part of what the bed takes."""
+    scene, more = prototype(elements=NEAREST), 0.1
+    shape = geometry.build(scene)
+    found = optics.finger_media(scene, shape.regions, 800.0)
+    bed = float(found.mu_a[shape.regions.index("bed")])
+    found = states.finger_states(
+        scene,
+        shape,
+        found,
+        bed=integrate.BedAbsorption(np.array([-20.0, 20.0]), np.array([[bed] * 2, [bed + more] * 2])),
+        led=0,
+        relative_error=0.5,  # the ratio is settled before the level
+        max_seconds=300,
+        seed=3,
+        backend=jit_backend,
+    )
+    traced = nail.trace(scene, photons=1 << 20, seed=4)
+    trace = traced.traces[0]
+    path = trace.path_mm[:, [traced.absorbers.index(name) for name in ("bed_1", "bed_2")]].sum(1)
+    left = np.exp(-more * path.astype(float))
+    ratio = (trace.weight @ left) / trace.weight.sum()
+    own = np.linalg.norm(trace.weight * (left - ratio)) / trace.weight.sum()
+    assert abs(ratio - found.ratio[0, 1]) < 3 * np.hypot(own, found.ratio_stderr[0, 1]) < 0.5 * (1 - ratio)
+
+
+@pytest.mark.jit
+def test_the_same_seed_gives_the_same_bits_and_another_one_others(jit_backend):
+    scene = prototype()
+    tracer = MeshTracer(scene)
+    first, second, other = (tracer.batch(0, photons=1 << 16, seed=seed) for seed in (5, 5, 6))
+    assert np.array_equal(first.weight, second.weight) and np.array_equal(first.path_mm, second.path_mm)
+    assert not np.array_equal(first.weight, other.weight)
+
+
+@pytest.mark.jit
+def test_the_board_bends_no_light_to_one_side(jit_backend):
+    """Elements that mirror each other in the LED's place read alike: the finger's taper matters less than the noise."""
+    scene = prototype()
+    seen = nail.trace(scene, photons=1 << 20, seed=8).at().isel(led=0)
+    value, stderr = seen.detected_fraction.values, seen.detected_fraction_stderr.values
+    mirrored = [p.wired for p in scene.photodiodes]
+    if mirrored[0] != tuple(15 - k for k in reversed(mirrored[1])):
+        pytest.fail("the prototype's wiring is no longer symmetrical; choose mirrored elements here")
+    assert np.all(abs(value - value[::-1]) < 4 * np.hypot(stderr, stderr[::-1]) + 0.05 * value)
+    assert np.all(np.diff(value[:4]) > 0)  # nearer to the LED is brighter
+
+
+@pytest.mark.jit
+def test_the_sections_path_density_adds_up_to_the_paths_of_all_light(jit_backend):
+    """Expected: summed over the section, the density times the area is the mean path per photon in the finger near it,
+    and none lies where there is no medium."""
+    scene = prototype()
+    shape = geometry.build(scene)
+    low, high = np.asarray(shape.bounds_mm)
+    y, z = np.arange(low[1] - 0.5, high[1] + 0.5, 0.1), np.arange(low[2] - 0.5, high[2] + 0.5, 0.1)
+    section = Section(y, z)
+    MeshTracer(scene, shape).walk(0, photons=1 << 16, seed=9, section=section)
+    density = section.density(1 << 16)
+    assert density.shape == (len(y), len(z)) and np.all(density >= 0) and np.isfinite(density).all()
+    total = density.sum() * 0.1**2
+    assert 1 < total < 50
+    at = np.unravel_index(density.argmax(), density.shape)
+    led = np.asarray(shape.leds[0].quads).reshape(-1, 3)
+    assert abs(y[at[0]] - led[:, 1].mean()) < 0.5 and abs(z[at[1]] - led[:, 2].mean()) < 0.5
+
+
+def test_scenes_that_differ_in_optics_have_their_shape_in_common():
+    """Expected: what the cache of shapes leaves aside changes no triangle; what shapes the finger is not left aside."""
+    scene = prototype()
+    light = scene.light.model_copy(update={"index_steps": False, "left_out": ("bone",), "bed_scattering": 2.0})
+    blood = scene.blood.model_copy(update={"zone_edges_mm": (1.0,), "rest_blood_fraction": 0.1})
+    other = scene.model_copy(update={"light": light, "blood": blood})
+    one, two = (geometry.build(s) for s in (scene, other))
+    assert np.array_equal(one.vertices, two.vertices) and np.array_equal(one.triangles, two.triangles)
+    assert one.regions == two.regions
+    assert {"finger", "board", "leds", "photodiodes"}.isdisjoint(_SHAPELESS)

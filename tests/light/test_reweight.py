@@ -1,0 +1,216 @@
+"""A course of blood states against direct evaluation, fresh traces, and what shared noise promises."""
+
+import time
+
+import numpy as np
+import pytest
+
+import nailoptics as nail
+from nailoptics.errors import InputError
+from nailoptics.light import RereadWarning, Transfer, optics, reweight
+from nailoptics.light.reweight import course
+from nailoptics.light.transfer import LedTrace
+from nailoptics.scene import Scene, parse_scene
+
+FINGER = """
+schema_version = 1
+[finger]
+[[leds]]
+name = "ir"
+wavelength_nm = {wavelength_nm}
+fwhm_nm = 30.0
+position_mm = [-1.2, 0.0]
+[[photodiodes]]
+name = "near"
+position_mm = [0.0, -1.6]
+size_mm = [1.0, 1.0]
+[[photodiodes]]
+name = "far"
+position_mm = [0.0, 2.0]
+size_mm = [1.0, 1.0]
+"""
+
+
+def scene(*, wavelength_nm: float = 800.0, blood: str = "") -> Scene:
+    return parse_scene(FINGER.format(wavelength_nm=wavelength_nm) + blood)
+
+
+def made_up(records: int = 20_000, *, path_mm: float = 8.0) -> Transfer:
+    """A trace of which nothing is known but its statistics: long-tailed paths in both zones, two photodiodes."""
+    rng = np.random.default_rng(1)
+    asked = scene()
+    names = optics.absorbers(asked)
+    path = np.zeros((records, len(names)), np.float32)
+    for name, mean in (("bed_1", path_mm), ("bed_2", path_mm), ("plate", 2.0), ("epoxy", 1.0)):
+        path[:, names.index(name)] = rng.exponential(mean, records)
+    trace = LedTrace(
+        photons=10**6,
+        mu_a=optics.absorption(asked, 800.0)[0],
+        photodiode=rng.integers(0, 2, records).astype(np.uint16),
+        weight=rng.uniform(0.2, 1.0, records),
+        path_mm=path,
+        energy={"absorbed": (0.0, 0.0)},
+        seeds=(1,),
+    )
+    return Transfer(
+        scene=asked,
+        photodiodes=("near", "far"),
+        absorbers=names,
+        traces=(trace,),
+        engine="photons",
+        backend="none",
+        versions={},
+        cpu_seconds=0.0,
+        wall_seconds=0.0,
+        events=0,
+    )
+
+
+@pytest.fixture(scope="module")
+def traced(chosen_jit) -> Transfer:
+    """A million photons through a finger at rest, 3 % of blood, at 605 nm, where blood absorbs more."""
+    return nail.trace(scene(wavelength_nm=605.0), photons=1 << 20, seed=1)
+
+
+def random_states(count: int, *, low: float = 0.0, high: float = 0.1, seed: int = 2) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(low, high, (count, 2))
+
+
+@pytest.mark.parametrize("high", [0.031, 0.06, 0.2])
+def test_between_its_nodes_a_course_is_what_each_state_reads_on_its_own(high):
+    """Expected: fraction, change and their errors at random states as evaluated one by one, to far less than the
+    standard error; the states are so many that they are interpolated, and read directly they are few."""
+    transfer = made_up()
+    states = random_states(2000, low=0.02, high=high)
+    smooth = course(transfer, states)
+    for k in (0, 1, 500, 1999):
+        alone = transfer.at(blood_fraction=states[k])
+        fraction, stderr = alone.detected_fraction.values, alone.detected_fraction_stderr.values
+        assert np.all(abs(smooth.fraction[:, :, k] - fraction) < 1e-6 * fraction)
+        assert np.all(abs(smooth.fraction[:, :, k] - fraction) < 1e-3 * stderr)
+        assert np.allclose(smooth.stderr[:, :, k], stderr, rtol=1e-4)
+    direct = course(transfer, states[[0, 700, 1500]])
+    assert np.allclose(smooth.change[..., [0, 700, 1500]], direct.change, rtol=0, atol=1e-6 * direct.fraction.max())
+    assert np.allclose(smooth.change_stderr[..., [700, 1500]], direct.change_stderr[..., 1:], rtol=1e-3)
+
+
+def test_one_zone_alone_may_move():
+    transfer = made_up()
+    states = np.column_stack([np.linspace(0.01, 0.05, 300), np.full(300, 0.03)])
+    smooth = course(transfer, states)
+    for k in (0, 123, 299):
+        direct = transfer.at(blood_fraction=states[k]).detected_fraction.values
+        assert np.allclose(smooth.fraction[:, :, k], direct, rtol=1e-7)
+
+
+def test_states_that_are_all_alike_read_alike_and_do_not_change():
+    seen = course(made_up(), np.full((50, 2), 0.03))
+    assert np.ptp(seen.fraction, axis=-1).max() == 0
+    assert np.all(seen.change == 0) and np.all(seen.change_stderr == 0) and np.all(seen.stderr > 0)
+
+
+def test_a_change_shares_its_noise_with_what_it_starts_from():
+    """Rationale: both states are read from the same photons. Expected: a change of 10 % of the blood has less than a
+    fifth of the readings' standard error, and resampling photons gives the error that is stated."""
+    transfer = made_up()
+    states = np.array([[0.03, 0.03], [0.033, 0.03]])
+    seen = course(transfer, states)
+    assert np.all(seen.change_stderr[..., 1] < 0.2 * seen.stderr[..., 1])
+    assert np.all(abs(seen.change[..., 1]) > 20 * seen.change_stderr[..., 1])
+    trace = transfer.traces[0]
+    slope = optics.absorption(transfer.scene, 800.0, blood_fraction=states)[:, 0] - trace.mu_a
+    rng, found = np.random.default_rng(4), []
+    mine = trace.photodiode == 0
+    weight = trace.weight[mine, None] * np.exp(-trace.path_mm[mine] @ slope.T)
+    for _ in range(400):
+        count = rng.poisson(1.0, mine.sum())
+        found.append(float(count @ (weight[:, 1] - weight[:, 0])) / trace.photons)
+    # The line of 30 nm hardly matters for the spread; 400 resamplings know a spread to 3.5 %.
+    assert np.std(found) == pytest.approx(float(seen.change_stderr[0, 0, 1]), rel=0.15)
+
+
+def test_electrons_weigh_each_wavelength_of_the_line_by_its_photons_per_watt():
+    """A watt at wavelength l holds l / 800 times the photons of one at 800 nm; over a symmetrical line nearly nothing
+    is left of it, and what is left is what the sum over the line says."""
+    transfer = made_up()
+    state = np.array([[0.03, 0.05]])
+    plain, electrons = (course(transfer, state, electrons=e) for e in (False, True))
+    wavelength, share = optics.spectrum(transfer.scene.leds[0])
+    trace = transfer.traces[0]
+    mu_a = optics.absorption(transfer.scene, wavelength, blood_fraction=state[0]) - trace.mu_a
+    factor = np.exp(-(trace.path_mm.astype(float) @ mu_a.T))
+    for seen, weights in ((plain, share), (electrons, share * wavelength / 800.0)):
+        expected = np.bincount(trace.photodiode, trace.weight * (factor @ weights), minlength=2) / trace.photons
+        assert np.allclose(seen.fraction[0, :, 0], expected, rtol=1e-9)
+    assert np.all(plain.fraction != electrons.fraction)
+    assert np.allclose(plain.fraction, electrons.fraction, rtol=0.01)
+
+
+def test_ten_thousand_states_take_little_longer_than_a_hundred():
+    """design.md's promise is a second for a whole press; measured where two other processes may have the machine."""
+    transfer = made_up(100_000)
+    t = np.linspace(0, 1, 10_000)
+    states = np.column_stack([0.03 - 0.02 * np.sin(9 * t) ** 2, 0.03 + 0.01 * np.sin(5 * t) ** 2])
+    took = {}
+    for count in (100, 10_000):
+        start = time.process_time()
+        seen = course(transfer, states[:: len(states) // count])
+        took[count] = time.process_time() - start
+        assert seen.fraction.shape == (1, 2, count)
+    assert took[10_000] < 5 and took[10_000] < 4 * took[100] + 1
+
+
+def test_a_course_into_states_too_far_away_warns():
+    """Even where only one state of many is, and only between nodes; nearer ones say nothing (warnings are errors)."""
+    trace = made_up(600)
+    course(trace, random_states(50, high=0.1))
+    states = np.full((200, 2), 0.03)
+    states[77] = 1.0
+    with pytest.warns(RereadWarning, match='photodiode "(near|far)".*effective photons'):
+        course(trace, states)
+
+
+def test_states_of_the_wrong_shape_are_refused_in_one_line():
+    for states in (np.zeros(2), np.zeros((3, 3)), np.zeros((0, 2)), np.zeros((2, 2, 2))):
+        with pytest.raises(InputError, match="one value for each zone") as caught:
+            course(made_up(10), states)
+        assert "\n" not in str(caught.value)
+    for value in (-0.01, 1.01, float("nan")):
+        with pytest.raises(InputError, match="0 to 1"):
+            course(made_up(10), np.full((3, 2), value))
+
+
+def test_a_trace_that_saw_nothing_reads_zero():
+    seen = course(made_up(0), random_states(500))
+    assert seen.fraction.shape == (1, 2, 500) and not seen.fraction.any() and not seen.stderr.any()
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("blood, so2", [(0.0, 0.97), (0.1, 0.0), (0.03, 0.0)])
+def test_reading_another_state_is_tracing_it_afresh(jit_backend, traced, blood, so2):
+    """Rationale: one trace reads every state. Expected: a fresh trace at another blood fraction and saturation, with
+    other seeds, agrees within 4 combined standard errors of at most 8 %, and rest lies further off than the noise; the
+    paths tell the states apart better still."""
+    other = scene(wavelength_nm=605.0, blood=f"[blood]\nrest_blood_fraction = {blood}\nso2 = {so2}\n")
+    fresh = nail.trace(other, photons=1 << 20, seed=7).at()
+    again = traced.at(blood_fraction=[blood, blood], so2=so2)
+    stderr = np.hypot(fresh.detected_fraction_stderr, again.detected_fraction_stderr)
+    assert np.all(abs(fresh.detected_fraction - again.detected_fraction) < 4 * stderr)
+    assert np.all(stderr < 0.08 * fresh.detected_fraction)
+    moved = abs(traced.at().detected_fraction - again.detected_fraction)
+    assert np.any(moved > 2.5 * stderr)
+    for name in ("bed_1", "plate"):
+        a, b = fresh.sel(absorber=name), again.sel(absorber=name)
+        error = np.hypot(a.mean_path_mm_stderr, b.mean_path_mm_stderr)
+        assert np.all(abs(a.mean_path_mm - b.mean_path_mm) < 4.5 * error)
+
+
+@pytest.mark.jit
+def test_a_real_trace_is_interpolated_as_well_as_a_made_up_one(traced):
+    states = random_states(1000, low=0.005, high=0.08)
+    smooth = course(traced, states)
+    assert len(states) > reweight.MAX_ZONES_BETWEEN_NODES
+    for k in (3, 400, 999):
+        alone = traced.at(blood_fraction=states[k])
+        error = abs(smooth.fraction[:, :, k] - alone.detected_fraction.values)
+        assert np.all(error < 1e-3 * alone.detected_fraction_stderr.values)

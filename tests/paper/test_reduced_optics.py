@@ -1,0 +1,156 @@
+"""Reduced optics: the constants of (8) and (9) come back, with errors that are true, and no input breaks the fit."""
+
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nailoptics.errors import InputError
+from nailoptics.paper.reduced_optics import beer_lambert, fit_beer_lambert, fit_taylor, taylor
+
+DIAMETER_M = np.linspace(8e-6, 11e-6, 50)
+V0_V, V1_V = 0.1, 0.2
+
+
+def readings(alpha_d2, diameter_m=DIAMETER_M):
+    """Readings by (8), with alpha D^2 given at the listed diameter of 10 um."""
+    return beer_lambert(diameter_m, v0_v=V0_V, v1_v=V1_V, alpha_per_m2=alpha_d2 / 1e-10)
+
+
+@pytest.mark.parametrize("alpha_d2", [1e-3, 1e-2, 0.06, 0.5, 5.0])
+def test_beer_lambert_constants_come_back_from_the_paper_s_1e_2_up_to_strong_absorption(alpha_d2):
+    fit = fit_beer_lambert(DIAMETER_M, readings(alpha_d2))
+    assert fit.alpha_per_m2 == pytest.approx(alpha_d2 / 1e-10, rel=1e-5)
+    assert fit.v0_v == pytest.approx(V0_V, rel=1e-5) and fit.v1_v == pytest.approx(V1_V, rel=1e-5)
+    assert fit.residual_max_v < 1e-10 and fit.note == ""
+
+
+def test_a_closing_capillary_is_fitted_down_to_no_diameter():
+    diameter_m = np.linspace(0, 1e-5, 400)
+    fit = fit_beer_lambert(diameter_m, readings(0.3, diameter_m))
+    assert fit.alpha_per_m2 == pytest.approx(0.3e10, rel=1e-6)
+    assert fit.predict(0.0) == pytest.approx(V0_V + V1_V, rel=1e-9)
+
+
+def test_taylor_constants_come_back():
+    volts = taylor(DIAMETER_M, v0_v=0.3, v1_v_per_m2=2e8)
+    fit = fit_taylor(DIAMETER_M, volts)
+    assert fit.v0_v == pytest.approx(0.3, rel=1e-9) and fit.v1_v_per_m2 == pytest.approx(2e8, rel=1e-9)
+    assert fit.residual_max_v < 1e-14
+
+
+def test_taylor_misses_by_the_square_of_the_absorption():
+    # The term of (8) that (9) drops is V1 (alpha D^2)^2 / 2: ten times alpha, a hundred times the residual.
+    weak, strong = (fit_taylor(DIAMETER_M, readings(alpha_d2)).residual_rms_v for alpha_d2 in (1e-3, 1e-2))
+    assert strong / weak == pytest.approx(100, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "fit, truth",
+    [
+        (fit_beer_lambert, {"v0_v": V0_V, "v1_v": V1_V, "alpha_per_m2": 0.3e10}),
+        (fit_taylor, {"v0_v": 0.3, "v1_v_per_m2": 2e8}),
+    ],
+)
+@pytest.mark.parametrize("stated", [True, False])
+def test_standard_errors_are_those_of_repeated_readings(fit, truth, stated):
+    exact = (taylor if fit is fit_taylor else beer_lambert)(DIAMETER_M, **truth)
+    rng = np.random.default_rng(7)
+    pulls = []
+    for _ in range(400):
+        got = fit(DIAMETER_M, exact + rng.normal(0, 5e-6, DIAMETER_M.size), 5e-6 if stated else None)
+        pulls.append([getattr(got, name) - value for name, value in truth.items()] / got.stderr)
+    # The spread of 400 pulls is known to 1 / sqrt(800) = 3.5 %.
+    assert np.std(pulls, axis=0) == pytest.approx(1, abs=4 * 0.036)
+    assert np.abs(np.mean(pulls, axis=0)).max() < 4 / np.sqrt(400)
+
+
+def test_noise_that_hides_the_bend_is_reported_and_spoils_no_prediction():
+    volts = readings(1e-2) + np.random.default_rng(3).normal(0, 1e-3, DIAMETER_M.size)
+    fit = fit_beer_lambert(DIAMETER_M, volts, 1e-3)
+    assert "alpha" in fit.note
+    assert fit.stderr[2] > fit.alpha_per_m2
+    assert np.abs(fit.predict(DIAMETER_M) - readings(1e-2)).max() < 1e-3
+
+
+def test_readings_weigh_by_their_standard_errors():
+    volts, stderr_v = readings(0.1), np.full(DIAMETER_M.size, 1e-6)
+    volts[::5] += 0.05
+    stderr_v[::5] = 10.0
+    assert fit_beer_lambert(DIAMETER_M, volts, stderr_v).v1_v == pytest.approx(V1_V, rel=1e-3)
+    assert fit_beer_lambert(DIAMETER_M, volts).v1_v != pytest.approx(V1_V, rel=0.1)
+
+
+def test_scale_does_not_matter():
+    fit = fit_beer_lambert(DIAMETER_M, readings(0.1))
+    tiny = fit_beer_lambert(DIAMETER_M * 1e-3, readings(0.1) * 1e-9)
+    assert tiny.alpha_per_m2 == pytest.approx(fit.alpha_per_m2 * 1e6, rel=1e-6)
+    assert tiny.v1_v == pytest.approx(fit.v1_v * 1e-9, rel=1e-6)
+
+
+@pytest.mark.parametrize("fit", [fit_beer_lambert, fit_taylor])
+@pytest.mark.parametrize(
+    "diameter_m, volts",
+    [([1e-5], [0.1]), ([1e-5] * 4, [0.1, 0.1, 0.2, 0.2]), ([0.0] * 3, [0.1, 0.2, 0.3])],
+)
+def test_diameters_that_do_not_vary_give_the_mean_and_say_so(fit, diameter_m, volts):
+    got = fit(diameter_m, volts)
+    assert got.predict(diameter_m) == pytest.approx(np.mean(volts))
+    assert "do not vary" in got.note
+    assert np.isinf(got.stderr[1:]).all()
+
+
+def test_readings_that_do_not_change_have_no_slope():
+    assert fit_taylor(DIAMETER_M, np.full(50, 0.3)).v1_v_per_m2 * 1e-10 == pytest.approx(0, abs=1e-12)
+    fit = fit_beer_lambert(DIAMETER_M, np.full(50, 0.3))
+    assert fit.predict(5e-6) == pytest.approx(0.3) and "do not change" in fit.note
+
+
+def test_two_states_make_a_straight_line_of_unknown_bend():
+    fit = fit_beer_lambert([1e-5, 1.1e-5, 1e-5], [0.20, 0.18, 0.20])
+    assert fit.predict([1e-5, 1.1e-5]) == pytest.approx([0.20, 0.18])
+    assert "two different diameters" in fit.note and np.isinf(fit.stderr).all()
+
+
+def test_a_curve_bent_the_wrong_way_is_met_by_the_straight_line():
+    volts = 0.3 - 0.05 * (DIAMETER_M / 1e-5) ** 4
+    fit = fit_beer_lambert(DIAMETER_M, volts)
+    assert "low end" in fit.note
+    assert fit.residual_rms_v == pytest.approx(fit_taylor(DIAMETER_M, volts).residual_rms_v, rel=1e-2)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    diameter_um=st.lists(st.floats(0, 100), min_size=1, max_size=8),
+    seed=st.integers(0, 2**32 - 1),
+    scale_v=st.sampled_from([0.0, 1e-12, 1.0, 1e6]),
+)
+def test_any_readings_give_finite_predictions_and_no_warning(diameter_um, seed, scale_v):
+    diameter_m = np.array(diameter_um) * 1e-6
+    volts = scale_v * np.random.default_rng(seed).normal(size=diameter_m.size)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for fit in (fit_beer_lambert(diameter_m, volts), fit_taylor(diameter_m, volts)):
+            assert np.isfinite(fit.predict(diameter_m)).all()
+            assert not np.isnan(fit.covariance).any()
+            # A fit with a constant is at least as good as the mean.
+            assert fit.residual_rms_v <= volts.std() * (1 + 1e-6) + 1e-9 * scale_v
+
+
+@pytest.mark.parametrize("fit", [fit_beer_lambert, fit_taylor])
+@pytest.mark.parametrize(
+    "diameter_m, volts, stderr_v, word",
+    [
+        ([], [], None, "empty"),
+        ([1e-5], [0.1, 0.2], None, "one length"),
+        ([-1e-5, 1e-5], [0.1, 0.2], None, "diameter_m"),
+        ([1e-5, 2e-5], [0.1, np.nan], None, "volts"),
+        ([1e-5, 2e-5], [0.1, 0.2], [1e-3, 0.0], "stderr_v"),
+        ([1e-5, 2e-5], [0.1, 0.2], -1e-3, "stderr_v"),
+    ],
+)
+def test_impossible_readings_are_refused(fit, diameter_m, volts, stderr_v, word):
+    with pytest.raises(InputError, match=word):
+        fit(diameter_m, volts, stderr_v)

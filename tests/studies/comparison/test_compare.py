@@ -1,0 +1,221 @@
+"""The comparison against made-up light whose answer is known in closed form, and once on the prototype."""
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+
+from nailoptics import cli, load_scene, tissue
+from nailoptics.assets import data_dir
+from nailoptics.errors import InputError
+from nailoptics.light import Transfer, optics
+from nailoptics.light.transfer import LedTrace
+from nailoptics.scene import Scene
+from nailoptics.studies.comparison import compare as study
+from nailoptics.studies.comparison import fits
+from nailoptics.studies.comparison.compare import compare
+from nailoptics.studies.comparison.verdict import summary, verdict
+from nailoptics.studies.replicates import GROUPS, read_led, stderr
+
+NO_SCATTERING = np.zeros((2, 1, 8))
+
+
+def prototype(**led) -> Scene:
+    scene = load_scene(data_dir("scenes") / "prototype.toml")
+    return scene.model_copy(update={"leds": tuple(one.model_copy(update=led) for one in scene.leds)})
+
+
+def made_up(own_mm, other_mm, *, seed: int = 0, scene: Scene | None = None) -> Transfer:
+    """A trace of light with given paths in the photodiode's own zone and in the other one, eight photodiodes alike.
+
+    own_mm, other_mm : (n,) float. [mm]
+    """
+    scene = prototype(fwhm_nm=0.0) if scene is None else scene
+    names = optics.absorbers(scene)
+    zone = [0, 0, 0, 0, 1, 1, 1, 1]
+    n = len(own_mm)
+    path = np.zeros((8 * n, len(names)), np.float32)
+    for j, own in enumerate(zone):
+        rows = slice(j * n, (j + 1) * n)
+        path[rows, names.index(f"bed_{own + 1}")] = own_mm
+        path[rows, names.index(f"bed_{2 - own}")] = other_mm
+    trace = LedTrace(
+        photons=10 * n,
+        mu_a=optics.absorption(scene, scene.leds[0].wavelength_nm)[0],
+        photodiode=np.repeat(np.arange(8), n),
+        weight=np.ones(8 * n),
+        path_mm=path,
+        energy={name: (0.0, 0.0) for name in ("reflected", "transmitted", "absorbed", "lost")},
+        seeds=(seed,),
+    )
+    diodes = tuple(f"p{i}" for i in range(8))
+    return Transfer(scene, diodes, names, (trace,), "made up", "none", {"numpy": "0"}, 0.0, 0.0, 0)
+
+
+def judged(transfer: Transfer, *over: study.Over, slopes: np.ndarray = NO_SCATTERING):
+    return study._judge(transfer, [study._sweep(transfer.scene, one) for one in over], slopes, 0)
+
+
+def per_blood(scene: Scene) -> float:
+    return float(tissue.blood_mu_a_per_mm(scene.leds[0].wavelength_nm, scene.blood.so2))
+
+
+def test_light_of_one_path_in_one_zone_is_beer_lambert():
+    """Rationale: the paper's assumptions, all met. Expected: (8) exact; (9) off by its truncation only."""
+    transfer = made_up(np.full(4000, 4.0), np.zeros(4000))
+    result = judged(transfer, "force", "blood").isel(led=0)
+    depth = 4.0 * per_blood(transfer.scene) * result.setting.sel(sweep="blood").values
+    assert np.allclose(result.alpha_d2.sel(sweep="blood"), depth, rtol=1e-5)
+    assert np.abs(result.error.sel(model="beer_lambert", way="fitted")).max() < 1e-3
+    assert np.abs(result.error.sel(model="beer_lambert", way="predicted")).max() < 1e-3
+    blood = result.sel(sweep="blood", way="predicted")
+    exact = 100 * (1 - depth - np.exp(-depth)) / (1 - np.exp(-depth[-1]))
+    assert np.allclose(blood.error.sel(model="taylor"), exact, atol=1e-3)
+    assert np.allclose(blood.part_error.sel(part="truncation"), exact, atol=1e-3)
+    assert np.abs(result.part_error.sel(part=["one_path", "both_zones", "blood_scattering"])).max() < 2e-3
+
+
+def test_a_spread_of_paths_is_told_from_truncation():
+    """Gamma-distributed paths of shape k and scale s read (1 + s x)^-k; (8) with their mean is off by the rest."""
+    shape, scale = 2.0, 2.5
+    draw = np.random.default_rng(3).gamma(shape, scale, 20_000)
+    transfer = made_up(draw, np.zeros_like(draw))
+    blood = judged(transfer, "blood").isel(led=0, sweep=0, photodiode=0)
+    # Drawn at rest; without blood longer paths count more: gamma again, of a larger scale.
+    scale /= 1 - scale * transfer.scene.blood.rest_blood_fraction * per_blood(transfer.scene)
+    x = per_blood(transfer.scene) * blood.setting.values
+    traced = (1 + scale * x) ** -shape
+    part = 100 * (np.exp(-shape * scale * x) - traced) / (1 - traced[-1])
+    found, error = (blood[name].sel(way="predicted", part="one_path") for name in ("part_error", "part_error_stderr"))
+    assert np.all(np.abs(found - part)[1:] < 4 * error[1:]) and float(error[-1]) < 0.05 * abs(part[-1])
+    assert np.abs(blood.part_error.sel(part="both_zones")).max() < 1e-6
+
+
+def test_the_other_zone_is_told_too_and_known_paths_in_both_repair_it():
+    n = 4000
+    blood = judged(made_up(np.full(n, 2.0), np.full(n, 6.0)), "blood").isel(led=0, sweep=0)
+    exponent = blood.setting.values * per_blood(prototype(fwhm_nm=0.0))
+    own, both = np.exp(-2 * exponent), np.exp(-8 * exponent)
+    expected = 100 * (own - both) / (1 - both[-1])
+    assert np.allclose(blood.part_error.sel(way="predicted", part="both_zones"), expected, atol=1e-3)
+    assert np.abs(blood.error.sel(way="predicted_both", model="beer_lambert")).max() < 1e-3
+    assert np.allclose(blood.bed_alpha_d2, 4 * blood.alpha_d2, rtol=1e-5)
+
+
+def test_the_parts_add_up_to_the_error_of_taylor():
+    draw = np.random.default_rng(5).gamma(2.0, 2.0, (2, 3000))
+    result = judged(made_up(*draw), "force", "blood", "saturation", slopes=np.full((2, 1, 8), 0.3))
+    total = result.part_error.sel(part=["truncation", "one_path", "both_zones"]).sum("part")
+    assert np.allclose(total, result.error.sel(model="taylor"), atol=1e-9)
+    assert np.abs(result.part_error.sel(part="blood_scattering")).max() > 0
+
+
+def test_a_straight_line_fits_an_exponential_up_to_where_theory_says():
+    """Over a depth d the best line misses exp by d / 12 (n - 2) / (n - 1) of the swing, by n points and least squares.
+
+    At 1 % there are 15 of the 41 points: d = 0.129."""
+    transfer = made_up(np.full(4000, 8.0), np.zeros(4000))
+    blood = judged(transfer, "blood").isel(led=0, sweep=0, photodiode=0)
+    depth = float(blood.limit_alpha_d2.sel(way="fitted", model="taylor", within=0.01))
+    assert depth == pytest.approx(0.129, rel=0.02)
+    depth = float(blood.limit_alpha_d2.sel(way="predicted", model="taylor", within=0.05))
+    assert depth == pytest.approx(0.10, rel=0.05)  # the tangent misses half the depth
+
+
+@pytest.mark.slow
+def test_standard_errors_are_those_of_repeated_traces():
+    """The jackknife's errors against the spread of 30 made-up traces, for ratios and for a difference of readings."""
+    rng = np.random.default_rng(11)
+    values, errors = [], []
+    for seed in range(30):
+        blood = judged(made_up(*rng.gamma(2.0, 2.0, (2, 400)), seed=seed), "blood").isel(led=0, sweep=0, photodiode=0)
+        one = blood.isel(point=-1)
+        values.append([*one.part_error.sel(way="predicted").values[:3], float(one.alpha_d2), float(one.path_mm)])
+        errors.append(
+            [
+                *one.part_error_stderr.sel(way="predicted").values[:3],
+                float(one.alpha_d2_stderr),
+                float(one.path_mm_stderr),
+            ]
+        )
+    ratio = np.mean(errors, 0) / np.std(values, 0, ddof=1)
+    assert np.all((ratio > 0.65) & (ratio < 1.5)), ratio
+
+
+def test_replicates_know_the_noise_of_the_count():
+    """The number of detected photons is random: its error belongs to a reading, not only that of the weights."""
+    transfer = made_up(np.full(10_000, 1.0), np.zeros(10_000))
+    mu_a = optics.absorption(transfer.scene, [800.0])[None]
+    read = read_led(transfer, 0, mu_a, np.array([0.4]), seed=1)
+    assert read.reading.shape == (1 + GROUPS, 8, 1) and np.allclose(read.reading[0], 0.1)
+    assert np.allclose(stderr(read.reading) / 0.1, 0.01, rtol=0.5)
+
+
+def test_fitted_exponentials_are_those_of_least_squares():
+    from nailoptics.paper.reduced_optics import fit_beer_lambert
+
+    diameter = np.linspace(1, 2, 30)
+    y = 1 / (1 + 0.5 * diameter**2)
+    curve, rate = fits.exponential(diameter**2, y[None])
+    fit = fit_beer_lambert(diameter, y)
+    assert rate[0] == pytest.approx(fit.alpha_per_m2, rel=2e-3)
+    assert np.abs(curve[0] - y).max() == pytest.approx(fit.residual_max_v, rel=5e-3)
+
+
+def test_limits_and_their_intervals():
+    setting, error = np.linspace(0, 10, 11), np.linspace(0, 1, 11)
+    assert fits.limit(setting, error, np.full(11, 0.1 / fits.Z95), 0.55) == pytest.approx((5.5, 4.5, 6.5, True))
+    assert fits.limit(setting, error, np.zeros(11), 2.0) == (10.0, 10.0, 10.0, False)
+    assert fits.crossing(setting, error + 1, 0.5) == (0.0, True)
+
+
+@pytest.mark.parametrize(("tolerance", "outcome"), [(0.5, "met"), (1e-6, "missed")])
+def test_the_verdict_needs_all_readings(tolerance, outcome):
+    draw = np.random.default_rng(5).gamma(2.0, 2.0, (2, 3000))
+    result = judged(made_up(*draw), "blood")
+    assert verdict(result, tolerance).outcome == outcome
+    assert verdict(
+        result, float(result.range_error[..., -1].sel(way="fitted", model="taylor").max()) / 100
+    ).outcome == ("undecided")
+
+
+def test_what_cannot_be_compared_is_one_line():
+    scene = prototype()
+    still = scene.model_copy(update={"touch": scene.touch.model_copy(update={"force_n": 0.0})})
+    with pytest.raises(InputError, match="force never leaves 0"):
+        compare(still)
+    with pytest.raises(InputError, match="over is empty"):
+        compare(scene, over=())
+    with pytest.raises(InputError, match="300 has no tissue data"):
+        compare(scene, wavelengths_nm=[300.0], photons=1)
+
+
+@pytest.mark.jit
+def test_the_prototype_is_compared_from_the_command_line(jit_backend, tmp_path, capsys):
+    folder = ["-o", str(tmp_path), "--photons", "150000", "--json"]
+    assert cli.run(["compare", "prototype", *folder, "--require", "1e-4"]) == 1
+    printed = capsys.readouterr()
+    found = json.loads(printed.out)
+    assert found["verdict"]["outcome"] == "missed" and "misses 0.01%" in printed.err
+    assert len(found["comparisons"]) == 16
+    page = (tmp_path / "compare.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == 6 and "src=" not in page and "http" not in page.replace("www.w3.org", "")
+    assert cli.run(["compare", "prototype", "-o", str(tmp_path), "--require", "-1"]) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_the_prototype_agrees_with_itself_within_its_errors(jit_backend):
+    """Two seeds of the whole study: every error of (9) and (8) agrees within the errors that each states."""
+    scene = prototype()
+    one, two = (compare(scene, photons=1_500_000, seed=seed) for seed in (1, 20))
+    for name in ("range_error", "alpha_d2", "part_error", "swing"):
+        spread = np.hypot(one[f"{name}_stderr"], two[f"{name}_stderr"])
+        z = ((one[name] - two[name]) / spread.where(spread > 0)).values
+        z = z[np.isfinite(z)]
+        assert np.abs(z).max() < 6 and np.sqrt(np.mean(z**2)) < 1.7, name
+    rows = summary(one)["comparisons"]
+    assert {row["sweep"] for row in rows} == {"force", "blood"}
+    for row, way in itertools.product(rows, ("fitted", "predicted")):
+        assert row[f"beer_lambert_{way}"]["error_of_swing"]["value"] >= 0

@@ -1,0 +1,224 @@
+"""What a scene models and leaves out: which effects are found to matter, and how sure that is."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nailoptics import cli, load_scene
+from nailoptics.assets import data_dir
+from nailoptics.errors import InputError, NotReachedError
+from nailoptics.scene import Scene, parse_scene
+from nailoptics.scene.layout import lay_out
+from nailoptics.studies.model_error import bounds
+from nailoptics.studies.model_error.effect import Effect
+from nailoptics.studies.model_error.explain import Explanation, _merged, explain
+from nailoptics.studies.model_error.paired import UNSEEN, Tracing, difference, read, reread
+from nailoptics.studies.model_error.variants import (
+    ONE_WAVELENGTH,
+    PART_WIDTH,
+    Changes,
+    changes_between,
+    lines_of,
+    revised,
+)
+
+TEXT = (data_dir("scenes") / "prototype.toml").read_text(encoding="utf-8")
+WHOLE: Changes = {"light": {"left_out": []}, "finger": {"length_mm": 20.0}, **PART_WIDTH}
+
+
+def prototype() -> Scene:
+    return load_scene(data_dir("scenes") / "prototype.toml")
+
+
+def whole() -> Scene:
+    """The prototype with all that it leaves out put back."""
+    return revised(prototype(), WHOLE)
+
+
+@pytest.fixture(scope="module")
+def found(chosen_jit):
+    return explain(whole(), photons=1_000_000, seed=3)
+
+
+def tracing(photons: int, seed: int) -> Tracing:
+    return Tracing(1, seed, "auto", photons, None, None, None)
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_the_barrier_matters_and_the_lines_width_does_not(found):
+    by_name = {e.name: e for e in found.effects}
+    barrier, width = by_name["barrier"], by_name["LED line width"]
+    assert barrier.matters == "yes" and barrier.change > 1 and barrier.modelled
+    assert width.matters == "no" and width.how == "reread" and 0 < width.bound < 0.01
+    assert by_name["melanin"].matters == "no"
+    assert by_name["ambient light"].modelled is False and by_name["ambient light"].bound > 0
+    # Bone is met by few photons: what these alone make up is told far better than two traces apart could.
+    assert by_name["bone"].typical_stderr < 0.5 * by_name["index steps"].typical_stderr
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_the_far_finger_returns_less_than_1e_4_of_a_reading_and_the_pulp_more(found):
+    ends = [e for e in found.effects if e.name.startswith("finger past")]
+    assert len(ends) == 2 and all(0 < e.bound < 1e-4 and e.matters == "no" for e in ends)
+    pulp = next(e for e in found.effects if e.name == "light back from the pulp")
+    assert pulp.matters != "no" and -0.1 < pulp.typical < -4 * pulp.typical_stderr
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_what_is_not_needed_is_told_as_scene_lines_and_makes_the_scene_that_is_required(found):
+    """Expected: the lines, pasted under their tables, make the required scene, which reads as the whole one does."""
+    lines = lines_of(_merged(found.needless))
+    assert all(f"  {line}" in str(found).splitlines() for line in lines)
+    assert {"[[leds]] fwhm_nm = 0.0", "[finger] length_mm = 16.0"} <= set(lines)
+    tables = {"[finger]": 'digit = "index"', "[[leds]]": 'part = "led_800"', "[light]": "[light]"}
+    text = TEXT.split("[light]")[0].replace("fwhm_nm = 0.0\n", "")
+    text += "[light]\n[accuracy]\nrelative_error = 0.02\n"
+    for line in lines:
+        table, pasted = line.split(" ", 1)
+        text = text.replace(tables[table], f"{tables[table]}\n{pasted}")
+    assert parse_scene(text).model_dump() == found.required.model_dump()
+    assert found.together.matters == "no" and found.together.bound <= found.tolerance
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_the_shipped_prototype_models_what_matters_and_nothing_else(chosen_jit):
+    """Rationale: the default scene is derived from what explain measures. Expected: nothing in it is needless, and
+    nothing that a line could put in is missing, at its own tolerance."""
+    found = explain(prototype(), photons=1_000_000, seed=11)
+    assert [e.name for e in found.needless] == []
+    assert [e.name for e in found.missing if e.changes] == []
+    assert {"LED line width", "epidermis"} <= {e.name for e in found.effects if not e.modelled and e.matters == "no"}
+
+
+@pytest.mark.jit
+def test_rereading_is_what_tracing_with_the_same_photons_would_give(jit_backend):
+    """Rationale: what only dims light needs no new trace. Expected: the two agree to rounding."""
+    narrow, wide = (revised(prototype(), width) for width in (ONE_WAVELENGTH, PART_WIDTH))
+    base, other = tracing(60_000, 1).look(wide), tracing(60_000, 1).look(narrow)
+    again = reread(base.transfer, narrow)
+    assert np.allclose(again.level, other.level, rtol=1e-6)
+    assert 0 < np.abs(again.level / base.level - 1).max() < 0.01
+
+
+@pytest.mark.jit
+def test_a_difference_has_the_noise_of_the_photons_that_differ(jit_backend):
+    """Rationale: photons that never meet the bone are the same with and without it.
+    Expected: the difference's error is far below that of two traces apart, and never zero where no photon differs."""
+    base = tracing(60_000, 5).look(whole())
+    bone, skin = (
+        tracing(60_000, 5).look(revised(whole(), {"light": {"left_out": [part]}})) for part in ("bone", "epidermis")
+    )
+    apart = tracing(60_000, 6).look(whole())
+    away = difference(base, apart)
+    assert (difference(base, bone).ratio_stderr < 0.7 * away.ratio_stderr).all()
+    least = np.sqrt(UNSEEN) * base.relative_stderr**2
+    assert (difference(base, skin).ratio_stderr >= 0.999 * least).all()
+    # The same scene twice: nothing but noise, as large as is said.
+    z = away.ratio / away.ratio_stderr
+    assert np.abs(z).max() < 4 and np.sqrt(np.mean(z**2)) > 0.2
+    same = difference(base, read(replace(base.transfer, traces=tuple(base.transfer.traces))))
+    assert np.all(same.ratio == 0)
+
+
+def test_swapping_source_and_photodiode_keeps_the_board():
+    scene = prototype()
+    for swapped in (bounds.farthest(scene), bounds.most_proximal(scene)):
+        one, two = lay_out(scene), lay_out(swapped)
+        assert two.outline.center_mm == pytest.approx(one.outline.center_mm)
+        assert two.photodiodes[0].area.center_mm == pytest.approx(one.leds[0].center_mm)
+        assert min(abs(two.leds[0].center_mm[1] - e.area.center_mm[1]) for e in one.photodiodes) < 1e-9
+
+
+def test_changes_are_told_as_lines_that_make_them():
+    scene = whole()
+    changes = {"light": {"left_out": ["epidermis", "kapton"], "index_steps": False}} | ONE_WAVELENGTH
+    other = revised(scene, changes)
+    assert other.light.left_out == ("epidermis", "kapton") and all(led.fwhm_nm == 0 for led in other.leds)
+    assert changes_between(scene, other) == changes and changes_between(other, other) == {}
+    assert revised(other, changes_between(other, scene)).model_dump() == scene.model_dump()
+    told = ['[light] left_out = ["epidermis", "kapton"]', "[light] index_steps = false", "[[leds]] fwhm_nm = 0.0"]
+    assert sorted(lines_of(changes)) == sorted(told)
+
+
+def effect(name: str, changes: dict, *, modelled: bool = True) -> Effect:
+    return Effect(name, modelled, "", "reread", 0.0, 0.0, 0.0, "", 0.0, 0.0, 0.0, changes, 0.02)
+
+
+def test_parts_that_are_not_needed_are_left_out_together():
+    bone, skin = (effect(p, {"light": {"left_out": [p]}}) for p in ("bone", "epidermis"))
+    melanin = effect("melanin", {"finger": {"melanin_fraction": 0.0}})
+    assert _merged([bone, melanin]) == {"light": {"left_out": ["bone"]}, "finger": {"melanin_fraction": 0.0}}
+    # Melanin goes with the epidermis.
+    assert _merged([bone, skin, melanin]) == {"light": {"left_out": ["bone", "epidermis"]}}
+    back = effect("bone", {"light": {"left_out": ["kapton"]}}, modelled=False)
+    assert _merged([effect("x", {"light": {"left_out": ["bone", "kapton"]}}), back])["light"]["left_out"] == ["kapton"]
+
+
+@pytest.mark.parametrize(
+    ("change", "stderr", "bound", "matters"),
+    [(0.10, 0.01, 0.12, "yes"), (0.01, 0.003, 0.016, "no"), (0.04, 0.01, 0.06, "cannot tell"), (0.0, 0.0, 0.0, "no")],
+)
+def test_an_effect_matters_only_if_that_is_sure(change, stderr, bound, matters):
+    values = {"change": change, "stderr": stderr, "bound": bound, "typical": change, "typical_stderr": stderr}
+    effect = Effect(
+        "x", True, "y", "retraced", photodiode="p", modulation_bound=None, changes={}, tolerance=0.02, **values
+    )
+    assert effect.matters == matters
+
+
+def test_what_cannot_be_explained_is_one_line():
+    phantom = load_scene(data_dir("scenes") / "phantom.toml")
+    with pytest.raises(InputError, match="finger"):
+        explain(phantom)
+    with pytest.raises(InputError, match="tolerance"):
+        explain(prototype(), tolerance=2.0)
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_the_command_prints_one_json_object_and_writes_the_required_scene(jit_backend, capsys, tmp_path):
+    written = tmp_path / "required.toml"
+    assert cli.run(["explain", "prototype", "--json", "--photons", "20000", "-o", str(written)]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert {"effects", "tolerance", "photons", "together"} <= printed.keys() and len(printed["effects"]) >= 10
+    assert all(row["matters"] in ("yes", "no", "cannot tell") for row in printed["effects"])
+    assert printed["scene"] == str(written) and load_scene(written).finger is not None
+
+
+@pytest.mark.jit
+def test_an_interrupt_keeps_the_effects_that_were_measured(jit_backend):
+    def stop(p):
+        if "trace 3 " in p.led:
+            raise KeyboardInterrupt
+
+    with pytest.raises(NotReachedError, match="interrupted") as caught:
+        explain(prototype(), photons=8192, progress=stop)
+    result = caught.value.result
+    assert isinstance(result, Explanation)
+    names = [e.name for e in result.effects]
+    assert "light back from the pulp" in names and "index steps" in names and "barrier" not in names
+
+
+@pytest.mark.jit
+def test_an_interrupt_of_the_scenes_own_trace_leaves_nothing(jit_backend):
+    def stop(p):
+        raise KeyboardInterrupt
+
+    with pytest.raises(NotReachedError, match="interrupted") as caught:
+        explain(prototype(), photons=8192, progress=stop)
+    assert caught.value.result is None
+
+
+@pytest.mark.jit
+def test_what_was_not_seen_is_not_told(jit_backend):
+    """A handful of photons: no number, no verdict, no warning, and nothing taken for needless."""
+    found = explain(prototype(), photons=100)
+    retraced = [e for e in found.effects if e.how == "retraced"]
+    assert retraced and all(e.matters == "cannot tell" for e in retraced)
+    assert "not known" in str(found) and found.needless == [] and found.required.light == prototype().light

@@ -1,0 +1,390 @@
+"""Placement: the merit's arithmetic, a planted best layout is found, and the ranking is what fresh light confirms."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from nailoptics.cli import run
+from nailoptics.errors import InputError, NotReachedError
+from nailoptics.light.board_map import Arrivals, PhotonMap
+from nailoptics.light.store import write_dataset
+from nailoptics.report.place_page import write_placement
+from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
+from nailoptics.scene.kicad import read_outline, read_positions, write_outline
+from nailoptics.scene.layout import Rectangle, lay_out
+from nailoptics.studies.placement import boards, exchange, fisher, photon_maps, place, result
+from nailoptics.tissue import BloodZones
+
+SCENE = """
+schema_version = 1
+[finger]
+[blood]
+parameters = "best"
+[board]
+size_mm = [9.0, 9.0]
+[[leds]]
+name = "ir"
+part = "led_800"
+position_mm = [-3.0, 0.0]
+[[photodiodes]]
+name = "pd"
+position_mm = [1.0, 0.0]
+size_mm = [1.0, 0.25]
+[placement]
+search = false
+photodiodes = 4
+[[placement.candidates]]
+name = "near"
+leds_mm = [[-3.0, 0.0]]
+photodiodes_mm = [[-1.0, -2.0], [-1.0, -1.0], [-1.0, 1.0], [-1.0, 2.0]]
+[[placement.candidates]]
+name = "far"
+leds_mm = [[-3.0, 0.0]]
+photodiodes_mm = [[3.0, -2.0], [3.0, -1.0], [3.0, 1.0], [3.0, 2.0]]
+"""
+AT = fisher.Operating(
+    blood_fraction=np.array([0.03, 0.03]),
+    blood_per_pa=np.array([[1e-6, 0.0], [0.0, -1e-6]]),
+    force_per_pa=np.full(2, 5e-5),
+    pressure_per_n=np.full(2, 1e4),
+)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return parse_scene(SCENE)
+
+
+@pytest.fixture(scope="module")
+def found(chosen_jit, scene):
+    return place.place(scene, photons=1 << 18, seed=1)
+
+
+def test_resolution_is_the_error_of_a_least_squares_fit():
+    """Many noisy readings of known pressures, fitted: the force's spread is what the information says."""
+    rng = np.random.default_rng(0)
+    slope, noise = rng.normal(size=(5, 2)) * 1e-6, rng.uniform(1e-6, 3e-6, 5)
+    read = fisher.Volts(np.ones(5), noise**2, slope, slope, np.zeros(5))
+    total = fisher.information(read).sum(0)
+    samples = rng.normal(size=(20000, 5)) * noise
+    fitted = np.linalg.lstsq(slope / noise[:, None], (samples / noise).T, rcond=None)[0]
+    spread = (AT.force_per_pa @ fitted).std()
+    # 20 000 samples know a standard deviation to 0.5 %.
+    assert fisher.resolution_n(total, AT) == pytest.approx(spread, rel=0.02)
+    one = (slope / noise[:, None]) @ AT.pressure_per_n
+    assert fisher.known_split_n(total, AT) == pytest.approx(1 / np.linalg.norm(one), rel=1e-12)
+    assert fisher.known_split_n(total, AT) <= fisher.resolution_n(total, AT)
+
+
+def test_a_saturated_reading_tells_nothing(scene):
+    led, photodiode = scene.leds[0], scene.photodiodes[0]
+    values = np.array([[1e-4, 0, -1e-3, -1e-3], [0.5, 0, -1.0, -1.0]])
+    read = fisher.volts(values, led, photodiode, scene.electronics, AT)
+    assert np.any(read.slope_v_per_pa[0] != 0) and np.all(read.slope_v_per_pa[1] == 0)
+
+
+def test_blood_changes_with_pressure_as_steady_states_do(scene):
+    """Operating slopes beside a step of 1 % of the pressure, in the zone that each pressure acts on."""
+    at, more = fisher.operating(scene, 0.5), fisher.operating(scene, 0.505)
+    change = (more.blood_fraction - at.blood_fraction) / 0.005
+    assert np.allclose(at.blood_per_pa @ at.pressure_per_n, change, rtol=0.05)
+    assert at.blood_per_pa[0, 0] > 0 > at.blood_per_pa[1, 1]
+
+
+def test_a_planted_optimum_is_found():
+    """Light whose blood dims it at two spots alone: the photodiodes go there, proximal and distal."""
+    rng = np.random.default_rng(2)
+    place_mm = rng.uniform([-4, -4], [4, 4], (200_000, 2))
+    spots = np.array([[1.5, -2.0], [-0.5, 2.5]])
+    near = np.exp(-(((place_mm[:, None] - spots) / 0.5) ** 2).sum(-1) / 2)
+    one = Arrivals(200_000, np.arange(200_000), place_mm, np.ones(200_000), np.zeros((200_000, 8), np.float32))
+    plane = PhotonMap(Rectangle("o", -4, 4, -4, 4), values=4, blocks=1)
+    plane.add(one, np.column_stack([np.ones(len(near)), np.zeros(len(near)), -near]))
+    axis = np.arange(-3.5, 3.51, 0.25)
+    places = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1).reshape(-1, 2)
+    areas = np.column_stack([places[:, 0] - 0.25, places[:, 0] + 0.25, places[:, 1] - 0.25, places[:, 1] + 0.25])
+    scene = parse_scene(SCENE)
+    read = fisher.volts(plane.over(areas)[0], scene.leds[0], scene.photodiodes[0], scene.electronics, AT)
+    chosen, reached = exchange.exchange(
+        fisher.information(read)[None],
+        places,
+        count=2,
+        spacing_mm=(0.5, 0.5),
+        score=lambda total: fisher.resolution_n(total[0], AT),
+    )
+    assert np.all(np.abs(np.sort(places[chosen], 0) - np.sort(spots, 0)) <= 0.25)
+    # No pair of places on the grid does better.
+    every = fisher.information(read)
+    pairs = fisher.resolution_n(every[:, None] + every[None], AT)
+    apart = np.any(np.abs(places[:, None] - places[None]) >= 0.5 - 1e-9, axis=-1)
+    assert reached == pytest.approx(pairs[apart].min(), rel=1e-9)
+
+
+def test_places_keep_their_distances(scene):
+    base, rules = boards.base_board(scene), boards.rules(scene)
+    for side in ("left", "below"):
+        board = exchange.board_at(exchange.Spot((-2.0, -2.0), side), base)
+        wall = lay_out(board).barriers[0]
+        places = exchange.free_places(board, (1.0, 0.25), rules)
+        assert len(places) and np.abs(places[:, 0]).max() <= 4.5 - 0.3 - 0.5 + 1e-9
+        edge = places[:, 0] - 0.5 - wall.u_max if side == "left" else places[:, 1] - 0.125 - wall.v_max
+        assert edge.min() >= 0.1 - 1e-9
+        boards.with_parts(
+            base.model_copy(update={"leds": board.leds}), [(-2.0, -2.0)], [tuple(places[0])], name="first"
+        )
+
+
+def test_the_best_is_first_and_its_fresh_trace_agrees(found):
+    """The map's foretold resolution and readings, and those of a trace of the real board, share no photon."""
+    assert [str(name) for name in found.layout.values][-1] == "far" and not bool(found.tied.sel(layout="far"))
+    assert np.all(np.diff(found.force_resolution_n) > 0)
+    foretold, error = float(found.finger_resolution_n[0, 0]), float(found.finger_resolution_n_stderr[0, 0])
+    fresh, spread = found.attrs["checked_resolution_n"], found.attrs["checked_resolution_n_stderr"]
+    assert abs(foretold - fresh) < 4 * np.hypot(error, spread)
+    assert np.hypot(error, spread) < 0.3 * foretold
+    assert "paper" in found.layout.values and result.gain(found)[0] > 0
+
+
+def test_light_to_the_photodiodes_and_back_is_the_same(found):
+    """Forward from the LED, and back from each photodiode to the LED's place: no photon is shared."""
+    there, back = found.checked_fraction[0], found.reciprocal_fraction[0]
+    error, spread = found.checked_fraction_stderr[0], found.reciprocal_fraction_stderr[0]
+    total = float(there.sum())
+    both = float(np.hypot(np.linalg.norm(error), np.linalg.norm(spread)))
+    assert abs(float(back.sum()) - total) < 4 * both and both < 0.15 * total
+    # The map of LED places has cells of 0.4 mm, over which the light of a die changes by less than a fifth.
+    here = found.led_place_fraction[0].sel(led_u=-3.0, led_v=0.0, method="nearest")
+    noise = found.led_place_fraction_stderr[0].sel(led_u=-3.0, led_v=0.0, method="nearest")
+    assert abs(float(here.sum()) - total) < 4 * float(np.hypot(np.linalg.norm(noise), both)) + 0.2 * total
+
+
+def test_each_photodiode_looks_where_the_blood_tells_it(found):
+    """The depth map of a fresh trace and the slopes of the bare board's map: which zone dims which photodiode."""
+    seen = found.depth_sensitivity[0] * found.cell_volume_mm3
+    bed = seen.where((found.depth > 0.45) & (found.depth < 2.15), 0.0).sum(("under_u", "depth"))
+    weight = BloodZones((0.0,), 2.0).weights(found.under_v.values)
+    by_zone = bed.values @ weight
+    share = by_zone / by_zone.sum(1, keepdims=True)
+    slope = found.foretold_zone_v[0].values
+    error = found.foretold_zone_v_stderr[0].values / np.abs(slope.sum(1, keepdims=True))
+    foretold = slope / slope.sum(1, keepdims=True)
+    assert np.all(np.abs(share - foretold) < 4 * np.sqrt(2) * error + 0.02)
+    assert share[0, 0] > 0.7 and share[-1, 1] > 0.7
+
+
+def test_the_sun_is_brighter_than_a_lamp_and_the_cover_keeps_most_of_it_out(found):
+    sun, lamp = (found.ambient_a.sel(ambient=name) for name in ("sun", "lamp"))
+    assert bool((sun > 5 * lamp).all()) and bool((lamp > 0).all())
+    assert bool((sun.sel(cover="uncovered") > 2 * sun.sel(cover="covered")).all())
+    assert bool((found.ambient_a_stderr < 0.2 * found.ambient_a).all())
+    dark = found.attrs["checked_resolution_n"]
+    assert dark <= float(found.ambient_resolution_n.sel(cover="covered", ambient="lamp")) < 1.2 * dark
+
+
+def test_a_turned_photodiode_lies_across_and_comes_back_turned(scene, tmp_path):
+    text = (
+        "Ref,Val,Package,PosX,PosY,Rot,Side\nD1,ir,die,-3,0,0,bottom\nPD1,e,pd,1,-1,90,bottom\nPD2,e,pd,1,1,180,top\n"
+    )
+    (tmp_path / "pos.csv").write_text(text)
+    asked = SCENE[: SCENE.index("[placement]")] + (
+        '[placement]\nsearch = false\n[[placement.candidates]]\nname = "mine"\npositions = "pos.csv"\n'
+    )
+    (tmp_path / "mine.toml").write_text(asked)
+    mine = load_scene(tmp_path / "mine.toml")
+    layout = place._given(boards.base_board(mine), boards.rules(mine))[0].scene
+    assert [e.size_mm for e in layout.photodiodes] == [(0.25, 1.0), (1.0, 0.25)]
+    parts = result.kicad_parts(layout, mine)
+    assert [(p.package, p.rotation_deg) for p in parts[1:]] == [("PD_1x0.25mm", 90.0), ("PD_1x0.25mm", 0.0)]
+    (tmp_path / "pos.csv").write_text(text.replace(",90,", ",45,"))
+    with pytest.raises(InputError, match="line 3: Rot = 45"):
+        load_scene(tmp_path / "mine.toml")
+
+
+def test_a_part_beside_the_scene_goes_with_the_chosen_layout(tmp_path):
+    """Layouts carry all that a part says, and so can be opened where the part is not."""
+    (tmp_path / "mine.toml").write_text(SCENE.replace('part = "led_800"', 'part = "own"'))
+    own = 'kind = "led"\npeak_nm = 850.0\nfwhm_nm = 20.0\nflux_mw = 7.0\ndie_size_mm = [0.3, 0.2]\n'
+    (tmp_path / "own.toml").write_text(own + 'pattern = "lambertian"\n')
+    asked = load_scene(tmp_path / "mine.toml")
+    layout = place._given(boards.base_board(asked), boards.rules(asked))[0].scene
+    elsewhere = parse_scene(to_toml(layout))
+    assert (elsewhere.leds[0].flux_mw, elsewhere.leds[0].wavelength_nm, elsewhere.leds[0].size_mm) == (
+        7,
+        850,
+        (0.3, 0.2),
+    )
+
+
+@pytest.mark.slow
+def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
+    """Rationale: phantoms hold no spot and no board, so the spot is planted in a finger's bed: only blood beyond 2.5 mm
+    towards the tip changes with the pressure, and only that pressure counts. Expected: of LED places from the root to
+    the tip, and of photodiodes all over the board, those near that blood are chosen, though elsewhere is more light.
+    """
+    text = SCENE.replace('parameters = "best"', 'parameters = "best"\nzone_edges_mm = [3.0]\nzone_width_mm = 1.0')
+    text = text[: text.index("[placement]")] + "[placement]\nphotodiodes = 2\nled_step_mm = 3.0\n"
+    asked = parse_scene(text)
+    base, rules = boards.base_board(asked), boards.rules(asked)
+    planted = fisher.Operating(
+        blood_fraction=np.array([0.03, 0.03]),
+        blood_per_pa=np.array([[0.0, 0.0], [0.0, -1e-6]]),
+        force_per_pa=np.array([0.0, 5e-5]),
+        pressure_per_n=np.array([0.0, 1e4]),
+    )
+    views = (photon_maps.View(FingerCase(name="planted"), planted),)
+    bank = photon_maps.Bank(views, seed=3, stream=0, backend="auto", spacing_mm=0.1, blocks=1, quick=True)
+    layouts, tried = place._searched(base, rules, bank, np.inf, lambda *_: None)
+    assert len(tried) >= 8 and min(s.place_mm[1] for s, _ in tried) < -2.5
+    best = lay_out(layouts[0].scene)
+    assert best.leds[0].center_mm[1] > 1.0
+    assert all(e.area.center_mm[1] > 1.0 for e in best.photodiodes)
+
+
+@pytest.mark.slow
+def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, scene):
+    """Rationale: intervals claim 95 %. Expected: over 12 seeds the scores spread as their standard errors say,
+    intervals hold the mean of the other seeds, and no pair of layouts is told apart one way by one seed and the other
+    way by another.
+    """
+    base = boards.base_board(scene)
+    layouts = place._given(base, boards.rules(scene))
+    # One more that is nearly as good as the first, for a pair that is hard to tell apart.
+    middle = boards.with_parts(base, [(-3.0, 0.0)], [(-0.9, v) for v in (-2.0, -1.0, 1.0, 2.0)], name="middle")
+    layouts.append(place.Layout("middle", middle, layouts[0].board, "given"))
+    views = [photon_maps.View(FingerCase(name="one"), fisher.operating(base, 0.5))]
+    judged = []
+    for seed in range(12):
+        bank = photon_maps.Bank(views, seed=seed, stream=1, backend="auto", spacing_mm=0.1, blocks=32, quick=True)
+        bank.grow(layouts[0].board, 1 << 18)
+        judged.append([place.judge(layout, bank, "worst") for layout in layouts])
+    score = np.log([[float(one.score_n[0]) for one in row] for row in judged])
+    error = np.array([[one.relative_error for one in row] for row in judged])
+    # 11 degrees of freedom know a variance to 43 %; the layouts share photons, so that they count as one.
+    ratio = score.var(0, ddof=1) / (error**2).mean(0)
+    assert np.all(ratio < 3.0), ratio
+    # Where an error is so large that the score bends within it, as of the layout far away, it is told too large.
+    small = error.mean(0) < 0.2
+    assert small[0] and small[2] and np.all(ratio[small] > 0.25), ratio
+    others = (score.sum(0) - score) / 11
+    held = np.abs(score - others) < 1.96 * error * np.sqrt(1 + 1 / 11)
+    # Of 12 at 95 %, fewer than 9 would come once in five hundred times; and once more for each of three layouts.
+    assert np.all(held.sum(0) >= 9), held.sum(0)
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        told = [
+            np.sign(score[i, a] - score[i, b])
+            for i, row in enumerate(judged)
+            if row[a].interval_n[0] > row[b].interval_n[1] or row[b].interval_n[0] > row[a].interval_n[1]
+        ]
+        assert len(set(told)) <= 1
+    assert np.all(score[:, 1] > score[:, 0]) and np.abs(score[:, 0] - score[:, 2]).mean() < 0.2
+
+
+def test_the_chosen_layout_comes_back_as_scene_and_as_parts(found, scene):
+    near = result.chosen(found.sel(layout=["near"]))
+    assert near.placement is None and len(near.photodiodes) == 4
+    parts = result.kicad_parts(near, scene)
+    assert [p.ref for p in parts] == ["D1", "PD1", "PD2", "PD3", "PD4"] and parts[0].position_mm == (-3.0, 0.0)
+    assert parts[1].position_mm == (-1.0, -2.0)
+    assert result.outline(found.sel(layout=["near"]))[0] == (-4.5, -4.5)
+    rows = result.rows(found)
+    assert rows[0]["rank"] == 1 and not rows[-1]["tied"] and {row["layout"] for row in rows} == {"near", "far", "paper"}
+
+
+def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene):
+    """Must reach: under 50 ms."""
+    base = boards.base_board(scene)
+    views = [photon_maps.View(FingerCase(name="one"), fisher.operating(base, 0.5))]
+    bank = photon_maps.Bank(views, seed=0, stream=1, backend="auto", spacing_mm=0.1, blocks=32)
+    layouts = place._given(base, boards.rules(scene))
+    assert layouts[0].board == layouts[1].board
+    bank.grow(layouts[0].board, 1 << 18)
+    place.judge(layouts[0], bank, "worst")
+    spent = []
+    for _ in range(5):
+        begin = time.perf_counter()
+        judged = place.judge(layouts[1], bank, "worst")
+        spent.append(time.perf_counter() - begin)
+    assert min(spent) < 0.05 and np.all(np.isfinite(judged.score_n))
+
+
+def test_the_page_stands_alone_and_the_result_is_kept(found, tmp_path):
+    write_placement(found, tmp_path / "place.html")
+    text = (tmp_path / "place.html").read_text(encoding="utf-8")
+    assert text.count("<svg") == 6 and "http" not in text.replace("http://www.w3.org/", "") and "paper" in text
+    write_dataset(found, tmp_path / "place.nc")
+    with xr.open_dataset(tmp_path / "place.nc") as kept:
+        assert result.rows(kept) == result.rows(found)
+
+
+@pytest.mark.slow
+def test_an_interrupt_leaves_the_ranking_as_far_as_it_is(chosen_jit, scene):
+    """Ctrl-C comes out of the progress callback; what is traced by then is judged, looked at and told."""
+
+    def interrupting(progress):
+        if progress.led == "judge":
+            raise KeyboardInterrupt
+
+    with pytest.raises(NotReachedError, match="^interrupted: ") as caught:
+        place.place(scene, relative_error=1e-4, progress=interrupting)
+    assert caught.value.result.sizes["layout"] == 3
+
+
+@pytest.mark.slow
+def test_one_layout_serves_digits_and_bloods_alike(chosen_jit):
+    """The worst of three fingers ranks; blood alone shares the trace of its digit."""
+    cases = "".join(
+        f'[[placement.fingers]]\nname = "{name}"\n{more}\n'
+        for name, more in (
+            ("usual", ""),
+            ("dark", 'rest_blood_fraction = 0.06\ndermis = "salomatina"'),
+            ("thumb", 'digit = "thumb"'),
+        )
+    )
+    result = place.place(parse_scene(SCENE + cases), photons=1 << 18)
+    assert result.attrs["photons"] == 2 * 2 * (1 << 18)
+    assert np.allclose(result.force_resolution_n, result.finger_resolution_n.max("finger"))
+    assert result.sizes["finger"] == 3
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("photodiodes_mm = [[3.0, -2.0]", "photodiodes_mm = [[-2.6, -2.0]"), "barrier"),
+        (("leds_mm = [[-3.0, 0.0]]", "leds_mm = [[-3.0, 0.0], [-3.0, 1.0]]"), "2 LEDs"),
+        (("leds_mm = [[-3.0, 0.0]]", "leds_mm = [[-8.0, 0.0]]"), "edge"),
+    ],
+)
+def test_impossible_layouts_are_refused_in_one_line(change, words):
+    with pytest.raises(InputError, match=words) as caught:
+        place.place(parse_scene(SCENE.replace(*change)), photons=1000)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_the_command_writes_what_other_programs_read(chosen_jit, tmp_path, capsys):
+    """Position file and outline from KiCad in, the best in the same form out, with scene, GLB and page."""
+    (tmp_path / "pos.csv").write_text(
+        "Ref,Val,Package,PosX,PosY,Rot,Side\nD1,ir,die,3.0,0.0,0,bottom\nPD1,e,pd,1.0,-1.0,0,bottom\n"
+        "PD2,e,pd,1.0,1.0,0,bottom\n"
+    )
+    write_outline(tmp_path / "board.dxf", [(-4.5, -4.5), (4.5, -4.5), (4.5, 4.5), (-4.5, 4.5)])
+    text = SCENE[: SCENE.index("[placement]")] + (
+        '[placement]\nsearch = false\noutline = "board.dxf"\n[[placement.candidates]]\nname = "mine"\n'
+        'positions = "pos.csv"\nnegate_x_on_bottom = true\n'
+    )
+    (tmp_path / "mine.toml").write_text(text)
+    out = tmp_path / "out"
+    asked = ["place", str(tmp_path / "mine.toml"), "-o", str(out), "--photons", str(1 << 18), "--json"]
+    assert run([*asked, "--negate-x-on-bottom"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert {row["layout"] for row in told["ranking"]} == {"mine", "paper"}
+    made = {path.name for path in out.iterdir()}
+    assert made == {"place.nc", "ranking.csv", "place.html", "best.toml", "best.csv", "best.glb", "outline.dxf"}
+    best = load_scene(out / "best.toml")
+    areas = [element.area for element in lay_out(best).photodiodes]
+    back = [part for part in read_positions(out / "best.csv", negate_x_on_bottom=True) if not part.is_led]
+    assert np.allclose([p.position_mm for p in back], [a.center_mm for a in areas], atol=1e-6)
+    assert len(read_outline(out / "outline.dxf")) == 4
