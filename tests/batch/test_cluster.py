@@ -10,12 +10,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from nailoptics.conftest import Calm, bits, command_of, kill_one, offspring, phantoms
 
 from nailoptics.batch import Progress, Sweep, run_batch
 from nailoptics.batch.work import cores
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.scene import Accuracy
+
+from .conftest import Calm, bits, command_of, kill_one, offspring, phantoms
 
 distributed = pytest.importorskip("distributed")
 pytestmark = [pytest.mark.jit, pytest.mark.filterwarnings("ignore::ResourceWarning")]

@@ -3,9 +3,10 @@
 import json
 
 import pytest
-from nailoptics.conftest import FAILING, phantoms
 
 from nailoptics import cli
+
+from .conftest import FAILING, phantoms
 
 pytestmark = pytest.mark.jit
 

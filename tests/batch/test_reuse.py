@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from nailoptics.conftest import phantoms
 
 import nailoptics as nail
 from nailoptics.light import reuse
 from nailoptics.scene import Accuracy, load_scene, parse_scene
 from nailoptics.scene.placement import Placement
+
+from .conftest import phantoms
 
 
 def prototype():

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from nailoptics.conftest import FAILING, bits, command_of, kill_one, offspring, phantoms
 
 import nailoptics as nail
 from nailoptics.batch import Outcome, Progress, Sweep, estimate, load_sweep, run_batch, status
@@ -22,6 +21,8 @@ from nailoptics.batch.work import Report, Settings, meets, work
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.light import read_rest, reuse
 from nailoptics.scene import Accuracy
+
+from .conftest import FAILING, bits, command_of, kill_one, offspring, phantoms
 
 pytestmark = pytest.mark.jit
 

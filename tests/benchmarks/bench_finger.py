@@ -45,8 +45,8 @@ def modulation(scene: nail.Scene, walk: nail.Transfer) -> None:
     shape, zones = geometry.build(scene), optics.zones(scene)
     led = scene.leds[0].wavelength_nm
     v = np.linspace(-15, 10, 501)
-    from nailoptics.light.volpath.integrate.integrate import FingerPaths
-    from nailoptics.light.volpath.integrate.mitsuba_scene import BedAbsorption
+    from nailoptics.light.volpath.integrate import FingerPaths
+    from nailoptics.light.volpath.mitsuba_scene import BedAbsorption
 
     for swapped in (False, True):
         means, variances, cpu = [], [], 0.0

@@ -12,7 +12,7 @@ def test_glb_has_one_closed_named_part_per_region(geometry, tmp_path):
     scene = trimesh.load_scene(export_mesh(geometry, tmp_path / "finger.glb"))
     volumes = {name: v for name, v in geometry.volumes_mm3().items() if v > 0}
     assert set(scene.geometry) == set(volumes)
-    for name in ("plate", "bed", "bone", "epoxy", "cover", "led:led0"):
+    for name in ("plate", "bed", "bone", "epoxy", "cover", "led:ir"):
         part = scene.geometry[name]
         assert part.is_watertight and part.is_winding_consistent
         # The file holds single precision.

@@ -8,7 +8,7 @@ from nailoptics import geometry
 from nailoptics.assets import data_dir
 from nailoptics.light import backend, optics
 from nailoptics.light.finger_walk import _SHAPELESS, MeshTracer, Section
-from nailoptics.light.volpath.integrate import integrate, states
+from nailoptics.light.volpath import integrate, states
 from nailoptics.scene import Scene, load_scene
 
 

@@ -9,7 +9,7 @@ from nailoptics import geometry
 from nailoptics.errors import InputError
 from nailoptics.light import backend
 from nailoptics.light.optics import finger_media
-from nailoptics.light.volpath.integrate import integrate, mitsuba_scene, states
+from nailoptics.light.volpath import integrate, mitsuba_scene, states
 from nailoptics.scene import parse_scene
 
 # Dermis, measured by Shimojo (mu_a), and reduced scattering 4.6 (lambda / 500)^-1.421 (Jacques 2013). [mm^-1]

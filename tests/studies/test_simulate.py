@@ -8,7 +8,7 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.light import engines
 from nailoptics.light.store import write_dataset
-from nailoptics.light.volpath.integrate import states
+from nailoptics.light.volpath import states
 from nailoptics.scene import Scene, digest, load_scene, parse_scene
 from nailoptics.studies.simulate import blood_course, simulate
 
