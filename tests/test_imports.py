@@ -13,6 +13,8 @@ PACKAGE = Path(__file__).parents[1] / "nailoptics"
 # Rooms in one entry do not import each other.
 ORDER = [
     {"errors"},
+    {"checks", "statistics"},
+    {"options"},
     {"assets"},
     {"scene"},
     {"hemodynamics"},

@@ -1,0 +1,108 @@
+"""What every room asks of its input, and the one translator of a validation's complaints into a user's line."""
+
+import difflib
+import json
+import re
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import InputError
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel, ValidationError
+
+Array = NDArray[np.float64]
+
+
+def finite(name: str, value: ArrayLike) -> Array:
+    """The value as an array of floats; InputError where one is no finite number."""
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} must be numbers, got {value!r}; give a number or an array.") from None
+    bad = ~np.isfinite(array)
+    if bad.any():
+        first = np.argwhere(bad)[0].tolist()
+        where = f"[{', '.join(map(str, first))}]" if first else ""
+        raise InputError(f"{name}{where} must be finite, got {array[bad][0]}; replace NaN and inf.")
+    return array
+
+
+def not_negative(name: str, value: ArrayLike) -> Array:
+    """The value as an array of floats; InputError where one is negative or not finite."""
+    array = np.asarray(value, dtype=float)
+    wrong = ~(np.isfinite(array) & (array >= 0))
+    if wrong.any():
+        raise InputError(f"{name} = {array[wrong].flat[0]:g} must be finite and not negative; correct it")
+    return array
+
+
+def fraction(name: str, value: ArrayLike) -> Array:
+    """The value as an array of floats; InputError where one lies outside 0 to 1."""
+    array = np.asarray(value, dtype=float)
+    outside = ~((array >= 0) & (array <= 1))
+    if outside.any():
+        raise InputError(f"{name} = {array[outside].flat[0]:g} is not a fraction; choose from 0 to 1")
+    return array
+
+
+def seed(value: int) -> int:
+    """The seed; InputError if it is no whole number of at least 0 and below 2^63."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value < 2**63:
+        raise InputError(f"seed = {value}; must be a whole number of at least 0 and below 2^63.")
+    return int(value)
+
+
+def explain(error: "ValidationError", model: "type[BaseModel]") -> str:
+    """The first fault of a validation in one line: field, rule, value, what to do."""
+    faults = error.errors(include_url=False)
+    # An array with a faulty item is also called too short; once is enough.
+    faults = [f for f in faults if f["type"] != "too_short" or not f["input"]]
+    fault = faults[0]
+    where = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in fault["loc"]).lstrip(".")
+    value = fault.get("input")
+    if fault["type"] == "extra_forbidden":
+        known = _fields_at(model, fault["loc"][:-1])
+        close = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1)
+        line = f"{where} is not a known field; " + (
+            f'did you mean "{close[0]}"?' if close else f"known here: {', '.join(known)}."
+        )
+    elif fault["type"] == "missing":
+        line = f"{where} is missing; add it."
+    elif fault["type"] == "value_error":
+        line = (f"{where}: " if where else "") + str(fault["ctx"]["error"]) + "."
+    else:
+        shown = json.dumps(value, default=str) if not isinstance(value, dict) else "a table"
+        line = f"{where} = {shown[:60]}: must {_rule(fault['msg'])}."
+    return line + (f" (and {len(faults) - 1} more)" if len(faults) > 1 else "")
+
+
+def _rule(message: str) -> str:
+    """Pydantic's rule in TOML's words: "Tuple should have at least 1 item ..." is "have at least 1 item ..."."""
+    rule = re.sub(r"^(Input|Value|Tuple|String) should ", "", message)
+    rule = re.sub(r"a valid dictionary or instance of \w+", "a table", rule)
+    return rule.replace("a valid tuple", "an array").replace(" after validation", "")
+
+
+def _fields_at(model: "type[BaseModel]", location: tuple[int | str, ...]) -> list[str]:
+    """Names of the fields of the table at a location in a model."""
+    current: Any = model
+    for part in location:
+        if isinstance(part, int):
+            continue
+        annotation = current.model_fields[part].annotation if part in current.model_fields else None
+        found = _models_in(annotation)
+        if not found:
+            return []
+        current = found[0]
+    return list(current.model_fields)
+
+
+def _models_in(annotation: Any) -> "list[type[BaseModel]]":
+    from pydantic import BaseModel
+
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [m for argument in getattr(annotation, "__args__", ()) for m in _models_in(argument)]

@@ -1,0 +1,49 @@
+"""What can be asked of every command and function that traces light, beside the scene: one object, passed whole."""
+
+from dataclasses import dataclass
+from typing import Literal, TypedDict, get_args
+
+from . import checks
+from .errors import InputError
+
+BackendName = Literal["auto", "cuda", "llvm", "scalar"]
+
+
+class Requested(TypedDict, total=False):
+    """The fields of `TraceOptions` as keyword arguments."""
+
+    seed: int
+    backend: BackendName
+    relative_error: float | None
+    max_seconds: float | None
+    photons: int | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TraceOptions:
+    """How light is traced: which random numbers, on what, and how far.
+
+    Whatever of relative_error, max_seconds and photons is not given is taken from the scene, if none of the three is.
+    Raises InputError for values that none can have.
+    """
+
+    seed: int = 0
+    """Same seed, same bits, on one backend."""
+    backend: BackendName = "auto"
+    """What runs the light: auto takes the fastest that works here."""
+    relative_error: float | None = None
+    """Relative standard error that every reading must reach."""
+    max_seconds: float | None = None
+    """Wall time after which tracing ends with what there is. [s]"""
+    photons: int | None = None
+    """Photons per LED, in place of a tolerance."""
+
+    def __post_init__(self) -> None:
+        checks.seed(self.seed)
+        if self.backend not in get_args(BackendName):
+            raise InputError(f'backend = "{self.backend}" is none; choose from {", ".join(get_args(BackendName))}.')
+
+    @property
+    def unbounded(self) -> bool:
+        """Whether nothing was asked of error, time or photons."""
+        return self.relative_error is None and self.max_seconds is None and self.photons is None
