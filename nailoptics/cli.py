@@ -7,10 +7,11 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import App, CycloptsError, Parameter, validators
+from cyclopts import App, CycloptsError, Parameter
 
 from . import __version__
 from .errors import InputError, NailopticsError, NotReachedError
+from .options import BackendName, TraceOptions
 from .terminal import (
     as_far_as_reached,
     batch_progress,
@@ -33,16 +34,10 @@ app = App(
     help="Simulate an optical sensor on a fingernail: touch, blood, traced light, photodiode volts.",
 )
 
-BackendName = Literal["auto", "cuda", "llvm", "scalar"]
 ScenePath = Annotated[str, Parameter(help="A scene file (TOML), or the name of a shipped one such as prototype.")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print one JSON object on stdout, nothing else.")]
-Seed = Annotated[
-    int, Parameter(help="Same seed, same bits, on one backend.", validator=validators.Number(gte=0, lt=2**63))
-]
-Backend = Annotated[BackendName, Parameter(help="What runs the light: auto takes the fastest that works here.")]
-RelativeError = Annotated[float | None, Parameter(help="Relative standard error that every reading must reach.")]
-MaxSeconds = Annotated[float | None, Parameter(help="Wall time after which tracing stops. [s]")]
-Photons = Annotated[int | None, Parameter(help="Photons per LED, in place of a tolerance.")]
+Options = Annotated[TraceOptions, Parameter(name="*")]
+USUAL = TraceOptions()
 Folder = Annotated[
     Path | None, Parameter(name=["--output", "-o"], help="Folder for the results; results/SCENE if not given.")
 ]
@@ -91,11 +86,7 @@ def simulate(
     *,
     output: Folder = None,
     json_: Json = False,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    relative_error: RelativeError = None,
-    max_seconds: MaxSeconds = None,
-    photons: Photons = None,
+    options: Options = USUAL,
 ) -> None:
     """Simulate a touch: force to volts over time, traced light beside the paper's (8) and (9).
 
@@ -108,17 +99,13 @@ def simulate(
     asked = _load(scene)
     if asked.finger is None:
         raise InputError(f"{scene}: simulate needs a [finger] scene; a [phantom] has no blood, use nailoptics trace.")
-    name, _ = _announced(backend, asked)
+    _announce(options.backend, asked)
     with writable(output or Path("results") / Path(scene).stem, "result.nc", "report.html") as folder:
         result, unmet = as_far_as_reached(
             lambda told: study(
                 asked,
-                seed=seed,
-                backend=name,
-                photons=photons,
-                relative_error=relative_error,
-                max_seconds=max_seconds,
                 progress=told,
+                **options.fields,
             )
         )
         paths = {"result": folder / "result.nc", "report": folder / "report.html"}
@@ -139,29 +126,21 @@ def trace(
     *,
     output: File = None,
     json_: Json = False,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    relative_error: RelativeError = None,
-    max_seconds: MaxSeconds = None,
-    photons: Photons = None,
+    options: Options = USUAL,
 ) -> None:
     """Trace the light only: readings at the scene's rest state, and with -o the transfer for any other."""
     from .light import read_rest
 
     asked = _load(scene)
-    name, engine = _announced(backend, asked)
+    engine = _announce(options.backend, asked)
     if output is not None and engine == "volpath":
         raise InputError(f"{output}: volpath traces readings, not a transfer that could be saved; leave -o out.")
     with writable_file(output):
         rest, unmet = as_far_as_reached(
             lambda told: read_rest(
                 asked,
-                seed=seed,
-                backend=name,
-                photons=photons,
-                relative_error=relative_error,
-                max_seconds=max_seconds,
                 progress=told,
+                **options.fields,
             )
         )
         if output is not None and rest.transfer is not None:
@@ -197,11 +176,7 @@ def compare(
         Literal["taylor", "beer_lambert"], Parameter(help="The model that --require judges: (9) or (8).")
     ] = "taylor",
     json_: Json = False,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    relative_error: RelativeError = None,
-    max_seconds: MaxSeconds = None,
-    photons: Photons = None,
+    options: Options = USUAL,
 ) -> None:
     """Compare traced light with the paper's Taylor (9) and Beer-Lambert (8): where they hold, and why not further.
 
@@ -213,6 +188,7 @@ def compare(
     from .studies.comparison.verdict import summary, verdict
 
     asked = _load(scene)
+    _announce(options.backend, asked)
     if require is not None and not 0 < require < math.inf:
         raise InputError(f"--require {require:g} must be a part of the swing above 0, such as 0.05.")
     with writable(output or Path("results") / Path(scene).stem, "compare.nc", "compare.html") as folder:
@@ -221,12 +197,8 @@ def compare(
                 asked,
                 over=over,
                 wavelengths_nm=wavelength_nm,
-                seed=seed,
-                backend=_announced(backend, asked)[0],
-                photons=photons,
-                relative_error=relative_error,
-                max_seconds=max_seconds,
                 progress=told,
+                **options.fields,
             )
         )
         paths = {"result": folder / "compare.nc", "report": folder / "compare.html"}
@@ -256,13 +228,7 @@ def place(
         bool, Parameter(negative="", help="Write the position file with X negated on the bottom side.")
     ] = False,
     json_: Json = False,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    relative_error: Annotated[
-        float | None, Parameter(help="Layouts whose force resolution is known this well may stay tied.")
-    ] = None,
-    max_seconds: MaxSeconds = None,
-    photons: Annotated[int | None, Parameter(help="Photons per layout and finger, in place of a tolerance.")] = None,
+    options: Options = USUAL,
 ) -> None:
     """Rank layouts of LEDs and photodiodes by the force that they resolve; search better ones.
 
@@ -280,18 +246,14 @@ def place(
     from .studies.placement.result import chosen, gain, kicad_parts, outline, rows
 
     asked = _load(scene)
-    name, _ = _announced(backend, asked)
+    _announce(options.backend, asked)
     files = ("place.nc", "ranking.csv", "place.html", "best.toml", "best.csv", "best.glb")
     with writable(output or Path("results") / Path(scene).stem, *files) as folder:
         result, unmet = as_far_as_reached(
             lambda told: study(
                 asked,
-                seed=seed,
-                backend=name,
-                photons=photons,
-                relative_error=relative_error,
-                max_seconds=max_seconds,
                 progress=told,
+                **options.fields,
             )
         )
         ranking, best = rows(result), chosen(result)
@@ -337,11 +299,7 @@ def batch(
     retry_failed: Annotated[bool, Parameter(negative="", help="Try again what failed before.")] = False,
     status: Annotated[bool, Parameter(negative="", help="Show how far a batch is, and end.")] = False,
     json_: Json = False,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    relative_error: RelativeError = None,
-    max_seconds: Annotated[float | None, Parameter(help="Wall time after which the run stops. [s]")] = None,
-    photons: Photons = None,
+    options: Options = USUAL,
 ) -> None:
     """Do all scenes of a sweep, or what is left of them; a run that was killed goes on where it was.
 
@@ -356,9 +314,8 @@ def batch(
         print_json(dataclasses.asdict(found) | {"left": found.left}) if json_ else print(found)
         return
     planned = batches.load_sweep(sweep)
-    asked: dict[str, Any] = {"seed": seed, "backend": backend, "photons": photons, "relative_error": relative_error}
     if dry_run:
-        cost = batches.estimate(planned, **asked)
+        cost = batches.estimate(planned, **options.fields)
         print_json(dataclasses.asdict(cost)) if json_ else print(cost)
         return
     if output is None:
@@ -373,9 +330,8 @@ def batch(
                 scheduler=scheduler,
                 shard=shard,
                 retry_failed=retry_failed,
-                max_seconds=max_seconds,
                 progress=told,
-                **asked,
+                **options.fields,
             )
     except NotReachedError as error:
         if not isinstance(error.result, batches.Outcome):
@@ -413,30 +369,21 @@ def explain(
         float | None, Parameter(help="Relative change of a reading that matters; the scene's error if not given.")
     ] = None,
     json_: Json = False,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    relative_error: RelativeError = None,
-    max_seconds: Annotated[
-        float | None, Parameter(help="Wall time for all traces together; 90 if nothing else is asked. [s]")
-    ] = None,
-    photons: Photons = None,
+    options: Options = USUAL,
 ) -> None:
     """Explain what a scene models and what it leaves out, and measure how far each of these moves the readings."""
     from .scene import to_toml
     from .studies.model_error.explain import explain as study
 
     asked = _load(scene)
+    _announce(options.backend, asked)
     with writable_file(output):
         found, unmet = as_far_as_reached(
             lambda told: study(
                 asked,
                 tolerance=tolerance,
-                seed=seed,
-                backend=_announced(backend, asked)[0],
-                photons=photons,
-                relative_error=relative_error,
-                max_seconds=max_seconds,
                 progress=told,
+                **options.fields,
             )
         )
         if output and not unmet:
@@ -459,13 +406,7 @@ def tradeoff(
     output: Folder = None,
     tolerance: Annotated[float, Parameter(help="Relative error that a reading may have.")] = 0.02,
     json_: Json = False,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    relative_error: RelativeError = None,
-    max_seconds: Annotated[
-        float | None, Parameter(help="Wall time for all levels together; 120 if nothing else is asked. [s]")
-    ] = None,
-    photons: Photons = None,
+    options: Options = USUAL,
 ) -> None:
     """Measure error against processor time for every level of model; the cheapest that meets a tolerance.
 
@@ -476,18 +417,15 @@ def tradeoff(
     from .studies.model_error.tradeoff import tradeoff as study
 
     asked = _load(scene)
+    _announce(options.backend, asked)
     files = ("tradeoff.json", "tradeoff.html", "tradeoff.png", "scene.toml")
     with writable(output or Path("results") / Path(scene).stem, *files) as folder:
         found, unmet = as_far_as_reached(
             lambda told: study(
                 asked,
                 tolerance=tolerance,
-                seed=seed,
-                backend=_announced(backend, asked)[0],
-                photons=photons,
-                relative_error=relative_error,
-                max_seconds=max_seconds,
                 progress=told,
+                **options.fields,
             )
         )
         table, page, picture, selected = (folder / name for name in files)
@@ -630,8 +568,8 @@ def _exists(path: Path) -> bool:
         return False
 
 
-def _announced(backend: BackendName, scene: "Scene") -> tuple[BackendName, str]:
-    """The backend and the engine that will be used; says in one line what would be faster if it is the slow one."""
+def _announce(backend: BackendName, scene: "Scene") -> str:
+    """The engine that will be used; says in one line what would be faster if it is the slow one."""
     from .light import backend as backends
     from .light.engines import engine_for
 
@@ -639,7 +577,7 @@ def _announced(backend: BackendName, scene: "Scene") -> tuple[BackendName, str]:
     engine = engine_for(scene, chosen)
     if chosen.name == "scalar" and chosen.advice and backend == "auto":
         complain(chosen.advice, 0)
-    return chosen.name, engine
+    return engine
 
 
 def _summary(result: Any) -> dict[str, Any]:

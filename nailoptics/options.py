@@ -1,7 +1,7 @@
 """What can be asked of every command and function that traces light, beside the scene: one object, passed whole."""
 
 from dataclasses import dataclass
-from typing import Literal, TypedDict, get_args
+from typing import Literal, TypedDict, cast, get_args
 
 from . import checks
 from .errors import InputError
@@ -42,6 +42,11 @@ class TraceOptions:
         checks.seed(self.seed)
         if self.backend not in get_args(BackendName):
             raise InputError(f'backend = "{self.backend}" is none; choose from {", ".join(get_args(BackendName))}.')
+
+    @property
+    def fields(self) -> Requested:
+        """The options as keyword arguments."""
+        return cast(Requested, dict(vars(self)))
 
     @property
     def unbounded(self) -> bool:

@@ -4,10 +4,12 @@ import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Unpack
 
 from ..light import backend as backends
 from ..light import reuse
 from ..light.engines import VOLPATH_RELATIVE_ERROR
+from ..options import Requested, TraceOptions
 from ..scene import Accuracy, Scene
 from ..scene.sweep import Sweep
 from . import reading, record
@@ -41,16 +43,12 @@ class Estimate:
         )
 
 
-def estimate(
-    sweep: Sweep,
-    *,
-    seed: int = 0,
-    backend: str = "auto",
-    photons: int | None = None,
-    relative_error: float | None = None,
-) -> Estimate:
+def estimate(sweep: Sweep, **requested: Unpack[Requested]) -> Estimate:
     """Estimate a sweep's cost; compiling is not counted, as it happens once per worker."""
-    settings = Settings(Path(), seed, backends.choose(backend).name, photons, relative_error)
+    options = TraceOptions(**requested)
+    settings = Settings(
+        Path(), options.seed, backends.choose(options.backend).name, options.photons, options.relative_error
+    )
     planned = plan(sweep, settings)
     groups: dict[str, list[Scene]] = {}
     for p in planned:

@@ -7,9 +7,11 @@ from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Unpack
 
 from ..errors import InputError, NotReachedError
 from ..light import backend as backends
+from ..options import Requested, TraceOptions
 from ..scene.sweep import Sweep
 from . import plan as plans
 from .executors import ClusterSlots, LocalSlots, Slots, single_threaded_blas
@@ -62,12 +64,8 @@ def run_batch(
     scheduler: str | None = None,
     shard: str | None = None,
     retry_failed: bool = False,
-    seed: int = 0,
-    backend: str = "auto",
-    photons: int | None = None,
-    relative_error: float | None = None,
-    max_seconds: float | None = None,
     progress: Callable[[Progress], None] | None = None,
+    **requested: Unpack[Requested],
 ) -> Outcome:
     """Do what is left of a sweep in a folder; what is there already is kept, or continued if it is not good enough.
 
@@ -83,8 +81,8 @@ def run_batch(
     Raises: InputError; NotReachedError, whose result is the Outcome, where scenes failed, missed their tolerance or
     were not reached.
     """
-    if not 0 <= seed < 2**63:
-        raise InputError(f"seed = {seed}; must be a whole number of at least 0 and below 2^63.")
+    options = TraceOptions(**requested)
+    max_seconds = options.max_seconds
     for name, value in (("workers", workers), ("threads", threads), ("max_seconds", max_seconds)):
         if value is not None and not value > 0:
             raise InputError(f"{name} = {value}; must be above 0.")
@@ -93,10 +91,10 @@ def run_batch(
     begin = time.time()
     settings = Settings(
         folder=Path(folder).resolve(),
-        seed=seed,
-        backend=backends.choose(backend).name,
-        photons=photons,
-        relative_error=relative_error,
+        seed=options.seed,
+        backend=backends.choose(options.backend).name,
+        photons=options.photons,
+        relative_error=options.relative_error,
         deadline=None if max_seconds is None else begin + max_seconds,
     )
     part = plans.parse_shard(shard)

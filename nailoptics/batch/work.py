@@ -19,6 +19,7 @@ from ..errors import NailopticsError, NotReachedError
 from ..light import RereadWarning, Transfer, reuse
 from ..light.tracing import accuracy
 from ..light.transfer import versions
+from ..options import TraceOptions
 from ..scene import Accuracy, Scene, to_toml
 from . import reading, record
 from .folder import Folder
@@ -41,7 +42,7 @@ class Settings:
 
     def asked(self, scene: Scene) -> Accuracy:
         """What a scene's light must reach."""
-        return accuracy(scene, photons=self.photons, relative_error=self.relative_error, max_seconds=None)
+        return accuracy(scene, TraceOptions(photons=self.photons, relative_error=self.relative_error))
 
     def in_time(self, scene: Scene) -> Accuracy:
         """The same, but no longer than the run has left."""

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import xarray as xr
@@ -14,7 +14,8 @@ import xarray as xr
 from .. import geometry
 from ..errors import InputError, NotReachedError
 from ..geometry import Geometry
-from ..scene import Scene
+from ..options import Requested, TraceOptions
+from ..scene import Accuracy, Scene
 from . import backend as backends
 from . import optics
 from .reweight import Course, course
@@ -53,12 +54,8 @@ def open_light(
     scene: Scene,
     *,
     states: np.ndarray,
-    seed: int = 0,
-    backend: str = "auto",
-    photons: int | None = None,
-    relative_error: float | None = None,
-    max_seconds: float | None = None,
     progress: Callable[[Progress], None] | None = None,
+    **requested: Unpack[Requested],
 ) -> Light:
     """Trace a finger scene with the engine that it asks for, or the best that this machine can run.
 
@@ -68,20 +65,20 @@ def open_light(
 
     Raises: NotReachedError with the Light so far as result.
     """
-    chosen = backends.choose(backend)
+    options = TraceOptions(**requested)
+    chosen = backends.choose(options.backend)
     engine = engine_for(scene, chosen)
-    asked: dict[str, Any] = {"photons": photons, "relative_error": relative_error, "max_seconds": max_seconds}
-    accuracy(scene, **asked)  # what cannot be asked is said before any work
+    wanted = accuracy(scene, options)  # what cannot be asked is said before any work
     shape = geometry.build(scene)
     if engine == "volpath":
-        return _volpath(scene, shape, chosen, states, seed, asked, progress)
+        return _volpath(scene, shape, chosen, states, options.seed, wanted, progress)
     try:
-        transfer = trace(scene, **asked, seed=seed, backend=backend, progress=progress)
+        transfer = trace(scene, progress=progress, **requested)
     except NotReachedError as error:
         if isinstance(error.result, Transfer):
-            error.result = _photons(error.result, shape, seed)
+            error.result = _photons(error.result, shape, options.seed)
         raise
-    return _photons(transfer, shape, seed)
+    return _photons(transfer, shape, options.seed)
 
 
 def engine_for(scene: Scene, chosen: backends.Backend) -> str:
@@ -174,11 +171,10 @@ def _volpath(
     chosen: backends.Backend,
     states: np.ndarray,
     seed: int,
-    asked: dict[str, Any],
+    wanted: Accuracy,
     progress: Callable[[Progress], None] | None,
 ) -> Light:
     """Trace rest and one changed state per zone; between them each zone dims as in Beer-Lambert (8)."""
-    wanted = accuracy(scene, **asked)
     target = max(wanted.relative_error or 0.0, VOLPATH_RELATIVE_ERROR)
     log.warning(
         "volpath traces three blood states to a relative error of %g and takes Beer-Lambert (8) between them", target

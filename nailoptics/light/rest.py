@@ -5,12 +5,13 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
 from .. import geometry
 from ..errors import InputError, NotReachedError
+from ..options import Requested, TraceOptions
 from ..scene import Accuracy, Scene
 from . import backend as backends
 from . import optics
@@ -46,20 +47,16 @@ class Rest:
 def read_rest(
     scene: Scene,
     *,
-    seed: int = 0,
-    backend: str = "auto",
-    photons: int | None = None,
-    relative_error: float | None = None,
-    max_seconds: float | None = None,
     progress: Callable[[Progress], None] | None = None,
+    **requested: Unpack[Requested],
 ) -> Rest:
     """Trace a scene and read it at rest; raises NotReachedError with the Rest so far as result."""
-    chosen = backends.choose(backend)
-    asked: dict[str, Any] = {"photons": photons, "relative_error": relative_error, "max_seconds": max_seconds}
+    options = TraceOptions(**requested)
+    chosen = backends.choose(options.backend)
     if engine_for(scene, chosen) == "volpath":
-        return _volpath(scene, chosen, seed, asked, progress)
+        return _volpath(scene, chosen, options, progress)
     try:
-        return _of_transfer(trace(scene, **asked, seed=seed, backend=backend, progress=progress))
+        return _of_transfer(trace(scene, progress=progress, **requested))
     except NotReachedError as error:
         if isinstance(error.result, Transfer):
             error.result = _of_transfer(error.result)
@@ -130,11 +127,10 @@ def _number(value: float) -> float | None:
 def _volpath(
     scene: Scene,
     chosen: backends.Backend,
-    seed: int,
-    asked: dict[str, Any],
+    options: TraceOptions,
     progress: Callable[[Progress], None] | None,
 ) -> Rest:
-    wanted = accuracy(scene, **asked)
+    wanted, seed = accuracy(scene, options), options.seed
     begin, cpu = time.perf_counter(), time.process_time()
     rows, paths, complaint, energy = [], 0, None, []
     for i, led in enumerate(scene.leds):

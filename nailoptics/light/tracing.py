@@ -5,11 +5,12 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
 from ..errors import InputError, NotReachedError
+from ..options import Requested, TraceOptions
 from ..scene import Accuracy, Scene
 from . import backend as backends
 from . import optics
@@ -58,34 +59,26 @@ class Batch:
 def trace(
     scene: Scene,
     *,
-    photons: int | None = None,
-    relative_error: float | None = None,
-    max_seconds: float | None = None,
-    seed: int = 0,
-    backend: str = "auto",
     progress: Callable[[Progress], None] | None = None,
+    **requested: Unpack[Requested],
 ) -> Transfer:
     """Trace the light of every LED once; the result can be read at any blood state.
 
     Parameters
     ----------
-    photons : how many per LED; or
-    relative_error : largest relative standard error over all readings at rest; and/or
-    max_seconds : wall time after which to stop. Whatever is not given here is taken from the scene, if none of the
-        three is; without any, a million photons.
-    seed : same seed, same bits, on one backend.
-    backend : auto, cuda or llvm.
+    requested : fields of `TraceOptions`; a million photons where neither they nor the scene say how far.
     progress : called after every batch.
 
     Raises: InputError; NotReachedError with `.result`, the Transfer as far as it got, when the tolerance was not met
     within max_seconds or the trace was interrupted.
     """
-    chosen = backends.choose(backend)
+    options = TraceOptions(**requested)
+    chosen = backends.choose(options.backend)
     if not chosen.jit:
         raise InputError(
             f"the photons engine needs a JIT backend, and {chosen.name} is none: {chosen.advice or 'ask for auto'}"
         )
-    asked = accuracy(scene, photons=photons, relative_error=relative_error, max_seconds=max_seconds)
+    asked = accuracy(scene, options)
     backends.activate(chosen)
     tracer: Any
     if scene.phantom is not None:
@@ -101,7 +94,7 @@ def trace(
         if asked.max_seconds is not None:
             left = asked.max_seconds - (time.perf_counter() - start)
             deadline = time.perf_counter() + left / (len(scene.leds) - i)
-        gathered, why = _trace_led(engine, i, asked, seed, deadline, progress)
+        gathered, why = _trace_led(engine, i, asked, options.seed, deadline, progress)
         complaint = complaint or why
         if why and why.startswith(INTERRUPTED):
             # What is there is of use only with something from every LED: one batch each, then the end.
@@ -125,9 +118,9 @@ def trace(
     return result
 
 
-def accuracy(scene: Scene, *, photons: int | None, relative_error: float | None, max_seconds: float | None) -> Accuracy:
+def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
     """What to reach: as asked, else as the scene says, else a million photons."""
-    given = {"photons": photons, "relative_error": relative_error, "max_seconds": max_seconds}
+    given = {name: getattr(options, name) for name in Accuracy.model_fields}
     given = {name: value for name, value in given.items() if value is not None}
     asked = scene.accuracy
     if given:

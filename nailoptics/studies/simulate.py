@@ -1,7 +1,7 @@
 """The main job: touch, blood, traced light, volts, beside the paper's reduced optics (8) and (9)."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
@@ -9,6 +9,7 @@ import xarray as xr
 from .. import electronics, hemodynamics
 from ..errors import InputError, NotReachedError
 from ..light import Light, Progress, open_light
+from ..options import Requested, TraceOptions
 from ..paper import reduced_optics
 from ..scene import Scene
 from ..scene.layout import lay_out
@@ -26,12 +27,8 @@ COORDINATES = {
 def simulate(
     scene: Scene,
     *,
-    seed: int = 0,
-    backend: str = "auto",
-    photons: int | None = None,
-    relative_error: float | None = None,
-    max_seconds: float | None = None,
     progress: Callable[[Progress], None] | None = None,
+    **requested: Unpack[Requested],
 ) -> xr.Dataset:
     """Simulate a touch on a finger scene, from force to the volts of every photodiode.
 
@@ -40,29 +37,19 @@ def simulate(
 
     Raises: InputError; NotReachedError, whose result is the Dataset as far as the accuracy went.
     """
-    if not 0 <= seed < 2**63:
-        raise InputError(f"seed = {seed}; must be a whole number of at least 0 and below 2^63.")
+    options = TraceOptions(**requested)
     if scene.finger is None:
         raise InputError("simulate needs a [finger] scene; a [phantom] has no blood, use trace for its light.")
     course = blood_course(scene)
     blood = course.blood_fraction.values.T
     unmet = None
     try:
-        light = open_light(
-            scene,
-            states=blood,
-            seed=seed,
-            backend=backend,
-            photons=photons,
-            relative_error=relative_error,
-            max_seconds=max_seconds,
-            progress=progress,
-        )
+        light = open_light(scene, states=blood, progress=progress, **requested)
     except NotReachedError as error:
         if not isinstance(error.result, Light):
             raise
         light, unmet = error.result, error
-    result = simulate_from(scene, light, course=course, seed=seed)
+    result = simulate_from(scene, light, course=course, seed=options.seed)
     if unmet:
         raise NotReachedError(str(unmet), result=result) from None
     return result

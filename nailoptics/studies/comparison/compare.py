@@ -1,8 +1,8 @@
 """Where Taylor (9) and Beer-Lambert (8) hold against traced light, and what each of them leaves out."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Unpack
 
 import numpy as np
 import xarray as xr
@@ -10,6 +10,7 @@ import xarray as xr
 from ... import hemodynamics, tissue
 from ...errors import InputError, NotReachedError
 from ...light import Progress, Transfer, optics, trace
+from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...scene.layout import lay_out
 from ..model_error.variants import validated
@@ -49,12 +50,8 @@ def compare(
     *,
     over: Sequence[Over] = ("force", "blood"),
     wavelengths_nm: Sequence[float] = (),
-    seed: int = 0,
-    backend: str = "auto",
-    photons: int | None = None,
-    relative_error: float | None = None,
-    max_seconds: float | None = None,
     progress: Callable[[Progress], None] | None = None,
+    **requested: Unpack[Requested],
 ) -> xr.Dataset:
     """Compare the paper's reduced optics with traced light, for every LED and photodiode of a finger scene.
 
@@ -68,6 +65,7 @@ def compare(
 
     Raises: InputError; NotReachedError, whose result is the Dataset as far as the accuracy went.
     """
+    options = TraceOptions(**requested)
     if scene.finger is None:
         raise InputError("compare needs a [finger] scene; a [phantom] has no blood.")
     sweeps = [_sweep(scene, one) for one in dict.fromkeys(over)]
@@ -75,13 +73,13 @@ def compare(
         raise InputError(f"over is empty; choose from {', '.join(OVER)}.")
     scenes = [scene, *(_at_wavelength(scene, value) for value in dict.fromkeys(wavelengths_nm))]
     # A quarter of the photons twice, for the scattering, is half as much again.
-    share = None if max_seconds is None else max_seconds / len(scenes) / (1 + 2 * SCATTERING_SHARE)
-    asked: dict[str, Any] = {"relative_error": relative_error, "photons": photons, "max_seconds": share}
+    share = None if options.max_seconds is None else options.max_seconds / len(scenes) / (1 + 2 * SCATTERING_SHARE)
+    options = replace(options, max_seconds=share)
     results, unmet = [], None
     for one in scenes:
-        transfer, why = _traced(one, **asked, seed=seed, backend=backend, progress=progress)
-        slopes = _scattering_slopes(transfer, seed, backend, share, progress)
-        results.append(_judge(transfer, sweeps, slopes, seed))
+        transfer, why = _traced(one, options, progress)
+        slopes = _scattering_slopes(transfer, options, progress)
+        results.append(_judge(transfer, sweeps, slopes, options.seed))
         unmet = unmet or why
     result = xr.concat(results, "led", data_vars="minimal", coords="minimal", compat="override", join="override")
     result.attrs = results[0].attrs
@@ -90,9 +88,11 @@ def compare(
     return result
 
 
-def _traced(scene: Scene, **asked: Any) -> tuple[Transfer, str | None]:
+def _traced(
+    scene: Scene, options: TraceOptions, progress: Callable[[Progress], None] | None
+) -> tuple[Transfer, str | None]:
     try:
-        return trace(scene, **asked), None
+        return trace(scene, progress=progress, **options.fields), None
     except NotReachedError as error:
         if not isinstance(error.result, Transfer):
             raise
@@ -132,7 +132,7 @@ def _sweep(scene: Scene, over: Over) -> Sweep:
 
 
 def _scattering_slopes(
-    transfer: Transfer, seed: int, backend: str, seconds: float | None, progress: Callable[[Progress], None] | None
+    transfer: Transfer, options: TraceOptions, progress: Callable[[Progress], None] | None
 ) -> np.ndarray:
     """Slope of ln reading by ln of the bed's scattering at rest and its error, (2, led, photodiode); NaN if unseen."""
     photons = max(1, round(SCATTERING_SHARE * max(t.photons for t in transfer.traces)))
@@ -141,10 +141,9 @@ def _scattering_slopes(
         light = transfer.scene.light
         changed = light.model_copy(update={"bed_scattering": factor * light.bed_scattering})
         scene = transfer.scene.model_copy(update={"light": changed})
-        limit = None if seconds is None else SCATTERING_SHARE * seconds
-        other, _ = _traced(
-            scene, photons=photons, max_seconds=limit, seed=seed + 1 + k, backend=backend, progress=progress
-        )
+        limit = None if options.max_seconds is None else SCATTERING_SHARE * options.max_seconds
+        fewer = replace(options, photons=photons, relative_error=None, max_seconds=limit, seed=options.seed + 1 + k)
+        other, _ = _traced(scene, fewer, progress)
         rest = other.at()
         value, error = rest.detected_fraction.values, rest.detected_fraction_stderr.values
         with np.errstate(invalid="ignore", divide="ignore"):

@@ -3,11 +3,12 @@
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Unpack
 
 from ...errors import NotReachedError
 from ...light import Progress
+from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...scene.finger import BEYOND_NAIL_MM
 from . import bounds
@@ -101,12 +102,8 @@ def explain(
     scene: Scene,
     *,
     tolerance: float | None = None,
-    seed: int = 0,
-    backend: str = "auto",
-    photons: int | None = None,
-    relative_error: float | None = None,
-    max_seconds: float | None = None,
     progress: Callable[[Progress], None] | None = None,
+    **requested: Unpack[Requested],
 ) -> Explanation:
     """Measure what every part and effect of a finger scene does to its readings.
 
@@ -124,13 +121,14 @@ def explain(
     """
     limit = tolerance or scene.accuracy.relative_error or DEFAULT_TOLERANCE
     checked(scene, limit if tolerance is None else tolerance, "explain", "is modelled as it is written")
-    if photons is None and relative_error is None and max_seconds is None:
-        max_seconds = DEFAULT_SECONDS
+    options = TraceOptions(**requested)
+    if options.unbounded:
+        options = replace(options, max_seconds=DEFAULT_SECONDS)
     start = time.perf_counter()
     changes = list(_changes(scene))
     # The scene itself, one with other scattering, two swapped ones, two cut short, and the one that is required.
     count = sum(not c.same_photons for c in changes) + 7
-    tracing = Tracing(count, seed, backend, photons, relative_error, max_seconds, progress)
+    tracing = Tracing(count, options, progress)
     base = tracing.look(scene)
     effects: list[Effect] = []
     together, unmet = None, None

@@ -11,6 +11,7 @@ from ...errors import InputError, NotReachedError
 from ...light import Progress, Transfer, optics, trace
 from ...light.reweight import course
 from ...light.tracing import INTERRUPTED
+from ...options import BackendName, TraceOptions
 from ...scene import Scene
 from .unshared import apart
 
@@ -78,57 +79,53 @@ class Tracing:
     """Looks at several scenes, with one seed and as many photons each, so that what they share cancels.
 
     scenes : how many looks there will be, for the time that each gets and for the progress.
-    photons : how many each LED of every scene gets; or
-    relative_error, max_seconds : for the first scene, and for all scenes together, from which the number follows.
+    options : photons for each LED of every scene; or relative_error for the first scene and max_seconds for all scenes
+        together, from which the number follows.
     """
 
     scenes: int
-    seed: int
-    backend: str
-    photons: int | None
-    relative_error: float | None
-    max_seconds: float | None
+    options: TraceOptions
     progress: Callable[[Progress], None] | None
     _done: int = field(default=0, init=False)
     _start: float = field(default_factory=time.perf_counter, init=False)
 
-    def look(self, scene: Scene, *, backend: str | None = None) -> Look:
+    def look(self, scene: Scene, *, backend: BackendName | None = None) -> Look:
         """Trace and read a scene; raises NotReachedError if interrupted."""
         # A tolerance in the scene would set each trace's own number of photons.
         scene = scene.model_copy(update={"accuracy": type(scene.accuracy)()})
-        if self.photons is None:
-            self.photons = self._photons_for(scene)
-        found = self._traced(scene, backend or self.backend, photons=self.photons)
+        if self.options.photons is None:
+            self.options = replace(self.options, photons=self._photons_for(scene))
+        found = self._traced(scene, backend, self.options.photons)
         self._done += 1
         return found
 
     def _photons_for(self, scene: Scene) -> int:
-        if self.relative_error is not None:
-            share = None if self.max_seconds is None else self.max_seconds / self.scenes
+        options = self.options
+        if options.relative_error is not None:
+            share = None if options.max_seconds is None else options.max_seconds / self.scenes
             try:
-                pilot = trace(
-                    scene,
-                    relative_error=self.relative_error,
-                    max_seconds=share,
-                    seed=self.seed,
-                    backend=self.backend,
-                    progress=self.progress,
-                )
+                pilot = trace(scene, progress=self.progress, **replace(options, max_seconds=share).fields)
             except NotReachedError as error:
                 if not isinstance(error.result, Transfer) or str(error).startswith(INTERRUPTED):
                     raise NotReachedError(str(error)) from None
                 pilot = error.result
             return max(led.photons for led in pilot.traces)
-        assert self.max_seconds is not None
-        pilot_look = self._traced(scene, self.backend, photons=PILOT_PHOTONS)
-        left = self.max_seconds - (time.perf_counter() - self._start)
+        assert options.max_seconds is not None
+        pilot_look = self._traced(scene, None, PILOT_PHOTONS)
+        left = options.max_seconds - (time.perf_counter() - self._start)
         seconds = left / self.scenes - pilot_look.setup_seconds
         return max(LEAST_PHOTONS, int(PILOT_PHOTONS * seconds / pilot_look.transfer.wall_seconds))
 
-    def _traced(self, scene: Scene, backend: str, *, photons: int) -> Look:
+    def _traced(self, scene: Scene, backend: BackendName | None, photons: int | None) -> Look:
         begin = time.perf_counter()
         try:
-            transfer = trace(scene, photons=photons, seed=self.seed, backend=backend, progress=self._told)
+            transfer = trace(
+                scene,
+                photons=photons,
+                seed=self.options.seed,
+                backend=backend or self.options.backend,
+                progress=self._told,
+            )
         except NotReachedError as error:
             # A part of one trace is of no use to those that are compared with it.
             raise NotReachedError(str(error)) from None

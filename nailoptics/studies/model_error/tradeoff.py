@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from ...light import Progress, Rest, optics, read_rest
 from ...light import backend as backends
 from ...light.reweight import course
 from ...light.tracing import INTERRUPTED, unseen
+from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
 from ..comparison.fits import Z95
 from ..replicates import read_led, stderr
@@ -149,12 +150,8 @@ def tradeoff(
     scene: Scene,
     *,
     tolerance: float = DEFAULT_TOLERANCE,
-    seed: int = 0,
-    backend: str = "auto",
-    photons: int | None = None,
-    relative_error: float | None = None,
-    max_seconds: float | None = None,
     progress: Callable[[Progress], None] | None = None,
+    **requested: Unpack[Requested],
 ) -> Tradeoff:
     """Measure bias and cost of every level of model on a finger scene, against its full model.
 
@@ -171,12 +168,14 @@ def tradeoff(
     Raises: InputError; NotReachedError, whose result is the Tradeoff as far as it was made, if interrupted.
     """
     checked(scene, tolerance, "tradeoff", "has one level, itself")
-    chosen = backends.choose(backend)
+    options = TraceOptions(**requested)
+    chosen = backends.choose(options.backend)
     if not chosen.jit:
         advice = chosen.advice or "ask for auto"
         raise InputError(f"tradeoff needs a JIT backend to compare levels, and {chosen.name} is none: {advice}")
-    if photons is None and relative_error is None and max_seconds is None:
-        max_seconds = DEFAULT_SECONDS
+    if options.unbounded:
+        options = replace(options, max_seconds=DEFAULT_SECONDS)
+    max_seconds, seed = options.max_seconds, options.seed
     start = time.perf_counter()
     full = revised(scene, FULL)
     own = changes_between(full, scene)
@@ -185,7 +184,9 @@ def tradeoff(
     stock = [chosen.name, *(f.name for f in backends.findings() if f.usable and f.name == "scalar")]
     volpath_seconds = VOLPATH_SHARE * (max_seconds or DEFAULT_SECONDS)
     traced = None if max_seconds is None else max_seconds - len(stock) * volpath_seconds
-    tracing = Tracing(1 + len(cheaper) + len(others), seed, chosen.name, photons, relative_error, traced, progress)
+    tracing = Tracing(
+        1 + len(cheaper) + len(others), replace(options, backend=chosen.name, max_seconds=traced), progress
+    )
     base = tracing.look(full)
     dark = np.argwhere(~(base.level > 0))
     if len(dark):
@@ -226,7 +227,7 @@ def _levels(
     base: Look,
     tracing: Tracing,
     cheaper: Sequence[tuple[str, Changes]],
-    others: Sequence[str],
+    others: Sequence[BackendName],
     tolerance: float,
     seed: int,
 ) -> Iterator[Level]:
@@ -329,7 +330,7 @@ def _stock(
     full: Scene,
     base: Look,
     seed: int,
-    backend: str,
+    backend: BackendName,
     max_seconds: float,
     tolerance: float,
     progress: Callable[[Progress], None] | None,
@@ -395,6 +396,6 @@ def _batches(full: Scene, tracing: Tracing) -> dict[int, float]:
     one_led = full.model_copy(update={"leds": full.leds[:1]})
     out = {}
     for photons in BATCHES:
-        found = replace(tracing, photons=photons, progress=None).look(one_led)
+        found = replace(tracing, options=replace(tracing.options, photons=photons), progress=None).look(one_led)
         out[photons] = found.transfer.cpu_seconds / photons * 1e6
     return out

@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Unpack
 
 import numpy as np
 import xarray as xr
@@ -12,6 +13,8 @@ import xarray as xr
 from ...assets import data_dir
 from ...errors import InputError, NotReachedError
 from ...light import Progress
+from ...light import backend as backends
+from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, digest, load_scene
 from ..comparison.fits import Z95
 from . import boards
@@ -77,12 +80,8 @@ class Judged:
 def place(
     scene: Scene,
     *,
-    seed: int = 0,
-    backend: str = "auto",
-    photons: int | None = None,
-    relative_error: float | None = None,
-    max_seconds: float | None = None,
     progress: Callable[[Progress], None] | None = None,
+    **requested: Unpack[Requested],
 ) -> xr.Dataset:
     """Rank layouts of a finger scene by the force that they resolve; `place_result.chosen` is the best as a scene.
 
@@ -99,14 +98,14 @@ def place(
     """
     if scene.finger is None:
         raise InputError("place needs a [finger] scene; a phantom has no board and no force.")
-    if not 0 <= seed < 2**63:
-        raise InputError(f"seed = {seed}; must be a whole number of at least 0 and below 2^63.")
+    options = TraceOptions(**requested)
+    seed, backend = options.seed, backends.choose(options.backend).name
     begin, cpu = time.perf_counter(), time.process_time()
     rules, base = boards.rules(scene), boards.base_board(scene)
     views = tuple(View(case, _operating(base, case, rules)) for case in boards.fingers(scene))
-    asked = photons or scene.accuracy.photons
-    wanted = relative_error or scene.accuracy.relative_error or DEFAULT_RELATIVE_ERROR
-    limit = max_seconds or scene.accuracy.max_seconds or (math.inf if asked else DEFAULT_SECONDS)
+    asked = options.photons or scene.accuracy.photons
+    wanted = options.relative_error or scene.accuracy.relative_error or DEFAULT_RELATIVE_ERROR
+    limit = options.max_seconds or scene.accuracy.max_seconds or (math.inf if asked else DEFAULT_SECONDS)
     told = _Told(progress, begin, limit)
 
     layouts = _given(base, rules)
