@@ -68,8 +68,7 @@ def open_light(
 
     Raises: NotReachedError with the Light so far as result.
     """
-    chosen = backends.choose(backend)
-    engine = engine_for(scene, chosen)
+    chosen, engine = open_engine(scene, backend)
     asked: dict[str, Any] = {"photons": photons, "relative_error": relative_error, "max_seconds": max_seconds}
     accuracy(scene, **asked)  # what cannot be asked is said before any work
     shape = geometry.build(scene)
@@ -82,6 +81,14 @@ def open_light(
             error.result = _photons(error.result, shape, seed)
         raise
     return _photons(transfer, shape, seed)
+
+
+def open_engine(scene: Scene, requested: str) -> tuple[backends.Backend, str]:
+    """The backend and the engine that trace a scene; warns where volpath cannot run on the backend and takes scalar."""
+    chosen = backends.choose(requested, volpath=scene.light.engine == "volpath")
+    if chosen.advice == backends.VOLPATH_ADVICE:
+        log.warning(chosen.advice)
+    return chosen, engine_for(scene, chosen)
 
 
 def engine_for(scene: Scene, chosen: backends.Backend) -> str:

@@ -14,7 +14,7 @@ from ..errors import InputError, NotReachedError
 from ..scene import Accuracy, Scene
 from . import backend as backends
 from . import media
-from .engines import engine_for, volpath_states
+from .engines import open_engine, volpath_states
 from .tracing import INTERRUPTED, Progress, accuracy, trace
 from .transfer import Transfer
 
@@ -54,9 +54,9 @@ def read_rest(
     progress: Callable[[Progress], None] | None = None,
 ) -> Rest:
     """Trace a scene and read it at rest; raises NotReachedError with the Rest so far as result."""
-    chosen = backends.choose(backend)
+    chosen, engine = open_engine(scene, backend)
     asked: dict[str, Any] = {"photons": photons, "relative_error": relative_error, "max_seconds": max_seconds}
-    if engine_for(scene, chosen) == "volpath":
+    if engine == "volpath":
         return _volpath(scene, chosen, seed, asked, progress)
     try:
         return _of_transfer(trace(scene, **asked, seed=seed, backend=backend, progress=progress))
