@@ -529,20 +529,26 @@ def schema() -> None:
 
 @app.command
 def doctor(*, json_: Json = False) -> None:
-    """Show the backends of this machine, and why each was taken or not."""
+    """Show the backends of this machine, the engines that each can run, and why it was taken or not."""
     from .light import backend as backends
 
-    chosen, findings = backends.choose("auto"), backends.findings()
+    chosen, stock, findings = backends.choose("auto"), backends.choose("auto", volpath=True), backends.findings()
     if json_:
-        rows = [{"backend": f.name, "library": f.library, "usable": f.usable, "why": f.why} for f in findings]
-        print_json({"backend": chosen.name, "library": chosen.library, "advice": chosen.advice, "findings": rows})
+        rows = [
+            {"backend": f.name, "library": f.library, "usable": f.usable, "engines": f.engines, "why": f.why}
+            for f in findings
+        ]
+        first = {"backend": chosen.name, "library": chosen.library, "advice": chosen.advice}
+        serving = {"photons": chosen.name if chosen.jit else None, "volpath": stock.name}
+        print_json(first | {"engines": serving, "findings": rows})
         return
     for finding in findings:
         taken = "taken" if (finding.name, finding.library) == (chosen.name, chosen.library) else ""
-        state = "works" if finding.usable else "not usable"
-        print(f"{finding.name:<7} {state:<11} {taken:<6} {finding.library or ''} {finding.why}".rstrip())
-    if chosen.advice:
-        print(chosen.advice)
+        engines = ", ".join(finding.engines) or "not usable"
+        print(f"{finding.name:<7} {engines:<17} {taken:<6} {finding.library or ''} {finding.why}".rstrip())
+    print("photons serves every command; volpath serves simulate, trace and batch")
+    for advice in dict.fromkeys(one.advice for one in (chosen, stock) if one.advice):
+        print(advice)
 
 
 def _load(name: str) -> "Scene":

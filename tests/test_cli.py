@@ -379,6 +379,11 @@ def test_schema_and_doctor_print_json(folder, capfd):
     assert run(["doctor", "--json"]) == 0
     found = only_json(capfd)
     assert {row["backend"] for row in found["findings"]} == {"cuda", "llvm", "scalar"}
+    assert all(set(row["engines"]) <= {"photons", "volpath"} for row in found["findings"])
+    assert all(row["usable"] == bool(row["engines"]) for row in found["findings"])
+    for engine, name in found["engines"].items():
+        serving = {row["backend"] for row in found["findings"] if engine in row["engines"]}
+        assert name in serving or (name is None and not serving)
     assert run(["doctor"]) == 0
     text = capfd.readouterr().out
     assert "taken" in text and "scalar" in text
@@ -414,7 +419,7 @@ def test_a_library_that_is_none_costs_the_main_job_nothing_but_speed(folder):
 
 
 def test_a_library_that_aborts_cannot_take_the_main_job_with_it(folder):
-    """Rationale: libLLVM 15 and 16 abort the process that runs a kernel. Expected: whatever process tries one dies,
+    """Rationale: a broken libLLVM aborts the process that runs a kernel. Expected: whatever process tries one dies,
     really, and the command still answers, with its line of advice."""
     (folder / "phantom.toml").write_text(PHANTOM)
     (folder / "libLLVM-15.so").write_text("stands for one that aborts")
@@ -430,6 +435,34 @@ def test_a_library_that_aborts_cannot_take_the_main_job_with_it(folder):
     assert done.returncode == 0 and json.loads(done.stdout)["backend"] == "scalar", done.stderr
     assert "libllvm19" in done.stderr.splitlines()[0]
     assert "SIGABRT" in spawn("doctor", env=environment).stdout
+
+
+def test_a_library_that_aborts_at_volpath_alone_leaves_it_the_scalar_backend(folder):
+    """Rationale: libLLVM 15 and 16 compile the photons engine, and abort at volpath. Expected: volpath's answer comes
+    from the scalar backend, after one line that says so, and doctor tells the two engines apart."""
+    (folder / "stock.toml").write_text(PHANTOM + '\n[light]\nengine = "volpath"\n')
+    (folder / "libLLVM-15.so").write_text("stands for one that aborts")
+    (folder / "path").mkdir()
+    dies = "import os, sys\nif '-c' in sys.orig_argv:\n    print('photons', flush=True)\n    os.abort()\n"
+    (folder / "path/sitecustomize.py").write_text(dies)
+    environment = {
+        "DRJIT_LIBLLVM_PATH": str(folder / "libLLVM-15.so"),
+        "XDG_CACHE_HOME": str(folder / "cache"),
+        "CUDA_VISIBLE_DEVICES": "",
+        "PYTHONPATH": os.pathsep.join([str(folder / "path"), str(ROOT)]),
+    }
+    found = json.loads(spawn("doctor", "--json", env=environment).stdout)
+    if found["backend"] == "cuda":
+        pytest.skip("CUDA works here, so no libLLVM is asked")
+    assert found["backend"] == "llvm" and found["engines"] == {"photons": "llvm", "volpath": "scalar"}
+    told = spawn("doctor", env=environment).stdout
+    assert "taken for volpath" in told and "libllvm19" in told.splitlines()[-1]
+    for name in ("auto", "llvm"):
+        done = spawn("trace", "stock.toml", "--json", "--photons", "2000", "--backend", name, env=environment)
+        assert done.returncode == 0, done.stderr
+        assert [json.loads(done.stdout)[key] for key in ("engine", "backend")] == ["volpath", "scalar"]
+        assert done.stderr.splitlines()[0].startswith("nailoptics: volpath traces with the slow scalar backend")
+        assert done.stderr.count("scalar") == 1
 
 
 def test_progress_is_plain_lines_in_a_log_and_a_bar_on_a_terminal(folder):

@@ -16,7 +16,7 @@ import tempfile
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
@@ -27,15 +27,21 @@ log = logging.getLogger(__name__)
 
 Name = Literal["cuda", "llvm", "scalar"]
 NAMES: tuple[Name, ...] = ("cuda", "llvm", "scalar")
+ENGINES = ("photons", "volpath")
 VARIANTS: dict[Name, str] = {"cuda": "cuda_ad_mono", "llvm": "llvm_ad_mono", "scalar": "scalar_rgb"}
 ADVICE = (
-    "the scalar backend is slow; to trace much faster install libLLVM 17 or newer "
+    "the scalar backend is slow; to trace much faster install libLLVM 15 or newer "
     "(Debian, Ubuntu: apt install libllvm19), or set DRJIT_LIBLLVM_PATH to one"
+)
+VOLPATH_ADVICE = (
+    "volpath traces with the slow scalar backend, because this libLLVM compiles the photons engine only; to trace much "
+    "faster install libLLVM 17 or newer (Debian, Ubuntu: apt install libllvm19), or set DRJIT_LIBLLVM_PATH to one"
 )
 PROBE_TIMEOUT_S = 120.0
 FOLDERS = ("/usr/lib", "/usr/lib64", "/lib", "/lib64", "/usr/local/lib", "/usr/local/lib64")
 
-# A kernel alone is not enough: on CUDA, rays need OptiX, which can be missing where kernels work.
+# A kernel alone is not enough: on CUDA, rays need OptiX, which can be missing where kernels work. What the photons
+# engine needs comes first: libLLVM 15 and 16 abort at the maxima of floats that Mitsuba's own kernels hold.
 PROBE = """
 import sys
 try:
@@ -46,21 +52,22 @@ except (ImportError, ValueError, OSError):
 import mitsuba as mi
 mi.set_variant(sys.argv[1])
 import drjit as dr
-x = dr.maximum(dr.arange(mi.Float, 16), dr.opaque(mi.Float, 2.0))
-dr.eval(x)
-assert dr.allclose(dr.sum(x), 123.0), "a kernel computed a wrong sum"
+two = dr.opaque(mi.Float, 2.0)
+assert dr.allclose(dr.sum(dr.arange(mi.Float, 16) * two), 240.0), "a kernel computed a wrong sum"
 scene = mi.load_dict({"type": "scene", "ball": {"type": "sphere"}})
 hit = scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(0, 0, -5), mi.Vector3f(0, 0, 1)))
 assert dr.allclose(hit.t, 4.0), "a ray met a sphere at the wrong place"
-print("works")
+print("photons", flush=True)
+assert dr.allclose(dr.sum(dr.maximum(dr.arange(mi.Float, 16), two)), 123.0), "a kernel computed a wrong maximum"
+print("volpath", flush=True)
 """
 
-_answers: dict[str, tuple[bool, str]] = {}
+_answers: dict[str, tuple[tuple[str, ...], str]] = {}
 
 
 @dataclass(frozen=True)
 class Backend:
-    """A usable backend: its Mitsuba variant, its library, why it was taken, what would be faster."""
+    """A usable backend: its Mitsuba variant, its library, why it was taken, what would be faster, what it can run."""
 
     name: Name
     variant: str
@@ -68,22 +75,30 @@ class Backend:
     library: str | None
     reason: str
     advice: str | None = None
+    engines: tuple[str, ...] = ENGINES
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One candidate: a backend, its library, whether it works here, and why it is taken or not."""
+    """One candidate: a backend, its library, the engines that it can run here, and why it is taken or not."""
 
     name: Name
     library: str | None
-    usable: bool
+    engines: tuple[str, ...]
     why: str
 
+    @property
+    def usable(self) -> bool:
+        """Whether it can run any engine."""
+        return bool(self.engines)
 
-def choose(requested: str = "auto") -> Backend:
+
+def choose(requested: str = "auto", *, volpath: bool = False) -> Backend:
     """The backend to trace with: the one asked for, or the first that works of cuda, llvm, scalar.
 
     Does not import mitsuba. A library seen for the first time costs a subprocess of about a second.
+
+    volpath : for that engine; the scalar backend stands in for a libLLVM that compiles only the photons engine.
 
     Raises: InputError, one line, where the requested backend is unknown or does not work here.
     """
@@ -96,9 +111,12 @@ def choose(requested: str = "auto") -> Backend:
         failed = []
         for finding in _look(name):
             if finding.usable:
+                if volpath and "volpath" not in finding.engines:
+                    return replace(choose("scalar"), reason=f"{name} {finding.why}", advice=VOLPATH_ADVICE)
                 reason = "asked for" if requested == name else "; ".join(failures) or "the fastest that there is"
                 advice = ADVICE if name == "scalar" and requested == "auto" else None
-                return Backend(name, VARIANTS[name], name != "scalar", finding.library, reason, advice)
+                jit, library = name != "scalar", finding.library
+                return Backend(name, VARIANTS[name], jit, library, reason, advice, finding.engines)
             failed.append(f"{finding.library}: {finding.why}" if finding.library else finding.why)
         failures.append(f"{name} is not usable ({'; '.join(failed)})")
     raise InputError(f"backend {failures[0]}; use --backend auto, or see nailoptics doctor.")
@@ -112,7 +130,9 @@ def findings() -> list[Finding]:
         if finding.usable:
             which = f"{taken.name} ({taken.library})" if taken else ""
             why = f"{finding.why}; not needed, {which} comes first" if taken else f"{finding.why}; taken"
-            finding = Finding(finding.name, finding.library, True, why)
+            if taken and finding.name == "scalar" and "volpath" not in taken.engines:
+                why = f"{finding.why}; taken for volpath"
+            finding = replace(finding, why=why)
             taken = taken or finding
         found.append(finding)
     return found
@@ -158,12 +178,12 @@ def _quiet_stderr() -> Iterator[None]:
 def _look(name: Name) -> Iterator[Finding]:
     """The candidates of one backend; each is probed when it is asked for, not before."""
     if name == "scalar":
-        yield Finding("scalar", None, True, "works everywhere")
+        yield Finding("scalar", None, ("volpath",), "works everywhere")
         return
     libraries = list(_cuda_libraries() if name == "cuda" else _llvm_libraries())
     if not libraries:
         wanted = "NVIDIA driver and device" if name == "cuda" else "libLLVM"
-        yield Finding(name, None, False, f"no {wanted} found")
+        yield Finding(name, None, (), f"no {wanted} found")
     for library in libraries:
         yield Finding(name, library, *_works(name, library))
 
@@ -205,21 +225,21 @@ def _major_version(path: str) -> int:
     return int(match.group(1)) if match else 0
 
 
-def _works(name: Name, library: str) -> tuple[bool, str]:
-    """Whether a library works and why not: from memory, from the user's cache, or from a probe."""
+def _works(name: Name, library: str) -> tuple[tuple[str, ...], str]:
+    """The engines that work with a library, and why not all: from memory, from the user's cache, or from a probe."""
     key = _key(name, library)
     if key in _answers:
         return _answers[key]
     file = _cache_file()
     remembered = _read(file).get(key)
-    if isinstance(remembered, dict) and isinstance(remembered.get("usable"), bool):
-        answer = remembered["usable"], str(remembered.get("why", ""))
+    if isinstance(remembered, dict) and isinstance(remembered.get("engines"), list):
+        answer = tuple(e for e in ENGINES if e in remembered["engines"]), str(remembered.get("why", ""))
     else:
-        usable, why, lasting = _probe(name, library)
-        answer = usable, why
+        engines, why, lasting = _probe(name, library)
+        answer = engines, why
         log.info("backend %s with %s: %s", name, library, why)
         if lasting:
-            _remember(file, key, usable, why)
+            _remember(file, key, engines, why)
     _answers[key] = answer
     return answer
 
@@ -243,8 +263,8 @@ def _version(package: str) -> str:
         return "none"
 
 
-def _probe(name: Name, library: str) -> tuple[bool, str, bool]:
-    """Whether a kernel and a ray work in another process, why not, and whether the answer lasts."""
+def _probe(name: Name, library: str) -> tuple[tuple[str, ...], str, bool]:
+    """The engines whose kernels and rays work in another process, why not all, and whether the answer lasts."""
     environment = dict(os.environ)
     if name == "llvm":
         environment["DRJIT_LIBLLVM_PATH"] = library
@@ -257,19 +277,24 @@ def _probe(name: Name, library: str) -> tuple[bool, str, bool]:
                 command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, timeout=PROBE_TIMEOUT_S
             )
     except subprocess.TimeoutExpired:
-        return False, f"gave no answer in {PROBE_TIMEOUT_S:g} s", False
+        return (), f"gave no answer in {PROBE_TIMEOUT_S:g} s", False
     except OSError as error:
-        return False, f"could not be tried: {error}", False
+        return (), f"could not be tried: {error}", False
     said = run.stderr.decode(errors="replace")
-    if run.returncode == 0 and run.stdout.decode(errors="replace").strip().endswith("works"):
-        return True, "works", True
+    answered = run.stdout.decode(errors="replace").split()
+    engines = tuple(engine for engine in ENGINES if engine in answered)
+    if run.returncode == 0 and engines == ENGINES:
+        return engines, "works", True
+    ended = f"({_signal_name(-run.returncode)})" if run.returncode < 0 else f"(code {run.returncode})"
+    if engines:
+        return engines, f"works for photons; a kernel of volpath's ends the process {ended}", True
     if run.returncode < 0:
-        return False, f"kills the process at its first kernel ({_signal_name(-run.returncode)})", True
+        return (), f"kills the process at its first kernel {ended}", True
     # Dr.Jit's own words come first; the exception that follows them only says that there is no backend.
     refusal = re.search(r"jit_(?:llvm|cuda)\w*\(\): (.+?)(?:, shutting down|[.\n]|$)", said)
     why = refusal.group(1) if refusal else _last_line(said)
     missing = "ModuleNotFoundError" in said or not said
-    return False, f"refused: {why}" if why else f"ended with code {run.returncode}", not missing
+    return (), f"refused: {why}" if why else f"ended with code {run.returncode}", not missing
 
 
 def _signal_name(number: int) -> str:
@@ -300,13 +325,13 @@ def _read(file: Path | None) -> dict[str, Any]:
     return answers if isinstance(answers, dict) else {}
 
 
-def _remember(file: Path | None, key: str, usable: bool, why: str) -> None:
+def _remember(file: Path | None, key: str, engines: tuple[str, ...], why: str) -> None:
     """Add an answer to the user's cache; without one the next process probes again."""
     if file is None:
         return
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        answers = _read(file) | {key: {"usable": usable, "why": why}}
+        answers = _read(file) | {key: {"engines": engines, "why": why}}
         with tempfile.NamedTemporaryFile("w", dir=file.parent, suffix=".part", delete=False, encoding="utf-8") as aside:
             json.dump(answers, aside, indent=1)
         os.replace(aside.name, file)

@@ -66,8 +66,7 @@ def open_light(
     Raises: NotReachedError with the Light so far as result.
     """
     options = TraceOptions(**requested)
-    chosen = backends.choose(options.backend)
-    engine = engine_for(scene, chosen)
+    chosen, engine = open_engine(scene, options.backend)
     wanted = accuracy(scene, options)  # what cannot be asked is said before any work
     shape = geometry.build(scene)
     if engine == "volpath":
@@ -79,6 +78,14 @@ def open_light(
             error.result = _photons(error.result, shape, options.seed)
         raise
     return _photons(transfer, shape, options.seed)
+
+
+def open_engine(scene: Scene, requested: str) -> tuple[backends.Backend, str]:
+    """The backend and the engine that trace a scene; warns where volpath cannot run on the backend and takes scalar."""
+    chosen = backends.choose(requested, volpath=scene.light.engine == "volpath")
+    if chosen.advice == backends.VOLPATH_ADVICE:
+        log.warning(chosen.advice)
+    return chosen, engine_for(scene, chosen)
 
 
 def engine_for(scene: Scene, chosen: backends.Backend) -> str:

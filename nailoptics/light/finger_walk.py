@@ -11,6 +11,7 @@ from .. import geometry
 from ..geometry import DistanceGrid, Face, Geometry
 from ..scene import Scene
 from . import optics
+from .arithmetic import clip, maximum
 from .sampling import (
     ABSORBED,
     BOTTOM,
@@ -245,7 +246,7 @@ class _Grid:
             cell.append(mi.UInt32(index))
             off += dr.square(place - mi.Float(index) - 0.5)
         at = cell[0] + self.shape[0] * (cell[1] + self.shape[1] * cell[2])
-        return dr.maximum(dr.gather(mi.Float, self.values, at, inside) - dr.sqrt(off) * self.spacing, 0)
+        return maximum(dr.gather(mi.Float, self.values, at, inside) - dr.sqrt(off) * self.spacing, 0)
 
 
 def _near_board(shape: Geometry) -> np.ndarray:
@@ -309,7 +310,7 @@ def _dimmed(tau: Any) -> Any:
 
 def _off(p: Any, normal: Any) -> Any:
     """A point moved off a face by a little more than float32 resolves there."""
-    return p + normal * (2e-6 * (1 + dr.max(dr.abs(p))))
+    return p + normal * (2e-6 * (1 + maximum(maximum(dr.abs(p.x), dr.abs(p.y)), dr.abs(p.z))))
 
 
 @dr.syntax
@@ -367,7 +368,7 @@ def _walk(
         while active & (step < free) & (spent < FREE_EVENTS):
             middle = dr.fma(0.5 * step, w.y, p.y)
             for k in range(inner):
-                t = dr.clip((middle - edges[k]) / passage + 0.5, 0, 1)
+                t = clip((middle - edges[k]) / passage + 0.5, 0, 1)
                 passed[k] = passed[k] + dr.select(in_bed, step * t * t * (3 - 2 * t), 0)
             if section is not None:
                 weight = boost * _dimmed(dr.fma(along, mu_a, tau))
@@ -387,7 +388,7 @@ def _walk(
         step = dr.select(stuck & ~gone, dr.select(hit, pi.t, step), 0)
         middle = dr.fma(0.5 * step, w.y, p.y)
         for k in range(inner):
-            t = dr.clip((middle - edges[k]) / passage + 0.5, 0, 1)
+            t = clip((middle - edges[k]) / passage + 0.5, 0, 1)
             passed[k] = passed[k] + dr.select(in_bed, step * t * t * (3 - 2 * t), 0)
             path[kinds + k] = path[kinds + k] + passed[k]
         if section is not None:

@@ -8,6 +8,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..scene import Led, Phantom, Scene
+from .arithmetic import maximum, minimum, safe_sqrt
 from .sampling import (
     ABSORBED,
     BOTTOM,
@@ -177,7 +178,7 @@ def _launch(rng: Any, n: Any, squares: Any) -> tuple[Any, ...]:
     cos = emission_cosine(squares, rng.next_float32())
     mirrored, cos_in, eta = fresnel(cos, n_in=dr.gather(mi.Float, n, 0), n_out=dr.gather(mi.Float, n, 1))
     sin_phi, cos_phi = dr.sincos(2 * dr.pi * rng.next_float32())
-    sin = eta * dr.safe_sqrt(1 - cos * cos)
+    sin = eta * safe_sqrt(1 - cos * cos)
     bounced = rng.next_float32() < mirrored
     return u, v, bounced, mi.Vector3f(sin * cos_phi, sin * sin_phi, -cos_in), lifetime(rng.next_float32())
 
@@ -203,7 +204,7 @@ def _walk(rng: Any, count: Any, tables: dict[str, Any], results: list[Any]) -> A
         up = (w.z > 0) | bounced
         room = dr.select(up, depth, dr.gather(F, thickness, layer, active) - depth)
         meets = free * dr.abs(w.z) >= room
-        step = dr.select(meets, dr.minimum(room * dr.rcp(dr.maximum(dr.abs(w.z), 1e-12)), FAR), free)
+        step = dr.select(meets, minimum(room * dr.rcp(maximum(dr.abs(w.z), 1e-12)), FAR), free)
         step = dr.select(bounced, 0, step)
         x = dr.fma(step, w.x, x)
         y = dr.fma(step, w.y, y)

@@ -15,7 +15,7 @@ from ..options import Requested, TraceOptions
 from ..scene import Accuracy, Scene
 from . import backend as backends
 from . import optics
-from .engines import engine_for, volpath_states
+from .engines import open_engine, volpath_states
 from .tracing import INTERRUPTED, Progress, accuracy, trace
 from .transfer import Transfer
 
@@ -52,8 +52,8 @@ def read_rest(
 ) -> Rest:
     """Trace a scene and read it at rest; raises NotReachedError with the Rest so far as result."""
     options = TraceOptions(**requested)
-    chosen = backends.choose(options.backend)
-    if engine_for(scene, chosen) == "volpath":
+    chosen, engine = open_engine(scene, options.backend)
+    if engine == "volpath":
         return _volpath(scene, chosen, options, progress)
     try:
         return _of_transfer(trace(scene, progress=progress, **requested))

@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..scene import Led
+from .arithmetic import clip, minimum, safe_sqrt
 
 # Absorption ends a photon at half its rate; the other half only dims it. Ending it all the way makes long paths
 # rare that a reading with less absorption needs, not at all wastes events on photons that no longer count.
@@ -51,13 +52,13 @@ def henyey_greenstein(g: Any, u: Any) -> Any:
     s = (1 - g * g) / (1 - g + 2 * g * u)
     cos = (1 + g * g - s * s) / (2 * dr.select(isotropic, 1, g))
     first_order = 2 * u - 1 + 6 * g * u * (1 - u)
-    return dr.select(isotropic, dr.clip(first_order, -1, 1), dr.clip(cos, -1, 1))
+    return dr.select(isotropic, clip(first_order, -1, 1), clip(cos, -1, 1))
 
 
 def turn(w: Any, cos: Any, phi: Any) -> Any:
     """Direction w turned by an angle of the given cosine about a random azimuth phi (Duff et al., JCGT 6(1), 2017)."""
     sin_phi, cos_phi = dr.sincos(phi)
-    sin = dr.safe_sqrt(1 - cos * cos)
+    sin = safe_sqrt(1 - cos * cos)
     sign = dr.copysign(mi.Float(1), w.z)
     a = -dr.rcp(sign + w.z)
     b = w.x * w.y * a
@@ -77,7 +78,7 @@ def fresnel(cos_in: Any, *, n_in: Any, n_out: Any) -> tuple[Any, Any, Any]:
     Returns: reflectance (1 beyond the critical angle), cosine of the refracted angle, n_in / n_out.
     """
     eta = n_in / n_out
-    cos_out = dr.safe_sqrt(1 - eta * eta * (1 - cos_in * cos_in))
+    cos_out = safe_sqrt(1 - eta * eta * (1 - cos_in * cos_in))
     s = (n_in * cos_in - n_out * cos_out) * dr.rcp(n_in * cos_in + n_out * cos_out)
     p = (n_in * cos_out - n_out * cos_in) * dr.rcp(n_in * cos_out + n_out * cos_in)
     return dr.select(cos_out > 0, 0.5 * (s * s + p * p), 1), cos_out, eta
@@ -104,9 +105,9 @@ def emission_table(led: Led) -> np.ndarray:
 def emission_cosine(table: Any, u: Any) -> Any:
     """Cosine of emission for a uniform number u, from an `emission_table`."""
     place = u * (dr.width(table) - 1)
-    cell = dr.minimum(mi.UInt32(place), dr.width(table) - 2)
+    cell = minimum(mi.UInt32(place), dr.width(table) - 2)
     low, high = dr.gather(mi.Float, table, cell), dr.gather(mi.Float, table, cell + 1)
-    return dr.safe_sqrt(dr.lerp(low, high, place - mi.Float(cell)))
+    return safe_sqrt(dr.lerp(low, high, place - mi.Float(cell)))
 
 
 def energy_sums(outcome: np.ndarray, weight: np.ndarray, roulette: np.ndarray) -> dict[str, tuple[float, float]]:

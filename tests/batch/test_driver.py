@@ -32,6 +32,9 @@ class Played(Slots):
     def __init__(self, kills: Callable[[Job], bool]) -> None:
         self.executors = [Dying(kills)] * 3
 
+    def start(self) -> None:
+        pass
+
     def renew(self, slot: int) -> None:
         pass
 

@@ -56,7 +56,7 @@ def volpath(scene: nail.Scene, group: tuple[int, ...]) -> FingerPaths:
     found = optics.finger_media(scene, shape.regions, scene.leds[0].wavelength_nm)
     v = np.linspace(*(np.asarray(shape.bounds_mm)[:, 1] + [-0.2, 0.2]), 101)
     rest = np.full((1, len(v)), found.mu_a[shape.regions.index("bed")])
-    chosen = backend.choose("auto")
+    chosen = backend.choose("auto", volpath=True)
     return FingerPaths(shape, found, bed=BedAbsorption(v, rest), led=0, photodiodes=group, backend=chosen)
 
 

@@ -59,7 +59,7 @@ def modulation(scene: nail.Scene, walk: nail.Transfer) -> None:
                 bed=bed,
                 led=0,
                 photodiodes=(PHOTODIODE,),
-                backend=backend.choose("llvm"),
+                backend=backend.choose("llvm", volpath=True),
                 swapped=swapped,
             )
             count = paths.paths_for(1.0)

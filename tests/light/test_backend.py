@@ -1,15 +1,16 @@
 """Backends are found without ever risking this process, and the answer is remembered."""
 
+import json
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from nailoptics.errors import InputError
 from nailoptics.light import backend
+from nailoptics.light.volpath import integrate
 
 
 @pytest.fixture
@@ -50,12 +51,37 @@ def test_a_file_that_is_no_library_is_refused_by_the_real_probe(library):
 
 
 def test_libraries_on_this_machine_that_abort_are_survived(fresh, monkeypatch):
-    """Whatever libLLVM lies here, 15 and 16 (which abort) included, asking for it leaves this process alive."""
+    """Whatever libLLVM lies here, asking for it leaves this process alive, also where it aborts at volpath (15, 16).
+
+    Expected: every one from 15 on runs the photons engine; volpath runs on it or on the scalar backend."""
+    monkeypatch.setattr(backend, "_cuda_libraries", lambda: [])
     for path in backend._llvm_libraries():
         monkeypatch.setenv("DRJIT_LIBLLVM_PATH", path)
-        findings = [f for f in backend.findings() if f.name == "llvm"]
-        assert len(findings) == 1 and findings[0].why
-        assert backend.choose().name in ("cuda", "scalar") or findings[0].usable
+        [finding] = [f for f in backend.findings() if f.name == "llvm"]
+        assert finding.why and ("photons" in finding.engines) == (backend._major_version(path) >= 15)
+        assert backend.choose().name == ("llvm" if finding.usable else "scalar")
+        assert backend.choose(volpath=True).name == ("llvm" if "volpath" in finding.engines else "scalar")
+
+
+def test_volpath_takes_the_scalar_backend_where_only_photons_compile(library, fresh, monkeypatch):
+    """Rationale: libLLVM 15 and 16 abort at Mitsuba's own kernels. Expected: who asks for volpath gets the scalar
+    backend and one line of advice, whichever backend was asked for; who insists, one line of error."""
+    monkeypatch.setattr(backend, "PROBE", "import os; print('photons', flush=True); os.abort()")
+    chosen = backend.choose()
+    assert (chosen.name, chosen.jit, chosen.engines, chosen.advice) == ("llvm", True, ("photons",), None)
+    for requested in ("auto", "llvm"):
+        stock = backend.choose(requested, volpath=True)
+        assert (stock.name, stock.jit, stock.engines) == ("scalar", False, ("volpath",))
+        assert "SIGABRT" in stock.reason and stock.advice == backend.VOLPATH_ADVICE
+    assert "libllvm19" in backend.VOLPATH_ADVICE and "\n" not in backend.VOLPATH_ADVICE
+    assert {f.name: f.why.rpartition("; ")[2] for f in backend.findings() if f.usable} == {
+        "llvm": "taken",
+        "scalar": "taken for volpath",
+    }
+    assert json.loads(fresh.read_text()).popitem()[1]["engines"] == ["photons"]
+    with pytest.raises(InputError, match=f"{library.name}.*scalar") as caught, integrate._mitsuba(chosen):
+        pass
+    assert "\n" not in str(caught.value)
 
 
 def test_the_answer_is_remembered_until_the_library_changes(library, fresh, monkeypatch):
@@ -63,14 +89,15 @@ def test_the_answer_is_remembered_until_the_library_changes(library, fresh, monk
 
     def probe(name, path):
         asked.append(path)
-        return True, "works", True
+        return backend.ENGINES, "works", True
 
     monkeypatch.setattr(backend, "_probe", probe)
     assert backend.choose("llvm").library == str(library)
     backend._answers.clear()  # as in the next process
-    start = time.perf_counter()
-    assert backend.choose("auto").name == "llvm"
-    assert time.perf_counter() - start < 0.1 and len(asked) == 1
+    with monkeypatch.context() as patched:
+        patched.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a process was started"))
+        assert backend.choose("auto").name == "llvm"
+    assert len(asked) == 1
     library.write_bytes(b"another library, longer")
     backend._answers.clear()
     backend.choose()
@@ -92,7 +119,7 @@ def test_an_unwritable_cache_costs_a_probe_and_nothing_else(library, monkeypatch
     blocker = tmp_path / "file"
     blocker.write_text("in the way")
     monkeypatch.setenv("XDG_CACHE_HOME", str(blocker))
-    monkeypatch.setattr(backend, "_probe", lambda name, path: (True, "works", True))
+    monkeypatch.setattr(backend, "_probe", lambda name, path: (backend.ENGINES, "works", True))
     assert backend.choose().name == "llvm"
 
 
@@ -109,7 +136,8 @@ def test_newest_library_first_and_each_file_once(fresh, tmp_path):
 def test_findings_name_one_backend_as_taken(fresh, monkeypatch):
     monkeypatch.setattr(backend, "_llvm_libraries", lambda: ["a", "b", "c"])
     monkeypatch.setattr(backend, "_cuda_libraries", lambda: [])
-    monkeypatch.setattr(backend, "_probe", lambda name, path: (path != "a", "works" if path != "a" else "broken", True))
+    answers = {"a": ((), "broken", True)}
+    monkeypatch.setattr(backend, "_probe", lambda name, path: answers.get(path, (backend.ENGINES, "works", True)))
     findings = backend.findings()
     assert [(f.name, f.library, f.usable) for f in findings] == [
         ("cuda", None, False),
@@ -132,6 +160,7 @@ def test_choosing_imports_no_mitsuba():
     code = """if True:
         import sys
         from nailoptics.light import backend
+from nailoptics.light.volpath import integrate
         backend.choose("scalar")
         assert "mitsuba" not in sys.modules
     """

@@ -38,7 +38,7 @@ def by_volpath(scene: Scene, *, relative_error: float, seed: int) -> tuple[np.nd
         relative_error=relative_error,
         max_seconds=900,
         seed=seed,
-        backend=backend.choose("auto"),
+        backend=backend.choose("auto", volpath=True),
     )
     assert found.fell_short is None
     return found.fraction[:, 0], found.fraction_stderr[:, 0]
@@ -83,7 +83,7 @@ def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_prototype(jit_
         batches=60,
         paths_per_batch=5632,
         seed=2,
-        backend=backend.choose("auto"),
+        backend=backend.choose("auto", volpath=True),
     )[:, 0]
     other, error = batches.mean(), batches.std(ddof=1) / np.sqrt(len(batches))
     assert error < 0.03 * other and seen.detected_fraction_stderr < 0.03 * seen.detected_fraction

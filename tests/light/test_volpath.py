@@ -25,8 +25,8 @@ size_mm = [1.0, 1.0]
 
 @pytest.fixture(scope="module")
 def jit_backend():
-    """A backend that compiles kernels; without one the test is skipped, with the reason."""
-    chosen = backend.choose("auto")
+    """A backend that compiles this engine's kernels; without one the test is skipped, with the reason."""
+    chosen = backend.choose("auto", volpath=True)
     if not chosen.jit:
         pytest.skip(f"no JIT backend works here: {chosen.reason}")
     return chosen
@@ -253,7 +253,7 @@ def test_swapped_roles_give_the_same_reading(finger):
     """Reciprocity on a finger with refraction: from the die to the photodiode as back."""
     # A large die, because tracing from the photodiode must find it.
     wide = prepare(FINGER.replace("position_mm = [-1.2, 0.0]", "position_mm = [-1.25, 0.0]\nsize_mm = [1.0, 1.0]"))
-    engine = backend.choose("auto")
+    engine = backend.choose("auto", volpath=True)
     (one, one_error), (two, two_error) = (
         statistics(read(wide, engine, seed=seed, batches=24, swapped=swapped))
         for seed, swapped in ((4, True), (5, False))

@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...geometry import Geometry
+from ..arithmetic import atan2
 
 # The bare board sends back a few percent, so that a photon may arrive again; a fifth time one in a million does.
 ARRIVALS = 4
@@ -22,7 +23,7 @@ class Recorder:
     def add(self, p: Any, weight: Any, path: list[Any], photon: Any, arrived: Any, active: Any) -> None:
         """Keep photons that arrive at p for the arrived-th time."""
         slot, inside = photon * ARRIVALS + arrived, active & (arrived < ARRIVALS)
-        u = self.board_mm * dr.atan2(p.x, p.z + self.nail_mm)
+        u = self.board_mm * atan2(p.x, p.z + self.nail_mm)
         for column, value in zip(self.columns, (u, p.y, weight, *path), strict=True):
             dr.scatter(column, value, slot, inside)
 

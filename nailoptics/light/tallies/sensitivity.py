@@ -10,6 +10,7 @@ import numpy as np
 
 from ...geometry import Geometry
 from ...scene import Scene
+from ..arithmetic import atan2
 
 ACROSS_MM, ALONG_MM = 0.3, 0.2
 # Cells through the bed's depth; below it a part as deep again as half the bed is looked at, too.
@@ -78,7 +79,7 @@ class Seen:
         """Add paths at their middles; what a photon weighs on its way is not asked, but what it counts for. [mm]"""
         nail, board = self.radii
         height = p.z + nail
-        places = (board * dr.atan2(p.x, height), p.y, nail - dr.sqrt(p.x * p.x + height * height))
+        places = (board * atan2(p.x, height), p.y, nail - dr.sqrt(p.x * p.x + height * height))
         at, inside = dr.gather(mi.UInt32, self.group, photon, active), mi.Bool(active)
         for place, low, per_mm, count in zip(places, self.low, self.per_mm, self.count, strict=True):
             cell = mi.Int32(dr.floor((place - low) * per_mm))

@@ -39,7 +39,9 @@ MAX_SPP = 10_000
 @contextmanager
 def _mitsuba(backend: Backend | None) -> Iterator[Any]:
     """Mitsuba in the variant that this engine needs; the one that was set before returns afterwards."""
-    backend = backend or choose()
+    backend = backend or choose(volpath=True)
+    if "volpath" not in backend.engines:
+        raise InputError(f"volpath cannot run on {backend.library}: its kernels abort there; take the scalar backend.")
     # Dr.Jit looks for its library at import, so only `activate`, which knows the right one, may import it.
     loaded = sys.modules.get("mitsuba")
     before = loaded.variant() if loaded else None
@@ -150,7 +152,7 @@ class FingerPaths:
         if len(elements) == 1:
             colours = {(elements[0] if swapped else die).region: [1.0, 1.0, 1.0]}
         sensor = die if swapped else elements[0]
-        self._backend = backend or choose()
+        self._backend = backend or choose(volpath=True)
         # Irradiance E under radiance 1 gives a throughput E A; a Lambertian die of radiance 1 emits pi A.
         self._scale = sensor.area_mm2 / (math.pi * die.area_mm2)
         with _mitsuba(self._backend) as mi, tempfile.TemporaryDirectory(prefix="nailoptics-") as folder:

@@ -181,7 +181,7 @@ def tradeoff(
     own = changes_between(full, scene)
     cheaper = (*(((OWN, own),) if own else ()), *CHEAPER)
     others = [f.name for f in backends.findings() if f.usable and f.name not in (chosen.name, "scalar")]
-    stock = [chosen.name, *(f.name for f in backends.findings() if f.usable and f.name == "scalar")]
+    stock = [one.name for one in (chosen, backends.choose("scalar")) if "volpath" in one.engines]
     volpath_seconds = VOLPATH_SHARE * (max_seconds or DEFAULT_SECONDS)
     traced = None if max_seconds is None else max_seconds - len(stock) * volpath_seconds
     tracing = Tracing(
