@@ -5,11 +5,12 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..io import pack
 from ..light import backend as backends
 from ..light import reuse
 from ..light.engines import VOLPATH_RELATIVE_ERROR
 from ..scene import Accuracy, Scene
-from . import reading, record
+from . import reading
 from .plan import plan
 from .status import told_time
 from .sweep import Sweep
@@ -83,7 +84,7 @@ def _cost(scene: Scene, settings: Settings) -> tuple[float, float, float, float]
             floor = VOLPATH_RELATIVE_ERROR if scene.finger is not None else 0.0
             error = min(reading.relative_error(dataset), 1.0)  # a photodiode may have seen nothing yet
             more = max((error / max(asked.relative_error or floor, floor)) ** 2, 1.0)
-        size = len(record.pack(*reading.to_record(dataset)))
+        size = len(pack(*reading.to_record(dataset)))
         return (time.process_time() - begin) * more, 0.0, 0.0, float(size)
     kind = reuse.tracer(scene, settings.backend)
     engine, asked = kind(reuse.reference(scene)), settings.asked(scene)
@@ -110,5 +111,5 @@ def _cost(scene: Scene, settings: Settings) -> tuple[float, float, float, float]
     reading.of_transfer(transfer, seed=settings.seed)  # imports
     begin = time.process_time()
     dataset = reading.of_transfer(transfer, seed=settings.seed)
-    size = len(record.pack(*reading.to_record(dataset)))
+    size = len(pack(*reading.to_record(dataset)))
     return light_s, time.process_time() - begin, light_bytes, float(size)

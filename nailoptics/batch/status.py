@@ -4,9 +4,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..io import CorruptError
 from ..scene import Accuracy
 from .folder import Folder
-from .record import CorruptError
 from .work import meets
 
 # The pace is that of the results of the last minutes.
@@ -65,7 +65,7 @@ def status(folder: str | Path) -> Status:
     done, below, corrupt, times, failed = 0, 0, 0, [], {}
     for digest, wanted in asked.items():
         try:
-            found = place.read_result(digest)
+            found = place.read_result(digest, arrays=False)
         except CorruptError:
             corrupt += 1
             continue
