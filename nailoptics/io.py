@@ -182,7 +182,8 @@ def _plain(value: Any) -> Any:
 
 def _refused(path: Path, error: OSError, *, size: int = 0) -> WriteError:
     """Why nothing can be written at path, and what helps. [size: bytes]"""
-    line = f"{path}: cannot be written: {error.strerror or error}"
+    line = f"{path}: cannot be written: {error.strerror or error}; "
     if error.errno in _FULL:
-        return WriteError(f"{line}; {size / 1e6:.3g} MB are needed: make room and run again.", full=True)
-    return WriteError(f"{line}; choose another place.")
+        needed = f"{size / 1e6:.3g} MB are needed: " if size else ""
+        return WriteError(f"{line}{needed}make room and run again.", full=True)
+    return WriteError(f"{line}choose another place.")

@@ -39,7 +39,7 @@ class Status:
         if self.below:
             lines.append(f"{self.below} of those left are there, but less accurate than asked")
         if self.corrupt:
-            lines.append(f"{self.corrupt} results are not what was written; the next run makes them again")
+            lines.append(f"{self.corrupt} results are damaged or another version's; the next run makes them again")
         if self.left:
             pace = "no new result in the last ten minutes"
             if self.seconds_left is not None:
