@@ -11,6 +11,7 @@ from cyclopts import App, CycloptsError, Parameter
 
 from . import __version__
 from .errors import InputError, NailopticsError, NotReachedError
+from .io import turn, write_dataset, write_text
 from .options import BackendName, TraceOptions
 from .terminal import (
     as_far_as_reached,
@@ -92,7 +93,6 @@ def simulate(
 
     Writes result.nc and report.html.
     """
-    from .light.store import write_dataset
     from .report import write_report
     from .studies.simulate import simulate as study
 
@@ -109,8 +109,9 @@ def simulate(
             )
         )
         paths = {"result": folder / "result.nc", "report": folder / "report.html"}
-        write_dataset(result, paths["result"])
-        write_report(result, paths["report"])
+        with turn(folder):
+            write_dataset(result, paths["result"])
+            write_report(result, paths["report"])
     if json_:
         print_json(_summary(result) | {name: str(path) for name, path in paths.items()})
     else:
@@ -182,7 +183,6 @@ def compare(
 
     Writes compare.nc and compare.html.
     """
-    from .light.store import write_dataset
     from .report.compare_page import write_comparison
     from .studies.comparison.compare import compare as study
     from .studies.comparison.verdict import summary, verdict
@@ -202,8 +202,9 @@ def compare(
             )
         )
         paths = {"result": folder / "compare.nc", "report": folder / "compare.html"}
-        write_dataset(result, paths["result"])
-        write_comparison(result, paths["report"])
+        with turn(folder):
+            write_dataset(result, paths["result"])
+            write_comparison(result, paths["report"])
     judged = verdict(result, 0.05 if require is None else require, model=model)
     if json_:
         files = {name: str(path) for name, path in paths.items()}
@@ -235,10 +236,10 @@ def place(
     Writes place.nc, ranking.csv, place.html, and the best layout as best.toml, best.csv (KiCad), outline and best.glb.
     """
     import csv
+    from io import StringIO
 
     from . import geometry
     from .exports.mesh_files import export_mesh
-    from .light.store import write_dataset
     from .report.place_page import write_placement
     from .scene import to_toml
     from .scene.kicad import write_outline, write_positions
@@ -257,17 +258,19 @@ def place(
             )
         )
         ranking, best = rows(result), chosen(result)
-        write_dataset(result, folder / "place.nc")
-        with (folder / "ranking.csv").open("w", newline="", encoding="utf-8") as handle:
-            table = csv.DictWriter(handle, list(ranking[0]))
-            table.writeheader()
-            table.writerows(ranking)
-        (folder / "best.toml").write_text(to_toml(best), encoding="utf-8")
-        write_positions(folder / "best.csv", kicad_parts(best, asked), negate_x_on_bottom=negate_x_on_bottom)
+        table = StringIO(newline="")
+        lines = csv.DictWriter(table, list(ranking[0]))
+        lines.writeheader()
+        lines.writerows(ranking)
         asked_as = Path((asked.placement and asked.placement.outline) or "outline.csv").suffix.lower()
-        write_outline(folder / f"outline{asked_as}", outline(result))
-        export_mesh(geometry.build(best), folder / "best.glb")
-        write_placement(result, folder / "place.html")
+        with turn(folder):
+            write_dataset(result, folder / "place.nc")
+            write_text(folder / "ranking.csv", table.getvalue())
+            write_text(folder / "best.toml", to_toml(best))
+            write_positions(folder / "best.csv", kicad_parts(best, asked), negate_x_on_bottom=negate_x_on_bottom)
+            write_outline(folder / f"outline{asked_as}", outline(result))
+            export_mesh(geometry.build(best), folder / "best.glb")
+            write_placement(result, folder / "place.html")
     better = gain(result)
     if json_:
         told = {"ranking": ranking, "checked_resolution_n": result.attrs["checked_resolution_n"]}
@@ -387,7 +390,7 @@ def explain(
             )
         )
         if output and not unmet:
-            output.write_text(to_toml(found.required), encoding="utf-8")
+            write_text(output, to_toml(found.required))
     written = str(output) if output and not unmet else None
     if json_:
         print_json(found.as_dict() | {"scene": written})
@@ -412,6 +415,7 @@ def tradeoff(
 
     Writes tradeoff.json and tradeoff.html, tradeoff.png for a README, and scene.toml: the scene at that level.
     """
+    from .report.style import write_figure
     from .report.tradeoff_page import draw, write_tradeoff
     from .scene import to_toml
     from .studies.model_error.tradeoff import tradeoff as study
@@ -429,10 +433,11 @@ def tradeoff(
             )
         )
         table, page, picture, selected = (folder / name for name in files)
-        table.write_text(json.dumps(finite(found.as_dict()), indent=1) + "\n", encoding="utf-8")
-        write_tradeoff(found, page)
-        draw(found).savefig(picture, dpi=120, facecolor="white")
-        selected.write_text(to_toml(found.scene), encoding="utf-8")
+        with turn(folder):
+            write_text(table, json.dumps(finite(found.as_dict()), indent=1) + "\n")
+            write_tradeoff(found, page)
+            write_figure(draw(found), picture, dpi=120, facecolor="white")
+            write_text(selected, to_toml(found.scene))
     if json_:
         print_json(found.as_dict() | {"report": str(page), "scene": str(selected)})
     else:

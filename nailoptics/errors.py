@@ -21,3 +21,11 @@ class NotReachedError(NailopticsError):
     def __init__(self, message: str, *, result: object = None) -> None:
         super().__init__(message)
         self.result = result
+
+
+class WriteError(InputError):
+    """A file cannot be written where the user wants it; on a full disk no input is at fault, and the exit code is 1."""
+
+    def __init__(self, message: str, *, full: bool = False) -> None:
+        super().__init__(message)
+        self.exit_code = 1 if full else InputError.exit_code

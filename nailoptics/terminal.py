@@ -8,11 +8,12 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .errors import InputError, NotReachedError
+from .io import held
 
 if TYPE_CHECKING:
     from .light import Progress
@@ -60,24 +61,19 @@ def plain_messages() -> Iterator[None]:
 
 @contextmanager
 def writable(folder: Path, *files: str) -> Iterator[Path]:
-    """The folder, made if need be, and taken away again if nothing came to lie in it.
+    """The folder, made if need be, and taken away again if nothing came to lie in it, of this command or another.
 
     Raises: InputError before any work is done if nothing can be written there.
     """
     made: list[Path] = []
     try:
-        try:
+        with suppress(OSError):  # a name too long, say; then nothing can be made either
             made = [path for path in (folder, *folder.parents) if not path.exists()]
-            folder.mkdir(parents=True, exist_ok=True)
-            probe = folder / f".nailoptics-{os.getpid()}"
-            probe.touch()
-            probe.unlink()
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be written: {error.strerror}; choose another place with -o.") from None
-        for name in files:
-            if (folder / name).is_dir():
-                raise InputError(f"{folder / name}: is a folder where a file is to be written; choose another with -o.")
-        yield folder
+        with held(folder):
+            for name in files:
+                if (folder / name).is_dir():
+                    raise InputError(f"{folder / name}: is a folder where a file is to be written; choose another.")
+            yield folder
     finally:
         for path in made:
             try:

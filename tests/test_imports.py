@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "nailoptics"
 # Rooms in one entry do not import each other.
 ORDER = [
     {"errors"},
-    {"checks", "statistics"},
+    {"checks", "statistics", "io"},
     {"options"},
     {"assets"},
     {"scene"},

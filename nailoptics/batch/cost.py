@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Unpack
 
+from ..io import pack
 from ..light import backend as backends
 from ..light import reuse
 from ..light.engines import VOLPATH_RELATIVE_ERROR
 from ..options import Requested, TraceOptions
 from ..scene import Accuracy, Scene
 from ..scene.sweep import Sweep
-from . import reading, record
+from . import reading
 from .plan import plan
 from .status import told_time
 from .work import Settings, reads_transfer
@@ -81,7 +82,7 @@ def _cost(scene: Scene, settings: Settings) -> tuple[float, float, float, float]
             floor = VOLPATH_RELATIVE_ERROR if scene.finger is not None else 0.0
             error = min(reading.relative_error(dataset), 1.0)  # a photodiode may have seen nothing yet
             more = max((error / max(asked.relative_error or floor, floor)) ** 2, 1.0)
-        size = len(record.pack(*reading.to_record(dataset)))
+        size = len(pack(*reading.to_record(dataset)))
         return (time.process_time() - begin) * more, 0.0, 0.0, float(size)
     kind = reuse.tracer(scene, settings.backend)
     engine, asked = kind(reuse.reference(scene)), settings.asked(scene)
@@ -108,5 +109,5 @@ def _cost(scene: Scene, settings: Settings) -> tuple[float, float, float, float]
     reading.of_transfer(transfer, seed=settings.seed)  # imports
     begin = time.process_time()
     dataset = reading.of_transfer(transfer, seed=settings.seed)
-    size = len(record.pack(*reading.to_record(dataset)))
+    size = len(pack(*reading.to_record(dataset)))
     return light_s, time.process_time() - begin, light_bytes, float(size)

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
+from ..io import CorruptError, held, pack, unpack, write_bytes
 from ..light.reuse import LedBatches
 from ..light.tracing import Batch
-from . import record
 
 log = logging.getLogger(__name__)
 
@@ -33,20 +33,17 @@ class Folder:
     root: Path
 
     def make(self) -> None:
-        """Make the folder; raises InputError where nothing can be written."""
+        """Make the folder; raises WriteError where nothing can be written."""
+        for name in ("results", "light", "failed"):
+            with held(self.root / name):
+                pass
+        old = time.time() - _LEFTOVER_S
         try:
-            for name in ("results", "light", "failed"):
-                (self.root / name).mkdir(parents=True, exist_ok=True)
-            record.write_whole(self.root / ".writable", b"", flush=False)
-            (self.root / ".writable").unlink(missing_ok=True)
-            old = time.time() - _LEFTOVER_S
             for part in self.root.glob("*/.*.part"):
                 if part.stat().st_mtime < old:
                     part.unlink(missing_ok=True)
-        except FileNotFoundError:
-            pass  # another run swept first
-        except OSError as error:
-            raise InputError(f"{self.root}: cannot be written: {error.strerror}; choose another folder.") from None
+        except OSError:
+            pass  # another run swept first, or they are another user's
 
     def result(self, digest: str) -> Path:
         """The result of one scene."""
@@ -77,13 +74,13 @@ class Folder:
 
     def write_plan(self, plan: dict[str, Any]) -> None:
         """Write the plan, whole or not at all."""
-        record.write_whole(self.root / "plan.json", json.dumps({"format": FORMAT} | plan).encode())
+        write_bytes(self.root / "plan.json", json.dumps({"format": FORMAT} | plan).encode(), flush=True)
 
-    def read_result(self, digest: str) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
-        """A scene's result, or None; raises CorruptError where it is not what was written."""
-        found = record.read(self.result(digest))
+    def read_result(self, digest: str, *, arrays: bool = True) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
+        """A scene's result or its header alone, or None; raises CorruptError where it is not what was written."""
+        found = _read(self.result(digest), arrays=arrays)
         if found is not None and found[0].get("digest") != digest:
-            raise record.CorruptError("it belongs to another scene")
+            raise CorruptError("it belongs to another scene")
         return found
 
     def read_failure(self, digest: str) -> dict[str, Any] | None:
@@ -96,14 +93,14 @@ class Folder:
 
     def write_failure(self, digest: str, failure: dict[str, Any]) -> None:
         """Record why a scene failed."""
-        record.write_whole(self.failure(digest), json.dumps(failure).encode())
+        write_bytes(self.failure(digest), json.dumps(failure).encode(), flush=True)
 
     def read_light(self, key: str, led: int, *, made: dict[str, Any]) -> LedBatches | None:
         """The batches that are traced, or None; raises CorruptError where they are not what was written.
 
         made : how the light must have been made.
         """
-        found = record.read(self.light(key, led))
+        found = _read(self.light(key, led))
         if found is None:
             return None
         header, arrays = found
@@ -134,8 +131,7 @@ class Folder:
             for (number, photons), batch in light.pieces.items()
         ]
         arrays = {name: np.concatenate([getattr(b, name) for b in light.pieces.values()]) for name in _COLUMNS}
-        data = record.pack({"made": made, "pieces": pieces}, arrays | {"mu_a": light.mu_a})
-        record.write_whole(self.light(key, led), data, flush=False)
+        write_bytes(self.light(key, led), pack({"made": made, "pieces": pieces}, arrays | {"mu_a": light.mu_a}))
 
     @contextmanager
     def claimed(self, name: str) -> Iterator[bool]:
@@ -158,3 +154,11 @@ class Folder:
             except OSError as error:
                 log.debug("no claims in %s: %s", self.root, error)
             yield True
+
+
+def _read(path: Path, *, arrays: bool = True) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
+    """Header and arrays of a file, or None where there is none; raises CorruptError."""
+    try:
+        return unpack(path.read_bytes(), arrays=arrays)
+    except FileNotFoundError:
+        return None

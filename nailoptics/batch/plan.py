@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import InputError
+from ..io import CorruptError
 from ..light import reuse
 from ..scene import Scene, digest
 from ..scene.sweep import Sweep
-from . import record
 from .folder import Folder
 from .work import Job, Settings, meets, reads_transfer
 
@@ -70,8 +70,8 @@ def left(planned: list[Planned], folder: Folder, settings: Settings, *, retry_fa
     kept, failed, corrupt = [], [], []
     for p in {p.digest: p for p in planned}.values():
         try:
-            found = folder.read_result(p.digest)
-        except record.CorruptError:
+            found = folder.read_result(p.digest, arrays=False)
+        except CorruptError:
             corrupt.append(p.digest)
             found = None
         if found is not None and meets(found[0], settings.asked(p.scene)):

@@ -7,9 +7,9 @@ import numpy as np
 import xarray as xr
 
 from ..errors import InputError
+from ..io import CorruptError, write_text
 from . import reading
 from .folder import Folder
-from .record import CorruptError, write_whole
 
 DONE, MISSING, FAILED, CORRUPT = "done", "missing", "failed", "corrupt"
 
@@ -131,8 +131,5 @@ def write_table(results: xr.Dataset, path: str | Path) -> Path:
                     kept.append(column)
     frame = results[kept].to_dataframe()
     path = Path(path)
-    try:
-        write_whole(path, frame.to_csv().encode(), flush=False)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; choose another place.") from None
+    write_text(path, frame.to_csv())
     return path

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Unpack
 
-from ..errors import InputError, NotReachedError
+from ..errors import InputError, NotReachedError, WriteError
 from ..light import backend as backends
 from ..options import Requested, TraceOptions
 from ..scene.sweep import Sweep
@@ -102,10 +102,7 @@ def run_batch(
     place = Folder(settings.folder)
     plans.check_same(place, settings)
     place.make()
-    try:
-        place.write_plan(plans.as_json(sweep, planned, settings))
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror}; choose another folder.") from None
+    place.write_plan(plans.as_json(sweep, planned, settings))
     mine = plans.of_shard(planned, part)
     todo = plans.left(mine, place, settings, retry_failed=retry_failed)
     outcome = Outcome(total=len({p.digest for p in mine}), lights=len({p.key for p in mine}), kept=todo.kept)
@@ -114,7 +111,7 @@ def run_batch(
         outcome.failed[digest] = (place.read_failure(digest) or {}).get("error", "unknown")
     driver = _Driver(settings, todo.jobs, outcome, begin, progress)
     for digest in todo.corrupt:
-        driver.tell(f"result {digest[:12]} was not what had been written (checksum); made again")
+        driver.tell(f"result {digest[:12]} is damaged or another version's (checksum); made again")
     if todo.jobs:
         with single_threaded_blas():
             driver.run(_slots(settings, scheduler, workers, threads, len(todo.jobs)))
@@ -246,7 +243,7 @@ class _Driver:
         self.outcome.corrupt += report.corrupt
         self.left -= {*report.done, *report.unmet, *report.failed}
         for name in report.corrupt:
-            self.tell(f"light {name[:12]} was not what had been written (checksum); traced again")
+            self.tell(f"light {name[:12]} is damaged or another version's (checksum); traced again")
         for digest, why in report.failed.items():
             self.tell(f"scene {digest[:12]} failed: {why}")
         # The others can read the light now.
@@ -295,15 +292,15 @@ class _Driver:
         for digest in digests:
             try:
                 Folder(self.settings.folder).write_failure(digest, {"error": why, "time": time.time()})
-            except OSError as error:
-                self._no_room(error.strerror or str(error))
+            except WriteError as error:
+                self._no_room(str(error))
                 return
             self.outcome.failed[digest] = why
             self.left.discard(digest)
             self.tell(f"scene {digest[:12]} failed: {why}")
 
     def _no_room(self, why: str) -> None:
-        self.trouble = f"the folder takes no more ({why}); make room and run again"
+        self.trouble = f"the folder takes no more: {why.rstrip('.')}"
 
     def _lost(self, error: BaseException) -> None:
         log.debug("scheduler lost: %r", error)

@@ -4,9 +4,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..io import CorruptError
 from ..scene import Accuracy
 from .folder import Folder
-from .record import CorruptError
 from .work import meets
 
 # The pace is that of the results of the last minutes.
@@ -39,7 +39,7 @@ class Status:
         if self.below:
             lines.append(f"{self.below} of those left are there, but less accurate than asked")
         if self.corrupt:
-            lines.append(f"{self.corrupt} results are not what was written; the next run makes them again")
+            lines.append(f"{self.corrupt} results are damaged or another version's; the next run makes them again")
         if self.left:
             pace = "no new result in the last ten minutes"
             if self.seconds_left is not None:
@@ -65,7 +65,7 @@ def status(folder: str | Path) -> Status:
     done, below, corrupt, times, failed = 0, 0, 0, [], {}
     for digest, wanted in asked.items():
         try:
-            found = place.read_result(digest)
+            found = place.read_result(digest, arrays=False)
         except CorruptError:
             corrupt += 1
             continue

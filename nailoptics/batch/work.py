@@ -15,13 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import NailopticsError, NotReachedError
+from ..errors import NailopticsError, NotReachedError, WriteError
+from ..io import CorruptError, pack, write_bytes
 from ..light import RereadWarning, Transfer, reuse
 from ..light.tracing import accuracy
 from ..light.transfer import versions
 from ..options import TraceOptions
 from ..scene import Accuracy, Scene, to_toml
-from . import reading, record
+from . import reading
 from .folder import Folder
 
 # Mitsuba's variant is one per process, and so is a claim: a worker with several threads still does one job at a time.
@@ -125,10 +126,12 @@ def work(job: Job, settings: Settings, sharers: int = 0) -> Report:
                     _do(job, settings, report)
                 else:
                     report.busy = True
-        except OSError as error:
-            if error.errno not in _STORAGE:
+        except (OSError, WriteError) as error:
+            if not _is_storage(error):
                 raise
-            report.storage = error.strerror or str(error)
+            report.storage = (
+                f"{error.strerror or error}; make room and run again" if isinstance(error, OSError) else str(error)
+            )
     return report
 
 
@@ -143,7 +146,8 @@ def _do(job: Job, settings: Settings, report: Report) -> None:
         if reads_transfer(todo[0][1], settings):
             light = _Light(job, [scene for _, scene in todo], settings, report)
     except Exception as error:
-        _raise_if_storage(error)
+        if _is_storage(error):
+            raise
         if len(todo) > 1 or job.also:
             # One of the scenes may ask for what cannot be done, and the others not.
             for one in todo:
@@ -157,18 +161,18 @@ def _do(job: Job, settings: Settings, report: Report) -> None:
             if header is None:  # too late for it
                 continue
             folder.result(digest).parent.mkdir(exist_ok=True)
-            record.write_whole(folder.result(digest), record.pack({"digest": digest} | header, arrays))
+            write_bytes(folder.result(digest), pack({"digest": digest} | header, arrays), flush=True)
             folder.failure(digest).unlink(missing_ok=True)
             (report.done if header["reached"] else report.unmet).append(digest)
         except Exception as error:
-            _raise_if_storage(error)
+            if _is_storage(error):
+                raise
             _failed(folder, digest, error, report)
 
 
-def _raise_if_storage(error: Exception) -> None:
-    """A full disk is nobody's fault among the scenes: it ends the batch."""
-    if isinstance(error, OSError) and error.errno in _STORAGE:
-        raise error
+def _is_storage(error: Exception) -> bool:
+    """Whether the disk is at fault, which is nobody's among the scenes: it ends the batch."""
+    return isinstance(error, WriteError) or (isinstance(error, OSError) and error.errno in _STORAGE)
 
 
 def _failed(folder: Folder, digest: str, error: Exception, report: Report) -> None:
@@ -199,8 +203,8 @@ def meets(header: dict[str, Any], asked: Accuracy) -> bool:
 
 def _is_done(folder: Folder, digest: str, asked: Accuracy) -> bool:
     try:
-        found = folder.read_result(digest)
-    except record.CorruptError:
+        found = folder.read_result(digest, arrays=False)
+    except CorruptError:
         return False
     return found is not None and meets(found[0], asked)
 
@@ -226,7 +230,7 @@ class _Light:
             have = None
             try:
                 have = folder.read_light(job.key, led, made=made)
-            except record.CorruptError:
+            except CorruptError:
                 report.corrupt.append(folder.light(job.key, led).name)
             mu_a = have.mu_a if have else engine().mu_a(led)
             # Scenes that differ only in what comes after the light need the same of it.

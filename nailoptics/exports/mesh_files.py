@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.model import Geometry
+from ..io import write_bytes
 
 COLOURS = {
     "plate": (244, 221, 205),
@@ -34,21 +35,13 @@ def export_mesh(geometry: Geometry, path: str | Path) -> Path:
     .ply : one mesh of all interfaces, each face once, in millimetres; integer face properties `below` and `above` give
         the regions on both sides (normals point from below to above), and comments in the header name the regions.
 
-    Raises: InputError where the ending is another, or the file cannot be written.
+    Raises: InputError where the ending is another; WriteError where the file cannot be written.
     """
     path = Path(path)
     writers = {".glb": _glb, ".ply": _ply}
     if path.suffix.lower() not in writers:
         raise InputError(f'{path}: geometry is written as .glb or .ply, not as "{path.suffix}"; choose one of them.')
-    data = writers[path.suffix.lower()](geometry)
-    aside = path.with_name(path.name + ".part")
-    try:
-        aside.write_bytes(data)
-        aside.replace(path)
-    except OSError as error:
-        if aside.is_file():
-            aside.unlink()
-        raise InputError(f"{path}: cannot be written: {error.strerror}; choose another folder.") from None
+    write_bytes(path, writers[path.suffix.lower()](geometry))
     return path
 
 

@@ -21,7 +21,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
-from ..errors import InputError
+from ..errors import InputError, WriteError
+from ..io import write_text
 
 log = logging.getLogger(__name__)
 
@@ -332,8 +333,6 @@ def _remember(file: Path | None, key: str, engines: tuple[str, ...], why: str) -
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         answers = _read(file) | {key: {"engines": engines, "why": why}}
-        with tempfile.NamedTemporaryFile("w", dir=file.parent, suffix=".part", delete=False, encoding="utf-8") as aside:
-            json.dump(answers, aside, indent=1)
-        os.replace(aside.name, file)
-    except OSError as error:
+        write_text(file, json.dumps(answers, indent=1))
+    except (OSError, WriteError) as error:
         log.debug("backends are not remembered: %s", error)

@@ -1,96 +1,67 @@
-"""Transfers on disk: NetCDF, written aside and renamed, so that a file is whole or not there."""
+"""Transfers on disk: archives of arrays, written whole or not at all."""
 
-import contextlib
-import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import xarray as xr
 
+from .. import io
 from ..errors import InputError
 from .transfer import LedTrace, Transfer, scene_from_attributes
 
-
-def write_dataset(dataset: xr.Dataset, path: Path, *, group: str | None = None) -> None:
-    """Write a dataset to NetCDF, whole or not at all; raises InputError if the place cannot be written."""
-    aside = path.with_name(f".{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        dataset.to_netcdf(aside, engine="h5netcdf", group=group)
-        aside.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            aside.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}; choose another place.") from None
+_COLUMNS = ("photodiode", "weight", "path_mm")
 
 
 def save(transfer: Transfer, path: Path) -> None:
-    """Write a transfer; photons of all LEDs lie one after the other along `record`."""
-    names = ("photodiode", "weight", "path_mm")
-    columns: dict[str, Any] = {n: np.concatenate([getattr(t, n) for t in transfer.traces]) for n in names}
-    data = xr.Dataset(
-        {
-            "photodiode": ("record", columns["photodiode"]),
-            "weight": ("record", columns["weight"]),
-            "path_mm": (("record", "absorber"), columns["path_mm"], {"units": "mm"}),
-            "records": ("led", [len(t.weight) for t in transfer.traces]),
-            "photons": ("led", [t.photons for t in transfer.traces]),
-            "mu_a_per_mm": (("led", "absorber"), [t.mu_a for t in transfer.traces], {"units": "mm-1"}),
-            "energy": (("led", "part", "moment"), [list(t.energy.values()) for t in transfer.traces]),
-        },
-        coords={
-            "led": list(transfer.leds),
-            "absorber": list(transfer.absorbers),
-            "part": list(transfer.traces[0].energy),
-        },
-        attrs={
-            **transfer.attributes(),
-            "photodiodes": json.dumps(transfer.photodiodes),
-            "batch_seeds": json.dumps([t.seeds for t in transfer.traces]),
-            "version_table": json.dumps(dict(transfer.versions)),
-            "cpu_seconds": transfer.cpu_seconds,
-            "wall_seconds": transfer.wall_seconds,
-            "events": transfer.events,
-        },
-    )
-    write_dataset(data, path)
+    """Write a transfer; photons of all LEDs lie one after the other."""
+    header = {
+        **transfer.attributes(),
+        "photodiodes": transfer.photodiodes,
+        "absorbers": transfer.absorbers,
+        "leds": [
+            {"records": len(t.weight), "photons": t.photons, "energy": t.energy, "seeds": t.seeds}
+            for t in transfer.traces
+        ],
+        "version_table": dict(transfer.versions),
+        "cpu_seconds": transfer.cpu_seconds,
+        "wall_seconds": transfer.wall_seconds,
+        "events": transfer.events,
+    }
+    arrays = {name: np.concatenate([getattr(t, name) for t in transfer.traces]) for name in _COLUMNS}
+    arrays["mu_a_per_mm"] = np.array([t.mu_a for t in transfer.traces])
+    io.make_folder(path.parent)
+    io.write_bytes(path, io.pack(header, arrays))
 
 
 def load(path: Path) -> Transfer:
     """Read a transfer; raises InputError for a file that is none."""
     try:
-        with xr.open_dataset(path, engine="h5netcdf") as stored:
-            data = stored.load()
-        attrs = data.attrs
-        ends = np.cumsum(data.records.values)
-        traces = []
-        for i, (start, end) in enumerate(zip(np.r_[0, ends[:-1]], ends, strict=True)):
-            energy = {
-                str(p): (float(a), float(b)) for p, (a, b) in zip(data.part.values, data.energy.values[i], strict=True)
-            }
+        header, arrays = io.unpack(path.read_bytes())
+        traces, start = [], 0
+        for led, mu_a in zip(header["leds"], arrays["mu_a_per_mm"], strict=True):
+            end = start + led["records"]
             traces.append(
                 LedTrace(
-                    photons=int(data.photons[i]),
-                    mu_a=data.mu_a_per_mm.values[i],
-                    photodiode=data.photodiode.values[start:end],
-                    weight=data.weight.values[start:end],
-                    path_mm=data.path_mm.values[start:end],
-                    energy=energy,
-                    seeds=tuple(json.loads(attrs["batch_seeds"])[i]),
+                    photons=led["photons"],
+                    mu_a=mu_a,
+                    energy={part: (a, b) for part, (a, b) in led["energy"].items()},
+                    seeds=tuple(led["seeds"]),
+                    **{name: arrays[name][start:end] for name in _COLUMNS},
                 )
             )
+            start = end
         return Transfer(
-            scene=scene_from_attributes(attrs),
-            photodiodes=tuple(json.loads(attrs["photodiodes"])),
-            absorbers=tuple(str(a) for a in data.absorber.values),
+            scene=scene_from_attributes(header),
+            photodiodes=tuple(header["photodiodes"]),
+            absorbers=tuple(header["absorbers"]),
             traces=tuple(traces),
-            engine=attrs["engine"],
-            backend=attrs["backend"],
-            versions=json.loads(attrs["version_table"]),
-            cpu_seconds=float(attrs["cpu_seconds"]),
-            wall_seconds=float(attrs["wall_seconds"]),
-            events=int(attrs["events"]),
+            engine=header["engine"],
+            backend=header["backend"],
+            versions=header["version_table"],
+            cpu_seconds=header["cpu_seconds"],
+            wall_seconds=header["wall_seconds"],
+            events=header["events"],
         )
-    except (OSError, KeyError, AttributeError, ValueError) as error:
-        raise InputError(f"{path}: is not a transfer that can be read ({type(error).__name__}: {error}).") from None
+    except (OSError, io.CorruptError, KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{path}: is not a transfer that this version can read ({error}); trace the scene again."
+        ) from None

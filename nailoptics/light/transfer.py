@@ -224,7 +224,7 @@ class Transfer:
         )
 
     def save(self, path: str | Path) -> None:
-        """Write the transfer to NetCDF, whole or not at all."""
+        """Write the transfer to a NumPy archive (.npz), whole or not at all."""
         from .store import save
 
         save(self, Path(path))

@@ -9,9 +9,11 @@ import numpy as np
 
 from ..hemodynamics.parameters import Parameters
 from ..hemodynamics.zones import PAPER_ZONES, zones
+from ..io import make_folder
 from ..paper import protocols
 from ..paper.claims_table import REACH
 from ..paper.responses import N_PER_CM2, STEPS_PA, subject_force
+from . import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,7 +54,7 @@ def draw(
     import matplotlib
 
     directory = Path(directory)
-    directory.mkdir(parents=True, exist_ok=True)
+    make_folder(directory)
     if time_s is None or force_n is None:
         time_s = np.arange(0.0, 5.0, 1e-3)
         force_n = subject_force(time_s, on_s=0.5, off_s=3.0)
@@ -67,7 +69,7 @@ def draw(
             title = f"{_TITLES[label]} (set “{name}”)"
             figure.suptitle(title, x=0.02, ha="left", fontsize=11, fontweight="bold")
             path = directory / f"hemodynamics_{name}_{label}.png"
-            figure.savefig(path)
+            style.write_figure(figure, path)
             paths.append(path)
     return paths
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from ..io import write_text
 from ..studies.comparison.fits import Z95
 from ..studies.comparison.verdict import claim, verdict
 from . import compare_figures, study_page
@@ -13,7 +14,7 @@ from .numbers import significant, with_error
 
 
 def write_comparison(result: xr.Dataset, path: Path) -> None:
-    """Write the page, whole or not at all; raises InputError if the place cannot be written."""
+    """Write the page, whole or not at all; raises WriteError."""
     body = []
     for led, name in enumerate(result.led.values):
         heading = f"LED {html.escape(str(name))}, {float(result.wavelength_nm[led]):g} nm"
@@ -56,18 +57,16 @@ def write_comparison(result: xr.Dataset, path: Path) -> None:
             )
         )
         body.append("</section>")
-    study_page.write(
-        study_page.document(
-            kicker="reduced optics against traced light",
-            title=_title(result),
-            lead=str(verdict(result, 0.05)),
-            cards=_cards(result),
-            body=body,
-            provenance=study_page.provenance(result.attrs),
-            scene=str(result.attrs["scene"]),
-        ),
-        path,
+    text = study_page.document(
+        kicker="reduced optics against traced light",
+        title=_title(result),
+        lead=str(verdict(result, 0.05)),
+        cards=_cards(result),
+        body=body,
+        provenance=study_page.provenance(result.attrs),
+        scene=str(result.attrs["scene"]),
     )
+    write_text(path, text)
 
 
 def _counts(result: xr.Dataset, model: str, within: float) -> tuple[int, int]:

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import xarray as xr
 
-from ..errors import InputError
 from ..scene import parse_scene
 from . import maps, simulate_figures, style
 
@@ -12,7 +11,7 @@ from . import maps, simulate_figures, style
 def readme_picture(result: xr.Dataset, path: Path) -> None:
     """Write one wide picture of a result; the suffix of path says which kind (.png, .svg).
 
-    Raises: InputError where the result's scene cannot be read or the file not be written.
+    Raises: InputError where the result's scene cannot be read, WriteError where the file cannot be written.
     """
     scene = parse_scene(str(result.attrs.get("scene", "")), name="the result's scene")
     with style.drawing():
@@ -29,7 +28,4 @@ def readme_picture(result: xr.Dataset, path: Path) -> None:
             cut.set_title("Its light in the finger, cut lengthwise")
         simulate_figures.draw_change(change, result, scene, led=0)
         change.set_title("What the photodiodes read while the finger presses")
-        try:
-            figure.savefig(path, dpi=110, facecolor="white")
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written: {error.strerror}; choose another folder.") from None
+        style.write_figure(figure, path, dpi=110, facecolor="white")

@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from ..io import write_text
 from ..studies.ambient import SOURCES
 from ..studies.comparison.fits import Z95
 from ..studies.placement.result import chosen, gain, rows
 from . import place_figures as figures
 from .numbers import quantity, significant, with_error
-from .study_page import document, drawing, provenance, table, write
+from .study_page import document, drawing, provenance, table
 
 # Beyond this nothing but what was known before is told.
 NOTHING_MN = 1e3
@@ -19,7 +20,7 @@ NOTHING_MN = 1e3
 
 def write_placement(result: xr.Dataset, path: Path) -> None:
     """Write the page of what `studies.place.place` returns, whole or not at all."""
-    write(page(result), Path(path))
+    write_text(Path(path), page(result))
 
 
 def page(result: xr.Dataset) -> str:

@@ -2,8 +2,6 @@
 
 import html
 import logging
-import os
-import tempfile
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +9,7 @@ from typing import TYPE_CHECKING
 import xarray as xr
 
 from ..errors import InputError
+from ..io import write_text
 from ..scene import Scene, parse_scene
 from . import findings, maps, simulate_figures, style, tables
 from .numbers import significant
@@ -28,25 +27,9 @@ def write_report(result: xr.Dataset, path: Path) -> None:
     result : what `studies.simulate` returns; path density, section and fit notes may be missing.
     path : the HTML file, replaced if it exists.
 
-    Raises: InputError where the file cannot be written.
+    Raises: WriteError where the file cannot be written.
     """
-    path = Path(path)
-    text = page(result)
-    try:
-        handle, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            # A temporary file is its owner's alone; a report is for whoever may read the folder.
-            umask = os.umask(0)
-            os.umask(umask)
-            os.chmod(aside, 0o666 & ~umask)
-            os.replace(aside, path)
-        except BaseException:
-            Path(aside).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; choose another folder.") from None
+    write_text(Path(path), page(result))
 
 
 def page(result: xr.Dataset) -> str:

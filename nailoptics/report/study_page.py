@@ -3,10 +3,8 @@
 import html
 from collections.abc import Iterable, Sequence
 from importlib import resources
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import InputError
 from . import style
 
 if TYPE_CHECKING:
@@ -64,17 +62,6 @@ def provenance(attributes: dict) -> dict[str, str]:
     names = {"digest": "Digest of the scene", "photons": "Photons", "seeds": "Seeds", "engine": "Engine"}
     names |= {"backend": "Backend", "versions": "Versions", "cpu_seconds": "Processor time [s]"}
     return {label: str(attributes[key]) for key, label in names.items() if key in attributes}
-
-
-def write(text: str, path: Path) -> None:
-    """Write a page, whole or not at all; raises InputError if the place cannot be written."""
-    aside = path.with_name(f".{path.name}.part")
-    try:
-        aside.write_text(text, encoding="utf-8")
-        aside.replace(path)
-    except OSError as error:
-        aside.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}; choose another folder.") from None
 
 
 def _(text: object) -> str:

@@ -1,12 +1,15 @@
 """How every figure looks: colours that mean one thing each, type, and SVG that follows the page's light or dark."""
 
-import io
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from io import BytesIO, StringIO
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from ..io import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -109,13 +112,20 @@ def spread(places: Sequence[float], gap: float) -> list[float]:
     return result
 
 
+def write_figure(figure: "Figure", path: Path, **options: Any) -> None:
+    """Write a figure, whole or not at all; the suffix of path says which kind (.png, .svg). Raises: WriteError."""
+    data = BytesIO()
+    figure.savefig(data, format=path.suffix[1:] or None, **options)
+    write_bytes(path, data.getbuffer())
+
+
 def to_svg(figure: "Figure", *, name: str, description: str) -> str:
     """The figure as an SVG element for a page: no ids that could clash, no references, colours of the page."""
     import html
 
     import matplotlib
 
-    buffer = io.StringIO()
+    buffer = StringIO()
     with drawing(), matplotlib.rc_context({"svg.hashsalt": name}):
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = buffer.getvalue()

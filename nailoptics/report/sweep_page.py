@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from ..batch.record import write_whole
-from ..errors import InputError
+from ..io import write_text
 from . import style
 from .numbers import prefix, significant
 
@@ -23,11 +22,8 @@ _QUANTITIES = ("volts_change_peak", "volts_start", "detected_fraction_rest")
 
 
 def write_sweep_page(results: xr.Dataset, path: Path, *, failures: Mapping[str, str]) -> None:
-    """Write the page of a sweep, whole or not at all; raises InputError where it cannot be written."""
-    try:
-        write_whole(path, sweep_page(results, failures=failures).encode(), flush=False)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; choose another folder.") from None
+    """Write the page of a sweep, whole or not at all; raises WriteError."""
+    write_text(path, sweep_page(results, failures=failures))
 
 
 def sweep_page(results: xr.Dataset, *, failures: Mapping[str, str]) -> str:

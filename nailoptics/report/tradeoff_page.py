@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..io import write_text
 from ..studies.comparison.fits import Z95
 from ..studies.model_error.tradeoff import REFERENCE, STATES, TARGETS, Level, Tradeoff
 from . import study_page, style
@@ -20,7 +21,7 @@ NEAR = 0.05
 
 
 def write_tradeoff(found: Tradeoff, path: Path) -> None:
-    """Write the page, whole or not at all; raises InputError if the place cannot be written."""
+    """Write the page, whole or not at all; raises WriteError."""
     choice = found.choice
     reference = next(one for one in found.levels if one.name == REFERENCE)
     gain = reference.cpu_seconds[0] / choice.cpu_seconds[0]
@@ -53,18 +54,16 @@ def write_tradeoff(found: Tradeoff, path: Path) -> None:
         ),
         "</section>",
     ]
-    study_page.write(
-        study_page.document(
-            kicker="speed against accuracy",
-            title=f"Within {100 * found.tolerance:g} %: {choice.name}",
-            lead=f"Every level of model on this scene, against the full one, in {found.wall_seconds:.0f} s.",
-            cards=cards,
-            body=body,
-            provenance=study_page.provenance(found.attributes),
-            scene=str(found.attributes["scene"]),
-        ),
-        path,
+    text = study_page.document(
+        kicker="speed against accuracy",
+        title=f"Within {100 * found.tolerance:g} %: {choice.name}",
+        lead=f"Every level of model on this scene, against the full one, in {found.wall_seconds:.0f} s.",
+        cards=cards,
+        body=body,
+        provenance=study_page.provenance(found.attributes),
+        scene=str(found.attributes["scene"]),
     )
+    write_text(path, text)
 
 
 def draw(found: Tradeoff) -> "Figure":

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import InputError
+from ..io import write_text
 
 COLUMNS = ("Ref", "Val", "Package", "PosX", "PosY", "Rot", "Side")
 ARC_STEP_DEG = 5.0  # an arc becomes a polygon of such steps
@@ -83,7 +84,7 @@ def write_positions(path: Path, parts: Iterable[PlacedPart], *, negate_x_on_bott
         x = -x if part.side == "bottom" and negate_x_on_bottom else x
         numbers = ",".join(f"{value + 0.0:.6f}" for value in (x, y, part.rotation_deg))
         lines.append(f'"{part.ref}","{part.value}","{part.package}",{numbers},{part.side}')
-    _write(path, "\n".join(lines) + "\n")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def read_outline(path: Path) -> tuple[tuple[float, float], ...]:
@@ -114,9 +115,9 @@ def write_outline(path: Path, corners_mm: Sequence[tuple[float, float]]) -> None
         for x, y in corners_mm:
             groups += [(10, f"{x:.6f}"), (20, f"{y:.6f}")]
         groups += [(0, "ENDSEC"), (0, "EOF")]
-        _write(path, "".join(f"{code}\n{value}\n" for code, value in groups))
+        write_text(path, "".join(f"{code}\n{value}\n" for code, value in groups))
     else:
-        _write(path, "x_mm,y_mm\n" + "".join(f"{x:.6f},{y:.6f}\n" for x, y in corners_mm))
+        write_text(path, "x_mm,y_mm\n" + "".join(f"{x:.6f},{y:.6f}\n" for x, y in corners_mm))
 
 
 def _dxf_outline(path: Path) -> tuple[tuple[float, float], ...]:
@@ -214,10 +215,3 @@ def _number(text: str, name: str, where: str) -> float:
     if not math.isfinite(value):
         raise InputError(f"{where}: {name} = {text!r} is not a number.")
     return value
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; choose another folder.") from None

@@ -160,7 +160,6 @@ def test_choosing_imports_no_mitsuba():
     code = """if True:
         import sys
         from nailoptics.light import backend
-from nailoptics.light.volpath import integrate
         backend.choose("scalar")
         assert "mitsuba" not in sys.modules
     """

@@ -18,7 +18,7 @@ import numpy as np
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.light import backend, trace
-from nailoptics.light.map import BoardTracer, blood_point
+from nailoptics.light.board_map import BoardTracer, blood_point
 from nailoptics.light.reuse import set_threads
 
 backend.activate(backend.choose("llvm"))

@@ -6,8 +6,8 @@ import xarray as xr
 
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
+from nailoptics.io import write_dataset
 from nailoptics.light import engines
-from nailoptics.light.store import write_dataset
 from nailoptics.light.volpath import states
 from nailoptics.scene import Scene, digest, load_scene, parse_scene
 from nailoptics.studies.simulate import blood_course, simulate

@@ -9,8 +9,8 @@ import xarray as xr
 
 from nailoptics.cli import run
 from nailoptics.errors import InputError, NotReachedError
+from nailoptics.io import write_dataset
 from nailoptics.light.board_map import Arrivals, PhotonMap
-from nailoptics.light.store import write_dataset
 from nailoptics.report.place_page import write_placement
 from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
 from nailoptics.scene.kicad import read_outline, read_positions, write_outline

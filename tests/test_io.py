@@ -1,0 +1,368 @@
+"""What is written is there whole, whoever else writes, and whatever goes wrong; archives come back as they were."""
+
+import errno
+import os
+import stat
+import subprocess
+import sys
+import zlib
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from nailoptics import io
+from nailoptics.errors import InputError, WriteError
+
+ROOT = Path(__file__).parents[1]
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
+PHANTOM = """
+schema_version = 1
+[phantom]
+[[phantom.layers]]
+name = "slab"
+thickness_mm = 1.0
+mu_a_per_mm = 0.1
+mu_s_per_mm = 5.0
+g = 0.8
+n = 1.4
+[[leds]]
+name = "beam"
+wavelength_nm = 800.0
+pattern = "pencil"
+[[photodiodes]]
+name = "p"
+aperture = true
+position_mm = [1.0, 0.0]
+"""
+
+
+def start(*arguments: str, folder: Path, **options) -> subprocess.Popen:
+    """The command line in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "nailoptics", *arguments],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=ENVIRONMENT,
+        **options,
+    )
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def refusing(monkeypatch, number: int) -> None:
+    """Let the disk refuse a file after its data are written, as a delayed allocation does."""
+
+    def refuse(*_):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(io.os, "replace", refuse)
+
+
+CODES = {errno.ENOSPC: 1, errno.EDQUOT: 1, errno.EFBIG: 1, errno.EACCES: 2, errno.EROFS: 2}
+
+
+@pytest.mark.parametrize("number", CODES)
+def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(number, tmp_path, monkeypatch):
+    path = tmp_path / "file"
+    io.write_text(path, "old")
+    refusing(monkeypatch, number)
+    with pytest.raises(WriteError, match=f"{path}: cannot be written: {os.strerror(number)}; ") as caught:
+        io.write_bytes(path, bytes(12_300_000))
+    code = caught.value.exit_code
+    assert code == CODES[number] and ("12.3 MB are needed" in str(caught.value)) == (code == 1)
+    assert path.read_text() == "old" and names(tmp_path) == ["file"]
+
+
+def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
+    path = tmp_path / "file"
+    io.write_text(path, "old")
+
+    def interrupt(handle):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(io.os, "fsync", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        io.write_bytes(path, b"new", flush=True)
+    assert path.read_text() == "old" and names(tmp_path) == ["file"]
+
+
+def test_what_is_no_place_for_a_file_is_the_users_fault(tmp_path):
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    io.write_text(tmp_path / "file", "x")
+    for place, word in (
+        (tmp_path / "folder", "folder or device"),
+        (tmp_path / "pipe", "folder or device"),
+        (tmp_path / "nowhere" / "file", "No such file"),
+        (tmp_path / "file" / "below", "Not a directory"),
+        (tmp_path / ("x" * 300), "name too long"),
+    ):
+        with pytest.raises(InputError, match=word) as caught:
+            io.write_text(place, "text")
+        assert caught.value.exit_code == 2 and len(str(caught.value).splitlines()) == 1
+    assert names(tmp_path) == ["file", "folder", "pipe"] and stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+
+
+def test_a_name_as_long_as_the_file_system_takes_can_be_written(tmp_path):
+    path = tmp_path / ("x" * 255)
+    io.write_text(path, "text")
+    assert path.read_text() == "text"
+
+
+@pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])
+def test_files_have_the_permissions_that_the_umask_leaves(mask, tmp_path):
+    before = os.umask(mask)
+    try:
+        io.write_text(tmp_path / "file", "text")
+        io.write_dataset(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "set.nc")
+    finally:
+        os.umask(before)
+    assert {stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()} == {0o666 & ~mask}
+
+
+def test_a_link_is_replaced_and_what_it_points_to_stays(tmp_path):
+    victim, link = tmp_path / "victim", tmp_path / "link"
+    victim.write_text("precious")
+    link.symlink_to(victim)
+    io.write_text(link, "text")
+    assert victim.read_text() == "precious" and link.read_text() == "text" and not link.is_symlink()
+
+
+def test_links_planted_where_a_temporary_file_might_lie_are_not_followed(tmp_path, monkeypatch):
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    planted = [".result.nc.part", "result.nc.part", ".nailoptics-guessed.part", ".nailoptics-guessed.hold"]
+    for name in planted:
+        (tmp_path / name).symlink_to(victim)
+    io.write_dataset(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "result.nc")
+    assert "a" in xr.load_dataset(tmp_path / "result.nc", engine="h5netcdf")
+    # Even who could tell the random name beforehand gains nothing.
+    monkeypatch.setattr(io.secrets, "token_hex", lambda size: "guessed")
+    with pytest.raises(WriteError, match="File exists"):
+        io.write_text(tmp_path / "other", "text")
+    with pytest.raises(WriteError, match="File exists"), io.held(tmp_path):
+        pass
+    assert victim.read_text() == "precious" and not (tmp_path / "other").exists()
+
+
+def test_datasets_come_back_as_they_were(tmp_path):
+    given = xr.Dataset({"a": (("t", "x"), np.random.default_rng(1).random((50, 3)))}, {"x": ["p", "q", "r"]}, {"n": 3})
+    io.write_dataset(given, tmp_path / "new" / "set.nc")
+    assert xr.load_dataset(tmp_path / "new" / "set.nc", engine="h5netcdf").identical(given)
+
+
+ARRAYS = {
+    "a": np.arange(12.0).reshape(3, 4),
+    "b": np.array([1, 2], np.uint16),
+    "none": np.zeros((0, 3), np.float32),
+    "flag": np.array(True),
+}
+
+
+def test_an_archive_comes_back_as_it_was_and_numpy_reads_it_too(tmp_path):
+    data = io.pack({"name": "x", "n": np.int64(3)}, ARRAYS)
+    header, arrays = io.unpack(data)
+    assert io.unpack(data, arrays=False) == (header, {})
+    assert header == {"name": "x", "n": 3} and data == io.pack({"name": "x", "n": 3}, ARRAYS)
+    (tmp_path / "archive.npz").write_bytes(data)
+    with np.load(tmp_path / "archive.npz") as stored:
+        for name, array in ARRAYS.items():
+            for found in (arrays[name], stored[name]):
+                assert found.dtype == array.dtype and found.shape == array.shape and np.array_equal(found, array)
+
+
+def test_every_single_changed_or_missing_byte_is_found():
+    data = bytes(io.pack({"name": "x"}, ARRAYS))
+    for i in range(len(data)):
+        with pytest.raises(io.CorruptError):
+            io.unpack(data[:i] + bytes([data[i] ^ 1]) + data[i + 1 :])
+        with pytest.raises(io.CorruptError):
+            io.unpack(data[:i])
+
+
+def signed(data: bytes) -> bytes:
+    """Foreign bytes with a checksum that holds."""
+    return data + f"{zlib.crc32(data):08x}".encode()
+
+
+def test_objects_are_neither_written_nor_read():
+    """An archive with a valid checksum that asks for Python objects is refused, not unpickled."""
+    with pytest.raises(TypeError):
+        io.pack({}, {"a": np.array([object()])})
+    foreign = BytesIO()
+    np.savez(foreign, header=np.frombuffer(b"{}", np.uint8), a=np.array([object()]))
+    with pytest.raises(io.CorruptError, match="pickle"):
+        io.unpack(signed(foreign.getvalue()))
+    for data in (b"", b"nailoptics-record 1 ", b"\x89HDF\r\n\x1a\n", b"12345678"):
+        with pytest.raises(io.CorruptError):
+            io.unpack(data)
+        with pytest.raises(io.CorruptError):
+            io.unpack(signed(data))
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from nailoptics.io import write_bytes
+for i in range(200):
+    write_bytes(Path(sys.argv[1]), sys.argv[2].encode() * 100_000)
+"""
+
+
+def test_processes_that_write_one_file_at_once_leave_one_whole_at_any_time(tmp_path):
+    path = tmp_path / "file"
+    writers = [
+        subprocess.Popen([sys.executable, "-c", WRITER, str(path), letter], env=ENVIRONMENT, stderr=subprocess.PIPE)
+        for letter in "abcd"
+    ]
+    seen = set()
+    while any(writer.poll() is None for writer in writers):
+        if path.exists():
+            found = path.read_bytes()
+            assert len(found) == 100_000 and len(set(found)) == 1
+            seen.add(found[:1])
+    assert [writer.communicate()[1] for writer in writers] == [b""] * 4 and seen
+    assert [writer.returncode for writer in writers] == [0] * 4 and names(tmp_path) == ["file"]
+
+
+def test_commands_with_one_folder_at_once_all_end_well_with_the_files_of_one_of_them(chosen_jit, tmp_path):
+    """The page and the result that lie there in the end carry the same seeds."""
+    commands = [
+        start("simulate", "prototype", "--photons", "3000", "--seed", str(seed), "-o", "deep/out", folder=tmp_path)
+        for seed in (1, 2)
+    ]
+    errors = [command.communicate(timeout=300)[1] for command in commands]
+    assert [command.returncode for command in commands] == [0, 0], errors
+    assert names(tmp_path / "deep" / "out") == ["report.html", "result.nc"]
+    result = xr.load_dataset(tmp_path / "deep" / "out" / "result.nc", engine="h5netcdf")
+    page = (tmp_path / "deep" / "out" / "report.html").read_text()
+    assert f"<dt>Seeds</dt><dd>{result.attrs['seeds']}</dd>" in page and page.endswith("</html>\n")
+
+
+def test_sets_of_files_that_are_written_at_once_do_not_mix(tmp_path):
+    code = """if True:
+        import sys
+        from pathlib import Path
+        from nailoptics.io import turn, write_text
+        from nailoptics.terminal import writable
+        with writable(Path("out")) as folder:
+            for i in range(50):
+                with turn(folder):
+                    for name in "abc":
+                        write_text(folder / name, f"{sys.argv[1]} {i}")
+                with turn(folder):
+                    assert len({(folder / name).read_text() for name in "abc"}) == 1
+    """
+    many = [
+        subprocess.Popen([sys.executable, "-c", code, n], cwd=tmp_path, env=ENVIRONMENT, stderr=subprocess.PIPE)
+        for n in "1234"
+    ]
+    assert [one.communicate()[1] for one in many] == [b""] * 4 and names(tmp_path / "out") == ["a", "b", "c"]
+
+
+def test_a_command_that_fails_leaves_the_folder_to_another_that_still_works(tmp_path):
+    """The one made the folder, the other is about to write there."""
+    code = """if True:
+        from pathlib import Path
+        from nailoptics.terminal import writable
+        with writable(Path("deep/out")) as folder:
+            print("in", flush=True)
+            input()
+            assert folder.is_dir()
+            if {fails}:
+                raise SystemExit(2)
+            (folder / "file").touch()
+    """
+    one, two = (
+        subprocess.Popen(
+            [sys.executable, "-c", code.format(fails=fails)],
+            cwd=tmp_path,
+            env=ENVIRONMENT,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for fails in (True, False)
+    )
+    assert one.stdout.readline() == "in\n" == two.stdout.readline()
+    one.communicate("\n")
+    two.communicate("\n")
+    assert (one.returncode, two.returncode) == (2, 0) and names(tmp_path / "deep" / "out") == ["file"]
+
+
+def test_a_folder_that_others_keep_taking_away_is_made_again(tmp_path):
+    """Many commands without results, at once, in one folder that none of them found."""
+    code = """if True:
+        from pathlib import Path
+        from nailoptics.terminal import writable
+        for i in range(300):
+            with writable(Path("deep/out")) as folder:
+                assert folder.is_dir()
+    """
+    many = [
+        subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, env=ENVIRONMENT, stderr=subprocess.PIPE)
+        for _ in range(4)
+    ]
+    assert [one.communicate()[1] for one in many] == [b""] * 4 and [one.returncode for one in many] == [0] * 4
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """Limits a child to files of so many bytes, and a folder for it: a disk of that size where one may be mounted."""
+    import resource
+
+    folder = tmp_path / "disk"
+    folder.mkdir()
+
+    def of(size: int):
+        mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder], capture_output=True)
+        if mounted.returncode:
+            return folder, {"preexec_fn": lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))}
+        return folder, {}
+
+    yield of
+    if folder.is_mount():
+        subprocess.run(["umount", folder], check=True)
+
+
+def assert_full(command: subprocess.Popen, folder: Path, kept: list[str]) -> None:
+    """One line on stderr that says what is missing, exit code 1, and no debris."""
+    out, err = command.communicate(timeout=300)
+    lines = [line for line in err.splitlines() if "LED" not in line]
+    assert (command.returncode, out, len(lines)) == (1, "", 1), err
+    assert "cannot be written: " in lines[0] and "MB are needed: make room and run again." in lines[0]
+    assert names(folder) == kept
+
+
+def test_a_full_disk_ends_simulate_with_one_line_and_the_old_result_whole(chosen_jit, small_disk, tmp_path):
+    folder, limit = small_disk(40_960)
+    (folder / "result.nc").write_text("old")
+    command = start("simulate", "prototype", "--photons", "3000", "-o", str(folder), folder=tmp_path, **limit)
+    assert_full(command, folder, ["result.nc"])
+    assert (folder / "result.nc").read_text() == "old"
+
+
+def test_a_full_disk_ends_trace_and_export_with_one_line(chosen_jit, small_disk, tmp_path):
+    folder, limit = small_disk(40_960)
+    (tmp_path / "slab.toml").write_text(PHANTOM)
+    light, mesh = str(folder / "light.npz"), str(folder / "finger.glb")
+    assert_full(start("trace", "slab.toml", "--photons", "900000", "-o", light, folder=tmp_path, **limit), folder, [])
+    assert_full(start("export", "prototype", "-o", mesh, folder=tmp_path, **limit), folder, [])
+
+
+def test_a_file_is_put_in_its_place_by_one_module_alone():
+    """Rationale: a second way to write files would have faults of its own."""
+    ways = ("os.replace", ".replace(path)", "tempfile.mkstemp", "NamedTemporaryFile", ".write_text(", ".savefig(path")
+    found = {
+        path.name
+        for path in (ROOT / "nailoptics").rglob("*.py")
+        if any(way in path.read_text(encoding="utf-8") for way in ways)
+    }
+    assert found == {"io.py"}
