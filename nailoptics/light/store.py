@@ -9,7 +9,8 @@ import numpy as np
 import xarray as xr
 
 from ..errors import InputError
-from .transfer import LedTrace, Transfer, scene_from_attributes
+from .moments import Moments
+from .transfer import LedTrace, Transfer, rest_state, scene_from_attributes
 
 
 def write_dataset(dataset: xr.Dataset, path: Path, *, group: str | None = None) -> None:
@@ -27,13 +28,16 @@ def write_dataset(dataset: xr.Dataset, path: Path, *, group: str | None = None) 
 
 def save(transfer: Transfer, path: Path) -> None:
     """Write a transfer; photons of all LEDs lie one after the other along `record`."""
-    names = ("photodiode", "weight", "path_mm")
+    names = ("photodiode", "weight", "path_mm", "draw")
     columns: dict[str, Any] = {n: np.concatenate([getattr(t, n) for t in transfer.traces]) for n in names}
     data = xr.Dataset(
         {
             "photodiode": ("record", columns["photodiode"]),
             "weight": ("record", columns["weight"]),
             "path_mm": (("record", "absorber"), columns["path_mm"], {"units": "mm"}),
+            "draw": ("record", columns["draw"]),
+            "keep": ("led", [t.keep for t in transfer.traces]),
+            "full": (("led", "detector", "sum"), [_sums(t, transfer) for t in transfer.traces]),
             "records": ("led", [len(t.weight) for t in transfer.traces]),
             "photons": ("led", [t.photons for t in transfer.traces]),
             "mu_a_per_mm": (("led", "absorber"), [t.mu_a for t in transfer.traces], {"units": "mm-1"}),
@@ -57,6 +61,21 @@ def save(transfer: Transfer, path: Path) -> None:
     write_dataset(data, path)
 
 
+def _sums(trace: LedTrace, transfer: Transfer) -> np.ndarray:
+    """Sums over all photons at rest, (photodiodes, 2 + 3 absorbers) float; NaN where no record was dropped."""
+    full = trace.full
+    if full is None:
+        return np.full((len(transfer.photodiodes), 2 + 3 * len(transfer.absorbers)), np.nan)
+    return np.column_stack([full.weight, full.square, full.path, full.path_square, full.path_cross])
+
+
+def _full(sums: np.ndarray, photons: int) -> Moments | None:
+    """The sums that `_sums` put in a table."""
+    if not sums.size or np.isnan(sums).any():
+        return None
+    return Moments(photons, sums[:, 0], sums[:, 1], *np.split(sums[:, 2:], 3, axis=1))
+
+
 def load(path: Path) -> Transfer:
     """Read a transfer; raises InputError for a file that is none."""
     try:
@@ -64,6 +83,8 @@ def load(path: Path) -> Transfer:
             data = stored.load()
         attrs = data.attrs
         ends = np.cumsum(data.records.values)
+        scene = scene_from_attributes(attrs)
+        photodiodes = tuple(json.loads(attrs["photodiodes"]))
         traces = []
         for i, (start, end) in enumerate(zip(np.r_[0, ends[:-1]], ends, strict=True)):
             energy = {
@@ -78,11 +99,15 @@ def load(path: Path) -> Transfer:
                     path_mm=data.path_mm.values[start:end],
                     energy=energy,
                     seeds=tuple(json.loads(attrs["batch_seeds"])[i]),
+                    draw=data.draw.values[start:end],
+                    keep=float(data["keep"][i]),
+                    rest=rest_state(scene, i, len(photodiodes)),
+                    full=_full(data["full"].values[i], int(data.photons[i])),
                 )
             )
         return Transfer(
-            scene=scene_from_attributes(attrs),
-            photodiodes=tuple(json.loads(attrs["photodiodes"])),
+            scene=scene,
+            photodiodes=photodiodes,
             absorbers=tuple(str(a) for a in data.absorber.values),
             traces=tuple(traces),
             engine=attrs["engine"],
