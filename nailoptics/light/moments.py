@@ -30,6 +30,7 @@ class Moments:
     path: np.ndarray  # (p, r)
     path_square: np.ndarray  # (p, r)
     path_cross: np.ndarray  # (p, r): sum of w^2 L
+    fourth: np.ndarray  # (p,): sum of w^4
 
     def __add__(self, other: "Moments") -> "Moments":
         return Moments(**{name: value + getattr(other, name) for name, value in vars(self).items()})
@@ -48,6 +49,11 @@ class Moments:
     def effective_photons(self) -> np.ndarray:
         """Effective number of detected photons (sum w)^2 / sum w^2, (p,)."""
         return np.divide(self.weight**2, self.square, out=np.zeros_like(self.weight), where=self.square > 0)
+
+    @property
+    def error_photons(self) -> np.ndarray:
+        """Effective number of photons that the standard error rests on (sum w^2)^2 / sum w^4, (p,)."""
+        return np.divide(self.square**2, self.fourth, out=np.zeros_like(self.square), where=self.fourth > 0)
 
     @property
     def mean_path(self) -> tuple[np.ndarray, np.ndarray]:
@@ -95,6 +101,7 @@ def moments_of(photons: int, photodiode: np.ndarray, weight: np.ndarray, path_mm
         path=by_absorber(weight, 1),
         path_square=by_absorber(weight**2, 2),
         path_cross=by_absorber(weight**2, 1),
+        fourth=_total(photodiode, weight**4, count),
     )
 
 
@@ -141,6 +148,8 @@ def moments_of_sample(
         path=path,
         path_square=path_square,
         path_cross=path_cross,
+        # Each record stands for 1 / keep photons of its own weight.
+        fourth=keep**3 * total(weight**4),
     )
 
 

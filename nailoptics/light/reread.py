@@ -48,13 +48,16 @@ def course(
     blood_fraction : (t, K) float in 0-1. Blood of each zone in each state.
     electrons : weigh the LED's line by the photodiode's response, relative to that at the peak wavelength.
 
-    Warns: RereadWarning where fewer than 100 effective photons stand behind a reading of some state.
+    Warns: RereadWarning where fewer than 100 effective photons stand behind a reading of some state, or fewer than 25
+    behind the standard error of one that is brighter than the traced state.
     """
     found = _course(transfer, blood_fraction, so2, electrons)
     with np.errstate(invalid="ignore", divide="ignore"):
         # Of n equal photons the relative error is 1 / sqrt(n).
         effective = np.square(found.fraction / found.stderr)
-    transfer.warn_if_thin(np.nan_to_num(effective, nan=np.inf).min(-1))
+    # Where there is least blood, single long paths weigh most.
+    palest = transfer.moments_at(np.min(blood_fraction, 0), so2)
+    transfer.warn_if_thin(np.nan_to_num(effective, nan=np.inf).min(-1), palest)
     return found
 
 

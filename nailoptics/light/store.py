@@ -62,18 +62,19 @@ def save(transfer: Transfer, path: Path) -> None:
 
 
 def _sums(trace: LedTrace, transfer: Transfer) -> np.ndarray:
-    """Sums over all photons at rest, (photodiodes, 2 + 3 absorbers) float; NaN where no record was dropped."""
+    """Sums over all photons at rest, (photodiodes, 3 + 3 absorbers) float; NaN where no record was dropped."""
     full = trace.full
     if full is None:
-        return np.full((len(transfer.photodiodes), 2 + 3 * len(transfer.absorbers)), np.nan)
-    return np.column_stack([full.weight, full.square, full.path, full.path_square, full.path_cross])
+        return np.full((len(transfer.photodiodes), 3 + 3 * len(transfer.absorbers)), np.nan)
+    return np.column_stack([full.weight, full.square, full.path, full.path_square, full.path_cross, full.fourth])
 
 
 def _full(sums: np.ndarray, photons: int) -> Moments | None:
     """The sums that `_sums` put in a table."""
     if not sums.size or np.isnan(sums).any():
         return None
-    return Moments(photons, sums[:, 0], sums[:, 1], *np.split(sums[:, 2:], 3, axis=1))
+    path, path_square, path_cross = np.split(sums[:, 2:-1], 3, axis=1)
+    return Moments(photons, sums[:, 0], sums[:, 1], path, path_square, path_cross, sums[:, -1])
 
 
 def load(path: Path) -> Transfer:

@@ -22,6 +22,10 @@ from .moments import Moments, RestState, moments_of, moments_of_sample, stderr_o
 MAX_RECORDS = 8_000_000
 # A reading that rests on fewer effective photons than this has no trustworthy standard error.
 MIN_EFFECTIVE_PHOTONS = 100.0
+# Of fewer effective photons than this no standard error is told at all.
+FEW_PHOTONS = 10.0
+# A standard error that rests on n effective photons is itself off by 1 / (2 sqrt(n)), here a tenth.
+MIN_ERROR_PHOTONS = 25.0
 
 
 class RereadWarning(UserWarning):
@@ -67,10 +71,6 @@ class LedTrace:
         """Some of the records, (n,) bool, as a trace of as many photons; sums over all photons do not hold for them."""
         records = {name: getattr(self, name)[chosen] for name in ("photodiode", "weight", "path_mm", "draw")}
         return replace(self, **records, rest=None, full=None)
-
-    def thinned(self) -> "LedTrace":
-        """At most MAX_RECORDS records, each with the same probability, and sums over all photons at rest."""
-        return joined([self])
 
     def kept(self, keep: float) -> "LedTrace":
         """The records that a lower probability keeps, and sums over all photons at rest."""
@@ -193,13 +193,11 @@ class Transfer:
         Dataset over led, photodiode (and absorber): detected_fraction, mean_path_mm, effective_photons, each with
         its standard error, or its derivative to mu_a. Fractions are of the power that the LED emits.
 
-        Warns: RereadWarning where fewer than 100 effective photons stand behind a reading of this state.
+        Warns: RereadWarning where fewer than 100 effective photons stand behind a reading of this state, or, of a
+        brighter state than the traced one, fewer than 25 behind its standard error.
         """
-        moments = [
-            trace.moments(*self._mu_a(i, blood_fraction, so2, mu_a_per_mm), count=len(self.photodiodes))
-            for i, trace in enumerate(self.traces)
-        ]
-        self.warn_if_thin(np.array([m.effective_photons for m in moments]))
+        moments = self.moments_at(blood_fraction, so2, mu_a_per_mm)
+        self.warn_if_thin(np.array([m.effective_photons for m in moments]), moments)
         pairs = ("led", "photodiode")
         paths = [m.mean_path for m in moments]
         slopes = [m.derivative for m in moments]
@@ -213,6 +211,15 @@ class Transfer:
             "derivative_mm_stderr": ((*pairs, "absorber"), [s[1] for s in slopes]),
         }
         return self._dataset({name: (dims, np.array(values)) for name, (dims, values) in data.items()})
+
+    def moments_at(
+        self, blood_fraction: ArrayLike | None, so2: float | None, mu_a_per_mm: Mapping[str, float] | None = None
+    ) -> list[Moments]:
+        """What `at` reads, as sums over the photons of each LED."""
+        return [
+            trace.moments(*self._mu_a(i, blood_fraction, so2, mu_a_per_mm), count=len(self.photodiodes))
+            for i, trace in enumerate(self.traces)
+        ]
 
     def derivative(self, blood_fraction: ArrayLike | None = None, so2: float | None = None) -> xr.DataArray:
         """Derivative of each reading to the mu_a of each absorber, -<w L>, (led, photodiode, absorber). [mm]"""
@@ -273,30 +280,34 @@ class Transfer:
         return mu_a, weights
 
     @cached_property
-    def _effective_at_trace(self) -> list[np.ndarray]:
-        """Effective photons of each pair in the state that was traced, or at rest where records were dropped."""
-        out = []
-        for trace in self.traces:
-            if trace.full is not None:
-                out.append(trace.full.effective_photons)
-                continue
-            counts = len(self.photodiodes)
-            one, two = (np.bincount(trace.photodiode, trace.weight**p, minlength=counts).astype(float) for p in (1, 2))
-            out.append(np.divide(one**2, two, out=np.zeros_like(one), where=two > 0))
-        return out
+    def _traced(self) -> list[Moments]:
+        """Sums in the state that was traced, or at rest where records were dropped."""
+        count = len(self.photodiodes)
+        return [t.full or moments_of(t.photons, t.photodiode, t.weight, t.path_mm, count) for t in self.traces]
 
-    def warn_if_thin(self, effective: np.ndarray) -> None:
-        """Warn where few of the effective photons that were traced are left, (led, photodiode) float."""
-        for led, left, traced in zip(self.leds, effective, self._effective_at_trace, strict=True):
-            thin = (left < MIN_EFFECTIVE_PHOTONS) & (left < 0.5 * traced)
-            if thin.any():
-                i = int(np.argmin(np.where(thin, left, np.inf)))
-                warnings.warn(
-                    f'LED "{led}", photodiode "{self.photodiodes[i]}": this state is so far from the traced one that '
-                    f"only {left[i]:.1f} effective photons of {traced[i]:.0f} remain; trace nearer or more photons",
-                    RereadWarning,
-                    stacklevel=3,
-                )
+    def warn_if_thin(self, effective: np.ndarray, palest: Sequence[Moments]) -> None:
+        """Warn where few of the photons that were traced are left to bear a reading or its error.
+
+        effective : (led, photodiode) float. Effective photons of each reading.
+        palest : sums of each LED in the state of least absorption. Where few long paths outweigh all others there,
+            both the reading and its error come out too small.
+        """
+        for led, left, bright, traced in zip(self.leds, effective, palest, self._traced, strict=True):
+            self._warn(led, "reading", left, traced.effective_photons, least=MIN_EFFECTIVE_PHOTONS)
+            behind = np.where(bright.weight > traced.weight, bright.error_photons, np.inf)
+            self._warn(led, "error", behind, traced.error_photons, least=MIN_ERROR_PHOTONS)
+
+    def _warn(self, led: str, what: str, left: np.ndarray, traced: np.ndarray, *, least: float) -> None:
+        """Warn of the photodiode with the fewest effective photons, (photodiode,) float, if they are too few."""
+        thin = (left < least) & (left < 0.5 * traced)
+        if thin.any():
+            i = int(np.argmin(np.where(thin, left, np.inf)))
+            warnings.warn(
+                f'LED "{led}", photodiode "{self.photodiodes[i]}": this state is so far from the traced one that only '
+                f"{left[i]:.1f} effective photons of {traced[i]:.0f} bear its {what}; trace nearer or more photons",
+                RereadWarning,
+                stacklevel=4,
+            )
 
     def _dataset(self, data: Mapping[str, tuple[tuple[str, ...], np.ndarray]]) -> xr.Dataset:
         coords = {"led": list(self.leds), "photodiode": list(self.photodiodes), "absorber": list(self.absorbers)}
