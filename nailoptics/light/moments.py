@@ -70,9 +70,11 @@ class Moments:
 
 
 def stderr_of_mean(total: ArrayLike, square: ArrayLike, photons: int) -> np.ndarray:
-    """Standard error of total / photons from the sum of squares over independent photons."""
+    """Standard error of total / photons from the sum of squares over independent photons; NaN of one photon."""
     mean = np.asarray(total) / photons
-    return np.sqrt(np.maximum(np.asarray(square) / photons - mean**2, 0) / max(photons - 1, 1))
+    if photons < 2:
+        return np.full_like(mean, np.nan)
+    return np.sqrt(np.maximum(np.asarray(square) / photons - mean**2, 0) / (photons - 1))
 
 
 def transmission(path_mm: np.ndarray, mu_a: np.ndarray, share: np.ndarray) -> np.ndarray:

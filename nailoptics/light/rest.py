@@ -16,7 +16,7 @@ from . import backend as backends
 from . import media
 from .engines import engine_for, volpath_states
 from .tracing import INTERRUPTED, Progress, accuracy, trace
-from .transfer import Transfer
+from .transfer import FEW_PHOTONS, Transfer
 
 log = logging.getLogger(__name__)
 
@@ -27,7 +27,10 @@ MAX_PATHS = 1 << 18
 
 @dataclass(frozen=True)
 class Rest:
-    """Readings of every LED and photodiode at rest, and where the light went (None where volpath cannot tell)."""
+    """Readings of every LED and photodiode at rest, and where the light went (None where volpath cannot tell).
+
+    The standard error of a reading is NaN where fewer than ten effective photons were seen.
+    """
 
     readings: list[dict[str, Any]]
     energy: dict[str, dict[str, float]] | None
@@ -68,6 +71,11 @@ def read_rest(
 
 def _of_transfer(transfer: Transfer) -> Rest:
     rest = transfer.at()
+    few = rest.effective_photons.values < FEW_PHOTONS
+    if few.any():
+        names = sorted({transfer.photodiodes[j] for j in np.nonzero(few)[1]})
+        log.warning("%s saw too few photons to tell a standard error; trace more photons", ", ".join(names))
+    stderr = np.where(few, np.nan, rest.detected_fraction_stderr.values)
     rows = []
     for i, led in enumerate(transfer.scene.leds):
         for j, photodiode in enumerate(transfer.photodiodes):
@@ -79,7 +87,7 @@ def _of_transfer(transfer: Transfer) -> Rest:
                     photodiode,
                     led.wavelength_nm,
                     float(rest.detected_fraction[at]),
-                    float(rest.detected_fraction_stderr[at]),
+                    float(stderr[i, j]),
                     dict(zip(transfer.absorbers, paths, strict=True)),
                     dict(zip(transfer.absorbers, errors, strict=True)),
                     transfer.traces[i].photons,
