@@ -150,11 +150,18 @@ def trace(
         print_json(rest.as_dict())
     else:
         for row in rest.readings:
-            print(f"{row['led']:>10} {row['photodiode']:<16} {row['detected_fraction']:.4e} +- {row['stderr']:.1e}")
+            error = _plus_minus(row["stderr"], ".1e")
+            if "upper_limit_95" in row:
+                error = f"below {row['upper_limit_95']:.1e} (95 %)"
+            print(f"{row['led']:>10} {row['photodiode']:<16} {row['detected_fraction']:.4e} {error}")
         for part, share in (rest.energy or {}).items():
-            print(f"{part:>11} {share['value']:.5f} +- {share['stderr']:.5f}")
+            print(f"{part:>11} {share['value']:.5f} {_plus_minus(share['stderr'], '.5f')}")
     if unmet:
         raise NotReachedError(f"{unmet} What was reached is in {output}." if output is not None else str(unmet))
+
+
+def _plus_minus(stderr: float, form: str) -> str:
+    return "+- unknown" if math.isnan(stderr) else f"+- {stderr:{form}}"
 
 
 @app.command

@@ -10,9 +10,11 @@ Z95 = 1.96
 
 
 def stderr_of_mean(total: ArrayLike, square: ArrayLike, count: int) -> Array:
-    """Standard error of total / count, from the sum of squares over independent samples."""
+    """Standard error of total / count, from the sum of squares over independent samples; NaN of one sample."""
     mean = np.asarray(total) / count
-    return np.asarray(np.sqrt(np.maximum(np.asarray(square) / count - mean**2, 0) / max(count - 1, 1)))
+    if count < 2:
+        return np.full_like(mean, np.nan)
+    return np.asarray(np.sqrt(np.maximum(np.asarray(square) / count - mean**2, 0) / (count - 1)))
 
 
 def left_out(groups: Array) -> Array:

@@ -333,6 +333,24 @@ def test_a_photodiode_that_saw_nothing_is_told_as_such(folder, capfd, chosen_jit
 
 
 @pytest.mark.jit
+def test_the_error_of_a_few_photons_is_not_told(folder, capfd, chosen_jit):
+    """One photon has no spread, and that of a few says nothing; neither must pass for exact, nor break the JSON."""
+    (folder / "phantom.toml").write_text(PHANTOM)
+    for photons in ("1", "4"):
+        assert run(["trace", "phantom.toml", "--photons", photons, "--json"]) == 0
+        out, err = capfd.readouterr()
+        told = json.loads(out)
+        assert told["readings"][0]["stderr"] is None and "too few photons to tell a standard error" in err
+        assert all((part["stderr"] is None) == (photons == "1") for part in told["energy"].values())
+        assert run(["trace", "phantom.toml", "--photons", photons]) == 0
+        reading = capfd.readouterr().out.splitlines()[0]
+        assert reading.endswith(("+- unknown", "(95 %)")) and "+- 0.0" not in reading
+    assert run(["trace", "phantom.toml", "--photons", "100000", "--json"]) == 0
+    out, err = capfd.readouterr()
+    assert json.loads(out)["readings"][0]["stderr"] > 0 and "too few" not in err
+
+
+@pytest.mark.jit
 def test_simulate_writes_its_two_files_and_prints_where(folder, capfd, chosen_jit):
     assert run(["simulate", "prototype", "--photons", "300000"]) == 0
     out, err = capfd.readouterr()

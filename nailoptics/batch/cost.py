@@ -104,7 +104,7 @@ def _cost(scene: Scene, settings: Settings) -> tuple[float, float, float, float]
         light_s += spent * times
         light_bytes += times * (batch.weight.nbytes + batch.path_mm.nbytes + batch.photodiode.nbytes)
         batches = reuse.LedBatches(engine.mu_a(led), {(0, kind.batch_photons): batch})
-        traces.append(batches.trace([kind.batch_photons], seed=settings.seed, led=led))
+        traces.append(batches.trace([kind.batch_photons], seed=settings.seed, led=led, rest=need.rest))
     transfer = reuse.transfer_of(scene, traces, backend=settings.backend)
     reading.of_transfer(transfer, seed=settings.seed)  # imports
     begin = time.process_time()

@@ -276,7 +276,7 @@ class _Light:
                 return None
             reached &= met
             errors.append(need.errors[len(sizes) - 1] if sizes[-1] == self.full else None)
-            traces.append(batches.trace(sizes, seed=settings.seed, led=led))
+            traces.append(batches.trace(sizes, seed=settings.seed, led=led, rest=need.rest))
         known = [error for error in errors if error is not None]
         worst = max(known) if len(known) == len(errors) else None
         return reuse.transfer_of(scene, traces, backend=settings.backend), reached, worst

@@ -20,7 +20,7 @@ from . import backend as backends
 from . import optics
 from .reweight import Course, course
 from .tracing import INTERRUPTED, Progress, accuracy, trace
-from .transfer import Transfer, provenance
+from .transfer import FEW_PHOTONS, Transfer, provenance
 
 if TYPE_CHECKING:
     from .volpath.states import StateReadings
@@ -111,18 +111,19 @@ def _reached(relative: np.ndarray) -> str:
 
 def _photons(transfer: Transfer, shape: Geometry, seed: int) -> Light:
     rest = transfer.at()
-    blind = rest.detected_fraction.values == 0
+    blind = rest.effective_photons.values < FEW_PHOTONS
     if blind.any():
         names = sorted({transfer.photodiodes[j] for j in np.nonzero(blind)[1]})
         log.warning(
-            "%s saw no light, so that nothing is known of their standard errors; trace more photons", ", ".join(names)
+            "%s saw no light or too few photons, so that nothing is known of their standard errors; trace more photons",
+            ", ".join(names),
         )
     with np.errstate(invalid="ignore", divide="ignore"):
         relative = rest.detected_fraction_stderr.values / rest.detected_fraction.values
 
     def over(states: np.ndarray) -> Course:
         seen = course(transfer, states, electrons=True)
-        # A sum of no photons has no spread, which is not the same as no error.
+        # A sum of no photons, or of one, has no spread, which is not the same as no error.
         seen.stderr[blind] = seen.change_stderr[blind] = np.nan
         return seen
 

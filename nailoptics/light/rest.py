@@ -17,7 +17,7 @@ from . import backend as backends
 from . import optics
 from .engines import open_engine, volpath_states
 from .tracing import INTERRUPTED, Progress, accuracy, trace
-from .transfer import Transfer
+from .transfer import FEW_PHOTONS, Transfer
 
 log = logging.getLogger(__name__)
 
@@ -28,7 +28,10 @@ MAX_PATHS = 1 << 18
 
 @dataclass(frozen=True)
 class Rest:
-    """Readings of every LED and photodiode at rest, and where the light went (None where volpath cannot tell)."""
+    """Readings of every LED and photodiode at rest, and where the light went (None where volpath cannot tell).
+
+    The standard error of a reading is NaN where fewer than ten effective photons were seen.
+    """
 
     readings: list[dict[str, Any]]
     energy: dict[str, dict[str, float]] | None
@@ -65,6 +68,11 @@ def read_rest(
 
 def _of_transfer(transfer: Transfer) -> Rest:
     rest = transfer.at()
+    few = rest.effective_photons.values < FEW_PHOTONS
+    if few.any():
+        names = sorted({transfer.photodiodes[j] for j in np.nonzero(few)[1]})
+        log.warning("%s saw too few photons to tell a standard error; trace more photons", ", ".join(names))
+    stderr = np.where(few, np.nan, rest.detected_fraction_stderr.values)
     rows = []
     for i, led in enumerate(transfer.scene.leds):
         for j, photodiode in enumerate(transfer.photodiodes):
@@ -76,7 +84,7 @@ def _of_transfer(transfer: Transfer) -> Rest:
                     photodiode,
                     led.wavelength_nm,
                     float(rest.detected_fraction[at]),
-                    float(rest.detected_fraction_stderr[at]),
+                    float(stderr[i, j]),
                     dict(zip(transfer.absorbers, paths, strict=True)),
                     dict(zip(transfer.absorbers, errors, strict=True)),
                     transfer.traces[i].photons,

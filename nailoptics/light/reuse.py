@@ -16,9 +16,10 @@ from ..scene.layout import lay_out
 from . import backend as backends
 from . import optics
 from .engines import Light
+from .moments import RestState, transmission
 from .reweight import course
-from .tracing import UNSEEN_PHOTONS, Batch, _largest_error, _seeds, unseen
-from .transfer import LedTrace, Transfer, versions
+from .tracing import UNSEEN_PHOTONS, Batch, _largest_error, _seeds, of_batch, unseen
+from .transfer import LedTrace, Transfer, joined, rest_state, versions
 
 # Errors are looked at after so many batches, each time a quarter more: seldom enough that stopping hardly favours luck.
 # The numbers are fixed, so that a trace that is continued stops where one that was never interrupted stops.
@@ -89,21 +90,11 @@ class LedBatches:
     mu_a: np.ndarray
     pieces: Mapping[tuple[int, int], Batch]
 
-    def trace(self, sizes: Sequence[int], *, seed: int, led: int) -> LedTrace:
-        """The batches of these sizes as one trace."""
-        chosen = [self.pieces[piece] for piece in enumerate(sizes)]
-        return LedTrace(
-            photons=sum(sizes),
-            mu_a=self.mu_a,
-            photodiode=np.concatenate([b.photodiode for b in chosen]),
-            weight=np.concatenate([b.weight for b in chosen]),
-            path_mm=np.concatenate([b.path_mm for b in chosen]),
-            energy={
-                name: (sum(b.energy[name][0] for b in chosen), sum(b.energy[name][1] for b in chosen))
-                for name in chosen[0].energy
-            },
-            seeds=_first_seeds(seed, led, len(sizes)),
-        ).thinned()
+    def trace(self, sizes: Sequence[int], *, seed: int, led: int, rest: RestState) -> LedTrace:
+        """The batches of these sizes as one trace, exact at rest however many records it keeps."""
+        seeds = _first_seeds(seed, led, len(sizes))
+        pieces = (self.pieces[piece] for piece in enumerate(sizes))
+        return joined([of_batch(piece, self.mu_a, s, rest) for piece, s in zip(pieces, seeds, strict=True)])
 
 
 def _first_seeds(seed: int, led: int, count: int) -> tuple[int, ...]:
@@ -116,9 +107,8 @@ class Need:
     def __init__(self, scene: Scene, led: int, asked: Accuracy, mu_a: np.ndarray) -> None:
         self.scene, self.led, self.asked = scene, led, asked
         self.seconds = asked.max_seconds / len(scene.leds) if asked.max_seconds else math.inf
-        wavelengths, self.share = optics.spectrum(scene.leds[led])
-        self.mu_a = optics.absorption(scene, wavelengths) - mu_a
         count = len(photodiode_names(scene))
+        self.rest, self.traced = rest_state(scene, led, count), mu_a
         self.weight, self.square, self.photons = np.zeros(count), np.zeros(count), 0
         self.errors: list[float] = []
         # Why no number of photons will do: a photodiode has seen none of very many.
@@ -126,10 +116,7 @@ class Need:
 
     def add(self, batch: Batch) -> None:
         """Take in the next full batch."""
-        factor = np.zeros(len(batch.weight))
-        for mu_a, share in zip(self.mu_a, self.share, strict=True):
-            factor += share * np.exp(-(batch.path_mm @ mu_a))
-        weight = batch.weight * factor
+        weight = batch.weight * transmission(batch.path_mm, self.rest.mu_a - self.traced, self.rest.share)
         self.weight += np.bincount(batch.photodiode, weight, minlength=len(self.weight))
         self.square += np.bincount(batch.photodiode, weight**2, minlength=len(self.weight))
         self.photons += batch.photons

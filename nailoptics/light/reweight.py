@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import InputError
 from . import optics
+from .moments import slope_of, stderr_of_mean
 
 if TYPE_CHECKING:
     from .transfer import Transfer
@@ -47,13 +48,16 @@ def course(
     blood_fraction : (t, K) float in 0-1. Blood of each zone in each state.
     electrons : weigh the LED's line by the photodiode's response, relative to that at the peak wavelength.
 
-    Warns: RereadWarning where fewer than 100 effective photons stand behind a reading of some state.
+    Warns: RereadWarning where fewer than 100 effective photons stand behind a reading of some state, or fewer than 25
+    behind the standard error of one that is brighter than the traced state.
     """
     found = _course(transfer, blood_fraction, so2, electrons)
     with np.errstate(invalid="ignore", divide="ignore"):
         # Of n equal photons the relative error is 1 / sqrt(n).
         effective = np.square(found.fraction / found.stderr)
-    transfer.warn_if_thin(np.nan_to_num(effective, nan=np.inf).min(-1))
+    # Where there is least blood, single long paths weigh most.
+    palest = transfer.moments_at(np.min(blood_fraction, 0), so2)
+    transfer.warn_if_thin(np.nan_to_num(effective, nan=np.inf).min(-1), palest)
     return found
 
 
@@ -127,8 +131,6 @@ def _sums(
     transfer: "Transfer", states: np.ndarray, first: np.ndarray, so2: float | None, electrons: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Fraction, its error, change from a first state and its error, (led, photodiode, states) each."""
-    from .transfer import stderr_of_mean
-
     shape = (len(transfer.traces), len(transfer.photodiodes), len(states))
     out = tuple(np.zeros(shape) for _ in range(4))
     for i, (trace, led) in enumerate(zip(transfer.traces, transfer.scene.leds, strict=True)):
@@ -139,7 +141,10 @@ def _sums(
             optics.absorption(transfer.scene, wavelength, blood_fraction=np.vstack([first, states]), so2=so2)
             - trace.mu_a
         )
-        sums = np.zeros((4, *shape[1:]))
+        sums, full = np.zeros((4, *shape[1:])), trace.full
+        # Of a sample of the photons: sums at rest and of their products with the values, to hold them against all.
+        rest, rest_square, products = np.zeros(shape[1]), np.zeros(shape[1]), np.zeros((2, *shape[1:]))
+        at_rest = trace.weight_at_rest if full is not None else None
         order = np.argsort(trace.photodiode, kind="stable")
         edges = np.searchsorted(trace.photodiode[order], np.arange(shape[1] + 1))
         pieces = [(p, at) for p in range(shape[1]) for at in range(edges[p], edges[p + 1], CHUNK)]
@@ -150,9 +155,21 @@ def _sums(
             weight = weight[:, 1:]
             for total, values in zip(sums, (weight, weight**2, change, change**2), strict=True):
                 total[j] += values.sum(0)
-        for k in (0, 2):
-            out[k][i] = sums[k] / trace.photons
-            out[k + 1][i] = stderr_of_mean(sums[k], sums[k + 1], trace.photons)
+            if at_rest is not None:
+                own = at_rest[chunk]
+                rest[j] += own.sum()
+                rest_square[j] += own @ own
+                products[0, j] += own @ weight
+                products[1, j] += own @ change
+        for k, unseen in ((0, 1.0), (2, 0.0)):
+            total, square = sums[k], sums[k + 1]
+            if full is not None:
+                slope = slope_of(products[k // 2], rest_square[:, None], unseen)
+                total = slope * full.weight[:, None] + (total - slope * rest[:, None])
+                left = np.maximum(square - slope * products[k // 2], 0)
+                square = slope**2 * full.square[:, None] + left
+            out[k][i] = total / trace.photons
+            out[k + 1][i] = stderr_of_mean(total, square, trace.photons)
     return out  # type: ignore[return-value]
 
 

@@ -14,7 +14,8 @@ from ..options import Requested, TraceOptions
 from ..scene import Accuracy, Scene
 from . import backend as backends
 from . import optics
-from .transfer import MAX_RECORDS, MIN_EFFECTIVE_PHOTONS, LedTrace, Transfer, joined, stderr_of_mean, versions
+from .moments import RestState, stderr_of_mean, transmission
+from .transfer import MAX_RECORDS, MIN_EFFECTIVE_PHOTONS, LedTrace, Transfer, joined, rest_state, versions
 
 log = logging.getLogger(__name__)
 
@@ -94,7 +95,8 @@ def trace(
         if asked.max_seconds is not None:
             left = asked.max_seconds - (time.perf_counter() - start)
             deadline = time.perf_counter() + left / (len(scene.leds) - i)
-        gathered, why = _trace_led(engine, i, asked, options.seed, deadline, progress)
+        rest = rest_state(scene, i, len(engine.photodiodes))
+        gathered, why = _trace_led(engine, i, asked, options.seed, deadline, progress, rest=rest)
         complaint = complaint or why
         if why and why.startswith(INTERRUPTED):
             # What is there is of use only with something from every LED: one batch each, then the end.
@@ -137,28 +139,35 @@ def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
     return asked
 
 
+def of_batch(batch: Batch, mu_a: np.ndarray, seed: int, rest: RestState | None) -> LedTrace:
+    """One batch as a trace.
+
+    mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
+    """
+    return LedTrace(
+        photons=batch.photons,
+        mu_a=mu_a,
+        photodiode=batch.photodiode,
+        weight=batch.weight,
+        path_mm=batch.path_mm,
+        energy=batch.energy,
+        seeds=(seed,),
+        rest=rest,
+    )
+
+
 class _Gathered:
     """Batches of one LED as they come in; memory stays bounded however many there are."""
 
-    def __init__(self, mu_a: np.ndarray) -> None:
-        self.mu_a, self.events = mu_a, 0
+    def __init__(self, mu_a: np.ndarray, rest: RestState | None) -> None:
+        self.mu_a, self.rest, self.events = mu_a, rest, 0
         self._whole: LedTrace | None = None
         self._loose: list[LedTrace] = []
 
     def add(self, seed: int, batch: Batch) -> None:
         """Add one batch and the seed that made it."""
         self.events += batch.events
-        self._loose.append(
-            LedTrace(
-                photons=batch.photons,
-                mu_a=self.mu_a,
-                photodiode=batch.photodiode,
-                weight=batch.weight,
-                path_mm=batch.path_mm,
-                energy=batch.energy,
-                seeds=(seed,),
-            )
-        )
+        self._loose.append(of_batch(batch, self.mu_a, seed, self.rest))
         if sum(len(trace.weight) for trace in self._loose) > MAX_RECORDS:
             self.trace()
 
@@ -176,10 +185,15 @@ def _trace_led(
     seed: int,
     deadline: float | None,
     progress: Callable[[Progress], None] | None,
+    *,
+    rest: RestState | None = None,
 ) -> tuple[_Gathered, str | None]:
-    """Batches of one LED with their seeds, and why they fall short of what was asked, if they do."""
+    """Batches of one LED with their seeds, and why they fall short of what was asked, if they do.
+
+    rest : state in which the error is looked at; the traced one if not given.
+    """
     name, begin = engine.scene.leds[led].name, time.perf_counter()
-    gathered = _Gathered(engine.mu_a(led))
+    gathered = _Gathered(engine.mu_a(led), rest)
     count = len(engine.photodiodes)
     weight, square, done = np.zeros(count), np.zeros(count), 0
     planned = asked.photons or engine.batch_photons
@@ -190,8 +204,11 @@ def _trace_led(
             batch = engine.batch(led, photons=size, seed=batch_seed)
             gathered.add(batch_seed, batch)
             done += size
-            weight += np.bincount(batch.photodiode, batch.weight, minlength=count)
-            square += np.bincount(batch.photodiode, batch.weight**2, minlength=count)
+            read = batch.weight
+            if rest is not None:
+                read = read * transmission(batch.path_mm, rest.mu_a - gathered.mu_a, rest.share)
+            weight += np.bincount(batch.photodiode, read, minlength=count)
+            square += np.bincount(batch.photodiode, read**2, minlength=count)
             error = _largest_error(weight, square, done)
             late = deadline is not None and time.perf_counter() >= deadline
             if asked.photons is None and done >= planned:

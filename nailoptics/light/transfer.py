@@ -3,8 +3,9 @@
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, reduce
 from importlib.metadata import version
+from operator import add
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,16 @@ from numpy.typing import ArrayLike
 from ..errors import InputError, NailopticsError
 from ..scene import Scene, digest, parse_scene, to_toml
 from . import optics
+from .moments import Moments, RestState, moments_of, moments_of_sample, stderr_of_mean, transmission
 
-# Photons kept per LED; of more, a random half is dropped and the others count twice.
+# Photons kept per LED; of more, each is kept with one probability, and sums over all of them at rest.
 MAX_RECORDS = 8_000_000
 # A reading that rests on fewer effective photons than this has no trustworthy standard error.
 MIN_EFFECTIVE_PHOTONS = 100.0
+# Of fewer effective photons than this no standard error is told at all.
+FEW_PHOTONS = 10.0
+# A standard error that rests on n effective photons is itself off by 1 / (2 sqrt(n)), here a tenth.
+MIN_ERROR_PHOTONS = 25.0
 
 
 class RereadWarning(UserWarning):
@@ -33,10 +39,14 @@ class LedTrace:
     photons : How many were emitted.
     mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
     photodiode : (n,) int. Which photodiode each kept photon reached.
-    weight : (n,) float. Its weight there, of 1 at emission.
+    weight : (n,) float. Its weight there, of 1 at emission, divided by `keep`.
     path_mm : (n, r) float32. Its path in each absorber. [mm]
     energy : for reflected, transmitted, absorbed, lost: sum of weights and sum of their squares.
     seeds : seeds of the batches.
+    draw : (n,) float32 in 0-1. A random number per photon, which decides when it is dropped; if not given, drawn.
+    keep : Probability with which each detected photon was kept; those whose draw is below it were.
+    rest : The state in which sums over all photons are kept when records are dropped; without one none are.
+    full : These sums, once a record was dropped.
     """
 
     photons: int
@@ -46,17 +56,51 @@ class LedTrace:
     path_mm: np.ndarray
     energy: Mapping[str, tuple[float, float]]
     seeds: tuple[int, ...]
+    draw: np.ndarray = None  # type: ignore[assignment]
+    keep: float = 1.0
+    rest: RestState | None = None
+    full: Moments | None = None
 
-    def thinned(self) -> "LedTrace":
-        """At most MAX_RECORDS photons: a random half dropped, the others doubled, as often as it takes."""
-        # One generator for all rounds: the same numbers twice would drop the same photons twice.
-        rng, thin = np.random.default_rng(self.seeds), self
-        while len(thin.weight) > MAX_RECORDS:
-            keep = rng.random(len(thin.weight)) < 0.5
-            thin = replace(
-                thin, photodiode=thin.photodiode[keep], weight=2 * thin.weight[keep], path_mm=thin.path_mm[keep]
-            )
-        return thin
+    def __post_init__(self) -> None:
+        if self.draw is None:
+            # A batch's own seed decides, so that it does not matter when and with what the batch is merged.
+            draw = np.random.default_rng(self.seeds).random(len(self.weight), dtype=np.float32)
+            object.__setattr__(self, "draw", draw)
+
+    def only(self, chosen: np.ndarray) -> "LedTrace":
+        """Some of the records, (n,) bool, as a trace of as many photons; sums over all photons do not hold for them."""
+        records = {name: getattr(self, name)[chosen] for name in ("photodiode", "weight", "path_mm", "draw")}
+        return replace(self, **records, rest=None, full=None)
+
+    def kept(self, keep: float) -> "LedTrace":
+        """The records that a lower probability keeps, and sums over all photons at rest."""
+        thin = self.only(self.draw < keep)
+        # Probabilities are powers of two, so that weights lose no bits.
+        weight = thin.weight * (self.keep / keep)
+        return replace(thin, weight=weight, keep=keep, rest=self.rest, full=self._sums_at_rest())
+
+    def moments(self, mu_a: np.ndarray, share: np.ndarray, *, count: int) -> Moments:
+        """Sums over the photons of `count` photodiodes at a state.
+
+        mu_a : (q, r) float. Absorption over the LED's line. [mm^-1]
+        share : (q,) float. Weights of the line.
+        """
+        weight = self.weight * transmission(self.path_mm, mu_a - self.mu_a, share)
+        if self.full is None:
+            return moments_of(self.photons, self.photodiode, weight, self.path_mm, count)
+        return moments_of_sample(self.full, self.keep, self.photodiode, weight, self.weight_at_rest, self.path_mm)
+
+    @property
+    def weight_at_rest(self) -> np.ndarray:
+        """Weight of each record at rest, divided by `keep`, (n,) float."""
+        assert self.rest is not None
+        return self.weight * transmission(self.path_mm, self.rest.mu_a - self.mu_a, self.rest.share)
+
+    def _sums_at_rest(self) -> Moments | None:
+        """Sums over all photons at rest; None without a state of rest or where they were not taken in time."""
+        if self.rest is None or self.full is not None or self.keep < 1:
+            return self.full
+        return self.moments(self.rest.mu_a, self.rest.share, count=self.rest.photodiodes)
 
 
 def joined(traces: Sequence[LedTrace]) -> LedTrace:
@@ -67,6 +111,15 @@ def joined(traces: Sequence[LedTrace]) -> LedTrace:
         raise InputError(f"these traces share {shared} seed(s), so they are not independent; use different seeds.")
     if any(not np.array_equal(trace.mu_a, traces[0].mu_a) for trace in traces):
         raise InputError("these traces were made at different absorption; trace both at the same blood state.")
+    # One probability for all: had records of earlier batches another, few of them would carry most of a reading.
+    keep = min(trace.keep for trace in traces)
+    while sum(np.count_nonzero(trace.draw < keep) for trace in traces) > MAX_RECORDS:
+        keep /= 2
+    full = None
+    if keep < 1:
+        traces = [trace.kept(keep) for trace in traces]
+        sums = [trace.full for trace in traces if trace.full is not None]
+        full = reduce(add, sums) if len(sums) == len(traces) else None
     return LedTrace(
         photons=sum(trace.photons for trace in traces),
         mu_a=traces[0].mu_a,
@@ -78,53 +131,17 @@ def joined(traces: Sequence[LedTrace]) -> LedTrace:
             for part in traces[0].energy
         },
         seeds=tuple(seeds),
-    ).thinned()
+        draw=np.concatenate([trace.draw for trace in traces]),
+        keep=keep,
+        rest=traces[0].rest,
+        full=full,
+    )
 
 
-@dataclass(frozen=True)
-class Moments:
-    """Sums over the photons of each photodiode at one state: of weights, squares and weighted paths."""
-
-    photons: int
-    weight: np.ndarray  # (p,)
-    square: np.ndarray  # (p,)
-    path: np.ndarray  # (p, r)
-    path_square: np.ndarray  # (p, r)
-    path_cross: np.ndarray  # (p, r): sum of w^2 L
-
-    @property
-    def fraction(self) -> np.ndarray:
-        """Detected fraction, (p,)."""
-        return self.weight / self.photons
-
-    @property
-    def stderr(self) -> np.ndarray:
-        """Its standard error, (p,); photons are independent and each reaches a photodiode once."""
-        return stderr_of_mean(self.weight, self.square, self.photons)
-
-    @property
-    def effective_photons(self) -> np.ndarray:
-        """Effective number of detected photons (sum w)^2 / sum w^2, (p,)."""
-        return np.divide(self.weight**2, self.square, out=np.zeros_like(self.weight), where=self.square > 0)
-
-    @property
-    def mean_path(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean path of the detected light in each absorber and its standard error, (p, r) each. [mm]"""
-        total = self.weight[:, None]
-        mean = np.divide(self.path, total, out=np.full_like(self.path, np.nan), where=total > 0)
-        spread = np.maximum(self.path_square - 2 * mean * self.path_cross + mean**2 * self.square[:, None], 0)
-        return mean, np.divide(np.sqrt(spread), total, out=np.full_like(mean, np.nan), where=total > 0)
-
-    @property
-    def derivative(self) -> tuple[np.ndarray, np.ndarray]:
-        """Derivative of the fraction to each absorber's mu_a and its standard error, (p, r) each. [mm]"""
-        return -self.path / self.photons, stderr_of_mean(self.path, self.path_square, self.photons)
-
-
-def stderr_of_mean(total: ArrayLike, square: ArrayLike, photons: int) -> np.ndarray:
-    """Standard error of total / photons from the sum of squares over independent photons."""
-    mean = np.asarray(total) / photons
-    return np.sqrt(np.maximum(np.asarray(square) / photons - mean**2, 0) / max(photons - 1, 1))
+def rest_state(scene: Scene, led: int, photodiodes: int) -> RestState:
+    """The state in which a scene's light is read first: blood at rest, over the LED's line."""
+    wavelengths, share = optics.spectrum(scene.leds[led])
+    return RestState(optics.absorption(scene, wavelengths), share, photodiodes)
 
 
 @dataclass(frozen=True)
@@ -176,10 +193,11 @@ class Transfer:
         Dataset over led, photodiode (and absorber): detected_fraction, mean_path_mm, effective_photons, each with
         its standard error, or its derivative to mu_a. Fractions are of the power that the LED emits.
 
-        Warns: RereadWarning where fewer than 100 effective photons stand behind a reading of this state.
+        Warns: RereadWarning where fewer than 100 effective photons stand behind a reading of this state, or, of a
+        brighter state than the traced one, fewer than 25 behind its standard error.
         """
-        moments = [self._moments(i, self._mu_a(i, blood_fraction, so2, mu_a_per_mm)) for i in range(len(self.traces))]
-        self.warn_if_thin(np.array([m.effective_photons for m in moments]))
+        moments = self.moments_at(blood_fraction, so2, mu_a_per_mm)
+        self.warn_if_thin(np.array([m.effective_photons for m in moments]), moments)
         pairs = ("led", "photodiode")
         paths = [m.mean_path for m in moments]
         slopes = [m.derivative for m in moments]
@@ -193,6 +211,15 @@ class Transfer:
             "derivative_mm_stderr": ((*pairs, "absorber"), [s[1] for s in slopes]),
         }
         return self._dataset({name: (dims, np.array(values)) for name, (dims, values) in data.items()})
+
+    def moments_at(
+        self, blood_fraction: ArrayLike | None, so2: float | None, mu_a_per_mm: Mapping[str, float] | None = None
+    ) -> list[Moments]:
+        """What `at` reads, as sums over the photons of each LED."""
+        return [
+            trace.moments(*self._mu_a(i, blood_fraction, so2, mu_a_per_mm), count=len(self.photodiodes))
+            for i, trace in enumerate(self.traces)
+        ]
 
     def derivative(self, blood_fraction: ArrayLike | None = None, so2: float | None = None) -> xr.DataArray:
         """Derivative of each reading to the mu_a of each absorber, -<w L>, (led, photodiode, absorber). [mm]"""
@@ -252,53 +279,35 @@ class Transfer:
             mu_a[..., self.absorbers.index(name)] = value
         return mu_a, weights
 
-    def _moments(self, led: int, line: tuple[np.ndarray, np.ndarray]) -> Moments:
-        trace, (mu_a, line_weights) = self.traces[led], line
-        path = trace.path_mm
-        factor = np.zeros(len(trace.weight))
-        for mu, share in zip(mu_a, line_weights, strict=True):
-            factor += share * np.exp(-(path @ (mu - trace.mu_a)))
-        weight = trace.weight * factor
-        count = len(self.photodiodes)
-
-        def total(values: np.ndarray) -> np.ndarray:
-            # Of no photons at all numpy makes integers.
-            return np.bincount(trace.photodiode, values, minlength=count).astype(float)
-
-        def by_absorber(values: np.ndarray, power: int) -> np.ndarray:
-            return np.stack([total(values * column**power) for column in path.T], -1)
-
-        return Moments(
-            photons=trace.photons,
-            weight=total(weight),
-            square=total(weight**2),
-            path=by_absorber(weight, 1),
-            path_square=by_absorber(weight**2, 2),
-            path_cross=by_absorber(weight**2, 1),
-        )
-
     @cached_property
-    def _effective_at_trace(self) -> list[np.ndarray]:
-        """Effective photons of each pair in the state that was traced."""
-        out = []
-        for trace in self.traces:
-            counts = len(self.photodiodes)
-            one, two = (np.bincount(trace.photodiode, trace.weight**p, minlength=counts).astype(float) for p in (1, 2))
-            out.append(np.divide(one**2, two, out=np.zeros_like(one), where=two > 0))
-        return out
+    def _traced(self) -> list[Moments]:
+        """Sums in the state that was traced, or at rest where records were dropped."""
+        count = len(self.photodiodes)
+        return [t.full or moments_of(t.photons, t.photodiode, t.weight, t.path_mm, count) for t in self.traces]
 
-    def warn_if_thin(self, effective: np.ndarray) -> None:
-        """Warn where few of the effective photons that were traced are left, (led, photodiode) float."""
-        for led, left, traced in zip(self.leds, effective, self._effective_at_trace, strict=True):
-            thin = (left < MIN_EFFECTIVE_PHOTONS) & (left < 0.5 * traced)
-            if thin.any():
-                i = int(np.argmin(np.where(thin, left, np.inf)))
-                warnings.warn(
-                    f'LED "{led}", photodiode "{self.photodiodes[i]}": this state is so far from the traced one that '
-                    f"only {left[i]:.1f} effective photons of {traced[i]:.0f} remain; trace nearer or more photons",
-                    RereadWarning,
-                    stacklevel=3,
-                )
+    def warn_if_thin(self, effective: np.ndarray, palest: Sequence[Moments]) -> None:
+        """Warn where few of the photons that were traced are left to bear a reading or its error.
+
+        effective : (led, photodiode) float. Effective photons of each reading.
+        palest : sums of each LED in the state of least absorption. Where few long paths outweigh all others there,
+            both the reading and its error come out too small.
+        """
+        for led, left, bright, traced in zip(self.leds, effective, palest, self._traced, strict=True):
+            self._warn(led, "reading", left, traced.effective_photons, least=MIN_EFFECTIVE_PHOTONS)
+            behind = np.where(bright.weight > traced.weight, bright.error_photons, np.inf)
+            self._warn(led, "error", behind, traced.error_photons, least=MIN_ERROR_PHOTONS)
+
+    def _warn(self, led: str, what: str, left: np.ndarray, traced: np.ndarray, *, least: float) -> None:
+        """Warn of the photodiode with the fewest effective photons, (photodiode,) float, if they are too few."""
+        thin = (left < least) & (left < 0.5 * traced)
+        if thin.any():
+            i = int(np.argmin(np.where(thin, left, np.inf)))
+            warnings.warn(
+                f'LED "{led}", photodiode "{self.photodiodes[i]}": this state is so far from the traced one that only '
+                f"{left[i]:.1f} effective photons of {traced[i]:.0f} bear its {what}; trace nearer or more photons",
+                RereadWarning,
+                stacklevel=4,
+            )
 
     def _dataset(self, data: Mapping[str, tuple[tuple[str, ...], np.ndarray]]) -> xr.Dataset:
         coords = {"led": list(self.leds), "photodiode": list(self.photodiodes), "absorber": list(self.absorbers)}

@@ -79,6 +79,10 @@ def grown(scene, *, asked, have=None, seed=0):
     return batches, sizes, traced
 
 
+def rest_of(scene):
+    return reuse.rest_state(scene, 0, len(reuse.photodiode_names(scene)))
+
+
 @pytest.mark.jit
 @pytest.mark.parametrize("which", ["phantom", "finger"])
 def test_a_trace_for_many_is_the_trace_of_one_bit_for_bit(jit_backend, tmp_path, which):
@@ -88,7 +92,8 @@ def test_a_trace_for_many_is_the_trace_of_one_bit_for_bit(jit_backend, tmp_path,
     else:
         scene, photons = prototype(), 8_000
     batches, sizes, _ = grown(scene, asked=Accuracy(photons=photons), seed=5)
-    mine = reuse.transfer_of(scene, [batches.trace(sizes, seed=5, led=0)], backend=jit_backend.name)
+    trace = batches.trace(sizes, seed=5, led=0, rest=rest_of(scene))
+    mine = reuse.transfer_of(scene, [trace], backend=jit_backend.name)
     theirs = nail.trace(scene, photons=photons, seed=5)
     assert mine.photodiodes == theirs.photodiodes and mine.absorbers == theirs.absorbers
     for name in ("photodiode", "weight", "path_mm"):
@@ -101,7 +106,8 @@ def test_a_trace_for_many_is_the_trace_of_one_bit_for_bit(jit_backend, tmp_path,
 def test_another_state_read_from_the_shared_trace_meets_its_own_trace(jit_backend):
     scene = changed(changed(prototype(), "blood", so2=0.75, rest_blood_fraction=0.05), "finger", melanin_fraction=0.1)
     batches, sizes, _ = grown(scene, asked=Accuracy(photons=1 << 19))
-    shared = reuse.transfer_of(scene, [batches.trace(sizes, seed=0, led=0)], backend=jit_backend.name).at()
+    trace = batches.trace(sizes, seed=0, led=0, rest=rest_of(scene))
+    shared = reuse.transfer_of(scene, [trace], backend=jit_backend.name).at()
     own = nail.trace(scene, photons=1 << 19, seed=99).at()
     off = (shared.detected_fraction - own.detected_fraction) / np.hypot(
         shared.detected_fraction_stderr, own.detected_fraction_stderr
@@ -119,7 +125,7 @@ def test_a_tighter_error_goes_on_from_what_is_there_and_ends_where_a_fresh_trace
     fresh, fresh_sizes, every = grown(scene, asked=Accuracy(relative_error=0.0015))
     assert len(coarse_sizes) < len(fine_sizes) == len(fresh_sizes)
     assert len(more) == len(fine_sizes) - len(coarse.pieces) and len(every) == len(fresh_sizes)
-    one, two = (b.trace(fine_sizes, seed=0, led=0) for b in (fine, fresh))
+    one, two = (b.trace(fine_sizes, seed=0, led=0, rest=rest_of(scene)) for b in (fine, fresh))
     assert np.array_equal(one.weight, two.weight) and one.energy == two.energy and one.seeds == two.seeds
 
 

@@ -246,6 +246,47 @@ def test_a_state_too_far_away_warns(traced):
         traced.at(mu_a_per_mm={"upper": 200.0, "lower": 50.0})
 
 
+DEEP = """
+schema_version = 1
+[phantom]
+[[phantom.layers]]
+name = "deep"
+thickness_mm = inf
+mu_a_per_mm = {mu_a}
+mu_s_per_mm = 10.0
+g = 0.9
+n = 1.0
+[[leds]]
+name = "beam"
+wavelength_nm = 800.0
+pattern = "pencil"
+[[photodiodes]]
+name = "all"
+aperture = true
+position_mm = [0.0, 0.0]
+size_mm = [1000.0, 1000.0]
+"""
+
+
+@pytest.mark.jit
+def test_a_state_of_far_less_absorption_warns(jit_backend):
+    """Rationale: without absorption all light comes back from deep tissue, much of it by paths so long that a trace
+    with absorption has seen hardly any; the few that it has seen outweigh all others.
+    Expected: a warning where reading and error are wrong, and none where both are right."""
+    deep = nail.trace(parse_scene(DEEP.format(mu_a=0.1)), photons=1 << 17, seed=3)
+    with pytest.warns(RereadWarning, match='photodiode "all".*effective photons of .* bear its error'):
+        wrong = deep.at(mu_a_per_mm={"deep": 0.0}).squeeze()
+    # Nothing absorbs, so that all comes back.
+    assert wrong.detected_fraction + 5 * wrong.detected_fraction_stderr < 1
+    for near in (0.05, 0.2):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            reread = deep.at(mu_a_per_mm={"deep": near})
+        fresh = nail.trace(parse_scene(DEEP.format(mu_a=near)), photons=1 << 17, seed=4).at()
+        spread = np.hypot(reread.detected_fraction_stderr, fresh.detected_fraction_stderr)
+        assert abs(reread.detected_fraction - fresh.detected_fraction) < 4 * spread < 0.05 * fresh.detected_fraction
+
+
 @pytest.mark.jit
 def test_an_absorber_that_is_none_is_refused(traced):
     with pytest.raises(InputError, match="known: upper, lower"):
@@ -266,7 +307,7 @@ def test_thinning_is_unbiased_and_its_standard_error_honest(monkeypatch):
     full = by_hand(small(weight, path, photons=10_000)).at(mu_a_per_mm={"upper": 0.1, "lower": 0.1}).squeeze()
     values, stderrs = [], []
     for seed in range(1500):
-        thin = small(weight, path, photons=10_000, seeds=(seed,)).thinned()
+        thin = transfer.joined([small(weight, path, photons=10_000, seeds=(seed,))])
         assert len(thin.weight) <= 1000
         seen = by_hand(thin).at(mu_a_per_mm={"upper": 0.1, "lower": 0.1}).squeeze()
         values.append(float(seen.detected_fraction))

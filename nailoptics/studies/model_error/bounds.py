@@ -110,8 +110,7 @@ def from_deep(base: Look) -> Effect:
     pulp = base.transfer.absorbers.index("pulp")
     deep = []
     for trace in base.transfer.traces:
-        on = trace.path_mm[:, pulp] > 0
-        deep.append(replace(trace, photodiode=trace.photodiode[on], weight=trace.weight[on], path_mm=trace.path_mm[on]))
+        deep.append(trace.only(trace.path_mm[:, pulp] > 0))
     seen = read(replace(base.transfer, traces=tuple(deep)))
     with np.errstate(divide="ignore", invalid="ignore"):
         # A photon more or less may have been missed.

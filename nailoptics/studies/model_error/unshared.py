@@ -23,14 +23,10 @@ def _apart(a: LedTrace, b: LedTrace) -> tuple[LedTrace, LedTrace]:
     if a.photons != b.photons or a.seeds != b.seeds:
         return a, b
     keys_a, keys_b = _keys(a), _keys(b)
-    return _only(a, ~np.isin(keys_a, keys_b)), _only(b, ~np.isin(keys_b, keys_a))
+    return a.only(~np.isin(keys_a, keys_b)), b.only(~np.isin(keys_b, keys_a))
 
 
 def _keys(trace: LedTrace) -> np.ndarray:
     """All that is known of each photon, as one item of bytes, (n,)."""
     columns = np.column_stack([trace.photodiode, trace.weight, trace.path_mm]).astype(np.float32)
     return np.ascontiguousarray(columns).view(np.dtype((np.void, columns.dtype.itemsize * columns.shape[1]))).ravel()
-
-
-def _only(trace: LedTrace, kept: np.ndarray) -> LedTrace:
-    return replace(trace, photodiode=trace.photodiode[kept], weight=trace.weight[kept], path_mm=trace.path_mm[kept])
