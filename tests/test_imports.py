@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "nailoptics"
 # Rooms in one entry do not import each other.
 ORDER = [
     {"errors"},
-    {"checks", "statistics", "io"},
+    {"checks", "statistics", "variables", "io"},
     {"options"},
     {"assets"},
     {"scene"},

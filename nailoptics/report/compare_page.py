@@ -1,6 +1,5 @@
 """The page of a comparison: whether (8) and (9) hold on the user's scene, how far, and why not further."""
 
-import html
 from pathlib import Path
 
 import numpy as np
@@ -9,64 +8,63 @@ import xarray as xr
 from ..io import write_text
 from ..studies.comparison.fits import Z95
 from ..studies.comparison.verdict import claim, verdict
-from . import compare_figures, study_page
+from . import compare_figures
+from .html import document, escaped, figure, section, small, table
 from .numbers import significant, with_error
 
 
 def write_comparison(result: xr.Dataset, path: Path) -> None:
     """Write the page, whole or not at all; raises WriteError."""
-    body = []
-    for led, name in enumerate(result.led.values):
-        heading = f"LED {html.escape(str(name))}, {float(result.wavelength_nm[led]):g} nm"
-        body += ["<section>", f"<h2>How far the models hold: {heading}</h2>"]
-        body.append(
-            study_page.drawing(
-                compare_figures.holds(result, led=led),
-                f"holds{led}",
-                "Each model is fitted anew to every range from the start; its largest distance from the trace is "
-                "given as a part of the reading's swing over that range. Warm colours are proximal, cool ones distal; "
-                "bands are 95 % intervals of the light tracing.",
-            )
-        )
-        body.append(_limits(result, led))
-        for sweep in (str(s) for s in result.sweep.values):
-            body.append(f"<h3>What (9) leaves out, over {html.escape(sweep)}</h3>")
-            body.append(
-                study_page.drawing(
-                    compare_figures.split(result, led=led, sweep=sweep),
-                    f"split{led}{sweep}",
-                    "The error of (9), split where it is largest. Hollow marks cannot be told from nothing. The first "
-                    "three add up to the error against the trace; that blood scatters too is in neither, and comes on "
-                    "top. What changes the mean path with the blood is the spread of paths: one path for all light.",
-                )
-            )
-            body.append(
-                study_page.drawing(
-                    compare_figures.readings(result, led=led, sweep=sweep),
-                    f"readings{led}{sweep}",
-                    "Traced readings and models, as change from the start of the sweep.",
-                )
-            )
-        body.append("<h3>How large αD² is</h3>")
-        body.append(
-            study_page.drawing(
-                compare_figures.alpha(result, led=led),
-                f"alpha{led}",
-                "αD² is the mean path in the bed times the absorption of its blood: the exponent of (8). Open arrows: "
-                "(9) stays within the tolerance over the whole sweep.",
-            )
-        )
-        body.append("</section>")
-    text = study_page.document(
+    text = document(
         kicker="reduced optics against traced light",
         title=_title(result),
         lead=str(verdict(result, 0.05)),
         cards=_cards(result),
-        body=body,
-        provenance=study_page.provenance(result.attrs),
-        scene=str(result.attrs["scene"]),
+        body=[_led_section(result, led) for led in range(result.sizes["led"])],
+        attributes=result.attrs,
     )
     write_text(path, text)
+
+
+def _led_section(result: xr.Dataset, led: int) -> str:
+    """How far the models hold under one LED, and why not further."""
+    lines = [
+        figure(
+            compare_figures.holds(result, led=led),
+            f"holds{led}",
+            "Each model is fitted anew to every range from the start; its largest distance from the trace is "
+            "given as a part of the reading's swing over that range. Warm colours are proximal, cool ones distal; "
+            "bands are 95 % intervals of the light tracing.",
+        ),
+        _limits(result, led),
+    ]
+    for sweep in (str(s) for s in result.sweep.values):
+        lines += [
+            f"<h3>What (9) leaves out, over {escaped(sweep)}</h3>",
+            figure(
+                compare_figures.split(result, led=led, sweep=sweep),
+                f"split{led}{sweep}",
+                "The error of (9), split where it is largest. Hollow marks cannot be told from nothing. The first "
+                "three add up to the error against the trace; that blood scatters too is in neither, and comes on "
+                "top. What changes the mean path with the blood is the spread of paths: one path for all light.",
+            ),
+            figure(
+                compare_figures.readings(result, led=led, sweep=sweep),
+                f"readings{led}{sweep}",
+                "Traced readings and models, as change from the start of the sweep.",
+            ),
+        ]
+    lines += [
+        "<h3>How large αD² is</h3>",
+        figure(
+            compare_figures.alpha(result, led=led),
+            f"alpha{led}",
+            "αD² is the mean path in the bed times the absorption of its blood: the exponent of (8). Open arrows: "
+            "(9) stays within the tolerance over the whole sweep.",
+        ),
+    ]
+    name = f"LED {escaped(result.led.values[led])}, {float(result.wavelength_nm[led]):g} nm"
+    return section(f"How far the models hold: {name}", *lines)
 
 
 def _counts(result: xr.Dataset, model: str, within: float) -> tuple[int, int]:
@@ -121,13 +119,13 @@ def _limits(result: xr.Dataset, led: int) -> str:
     for sweep in result.sweep.values:
         for model in ("(9)", "(8)"):
             for within in result.within.values:
-                head.append(f"{model} to {100 * within:g} %<br>{html.escape(str(sweep))} [{units[str(sweep)]}]")
+                head.append(f"{model} to {100 * within:g} %<br>{escaped(sweep)} [{units[str(sweep)]}]")
     head += ["αD² at which (9)<br>errs by 1 %", "at which (9)<br>errs by 5 %"]
     for j in compare_figures.order(result):
         one = result.isel(led=led, photodiode=j)
         first = one.isel(sweep=0)
         cells = [
-            html.escape(str(one.photodiode.values)),
+            escaped(one.photodiode.values),
             with_error(100 * float(first.swing / first.reading[0]), 100 * float(first.swing_stderr / first.reading[0])),
             with_error(float(first.path_mm), float(first.path_mm_stderr)),
         ]
@@ -141,10 +139,10 @@ def _limits(result: xr.Dataset, led: int) -> str:
             cells.append(_interval(at, "limit_bed_alpha_d2", 1.0))
         rows.append(cells)
     note = (
-        f"<p class='small'>Numbers in brackets are 95 % intervals; “all” means the whole sweep. αD² is that of all the "
-        f"blood in the bed, over {html.escape(str(result.sweep.values[-1]))}.</p>"
+        "Numbers in brackets are 95 % intervals; “all” means the whole sweep. αD² is that of all the blood in the bed, "
+        f"over {escaped(result.sweep.values[-1])}."
     )
-    return study_page.table(head, rows) + note
+    return table(head, rows) + small(note)
 
 
 def _interval(one: xr.Dataset, name: str, by: float) -> str:

@@ -11,8 +11,9 @@ from ..studies.ambient import SOURCES
 from ..studies.comparison.fits import Z95
 from ..studies.placement.result import chosen, gain, rows
 from . import place_figures as figures
+from .html import document, table
+from .html import figure as drawing
 from .numbers import quantity, significant, with_error
-from .study_page import document, drawing, provenance, table
 
 # Beyond this nothing but what was known before is told.
 NOTHING_MN = 1e3
@@ -111,8 +112,7 @@ def page(result: xr.Dataset) -> str:
         lead=lead,
         cards=cards,
         body=[*body, "</section>"],
-        provenance=provenance(result.attrs),
-        scene=str(result.attrs["scene"]),
+        attributes=result.attrs,
     )
 
 

@@ -10,7 +10,7 @@ from ..scene.layout import lay_out
 
 
 @dataclass(frozen=True)
-class Moments:
+class TouchMoments:
     """The two moments between which a touch is judged: indices into time.
 
     rest : the first sample.
@@ -21,7 +21,7 @@ class Moments:
     hold: int
 
     @classmethod
-    def of(cls, result: xr.Dataset) -> "Moments":
+    def of(cls, result: xr.Dataset) -> "TouchMoments":
         """The moments of a result."""
         departure = np.abs(result.force_n.to_numpy() - float(result.force_n[0]))
         return cls(0, int(np.flatnonzero(departure >= 0.995 * departure.max())[-1]))
@@ -90,9 +90,9 @@ def change_v(result: xr.Dataset) -> tuple[np.ndarray, np.ndarray, bool]:
     return change, bound, True
 
 
-def readings(result: xr.Dataset, scene: Scene | None) -> list[Reading]:
+def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> list[Reading]:
     """Every LED and photodiode, LED by LED, photodiodes from proximal to distal."""
-    moments = Moments.of(result)
+    moments = TouchMoments.of(result)
     change, change_stderr, _ = change_v(result)
     at_rest, at_hold = result.isel(time=moments.rest), result.isel(time=moments.hold)
     force = result.force_n.to_numpy()

@@ -1,8 +1,6 @@
 """One self-contained HTML page of a sweep: what is done, plots over its axes, and its failures."""
 
-import html
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +9,7 @@ import xarray as xr
 
 from ..io import write_text
 from . import style
+from .html import document, escaped, figure, section, small, table
 from .numbers import prefix, significant
 
 if TYPE_CHECKING:
@@ -32,33 +31,14 @@ def sweep_page(results: xr.Dataset, *, failures: Mapping[str, str]) -> str:
     results : what `batch.open_results` returns.
     failures : why scenes failed, by digest.
     """
-    css = resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
-    title = str(results.attrs["title"]).removeprefix("nailoptics: ")
     states, counts = np.unique(results.state.values, return_counts=True)
-    total = int(counts.sum())
-    lead = f"{total} scenes: " + ", ".join(f"{n} {s}" for s, n in zip(states, counts, strict=True)) + "."
-    body = [
-        f"<header><p class='kicker'>nailoptics · sweep</p><h1>{_(title)}</h1><p class='lead'>{_(lead)}</p></header>",
-        "<section><h2>The axes</h2>",
-        _axes_table(results),
-        "</section>",
-        *_figures(results),
-        *_failures(failures),
-        "<section class='provenance'><h2>To make this again</h2><dl>",
-        *(
-            f"<div><dt>{_(name)}</dt><dd>{_(str(results.attrs[name]))}</dd></div>"
-            for name in ("seed", "backend", "engine", "versions")
-            if name in results.attrs
-        ),
-        "</dl></section>",
-    ]
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        '<meta name="color-scheme" content="light dark">'
-        f"<title>{_(title)} – nailoptics</title><style>{css}</style></head>\n<body><main>\n"
-        + "\n".join(body)
-        + "\n</main></body></html>\n"
+    lead = f"{counts.sum()} scenes: " + ", ".join(f"{n} {s}" for s, n in zip(states, counts, strict=True)) + "."
+    return document(
+        kicker="sweep",
+        title=str(results.attrs["title"]).removeprefix("nailoptics: "),
+        lead=lead,
+        body=[section("The axes", _axes_table(results)), *_figures(results), *_failures(failures)],
+        attributes=results.attrs,
     )
 
 
@@ -73,13 +53,12 @@ def _axes_table(results: xr.Dataset) -> str:
         coord = results[name]
         values = list(dict.fromkeys(coord.values.tolist()))
         if coord.dtype.kind in "iuf":
-            told = f"{significant(min(values), 4)} to {significant(max(values), 4)}"
+            shown = f"{significant(min(values), 4)} to {significant(max(values), 4)}"
         else:
-            told = ", ".join(str(v) for v in values[:8]) + (", …" if len(values) > 8 else "")
+            shown = ", ".join(str(v) for v in values[:8]) + (", …" if len(values) > 8 else "")
         place = str(coord.attrs.get("long_name", ""))
-        rows.append(f"<tr><th>{_(name)}</th><td>{_(place)}</td><td>{len(values)}</td><td>{_(told)}</td></tr>")
-    head = "<tr><th>Axis</th><th>Place in the scene</th><th>Values</th><th>From, to</th></tr>"
-    return f'<div class="scroll"><table><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table></div>'
+        rows.append([escaped(name), escaped(place), str(len(values)), escaped(shown)])
+    return table(["Axis", "Place in the scene", "Values", "From, to"], rows)
 
 
 def _figures(results: xr.Dataset) -> list[str]:
@@ -88,16 +67,16 @@ def _figures(results: xr.Dataset) -> list[str]:
         return []
     text = str(results[quantity].attrs["long_name"])
     lines = [
-        f"<section><h2>{_(text[0].upper() + text[1:])}</h2>",
-        "<p class='small'>Bars are one standard error of the light tracing. Along an axis, every other axis is held "
-        "at its middle value; in a sweep of single samples every sample is a point.</p>",
+        small(
+            "Bars are one standard error of the light tracing. Along an axis, every other axis is held at its middle "
+            "value; in a sweep of single samples every sample is a point."
+        )
     ]
     for i, name in enumerate([n for n in axes_of(results) if len(np.unique(results[n])) > 1][:FIGURES]):
-        drawing = style.to_svg(_along(results, quantity, name), name=f"axis{i}", description=f"{text} over {name}")
         held = _held(results, name)
         caption = f"Over {results[name].attrs.get('long_name', name)}" + (f", at {held}." if held else ".")
-        lines.append(f'<figure><div class="scroll">{drawing}</div><figcaption>{_(caption)}</figcaption></figure>')
-    return [*lines, "</section>"]
+        lines.append(figure(_along(results, quantity, name), f"axis{i}", caption))
+    return [section(escaped(text[0].upper() + text[1:]), *lines)]
 
 
 def _others(results: xr.Dataset, name: str) -> dict[Any, int]:
@@ -122,8 +101,8 @@ def _along(results: xr.Dataset, quantity: str, name: str) -> "Figure":
     scale, letter = prefix(float(np.nanmax(np.abs(values.values), initial=0.0)))
     pairs = [(i, j) for i in range(values.sizes["led"]) for j in range(values.sizes["photodiode"])]
     with style.drawing():
-        figure = style.new_figure(6.4, 2.9)
-        axes = figure.add_subplot()
+        drawing = style.new_figure(6.4, 2.9)
+        axes = drawing.add_subplot()
         for (i, j), colour in zip(pairs[:LINES], style.place_colours(min(len(pairs), LINES)), strict=False):
             one = {"led": i, "photodiode": j}
             axes.errorbar(
@@ -144,19 +123,11 @@ def _along(results: xr.Dataset, quantity: str, name: str) -> "Figure":
             axes.set_xticks(x, [style.plain(str(v)[:24]) for v in coordinate])
         if pairs:
             axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    return figure
+    return drawing
 
 
 def _failures(failures: Mapping[str, str]) -> list[str]:
     if not failures:
         return []
-    rows = "".join(f"<tr><td>{_(digest[:12])}</td><td>{_(why)}</td></tr>" for digest, why in failures.items())
-    head = "<tr><th>Scene</th><th>Why</th></tr>"
-    return [
-        f"<section><h2>{len(failures)} failed</h2>",
-        f'<div class="scroll"><table><thead>{head}</thead><tbody>{rows}</tbody></table></div></section>',
-    ]
-
-
-def _(text: str) -> str:
-    return html.escape(text)
+    rows = [[escaped(digest[:12]), escaped(why)] for digest, why in failures.items()]
+    return [section(f"{len(failures)} failed", table(["Scene", "Why"], rows))]

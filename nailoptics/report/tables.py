@@ -1,22 +1,20 @@
 """Tables of a result as HTML; each number carries its full value and is shown rounded to its error."""
 
-import html
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
 
 from . import style
+from .html import escaped, small, table
 from .numbers import prefix, significant, with_error
 from .readings import Reading
 
-Cell = str
 
-
-def number(value: float, text: str) -> Cell:
+def number(value: float, text: str) -> str:
     """A number for people with its exact value for machines."""
-    shown = html.escape(text)
+    shown = escaped(text)
     return f'<data value="{value!r}">{shown}</data>' if math.isfinite(value) else shown
 
 
@@ -37,28 +35,21 @@ def readings_table(found: Sequence[Reading], hold_s: float, *, bound: bool) -> s
         "Signal<br>to noise",
         "Resolves<br>[mN]",
     ]
-    order = _ranks(found)
     rows = []
-    for r in found:
+    for r, name in zip(found, _names(found), strict=True):
         full = ' <span class="bad">saturated</span>' if r.saturated else ""
-        rows.append(
-            (
-                r.led,
-                [
-                    _swatch(order[r.photodiode_index], len(order)) + html.escape(r.photodiode) + full,
-                    html.escape(r.zone),
-                    number(r.distance_mm, significant(r.distance_mm, 3)),
-                    number(r.rest_v, with_error(r.rest_v / volts, r.rest_stderr_v / volts)),
-                    number(r.change_v, with_error(r.change_v / change, r.change_stderr_v / change, sign=True)),
-                    number(r.change_percent, significant(r.change_percent, 3, sign=True)),
-                    number(r.sigmas, ("> " if bound else "") + significant(r.sigmas, 2)),
-                    number(r.noise_rms_v, significant(r.noise_rms_v / noise)),
-                    number(r.signal_to_noise, significant(r.signal_to_noise, 3)),
-                    number(r.resolution_n, significant(r.resolution_n * 1e3, 3)),
-                ],
-            )
-        )
-    return _table("readings", head, rows)
+        cells = [
+            number(r.distance_mm, significant(r.distance_mm, 3)),
+            number(r.rest_v, with_error(r.rest_v / volts, r.rest_stderr_v / volts)),
+            number(r.change_v, with_error(r.change_v / change, r.change_stderr_v / change, sign=True)),
+            number(r.change_percent, significant(r.change_percent, 3, sign=True)),
+            number(r.sigmas, ("> " if bound else "") + significant(r.sigmas, 2)),
+            number(r.noise_rms_v, significant(r.noise_rms_v / noise)),
+            number(r.signal_to_noise, significant(r.signal_to_noise, 3)),
+            number(r.resolution_n, significant(r.resolution_n * 1e3, 3)),
+        ]
+        rows.append([name + full, escaped(r.zone), *cells])
+    return table(head, rows, kind="readings", groups=_groups(found))
 
 
 def path_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
@@ -66,27 +57,24 @@ def path_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
     mean, stderr = result.mean_path_mm, result.mean_path_mm_stderr
     if not np.isfinite(mean).any():
         return ""
-    order = _ranks(found)
     zones = [str(z) for z in result.zone.values]
-    names = {f"bed_{k}": f"bed,<br>{html.escape(zone)}" for k, zone in enumerate(zones, start=1)}
-    head = ["Photodiode", *(f"{names.get(str(a), html.escape(str(a)))} [mm]" for a in result.absorber.values)]
+    names = {f"bed_{k}": f"bed,<br>{escaped(zone)}" for k, zone in enumerate(zones, start=1)}
+    head = ["Photodiode", *(f"{names.get(str(a), escaped(a))} [mm]" for a in result.absorber.values)]
     rows = []
-    for r in found:
+    for r, name in zip(found, _names(found), strict=True):
         here = {"led": r.led_index, "photodiode": r.photodiode_index}
         pairs = zip(mean.isel(here).values.tolist(), stderr.isel(here).values.tolist(), strict=True)
-        name = _swatch(order[r.photodiode_index], len(order)) + html.escape(r.photodiode)
-        rows.append((r.led, [name, *(number(value, _path(value, error)) for value, error in pairs)]))
-    return _table("paths", head, rows)
+        rows.append([name, *(number(value, _path(value, error)) for value, error in pairs)])
+    return table(head, rows, kind="paths", groups=_groups(found))
 
 
 def _path(value: float, error: float) -> str:
-    """A mean path in mm; one that is nothing beside a finger is not told in powers of ten."""
+    """A mean path in mm; one that is nothing beside a finger is not shown in powers of ten."""
     return "< 0.001" if 0 <= value + 2 * error < 1e-3 else with_error(value, error)
 
 
 def fit_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
     """Constants of (8) and (9) as fitted, with what they miss; below, what they could not determine."""
-    order = _ranks(found)
     fields = [
         ("beer_lambert_v0_v", "(8) V<sub>0</sub><br>[mV]", 1e-3),
         ("beer_lambert_v1_v", "(8) V<sub>1</sub><br>[mV]", 1e-3),
@@ -98,11 +86,10 @@ def fit_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
     ]
     rows = []
     marks: dict[str, str] = {}
-    for r in found:
+    for r, name in zip(found, _names(found), strict=True):
         here = {"led": r.led_index, "photodiode": r.photodiode_index}
         note = str(result.fit_note.isel(here).item()) if "fit_note" in result else ""
         mark = marks.setdefault(note, chr(ord("a") + len(marks) % 26)) if note else ""
-        name = _swatch(order[r.photodiode_index], len(order)) + html.escape(r.photodiode)
         cells = [name + (f" <sup>{mark}</sup>" if mark else "")]
         for field, _, unit in fields:
             value = float(result[field].isel(here))
@@ -111,32 +98,19 @@ def fit_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
             else:
                 text = significant(value / unit, 3)
             cells.append(number(value, text))
-        rows.append((r.led, cells))
-    notes = "".join(f"<p class='small'><sup>{mark}</sup> {html.escape(note)}</p>" for note, mark in marks.items())
-    return _table("fits", ["Photodiode", *(title for _, title, _ in fields)], rows) + notes
+        rows.append(cells)
+    notes = "".join(small(f"<sup>{mark}</sup> {escaped(note)}") for note, mark in marks.items())
+    head = ["Photodiode", *(title for _, title, _ in fields)]
+    return table(head, rows, kind="fits", groups=_groups(found)) + notes
 
 
-def _ranks(found: Iterable[Reading]) -> dict[int, int]:
-    """Rank along the nail of each photodiode, by its index."""
-    return {j: rank for rank, j in enumerate(dict.fromkeys(r.photodiode_index for r in found))}
+def _groups(found: Sequence[Reading]) -> list[str]:
+    return [f"LED {r.led}" for r in found]
 
 
-def _swatch(rank: int, count: int) -> str:
-    return f'<span class="swatch" style="background:{style.place_colours(count)[rank]}"></span>'
-
-
-def _table(name: str, head: Sequence[str], rows: Sequence[tuple[str, Sequence[Cell]]]) -> str:
-    """A table whose rows are headed by their LED where there is more than one."""
-    several = len({led for led, _ in rows}) > 1
-    lines = [f'<div class="scroll"><table class="{name}"><thead><tr>']
-    lines += [f"<th>{title}</th>" for title in head]
-    lines.append("</tr></thead><tbody>")
-    current = None
-    for led, cells in rows:
-        if several and led != current:
-            lines.append(f'<tr class="group"><th colspan="{len(head)}">LED {html.escape(led)}</th></tr>')
-            current = led
-        first, *rest = cells
-        lines.append(f'<tr><th scope="row">{first}</th>' + "".join(f"<td>{cell}</td>" for cell in rest) + "</tr>")
-    lines.append("</tbody></table></div>")
-    return "\n".join(lines)
+def _names(found: Sequence[Reading]) -> list[str]:
+    """The photodiode of every reading, beside the colour of its place along the nail."""
+    order = list(dict.fromkeys(r.photodiode_index for r in found))
+    colours = dict(zip(order, style.place_colours(len(order)), strict=True))
+    swatch = '<span class="swatch" style="background:{}"></span>'
+    return [swatch.format(colours[r.photodiode_index]) + escaped(r.photodiode) for r in found]

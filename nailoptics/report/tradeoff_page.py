@@ -1,6 +1,5 @@
 """The page and the picture of a tradeoff: error of each level of model against what it costs."""
 
-import html
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +8,8 @@ import numpy as np
 from ..io import write_text
 from ..studies.comparison.fits import Z95
 from ..studies.model_error.tradeoff import REFERENCE, STATES, TARGETS, Level, Tradeoff
-from . import study_page, style
+from . import style
+from .html import document, escaped, figure, section, small, table
 from .numbers import significant, with_error
 
 if TYPE_CHECKING:
@@ -25,15 +25,15 @@ def write_tradeoff(found: Tradeoff, path: Path) -> None:
     choice = found.choice
     reference = next(one for one in found.levels if one.name == REFERENCE)
     gain = reference.cpu_seconds[0] / choice.cpu_seconds[0]
-    lines = "<br>".join(html.escape(line) for line in choice.lines) or "none: the scene is so already"
+    lines = "<br>".join(escaped(line) for line in choice.lines) or "none: the scene is so already"
     cards = [
         (choice.name, f"the cheapest level that provably keeps every reading within {100 * found.tolerance:g} %"),
         (f"{significant(choice.cpu_seconds[0], 2)} s", "of processor time to 1 % on the worst photodiode"),
         (f"{significant(gain, 2)} ×", "as fast as the full model"),
     ]
-    body = [
-        "<section><h2>Error against cost</h2>",
-        study_page.drawing(
+    body = section(
+        "Error against cost",
+        figure(
             draw(found),
             "pareto",
             "Each level of model: error against the full model, and processor time to 1 % on the worst photodiode; "
@@ -44,24 +44,24 @@ def write_tradeoff(found: Tradeoff, path: Path) -> None:
         ),
         _table(found),
         f"<p>Scene lines that select it: <code>{lines}</code></p>",
-        "<p class='small'>(9) and (8) take their constants from the full trace: at rest they are right by "
-        "construction, and they cost what it costs. Memory is that of the photons kept for 1 %. A level counts as "
-        "cheaper than the full model only beyond the noise of its cost.</p>",
+        small(
+            "(9) and (8) take their constants from the full trace: at rest they are right by construction, and they "
+            "cost what it costs. Memory is that of the photons kept for 1 %. A level counts as cheaper than the full "
+            "model only beyond the noise of its cost."
+        ),
         "<h3>Number of batches</h3>",
-        study_page.table(
+        table(
             ["Photons in a batch", "Processor time per million photons [s]"],
             [[f"{photons:,}", significant(seconds, 3)] for photons, seconds in found.batches.items()],
         ),
-        "</section>",
-    ]
-    text = study_page.document(
+    )
+    text = document(
         kicker="speed against accuracy",
         title=f"Within {100 * found.tolerance:g} %: {choice.name}",
         lead=f"Every level of model on this scene, against the full one, in {found.wall_seconds:.0f} s.",
         cards=cards,
-        body=body,
-        provenance=study_page.provenance(found.attributes),
-        scene=str(found.attributes["scene"]),
+        body=[body],
+        attributes=found.attributes,
     )
     write_text(path, text)
 
@@ -71,8 +71,8 @@ def draw(found: Tradeoff) -> "Figure":
     from matplotlib.ticker import LogLocator
 
     with style.drawing():
-        figure = style.new_figure(11.0, 4.6)
-        left, right = figure.subplots(1, 2, sharey=True, width_ratios=[1.3, 1])
+        drawing = style.new_figure(11.0, 4.6)
+        left, right = drawing.subplots(1, 2, sharey=True, width_ratios=[1.3, 1])
         front = found.front
         left.step(
             [one.cpu_seconds[0] for one in front],
@@ -103,8 +103,8 @@ def draw(found: Tradeoff) -> "Figure":
         right.text(0.995, 112 * found.tolerance, text, transform=right.get_yaxis_transform(), ha="right", fontsize=8.5)
         chosen = style.plain(found.chosen)
         words = f"Cheapest that provably keeps every reading within {100 * found.tolerance:g} %: {chosen}"
-        figure.suptitle(words, x=0.01, ha="left", fontsize=10.5, fontweight="bold")
-    return figure
+        drawing.suptitle(words, x=0.01, ha="left", fontsize=10.5, fontweight="bold")
+    return drawing
 
 
 def _values(one: Level, which: str) -> tuple[float, float, float] | None:
@@ -183,7 +183,7 @@ def _table(found: Tradeoff) -> str:
             bound = significant(100 * one.signal_bound, 2)
         rows.append(
             [
-                html.escape(one.name) + (" <b>✓</b>" if one.name == found.chosen else ""),
+                escaped(one.name) + (" <b>✓</b>" if one.name == found.chosen else ""),
                 with_error(100 * one.bias, 100 * one.bias_stderr, sign=True),
                 significant(100 * one.bias_bound, 2),
                 signal,
@@ -193,7 +193,7 @@ def _table(found: Tradeoff) -> str:
                 "–" if one.memory_mb is None else significant(one.memory_mb, 2),
                 significant(one.setup_seconds, 2),
                 "●" if one in found.front else "",
-                "<br>".join(f"<code>{html.escape(line)}</code>" for line in one.lines),
+                "<br>".join(f"<code>{escaped(line)}</code>" for line in one.lines),
             ]
         )
-    return study_page.table(head, rows)
+    return table(head, rows)

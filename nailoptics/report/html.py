@@ -1,0 +1,122 @@
+"""What all pages are made of: one self-contained HTML document, its sections, figures and tables."""
+
+import html
+from collections.abc import Iterable, Mapping, Sequence
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+from . import style
+from .numbers import significant
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PROVENANCE = {
+    "digest": "Digest of the scene",
+    "photons": "Photons",
+    "seed": "Seed",
+    "seeds": "Seeds",
+    "engine": "Engine",
+    "backend": "Backend",
+    "versions": "Versions",
+    "cpu_seconds": "Processor time [s]",
+    "references": "After",
+}
+
+
+def document(
+    *,
+    kicker: str,
+    title: str,
+    lead: str,
+    body: Iterable[str],
+    attributes: Mapping[str, Any],
+    warnings: Iterable[str] = (),
+    cards: Sequence[tuple[str, str]] = (),
+    facts: Iterable[tuple[str, str]] = (),
+) -> str:
+    """A whole page as text; body holds HTML, everything else plain words.
+
+    attributes : of the result, from which the page tells what makes it again.
+    cards : figures in large type, each with what it is.
+    facts : names and values in one line below them.
+    """
+    css = resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
+    parts = [
+        f"<header><p class='kicker'>nailoptics · {escaped(kicker)}</p><h1>{escaped(title)}</h1>",
+        f"<p class='lead'>{escaped(lead)}</p>",
+        *(f"<p class='warning'>{escaped(line)}</p>" for line in warnings),
+        "<ul class='findings'>" if cards else "",
+        *(f"<li><b>{escaped(number)}</b><span>{escaped(words)}</span></li>" for number, words in cards),
+        "</ul>" if cards else "",
+        _definitions(facts, kind="reached"),
+        "</header>",
+        *body,
+        _provenance(attributes),
+    ]
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        '<meta name="color-scheme" content="light dark">'
+        f"<title>{escaped(title)} – nailoptics</title><style>{css}</style></head>\n<body><main>\n"
+        + "\n".join(part for part in parts if part)
+        + "\n</main></body></html>\n"
+    )
+
+
+def section(heading: str, *content: str) -> str:
+    """A part of a page under a heading, all of it HTML; what is empty is left out."""
+    return "\n".join([f"<section><h2>{heading}</h2>", *filter(None, content), "</section>"])
+
+
+def figure(drawing: "Figure", name: str, caption: str, *, narrow: bool = False) -> str:
+    """A figure with its caption; no two of a page have one name."""
+    svg = style.to_svg(drawing, name=name, description=caption)
+    kind = ' class="narrow"' if narrow else ""
+    return f'<figure{kind}><div class="scroll">{svg}</div><figcaption>{escaped(caption)}</figcaption></figure>'
+
+
+def table(
+    head: Sequence[str], rows: Iterable[Sequence[str]], *, kind: str = "", groups: Sequence[str] | None = None
+) -> str:
+    """A table whose heads and cells are HTML; the first cell of a row heads it.
+
+    kind : its class in the style sheet.
+    groups : what each row belongs to; where that is not the same for all, each group has a heading.
+    """
+    opening = f'<table class="{kind}">' if kind else "<table>"
+    lines = [f'<div class="scroll">{opening}<thead><tr>', *(f"<th>{title}</th>" for title in head)]
+    lines.append("</tr></thead><tbody>")
+    shown = groups[0] if groups and len(set(groups)) == 1 else None
+    for i, (first, *rest) in enumerate(rows):
+        if groups and groups[i] != shown:
+            shown = groups[i]
+            lines.append(f'<tr class="group"><th colspan="{len(head)}">{escaped(shown)}</th></tr>')
+        lines.append(f'<tr><th scope="row">{first}</th>' + "".join(f"<td>{cell}</td>" for cell in rest) + "</tr>")
+    return "\n".join([*lines, "</tbody></table></div>"])
+
+
+def small(text: str) -> str:
+    """A paragraph of HTML in small type, for notes."""
+    return f"<p class='small'>{text}</p>"
+
+
+def escaped(text: object) -> str:
+    """Plain words as HTML."""
+    return html.escape(str(text))
+
+
+def _definitions(rows: Iterable[tuple[str, str]], *, kind: str = "") -> str:
+    inside = "".join(f"<div><dt>{escaped(name)}</dt><dd>{escaped(value)}</dd></div>" for name, value in rows)
+    opening = f"<dl class='{kind}'>" if kind else "<dl>"
+    return f"{opening}{inside}</dl>" if inside else ""
+
+
+def _provenance(attributes: Mapping[str, Any]) -> str:
+    found = {label: attributes[name] for name, label in PROVENANCE.items() if name in attributes}
+    rows = [(label, significant(value) if isinstance(value, float) else value) for label, value in found.items()]
+    lines = ["<section class='provenance'><h2>To make this again</h2>", _definitions(rows)]
+    if "scene" in attributes:
+        scene = escaped(attributes["scene"])
+        lines.append(f"<details><summary>The scene, complete</summary><pre>{scene}</pre></details>")
+    return "\n".join([*lines, "</section>"])
