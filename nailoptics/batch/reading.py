@@ -46,9 +46,10 @@ def _at_rest(transfer: Transfer) -> xr.Dataset:
 
 
 def _simulate(transfer: Transfer, seed: int) -> xr.Dataset:
-    from ..studies.simulate import blood_course, simulate_from
+    from ..studies.blood_states import blood_over_touch
+    from ..studies.simulate import simulate_from
 
-    course = blood_course(transfer.scene)
+    course = blood_over_touch(transfer.scene)
     return _summarised(simulate_from(transfer.scene, reuse.light_of(transfer), course=course, seed=seed))
 
 

@@ -6,17 +6,16 @@ from typing import Any, Unpack
 import numpy as np
 import xarray as xr
 
-from .. import electronics, hemodynamics
+from .. import electronics
 from ..errors import InputError, NotReachedError
 from ..light import Light, Progress, open_light
 from ..options import Requested, TraceOptions
 from ..paper import reduced_optics
 from ..scene import Scene
 from ..scene.layout import lay_out
+from .blood_states import blood_over_touch, zones_of_photodiodes
 
-ZONES = ("proximal", "distal")
 COORDINATES = {
-    "zone": "blood zone of the nail bed",
     "time": "time from the start of the simulation",
     "led": "LED",
     "photodiode": "photodiode",
@@ -40,7 +39,7 @@ def simulate(
     options = TraceOptions(**requested)
     if scene.finger is None:
         raise InputError("simulate needs a [finger] scene; a [phantom] has no blood, use trace for its light.")
-    course = blood_course(scene)
+    course = blood_over_touch(scene)
     blood = course.blood_fraction.values.T
     unmet = None
     try:
@@ -56,7 +55,7 @@ def simulate(
 
 
 def simulate_from(scene: Scene, light: Light, *, course: xr.Dataset, seed: int) -> xr.Dataset:
-    """What `simulate` returns, from light that is already traced and the scene's `blood_course`."""
+    """What `simulate` returns, from light that is already traced and the scene's `blood_over_touch`."""
     result = course.merge(_volts(scene, light, course.blood_fraction.values.T))
     result = result.merge(_reduced(scene, result))
     result = result.merge(light.section)
@@ -68,28 +67,6 @@ def simulate_from(scene: Scene, light: Light, *, course: xr.Dataset, seed: int) 
         "references": "S. A. Mascaro, H. H. Asada, IEEE Trans. Robotics and Automation 17(5), 2001",
     }
     return result
-
-
-def blood_course(scene: Scene) -> xr.Dataset:
-    """Force, pressures, vessel diameters and blood fractions over the scene's touch."""
-    touch = scene.touch
-    time_s = touch.times_s()
-    force_n = touch.force_at(time_s)
-    parameters = hemodynamics.parameters(scene.blood.parameters)
-    proximal_pa, distal_pa = hemodynamics.pressures(force_n, touch.contact_area_mm2, touch.proximal_share)
-    run = hemodynamics.respond(
-        parameters, time_s, proximal_pressure_pa=proximal_pa, distal_pressure_pa=distal_pa, start="steady"
-    )
-    run = run[["capillary_diameter_m", "vein_diameter_m", "proximal_pressure_pa", "distal_pressure_pa"]].drop_vars(
-        "zone_position"
-    )
-    run = run.assign_coords(zone=list(ZONES))
-    fraction = hemodynamics.blood_fraction(
-        parameters, run.capillary_diameter_m.values, rest_blood_fraction=scene.blood.rest_blood_fraction
-    )
-    run["blood_fraction"] = (("zone", "time"), fraction, {"units": "1", "long_name": "blood fraction of the nail bed"})
-    run["force_n"] = ("time", force_n, {"units": "N", "long_name": "touch force"})
-    return run
 
 
 def _volts(scene: Scene, light: Light, blood: np.ndarray) -> xr.Dataset:
@@ -117,8 +94,6 @@ def _volts(scene: Scene, light: Light, blood: np.ndarray) -> xr.Dataset:
             change[i, j] = read.volts - read.volts[0]
             change_stderr[i, j] = readings.change_stderr[i, j] * per_fraction
     over, pair = ("led", "photodiode", "time"), ("led", "photodiode")
-    edge = scene.blood.zone_edges_mm[0]
-    zone = [int(element.area.center_mm[1] >= edge) for element in layout.photodiodes]
     return xr.Dataset(
         {
             "detected_fraction": (
@@ -144,7 +119,11 @@ def _volts(scene: Scene, light: Light, blood: np.ndarray) -> xr.Dataset:
                 light.mean_path_stderr,
                 _of("mm", "standard error of the mean path"),
             ),
-            "zone_of_photodiode": ("photodiode", zone, _of("1", "blood zone above which it lies, 0 proximal")),
+            "zone_of_photodiode": (
+                "photodiode",
+                zones_of_photodiodes(scene),
+                _of("1", "blood zone above which it lies, 0 proximal"),
+            ),
             "wavelength_nm": ("led", [led.wavelength_nm for led in scene.leds], _of("nm", "peak wavelength")),
         },
         coords={

@@ -10,7 +10,8 @@ from nailoptics.io import write_dataset
 from nailoptics.light import engines
 from nailoptics.light.volpath import states
 from nailoptics.scene import Scene, digest, load_scene, parse_scene
-from nailoptics.studies.simulate import blood_course, simulate
+from nailoptics.studies.blood_states import blood_over_touch
+from nailoptics.studies.simulate import simulate
 
 
 def prototype(**touch) -> Scene:
@@ -241,7 +242,7 @@ pattern = "pencil"
 
 
 def test_the_course_of_the_blood_starts_at_rest_and_parts_under_force():
-    course = blood_course(prototype())
+    course = blood_over_touch(prototype())
     blood = course.blood_fraction
     assert np.allclose(blood.isel(time=0), 0.03, rtol=1e-3)
     assert blood.sel(zone="distal").min() < 0.027

@@ -7,12 +7,12 @@ from typing import Any, Literal, Unpack
 import numpy as np
 import xarray as xr
 
-from ... import hemodynamics, tissue
+from ... import tissue
 from ...errors import InputError, NotReachedError
 from ...light import Progress, Transfer, optics, trace
 from ...options import Requested, TraceOptions
 from ...scene import Scene
-from ...scene.layout import lay_out
+from ..blood_states import largest_force_n, steady_blood, zones_of_photodiodes
 from ..model_error.variants import validated
 from ..replicates import LedReadings, read_led, stderr
 from . import fits
@@ -119,16 +119,11 @@ def _sweep(scene: Scene, over: Over) -> Sweep:
         return Sweep(over, saturation, level, saturation)
     if over != "force":
         raise InputError(f'over = "{over}" is not known; choose from {", ".join(OVER)}.')
-    touch = scene.touch
-    largest = max(touch.recorded_force_n) if touch.recorded_force_n else touch.force_n
+    largest = largest_force_n(scene)
     if largest <= 0:
         raise InputError("touch: the force never leaves 0, so there is no range to compare over; give a force.")
     force = along * largest
-    proximal, distal = hemodynamics.pressures(force, touch.contact_area_mm2, touch.proximal_share)
-    parameters = hemodynamics.parameters(scene.blood.parameters)
-    steady = hemodynamics.steady_state(parameters, proximal_pressure_pa=proximal, distal_pressure_pa=distal)
-    blood = hemodynamics.blood_fraction(parameters, steady.capillary_diameter_m, rest_blood_fraction=rest)
-    return Sweep(over, force, blood.T, np.full(POINTS, so2))
+    return Sweep(over, force, steady_blood(scene, force), np.full(POINTS, so2))
 
 
 def _scattering_slopes(
@@ -156,8 +151,7 @@ def _scattering_slopes(
 def _judge(transfer: Transfer, sweeps: list[Sweep], slopes: np.ndarray, seed: int) -> xr.Dataset:
     """All results of one trace."""
     scene = transfer.scene
-    edge = scene.blood.zone_edges_mm[0]
-    zone = np.array([int(e.area.center_mm[1] >= edge) for e in lay_out(scene).photodiodes])
+    zone = zones_of_photodiodes(scene)
     gathered: dict[str, list[Any]] = {}
     for i in range(len(scene.leds)):
         per_led = [_judge_sweep(transfer, i, sweep, zone, slopes[:, i], seed) for sweep in sweeps]

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ... import hemodynamics
 from ...errors import InputError, NotReachedError
-from ...light import Progress, Transfer, optics, trace
+from ...light import Progress, Transfer, trace
 from ...light.reweight import course
 from ...light.tracing import INTERRUPTED
 from ...options import BackendName, TraceOptions
 from ...scene import Scene
+from ..blood_states import largest_force_n, steady_blood
 from .unshared import apart
 
 PILOT_PHOTONS = 1 << 17
@@ -64,14 +64,7 @@ def reread(base: Transfer, scene: Scene) -> Look:
 
 def end_states(scene: Scene) -> np.ndarray:
     """Blood at rest and at the touch's largest force, (2, zones) float."""
-    touch, rest = scene.touch, scene.blood.rest_blood_fraction
-    largest = max(touch.recorded_force_n) if touch.recorded_force_n else touch.force_n
-    parameters = hemodynamics.parameters(scene.blood.parameters)
-    proximal, distal = hemodynamics.pressures(np.array([0.0, largest]), touch.contact_area_mm2, touch.proximal_share)
-    steady = hemodynamics.steady_state(parameters, proximal_pressure_pa=proximal, distal_pressure_pa=distal)
-    blood = hemodynamics.blood_fraction(parameters, steady.capillary_diameter_m, rest_blood_fraction=rest)
-    assert blood.shape[0] == optics.zones(scene).count
-    return np.asarray(blood.T)
+    return steady_blood(scene, [0.0, largest_force_n(scene)])
 
 
 @dataclass

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import electronics, hemodynamics
+from ... import electronics
 from ...scene import Electronics, Led, Photodiode, Scene
+from ..blood_states import steady_blood_at, touch_pressures_pa
 
 Array = NDArray[np.float64]
 
@@ -34,21 +35,16 @@ class Operating:
 
 def operating(scene: Scene, force_n: float) -> Operating:
     """The blood at a steady force, and its change with either pressure, from the scene's hemodynamics."""
-    touch, named = scene.touch, hemodynamics.parameters(scene.blood.parameters)
-    one = hemodynamics.pressures(1.0, touch.contact_area_mm2, touch.proximal_share)
-    per_n = np.array([float(p) for p in one])
+    per_n = np.array(touch_pressures_pa(scene, 1.0))
     # In columns: there, and half a step up and down in either pressure.
     step = 0.5 * STEP_PA * np.array([[0, 1, -1, 0, 0], [0, 0, 0, 1, -1]])
     pressure = np.maximum(force_n * per_n[:, None] + step, 0.0)
-    state = hemodynamics.steady_state(named, proximal_pressure_pa=pressure[0], distal_pressure_pa=pressure[1])
-    blood = hemodynamics.blood_fraction(
-        named, state.capillary_diameter_m, rest_blood_fraction=scene.blood.rest_blood_fraction
-    )
+    blood = steady_blood_at(scene, proximal_pressure_pa=pressure[0], distal_pressure_pa=pressure[1])
     width = np.array([pressure[0, 1] - pressure[0, 2], pressure[1, 3] - pressure[1, 4]])
     return Operating(
-        blood_fraction=blood[:, 0],
-        blood_per_pa=np.stack([blood[:, 1] - blood[:, 2], blood[:, 3] - blood[:, 4]], -1) / width,
-        force_per_pa=np.full(2, touch.contact_area_mm2 * 1e-6 / 2),
+        blood_fraction=blood[0],
+        blood_per_pa=np.stack([blood[1] - blood[2], blood[3] - blood[4]], -1) / width,
+        force_per_pa=np.full(2, scene.touch.contact_area_mm2 * 1e-6 / 2),
         pressure_per_n=per_n,
     )
 
