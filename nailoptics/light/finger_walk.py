@@ -12,6 +12,7 @@ from ..geometry import DistanceGrid, Face, Geometry
 from ..scene import Scene
 from . import optics
 from .arithmetic import clip, maximum
+from .records import Batch
 from .sampling import (
     ABSORBED,
     BOTTOM,
@@ -34,7 +35,6 @@ from .sampling import (
 from .splitting import COPIES, Splitting
 from .tallies.board_tally import Recorder
 from .tallies.sensitivity import Seen
-from .tracing import Batch
 
 # Outcomes from here on name the photodiode that a photon reached.
 DETECTED = 16

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..scene import Led, Phantom, Scene
 from .arithmetic import maximum, minimum, safe_sqrt
+from .records import Batch
 from .sampling import (
     ABSORBED,
     BOTTOM,
@@ -26,7 +27,6 @@ from .sampling import (
     lifetime,
     turn,
 )
-from .tracing import Batch
 
 
 class StackTracer:

@@ -17,8 +17,9 @@ from . import backend as backends
 from . import optics
 from .engines import Light
 from .moments import RestState, transmission
+from .records import Batch
 from .reweight import course
-from .tracing import UNSEEN_PHOTONS, Batch, _largest_error, _seeds, of_batch, unseen
+from .tracing import UNSEEN_PHOTONS, _largest_error, _seeds, of_batch, unseen
 from .transfer import LedTrace, Transfer, joined, rest_state, versions
 
 # Errors are looked at after so many batches, each time a quarter more: seldom enough that stopping hardly favours luck.

@@ -15,6 +15,7 @@ from ..scene import Accuracy, Scene
 from . import backend as backends
 from . import optics
 from .moments import RestState, stderr_of_mean, transmission
+from .records import Batch
 from .transfer import MAX_RECORDS, MIN_EFFECTIVE_PHOTONS, LedTrace, Transfer, joined, rest_state, versions
 
 log = logging.getLogger(__name__)
@@ -43,18 +44,6 @@ class Progress:
     def seconds_left(self) -> float:
         """Time left at the present pace. [s]"""
         return self.seconds * (1 / self.fraction_done - 1) if self.fraction_done > 0 else math.inf
-
-
-@dataclass(frozen=True)
-class Batch:
-    """What one batch left behind: detected photons, and energy sums (weight and its square) by where it went."""
-
-    photons: int
-    photodiode: np.ndarray
-    weight: np.ndarray
-    path_mm: np.ndarray
-    energy: dict[str, tuple[float, float]]
-    events: int
 
 
 def trace(

@@ -13,8 +13,9 @@ from nailoptics import tissue
 from nailoptics.light import Transfer, optics, read_rest, reuse
 from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
 from nailoptics.light.finger_walk import MeshTracer
+from nailoptics.light.records import Batch
 from nailoptics.light.reweight import course
-from nailoptics.light.tracing import Batch, _trace_led
+from nailoptics.light.tracing import _trace_led
 from nailoptics.light.transfer import LedTrace, joined, stderr_of_mean
 from nailoptics.scene import Accuracy, Scene, parse_scene
 from nailoptics.scene.layout import lay_out
