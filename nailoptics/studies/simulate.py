@@ -13,6 +13,7 @@ from ..options import Requested, TraceOptions
 from ..paper import reduced_optics
 from ..scene import Scene
 from ..scene.layout import lay_out
+from ..variables import Variable, variable
 from .blood_states import blood_over_touch, zones_of_photodiodes
 
 COORDINATES = {
@@ -21,6 +22,16 @@ COORDINATES = {
     "photodiode": "photodiode",
     "absorber": "absorbing region or blood zone",
 }
+# Prefix of the variables, name, fit, and units of the constants.
+REDUCED_OPTICS: tuple[tuple[str, str, Callable[..., Any], dict[str, str]], ...] = (
+    (
+        "beer_lambert",
+        "Beer-Lambert (8)",
+        reduced_optics.fit_beer_lambert,
+        {"v0_v": "V", "v1_v": "V", "alpha_per_m2": "m-2"},
+    ),
+    ("taylor", "Taylor (9)", reduced_optics.fit_taylor, {"v0_v": "V", "v1_v_per_m2": "V m-2"}),
+)
 
 
 def simulate(
@@ -56,8 +67,8 @@ def simulate(
 
 def simulate_from(scene: Scene, light: Light, *, course: xr.Dataset, seed: int) -> xr.Dataset:
     """What `simulate` returns, from light that is already traced and the scene's `blood_over_touch`."""
-    result = course.merge(_volts(scene, light, course.blood_fraction.values.T))
-    result = result.merge(_reduced(scene, result))
+    result = course.merge(_read_volts(scene, light, course.blood_fraction.values.T))
+    result = result.merge(_fit_reduced(result))
     result = result.merge(light.section)
     for name, text in COORDINATES.items():
         result[name].attrs = {"long_name": text} | result[name].attrs
@@ -69,121 +80,70 @@ def simulate_from(scene: Scene, light: Light, *, course: xr.Dataset, seed: int) 
     return result
 
 
-def _volts(scene: Scene, light: Light, blood: np.ndarray) -> xr.Dataset:
+def _read_volts(scene: Scene, light: Light, blood: np.ndarray) -> xr.Dataset:
     """Detected fractions and volts over the course, with standard errors and noise."""
-    layout = lay_out(scene)
-    readings = light.over(blood)
-    shape = readings.fraction.shape
-    volts, change, noise, saturated = (np.zeros(shape) for _ in range(4))
-    volts_stderr, change_stderr = np.zeros(shape), np.zeros(shape)
-    responsivity = np.zeros(shape[:2])
-    for i, led in enumerate(scene.leds):
-        for j, element in enumerate(layout.photodiodes):
-            diode = scene.photodiodes[element.entry]
-            responsivity[i, j] = electronics.responsivity_a_per_w(led.wavelength_nm, diode.quantum_efficiency)
-            read = electronics.read(
-                readings.fraction[i, j] * led.flux_mw * 1e-3,
-                responsivity=responsivity[i, j],
-                amplifier=scene.electronics,
-                dark_current_na=diode.dark_current_na,
-                shunt_ohm=diode.shunt_mohm * 1e6,
-            )
-            per_fraction = led.flux_mw * 1e-3 * responsivity[i, j] * scene.electronics.feedback_ohm
-            volts[i, j], noise[i, j], saturated[i, j] = read.volts, read.volts_noise_rms, read.saturated
-            volts_stderr[i, j] = readings.stderr[i, j] * per_fraction
-            change[i, j] = read.volts - read.volts[0]
-            change_stderr[i, j] = readings.change_stderr[i, j] * per_fraction
-    over, pair = ("led", "photodiode", "time"), ("led", "photodiode")
-    return xr.Dataset(
-        {
-            "detected_fraction": (
-                over,
-                readings.fraction,
-                _of("1", "detected fraction of the emitted power", True, "detected_fraction"),
-            ),
-            "detected_fraction_stderr": (over, readings.stderr, _of("1", "standard error of the detected fraction")),
-            "volts": (over, volts, _of("V", "photodiode voltage", True, "volts")),
-            "volts_stderr": (over, volts_stderr, _of("V", "standard error of the voltage (light tracing)")),
-            "volts_change": (over, change, _of("V", "change of the voltage from the start", True, "volts_change")),
-            "volts_change_stderr": (over, change_stderr, _of("V", "standard error of the change (light tracing)")),
-            "volts_noise_rms": (over, noise, _of("V", "electronic noise of one reading, rms")),
-            "saturated": (over, saturated.astype(bool), _of("1", "converter at its limit")),
-            "responsivity_a_per_w": (pair, responsivity, _of("A W-1", "responsivity at the LED's peak")),
-            "mean_path_mm": (
-                (*pair, "absorber"),
-                light.mean_path,
-                _of("mm", "mean path of the light detected at rest", True, "mean_path_mm"),
-            ),
-            "mean_path_mm_stderr": (
-                (*pair, "absorber"),
-                light.mean_path_stderr,
-                _of("mm", "standard error of the mean path"),
-            ),
-            "zone_of_photodiode": (
-                "photodiode",
-                zones_of_photodiodes(scene),
-                _of("1", "blood zone above which it lies, 0 proximal"),
-            ),
-            "wavelength_nm": ("led", [led.wavelength_nm for led in scene.leds], _of("nm", "peak wavelength")),
-        },
-        coords={
-            "led": [led.name for led in scene.leds],
-            "photodiode": [element.area.name for element in layout.photodiodes],
-            "absorber": list(light.absorbers),
-        },
+    layout, readings = lay_out(scene), light.over(blood)
+    diodes = [scene.photodiodes[element.entry] for element in layout.photodiodes]
+    wavelength_nm = [led.wavelength_nm for led in scene.leds]
+    flux_mw = np.array([led.flux_mw for led in scene.leds])[:, None]
+    responsivity = np.stack(
+        [electronics.responsivity_a_per_w(wavelength_nm, diode.quantum_efficiency) for diode in diodes], axis=1
     )
+    read = [
+        electronics.read(
+            readings.fraction[:, j] * flux_mw * 1e-3,
+            responsivity=responsivity[:, j, None],
+            amplifier=scene.electronics,
+            dark_current_na=diode.dark_current_na,
+            shunt_ohm=diode.shunt_mohm * 1e6,
+        )
+        for j, diode in enumerate(diodes)
+    ]
+    volts, noise, saturated = (np.stack(one, axis=1) for one in zip(*read, strict=True))
+    per_fraction = (flux_mw * 1e-3 * responsivity * scene.electronics.feedback_ohm)[..., None]
+    pair = ("led", "photodiode")
+    over, paths = (*pair, "time"), (*pair, "absorber")
+    text = "detected fraction of the emitted power"
+    data = variable("detected_fraction", over, readings.fraction, text, stderr=readings.stderr)
+    data |= variable("volts", over, volts, "photodiode voltage", units="V", stderr=readings.stderr * per_fraction)
+    text, error = "change of the voltage from the start", readings.change_stderr * per_fraction
+    data |= variable("volts_change", over, volts - volts[..., :1], text, units="V", stderr=error)
+    data |= variable("volts_noise_rms", over, noise, "electronic noise of one reading, rms", units="V")
+    data |= variable("saturated", over, saturated, "converter at its limit")
+    data |= variable("responsivity_a_per_w", pair, responsivity, "responsivity at the LED's peak", units="A W-1")
+    text, error = "mean path of the light detected at rest", light.mean_path_stderr
+    data |= variable("mean_path_mm", paths, light.mean_path, text, units="mm", stderr=error)
+    text, zones = "blood zone above which it lies, 0 proximal", zones_of_photodiodes(scene)
+    data |= variable("zone_of_photodiode", "photodiode", zones, text)
+    data |= variable("wavelength_nm", "led", wavelength_nm, "peak wavelength", units="nm")
+    coords = {
+        "led": [led.name for led in scene.leds],
+        "photodiode": [element.area.name for element in layout.photodiodes],
+        "absorber": list(light.absorbers),
+    }
+    return xr.Dataset(data, coords)
 
 
-def _reduced(scene: Scene, result: xr.Dataset) -> xr.Dataset:
+def _fit_reduced(result: xr.Dataset) -> xr.Dataset:
     """Beer-Lambert (8) and Taylor (9), each fitted to the volts of every photodiode over its own zone's diameter."""
-    leds, photodiodes, times = result.volts.shape
-    curves = {name: np.zeros((leds, photodiodes, times)) for name in ("beer_lambert", "taylor")}
-    names = {"beer_lambert": ("v0_v", "v1_v", "alpha_per_m2"), "taylor": ("v0_v", "v1_v_per_m2")}
-    table: dict[str, np.ndarray] = {}
-    for model, fields in names.items():
-        for field in (*fields, *(f"{f}_stderr" for f in fields), "residual_rms_v", "residual_max_v"):
-            table[f"{model}_{field}"] = np.zeros((leds, photodiodes))
-    notes = np.full((leds, photodiodes), "", dtype=object)
-    for i in range(leds):
-        for j in range(photodiodes):
-            diameter = result.capillary_diameter_m.values[int(result.zone_of_photodiode[j])]
-            volts = result.volts.values[i, j]
-            for model, fit in (
-                ("beer_lambert", reduced_optics.fit_beer_lambert),
-                ("taylor", reduced_optics.fit_taylor),
-            ):
-                found: Any = fit(diameter, volts)
-                curves[model][i, j] = found.predict(diameter)
-                for field, error in zip(names[model], found.stderr, strict=True):
-                    table[f"{model}_{field}"][i, j] = getattr(found, field)
-                    table[f"{model}_{field}_stderr"][i, j] = error
-                table[f"{model}_residual_rms_v"][i, j] = found.residual_rms_v
-                table[f"{model}_residual_max_v"][i, j] = found.residual_max_v
-                if found.note:
-                    notes[i, j] = found.note
-    units = {
-        "v0_v": "V",
-        "v1_v": "V",
-        "alpha_per_m2": "m-2",
-        "v1_v_per_m2": "V m-2",
-        "residual_rms_v": "V",
-        "residual_max_v": "V",
-    }
-    data: dict[str, Any] = {
-        "volts_beer_lambert": (
-            ("led", "photodiode", "time"),
-            curves["beer_lambert"],
-            _of("V", "Beer-Lambert (8), fitted"),
-        ),
-        "volts_taylor": (("led", "photodiode", "time"), curves["taylor"], _of("V", "Taylor (9), fitted")),
-        "fit_note": (("led", "photodiode"), notes.astype(str), {"long_name": "what the fit could not determine"}),
-    }
-    for name, values in table.items():
-        field = name.removeprefix("beer_lambert_").removeprefix("taylor_").removesuffix("_stderr")
-        data[name] = (("led", "photodiode"), values, _of(units[field], name.replace("_", " ")))
+    pair = ("led", "photodiode")
+    diameter_m = result.capillary_diameter_m.values[result.zone_of_photodiode.values]
+    notes = np.full(result.volts.shape[:2], "", dtype=object)
+    data: dict[str, Variable] = {}
+    for model, name, fit, units in REDUCED_OPTICS:
+        fits = [[fit(*one) for one in zip(diameter_m, volts, strict=True)] for volts in result.volts.values]
+        curves = [[found.predict(d) for found, d in zip(row, diameter_m, strict=True)] for row in fits]
+        data |= variable(f"volts_{model}", (*pair, "time"), curves, f"{name}, fitted", units="V")
+        errors = _each(fits, "stderr")
+        for k, (field, unit) in enumerate(units.items()):
+            values, text = _each(fits, field), f"{field} of {name}"
+            data |= variable(f"{model}_{field}", pair, values, text, units=unit, stderr=errors[..., k])
+        for field, text in (("residual_rms_v", f"what {name} misses, rms"), ("residual_max_v", f"most {name} misses")):
+            data |= variable(f"{model}_{field}", pair, _each(fits, field), text, units="V")
+        notes = np.where(_each(fits, "note") != "", _each(fits, "note"), notes)
+    data["fit_note"] = (pair, notes.astype(str), {"long_name": "what the fit could not determine"})
     return xr.Dataset(data)
 
 
-def _of(units: str, long_name: str, has_error: bool = False, name: str = "") -> dict[str, str]:
-    attributes = {"units": units, "long_name": long_name}
-    return attributes | {"ancillary_variables": f"{name}_stderr"} if has_error else attributes
+def _each(fits: list[list[Any]], field: str) -> np.ndarray:
+    return np.array([[getattr(found, field) for found in row] for row in fits])
