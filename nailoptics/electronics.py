@@ -1,12 +1,14 @@
 """Detected light to volts: responsivity, photocurrent, transimpedance gain, noise and the converter's range."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .checks import fraction, not_negative
 from .errors import InputError
-from .scene.models import Electronics
+from .scene.models import Electronics, Led, Photodiode
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 BOLTZMANN_J_PER_K = 1.380649e-23
@@ -17,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class NoiseBudget(NamedTuple):
-    """Variances of the output by their cause; they add. [V^2]"""
+    """Variances of the stage's output by their cause; they add. [V^2]"""
 
     shot_v2: Array
     feedback_v2: Array
@@ -26,55 +28,56 @@ class NoiseBudget(NamedTuple):
     adc_v2: Array
 
 
-class Voltage(NamedTuple):
-    """What the converter reads; unpacks as volts, volts_noise_rms, saturated."""
+@dataclass(frozen=True)
+class Output:
+    """What a photodiode's stage and the converter behind it make of light, arrays of one shape.
 
+    amplified_v : The stage's output, dark current included, as if the converter had no limit. [V]
+    volts : What the converter reads: the same, held at `adc_range_v`. [V]
+    noise_v2 : Variance that stage and converter add to one sample. [V^2]
+    saturated : bool. The converter is at its limit: neither volts nor noise tell the light.
+    """
+
+    amplified_v: Array
     volts: Array
-    volts_noise_rms: Array
+    noise_v2: Array
     saturated: NDArray[np.bool_]
+
+    @property
+    def volts_noise_rms(self) -> Array:
+        """Noise of one sample. [V]"""
+        return np.sqrt(self.noise_v2)
 
 
 def responsivity_a_per_w(wavelength_nm: ArrayLike, quantum_efficiency: ArrayLike) -> Array:
-    """Return the photocurrent per watt: quantum efficiency times wavelength / 1240 nm.
+    """The photocurrent per watt of light: quantum efficiency times wavelength / 1240 nm. [A/W]
 
     For a line of some width take the mean of this with the line's weights.
 
-    Parameters
-    ----------
-    wavelength_nm : array. [nm]
-    quantum_efficiency : array that broadcasts with it, 0-1.
-
-    Returns
-    -------
-    responsivity : float, of the broadcast shape. [A/W]
+    Raises: InputError for a wavelength that is negative or not finite, or an efficiency outside 0 to 1.
     """
-    wavelength = _checked("wavelength_nm", wavelength_nm)
-    efficiency = _checked("quantum_efficiency", quantum_efficiency)
-    if (efficiency > 1).any():
-        raise InputError(f"quantum_efficiency = {efficiency.max():g} is above 1; choose from 0 to 1")
-    return np.asarray(efficiency * wavelength / PHOTON_NM_PER_V)
+    wavelength = not_negative("wavelength_nm", wavelength_nm)
+    return np.asarray(fraction("quantum_efficiency", quantum_efficiency) * wavelength / PHOTON_NM_PER_V)
 
 
 def lsb_v(amplifier: Electronics) -> float:
-    """Return the converter's step. [V]"""
+    """The converter's step. [V]"""
     return amplifier.adc_range_v / 2.0**amplifier.adc_bits
 
 
 def noise_budget(
     current_a: ArrayLike, amplifier: Electronics, *, dark_current_na: float = 0.1, shunt_ohm: float = 1e9
 ) -> NoiseBudget:
-    """Return the output's noise variances at a photocurrent.
+    """The noise of the stage's output at a photocurrent, cause by cause.
 
     Current noise density 2q(I + I_d) + 4kT/R_f + 4kT/R_sh + (2 pi f C e_n)^2, integrated from 0 to the bandwidth
     (the last term grows with f^2, so that its integral is (2 pi C e_n)^2 B^3 / 3) and multiplied by R_f^2; the
     converter adds LSB^2/12.
 
-    Parameters
-    ----------
     current_a : array. Photocurrent without the dark current. [A]
     """
-    current = _checked("current_a", current_a)
-    dark = _checked("dark_current_na", dark_current_na) * 1e-9
+    current = not_negative("current_a", current_a)
+    dark = not_negative("dark_current_na", dark_current_na) * 1e-9
     if not shunt_ohm > 0:
         raise InputError(f"shunt_ohm = {shunt_ohm:g} must be above 0; correct it")
     bandwidth, gain2 = amplifier.bandwidth_hz, amplifier.feedback_ohm**2
@@ -95,41 +98,53 @@ def read(
     *,
     responsivity: ArrayLike,
     amplifier: Electronics,
+    ambient_a: ArrayLike = 0.0,
     dark_current_na: float = 0.1,
     shunt_ohm: float = 1e9,
-) -> Voltage:
-    """Return what the converter reads for detected power: the mean, its noise, and whether it is at its limit.
+) -> Output:
+    """What the converter reads for detected power: the mean, its noise, and whether it is at its limit.
 
-    Parameters
-    ----------
     power_w : array. Power on the photodiode. [W]
     responsivity : array that broadcasts with it, from `responsivity_a_per_w`. [A/W]
-    amplifier : the stage and its converter, a scene's `[electronics]`.
-    dark_current_na, shunt_ohm : of the photodiode element. [nA], [ohm]
+    amplifier : The stage and its converter, a scene's `[electronics]`.
+    ambient_a : array that broadcasts with both. Photocurrent by light from outside. [A]
+    dark_current_na, shunt_ohm : Of the photodiode element. [nA], [ohm]
 
-    Returns
-    -------
-    Voltage : volts, the mean reading, dark current included, held at `adc_range_v` where it would exceed it [V];
-        volts_noise_rms, what the stage and the converter add to one reading [V]; saturated, bool. Where saturated is
-        true the noise is that of the stage ahead of the converter, and neither number tells the light.
-
-    Raises InputError for power, responsivity or dark current that is negative or not finite.
+    Raises: InputError for power, responsivity or a current that is negative or not finite.
     """
-    current = _checked("power_w", power_w) * _checked("responsivity", responsivity)
+    current = not_negative("power_w", power_w) * not_negative("responsivity", responsivity)
+    current = current + not_negative("ambient_a", ambient_a)
     budget = noise_budget(current, amplifier, dark_current_na=dark_current_na, shunt_ohm=shunt_ohm)
-    volts = (current + dark_current_na * 1e-9) * amplifier.feedback_ohm
-    # The last code begins one step below the range: from there on the converter cannot tell more light.
-    saturated = volts >= amplifier.adc_range_v - lsb_v(amplifier)
-    return Voltage(
-        volts=np.asarray(np.minimum(volts, amplifier.adc_range_v)),
-        volts_noise_rms=np.asarray(np.sqrt(np.sum(np.stack(budget), axis=0))),
-        saturated=np.asarray(saturated),
+    amplified = (current + dark_current_na * 1e-9) * amplifier.feedback_ohm
+    return Output(
+        amplified_v=np.asarray(amplified),
+        volts=np.asarray(np.minimum(amplified, amplifier.adc_range_v)),
+        noise_v2=np.asarray(np.sum(np.stack(budget), axis=0)),
+        # The last code begins one step below the range: from there on the converter cannot tell more light.
+        saturated=np.asarray(amplified >= amplifier.adc_range_v - lsb_v(amplifier)),
     )
 
 
-def _checked(name: str, value: ArrayLike) -> Array:
-    array = np.asarray(value, dtype=float)
-    wrong = ~(np.isfinite(array) & (array >= 0))
-    if wrong.any():
-        raise InputError(f"{name} = {array[wrong].flat[0]:g} must be finite and not negative; correct it")
-    return array
+def read_fraction(
+    detected_fraction: ArrayLike,
+    led: Led,
+    photodiode: Photodiode,
+    amplifier: Electronics,
+    *,
+    ambient_a: ArrayLike = 0.0,
+) -> Output:
+    """What a scene's stage reads of one LED's light, from the part of that light that its photodiode detects."""
+    return read(
+        np.asarray(detected_fraction) * led.flux_mw * 1e-3,
+        responsivity=responsivity_a_per_w(led.wavelength_nm, photodiode.quantum_efficiency),
+        amplifier=amplifier,
+        ambient_a=ambient_a,
+        dark_current_na=photodiode.dark_current_na,
+        shunt_ohm=photodiode.shunt_mohm * 1e6,
+    )
+
+
+def volts_per_fraction(led: Led, photodiode: Photodiode, amplifier: Electronics) -> float:
+    """What all of an LED's light on one photodiode would give, by which changes and errors scale. [V]"""
+    responsivity = responsivity_a_per_w(led.wavelength_nm, photodiode.quantum_efficiency)
+    return led.flux_mw * 1e-3 * float(responsivity) * amplifier.feedback_ohm

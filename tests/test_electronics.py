@@ -55,23 +55,24 @@ def test_simulated_electrons_show_the_same_shot_noise():
 
 def test_the_prototype_reads_tenths_of_a_volt_with_small_noise():
     part = load_part("pd_array_4x1", expect=PhotodiodeArrayPart)
-    volts, noise, saturated = read(
+    output = read(
         np.array([1e-7, 1e-6]),
         responsivity=responsivity_a_per_w(800, part.quantum_efficiency),
         amplifier=Electronics(),
         dark_current_na=part.dark_current_na,
         shunt_ohm=part.shunt_ohm,
     )
-    assert volts == pytest.approx([0.0549, 0.5486], rel=0.005)  # P * 0.5485 A/W * 1 Mohm + 0.1 mV of dark current
-    assert (noise < 1e-3 * volts).all() and (noise > 0).all()
-    assert not saturated.any()
+    # P * 0.5485 A/W * 1 Mohm + 0.1 mV of dark current.
+    assert output.volts == pytest.approx([0.0549, 0.5486], rel=0.005)
+    assert (output.volts_noise_rms < 1e-3 * output.volts).all() and (output.volts_noise_rms > 0).all()
+    assert not output.saturated.any()
 
 
 def test_darkness_reads_the_dark_current():
-    volts, noise, saturated = read(0.0, responsivity=0.55, amplifier=Electronics(), dark_current_na=0.1)
-    assert volts == pytest.approx(1e-4)
-    assert noise >= lsb_v(Electronics()) / np.sqrt(12)
-    assert not saturated
+    output = read(0.0, responsivity=0.55, amplifier=Electronics(), dark_current_na=0.1)
+    assert output.volts == pytest.approx(1e-4)
+    assert output.volts_noise_rms >= lsb_v(Electronics()) / np.sqrt(12)
+    assert not output.saturated
 
 
 def test_a_coarse_converter_dominates():
@@ -82,15 +83,25 @@ def test_a_coarse_converter_dominates():
 
 def test_too_much_light_is_held_at_the_range_and_marked():
     power_w = np.geomspace(1e-9, 1e-3, 61)
-    volts, _, saturated = read(power_w, responsivity=0.55, amplifier=Electronics())
-    assert (np.diff(volts) >= 0).all() and volts.max() == Electronics().adc_range_v
+    output = read(power_w, responsivity=0.55, amplifier=Electronics())
+    saturated = output.saturated
+    assert (np.diff(output.volts) >= 0).all() and output.volts.max() == Electronics().adc_range_v
+    assert (np.diff(output.amplified_v) > 0).all()
     assert (saturated == (power_w * 0.55e6 + 1e-4 >= Electronics().adc_range_v - lsb_v(Electronics()))).all()
     assert saturated.any() and not saturated.all()
 
 
 def test_power_and_responsivity_broadcast():
-    volts, noise, saturated = read(np.full((3, 1), 1e-7), responsivity=[0.45, 0.55], amplifier=Electronics())
-    assert volts.shape == noise.shape == saturated.shape == (3, 2)
+    output = read(np.full((3, 1), 1e-7), responsivity=[0.45, 0.55], amplifier=Electronics())
+    assert output.volts.shape == output.volts_noise_rms.shape == output.saturated.shape == (3, 2)
+
+
+def test_light_from_outside_adds_its_current_and_its_noise():
+    amplifier = Electronics()
+    alone, lit = (read(1e-7, responsivity=0.55, amplifier=amplifier, ambient_a=a) for a in (0.0, 2e-7))
+    assert lit.volts - alone.volts == pytest.approx(2e-7 * amplifier.feedback_ohm, rel=1e-12)
+    more = noise_budget(0.55e-7 + 2e-7, amplifier).shot_v2 - noise_budget(0.55e-7, amplifier).shot_v2
+    assert lit.noise_v2 - alone.noise_v2 == pytest.approx(more, rel=1e-6)
 
 
 @pytest.mark.parametrize("power_w", [-1e-9, np.nan, np.inf])

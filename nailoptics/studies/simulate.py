@@ -84,23 +84,17 @@ def _read_volts(scene: Scene, light: Light, blood: np.ndarray) -> xr.Dataset:
     """Detected fractions and volts over the course, with standard errors and noise."""
     layout, readings = lay_out(scene), light.over(blood)
     diodes = [scene.photodiodes[element.entry] for element in layout.photodiodes]
-    wavelength_nm = [led.wavelength_nm for led in scene.leds]
-    flux_mw = np.array([led.flux_mw for led in scene.leds])[:, None]
-    responsivity = np.stack(
-        [electronics.responsivity_a_per_w(wavelength_nm, diode.quantum_efficiency) for diode in diodes], axis=1
-    )
+    wavelength_nm = np.array([led.wavelength_nm for led in scene.leds])
+    efficiency = [diode.quantum_efficiency for diode in diodes]
+    responsivity = electronics.responsivity_a_per_w(wavelength_nm[:, None], efficiency)
     read = [
-        electronics.read(
-            readings.fraction[:, j] * flux_mw * 1e-3,
-            responsivity=responsivity[:, j, None],
-            amplifier=scene.electronics,
-            dark_current_na=diode.dark_current_na,
-            shunt_ohm=diode.shunt_mohm * 1e6,
-        )
-        for j, diode in enumerate(diodes)
+        [electronics.read_fraction(one, led, diode, scene.electronics) for one, diode in zip(row, diodes, strict=True)]
+        for row, led in zip(readings.fraction, scene.leds, strict=True)
     ]
-    volts, noise, saturated = (np.stack(one, axis=1) for one in zip(*read, strict=True))
-    per_fraction = (flux_mw * 1e-3 * responsivity * scene.electronics.feedback_ohm)[..., None]
+    volts, noise, saturated = (_each(read, name) for name in ("volts", "volts_noise_rms", "saturated"))
+    per_fraction = np.array(
+        [[[electronics.volts_per_fraction(led, diode, scene.electronics)] for diode in diodes] for led in scene.leds]
+    )
     pair = ("led", "photodiode")
     over, paths = (*pair, "time"), (*pair, "absorber")
     text = "detected fraction of the emitted power"

@@ -80,21 +80,15 @@ def volts(
     values : (..., 4) float. Reading, direct part, derivative by the blood of each zone.
     ambient_a : Photocurrent by light from outside, which tells nothing. [A]
     """
-    responsivity = electronics.responsivity_a_per_w(led.wavelength_nm, photodiode.quantum_efficiency)
-    current = np.maximum(values[..., 0], 0.0) * led.flux_mw * 1e-3 * float(responsivity) + ambient_a
-    shunt_ohm = photodiode.shunt_mohm * 1e6
-    budget = electronics.noise_budget(
-        current, amplifier, dark_current_na=photodiode.dark_current_na, shunt_ohm=shunt_ohm
-    )
-    reading = (current + photodiode.dark_current_na * 1e-9) * amplifier.feedback_ohm
-    tells = reading < amplifier.adc_range_v - electronics.lsb_v(amplifier)
-    zone = values[..., 2:] * (led.flux_mw * 1e-3 * float(responsivity) * amplifier.feedback_ohm)
+    detected = np.maximum(values[..., 0], 0.0)
+    read = electronics.read_fraction(detected, led, photodiode, amplifier, ambient_a=ambient_a)
+    zone = values[..., 2:] * electronics.volts_per_fraction(led, photodiode, amplifier)
     with np.errstate(invalid="ignore", divide="ignore"):
         crosstalk = np.where(values[..., 0] > 0, values[..., 1] / values[..., 0], 0.0)
     return Volts(
-        volts=reading,
-        noise_v2=np.sum(np.stack(budget), axis=0),
-        slope_v_per_pa=(zone @ at.blood_per_pa) * tells[..., None],
+        volts=read.amplified_v,
+        noise_v2=read.noise_v2,
+        slope_v_per_pa=(zone @ at.blood_per_pa) * ~read.saturated[..., None],
         zone_v=zone,
         crosstalk=crosstalk,
     )
