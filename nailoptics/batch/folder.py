@@ -14,8 +14,8 @@ import numpy as np
 
 from ..errors import InputError
 from ..io import CorruptError, held, pack, unpack, write_bytes
+from ..light.records import Batch
 from ..light.reuse import LedBatches
-from ..light.tracing import Batch
 
 log = logging.getLogger(__name__)
 

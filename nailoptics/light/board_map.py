@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..geometry import Face, Geometry
 from ..scene import Scene
 from ..scene.layout import Rectangle, lay_out
+from ..statistics import stderr_of_mean
 from ..tissue.properties import DermisAbsorption
 from . import backend as backends
 from . import optics
@@ -194,8 +195,6 @@ def readings(arrivals: Arrivals, values: np.ndarray, rectangles: Sequence[Rectan
 
     values : (n, q) float, such as those of a BloodPoint.
     """
-    from .transfer import stderr_of_mean
-
     (u, v), total, square = arrivals.place_mm.T, [], []
     for r in rectangles:
         inside = np.flatnonzero((u >= r.u_min) & (u < r.u_max) & (v >= r.v_min) & (v < r.v_max))

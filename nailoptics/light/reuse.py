@@ -17,10 +17,10 @@ from . import backend as backends
 from . import optics
 from .engines import Light
 from .moments import RestState, transmission
-from .records import Batch
+from .records import Batch, LedTrace, joined, of_batch
 from .reweight import course
-from .tracing import UNSEEN_PHOTONS, _largest_error, _seeds, of_batch, unseen
-from .transfer import LedTrace, Transfer, joined, rest_state, versions
+from .tracing import UNSEEN_PHOTONS, _largest_error, _seeds, unseen
+from .transfer import Transfer, rest_state, versions
 
 # Errors are looked at after so many batches, each time a quarter more: seldom enough that stopping hardly favours luck.
 # The numbers are fixed, so that a trace that is continued stops where one that was never interrupted stops.

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError
+from ..statistics import stderr_of_mean
 from . import optics
-from .moments import slope_of, stderr_of_mean
+from .moments import slope_of
 
 if TYPE_CHECKING:
     from .transfer import Transfer

@@ -7,7 +7,8 @@ import numpy as np
 from .. import io
 from ..errors import InputError
 from .moments import Moments
-from .transfer import LedTrace, Transfer, rest_state, scene_from_attributes
+from .records import LedTrace
+from .transfer import Transfer, rest_state, scene_from_attributes
 
 _COLUMNS = ("photodiode", "weight", "path_mm", "draw")
 

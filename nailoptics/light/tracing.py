@@ -12,11 +12,12 @@ import numpy as np
 from ..errors import InputError, NotReachedError
 from ..options import Requested, TraceOptions
 from ..scene import Accuracy, Scene
+from ..statistics import stderr_of_mean
 from . import backend as backends
-from . import optics
-from .moments import RestState, stderr_of_mean, transmission
-from .records import Batch
-from .transfer import MAX_RECORDS, MIN_EFFECTIVE_PHOTONS, LedTrace, Transfer, joined, rest_state, versions
+from . import optics, records
+from .moments import RestState, transmission
+from .records import Batch, LedTrace, joined, of_batch
+from .transfer import MIN_EFFECTIVE_PHOTONS, Transfer, rest_state, versions
 
 log = logging.getLogger(__name__)
 
@@ -128,23 +129,6 @@ def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
     return asked
 
 
-def of_batch(batch: Batch, mu_a: np.ndarray, seed: int, rest: RestState | None) -> LedTrace:
-    """One batch as a trace.
-
-    mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
-    """
-    return LedTrace(
-        photons=batch.photons,
-        mu_a=mu_a,
-        photodiode=batch.photodiode,
-        weight=batch.weight,
-        path_mm=batch.path_mm,
-        energy=batch.energy,
-        seeds=(seed,),
-        rest=rest,
-    )
-
-
 class _Gathered:
     """Batches of one LED as they come in; memory stays bounded however many there are."""
 
@@ -157,7 +141,7 @@ class _Gathered:
         """Add one batch and the seed that made it."""
         self.events += batch.events
         self._loose.append(of_batch(batch, self.mu_a, seed, self.rest))
-        if sum(len(trace.weight) for trace in self._loose) > MAX_RECORDS:
+        if sum(len(trace.weight) for trace in self._loose) > records.MAX_RECORDS:
             self.trace()
 
     def trace(self) -> LedTrace:

@@ -3,9 +3,8 @@
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, reduce
+from functools import cache, cached_property
 from importlib.metadata import version
-from operator import add
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +14,11 @@ from numpy.typing import ArrayLike
 
 from ..errors import InputError, NailopticsError
 from ..scene import Scene, digest, parse_scene, to_toml
+from ..statistics import stderr_of_mean
 from . import optics
-from .moments import Moments, RestState, moments_of, moments_of_sample, stderr_of_mean, transmission
+from .moments import Moments, RestState, moments_of
+from .records import LedTrace, joined
 
-# Photons kept per LED; of more, each is kept with one probability, and sums over all of them at rest.
-MAX_RECORDS = 8_000_000
 # A reading that rests on fewer effective photons than this has no trustworthy standard error.
 MIN_EFFECTIVE_PHOTONS = 100.0
 # Of fewer effective photons than this no standard error is told at all.
@@ -30,112 +29,6 @@ MIN_ERROR_PHOTONS = 25.0
 
 class RereadWarning(UserWarning):
     """A reading was asked for at a state for which the trace holds too few effective photons."""
-
-
-@dataclass(frozen=True)
-class LedTrace:
-    """All that one LED's photons left behind.
-
-    photons : How many were emitted.
-    mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
-    photodiode : (n,) int. Which photodiode each kept photon reached.
-    weight : (n,) float. Its weight there, of 1 at emission, divided by `keep`.
-    path_mm : (n, r) float32. Its path in each absorber. [mm]
-    energy : for reflected, transmitted, absorbed, lost: sum of weights and sum of their squares.
-    seeds : seeds of the batches.
-    draw : (n,) float32 in 0-1. A random number per photon, which decides when it is dropped; if not given, drawn.
-    keep : Probability with which each detected photon was kept; those whose draw is below it were.
-    rest : The state in which sums over all photons are kept when records are dropped; without one none are.
-    full : These sums, once a record was dropped.
-    """
-
-    photons: int
-    mu_a: np.ndarray
-    photodiode: np.ndarray
-    weight: np.ndarray
-    path_mm: np.ndarray
-    energy: Mapping[str, tuple[float, float]]
-    seeds: tuple[int, ...]
-    draw: np.ndarray = None  # type: ignore[assignment]
-    keep: float = 1.0
-    rest: RestState | None = None
-    full: Moments | None = None
-
-    def __post_init__(self) -> None:
-        if self.draw is None:
-            # A batch's own seed decides, so that it does not matter when and with what the batch is merged.
-            draw = np.random.default_rng(self.seeds).random(len(self.weight), dtype=np.float32)
-            object.__setattr__(self, "draw", draw)
-
-    def only(self, chosen: np.ndarray) -> "LedTrace":
-        """Some of the records, (n,) bool, as a trace of as many photons; sums over all photons do not hold for them."""
-        records = {name: getattr(self, name)[chosen] for name in ("photodiode", "weight", "path_mm", "draw")}
-        return replace(self, **records, rest=None, full=None)
-
-    def kept(self, keep: float) -> "LedTrace":
-        """The records that a lower probability keeps, and sums over all photons at rest."""
-        thin = self.only(self.draw < keep)
-        # Probabilities are powers of two, so that weights lose no bits.
-        weight = thin.weight * (self.keep / keep)
-        return replace(thin, weight=weight, keep=keep, rest=self.rest, full=self._sums_at_rest())
-
-    def moments(self, mu_a: np.ndarray, share: np.ndarray, *, count: int) -> Moments:
-        """Sums over the photons of `count` photodiodes at a state.
-
-        mu_a : (q, r) float. Absorption over the LED's line. [mm^-1]
-        share : (q,) float. Weights of the line.
-        """
-        weight = self.weight * transmission(self.path_mm, mu_a - self.mu_a, share)
-        if self.full is None:
-            return moments_of(self.photons, self.photodiode, weight, self.path_mm, count)
-        return moments_of_sample(self.full, self.keep, self.photodiode, weight, self.weight_at_rest, self.path_mm)
-
-    @property
-    def weight_at_rest(self) -> np.ndarray:
-        """Weight of each record at rest, divided by `keep`, (n,) float."""
-        assert self.rest is not None
-        return self.weight * transmission(self.path_mm, self.rest.mu_a - self.mu_a, self.rest.share)
-
-    def _sums_at_rest(self) -> Moments | None:
-        """Sums over all photons at rest; None without a state of rest or where they were not taken in time."""
-        if self.rest is None or self.full is not None or self.keep < 1:
-            return self.full
-        return self.moments(self.rest.mu_a, self.rest.share, count=self.rest.photodiodes)
-
-
-def joined(traces: Sequence[LedTrace]) -> LedTrace:
-    """Traces of one LED as one; raises InputError if they share a seed or were made at different absorption."""
-    seeds = [seed for trace in traces for seed in trace.seeds]
-    shared = len(seeds) - len(set(seeds))
-    if shared:
-        raise InputError(f"these traces share {shared} seed(s), so they are not independent; use different seeds.")
-    if any(not np.array_equal(trace.mu_a, traces[0].mu_a) for trace in traces):
-        raise InputError("these traces were made at different absorption; trace both at the same blood state.")
-    # One probability for all: had records of earlier batches another, few of them would carry most of a reading.
-    keep = min(trace.keep for trace in traces)
-    while sum(np.count_nonzero(trace.draw < keep) for trace in traces) > MAX_RECORDS:
-        keep /= 2
-    full = None
-    if keep < 1:
-        traces = [trace.kept(keep) for trace in traces]
-        sums = [trace.full for trace in traces if trace.full is not None]
-        full = reduce(add, sums) if len(sums) == len(traces) else None
-    return LedTrace(
-        photons=sum(trace.photons for trace in traces),
-        mu_a=traces[0].mu_a,
-        photodiode=np.concatenate([trace.photodiode for trace in traces]),
-        weight=np.concatenate([trace.weight for trace in traces]),
-        path_mm=np.concatenate([trace.path_mm for trace in traces]),
-        energy={
-            part: (sum(t.energy[part][0] for t in traces), sum(t.energy[part][1] for t in traces))
-            for part in traces[0].energy
-        },
-        seeds=tuple(seeds),
-        draw=np.concatenate([trace.draw for trace in traces]),
-        keep=keep,
-        rest=traces[0].rest,
-        full=full,
-    )
 
 
 def rest_state(scene: Scene, led: int, photodiodes: int) -> RestState:

@@ -24,8 +24,8 @@ import pytest
 import nailoptics as nail
 from nailoptics import geometry
 from nailoptics.errors import InputError
-from nailoptics.light.transfer import stderr_of_mean
 from nailoptics.scene import Scene, load_scene, parse_scene
+from nailoptics.statistics import stderr_of_mean
 
 jit = pytest.mark.jit
 PROTOTYPE = Path(__file__).parents[2] / "scenes" / "prototype.toml"

@@ -13,12 +13,12 @@ from nailoptics import tissue
 from nailoptics.light import Transfer, optics, read_rest, reuse
 from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
 from nailoptics.light.finger_walk import MeshTracer
-from nailoptics.light.records import Batch
+from nailoptics.light.records import Batch, LedTrace, joined
 from nailoptics.light.reweight import course
 from nailoptics.light.tracing import _trace_led
-from nailoptics.light.transfer import LedTrace, joined, stderr_of_mean
 from nailoptics.scene import Accuracy, Scene, parse_scene
 from nailoptics.scene.layout import lay_out
+from nailoptics.statistics import stderr_of_mean
 from nailoptics.studies import replicates
 from nailoptics.studies.comparison import fits
 from nailoptics.studies.placement import fisher

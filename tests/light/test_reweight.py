@@ -8,8 +8,8 @@ import pytest
 import nailoptics as nail
 from nailoptics.errors import InputError
 from nailoptics.light import RereadWarning, Transfer, optics, reweight
+from nailoptics.light.records import LedTrace
 from nailoptics.light.reweight import course
-from nailoptics.light.transfer import LedTrace
 from nailoptics.scene import Scene, parse_scene
 
 FINGER = """

@@ -6,8 +6,8 @@ import pytest
 from nailoptics import geometry
 from nailoptics.assets import data_dir
 from nailoptics.light.splitting import CELL_MM, REACH_MM, near_photodiodes
-from nailoptics.light.transfer import stderr_of_mean
 from nailoptics.scene import load_scene
+from nailoptics.statistics import stderr_of_mean
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,11 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.errors import NotReachedError
-from nailoptics.light import Transfer, optics, tracing, transfer
+from nailoptics.light import Transfer, optics, records
 from nailoptics.light.layered_walk import StackTracer
+from nailoptics.light.records import LedTrace, joined
 from nailoptics.light.reweight import course
-from nailoptics.light.transfer import LedTrace, joined, rest_state
+from nailoptics.light.transfer import rest_state
 from nailoptics.scene import Scene, parse_scene
 
 PHANTOM = """
@@ -54,10 +55,9 @@ DETECTED, PATH_MM = 1e-4, 3.0
 SEEN = ("detected_fraction", "mean_path_mm", "derivative_mm")
 
 
-def limited(monkeypatch, records: int) -> None:
+def limited(monkeypatch, count: int) -> None:
     """Keep so many photons only."""
-    for module in (transfer, tracing):
-        monkeypatch.setattr(module, "MAX_RECORDS", records)
+    monkeypatch.setattr(records, "MAX_RECORDS", count)
 
 
 def phantom(*, mu_a: float = TRACED, mu_s: float = 1.0, n: float = 1.4, size: float = 2.0) -> Scene:

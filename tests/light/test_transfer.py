@@ -8,9 +8,10 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.errors import InputError
-from nailoptics.light import RereadWarning, Transfer, transfer
-from nailoptics.light.transfer import LedTrace, stderr_of_mean
+from nailoptics.light import RereadWarning, Transfer, records
+from nailoptics.light.records import LedTrace
 from nailoptics.scene import Scene, parse_scene
+from nailoptics.statistics import stderr_of_mean
 
 
 def two_layers(*, upper: float = 0.05, lower: float = 0.1, photodiodes: int = 2, extra: str = "") -> Scene:
@@ -301,13 +302,13 @@ def test_an_absorber_that_is_none_is_refused(traced):
 def test_thinning_is_unbiased_and_its_standard_error_honest(monkeypatch):
     """Expected: over many thinnings the reading's mean is that of all photons, within its own standard error, and each
     thinned trace states an error that covers the loss."""
-    monkeypatch.setattr(transfer, "MAX_RECORDS", 1000)
+    monkeypatch.setattr(records, "MAX_RECORDS", 1000)
     rng = np.random.default_rng(3)
     weight, path = rng.uniform(0.1, 1, 3000), rng.exponential(2.0, (3000, 2))
     full = by_hand(small(weight, path, photons=10_000)).at(mu_a_per_mm={"upper": 0.1, "lower": 0.1}).squeeze()
     values, stderrs = [], []
     for seed in range(1500):
-        thin = transfer.joined([small(weight, path, photons=10_000, seeds=(seed,))])
+        thin = records.joined([small(weight, path, photons=10_000, seeds=(seed,))])
         assert len(thin.weight) <= 1000
         seen = by_hand(thin).at(mu_a_per_mm={"upper": 0.1, "lower": 0.1}).squeeze()
         values.append(float(seen.detected_fraction))
@@ -319,11 +320,11 @@ def test_thinning_is_unbiased_and_its_standard_error_honest(monkeypatch):
 
 
 def test_thinning_does_not_lean_on_what_was_merged_in_which_order(monkeypatch):
-    monkeypatch.setattr(transfer, "MAX_RECORDS", 1000)
+    monkeypatch.setattr(records, "MAX_RECORDS", 1000)
     parts = [small(np.ones(400), np.ones((400, 2)), seeds=(seed,)) for seed in range(40)]
     merged = parts[0]
     for part in parts[1:]:
-        merged = transfer.joined([merged, part])
+        merged = records.joined([merged, part])
     assert len(merged.weight) <= 1000 and merged.photons == 40_000
     # 16 000 of weight 1: what is kept is worth as much within the noise that it states.
     stderr = 40_000 * stderr_of_mean(merged.weight.sum(), (merged.weight**2).sum(), merged.photons)

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...light.transfer import LedTrace, Transfer
+from ...light.records import LedTrace
+from ...light.transfer import Transfer
 
 
 def apart(one: Transfer, other: Transfer) -> tuple[Transfer, Transfer]:

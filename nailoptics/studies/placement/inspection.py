@@ -10,9 +10,9 @@ import numpy as np
 import xarray as xr
 
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, PhotonMap, blood_point, readings
-from ...light.transfer import stderr_of_mean
 from ...scene import Photodiode, Scene
 from ...scene.layout import Layout, lay_out
+from ...statistics import stderr_of_mean
 from ..ambient import SOURCES, photocurrents_a
 from ..comparison.fits import Z95
 from . import boards

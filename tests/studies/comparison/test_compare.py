@@ -10,7 +10,7 @@ from nailoptics import cli, load_scene, tissue
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.light import Transfer, optics
-from nailoptics.light.transfer import LedTrace
+from nailoptics.light.records import LedTrace
 from nailoptics.scene import Scene
 from nailoptics.studies.comparison import compare as study
 from nailoptics.studies.comparison import fits
