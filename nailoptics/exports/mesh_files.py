@@ -55,13 +55,16 @@ def _glb(geometry: Geometry) -> bytes:
     import trimesh
 
     scene = trimesh.Scene()
+    dies = {face.region: COLOURS["led"] for face in geometry.leds}
+    dies |= {face.region: COLOURS["photodiode"] for face in geometry.photodiodes}
     for index, name in enumerate(geometry.regions):
         triangles = region_triangles(geometry, index)
         if name == "air" or not len(triangles):
             continue
         used, flat = np.unique(triangles, return_inverse=True)
+        colour = (*(dies.get(index) or COLOURS[name]), 255)
         material = trimesh.visual.material.PBRMaterial(
-            name=name, baseColorFactor=(*COLOURS[name.split(":")[0]], 255), metallicFactor=0.0, roughnessFactor=0.7
+            name=name, baseColorFactor=colour, metallicFactor=0.0, roughnessFactor=0.7
         )
         mesh = trimesh.Trimesh(
             geometry.vertices[used],

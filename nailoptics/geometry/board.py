@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..scene import Scene
-from ..scene.layout import Layout, Rectangle, lay_out
+from ..scene.layout import Layout, Rectangle
 from .regions import AIR, BARRIER, COVER, EPOXY, KAPTON, REGIONS, SILICON, led_region, photodiode_region
 from .surfaces import Shape
 
@@ -32,7 +32,7 @@ class BentBoard:
     @cached_property
     def layout(self) -> Layout:
         """The flat board."""
-        return lay_out(self.scene)
+        return self.scene.layout
 
     @property
     def height_mm(self) -> float:
@@ -76,7 +76,7 @@ class BentBoard:
     def regions(self) -> tuple[str, ...]:
         """Names of all regions."""
         layout = self.layout
-        names = [led_region(r.name) for r in layout.leds] + [photodiode_region(e.area.name) for e in layout.photodiodes]
+        names = [led_region(r.name) for r in layout.leds] + [photodiode_region(e.name) for e in layout.photodiodes]
         return (*REGIONS, *names)
 
     @property

@@ -42,9 +42,7 @@ def build(scene: Scene, *, resolution: float = 1.0) -> Geometry:
         above=above,
         regions=board.regions,
         leds=tuple(_face(grid, r.name, first + i) for i, r in enumerate(parts.leds)),
-        photodiodes=tuple(
-            _face(grid, e.area.name, first + len(parts.leds) + i) for i, e in enumerate(parts.photodiodes)
-        ),
+        photodiodes=tuple(_face(grid, e.name, first + len(parts.leds) + i) for i, e in enumerate(parts.photodiodes)),
         nail_radius_mm=scene.finger.nail_radius_mm,
         board_radius_mm=board.radius_mm,
         grid=grid,

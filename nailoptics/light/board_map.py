@@ -12,7 +12,7 @@ from .. import tissue
 from ..errors import InputError
 from ..geometry import Face, Geometry
 from ..scene import Scene
-from ..scene.layout import Rectangle, lay_out
+from ..scene.layout import Rectangle
 from ..statistics import stderr_of_mean
 from ..tissue.properties import DermisAbsorption
 from . import backend as backends
@@ -176,8 +176,7 @@ def blood_point(
     source = scene.leds[led]
     wavelength, share = optics.spectrum(source)
     mu_a = optics.absorption(scene, wavelength, blood_fraction=blood_fraction)
-    names = optics.absorbers(scene)
-    beds = tuple(i for i, name in enumerate(names) if name.startswith("bed_"))
+    beds = optics.bed_columns(scene)
     usual = tissue.absorption("bed", wavelength, so2=scene.blood.so2)
     asked = tissue.absorption("bed", wavelength, so2=scene.blood.so2, dermis_absorption=dermis)
     mu_a[:, beds] += (np.asarray(asked.base_per_mm) - np.asarray(usual.base_per_mm))[:, None]
@@ -297,7 +296,7 @@ def map_board(
     maps = []
     for led in range(len(scene.leds)):
         point = blood_point(scene, led)
-        one = PhotonMap(lay_out(scene).outline, values=2 + len(point.beds), spacing_mm=spacing_mm)
+        one = PhotonMap(scene.layout.outline, values=2 + len(point.beds), spacing_mm=spacing_mm)
         count = -(-photons // tracer.batch_photons)
         for i, batch_seed in enumerate(np.random.SeedSequence(seed, spawn_key=(led,)).generate_state(count, np.uint64)):
             size = min(tracer.batch_photons, photons - i * tracer.batch_photons)

@@ -239,7 +239,7 @@ def volpath_states(
     from .volpath.states import finger_states
 
     name, wavelength, zones = scene.leds[led].name, scene.leds[led].wavelength_nm, optics.zones(scene)
-    beds = [optics.absorbers(scene).index(f"bed_{k + 1}") for k in range(zones.count)]
+    beds = list(optics.bed_columns(scene))
     mu_a = optics.absorption(scene, wavelength, blood_fraction=blood)[:, 0]
     low, high = np.asarray(shape.bounds_mm)[:, 1]
     v = np.linspace(low - 0.2, high + 0.2, 1 + round((high - low) / (zones.width_mm / 40)))
@@ -278,12 +278,10 @@ def _secant_paths(
     scene: Scene, corners: np.ndarray, ratio: np.ndarray, ratio_stderr: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean path in each blood zone, -d ln S / d mu_a between its two states; NaN for the other absorbers. [mm]"""
-    absorbers = optics.absorbers(scene)
-    out = np.full((2, *ratio.shape[:2], len(absorbers)), np.nan)
+    out = np.full((2, *ratio.shape[:2], len(optics.absorbers(scene))), np.nan)
     for i, led in enumerate(scene.leds):
         mu_a = optics.absorption(scene, led.wavelength_nm, blood_fraction=corners)[:, 0]
-        for k in range(len(corners) - 1):
-            column = absorbers.index(f"bed_{k + 1}")
+        for k, column in enumerate(optics.bed_columns(scene)):
             span = mu_a[k + 1, column] - mu_a[0, column]
             out[0, i, :, column] = -np.log(ratio[i, :, k + 1]) / span
             out[1, i, :, column] = ratio_stderr[i, :, k + 1] / ratio[i, :, k + 1] / abs(span)

@@ -74,7 +74,7 @@ class MeshTracer:
             self.shape, distances = _shaped(scene.model_copy(update=_SHAPELESS), spacing_mm)
         else:
             self.shape, distances = shape, _distances(shape, spacing_mm)
-        self.photodiodes = tuple(self.shape.regions[face.region].partition(":")[2] for face in self.shape.photodiodes)
+        self.photodiodes = tuple(face.name for face in self.shape.photodiodes)
         self.absorbers = optics.absorbers(scene)
         self.mesh_scene = _mesh_scene(self.shape)
         self.triangles = _triangle_table(self.shape)
@@ -216,7 +216,8 @@ class _RegionTable:
         self.n = mi.Float(found.n)
         self.opaque = mi.UInt32(found.opaque.astype(np.uint32))
         self.reflectance = mi.Float(found.reflectance)
-        on_board = [name in ("kapton", "silicon") or ":" in name for name in names]
+        parts = {face.region for face in (*tracer.shape.leds, *tracer.shape.photodiodes)}
+        on_board = [name in ("kapton", "silicon") or i in parts for i, name in enumerate(names)]
         self.on_board = mi.UInt32(np.array(on_board, np.uint32))
         self.end = mi.UInt32(np.array(end, np.uint32))
         self.medium = mi.UInt32(

@@ -37,19 +37,43 @@ def zones(scene: Scene) -> tissue.BloodZones:
     return tissue.BloodZones(edges_mm=scene.blood.zone_edges_mm, width_mm=scene.blood.zone_width_mm)
 
 
-def absorbers(scene: Scene) -> tuple[str, ...]:
-    """Names of the absorbing regions that a trace keeps paths for; the bed counts by blood zone: bed_1, bed_2."""
+@dataclass(frozen=True)
+class Absorber:
+    """What a trace keeps paths for: a region, or one blood zone of the bed.
+
+    name : as in results; zones of the bed are bed_1, bed_2.
+    region : as in the geometry, or the phantom's layer.
+    zone : index of the blood zone; None where the region has none.
+    """
+
+    name: str
+    region: str
+    zone: int | None = None
+
+
+def absorbing(scene: Scene) -> tuple[Absorber, ...]:
+    """The absorbers of a scene, in the order of a trace's paths."""
     if scene.phantom is not None:
-        return tuple(layer.name for layer in scene.phantom.layers)
-    beds = [f"bed_{k + 1}" for k in range(zones(scene).count)]
-    return ("plate", *beds, *TISSUES[2:])
+        return tuple(Absorber(layer.name, layer.name) for layer in scene.phantom.layers)
+    beds = [Absorber(tissue.bed_zone_name(k), "bed", zone=k) for k in range(zones(scene).count)]
+    return (Absorber("plate", "plate"), *beds, *(Absorber(name, name) for name in TISSUES[2:]))
+
+
+def absorbers(scene: Scene) -> tuple[str, ...]:
+    """Names of the absorbers of a scene, in the order of a trace's paths."""
+    return tuple(absorber.name for absorber in absorbing(scene))
+
+
+def bed_columns(scene: Scene) -> tuple[int, ...]:
+    """Which of the absorbers are the bed's blood zones, from the most proximal on; none in a phantom."""
+    return tuple(i for i, absorber in enumerate(absorbing(scene)) if absorber.zone is not None)
 
 
 def finger_media(scene: Scene, regions: tuple[str, ...], wavelength_nm: float) -> Media:
     """The optics of a finger scene's regions at rest, in the order of the geometry's regions."""
     assert scene.finger is not None
-    rest = dict(zip(absorbers(scene), absorption(scene, wavelength_nm)[0], strict=True))
-    rest["bed"] = rest["bed_1"]  # at rest all zones hold the same blood
+    # At rest all zones of the bed hold the same blood.
+    rest = {a.region: mu_a for a, mu_a in zip(absorbing(scene), absorption(scene, wavelength_nm)[0], strict=True)}
     values: dict[str, list[Any]] = {name: [] for name in ("opaque", "reflectance", "mu_a", "mu_s", "g", "n")}
     for region in regions:
         opaque = region not in TISSUES and region != "air"
@@ -109,12 +133,12 @@ def absorption(
     saturation = np.asarray(scene.blood.so2 if so2 is None else so2, float)[..., None]
     columns = []
     shape = np.broadcast_shapes(fraction.shape[:-1], saturation.shape[:-1])
-    for name in absorbers(scene):
-        region = _optics_of(scene, "bed" if name.startswith("bed_") else name)
+    for absorber in absorbing(scene):
+        region = _optics_of(scene, absorber.region)
         mixed = tissue.absorption(region, wavelength, so2=saturation, melanin_fraction=scene.finger.melanin_fraction)
         blood: Any = 0.0
-        if region == "bed":
-            blood = fraction[..., int(name[4:]) - 1, None]
+        if absorber.zone is not None:
+            blood = fraction[..., absorber.zone, None]
         elif region == "pulp":
             blood = tissue.REST_BLOOD_FRACTION["pulp"]
         column = np.asarray(mixed.base_per_mm) + blood * np.asarray(mixed.per_blood_fraction_per_mm)

@@ -159,7 +159,7 @@ def _volpath(
             if (fell_short or "").startswith(INTERRUPTED) and led is not scene.leds[-1]:
                 raise KeyboardInterrupt  # nothing is known of the other LEDs
             complaint = complaint or fell_short
-            names = [p.partition(":")[2] for p in geometry.build(scene).regions if p.startswith("photodiode:")]
+            names = list(scene.layout.photodiode_names)
         paths += spent
         rows += [
             _row(led.name, name, led.wavelength_nm, float(v), float(e), {}, {}, spent)

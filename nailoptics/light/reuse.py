@@ -12,7 +12,6 @@ import xarray as xr
 
 from ..errors import InputError
 from ..scene import Accuracy, Scene, digest
-from ..scene.layout import lay_out
 from . import backend as backends
 from . import optics
 from .engines import Light
@@ -158,7 +157,7 @@ def photodiode_names(scene: Scene) -> tuple[str, ...]:
     """Names of the photodiodes in the order in which a trace counts them."""
     if scene.phantom is not None:
         return tuple(p.name for p in scene.photodiodes)
-    return tuple(element.area.name for element in lay_out(scene).photodiodes)
+    return scene.layout.photodiode_names
 
 
 def tracer(scene: Scene, backend: str) -> Any:

@@ -91,7 +91,7 @@ def _nodes_needed(transfer: "Transfer", zone: int, span: float, so2: float | Non
     """Chebyshev nodes that interpolate exp(-x) over the optical depths that a zone's range of blood spans."""
     depth = 0.0
     for trace, led in zip(transfer.traces, transfer.scene.leds, strict=True):
-        column = transfer.absorbers.index(f"bed_{zone + 1}")
+        column = optics.bed_columns(transfer.scene)[zone]
         if len(trace.weight):
             more = optics.absorption(
                 transfer.scene, led.wavelength_nm, blood_fraction=np.ones(optics.zones(transfer.scene).count), so2=so2

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from ..scene import Scene
-from ..scene.layout import Layout, Rectangle, lay_out
+from ..scene.layout import Layout, Rectangle
 from ..tissue.blood_zones import BloodZones
 from . import style
 from .readings import order_along_nail
@@ -47,7 +47,7 @@ def draw_top_view(axes: "Axes", scene: Scene, result: xr.Dataset) -> None:
     from matplotlib.patches import Rectangle as Patch
 
     assert scene.finger is not None
-    layout, finger = lay_out(scene), scene.finger
+    layout, finger = scene.layout, scene.finger
     half_u, half_v = finger.nail_width_mm / 2, finger.nail_length_mm / 2
     nail = Patch((-half_u, -half_v), 2 * half_u, 2 * half_v, fc=NAIL, ec=style.MUTED, lw=1.2)
     axes.add_patch(nail)
@@ -95,7 +95,7 @@ def _blood_zones(axes: "Axes", scene: Scene, half_u: float, half_v: float) -> No
 
 def _label_parts(axes: "Axes", scene: Scene, layout: Layout, half_v: float) -> None:
     """Names beside the parts, none on another: photodiodes on the right, the rest on the side where it lies."""
-    right = [(e.area, e.area.name) for e in layout.photodiodes]
+    right = [(e.area, e.name) for e in layout.photodiodes]
     middle = sum(r.center_mm[0] for r, _ in right) / len(right)
     others = [(r, f"LED {r.name}, {led.wavelength_nm:g} nm") for r, led in zip(layout.leds, scene.leds, strict=True)]
     if layout.barriers:
@@ -257,7 +257,7 @@ def _parts_above(axes: "Axes", scene: Scene | None, result: xr.Dataset, led: int
     """Mark above the board where photodiodes and the LED lie along it; they need not lie in the section."""
     if scene is None or scene.finger is None:
         return
-    layout = lay_out(scene)
+    layout = scene.layout
     if len(layout.photodiodes) != result.sizes["photodiode"] or len(layout.leds) != result.sizes["led"]:
         return
     order = order_along_nail(result, scene)
@@ -273,7 +273,7 @@ def _close_view(scene: Scene | None, result: xr.Dataset) -> tuple[float, float, 
     low_y, high_y, low_z, high_z = _extent(result)
     if scene is None or scene.finger is None:
         return low_y, high_y, low_z, high_z
-    outline, board = lay_out(scene).outline, scene.board
+    outline, board = scene.layout.outline, scene.board
     cover = (board.adhesive_um + board.clear_epoxy_um + board.kapton_um + board.cover_um) * 1e-3
     return max(low_y, outline.v_min - 1.5), min(high_y, outline.v_max + 1.5), max(low_z, -4.2), cover + 0.75
 

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from ..scene import Scene
-from ..scene.layout import Layout, Rectangle, lay_out
+from ..scene.layout import Layout, Rectangle
 from . import maps, style
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def ranking_figure(result: xr.Dataset) -> "Figure":
 
 def board_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     """The best layout from above."""
-    names = [e.area.name for e in lay_out(scene).photodiodes]
+    names = list(scene.layout.photodiode_names)
     shown = xr.Dataset(coords={"led": [led.name for led in scene.leds], "photodiode": names})
     with style.drawing():
         figure = style.new_figure(9.2, 6.4)
@@ -193,7 +193,7 @@ def tried_figure(result: xr.Dataset) -> "Figure":
 def banana_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     """Where under the nail each photodiode looks: cut lengthwise, and the bed from above."""
     assert scene.finger is not None
-    finger, layout = scene.finger, lay_out(scene)
+    finger, layout = scene.finger, scene.layout
     plate = finger.nail_thickness_mm
     bed = (plate, plate + finger.bed_thickness_mm)
     seen = (result.depth_sensitivity.isel(led=0) * result.cell_volume_mm3).transpose(..., "under_u", "under_v", "depth")
@@ -289,7 +289,7 @@ def _parts(axes: "Axes", scene: Scene, *, turned: bool = False) -> None:
         low, size = (low[::-1], size[::-1]) if turned else (low, size)
         axes.add_patch(Patch(low, *size, zorder=3, **look))
 
-    layout = lay_out(scene)
+    layout = scene.layout
     for r in layout.barriers:
         patch(r, fc=maps.BARRIER, lw=0)
     boxes: list[tuple[Any, str]] = [(e.area, "none") for e in layout.photodiodes]

@@ -6,7 +6,6 @@ import numpy as np
 import xarray as xr
 
 from ..scene import Scene
-from ..scene.layout import lay_out
 
 
 @dataclass(frozen=True)
@@ -127,7 +126,7 @@ def _centres(result: xr.Dataset, scene: Scene | None) -> tuple[np.ndarray, np.nd
     """Centres of LEDs and of photodiodes on the board, or None where the scene does not match the result."""
     if scene is None or scene.finger is None:
         return None
-    layout = lay_out(scene)
+    layout = scene.layout
     leds = np.array([r.center_mm for r in layout.leds])
     photodiodes = np.array([e.area.center_mm for e in layout.photodiodes])
     fits = len(leds) == result.sizes["led"] and len(photodiodes) == result.sizes["photodiode"]

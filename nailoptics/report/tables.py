@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
+from ..tissue import bed_zone_name
 from . import style
 from .html import escaped, small, table
 from .numbers import prefix, significant, with_error
@@ -58,7 +59,7 @@ def path_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
     if not np.isfinite(mean).any():
         return ""
     zones = [str(z) for z in result.zone.values]
-    names = {f"bed_{k}": f"bed,<br>{escaped(zone)}" for k, zone in enumerate(zones, start=1)}
+    names = {bed_zone_name(k): f"bed,<br>{escaped(zone)}" for k, zone in enumerate(zones)}
     head = ["Photodiode", *(f"{names.get(str(a), escaped(a))} [mm]" for a in result.absorber.values)]
     rows = []
     for r, name in zip(found, _names(found), strict=True):

@@ -2,7 +2,9 @@
 
 from .files import digest, json_schema, load_scene, parse_scene, to_toml
 from .finger import Finger
-from .models import Accuracy, Blood, Board, Electronics, Layer, Led, Light, Phantom, Photodiode, Scene
+from .layout import Element, Layout, Rectangle
+from .models import Accuracy, Blood, Electronics, Layer, Light, Phantom, Scene
+from .parts import Board, Led, Photodiode
 from .placement import Candidate, FingerCase, Placement
 from .touch import Touch
 
@@ -12,14 +14,17 @@ __all__ = [
     "Board",
     "Candidate",
     "Electronics",
+    "Element",
     "Finger",
     "FingerCase",
     "Layer",
+    "Layout",
     "Led",
     "Light",
     "Phantom",
     "Photodiode",
     "Placement",
+    "Rectangle",
     "Scene",
     "Touch",
     "digest",

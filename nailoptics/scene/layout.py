@@ -1,10 +1,16 @@
 """Where everything lies on the flat board: dies, photodiode elements, barrier walls, outline."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
-from .models import Scene
+from .finger import Finger
+from .parts import Board, Led, Photodiode
 
-GAP_MM = 1e-6
+ROUNDING_MM = 1e-6  # what parts may overlap without a complaint
+BOARD_MARGIN_MM = 0.5  # from the outermost parts to the edge of a board whose size is not given
+NAIL_MARGIN_MM = 0.05  # the least from the board's edge to the nail's
+WALL_ROOM_MM = 0.02  # the least left beside a wall between LEDs and photodiodes
+LAYOUTS_KEPT = 256
 
 
 @dataclass(frozen=True)
@@ -43,10 +49,15 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class Element:
-    """One photodiode element that is read, and which entry of scene.photodiodes it came from."""
+    """One photodiode element that is read, and the scene's photodiode that it belongs to."""
 
     area: Rectangle
-    entry: int
+    photodiode: Photodiode
+
+    @property
+    def name(self) -> str:
+        """Name of the photodiode; of an array, with the number of the element."""
+        return self.area.name
 
 
 @dataclass(frozen=True)
@@ -59,23 +70,38 @@ class Layout:
     unwired: tuple[Rectangle, ...]
     barriers: tuple[Rectangle, ...]
 
+    @property
+    def photodiode_names(self) -> tuple[str, ...]:
+        """Names of the elements that are read."""
+        return tuple(element.name for element in self.photodiodes)
 
-def lay_out(scene: Scene) -> Layout:
-    """The layout of a finger scene's board; raises ValueError where it is impossible."""
-    assert scene.finger is not None
-    board, finger = scene.board, scene.finger
+    @property
+    def photodiode_areas(self) -> tuple[Rectangle, ...]:
+        """Areas of the elements that are read."""
+        return tuple(element.area for element in self.photodiodes)
+
+
+@lru_cache(LAYOUTS_KEPT)
+def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tuple[Photodiode, ...]) -> Layout:
+    """The layout of the board on a finger's nail; raises ValueError where it is impossible."""
     du, dv = board.center_mm
-    leds = tuple(
-        Rectangle.around(led.name, (led.position_mm[0] + du, led.position_mm[1] + dv), led.size_mm)
-        for led in scene.leds
+    dies = tuple(
+        Rectangle.around(led.name, (led.position_mm[0] + du, led.position_mm[1] + dv), led.size_mm) for led in leds
     )
-    wired, unwired = _elements(scene)
-    parts = [(f'leds "{r.name}"', r) for r in leds] + [(f'photodiode "{e.area.name}"', e.area) for e in wired]
+    wired, unwired = _elements(board, photodiodes)
+    parts = [(f'leds "{r.name}"', r) for r in dies] + [(f'photodiode "{e.name}"', e.area) for e in wired]
     parts += [(f'photodiode element "{r.name}"', r) for r in unwired]
-    _check_apart(parts)
-    rectangles = [r for _, r in parts]
+    _check_overlaps(parts)
+    outline = _outline(board, parts)
+    _check_nail(outline, finger)
+    barriers = _barriers(board, dies, [e.area for e in wired] + unwired, outline) if board.barrier else ()
+    return Layout(outline, dies, tuple(wired), tuple(unwired), barriers)
+
+
+def _outline(board: Board, parts: list[tuple[str, Rectangle]]) -> Rectangle:
+    """The board's edges: its size, or enough for its parts; every part must lie within."""
+    rectangles, margin = [r for _, r in parts], BOARD_MARGIN_MM
     if board.size_mm is None:
-        margin = 0.5
         outline = Rectangle(
             "board",
             min(r.u_min for r in rectangles) - margin,
@@ -88,54 +114,55 @@ def lay_out(scene: Scene) -> Layout:
     for name, r in parts:
         if (
             min(r.u_min - outline.u_min, outline.u_max - r.u_max, r.v_min - outline.v_min, outline.v_max - r.v_max)
-            < GAP_MM
+            < ROUNDING_MM
         ):
             raise ValueError(f"{name} reaches over the board's edge; move it or enlarge board.size_mm")
+    return outline
+
+
+def _check_nail(outline: Rectangle, finger: Finger) -> None:
     for axis, low, high, size in (
         ("wide", outline.u_min, outline.u_max, finger.nail_width_mm),
         ("long", outline.v_min, outline.v_max, finger.nail_length_mm),
     ):
-        if low < -size / 2 + 0.05 or high > size / 2 - 0.05:
+        if low < -size / 2 + NAIL_MARGIN_MM or high > size / 2 - NAIL_MARGIN_MM:
             raise ValueError(
                 f"board: {low:.2f} to {high:.2f} mm does not fit on the nail, which is {size:g} mm {axis}; "
                 "make the board smaller or move its center_mm"
             )
-    barriers = _barriers(scene, leds, [e.area for e in wired] + list(unwired), outline) if board.barrier else ()
-    return Layout(outline, leds, tuple(wired), tuple(unwired), barriers)
 
 
-def _elements(scene: Scene) -> tuple[list[Element], list[Rectangle]]:
+def _elements(board: Board, photodiodes: tuple[Photodiode, ...]) -> tuple[list[Element], list[Rectangle]]:
     """Photodiode elements that are read, and those that are there but not wired."""
     wired: list[Element] = []
     unwired: list[Rectangle] = []
-    du, dv = scene.board.center_mm
-    for entry, photodiode in enumerate(scene.photodiodes):
+    du, dv = board.center_mm
+    for photodiode in photodiodes:
         u, v = photodiode.position_mm
         pitch = photodiode.pitch_mm or photodiode.size_mm[1]
-        for i in range(photodiode.elements):
-            name = photodiode.name if photodiode.elements == 1 else f"{photodiode.name}.{i}"
+        for i, name in enumerate(photodiode.element_names()):
             center = (u + du, v + dv + (i - (photodiode.elements - 1) / 2) * pitch)
             area = Rectangle.around(name, center, photodiode.size_mm)
             if photodiode.wired is None or i in photodiode.wired:
-                wired.append(Element(area, entry))
+                wired.append(Element(area, photodiode))
             else:
                 unwired.append(area)
     return wired, unwired
 
 
-def _check_apart(parts: list[tuple[str, Rectangle]]) -> None:
+def _check_overlaps(parts: list[tuple[str, Rectangle]]) -> None:
     for i, (name, r) in enumerate(parts):
         for other_name, other in parts[i + 1 :]:
             depth = r.overlap_mm(other)
-            if depth > GAP_MM:
+            if depth > ROUNDING_MM:
                 raise ValueError(f"{name}: position_mm lies {depth:.3g} mm inside {other_name}; move one of them")
 
 
 def _barriers(
-    scene: Scene, leds: tuple[Rectangle, ...], photodiodes: list[Rectangle], outline: Rectangle
+    board: Board, leds: tuple[Rectangle, ...], photodiodes: list[Rectangle], outline: Rectangle
 ) -> tuple[Rectangle, ...]:
     """Straight walls over the whole board, each at the asked gap from the LEDs on one side, or midway."""
-    width, beside = scene.board.barrier_um * 1e-3, scene.board.barrier_gap_mm
+    width, beside = board.barrier_um * 1e-3, board.barrier_gap_mm
     u_low, u_high = min(r.u_min for r in photodiodes), max(r.u_max for r in photodiodes)
     v_low, v_high = min(r.v_min for r in photodiodes), max(r.v_max for r in photodiodes)
     sides: dict[str, list[Rectangle]] = {"left": [], "right": [], "below": [], "above": []}
@@ -147,7 +174,7 @@ def _barriers(
             "above": led.v_min - v_high,
         }
         side = max(gaps, key=lambda key: gaps[key])
-        if gaps[side] < width + (beside or 0.0) + 0.02:
+        if gaps[side] < width + (beside or 0.0) + WALL_ROOM_MM:
             raise ValueError(
                 f'board.barrier: LED "{led.name}" lies {max(gaps[side], 0):.3g} mm beside the photodiodes, which '
                 f"leaves no room for a wall of {width:g} mm{f' at a gap of {beside:g} mm' if beside else ''}; "
@@ -172,6 +199,6 @@ def _barriers(
             walls.append(Rectangle(side, outline.u_min, outline.u_max, middle - width / 2, middle + width / 2))
     for wall in walls:
         for led in leds:
-            if wall.overlap_mm(led) > GAP_MM:
+            if wall.overlap_mm(led) > ROUNDING_MM:
                 raise ValueError(f'board.barrier: the wall would cut LED "{led.name}"; move it or set barrier = false')
     return tuple(walls)

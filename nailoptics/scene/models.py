@@ -1,42 +1,17 @@
 """A scene: a finger or a phantom, with the LEDs and photodiodes that look at it."""
 
 import math
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import Field, model_validator
 
-from ..assets import LedPart, PhotodiodeArrayPart, load_part
 from ..errors import InputError
-from .base import WAVELENGTH_RANGE_NM, Fraction, Name, NonNegative, Point, Positive, Size, Table
+from .base import WAVELENGTH_RANGE_NM, Fraction, Name, NonNegative, Positive, Table
 from .finger import Finger
+from .layout import Layout, lay_out
+from .parts import Board, Led, Photodiode
 from .placement import Placement
 from .touch import Touch
-
-Wavelength = Annotated[float, Field(ge=200, le=3000)]
-PARTS: dict[str, Any] = {"part": LedPart, "array": PhotodiodeArrayPart}
-FROM_PART = {
-    "part": {"wavelength_nm", "fwhm_nm", "flux_mw", "size_mm", "pattern"},
-    "array": {"elements", "size_mm", "pitch_mm", "quantum_efficiency", "dark_current_na", "shunt_mohm"},
-}
-
-
-def with_part(data: object, key: str, info: ValidationInfo) -> object:
-    """The table with the fields of its part filled in where it does not give them itself.
-
-    A table that gives them all, as a written scene does, needs no part any more.
-    """
-    if not isinstance(data, dict) or not isinstance(data.get(key), str) or FROM_PART[key] <= data.keys():
-        return data
-    try:
-        part = load_part(data[key], beside=(info.context or {}).get("folder"), expect=PARTS[key])
-    except InputError as error:
-        # As a ValueError it is told with the place in the scene that names the part.
-        raise ValueError(str(error).rstrip(".")) from None
-    fields = part.scene_fields()
-    if data.get("pattern", "measured") != "measured":
-        # The part's measured table goes with the part's own pattern only.
-        fields = {name: value for name, value in fields.items() if not name.startswith("pattern")}
-    return fields | data
 
 
 class Layer(Table):
@@ -83,131 +58,6 @@ class Phantom(Table):
                 raise ValueError(
                     f'layers: "{layer.name}" has thickness_mm = inf but is not the last; only the last can be infinite'
                 )
-        return self
-
-
-class Led(Table):
-    """A light-emitting die, or a beam on a phantom."""
-
-    name: Name
-    """Name of the LED, unique in the scene."""
-    part: str | None = None
-    """A part from assets/parts or beside the scene; fills the fields that are not given."""
-    wavelength_nm: Wavelength
-    """Peak wavelength. [nm]"""
-    fwhm_nm: NonNegative = 0.0
-    """Full width at half maximum of the spectrum (Gaussian). [nm]"""
-    flux_mw: Positive = 1.0
-    """Radiant flux. [mW]"""
-    pattern: Literal["lambertian", "pencil", "measured"] = "lambertian"
-    """Angular pattern: Lambertian, a measured table, or (phantom) a pencil beam at normal incidence."""
-    pattern_deg: tuple[NonNegative, ...] | None = None
-    """Angles from the normal of a measured pattern. [deg]"""
-    pattern_relative: tuple[NonNegative, ...] | None = None
-    """Relative radiant intensity at those angles."""
-    position_mm: Point = (0.0, 0.0)
-    """Centre of the die. [mm]"""
-    size_mm: Size = (0.25, 0.25)
-    """Size of the die (u, v); a pencil beam has none. [mm]"""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _fill_from_part(cls, data: object, info: ValidationInfo) -> object:
-        return with_part(data, "part", info)
-
-    @model_validator(mode="after")
-    def _pattern_is_complete(self) -> Self:
-        if self.pattern == "measured":
-            angles, values = self.pattern_deg or (), self.pattern_relative or ()
-            if len(angles) < 2 or len(angles) != len(values) or not any(values):
-                raise ValueError(
-                    'pattern = "measured" needs pattern_deg and pattern_relative of equal length, two or more'
-                )
-            if angles[0] != 0 or angles[-1] > 90 or any(b <= a for a, b in zip(angles, angles[1:], strict=False)):
-                raise ValueError("pattern_deg must rise from 0 to at most 90")
-        elif self.pattern_deg is not None or self.pattern_relative is not None:
-            raise ValueError(f'pattern_deg and pattern_relative belong to pattern = "measured", not "{self.pattern}"')
-        return self
-
-
-class Photodiode(Table):
-    """A photodiode, an array of them, or (phantom) an aperture that counts all light through it."""
-
-    name: Name
-    """Name, unique in the scene; the elements of an array are called name.0, name.1 and so on."""
-    array: str | None = None
-    """A photodiode array from assets/parts or beside the scene; fills the fields that are not given."""
-    wired: tuple[Annotated[int, Field(ge=0)], ...] | None = None
-    """Which elements of the array are read, from 0 at the proximal end; all of them if not given."""
-    elements: Annotated[int, Field(ge=1, le=256)] = 1
-    """Number of elements in a row along v."""
-    pitch_mm: Positive | None = None
-    """Distance from element to element; their size along v if not given. [mm]"""
-    aperture: bool = False
-    """Counts all light that leaves the top face of a phantom through it, at every angle."""
-    position_mm: Point
-    """Centre of the photodiode or array. [mm]"""
-    size_mm: Size = (1.0, 1.0)
-    """Size of one element (u, v). [mm]"""
-    quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.85
-    """Electrons per photon that arrives."""
-    dark_current_na: NonNegative = 0.1
-    """Dark current of one element. [nA]"""
-    shunt_mohm: Positive = 1000.0
-    """Shunt resistance of one element. [Mohm]"""
-
-    def element_names(self) -> tuple[str, ...]:
-        """Names of the elements: its own where it is one photodiode, name.0, name.1 and so on of an array."""
-        return (self.name,) if self.elements == 1 else tuple(f"{self.name}.{i}" for i in range(self.elements))
-
-    @model_validator(mode="before")
-    @classmethod
-    def _fill_from_part(cls, data: object, info: ValidationInfo) -> object:
-        data = with_part(data, "array", info)
-        return {"name": data["array"]} | data if isinstance(data, dict) and isinstance(data.get("array"), str) else data
-
-    @model_validator(mode="after")
-    def _wiring_exists(self) -> Self:
-        if self.wired == ():
-            raise ValueError("wired is empty; name the elements that are read, or leave it out to read all")
-        for index in self.wired or ():
-            if index >= self.elements:
-                raise ValueError(f"wired names element {index}, but the array has elements 0 to {self.elements - 1}")
-        if self.wired is not None and len(set(self.wired)) < len(self.wired):
-            raise ValueError(f"wired names an element twice: {list(self.wired)}")
-        if self.pitch_mm is not None and self.pitch_mm < self.size_mm[1]:
-            raise ValueError(f"pitch_mm = {self.pitch_mm} is less than the element's size along v, {self.size_mm[1]}")
-        return self
-
-
-class Board(Table):
-    """The flexible board that is bent onto the nail, and what fills the space below it."""
-
-    size_mm: Size | None = None
-    """Size of the board (u, v) around its origin; enough for its parts if not given. [mm]"""
-    center_mm: Point = (0.0, 0.0)
-    """Where the board's origin lies on the nail, from the nail's centre (u, v). [mm]"""
-    kapton_um: Annotated[float, Field(ge=5, le=500)] = 25.0
-    """Thickness of the Kapton film. [um]"""
-    clear_epoxy_um: Annotated[float, Field(ge=20, le=3000)] = 400.0
-    """Depth of the clear epoxy under the board. [um]"""
-    adhesive_um: Annotated[float, Field(ge=0, le=1000)] = 50.0
-    """Thickness of the clear adhesive on the nail; it has the epoxy's index. [um]"""
-    barrier: bool = True
-    """A wall of opaque epoxy between LEDs and photodiodes, from the board to the nail."""
-    barrier_um: Annotated[float, Field(ge=20, le=2000)] = 150.0
-    """Thickness of that wall. [um]"""
-    barrier_gap_mm: Annotated[float, Field(ge=0.02, le=5)] | None = None
-    """Distance from the nearest LED to that wall; midway to the photodiodes if not given. [mm]"""
-    cover_um: Annotated[float, Field(ge=0, le=5000)] = 500.0
-    """Thickness of the opaque cover on top; 0 leaves it away, and light passes through the film. [um]"""
-    opaque_reflectance: Fraction = 0.04
-    """Diffuse reflectance of the opaque epoxy: barrier, rim and cover."""
-
-    @model_validator(mode="after")
-    def _cover_is_thick_or_none(self) -> Self:
-        if 0 < self.cover_um < 20:
-            raise ValueError(f"cover_um = {self.cover_um:g} is too thin a cover; give 20 or more, or 0 for none")
         return self
 
 
@@ -332,7 +182,15 @@ class Scene(Table):
             raise ValueError("photodiodes: a finger scene needs at least one")
         # The board is laid out here so that every impossible layout is the scene's own error.
         if self.finger is not None:
-            from .layout import lay_out
-
-            lay_out(self)
+            lay_out(self.finger, self.board, self.leds, self.photodiodes)
         return self
+
+    @property
+    def layout(self) -> Layout:
+        """Where everything lies on a finger scene's board.
+
+        Raises: ValueError where the parts of a copy of the scene do not fit; InputError for a phantom.
+        """
+        if self.finger is None:
+            raise InputError("a phantom has no board to lay out; give a scene with [finger].")
+        return lay_out(self.finger, self.board, self.leds, self.photodiodes)

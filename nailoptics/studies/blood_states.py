@@ -8,7 +8,6 @@ from numpy.typing import ArrayLike
 
 from .. import hemodynamics
 from ..scene import Scene
-from ..scene.layout import lay_out
 
 
 def largest_force_n(scene: Scene) -> float:
@@ -61,4 +60,4 @@ def touch_pressures_pa(scene: Scene, force_n: ArrayLike) -> tuple[np.ndarray, np
 def zones_of_photodiodes(scene: Scene) -> np.ndarray:
     """The blood zone above which each photodiode lies, (photodiodes,) int: 0 is proximal."""
     edge_mm = scene.blood.zone_edges_mm[0]
-    return np.array([int(element.area.center_mm[1] >= edge_mm) for element in lay_out(scene).photodiodes])
+    return np.array([int(element.area.center_mm[1] >= edge_mm) for element in scene.layout.photodiodes])

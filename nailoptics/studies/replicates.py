@@ -38,7 +38,7 @@ def read_led(transfer: Transfer, led: int, mu_a: np.ndarray, blood_per_mm: np.nd
     wavelength, share = optics.spectrum(source)
     share = share * wavelength / source.wavelength_nm
     mean = float(share @ blood_per_mm / share.sum())
-    zones = [k for k, name in enumerate(transfer.absorbers) if name.startswith("bed_")]
+    zones = list(optics.bed_columns(transfer.scene))
     count = len(transfer.photodiodes)
     weight = np.zeros((count, GROUPS, len(mu_a)))
     path = np.zeros((count, GROUPS, len(zones)))

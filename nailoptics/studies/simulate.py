@@ -12,7 +12,6 @@ from ..light import Light, Progress, open_light
 from ..options import Requested, TraceOptions
 from ..paper import reduced_optics
 from ..scene import Scene
-from ..scene.layout import lay_out
 from ..variables import Variable, variable
 from .blood_states import blood_over_touch, zones_of_photodiodes
 
@@ -82,8 +81,8 @@ def simulate_from(scene: Scene, light: Light, *, course: xr.Dataset, seed: int) 
 
 def _read_volts(scene: Scene, light: Light, blood: np.ndarray) -> xr.Dataset:
     """Detected fractions and volts over the course, with standard errors and noise."""
-    layout, readings = lay_out(scene), light.over(blood)
-    diodes = [scene.photodiodes[element.entry] for element in layout.photodiodes]
+    layout, readings = scene.layout, light.over(blood)
+    diodes = [element.photodiode for element in layout.photodiodes]
     wavelength_nm = np.array([led.wavelength_nm for led in scene.leds])
     efficiency = [diode.quantum_efficiency for diode in diodes]
     responsivity = electronics.responsivity_a_per_w(wavelength_nm[:, None], efficiency)
@@ -112,7 +111,7 @@ def _read_volts(scene: Scene, light: Light, blood: np.ndarray) -> xr.Dataset:
     data |= variable("wavelength_nm", "led", wavelength_nm, "peak wavelength", units="nm")
     coords = {
         "led": [led.name for led in scene.leds],
-        "photodiode": [element.area.name for element in layout.photodiodes],
+        "photodiode": list(layout.photodiode_names),
         "absorber": list(light.absorbers),
     }
     return xr.Dataset(data, coords)

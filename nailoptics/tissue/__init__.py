@@ -1,6 +1,6 @@
 """Blood to media: from chromophores to mu_a, mu_s, g and n of every region, and the blood zones under the nail."""
 
-from .blood_zones import BloodZones, mu_a_field
+from .blood_zones import BloodZones, bed_zone_name, mu_a_field
 from .properties import (
     REGIONS,
     REST_BLOOD_FRACTION,
@@ -22,6 +22,7 @@ __all__ = [
     "OpticalProperties",
     "Region",
     "absorption",
+    "bed_zone_name",
     "blood_mu_a_per_mm",
     "mu_a_field",
     "optical_properties",

@@ -11,6 +11,11 @@ from .properties import DermisAbsorption, absorption
 from .spectra import Array, checked_fraction
 
 
+def bed_zone_name(zone: int) -> str:
+    """Name of a blood zone's absorber in results: bed_1 is the most proximal, zone 0."""
+    return f"bed_{zone + 1}"
+
+
 @dataclass(frozen=True)
 class BloodZones:
     """Zones of the nail bed along v, each smoothly handing over to the next.

@@ -57,7 +57,7 @@ def further(scene: nail.Scene, found: xr.Dataset) -> float:
     for i in range(CANDIDATES):
         begin = time.perf_counter()
         moved = [(u, v + 0.01 * i) for u, v in places]
-        layout = boards.with_parts(base, [r.center_mm for r in boards.lay_out(best).leds], moved, name="one")
+        layout = boards.with_parts(base, [r.center_mm for r in best.layout.leds], moved, name="one")
         place.judge(place.Layout("one", layout, board, "given"), bank, rules.rank_by)
         spent.append(time.perf_counter() - begin)
     return statistics.median(spent[1:])

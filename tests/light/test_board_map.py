@@ -8,7 +8,7 @@ from nailoptics.errors import InputError
 from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, map_board, readings
 from nailoptics.light.reweight import course
 from nailoptics.scene import parse_scene, to_toml
-from nailoptics.scene.layout import Rectangle, lay_out
+from nailoptics.scene.layout import Rectangle
 
 BOARD = """
 schema_version = 1
@@ -58,7 +58,7 @@ def together(arrivals, point, rectangles):
 
 def test_over_a_photodiode_the_map_reads_what_the_photodiode_reads(scene, arrivals, transfer):
     """The map's board has no photodiodes, the trace's board has two: same reading, to 3 % and 6 %."""
-    areas = [element.area for element in lay_out(scene).photodiodes]
+    areas = list(scene.layout.photodiode_areas)
     point = blood_point(scene, 0)
     mean, error = together(arrivals, point, areas)
     seen = course(transfer, np.array([[0.03, 0.03]]), electrons=True)
@@ -69,7 +69,7 @@ def test_over_a_photodiode_the_map_reads_what_the_photodiode_reads(scene, arriva
 
 def test_sensitivities_are_the_finite_differences_of_a_trace(scene, arrivals, transfer):
     """The map's derivative by each zone's blood, and 1 % more blood read from the trace of the real board."""
-    areas = [element.area for element in lay_out(scene).photodiodes]
+    areas = list(scene.layout.photodiode_areas)
     mean, error = together(arrivals, blood_point(scene, 0), areas)
     for zone in range(2):
         step = np.zeros(2)
@@ -85,7 +85,7 @@ def test_sensitivities_are_the_finite_differences_of_fresh_traces(scene, arrival
 
     Readings fall by a few percent there, and a difference about the middle is bent by less than 1 % of itself.
     """
-    areas = [element.area for element in lay_out(scene).photodiodes]
+    areas = list(scene.layout.photodiode_areas)
     mean, error = together(arrivals, blood_point(scene, 0), areas)
     slope, noise = mean[:, 2:].sum(1), np.linalg.norm(error[:, 2:], axis=1)
     each = []
@@ -103,7 +103,7 @@ def test_sensitivities_are_the_finite_differences_of_fresh_traces(scene, arrival
 
 def test_a_fresh_trace_with_more_blood_reads_what_the_map_foretells(scene, arrivals, chosen_jit):
     """No photon is shared: the map's reread reading beside a trace at 5 % blood in the bed."""
-    areas = [element.area for element in lay_out(scene).photodiodes]
+    areas = list(scene.layout.photodiode_areas)
     mean, error = together(arrivals, blood_point(scene, 0, blood_fraction=[0.05, 0.05]), areas)
     more = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": 0.05})})
     seen = course(nail.trace(more, photons=3 << 18, seed=11), np.array([[0.05, 0.05]]), electrons=True)
@@ -111,7 +111,7 @@ def test_a_fresh_trace_with_more_blood_reads_what_the_map_foretells(scene, arriv
 
 
 def test_without_a_wall_light_crosses_that_never_saw_the_bed(scene, arrivals, chosen_jit):
-    areas = [element.area for element in lay_out(scene).photodiodes]
+    areas = list(scene.layout.photodiode_areas)
     point = blood_point(scene, 0)
     behind, _ = together(arrivals, point, areas)
     open_board = scene.model_copy(update={"board": scene.board.model_copy(update={"barrier": False})})
@@ -123,7 +123,7 @@ def test_without_a_wall_light_crosses_that_never_saw_the_bed(scene, arrivals, ch
 
 def test_binned_map_and_records_agree_on_any_rectangle(scene, arrivals):
     point = blood_point(scene, 0)
-    binned = PhotonMap(lay_out(scene).outline, values=4, spacing_mm=0.1)
+    binned = PhotonMap(scene.layout.outline, values=4, spacing_mm=0.1)
     for one in arrivals:
         binned.add(one, point.values(one))
     areas = [Rectangle("r", -0.33, 0.62, -1.27, 0.11), Rectangle("s", 0.7, 1.95, 0.33, 2.41)]
@@ -164,7 +164,7 @@ def test_light_from_a_to_b_is_light_from_b_to_a(chosen_jit, scene):
         )
         tracer = BoardTracer(one)
         found = [tracer.arrivals(0, photons=1 << 18, seed=i) for i in range(2)]
-        swapped.append(together(found, blood_point(one, 0), [lay_out(one).photodiodes[0].area]))
+        swapped.append(together(found, blood_point(one, 0), [one.layout.photodiodes[0].area]))
     (there, there_error), (back, back_error) = swapped
     error = np.hypot(there_error, back_error)
     assert np.all(np.abs(there - back)[0, [0, 2, 3]] < 4 * error[0, [0, 2, 3]])

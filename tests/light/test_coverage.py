@@ -17,7 +17,6 @@ from nailoptics.light.records import Batch, LedTrace, joined
 from nailoptics.light.reweight import course
 from nailoptics.light.tracing import _trace_led
 from nailoptics.scene import Accuracy, Scene, parse_scene
-from nailoptics.scene.layout import lay_out
 from nailoptics.statistics import stderr_of_mean
 from nailoptics.studies import replicates
 from nailoptics.studies.comparison import fits
@@ -135,7 +134,7 @@ def test_intervals_of_the_map_and_of_the_force_that_a_layout_resolves(jit_backen
     """Expected: sums over a rectangle by photons, cells of the map by blocks, the resolution by their jackknife."""
     scene = parse_scene(FINGER)
     tracer, point, at = BoardTracer(scene), blood_point(scene, 0), fisher.operating(scene, 0.5)
-    areas, outline = [e.area for e in lay_out(scene).photodiodes], lay_out(scene).outline
+    areas, outline = list(scene.layout.photodiode_areas), scene.layout.outline
 
     def mapped(several: list[Arrivals]) -> Estimates:
         one = PhotonMap(outline, values=4, spacing_mm=1.0)

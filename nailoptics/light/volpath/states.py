@@ -139,7 +139,7 @@ def finger_states(
             if len(level[group[0]]) == planned[group]:
                 dark = [i for i in group if not any(level[i])]
                 if dark and planned[group] >= DARK_BATCHES:
-                    photodiode = geometry.regions[geometry.photodiodes[dark[0]].region].partition(":")[2]
+                    photodiode = geometry.photodiodes[dark[0]].name
                     fell_short = unseen(name, photodiode, planned[group] * paths)
                 else:
                     planned[group] = max(batches_for(relative_error, level[i]) for i in group)

@@ -235,10 +235,9 @@ def _judge_sweep(
     share = share * wavelength / np.sum(share * wavelength)
     mu_a = optics.absorption(scene, wavelength, blood_fraction=sweep.blood, so2=sweep.so2)
     states = [mu_a]
-    for name in ("bed_1", "bed_2"):
+    for column in optics.bed_columns(transfer.scene):
         # Only this zone's blood changes.
         alone = np.repeat(mu_a[:1], POINTS, 0)
-        column = transfer.absorbers.index(name)
         alone[..., column] = mu_a[..., column]
         states.append(alone)
     blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, float(sweep.so2[0])))

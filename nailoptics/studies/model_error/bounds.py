@@ -7,7 +7,7 @@ import numpy as np
 
 from ... import electronics, tissue
 from ...scene import Scene
-from ...scene.layout import Rectangle, lay_out
+from ...scene.layout import Rectangle
 from ..ambient import SILICON_NM, SOURCES, STEP_NM, collecting_area_mm2
 from ..comparison.compare import BLOOD_REDUCED_SCATTERING_PER_MM
 from ..comparison.fits import Z95
@@ -41,21 +41,21 @@ def blood_scattering(scene: Scene, base: Look, denser: Look, tolerance: float) -
 
 def farthest(scene: Scene) -> Scene:
     """The photodiode farthest from the first LED, swapped with it."""
-    layout = lay_out(scene)
+    layout = scene.layout
     return swapped(
         scene,
-        max((e.area for e in layout.photodiodes), key=lambda area: math.dist(area.center_mm, layout.leds[0].center_mm)),
+        max(layout.photodiode_areas, key=lambda area: math.dist(area.center_mm, layout.leds[0].center_mm)),
     )
 
 
 def most_proximal(scene: Scene) -> Scene:
     """The photodiode nearest to the hand, swapped with the first LED."""
-    return swapped(scene, min((e.area for e in lay_out(scene).photodiodes), key=lambda area: area.center_mm[1]))
+    return swapped(scene, min(scene.layout.photodiode_areas, key=lambda area: area.center_mm[1]))
 
 
 def swapped(scene: Scene, far: Rectangle) -> Scene:
     """A photodiode as a Lambertian LED, and a photodiode where the first LED was."""
-    layout, tables = lay_out(scene), scene.model_dump()
+    layout, tables = scene.layout, scene.model_dump()
     # The board stays where it is, though its parts no longer span it evenly.
     center, (du, dv), (u, v) = layout.outline.center_mm, scene.board.center_mm, scene.leds[0].position_mm
     led = tables["leds"][0] | {
@@ -131,7 +131,7 @@ def returning(
     finger = base.transfer.scene.finger
     assert finger is not None
     area_mm2 = np.pi / 4 * finger.width_mm * finger.thickness_mm
-    diode = max((e.area for e in lay_out(base.transfer.scene).photodiodes), key=lambda r: r.area_mm2)
+    diode = max(base.transfer.scene.layout.photodiode_areas, key=lambda r: r.area_mm2)
     passed = 1.0
     for one in (cut, back):
         left = one.transfer.energy()["transmitted"]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from ...errors import InputError
 from ...scene import Finger, FingerCase, Led, Photodiode, Placement, Scene
-from ...scene.layout import Rectangle, lay_out
+from ...scene.layout import Rectangle
 
 Places = Sequence[tuple[float, float]]
 
@@ -115,14 +115,14 @@ def with_parts(
 def check(scene: Scene, name: str) -> None:
     """Raise InputError unless the scene's board can be laid out."""
     try:
-        lay_out(scene)
+        _ = scene.layout
     except ValueError as error:
         raise InputError(f'layout "{name}": {error}.') from None
 
 
 def explicit(scene: Scene, name: str) -> Scene:
     """The same layout with outline and wall spelled out, so that they stay when its photodiodes are taken away."""
-    layout = lay_out(scene)
+    layout = scene.layout
     outline, (du, dv) = layout.outline, scene.board.center_mm
     (u, v), size = outline.center_mm, (outline.u_max - outline.u_min, outline.v_max - outline.v_min)
     update: dict[str, object] = {"center_mm": (u, v), "size_mm": size}
@@ -160,7 +160,7 @@ def bare(scene: Scene, *, side: str | None = None) -> Scene:
     side : on which side of the photodiodes its LEDs lie; as in the scene's layout if not given. Needed with a wall.
     """
     if side is None and scene.board.barrier:
-        side = lay_out(scene).barriers[0].name
+        side = scene.layout.barriers[0].name
     du, dv = scene.board.center_mm
     size = scene.board.size_mm
     assert size is not None
@@ -181,4 +181,4 @@ def bare(scene: Scene, *, side: str | None = None) -> Scene:
 
 def elements(scene: Scene) -> list[Rectangle]:
     """The photodiodes that a layout reads."""
-    return [element.area for element in lay_out(scene).photodiodes]
+    return list(scene.layout.photodiode_areas)

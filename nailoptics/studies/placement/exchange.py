@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...scene import Placement, Scene
-from ...scene.layout import Rectangle, lay_out
+from ...scene.layout import Rectangle
 from . import boards
 from . import fisher as merit
 from .photon_maps import Bank, View
@@ -93,7 +93,7 @@ def board_at(spot: Spot, base: Scene) -> Scene:
 
 def free_places(board: Scene, size_mm: tuple[float, float], placement: Placement) -> np.ndarray:
     """Centres that a photodiode may take on a bare board, (m, 2) float. [mm]"""
-    layout, step = lay_out(board), placement.photodiode_step_mm
+    layout, step = board.layout, placement.photodiode_step_mm
     outline, half, apart = layout.outline, np.array(size_mm) / 2, placement.clearance_mm
     axes = []
     for i, (low, high) in enumerate(((outline.u_min, outline.u_max), (outline.v_min, outline.v_max))):

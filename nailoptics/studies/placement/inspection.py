@@ -11,7 +11,7 @@ import xarray as xr
 
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, PhotonMap, blood_point, readings
 from ...scene import Photodiode, Scene
-from ...scene.layout import Layout, lay_out
+from ...scene.layout import Layout
 from ...statistics import stderr_of_mean
 from ..ambient import SOURCES, photocurrents_a
 from ..comparison.fits import Z95
@@ -68,12 +68,12 @@ def look(best: Scene, view: View, *, photons: int, seed: int, backend: str, dead
     photons : from each LED in the fresh trace, unless the deadline comes first; some are traced in any case.
     """
     scene = boards.on_finger(best, view.case)
-    layout, tracer = lay_out(scene), BoardTracer(scene, backend=backend)
+    layout, tracer = scene.layout, BoardTracer(scene, backend=backend)
     points = tuple(
         blood_point(scene, led, blood_fraction=view.at.blood_fraction, dermis=view.case.dermis)
         for led in range(len(scene.leds))
     )
-    bench = _Bench(scene, view, layout, scene.photodiodes[layout.photodiodes[0].entry], tracer, points, seed)
+    bench = _Bench(scene, view, layout, layout.photodiodes[0].photodiode, tracer, points, seed)
     batches = max(LEAST_BATCHES, photons // tracer.batch_photons)
     half = time.perf_counter() + (deadline - time.perf_counter()) / 2
     values, found = _forward(bench, batches, half)
@@ -83,7 +83,7 @@ def look(best: Scene, view: View, *, photons: int, seed: int, backend: str, dead
     resolution = bench.resolution_n(values)
     return xr.Dataset(
         found,
-        coords={"led": [led.name for led in scene.leds], "best_photodiode": [e.area.name for e in layout.photodiodes]},
+        coords={"led": [led.name for led in scene.leds], "best_photodiode": list(layout.photodiode_names)},
         attrs={
             "checked_resolution_n": float(resolution[0]),
             "checked_resolution_n_stderr": float(resolution[0] * jackknife(np.log(resolution))),

@@ -7,7 +7,6 @@ import numpy as np
 
 from ...light.board_map import BloodPoint, BoardTracer, PhotonMap, blood_point
 from ...scene import FingerCase, Scene, digest
-from ...scene.layout import lay_out
 from . import boards
 from . import fisher as merit
 
@@ -52,7 +51,7 @@ class Bank:
         """Trace so many photons more, per LED and finger, of a bare board."""
         key = digest(board)
         if key not in self._maps:
-            outline = lay_out(board).outline
+            outline = board.layout.outline
             self._maps[key] = [
                 [PhotonMap(outline, values=4, spacing_mm=self.spacing_mm, blocks=self.blocks) for _ in board.leds]
                 for _ in self.views
@@ -88,7 +87,7 @@ class Bank:
         """Readings of a layout, by finger and LED, each (1 + blocks, photodiodes): by all photons, then without each
         block of them."""
         areas, maps = boards.elements(layout), self.maps(board)
-        entries = [layout.photodiodes[e.entry] for e in lay_out(layout).photodiodes]
+        entries = [e.photodiode for e in layout.layout.photodiodes]
         out: list[list[merit.Volts]] = []
         for view, by_led in zip(self.views, maps, strict=True):
             out.append([])

@@ -10,7 +10,6 @@ from ...light.board_map import PhotonMap, map_dataset
 from ...light.transfer import provenance
 from ...scene import Scene, parse_scene, to_toml
 from ...scene.kicad import PlacedPart
-from ...scene.layout import lay_out
 from . import fisher as merit
 from .photon_maps import View, jackknife, left_out
 
@@ -206,7 +205,7 @@ def outline(result: xr.Dataset) -> list[tuple[float, float]]:
     asked = parse_scene(str(result.attrs["scene"]), name="the scene").placement
     if asked is not None and asked.outline_mm is not None:
         return list(asked.outline_mm)
-    r = lay_out(chosen(result)).outline
+    r = chosen(result).layout.outline
     return [(r.u_min, r.v_min), (r.u_max, r.v_min), (r.u_max, r.v_max), (r.u_min, r.v_max)]
 
 
@@ -253,7 +252,7 @@ def kicad_parts(scene: Scene, like: Scene) -> list[PlacedPart]:
 
     like : the scene that was asked, whose parts lie as at a rotation of 0.
     """
-    layout, parts = lay_out(scene), []
+    layout, parts = scene.layout, []
 
     def rotation(size: tuple[float, float], usual: tuple[float, float]) -> float:
         return 90.0 if size != usual and size == usual[::-1] else 0.0
@@ -262,9 +261,9 @@ def kicad_parts(scene: Scene, like: Scene) -> list[PlacedPart]:
         turn = rotation(led.size_mm, usual.size_mm)
         parts.append(PlacedPart(f"D{i}", led.part or led.name, "LED_die", area.center_mm, turn, "bottom"))
     for i, element in enumerate(layout.photodiodes, start=1):
-        size = scene.photodiodes[element.entry].size_mm
+        size = element.photodiode.size_mm
         turn = rotation(size, like.photodiodes[0].size_mm)
         width, length = size[::-1] if turn else size
         package = f"PD_{width:g}x{length:g}mm"
-        parts.append(PlacedPart(f"PD{i}", element.area.name, package, element.area.center_mm, turn, "bottom"))
+        parts.append(PlacedPart(f"PD{i}", element.name, package, element.area.center_mm, turn, "bottom"))
     return parts

@@ -10,7 +10,6 @@ from nailoptics import cli, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.scene import Scene, parse_scene
-from nailoptics.scene.layout import lay_out
 from nailoptics.studies.model_error import bounds
 from nailoptics.studies.model_error.effect import Effect
 from nailoptics.studies.model_error.explain import Explanation, _merged, explain
@@ -129,7 +128,7 @@ def test_a_difference_has_the_noise_of_the_photons_that_differ(jit_backend):
 def test_swapping_source_and_photodiode_keeps_the_board():
     scene = prototype()
     for swapped in (bounds.farthest(scene), bounds.most_proximal(scene)):
-        one, two = lay_out(scene), lay_out(swapped)
+        one, two = scene.layout, swapped.layout
         assert two.outline.center_mm == pytest.approx(one.outline.center_mm)
         assert two.photodiodes[0].area.center_mm == pytest.approx(one.leds[0].center_mm)
         assert min(abs(two.leds[0].center_mm[1] - e.area.center_mm[1]) for e in one.photodiodes) < 1e-9

@@ -14,7 +14,7 @@ from nailoptics.light.board_map import Arrivals, PhotonMap
 from nailoptics.report.place_page import write_placement
 from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
 from nailoptics.scene.kicad import read_outline, read_positions, write_outline
-from nailoptics.scene.layout import Rectangle, lay_out
+from nailoptics.scene.layout import Rectangle
 from nailoptics.studies.placement import boards, exchange, fisher, photon_maps, place, result
 from nailoptics.tissue import BloodZones
 
@@ -127,7 +127,7 @@ def test_places_keep_their_distances(scene):
     base, rules = boards.base_board(scene), boards.rules(scene)
     for side in ("left", "below"):
         board = exchange.board_at(exchange.Spot((-2.0, -2.0), side), base)
-        wall = lay_out(board).barriers[0]
+        wall = board.layout.barriers[0]
         places = exchange.free_places(board, (1.0, 0.25), rules)
         assert len(places) and np.abs(places[:, 0]).max() <= 4.5 - 0.3 - 0.5 + 1e-9
         edge = places[:, 0] - 0.5 - wall.u_max if side == "left" else places[:, 1] - 0.125 - wall.v_max
@@ -238,7 +238,7 @@ def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
     bank = photon_maps.Bank(views, seed=3, stream=0, backend="auto", spacing_mm=0.1, blocks=1, quick=True)
     layouts, tried = place._searched(base, rules, bank, np.inf, lambda *_: None)
     assert len(tried) >= 8 and min(s.place_mm[1] for s, _ in tried) < -2.5
-    best = lay_out(layouts[0].scene)
+    best = layouts[0].scene.layout
     assert best.leds[0].center_mm[1] > 1.0
     assert all(e.area.center_mm[1] > 1.0 for e in best.photodiodes)
 
@@ -384,7 +384,7 @@ def test_the_command_writes_what_other_programs_read(chosen_jit, tmp_path, capsy
     made = {path.name for path in out.iterdir()}
     assert made == {"place.nc", "ranking.csv", "place.html", "best.toml", "best.csv", "best.glb", "outline.dxf"}
     best = load_scene(out / "best.toml")
-    areas = [element.area for element in lay_out(best).photodiodes]
+    areas = list(best.layout.photodiode_areas)
     back = [part for part in read_positions(out / "best.csv", negate_x_on_bottom=True) if not part.is_led]
     assert np.allclose([p.position_mm for p in back], [a.center_mm for a in areas], atol=1e-6)
     assert len(read_outline(out / "outline.dxf")) == 4
