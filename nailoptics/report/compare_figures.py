@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from ..studies.comparison.fits import Z95
+from ..statistics import Z95
 from . import style
 from .numbers import significant
 

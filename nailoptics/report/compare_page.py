@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from ..io import write_text
-from ..studies.comparison.fits import Z95
+from ..statistics import Z95
 from ..studies.comparison.verdict import claim, verdict
 from . import compare_figures
 from .html import document, escaped, figure, section, small, table

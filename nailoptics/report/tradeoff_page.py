@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..io import write_text
-from ..studies.comparison.fits import Z95
+from ..statistics import Z95
 from ..studies.model_error.tradeoff import REFERENCE, STATES, TARGETS, Level, Tradeoff
 from . import style
 from .html import document, escaped, figure, section, small, table
@@ -189,7 +189,7 @@ def _table(found: Tradeoff) -> str:
                 signal,
                 bound,
                 *(significant(seconds, 2) for seconds in one.cpu_seconds),
-                "–" if one.reread_seconds is None else significant(one.reread_seconds, 2),
+                "–" if one.reweight_seconds is None else significant(one.reweight_seconds, 2),
                 "–" if one.memory_mb is None else significant(one.memory_mb, 2),
                 significant(one.setup_seconds, 2),
                 "●" if one in found.front else "",

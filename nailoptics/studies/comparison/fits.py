@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from ...statistics import Z95
+
 # Curvatures alpha (x_max - x_min) that a fit of (8) tries: below, it is a straight line; above, a step.
 CURVATURES = np.geomspace(1e-3, 30, 161)
 GAUSS_NEWTON_STEPS = 3
-Z95 = 1.96
 
 
 def line(x: np.ndarray, y: np.ndarray) -> np.ndarray:

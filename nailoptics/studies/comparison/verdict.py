@@ -6,7 +6,7 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 
-from .fits import Z95
+from ...statistics import Z95
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ import numpy as np
 from ... import electronics, tissue
 from ...scene import Scene
 from ...scene.layout import Rectangle
+from ...statistics import Z95
 from ..ambient import SILICON_NM, SOURCES, STEP_NM, collecting_area_mm2
 from ..comparison.compare import BLOOD_REDUCED_SCATTERING_PER_MM
-from ..comparison.fits import Z95
-from .effect import Effect, effect_of
-from .paired import UNSEEN, Difference, Look, end_states, read
-from .variants import Changes, revised, validated
+from .effect import Change, Effect, effect_of
+from .paired import UNSEEN_VARIANCE, Difference, PairedReadings, end_states, paired_readings
+from .variants import revised, validated
 
 SCATTERING_FACTOR = 1.4
 # A part that less of a reading returns from is cut off.
@@ -25,7 +25,7 @@ def denser(scene: Scene) -> Scene:
     return revised(scene, {"light": {"bed_scattering": SCATTERING_FACTOR * scene.light.bed_scattering}})
 
 
-def blood_scattering(scene: Scene, base: Look, denser: Look, tolerance: float) -> Effect:
+def blood_scattering(scene: Scene, base: PairedReadings, denser: PairedReadings, tolerance: float) -> Effect:
     """What the scattering of the blood that a touch moves would do to a reading; the model's stays as at rest."""
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = np.log(denser.level / base.level) / np.log(SCATTERING_FACTOR)
@@ -36,7 +36,7 @@ def blood_scattering(scene: Scene, base: Look, denser: Look, tolerance: float) -
     more = moved * BLOOD_REDUCED_SCATTERING_PER_MM / reduced
     text = f"bed's mu_s' follows the blood ({float(more.max()):.1%} of it)"
     found = _moved(slope * more, error * more)
-    return effect_of("blood's own scattering", False, text, found, {}, tolerance, "derived", base)
+    return effect_of(Change("blood's own scattering", False, text), found, base, tolerance=tolerance)
 
 
 def farthest(scene: Scene) -> Scene:
@@ -75,7 +75,7 @@ def swapped(scene: Scene, far: Rectangle) -> Scene:
     return validated(tables | {"board": board, "leds": (led,), "photodiodes": (photodiode,)})
 
 
-def ambient(scene: Scene, base: Look, swapped: Look, tolerance: float) -> Effect:
+def ambient(scene: Scene, base: PairedReadings, swapped: PairedReadings, tolerance: float) -> Effect:
     """A lamp's light from all sides on the farthest photodiode through the skin, beside the LED's light there.
 
     All of it is taken to be absorbed as the LED's light is, which is less than blood does to what is shorter.
@@ -97,7 +97,7 @@ def ambient(scene: Scene, base: Look, swapped: Look, tolerance: float) -> Effect
         ratio, error = (np.where(base.level > 0, x / (base.level * full[:, None]), np.inf) for x in current)
     found = _moved(ratio, np.hypot(error, ratio * base.relative_stderr))
     text = f"{lamp.name} of {lamp.lux:g} lux on all sides; a reading with the LED off takes it away"
-    return effect_of("ambient light", False, text, found, {}, tolerance, "derived", base)
+    return effect_of(Change("ambient light", False, text), found, base, tolerance=tolerance)
 
 
 def index_of(region: str, wavelength_nm: float) -> float:
@@ -105,26 +105,25 @@ def index_of(region: str, wavelength_nm: float) -> float:
     return float(tissue.scattering(region, wavelength_nm)[2])  # type: ignore[arg-type]
 
 
-def from_deep(base: Look) -> Effect:
+def from_deep(base: PairedReadings) -> Effect:
     """What of a reading comes back from the pulp, which lies under the bed and around the bone."""
     pulp = base.transfer.absorbers.index("pulp")
     deep = []
     for trace in base.transfer.traces:
         deep.append(trace.only(trace.path_mm[:, pulp] > 0))
-    seen = read(replace(base.transfer, traces=tuple(deep)))
+    seen = paired_readings(replace(base.transfer, traces=tuple(deep)))
     with np.errstate(divide="ignore", invalid="ignore"):
         # A photon more or less may have been missed.
-        noise = np.hypot(seen.level_stderr / base.level, math.sqrt(UNSEEN) * base.relative_stderr**2)
+        noise = np.hypot(seen.level_stderr / base.level, math.sqrt(UNSEEN_VARIANCE) * base.relative_stderr**2)
         found = _moved(-seen.level / base.level, noise)
-    return effect_of("light back from the pulp", True, "pulp swallows all", found, {}, RETURNING, "derived", base)
+    change = Change("light back from the pulp", True, "pulp swallows all")
+    return effect_of(change, found, base, tolerance=RETURNING)
 
 
-def returning(
-    name: str, modelled: bool, changed_to: str, changes: Changes, base: Look, cut: Look, back: Look
-) -> Effect:
+def returning(change: Change, base: PairedReadings, cut: PairedReadings, back: PairedReadings) -> Effect:
     """Light that would come back from beyond a cut through the finger, at most.
 
-    cut, back : looks whose light left through the cut: from the LED, and (by reciprocity, from a Lambertian source
+    cut, back : traces whose light left through the cut: from the LED, and (by reciprocity, from a Lambertian source
         on the board) from the photodiode. Diffuse light from a cut of area A_cut reaches a photodiode of area A with
         the probability that the photodiode's would reach the cut, times n^2 A / (n_cut^2 A_cut).
     """
@@ -144,7 +143,7 @@ def returning(
         most = np.where(base.level > 0, returned / base.level, np.inf)
     # All that is known is what it is at most.
     found = _moved(np.zeros_like(most), most / Z95)
-    return effect_of(name, modelled, changed_to, found, changes, RETURNING, "derived", base)
+    return effect_of(change, found, base, tolerance=RETURNING)
 
 
 def nothing(name: str, why: str, tolerance: float) -> Effect:

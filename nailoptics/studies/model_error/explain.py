@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Unpack
+from typing import Any, Literal, Unpack
 
 from ...errors import NotReachedError
 from ...light import Progress
@@ -12,8 +12,8 @@ from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...scene.finger import BEYOND_NAIL_MM
 from . import bounds
-from .effect import Effect, effect_of
-from .paired import Look, Tracing, checked, difference, reread
+from .effect import Change, Effect, effect_of
+from .paired import PairedReadings, PairedTracer, difference, require_finger, reweighted
 from .variants import ONE_WAVELENGTH, PART_WIDTH, Changes, lines_of, part_width_nm, revised
 
 DEFAULT_SECONDS = 90.0
@@ -68,16 +68,16 @@ class Explanation:
         lines = [f"Changes of a reading by more than {self.tolerance:.2%} matter.", head]
         for e in (*self.effects, *([self.together] if self.together else [])):
             swing = "-" if e.modulation_bound is None else _percent(e.modulation_bound)
-            told = f"{100 * e.typical:+8.2f} +- {100 * e.typical_stderr:4.2f}%"
-            told = told if math.isfinite(e.typical) else "not known"
-            shown = "yes" if e.modelled else "no"
-            text = f"{e.name:<26} {shown:<8} {told:>17} {_percent(e.bound):>8} {swing:>8}  {e.matters:<11} "
+            moved = f"{100 * e.typical:+8.2f} +- {100 * e.typical_stderr:4.2f}%"
+            moved = moved if math.isfinite(e.typical) else "not known"
+            modelled = "yes" if e.modelled else "no"
+            text = f"{e.name:<26} {modelled:<8} {moved:>17} {_percent(e.bound):>8} {swing:>8}  {e.matters:<11} "
             lines.append(text + e.changed_to)
         if self.needless:
-            told = "Not needed; these scene lines leave it out"
+            head = "Not needed; these scene lines leave it out"
             if self.together and self.together.matters != "no":
-                told += f" (together up to {_percent(self.together.bound)})"
-            lines += [told + ":", *(f"  {line}" for line in lines_of(_merged(self.needless)))]
+                head += f" (together up to {_percent(self.together.bound)})"
+            lines += [head + ":", *(f"  {line}" for line in lines_of(_merged(self.needless)))]
         if self.missing:
             lines.append("Left out, though it matters: " + ", ".join(e.name for e in self.missing))
         if any(e.matters == "cannot tell" for e in self.effects):
@@ -89,15 +89,6 @@ def _percent(part: float) -> str:
     return f"{100 * part:.2g}%" if part < 1 else f"{100 * part:.0f}%"
 
 
-@dataclass(frozen=True)
-class _Change:
-    name: str
-    modelled: bool
-    changed_to: str
-    changes: Changes
-    same_photons: bool = False
-
-
 def explain(
     scene: Scene,
     *,
@@ -107,11 +98,10 @@ def explain(
 ) -> Explanation:
     """Measure what every part and effect of a finger scene does to its readings.
 
-    Absorbers and line widths are reread from one trace; everything else is traced with that one thing changed and the
-    same random numbers, so that only photons that meet it make up the difference and its error.
+    What only dims light, absorbers and line widths, is read from one trace with other weights. Everything else is
+    traced with that one thing changed and the same random numbers, so that only photons that meet it make up the
+    difference and its error.
 
-    Parameters
-    ----------
     tolerance : relative change of a reading that matters; the scene's relative error if not given, else 2 %.
     photons : of each LED in each trace; or
     relative_error : of the scene's own trace, all others having as many photons; or
@@ -120,34 +110,30 @@ def explain(
     Raises: InputError; NotReachedError, whose result is the Explanation as far as it was made, if interrupted.
     """
     limit = tolerance or scene.accuracy.relative_error or DEFAULT_TOLERANCE
-    checked(scene, limit if tolerance is None else tolerance, "explain", "is modelled as it is written")
+    require_finger(scene, limit if tolerance is None else tolerance, "explain", "is modelled as it is written")
     options = TraceOptions(**requested)
     if options.unbounded:
         options = replace(options, max_seconds=DEFAULT_SECONDS)
     start = time.perf_counter()
     changes = list(_changes(scene))
     # The scene itself, one with other scattering, two swapped ones, two cut short, and the one that is required.
-    count = sum(not c.same_photons for c in changes) + 7
-    tracing = Tracing(count, options, progress)
-    base = tracing.look(scene)
+    tracer = PairedTracer(sum(not c.same_photons for c in changes) + 7, options, progress)
+    base = tracer.trace(scene)
     effects: list[Effect] = []
     together, unmet = None, None
     try:
-        for effect in _effects(scene, base, changes, tracing, limit):
+        for effect in _effects(scene, base, changes, tracer, limit):
             effects.append(effect)
-        left = _merged([e for e in effects if e.modelled and e.matters == "no"])
-        if left:
-            found = difference(base, tracing.look(revised(scene, left)))
-            together = effect_of(TOGETHER, True, "left out", found, left, limit, "retraced", base)
+        together = _left_out_together(scene, base, effects, tracer, limit)
     except NotReachedError as error:
         unmet = f"{error} ({len(effects)} effects were measured before)"
     effects.sort(key=lambda e: -abs(e.typical) if math.isfinite(e.typical) else 0.0)
-    # What cannot be told stays as it is.
-    told = [e for e in effects if (e.modelled and e.matters == "no") or (not e.modelled and e.matters == "yes")]
+    # What is not known stays as it is.
+    known = [e for e in effects if (e.modelled and e.matters == "no") or (not e.modelled and e.matters == "yes")]
     result = Explanation(
         effects=tuple(effects),
         together=together,
-        required=revised(scene, _merged(told)),
+        required=revised(scene, _merged(known)),
         tolerance=limit,
         photons=base.transfer.traces[0].photons,
         backend=base.transfer.backend,
@@ -156,6 +142,17 @@ def explain(
     if unmet:
         raise NotReachedError(unmet, result=result)
     return result
+
+
+def _left_out_together(
+    scene: Scene, base: PairedReadings, effects: list[Effect], tracer: PairedTracer, limit: float
+) -> Effect | None:
+    """What leaving out all that surely does not matter does to the readings; None where there is nothing such."""
+    left = _merged([e for e in effects if e.modelled and e.matters == "no"])
+    if not left:
+        return None
+    found = difference(base, tracer.trace(revised(scene, left)))
+    return effect_of(Change(TOGETHER, True, "left out", left), found, base, tolerance=limit, how="retraced")
 
 
 def _merged(effects: list[Effect]) -> Changes:
@@ -174,7 +171,9 @@ def _merged(effects: list[Effect]) -> Changes:
     return {table: fields for table, fields in out.items() if fields}
 
 
-def _effects(scene: Scene, base: Look, changes: list[_Change], tracing: Tracing, limit: float) -> Iterator[Effect]:
+def _effects(
+    scene: Scene, base: PairedReadings, changes: list[Change], tracer: PairedTracer, limit: float
+) -> Iterator[Effect]:
     """Every effect as soon as it is measured; those that cost nothing first."""
     finger = scene.finger
     assert finger is not None
@@ -183,34 +182,33 @@ def _effects(scene: Scene, base: Look, changes: list[_Change], tracing: Tracing,
         yield bounds.nothing("decorative nail", "it lies on the opaque cover, which no light leaves", limit)
     for change in sorted(changes, key=lambda c: not c.same_photons):
         other = revised(scene, change.changes)
-        look = reread(base.transfer, other) if change.same_photons else tracing.look(other)
-        words = (change.name, change.modelled, change.changed_to)
-        how: Any = "reread" if change.same_photons else "retraced"
-        yield effect_of(*words, difference(base, look), change.changes, limit, how, base)
-    yield bounds.blood_scattering(scene, base, tracing.look(bounds.denser(scene)), limit)
-    yield bounds.ambient(scene, base, tracing.look(bounds.farthest(scene)), limit)
+        found = difference(base, reweighted(base.transfer, other) if change.same_photons else tracer.trace(other))
+        how: Literal["reweighted", "retraced"] = "reweighted" if change.same_photons else "retraced"
+        yield effect_of(change, found, base, tolerance=limit, how=how)
+    yield bounds.blood_scattering(scene, base, tracer.trace(bounds.denser(scene)), limit)
+    yield bounds.ambient(scene, base, tracer.trace(bounds.farthest(scene)), limit)
     length, shortest = finger.length_mm, finger.nail_length_mm + BEYOND_NAIL_MM
-    back = tracing.look(bounds.most_proximal(scene))
-    yield bounds.returning(f"finger past {length:g} mm", False, "finger without an end", {}, base, base, back)
+    back = tracer.trace(bounds.most_proximal(scene))
+    yield bounds.returning(Change(f"finger past {length:g} mm", False, "finger without an end"), base, base, back)
     if length > shortest:
-        cut: Changes = {"finger": {"length_mm": shortest}}
-        short = revised(scene, cut)
-        looks = (tracing.look(short), tracing.look(bounds.most_proximal(short)))
-        yield bounds.returning(f"finger past {shortest:g} mm", True, "cut there", cut, base, *looks)
+        change = Change(f"finger past {shortest:g} mm", True, "cut there", {"finger": {"length_mm": shortest}})
+        short = revised(scene, change.changes)
+        cut, back = (tracer.trace(one) for one in (short, bounds.most_proximal(short)))
+        yield bounds.returning(change, base, cut, back)
 
 
-def _changes(scene: Scene) -> Iterator[_Change]:
+def _changes(scene: Scene) -> Iterator[Change]:
     """The scene's parts and effects, each with what leaves it out, or puts it in."""
     assert scene.finger is not None
     light, board, finger = scene.light, scene.board, scene.finger
     steps = light.index_steps
-    yield _Change(
+    yield Change(
         "index steps",
         steps,
         "one index everywhere" if steps else "refraction where the index changes",
         {"light": {"index_steps": not steps}},
     )
-    yield _Change(
+    yield Change(
         "forward scattering",
         not light.similarity,
         "isotropic with the same mu_s'" if not light.similarity else "Henyey-Greenstein",
@@ -221,15 +219,15 @@ def _changes(scene: Scene) -> Iterator[_Change]:
         left = [p for p in light.left_out if p != part] if gone else [*light.left_out, part]
         own = "optics of its own" + (", melanin" if part == "epidermis" else "")
         text = own if gone else "optics of what surrounds it"
-        yield _Change(part, not gone, text, {"light": {"left_out": left}})
+        yield Change(part, not gone, text, {"light": {"left_out": left}})
     if any(led.fwhm_nm for led in scene.leds):
-        yield _Change("LED line width", True, "peak wavelength alone", ONE_WAVELENGTH, same_photons=True)
+        yield Change("LED line width", True, "peak wavelength alone", ONE_WAVELENGTH, same_photons=True)
     elif any(part_width_nm(led) for led in scene.leds):
-        yield _Change("LED line width", False, "as its part has", PART_WIDTH, same_photons=True)
+        yield Change("LED line width", False, "as its part has", PART_WIDTH, same_photons=True)
     if "epidermis" not in light.left_out:
         melanin = finger.melanin_fraction
         usual = type(finger).model_fields["melanin_fraction"].default
-        yield _Change(
+        yield Change(
             "melanin",
             melanin > 0,
             "none" if melanin else f"{usual:.1%} of the epidermis",
@@ -237,9 +235,9 @@ def _changes(scene: Scene) -> Iterator[_Change]:
             same_photons=True,
         )
     if board.opaque_reflectance:
-        yield _Change("opaque epoxy's reflection", True, "black", {"board": {"opaque_reflectance": 0.0}})
+        yield Change("opaque epoxy's reflection", True, "black", {"board": {"opaque_reflectance": 0.0}})
     if board.barrier:
-        yield _Change("barrier", True, "clear epoxy in its place", {"board": {"barrier": False}})
+        yield Change("barrier", True, "clear epoxy in its place", {"board": {"barrier": False}})
     if not board.cover_um:
         cover = type(board).model_fields["cover_um"].default
-        yield _Change("cover and decorative nail", False, "opaque cover", {"board": {"cover_um": cover}})
+        yield Change("cover and decorative nail", False, "opaque cover", {"board": {"cover_um": cover}})

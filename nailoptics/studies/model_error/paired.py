@@ -1,4 +1,4 @@
-"""Scenes traced with common photons, what each reads, and how far one reads from another."""
+"""Scenes traced with the same random numbers, what each reads, and how far one reads from another."""
 
 import time
 from collections.abc import Callable
@@ -13,17 +13,17 @@ from ...light.tracing import INTERRUPTED
 from ...options import BackendName, TraceOptions
 from ...scene import Scene
 from ..blood_states import largest_force_n, steady_blood
-from .unshared import apart
+from .unshared import unshared_photons
 
 PILOT_PHOTONS = 1 << 17
 LEAST_PHOTONS = 1 << 14
-# A photon more or less may always have been missed: with this variance in photons, none seen in n is below 3 / n.
-UNSEEN = 2.34
+# Variance of a count of photons that is 0, (3 / 1.96)^2: of n photons none seen means, at 95 %, a part below 3 / n.
+UNSEEN_VARIANCE = 2.34
 
 
 @dataclass(frozen=True)
-class Look:
-    """Readings of one scene, (led, photodiode) float each.
+class PairedReadings:
+    """What one scene reads, by photons that it may share with other scenes; (led, photodiode) float each.
 
     level : fraction of the emitted power at rest, weighed by the photodiode's response over the LED's line.
     change : of it at the touch's largest force.
@@ -50,16 +50,16 @@ class Look:
             return np.where(self.level > 0, self.level_stderr / self.level, np.inf)
 
 
-def read(transfer: Transfer, setup_seconds: float = 0.0) -> Look:
+def paired_readings(transfer: Transfer, setup_seconds: float = 0.0) -> PairedReadings:
     """Readings of a trace at rest and at the scene's largest force."""
     found = course(transfer, end_states(transfer.scene), electrons=True)
     values = (found.fraction[..., 0], found.stderr[..., 0], found.change[..., 1], found.change_stderr[..., 1])
-    return Look(*values, transfer, setup_seconds)
+    return PairedReadings(*values, transfer, setup_seconds)
 
 
-def reread(base: Transfer, scene: Scene) -> Look:
+def reweighted(base: Transfer, scene: Scene) -> PairedReadings:
     """Readings of a scene that differs from a traced one only in absorption or LED lines: the same photons."""
-    return read(replace(base, scene=scene))
+    return paired_readings(replace(base, scene=scene))
 
 
 def end_states(scene: Scene) -> np.ndarray:
@@ -68,10 +68,10 @@ def end_states(scene: Scene) -> np.ndarray:
 
 
 @dataclass
-class Tracing:
-    """Looks at several scenes, with one seed and as many photons each, so that what they share cancels.
+class PairedTracer:
+    """Traces several scenes with one seed and as many photons each, so that what they share cancels in a difference.
 
-    scenes : how many looks there will be, for the time that each gets and for the progress.
+    scenes : how many traces there will be, for the time that each gets and for the progress.
     options : photons for each LED of every scene; or relative_error for the first scene and max_seconds for all scenes
         together, from which the number follows.
     """
@@ -82,7 +82,7 @@ class Tracing:
     _done: int = field(default=0, init=False)
     _start: float = field(default_factory=time.perf_counter, init=False)
 
-    def look(self, scene: Scene, *, backend: BackendName | None = None) -> Look:
+    def trace(self, scene: Scene, *, backend: BackendName | None = None) -> PairedReadings:
         """Trace and read a scene; raises NotReachedError if interrupted."""
         # A tolerance in the scene would set each trace's own number of photons.
         scene = scene.model_copy(update={"accuracy": type(scene.accuracy)()})
@@ -104,12 +104,12 @@ class Tracing:
                 pilot = error.result
             return max(led.photons for led in pilot.traces)
         assert options.max_seconds is not None
-        pilot_look = self._traced(scene, None, PILOT_PHOTONS)
+        readings = self._traced(scene, None, PILOT_PHOTONS)
         left = options.max_seconds - (time.perf_counter() - self._start)
-        seconds = left / self.scenes - pilot_look.setup_seconds
-        return max(LEAST_PHOTONS, int(PILOT_PHOTONS * seconds / pilot_look.transfer.wall_seconds))
+        seconds = left / self.scenes - readings.setup_seconds
+        return max(LEAST_PHOTONS, int(PILOT_PHOTONS * seconds / readings.transfer.wall_seconds))
 
-    def _traced(self, scene: Scene, backend: BackendName | None, photons: int | None) -> Look:
+    def _traced(self, scene: Scene, backend: BackendName | None, photons: int | None) -> PairedReadings:
         begin = time.perf_counter()
         try:
             transfer = trace(
@@ -117,14 +117,14 @@ class Tracing:
                 photons=photons,
                 seed=self.options.seed,
                 backend=backend or self.options.backend,
-                progress=self._told,
+                progress=self._report_progress,
             )
         except NotReachedError as error:
             # A part of one trace is of no use to those that are compared with it.
             raise NotReachedError(str(error)) from None
-        return read(transfer, max(time.perf_counter() - begin - transfer.wall_seconds, 0.0))
+        return paired_readings(transfer, max(time.perf_counter() - begin - transfer.wall_seconds, 0.0))
 
-    def _told(self, p: Progress) -> None:
+    def _report_progress(self, p: Progress) -> None:
         if self.progress:
             share = (self._done + p.fraction_done) / self.scenes
             name = f"{p.led}, trace {self._done + 1} of {self.scenes}"
@@ -134,7 +134,7 @@ class Tracing:
 
 @dataclass(frozen=True)
 class Difference:
-    """How far one look is from another, (led, photodiode) float each; NaN and inf where nothing was seen.
+    """How far one scene reads from another, (led, photodiode) float each; NaN and inf where nothing was seen.
 
     ratio, ratio_stderr : relative change of the reading at rest.
     swing, swing_stderr : change of the modulation, as a part of the largest modulation.
@@ -146,8 +146,8 @@ class Difference:
     swing_stderr: np.ndarray
 
 
-def difference(base: Look, other: Look) -> Difference:
-    """How far the other look is from the base; its noise is that of the photons that are not in both."""
+def difference(base: PairedReadings, other: PairedReadings) -> Difference:
+    """How far the other scene reads from the base; its noise is that of the photons that are not in both."""
     unit = np.nanmax(np.abs(base.modulation)) if np.isfinite(base.modulation).any() else np.nan
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio, swing = other.level / base.level - 1, (other.modulation - base.modulation) / unit
@@ -155,10 +155,10 @@ def difference(base: Look, other: Look) -> Difference:
             # Of the same photons a change is a mean of factors near 1, whose spread is at most about the change itself.
             same = base.relative_stderr
             return Difference(ratio, np.abs(ratio) * same, swing, np.abs(swing) * same)
-        gone, come = (read(part) for part in apart(base.transfer, other.transfer))
+        gone, come = (paired_readings(part) for part in unshared_photons(base.transfer, other.transfer))
         photons = [np.array([led.photons for led in one.transfer.traces], float)[:, None] for one in (base, other)]
         missed = base.level * base.relative_stderr**2 * photons[0] / photons[1]
-        came = np.sqrt(come.level_stderr**2 + UNSEEN * missed**2)
+        came = np.sqrt(come.level_stderr**2 + UNSEEN_VARIANCE * missed**2)
         kept = np.sqrt(np.maximum(base.level_stderr**2 - gone.level_stderr**2, 0))
         noise = np.sqrt(came**2 + ((1 + ratio) * gone.level_stderr) ** 2 + (ratio * kept) ** 2) / base.level
         # Of a change and the level that divides it the errors are such that most of them cancels: the upper side.
@@ -177,7 +177,7 @@ def error_of_ratio(ratio: np.ndarray, *relative_stderr: np.ndarray) -> np.ndarra
     return np.asarray(np.maximum(1 + ratio, 1) * np.hypot(*relative_stderr))
 
 
-def pooled(values: np.ndarray, error: np.ndarray, base: Look) -> tuple[float, float]:
+def weighted_mean(values: np.ndarray, error: np.ndarray, base: PairedReadings) -> tuple[float, float]:
     """Mean over the readings and its error, weighed by the reference's errors; NaN and inf where one is unknown.
 
     The weights are the same for all that is compared with the reference, so that none is drawn to its own low values.
@@ -189,7 +189,7 @@ def pooled(values: np.ndarray, error: np.ndarray, base: Look) -> tuple[float, fl
     return float((weight * values).sum()), float(np.linalg.norm(weight * error))
 
 
-def checked(scene: Scene, tolerance: float, study: str, why: str) -> None:
+def require_finger(scene: Scene, tolerance: float, study: str, why: str) -> None:
     """Raise InputError where a study of a scene's model has nothing to work on."""
     if scene.finger is None:
         raise InputError(f"{study} needs a [finger] scene; a [phantom] {why}.")

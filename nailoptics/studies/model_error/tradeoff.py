@@ -15,9 +15,18 @@ from ...light.reweight import course
 from ...light.tracing import INTERRUPTED, unseen
 from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
-from ..comparison.fits import Z95
+from ...statistics import Z95
 from ..replicates import read_led, stderr
-from .paired import Look, Tracing, checked, difference, end_states, error_of_ratio, pooled, reread
+from .paired import (
+    PairedReadings,
+    PairedTracer,
+    difference,
+    end_states,
+    error_of_ratio,
+    require_finger,
+    reweighted,
+    weighted_mean,
+)
 from .variants import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, lines_of, revised
 
 DEFAULT_SECONDS, DEFAULT_TOLERANCE = 120.0, 0.02
@@ -28,7 +37,7 @@ BATCHES = (1 << 14, 1 << 16, 1 << 18)
 VOLPATH_SHARE, VOLPATH_ERROR = 0.15, 0.01
 # Costs of one level, measured twice, differ by about this part.
 COST_NOISE = 0.1
-# Blood states that a level is read at again, to see what one more costs.
+# Blood states that a level is read at, to see what one more costs.
 STATES = 1000
 PARTS = ("bone", "epidermis", "kapton")
 CHEAPER: tuple[tuple[str, Changes], ...] = (
@@ -51,7 +60,7 @@ class Level:
     signal_bias, signal_bias_stderr : error of the change by touch over all photodiodes, as a part of the largest;
         None where that is not traced. signal_bound : what no photodiode's exceeds.
     cpu_seconds : to a relative standard error of 1 %, 0.3 % and 0.1 % of the worst reading.
-    reread_seconds : for a thousand more blood states from what gives 1 %; None where each is traced anew.
+    reweight_seconds : for a thousand more blood states from what gives 1 %; None where each is traced anew.
     memory_mb : of the photons kept for 1 %; None where none are.
     setup_seconds : before the first photon.
     changes : what of the scene selects it; nothing where the scene is so already.
@@ -68,7 +77,7 @@ class Level:
     signal_bias_stderr: float | None
     signal_bound: float | None
     cpu_seconds: tuple[float, ...]
-    reread_seconds: float | None
+    reweight_seconds: float | None
     memory_mb: float | None
     setup_seconds: float
     proven: bool
@@ -142,7 +151,7 @@ class Tradeoff:
         else:
             lines.append("The scene is that already: no line needs to change.")
         if self.seconds_to_prove is not None:
-            lines.append(f"A cheaper one could be told with about --max-seconds {self.seconds_to_prove:.0f}.")
+            lines.append(f"A cheaper one could be proven with about --max-seconds {self.seconds_to_prove:.0f}.")
         return "\n".join(lines)
 
 
@@ -158,8 +167,6 @@ def tradeoff(
     All levels that the photon walk gives are traced with the same random numbers, so that photons which never meet
     what a level leaves out are no part of its error.
 
-    Parameters
-    ----------
     tolerance : relative error of a reading at rest that a level may have.
     photons : of each LED in each trace; or
     relative_error : of the full model's trace, all others having as many photons; or
@@ -167,51 +174,40 @@ def tradeoff(
 
     Raises: InputError; NotReachedError, whose result is the Tradeoff as far as it was made, if interrupted.
     """
-    checked(scene, tolerance, "tradeoff", "has one level, itself")
+    require_finger(scene, tolerance, "tradeoff", "has one level, itself")
     options = TraceOptions(**requested)
-    chosen = backends.choose(options.backend)
-    if not chosen.jit:
-        advice = chosen.advice or "ask for auto"
-        raise InputError(f"tradeoff needs a JIT backend to compare levels, and {chosen.name} is none: {advice}")
+    chosen = _jit_backend(options.backend)
     if options.unbounded:
         options = replace(options, max_seconds=DEFAULT_SECONDS)
-    max_seconds, seed = options.max_seconds, options.seed
     start = time.perf_counter()
     full = revised(scene, FULL)
     own = changes_between(full, scene)
     cheaper = (*(((OWN, own),) if own else ()), *CHEAPER)
     others = [f.name for f in backends.findings() if f.usable and f.name not in (chosen.name, "scalar")]
     stock = [one.name for one in (chosen, backends.choose("scalar")) if "volpath" in one.engines]
-    volpath_seconds = VOLPATH_SHARE * (max_seconds or DEFAULT_SECONDS)
-    traced = None if max_seconds is None else max_seconds - len(stock) * volpath_seconds
-    tracing = Tracing(
-        1 + len(cheaper) + len(others), replace(options, backend=chosen.name, max_seconds=traced), progress
-    )
-    base = tracing.look(full)
-    dark = np.argwhere(~(base.level > 0))
-    if len(dark):
-        led, photodiode = base.transfer.leds[dark[0, 0]], base.transfer.photodiodes[dark[0, 1]]
-        raise NotReachedError(unseen(led, photodiode, base.transfer.traces[dark[0, 0]].photons))
+    volpath_seconds = VOLPATH_SHARE * (options.max_seconds or DEFAULT_SECONDS)
+    left = None if options.max_seconds is None else options.max_seconds - len(stock) * volpath_seconds
+    shared = replace(options, backend=chosen.name, max_seconds=left)
+    tracer = PairedTracer(1 + len(cheaper) + len(others), shared, progress)
+    base = _reference(full, tracer)
     measured: list[Level] = []
-    unmet = None
+    batches, unmet = {}, None
     try:
-        for level in _levels(full, base, tracing, cheaper, others, tolerance, seed):
+        for level in _levels(full, base, tracer, cheaper, others, tolerance, options.seed):
             measured.append(level)
         for name in stock:
-            measured.append(_stock(full, base, seed, name, volpath_seconds, tolerance, progress))
-        batches = _batches(full, tracing)
+            measured.append(_stock(full, base, options.seed, name, volpath_seconds, tolerance, progress))
+        batches = _batches(full, tracer)
     except (NotReachedError, KeyboardInterrupt) as error:
-        unmet, batches = f"{str(error) or INTERRUPTED} ({len(measured)} levels were measured before)", {}
+        unmet = f"{str(error) or INTERRUPTED} ({len(measured)} levels were measured before)"
     # The full model first among those that cost the same.
     measured.sort(key=lambda level: (level.cpu_seconds[0], level.name != REFERENCE))
-    choice = _cheapest(measured)
-    scene_of_choice = revised(full, choice.changes)
-    spent = time.perf_counter() - start
+    choice, spent = _cheapest(measured), time.perf_counter() - start
     result = Tradeoff(
         levels=tuple(replace(one, changes=changes_between(scene, revised(full, one.changes))) for one in measured),
         tolerance=tolerance,
         chosen=choice.name,
-        scene=scene_of_choice,
+        scene=revised(full, choice.changes),
         seconds_to_prove=_to_prove(measured, choice, tolerance, spent),
         batches=batches,
         wall_seconds=spent,
@@ -222,10 +218,28 @@ def tradeoff(
     return result
 
 
+def _jit_backend(name: BackendName) -> backends.Backend:
+    """The backend that all levels of the photon walk are traced on; raises InputError where none can."""
+    chosen = backends.choose(name)
+    if not chosen.jit:
+        advice = chosen.advice or "ask for auto"
+        raise InputError(f"tradeoff needs a JIT backend to compare levels, and {chosen.name} is none: {advice}")
+    return chosen
+
+
+def _reference(full: Scene, tracer: PairedTracer) -> PairedReadings:
+    """The full model; raises NotReachedError where a photodiode saw nothing to compare levels by."""
+    base = tracer.trace(full)
+    for led, photodiode in np.argwhere(~(base.level > 0)):
+        trace, names = base.transfer.traces[led], base.transfer
+        raise NotReachedError(unseen(names.leds[led], names.photodiodes[photodiode], trace.photons))
+    return base
+
+
 def _levels(
     full: Scene,
-    base: Look,
-    tracing: Tracing,
+    base: PairedReadings,
+    tracer: PairedTracer,
     cheaper: Sequence[tuple[str, Changes]],
     others: Sequence[BackendName],
     tolerance: float,
@@ -236,21 +250,21 @@ def _levels(
     yield reference
     yield from _formulas(full, base, reference, seed, tolerance)
     if any(led.fwhm_nm for led in full.leds):
-        narrow = reread(base.transfer, revised(full, ONE_WAVELENGTH))
+        narrow = reweighted(base.transfer, revised(full, ONE_WAVELENGTH))
         level = _measured("one wavelength", ONE_WAVELENGTH, base, narrow, tolerance)
         # The same trace, so the same cost, whatever the noise of its error.
         yield replace(level, cpu_seconds=reference.cpu_seconds, memory_mb=reference.memory_mb)
     for name, changes in cheaper:
-        yield _measured(name, changes, base, tracing.look(revised(full, changes)), tolerance)
+        yield _measured(name, changes, base, tracer.trace(revised(full, changes)), tolerance)
     for name in others:
-        yield _measured(f"{REFERENCE}, {name}", {}, base, tracing.look(full, backend=name), tolerance)
+        yield _measured(f"{REFERENCE}, {name}", {}, base, tracer.trace(full, backend=name), tolerance)
 
 
-def _measured(name: str, changes: Changes, base: Look, other: Look, tolerance: float) -> Level:
+def _measured(name: str, changes: Changes, base: PairedReadings, other: PairedReadings, tolerance: float) -> Level:
     """A traced level against the reference."""
     found = difference(base, other)
-    bias, bias_stderr, bound = _summed(found.ratio, found.ratio_stderr, base)
-    signal, signal_stderr, signal_bound = _summed(found.swing, found.swing_stderr, base)
+    bias, bias_stderr, bound = _mean_and_bound(found.ratio, found.ratio_stderr, base)
+    signal, signal_stderr, signal_bound = _mean_and_bound(found.swing, found.swing_stderr, base)
     if other is base:
         bound = signal_bound = 0.0
     worst = float(other.relative_stderr.max())
@@ -258,7 +272,7 @@ def _measured(name: str, changes: Changes, base: Look, other: Look, tolerance: f
     more = (worst / TARGETS[0]) ** 2
     begin = time.perf_counter()
     course(other.transfer, _between(*end_states(other.transfer.scene)), electrons=True)
-    reread_seconds = more * (time.perf_counter() - begin)
+    reweight_seconds = more * (time.perf_counter() - begin)
     return Level(
         name=name,
         backend=other.transfer.backend,
@@ -270,7 +284,7 @@ def _measured(name: str, changes: Changes, base: Look, other: Look, tolerance: f
         signal_bias_stderr=signal_stderr,
         signal_bound=signal_bound,
         cpu_seconds=_cost(other.transfer.cpu_seconds, worst),
-        reread_seconds=reread_seconds,
+        reweight_seconds=reweight_seconds,
         memory_mb=kept * more / 1e6,
         setup_seconds=other.setup_seconds,
         proven=bound <= tolerance,
@@ -281,17 +295,17 @@ def _between(first: np.ndarray, last: np.ndarray) -> np.ndarray:
     return first + np.linspace(0, 1, STATES)[:, None] * (last - first)
 
 
-def _summed(values: np.ndarray, error: np.ndarray, base: Look) -> tuple[float, float, float]:
+def _mean_and_bound(values: np.ndarray, error: np.ndarray, base: PairedReadings) -> tuple[float, float, float]:
     """Mean over the readings, its error, and what no one exceeds."""
     bounds = np.abs(values) + Z95 * error
-    return *pooled(values, error, base), float(np.max(np.where(np.isfinite(bounds), bounds, np.inf)))
+    return *weighted_mean(values, error, base), float(np.max(np.where(np.isfinite(bounds), bounds, np.inf)))
 
 
 def _cost(cpu_seconds: float, error: float) -> tuple[float, ...]:
     return tuple(cpu_seconds * (error / target) ** 2 for target in TARGETS)
 
 
-def _formulas(full: Scene, base: Look, reference: Level, seed: int, tolerance: float) -> Iterator[Level]:
+def _formulas(full: Scene, base: PairedReadings, reference: Level, seed: int, tolerance: float) -> Iterator[Level]:
     """Taylor (9) and Beer-Lambert (8) with the constants that the reference's mean paths give them.
 
     At rest a formula is the reading that gave it its constants, at what that costs; it is the signal that it may miss.
@@ -312,7 +326,7 @@ def _formulas(full: Scene, base: Look, reference: Level, seed: int, tolerance: f
     formulas = (("taylor", "Taylor (9)", lambda x: 1 - x), ("beer_lambert", "Beer-Lambert (8)", lambda x: np.exp(-x)))
     for name, words, formula in formulas:
         values = np.stack(off[name])
-        signal, error, bound = _summed(values[:, 0], np.stack([stderr(one) for one in values]), base)
+        signal, error, bound = _mean_and_bound(values[:, 0], np.stack([stderr(one) for one in values]), base)
         begin = time.perf_counter()
         formula(np.outer(depth, along))
         yield replace(
@@ -321,14 +335,14 @@ def _formulas(full: Scene, base: Look, reference: Level, seed: int, tolerance: f
             signal_bias=signal,
             signal_bias_stderr=error,
             signal_bound=bound,
-            reread_seconds=len(full.leds) * (time.perf_counter() - begin),
+            reweight_seconds=len(full.leds) * (time.perf_counter() - begin),
             proven=bound <= tolerance,
         )
 
 
 def _stock(
     full: Scene,
-    base: Look,
+    base: PairedReadings,
     seed: int,
     backend: BackendName,
     max_seconds: float,
@@ -336,12 +350,12 @@ def _stock(
     progress: Callable[[Progress], None] | None,
 ) -> Level:
     """Stock Mitsuba, which traces one wavelength, against the reference at that wavelength."""
-    narrow = reread(base.transfer, revised(full, ONE_WAVELENGTH))
+    narrow = reweighted(base.transfer, revised(full, ONE_WAVELENGTH))
     scene = revised(full, STOCK)
     begin, cpu = time.perf_counter(), time.process_time()
-    asked: dict[str, Any] = {"relative_error": VOLPATH_ERROR, "max_seconds": max_seconds}
+    accuracy: dict[str, Any] = {"relative_error": VOLPATH_ERROR, "max_seconds": max_seconds}
     try:
-        rest = read_rest(scene, seed=seed, backend=backend, progress=progress, **asked)
+        rest = read_rest(scene, seed=seed, backend=backend, progress=progress, **accuracy)
     except NotReachedError as error:
         if not isinstance(error.result, Rest) or str(error).startswith(INTERRUPTED):
             raise
@@ -353,7 +367,7 @@ def _stock(
         relative = np.where(value > 0, relative / value, np.inf)
         ratio = value / narrow.level - 1
         error_of = error_of_ratio(ratio, relative, narrow.relative_stderr)
-    bias, bias_stderr, bound = _summed(ratio, error_of, narrow)
+    bias, bias_stderr, bound = _mean_and_bound(ratio, error_of, narrow)
     return Level(
         name=f"stock Mitsuba, {backend}",
         backend=backend,
@@ -365,7 +379,7 @@ def _stock(
         signal_bias_stderr=None,
         signal_bound=None,
         cpu_seconds=_cost(time.process_time() - cpu, float(relative.max())),
-        reread_seconds=None,
+        reweight_seconds=None,
         memory_mb=None,
         setup_seconds=max(time.perf_counter() - begin - rest.wall_seconds, 0.0),
         proven=bound <= tolerance,
@@ -380,7 +394,7 @@ def _cheapest(measured: list[Level]) -> Level:
 
 
 def _to_prove(levels: list[Level], choice: Level, tolerance: float, spent: float) -> float | None:
-    """Seconds after which a cheaper level would be told to meet the tolerance, if it does; None where none could."""
+    """Seconds after which a cheaper level would be proven to meet the tolerance, if it does; None where none could."""
     needed = [
         spent * ((one.bias_bound - abs(one.bias)) / (tolerance - abs(one.bias))) ** 2
         for one in levels
@@ -391,11 +405,11 @@ def _to_prove(levels: list[Level], choice: Level, tolerance: float, spent: float
     return min(needed, default=None)
 
 
-def _batches(full: Scene, tracing: Tracing) -> dict[int, float]:
+def _batches(full: Scene, tracer: PairedTracer) -> dict[int, float]:
     """Processor seconds per million photons in batches of several sizes: what many small batches cost."""
     one_led = full.model_copy(update={"leds": full.leds[:1]})
     out = {}
     for photons in BATCHES:
-        found = replace(tracing, options=replace(tracing.options, photons=photons), progress=None).look(one_led)
+        found = replace(tracer, options=replace(tracer.options, photons=photons), progress=None).trace(one_led)
         out[photons] = found.transfer.cpu_seconds / photons * 1e6
     return out

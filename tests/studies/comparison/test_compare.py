@@ -12,6 +12,7 @@ from nailoptics.errors import InputError
 from nailoptics.light import Transfer, optics
 from nailoptics.light.records import LedTrace
 from nailoptics.scene import Scene
+from nailoptics.statistics import Z95
 from nailoptics.studies.comparison import compare as study
 from nailoptics.studies.comparison import fits
 from nailoptics.studies.comparison.compare import compare
@@ -165,7 +166,7 @@ def test_fitted_exponentials_are_those_of_least_squares():
 
 def test_limits_and_their_intervals():
     setting, error = np.linspace(0, 10, 11), np.linspace(0, 1, 11)
-    assert fits.limit(setting, error, np.full(11, 0.1 / fits.Z95), 0.55) == pytest.approx((5.5, 4.5, 6.5, True))
+    assert fits.limit(setting, error, np.full(11, 0.1 / Z95), 0.55) == pytest.approx((5.5, 4.5, 6.5, True))
     assert fits.limit(setting, error, np.zeros(11), 2.0) == (10.0, 10.0, 10.0, False)
     assert fits.crossing(setting, error + 1, 0.5) == (0.0, True)
 

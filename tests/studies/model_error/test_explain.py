@@ -9,11 +9,19 @@ import pytest
 from nailoptics import cli, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
+from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.studies.model_error import bounds
 from nailoptics.studies.model_error.effect import Effect
 from nailoptics.studies.model_error.explain import Explanation, _merged, explain
-from nailoptics.studies.model_error.paired import UNSEEN, Tracing, difference, read, reread
+from nailoptics.studies.model_error.paired import (
+    UNSEEN_VARIANCE,
+    PairedReadings,
+    PairedTracer,
+    difference,
+    paired_readings,
+    reweighted,
+)
 from nailoptics.studies.model_error.variants import (
     ONE_WAVELENGTH,
     PART_WIDTH,
@@ -41,8 +49,8 @@ def found(chosen_jit):
     return explain(whole(), photons=1_000_000, seed=3)
 
 
-def tracing(photons: int, seed: int) -> Tracing:
-    return Tracing(1, seed, "auto", photons, None, None, None)
+def traced(scene: Scene, *, photons: int, seed: int) -> PairedReadings:
+    return PairedTracer(1, TraceOptions(photons=photons, seed=seed), None).trace(scene)
 
 
 @pytest.mark.slow
@@ -51,7 +59,7 @@ def test_the_barrier_matters_and_the_lines_width_does_not(found):
     by_name = {e.name: e for e in found.effects}
     barrier, width = by_name["barrier"], by_name["LED line width"]
     assert barrier.matters == "yes" and barrier.change > 1 and barrier.modelled
-    assert width.matters == "no" and width.how == "reread" and 0 < width.bound < 0.01
+    assert width.matters == "no" and width.how == "reweighted" and 0 < width.bound < 0.01
     assert by_name["melanin"].matters == "no"
     assert by_name["ambient light"].modelled is False and by_name["ambient light"].bound > 0
     # Bone is met by few photons: what these alone make up is told far better than two traces apart could.
@@ -99,8 +107,8 @@ def test_the_shipped_prototype_models_what_matters_and_nothing_else(chosen_jit):
 def test_rereading_is_what_tracing_with_the_same_photons_would_give(jit_backend):
     """Rationale: what only dims light needs no new trace. Expected: the two agree to rounding."""
     narrow, wide = (revised(prototype(), width) for width in (ONE_WAVELENGTH, PART_WIDTH))
-    base, other = tracing(60_000, 1).look(wide), tracing(60_000, 1).look(narrow)
-    again = reread(base.transfer, narrow)
+    base, other = (traced(scene, photons=60_000, seed=1) for scene in (wide, narrow))
+    again = reweighted(base.transfer, narrow)
     assert np.allclose(again.level, other.level, rtol=1e-6)
     assert 0 < np.abs(again.level / base.level - 1).max() < 0.01
 
@@ -109,19 +117,20 @@ def test_rereading_is_what_tracing_with_the_same_photons_would_give(jit_backend)
 def test_a_difference_has_the_noise_of_the_photons_that_differ(jit_backend):
     """Rationale: photons that never meet the bone are the same with and without it.
     Expected: the difference's error is far below that of two traces apart, and never zero where no photon differs."""
-    base = tracing(60_000, 5).look(whole())
+    base = traced(whole(), photons=60_000, seed=5)
     bone, skin = (
-        tracing(60_000, 5).look(revised(whole(), {"light": {"left_out": [part]}})) for part in ("bone", "epidermis")
+        traced(revised(whole(), {"light": {"left_out": [part]}}), photons=60_000, seed=5)
+        for part in ("bone", "epidermis")
     )
-    apart = tracing(60_000, 6).look(whole())
-    away = difference(base, apart)
+    independent = traced(whole(), photons=60_000, seed=6)
+    away = difference(base, independent)
     assert (difference(base, bone).ratio_stderr < 0.7 * away.ratio_stderr).all()
-    least = np.sqrt(UNSEEN) * base.relative_stderr**2
+    least = np.sqrt(UNSEEN_VARIANCE) * base.relative_stderr**2
     assert (difference(base, skin).ratio_stderr >= 0.999 * least).all()
     # The same scene twice: nothing but noise, as large as is said.
     z = away.ratio / away.ratio_stderr
     assert np.abs(z).max() < 4 and np.sqrt(np.mean(z**2)) > 0.2
-    same = difference(base, read(replace(base.transfer, traces=tuple(base.transfer.traces))))
+    same = difference(base, paired_readings(replace(base.transfer, traces=tuple(base.transfer.traces))))
     assert np.all(same.ratio == 0)
 
 
@@ -146,7 +155,7 @@ def test_changes_are_told_as_lines_that_make_them():
 
 
 def effect(name: str, changes: dict, *, modelled: bool = True) -> Effect:
-    return Effect(name, modelled, "", "reread", 0.0, 0.0, 0.0, "", 0.0, 0.0, 0.0, changes, 0.02)
+    return Effect(name, modelled, "", "reweighted", 0.0, 0.0, 0.0, "", 0.0, 0.0, 0.0, changes, 0.02)
 
 
 def test_parts_that_are_not_needed_are_left_out_together():

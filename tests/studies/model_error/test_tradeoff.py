@@ -33,7 +33,7 @@ def level(name: str, **changes: Any) -> Level:
         "signal_bias": None,
     }
     values |= {"signal_bias_stderr": None, "signal_bound": None, "cpu_seconds": (10.0, 111.0, 1000.0)}
-    values |= {"reread_seconds": None, "memory_mb": 1.0, "setup_seconds": 1.0}
+    values |= {"reweight_seconds": None, "memory_mb": 1.0, "setup_seconds": 1.0}
     return Level(name=name, **(values | {"proven": True} | changes))
 
 
@@ -112,7 +112,7 @@ def test_a_proven_level_is_within_the_tolerance_and_the_full_one_always_is(found
     for name in formulas:
         one = by_name[name]
         assert one.signal_bound > 0 and one.proven == (one.signal_bound <= 0.02)
-        assert one.reread_seconds < by_name[REFERENCE].reread_seconds
+        assert one.reweight_seconds < by_name[REFERENCE].reweight_seconds
     # Without forward scattering there is a tenth of the scatterings: the walk is cheaper, and wrong.
     similar = by_name["similarity"]
     assert not similar.proven and similar.cpu_seconds[0] < full.cpu_seconds[0]

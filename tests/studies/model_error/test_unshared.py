@@ -8,7 +8,7 @@ import pytest
 import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.scene import Scene, load_scene
-from nailoptics.studies.model_error.unshared import apart
+from nailoptics.studies.model_error.unshared import unshared_photons
 
 pytestmark = pytest.mark.jit
 
@@ -31,7 +31,7 @@ def boneless(chosen_jit):
 def test_photons_that_never_meet_the_bone_are_the_same_without_it(whole, boneless):
     """Rationale: a photon's random numbers are its own, whatever the lives before it in its lane.
     Expected: all but the few that meet the bone are shared, and the traces differ by the others alone."""
-    a, b = apart(whole, boneless)
+    a, b = unshared_photons(whole, boneless)
     bone = whole.absorbers.index("bone")
     trace, rest = whole.traces[0], a.traces[0]
     met = int((trace.path_mm[:, bone] > 0).sum())
@@ -61,11 +61,11 @@ def test_the_difference_of_traces_with_common_photons_is_that_of_independent_one
 
 def test_other_seeds_share_nothing(chosen_jit):
     one, other = (nail.trace(prototype(), photons=8192, seed=seed) for seed in (7, 8))
-    a, b = apart(one, other)
+    a, b = unshared_photons(one, other)
     assert 0 < len(a.traces[0].weight) == len(one.traces[0].weight)
     assert len(b.traces[0].weight) == len(other.traces[0].weight)
 
 
 def test_a_trace_shares_all_with_itself(whole):
-    a, b = apart(whole, replace(whole))
+    a, b = unshared_photons(whole, replace(whole))
     assert len(a.traces[0].weight) == len(b.traces[0].weight) == 0
