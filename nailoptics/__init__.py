@@ -6,34 +6,46 @@ from typing import TYPE_CHECKING, Any
 from .errors import InputError, NailopticsError, NotReachedError
 
 if TYPE_CHECKING:
-    from . import hemodynamics, scene
+    from . import hemodynamics, scene, tissue
     from .batch import open_results
     from .light import Transfer, trace
-    from .scene import Scene, load_scene
+    from .scene import Scene, load_scene, parse_scene, to_toml
+    from .studies.comparison.compare import compare
+    from .studies.model_error.explain import explain
+    from .studies.model_error.tradeoff import tradeoff
+    from .studies.placement.place import place
+    from .studies.simulate import simulate
 
 __version__ = "0.1.0"
 
 # Imported when first used, so that `import nailoptics` takes no time.
-_ROOMS = ("hemodynamics", "scene")
-_LATER = {
+_ROOMS = ("hemodynamics", "scene", "tissue")
+_HOMES = {
     "Scene": ".scene",
     "Transfer": ".light",
+    "compare": ".studies.comparison.compare",
+    "explain": ".studies.model_error.explain",
     "load_scene": ".scene",
     "open_results": ".batch",
+    "parse_scene": ".scene",
+    "place": ".studies.placement.place",
+    "simulate": ".studies.simulate",
+    "to_toml": ".scene",
     "trace": ".light",
+    "tradeoff": ".studies.model_error.tradeoff",
 }
 
 
 def __getattr__(name: str) -> Any:
     if name in _ROOMS:
         return importlib.import_module(f".{name}", __name__)
-    if name in _LATER:
-        return getattr(importlib.import_module(_LATER[name], __name__), name)
+    if name in _HOMES:
+        return getattr(importlib.import_module(_HOMES[name], __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return [*__all__, "__version__"]
+    return sorted({*globals(), *__all__})
 
 
 __all__ = [
@@ -42,9 +54,17 @@ __all__ = [
     "NotReachedError",
     "Scene",
     "Transfer",
+    "compare",
+    "explain",
     "hemodynamics",
     "load_scene",
     "open_results",
+    "parse_scene",
+    "place",
     "scene",
+    "simulate",
+    "tissue",
+    "to_toml",
     "trace",
+    "tradeoff",
 ]

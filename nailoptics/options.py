@@ -1,10 +1,14 @@
 """What can be asked of every command and function that traces light, beside the scene: one object, passed whole."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal, TypedDict, cast, get_args
 
 from . import checks
 from .errors import InputError
+
+# More than any machine traces in a year; a slip of the keyboard should not start it.
+MAX_PHOTONS = 10_000_000_000
 
 BackendName = Literal["auto", "cuda", "llvm", "scalar"]
 
@@ -42,6 +46,17 @@ class TraceOptions:
         checks.seed(self.seed)
         if self.backend not in get_args(BackendName):
             raise InputError(f'backend = "{self.backend}" is none; choose from {", ".join(get_args(BackendName))}.')
+        for name, kind, most in (
+            ("relative_error", "number", 1.0),
+            ("max_seconds", "number", math.inf),
+            ("photons", "whole number", MAX_PHOTONS),
+        ):
+            value = getattr(self, name)
+            known = int if name == "photons" else int | float
+            if value is None or isinstance(value, known) and not isinstance(value, bool) and 0 < value <= most:
+                continue
+            end = "" if math.isinf(most) else f" and at most {most:g}"
+            raise InputError(f"{name} = {value!r}; must be a {kind} above 0{end}.")
 
     @property
     def fields(self) -> Requested:

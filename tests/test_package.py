@@ -84,6 +84,50 @@ def test_every_public_name_exists_and_is_documented():
         nailoptics.no_such_name  # noqa: B018
 
 
+def test_dir_and_the_type_checker_know_every_public_name():
+    assert {*nailoptics.__all__, "__version__"} <= set(dir(nailoptics))
+    assert (ROOT / "nailoptics/py.typed").is_file()
+    source = ast.parse((ROOT / "nailoptics/__init__.py").read_text(encoding="utf-8"))
+    typed = {alias.name for node in ast.walk(source) if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert set(nailoptics.__all__) <= typed
+
+
+def test_a_script_reaches_every_study_by_its_public_name(chosen_jit, tmp_path):
+    """Rationale: what `import nailoptics` offers is found only when it is used, in a process that has nothing else.
+    Expected: studies answer with a Dataset, and each refuses what cannot be asked with an InputError."""
+    code = """if True:
+        import sys
+        import warnings
+        import nailoptics as nail
+        warnings.simplefilter("ignore")
+        assert "xarray" not in sys.modules and "mitsuba" not in sys.modules
+        text = nail.to_toml(nail.load_scene(sys.argv[1]))
+        scene = nail.parse_scene(text)
+        assert nail.to_toml(scene) == text
+        mistakes = {"seed": -1, "photons": 0, "relative_error": 5, "max_seconds": "1", "backend": "gpu"}
+        for study in (nail.trace, nail.simulate, nail.compare, nail.explain, nail.tradeoff, nail.place):
+            for name, value in mistakes.items():
+                try:
+                    study(scene, **{name: value})
+                except nail.InputError as error:
+                    assert str(error).startswith(name), error
+                else:
+                    raise AssertionError((study, name))
+        volts = nail.simulate(scene, photons=3000).volts
+        errors = nail.compare(scene, over=["blood"], photons=3000)
+        print(*volts.dims, *errors.sweep.values, nail.tissue.blood_mu_a_per_mm(800.0, so2=0.97) > 0)
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(ROOT / "scenes/prototype.toml")],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["led", "photodiode", "time", "blood", "True"]
+
+
 def test_every_module_says_what_it_is_for_in_its_first_line():
     for path in sorted((ROOT / "nailoptics").rglob("*.py")):
         doc = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))

@@ -1,5 +1,6 @@
 """A batch loses nothing: kills, failures, damage, full disks and rivals, and always the same bits."""
 
+import itertools
 import json
 import multiprocessing
 import os
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 import nailoptics as nail
+from nailoptics import io
 from nailoptics.batch import Outcome, Progress, Sweep, estimate, load_sweep, run_batch, status
 from nailoptics.batch.folder import Folder
 from nailoptics.batch.plan import as_json, left, of_shard, parse_shard, plan
@@ -307,15 +309,21 @@ def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(jit_backend, tmp_path
     assert len(run_batch(sweep, tmp_path / "b", workers=1).done) == 3
 
 
-def test_a_time_limit_keeps_the_light_and_the_next_run_continues_it(jit_backend, tmp_path):
+def test_a_time_limit_keeps_the_light_and_the_next_run_continues_it(jit_backend, tmp_path, monkeypatch):
     sweep = phantoms(tmp_path, 1, accuracy="photons = 4_000_000_000")
-    sizes = []
+    with pytest.raises(NotReachedError, match="max_seconds") as caught:
+        run_batch(sweep, tmp_path / "b", workers=1, threads=1, max_seconds=1)
+    assert caught.value.result.unfinished == 1 and not bits(tmp_path / "b")
+    batches = []
     for _ in range(2):
-        with pytest.raises(NotReachedError, match="max_seconds") as caught:
-            run_batch(sweep, tmp_path / "b", workers=1, threads=1, max_seconds=3)
-        assert caught.value.result.unfinished == 1 and not bits(tmp_path / "b")
-        sizes.append(sum(p.stat().st_size for p in (tmp_path / "b" / "light").iterdir()))
-    assert sizes[1] > sizes[0] > 0
+        # The time of a run ends after two new batches, whatever the clock says.
+        asked = itertools.count()
+        monkeypatch.setattr(Settings, "is_late", lambda _, asked=asked: next(asked) >= 2)
+        [report] = done_here(sweep, Settings(tmp_path / "here", 0, jit_backend.name))
+        assert not report.done and not report.unmet and not report.failed and not bits(tmp_path / "here")
+        [light] = (tmp_path / "here" / "light").iterdir()
+        batches.append(len(io.unpack(light.read_bytes(), arrays=False)[0]["pieces"]))
+    assert batches == [2, 4]
 
 
 def test_more_accuracy_later_continues_and_gives_the_bits_of_a_fresh_run(jit_backend, tmp_path):
