@@ -30,6 +30,14 @@ def finite(name: str, value: ArrayLike) -> Array:
     return array
 
 
+def number(name: str, value: ArrayLike) -> float:
+    """The value as one float; InputError if it is no finite number."""
+    array = finite(name, value)
+    if array.shape:
+        raise InputError(f"{name} must be one number, got {value!r}; give a single one.")
+    return float(array)
+
+
 def not_negative(name: str, value: ArrayLike) -> Array:
     """The value as an array of floats; InputError where one is negative or not finite."""
     array = np.asarray(value, dtype=float)

@@ -2,7 +2,6 @@
 
 from .blood import blood_fraction, tissue_volume_m3
 from .contact import pressures
-from .energy import energy
 from .parameters import NAMES, Parameters, bounds, parameters
 from .pulse import cardiac_pressure
 from .respond import respond
@@ -18,7 +17,6 @@ __all__ = [
     "blood_fraction",
     "bounds",
     "cardiac_pressure",
-    "energy",
     "parameters",
     "pressures",
     "respond",

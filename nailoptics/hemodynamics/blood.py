@@ -1,15 +1,14 @@
 """Eq. (7): blood fraction of the nail bed from capillary diameters, and the tissue volume that it implies."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..checks import finite, number
 from ..errors import InputError
 from .parameters import Parameters
-from .steady import finite, steady_state
+from .steady import steady_state
 
 
 def blood_fraction(
@@ -18,41 +17,36 @@ def blood_fraction(
     *,
     rest_blood_fraction: float = 0.03,
 ) -> np.ndarray:
-    """Return the blood fraction of each zone, eq. (7): rest_blood_fraction ((D_C+x_C) / its value at rest)^2. [1]
+    """The part of the nail bed that is blood, from the diameter of its capillaries: it goes with their square. [1]
 
     capillary_diameter_m : any shape, float. D_C + x_C. [m]
-    rest_blood_fraction : fraction without touch, P_H and P_L as in the parameters; 0.01-0.05 in a nail bed. [1]
+    rest_blood_fraction : Fraction without touch, P_H and P_L as in the parameters; 0.01-0.05 in a nail bed. [1]
 
     The paper's areas and diameters disagree on volume: eq. (3)-(4) displace A dx/dt. The motion follows (3)-(4), the
     blood follows (7), as in the paper.
 
-    Raises
-    ------
-    InputError
-        If the rest fraction is not between 0 and 1, a diameter is not positive, or the result would be more than 1.
+    Raises: InputError if the rest fraction is not between 0 and 1, a diameter is not positive, or the result would
+    be more than 1.
 
     References: Mascaro and Asada 2001, eq. (7).
     """
     fraction = _rest_fraction(rest_blood_fraction)
     diameter = finite("capillary_diameter_m", capillary_diameter_m)
     if np.any(diameter <= 0.0):
-        raise InputError(f"hemodynamics.capillary_diameter_m must be positive, got {diameter.min():g} m.")
+        raise InputError(f"capillary_diameter_m must be positive, got {diameter.min():g} m.")
     result = fraction * (diameter / _rest_diameter(parameters)) ** 2
     if np.any(result > 1.0):
         raise InputError(
-            f"hemodynamics.rest_blood_fraction {fraction:g} makes a blood fraction of {result.max():.3g}, more than 1; "
+            f"rest_blood_fraction {fraction:g} makes a blood fraction of {result.max():.3g}, more than 1; "
             "lower it or the suction."
         )
     return result
 
 
 def tissue_volume_m3(parameters: Parameters, *, rest_blood_fraction: float = 0.03) -> float:
-    """Return V_tissue of eq. (7): the volume of one half of the bed, from its blood fraction at rest. [m^3]
+    """The volume of one half of the nail bed, V_tissue of eq. (7), from its blood fraction at rest. [m^3]
 
-    Raises
-    ------
-    InputError
-        If the fraction is not between 0 and 1.
+    Raises: InputError if the fraction is not between 0 and 1.
     """
     p = parameters
     blood = p.capillary_count * p.capillary_length_m * math.pi * _rest_diameter(p) ** 2 / 4.0
@@ -64,7 +58,7 @@ def _rest_diameter(parameters: Parameters) -> float:
 
 
 def _rest_fraction(value: float) -> float:
-    fraction = float(finite("rest_blood_fraction", value))
+    fraction = number("rest_blood_fraction", value)
     if not 0.0 < fraction < 1.0:
-        raise InputError(f"hemodynamics.rest_blood_fraction must lie between 0 and 1, got {fraction:g}; 0.03 is usual.")
+        raise InputError(f"rest_blood_fraction must lie between 0 and 1, got {fraction:g}; 0.03 is usual.")
     return fraction

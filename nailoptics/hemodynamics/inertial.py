@@ -1,6 +1,4 @@
-"""The paper's six-state model over time: walls with mass, the check on the massless one."""
-
-from __future__ import annotations
+"""Walls with mass over time, the paper's six-state model: the check on the massless one."""
 
 import dataclasses
 
@@ -8,14 +6,16 @@ import numpy as np
 
 from ..errors import NotReachedError
 from .drive import Drive
-from .walls import Walls, moving
+from .walls import Walls, inertial_pressures
 
+# Stiffness of two walls in contact over that of one wall: large, so that contact is hard. [1]
 _CONTACT_OVER_WALL = 1e6
-"""Stiffness of two walls in contact over that of one wall: large, so that contact is hard. [1]"""
+# Steps of the differences for the Jacobian: in diameters over the listed ones, and in speeds over those per second.
+_WIDTH_STEP, _SPEED_STEP = 1e-7, 1.0
 
 
 @dataclasses.dataclass(frozen=True)
-class FullTrajectory:
+class InertialTrajectory:
     """Walls over time, with their speeds.
 
     width_m : (N+1, T) float. D + x of each unit and the vein. [m]
@@ -30,17 +30,14 @@ class FullTrajectory:
 
 def integrate(
     walls: Walls, drive: Drive, time_s: np.ndarray, start_m: np.ndarray, *, rtol: float, contact: bool
-) -> FullTrajectory:
-    """Return walls and speeds at given times, by scipy's Radau between the stops of the drive.
+) -> InertialTrajectory:
+    """Walls and their speeds at given times, by scipy's Radau between the stops of the drive.
 
     start_m : (N+1,) float. D + x at time_s[0], at rest. [m]
-    contact : walls push back once closed (a spring a million times as stiff as the wall, with its damping); without,
+    contact : Walls push back once closed (a spring a million times as stiff as the wall, with its damping); without,
         they pass through each other, as printed in the paper.
 
-    Raises
-    ------
-    NotReachedError
-        If the integrator gives up.
+    Raises: NotReachedError if the integrator gives up.
     """
     from scipy.integrate import solve_ivp
 
@@ -53,7 +50,7 @@ def integrate(
         width, speed = state[:n] * rest, state[n:] * rest
         inputs = drive.at(time)
         open_width = np.maximum(width, closed) if contact else width
-        pressure = np.array(moving(walls, open_width, speed, inputs[0], inputs[1]))
+        pressure = np.array(inertial_pressures(walls, open_width, speed, inputs[0], inputs[1]))
         force = area * (pressure - inputs[2:]) - stiffness * (width - rest) - damping * speed
         if contact:
             depth = np.maximum(closed - width, 0.0)
@@ -61,7 +58,7 @@ def integrate(
         return np.concatenate([speed, force / mass]) / np.tile(rest, 2)
 
     # Rates are linear in the speeds, and smooth in the diameters: fixed differences serve, where adaptive ones stall.
-    offset = np.concatenate([np.full(n, 1e-7), np.ones(n)])
+    offset = np.concatenate([np.full(n, _WIDTH_STEP), np.full(n, _SPEED_STEP)])
 
     def jacobian(time: float, state: np.ndarray) -> np.ndarray:
         columns = [(rates(time, state + e) - rates(time, state - e)) / (2.0 * e.sum()) for e in np.diag(offset)]
@@ -84,7 +81,7 @@ def integrate(
         )
         if not solution.success:
             raise NotReachedError(
-                f"hemodynamics: the full model stopped at {begin:g} s ({solution.message}); raise rtol."
+                f"hemodynamics: the inertial model stopped at {begin:g} s ({solution.message}); raise rtol."
             )
         samples[:, inside] = solution.y[:, : np.count_nonzero(inside)]
         state = solution.y[:, -1]
@@ -92,4 +89,4 @@ def integrate(
     touching = width <= closed[:, None] if contact else np.zeros(width.shape, dtype=bool)
     if contact:
         width = np.maximum(width, closed[:, None])
-    return FullTrajectory(width_m=width, speed_m_per_s=samples[n:] * rest[:, None], closed=touching)
+    return InertialTrajectory(width_m=width, speed_m_per_s=samples[n:] * rest[:, None], closed=touching)

@@ -4,10 +4,9 @@ A wall in contact stands still while the load presses it on; it leaves when the 
 located, so that between them the equations are smooth and the method keeps its order.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import logging
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,21 +17,31 @@ from .walls import Walls, massless_jacobian, massless_rates
 
 _LOG = logging.getLogger(__name__)
 _MOST_STEPS = 2_000_000
-_SNAP = 1e-9  # of the listed diameter: closer than this a wall counts as touching
+_FIRST_STEP_S = 1e-3
+# Of the listed diameter: closer than this a wall counts as touching.
+_SNAP = 1e-9
 
 
 @dataclasses.dataclass(frozen=True)
-class Trajectory:
+class MasslessTrajectory:
     """Walls over time.
 
     width_m : (N+1, T) float. D + x of each unit and the vein. [m]
     free : (N+1, T) float. 0 where the wall is in contact, else 1.
-    steps : int. Accepted steps.
     """
 
     width_m: np.ndarray
     free: np.ndarray
-    steps: int
+
+
+class _Step(NamedTuple):
+    """A step that met the tolerance and crosses no contact: its length, the curve over it, and the next to try."""
+
+    step_s: float
+    after: list[float]
+    first: list[float]
+    second: list[float]
+    next_step_s: float
 
 
 class _System:
@@ -53,6 +62,7 @@ class _System:
         return [d if d > c else c for d, c in zip(width, self.walls.closed, strict=True)]
 
     def slope(self, time: float, width: list[float]) -> list[float]:
+        """Speed of each wall. [m/s]"""
         inputs = self.drive.at(time)
         return massless_rates(
             self.walls, self._open(width), self._load(inputs, width), self.free, inputs[0], inputs[1]
@@ -68,6 +78,7 @@ class _System:
     def linearise(
         self, time: float, width: list[float]
     ) -> tuple[list[float], list[float], tuple[list[float], list[float], list[float]]]:
+        """Speeds, their derivatives by time, and by the widths as diag(d) + outer(p, q)."""
         inputs = self.drive.at(time)
         load = self._load(inputs, width)
         pressures, speeds = massless_rates(self.walls, width, load, self.free, inputs[0], inputs[1])
@@ -75,6 +86,14 @@ class _System:
         rise = [a * f for a, f in zip(self.walls.area, change[2:], strict=True)]
         _, in_time = massless_rates(self.walls, width, rise, self.free, change[0], change[1])
         return speeds, in_time, massless_jacobian(self.walls, width, self.free, pressures, inputs[0], inputs[1])
+
+    def snap(self, width: list[float]) -> bool:
+        """Put free walls that all but touch into contact; True if there are any."""
+        walls, touched = self.walls, False
+        for i, c in enumerate(walls.closed):
+            if self.free[i] and width[i] - c <= _SNAP * walls.diameter[i]:
+                width[i], touched = c, True
+        return touched
 
     def settle(self, time: float, width: list[float]) -> None:
         """Choose which of the touching walls are held: the contact problem at one instant."""
@@ -95,109 +114,104 @@ class _System:
 
 def integrate(
     walls: Walls, drive: Drive, time_s: np.ndarray, start_m: np.ndarray, *, rtol: float, most_steps: int = _MOST_STEPS
-) -> Trajectory:
-    """Return the walls at given times.
+) -> MasslessTrajectory:
+    """The walls at given times.
 
     start_m : (N+1,) float. D + x at time_s[0]. [m]
-    rtol : float. Allowed local error of a step, relative to the diameter or the listed one if that is larger. [1]
+    rtol : Allowed local error of a step, relative to the diameter or the listed one if that is larger. [1]
 
-    Raises
-    ------
-    NotReachedError
-        If the tolerance needs more than ``most_steps`` steps.
+    Raises: NotReachedError if the tolerance needs more than `most_steps` steps.
     """
-    system = _System(walls, drive)
-    closed, rest = walls.closed, walls.diameter
+    system, record = _System(walls, drive), _Record()
+    width = [max(float(d), c) for d, c in zip(start_m, walls.closed, strict=True)]
     time, end = drive.stops[0], drive.stops[-1]
-    width = [max(float(d), c) for d, c in zip(start_m, closed, strict=True)]
-    record = _Record()
-    h = min(1e-3, end - time)
+    step_s = min(_FIRST_STEP_S, end - time)
     for stop in drive.stops[1:]:
         system.settle(time, width)
-        at_stop = False
-        while not at_stop:
-            slope, in_time, jacobian = system.linearise(time, width)
-            while True:
-                at_stop = time + h * (1.0 + 1e-9) >= stop
-                wanted = h
-                if at_stop:
-                    h = stop - time
-                after, error, first, second = rodas.step(
-                    system.slope,
-                    time=time,
-                    state=width,
-                    slope_now=slope,
-                    slope_in_time=in_time,
-                    jacobian=jacobian,
-                    step_s=h,
-                )
-                size = max(
-                    [abs(e) / (rtol * max(d, a, r)) for e, d, a, r in zip(error, width, after, rest, strict=True)]
-                )
-                if not size < float("inf"):
-                    size = 1e6
-                scale = 5.0 if size < 1e-3 else max(0.2, 0.9 * size**-0.25)
-                if size > 1.0:
-                    h *= min(scale, 0.9)
-                    continue
-                part = _first_contact(system, width, after, first, second)
-                if part < 1.0:
-                    h *= part
-                    continue
-                part = _first_release(system, time, h, width, after, first, second)
-                if part < 1.0:
-                    h *= part
-                    continue
-                break
-            record.add(time, h, width, after, first, second, system.free)
+        while time < stop:
+            step = _step(system, time, width, step_s, stop=stop, rtol=rtol)
+            record.add(time, step.step_s, width, step.after, step.first, step.second, system.free)
             if record.count > most_steps:
                 raise NotReachedError(
                     f"hemodynamics: the response needs more than {most_steps} steps (reached {time:g} s); "
                     "raise rtol or soften the parameters."
                 )
-            time = stop if at_stop else time + h
-            touched = False
-            for i, c in enumerate(closed):
-                if system.free[i] and after[i] - c <= _SNAP * rest[i]:
-                    after[i], touched = c, True
-            width = after
-            if touched or 0.0 in system.free:
+            time = stop if step.step_s == stop - time else time + step.step_s
+            width, step_s = step.after, step.next_step_s
+            if system.snap(width) or 0.0 in system.free:
                 system.settle(time, width)
-            h = max(wanted, h * scale) if at_stop and scale >= 1.0 else h * scale
     _LOG.debug("massless model: %d steps over %g s", record.count, end - drive.stops[0])
-    return record.sample(time_s, closed)
+    return record.sample(time_s, walls.closed)
+
+
+def _step(system: _System, time: float, width: list[float], step_s: float, *, stop: float, rtol: float) -> _Step:
+    """Shorten a step until its error is allowed and no wall meets or leaves another before its end."""
+    slope, in_time, jacobian = system.linearise(time, width)
+    while True:
+        wanted_s = step_s
+        at_stop = time + step_s * (1.0 + 1e-9) >= stop
+        if at_stop:
+            step_s = stop - time
+        after, error, first, second = rodas.step(
+            system.slope,
+            time=time,
+            state=width,
+            slope_now=slope,
+            slope_in_time=in_time,
+            jacobian=jacobian,
+            step_s=step_s,
+        )
+        listed = system.walls.diameter
+        size = max([abs(e) / (rtol * max(d, a, r)) for e, d, a, r in zip(error, width, after, listed, strict=True)])
+        if not size < float("inf"):
+            size = 1e6
+        # The error goes with the fourth power of the step: aim a little below what is allowed, and not far at once.
+        scale = 5.0 if size < 1e-3 else max(0.2, 0.9 * size**-0.25)
+        if size > 1.0:
+            step_s *= min(scale, 0.9)
+            continue
+        part = _first_contact(system, width, after, first, second)
+        if part == 1.0:
+            part = _first_release(system, time, step_s, width, after, first, second)
+        if part == 1.0:
+            next_step_s = max(wanted_s, step_s * scale) if at_stop and scale >= 1.0 else step_s * scale
+            return _Step(step_s, after, first, second, next_step_s)
+        step_s *= part
 
 
 def _first_contact(
     system: _System, width: list[float], after: list[float], first: list[float], second: list[float]
 ) -> float:
-    """Return the part of the step at which a free wall first reaches contact, 1 if none does."""
-    walls, found = system.walls, 1.0
-    for i, c in enumerate(walls.closed):
-        if not system.free[i]:
-            continue
-        slack = _SNAP * walls.diameter[i]
-        begin, end = width[i], after[i]
-        if end >= c - slack:
-            end_part = 0.5
-            end = rodas.interpolate(begin, after[i], first[i], second[i], end_part)
-            if end >= c - slack:
-                continue
-        else:
-            end_part = 1.0
-        if begin <= c + slack:
-            # It has just left contact: go on to a depth that still counts as touching.
-            found = min(found, max(1e-9, 0.5 * slack / (c - end + slack)))
-            continue
-        low, high = 0.0, end_part
-        for _ in range(40):
-            middle = 0.5 * (low + high)
-            if rodas.interpolate(begin, after[i], first[i], second[i], middle) < c:
-                high = middle
-            else:
-                low = middle
-        found = min(found, high)
-    return found
+    """The part of the step at which a free wall first reaches contact, 1 if none does."""
+    curves = zip(width, after, first, second, strict=True)
+    return min(
+        [
+            _contact_of_one(curve, closed, _SNAP * listed) if free else 1.0
+            for curve, closed, listed, free in zip(
+                curves, system.walls.closed, system.walls.diameter, system.free, strict=True
+            )
+        ]
+    )
+
+
+def _contact_of_one(curve: tuple[float, float, float, float], closed: float, slack: float) -> float:
+    """The part of the step at which one wall reaches contact, 1 if it does not; the curve is `interpolate`'s."""
+    begin, end = curve[:2]
+    high = 1.0
+    if end >= closed - slack:
+        # Open at the end, it may have touched on the way.
+        high = 0.5
+        end = rodas.interpolate(*curve, high)
+        if end >= closed - slack:
+            return 1.0
+    if begin <= closed + slack:
+        # It has just left contact: go on to a depth that still counts as touching.
+        return max(1e-9, 0.5 * slack / (closed - end + slack))
+    low = 0.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if rodas.interpolate(*curve, middle) < closed else (middle, high)
+    return high
 
 
 def _first_release(
@@ -209,7 +223,7 @@ def _first_release(
     first: list[float],
     second: list[float],
 ) -> float:
-    """Return the part of the step at which the blood first lifts a held wall, 1 if it lifts none."""
+    """The part of the step at which the blood first lifts a held wall, 1 if it lifts none."""
     held = [i for i, free in enumerate(system.free) if not free]
     if not held:
         return 1.0
@@ -244,7 +258,7 @@ class _Record:
             row += vector
         self._rows.append(row)
 
-    def sample(self, time_s: np.ndarray, closed: tuple[float, ...]) -> Trajectory:
+    def sample(self, time_s: np.ndarray, closed: tuple[float, ...]) -> MasslessTrajectory:
         table = np.array(self._rows)
         starts, steps = table[:, 0], table[:, 1]
         row = np.clip(np.searchsorted(starts, time_s, side="right") - 1, 0, starts.size - 1)
@@ -252,4 +266,4 @@ class _Record:
         begin, end, first, second, free = (block[row] for block in np.split(table[:, 2:], 5, axis=1))
         width = (1.0 - part) * begin + part * (end + (1.0 - part) * (first + part * second))
         width = np.where(free > 0.0, np.maximum(width, closed), closed)
-        return Trajectory(width_m=width.T.copy(), free=free.T.copy(), steps=self.count)
+        return MasslessTrajectory(width_m=width.T.copy(), free=free.T.copy())

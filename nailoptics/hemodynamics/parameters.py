@@ -1,11 +1,10 @@
 """The constants of the paper's network: named sets, bounds for tuning, and the check of every value."""
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import math
 
+from ..checks import number
 from ..errors import InputError
 
 _MAY_BE_ANY_SIGN = ("arterial_pressure_pa", "venous_pressure_pa")
@@ -17,10 +16,7 @@ class Parameters:
 
     A capillary field means the same for both capillary beds (proximal and distal). Pressures are gauge.
 
-    Raises
-    ------
-    InputError
-        If a value is not a finite number, or is not positive where it has to be.
+    Raises: InputError if a value is not a finite number, or is not positive where it has to be.
 
     References: Mascaro and Asada 2001, IEEE Trans. Robotics and Automation 17(5), table of parameters.
     """
@@ -46,21 +42,15 @@ class Parameters:
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
-            value = _number(field.name, getattr(self, field.name))
+            value = number(f"hemodynamics.{field.name}", getattr(self, field.name))
             if field.name not in _MAY_BE_ANY_SIGN and value <= 0.0:
                 raise InputError(
                     f"hemodynamics.{field.name} must be greater than 0, got {value:g}; give a positive value."
                 )
             object.__setattr__(self, field.name, value)
 
-    def replace(self, **changes: float) -> Parameters:
-        """Return a copy with some values changed, checked like a new set.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown or a value is not allowed.
-        """
+    def replace(self, **changes: float) -> "Parameters":
+        """A copy with some values changed, checked like a new set; InputError also for an unknown name."""
         known = [field.name for field in dataclasses.fields(self)]
         for name in changes:
             if name not in known:
@@ -70,7 +60,7 @@ class Parameters:
         return dataclasses.replace(self, **changes)
 
     def as_dict(self) -> dict[str, float]:
-        """Return the values by name."""
+        """The values by name."""
         return dataclasses.asdict(self)
 
     @property
@@ -90,16 +80,6 @@ def _poiseuille(length_m: float, count: float, diameter_m: float, viscosity_pa_s
     return 128.0 * length_m * viscosity_pa_s / (count * math.pi * diameter_m**4)
 
 
-def _number(name: str, value: object) -> float:
-    try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        raise InputError(f"hemodynamics.{name} must be a number, got {value!r}; give a number.") from None
-    if not math.isfinite(number):
-        raise InputError(f"hemodynamics.{name} must be finite, got {number}; give a finite number.")
-    return number
-
-
 _SETS: dict[str, dict[str, float]] = {
     "listed": {},
     "figures": {
@@ -116,7 +96,7 @@ _SETS: dict[str, dict[str, float]] = {
         "vein_stiffness_n_per_m": 4e3,
         "capillary_count": 1.4e4,
     },
-    # Differential evolution (search), seed 11, 9e4 sets; rounded to three digits.
+    # By `paper.parameter_search`, seed 11, 9e4 sets; rounded to three digits.
     "best": {
         "capillary_stiffness_n_per_m": 2.22e5,
         "vein_stiffness_n_per_m": 3.27e3,
@@ -136,19 +116,16 @@ NAMES = tuple(_SETS)
 
 
 def parameters(name: str = "listed") -> Parameters:
-    """Return a named set: "listed", "figures", "compromise" or "best".
+    """A named set of constants: "listed", "figures", "compromise" or "best".
 
     - listed: the paper's orders of magnitude.
     - figures: every value within a factor 2 of the list; shows the paper's Figs. 10 and 12.
     - compromise: meets a part of Figs. 10, 11 and 12.
-    - best: found by global search within an order of magnitude of the list (``search``). It meets 20 of the 21 claims
-      about two zones (``claims.RULES``): all but equal times for distal loading and unloading (Fig. 11), which is at
-      odds with the subjects' 0.18 and 0.36 s.
+    - best: found by global search within an order of magnitude of the list (`paper.parameter_search`). It meets 20 of
+      the 21 claims about two zones (`paper.claims`): all but equal times for distal loading and unloading (Fig. 11),
+      which is at odds with the subjects' 0.18 and 0.36 s.
 
-    Raises
-    ------
-    InputError
-        If the name is unknown.
+    Raises: InputError if the name is unknown.
     """
     if name not in _SETS:
         raise InputError(f"hemodynamics.parameters {name!r} is not a named set; use one of {', '.join(NAMES)}.")
@@ -156,14 +133,11 @@ def parameters(name: str = "listed") -> Parameters:
 
 
 def bounds(*, factor: float = 10.0) -> dict[str, tuple[float, float]]:
-    """Return the range for tuning of each value: the listed one divided and multiplied by a factor.
+    """The range for tuning of each value: the listed one divided and multiplied by a factor.
 
     The paper tunes "within an order of magnitude". P_H and P_L are the body's, not the model's, and stay out.
 
-    Raises
-    ------
-    InputError
-        If the factor is not greater than 1.
+    Raises: InputError if the factor is not greater than 1.
     """
     if not (math.isfinite(factor) and factor > 1.0):
         raise InputError(f"hemodynamics.bounds factor must be finite and greater than 1, got {factor}; use 10.")

@@ -1,12 +1,14 @@
-"""One step of RODAS, a stiffly accurate L-stable Rosenbrock method of order 4 (3), for a rank-one Jacobian.
+"""One step of RODAS, a stiffly accurate, L-stable Rosenbrock method of order 4 with an error estimate of order 3.
+
+The Jacobian is a diagonal and a product of two vectors, so that a stage costs a sum and no matrix is solved.
 
 References: Hairer and Wanner 1996, Solving Ordinary Differential Equations II, section IV.7.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
+# The method's coefficients as its authors' code has them, where a stage needs no product with the Jacobian: gamma,
+# instants, gamma of each stage, weights of the stages in states (A) and in slopes (C), and of the curve between (H).
 GAMMA = 0.25
 _TIMES = (0.0, 0.386, 0.21, 0.63, 1.0, 1.0)
 _D = (0.25, -0.1043, 0.1035, -0.0362, 0.0, 0.0)
@@ -29,7 +31,8 @@ _C = (
 _H1 = (10.12623508344586, -7.487995877610167, -34.80091861555747, -7.992771707568823, 1.025137723295662)
 _H2 = (-0.6762803392801253, 6.087714651680015, 16.43084320892478, 24.76722511418386, -6.594389125716872)
 
-_BETWEEN = 0.3  # weight of the defect: an ordinary step is then ruled by its end
+# Weight of the defect within a step beside the error at its end: of ordinary steps the end decides.
+_DEFECT_WEIGHT = 0.3
 
 Vector = list[float]
 
@@ -44,10 +47,10 @@ def step(
     jacobian: tuple[Vector, Vector, Vector],
     step_s: float,
 ) -> tuple[Vector, Vector, Vector, Vector]:
-    """Return the state after one step, its estimated error (0 or more), and the two vectors of the dense output.
+    """One step: the state after it, its estimated error (0 or more), and the two vectors that `interpolate` needs.
 
     slope : d state/d time as a function of time and state; slope_now is its value at the start.
-    slope_in_time : its partial derivative by time at the start.
+    slope_in_time : Its partial derivative by time at the start.
     jacobian : (d, p, q), its derivative by the state as diag(d) + outer(p, q).
     """
     diagonal, left, right = jacobian
@@ -87,7 +90,7 @@ def step(
     ]
     reach = weight * sum([q * r for q, r in zip(pull, defect, strict=True)])
     between = [r * e + reach * s for r, e, s in zip(defect, inverse, spread, strict=True)]
-    error = [max(abs(a), _BETWEEN * abs(b)) for a, b in zip(error, between, strict=True)]
+    error = [max(abs(a), _DEFECT_WEIGHT * abs(b)) for a, b in zip(error, between, strict=True)]
     return after, error, first, second
 
 
@@ -110,6 +113,6 @@ def _add(base: Vector, factors: tuple[float, ...] | list[float], stages: list[Ve
 
 
 def interpolate(start: float, end: float, first: float, second: float, part: float) -> float:
-    """Return one component of the dense output at a part 0..1 of the step (order 3)."""
+    """One component of the state at a part 0..1 of a step, to order 3."""
     rest = 1.0 - part
     return rest * start + part * (end + rest * (first + part * second))

@@ -3,14 +3,13 @@
 Two nested roots, each bracketed: the pressure of the vein node, and at a given one the diameter of each unit.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..checks import finite
 from ..errors import InputError
 from .parameters import Parameters
 from .walls import CLOSED_FRACTION, Walls, build_walls
@@ -43,28 +42,25 @@ def steady_state(
     zones: Zones = PAPER_ZONES,
     pressure_pa: ArrayLike | None = None,
 ) -> SteadyState:
-    """Return the steady state at given pressures; arrays are broadcast and solved together.
+    """The vessels once a touch has been held for long; arrays of pressures are broadcast and solved together.
 
     proximal_pressure_pa, distal_pressure_pa : P_F1 on the vein and P_F2 on the distal capillaries. [Pa]
     arterial_pressure_pa, venous_pressure_pa : P_H and P_L; None takes those of the parameters. [Pa]
-    zones : units along the nail and the reach of each pressure.
+    zones : Units along the nail and the reach of each pressure.
     pressure_pa : (M, *S) float. All touch pressures, for zones with other than two inputs. [Pa]
 
     Vessels close on contact at a thousandth of their listed diameter, past which nothing moves. Should a unit balance
     at more than one diameter (strong feedback of R_A on D_C), the widest is taken: the one reached from rest.
 
-    Raises
-    ------
-    InputError
-        If a pressure is not finite, or the shapes do not fit.
+    Raises: InputError if a pressure is not finite, or the shapes do not fit.
     """
     p = parameters
+    arterial_pressure_pa = p.arterial_pressure_pa if arterial_pressure_pa is None else arterial_pressure_pa
+    venous_pressure_pa = p.venous_pressure_pa if venous_pressure_pa is None else venous_pressure_pa
     touch = touch_inputs(zones, proximal_pressure_pa, distal_pressure_pa, pressure_pa)
     high, low, *touch = np.broadcast_arrays(
-        finite(
-            "arterial_pressure_pa", p.arterial_pressure_pa if arterial_pressure_pa is None else arterial_pressure_pa
-        ),
-        finite("venous_pressure_pa", p.venous_pressure_pa if venous_pressure_pa is None else venous_pressure_pa),
+        finite("arterial_pressure_pa", arterial_pressure_pa),
+        finite("venous_pressure_pa", venous_pressure_pa),
         *touch,
     )
     shape = high.shape
@@ -80,38 +76,22 @@ def steady_state(
     )
 
 
-def finite(name: str, value: ArrayLike) -> np.ndarray:
-    """Return an input as a float array, or say what is wrong with it."""
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"hemodynamics.{name} must be numbers, got {value!r}; give a number or an array.") from None
-    bad = ~np.isfinite(array)
-    if bad.any():
-        first = np.argwhere(bad)[0].tolist()
-        where = f"[{', '.join(map(str, first))}]" if first else ""
-        raise InputError(f"hemodynamics.{name}{where} must be finite, got {array[bad][0]}; replace NaN and inf.")
-    return array
-
-
 def touch_inputs(
     zones: Zones, proximal_pressure_pa: ArrayLike, distal_pressure_pa: ArrayLike, pressure_pa: ArrayLike | None
 ) -> list[np.ndarray]:
-    """Return one checked array for each touch pressure that the zones take."""
+    """One checked array for each touch pressure that the zones take."""
     if pressure_pa is not None:
         given = finite("pressure_pa", pressure_pa)
         if given.ndim < 1 or given.shape[0] != zones.inputs:
-            raise InputError(
-                f"hemodynamics.pressure_pa must hold {zones.inputs} inputs on its first axis, got shape {given.shape}."
-            )
+            raise InputError(f"pressure_pa must hold {zones.inputs} inputs on its first axis, got shape {given.shape}.")
         return list(given)
     if zones.inputs != 2:
-        raise InputError(f"hemodynamics: zones take {zones.inputs} pressures, not 2; give them all in pressure_pa.")
+        raise InputError(f"zones take {zones.inputs} pressures, not 2; give them all in pressure_pa.")
     return [finite("proximal_pressure_pa", proximal_pressure_pa), finite("distal_pressure_pa", distal_pressure_pa)]
 
 
 def wall_pressures(zones: Zones, touch_pa: np.ndarray) -> np.ndarray:
-    """Return the (N+1, S) touch pressure on each wall from the (M, S) inputs. [Pa]"""
+    """The (N+1, S) touch pressure on each wall from the (M, S) inputs. [Pa]"""
     rows = [*zones.reach, zones.vein_reach]
     return np.array([sum(part * p for part, p in zip(row, touch_pa, strict=True)) for row in rows])
 
@@ -119,7 +99,7 @@ def wall_pressures(zones: Zones, touch_pa: np.ndarray) -> np.ndarray:
 def solve_walls(
     walls: Walls, outside: np.ndarray, high: np.ndarray, low: np.ndarray, *, tolerance: float = 1e-14
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return widths [m] and pressures [Pa], (N+1, *S), of the steady states.
+    """Widths [m] and pressures [Pa], (N+1, *S), of the walls in steady states.
 
     outside : (N+1, *S) float. Touch pressure on each wall. high, low : S float. P_H and P_L. [Pa]
     tolerance : error of the vein's pressure, relative to P_H and P_L, and of the diameters. [1]
@@ -147,7 +127,7 @@ def solve_walls(
         inflow = ((high - node) * arteriole * venule / (arteriole + venule)).sum(axis=0)
         return conductance[n] * vein_opening(node) ** 4 * (node - low) - inflow
 
-    # The sign of P_H - P_L tells which end has more outflow.
+    # The sign of P_H - P_L says which end has more outflow.
     sign = np.where(high >= low, 1.0, -1.0)
     scale = np.maximum(np.abs(high), np.abs(low)) + 1.0
     node = _bracketed_root(
@@ -163,9 +143,11 @@ def solve_walls(
 def _openings(
     tension: np.ndarray, barrier: np.ndarray, push: np.ndarray, head: np.ndarray, *, tolerance: float
 ) -> np.ndarray:
-    """Return the widest u = (D+x)/D with tension (u-1) = push + head u^4/(u^4 + barrier), or contact.
+    """The widest opening u = (D+x)/D at which a capillary wall balances, or that of contact.
 
-    push : P_N - P_F. head : P_H - P_N. tension : k D/A. barrier : R_A0/R_V. Shapes broadcast to (N, S). [Pa, 1]
+    tension (u-1) = push + head u^4/(u^4 + barrier), with P_N the vein node's pressure, all arrays that broadcast:
+    push : P_N - P_F. head : P_H - P_N. tension : k D/A. [Pa]
+    barrier : R_A0/R_Vi, the capillary's resistance at its listed diameter over its venule's. [1]
     """
     tension, barrier, push, head = np.broadcast_arrays(tension, barrier, push, head)
 
@@ -176,22 +158,22 @@ def _openings(
     lowest = np.full(push.shape, CLOSED_FRACTION)
     bottom = np.maximum(lowest, 1.0 + (push + np.minimum(head, 0.0)) / tension)
     top = np.maximum(lowest, 1.0 + (push + np.maximum(head, 0.0)) / tension)
-    # Feedback steeper than the wall's tension anywhere: there may be three roots. The widest lies right of the minimum
-    # of the balance, which lies right of the steepest point of the feedback.
+    # Where the feedback u^4/(u^4 + barrier) is steeper than the wall's tension there may be three roots. The widest
+    # lies right of the minimum of the balance, which lies right of the feedback's steepest point, u^4 = 3/5 barrier.
     steepest = (0.6 * barrier) ** 0.25
     slope = 4.0 * head * barrier * steepest**3 / (1.6 * barrier) ** 2
     if (slope > tension).any():
         with np.errstate(over="ignore"):
             far = np.maximum(steepest, top) + 1.0
-            turn = _bracketed_root(
+            minimum = _bracketed_root(
                 lambda u: tension - 4.0 * head * barrier * u**3 / (u**4 + barrier) ** 2,
                 steepest,
                 far,
                 tolerance=tolerance * far,
             )
         folded = slope > tension
-        wide = folded & (turn < top) & (balance(turn) <= 0.0)
-        bottom = np.where(wide, np.maximum(bottom, turn), bottom)
+        wide = folded & (minimum < top) & (balance(minimum) <= 0.0)
+        bottom = np.where(wide, np.maximum(bottom, minimum), bottom)
         narrow = folded & ~wide
         top = np.where(narrow, np.clip(steepest, bottom, top), top)
     return _bracketed_root(balance, bottom, top, tolerance=tolerance * top)
@@ -200,9 +182,11 @@ def _openings(
 def _bracketed_root(
     function: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray, *, tolerance: np.ndarray
 ) -> np.ndarray:
-    """Return a root of each component of a function that is <= 0 at low and >= 0 at high (Chandrupatla's method).
+    """A root of each component of a function that is <= 0 at low and >= 0 at high, by Chandrupatla's method.
 
     Where the function is positive at low (or negative at high) already, that end is returned.
+
+    References: Chandrupatla 1997, Adv. Eng. Software 28:145.
     """
     a, b = high.astype(float), low.astype(float)
     fa, fb = function(a), function(b)

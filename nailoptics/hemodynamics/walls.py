@@ -4,8 +4,6 @@ Every function takes, for each wall, one Python float or one numpy array: the ti
 tables of results (arrays over time) share the same formulas. Walls are ordered: capillary units, then the vein.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any
@@ -42,7 +40,7 @@ class Walls:
 
 
 def build_walls(parameters: Parameters, zones: Zones) -> Walls:
-    """Return the constants of every wall."""
+    """The constants of every wall, from a set of parameters and the cut of the bed."""
     p = parameters
     share = zones.share
     area = (*(s * p.capillary_area_m2 for s in share), p.vein_area_m2)
@@ -66,15 +64,15 @@ def build_walls(parameters: Parameters, zones: Zones) -> Walls:
 def massless_rates(
     walls: Walls, width: PerWall, load: PerWall, free: PerWall, high: Any, low: Any
 ) -> tuple[list[Any], list[Any]]:
-    """Return pressures and wall speeds of the network whose walls have no mass.
+    """Pressures [Pa] and wall speeds [m/s], N+1 each, of the network whose walls have no mass.
 
     width : N+1 values. D + x, no less than ``walls.closed``. [m]
     load : N+1 values. Force that presses the wall inward against the blood: A P_F + k x. [N]
     free : N+1 values. 1 where the wall may move, 0 where it is held in contact.
     high, low : P_H and P_L. [Pa]
 
-    Returns pressures [Pa] and speeds [m/s], N+1 each. With A P - load = b dx/dt at each free wall, each unit's pressure
-    follows from the vein node's, and the vein node's from one sum: exact elimination, no matrix.
+    With A P - load = b dx/dt at each free wall, each unit's pressure follows from the vein node's, and the vein node's
+    from one sum: exact elimination, no matrix.
     """
     n = len(walls.venule)
     mobile, area = walls.mobile, walls.area
@@ -107,7 +105,7 @@ def massless_rates(
 def massless_jacobian(
     walls: Walls, width: PerWall, free: PerWall, pressures: PerWall, high: Any, low: Any
 ) -> tuple[list[float], list[float], list[float]]:
-    """Return d(speed_i)/d(width_j) of ``massless`` as diag(d) + outer(p, q): three lists of N+1 floats.
+    """How the speeds of `massless_rates` change with the widths: d, p, q of diag(d) + outer(p, q), N+1 floats each.
 
     The units meet in the vein node only, hence the rank of one.
     """
@@ -139,8 +137,8 @@ def massless_jacobian(
     return diagonal, left, right
 
 
-def moving(walls: Walls, width: PerWall, speed: PerWall, high: Any, low: Any) -> list[Any]:
-    """Return the N+1 pressures [Pa] of the network whose walls move at given speeds [m/s] (the six-state model)."""
+def inertial_pressures(walls: Walls, width: PerWall, speed: PerWall, high: Any, low: Any) -> list[Any]:
+    """The N+1 pressures [Pa] of the network whose walls move at given speeds [m/s], as walls with mass do."""
     n = len(walls.venule)
     numerators, sums, ratios = [], [], []
     flow_in: Any = 0.0

@@ -1,7 +1,5 @@
 """How the nail bed is cut into capillary units, and which touch pressure reaches which wall."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -67,10 +65,10 @@ PAPER_ZONES = Zones(share=(1.0, 1.0), reach=((0.0, 0.0), (0.0, 1.0)), vein_reach
 
 
 def zones(count: int, *, decay_length: float | None = None) -> Zones:
-    """Cut the bed into equal units with the paper's two inputs, proximal and distal.
+    """Cut the nail bed into equal units with the paper's two inputs, proximal and distal.
 
-    count : int. Number of units, 2 or more. Two units without decay are the paper's model.
-    decay_length : float. Reach of the distal pressure. None: the distal half feels it in full, the proximal
+    count : Number of units, 2 or more. Two units without decay are the paper's model.
+    decay_length : Reach of the distal pressure. None: the distal half feels it in full, the proximal
         half nothing (the paper). Otherwise it falls off as exp(-d/decay_length) with the distance d from the last
         unit, and P_F2 is its mean over the distal half; both lengths in lengths of the bed. [1]
 
@@ -78,10 +76,7 @@ def zones(count: int, *, decay_length: float | None = None) -> Zones:
     simplest law with one constant: a unit closes once its part of P_F2 passes its closing pressure, so the white
     band's width grows as decay_length log(force).
 
-    Raises
-    ------
-    InputError
-        If the count is under 2, is odd without decay, or the length is not positive.
+    Raises: InputError if the count is under 2, is odd without decay, or the length is not positive.
     """
     if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 2:
         raise InputError(f"zones.count must be an integer of 2 or more, got {count!r}; use 2 for the paper's model.")

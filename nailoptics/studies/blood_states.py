@@ -1,7 +1,5 @@
 """Touch to blood: what a scene's force makes of the blood under the nail, over time or held until nothing moves."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from nailoptics.hemodynamics import parameters, respond, steady_state, zones
-from nailoptics.hemodynamics.network import state_matrices
+from nailoptics.paper.printed_equations import state_matrices
 
 
 def seconds(call: Callable[[], object], repeats: int) -> float:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from nailoptics.hemodynamics import PAPER_ZONES, parameters, steady_state, zones
-from nailoptics.hemodynamics.network import coefficients, resistances, state_matrices
-from nailoptics.hemodynamics.walls import build_walls, massless_jacobian, massless_rates, moving
+from nailoptics.hemodynamics.walls import build_walls, inertial_pressures, massless_jacobian, massless_rates
+from nailoptics.paper.printed_equations import coefficients, resistances, state_matrices
 
 
 def kirchhoff(arteriole, venule, vein, injected, high, low):
@@ -52,7 +52,7 @@ def test_printed_coefficients_agree_with_kirchhoff_in_500_random_networks():
 
 
 def test_listed_set_is_as_stiff_as_the_masses_make_it():
-    # physics.md, section 2: eigenvalues from -1e7 to -6 1/s with the listed set.
+    # The fastest rate is damper over mass, b_C / m = 1e4 / 1e-3 1/s; the slowest is hydraulic, some 1/s.
     p = parameters("listed")
     rest = steady_state(p)
     width = np.append(rest.capillary_diameter_m, rest.vein_diameter_m)
@@ -66,7 +66,7 @@ def test_listed_resistances_are_of_the_order_of_the_venules():
     p = parameters("listed")
     (arteriole, same), vein = resistances(p, np.array([1e-5, 1e-5, 1e-4]))
     assert arteriole == same == pytest.approx(p.capillary_resistance_pa_s_per_m3)
-    # physics.md: the listed ratio R_A0/R_V1 is 1.2.
+    # Eq. (3) with the listed values: 128 L mu / (N pi D^4) = 1.2e11 Pa s/m^3, R_V1 is 1e11.
     assert arteriole / p.venule_resistance_pa_s_per_m3 == pytest.approx(1.2, abs=0.03)
     assert vein == pytest.approx(p.vein_resistance_pa_s_per_m3)
 
@@ -83,7 +83,7 @@ def test_eliminations_agree_with_kirchhoff_for_any_number_of_units(count):
         network = (resistance[:-1], 1 / np.array(walls.venule), resistance[-1])
         speed = rng.normal(0, 1e-5, n)
         direct = kirchhoff(*network, -np.array(walls.area) * speed, high, low)
-        assert np.allclose(moving(walls, width, speed, high, low), direct, rtol=1e-9, atol=1e-6)
+        assert np.allclose(inertial_pressures(walls, width, speed, high, low), direct, rtol=1e-9, atol=1e-6)
 
         load = np.array(walls.area) * rng.uniform(-1e4, 2e4, n)
         free = np.where(rng.random(n) < 0.7, 1.0, 0.0)

@@ -10,7 +10,7 @@ from nailoptics.hemodynamics.zones import Zones
 
 
 def test_listed_set_holds_the_values_of_the_paper():
-    # physics.md, section 2, after the paper's table.
+    # Mascaro and Asada 2001, table of parameters.
     p = parameters("listed")
     assert (p.capillary_stiffness_n_per_m, p.vein_stiffness_n_per_m) == (1e5, 1e3)
     assert (p.capillary_mass_kg, p.vein_mass_kg) == (1e-3, 1e-3)

@@ -5,7 +5,7 @@ import pytest
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import NAMES, parameters, steady_state, zones
-from nailoptics.hemodynamics.network import state_matrices
+from nailoptics.paper.printed_equations import state_matrices
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -45,7 +45,8 @@ def test_many_states_at_once_are_the_states_one_by_one():
 
 
 def test_listed_set_gives_the_known_rise_and_closing_pressure():
-    # physics.md, section 2: 7.7 % rise of D_C1^2; the vein closes at P_H + k_V D_V/A_V = 1.1 N/cm^2.
+    # With the listed values eq. (1)-(4) give a rise of D_C1^2 by 7.7 %, and a vein that closes at
+    # P_H + k_V D_V/A_V = 1.1 N/cm^2.
     p = parameters("listed")
     touch = np.array([0.0, 1.0985e4, 1.1e4, 1.2e4, 1e6])
     s = steady_state(p, proximal_pressure_pa=touch)

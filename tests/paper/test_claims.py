@@ -41,7 +41,7 @@ def test_figures_set_gives_fig_10_and_loses_the_linearity_of_fig_11(judged):
 
 
 def test_listed_set_is_not_sluggish_at_low_force(judged):
-    # physics.md, section 2: the sluggishness wants R_A0/R_V1 of 5-10; the listed ratio is 1.2.
+    # It comes from the feedback of R_A on D_C, which is weak at the listed R_A0/R_V1 of 1.2.
     assert not next(c for c in judged["listed"] if "sluggish" in c.text).met
 
 

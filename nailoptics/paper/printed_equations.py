@@ -1,16 +1,13 @@
-"""Eq. (1)-(4) for the paper's two units in closed form: R_Total, R_ij, B_ij, and the matrices A and B.
+"""The paper's eq. (1)-(4) for its two beds in closed form: R_Total, R_ij, B_ij, and the matrices A and B.
 
-The dynamics of every model here are those of this network; other modules use the same network for any number of
-units (``walls``), and tests hold both to a direct Kirchhoff solution.
+`hemodynamics.walls` solves the same network for any number of beds; tests hold both to a direct Kirchhoff solution.
 """
-
-from __future__ import annotations
 
 import dataclasses
 
 import numpy as np
 
-from .parameters import Parameters
+from ..hemodynamics.parameters import Parameters
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -35,7 +32,7 @@ def coefficients(
     area: tuple[float, float, float],
     damping: tuple[float, float, float],
 ) -> Coefficients:
-    """Return R_Total, R_ij and B_ij of the paper's network in closed form.
+    """R_Total, R_ij and B_ij of the paper's network.
 
     Resistances [Pa s/m^3]: R_A1 and R_A2, R_V1 and R_V2, R_V. Areas [m^2] and dampers [N s/m]: of the walls of
     capillary 1, capillary 2 and the vein. Every wall displaces A dx/dt out of its node.
@@ -69,7 +66,7 @@ def coefficients(
 
 
 def resistances(parameters: Parameters, width_m: np.ndarray) -> tuple[tuple[float, float], float]:
-    """Return (R_A1, R_A2) and R_V of eq. (3) from (3,) diameters D + x of capillaries and vein. [Pa s/m^3]"""
+    """(R_A1, R_A2) and R_V of eq. (3) from (3,) diameters D + x of capillaries and vein. [Pa s/m^3]"""
     p = parameters
     c1, c2, v = (float(w) for w in width_m)
     capillary = p.capillary_resistance_pa_s_per_m3
@@ -80,7 +77,7 @@ def resistances(parameters: Parameters, width_m: np.ndarray) -> tuple[tuple[floa
 
 
 def state_matrices(parameters: Parameters, width_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return A (6, 6) and B (6, 4) of eq. (1) at (3,) diameters D + x, SI units.
+    """The matrices A (6, 6) and B (6, 4) of eq. (1) at (3,) diameters D + x, SI units.
 
     State [x_C1 x_C2 x_V and their rates], input [P_H P_L P_F1 P_F2]:
     A = [[0, I], [-diag(k/m), -diag(1/m) R]]. Most copies of the paper lack A; this is its derivation.
