@@ -162,10 +162,10 @@ def tried_figure(result: xr.Dataset) -> "Figure":
     with style.drawing():
         figure = style.new_figure(9.2, 4.8)
         axes = figure.subplots()
-        place, found = result.led_tried_mm.to_numpy(), 1e3 * result.led_tried_n.to_numpy()
+        place, found = result.led_site_mm.to_numpy(), 1e3 * result.led_site_resolution_n.to_numpy()
         norm = LogNorm(found.min(), max(found.max(), 1.001 * found.min()))
         marks = {"left": ">", "right": "<", "below": "^", "above": "v"}
-        sides = [str(side) for side in result.led_tried_side.values]
+        sides = [str(side) for side in result.led_site_side.values]
         for side in dict.fromkeys(sides):
             at = np.array([s == side for s in sides])
             shift = {"left": (0.12, 0), "right": (-0.12, 0), "below": (0, 0.12), "above": (0, -0.12)}.get(side, (0, 0))

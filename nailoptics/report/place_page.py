@@ -44,7 +44,7 @@ def page(result: xr.Dataset) -> str:
     if better and first["layout"] != "paper":
         cards.append((f"{with_error(*better)} ×", "as fine as the paper's layout"))
     cards.append((f"{significant(first['condition_number'])}", "condition number of readings by blood zones"))
-    cards.append((f"{100 * first['crosstalk']:.0f} %", "of a photodiode's light at most was never in the bed"))
+    cards.append((f"{100 * first['shunted_fraction']:.0f} %", "of a photodiode's light at most was never in the bed"))
     body = [
         "<section><h2>The ranking</h2>",
         drawing(
@@ -101,7 +101,7 @@ def page(result: xr.Dataset) -> str:
             ),
             _reciprocity(result),
         ]
-    if result.sizes["spot"]:
+    if result.sizes["led_site"]:
         text = "Places of the LED that were tried: the force that the best photodiodes for each would resolve."
         body.append(
             drawing(figures.tried_figure(result), "tried", text + " Triangles point from the LED to its photodiodes.")
@@ -124,10 +124,14 @@ def _table(ranking: list[dict[str, Any]]) -> str:
     for row in ranking[: figures.SHOWN]:
         force = with_error(1e3 * row["force_resolution_n"], 1e3 * row["force_resolution_n_stderr"])
         cells = [row["layout"].replace("_", " "), f"{row['rank']}{' (tied)' if row['tied'] else ''}", force]
-        cells += [significant(1e3 * row["known_split_n"])]
+        cells += [significant(1e3 * row["fixed_ratio_resolution_n"])]
         cells += [", ".join(significant(row[f"{name}_pressure_pa"]) for name in ("proximal", "distal"))]
         cells += [significant(row["condition_number"])]
-        cells += [significant(row["least_snr"]), significant(row["adc_headroom"]), f"{100 * row['crosstalk']:.0f}"]
+        cells += [
+            significant(row["least_snr"]),
+            significant(row["adc_headroom"]),
+            f"{100 * row['shunted_fraction']:.0f}",
+        ]
         lines.append(cells)
     return table(head, lines)
 
@@ -156,14 +160,14 @@ def _photodiodes(result: xr.Dataset) -> str:
         ).values
     lines = []
     for j, name in enumerate(result.best_photodiode.values):
-        volts, noise = float(best.foretold_volts[j]), float(best.foretold_noise_v[j])
-        line = [str(name), with_error(volts, float(best.foretold_volts_stderr[j]))]
+        volts, noise = float(best.predicted_volts[j]), float(best.predicted_noise_v[j])
+        line = [str(name), with_error(volts, float(best.predicted_volts_stderr[j]))]
         line += [significant(result.attrs["adc_range_v"] / volts), significant(1e6 * noise), significant(volts / noise)]
-        crosstalk = (100 * float(best[f"foretold_crosstalk{end}"][j]) for end in ("", "_stderr"))
+        crosstalk = (100 * float(best[f"predicted_shunted_fraction{end}"][j]) for end in ("", "_stderr"))
         line.append(with_error(*crosstalk))
         # A hundredth of the bed's volume, in millivolts.
         line += [
-            with_error(*(10 * float(best[f"foretold_zone_v{end}"][j, k]) for end in ("", "_stderr"))) for k in range(2)
+            with_error(*(10 * float(best[f"predicted_zone_v{end}"][j, k]) for end in ("", "_stderr"))) for k in range(2)
         ]
         lines.append([*line, significant(float(looks[j]))])
     return table(head, lines)
@@ -172,8 +176,8 @@ def _photodiodes(result: xr.Dataset) -> str:
 def _ambient(result: xr.Dataset) -> str:
     """Sun and lamp, with and without the cover."""
     head = ["", "Photocurrent<br>at most [µA]", "Output<br>at most [V]", "Noise<br>at most [µV]", "Resolves<br>[mN]"]
-    noise = 1e6 * float(result.foretold_noise_v.max())
-    own = float(result.foretold_volts.max())
+    noise = 1e6 * float(result.predicted_noise_v.max())
+    own = float(result.predicted_volts.max())
     lines = [
         ["none", "0", significant(own), significant(noise), significant(1e3 * float(result.finger_resolution_n[0, 0]))]
     ]

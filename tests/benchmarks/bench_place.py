@@ -16,7 +16,7 @@ import xarray as xr
 import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.errors import NotReachedError
-from nailoptics.studies.placement import boards, photon_maps, place, result
+from nailoptics.studies.placement import boards, photon_maps, place, result, scores
 
 CANDIDATES = 20
 
@@ -47,18 +47,20 @@ def main() -> None:
 def further(scene: nail.Scene, found: xr.Dataset) -> float:
     """Median time to judge one more layout on a board whose light is traced. [s]"""
     rules, base = boards.rules(scene), boards.base_board(scene)
-    views = [photon_maps.View(case, place._operating(base, case, rules)) for case in boards.fingers(scene)]
+    conditions = [place.finger_condition(base, case, rules) for case in boards.fingers(scene)]
     best = result.chosen(found)
     board = boards.bare(boards.explicit(best, "best"))
-    bank = photon_maps.Bank(views, seed=1, stream=1, backend="auto", spacing_mm=place.SPACING_MM, blocks=place.BLOCKS)
-    bank.grow(board, 1 << 18)
-    places = [element.center_mm for element in boards.elements(best)]
+    cache = photon_maps.PhotonMapCache(
+        conditions, seed=1, stream=1, backend="auto", spacing_mm=place.SPACING_MM, blocks=place.BLOCKS
+    )
+    cache.extend(board, 1 << 18)
+    places = [area.center_mm for area in boards.photodiode_areas(best)]
     spent = []
     for i in range(CANDIDATES):
         begin = time.perf_counter()
         moved = [(u, v + 0.01 * i) for u, v in places]
         layout = boards.with_parts(base, [r.center_mm for r in best.layout.leds], moved, name="one")
-        place.judge(place.Layout("one", layout, board, "given"), bank, rules.rank_by)
+        scores.score_layout(boards.CandidateLayout("one", layout, board, "given"), cache, rules.rank_by)
         spent.append(time.perf_counter() - begin)
     return statistics.median(spent[1:])
 

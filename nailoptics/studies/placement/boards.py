@@ -1,6 +1,7 @@
 """Layouts as scenes: boards with an explicit outline and wall, with photodiodes or bare, on every finger."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from ...errors import InputError
 from ...scene import Finger, FingerCase, Led, Photodiode, Placement, Scene
@@ -12,6 +13,23 @@ NAIL_MARGIN_MM = 0.1
 # A bare board carries one photodiode, because every scene has one; this one is too small to matter.
 SPECK_MM = 0.05
 FAR_SIDE = {"left": (1, 0), "right": (-1, 0), "below": (0, 1), "above": (0, -1)}
+# One die in place of an array.
+SINGLE = {"array": None, "wired": None, "elements": 1, "pitch_mm": None}
+
+
+@dataclass(frozen=True)
+class CandidateLayout:
+    """A layout to judge: the whole scene, the bare board whose light it reads, and where it came from."""
+
+    name: str
+    scene: Scene
+    board: Scene
+    origin: str
+
+
+def candidate(name: str, scene: Scene, origin: str) -> CandidateLayout:
+    """A layout with its bare board; origin is "given" or "searched"."""
+    return CandidateLayout(name, scene, bare(explicit(scene, name)), origin)
 
 
 def rules(scene: Scene) -> Placement:
@@ -58,9 +76,9 @@ def base_board(scene: Scene) -> Scene:
         nails = [on_finger(scene, case).finger for case in fingers(scene)]
         widths, lengths = zip(*((n.nail_width_mm, n.nail_length_mm) for n in nails if n), strict=True)
         center, size = (0.0, 0.0), (min(widths) - 2 * NAIL_MARGIN_MM, min(lengths) - 2 * NAIL_MARGIN_MM)
-    update = {"size_mm": size, "center_mm": center}
+    update: dict[str, object] = {"size_mm": size, "center_mm": center}
     if board.barrier and board.barrier_gap_mm is None:
-        update["barrier_gap_mm"] = placement.bond_wire_mm  # type: ignore[assignment]
+        update["barrier_gap_mm"] = placement.bond_wire_mm
     return scene.model_copy(update={"board": board.model_copy(update=update), "placement": None})
 
 
@@ -83,31 +101,20 @@ def with_parts(
         raise InputError(f'layout "{name}" places {len(leds_mm)} LEDs, but the scene has {len(base.leds)}.')
     du, dv = base.board.center_mm
 
-    def on_board(place: tuple[float, float]) -> tuple[float, float]:
-        return place[0] - du, place[1] - dv
+    def placed(part: Led | Photodiode, place: tuple[float, float], turned: Sequence[bool], i: int) -> dict[str, object]:
+        size = part.size_mm[::-1] if turned and turned[i] else part.size_mm
+        return {"position_mm": (place[0] - du, place[1] - dv), "size_mm": size}
 
-    def size(part: Led | Photodiode, turned: Sequence[bool], i: int) -> tuple[float, float]:
-        return part.size_mm[::-1] if turned and turned[i] else part.size_mm
-
-    pattern = base.photodiodes[0].model_copy(update={"array": None, "wired": None, "elements": 1, "pitch_mm": None})
-    scene = base.model_copy(
-        update={
-            "leds": tuple(
-                led.model_copy(update={"position_mm": on_board(place), "size_mm": size(led, leds_turned, i)})
-                for i, (led, place) in enumerate(zip(base.leds, leds_mm, strict=True))
-            ),
-            "photodiodes": tuple(
-                pattern.model_copy(
-                    update={
-                        "name": f"PD{i + 1}",
-                        "position_mm": on_board(place),
-                        "size_mm": size(pattern, photodiodes_turned, i),
-                    }
-                )
-                for i, place in enumerate(photodiodes_mm)
-            ),
-        }
+    single = base.photodiodes[0].model_copy(update=SINGLE)
+    leds = tuple(
+        led.model_copy(update=placed(led, place, leds_turned, i))
+        for i, (led, place) in enumerate(zip(base.leds, leds_mm, strict=True))
     )
+    photodiodes = tuple(
+        single.model_copy(update={"name": f"PD{i + 1}"} | placed(single, place, photodiodes_turned, i))
+        for i, place in enumerate(photodiodes_mm)
+    )
+    scene = base.model_copy(update={"leds": leds, "photodiodes": photodiodes})
     check(scene, name)
     return scene
 
@@ -136,22 +143,15 @@ def explicit(scene: Scene, name: str) -> Scene:
             "above": min(r.v_min for r in layout.leds) - wall.v_max,
         }
         update["barrier_gap_mm"] = gaps[wall.name]
+    shift = (du - u, dv - v)
 
     def moved(parts: tuple) -> tuple:
-        shift = (du - u, dv - v)
-        return tuple(
-            part.model_copy(update={"position_mm": (part.position_mm[0] + shift[0], part.position_mm[1] + shift[1])})
-            for part in parts
-        )
+        places = [(part.position_mm[0] + shift[0], part.position_mm[1] + shift[1]) for part in parts]
+        return tuple(part.model_copy(update={"position_mm": place}) for part, place in zip(parts, places, strict=True))
 
-    return scene.model_copy(
-        update={
-            "board": scene.board.model_copy(update=update),
-            "leds": moved(scene.leds),
-            "photodiodes": moved(scene.photodiodes),
-            "placement": None,
-        }
-    )
+    board = scene.board.model_copy(update=update)
+    parts = {"leds": moved(scene.leds), "photodiodes": moved(scene.photodiodes)}
+    return scene.model_copy(update={"board": board, "placement": None} | parts)
 
 
 def bare(scene: Scene, *, side: str | None = None) -> Scene:
@@ -161,10 +161,8 @@ def bare(scene: Scene, *, side: str | None = None) -> Scene:
     """
     if side is None and scene.board.barrier:
         side = scene.layout.barriers[0].name
-    du, dv = scene.board.center_mm
-    size = scene.board.size_mm
+    size, led = scene.board.size_mm, scene.leds[0].position_mm
     assert size is not None
-    led = scene.leds[0].position_mm
     reach = (size[0] / 2 - 2 * SPECK_MM, size[1] / 2 - 2 * SPECK_MM)
     if side is None:
         # The corner that is farthest from the LED.
@@ -172,13 +170,10 @@ def bare(scene: Scene, *, side: str | None = None) -> Scene:
     else:
         across, along = FAR_SIDE[side]
         place = (across * reach[0] if across else led[0], along * reach[1] if along else led[1])
-    speck = scene.photodiodes[0].model_copy(
-        update={"array": None, "wired": None, "elements": 1, "pitch_mm": None, "name": "speck", "position_mm": place}
-        | {"size_mm": (SPECK_MM, SPECK_MM)}
-    )
-    return scene.model_copy(update={"photodiodes": (speck,)})
+    speck = SINGLE | {"name": "speck", "position_mm": place, "size_mm": (SPECK_MM, SPECK_MM)}
+    return scene.model_copy(update={"photodiodes": (scene.photodiodes[0].model_copy(update=speck),)})
 
 
-def elements(scene: Scene) -> list[Rectangle]:
-    """The photodiodes that a layout reads."""
+def photodiode_areas(scene: Scene) -> list[Rectangle]:
+    """Where the photodiodes lie that a layout reads."""
     return list(scene.layout.photodiode_areas)

@@ -1,23 +1,38 @@
-"""The search for a layout: LED places on a grid, and for each the photodiodes that tell most, by exchange."""
+"""The search for a layout: LED sites on a grid, and for each the photodiodes that tell most, by exchange."""
 
-from collections.abc import Callable
+import logging
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ...errors import InputError
 from ...scene import Placement, Scene
 from ...scene.layout import Rectangle
 from . import boards
-from . import fisher as merit
-from .photon_maps import Bank, View
+from .boards import CandidateLayout
+from .fisher import fisher_information, force_resolution_n, over_fingers, response
+from .photon_maps import FingerCondition, PhotonMapCache
+from .progress import StageProgress
 
+log = logging.getLogger(__name__)
+
+# Photons per LED and finger, to choose photodiodes for a site of the LED.
+SEARCH_PHOTONS = 1 << 18
+# Part of the time for the search.
+SEARCH_SHARE = 0.55
+# Searched layouts that are judged with photons of their own beside those that were given.
+FINALISTS = 5
 # A wall that leaves less than this part of the board to the photodiodes is not tried.
 LEAST_ROOM = 0.4
+# The layout asks for so much between the wall and what lies behind it.
+WALL_ROOM_MM = 0.02
 ROUNDS = 6
 
 
 @dataclass(frozen=True)
-class Spot:
+class LedSite:
     """A place of the LED and the side of the photodiodes on which it lies (None without a wall)."""
 
     place_mm: tuple[float, float]
@@ -25,13 +40,91 @@ class Spot:
 
     @property
     def name(self) -> str:
-        """The spot as a layout's name."""
+        """The site as a layout's name."""
         where = "_".join(f"{'m' if x < 0 else 'p'}{abs(x):.3g}" for x in (v + 0.0 for v in self.place_mm))
         return f"led_{where}" + (f"_{self.side}" if self.side else "")
 
 
-def spots(base: Scene, placement: Placement) -> list[Spot]:
-    """LED places on a grid over the outline, symmetric boards on one half, each with the walls that leave room."""
+@dataclass(frozen=True)
+class SearchedSite:
+    """The best photodiodes for a site of the LED: (n, 2) places, and the force that they resolve. [mm], [N]"""
+
+    site: LedSite
+    places_mm: np.ndarray
+    resolution_n: float
+
+
+def search(
+    base: Scene, placement: Placement, cache: PhotonMapCache, report_progress: StageProgress
+) -> list[SearchedSite]:
+    """Every site of the LED that was tried with its best photodiodes, in the order tried: a grid, then around the best.
+
+    Raises: InputError unless the scene has one LED.
+    """
+    if len(base.leds) != 1:
+        raise InputError(
+            f"placement.search places one LED, the scene has {len(base.leds)}; set search = false and give candidates."
+        )
+    score = scorer(cache.conditions, placement.rank_by)
+    found: dict[LedSite, SearchedSite] = {}
+    step, seen, waiting = placement.led_step_mm, set(), led_sites(base, placement)
+    start = report_progress.seconds
+    available = max(SEARCH_SHARE * report_progress.limit_s - start, 1e-9)
+    while waiting and step >= placement.led_step_mm / 4:
+        for i, site in enumerate(waiting):
+            if found and report_progress.must_end(SEARCH_SHARE):
+                why = "was interrupted" if report_progress.interrupted else "ran out of time"
+                log.warning("the search for LED places %s after %d of them", why, len(found))
+                return list(found.values())
+            best = _best_at(site, base, placement, cache, score)
+            if best:
+                found[site] = best
+            seen.add(site)
+            part = (report_progress.seconds - start) / available
+            report_progress("search", part if math.isfinite(available) else (i + 1) / len(waiting) / 2)
+        step /= 2
+        nearest = (n for one in ranked(found.values())[:2] for n in neighbours(one.site, step, base, placement))
+        waiting = list(dict.fromkeys(n for n in nearest if n not in seen))
+    return list(found.values())
+
+
+def ranked(found: Iterable[SearchedSite]) -> list[SearchedSite]:
+    """The finest first."""
+    return sorted(found, key=lambda one: one.resolution_n)
+
+
+def finalists(base: Scene, found: Sequence[SearchedSite]) -> list[CandidateLayout]:
+    """The best layouts of a search, to be judged with photons of their own."""
+    layouts = []
+    for one in ranked(found)[:FINALISTS]:
+        places = sorted(((float(u), float(v)) for u, v in one.places_mm), key=lambda p: (p[1], p[0]))
+        scene = boards.with_parts(base, [one.site.place_mm], places, name=one.site.name)
+        layouts.append(boards.candidate(one.site.name, scene, "searched"))
+    return layouts
+
+
+def _best_at(
+    site: LedSite, base: Scene, placement: Placement, cache: PhotonMapCache, score: Callable[[np.ndarray], np.ndarray]
+) -> SearchedSite | None:
+    """Trace a site's board and choose its photodiodes; None where they find no room."""
+    board, size, gap = board_at(site, base), base.photodiodes[0].size_mm, placement.clearance_mm
+    cache.extend(board, SEARCH_PHOTONS)
+    places = free_places(board, size, placement)
+    chosen: list[int] = []
+    if len(places) >= placement.photodiodes:
+        chosen, reached = exchange(
+            information_at(cache, board, places, size, base),
+            places,
+            count=placement.photodiodes,
+            spacing_mm=(size[0] + gap, size[1] + gap),
+            score=score,
+        )
+    cache.forget(board)
+    return SearchedSite(site, places[chosen], reached) if chosen else None
+
+
+def led_sites(base: Scene, placement: Placement) -> list[LedSite]:
+    """LED sites on a grid over the outline, symmetric boards on one half, each with the walls that leave room."""
     outline, die = _outline(base), base.leds[0].size_mm
     low = [m + placement.edge_mm + d / 2 for m, d in zip((outline.u_min, outline.v_min), die, strict=True)]
     high = [m - placement.edge_mm - d / 2 for m, d in zip((outline.u_max, outline.v_max), die, strict=True)]
@@ -39,25 +132,21 @@ def spots(base: Scene, placement: Placement) -> list[Spot]:
     for a, b in zip(low, high, strict=True):
         half = max(0, int((b - a) / 2 / placement.led_step_mm + 1e-9))
         axes.append((a + b) / 2 + placement.led_step_mm * np.arange(-half, half + 1))
-    mirrored = placement.outline_mm is None and abs(outline.u_min + outline.u_max) < 1e-6
-    found = []
-    for u in axes[0]:
+    if placement.outline_mm is None and abs(outline.u_min + outline.u_max) < 1e-6:
         # Fingers are symmetric here, so that a layout and its mirror image are one.
-        if mirrored and u > 1e-6:
-            continue
-        for v in axes[1]:
-            found += walls_for((float(u), float(v)), base, placement)
-    found = [spot for spot in found if _inside(spot.place_mm, die, placement)]
+        axes[0] = axes[0][axes[0] <= 1e-6]
+    places = [(float(u), float(v)) for u in axes[0] for v in axes[1]]
+    found = [LedSite(p, side) for p in places if _inside(p, die, placement) for side in _walls_at(p, base)]
     # The blood zones follow each other along the nail, so walls along it promise most and come first.
-    return sorted(found, key=lambda spot: spot.side in ("below", "above"))
+    return sorted(found, key=lambda site: site.side in ("below", "above"))
 
 
-def around(spot: Spot, step_mm: float, base: Scene, placement: Placement) -> list[Spot]:
-    """The places next to one, with the same wall."""
+def neighbours(site: LedSite, step_mm: float, base: Scene, placement: Placement) -> list[LedSite]:
+    """The sites next to one, with the same wall."""
     outline, die = _outline(base), base.leds[0].size_mm
     found = []
     for du, dv in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-        u, v = spot.place_mm[0] + du * step_mm, spot.place_mm[1] + dv * step_mm
+        u, v = site.place_mm[0] + du * step_mm, site.place_mm[1] + dv * step_mm
         edge = min(
             u - die[0] / 2 - outline.u_min,
             outline.u_max - u - die[0] / 2,
@@ -65,14 +154,14 @@ def around(spot: Spot, step_mm: float, base: Scene, placement: Placement) -> lis
             outline.v_max - v - die[1] / 2,
         )
         if edge >= placement.edge_mm - 1e-9 and _inside((u, v), die, placement):
-            found.append(Spot((round(u, 4), round(v, 4)), spot.side))
+            found.append(LedSite((round(u, 4), round(v, 4)), site.side))
     return found
 
 
-def walls_for(place: tuple[float, float], base: Scene, placement: Placement) -> list[Spot]:
-    """A place with each wall that leaves the photodiodes enough of the board."""
+def _walls_at(place: tuple[float, float], base: Scene) -> list[str | None]:
+    """Each wall beside an LED that leaves the photodiodes enough of the board; None if the board has no wall."""
     if not base.board.barrier:
-        return [Spot(place, None)]
+        return [None]
     outline, (u, v) = _outline(base), place
     wide, long = outline.u_max - outline.u_min, outline.v_max - outline.v_min
     room = {
@@ -81,20 +170,20 @@ def walls_for(place: tuple[float, float], base: Scene, placement: Placement) -> 
         "below": (outline.v_max - v) / long,
         "above": (v - outline.v_min) / long,
     }
-    return [Spot(place, side) for side, part in room.items() if part > LEAST_ROOM]
+    return [side for side, part in room.items() if part > LEAST_ROOM]
 
 
-def board_at(spot: Spot, base: Scene) -> Scene:
-    """The bare board with its LED on a spot."""
+def board_at(site: LedSite, base: Scene) -> Scene:
+    """The bare board with its LED on a site."""
     du, dv = base.board.center_mm
-    led = base.leds[0].model_copy(update={"position_mm": (spot.place_mm[0] - du, spot.place_mm[1] - dv)})
-    return boards.bare(base.model_copy(update={"leds": (led,)}), side=spot.side)
+    led = base.leds[0].model_copy(update={"position_mm": (site.place_mm[0] - du, site.place_mm[1] - dv)})
+    return boards.bare(base.model_copy(update={"leds": (led,)}), side=site.side)
 
 
 def free_places(board: Scene, size_mm: tuple[float, float], placement: Placement) -> np.ndarray:
     """Centres that a photodiode may take on a bare board, (m, 2) float. [mm]"""
     layout, step = board.layout, placement.photodiode_step_mm
-    outline, half, apart = layout.outline, np.array(size_mm) / 2, placement.clearance_mm
+    outline, half = layout.outline, np.array(size_mm) / 2
     axes = []
     for i, (low, high) in enumerate(((outline.u_min, outline.u_max), (outline.v_min, outline.v_max))):
         first, last = low + placement.edge_mm + half[i], high - placement.edge_mm - half[i]
@@ -102,10 +191,13 @@ def free_places(board: Scene, size_mm: tuple[float, float], placement: Placement
     places = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
     keep = np.ones(len(places), bool)
     for wall in layout.barriers:
-        at, sign = {"left": (0, 1), "right": (0, -1), "below": (1, 1), "above": (1, -1)}[wall.name]
-        edge = ((wall.u_max, wall.u_min), (wall.v_max, wall.v_min))[at][0 if sign > 0 else 1]
-        # The layout asks for 0.02 mm between the wall and what lies behind it.
-        keep &= sign * (places[:, at] - edge) >= half[at] + max(apart, 0.02) - 1e-9
+        axis, edge, sign = {
+            "left": (0, wall.u_max, 1),
+            "right": (0, wall.u_min, -1),
+            "below": (1, wall.v_max, 1),
+            "above": (1, wall.v_min, -1),
+        }[wall.name]
+        keep &= sign * (places[:, axis] - edge) >= half[axis] + max(placement.clearance_mm, WALL_ROOM_MM) - 1e-9
     if not layout.barriers:
         for led in layout.leds:
             wide = np.array([led.u_max - led.u_min, led.v_max - led.v_min]) / 2 + half + placement.bond_wire_mm
@@ -159,33 +251,32 @@ def exchange(
     return chosen, reached
 
 
-def combined(resolutions: np.ndarray, rank_by: str) -> np.ndarray:
-    """Over the fingers, along the first axis: the worst or the mean."""
-    return resolutions.max(0) if rank_by == "worst" else resolutions.mean(0)
+def information_at(
+    cache: PhotonMapCache, board: Scene, places: np.ndarray, size_mm: tuple[float, float], like: Scene
+) -> np.ndarray:
+    """What one photodiode at each place tells on each finger, (fingers, m, 3) float. [Pa^-2]
 
-
-def single(bank: Bank, board: Scene, places: np.ndarray, size_mm: tuple[float, float], pattern: Scene) -> np.ndarray:
-    """What one photodiode at each place tells on each finger, (fingers, m, 3) float. [Pa^-2]"""
+    like : the scene whose first photodiode and electronics these are.
+    """
     half = np.array(size_mm) / 2
-    areas = np.column_stack(
-        [places[:, 0] - half[0], places[:, 0] + half[0], places[:, 1] - half[1], places[:, 1] + half[1]]
-    )
+    areas = np.stack([places - half, places + half], -1).reshape(-1, 4)
     out = []
-    for view, by_led in zip(bank.views, bank.maps(board), strict=True):
+    for condition, by_led in zip(cache.conditions, cache.maps(board), strict=True):
         total = np.zeros((len(places), 3))
         for led, one in zip(board.leds, by_led, strict=True):
-            read = merit.volts(one.over(areas).mean(0), led, pattern.photodiodes[0], pattern.electronics, view.at)
-            total += merit.information(read)
+            values = one.over(areas).mean(0)
+            read = response(values, led, like.photodiodes[0], like.electronics, condition.point)
+            total += fisher_information(read)
         out.append(total)
     return np.stack(out)
 
 
-def scorer(views: tuple[View, ...], rank_by: str) -> Callable[[np.ndarray], np.ndarray]:
+def scorer(conditions: Sequence[FingerCondition], rank_by: str) -> Callable[[np.ndarray], np.ndarray]:
     """Force resolution over the fingers from sums of information (fingers, ..., 3)."""
 
     def score(total: np.ndarray) -> np.ndarray:
-        each = [merit.resolution_n(one, view.at) for one, view in zip(total, views, strict=True)]
-        return combined(np.stack(each), rank_by)
+        each = [force_resolution_n(one, condition.point) for one, condition in zip(total, conditions, strict=True)]
+        return over_fingers(np.stack(each), rank_by)
 
     return score
 
@@ -202,10 +293,8 @@ def _inside(place: tuple[float, float], size_mm: tuple[float, float], placement:
     if corners is None:
         return True
     half_u, half_v = (s / 2 + placement.edge_mm for s in size_mm)
-    points = [
-        (place[0] + a * half_u, place[1] + b * half_v) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)
-    ]
-    return all(_within(point, corners) for point in points)
+    signs = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
+    return all(_within((place[0] + a * half_u, place[1] + b * half_v), corners) for a, b in signs)
 
 
 def _within(point: tuple[float, float], corners: tuple[tuple[float, float], ...]) -> bool:

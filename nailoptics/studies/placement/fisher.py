@@ -1,5 +1,6 @@
-"""How well readings tell force: Fisher information of the two pressures, what it leaves unknown, and its neighbours."""
+"""How well readings tell force: the Fisher information of the two pressures, and the force that it resolves."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ STEP_PA = 100.0
 
 
 @dataclass(frozen=True)
-class Operating:
+class OperatingPoint:
     """The touch at which a layout is judged.
 
     blood_fraction : (2,) float. Blood of the proximal and distal zone there.
@@ -33,7 +34,7 @@ class Operating:
     pressure_per_n: Array
 
 
-def operating(scene: Scene, force_n: float) -> Operating:
+def operating_point(scene: Scene, force_n: float) -> OperatingPoint:
     """The blood at a steady force, and its change with either pressure, from the scene's hemodynamics."""
     per_n = np.array(touch_pressures_pa(scene, 1.0))
     # In columns: there, and half a step up and down in either pressure.
@@ -41,7 +42,7 @@ def operating(scene: Scene, force_n: float) -> Operating:
     pressure = np.maximum(force_n * per_n[:, None] + step, 0.0)
     blood = steady_blood_at(scene, proximal_pressure_pa=pressure[0], distal_pressure_pa=pressure[1])
     width = np.array([pressure[0, 1] - pressure[0, 2], pressure[1, 3] - pressure[1, 4]])
-    return Operating(
+    return OperatingPoint(
         blood_fraction=blood[0],
         blood_per_pa=np.stack([blood[1] - blood[2], blood[3] - blood[4]], -1) / width,
         force_per_pa=np.full(2, scene.touch.contact_area_mm2 * 1e-6 / 2),
@@ -50,81 +51,107 @@ def operating(scene: Scene, force_n: float) -> Operating:
 
 
 @dataclass(frozen=True)
-class Volts:
+class Response:
     """What photodiodes read and how it changes, any shape (...).
 
     volts, noise_v2 : reading and the variance of one sample. [V], [V^2]
     slope_v_per_pa : (..., 2) float. Change with either pressure; 0 where the converter is at its limit. [V/Pa]
     zone_v : (..., 2) float. Change with the blood of either zone. [V]
-    crosstalk : (...) float. Part of the light that was never in the bed.
+    shunted_fraction : (...) float. Part of the light that was never in the bed.
     """
 
     volts: Array
     noise_v2: Array
     slope_v_per_pa: Array
     zone_v: Array
-    crosstalk: Array
+    shunted_fraction: Array
+
+    @property
+    def noise_v(self) -> Array:
+        """Noise of one sample, rms. [V]"""
+        return np.sqrt(self.noise_v2)
+
+    @property
+    def of_all_photons(self) -> "Response":
+        """The first of values by all photons and without each block of them."""
+        return Response(*(part[0] for part in vars(self).values()))
 
 
-def volts(
+def response(
     values: Array,
     led: Led,
     photodiode: Photodiode,
     amplifier: Electronics,
-    at: Operating,
+    point: OperatingPoint,
     *,
     ambient_a: float | Array = 0.0,
-) -> Volts:
-    """Volts from a photon map's means per emitted photon.
+) -> Response:
+    """What photodiodes read of an LED, from a photon map's means per emitted photon.
 
-    values : (..., 4) float. Reading, direct part, derivative by the blood of each zone.
-    ambient_a : Photocurrent by light from outside, which tells nothing. [A]
+    values : (..., 4) float. Reading, its part never in the bed, derivative by the blood of each zone.
+    ambient_a : photocurrent by light from outside, which tells nothing. [A]
     """
     detected = np.maximum(values[..., 0], 0.0)
     read = electronics.read_fraction(detected, led, photodiode, amplifier, ambient_a=ambient_a)
     zone = values[..., 2:] * electronics.volts_per_fraction(led, photodiode, amplifier)
     with np.errstate(invalid="ignore", divide="ignore"):
-        crosstalk = np.where(values[..., 0] > 0, values[..., 1] / values[..., 0], 0.0)
-    return Volts(
+        shunted = np.where(values[..., 0] > 0, values[..., 1] / values[..., 0], 0.0)
+    return Response(
         volts=read.amplified_v,
         noise_v2=read.noise_v2,
-        slope_v_per_pa=(zone @ at.blood_per_pa) * ~read.saturated[..., None],
+        slope_v_per_pa=(zone @ point.blood_per_pa) * ~read.saturated[..., None],
         zone_v=zone,
-        crosstalk=crosstalk,
+        shunted_fraction=shunted,
     )
 
 
-def information(read: Volts) -> Array:
+def fisher_information(read: Response) -> Array:
     """What each reading tells of the two pressures, (..., 3) float: the entries 11, 12, 22 of the matrix. [Pa^-2]"""
     a, b = read.slope_v_per_pa[..., 0], read.slope_v_per_pa[..., 1]
     return np.stack([a * a, a * b, b * b], -1) / read.noise_v2[..., None]
 
 
-def resolution_n(total: Array, at: Operating) -> Array:
+def total_information(by_led: Iterable[Response]) -> Array:
+    """What all photodiodes tell together under all LEDs, (..., 3) float of (..., photodiodes) each. [Pa^-2]"""
+    return np.sum([fisher_information(read).sum(-2) for read in by_led], axis=0)
+
+
+def force_resolution_n(information: Array, point: OperatingPoint) -> Array:
     """Standard deviation of the force told by one sample of all readings, whatever its split. [N]
 
-    total : (..., 3) float. Sum of the readings' information. Information is a matrix J; the force w . P has the
-        variance w^T J^-1 w (Cramer-Rao), with w half the contact area for each pressure.
+    information : (..., 3) float. Of all readings. It is a matrix J; the force w . P has the variance w^T J^-1 w
+        (Cramer-Rao), with w half the contact area for each pressure.
     """
-    one, both, two = (total[..., i] + (PRIOR_PA**-2 if i != 1 else 0.0) for i in range(3))
-    w = at.force_per_pa
+    one, both, two = _with_prior(information)
+    w = point.force_per_pa
     variance = (w[0] ** 2 * two - 2 * w[0] * w[1] * both + w[1] ** 2 * one) / (one * two - both**2)
     return np.sqrt(variance)
 
 
-def known_split_n(total: Array, at: Operating) -> Array:
+def fixed_ratio_resolution_n(information: Array, point: OperatingPoint) -> Array:
     """The same if the touch always splits as the scene's does, so that one number is unknown. [N]"""
-    a, b = at.pressure_per_n
-    return 1 / np.sqrt(a * a * total[..., 0] + 2 * a * b * total[..., 1] + b * b * total[..., 2])
+    a, b = point.pressure_per_n
+    return 1 / np.sqrt(a * a * information[..., 0] + 2 * a * b * information[..., 1] + b * b * information[..., 2])
 
 
-def pressures_pa(total: Array) -> Array:
+def pressure_resolution_pa(information: Array) -> Array:
     """Standard deviation of the proximal and of the distal pressure, (..., 2) float. [Pa]"""
-    one, both, two = (total[..., i] + (PRIOR_PA**-2 if i != 1 else 0.0) for i in range(3))
+    one, both, two = _with_prior(information)
     return np.sqrt(np.stack([two, one], -1) / (one * two - both**2)[..., None])
 
 
-def condition(read: Volts) -> float:
+def _with_prior(information: Array) -> tuple[Array, Array, Array]:
+    """The entries 11, 12, 22 with what is known before any reading."""
+    prior = PRIOR_PA**-2
+    return information[..., 0] + prior, information[..., 1], information[..., 2] + prior
+
+
+def condition_number(read: Response) -> float:
     """Condition number of the matrix of readings by zones (n, 2), each reading in units of its noise."""
-    matrix = read.zone_v / np.sqrt(read.noise_v2)[..., None]
+    matrix = read.zone_v / read.noise_v[..., None]
     return float(np.linalg.cond(matrix)) if len(matrix) > 1 else float("inf")
+
+
+def over_fingers(resolution_n: Array, rank_by: str) -> Array:
+    """One force resolution for all fingers, along the first axis: the worst or the mean. [N]"""
+    return resolution_n.max(0) if rank_by == "worst" else resolution_n.mean(0)

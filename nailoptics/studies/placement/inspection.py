@@ -1,6 +1,7 @@
-"""The best layout at close range: a fresh trace of its own board, where each photodiode looks, what other places of the
-LED would read, and what light from outside does."""
+"""The best layout at close range: a fresh trace of its own board, what part of the finger each photodiode senses, what
+other places of the LED would read, and what light from outside does."""
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,30 +13,33 @@ import xarray as xr
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, PhotonMap, blood_point, readings
 from ...scene import Photodiode, Scene
 from ...scene.layout import Layout
-from ...statistics import stderr_of_mean
+from ...statistics import Z95, jackknife, left_out, seed_of, stderr_of_mean
+from ...variables import Variable, variable
 from ..ambient import SOURCES, photocurrents_a
-from ..comparison.fits import Z95
 from . import boards
-from . import fisher as merit
-from .photon_maps import View, jackknife, left_out
+from .fisher import Response, force_resolution_n, response, total_information
+from .photon_maps import FingerCondition
 
 LEAST_BATCHES = 8
 # Photons from each photodiode in one round of traces the other way, and how many batches of the fresh trace go with it.
 BACK_PHOTONS = 1 << 16
 BATCHES_PER_ROUND = 2
 LED_SPACING_MM = 0.4
+OPEN_DISTANCE_MM = 0.2
 BLOCKS = 16
 COVERS = ("covered", "uncovered")
+# Streams of random numbers.
+FORWARD, BACK, OPEN_BOARD = 2, 3, 4
 
-Variables = dict[str, Any]
+Variables = dict[str, Variable]
 
 
 @dataclass(frozen=True)
-class _Bench:
+class _Setup:
     """One layout on one finger with what traces and reads it."""
 
     scene: Scene
-    view: View
+    condition: FingerCondition
     layout: Layout
     photodiode: Photodiode
     tracer: BoardTracer
@@ -47,187 +51,196 @@ class _Bench:
         """Areas of the photodiodes. [mm^2]"""
         return np.array([e.area.area_mm2 for e in self.layout.photodiodes])
 
-    def state(self, *keys: int) -> int:
-        """An independent seed for each use."""
-        return int(np.random.SeedSequence(self.seed, spawn_key=keys).generate_state(1, np.uint64)[0])
+    def response(self, led: int, values: np.ndarray, ambient_a: Any = 0.0) -> Response:
+        """What the photodiodes read of one LED, (..., photodiodes, 4) float."""
+        amplifier, point = self.scene.electronics, self.condition.point
+        return response(values, self.scene.leds[led], self.photodiode, amplifier, point, ambient_a=ambient_a)
 
-    def read(self, led: int, values: np.ndarray, ambient_a: Any = 0.0) -> merit.Volts:
-        """Volts of what the photodiodes get of one LED, (..., photodiodes, 4) float."""
-        amplifier = self.scene.electronics
-        return merit.volts(values, self.scene.leds[led], self.photodiode, amplifier, self.view.at, ambient_a=ambient_a)
-
-    def resolution_n(self, values: Sequence[np.ndarray], ambient_a: Any = 0.0) -> np.ndarray:
-        """Force resolution from all LEDs' values. [N]"""
-        told = [merit.information(self.read(i, v, ambient_a)).sum(-2) for i, v in enumerate(values)]
-        return merit.resolution_n(np.sum(told, axis=0), self.view.at)
+    def force_resolution_n(self, responses: Sequence[Response]) -> np.ndarray:
+        """Force resolution from what the photodiodes read of all LEDs. [N]"""
+        return force_resolution_n(total_information(responses), self.condition.point)
 
 
-def look(best: Scene, view: View, *, photons: int, seed: int, backend: str, deadline: float) -> xr.Dataset:
+def inspect_layout(
+    best: Scene, condition: FingerCondition, *, photons: int, seed: int, backend: str, max_seconds: float
+) -> xr.Dataset:
     """Everything about a layout on one finger that the map of its bare board does not tell.
 
-    photons : from each LED in the fresh trace, unless the deadline comes first; some are traced in any case.
+    photons : from each LED in the fresh trace, unless time runs out; some are traced in any case.
+    max_seconds : half of it for the fresh trace, the rest for light the other way. [s]
     """
-    scene = boards.on_finger(best, view.case)
+    begin = time.perf_counter()
+    scene = boards.on_finger(best, condition.case)
     layout, tracer = scene.layout, BoardTracer(scene, backend=backend)
-    points = tuple(
-        blood_point(scene, led, blood_fraction=view.at.blood_fraction, dermis=view.case.dermis)
-        for led in range(len(scene.leds))
-    )
-    bench = _Bench(scene, view, layout, layout.photodiodes[0].photodiode, tracer, points, seed)
+    blood, dermis = condition.point.blood_fraction, condition.case.dermis
+    points = tuple(blood_point(scene, led, blood_fraction=blood, dermis=dermis) for led in range(len(scene.leds)))
+    photodiode = layout.photodiodes[0].photodiode
+    setup = _Setup(scene, condition, layout, photodiode, tracer, points, seed)
     batches = max(LEAST_BATCHES, photons // tracer.batch_photons)
-    half = time.perf_counter() + (deadline - time.perf_counter()) / 2
-    values, found = _forward(bench, batches, half)
-    open_board = scene.model_copy(update={"board": scene.board.model_copy(update={"cover_um": 0.0})})
-    bare = BoardTracer(open_board, backend=backend, spacing_mm=0.2)
-    found |= _back(bench, bare, [each[0] for each in values], max(1, batches // BATCHES_PER_ROUND), deadline)
-    resolution = bench.resolution_n(values)
-    return xr.Dataset(
-        found,
-        coords={"led": [led.name for led in scene.leds], "best_photodiode": list(layout.photodiode_names)},
-        attrs={
-            "checked_resolution_n": float(resolution[0]),
-            "checked_resolution_n_stderr": float(resolution[0] * jackknife(np.log(resolution))),
-        },
-    )
-
-
-def _with_error(name: str, dims: tuple[str, ...], value: Any, error: Any, units: str, text: str) -> Variables:
-    about = {"units": units, "long_name": text, "ancillary_variables": f"{name}_stderr"}
-    return {
-        name: (dims, np.asarray(value), about),
-        f"{name}_stderr": (dims, np.asarray(error), {"units": units, "long_name": f"standard error: {text}"}),
+    values, found = _fresh_trace(setup, batches, begin + max_seconds / 2)
+    found |= _back(setup, max(1, batches // BATCHES_PER_ROUND), begin + max_seconds, values, backend)
+    resolution = setup.force_resolution_n([setup.response(i, each) for i, each in enumerate(values)])
+    attributes = {
+        "checked_resolution_n": float(resolution[0]),
+        "checked_resolution_n_stderr": float(resolution[0] * jackknife(np.log(resolution))),
     }
+    if "reciprocal_fraction" in found:
+        attributes |= _reciprocity(found)
+    names = {"led": [led.name for led in scene.leds], "best_photodiode": list(layout.photodiode_names)}
+    return xr.Dataset(found, coords=names, attrs=attributes)
 
 
-def _axis(name: str, edges: np.ndarray, text: str) -> Variables:
-    return {name: (name, (edges[1:] + edges[:-1]) / 2, {"units": "mm", "long_name": text})}
+def _middles(name: str, edges: np.ndarray, text: str) -> Variables:
+    return variable(name, name, (edges[1:] + edges[:-1]) / 2, text, units="mm")
 
 
-def _forward(bench: _Bench, batches: int, deadline: float) -> tuple[list[np.ndarray], Variables]:
+def _fresh_trace(setup: _Setup, batches: int, deadline: float) -> tuple[list[np.ndarray], Variables]:
     """Values of each LED, (1 + batches, photodiodes, 4) float, by all batches and without each; and what to keep."""
-    cells, count = bench.tracer.cells(), 0
-    blocks: list[list[np.ndarray]] = [[] for _ in bench.points]
-    depth, square = (np.zeros((len(bench.points), len(bench.areas_mm2), *cells.shape)) for _ in range(2))
+    tracer, cells, count = setup.tracer, setup.tracer.cells(), 0
+    blocks: list[list[np.ndarray]] = [[] for _ in setup.points]
+    total, square = (np.zeros((len(setup.points), len(setup.areas_mm2), *cells.shape)) for _ in range(2))
     while count < LEAST_BATCHES or (count < batches and time.perf_counter() < deadline):
-        for i, point in enumerate(bench.points):
-            means, seen = bench.tracer.detected(
-                i, point, photons=bench.tracer.batch_photons, seed=bench.state(2, i, count), cells=cells
-            )
-            assert seen is not None
+        for i, point in enumerate(setup.points):
+            seed = seed_of(setup.seed, FORWARD, i, count)
+            means, sensitivity = tracer.detected(i, point, photons=tracer.batch_photons, seed=seed, cells=cells)
+            assert sensitivity is not None
             blocks[i].append(means)
-            depth[i] += seen
-            square[i] += seen**2
+            total[i] += sensitivity
+            square[i] += sensitivity**2
         count += 1
     values = [left_out(np.stack(each)) for each in blocks]
     pair, cell = ("led", "best_photodiode"), ("under_u", "under_v", "depth")
+    fraction, errors = [v[0, :, 0] for v in values], [jackknife(v[..., 0]) for v in values]
     text = "part of an LED's light on each photodiode, by a fresh trace of the best layout"
-    found = _with_error(
-        "checked_fraction",
-        pair,
-        np.stack([v[0, :, 0] for v in values]),
-        np.stack([jackknife(v[..., 0]) for v in values]),
-        "1",
-        text,
-    )
+    found = variable("checked_fraction", pair, fraction, text, stderr=errors)
     text = "fall of a photodiode's reading by absorption at a place under the nail, per volume there"
-    error = stderr_of_mean(depth, square, count).astype(np.float32)
-    found |= _with_error("depth_sensitivity", (*pair, *cell), (depth / count).astype(np.float32), error, "mm-2", text)
-    found |= _axis("under_u", cells.u_mm, "across the nail, as on the board")
-    found |= _axis("under_v", cells.v_mm, "along the nail, towards the tip")
-    found |= _axis("depth", cells.depth_mm, "below the nail plate's outer face")
-    text = "volume of a cell under the nail at its depth"
-    return values, found | {"cell_volume_mm3": ("depth", cells.volume_mm3[0, 0], {"units": "mm3", "long_name": text})}
+    mean, error = ((total / count).astype(np.float32), stderr_of_mean(total, square, count).astype(np.float32))
+    found |= variable("depth_sensitivity", (*pair, *cell), mean, text, units="mm-2", stderr=error)
+    found |= _middles("under_u", cells.u_mm, "across the nail, as on the board")
+    found |= _middles("under_v", cells.v_mm, "along the nail, towards the tip")
+    found |= _middles("depth", cells.depth_mm, "below the nail plate's outer face")
+    volume, text = cells.volume_mm3[0, 0], "volume of a cell under the nail at its depth"
+    found |= variable("cell_volume_mm3", "depth", volume, text, units="mm3")
+    by_depth = (total * volume).sum((2, 3))
+    with np.errstate(invalid="ignore"):
+        mean = by_depth @ found["depth"][1] / by_depth.sum(-1)
+    text = "mean depth at which absorption makes a photodiode's reading fall"
+    return values, found | variable("mean_depth_mm", pair, mean, text, units="mm")
 
 
-def _back(bench: _Bench, bare: BoardTracer, values: list[np.ndarray], rounds: int, deadline: float) -> Variables:
+def _back(setup: _Setup, rounds: int, deadline: float, values: list[np.ndarray], backend: str) -> Variables:
     """Light from each photodiode: what an LED at each place would bring it, and what comes from outside."""
-    count, leds = len(bench.areas_mm2), len(bench.points)
-    maps = [
-        [PhotonMap(bench.layout.outline, values=4, spacing_mm=LED_SPACING_MM, blocks=BLOCKS) for _ in range(count)]
-        for _ in range(leds)
-    ]
-    on_die, outside = np.zeros((2, leds, count)), np.zeros((2, len(COVERS), len(SOURCES), count))
-    for j in range(count):
-        # So much light comes through an open board that one round tells it.
-        _, left = bare.back(j, 0, photons=BACK_PHOTONS, seed=bench.state(4, j))
-        outside[:, 1, :, j] = _outside(bench, left, j)
+    photodiodes, leds = range(len(setup.areas_mm2)), range(len(setup.points))
+    outline, die_areas = setup.layout.outline, setup.layout.leds
+    maps = [[PhotonMap(outline, values=4, spacing_mm=LED_SPACING_MM, blocks=BLOCKS) for _ in photodiodes] for _ in leds]
+    on_die = np.zeros((2, len(leds), len(photodiodes)))
+    outside = np.zeros((2, len(COVERS), len(SOURCES), len(photodiodes)))
+    outside[:, COVERS.index("uncovered")] = _through_open_board(setup, backend)
     done = 0
     while done == 0 or (done < rounds and time.perf_counter() < deadline):
-        for j in range(count):
-            for i, point in enumerate(bench.points):
-                arrived, left = bench.tracer.back(j, i, photons=BACK_PHOTONS, seed=bench.state(3, i, j, done))
-                seen = point.values(arrived)
-                maps[i][j].add(arrived, seen)
-                mean, error = readings(arrived, seen[:, :1], [bench.layout.leds[i]])
+        for j in photodiodes:
+            for i, point in enumerate(setup.points):
+                seed = seed_of(setup.seed, BACK, i, j, done)
+                arrived, left = setup.tracer.back(j, i, photons=BACK_PHOTONS, seed=seed)
+                each = point.values(arrived)
+                maps[i][j].add(arrived, each)
+                mean, error = readings(arrived, each[:, :1], [die_areas[i]])
                 on_die[:, i, j] += mean[0, 0], error[0, 0] ** 2
                 if i == 0:
-                    outside[:, 0, :, j] += _outside(bench, left, j)
+                    outside[:, COVERS.index("covered"), :, j] += _from_outside(setup, left, j)
         done += 1
-    for one in (on_die, outside[:, 0]):
+    for one in (on_die, outside[:, COVERS.index("covered")]):
         one[0] /= done
         one[1] = np.sqrt(one[1]) / done
-    found = _ambient(bench, values, *outside)
+    found = _ambient(setup, values, *outside)
     # Where an LED shines otherwise than a photodiode sees, the way back is another.
-    if all(led.pattern == "lambertian" for led in bench.scene.leds):
-        found |= _led_places(bench, maps, *on_die)
+    if all(led.pattern == "lambertian" for led in setup.scene.leds):
+        found |= _led_places(setup, maps, *on_die)
     return found
 
 
-def _outside(bench: _Bench, left: Arrivals, photodiode: int) -> np.ndarray:
+def _through_open_board(setup: _Setup, backend: str) -> np.ndarray:
+    """Photocurrent by light from outside on a board without a cover, (2, sources, photodiodes) float: as
+    `_from_outside`."""
+    board = setup.scene.board.model_copy(update={"cover_um": 0.0})
+    tracer = BoardTracer(setup.scene.model_copy(update={"board": board}), backend=backend, spacing_mm=OPEN_DISTANCE_MM)
+    found = []
+    for j in range(len(setup.areas_mm2)):
+        # So much light comes through an open board that one round tells it.
+        _, left = tracer.back(j, 0, photons=BACK_PHOTONS, seed=seed_of(setup.seed, OPEN_BOARD, j))
+        found.append(_from_outside(setup, left, j))
+    return np.stack(found, -1)
+
+
+def _from_outside(setup: _Setup, left: Arrivals, photodiode: int) -> np.ndarray:
     """Photocurrent by light from outside and its variance, (2, sources) float. [A], [A^2]"""
     sums = []
     for source in SOURCES:
         each = photocurrents_a(
             left,
-            bench.scene,
+            setup.scene,
             source,
-            traced_nm=bench.scene.leds[0].wavelength_nm,
-            quantum_efficiency=bench.photodiode.quantum_efficiency,
-            area_mm2=float(bench.areas_mm2[photodiode]),
+            traced_nm=setup.scene.leds[0].wavelength_nm,
+            quantum_efficiency=setup.photodiode.quantum_efficiency,
+            area_mm2=float(setup.areas_mm2[photodiode]),
         )
         # Most photons did not leave: each of them counts 0.
         sums.append((each.sum(), (each**2).sum() - each.sum() ** 2 / left.photons))
     return np.array(sums).T
 
 
-def _ambient(bench: _Bench, values: list[np.ndarray], current: np.ndarray, error: np.ndarray) -> Variables:
+def _ambient(setup: _Setup, values: list[np.ndarray], current: np.ndarray, error: np.ndarray) -> Variables:
     """What light from outside adds to each photodiode, and what it leaves of the force resolution."""
     dims = ("cover", "ambient", "best_photodiode")
-    found = _with_error("ambient_a", dims, current, error, "A", "photocurrent by light from outside, from all sides")
-    at_most = current + Z95 * error
-    read = [bench.read(i, each, at_most) for i, each in enumerate(values)]
-    limit = f"{bench.scene.electronics.adc_range_v:g} V"
+    found: Variables = {
+        "cover": (("cover",), np.array(COVERS), {}),
+        "ambient": (("ambient",), np.array([source.name for source in SOURCES]), {}),
+    }
+    text = "photocurrent by light from outside, from all sides"
+    found |= variable("ambient_a", dims, current, text, units="A", stderr=error)
+    high = current + Z95 * error
+    found |= variable("ambient_high_a", dims, high, f"upper end of the 95 % interval: {text}", units="A")
+    read = [setup.response(i, each[0], high) for i, each in enumerate(values)]
+    most, noise = np.max([r.volts for r in read], axis=0), np.max([r.noise_v for r in read], axis=0)
+    limit = f"{setup.scene.electronics.adc_range_v:g} V"
     text = f"largest output with light from outside at its bound; the converter ends at {limit}"
-    found["ambient_volts"] = (dims, np.max([r.volts for r in read], axis=0), {"units": "V", "long_name": text})
-    noise = np.max([np.sqrt(r.noise_v2) for r in read], axis=0)
+    found |= variable("ambient_volts", dims, most, text, units="V")
     text = "noise of one sample with light from outside at its bound, rms"
-    found["ambient_noise_v"] = (dims, noise, {"units": "V", "long_name": text})
-    tells = bench.resolution_n(values, at_most)
+    found |= variable("ambient_noise_v", dims, noise, text, units="V")
+    resolution = setup.force_resolution_n(read)
     text = "force resolution of the best layout with light from outside at its bound: its noise and saturation"
-    found["ambient_resolution_n"] = (dims[:2], tells, {"units": "N", "long_name": text})
-    names: Variables = {"cover": list(COVERS), "ambient": [source.name for source in SOURCES]}
-    return found | {name: (name, column) for name, column in names.items()}
+    return found | variable("ambient_resolution_n", dims[:2], resolution, text, units="N")
 
 
-def _led_places(bench: _Bench, maps: list[list[PhotonMap]], mean: np.ndarray, error: np.ndarray) -> Variables:
+def _led_places(setup: _Setup, maps: list[list[PhotonMap]], mean: np.ndarray, error: np.ndarray) -> Variables:
     """What each photodiode would read of an LED at each place of the board, and the force that this resolves."""
-    area, dies = bench.areas_mm2, np.array([r.area_mm2 for r in bench.layout.leds])[:, None]
+    area, dies = setup.areas_mm2, np.array([r.area_mm2 for r in setup.layout.leds])[:, None]
     pair, places = ("led", "best_photodiode"), ("led_u", "led_v")
     text = "part of an LED's light on each photodiode, by light from the photodiode to the LED"
-    found = _with_error("reciprocal_fraction", pair, mean * area / dies, error * area / dies, "1", text)
-    fraction, tells = [], []
+    found = variable("reciprocal_fraction", pair, mean * area / dies, text, stderr=error * area / dies)
+    fraction, resolution = [], []
     for i, by_photodiode in enumerate(maps):
         each = np.stack([a * one.blocks_per_mm2() for a, one in zip(area, by_photodiode, strict=True)])
         # From (photodiodes, values, blocks, u, v) to (blocks, u, v, photodiodes, values).
         each = left_out(np.moveaxis(each, (2, 0, 1), (0, -2, -1)))
         fraction.append(np.moveaxis(each[..., 0], -1, 1))
-        tells.append(merit.resolution_n(merit.information(bench.read(i, each)).sum(-2), bench.view.at))
+        resolution.append(setup.force_resolution_n([setup.response(i, each)]))
     text = "part of the light of an LED at this place on each photodiode, by reciprocity"
-    errors = np.stack([jackknife(f) for f in fraction])
-    found |= _with_error("led_place_fraction", (*pair, *places), np.stack([f[0] for f in fraction]), errors, "1", text)
+    errors = [jackknife(f) for f in fraction]
+    found |= variable("led_place_fraction", (*pair, *places), [f[0] for f in fraction], text, stderr=errors)
     text = "force resolution with this LED alone at this place and the photodiodes where they are"
-    errors = np.stack([t[0] * jackknife(np.log(t)) for t in tells])
-    value = np.stack([t[0] for t in tells])
-    found |= _with_error("led_place_resolution_n", ("led", *places), value, errors, "N", text)
+    errors = [r[0] * jackknife(np.log(r)) for r in resolution]
+    value = [r[0] for r in resolution]
+    found |= variable("led_place_resolution_n", ("led", *places), value, text, units="N", stderr=errors)
     one = maps[0][0]
-    return found | _axis("led_u", one.u_mm, "place of the LED") | _axis("led_v", one.v_mm, "place of the LED")
+    return found | _middles("led_u", one.u_mm, "place of the LED") | _middles("led_v", one.v_mm, "place of the LED")
+
+
+def _reciprocity(found: Variables) -> dict[str, float]:
+    """Light of the first LED on all photodiodes, by light the other way over that of the fresh trace."""
+    sums, errors = [], []
+    for name in ("reciprocal_fraction", "checked_fraction"):
+        sums.append(float(found[name][1][0].sum()))
+        errors.append(float(np.linalg.norm(found[f"{name}_stderr"][1][0])) / sums[-1])
+    ratio = sums[0] / sums[1]
+    return {"reciprocity_ratio": ratio, "reciprocity_ratio_stderr": ratio * math.hypot(*errors)}

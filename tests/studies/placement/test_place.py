@@ -15,7 +15,7 @@ from nailoptics.report.place_page import write_placement
 from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
 from nailoptics.scene.kicad import read_outline, read_positions, write_outline
 from nailoptics.scene.layout import Rectangle
-from nailoptics.studies.placement import boards, exchange, fisher, photon_maps, place, result
+from nailoptics.studies.placement import boards, exchange, fisher, photon_maps, place, result, scores
 from nailoptics.tissue import BloodZones
 
 SCENE = """
@@ -45,12 +45,18 @@ name = "far"
 leds_mm = [[-3.0, 0.0]]
 photodiodes_mm = [[3.0, -2.0], [3.0, -1.0], [3.0, 1.0], [3.0, 2.0]]
 """
-AT = fisher.Operating(
+AT = fisher.OperatingPoint(
     blood_fraction=np.array([0.03, 0.03]),
     blood_per_pa=np.array([[1e-6, 0.0], [0.0, -1e-6]]),
     force_per_pa=np.full(2, 5e-5),
     pressure_per_n=np.full(2, 1e4),
 )
+
+
+def photon_map_cache(conditions, *, seed, stream, blocks):
+    return photon_maps.PhotonMapCache(
+        conditions, seed=seed, stream=stream, backend="auto", spacing_mm=0.1, blocks=blocks, quick=True
+    )
 
 
 @pytest.fixture(scope="module")
@@ -67,28 +73,28 @@ def test_resolution_is_the_error_of_a_least_squares_fit():
     """Many noisy readings of known pressures, fitted: the force's spread is what the information says."""
     rng = np.random.default_rng(0)
     slope, noise = rng.normal(size=(5, 2)) * 1e-6, rng.uniform(1e-6, 3e-6, 5)
-    read = fisher.Volts(np.ones(5), noise**2, slope, slope, np.zeros(5))
-    total = fisher.information(read).sum(0)
+    read = fisher.Response(np.ones(5), noise**2, slope, slope, np.zeros(5))
+    total = fisher.fisher_information(read).sum(0)
     samples = rng.normal(size=(20000, 5)) * noise
     fitted = np.linalg.lstsq(slope / noise[:, None], (samples / noise).T, rcond=None)[0]
     spread = (AT.force_per_pa @ fitted).std()
     # 20 000 samples know a standard deviation to 0.5 %.
-    assert fisher.resolution_n(total, AT) == pytest.approx(spread, rel=0.02)
+    assert fisher.force_resolution_n(total, AT) == pytest.approx(spread, rel=0.02)
     one = (slope / noise[:, None]) @ AT.pressure_per_n
-    assert fisher.known_split_n(total, AT) == pytest.approx(1 / np.linalg.norm(one), rel=1e-12)
-    assert fisher.known_split_n(total, AT) <= fisher.resolution_n(total, AT)
+    assert fisher.fixed_ratio_resolution_n(total, AT) == pytest.approx(1 / np.linalg.norm(one), rel=1e-12)
+    assert fisher.fixed_ratio_resolution_n(total, AT) <= fisher.force_resolution_n(total, AT)
 
 
 def test_a_saturated_reading_tells_nothing(scene):
     led, photodiode = scene.leds[0], scene.photodiodes[0]
     values = np.array([[1e-4, 0, -1e-3, -1e-3], [0.5, 0, -1.0, -1.0]])
-    read = fisher.volts(values, led, photodiode, scene.electronics, AT)
+    read = fisher.response(values, led, photodiode, scene.electronics, AT)
     assert np.any(read.slope_v_per_pa[0] != 0) and np.all(read.slope_v_per_pa[1] == 0)
 
 
 def test_blood_changes_with_pressure_as_steady_states_do(scene):
     """Operating slopes beside a step of 1 % of the pressure, in the zone that each pressure acts on."""
-    at, more = fisher.operating(scene, 0.5), fisher.operating(scene, 0.505)
+    at, more = fisher.operating_point(scene, 0.5), fisher.operating_point(scene, 0.505)
     change = (more.blood_fraction - at.blood_fraction) / 0.005
     assert np.allclose(at.blood_per_pa @ at.pressure_per_n, change, rtol=0.05)
     assert at.blood_per_pa[0, 0] > 0 > at.blood_per_pa[1, 1]
@@ -107,18 +113,18 @@ def test_a_planted_optimum_is_found():
     places = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1).reshape(-1, 2)
     areas = np.column_stack([places[:, 0] - 0.25, places[:, 0] + 0.25, places[:, 1] - 0.25, places[:, 1] + 0.25])
     scene = parse_scene(SCENE)
-    read = fisher.volts(plane.over(areas)[0], scene.leds[0], scene.photodiodes[0], scene.electronics, AT)
+    read = fisher.response(plane.over(areas)[0], scene.leds[0], scene.photodiodes[0], scene.electronics, AT)
     chosen, reached = exchange.exchange(
-        fisher.information(read)[None],
+        fisher.fisher_information(read)[None],
         places,
         count=2,
         spacing_mm=(0.5, 0.5),
-        score=lambda total: fisher.resolution_n(total[0], AT),
+        score=lambda total: fisher.force_resolution_n(total[0], AT),
     )
     assert np.all(np.abs(np.sort(places[chosen], 0) - np.sort(spots, 0)) <= 0.25)
     # No pair of places on the grid does better.
-    every = fisher.information(read)
-    pairs = fisher.resolution_n(every[:, None] + every[None], AT)
+    every = fisher.fisher_information(read)
+    pairs = fisher.force_resolution_n(every[:, None] + every[None], AT)
     apart = np.any(np.abs(places[:, None] - places[None]) >= 0.5 - 1e-9, axis=-1)
     assert reached == pytest.approx(pairs[apart].min(), rel=1e-9)
 
@@ -126,7 +132,7 @@ def test_a_planted_optimum_is_found():
 def test_places_keep_their_distances(scene):
     base, rules = boards.base_board(scene), boards.rules(scene)
     for side in ("left", "below"):
-        board = exchange.board_at(exchange.Spot((-2.0, -2.0), side), base)
+        board = exchange.board_at(exchange.LedSite((-2.0, -2.0), side), base)
         wall = board.layout.barriers[0]
         places = exchange.free_places(board, (1.0, 0.25), rules)
         assert len(places) and np.abs(places[:, 0]).max() <= 4.5 - 0.3 - 0.5 + 1e-9
@@ -168,8 +174,8 @@ def test_each_photodiode_looks_where_the_blood_tells_it(found):
     weight = BloodZones((0.0,), 2.0).weights(found.under_v.values)
     by_zone = bed.values @ weight
     share = by_zone / by_zone.sum(1, keepdims=True)
-    slope = found.foretold_zone_v[0].values
-    error = found.foretold_zone_v_stderr[0].values / np.abs(slope.sum(1, keepdims=True))
+    slope = found.predicted_zone_v[0].values
+    error = found.predicted_zone_v_stderr[0].values / np.abs(slope.sum(1, keepdims=True))
     foretold = slope / slope.sum(1, keepdims=True)
     assert np.all(np.abs(share - foretold) < 4 * np.sqrt(2) * error + 0.02)
     assert share[0, 0] > 0.7 and share[-1, 1] > 0.7
@@ -194,7 +200,7 @@ def test_a_turned_photodiode_lies_across_and_comes_back_turned(scene, tmp_path):
     )
     (tmp_path / "mine.toml").write_text(asked)
     mine = load_scene(tmp_path / "mine.toml")
-    layout = place._given(boards.base_board(mine), boards.rules(mine))[0].scene
+    layout = place.given(boards.base_board(mine), boards.rules(mine))[0].scene
     assert [e.size_mm for e in layout.photodiodes] == [(0.25, 1.0), (1.0, 0.25)]
     parts = result.kicad_parts(layout, mine)
     assert [(p.package, p.rotation_deg) for p in parts[1:]] == [("PD_1x0.25mm", 90.0), ("PD_1x0.25mm", 0.0)]
@@ -209,7 +215,7 @@ def test_a_part_beside_the_scene_goes_with_the_chosen_layout(tmp_path):
     own = 'kind = "led"\npeak_nm = 850.0\nfwhm_nm = 20.0\nflux_mw = 7.0\ndie_size_mm = [0.3, 0.2]\n'
     (tmp_path / "own.toml").write_text(own + 'pattern = "lambertian"\n')
     asked = load_scene(tmp_path / "mine.toml")
-    layout = place._given(boards.base_board(asked), boards.rules(asked))[0].scene
+    layout = place.given(boards.base_board(asked), boards.rules(asked))[0].scene
     elsewhere = parse_scene(to_toml(layout))
     assert (elsewhere.leds[0].flux_mw, elsewhere.leds[0].wavelength_nm, elsewhere.leds[0].size_mm) == (
         7,
@@ -228,15 +234,17 @@ def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
     text = text[: text.index("[placement]")] + "[placement]\nphotodiodes = 2\nled_step_mm = 3.0\n"
     asked = parse_scene(text)
     base, rules = boards.base_board(asked), boards.rules(asked)
-    planted = fisher.Operating(
+    planted = fisher.OperatingPoint(
         blood_fraction=np.array([0.03, 0.03]),
         blood_per_pa=np.array([[0.0, 0.0], [0.0, -1e-6]]),
         force_per_pa=np.array([0.0, 5e-5]),
         pressure_per_n=np.array([0.0, 1e4]),
     )
-    views = (photon_maps.View(FingerCase(name="planted"), planted),)
-    bank = photon_maps.Bank(views, seed=3, stream=0, backend="auto", spacing_mm=0.1, blocks=1, quick=True)
-    layouts, tried = place._searched(base, rules, bank, np.inf, lambda *_: None)
+    conditions = (photon_maps.FingerCondition(FingerCase(name="planted"), planted),)
+    cache = photon_maps.PhotonMapCache(
+        conditions, seed=3, stream=0, backend="auto", spacing_mm=0.1, blocks=1, quick=True
+    )
+    layouts, tried = place._searched(base, rules, cache, np.inf, lambda *_: None)
     assert len(tried) >= 8 and min(s.place_mm[1] for s, _ in tried) < -2.5
     best = layouts[0].scene.layout
     assert best.leds[0].center_mm[1] > 1.0
@@ -250,16 +258,18 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
     way by another.
     """
     base = boards.base_board(scene)
-    layouts = place._given(base, boards.rules(scene))
+    layouts = place.given(base, boards.rules(scene))
     # One more that is nearly as good as the first, for a pair that is hard to tell apart.
     middle = boards.with_parts(base, [(-3.0, 0.0)], [(-0.9, v) for v in (-2.0, -1.0, 1.0, 2.0)], name="middle")
-    layouts.append(place.Layout("middle", middle, layouts[0].board, "given"))
-    views = [photon_maps.View(FingerCase(name="one"), fisher.operating(base, 0.5))]
+    layouts.append(boards.CandidateLayout("middle", middle, layouts[0].board, "given"))
+    conditions = [photon_maps.FingerCondition(FingerCase(name="one"), fisher.operating_point(base, 0.5))]
     judged = []
     for seed in range(12):
-        bank = photon_maps.Bank(views, seed=seed, stream=1, backend="auto", spacing_mm=0.1, blocks=32, quick=True)
-        bank.grow(layouts[0].board, 1 << 18)
-        judged.append([place.judge(layout, bank, "worst") for layout in layouts])
+        cache = photon_maps.PhotonMapCache(
+            conditions, seed=seed, stream=1, backend="auto", spacing_mm=0.1, blocks=32, quick=True
+        )
+        cache.extend(layouts[0].board, 1 << 18)
+        judged.append([scores.score_layout(layout, cache, "worst") for layout in layouts])
     score = np.log([[float(one.score_n[0]) for one in row] for row in judged])
     error = np.array([[one.relative_error for one in row] for row in judged])
     # 11 degrees of freedom know a variance to 43 %; the layouts share photons, so that they count as one.
@@ -296,16 +306,16 @@ def test_the_chosen_layout_comes_back_as_scene_and_as_parts(found, scene):
 def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene):
     """Must reach: under 50 ms."""
     base = boards.base_board(scene)
-    views = [photon_maps.View(FingerCase(name="one"), fisher.operating(base, 0.5))]
-    bank = photon_maps.Bank(views, seed=0, stream=1, backend="auto", spacing_mm=0.1, blocks=32)
-    layouts = place._given(base, boards.rules(scene))
+    conditions = [photon_maps.FingerCondition(FingerCase(name="one"), fisher.operating_point(base, 0.5))]
+    cache = photon_maps.PhotonMapCache(conditions, seed=0, stream=1, backend="auto", spacing_mm=0.1, blocks=32)
+    layouts = place.given(base, boards.rules(scene))
     assert layouts[0].board == layouts[1].board
-    bank.grow(layouts[0].board, 1 << 18)
-    place.judge(layouts[0], bank, "worst")
+    cache.extend(layouts[0].board, 1 << 18)
+    scores.score_layout(layouts[0], cache, "worst")
     spent = []
     for _ in range(5):
         begin = time.perf_counter()
-        judged = place.judge(layouts[1], bank, "worst")
+        judged = scores.score_layout(layouts[1], cache, "worst")
         spent.append(time.perf_counter() - begin)
     assert min(spent) < 0.05 and np.all(np.isfinite(judged.score_n))
 

@@ -1,0 +1,39 @@
+"""How far a placement is: told to one callback, which may also bring the user's wish to end."""
+
+import math
+import time
+from collections.abc import Callable
+
+from ...light import Progress
+
+
+class StageProgress:
+    """Reports the stages of a placement to a callback; knows whether time ran out or the user interrupted."""
+
+    def __init__(self, callback: Callable[[Progress], None] | None, limit_s: float = math.inf) -> None:
+        self.callback, self.limit_s, self.begin = callback, limit_s, time.perf_counter()
+        self.interrupted = False
+        self._last: tuple[str, float, float, float | None] | None = None
+
+    def __call__(self, stage: str, done: float, error: float = math.inf, target: float | None = None) -> None:
+        """Report a stage, the part of it that is done, and the relative error reached and wanted."""
+        self._last = (stage, done, error, target)
+        if self.callback and not self.interrupted:
+            try:
+                self.callback(Progress(stage, 0, error, target, min(1.0, done), self.seconds))
+            except KeyboardInterrupt:
+                self.interrupted = True
+
+    def repeat(self) -> None:
+        """Report the same once more, because time has passed and the user may want to end."""
+        if self._last:
+            self(*self._last)
+
+    @property
+    def seconds(self) -> float:
+        """Time since the beginning. [s]"""
+        return time.perf_counter() - self.begin
+
+    def must_end(self, share: float) -> bool:
+        """Whether the user interrupted or this share of the time is spent."""
+        return self.interrupted or self.seconds > share * self.limit_s

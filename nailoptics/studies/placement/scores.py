@@ -1,0 +1,133 @@
+"""How finely layouts resolve force: a layout's score from traced light, and more light where the best is undecided."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...scene import digest
+from ...statistics import Z95, jackknife
+from .boards import CandidateLayout
+from .exchange import SEARCH_PHOTONS
+from .fisher import (
+    Response,
+    fixed_ratio_resolution_n,
+    force_resolution_n,
+    over_fingers,
+    pressure_resolution_pa,
+    total_information,
+)
+from .photon_maps import PhotonMapCache
+from .progress import StageProgress
+
+# Photons per LED and finger of the first round of judging.
+JUDGE_PHOTONS = 1 << 20
+# Part of the time by whose end the judging ends; the rest is for the last check.
+JUDGE_SHARE = 0.85
+
+
+@dataclass(frozen=True)
+class LayoutScore:
+    """How finely a layout resolves force: by all photons and without each block of them.
+
+    resolution_n, fixed_ratio_resolution_n : (1 + blocks, fingers) float. Whatever the split of the force; and if it
+        is known. [N]
+    pressure_resolution_pa : (1 + blocks, fingers, 2) float. Of the proximal and distal pressure. [Pa]
+    score_n : (1 + blocks,) float. Over the fingers. [N]
+    responses : by finger and LED, (1 + blocks, photodiodes).
+    """
+
+    resolution_n: np.ndarray
+    fixed_ratio_resolution_n: np.ndarray
+    pressure_resolution_pa: np.ndarray
+    score_n: np.ndarray
+    responses: list[list[Response]]
+
+    @property
+    def interval_n(self) -> tuple[float, float]:
+        """95 % interval of the score, symmetric in its logarithm. [N]"""
+        spread = Z95 * self.relative_error
+        return float(self.score_n[0] * math.exp(-spread)), float(self.score_n[0] * math.exp(spread))
+
+    @property
+    def relative_error(self) -> float:
+        """Relative standard error of the score."""
+        return float(jackknife(np.log(self.score_n)))
+
+
+def score_layout(layout: CandidateLayout, cache: PhotonMapCache, rank_by: str) -> LayoutScore:
+    """A layout's score from light that is traced; a further layout on a traced board costs milliseconds."""
+    responses = cache.read(layout.scene, layout.board)
+    points = [condition.point for condition in cache.conditions]
+    information = [total_information(by_led) for by_led in responses]
+    resolution = np.stack([force_resolution_n(*both) for both in zip(information, points, strict=True)])
+    fixed_ratio = [fixed_ratio_resolution_n(*both) for both in zip(information, points, strict=True)]
+    return LayoutScore(
+        resolution_n=resolution.T,
+        fixed_ratio_resolution_n=np.stack(fixed_ratio).T,
+        pressure_resolution_pa=np.stack([pressure_resolution_pa(one) for one in information], 1),
+        score_n=over_fingers(resolution, rank_by),
+        responses=responses,
+    )
+
+
+def score_layouts(
+    layouts: Sequence[CandidateLayout],
+    cache: PhotonMapCache,
+    *,
+    rank_by: str,
+    photons: int | None,
+    relative_error: float,
+    report_progress: StageProgress,
+) -> tuple[list[LayoutScore], str | None]:
+    """Trace until the best is told from all others, more photons where that is undecided; and why not, if it was not.
+
+    photons : per layout, LED and finger, in place of a tolerance.
+    relative_error : of the scores of those tied with the best, at which tracing ends as well.
+    """
+    traced = {layout.name: 0 for layout in layouts}
+    first = SEARCH_PHOTONS if report_progress.interrupted else photons or JUDGE_PHOTONS
+    _extend(layouts, cache, set(traced), first, traced, report_progress)
+    while True:
+        scores = [score_layout(layout, cache, rank_by) for layout in layouts]
+        by_name = {layout.name: score for layout, score in zip(layouts, scores, strict=True)}
+        highest = min(scores, key=lambda score: float(score.score_n[0])).interval_n[1]
+        errors = {name: score.relative_error for name, score in by_name.items() if score.interval_n[0] <= highest}
+        worst = max(errors.values())
+        done = min(1.0, (relative_error / worst) ** 2) if len(errors) > 1 else 1.0
+        report_progress("judge", done, worst, relative_error)
+        left = f"{len(errors)} layouts tied at relative error {worst:.3g}, {relative_error:g} asked"
+        if report_progress.interrupted:
+            return scores, f"interrupted: {left}."
+        if photons or len(errors) == 1 or worst <= relative_error:
+            return scores, None
+        undecided = {name for name, error in errors.items() if error > relative_error}
+        more = max(traced[name] for name in undecided) // 2
+        extended = _extend(layouts, cache, undecided, more, traced, report_progress)
+        if not extended and not report_progress.interrupted:
+            return scores, f"max_seconds ended with {left}; allow more time or ask for less."
+
+
+def _extend(
+    layouts: Sequence[CandidateLayout],
+    cache: PhotonMapCache,
+    names: set[str],
+    photons: int,
+    traced: dict[str, int],
+    report_progress: StageProgress,
+) -> bool:
+    """Trace the boards of the named layouts further and count it in `traced`; False where time ran out before."""
+    sharing: dict[str, list[CandidateLayout]] = {}
+    for layout in layouts:
+        sharing.setdefault(digest(layout.board), []).append(layout)
+    for members in sharing.values():
+        if names.isdisjoint(layout.name for layout in members):
+            continue
+        if all(traced.values()) and report_progress.must_end(JUDGE_SHARE):
+            return False
+        cache.extend(members[0].board, photons)
+        for layout in members:
+            traced[layout.name] += photons
+        report_progress.repeat()
+    return True
