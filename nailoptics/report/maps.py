@@ -1,6 +1,7 @@
 """Figures in space: the board on the nail from above, and the finger cut lengthwise with the light's paths."""
 
 import json
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,6 +33,28 @@ TISSUE = {
     "silicon": SILICON,
 }
 DECADES = 3.0
+LAYERS = ("plate", "bed", "bone")
+
+
+def extent(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float]:
+    """Outer edges of an image's pixels, from their middles: low x, high x, low y, high y."""
+    dx, dy = ((places[1] - places[0]) / 2 if len(places) > 1 else 0.5 for places in (x, y))
+    return float(x[0] - dx), float(x[-1] + dx), float(y[0] - dy), float(y[-1] + dy)
+
+
+def level_holding(part: float, density: np.ndarray) -> float | None:
+    """The density above which the densest places hold a part of the whole; None where no contour shows it."""
+    densest = np.sort(density.ravel())[::-1]
+    level = densest[np.searchsorted(np.cumsum(densest), part * densest.sum())]
+    return float(level) if density.min() < level < density.max() else None
+
+
+def draw_rectangle(axes: "Axes", r: Rectangle, *, turned: bool = False, **look: Any) -> None:
+    """Draw a rectangle of the board with the tip upwards, or turned to the right."""
+    from matplotlib.patches import Rectangle as Patch
+
+    low, size = (r.u_min, r.v_min), (r.u_max - r.u_min, r.v_max - r.v_min)
+    axes.add_patch(Patch(low[::-1], *size[::-1], **look) if turned else Patch(low, *size, **look))
 
 
 def top_view(scene: Scene, result: xr.Dataset) -> "Figure":
@@ -44,28 +67,22 @@ def top_view(scene: Scene, result: xr.Dataset) -> "Figure":
 
 def draw_top_view(axes: "Axes", scene: Scene, result: xr.Dataset) -> None:
     """Draw the top view into axes."""
-    from matplotlib.patches import Rectangle as Patch
-
     assert scene.finger is not None
     layout, finger = scene.layout, scene.finger
     half_u, half_v = finger.nail_width_mm / 2, finger.nail_length_mm / 2
-    nail = Patch((-half_u, -half_v), 2 * half_u, 2 * half_v, fc=NAIL, ec=style.MUTED, lw=1.2)
-    axes.add_patch(nail)
+    nail = Rectangle("nail", -half_u, half_u, -half_v, half_v)
+    draw_rectangle(axes, nail, fc=NAIL, ec=style.MUTED, lw=1.2)
     _blood_zones(axes, scene, half_u, half_v)
-
-    def fill(r: Rectangle, z: float, **look: Any) -> None:
-        axes.add_patch(Patch((r.u_min, r.v_min), r.u_max - r.u_min, r.v_max - r.v_min, zorder=z, **look))
-
-    fill(layout.outline, 2, fc=BOARD, ec=style.DARK_INK, lw=0.8, alpha=0.9)
+    draw_rectangle(axes, layout.outline, zorder=2, fc=BOARD, ec=style.DARK_INK, lw=0.8, alpha=0.9)
     for wall in layout.barriers:
-        fill(wall, 3, fc=BARRIER, lw=0)
+        draw_rectangle(axes, wall, zorder=3, fc=BARRIER, lw=0)
     for element in layout.unwired:
-        fill(element, 3, fc="#c9ccd0", ec="#70767d", lw=0.5)
+        draw_rectangle(axes, element, zorder=3, fc="#c9ccd0", ec="#70767d", lw=0.5)
     colours = dict(zip(order_along_nail(result, scene), style.place_colours(len(layout.photodiodes)), strict=False))
     for j, wired in enumerate(layout.photodiodes):
-        fill(wired.area, 4, fc=colours.get(j, SILICON), ec=style.DARK_INK, lw=0.6)
+        draw_rectangle(axes, wired.area, zorder=4, fc=colours.get(j, SILICON), ec=style.DARK_INK, lw=0.6)
     for led in layout.leds:
-        fill(led, 4, fc=LED, ec=style.DARK_INK, lw=0.8)
+        draw_rectangle(axes, led, zorder=4, fc=LED, ec=style.DARK_INK, lw=0.8)
     _label_parts(axes, scene, layout, half_v)
     axes.set_xlim(-half_u - 0.3, half_u + 0.3)
     axes.set_ylim(-half_v - 0.3, half_v + 0.3)
@@ -120,19 +137,43 @@ def _label_parts(axes: "Axes", scene: Scene, layout: Layout, half_v: float) -> N
             axes.text(edge + side * 0.45, place, style.plain(name), zorder=6, **look, **where)
 
 
+@dataclass(frozen=True)
+class _Cut:
+    """The finger cut lengthwise: middles of the pixels, the region of each (y, z), and the regions' names."""
+
+    y: np.ndarray
+    z: np.ndarray
+    region: np.ndarray | None
+    names: list[str]
+
+    @classmethod
+    def of(cls, result: xr.Dataset) -> "_Cut":
+        y, z = result.section_y.to_numpy(), result.section_z.to_numpy()
+        if "section_region" not in result:
+            return cls(y, z, None, [])
+        region = result.section_region.transpose("section_y", "section_z").to_numpy()
+        return cls(y, z, region, [str(name) for name in json.loads(result.section_region.attrs["regions"])])
+
+    def where(self, name: str) -> np.ndarray:
+        """Which pixels a region fills."""
+        if self.region is None or name not in self.names:
+            return np.zeros((len(self.y), len(self.z)), bool)
+        return self.region == self.names.index(name)
+
+
 def section(scene: Scene | None, result: xr.Dataset) -> "Figure":
     """The finger and its board cut lengthwise, one close view per LED with the density of its light's paths."""
     leds = result.sizes["led"] if "path_density" in result else 1
     with style.drawing():
         figure = style.new_figure(9.2, 3.1 + 3.55 * leds)
         panels = figure.subplots(leds + 1, 1, squeeze=False, gridspec_kw={"height_ratios": [2.9] + [3.5] * leds})[:, 0]
-        whole = panels[0]
-        _regions(whole, result)
-        low_y, high_y, low_z, high_z = _close_view(scene, result)
+        whole, cut = panels[0], _Cut.of(result)
+        _regions(whole, cut)
+        low_y, high_y, low_z, high_z = _close_view(scene, cut)
         frame = [low_y, high_y, high_y, low_y, low_y], [low_z, low_z, high_z, high_z, low_z]
         whole.plot(*frame, color=style.MUTED, lw=1.2, ls=(0, (3, 2)))
         whole.set_title("Finger and board, cut lengthwise")
-        _key(whole, result)
+        _key(whole, cut)
         for i, axes in enumerate(panels[1:]):
             draw_section(axes, scene, result, led=i)
     return figure
@@ -140,117 +181,86 @@ def section(scene: Scene | None, result: xr.Dataset) -> "Figure":
 
 def draw_section(axes: "Axes", scene: Scene | None, result: xr.Dataset, *, led: int) -> None:
     """Draw the close view of the section under the board, with one LED's path density, into axes."""
-    from matplotlib.colors import LogNorm
-    from scipy.ndimage import gaussian_filter
-
-    low_y, high_y, low_z, high_z = _close_view(scene, result)
-    _regions(axes, result)
+    cut = _Cut.of(result)
+    low_y, high_y, low_z, high_z = _close_view(scene, cut)
+    _regions(axes, cut)
     if "path_density" in result:
-        density = result.path_density.isel(led=led).transpose("section_y", "section_z")
-        values = density.to_numpy()
-        inside = values[values > 0]
-        if inside.size:
-            top = float(np.quantile(inside, 0.9995))
-            # Single photons far from the board are noise; a pixel of smoothing joins them.
-            smooth = gaussian_filter(values, 1.0)
-            shown = np.ma.masked_less(smooth, top * 10**-DECADES)
-            faded = np.clip(np.log10(np.maximum(smooth / top, 1e-9)) / DECADES + 1, 0, 1)
-            image = axes.imshow(
-                (shown / top).T,
-                extent=_extent(result),
-                origin="lower",
-                norm=LogNorm(10**-DECADES, 1),
-                cmap="magma",
-                alpha=np.minimum(1.4 * faded, 1).T,
-                zorder=3,
-                interpolation="bilinear",
-            )
-            bar = axes.figure.colorbar(image, cax=axes.inset_axes((1.01, 0.0, 0.02, 1.0)))
-            bar.set_label("light paths [of largest]", fontsize=8)
-            bar.outline.set_visible(False)
-            _holding(axes, result, values)
+        _paths(axes, cut, result.path_density.isel(led=led).transpose("section_y", "section_z").to_numpy())
         name = f"Paths of the light of LED {result.led.values[led]}, {float(result.wavelength_nm[led]):g} nm"
         axes.set_title(style.plain(name))
-    _outlines(axes, result)
-    _layer_names(axes, result, low_y, low_z)
+    _outlines(axes, cut)
+    _layer_names(axes, cut, low_y, low_z)
     _parts_above(axes, scene, result, led, high_z)
     axes.set_xlim(low_y, high_y)
     axes.set_ylim(low_z, high_z)
 
 
-def _extent(result: xr.Dataset) -> tuple[float, float, float, float]:
-    """Edges of the section's pixels: coordinates are their centres."""
-    edges: list[float] = []
-    for name in ("section_y", "section_z"):
-        places = result[name].to_numpy()
-        half = (places[1] - places[0]) / 2 if len(places) > 1 else 0.5
-        edges += [float(places[0] - half), float(places[-1] + half)]
-    return edges[0], edges[1], edges[2], edges[3]
+def _paths(axes: "Axes", cut: _Cut, density: np.ndarray) -> None:
+    """Where light passes, over three decades, and the densest places that hold half and 90 % of it."""
+    from matplotlib.colors import LogNorm
+    from scipy.ndimage import gaussian_filter
 
-
-def _names(result: xr.Dataset) -> list[str]:
-    return [str(n) for n in json.loads(result.section_region.attrs["regions"])]
+    inside = density[density > 0]
+    if not inside.size:
+        return
+    # Single photons far from the board are noise; a pixel of smoothing joins them.
+    relative = gaussian_filter(density, 1.0) / float(np.quantile(inside, 0.9995))
+    faded = np.clip(np.log10(np.maximum(relative, 1e-9)) / DECADES + 1, 0, 1)
+    image = axes.imshow(
+        np.ma.masked_less(relative, 10**-DECADES).T,
+        extent=extent(cut.y, cut.z),
+        origin="lower",
+        norm=LogNorm(10**-DECADES, 1),
+        cmap="magma",
+        alpha=np.minimum(1.4 * faded, 1).T,
+        zorder=3,
+        interpolation="bilinear",
+    )
+    bar = axes.figure.colorbar(image, cax=axes.inset_axes((1.01, 0.0, 0.02, 1.0)))
+    bar.set_label("light paths [of largest]", fontsize=8)
+    bar.outline.set_visible(False)
+    smooth = gaussian_filter(density, 1.5)
+    for part, dashes in ((0.5, "-"), (0.9, "--")):
+        level = level_holding(part, smooth)
+        if level is not None:
+            look: dict[str, Any] = {"colors": ["#38d6c4"], "linewidths": 1.3, "linestyles": dashes}
+            axes.contour(cut.y, cut.z, smooth.T, levels=[level], zorder=5, **look)
 
 
 def _colour(name: str) -> str:
     return LED if name.startswith("led:") else TISSUE.get(name, SILICON)
 
 
-def _regions(axes: "Axes", result: xr.Dataset) -> None:
+def _regions(axes: "Axes", cut: _Cut) -> None:
     """Fill each region with its colour."""
+    from matplotlib.colors import to_rgba
+
     axes.set_aspect("equal")
     axes.grid(False)
     axes.set_xlabel("along the nail, towards the tip [mm]")
     axes.set_ylabel("height [mm]")
-    if "section_region" not in result:
-        return
-    from matplotlib.colors import to_rgba
-
-    palette = np.array([to_rgba(_colour(name)) for name in _names(result)])
-    region = result.section_region.transpose("section_y", "section_z").to_numpy()
-    axes.imshow(palette[region].transpose(1, 0, 2), extent=_extent(result), origin="lower", zorder=1)
+    if cut.region is not None:
+        palette = np.array([to_rgba(_colour(name)) for name in cut.names])
+        image = palette[cut.region].transpose(1, 0, 2)
+        axes.imshow(image, extent=extent(cut.y, cut.z), origin="lower", zorder=1)
 
 
-def _outlines(axes: "Axes", result: xr.Dataset) -> None:
+def _outlines(axes: "Axes", cut: _Cut) -> None:
     """Draw the borders of plate, bed and bone over the light."""
-    if "section_region" not in result:
-        return
-    names = _names(result)
-    region = result.section_region.transpose("section_y", "section_z").to_numpy()
-    for name in ("plate", "bed", "bone"):
-        here = (region == names.index(name)).astype(float) if name in names else np.zeros(region.shape)
+    for name in LAYERS:
+        here = cut.where(name).astype(float)
         if here.any():
-            y, z = result.section_y.to_numpy(), result.section_z.to_numpy()
-            axes.contour(y, z, here.T, levels=[0.5], colors=["#ffffff"], linewidths=1.6, alpha=0.55, zorder=4)
-            axes.contour(y, z, here.T, levels=[0.5], colors=[style.DARK_INK], linewidths=0.7, zorder=4)
+            axes.contour(cut.y, cut.z, here.T, levels=[0.5], colors=["#ffffff"], linewidths=1.6, alpha=0.55, zorder=4)
+            axes.contour(cut.y, cut.z, here.T, levels=[0.5], colors=[style.DARK_INK], linewidths=0.7, zorder=4)
 
 
-def _layer_names(axes: "Axes", result: xr.Dataset, left: float, bottom: float) -> None:
+def _layer_names(axes: "Axes", cut: _Cut, left: float, bottom: float) -> None:
     """Name the layers where they meet the left edge."""
-    if "section_region" not in result:
-        return
-    names = _names(result)
-    z = result.section_z.to_numpy()
-    column = result.section_region.sel(section_y=left + 0.1, method="nearest").to_numpy()
-    for name in ("plate", "bed", "bone"):
-        heights = z[(column == names.index(name)) & (z > bottom)] if name in names else z[:0]
+    column = int(np.argmin(np.abs(cut.y - (left + 0.1))))
+    for name in LAYERS:
+        heights = cut.z[cut.where(name)[column] & (cut.z > bottom)]
         if heights.size:
             axes.text(left + 0.12, heights.mean(), name, fontsize=8, color=style.DARK_INK, va="center", zorder=6)
-
-
-def _holding(axes: "Axes", result: xr.Dataset, values: np.ndarray) -> None:
-    """Outline the densest places that hold half and 90 % of the paths."""
-    from scipy.ndimage import gaussian_filter
-
-    smooth = gaussian_filter(values, 1.5)
-    flat = np.sort(smooth.ravel())[::-1]
-    held = np.cumsum(flat)
-    y, z = result.section_y.to_numpy(), result.section_z.to_numpy()
-    for part, dashes in ((0.5, "-"), (0.9, "--")):
-        level = flat[np.searchsorted(held, part * held[-1])]
-        if smooth.min() < level < smooth.max():
-            look: dict[str, Any] = {"colors": ["#38d6c4"], "linewidths": 1.3, "linestyles": dashes}
-            axes.contour(y, z, smooth.T, levels=[level], zorder=5, **look)
 
 
 def _parts_above(axes: "Axes", scene: Scene | None, result: xr.Dataset, led: int, top: float) -> None:
@@ -268,9 +278,9 @@ def _parts_above(axes: "Axes", scene: Scene | None, result: xr.Dataset, led: int
     axes.plot([r.center_mm[1]], [top - 0.55], marker="v", color=LED, mec=style.DARK_INK, mew=0.7, ms=8, zorder=7)
 
 
-def _close_view(scene: Scene | None, result: xr.Dataset) -> tuple[float, float, float, float]:
+def _close_view(scene: Scene | None, cut: _Cut) -> tuple[float, float, float, float]:
     """Box (y low, y high, z low, z high) around the board and what its light can reach. [mm]"""
-    low_y, high_y, low_z, high_z = _extent(result)
+    low_y, high_y, low_z, high_z = extent(cut.y, cut.z)
     if scene is None or scene.finger is None:
         return low_y, high_y, low_z, high_z
     outline, board = scene.layout.outline, scene.board
@@ -278,14 +288,14 @@ def _close_view(scene: Scene | None, result: xr.Dataset) -> tuple[float, float, 
     return max(low_y, outline.v_min - 1.5), min(high_y, outline.v_max + 1.5), max(low_z, -4.2), cover + 0.75
 
 
-def _key(axes: "Axes", result: xr.Dataset) -> None:
+def _key(axes: "Axes", cut: _Cut) -> None:
     """A key of the regions' colours."""
     from matplotlib.patches import Patch
 
-    if "section_region" not in result:
+    if cut.region is None:
         return
-    present = np.unique(result.section_region)
-    names = [n for i, n in enumerate(_names(result)) if i in present and n in TISSUE and n != "air"]
-    label = {"epoxy": "clear epoxy", "cut": "cut end", "pulp": "pulp", "cover": "opaque cover"}
-    handles = [Patch(fc=TISSUE[n], ec=style.MUTED, lw=0.5, label=label.get(n, n)) for n in names]
+    names = [cut.names[i] for i in np.unique(cut.region)]
+    label = {"epoxy": "clear epoxy", "cut": "cut end", "cover": "opaque cover"}
+    shown = [name for name in names if name in TISSUE and name != "air"]
+    handles = [Patch(fc=TISSUE[name], ec=style.MUTED, lw=0.5, label=label.get(name, name)) for name in shown]
     axes.legend(handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -1,12 +1,12 @@
 """Figures of a placement: the ranking, maps on the board, where each photodiode looks, and places of the LED."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 
 from ..scene import Scene
-from ..scene.layout import Layout, Rectangle
+from ..scene.layout import Layout
 from . import maps, style
 
 if TYPE_CHECKING:
@@ -79,8 +79,7 @@ def map_figure(scene: Scene, result: xr.Dataset) -> "Figure":
             _plane(axes, result, u, values, colours, span, even=values is noise)
             axes.set_title(title)
             _parts(axes, scene)
-            axes.set_xlim(*_extent(result)[:2])
-            axes.set_ylim(*_extent(result)[2:])
+            axes.axis(_board_edges(result))
     return figure
 
 
@@ -123,7 +122,7 @@ def _plane(
     across, along = result[u].to_numpy(), result[u.replace("u", "v")].to_numpy()
     norm, levels = (Normalize(*span), np.linspace(*span, 9)) if even else (LogNorm(*span), np.geomspace(*span, 9))
     shown = np.clip(values, *span)
-    image = axes.imshow(shown.T, extent=_around(across, along), origin="lower", cmap=colours, norm=norm)
+    image = axes.imshow(shown.T, extent=maps.extent(across, along), origin="lower", cmap=colours, norm=norm)
     if min(shown.shape) > 1:
         axes.contour(across, along, shown.T, levels=levels[1:-1], colors=["#ffffff"], linewidths=0.5, alpha=0.7)
     axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02)
@@ -144,7 +143,7 @@ def sensitivity_figure(scene: Scene, result: xr.Dataset) -> "Figure":
             figure.subplots(1, 2), fall, ("Proximal blood [%/%]", "Distal blood [%/%]"), strict=True
         ):
             image = axes.imshow(
-                np.clip(values, 0, top).T, extent=_extent(result), origin="lower", cmap="magma", vmin=0, vmax=top
+                np.clip(values, 0, top).T, extent=_board_edges(result), origin="lower", cmap="magma", vmin=0, vmax=top
             )
             axes.contour(
                 result.u, result.v, values.T, levels=np.linspace(0, top, 7)[1:-1], colors=["#ffffff"], linewidths=0.5
@@ -155,7 +154,7 @@ def sensitivity_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     return figure
 
 
-def tried_figure(result: xr.Dataset) -> "Figure":
+def sites_figure(result: xr.Dataset) -> "Figure":
     """Places of the LED by what the search found there."""
     from matplotlib.colors import LogNorm
 
@@ -181,9 +180,7 @@ def tried_figure(result: xr.Dataset) -> "Figure":
                 linewidths=0.4,
             )
         figure.colorbar(image, ax=axes, label="force resolution [mN]")
-        left, right, low, high = _extent(result)
-        axes.set_xlim(left, right)
-        axes.set_ylim(low, high)
+        axes.axis(_board_edges(result))
         axes.set_aspect("equal")
         axes.set_xlabel("across the nail [mm]")
         axes.set_ylabel("along the nail, towards the tip [mm]")
@@ -252,17 +249,15 @@ def _bananas(axes: "Axes", x: np.ndarray, y: np.ndarray, each: np.ndarray, colou
     shade = np.zeros((*whole.T.shape, 4))
     shade[..., :3] = to_rgb(style.DARK_INK)
     shade[..., 3] = 0.7 * np.clip(1 + np.log10(np.maximum(whole.T, 1e-9)) / maps.DECADES, 0, 1)
-    axes.imshow(shade, extent=_around(x, y), origin="lower", zorder=2, interpolation="bilinear")
+    axes.imshow(shade, extent=maps.extent(x, y), origin="lower", zorder=2, interpolation="bilinear")
     for colour, j in colours:
-        flat = np.sort(shares[j].ravel())[::-1]
-        level = flat[np.searchsorted(np.cumsum(flat), HELD * flat.sum())]
-        if shares[j].min() < level < shares[j].max():
+        level = maps.level_holding(HELD, shares[j])
+        if level is not None:
             axes.contour(x, y, shares[j].T, levels=[level], colors=[colour], linewidths=1.5, zorder=4)
 
 
 def led_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     """What the photodiodes as they are would resolve with the LED elsewhere, by light that was traced from them."""
-
     light = result.led_place_fraction.isel(led=0).sum("best_photodiode").to_numpy()
     tells = 1e3 * _known(result, "led_place_resolution_n")
     # What is much worse than the finest is only what was known before any reading.
@@ -282,21 +277,13 @@ def led_figure(scene: Scene, result: xr.Dataset) -> "Figure":
 
 def _parts(axes: "Axes", scene: Scene, *, turned: bool = False) -> None:
     """Outline the layout's parts over a map, its tip upwards, or turned to the right."""
-    from matplotlib.patches import Rectangle as Patch
-
-    def patch(r: Rectangle, **look: Any) -> None:
-        low, size = (r.u_min, r.v_min), (r.u_max - r.u_min, r.v_max - r.v_min)
-        low, size = (low[::-1], size[::-1]) if turned else (low, size)
-        axes.add_patch(Patch(low, *size, zorder=3, **look))
-
     layout = scene.layout
     for r in layout.barriers:
-        patch(r, fc=maps.BARRIER, lw=0)
-    boxes: list[tuple[Any, str]] = [(e.area, "none") for e in layout.photodiodes]
-    boxes += [(led, maps.LED) for led in layout.leds]
+        maps.draw_rectangle(axes, r, turned=turned, zorder=3, fc=maps.BARRIER, lw=0)
+    boxes = [(e.area, "none") for e in layout.photodiodes] + [(led, maps.LED) for led in layout.leds]
     for r, fill in boxes:
         for colour, width in (("#ffffff", 1.8), (style.DARK_INK, 0.8)):
-            patch(r, fc=fill, ec=colour, lw=width)
+            maps.draw_rectangle(axes, r, turned=turned, zorder=3, fc=fill, ec=colour, lw=width)
     axes.grid(False)
     axes.set_xlabel("along the nail, towards the tip [mm]" if turned else "across [mm]")
     axes.set_ylabel("across [mm]" if turned else "along, to the tip [mm]")
@@ -312,12 +299,5 @@ def _smooth(values: np.ndarray) -> np.ndarray:
         return np.where(weight > 0.05, gaussian_filter(np.where(known, values, 0.0), SMOOTH_CELLS) / weight, np.nan)
 
 
-def _extent(result: xr.Dataset) -> tuple[float, float, float, float]:
-    """Edges of the board."""
-    return _around(result.u.to_numpy(), result.v.to_numpy())
-
-
-def _around(u: np.ndarray, v: np.ndarray) -> tuple[float, float, float, float]:
-    """Edges of cells, from their middles."""
-    du, dv = ((x[1] - x[0]) / 2 if len(x) > 1 else 0.5 for x in (u, v))
-    return float(u[0] - du), float(u[-1] + du), float(v[0] - dv), float(v[-1] + dv)
+def _board_edges(result: xr.Dataset) -> tuple[float, float, float, float]:
+    return maps.extent(result.u.to_numpy(), result.v.to_numpy())
