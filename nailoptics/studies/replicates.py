@@ -17,19 +17,17 @@ class LedReadings:
 
     reading : (1 + groups, photodiodes, states) float. Fraction of the emitted power, weighed by the photodiode's
         response relative to that at the LED's peak.
-    fall : (1 + groups, photodiodes, zones) float. In the first state, minus the derivative of ln reading by the
+    mean_path_mm : (1 + groups, photodiodes, zones) float. In the first state, minus the derivative of ln reading by the
         absorption of the blood in each zone, averaged over the line: the mean path there. [mm]
     """
 
     reading: np.ndarray
-    fall: np.ndarray
+    mean_path_mm: np.ndarray
 
 
 def read_led(transfer: Transfer, led: int, mu_a: np.ndarray, blood_per_mm: np.ndarray, *, seed: int) -> LedReadings:
     """Read one LED's trace in many states.
 
-    Parameters
-    ----------
     mu_a : (states, q, absorbers) float. Absorption over the LED's line, `optics.spectrum`. [mm^-1]
     blood_per_mm : (q,) float. Absorption of the blood over the line, in the first state. [mm^-1]
     seed : of the photons' groups.
@@ -57,9 +55,9 @@ def read_led(transfer: Transfer, led: int, mu_a: np.ndarray, blood_per_mm: np.nd
             picks = (groups[chunk] == numbers).astype(float)
             weight[j] += picks @ own
             path[j] += picks @ (slope[:, None] * lengths[:, zones])
-    total, fall = (_left_out(sums) / trace.photons for sums in (weight, path))
+    total, path_sum = (_left_out(sums) / trace.photons for sums in (weight, path))
     with np.errstate(invalid="ignore", divide="ignore"):
-        return LedReadings(reading=total, fall=fall / total[:, :, :1])
+        return LedReadings(reading=total, mean_path_mm=path_sum / total[:, :, :1])
 
 
 def _left_out(sums: np.ndarray) -> np.ndarray:
@@ -67,9 +65,3 @@ def _left_out(sums: np.ndarray) -> np.ndarray:
     sums = np.moveaxis(sums, 1, 0)
     total = sums.sum(0)
     return np.concatenate([total[None], (total - sums) * (GROUPS / (GROUPS - 1))])
-
-
-def stderr(replicates: np.ndarray) -> np.ndarray:
-    """Standard error of replicate 0 by the jackknife over groups of photons (Efron, Stein 1981)."""
-    rest = replicates[1:]
-    return np.asarray(np.sqrt((len(rest) - 1) / len(rest) * np.sum((rest - rest.mean(0)) ** 2, 0)))

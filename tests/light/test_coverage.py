@@ -115,8 +115,12 @@ def of_trace(transfer: Transfer) -> Estimates:
     read = replicates.read_led(transfer, 0, mu_a, blood, seed=1)
     ratio = read.reading[..., -1] / read.reading[..., 0]
     fitted = fits.exponential(states[:, 0], read.reading[:, 0])[0][:, -1] / read.reading[:, 0, 0]
-    for name, values in (("ratio of states", ratio), ("predicted path", read.fall[..., 0]), ("fit of (8)", fitted)):
-        out[name] = (values[0], replicates.stderr(values))
+    for name, values in (
+        ("ratio of states", ratio),
+        ("predicted path", read.mean_path_mm[..., 0]),
+        ("fit of (8)", fitted),
+    ):
+        out[name] = (values[0], jackknife(values))
     return out
 
 

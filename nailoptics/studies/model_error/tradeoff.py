@@ -15,8 +15,8 @@ from ...light.reweight import course
 from ...light.tracing import INTERRUPTED, unseen
 from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
-from ...statistics import Z95
-from ..replicates import read_led, stderr
+from ...statistics import Z95, jackknife
+from ..replicates import read_led
 from .paired import (
     PairedReadings,
     PairedTracer,
@@ -319,14 +319,14 @@ def _formulas(full: Scene, base: PairedReadings, reference: Level, seed: int, to
         mu_a = optics.absorption(full, wavelength, blood_fraction=states)
         blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, full.blood.so2))
         read = read_led(base.transfer, i, mu_a, blood, seed=seed)
-        depth = read.fall @ ((states[1] - states[0]) * float(np.average(blood, weights=share * wavelength)))
+        depth = read.mean_path_mm @ ((states[1] - states[0]) * float(np.average(blood, weights=share * wavelength)))
         traced = read.reading[..., 1] / read.reading[..., 0] - 1
         off["taylor"].append((-depth - traced) / unit)
         off["beer_lambert"].append((np.expm1(-depth) - traced) / unit)
     formulas = (("taylor", "Taylor (9)", lambda x: 1 - x), ("beer_lambert", "Beer-Lambert (8)", lambda x: np.exp(-x)))
     for name, words, formula in formulas:
         values = np.stack(off[name])
-        signal, error, bound = _mean_and_bound(values[:, 0], np.stack([stderr(one) for one in values]), base)
+        signal, error, bound = _mean_and_bound(values[:, 0], np.stack([jackknife(one) for one in values]), base)
         begin = time.perf_counter()
         formula(np.outer(depth, along))
         yield replace(

@@ -12,12 +12,12 @@ from nailoptics.errors import InputError
 from nailoptics.light import Transfer, optics
 from nailoptics.light.records import LedTrace
 from nailoptics.scene import Scene
-from nailoptics.statistics import Z95
-from nailoptics.studies.comparison import compare as study
+from nailoptics.statistics import Z95, jackknife
 from nailoptics.studies.comparison import fits
-from nailoptics.studies.comparison.compare import compare
+from nailoptics.studies.comparison.compare import compare, compare_transfer
+from nailoptics.studies.comparison.state_sweep import Over, state_sweep
 from nailoptics.studies.comparison.verdict import summary, verdict
-from nailoptics.studies.replicates import GROUPS, read_led, stderr
+from nailoptics.studies.replicates import GROUPS, read_led
 
 NO_SCATTERING = np.zeros((2, 1, 8))
 
@@ -54,8 +54,8 @@ def made_up(own_mm, other_mm, *, seed: int = 0, scene: Scene | None = None) -> T
     return Transfer(scene, diodes, names, (trace,), "made up", "none", {"numpy": "0"}, 0.0, 0.0, 0)
 
 
-def judged(transfer: Transfer, *over: study.Over, slopes: np.ndarray = NO_SCATTERING):
-    return study._judge(transfer, [study._sweep(transfer.scene, one) for one in over], slopes, 0)
+def judged(transfer: Transfer, *over: Over, slopes: np.ndarray = NO_SCATTERING):
+    return compare_transfer(transfer, [state_sweep(transfer.scene, one) for one in over], slopes, 0)
 
 
 def per_blood(scene: Scene) -> float:
@@ -150,7 +150,7 @@ def test_replicates_know_the_noise_of_the_count():
     mu_a = optics.absorption(transfer.scene, [800.0])[None]
     read = read_led(transfer, 0, mu_a, np.array([0.4]), seed=1)
     assert read.reading.shape == (1 + GROUPS, 8, 1) and np.allclose(read.reading[0], 0.1)
-    assert np.allclose(stderr(read.reading) / 0.1, 0.01, rtol=0.5)
+    assert np.allclose(jackknife(read.reading) / 0.1, 0.01, rtol=0.5)
 
 
 def test_fitted_exponentials_are_those_of_least_squares():
