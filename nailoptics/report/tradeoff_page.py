@@ -7,7 +7,7 @@ import numpy as np
 
 from ..io import write_text
 from ..statistics import Z95
-from ..studies.model_error.tradeoff import REFERENCE, STATES, TARGETS, Level, Tradeoff
+from ..studies.model_error.tradeoff import REFERENCE, STATES, TARGETS, Bias, Level, Tradeoff
 from . import style
 from .html import document, escaped, figure, section, small, table
 from .numbers import significant, with_error
@@ -76,7 +76,7 @@ def draw(found: Tradeoff) -> "Figure":
         front = found.front
         left.step(
             [one.cpu_seconds[0] for one in front],
-            [_height(one.bias) for one in front],
+            [_height(one.reading) for one in front],
             where="post",
             color=style.MUTED,
             lw=1.2,
@@ -87,10 +87,10 @@ def draw(found: Tradeoff) -> "Figure":
         left.set_ylim(0.6 * FLOOR_PERCENT, 200)
         left.set_ylabel("error [%]")
         left.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        for axes, which, title in ((left, "bias", "Reading at rest"), (right, "signal", "Signal by touch")):
+        for axes, which, title in ((left, "reading", "Reading at rest"), (right, "signal", "Signal by touch")):
             axes.set_title(title)
             axes.set_xscale("log")
-            axes.set_xlim(*_range([one for one in found.levels if _values(one, which)]))
+            axes.set_xlim(*_range([one for one in found.levels if _known(one, which)]))
             axes.axhline(100 * found.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)), zorder=1)
             axes.set_xlabel("processor time to 1 % on the worst photodiode [s]")
             axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}" if value >= 1 else f"{value:g}")
@@ -107,27 +107,21 @@ def draw(found: Tradeoff) -> "Figure":
     return drawing
 
 
-def _values(one: Level, which: str) -> tuple[float, float, float] | None:
-    """Error, its standard error and bound of the reading or the signal; None where these or the cost are not known."""
-    if not np.isfinite(one.cpu_seconds[0]):
-        return None
-    if which == "bias":
-        return (one.bias, one.bias_stderr, one.bias_bound) if np.isfinite(one.bias) else None
-    if one.signal_bias is None or one.signal_bias_stderr is None or one.signal_bound is None:
-        return None
-    return (one.signal_bias, one.signal_bias_stderr, one.signal_bound) if np.isfinite(one.signal_bias) else None
+def _known(one: Level, which: str) -> Bias | None:
+    """Bias of the reading or the signal; None where it or the cost is not known."""
+    bias: Bias | None = getattr(one, which)
+    return bias if bias and np.isfinite(bias.value) and np.isfinite(one.cpu_seconds[0]) else None
 
 
 def _marks(axes: Any, found: Tradeoff, which: str) -> None:
     # What is proven lies on top of what is not.
     for one in sorted(found.levels, key=lambda level: (level.proven, level.name == found.chosen)):
-        values = _values(one, which)
-        if values is None:
+        bias = _known(one, which)
+        if bias is None:
             continue
-        error, stderr, bound = values
-        height, spread, x = _height(error), 100 * Z95 * stderr, one.cpu_seconds[0]
+        height, spread, x = _height(bias), 100 * Z95 * bias.stderr, one.cpu_seconds[0]
         colour = style.ZONES[1] if one.proven else style.ZONES[0]
-        axes.plot([x, x], [height, max(100 * bound, height)], color=colour, lw=0.7, alpha=0.6)
+        axes.plot([x, x], [height, max(100 * bias.bound, height)], color=colour, lw=0.7, alpha=0.6)
         axes.plot([x, x], [max(height - spread, FLOOR_PERCENT), height + spread], color=colour, lw=2.2, alpha=0.5)
         face, size = colour if one.proven else style.PAPER, 11 if one.name == found.chosen else 7
         axes.plot(x, height, "o", ms=size, color=colour, markerfacecolor=face, zorder=3)
@@ -137,10 +131,10 @@ def _labels(axes: Any, found: Tradeoff, which: str) -> None:
     """Names beside the marks; those of one mark together, those of near ones one below the other."""
     names: dict[tuple[float, float], list[str]] = {}
     for one in sorted(found.levels, key=lambda level: level.name != found.chosen):
-        values = _values(one, which)
-        if values is None:
+        bias = _known(one, which)
+        if bias is None:
             continue
-        x, y = one.cpu_seconds[0], _height(values[0])
+        x, y = one.cpu_seconds[0], _height(bias)
         near = (mark for mark in names if abs(np.log10(mark[0] / x)) < NEAR and abs(np.log10(mark[1] / y)) < NEAR)
         names.setdefault(next(near, (x, y)), []).append(one.name)
     order = sorted(names.items(), key=lambda item: item[0][1])
@@ -167,8 +161,15 @@ def _range(levels: list[Level]) -> tuple[float, float]:
     return low, high * (high / low) ** 0.45
 
 
-def _height(error: float) -> float:
-    return max(100 * abs(error), FLOOR_PERCENT)
+def _height(bias: Bias) -> float:
+    return max(100 * abs(bias.value), FLOOR_PERCENT)
+
+
+def _cells(bias: Bias | None) -> list[str]:
+    """Bias with its error, and its bound; dashes where there is none. [%]"""
+    if bias is None:
+        return ["–", "–"]
+    return [with_error(100 * bias.value, 100 * bias.stderr, sign=True), significant(100 * bias.bound, 2)]
 
 
 def _table(found: Tradeoff) -> str:
@@ -177,17 +178,11 @@ def _table(found: Tradeoff) -> str:
     head += [f"{STATES} more<br>states [s]", "Memory<br>[MB]", "Setup<br>[s]", "Front", "Scene lines"]
     rows = []
     for one in found.levels:
-        signal, bound = "–", "–"
-        if one.signal_bias is not None and one.signal_bias_stderr is not None and one.signal_bound is not None:
-            signal = with_error(100 * one.signal_bias, 100 * one.signal_bias_stderr, sign=True)
-            bound = significant(100 * one.signal_bound, 2)
         rows.append(
             [
                 escaped(one.name) + (" <b>✓</b>" if one.name == found.chosen else ""),
-                with_error(100 * one.bias, 100 * one.bias_stderr, sign=True),
-                significant(100 * one.bias_bound, 2),
-                signal,
-                bound,
+                *_cells(one.reading),
+                *_cells(one.signal),
                 *(significant(seconds, 2) for seconds in one.cpu_seconds),
                 "–" if one.reweight_seconds is None else significant(one.reweight_seconds, 2),
                 "–" if one.memory_mb is None else significant(one.memory_mb, 2),

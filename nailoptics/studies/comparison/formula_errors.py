@@ -62,20 +62,23 @@ def formula_errors(one: TracedSweep, sweep: StateSweep) -> dict[str, np.ndarray]
     by = _formulas(one, fitted_curve)
     readings = np.stack([by[:2], by[2:4], by[4:]])
     part, part_stderr = _parts(one, by)
-    alpha_d2 = one.path_mm[:, one.own, None] * one.own_mu_a
     replicates = {
         "reading": one.traced,
-        "swing": one.swing[:, 0],
-        "error": 100 * np.moveaxis((readings - one.traced) / one.swing, 2, 0),
-        "range_error": 100 * np.moveaxis(_range_errors(one, by), 2, 0),
-        "alpha_d2": alpha_d2,
+        "swing": one.swing,
+        "error": np.moveaxis((readings - one.traced) / one.swing, 2, 0),
+        "range_error": np.moveaxis(_range_errors(one, by), 2, 0),
+        "alpha_d2": one.path_mm[:, one.own, None] * one.own_mu_a,
         "bed_alpha_d2": one.path_mm @ one.mu_a.T,
-        "path_mm": one.path_mm[:, one.own],
+        "path_mm": one.path_mm,
         "path_fitted_mm": fitted_path_mm,
     }
     out = {name: values[0] for name, values in replicates.items()}
     out |= {f"{name}_stderr": jackknife(values) for name, values in replicates.items()}
-    out |= {"model_reading": readings[:, :, 0], "part_error": 100 * part, "part_error_stderr": 100 * part_stderr}
+    out |= {"model_reading": readings[:, :, 0], "part_error": part, "part_error_stderr": part_stderr}
+    picked = {"swing": 0, "path_mm": one.own}
+    for end in ("", "_stderr"):
+        out |= {f"{name}{end}": out[f"{name}{end}"][k] for name, k in picked.items()}
+        out |= {f"{name}{end}": 100 * out[f"{name}{end}"] for name in ("error", "range_error", "part_error")}
     return out | _limits(out, sweep, one.own)
 
 

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Unpack
 
 import numpy as np
@@ -52,13 +52,24 @@ STOCK: Changes = {"light": {"engine": "volpath"}}
 
 
 @dataclass(frozen=True)
+class Bias:
+    """How far a level is from the reference, as a part of it.
+
+    value, stderr : mean over all photodiodes, weighed by the reference's errors.
+    bound : what no photodiode's exceeds, with 95 % confidence each.
+    """
+
+    value: float
+    stderr: float
+    bound: float
+
+
+@dataclass(frozen=True)
 class Level:
     """One level of model, measured.
 
-    bias, bias_stderr : relative error of the reading at rest, over all photodiodes weighed by the reference's errors.
-    bias_bound : what no photodiode's error exceeds, with 95 % confidence each.
-    signal_bias, signal_bias_stderr : error of the change by touch over all photodiodes, as a part of the largest;
-        None where that is not traced. signal_bound : what no photodiode's exceeds.
+    reading : bias of the reading at rest.
+    signal : bias of the change by touch, as a part of the largest change; None where that is not traced.
     cpu_seconds : to a relative standard error of 1 %, 0.3 % and 0.1 % of the worst reading.
     reweight_seconds : for a thousand more blood states from what gives 1 %; None where each is traced anew.
     memory_mb : of the photons kept for 1 %; None where none are.
@@ -70,12 +81,8 @@ class Level:
     name: str
     backend: str
     changes: Changes
-    bias: float
-    bias_stderr: float
-    bias_bound: float
-    signal_bias: float | None
-    signal_bias_stderr: float | None
-    signal_bound: float | None
+    reading: Bias
+    signal: Bias | None
     cpu_seconds: tuple[float, ...]
     reweight_seconds: float | None
     memory_mb: float | None
@@ -113,8 +120,8 @@ class Tradeoff:
     def front(self) -> list[Level]:
         """The Pareto front: levels than which none is both cheaper and nearer to the reference, cheapest first."""
         out: list[Level] = []
-        for one in sorted(self.levels, key=lambda level: (level.cpu_seconds[0], abs(level.bias))):
-            if np.isfinite(one.bias) and (not out or abs(one.bias) < abs(out[-1].bias)):
+        for one in sorted(self.levels, key=lambda level: (level.cpu_seconds[0], abs(level.reading.value))):
+            if np.isfinite(one.reading.value) and (not out or abs(one.reading.value) < abs(out[-1].reading.value)):
                 out.append(one)
         return out
 
@@ -123,7 +130,7 @@ class Tradeoff:
         kept = {name: getattr(self, name) for name in ("tolerance", "chosen", "seconds_to_prove", "wall_seconds")}
         batches = {str(photons): seconds for photons, seconds in self.batches.items()}
         made = {name: self.attributes[name] for name in ("digest", "photons")}
-        rows = [vars(level) | {"lines": level.lines, "front": level in self.front} for level in self.levels]
+        rows = [asdict(level) | {"lines": level.lines, "front": level in self.front} for level in self.levels]
         return kept | {"lines": self.choice.lines, "batches": batches} | made | {"levels": rows}
 
     def __str__(self) -> str:
@@ -132,15 +139,15 @@ class Tradeoff:
             f"{'CPU s to 1 %':>12} {'0.3 %':>8} {'0.1 %':>8} {'MB':>6}  front"
         ]
         for one in self.levels:
-            signal, bound = "", ""
-            if one.signal_bias is not None and one.signal_bias_stderr is not None and one.signal_bound is not None:
-                signal = f"{100 * one.signal_bias:+7.2f} +- {100 * one.signal_bias_stderr:4.2f} %"
-                bound = f"{one.signal_bound:.1%}"
+            signal = bound = ""
+            if one.signal is not None:
+                signal = f"{100 * one.signal.value:+7.2f} +- {100 * one.signal.stderr:4.2f} %"
+                bound = f"{one.signal.bound:.1%}"
             memory = "" if one.memory_mb is None else f"{one.memory_mb:.0f}"
-            off = f"{100 * one.bias:+8.2f} +- {100 * one.bias_stderr:4.2f} %"
-            off = off if np.isfinite(one.bias) else "not known"
+            off = f"{100 * one.reading.value:+8.2f} +- {100 * one.reading.stderr:4.2f} %"
+            off = off if np.isfinite(one.reading.value) else "not known"
             lines.append(
-                f"{one.name:<24} {off:>18} {one.bias_bound:>8.1%} "
+                f"{one.name:<24} {off:>18} {one.reading.bound:>8.1%} "
                 f"{signal:>17} {bound:>8} {one.cpu_seconds[0]:>12.3g} {one.cpu_seconds[1]:>8.3g} "
                 f"{one.cpu_seconds[2]:>8.3g} {memory:>6}  {'*' if one in self.front else ''}"
             )
@@ -263,10 +270,10 @@ def _levels(
 def _measured(name: str, changes: Changes, base: PairedReadings, other: PairedReadings, tolerance: float) -> Level:
     """A traced level against the reference."""
     found = difference(base, other)
-    bias, bias_stderr, bound = _mean_and_bound(found.ratio, found.ratio_stderr, base)
-    signal, signal_stderr, signal_bound = _mean_and_bound(found.swing, found.swing_stderr, base)
+    reading = _bias(found.ratio, found.ratio_stderr, base)
+    signal = _bias(found.swing, found.swing_stderr, base)
     if other is base:
-        bound = signal_bound = 0.0
+        reading, signal = replace(reading, bound=0.0), replace(signal, bound=0.0)
     worst = float(other.relative_stderr.max())
     kept = sum(t.weight.nbytes + t.path_mm.nbytes + t.photodiode.nbytes for t in other.transfer.traces)
     more = (worst / TARGETS[0]) ** 2
@@ -277,17 +284,13 @@ def _measured(name: str, changes: Changes, base: PairedReadings, other: PairedRe
         name=name,
         backend=other.transfer.backend,
         changes=changes,
-        bias=bias,
-        bias_stderr=bias_stderr,
-        bias_bound=bound,
-        signal_bias=signal,
-        signal_bias_stderr=signal_stderr,
-        signal_bound=signal_bound,
+        reading=reading,
+        signal=signal,
         cpu_seconds=_cost(other.transfer.cpu_seconds, worst),
         reweight_seconds=reweight_seconds,
         memory_mb=kept * more / 1e6,
         setup_seconds=other.setup_seconds,
-        proven=bound <= tolerance,
+        proven=reading.bound <= tolerance,
     )
 
 
@@ -295,10 +298,9 @@ def _between(first: np.ndarray, last: np.ndarray) -> np.ndarray:
     return first + np.linspace(0, 1, STATES)[:, None] * (last - first)
 
 
-def _mean_and_bound(values: np.ndarray, error: np.ndarray, base: PairedReadings) -> tuple[float, float, float]:
-    """Mean over the readings, its error, and what no one exceeds."""
+def _bias(values: np.ndarray, error: np.ndarray, base: PairedReadings) -> Bias:
     bounds = np.abs(values) + Z95 * error
-    return *weighted_mean(values, error, base), float(np.max(np.where(np.isfinite(bounds), bounds, np.inf)))
+    return Bias(*weighted_mean(values, error, base), float(np.max(np.where(np.isfinite(bounds), bounds, np.inf))))
 
 
 def _cost(cpu_seconds: float, error: float) -> tuple[float, ...]:
@@ -326,17 +328,15 @@ def _formulas(full: Scene, base: PairedReadings, reference: Level, seed: int, to
     formulas = (("taylor", "Taylor (9)", lambda x: 1 - x), ("beer_lambert", "Beer-Lambert (8)", lambda x: np.exp(-x)))
     for name, words, formula in formulas:
         values = np.stack(off[name])
-        signal, error, bound = _mean_and_bound(values[:, 0], np.stack([jackknife(one) for one in values]), base)
+        signal = _bias(values[:, 0], np.stack([jackknife(one) for one in values]), base)
         begin = time.perf_counter()
         formula(np.outer(depth, along))
         yield replace(
             reference,
             name=words,
-            signal_bias=signal,
-            signal_bias_stderr=error,
-            signal_bound=bound,
+            signal=signal,
             reweight_seconds=len(full.leds) * (time.perf_counter() - begin),
-            proven=bound <= tolerance,
+            proven=signal.bound <= tolerance,
         )
 
 
@@ -367,22 +367,18 @@ def _stock(
         relative = np.where(value > 0, relative / value, np.inf)
         ratio = value / narrow.level - 1
         error_of = error_of_ratio(ratio, relative, narrow.relative_stderr)
-    bias, bias_stderr, bound = _mean_and_bound(ratio, error_of, narrow)
+    reading = _bias(ratio, error_of, narrow)
     return Level(
         name=f"stock Mitsuba, {backend}",
         backend=backend,
         changes=STOCK,
-        bias=bias,
-        bias_stderr=bias_stderr,
-        bias_bound=bound,
-        signal_bias=None,
-        signal_bias_stderr=None,
-        signal_bound=None,
+        reading=reading,
+        signal=None,
         cpu_seconds=_cost(time.process_time() - cpu, float(relative.max())),
         reweight_seconds=None,
         memory_mb=None,
         setup_seconds=max(time.perf_counter() - begin - rest.wall_seconds, 0.0),
-        proven=bound <= tolerance,
+        proven=reading.bound <= tolerance,
     )
 
 
@@ -395,12 +391,11 @@ def _cheapest(measured: list[Level]) -> Level:
 
 def _to_prove(levels: list[Level], choice: Level, tolerance: float, spent: float) -> float | None:
     """Seconds after which a cheaper level would be proven to meet the tolerance, if it does; None where none could."""
+    cheaper = [one.reading for one in levels if not one.proven and one.cpu_seconds[0] < choice.cpu_seconds[0]]
     needed = [
-        spent * ((one.bias_bound - abs(one.bias)) / (tolerance - abs(one.bias))) ** 2
-        for one in levels
-        if not one.proven
-        and one.cpu_seconds[0] < choice.cpu_seconds[0]
-        and abs(one.bias) + one.bias_stderr < tolerance < one.bias_bound < np.inf
+        spent * ((bias.bound - abs(bias.value)) / (tolerance - abs(bias.value))) ** 2
+        for bias in cheaper
+        if abs(bias.value) + bias.stderr < tolerance < bias.bound < np.inf
     ]
     return min(needed, default=None)
 

@@ -15,7 +15,7 @@ from nailoptics.report import tradeoff_page
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.studies.model_error import paired
 from nailoptics.studies.model_error import tradeoff as study
-from nailoptics.studies.model_error.tradeoff import OWN, REFERENCE, Level, Tradeoff, tradeoff
+from nailoptics.studies.model_error.tradeoff import OWN, REFERENCE, Bias, Level, Tradeoff, tradeoff
 from nailoptics.studies.model_error.variants import changes_between, lines_of
 
 
@@ -27,12 +27,10 @@ def level(name: str, **changes: Any) -> Level:
     values: dict[str, Any] = {
         "backend": "llvm",
         "changes": {},
-        "bias": 0.0,
-        "bias_stderr": 0.0,
-        "bias_bound": 0.0,
-        "signal_bias": None,
+        "reading": Bias(0.0, 0.0, 0.0),
+        "signal": None,
+        "cpu_seconds": (10.0, 111.0, 1000.0),
     }
-    values |= {"signal_bias_stderr": None, "signal_bound": None, "cpu_seconds": (10.0, 111.0, 1000.0)}
     values |= {"reweight_seconds": None, "memory_mb": 1.0, "setup_seconds": 1.0}
     return Level(name=name, **(values | {"proven": True} | changes))
 
@@ -50,17 +48,10 @@ def test_few_dim_photons_do_not_pass_for_a_sure_small_reading():
 
 def test_the_picture_and_the_front_know_what_is_cheap_and_near():
     levels = (
-        level("far", bias=0.2, bias_stderr=0.01, cpu_seconds=(1.0, 11.0, 100.0), proven=False),
-        level("worse", bias=0.3, cpu_seconds=(2.0, 22.0, 200.0), proven=False),
-        level(
-            "near",
-            bias=0.01,
-            cpu_seconds=(3.0, 33.0, 300.0),
-            signal_bias=0.03,
-            signal_bias_stderr=0.01,
-            signal_bound=0.1,
-        ),
-        level("unseen", bias=math.nan, bias_stderr=math.inf, cpu_seconds=(math.inf,) * 3, proven=False),
+        level("far", reading=Bias(0.2, 0.01, 0.0), cpu_seconds=(1.0, 11.0, 100.0), proven=False),
+        level("worse", reading=Bias(0.3, 0.0, 0.0), cpu_seconds=(2.0, 22.0, 200.0), proven=False),
+        level("near", reading=Bias(0.01, 0.0, 0.0), cpu_seconds=(3.0, 33.0, 300.0), signal=Bias(0.03, 0.01, 0.1)),
+        level("unseen", reading=Bias(math.nan, math.inf, 0.0), cpu_seconds=(math.inf,) * 3, proven=False),
         level(REFERENCE, cpu_seconds=(9.0, 100.0, 900.0)),
     )
     made = {"scene": "", "digest": "", "photons": 1}
@@ -107,17 +98,17 @@ def test_a_proven_level_is_within_the_tolerance_and_the_full_one_always_is(found
         full.proven and by_name["one wavelength"].proven and by_name["one wavelength"].cpu_seconds == full.cpu_seconds
     )
     formulas = ("Taylor (9)", "Beer-Lambert (8)")
-    assert all(one.bias_bound <= 0.02 for one in found.levels if one.proven and one.name not in formulas)
+    assert all(one.reading.bound <= 0.02 for one in found.levels if one.proven and one.name not in formulas)
     # A formula takes its reading at rest from the trace; it has to prove its signal.
     for name in formulas:
         one = by_name[name]
-        assert one.signal_bound > 0 and one.proven == (one.signal_bound <= 0.02)
+        assert one.signal.bound > 0 and one.proven == (one.signal.bound <= 0.02)
         assert one.reweight_seconds < by_name[REFERENCE].reweight_seconds
     # Without forward scattering there is a tenth of the scatterings: the walk is cheaper, and wrong.
     similar = by_name["similarity"]
     assert not similar.proven and similar.cpu_seconds[0] < full.cpu_seconds[0]
     # Photons that never meet epidermis or Kapton are the same: the error is a part of what two traces apart would have.
-    assert by_name["no epidermis, no Kapton"].bias_stderr < 0.7 * by_name["matched indices"].bias_stderr
+    assert by_name["no epidermis, no Kapton"].reading.stderr < 0.7 * by_name["matched indices"].reading.stderr
     assert found.choice.cpu_seconds[0] <= full.cpu_seconds[0]
 
 
