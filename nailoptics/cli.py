@@ -249,7 +249,8 @@ def place(
     from .exports.mesh_files import export_mesh
     from .report.place_page import write_placement
     from .scene import to_toml
-    from .scene.kicad import write_outline, write_positions
+    from .scene.dxf import write_outline
+    from .scene.positions import write_positions
     from .studies.placement.place import place as study
     from .studies.placement.result import chosen, gain, kicad_parts, outline, rows
 
@@ -532,11 +533,14 @@ def figures(
 
 
 @app.command
-def schema() -> None:
-    """Print the JSON Schema of scene files, for editors."""
-    from .scene import json_schema
+def schema(
+    *, of: Annotated[Literal["scene", "sweep"], Parameter(help="Which file the schema is for.")] = "scene"
+) -> None:
+    """Print the JSON Schema of scene files, or of sweep files, for editors."""
+    from . import scene
+    from .scene.sweep import sweep_json_schema
 
-    print_json(json_schema())
+    print_json(sweep_json_schema() if of == "sweep" else scene.json_schema())
 
 
 @app.command

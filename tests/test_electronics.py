@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from nailoptics.assets import PhotodiodeArrayPart, load_part
 from nailoptics.electronics import lsb_v, noise_budget, read, responsivity_a_per_w
 from nailoptics.errors import InputError
 from nailoptics.scene import Electronics
+from nailoptics.scene.catalogue import PhotodiodeArrayPart, load_part
 
 
 def test_responsivity_is_that_of_silicon():

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from typing import Any, Unpack
 
 import numpy as np
+from pydantic import ValidationError
 
+from .. import checks
 from ..errors import InputError, NotReachedError
 from ..options import Requested, TraceOptions
 from ..scene import Accuracy, Scene
@@ -120,10 +122,8 @@ def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
         kept = {} if {"photons", "relative_error"} & given.keys() else scene.accuracy.model_dump(exclude_none=True)
         try:
             asked = Accuracy(**(kept | given))
-        except ValueError as error:
-            from ..scene.files import explain
-
-            raise InputError(explain(error, Accuracy)) from None  # type: ignore[arg-type]
+        except ValidationError as error:
+            raise InputError(checks.explain(error, Accuracy)) from None
     if asked.photons is None and asked.relative_error is None and asked.max_seconds is None:
         return Accuracy(photons=DEFAULT_PHOTONS)
     return asked

@@ -4,9 +4,6 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-# Where the optics of every tissue are known.
-WAVELENGTH_RANGE_NM = (450.0, 1000.0)
-
 
 class Table(BaseModel):
     """One table of a scene file."""

@@ -5,8 +5,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from ..assets import WAVELENGTH_RANGE_NM
 from ..errors import InputError
-from .base import WAVELENGTH_RANGE_NM, Fraction, Name, NonNegative, Positive, Table
+from .base import Fraction, Name, NonNegative, Positive, Table
 from .finger import Finger
 from .layout import Layout, lay_out
 from .parts import Board, Led, Photodiode

@@ -4,9 +4,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, model_validator
 
-from ..assets import LedPart, PhotodiodeArrayPart, load_part
 from ..errors import InputError
 from .base import Fraction, Name, NonNegative, Point, Positive, Size, Table
+from .catalogue import LedPart, PhotodiodeArrayPart, load_part
 
 Wavelength = Annotated[float, Field(ge=200, le=3000)]
 PARTS: dict[str, Any] = {"part": LedPart, "array": PhotodiodeArrayPart}

@@ -6,7 +6,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, ValidationInfo, model_validator
 
 from .base import Fraction, Name, NonNegative, Point, Table
-from .kicad import read_outline, read_positions
+from .dxf import read_outline
+from .positions import read_positions
 
 
 class Candidate(Table):

@@ -1,6 +1,5 @@
 """The touch: force over time as a step, a ramp, a held force or a recorded CSV."""
 
-import csv
 import math
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -10,6 +9,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from ..errors import InputError
 from .base import Fraction, NonNegative, Positive, Table
+from .text_files import read_rows
 
 
 class Touch(Table):
@@ -89,21 +89,11 @@ class Touch(Table):
 
 def read_recording(path: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Time [s] and force [N] of a recorded touch, from a CSV with the header time_s,force_n."""
-    try:
-        # Spreadsheets write a byte order mark.
-        with path.open(newline="", encoding="utf-8-sig") as handle:
-            reader = csv.reader(handle)
-            lines = [(reader.line_num, row) for row in reader if row and not row[0].lstrip().startswith("#")]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not a text file"
-        raise InputError(
-            f"touch.file {str(path)!r} cannot be read: {reason}; give a CSV with columns time_s,force_n."
-        ) from None
-    header = [name.strip() for name in lines[0][1]] if lines else []
+    name = f"touch.file {str(path)!r}"
+    lines = read_rows(path, "a CSV with columns time_s,force_n", shown=name)
+    header = [cell.strip() for cell in lines[0][1]] if lines else []
     if "time_s" not in header or "force_n" not in header:
-        raise InputError(
-            f"touch.file {str(path)!r} needs a header with time_s and force_n, has {','.join(header) or 'nothing'!r}."
-        )
+        raise InputError(f"{name} needs a header with time_s and force_n, has {','.join(header) or 'nothing'!r}.")
     columns = header.index("time_s"), header.index("force_n")
     time_s, force_n = [], []
     for number, row in lines[1:]:
@@ -111,8 +101,8 @@ def read_recording(path: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
             time_s.append(float(row[columns[0]]))
             force_n.append(float(row[columns[1]]))
         except (ValueError, IndexError):
-            raise InputError(f"touch.file {str(path)!r} line {number}: {','.join(row)!r} is not two numbers.") from None
-    check_recording(time_s, force_n, f"touch.file {str(path)!r}")
+            raise InputError(f"{name} line {number}: {','.join(row)!r} is not two numbers.") from None
+    check_recording(time_s, force_n, name)
     return tuple(time_s), tuple(force_n)
 
 

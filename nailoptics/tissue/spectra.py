@@ -3,10 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..assets import read_table
+from ..assets import WAVELENGTH_RANGE_NM, read_table
 from ..errors import InputError
-
-WAVELENGTH_RANGE_NM = (450.0, 1000.0)
 
 HAEMOGLOBIN_G_PER_L = 150.0
 HAEMOGLOBIN_G_PER_MOL = 64500.0

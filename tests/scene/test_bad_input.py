@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from nailoptics.assets import LedPart
+from nailoptics.assets import WAVELENGTH_RANGE_NM
 from nailoptics.errors import InputError
 from nailoptics.scene import load_scene, parse_scene
-from nailoptics.scene.base import WAVELENGTH_RANGE_NM
+from nailoptics.scene.catalogue import LedPart
 from nailoptics.tissue import WAVELENGTH_RANGE_NM as TISSUE_RANGE_NM
 
 FINGER = """

@@ -1,13 +1,16 @@
-"""Sweep files become scenes in order, and every mistake in one is told in one line."""
+"""Sweep files become scenes in order, every mistake in one is told in one line, and editors have their schema."""
 
 import itertools
+import json
+import tomllib
 
+import jsonschema
 import numpy as np
 import pytest
 
 from nailoptics.assets import data_dir
-from nailoptics.batch import load_sweep
 from nailoptics.errors import InputError
+from nailoptics.scene.sweep import load_sweep, sweep_json_schema
 
 BASE = 'schema_version = 1\nbase = "prototype"\n'
 
@@ -74,9 +77,31 @@ def test_scenes_can_be_listed_and_swept_together(tmp_path):
     assert both.dims == {"scene": 2, "force_n": 2} and len(both.scenes) == 4
 
 
-@pytest.mark.parametrize("path", sorted((data_dir("scenes") / "sweeps").glob("*.toml")), ids=lambda p: p.stem)
+SWEEPS = sorted((data_dir("scenes") / "sweeps").glob("*.toml"))
+
+
+@pytest.mark.parametrize("path", SWEEPS, ids=lambda p: p.stem)
 def test_the_shipped_sweeps_load(path):
     assert len(load_sweep(path).scenes) >= 20
+
+
+def test_the_shipped_schema_is_the_models_own():
+    shipped = json.loads((data_dir("scenes") / "sweep.schema.json").read_text(encoding="utf-8"))
+    assert shipped == sweep_json_schema() and shipped["title"] == "nailoptics sweep"
+
+
+@pytest.mark.parametrize("path", SWEEPS, ids=lambda p: p.stem)
+def test_shipped_sweeps_name_and_meet_the_schema(path):
+    text = path.read_text(encoding="utf-8")
+    assert text.splitlines()[0] == "#:schema ../sweep.schema.json"
+    validator = jsonschema.Draft202012Validator(sweep_json_schema())
+    validator.check_schema(sweep_json_schema())
+    data = tomllib.loads(text)
+    assert [error.message for error in validator.iter_errors(data)] == []
+    data["combine"] = "both"
+    data["axes"][0]["colour"] = "red"
+    del data["axes"][0]["path"]
+    assert len(list(validator.iter_errors(data))) == 3
 
 
 @pytest.mark.parametrize(
@@ -90,7 +115,7 @@ def test_the_shipped_sweeps_load(path):
         (BASE + "[[axes]]\nvalues = [1]", "axes[0].path is missing"),
         (BASE + '[[axes]]\npath = "blood..so2"\nvalues = [1]', "is no field"),
         (BASE + '[[axes]]\npath = "blood.so2"', "exactly one of"),
-        (BASE + '[[axes]]\npath = "blood.so2"\nvalues = []', "at least one value"),
+        (BASE + '[[axes]]\npath = "blood.so2"\nvalues = []', "axes[0].values = []: must have at least 1 item"),
         (BASE + '[[axes]]\npath = "blood.so2"\nvalues = [1.5]', "blood.so2 = 1.5"),
         (BASE + '[[axes]]\npath = "blod.so2"\nvalues = [0.5]', 'did you mean "blood"'),
         (BASE + '[[axes]]\npath = "leds.red.flux_mw"\nvalues = [0.5]', "no item red"),
@@ -103,7 +128,7 @@ def test_the_shipped_sweeps_load(path):
         (BASE + 'combine = "both"\n[[axes]]\npath = "blood.so2"\nvalues = [1.0]', "combine"),
         (BASE + "samples = 3\n" + '[[axes]]\npath = "blood.so2"\nvalues = [1.0]', "latin_hypercube"),
         (BASE + '[[axes]]\npath = "touch.force_n"\nname = "led"\nvalues = [1.0]', "taken"),
-        (BASE + '[[axes]]\npath = "blood.so2"\nlinspace = [0, 1, 2000000]', "count"),
+        (BASE + '[[axes]]\npath = "blood.so2"\nlinspace = [0, 1, 2000000]', "axes[0].linspace[2] = 2000000"),
         (
             BASE
             + 'combine = "zip"\n[[axes]]\npath = "blood.so2"\nvalues = [1.0]\n'
@@ -111,7 +136,7 @@ def test_the_shipped_sweeps_load(path):
             "as many of each",
         ),
         ('schema_version = 1\nscenes = ["none.toml"]', "cannot be read"),
-        ("schema_version = 1\nscenes = []", "at least one"),
+        ("schema_version = 1\nscenes = []", "scenes = []: must have at least 1 item"),
         ("no toml", "not valid TOML"),
     ],
 )

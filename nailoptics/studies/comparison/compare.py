@@ -12,9 +12,9 @@ from ...errors import InputError, NotReachedError
 from ...light import Progress, Transfer, optics, trace
 from ...options import Requested, TraceOptions
 from ...scene import Scene
+from ...scene.files import scene_of
 from ...variables import Variable, variable
 from ..blood_states import zones_of_photodiodes
-from ..model_error.variants import validated
 from ..replicates import read_led
 from .formula_errors import MODELS, PARTS, TOLERANCES, WAYS, TracedSweep, formula_errors
 from .state_sweep import OVER, Over, StateSweep, state_sweep
@@ -86,7 +86,7 @@ def _at_wavelength(scene: Scene, wavelength_nm: float) -> Scene:
         led.model_dump() | {"wavelength_nm": wavelength_nm, "name": f"{led.name[:30]}.{wavelength_nm:g}nm"}
         for led in scene.leds
     ]
-    return validated(scene.model_dump() | {"leds": tuple(leds)})
+    return scene_of(scene.model_dump() | {"leds": tuple(leds)})
 
 
 def _scattering_slopes(

@@ -7,13 +7,14 @@ import numpy as np
 
 from ... import electronics, tissue
 from ...scene import Scene
+from ...scene.files import scene_of
 from ...scene.layout import Rectangle
 from ...statistics import Z95
 from ..ambient import SILICON_NM, SOURCES, STEP_NM, collecting_area_mm2
 from ..comparison.compare import BLOOD_REDUCED_SCATTERING_PER_MM
 from .effect import Change, Effect, effect_of
 from .paired import UNSEEN_VARIANCE, Difference, PairedReadings, end_states, paired_readings
-from .variants import revised, validated
+from .variants import revised
 
 SCATTERING_FACTOR = 1.4
 # A part that less of a reading returns from is cut off.
@@ -72,7 +73,7 @@ def swapped(scene: Scene, far: Rectangle) -> Scene:
     outline = layout.outline
     size = (outline.u_max - outline.u_min, outline.v_max - outline.v_min)
     board = tables["board"] | {"size_mm": size, "center_mm": center}
-    return validated(tables | {"board": board, "leds": (led,), "photodiodes": (photodiode,)})
+    return scene_of(tables | {"board": board, "leds": (led,), "photodiodes": (photodiode,)})
 
 
 def ambient(scene: Scene, base: PairedReadings, swapped: PairedReadings, tolerance: float) -> Effect:

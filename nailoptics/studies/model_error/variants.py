@@ -2,12 +2,10 @@
 
 from typing import Any
 
-from pydantic import ValidationError
-
-from ...assets import load_part
 from ...errors import InputError
 from ...scene import Led, Scene
-from ...scene.files import explain
+from ...scene.catalogue import load_part
+from ...scene.files import scene_of
 
 # Fields by table of the scene; those of "leds" are every LED's, and None stands for what its part says.
 Changes = dict[str, dict[str, Any]]
@@ -34,15 +32,7 @@ def revised(scene: Scene, changes: Changes) -> Scene:
             tables[table] = tuple(led | width for led, width in zip(tables[table], widths, strict=True))
         else:
             tables[table] = tuple(led | fields for led in tables[table])
-    return validated(tables)
-
-
-def validated(tables: dict[str, Any]) -> Scene:
-    """A scene from its tables; raises InputError where they make none."""
-    try:
-        return Scene.model_validate(tables)
-    except ValidationError as error:
-        raise InputError(explain(error, Scene)) from None
+    return scene_of(tables)
 
 
 def changes_between(scene: Scene, other: Scene) -> Changes:

@@ -9,7 +9,7 @@ import xarray as xr
 from ...light.board_map import PhotonMap, map_dataset
 from ...light.transfer import provenance
 from ...scene import Scene, parse_scene, to_toml
-from ...scene.kicad import PlacedPart
+from ...scene.positions import PlacedPart
 from ...statistics import jackknife, left_out
 from ...variables import Variable, variable
 from .boards import CandidateLayout

@@ -13,8 +13,9 @@ from nailoptics.io import write_dataset
 from nailoptics.light.board_map import Arrivals, PhotonMap
 from nailoptics.report.place_page import write_placement
 from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
-from nailoptics.scene.kicad import read_outline, read_positions, write_outline
+from nailoptics.scene.dxf import read_outline, write_outline
 from nailoptics.scene.layout import Rectangle
+from nailoptics.scene.positions import read_positions
 from nailoptics.studies.placement import boards, exchange, fisher, photon_maps, place, result, scores
 from nailoptics.tissue import BloodZones
 

@@ -1,0 +1,137 @@
+"""Parts by name: LED dies and photodiode arrays from files, the user's own before the shipped ones."""
+
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, overload
+
+import numpy as np
+from pydantic import BeforeValidator, Field, ValidationError
+
+from ..assets import WAVELENGTH_RANGE_NM, data_dir
+from ..checks import explain
+from ..errors import InputError
+from .base import NonNegative, Positive, Size, Table
+from .text_files import one_line, parse_toml, read_text
+
+
+def _pattern(value: object) -> object:
+    rule = 'must be "lambertian" or rows [angle_deg, relative] with angles rising from 0 to at most 90, relative >= 0'
+    if value == "lambertian":
+        return value
+    try:
+        rows = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{rule}, not {value!r}") from None
+    if rows.ndim != 2 or rows.shape[1] != 2 or len(rows) < 2 or not np.isfinite(rows).all():
+        raise ValueError(rule)
+    angle, relative = rows.T
+    if angle[0] != 0 or angle[-1] > 90 or (np.diff(angle) <= 0).any() or (relative < 0).any() or not relative.any():
+        raise ValueError(rule)
+    return tuple(map(tuple, rows.tolist()))
+
+
+class LedPart(Table):
+    """An LED die: its line, power and angular pattern."""
+
+    kind: Literal["led"]
+    peak_nm: Annotated[float, Field(ge=WAVELENGTH_RANGE_NM[0], le=WAVELENGTH_RANGE_NM[1])]
+    """Peak wavelength. [nm]"""
+    fwhm_nm: Annotated[float, Field(ge=0, le=200)]
+    """Full width at half maximum of the spectrum; 0 makes a single line. [nm]"""
+    flux_mw: Positive
+    """Radiant flux. [mW]"""
+    die_size_mm: Size = (0.25, 0.25)
+    """Size of the die across the nail (u) and along it (v). [mm]"""
+    pattern: Annotated[Literal["lambertian"] | tuple[tuple[float, float], ...], BeforeValidator(_pattern)] = (
+        "lambertian"
+    )
+    """lambertian, or rows [angle_deg, relative intensity per solid angle]."""
+
+    def scene_fields(self) -> dict[str, Any]:
+        """The part under the names that an LED has in a scene."""
+        fields: dict[str, Any] = {
+            "wavelength_nm": self.peak_nm,
+            "fwhm_nm": self.fwhm_nm,
+            "flux_mw": self.flux_mw,
+            "size_mm": self.die_size_mm,
+        }
+        if self.pattern == "lambertian":
+            return fields | {"pattern": "lambertian"}
+        angle_deg, relative = zip(*self.pattern, strict=True)
+        return fields | {"pattern": "measured", "pattern_deg": angle_deg, "pattern_relative": relative}
+
+
+class PhotodiodeArrayPart(Table):
+    """A row of equal photodiode elements along the nail (v)."""
+
+    kind: Literal["photodiode_array"]
+    elements: Annotated[int, Field(ge=1, le=1024)]
+    """Number of elements."""
+    element_size_mm: Size
+    """Size of an element across the nail (u) and along it (v). [mm]"""
+    pitch_mm: Positive
+    """From centre to centre, along v. [mm]"""
+    quantum_efficiency: Annotated[float, Field(gt=0, le=1)]
+    """Electrons per photon that arrives."""
+    dark_current_na: NonNegative
+    """Dark current of one element. [nA]"""
+    shunt_ohm: Positive
+    """Shunt resistance of one element. [ohm]"""
+
+    def scene_fields(self) -> dict[str, Any]:
+        """The part under the names that a photodiode has in a scene."""
+        return {
+            "elements": self.elements,
+            "size_mm": self.element_size_mm,
+            "pitch_mm": self.pitch_mm,
+            "quantum_efficiency": self.quantum_efficiency,
+            "dark_current_na": self.dark_current_na,
+            "shunt_mohm": self.shunt_ohm / 1e6,
+        }
+
+
+Part = LedPart | PhotodiodeArrayPart
+_P = TypeVar("_P", LedPart, PhotodiodeArrayPart)
+KINDS: dict[str, type[Part]] = {"led": LedPart, "photodiode_array": PhotodiodeArrayPart}
+
+
+@overload
+def load_part(name: str, beside: Path | str | None = None, *, expect: None = None) -> Part: ...
+@overload
+def load_part(name: str, beside: Path | str | None = None, *, expect: type[_P]) -> _P: ...
+def load_part(name: str, beside: Path | str | None = None, *, expect: type | None = None) -> object:
+    """Load a part by name: the user's own beside their scene if there is one, else the shipped one.
+
+    name : The file's name without .toml, such as "led_800".
+    beside : Folder of the user's scene; `name`.toml and parts/`name`.toml in it come first.
+    expect : `LedPart` or `PhotodiodeArrayPart`, where only that kind will do.
+
+    Raises: InputError when there is no such part, when it breaks a rule, or when it is of the other kind.
+    """
+    path = _find_part(name, None if beside is None else Path(beside))
+    shown = f"part {path}"
+    tables = parse_toml(read_text(path, "a part (TOML)", shown=shown), shown)
+    kind = tables.get("kind")
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise InputError(f'{shown}: kind must be "led" or "photodiode_array"; set it')
+    try:
+        part = KINDS[kind].model_validate(tables)
+    except ValidationError as error:
+        raise InputError(one_line(f"{shown}: {explain(error, KINDS[kind])}")) from None
+    if expect is not None and not isinstance(part, expect):
+        wanted = next(kind for kind, model in KINDS.items() if model is expect)
+        raise InputError(f'part "{name}" has kind "{part.kind}", and "{wanted}" is needed here; name another part')
+    return part
+
+
+def _find_part(name: str, beside: Path | None) -> Path:
+    if not re.fullmatch(r"\w[\w.-]*", name):
+        raise InputError(f'part "{name}" is not a name of letters, digits, "_", "-" and "."; give no path and no .toml')
+    shipped = data_dir("assets") / "parts"
+    folders = [] if beside is None else [beside, beside / "parts"]
+    for folder in (*folders, shipped):
+        if (path := folder / f"{name}.toml").is_file():
+            return path
+    known = ", ".join(sorted(path.stem for path in shipped.glob("*.toml")))
+    own = "" if beside is None else f", or put your own {name}.toml into {beside}"
+    raise InputError(f'part "{name}" is unknown; choose one of {known}{own}')
