@@ -2,25 +2,26 @@
 
 With two zones a set whose vein closes near 1 N cannot show a proximal reading that rises late: once the vein is closed
 nothing that the distal half does reaches it. Nor can its distal reading go on rising once that zone is closed. Eight
-zones (``zones`` with a decay length) show both.
+zones (`zones` with a decay length) show both.
 """
-
-from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 
 from ..hemodynamics.parameters import NAMES, Parameters, parameters
+from ..hemodynamics.steady import steady_state
 from ..hemodynamics.zones import PAPER_ZONES, Zones, zones
 from .claims import RULES
 from .protocols import static_readings
-from .responses import N_PER_CM2, observe
+from .responses import N_PER_CM2, simulate_responses
 
-REACH = 0.15
-"""Decay length of the distal pressure with eight zones: the white band takes a part of the bed at 4 N, not all. [1]"""
+# Decay length of the distal pressure with eight zones, in lengths of the bed: the white band takes a part of the bed at
+# 4 N, not all. [1]
+DECAY_LENGTH = 0.15
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,62 +54,59 @@ class Claim:
 
 
 def judge(set_of_parameters: Parameters) -> list[Claim]:
-    """Return every claim, measured on one set."""
-    seen = observe(set_of_parameters)
+    """Every claim, measured on one set."""
+    responses = simulate_responses(set_of_parameters)
     claims = [
-        Claim(rule.figure, rule.text, rule.unit, float(rule.measure(seen)), rule.low, rule.high) for rule in RULES
+        Claim(rule.figure, rule.text, rule.unit, float(rule.measure(responses)), rule.low, rule.high) for rule in RULES
     ]
-    return claims + _band(set_of_parameters)
+    return [
+        *claims,
+        *_past_1_n("two zones", set_of_parameters, PAPER_ZONES),
+        *_past_1_n("eight zones", set_of_parameters, zones(8, decay_length=DECAY_LENGTH)),
+    ]
 
 
 def table(sets: Mapping[str, Parameters] | Iterable[str] = NAMES) -> dict[str, list[Claim]]:
-    """Return the judged claims of several sets, by name: named ones, or any given with their names."""
+    """The judged claims of several sets, by name: named ones, or any given with their names."""
     if isinstance(sets, Mapping):
         return {name: judge(values) for name, values in sets.items()}
     return {name: judge(parameters(name)) for name in sets}
 
 
-def as_rows(judged: Mapping[str, list[Claim]]) -> list[dict[str, object]]:
-    """Return the table as plain rows: one for each claim, with value and verdict of each set."""
-    rows: list[dict[str, object]] = []
+def as_rows(judged: Mapping[str, list[Claim]]) -> list[dict[str, Any]]:
+    """The table as plain rows: one for each claim, with value and verdict of each set."""
+    rows = []
     for same in zip(*judged.values(), strict=True):
+        sets = {name: {"value": claim.value, "met": claim.met} for name, claim in zip(judged, same, strict=True)}
         first = same[0]
-        rows.append(
-            {
-                "figure": first.figure,
-                "claim": first.text,
-                "rule": first.rule,
-                "unit": first.unit,
-                "sets": {
-                    name: {"value": claim.value, "met": claim.met} for name, claim in zip(judged, same, strict=True)
-                },
-            }
-        )
+        rows.append({"figure": first.figure, "claim": first.text, "rule": first.rule, "unit": first.unit, "sets": sets})
     return rows
 
 
 def as_text(judged: Mapping[str, list[Claim]]) -> str:
-    """Return the table as text: the measured value for each set, and whether it meets the claim."""
+    """The table as text: the measured value for each set, and whether it meets the claim."""
     rows = as_rows(judged)
-    claim_width = max(len(str(row["claim"])) for row in rows)
-    rule_width = max(len(str(row["rule"])) for row in rows)
+    claim_width, rule_width = (max(len(row[column]) for row in rows) for column in ("claim", "rule"))
     width = max(18, *(len(name) + 1 for name in judged))
-    lines = [f"{'fig.':<6} {'claim':<{claim_width}} {'rule':<{rule_width}} " + "".join(f"{n:>{width}}" for n in judged)]
+
+    def line(figure: str, claim: str, rule: str, cells: Iterable[object]) -> str:
+        start = f"{figure:<6} {claim:<{claim_width}} {rule:<{rule_width}} "
+        return start + "".join(f"{cell!s:>{width}}" for cell in cells)
+
+    lines = [line("fig.", "claim", "rule", judged)]
     for row in rows:
-        cells = ""
-        for verdict in row["sets"].values():  # type: ignore[attr-defined]
-            told = "met    " if verdict["met"] else "not met"
-            cells += f"{format(verdict['value'] or 0.0, '.3g') + ' ' + told:>{width}}"
-        lines.append(f"{row['figure']:<6} {row['claim']:<{claim_width}} {row['rule']:<{rule_width}} {cells}")
-    met = "".join(f"{sum(claim.met for claim in claims):>{width}}" for claims in judged.values())
-    lines.append(f"{'':<6} {'claims met of ' + str(len(rows)):<{claim_width}} {'':<{rule_width}} {met}")
-    return "\n".join(lines)
+        cells = [
+            # A negative zero reads as 0.
+            f"{one['value'] or 0.0:.3g} {'met    ' if one['met'] else 'not met'}"
+            for one in row["sets"].values()
+        ]
+        lines.append(line(row["figure"], row["claim"], row["rule"], cells))
+    met = [sum(claim.met for claim in claims) for claims in judged.values()]
+    return "\n".join([*lines, line("", f"claims met of {len(rows)}", "", met)])
 
 
-def band_width(set_of_parameters: Parameters, force_n: np.ndarray, *, cut: Zones) -> np.ndarray:
-    """Return the part of the bed, (S,) float, that holds less than half of its blood at rest. [1]"""
-    from ..hemodynamics.steady import steady_state
-
+def white_band(set_of_parameters: Parameters, force_n: np.ndarray, *, cut: Zones) -> np.ndarray:
+    """The part of the bed, (S,) float, that holds less than half of its blood at rest under an even touch. [1]"""
     touch = force_n * N_PER_CM2
     state = steady_state(set_of_parameters, proximal_pressure_pa=touch, distal_pressure_pa=touch, zones=cut)
     rest = steady_state(set_of_parameters, zones=cut).capillary_diameter_m
@@ -116,23 +114,19 @@ def band_width(set_of_parameters: Parameters, force_n: np.ndarray, *, cut: Zones
     return np.asarray(cut.share) @ white / sum(cut.share)
 
 
-def _band(p: Parameters) -> list[Claim]:
-    """Claims about force past 1 N, with two zones and with eight that the distal pressure reaches in part."""
-    claims = []
+def _past_1_n(label: str, p: Parameters, cut: Zones) -> list[Claim]:
+    """Claims about an even touch of more than 1 N on 1 cm^2."""
     force = np.linspace(0.0, 4.0, 81)
-    inf = math.inf
-    for label, cut in (("two zones", PAPER_ZONES), ("eight zones", zones(8, decay_length=REACH))):
-        proximal, distal = static_readings(p, force * N_PER_CM2, zones=cut)
-        one, knee, two = (int(np.searchsorted(force, f - 1e-9)) for f in (1.0, 1.2, 2.0))
-        slope = (distal[-1] - distal[two]) / 2.0 / ((distal[one] - distal[0]) / 1.0)
-        white = band_width(p, np.array([1.0, 4.0]), cut=cut)
-        late = (proximal[-1] - proximal[knee]) / abs(proximal[knee])
-        claims += [
-            Claim("15-18", f"{label}: distal slope past 1 N is small and positive (2 to 4 N over 0 to 1 N)", "1",
-                  float(slope), 0.005, 0.3),
-            Claim("15-18", f"{label}: the white band widens from 1 to 4 N (growth, of the bed)", "1",
-                  float(white[1] - white[0]), 0.1, inf),
-            Claim("15-18", f"{label}: the proximal reading rises late (1.2 to 4 N, of its fall)", "1",
-                  float(late), 0.01, inf),
-        ]  # fmt: skip
-    return claims
+    proximal, distal = static_readings(p, force * N_PER_CM2, zones=cut)
+    one, knee, two = (int(np.searchsorted(force, f - 1e-9)) for f in (1.0, 1.2, 2.0))
+    slope = (distal[-1] - distal[two]) / 2.0 / ((distal[one] - distal[0]) / 1.0)
+    white = white_band(p, np.array([1.0, 4.0]), cut=cut)
+    late = (proximal[-1] - proximal[knee]) / abs(proximal[knee])
+    return [
+        Claim("15-18", f"{label}: {text}", "1", float(value), low, high)
+        for text, value, low, high in (
+            ("distal slope past 1 N is small and positive (2 to 4 N over 0 to 1 N)", slope, 0.005, 0.3),
+            ("the white band widens from 1 to 4 N (growth, of the bed)", white[1] - white[0], 0.1, math.inf),
+            ("the proximal reading rises late (1.2 to 4 N, of its fall)", late, 0.01, math.inf),
+        )
+    ]

@@ -1,7 +1,5 @@
 """Global search for parameter sets near the listed one that meet as many claims at once as possible."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 import math
@@ -12,10 +10,11 @@ import numpy as np
 from ..errors import InputError
 from ..hemodynamics.parameters import Parameters, bounds
 from .claims import RULES
-from .responses import Observations, observe_batch
+from .responses import Responses, simulate_responses_of_many
 
 _LOG = logging.getLogger(__name__)
 
+# What is varied. The rest changes nothing of its own: lengths and viscosity act as counts do, masses do not matter.
 SEARCHED = (
     "capillary_stiffness_n_per_m",
     "vein_stiffness_n_per_m",
@@ -29,11 +28,16 @@ SEARCHED = (
     "vein_count",
     "venule_resistance_pa_s_per_m3",
 )
-"""What is varied. The rest changes nothing of its own: lengths and viscosity act as counts do, masses do not matter."""
-
-
-_MARGIN = 0.03  # the search measures coarsely, and what it finds is rounded
-_NEAR = 0.1  # weight of the distance from the list: of sets that meet the same claims, the nearest wins
+# How far inside its bounds a claim has to be: the search measures coarsely, and what it finds is rounded. [1]
+_MARGIN = 0.03
+# Weight of the distance from the list: of sets that meet the same claims, the nearest wins. [1]
+_NEAR = 0.1
+# The bound by which a miss is divided is no less than this: some bounds are 0. [1]
+_LEAST_BOUND = 0.05
+# The miss of a claim that cannot be measured: far off. [1]
+_UNMEASURED = 10.0
+# A static curve jumps if it changes by more than this part of its range in 500 Pa; each part more costs so much. [1]
+_JUMP, _JUMP_COST = 0.2, 5.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,34 +50,34 @@ class Found:
     sets: int
 
 
-def misses(observations: Observations, *, margin: float = 0.0) -> np.ndarray:
-    """Return how far each claim is from being met, (claims, *B) float: 0 if met, else relative to its bound. [1]
+def misses(responses: Responses, *, margin: float = 0.0) -> np.ndarray:
+    """How far each claim is from being met, (claims, *B) float: 0 if met, else relative to its bound. [1]
 
-    margin : how far inside its bounds a claim has to be, relative to them. [1]
+    margin : How far inside its bounds a claim has to be, relative to them. [1]
     """
     rows = []
     for rule in RULES:
         with np.errstate(all="ignore"):
-            value = np.asarray(rule.measure(observations), dtype=float)
+            value = np.asarray(rule.measure(responses), dtype=float)
         miss = np.zeros(value.shape)
         if math.isfinite(rule.low):
-            miss = np.maximum(miss, (rule.low - value) / max(abs(rule.low), 0.05) + margin * (rule.low != 0.0))
+            miss = np.maximum(miss, (rule.low - value) / max(abs(rule.low), _LEAST_BOUND) + margin * (rule.low != 0.0))
         if math.isfinite(rule.high):
-            miss = np.maximum(miss, (value - rule.high) / max(abs(rule.high), 0.05) + margin)
-        rows.append(np.where(np.isfinite(value), miss, 10.0))
+            miss = np.maximum(miss, (value - rule.high) / max(abs(rule.high), _LEAST_BOUND) + margin)
+        rows.append(np.where(np.isfinite(value), miss, _UNMEASURED))
     return np.array(rows)
 
 
-def loss(observations: Observations) -> np.ndarray:
-    """Return the objective, B float: a half for each claim missed, plus by how much, at most a half each.
+def loss(responses: Responses) -> np.ndarray:
+    """What the search makes small, B float: a half for each claim missed, plus by how much, at most a half each.
 
-    A static curve that jumps (a fold) is no model of a sensor: more than a fifth of the range in 500 Pa adds to it.
+    A static curve that jumps (a fold) is no model of a sensor, and adds to it.
     """
-    miss = misses(observations, margin=_MARGIN)
+    miss = misses(responses, margin=_MARGIN)
     total = (0.5 * (miss > 0.0) + 0.5 * np.minimum(miss, 1.0)).sum(axis=0)
-    for curve in (observations.proximal, observations.both):
+    for curve in (responses.proximal, responses.both):
         jump = np.abs(np.diff(curve, axis=-1)).max(axis=-1) / np.maximum(np.ptp(curve, axis=-1), 1e-30)
-        total = total + np.maximum(jump[:2] - 0.2, 0.0).sum(axis=0) * 5.0
+        total = total + np.maximum(jump[:2] - _JUMP, 0.0).sum(axis=0) * _JUMP_COST
     return total
 
 
@@ -85,24 +89,21 @@ def search(
     factor: float = 10.0,
     start: Parameters | None = None,
 ) -> Found:
-    """Return the best set that differential evolution finds in a time, each value within a factor of the listed one.
+    """The best set that differential evolution finds in a time, each value within a factor of the listed one.
 
-    seed : of the random numbers. max_seconds : wall time. population : sets in each generation.
-    start : a set to begin with, among the random ones.
+    seed : Of the random numbers. max_seconds : Wall time. population : Sets in each generation.
+    start : A set to begin with, among the random ones.
 
-    Raises
-    ------
-    InputError
-        If the time or the population is too small.
+    Raises: InputError if the time or the population is too small.
 
     References: Storn and Price 1997, J. Global Optimization 11:341.
     """
     from scipy.optimize import differential_evolution
 
     if not max_seconds > 0.0:
-        raise InputError(f"search.max_seconds must be greater than 0, got {max_seconds}.")
+        raise InputError(f"max_seconds must be greater than 0, got {max_seconds}.")
     if population < 5:
-        raise InputError(f"search.population must be 5 or more, got {population}.")
+        raise InputError(f"population must be 5 or more, got {population}.")
     limits = bounds(factor=factor)
     ranges = [tuple(np.log10(limits[name])) for name in SEARCHED]
     centre = np.mean(ranges, axis=1)[:, None]
@@ -113,7 +114,7 @@ def search(
         nonlocal tried
         columns = points.reshape(len(SEARCHED), -1)
         tried += columns.shape[1]
-        return loss(observe_batch(values_of(columns))) + _NEAR * np.mean((columns - centre) ** 2, axis=0)
+        return loss(simulate_responses_of_many(values_of(columns))) + _NEAR * np.mean((columns - centre) ** 2, axis=0)
 
     def late(intermediate_result: object) -> bool:
         return time.monotonic() > deadline
@@ -136,15 +137,15 @@ def search(
     )
     values = {name: float(f"{10.0**x:.3g}") for name, x in zip(SEARCHED, result.x, strict=True)}
     parameters = Parameters(**values)
-    observations = observe_batch(values_of(np.log10(np.array([[values[name]] for name in SEARCHED]))))
-    met = int((misses(observations)[:, 0] == 0.0).sum())
-    found = Found(parameters, met, float(loss(observations)[0]), tried)
+    responses = simulate_responses_of_many(values_of(np.log10(np.array([[values[name]] for name in SEARCHED]))))
+    met = int((misses(responses)[:, 0] == 0.0).sum())
+    found = Found(parameters, met, float(loss(responses)[0]), tried)
     _LOG.info("search with seed %d: %d of %d claims met after %d sets", seed, met, len(RULES), tried)
     return found
 
 
 def values_of(logarithms: np.ndarray) -> dict[str, np.ndarray]:
-    """Return every parameter as a (B,) array from (len(SEARCHED), B) decimal logarithms of those searched."""
+    """Every parameter as a (B,) array from (len(SEARCHED), B) decimal logarithms of those searched."""
     size = logarithms.shape[1]
     values = {name: np.full(size, value) for name, value in Parameters().as_dict().items()}
     values.update({name: 10.0**row for name, row in zip(SEARCHED, logarithms, strict=True)})

@@ -1,9 +1,7 @@
-"""The data of the paper's figures from any set: steps on and off, static readings, and a press by a measured force.
+"""The curves of the paper's figures from any set: steps on and off, steady readings, and a press by a measured force.
 
 Readings are those of eq. (9) with unit gain, counted from rest: minus the change of blood, relative to rest. [1]
 """
-
-from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
@@ -22,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def readings(capillary_diameter_m: np.ndarray, rest_m: np.ndarray, zones: Zones = PAPER_ZONES) -> np.ndarray:
-    """Return the proximal and the distal reading, (2, ...) float, from (N, ...) diameters and (N,) at rest. [1]
+    """The proximal and the distal reading, (2, ...) float, from (N, ...) diameters and (N,) at rest. [1]
 
     Each photodiode sees its half of the bed: the mean over its units, weighted by their shares.
     """
@@ -32,8 +30,8 @@ def readings(capillary_diameter_m: np.ndarray, rest_m: np.ndarray, zones: Zones 
     return 1.0 - np.array(halves)
 
 
-def steps(parameters: Parameters, *, distal_part: float) -> xarray.Dataset:
-    """Return the response to the paper's steps, on at 0 and off at 2 s: Fig. 10 (distal_part 0) and Fig. 11 (1).
+def steps(parameters: Parameters, *, distal_part: float) -> "xarray.Dataset":
+    """The response to the paper's steps of pressure, on at 0 and off at 2 s: Fig. 10 (distal_part 0) and Fig. 11 (1).
 
     Dims pressure (10, N/cm^2), zone, time (1 kHz to 4 s).
     """
@@ -51,7 +49,7 @@ def steps(parameters: Parameters, *, distal_part: float) -> xarray.Dataset:
 
 
 def static_readings(parameters: Parameters, pressure_pa: ArrayLike, *, zones: Zones = PAPER_ZONES) -> np.ndarray:
-    """Return the (2, S) steady readings where both pressures are the same (Figs. 12, 15, 16). [1]"""
+    """The (2, S) steady readings where both pressures are the same (Figs. 12, 15, 16). [1]"""
     touch = np.asarray(pressure_pa, dtype=float)
     state = steady_state(parameters, proximal_pressure_pa=touch, distal_pressure_pa=touch, zones=zones)
     rest = steady_state(parameters, zones=zones).capillary_diameter_m
@@ -59,21 +57,8 @@ def static_readings(parameters: Parameters, pressure_pa: ArrayLike, *, zones: Zo
 
 
 def press(parameters: Parameters, time_s: ArrayLike, force_n: ArrayLike, *, zones: Zones = PAPER_ZONES) -> np.ndarray:
-    """Return the (2, T) readings of an even touch on 1 cm^2 with a force over time (Figs. 17, 18). [1]"""
+    """The (2, T) readings of an even touch on 1 cm^2 with a force over time (Figs. 17, 18). [1]"""
     proximal, distal = pressures(force_n)
     run = respond(parameters, time_s, proximal_pressure_pa=proximal, distal_pressure_pa=distal, zones=zones)
     rest = steady_state(parameters, zones=zones).capillary_diameter_m
     return readings(run["capillary_diameter_m"].values, rest, zones)
-
-
-def time_constant_s(time_s: np.ndarray, values: np.ndarray, *, start_s: float, end_s: float) -> float:
-    """Return the time from start_s until 63 % of the change between start_s and end_s has come about. [s]"""
-    inside = (time_s >= start_s) & (time_s <= end_s)
-    time, path = time_s[inside], values[inside]
-    if path[-1] == path[0]:
-        return float("inf")
-    done = (path - path[0]) / (path[-1] - path[0])
-    target = 1.0 - np.exp(-1.0)
-    index = int(np.argmax(done >= target))
-    part = (target - done[index - 1]) / (done[index] - done[index - 1])
-    return float(time[index - 1] + part * (time[index] - time[index - 1]) - start_s)

@@ -1,10 +1,8 @@
-"""What the paper's Figs. 10-12 show of a parameter set: balances against pressure, and steps on and off.
+"""What vessels do in the paper's figures, for a set of parameters: steady states, and steps of pressure on and off.
 
 For one set the library's own solvers are used; for thousands of sets at once (the search) a coarse stepper that works
-on arrays. Both give the same ``Observations``, so the claims are judged by one code.
+on arrays. Both give the same `Responses`, so the claims are judged by one code.
 """
-
-from __future__ import annotations
 
 import dataclasses
 from types import SimpleNamespace
@@ -19,33 +17,29 @@ from ..hemodynamics.steady import solve_walls, steady_state
 from ..hemodynamics.walls import Walls, build_walls, massless_jacobian, massless_rates
 from ..hemodynamics.zones import PAPER_ZONES
 
+# 1 N/cm^2, the paper's unit of pressure. [Pa]
 N_PER_CM2 = 1e4
-"""1 N/cm^2, the paper's unit of pressure. [Pa]"""
-
+# Pressures of the static curves: 0 to 2 N/cm^2. (41,) [Pa]
 CURVE_PA = np.linspace(0.0, 2e4, 41)
-"""(41,) float. Pressures of the static curves: 0 to 2 N/cm^2. [Pa]"""
-
+# The paper's steps: 0.1 to 1 N/cm^2. (10,) [Pa]
 STEPS_PA = 1e3 * np.arange(1, 11)
-"""(10,) float. The paper's steps: 0.1 to 1 N/cm^2. [Pa]"""
-
+# Each step is on from 0 to this instant and then off for as long. [s]
 ON_S = 2.0
-"""Each step is on from 0 to this instant and then off for as long. [s]"""
-
+# Instants within each phase, dense after the step. (81,) [s]
 PHASE_S = ON_S * np.linspace(0.0, 1.0, 81) ** 2
-"""(81,) float. Instants within each phase, dense after the step. [s]"""
-
-
+# Time constants of the subjects' force in the paper's Figs. 17-18. [s]
 LOADING_S, UNLOADING_S = 0.16, 0.12
-"""Time constants of the subjects' force in the paper's Figs. 17-18. [s]"""
+# The release is a ramp this short, so that the touch is a step for every model here. [s]
+_RELEASE_S = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
-class Observations:
+class Responses:
     """Diameters of [proximal capillary, distal capillary, vein] under touch; B is a batch shape, () for one set. [m]
 
     proximal, both : (3, *B, 41) float. Steady, with P_F1 alone or P_F1 = P_F2 on CURVE_PA.
     proximal_on, proximal_off, both_on, both_off : (3, *B, 10, 81) float. Over PHASE_S after each step on and off.
-    force_on, force_off : (3, *B, 1, 81) float. The same for the subjects' force of 1 N on 1 cm^2 (``subject_force``).
+    force_on, force_off : (3, *B, 1, 81) float. The same for the subjects' force of 1 N on 1 cm^2 (`subject_force`).
     """
 
     proximal: np.ndarray
@@ -59,7 +53,7 @@ class Observations:
 
 
 def subject_force(time_s: ArrayLike, *, force_n: float = 1.0, on_s: float = 0.5, off_s: float = 2.5) -> np.ndarray:
-    """Return the force of the paper's subjects: exponential, with 0.16 s on loading and 0.12 s on unloading. [N]
+    """The force of the paper's subjects over time: exponential, with 0.16 s on loading and 0.12 s on unloading. [N]
 
     References: Mascaro and Asada 2001, Figs. 17-18.
     """
@@ -69,61 +63,55 @@ def subject_force(time_s: ArrayLike, *, force_n: float = 1.0, on_s: float = 0.5,
     return np.where(time < off_s, loading, top * np.exp(-np.maximum(time - off_s, 0.0) / UNLOADING_S))
 
 
-def observe(parameters: Parameters) -> Observations:
-    """Return what one set shows, by ``steady_state`` and ``respond``."""
+def simulate_responses(parameters: Parameters) -> Responses:
+    """The responses of one set, by `steady_state` and `respond`."""
     time = np.concatenate([PHASE_S, ON_S + PHASE_S[1:]])
+    knots = np.sort(np.append(time, ON_S + _RELEASE_S))
     size = PHASE_S.size
     fields: dict[str, np.ndarray] = {}
     for name, distal_part in (("proximal", 0.0), ("both", 1.0)):
         state = steady_state(parameters, proximal_pressure_pa=CURVE_PA, distal_pressure_pa=distal_part * CURVE_PA)
         fields[name] = np.vstack([state.capillary_diameter_m, state.vein_diameter_m[None]])
-        on, off = [], []
+        widths = []
         for pressure in STEPS_PA:
-            # The release is a ramp of a microsecond, so that the touch is a step for every model here.
-            knots = np.append(time, ON_S + 1e-6)
-            knots.sort()
             touch = np.where(knots <= ON_S, pressure, 0.0)
-            run = respond(parameters, knots, proximal_pressure_pa=touch, distal_pressure_pa=distal_part * touch)
-            width = np.vstack([run["capillary_diameter_m"].values, run["vein_diameter_m"].values])
-            width = np.delete(width, size, axis=1)
-            on.append(width[:, :size])
-            off.append(width[:, size - 1 :])
-        fields[f"{name}_on"], fields[f"{name}_off"] = np.stack(on, axis=1), np.stack(off, axis=1)
+            widths.append(np.delete(_widths(parameters, knots, touch, distal_part * touch), size, axis=1))
+        width = np.stack(widths, axis=1)
+        fields[f"{name}_on"], fields[f"{name}_off"] = width[..., :size], width[..., size - 1 :]
     fine = np.union1d(np.arange(0.0, 2.0 * ON_S, 1e-3), time)
     touch = N_PER_CM2 * subject_force(fine, on_s=0.0, off_s=ON_S)
-    run = respond(parameters, fine, proximal_pressure_pa=touch, distal_pressure_pa=touch)
-    width = np.vstack([run["capillary_diameter_m"].values, run["vein_diameter_m"].values])
-    width = width[:, None, np.searchsorted(fine, time)]
+    width = _widths(parameters, fine, touch, touch)[:, None, np.searchsorted(fine, time)]
     fields["force_on"], fields["force_off"] = width[..., :size], width[..., size - 1 :]
-    return Observations(**fields)
+    return Responses(**fields)
 
 
-def observe_batch(values: dict[str, np.ndarray]) -> Observations:
-    """Return what many sets show at once, coarsely: (B,) float values of every field of ``Parameters`` by name."""
-    walls = build_walls(cast(Parameters, SimpleNamespace(**values)), PAPER_ZONES)
-    high, low = (np.asarray(values[name])[:, None] for name in ("arterial_pressure_pa", "venous_pressure_pa"))
-    columns = dataclasses.replace(
-        walls, **{f.name: _columns(getattr(walls, f.name)) for f in dataclasses.fields(walls)}
-    )
+def _widths(parameters: Parameters, time: np.ndarray, proximal: np.ndarray, distal: np.ndarray) -> np.ndarray:
+    run = respond(parameters, time, proximal_pressure_pa=proximal, distal_pressure_pa=distal)
+    return np.vstack([run["capillary_diameter_m"].values, run["vein_diameter_m"].values])
+
+
+def simulate_responses_of_many(values: dict[str, np.ndarray]) -> Responses:
+    """The responses of many sets at once, coarsely: (B,) float values of every field of `Parameters` by name."""
+    # Each constant of the walls becomes a column of sets, beside which pressures are rows.
+    columns = {name: np.asarray(value)[:, None] for name, value in values.items()}
+    walls = build_walls(cast(Parameters, SimpleNamespace(**columns)), PAPER_ZONES)
+    high, low = columns["arterial_pressure_pa"], columns["venous_pressure_pa"]
     fields: dict[str, np.ndarray] = {}
     for name, distal_part in (("proximal", 0.0), ("both", 1.0)):
-        fields[name] = _balances(columns, CURVE_PA, distal_part, high, low)
+        fields[name] = _balances(walls, CURVE_PA, distal_part, high, low)
         rest = np.repeat(fields[name][:, :, :1], STEPS_PA.size, axis=2)
-        fields[f"{name}_on"] = _relax(columns, rest, STEPS_PA, distal_part, high, low)
-        fields[f"{name}_off"] = _relax(columns, fields[f"{name}_on"][..., -1], 0.0 * STEPS_PA, distal_part, high, low)
+        fields[f"{name}_on"] = _relax(walls, rest, STEPS_PA, distal_part, high, low)
+        fields[f"{name}_off"] = _relax(walls, fields[f"{name}_on"][..., -1], 0.0 * STEPS_PA, distal_part, high, low)
     loading = 1.0 - np.exp(-PHASE_S / LOADING_S)
     unloading = loading[-1] * np.exp(-PHASE_S / UNLOADING_S)
     top = np.array([N_PER_CM2])
-    fields["force_on"] = _relax(columns, fields["both"][..., :1], top, 1.0, high, low, course=loading)
-    fields["force_off"] = _relax(columns, fields["force_on"][..., -1], top, 1.0, high, low, course=unloading)
-    return Observations(**fields)
-
-
-def _columns(values: tuple[Any, ...]) -> Any:
-    return tuple(np.asarray(value)[:, None] for value in values)
+    fields["force_on"] = _relax(walls, fields["both"][..., :1], top, 1.0, high, low, course=loading)
+    fields["force_off"] = _relax(walls, fields["force_on"][..., -1], top, 1.0, high, low, course=unloading)
+    return Responses(**fields)
 
 
 def _balances(walls: Walls, touch: np.ndarray, distal_part: float, high: np.ndarray, low: np.ndarray) -> np.ndarray:
+    """Steady diameters, (3, B, pressures) float."""
     shape = (high.shape[0], touch.size)
     outside = np.stack([np.zeros(shape), np.broadcast_to(distal_part * touch, shape), np.broadcast_to(touch, shape)])
     return solve_walls(walls, outside, np.broadcast_to(high, shape), np.broadcast_to(low, shape), tolerance=1e-9)[0]
@@ -139,14 +127,15 @@ def _relax(
     *,
     course: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return (3, B, steps, 81) diameters over PHASE_S by ROS2, second order and L-stable (Verwer et al. 1999).
+    """Diameters over PHASE_S, (3, B, steps, 81) float, by ROS2, a Rosenbrock method of order 2 that is L-stable.
 
     course : (81,) float. Factor of the touch over PHASE_S; None is a constant touch. [1]
+
+    References: Verwer, Spee, Blom, Hundsdorfer 1999, SIAM J. Sci. Comput. 20:1456.
     """
     gamma = 1.0 - np.sqrt(0.5)
     width = [np.array(w) for w in start]
     force = [0.0 * touch, walls.area[1] * distal_part * touch, walls.area[2] * touch]
-
     part = np.ones(PHASE_S.size) if course is None else course
 
     def load(w: list[np.ndarray], factor: float) -> list[np.ndarray]:
@@ -185,6 +174,7 @@ def _relax(
 
 
 def _rank_one_solve(rhs: list[Any], diagonal: list[Any], left: list[Any], right: list[Any], gh: float) -> list[Any]:
+    """The x of (I - gh (diag(d) + outer(p, q))) x = rhs, by the formula of Sherman and Morrison."""
     inverse = [1.0 / (1.0 - gh * d) for d in diagonal]
     reach = sum(q * e * r for q, e, r in zip(right, inverse, rhs, strict=True))
     loss = 1.0 - gh * sum(q * e * p for q, e, p in zip(right, inverse, left, strict=True))

@@ -11,7 +11,7 @@ from ..hemodynamics.parameters import Parameters
 from ..hemodynamics.zones import PAPER_ZONES, zones
 from ..io import make_folder
 from ..paper import protocols
-from ..paper.claims_table import REACH
+from ..paper.claims_table import DECAY_LENGTH
 from ..paper.responses import N_PER_CM2, STEPS_PA, subject_force
 from . import style
 
@@ -170,7 +170,7 @@ def _figure_12(parameters: Parameters) -> Figure:
 def _figures_15_to_18(parameters: Parameters, time_s: np.ndarray, force_n: np.ndarray) -> Figure:
     figure, axes = _canvas(2, width=9.5, height=4.3)
     force = np.linspace(0.0, 4.0, 321)
-    many = zones(8, decay_length=REACH)
+    many = zones(8, decay_length=DECAY_LENGTH)
     static, moving = axes
     for cut, line, label in ((PAPER_ZONES, "-", "two zones"), (many, "--", "eight zones, reach falls off")):
         proximal, distal = protocols.static_readings(parameters, force * N_PER_CM2, zones=cut)

@@ -8,10 +8,10 @@ import pytest
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import NAMES, bounds, parameters, zones
 from nailoptics.paper.claims import RULES
-from nailoptics.paper.claims_table import REACH, as_rows, as_text, band_width, judge, table
+from nailoptics.paper.claims_table import DECAY_LENGTH, as_rows, as_text, judge, table, white_band
 from nailoptics.paper.parameter_search import SEARCHED, loss, misses, search
-from nailoptics.paper.protocols import press, static_readings, time_constant_s
-from nailoptics.paper.responses import observe, observe_batch, subject_force
+from nailoptics.paper.protocols import press, static_readings
+from nailoptics.paper.responses import simulate_responses, simulate_responses_of_many, subject_force
 
 
 @pytest.fixture(scope="module")
@@ -48,34 +48,34 @@ def test_listed_set_is_not_sluggish_at_low_force(judged):
 def test_white_band_widens_with_eight_zones_and_cannot_with_two():
     p = parameters("best")
     force = np.linspace(1.0, 4.0, 13)
-    eight = band_width(p, force, cut=zones(8, decay_length=REACH))
+    eight = white_band(p, force, cut=zones(8, decay_length=DECAY_LENGTH))
     assert np.all(np.diff(eight) >= 0.0) and eight[-1] >= eight[0] + 0.2
-    two = band_width(p, force, cut=zones(2))
+    two = white_band(p, force, cut=zones(2))
     assert np.all(two == two[-1])
-    proximal, distal = static_readings(p, np.array([1.5, 4.0]) * 1e4, zones=zones(8, decay_length=REACH))
+    proximal, distal = static_readings(p, np.array([1.5, 4.0]) * 1e4, zones=zones(8, decay_length=DECAY_LENGTH))
     assert distal[1] > distal[0] and proximal[1] > proximal[0]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_search_measures_what_the_table_shows(name):
     p = parameters(name)
-    fine = observe(p)
-    coarse = observe_batch({field: np.array([value]) for field, value in p.as_dict().items()})
+    fine = simulate_responses(p)
+    coarse = simulate_responses_of_many({field: np.array([value]) for field, value in p.as_dict().items()})
     for rule in RULES:
         a, b = float(rule.measure(fine)), float(rule.measure(coarse)[0])
         assert b == pytest.approx(a, rel=0.02, abs=2e-3), rule.text
     assert np.array_equal(misses(fine) > 0, [not claim.met for claim in judge(p)[: len(RULES)]])
 
 
-def test_observing_many_sets_at_once_is_observing_each():
+def test_simulating_many_sets_at_once_is_simulating_each():
     rng = np.random.default_rng(0)
     limits = bounds(factor=2.0)
     values = {field: np.full(5, value) for field, value in parameters("listed").as_dict().items()}
     for name in SEARCHED:
         low, high = limits[name]
         values[name] = np.exp(rng.uniform(np.log(low), np.log(high), 5))
-    together = loss(observe_batch(values))
-    alone = [loss(observe_batch({k: v[i : i + 1] for k, v in values.items()}))[0] for i in range(5)]
+    together = loss(simulate_responses_of_many(values))
+    alone = [loss(simulate_responses_of_many({k: v[i : i + 1] for k, v in values.items()}))[0] for i in range(5)]
     assert np.allclose(together, alone, rtol=1e-6)
 
 
@@ -102,6 +102,13 @@ def test_table_is_plain_rows_and_readable_text(judged):
     assert len(text.splitlines()) == len(rows) + 2
     assert all(name in text.splitlines()[0] for name in NAMES)
     assert text.splitlines()[-1].strip().startswith(f"claims met of {len(rows)}")
+
+
+def time_constant_s(time_s, values, *, start_s, end_s):
+    """Time from the start until 63 % of the change between start and end has come about."""
+    inside = (time_s >= start_s) & (time_s <= end_s)
+    done = (values[inside] - values[inside][0]) / (values[inside][-1] - values[inside][0])
+    return np.interp(1.0 - np.exp(-1.0), done, time_s[inside]) - start_s
 
 
 def test_subjects_force_has_their_time_constants():
