@@ -19,8 +19,6 @@ from ..replicates import read_led
 from .formula_errors import MODELS, PARTS, TOLERANCES, WAYS, TracedSweep, formula_errors
 from .state_sweep import OVER, Over, StateSweep, state_sweep
 
-# The blood zones of the bed, as absorbers of a trace.
-BED_ZONES = ("bed_1", "bed_2")
 # The bed's scattering is traced at these factors, with this share of the photons, for the slope of ln reading.
 SCATTERING_FACTORS, SCATTERING_SHARE = (0.7, 1.4), 0.25
 # mu_s' of whole blood at a haematocrit of 45 %, computed by N. Bosschaart et al., Lasers Med. Sci. 29, 453 (2014):
@@ -189,7 +187,7 @@ def _led_errors(
     with np.errstate(invalid="ignore", divide="ignore"):
         for j, own in enumerate(zone):
             path = read.mean_path_mm[:, j]
-            traced, *alone = np.split(read.reading[:, j], 1 + len(BED_ZONES), axis=1)
+            traced, *alone = np.split(read.reading[:, j], 1 + len(optics.bed_columns(scene)), axis=1)
             # The slope is known for the whole bed; each zone gets the part of it that the light's path has there.
             denser_here = (denser @ path.T / path.sum(1)).T
             slope, error = slopes[:, j]
@@ -203,9 +201,8 @@ def _absorption(transfer: Transfer, wavelength: np.ndarray, sweep: StateSweep) -
     """Absorption over the line in all states, then in those where only one zone's blood changes, zone by zone."""
     mu_a = optics.absorption(transfer.scene, wavelength, blood_fraction=sweep.blood, so2=sweep.so2)
     states = [mu_a]
-    for name in BED_ZONES:
+    for column in optics.bed_columns(transfer.scene):
         alone = np.repeat(mu_a[:1], len(mu_a), 0)
-        column = transfer.absorbers.index(name)
         alone[..., column] = mu_a[..., column]
         states.append(alone)
     return np.concatenate(states)
