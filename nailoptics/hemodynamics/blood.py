@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from ..checks import finite, number
 from ..errors import InputError
+from ..scene.base import USUAL_BLOOD_FRACTION
 from .parameters import Parameters
 from .steady import steady_state
 
@@ -15,7 +16,7 @@ def blood_fraction(
     parameters: Parameters,
     capillary_diameter_m: ArrayLike,
     *,
-    rest_blood_fraction: float = 0.03,
+    rest_blood_fraction: float = USUAL_BLOOD_FRACTION,
 ) -> np.ndarray:
     """The part of the nail bed that is blood, from the diameter of its capillaries: it goes with their square. [1]
 
@@ -43,7 +44,7 @@ def blood_fraction(
     return result
 
 
-def tissue_volume_m3(parameters: Parameters, *, rest_blood_fraction: float = 0.03) -> float:
+def tissue_volume_m3(parameters: Parameters, *, rest_blood_fraction: float = USUAL_BLOOD_FRACTION) -> float:
     """The volume of one half of the nail bed, V_tissue of eq. (7), from its blood fraction at rest. [m^3]
 
     Raises: InputError if the fraction is not between 0 and 1.
@@ -60,5 +61,7 @@ def _rest_diameter(parameters: Parameters) -> float:
 def _rest_fraction(value: float) -> float:
     fraction = number("rest_blood_fraction", value)
     if not 0.0 < fraction < 1.0:
-        raise InputError(f"rest_blood_fraction must lie between 0 and 1, got {fraction:g}; 0.03 is usual.")
+        raise InputError(
+            f"rest_blood_fraction must lie between 0 and 1, got {fraction:g}; {USUAL_BLOOD_FRACTION:g} is usual."
+        )
     return fraction

@@ -5,10 +5,11 @@ from numpy.typing import ArrayLike
 
 from ..checks import finite, number
 from ..errors import InputError
+from ..scene.base import USUAL_CONTACT_AREA_MM2
 
 
 def pressures(
-    force_n: ArrayLike, contact_area_mm2: float = 100.0, proximal_share: float = 0.5
+    force_n: ArrayLike, contact_area_mm2: float = USUAL_CONTACT_AREA_MM2, proximal_share: float = 0.5
 ) -> tuple[np.ndarray, np.ndarray]:
     """The proximal and the distal pressure, P_F1 and P_F2, that a force on the fingertip gives. [Pa]
 
@@ -27,7 +28,7 @@ def pressures(
         raise InputError(f"force_n must be 0 or more, got {force.min():g} N; a finger pushes, it does not pull.")
     area = number("contact_area_mm2", contact_area_mm2)
     if area <= 0.0:
-        raise InputError(f"contact_area_mm2 must be greater than 0, got {area:g}; 100 is usual.")
+        raise InputError(f"contact_area_mm2 must be greater than 0, got {area:g}; {USUAL_CONTACT_AREA_MM2:g} is usual.")
     share = number("proximal_share", proximal_share)
     if not 0.0 <= share <= 1.0:
         raise InputError(f"proximal_share must lie in 0..1, got {share:g}; 0.5 is an even touch.")

@@ -102,17 +102,13 @@ def _optics_of(scene: Scene, region: str) -> Any:
 def absorption(
     scene: Scene, wavelength_nm: ArrayLike, *, blood_fraction: ArrayLike | None = None, so2: ArrayLike | None = None
 ) -> np.ndarray:
-    """Absorption of every absorber of a scene at blood states and wavelengths.
+    """Absorption of every absorber of a scene at blood states and wavelengths, (..., q, r) float. [mm^-1]
 
-    Parameters
-    ----------
     wavelength_nm : (q,) float. [nm]
     blood_fraction : (..., K) float in 0-1. Blood in each zone of the bed; at rest if not given.
     so2 : (...) float in 0-1. Oxygen saturation; the scene's if not given.
 
-    Returns
-    -------
-    mu_a : (..., q, r) float, in the order of `absorbers(scene)`. [mm^-1]
+    Returns: one column for each of `absorbers(scene)`.
     """
     wavelength = np.atleast_1d(np.asarray(wavelength_nm, float))
     if scene.phantom is not None:

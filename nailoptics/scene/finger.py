@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from .base import Fraction, Positive, Table
+from .base import USUAL_MELANIN_FRACTION, Fraction, Positive, Table
 
 # Sizes of adult digits in mm. Transverse nail radii and the distance from the bone's end to the
 # tip are measured per digit; widths and thicknesses of the index span 16-20 and 12-15, nails
@@ -47,7 +47,7 @@ class Finger(Table):
     """Thickness of the epidermis outside the nail. [mm]"""
     length_mm: Positive = ANATOMY["index"]["nail_length_mm"] + BEYOND_NAIL_MM
     """Length of finger that is modelled, from the tip; the nail's and 4 mm if not given. [mm]"""
-    melanin_fraction: Fraction = 0.013
+    melanin_fraction: Fraction = USUAL_MELANIN_FRACTION
     """Volume fraction of melanosomes in the epidermis."""
 
     @model_validator(mode="before")

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from ..assets import WAVELENGTH_RANGE_NM
 from ..errors import InputError
-from .base import Fraction, Name, NonNegative, Positive, Table
+from .base import USUAL_BLOOD_FRACTION, USUAL_SO2, Fraction, Name, NonNegative, Positive, Table
 from .finger import Finger
 from .layout import Layout, lay_out
 from .parts import Board, Led, Photodiode
@@ -67,9 +67,9 @@ class Blood(Table):
 
     parameters: str = "listed"
     """Named set of hemodynamic parameters."""
-    rest_blood_fraction: Fraction = 0.03
+    rest_blood_fraction: Fraction = USUAL_BLOOD_FRACTION
     """Volume fraction of blood in the nail bed at rest."""
-    so2: Fraction = 0.97
+    so2: Fraction = USUAL_SO2
     """Oxygen saturation of the blood."""
     zone_edges_mm: Annotated[tuple[float, ...], Field(min_length=1, max_length=1)] = (0.0,)
     """Where proximal and distal blood zone meet, along the nail from its centre. [mm]"""

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
 from ..errors import InputError
-from .base import Fraction, NonNegative, Positive, Table
+from .base import USUAL_CONTACT_AREA_MM2, Fraction, NonNegative, Positive, Table
 from .text_files import read_rows
 
 
@@ -35,7 +35,7 @@ class Touch(Table):
     """The recorded times; filled from file. [s]"""
     recorded_force_n: tuple[NonNegative, ...] | None = None
     """The recorded forces; filled from file. [N]"""
-    contact_area_mm2: Positive = 100.0
+    contact_area_mm2: Positive = USUAL_CONTACT_AREA_MM2
     """Area over which the force presses on the pulp. [mm^2]"""
     proximal_share: Fraction = 0.5
     """Share of the force that presses on the proximal pulp (the veins); the rest presses distally."""

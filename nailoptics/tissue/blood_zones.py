@@ -6,9 +6,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .. import checks
 from ..errors import InputError
 from .properties import DermisAbsorption, absorption
-from .spectra import Array, checked_fraction
+from .spectra import Array
 
 
 def bed_zone_name(zone: int) -> str:
@@ -23,7 +24,7 @@ class BloodZones:
     Zone 0 is the most proximal, zone K - 1 reaches the tip (v grows towards the tip). Around each edge the weight
     passes from one zone to the next over `width_mm`, with a continuous slope (cubic smoothstep).
 
-    Raises InputError when the edges do not rise, or lie closer together than `width_mm`.
+    Raises: InputError when the edges do not rise, or lie closer together than `width_mm`.
     """
 
     edges_mm: tuple[float, ...] = (0.0,)
@@ -49,15 +50,9 @@ class BloodZones:
         return len(self.edges_mm) + 1
 
     def weights(self, v_mm: ArrayLike) -> Array:
-        """Return how much of each zone is at v.
+        """How much of each zone is at v, (..., K) float in 0-1, summing to exactly 1.
 
-        Parameters
-        ----------
         v_mm : (...) float. Place along the nail, towards the tip positive. [mm]
-
-        Returns
-        -------
-        weights : (..., K) float in 0-1, summing to exactly 1.
         """
         v = np.asarray(v_mm, dtype=float)[..., None]
         t = np.clip((v - np.asarray(self.edges_mm)) / self.width_mm + 0.5, 0.0, 1.0)
@@ -67,11 +62,9 @@ class BloodZones:
         return np.asarray(np.concatenate([ones, passed], axis=-1) - np.concatenate([passed, zeros], axis=-1))
 
     def table(self, v_min_mm: float, v_max_mm: float, n: int) -> Array:
-        """Return the weights at n equally spaced nodes, both ends included, for linear interpolation between them.
+        """The weights at n equally spaced nodes, both ends included, (n, K) float.
 
-        Returns
-        -------
-        table : (n, K) float. Linear interpolation keeps the sum 1; its error is at most 0.75 (step / width_mm)^2.
+        Linear interpolation between them keeps the sum 1; its error is at most 0.75 (step / width_mm)^2.
         """
         if n < 2 or not v_max_mm > v_min_mm:
             raise InputError(f"a zone table needs n >= 2 and v_min < v_max, not {n}, {v_min_mm:g} and {v_max_mm:g}")
@@ -87,24 +80,17 @@ def mu_a_field(
     *,
     dermis_absorption: DermisAbsorption = "jacques_baseline",
 ) -> Array:
-    """Return the bed's absorption along the nail, for a grid volume.
+    """The bed's absorption along the nail, for a grid volume, (n,) float. [mm^-1]
 
     For Mitsuba's gridvolume write it as `field.reshape(1, n, 1, 1)` (z, y, x, channel) with v along y. Its values
     sit at the centres of n equal cells: with nodes from v_min to v_max and h = (v_max - v_min) / (n - 1) its box
     reaches from v_min - h / 2 to v_max + h / 2.
 
-    Parameters
-    ----------
     blood_fraction : (K,) float. Blood in each zone, 0-1.
     so2 : float, or (K,) float where the zones differ. Oxygen saturation, 0-1.
-    wavelength_nm : one wavelength. [nm]
     v_mm : (n,) float. Places along the nail, such as the nodes of `BloodZones.table`. [mm]
-
-    Returns
-    -------
-    mu_a : (n,) float. [mm^-1]
     """
-    fraction = checked_fraction("blood_fraction", blood_fraction)
+    fraction = checks.fraction("blood_fraction", blood_fraction)
     if fraction.shape != (zones.count,):
         raise InputError(f"blood_fraction has shape {fraction.shape}; give one value for each of {zones.count} zones")
     saturation = np.broadcast_to(np.asarray(so2, dtype=float), fraction.shape)

@@ -6,12 +6,13 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .. import checks
 from ..errors import InputError
+from ..scene.base import USUAL_BLOOD_FRACTION, USUAL_MELANIN_FRACTION, USUAL_SO2
 from .spectra import (
     Array,
     blood_mu_a_per_mm,
     bloodless_skin_mu_a_per_mm,
-    checked_fraction,
     checked_wavelength_nm,
     melanosome_mu_a_per_mm,
     tabulated,
@@ -50,8 +51,8 @@ _BED_WATER, _EPIDERMIS_WATER, _PULP_FAT = 0.65, 0.60, 0.30
 # Bone of the phalanx with the blood that it holds, no spectrum known that holds for it.
 _BONE_MU_A_PER_MM = 0.18
 
-# Blood by volume at rest, where it is not given; the bed's is 0.01-0.05. Regions that are not named carry none.
-REST_BLOOD_FRACTION: dict[str, float] = {"bed": 0.03, "pulp": 0.02}
+# Blood by volume at rest, where it is not given. Regions that are not named carry none.
+REST_BLOOD_FRACTION: dict[str, float] = {"bed": USUAL_BLOOD_FRACTION, "pulp": 0.02}
 
 
 @dataclass(frozen=True)
@@ -72,8 +73,8 @@ class Absorption:
     per_blood_fraction_per_mm: Values
 
     def mu_a_per_mm(self, blood_fraction: ArrayLike) -> Values:
-        """Return mu_a at a blood fraction (0-1). [mm^-1]"""
-        blood = checked_fraction("blood_fraction", blood_fraction)
+        """mu_a at a blood fraction of 0-1. [mm^-1]"""
+        blood = checks.fraction("blood_fraction", blood_fraction)
         return _plain(self.base_per_mm + blood * self.per_blood_fraction_per_mm)
 
 
@@ -81,32 +82,30 @@ def absorption(
     region: Region,
     wavelength_nm: ArrayLike,
     *,
-    so2: ArrayLike = 0.97,
-    melanin_fraction: float = 0.013,
+    so2: ArrayLike = USUAL_SO2,
+    melanin_fraction: float = USUAL_MELANIN_FRACTION,
     dermis_absorption: DermisAbsorption = "jacques_baseline",
 ) -> Absorption:
-    """Return a region's absorption as a base and a slope in the blood fraction.
+    """The absorption of a region as a base and a slope in the blood fraction.
 
-    The two numbers are all that a stored trace needs to be reread at another blood state, saturation or wavelength.
+    The two numbers are all that a stored trace needs to be reweighted to another blood state, saturation or wavelength.
     Blood is added to the tissue, it displaces none: at 5 % that misjudges the base, itself a small part, by 5 %.
 
-    Parameters
-    ----------
-    region : one of `REGIONS`. Bed and pulp carry blood; the slope of the others is 0.
-    wavelength_nm : array of 450-1000. [nm]
+    region : One of `REGIONS`. Bed and pulp carry blood; the slope of the others is 0.
+    wavelength_nm : array in `WAVELENGTH_RANGE_NM`. [nm]
     so2 : array that broadcasts with it. Oxygen saturation of the blood, 0-1.
-    melanin_fraction : volume of melanosomes in the epidermis, 0-1; other regions have none.
-    dermis_absorption : what the bed absorbs without blood. "jacques_baseline" is the bloodless baseline and 65 %
+    melanin_fraction : Volume of melanosomes in the epidermis, 0-1; other regions have none.
+    dermis_absorption : What the bed absorbs without blood. "jacques_baseline" is the bloodless baseline and 65 %
         water. "shimojo" and "salomatina" are dermis measured ex vivo, water included, a factor 2 apart: take both
         to see what that uncertainty does to a reading. Blood left in those samples is then counted twice.
 
-    Raises InputError for an unknown region or choice, or a value out of range.
+    Raises: InputError for an unknown region or choice, or a value out of range.
 
     References: Jacques 2013, Phys. Med. Biol. 58 R37; the headers of the shipped spectra.
     """
     wavelength = checked_wavelength_nm(wavelength_nm)
-    checked_fraction("so2", so2)
-    melanin = checked_fraction("melanin_fraction", melanin_fraction)
+    checks.fraction("so2", so2)
+    melanin = checks.fraction("melanin_fraction", melanin_fraction)
     if dermis_absorption not in get_args(DermisAbsorption):
         raise InputError(_unknown("dermis_absorption", dermis_absorption, get_args(DermisAbsorption)))
     water = tabulated("water", "mu_a_per_mm", wavelength)
@@ -138,12 +137,12 @@ def absorption(
 
 
 def scattering(region: Region, wavelength_nm: ArrayLike) -> tuple[Values, Values, Values]:
-    """Return (mu_s [mm^-1], g, n) of a region: they depend on the wavelength alone.
+    """Scattering of a region, (mu_s [mm^-1], g, n): it depends on the wavelength alone.
 
     mu_s = mu_s' / (1 - g). Blood's own scattering is part of the measured tissue values and does not change with
     the blood fraction here.
 
-    Raises InputError for an unknown region or a wavelength outside 450-1000 nm.
+    Raises: InputError for an unknown region or a wavelength without data.
 
     References: Jacques 2013, Phys. Med. Biol. 58 R37, table 2; the headers of the shipped spectra.
     """
@@ -176,22 +175,15 @@ def optical_properties(
     wavelength_nm: ArrayLike,
     *,
     blood_fraction: ArrayLike | None = None,
-    so2: ArrayLike = 0.97,
-    melanin_fraction: float = 0.013,
+    so2: ArrayLike = USUAL_SO2,
+    melanin_fraction: float = USUAL_MELANIN_FRACTION,
     dermis_absorption: DermisAbsorption = "jacques_baseline",
 ) -> OpticalProperties:
-    """Return mu_a, mu_s, g and n of a region.
+    """mu_a, mu_s, g and n of a region; parameters and errors are those of `absorption`.
 
-    Parameters
-    ----------
-    blood_fraction : volume of blood in bed or pulp, 0-1; None is their value at rest (0.03, 0.02). The other regions
-        carry none and leave it unread.
+    blood_fraction : Volume of blood in bed or pulp, 0-1; at rest if not given. The other regions carry none.
 
-    The other parameters and the errors are those of `absorption`.
-
-    Returns
-    -------
-    OpticalProperties : floats where the inputs are, else arrays of their broadcast shape.
+    Returns: floats where the inputs are, else arrays of their broadcast shape.
     """
     absorbs = absorption(
         region, wavelength_nm, so2=so2, melanin_fraction=melanin_fraction, dermis_absorption=dermis_absorption

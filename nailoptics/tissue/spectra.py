@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .. import checks
 from ..assets import WAVELENGTH_RANGE_NM, read_table
 from ..errors import InputError
 
@@ -13,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 def checked_wavelength_nm(wavelength_nm: ArrayLike) -> Array:
-    """Return the wavelengths as an array; InputError where one lies outside the tables."""
+    """The wavelengths as an array; InputError where one lies outside the tables."""
     wavelength = np.asarray(wavelength_nm, dtype=float)
     low, high = WAVELENGTH_RANGE_NM
     outside = ~((wavelength >= low) & (wavelength <= high))
@@ -24,15 +25,6 @@ def checked_wavelength_nm(wavelength_nm: ArrayLike) -> Array:
     return wavelength
 
 
-def checked_fraction(name: str, value: ArrayLike) -> Array:
-    """Return the value as an array; InputError where it lies outside 0 to 1."""
-    fraction = np.asarray(value, dtype=float)
-    outside = ~((fraction >= 0) & (fraction <= 1))
-    if outside.any():
-        raise InputError(f"{name} = {fraction[outside].flat[0]:g} is not a fraction; choose from 0 to 1")
-    return fraction
-
-
 def tabulated(table: str, column: str, wavelength_nm: ArrayLike) -> Array:
     """Interpolate one column of a shipped spectrum, linearly between its rows."""
     wavelength = checked_wavelength_nm(wavelength_nm)
@@ -41,27 +33,21 @@ def tabulated(table: str, column: str, wavelength_nm: ArrayLike) -> Array:
 
 
 def blood_mu_a_per_mm(wavelength_nm: ArrayLike, so2: ArrayLike) -> Array:
-    """Return the absorption coefficient of whole blood with 150 g/L of haemoglobin.
+    """Absorption coefficient of whole blood with 150 g/L of haemoglobin, of the broadcast shape. [mm^-1]
 
     mu_a = ln(10) eps c / 64500 g/mol, with the molar, decadic extinction eps of Prahl's table.
 
-    Parameters
-    ----------
-    wavelength_nm : array of 450-1000. [nm]
+    wavelength_nm : array in `WAVELENGTH_RANGE_NM`. [nm]
     so2 : array that broadcasts with it. Oxygen saturation, 0-1.
 
-    Returns
-    -------
-    mu_a : float, of the broadcast shape. [mm^-1]
-
-    Raises InputError for a wavelength outside 450-1000 nm or a saturation outside 0-1.
+    Raises: InputError for a wavelength without data or a saturation outside 0-1.
 
     The curves of oxygenated and deoxygenated blood cross at 796.8 nm in this table; in Bosschaart's (Lasers Med.
     Sci. 29, 453 (2014)) they cross at 820-825 nm.
 
     References: S. Prahl, Oregon Medical Laser Center, from W. B. Gratzer and N. Kollias.
     """
-    saturation = checked_fraction("so2", so2)
+    saturation = checks.fraction("so2", so2)
     molar_to_per_mm = np.log(10) * HAEMOGLOBIN_G_PER_L / HAEMOGLOBIN_G_PER_MOL / 10
     oxy = tabulated("hemoglobin", "oxy_per_cm_per_molar", wavelength_nm)
     deoxy = tabulated("hemoglobin", "deoxy_per_cm_per_molar", wavelength_nm)
@@ -69,7 +55,7 @@ def blood_mu_a_per_mm(wavelength_nm: ArrayLike, so2: ArrayLike) -> Array:
 
 
 def melanosome_mu_a_per_mm(wavelength_nm: ArrayLike) -> Array:
-    """Return the absorption of the interior of a melanosome. [mm^-1]
+    """Absorption of the interior of a melanosome. [mm^-1]
 
     References: Jacques 2013, Phys. Med. Biol. 58 R37: 519 (wavelength / 500 nm)^-3 per cm.
     """
@@ -77,7 +63,7 @@ def melanosome_mu_a_per_mm(wavelength_nm: ArrayLike) -> Array:
 
 
 def bloodless_skin_mu_a_per_mm(wavelength_nm: ArrayLike) -> Array:
-    """Return the absorption of skin without blood, melanin and water: the baseline. [mm^-1]
+    """Absorption of skin without blood, melanin and water: the baseline. [mm^-1]
 
     References: I. S. Saidi, thesis, Rice University (1992), as given by S. L. Jacques:
     0.244 + 85.3 exp(-(wavelength - 154 nm) / 66.2 nm) per cm, from bloodless neonatal skin.
