@@ -160,15 +160,17 @@ def _back(setup: _Setup, rounds: int, deadline: float, values: list[np.ndarray],
 
 
 def _through_open_board(setup: _Setup, backend: str) -> np.ndarray:
-    """Photocurrent by light from outside on a board without a cover, (2, sources, photodiodes) float: as
-    `_from_outside`."""
+    """Photocurrent by light from outside on a board without a cover and its standard error, (2, sources, photodiodes)
+    float. [A]"""
     board = setup.scene.board.model_copy(update={"cover_um": 0.0})
-    tracer = BoardTracer(setup.scene.model_copy(update={"board": board}), backend=backend, spacing_mm=OPEN_DISTANCE_MM)
+    scene = setup.scene.model_copy(update={"board": board})
+    tracer = BoardTracer(scene, backend=backend, spacing_mm=OPEN_DISTANCE_MM)
     found = []
     for j in range(len(setup.areas_mm2)):
         # So much light comes through an open board that one round tells it.
         _, left = tracer.back(j, 0, photons=BACK_PHOTONS, seed=seed_of(setup.seed, OPEN_BOARD, j))
-        found.append(_from_outside(setup, left, j))
+        current, variance = _from_outside(setup, left, j)
+        found.append((current, np.sqrt(variance)))
     return np.stack(found, -1)
 
 
