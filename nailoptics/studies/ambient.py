@@ -13,7 +13,7 @@ from ..scene import Scene
 Array = NDArray[np.float64]
 
 LUMENS_PER_WATT = 683.0
-SECOND_RADIATION_NM_K = 1.438777e7
+PHOTOPIC_OBSERVER = "CIE 1924 Photopic Standard Observer"
 STEP_NM = 10.0
 # Silicon sees from here to there; where tissue has no data, that of the nearest wavelength stands for it.
 SILICON_NM = (380.0, 1100.0)
@@ -29,27 +29,29 @@ class Ambient:
 
     def irradiance(self, wavelength_nm: ArrayLike) -> Array:
         """Spectral irradiance. [W m^-2 nm^-1]"""
-        visible = np.arange(380.0, 781.0)
-        lumens = LUMENS_PER_WATT * np.trapezoid(luminous_efficiency(visible) * self._planck(visible), visible)
-        return self._planck(np.asarray(wavelength_nm, float)) * self.lux / lumens
+        # Half a second, paid only where light from outside is asked for.
+        import colour
 
-    def _planck(self, wavelength_nm: Array) -> Array:
-        """Planck's law, relative."""
-        return (wavelength_nm / 560.0) ** -5 / np.expm1(SECOND_RADIATION_NM_K / wavelength_nm / self.kelvin)
+        def planck(nm: ArrayLike) -> Array:
+            return np.asarray(colour.colorimetry.planck_law(np.asarray(nm, float) * 1e-9, self.kelvin))
+
+        observer = colour.SDS_LEFS[PHOTOPIC_OBSERVER]
+        lumens = LUMENS_PER_WATT * np.trapezoid(observer.values * planck(observer.wavelengths), observer.wavelengths)
+        return planck(wavelength_nm) * self.lux / lumens
+
+    def photocurrent_a_per_mm2(self, quantum_efficiency: float) -> tuple[Array, Array]:
+        """Wavelengths that silicon sees [nm], and the photocurrent of each for a square millimetre in the open.
+        [A/mm^2]
+
+        Steps are equal, so that the sum is the integral.
+        """
+        wavelength_nm = np.arange(SILICON_NM[0], SILICON_NM[1] + STEP_NM / 2, STEP_NM)
+        responsivity = electronics.responsivity_a_per_w(wavelength_nm, quantum_efficiency)
+        return wavelength_nm, 1e-6 * STEP_NM * self.irradiance(wavelength_nm) * responsivity
 
 
 # Full sun, and a bright place in the light of incandescent lamps, the kind with the most infrared for its lux.
 SOURCES = (Ambient("sun", 5778.0, 1e5), Ambient("lamp", 2856.0, 1e3))
-
-
-def luminous_efficiency(wavelength_nm: ArrayLike) -> Array:
-    """Photopic V(lambda) by the fit of C. Wyman, P.-P. Sloan, P. Shirley, JCGT 2(2), 2013, to 1 % of its maximum."""
-
-    def lobe(peak: float, below: float, above: float) -> Array:
-        away = np.asarray(wavelength_nm, float) - peak
-        return np.exp(-0.5 * (away / np.where(away < 0, below, above)) ** 2)
-
-    return 0.821 * lobe(568.8, 46.9, 40.5) + 0.286 * lobe(530.9, 16.3, 31.1)
 
 
 def collecting_area_mm2(escaping: ArrayLike, *, area_mm2: float, n: float) -> Array:
@@ -74,12 +76,9 @@ def photocurrents_a(
     Absorption is that of every wavelength, scattering that of the one traced: at shorter ones light scatters more and
     leaks less.
     """
-    wavelength = np.arange(SILICON_NM[0], SILICON_NM[1] + STEP_NM / 2, STEP_NM)
+    wavelength, per_mm2 = ambient.photocurrent_a_per_mm2(quantum_efficiency)
     inside = np.clip(wavelength, *tissue.WAVELENGTH_RANGE_NM)
     mu_a, traced = optics.absorption(scene, inside), optics.absorption(scene, traced_nm)[0]
-    # In amperes for each square millimetre that collects; steps are equal, so that the sum is the integral.
-    per_mm2 = 1e-6 * STEP_NM * ambient.irradiance(wavelength)
-    per_mm2 = per_mm2 * electronics.responsivity_a_per_w(wavelength, quantum_efficiency)
     part = np.exp(-(escaped.path_mm.astype(float) @ (mu_a - traced).T)) @ per_mm2
     n = float(tissue.scattering("epoxy", traced_nm)[2]) if scene.light.index_steps else 1.0
     return collecting_area_mm2(escaped.weight * part / escaped.photons, area_mm2=area_mm2, n=n)

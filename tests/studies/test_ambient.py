@@ -11,7 +11,7 @@ from nailoptics.light import backend, optics
 from nailoptics.light.board_map import Arrivals, BoardTracer
 from nailoptics.light.volpath import integrate, mitsuba_scene
 from nailoptics.scene import parse_scene
-from nailoptics.studies.ambient import SOURCES, Ambient, collecting_area_mm2, luminous_efficiency, photocurrents_a
+from nailoptics.studies.ambient import SOURCES, Ambient, collecting_area_mm2, photocurrents_a
 
 SCENE = """
 schema_version = 1
@@ -37,11 +37,6 @@ def test_black_bodies_shine_with_their_luminous_efficacy(kelvin, lumens_per_watt
     wavelength = np.arange(100.0, 60_000.0)
     total = np.trapezoid(Ambient("one", kelvin, 1e5).irradiance(wavelength), wavelength)
     assert 1e5 / total == pytest.approx(lumens_per_watt, abs=1.0)
-
-
-def test_the_eye_sees_as_the_standard_observer_does():
-    """CIE 1924: V = 1 at 555, 0.323 at 500, 0.107 at 650 nm."""
-    assert np.allclose(luminous_efficiency([500.0, 555.0, 650.0]), [0.323, 1.0, 0.107], atol=0.012)
 
 
 def test_silicon_in_the_open_gives_the_short_circuit_current_of_full_sun():

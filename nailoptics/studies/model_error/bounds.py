@@ -10,7 +10,7 @@ from ...scene import Scene
 from ...scene.files import scene_of
 from ...scene.layout import Rectangle
 from ...statistics import Z95
-from ..ambient import SILICON_NM, SOURCES, STEP_NM, collecting_area_mm2
+from ..ambient import SOURCES, collecting_area_mm2
 from ..comparison.compare import BLOOD_REDUCED_SCATTERING_PER_MM
 from .effect import Change, Effect, effect_of
 from .paired import UNSEEN_VARIANCE, Difference, PairedReadings, end_states, paired_readings
@@ -82,10 +82,8 @@ def ambient(scene: Scene, base: PairedReadings, swapped: PairedReadings, toleran
     All of it is taken to be absorbed as the LED's light is, which is less than blood does to what is shorter.
     """
     lamp = SOURCES[-1]
-    wavelength = np.arange(SILICON_NM[0], SILICON_NM[1] + STEP_NM / 2, STEP_NM)
     efficiency = scene.photodiodes[0].quantum_efficiency
-    # In amperes for each square millimetre that collects.
-    per_mm2 = 1e-6 * STEP_NM * lamp.irradiance(wavelength) @ electronics.responsivity_a_per_w(wavelength, efficiency)
+    per_mm2 = float(lamp.photocurrent_a_per_mm2(efficiency)[1].sum())
     escapes = swapped.transfer.energy()["reflected"]
     led = swapped.transfer.scene.leds[0]
     area_mm2, index = led.size_mm[0] * led.size_mm[1], index_of("epoxy", led.wavelength_nm)
