@@ -1,6 +1,6 @@
 """Figures of a placement: the ranking, maps on the board, where each photodiode looks, and places of the LED."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -103,14 +103,7 @@ def _fine(tells: np.ndarray) -> tuple[float, float]:
 
 
 def _plane(
-    axes: "Axes",
-    result: xr.Dataset,
-    u: str,
-    values: np.ndarray,
-    colours: str,
-    span: tuple[float, float],
-    *,
-    even: bool = False,
+    axes: "Axes", result: xr.Dataset, u: str, values: np.ndarray, colours: str, span: tuple[float, float], *, even: bool
 ) -> None:
     """A map with contours and the bar of its colours; blank where nothing is known.
 
@@ -130,26 +123,22 @@ def _plane(
 
 def sensitivity_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     """Fall of the light with the blood of either zone, relative to the light there."""
+    light = _smooth(result.irradiance.isel(led=0).to_numpy())
+    # Where few photons came, the ratio is noise and is left blank.
+    light[_smooth(result.irradiance_stderr.isel(led=0).to_numpy()) > 0.7 * light] = np.nan
+    each = [_smooth(-result.sensitivity.isel(led=0, blood_zone=k).to_numpy()) for k in range(2)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        fall = [np.where(light > 0, one / light, np.nan) for one in each]
+    top = float(np.nanquantile(np.stack(fall), 0.99))
+    levels, edges = np.linspace(0, top, 7)[1:-1], _board_edges(result)
     with style.drawing():
         figure = style.new_figure(9.2, 4.7)
-        light = _smooth(result.irradiance.isel(led=0).to_numpy())
-        # Where few photons came, the ratio is noise and is left blank.
-        light[_smooth(result.irradiance_stderr.isel(led=0).to_numpy()) > 0.7 * light] = np.nan
-        each = [_smooth(-result.sensitivity.isel(led=0, blood_zone=k).to_numpy()) for k in range(2)]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            fall = [np.where(light > 0, one / light, np.nan) for one in each]
-        top = float(np.nanquantile(np.stack(fall), 0.99))
-        for axes, values, title in zip(
-            figure.subplots(1, 2), fall, ("Proximal blood [%/%]", "Distal blood [%/%]"), strict=True
-        ):
-            image = axes.imshow(
-                np.clip(values, 0, top).T, extent=_board_edges(result), origin="lower", cmap="magma", vmin=0, vmax=top
-            )
-            axes.contour(
-                result.u, result.v, values.T, levels=np.linspace(0, top, 7)[1:-1], colors=["#ffffff"], linewidths=0.5
-            )
+        for axes, values, title in zip(figure.subplots(1, 2), fall, ("Proximal", "Distal"), strict=True):
+            shown = np.clip(values, 0, top).T
+            image = axes.imshow(shown, extent=edges, origin="lower", cmap="magma", vmin=0, vmax=top)
+            axes.contour(result.u, result.v, values.T, levels=levels, colors=["#ffffff"], linewidths=0.5)
             figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02)
-            axes.set_title(title)
+            axes.set_title(f"{title} blood [%/%]")
             _parts(axes, scene)
     return figure
 
@@ -163,22 +152,11 @@ def sites_figure(result: xr.Dataset) -> "Figure":
         axes = figure.subplots()
         place, found = result.led_site_mm.to_numpy(), 1e3 * result.led_site_resolution_n.to_numpy()
         norm = LogNorm(found.min(), max(found.max(), 1.001 * found.min()))
-        marks = {"left": ">", "right": "<", "below": "^", "above": "v"}
-        sides = [str(side) for side in result.led_site_side.values]
-        for side in dict.fromkeys(sides):
-            at = np.array([s == side for s in sides])
-            shift = {"left": (0.12, 0), "right": (-0.12, 0), "below": (0, 0.12), "above": (0, -0.12)}.get(side, (0, 0))
-            image = axes.scatter(
-                place[at, 0] + shift[0],
-                place[at, 1] + shift[1],
-                c=found[at],
-                norm=norm,
-                cmap="viridis_r",
-                marker=marks.get(side, "o"),
-                s=46,
-                edgecolors=style.MUTED,
-                linewidths=0.4,
-            )
+        marks = {"left": (">", 0.12, 0), "right": ("<", -0.12, 0), "below": ("^", 0, 0.12), "above": ("v", 0, -0.12)}
+        look: dict[str, Any] = {"cmap": "viridis_r", "s": 46, "edgecolors": style.MUTED, "linewidths": 0.4}
+        for side in dict.fromkeys(result.led_site_side.values):
+            at, (mark, du, dv) = result.led_site_side.values == side, marks.get(str(side), ("o", 0, 0))
+            image = axes.scatter(place[at, 0] + du, place[at, 1] + dv, c=found[at], norm=norm, marker=mark, **look)
         figure.colorbar(image, ax=axes, label="force resolution [mN]")
         axes.axis(_board_edges(result))
         axes.set_aspect("equal")
@@ -269,7 +247,7 @@ def led_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     with style.drawing():
         figure = style.new_figure(9.2, 4.7)
         for axes, (title, values, colours, span) in zip(figure.subplots(1, 2), panels, strict=True):
-            _plane(axes, result, "led_u", values, colours, span)
+            _plane(axes, result, "led_u", values, colours, span, even=False)
             axes.set_title(title)
             _parts(axes, scene)
     return figure

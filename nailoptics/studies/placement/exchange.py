@@ -125,13 +125,10 @@ def _best_at(
 
 def led_sites(base: Scene, placement: Placement) -> list[LedSite]:
     """LED sites on a grid over the outline, symmetric boards on one half, each with the walls that leave room."""
-    outline, die = _outline(base), base.leds[0].size_mm
-    low = [m + placement.edge_mm + d / 2 for m, d in zip((outline.u_min, outline.v_min), die, strict=True)]
-    high = [m - placement.edge_mm - d / 2 for m, d in zip((outline.u_max, outline.v_max), die, strict=True)]
-    axes = []
-    for a, b in zip(low, high, strict=True):
-        half = max(0, int((b - a) / 2 / placement.led_step_mm + 1e-9))
-        axes.append((a + b) / 2 + placement.led_step_mm * np.arange(-half, half + 1))
+    outline, die, step, axes = _outline(base), base.leds[0].size_mm, placement.led_step_mm, []
+    for low, high in zip(*_led_range(base, placement), strict=True):
+        half = max(0, int((high - low) / 2 / step + 1e-9))
+        axes.append((low + high) / 2 + step * np.arange(-half, half + 1))
     if placement.outline_mm is None and abs(outline.u_min + outline.u_max) < 1e-6:
         # Fingers are symmetric here, so that a layout and its mirror image are one.
         axes[0] = axes[0][axes[0] <= 1e-6]
@@ -143,19 +140,20 @@ def led_sites(base: Scene, placement: Placement) -> list[LedSite]:
 
 def neighbours(site: LedSite, step_mm: float, base: Scene, placement: Placement) -> list[LedSite]:
     """The sites next to one, with the same wall."""
-    outline, die = _outline(base), base.leds[0].size_mm
+    low, high = _led_range(base, placement)
     found = []
     for du, dv in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         u, v = site.place_mm[0] + du * step_mm, site.place_mm[1] + dv * step_mm
-        edge = min(
-            u - die[0] / 2 - outline.u_min,
-            outline.u_max - u - die[0] / 2,
-            v - die[1] / 2 - outline.v_min,
-            outline.v_max - v - die[1] / 2,
-        )
-        if edge >= placement.edge_mm - 1e-9 and _inside((u, v), die, placement):
+        on_board = np.all(np.array([u, v]) >= low - 1e-9) and np.all(np.array([u, v]) <= high + 1e-9)
+        if on_board and _inside((u, v), base.leds[0].size_mm, placement):
             found.append(LedSite((round(u, 4), round(v, 4)), site.side))
     return found
+
+
+def _led_range(base: Scene, placement: Placement) -> tuple[np.ndarray, np.ndarray]:
+    """The lowest and the highest (u, v) that the LED may take on the board. [mm]"""
+    outline, margin = _outline(base), placement.edge_mm + np.array(base.leds[0].size_mm) / 2
+    return np.array([outline.u_min, outline.v_min]) + margin, np.array([outline.u_max, outline.v_max]) - margin
 
 
 def _walls_at(place: tuple[float, float], base: Scene) -> list[str | None]:
@@ -163,14 +161,10 @@ def _walls_at(place: tuple[float, float], base: Scene) -> list[str | None]:
     if not base.board.barrier:
         return [None]
     outline, (u, v) = _outline(base), place
-    wide, long = outline.u_max - outline.u_min, outline.v_max - outline.v_min
-    room = {
-        "left": (outline.u_max - u) / wide,
-        "right": (u - outline.u_min) / wide,
-        "below": (outline.v_max - v) / long,
-        "above": (v - outline.v_min) / long,
-    }
-    return [side for side, part in room.items() if part > LEAST_ROOM]
+    wide, long = LEAST_ROOM * (outline.u_max - outline.u_min), LEAST_ROOM * (outline.v_max - outline.v_min)
+    room = {"left": outline.u_max - u > wide, "right": u - outline.u_min > wide}
+    room |= {"below": outline.v_max - v > long, "above": v - outline.v_min > long}
+    return [side for side, enough in room.items() if enough]
 
 
 def board_at(site: LedSite, base: Scene) -> Scene:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from ...light.board_map import BloodPoint, BoardTracer, PhotonMap, blood_point
 from ...scene import FingerCase, Scene, digest
@@ -41,7 +42,7 @@ class PhotonMapCache:
         self.conditions, self.seed, self.stream, self.backend = tuple(conditions), seed, stream, backend
         self.spacing_mm, self.blocks = spacing_mm, blocks
         self._maps: dict[str, list[list[PhotonMap]]] = {}
-        self._tracers: dict[tuple[str, str], BoardTracer] = {}
+        self._tracers: dict[tuple[str, str | None], BoardTracer] = {}
         self.photons = 0
 
     def maps(self, board: Scene) -> list[list[PhotonMap]]:
@@ -52,33 +53,23 @@ class PhotonMapCache:
         """Trace so many photons more, per LED and finger, of a bare board."""
         key = digest(board)
         if key not in self._maps:
-            self._maps[key] = [[self._empty(board) for _ in board.leds] for _ in self.conditions]
+            outline = board.layout.outline
+            size: dict[str, Any] = {"spacing_mm": self.spacing_mm, "blocks": self.blocks}
+            self._maps[key] = [[PhotonMap(outline, values=4, **size) for _ in board.leds] for _ in self.conditions]
         # Conditions of one digit differ in what only dims the light: they share a trace.
-        by_digit: dict[str, list[int]] = {}
-        for i, condition in enumerate(self.conditions):
-            by_digit.setdefault(condition.case.digit or "", []).append(i)
-        for digit, members in by_digit.items():
-            traced = boards.on_finger(board, self.conditions[members[0]].case, light_only=True)
+        for digit in dict.fromkeys(condition.case.digit for condition in self.conditions):
+            members = [i for i, condition in enumerate(self.conditions) if condition.case.digit == digit]
             if (key, digit) not in self._tracers:
+                traced = boards.on_finger(board, self.conditions[members[0]].case, light_only=True)
                 self._tracers[key, digit] = BoardTracer(traced, backend=self.backend, spacing_mm=self.distance_mm)
             for led in range(len(board.leds)):
-                self._extend_led(key, self._tracers[key, digit], traced, board, led, members, photons)
-
-    def _empty(self, board: Scene) -> PhotonMap:
-        return PhotonMap(board.layout.outline, values=4, spacing_mm=self.spacing_mm, blocks=self.blocks)
+                self._extend_led(key, self._tracers[key, digit], board, led, members, photons)
 
     def _extend_led(
-        self,
-        key: str,
-        tracer: BoardTracer,
-        traced: Scene,
-        board: Scene,
-        led: int,
-        members: list[int],
-        photons: int,
+        self, key: str, tracer: BoardTracer, board: Scene, led: int, members: list[int], photons: int
     ) -> None:
         """Trace one LED on one digit and add its light to the maps of all conditions of that digit."""
-        points = [self._blood_point(board, self.conditions[i], led, traced) for i in members]
+        points = [self._blood_point(board, self.conditions[i], led, tracer.scene) for i in members]
         first = self._maps[key][members[0]][led].photons // tracer.batch_photons
         for batch in range(first, first + max(1, round(photons / tracer.batch_photons))):
             # From the board's digest, so that a trace does not depend on which were made before it.
