@@ -1,6 +1,6 @@
 """SHAPE: fingertip, nail, bone and board of a scene as watertight interfaces that know both sides."""
 
-from .build import build
+from .build import build, shaping
 from .check import Report, check
 from .distance import DistanceGrid, distance_grid
 from .model import Face, Geometry, nail_coordinates
@@ -14,4 +14,5 @@ __all__ = [
     "check",
     "distance_grid",
     "nail_coordinates",
+    "shaping",
 ]

@@ -17,6 +17,8 @@ from .surfaces import Shape
 log = logging.getLogger(__name__)
 
 FOLDS_RAD = (0.28, 0.6, 1.2)
+# What of a scene a geometry is built from.
+BUILT_FROM = ("finger", "board", "leds", "photodiodes")
 
 
 def build(scene: Scene, *, resolution: float = 1.0) -> Geometry:
@@ -49,6 +51,12 @@ def build(scene: Scene, *, resolution: float = 1.0) -> Geometry:
     )
     log.info("geometry: %d triangles between %d regions", len(triangles), len(geometry.regions))
     return geometry
+
+
+def shaping(scene: Scene) -> Scene:
+    """A scene with everything at its default that its geometry is not built from; equal for all of one geometry."""
+    others = {name: field for name, field in Scene.model_fields.items() if name not in BUILT_FROM}
+    return scene.model_copy(update={name: f.default for name, f in others.items() if not f.is_required()})
 
 
 def _grid(scene: Scene, resolution: float) -> tuple[BentBoard, Grid]:

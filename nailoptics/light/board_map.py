@@ -20,7 +20,7 @@ from . import optics
 from .transfer import provenance
 
 if TYPE_CHECKING:
-    from .tallies.sensitivity import Cells
+    from .tallies.sensitivity import VoxelGrid
 
 # A photon that never entered the bed has no path there, but for rounding between the zones.
 NO_PATH_MM = 1e-5
@@ -48,7 +48,7 @@ class BoardTracer:
     """Traces a finger scene's LEDs onto its board, whatever its photodiodes."""
 
     def __init__(
-        self, scene: Scene, shape: Geometry | None = None, *, backend: str = "auto", spacing_mm: float = 0.1
+        self, scene: Scene, geometry: Geometry | None = None, *, backend: str = "auto", spacing_mm: float = 0.1
     ) -> None:
         """spacing_mm : cells of the distances that the walk asks for; wider ones are made sooner and walk slower."""
         if scene.finger is None:
@@ -59,10 +59,10 @@ class BoardTracer:
                 f"a photon map needs a JIT backend, and {self.backend.name} is none: {self.backend.advice}"
             )
         backends.activate(self.backend)
-        from .finger_walk import MeshTracer
+        from .finger_walk import FingerTracer
 
         self.scene = scene
-        self.tracer = MeshTracer(scene, shape, spacing_mm=spacing_mm)
+        self.tracer = FingerTracer(scene, geometry, spacing_mm=spacing_mm)
         self.batch_photons = self.tracer.batch_photons
 
     def arrivals(self, led: int, *, photons: int, seed: int) -> Arrivals:
@@ -77,40 +77,39 @@ class BoardTracer:
 
         Returns: light that arrives on the board, and light that leaves into the air; that has no place (nan).
         """
-        return self._onto_board(led, self.tracer.shape.photodiodes[photodiode], photons, seed)
+        return self._onto_board(led, self.tracer.geometry.photodiodes[photodiode], photons, seed)
 
     def _onto_board(self, led: int, face: Face | None, photons: int, seed: int) -> tuple[Arrivals, Arrivals]:
         from .sampling import TOP
-        from .tallies.board_tally import Recorder
+        from .tallies.board_tally import BoardTally
 
         backends.activate(self.backend)
-        tallies = len(optics.TISSUES) + optics.zones(self.scene).count - 1
-        recorder = Recorder(self.tracer.shape, photons=photons, tallies=tallies)
-        outcome, last, _, ways, _ = self.tracer.walk(led, photons=photons, seed=seed, face=face, board=recorder)
-        photon, place, weight, paths = recorder.arrays()
-        left = np.flatnonzero(outcome == TOP)
+        tally = BoardTally(self.tracer.geometry, photons=photons, paths=self.tracer.paths)
+        walked = self.tracer.walk(led, photons=photons, seed=seed, face=face, board=tally)
+        photon, place, weight, paths = tally.arrays()
+        left = np.flatnonzero(walked.outcome == TOP)
         nowhere = np.full((len(left), 2), np.nan)
         return (
             Arrivals(photons, photon, place, weight, self.tracer.by_zone(paths)),
-            Arrivals(photons, left, nowhere, last[left].astype(float), self.tracer.by_zone(ways[:, left])),
+            Arrivals(photons, left, nowhere, walked.weight[left], self.tracer.by_zone(walked.path_mm[:, left])),
         )
 
     def detected(
-        self, led: int, point: "BloodPoint", *, photons: int, seed: int, cells: "Cells | None" = None
+        self, led: int, point: "BloodPoint", *, photons: int, seed: int, cells: "VoxelGrid | None" = None
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """What the scene's own photodiodes read, (photodiodes, 2 + K) float: means of a BloodPoint's values.
 
         cells : ask, too, where in the finger each photodiode looks: how its reading falls with absorption in each
             cell, per volume, (photodiodes, u, v, depth) float. [mm^-2]
         """
-        from .finger_walk import DETECTED
-        from .tallies.sensitivity import Seen
+        from .surroundings import DETECTED
+        from .tallies.sensitivity import SensitivityTally
 
         backends.activate(self.backend)
-        outcome, weight, _, paths, _ = self.tracer.walk(led, photons=photons, seed=seed)
-        ended, count = np.flatnonzero(outcome >= DETECTED), len(self.tracer.photodiodes)
-        where, nowhere = outcome[ended] - DETECTED, np.zeros((len(ended), 2))
-        arrived = Arrivals(photons, ended, nowhere, weight[ended].astype(float), self.tracer.by_zone(paths[:, ended]))
+        walked = self.tracer.walk(led, photons=photons, seed=seed)
+        ended, count = np.flatnonzero(walked.outcome >= DETECTED), len(self.tracer.photodiodes)
+        where, nowhere = walked.outcome[ended] - DETECTED, np.zeros((len(ended), 2))
+        arrived = Arrivals(photons, ended, nowhere, walked.weight[ended], self.tracer.by_zone(walked.path_mm[:, ended]))
         values = point.values(arrived)
         means = np.stack([np.bincount(where, column, minlength=count) for column in values.T], -1) / photons
         if cells is None:
@@ -119,17 +118,17 @@ class BoardTracer:
             return means, np.zeros((count, *cells.shape))
         counts, looks = np.zeros(photons), np.zeros(photons, int)
         counts[ended], looks[ended] = values[:, 0], where
-        seen = Seen(cells, counts, looks, count)
-        again = self.tracer.replay(led, photons=photons, seed=seed, which=ended, seen=seen)
-        if np.count_nonzero(again != outcome[ended]) > 1 + 0.01 * len(ended):
+        tally = SensitivityTally(cells, counts, looks, count)
+        again = self.tracer.replay(led, photons=photons, seed=seed, which=ended, tally=tally)
+        if np.count_nonzero(again != walked.outcome[ended]) > 1 + 0.01 * len(ended):
             raise RuntimeError("photons walked otherwise when they walked again; this backend does not repeat itself.")
-        return means, seen.sums() / (photons * cells.volume_mm3)
+        return means, tally.sums() / (photons * cells.volume_mm3)
 
-    def cells(self) -> "Cells":
+    def cells(self) -> "VoxelGrid":
         """Cells under the nail of this finger, for `detected`."""
-        from .tallies.sensitivity import Cells
+        from .tallies.sensitivity import VoxelGrid
 
-        return Cells.under_nail(self.scene, self.tracer.shape)
+        return VoxelGrid.under_nail(self.scene, self.tracer.geometry)
 
 
 @dataclass(frozen=True)

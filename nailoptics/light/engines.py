@@ -156,9 +156,10 @@ def _section(scene: Scene, shape: Geometry, seed: int, *, traced: bool) -> xr.Da
         )
     }
     if traced:
-        from .finger_walk import MeshTracer, Section
+        from .finger_walk import FingerTracer
+        from .tallies.section import Section
 
-        tracer = MeshTracer(scene, shape, spacing_mm=0.2)  # few photons: distances of 0.1 mm would take longer
+        tracer = FingerTracer(scene, shape, spacing_mm=0.2)  # few photons: distances of 0.1 mm would take longer
         density = []
         for led in range(len(scene.leds)):
             section = Section(y, z)

@@ -1,5 +1,6 @@
 """The photon walk through a finger: scattering between interfaces, and rays only where one may be met."""
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -7,79 +8,75 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import geometry
+from .. import geometry as finger_geometry
 from ..geometry import DistanceGrid, Face, Geometry
 from ..scene import Scene
 from . import optics
-from .arithmetic import clip, maximum
 from .records import Batch
 from .sampling import (
     ABSORBED,
-    BOTTOM,
-    FAR,
-    KILLED_SHARE,
     LAMBERTIAN,
-    LONG_LIFE,
     LOST,
     TOP,
-    emission_cosine,
+    PhotonEnds,
+    WalkedPhotons,
+    absorption_depth,
     emission_table,
-    energy_sums,
     fresnel,
     henyey_greenstein,
     lanes,
-    lifetime,
+    remaining,
+    rotate_direction,
+    roulette,
     state_of,
-    turn,
 )
 from .splitting import COPIES, Splitting
-from .tallies.board_tally import Recorder
-from .tallies.sensitivity import Seen
+from .surroundings import DETECTED, Emitter, FingerPhoton, Interfaces, Medium, Regions, Surroundings, off_surface
+from .tallies.board_tally import BoardTally
+from .tallies.section import Section
+from .tallies.sensitivity import SensitivityTally
 
-# Outcomes from here on name the photodiode that a photon reached.
-DETECTED = 16
 # Scatterings without a ray before lanes wait for each other; more leave lanes idle, fewer cast rays for few lanes.
 FREE_EVENTS = 6
-# Through these light comes back from the bed to the photodiodes.
-OVER_BED = ("plate", "epoxy")
-
-
-# What of a scene does not shape it.
-_SHAPELESS = {
-    name: Scene.model_fields[name].default
-    for name in ("blood", "touch", "electronics", "light", "accuracy", "placement")
-}
+# Most scatterings happen so near to the dies and photodiodes; beyond, every step asks for a ray, which is only slower.
+ASIDE_MM, BELOW_MM, ABOVE_MM = 5.0, 6.5, 0.1
+PLATE, BED, EPOXY = (optics.TISSUES.index(name) for name in ("plate", "bed", "epoxy"))
 
 
 @lru_cache(maxsize=2)
-def _shaped(scene: Scene, spacing_mm: float) -> tuple[Geometry, DistanceGrid]:
-    """A scene's shape and its distances, which take seconds; scenes that differ in optics have them in common."""
-    shape = geometry.build(scene)
-    return shape, _distances(shape, spacing_mm)
+def _built(scene: Scene, spacing_mm: float) -> tuple[Geometry, DistanceGrid]:
+    """A scene's geometry and its distances, which take seconds; scenes that differ in optics have them in common."""
+    geometry = finger_geometry.build(scene)
+    return geometry, _distances(geometry, spacing_mm)
 
 
-def _distances(shape: Geometry, spacing_mm: float) -> DistanceGrid:
-    return geometry.distance_grid(shape, bounds_mm=_near_board(shape), spacing_mm=spacing_mm)
+def _distances(geometry: Geometry, spacing_mm: float) -> DistanceGrid:
+    """Distances to the interfaces near the board."""
+    faces = (*geometry.leds, *geometry.photodiodes)
+    corners = np.concatenate([np.asarray(face.quads).reshape(-1, 3) for face in faces])
+    low = np.maximum(corners.min(0) - [ASIDE_MM, ASIDE_MM, BELOW_MM], geometry.bounds_mm[0])
+    high = np.minimum(corners.max(0) + [ASIDE_MM, ASIDE_MM, ABOVE_MM], geometry.bounds_mm[1])
+    return finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high]), spacing_mm=spacing_mm)
 
 
-class MeshTracer:
-    """Traces the LEDs of a finger scene."""
+class FingerTracer:
+    """The photons engine for a finger scene: walks the photons of its LEDs until each has ended."""
 
     batch_photons = 1 << 18
 
-    def __init__(self, scene: Scene, shape: Geometry | None = None, *, spacing_mm: float = 0.1) -> None:
-        """spacing_mm : cells of the distances; wider ones are made sooner and let light skip less. [mm]"""
+    def __init__(self, scene: Scene, geometry: Geometry | None = None, *, spacing_mm: float = 0.1) -> None:
+        """spacing_mm : Cells of the distances; wider ones are made sooner and let light skip less. [mm]"""
         self.scene = scene
-        if shape is None:
-            self.shape, distances = _shaped(scene.model_copy(update=_SHAPELESS), spacing_mm)
+        if geometry is None:
+            self.geometry, distances = _built(finger_geometry.shaping(scene), spacing_mm)
         else:
-            self.shape, distances = shape, _distances(shape, spacing_mm)
-        self.photodiodes = tuple(face.name for face in self.shape.photodiodes)
-        self.absorbers = optics.absorbers(scene)
-        self.mesh_scene = _mesh_scene(self.shape)
-        self.triangles = _triangle_table(self.shape)
-        self.grid = _Grid(distances)
-        self.regions = [_RegionTable(self, led.wavelength_nm) for led in scene.leds]
+            self.geometry, distances = geometry, _distances(geometry, spacing_mm)
+        self.photodiodes = tuple(face.name for face in self.geometry.photodiodes)
+        self.interfaces = Interfaces(self.geometry, distances)
+        self.regions = [Regions(scene, self.geometry, led.wavelength_nm) for led in scene.leds]
+        self.zones = optics.zones(scene)
+        # The bed's path counts whole, and what of it lies beyond each edge of the zones.
+        self.paths = len(optics.TISSUES) + len(self.zones.edges_mm)
 
     def mu_a(self, led: int) -> np.ndarray:
         """Absorption for which the weights hold, (r,) float. [mm^-1]"""
@@ -87,20 +84,18 @@ class MeshTracer:
 
     def batch(self, led: int, *, photons: int, seed: int) -> Batch:
         """Trace some photons of one LED."""
-        splitting = Splitting(self.shape, photons)
+        splitting = Splitting(self.geometry, photons)
         rng, count = lanes(photons, seed)
-        outcome, weight, roulette, paths, events = self._run(led, rng, count, photons, splitting=splitting)
+        walked = self._run(led, rng, count, photons, splitting=splitting)
         photodiode, score = np.array(splitting.photodiode), np.array(splitting.score)
-        seen = np.flatnonzero(score)
-        # Light that ends in a photodiode is absorbed there, as far as the energy goes.
-        whereabouts = np.where(outcome >= DETECTED, ABSORBED, outcome)
+        detected = np.flatnonzero(score)
         return Batch(
             photons=photons,
-            photodiode=photodiode[seen].astype(np.uint16),
-            weight=score[seen].astype(float),
-            path_mm=self.by_zone(paths[:, seen]),
-            energy=energy_sums(whereabouts, weight.astype(float), roulette.astype(float)),
-            events=events,
+            photodiode=photodiode[detected].astype(np.uint16),
+            weight=score[detected].astype(float),
+            path_mm=self.by_zone(walked.path_mm[:, detected]),
+            energy=walked.energy(),
+            events=walked.events,
         )
 
     def walk(
@@ -110,18 +105,18 @@ class MeshTracer:
         photons: int,
         seed: int,
         face: Face | None = None,
-        section: "Section | None" = None,
-        board: Recorder | None = None,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
-        """Outcome, weight, roulette (n,) and paths (media + zones - 1, n) of each photon; scatterings in all.
+        section: Section | None = None,
+        board: BoardTally | None = None,
+    ) -> WalkedPhotons:
+        """Trace some photons of one LED, each counting for itself; their paths are in the order of `by_zone`.
 
-        face : what shines, at the LED's wavelength and Lambertian, in the LED's place.
+        face : What shines, at the LED's wavelength and Lambertian, in the LED's place.
         """
         rng, count = lanes(photons, seed)
         return self._run(led, rng, count, photons, face=face, section=section, board=board)
 
-    def replay(self, led: int, *, photons: int, seed: int, which: np.ndarray, seen: Seen) -> np.ndarray:
-        """Walk some photons (n,) of a walk once more, to see where they were; returns their outcome (n,).
+    def replay(self, led: int, *, photons: int, seed: int, which: np.ndarray, tally: SensitivityTally) -> np.ndarray:
+        """Walk some photons (n,) of a walk once more, to tally where they were; returns their outcome (n,).
 
         It is the walk's, but for a photon in ten thousand or so whose rays round otherwise among other rays.
         """
@@ -130,7 +125,7 @@ class MeshTracer:
         rng: Any = mi.PCG32(size=len(which))  # type: ignore[operator]
         rng.state, rng.inc = (dr.gather(mi.UInt64, a, photon % dr.width(a)) for a in (lane.state, mi.UInt64(lane.inc)))
         once = dr.full(mi.UInt32, 1, len(which))
-        return self._run(led, rng, once, photons, first=photon, section=seen)[0][which]
+        return self._run(led, rng, once, photons, first=photon, section=tally).outcome[which]
 
     def _run(
         self,
@@ -141,350 +136,281 @@ class MeshTracer:
         *,
         first: Any = None,
         face: Face | None = None,
-        section: "Section | Seen | None" = None,
-        board: Recorder | None = None,
+        section: Section | SensitivityTally | None = None,
+        board: BoardTally | None = None,
         splitting: Splitting | None = None,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
-        source, shines = face or self.shape.leds[led], self.scene.leds[led]
-        emission = LAMBERTIAN if face else emission_table(shines)
-        blood = optics.zones(self.scene)
-        tallies = len(optics.TISSUES) + blood.count - 1
-        results = [dr.zeros(mi.UInt32, photons)] + [dr.zeros(mi.Float, photons) for _ in range(2 + tallies)]
-        events = _walk(
-            rng,
-            count,
-            dr.arange(mi.UInt32, dr.width(count)) if first is None else first,
-            self.mesh_scene,
-            self.triangles,
-            self.grid,
-            self.regions[led],
-            _emitter(source, emission),
-            [dr.opaque(mi.Float, edge) for edge in blood.edges_mm],
-            dr.opaque(mi.Float, blood.width_mm),
-            results,
-            section,
-            board,
-            splitting,
-        )
-        dr.eval(events, results)
-        outcome, weight, roulette, *paths = (np.array(a) for a in results)
-        return outcome, weight, roulette, np.stack(paths), int(np.array(events).sum(dtype=np.int64))
+    ) -> WalkedPhotons:
+        emission = LAMBERTIAN if face else emission_table(self.scene.leds[led])
+        emitter = Emitter(face or self.geometry.leds[led], emission)
+        around = Surroundings(self.interfaces, self.regions[led], emitter, self.zones)
+        ends = PhotonEnds(photons, paths=self.paths)
+        first = dr.arange(mi.UInt32, dr.width(count)) if first is None else first
+        return ends.evaluated(_walk(around, rng, count, first, ends, section, board, splitting))
 
     def by_zone(self, paths: np.ndarray) -> np.ndarray:
-        """Paths in the order of the absorbers, (n, r): the bed's divided among its zones."""
-        bed = optics.TISSUES.index("bed")
-        beyond = [paths[bed], *paths[len(optics.TISSUES) :], np.zeros_like(paths[bed])]
+        """Paths (t, n) in the order of the absorbers, (n, r): the bed's divided among its zones."""
+        count = len(optics.TISSUES)
+        beyond = [paths[BED], *paths[count:], np.zeros_like(paths[BED])]
         zones = [a - b for a, b in zip(beyond, beyond[1:], strict=False)]
-        return np.stack([paths[0], *zones, *paths[bed + 1 : len(optics.TISSUES)]], -1).astype(np.float32)
+        return np.stack([paths[PLATE], *zones, *paths[BED + 1 : count]], -1).astype(np.float32)
 
 
-class Section:
-    """The light's path density on the longitudinal section, summed over the finger's width."""
+@dataclass
+class _Fork:
+    """Where a photon was split, and how it stood there: all that its copies change on their way."""
 
-    def __init__(self, y_mm: np.ndarray, z_mm: np.ndarray) -> None:
-        self.y_mm, self.z_mm, self.spacing_mm = y_mm, z_mm, float(y_mm[1] - y_mm[0])
-        self.values = dr.zeros(mi.Float64, len(y_mm) * len(z_mm))
-        self.low = [dr.opaque(mi.Float, float(axis[0] - self.spacing_mm / 2)) for axis in (y_mm, z_mm)]
-        self.shape = [dr.opaque(mi.UInt32, len(axis)) for axis in (y_mm, z_mm)]
-
-    def add(self, p: Any, path: Any, weight: Any, photon: Any, active: Any) -> None:
-        """Add paths, weighted, at their middles. [mm]"""
-        j = mi.Int32(dr.floor((p.y - self.low[0]) / self.spacing_mm))
-        k = mi.Int32(dr.floor((p.z - self.low[1]) / self.spacing_mm))
-        inside = active & (j >= 0) & (k >= 0) & (mi.UInt32(j) < self.shape[0]) & (mi.UInt32(k) < self.shape[1])
-        dr.scatter_reduce(
-            dr.ReduceOp.Add, self.values, mi.Float64(path * weight), mi.UInt32(j) * self.shape[1] + mi.UInt32(k), inside
-        )
-
-    def density(self, photons: int) -> np.ndarray:
-        """Path per area of the section and emitted photon, (y, z) float. [mm^-1]"""
-        return np.array(self.values).reshape(len(self.y_mm), len(self.z_mm)) / (photons * self.spacing_mm**2)
+    p: Any
+    w: Any
+    region: Any
+    weight: Any
+    tau: Any
+    plate_mm: Any
+    epoxy_mm: Any
 
 
-class _RegionTable:
-    """Optics of each region as Dr.Jit arrays, at rest and at one wavelength."""
+@dataclass
+class _Leg:
+    """A photon's way through one region, up to an interface or to where it was last asked for one.
 
-    def __init__(self, tracer: MeshTracer, wavelength_nm: float) -> None:
-        names = tracer.shape.regions
-        found = optics.finger_media(tracer.scene, names, wavelength_nm)
-        first = {name: i for i, name in enumerate(names)}
-        detectors = {face.region: DETECTED + i for i, face in enumerate(tracer.shape.photodiodes)}
-        end = [BOTTOM if name == "cut" else detectors.get(i, ABSORBED) for i, name in enumerate(names)]
-        self.mu_a = mi.Float(found.mu_a)
-        self.mu_s = mi.Float(found.mu_s)
-        self.g = mi.Float(found.g)
-        self.n = mi.Float(found.n)
-        self.opaque = mi.UInt32(found.opaque.astype(np.uint32))
-        self.reflectance = mi.Float(found.reflectance)
-        parts = {face.region for face in (*tracer.shape.leds, *tracer.shape.photodiodes)}
-        on_board = [name in ("kapton", "silicon") or i in parts for i, name in enumerate(names)]
-        self.on_board = mi.UInt32(np.array(on_board, np.uint32))
-        self.end = mi.UInt32(np.array(end, np.uint32))
-        self.medium = mi.UInt32(
-            np.array([optics.TISSUES.index(n) if n in optics.TISSUES else 99 for n in names], np.uint32)
-        )
-        self.over_bed = mi.Bool(np.array([name in OVER_BED for name in names]))
-        self.bed, self.epoxy, self.air = (dr.opaque(mi.UInt32, first[name]) for name in ("bed", "epoxy", "air"))
+    step : The next step to come. [mm]
+    length : Length so far. [mm]
+    beyond : Part of it in the bed beyond each edge of the blood zones. [mm]
+    scatterings : Number of scatterings on it.
+    """
+
+    step: Any
+    length: Any
+    beyond: list[Any]
+    scatterings: Any
 
 
-class _Grid:
-    """Lower bounds of the distance to the nearest interface, at the centres of a regular grid."""
-
-    def __init__(self, grid: Any) -> None:
-        self.values = mi.Float(np.ascontiguousarray(grid.distance_mm.transpose(2, 1, 0), np.float32).ravel())
-        self.shape = [dr.opaque(mi.UInt32, int(n)) for n in grid.distance_mm.shape]
-        self.origin = [dr.opaque(mi.Float, float(x)) for x in grid.origin_mm]
-        self.spacing = dr.opaque(mi.Float, float(grid.spacing_mm))
-
-    def free(self, p: Any, active: Any) -> Any:
-        """A distance at p within which no interface lies; 0 where nothing is known."""
-        cell, off = [], mi.Float(0)
-        inside = mi.Bool(active)
-        for value, low, n in zip(p, self.origin, self.shape, strict=True):
-            place = (value - low) * dr.rcp(self.spacing)
-            index = mi.Int32(dr.floor(place))
-            inside &= (index >= 0) & (mi.UInt32(index) < n)
-            cell.append(mi.UInt32(index))
-            off += dr.square(place - mi.Float(index) - 0.5)
-        at = cell[0] + self.shape[0] * (cell[1] + self.shape[1] * cell[2])
-        return maximum(dr.gather(mi.Float, self.values, at, inside) - dr.sqrt(off) * self.spacing, 0)
-
-
-def _near_board(shape: Geometry) -> np.ndarray:
-    """The box (2, 3) in which most scatterings happen; beyond it every step asks for a ray, which is only slower."""
-    corners = np.concatenate([np.asarray(face.quads).reshape(-1, 3) for face in (*shape.leds, *shape.photodiodes)])
-    low, high = corners.min(0) - [5, 5, 6.5], corners.max(0) + [5, 5, 0.1]
-    bounds = np.asarray(shape.bounds_mm)
-    return np.stack([np.maximum(low, bounds[0]), np.minimum(high, bounds[1])])
+def _launch(around: Surroundings, rng: Any, lane: Any, index: Any) -> FingerPhoton:
+    """A new photon on the emitter."""
+    F, U = mi.Float, mi.UInt32
+    rng.state = state_of(lane, index)
+    p, w = around.emitter.emit(rng)
+    return FingerPhoton(
+        index=index,
+        rng=rng,
+        p=p,
+        w=w,
+        region=U(around.regions.epoxy),
+        weight=F(1),
+        roulette_balance=F(0),
+        tau=F(0),
+        absorption_optical_depth=absorption_depth(rng.next_float32()),
+        path=[F(0) for _ in range(len(optics.TISSUES) + len(around.zones.edges))],
+        steps=U(0),
+        outcome=U(0),
+        arrivals=U(0),
+        copies=U(1),
+        copies_left=U(0),
+        score=F(0),
+    )
 
 
-def _mesh_scene(shape: Geometry) -> Any:
-    mesh = mi.Mesh("interfaces", len(shape.vertices), len(shape.triangles))
-    params = mi.traverse(mesh)
-    params["vertex_positions"] = mi.Float(shape.vertices.astype(np.float32).ravel())
-    params["faces"] = mi.UInt32(shape.triangles.astype(np.uint32).ravel())
-    params.update()
-    return mi.load_dict({"type": "scene", "interfaces": mesh}, optimize=False)
-
-
-def _triangle_table(shape: Geometry) -> Any:
-    """Per triangle: normal (3) and, packed into the bits of the fourth number, the regions below and above."""
-    a, b, c = (shape.vertices[shape.triangles[:, i]] for i in range(3))
-    normal = np.cross(b - a, c - a)
-    table = np.empty((len(normal), 4), np.float32)
-    table[:, :3] = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    table[:, 3] = (shape.below + 1 + (shape.above.astype(np.uint32) + 1) * 1024).astype(np.float32)
-    return mi.Float(table.ravel())
-
-
-def _emitter(face: Face, emission: np.ndarray) -> dict[str, Any]:
-    """Corners of the die's facets and their shares of its area; and its `emission_table`."""
-    quads = np.asarray(face.quads)
-    area = np.linalg.norm(np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]), axis=1) / 2
-    return {
-        "upto": mi.Float(np.cumsum(area) / area.sum()),
-        "corners": mi.Float(quads.astype(np.float32).ravel()),
-        "normal": mi.Float(np.asarray(face.normal, np.float32).ravel()),
-        "emission": mi.Float(emission),
-    }
-
-
-def _launch(rng: Any, emitter: dict[str, Any]) -> tuple[Any, Any, Any]:
-    """Place and direction of a new photon, and the optical depth of absorption at which it will end."""
-    facets = dr.width(emitter["upto"])
-    pick, facet = rng.next_float32(), mi.UInt32(0)
-    for i in range(facets - 1):
-        facet += dr.select(pick >= dr.gather(mi.Float, emitter["upto"], i), mi.UInt32(1), mi.UInt32(0))
-    a, b, c, d = (dr.gather(mi.Point3f, emitter["corners"], 4 * facet + i) for i in range(4))
-    u, v = rng.next_float32(), rng.next_float32()
-    normal = dr.gather(mi.Vector3f, emitter["normal"], facet)
-    p = dr.lerp(dr.lerp(a, b, u), dr.lerp(d, c, u), v)
-    cos = emission_cosine(emitter["emission"], rng.next_float32())
-    w = turn(normal, cos, 2 * dr.pi * rng.next_float32())
-    return mi.Point3f(_off(p, normal)), mi.Vector3f(w), lifetime(rng.next_float32())
-
-
-def _dimmed(tau: Any) -> Any:
-    """Weight after an optical depth of absorption, of which a part ends photons instead."""
-    return dr.exp(-(1 - KILLED_SHARE) * tau)
-
-
-def _off(p: Any, normal: Any) -> Any:
-    """A point moved off a face by a little more than float32 resolves there."""
-    return p + normal * (2e-6 * (1 + maximum(maximum(dr.abs(p.x), dr.abs(p.y)), dr.abs(p.z))))
+def _fork(photon: FingerPhoton) -> _Fork:
+    return _Fork(
+        p=mi.Point3f(photon.p),
+        w=mi.Vector3f(photon.w),
+        region=mi.UInt32(photon.region),
+        weight=mi.Float(photon.weight),
+        tau=mi.Float(photon.tau),
+        plate_mm=mi.Float(photon.path[PLATE]),
+        epoxy_mm=mi.Float(photon.path[EPOXY]),
+    )
 
 
 @dr.syntax
 def _walk(
+    around: Surroundings,
     rng: Any,
     count: Any,
-    photon: Any,
-    scene: Any,
-    triangles: Any,
-    grid: _Grid,
-    region_of: _RegionTable,
-    emitter: dict[str, Any],
-    edges: list[Any],
-    passage: Any,
-    results: list[Any],
-    section: Section | Seen | None,
-    board: Recorder | None,
+    first: Any,
+    ends: PhotonEnds,
+    section: Section | SensitivityTally | None,
+    board: BoardTally | None,
     splitting: Splitting | None,
 ) -> Any:
-    """Scatterings per lane; a lane walks one photon after the other, so that none waits for one long life.
+    """Walk all photons of a batch to their ends, in each lane one after the other; returns scatterings per lane.
 
-    With `splitting`, a photon over the bed and within reach of a photodiode is walked as `fan` copies, one after the
-    other, each from where the first came within reach until it ends or goes away. All of them may be detected; it is
-    the last that goes on, with the whole weight. `copies` of them are still to come.
+    rng, count, first : Per lane: its generator, how many photons it walks, and the first one's index.
     """
-    F, U = mi.Float, mi.UInt32
-    outcome_of, weight_of, roulette_of, *path_of = results
-    width, kinds, inner = dr.width(count), len(optics.TISSUES), len(edges)
-    lane = mi.UInt64(rng.state)
-    rng.state = state_of(lane, photon)
-    p, w, life = _launch(rng, emitter)
-    tau, boost, given = dr.zeros(F, width), dr.full(F, 1, width), dr.zeros(F, width)
-    region = dr.full(U, 0, width) + region_of.epoxy
-    age, events = dr.zeros(U, width), dr.zeros(U, width)
-    path = [dr.zeros(F, width) for _ in range(kinds + inner)]
-    arrived = dr.zeros(U, width)
-    fan, copies, score = dr.full(U, 1, width), dr.zeros(U, width), dr.zeros(F, width)
-    plate, epoxy = (optics.TISSUES.index(name) for name in OVER_BED)
-    p0, w0, tau0, boost0, region0 = mi.Point3f(p), mi.Vector3f(w), F(tau), F(boost), U(region)
-    plate0, epoxy0 = dr.zeros(F, width), dr.zeros(F, width)
+    width, lane = dr.width(count), mi.UInt64(rng.state)
+    photon = _launch(around, rng, lane, first)
+    fork = _fork(photon)
+    events = dr.zeros(mi.UInt32, width)
     active = count > 0
     while dr.hint(active, label="finger walk"):
-        mu_s = dr.gather(F, region_of.mu_s, region, active)
-        g = dr.gather(F, region_of.g, region, active)
-        in_bed = region == region_of.bed
-        scatters = mu_s > 0
-        length = dr.select(scatters, -dr.rcp(mu_s), -FAR)
-        step = length * dr.log(1 - rng.next_float32())
-        step = dr.select(scatters, step, FAR)
-        free = grid.free(p, active)
-        along, spent = F(0), U(0)
-        mu_a = dr.gather(F, region_of.mu_a, region, active)
-        passed = [F(0) for _ in range(inner)]
-        # Inside the free distance nothing can be met: scatter without asking where the interfaces are.
-        while active & (step < free) & (spent < FREE_EVENTS):
-            middle = dr.fma(0.5 * step, w.y, p.y)
-            for k in range(inner):
-                t = clip((middle - edges[k]) / passage + 0.5, 0, 1)
-                passed[k] = passed[k] + dr.select(in_bed, step * t * t * (3 - 2 * t), 0)
-            if section is not None:
-                weight = boost * _dimmed(dr.fma(along, mu_a, tau))
-                section.add(p + w * (0.5 * step), step, weight, photon, True)
-            p = mi.Point3f(p + w * step)
-            along += step
-            w = mi.Vector3f(turn(w, henyey_greenstein(g, rng.next_float32()), 2 * dr.pi * rng.next_float32()))
-            step = length * dr.log(1 - rng.next_float32())
-            free = grid.free(p, True)
-            spent += 1
-
-        stuck = active & (spent < FREE_EVENTS)
-        ray: Any = mi.Ray3f(p, w, step, 0, [])  # type: ignore[call-overload]
-        pi = scene.ray_intersect_preliminary(ray, coherent=False, active=stuck)
-        hit = stuck & pi.is_valid()
-        gone = stuck & ~hit & ~scatters
-        step = dr.select(stuck & ~gone, dr.select(hit, pi.t, step), 0)
-        middle = dr.fma(0.5 * step, w.y, p.y)
-        for k in range(inner):
-            t = clip((middle - edges[k]) / passage + 0.5, 0, 1)
-            passed[k] = passed[k] + dr.select(in_bed, step * t * t * (3 - 2 * t), 0)
-            path[kinds + k] = path[kinds + k] + passed[k]
-        if section is not None:
-            section.add(p + w * (0.5 * step), step, boost * _dimmed(dr.fma(along, mu_a, tau)), photon, stuck)
-        along += step
-        kind = dr.gather(U, region_of.medium, region, active)
-        for k in range(kinds):
-            path[k] = path[k] + dr.select(kind == k, along, 0)
-        tau = dr.fma(along, mu_a, tau)
-        p = mi.Point3f(p + w * step)
-        spent += dr.select(stuck & ~hit & ~gone, U(1), U(0))
-        events += spent
-        older = age + spent + 1
-
-        absorbed = tau > life
-        outcome = dr.select(gone, dr.select(region == region_of.air, U(TOP), U(LOST)), U(0))
-        spin, phi = rng.next_float32(), 2 * dr.pi * rng.next_float32()
-        turned = turn(w, henyey_greenstein(g, spin), phi)
-        if hit:
-            row = dr.gather(mi.Vector4f, triangles, pi.prim_index)
-            normal = mi.Vector3f(row.x, row.y, row.z)
-            pair = U(row.w)
-            below, above = (pair & 1023) - 1, (pair >> 10) - 1
-            up = dr.dot(w, normal) > 0
-            there = dr.select(up, above, below)
-            normal = dr.select(up, -normal, normal)
-            mirrored, cos_out, eta = fresnel(
-                -dr.dot(w, normal), n_in=dr.gather(F, region_of.n, region), n_out=dr.gather(F, region_of.n, there)
-            )
-            cos_in = -dr.dot(w, normal)
-            if board is not None:
-                arrives = (region == region_of.epoxy) & (dr.gather(U, region_of.on_board, there) == 1)
-                board.add(p, boost * _dimmed(tau), path, photon, arrived, arrives & (tau <= life))
-                arrived += dr.select(arrives, U(1), U(0))
-            opaque = dr.gather(U, region_of.opaque, there) == 1
-            reflected = spin < dr.select(opaque, dr.gather(F, region_of.reflectance, there), mirrored)
-            diffuse = turn(mi.Vector3f(normal), dr.sqrt(rng.next_float32()), phi)
-            turned = dr.select(
-                reflected,
-                dr.select(opaque, diffuse, w + 2 * cos_in * normal),
-                dr.normalize(eta * w + (eta * cos_in - cos_out) * normal),
-            )
-            outcome = dr.select(opaque & ~reflected, dr.gather(U, region_of.end, there), outcome)
-            # Whoever meets a face from a region that does not touch it has slipped through an edge.
-            outcome = dr.select(dr.select(up, below, above) == region, outcome, U(LOST))
-            p = mi.Point3f(_off(p, dr.select(reflected, normal, -normal)))
-            region = dr.select(reflected, region, there)
-        w = mi.Vector3f(dr.select(stuck, turned, w))
-        outcome = dr.select(absorbed, U(ABSORBED), outcome)
-        if (outcome == 0) & (older >= LONG_LIFE) & ((older ^ age) > age):
-            ends = rng.next_float32() < 0.5
-            given = dr.select(ends | (copies > 0), given, given + boost * F(fan) * _dimmed(tau))
-            boost = dr.select(ends, boost, 2 * boost)
-            outcome = dr.select(ends, U(LOST), 0)
-        age = older
+        medium = around.regions.medium(photon.region, active)
+        leg = _scatter_freely(photon, medium, around, section, active)
+        asks = active & (leg.scatterings < FREE_EVENTS)
+        hit, triangle = _step_to_interface(photon, leg, medium, around, section, asks)
+        events += leg.scatterings
+        u, phi = photon.rng.next_float32(), 2 * dr.pi * photon.rng.next_float32()
+        scattered = rotate_direction(photon.w, henyey_greenstein(medium.g, u), phi)
+        photon.w = mi.Vector3f(dr.select(asks & ~hit, scattered, photon.w))
+        _meet_interface(photon, hit, triangle, u, phi, around, board)
+        absorbed = photon.tau > photon.absorption_optical_depth
+        photon.outcome = dr.select(absorbed, mi.UInt32(ABSORBED), photon.outcome)
+        # Copies that are still to come start with the weight that this one had there.
+        roulette(photon, leg.scatterings + 1, dr.select(photon.copies_left > 0, 0, mi.Float(photon.copies)))
         if splitting is not None:
-            if outcome >= DETECTED:
-                worth = boost * _dimmed(tau)
-                score += worth
-                if rng.next_float32() * score < worth:
-                    dr.scatter(splitting.photodiode, outcome - DETECTED, photon)
-                    for target, value in zip(path_of, path, strict=True):
-                        dr.scatter(target, value, photon)
-            over_bed = dr.gather(mi.Bool, region_of.over_bed, region, active)
-            near = splitting.within_reach(p, over_bed)
-            if near & (fan == 1) & (outcome == 0):
-                fan, copies, boost = U(COPIES), U(COPIES - 1), boost / COPIES
-                p0, w0, tau0, boost0, region0 = mi.Point3f(p), mi.Vector3f(w), F(tau), F(boost), U(region)
-                plate0, epoxy0 = F(path[plate]), F(path[epoxy])
-            done = (fan > 1) & ((outcome > 0) | ~near)
-            if done & (copies == 0):
-                boost, fan = boost * F(fan), U(1)
-            if done & (copies > 0):
-                p, w, tau, boost, region = mi.Point3f(p0), mi.Vector3f(w0), F(tau0), F(boost0), U(region0)
-                path = [*path[:plate], F(plate0), *path[plate + 1 : epoxy], F(epoxy0), *path[epoxy + 1 :]]
-                # What absorption leaves a photon knows nothing of how far it came.
-                life = tau + lifetime(rng.next_float32())
-                copies -= 1
-                outcome = U(0)
-        if outcome > 0:
-            dr.scatter(outcome_of, outcome, photon)
-            dr.scatter(weight_of, dr.select(absorbed, 0, boost * _dimmed(tau)), photon)
-            dr.scatter(roulette_of, -given, photon)
+            _detect(photon, ends, splitting)
+            _split(photon, fork, around, splitting, active)
+        if photon.outcome > 0:
+            ends.record(photon)
             if splitting is None:
-                for target, value in zip(path_of, path, strict=True):
-                    dr.scatter(target, value, photon)
+                ends.record_path(photon)
             else:
-                dr.scatter(splitting.score, score, photon)
-            path = [F(0) for _ in path]
-            photon += width
+                dr.scatter(splitting.score, photon.score, photon.index)
+            photon = _launch(around, photon.rng, lane, photon.index + width)
             count -= 1
-            rng.state = state_of(lane, photon)
-            p, w, life = _launch(rng, emitter)
-            tau, boost, given = F(0), F(1), F(0)
-            region, age, arrived = U(region_of.epoxy), U(0), U(0)
-            fan, score = U(1), F(0)
+        # Whoever ended has begun anew; so no loop carries this along.
+        photon.outcome = mi.UInt32(0)
         active &= count > 0
     return events
+
+
+@dr.syntax
+def _scatter_freely(
+    photon: FingerPhoton,
+    medium: Medium,
+    around: Surroundings,
+    section: Section | SensitivityTally | None,
+    active: Any,
+) -> _Leg:
+    """Scatter while the next step stays nearer than any interface, without asking where the interfaces are."""
+    step = medium.free_path(photon.rng)
+    leg = _Leg(step, mi.Float(0), [mi.Float(0) for _ in around.zones.edges], mi.UInt32(0))
+    free = around.interfaces.free(photon.p, active)
+    while active & (leg.step < free) & (leg.scatterings < FREE_EVENTS):
+        _advance(photon, leg, medium, around, section, True)
+        cos = henyey_greenstein(medium.g, photon.rng.next_float32())
+        photon.w = mi.Vector3f(rotate_direction(photon.w, cos, 2 * dr.pi * photon.rng.next_float32()))
+        leg.step = medium.free_path(photon.rng)
+        free = around.interfaces.free(photon.p, True)
+        leg.scatterings += 1
+    return leg
+
+
+def _advance(
+    photon: FingerPhoton,
+    leg: _Leg,
+    medium: Medium,
+    around: Surroundings,
+    section: Section | SensitivityTally | None,
+    active: Any,
+) -> None:
+    """Move a photon by its next step, all inside one region."""
+    step = leg.step
+    beyond = around.zones.beyond(dr.fma(0.5 * step, photon.w.y, photon.p.y), step)
+    for k in range(len(beyond)):
+        leg.beyond[k] = leg.beyond[k] + dr.select(medium.in_bed, beyond[k], 0)
+    if section is not None:
+        weight = photon.weight * remaining(dr.fma(leg.length, medium.mu_a, photon.tau))
+        section.add(photon, photon.p + photon.w * (0.5 * step), step, weight, active)
+    leg.length = leg.length + step
+    photon.p = mi.Point3f(photon.p + photon.w * step)
+
+
+def _step_to_interface(
+    photon: FingerPhoton,
+    leg: _Leg,
+    medium: Medium,
+    around: Surroundings,
+    section: Section | SensitivityTally | None,
+    asks: Any,
+) -> tuple[Any, Any]:
+    """Take the next step of photons that ask for a ray, up to the first interface on it, and close the leg.
+
+    Returns: whether there was one, and which triangle.
+    """
+    found = around.interfaces.first_hit(photon.p, photon.w, leg.step, asks)
+    hit = asks & found.is_valid()
+    gone = asks & ~hit & ~medium.scatters
+    leg.step = dr.select(asks & ~gone, dr.select(hit, found.t, leg.step), 0)
+    _advance(photon, leg, medium, around, section, asks)
+    leg.scatterings = leg.scatterings + dr.select(asks & ~hit & ~gone, mi.UInt32(1), mi.UInt32(0))
+    photon.tau = dr.fma(leg.length, medium.mu_a, photon.tau)
+    tissue, kinds = dr.gather(mi.UInt32, around.regions.tissue, photon.region), len(optics.TISSUES)
+    inside = [dr.select(tissue == k, leg.length, 0) for k in range(kinds)]
+    photon.path = [path + more for path, more in zip(photon.path, [*inside, *leg.beyond], strict=True)]
+    # Whoever leaves for ever leaves from the air.
+    left = dr.select(photon.region == around.regions.air, mi.UInt32(TOP), mi.UInt32(LOST))
+    photon.outcome = dr.select(gone, left, photon.outcome)
+    return hit, found.prim_index
+
+
+@dr.syntax
+def _meet_interface(
+    photon: FingerPhoton, hit: Any, triangle: Any, u: Any, phi: Any, around: Surroundings, board: BoardTally | None
+) -> None:
+    """Reflect or refract photons at the interface that they hit, or end them in what is opaque.
+
+    u, phi : Uniform numbers in 0-1 and 0-2 pi. [-, rad]
+    """
+    regions, F, U = around.regions, mi.Float, mi.UInt32
+    if hit:
+        normal, below, above = around.interfaces.sides(triangle)
+        up = dr.dot(photon.w, normal) > 0
+        here, there = dr.select(up, below, above), dr.select(up, above, below)
+        normal = dr.select(up, -normal, normal)
+        cos_in = -dr.dot(photon.w, normal)
+        reflectance, cos_out, eta = fresnel(
+            cos_in, n_in=dr.gather(F, regions.n, photon.region), n_out=dr.gather(F, regions.n, there)
+        )
+        if board is not None:
+            arrives = (photon.region == regions.epoxy) & dr.gather(mi.Bool, regions.on_board, there)
+            board.add(photon, arrives & (photon.tau <= photon.absorption_optical_depth))
+            photon.arrivals += dr.select(arrives, U(1), U(0))
+        opaque = dr.gather(mi.Bool, regions.opaque, there)
+        reflected = u < dr.select(opaque, dr.gather(F, regions.reflectance, there), reflectance)
+        diffuse = rotate_direction(mi.Vector3f(normal), dr.sqrt(photon.rng.next_float32()), phi)
+        mirrored = dr.select(opaque, diffuse, photon.w + 2 * cos_in * normal)
+        refracted = dr.normalize(eta * photon.w + (eta * cos_in - cos_out) * normal)
+        photon.w = mi.Vector3f(dr.select(reflected, mirrored, refracted))
+        photon.outcome = dr.select(opaque & ~reflected, dr.gather(U, regions.end, there), photon.outcome)
+        # Whoever meets a face from a region that does not touch it has slipped through an edge.
+        photon.outcome = dr.select(here == photon.region, photon.outcome, U(LOST))
+        photon.p = mi.Point3f(off_surface(photon.p, dr.select(reflected, normal, -normal)))
+        photon.region = dr.select(reflected, photon.region, there)
+
+
+@dr.syntax
+def _detect(photon: FingerPhoton, ends: PhotonEnds, splitting: Splitting) -> None:
+    """Score a photon that reached a photodiode; of its copies one is kept, as likely as it weighs."""
+    if photon.outcome >= DETECTED:
+        weight = photon.weight * remaining(photon.tau)
+        photon.score += weight
+        if photon.rng.next_float32() * photon.score < weight:
+            dr.scatter(splitting.photodiode, photon.outcome - DETECTED, photon.index)
+            ends.record_path(photon)
+
+
+@dr.syntax
+def _split(photon: FingerPhoton, fork: _Fork, around: Surroundings, splitting: Splitting, active: Any) -> None:
+    """Split a photon that comes over the bed within reach of a photodiode, and walk its copies one after the other.
+
+    Each starts where the photon came within reach, and ends there or goes away. All of them may be detected; it is the
+    last that goes on, with the whole weight.
+    """
+    F, U = mi.Float, mi.UInt32
+    over_bed = dr.gather(mi.Bool, around.regions.over_bed, photon.region, active)
+    near = splitting.within_reach(photon.p, over_bed)
+    if near & (photon.copies == 1) & (photon.outcome == 0):
+        photon.copies, photon.copies_left, photon.weight = U(COPIES), U(COPIES - 1), photon.weight / COPIES
+        fork.p, fork.w, fork.region = mi.Point3f(photon.p), mi.Vector3f(photon.w), U(photon.region)
+        fork.weight, fork.tau = F(photon.weight), F(photon.tau)
+        fork.plate_mm, fork.epoxy_mm = F(photon.path[PLATE]), F(photon.path[EPOXY])
+    done = (photon.copies > 1) & ((photon.outcome > 0) | ~near)
+    if done & (photon.copies_left == 0):
+        photon.weight, photon.copies = photon.weight * F(photon.copies), U(1)
+    if done & (photon.copies_left > 0):
+        photon.p, photon.w, photon.region = mi.Point3f(fork.p), mi.Vector3f(fork.w), U(fork.region)
+        photon.weight, photon.tau = F(fork.weight), F(fork.tau)
+        photon.path[PLATE], photon.path[EPOXY] = F(fork.plate_mm), F(fork.epoxy_mm)
+        # What absorption leaves a photon knows nothing of how far it came.
+        photon.absorption_optical_depth = photon.tau + absorption_depth(photon.rng.next_float32())
+        photon.copies_left -= 1
+        photon.outcome = U(0)

@@ -14,23 +14,26 @@ from .sampling import (
     ABSORBED,
     BOTTOM,
     FAR,
-    KILLED_SHARE,
-    LONG_LIFE,
-    LOST,
     TOP,
+    Photon,
+    PhotonEnds,
+    WalkedPhotons,
+    absorption_depth,
     emission_cosine,
     emission_table,
-    energy_sums,
     fresnel,
     henyey_greenstein,
     lanes,
-    lifetime,
-    turn,
+    rotate_direction,
+    roulette,
 )
 
+# Of a cosine, or in mm: keeps a division by what may be 0 finite, and is lost in any number that is not.
+TINY = 1e-12
 
-class StackTracer:
-    """Traces the LEDs of a phantom scene."""
+
+class LayeredTracer:
+    """The photons engine for a phantom scene: walks the photons of its LEDs until each has ended."""
 
     batch_photons = 1 << 19
 
@@ -49,7 +52,7 @@ class StackTracer:
 
     def batch(self, led: int, *, photons: int, seed: int) -> Batch:
         """Trace some photons of one LED."""
-        walked = walk_stack(self.phantom, self.scene.leds[led], photons=photons, seed=seed)
+        walked = walk_layers(self.phantom, self.scene.leds[led], photons=photons, seed=seed)
         top = np.flatnonzero(walked.outcome == TOP)
         photodiode, weight, path = [], [], []
         for i, aperture in enumerate(self.apertures):
@@ -57,96 +60,95 @@ class StackTracer:
             seen = np.flatnonzero(share)
             photodiode.append(np.full(len(seen), i, np.uint16))
             weight.append(share[seen] * walked.weight[top[seen]])
-            path.append(walked.path_mm[top[seen]])
+            path.append(walked.path_mm[:, top[seen]].T)
         return Batch(
             photons=photons,
             photodiode=np.concatenate([np.zeros(0, np.uint16), *photodiode]),
             weight=np.concatenate([np.zeros(0), *weight]),
-            path_mm=np.concatenate([np.zeros((0, len(self.phantom.layers)), np.float32), *path]),
-            energy=energy_sums(walked.outcome, walked.weight, walked.roulette),
+            path_mm=np.ascontiguousarray(np.concatenate([np.zeros((0, len(self.phantom.layers)), np.float32), *path])),
+            energy=walked.energy(),
             events=walked.events,
         )
 
 
 @dataclass(frozen=True)
-class StackBatch:
-    """What became of each photon of a batch.
+class LayeredPhotons(WalkedPhotons):
+    """What became of each photon of a batch in a phantom.
 
-    outcome : (n,) int. TOP, BOTTOM, ABSORBED or LOST.
-    weight : (n,) float. Weight at the end, at the phantom's own absorption; what is missing of 1 was absorbed.
-    roulette : (n,) float. What roulette took from it less what it gave.
     start_mm, shift_mm : (n, 2) float. Where it entered, and its lateral displacement from there. [mm]
-    path_mm : (n, layers) float32. Path in each layer. [mm]
-    events : Scatterings in all.
     """
 
-    outcome: np.ndarray
-    weight: np.ndarray
-    roulette: np.ndarray
     start_mm: np.ndarray
     shift_mm: np.ndarray
-    path_mm: np.ndarray
-    events: int
 
 
-def walk_stack(phantom: Phantom, led: Led, *, photons: int, seed: int) -> StackBatch:
+def walk_layers(phantom: Phantom, led: Led, *, photons: int, seed: int) -> LayeredPhotons:
     """Trace a batch of photons from a beam or a die on the phantom's top face, each to its end.
 
     Absorption dims a photon and at last ends it, each at half its rate; very long walks end by roulette: nothing is
     cut off. Depths are counted from the top of the photon's layer, so that thin layers keep their digits.
     """
-    layers = phantom.layers
-    tables = {
-        "n": [phantom.n_above, *(layer.n for layer in layers), phantom.n_below],
-        "mu_a": [layer.mu_a_per_mm for layer in layers],
-        "mu_s": [layer.mu_s_per_mm for layer in layers],
-        "g": [layer.g for layer in layers],
-        "thickness": [min(layer.thickness_mm, FAR) for layer in layers],
-        "emission": emission_table(led),
-    }
     rng, count = lanes(photons, seed)
-    results = [dr.zeros(mi.UInt32, photons)] + [dr.zeros(mi.Float, photons) for _ in range(6 + len(layers))]
-    events = _walk(
-        rng,
-        count,
-        {name: _opaque(values) for name, values in tables.items()},
-        results,
-    )
-    dr.eval(events, results)
-    outcome, weight, roulette, u, v, x, y, *paths = (np.array(a) for a in results)
+    ends = PhotonEnds(photons, paths=len(phantom.layers))
+    places = [dr.zeros(mi.Float, photons) for _ in range(4)]
+    walked = ends.evaluated(_walk(_Layers(phantom, led), rng, count, ends, places))
+    u, v, x, y = (np.array(place) for place in places)
     size = (0.0, 0.0) if led.pattern == "pencil" else led.size_mm
     start = np.stack([led.position_mm[0] + (u - 0.5) * size[0], led.position_mm[1] + (v - 0.5) * size[1]], -1)
-    return StackBatch(
-        outcome=outcome.astype(np.int8),
-        weight=weight.astype(float),
-        roulette=roulette.astype(float),
-        start_mm=start.astype(float),
-        shift_mm=np.stack([x, y], -1).astype(float),
-        path_mm=np.stack(paths, -1),
-        events=int(np.array(events).sum(dtype=np.int64)),
-    )
+    shift = np.stack([x, y], -1)
+    return LayeredPhotons(**vars(walked), start_mm=start.astype(float), shift_mm=shift.astype(float))
 
 
-def _opaque(values: Any) -> Any:
-    """A table whose values do not become part of the kernel: a table of one would, and be compiled for every scene."""
-    table = mi.Float(values)
-    dr.make_opaque(table)
-    return table
+class _Layers:
+    """What the walk reads of a phantom and its LED.
+
+    n counts what lies above and below, too. The tables' values are no part of the kernel: a table of one would be, and
+    be compiled for every scene.
+    """
+
+    def __init__(self, phantom: Phantom, led: Led) -> None:
+        layers = phantom.layers
+        self.count = len(layers)
+        self.n = mi.Float([phantom.n_above, *(layer.n for layer in layers), phantom.n_below])
+        self.mu_a = mi.Float([layer.mu_a_per_mm for layer in layers])
+        self.mu_s = mi.Float([layer.mu_s_per_mm for layer in layers])
+        self.g = mi.Float([layer.g for layer in layers])
+        self.thickness = mi.Float([min(layer.thickness_mm, FAR) for layer in layers])
+        self.emission = mi.Float(emission_table(led))
+        dr.make_opaque(self.n, self.mu_a, self.mu_s, self.g, self.thickness, self.emission)
+
+
+@dataclass
+class _LayeredPhoton(Photon):
+    """A photon in a phantom.
+
+    u, v : Where on the die it set out, in 0-1.
+    x, y : Its lateral displacement from there. [mm]
+    layer : Index of the layer it is in.
+    depth : Below the top of that layer. [mm]
+    bounced : It is mirrored at the top face before it enters.
+    """
+
+    u: Any
+    v: Any
+    x: Any
+    y: Any
+    layer: Any
+    depth: Any
+    bounced: Any
 
 
 def arc_share(shift_mm: np.ndarray, start_mm: np.ndarray, aperture: tuple[float, float, float, float]) -> np.ndarray:
-    """Share of all azimuths at which a displacement from its start ends inside a rectangle, (n,) float.
+    """The share of all azimuths at which a displacement from its start ends inside a rectangle, (n,) float.
 
     Source and layers look alike from every side, so a photon's azimuth is free: averaged over it exactly, a photon
     counts a little in every aperture at its distance, in place of fully in one or in none.
 
-    Parameters
-    ----------
     shift_mm, start_mm : (n, 2) float. [mm]
     aperture : x_min, x_max, y_min, y_max. [mm]
     """
     x_min, x_max, y_min, y_max = aperture
-    radius = np.maximum(np.hypot(*shift_mm.T), 1e-12)
+    radius = np.maximum(np.hypot(*shift_mm.T), TINY)
     share = np.zeros(len(radius))
     near = np.hypot(
         np.maximum(np.maximum(x_min - start_mm[:, 0], start_mm[:, 0] - x_max), 0),
@@ -172,86 +174,108 @@ def arc_share(shift_mm: np.ndarray, start_mm: np.ndarray, aperture: tuple[float,
     return share
 
 
-def _launch(rng: Any, n: Any, squares: Any) -> tuple[Any, ...]:
-    """A new photon: place on the die (u, v), mirrored at the top face or not, direction in, depth at which it ends."""
+def _launch(layers: _Layers, rng: Any, index: Any) -> _LayeredPhoton:
+    """A new photon on the die, mirrored at the top face or on its way in."""
+    F, U = mi.Float, mi.UInt32
     u, v = rng.next_float32(), rng.next_float32()
-    cos = emission_cosine(squares, rng.next_float32())
-    mirrored, cos_in, eta = fresnel(cos, n_in=dr.gather(mi.Float, n, 0), n_out=dr.gather(mi.Float, n, 1))
+    cos = emission_cosine(layers.emission, rng.next_float32())
+    reflectance, cos_in, eta = fresnel(cos, n_in=dr.gather(F, layers.n, 0), n_out=dr.gather(F, layers.n, 1))
     sin_phi, cos_phi = dr.sincos(2 * dr.pi * rng.next_float32())
     sin = eta * safe_sqrt(1 - cos * cos)
-    bounced = rng.next_float32() < mirrored
-    return u, v, bounced, mi.Vector3f(sin * cos_phi, sin * sin_phi, -cos_in), lifetime(rng.next_float32())
+    bounced = rng.next_float32() < reflectance
+    return _LayeredPhoton(
+        index=index,
+        rng=rng,
+        w=mi.Vector3f(sin * cos_phi, sin * sin_phi, -cos_in),
+        weight=F(1),
+        roulette_balance=F(0),
+        tau=F(0),
+        absorption_optical_depth=absorption_depth(rng.next_float32()),
+        path=[F(0) for _ in range(layers.count)],
+        steps=U(0),
+        outcome=U(0),
+        u=u,
+        v=v,
+        x=F(0),
+        y=F(0),
+        layer=U(0),
+        depth=F(0),
+        bounced=bounced,
+    )
 
 
 @dr.syntax
-def _walk(rng: Any, count: Any, tables: dict[str, Any], results: list[Any]) -> Any:
-    """Scatterings per lane; a lane walks one photon after the other, so that none waits for one long life."""
-    F, U, B = mi.Float, mi.UInt32, mi.Bool
-    n, mu_a, mu_s, g, thickness = (tables[name] for name in ("n", "mu_a", "mu_s", "g", "thickness"))
-    emission = tables["emission"]
-    outcome_of, weight_of, roulette_of, u_of, v_of, x_of, y_of, *path_of = results
-    width, last_layer = dr.width(count), len(path_of) - 1
-    photon = dr.arange(U, width)
-    u, v, bounced, w, life = _launch(rng, n, emission)
-    x, y, depth, tau = dr.zeros(F, width), dr.zeros(F, width), dr.zeros(F, width), dr.zeros(F, width)
-    layer, age, events = dr.zeros(U, width), dr.zeros(U, width), dr.zeros(U, width)
-    boost, given = dr.full(F, 1, width), dr.zeros(F, width)
-    path = [dr.zeros(F, width) for _ in range(last_layer + 1)]
-    active = count > 0
-    while dr.hint(active, label="stack walk"):
-        mus = dr.gather(F, mu_s, layer, active)
-        free = dr.select(mus > 0, -dr.log(1 - rng.next_float32()) * dr.rcp(mus), FAR)
-        up = (w.z > 0) | bounced
-        room = dr.select(up, depth, dr.gather(F, thickness, layer, active) - depth)
-        meets = free * dr.abs(w.z) >= room
-        step = dr.select(meets, minimum(room * dr.rcp(maximum(dr.abs(w.z), 1e-12)), FAR), free)
-        step = dr.select(bounced, 0, step)
-        x = dr.fma(step, w.x, x)
-        y = dr.fma(step, w.y, y)
-        depth = dr.select(meets, dr.select(up, 0, depth + room), dr.fma(-step, w.z, depth))
-        tau = dr.fma(step, dr.gather(F, mu_a, layer, active), tau)
-        for k in range(last_layer + 1):
-            path[k] = path[k] + dr.select(layer == k, step, 0)
+def _walk(layers: _Layers, rng: Any, count: Any, ends: PhotonEnds, places: list[Any]) -> Any:
+    """Walk all photons of a batch to their ends, in each lane one after the other; returns scatterings per lane.
 
-        spin = rng.next_float32()
-        turned = turn(w, henyey_greenstein(dr.gather(F, g, layer, active), spin), 2 * dr.pi * rng.next_float32())
-        leaves = B(bounced)
-        if meets & ~bounced:
-            here, there = dr.gather(F, n, layer + 1), dr.gather(F, n, dr.select(up, layer, layer + 2))
-            mirrored, cos_out, eta = fresnel(dr.abs(w.z), n_in=here, n_out=there)
-            reflected = spin < mirrored
-            turned = dr.select(
-                reflected,
-                mi.Vector3f(w.x, w.y, -w.z),
-                mi.Vector3f(eta * w.x, eta * w.y, dr.copysign(cos_out, w.z)),
-            )
-            leaves = ~reflected & dr.select(up, layer == 0, layer == last_layer)
-            moves = ~reflected & ~leaves
-            layer = dr.select(moves, dr.select(up, layer - 1, layer + 1), layer)
-            depth = dr.select(moves, dr.select(up, dr.gather(F, thickness, layer), 0), depth)
-        w = mi.Vector3f(turned)
-        events += dr.select(meets, U(0), U(1))
-        age += 1
-        absorbed = tau > life
-        lost = B(False)
-        if (age >= LONG_LIFE) & ((age & (age - 1)) == 0):
-            lost = rng.next_float32() < 0.5
-            given = dr.select(lost, given, given + boost * dr.exp(-(1 - KILLED_SHARE) * tau))
-            boost = dr.select(lost, boost, 2 * boost)
-        if absorbed | leaves | lost:
-            outcome = dr.select(absorbed, U(ABSORBED), dr.select(lost, U(LOST), dr.select(up, U(TOP), U(BOTTOM))))
-            dr.scatter(outcome_of, outcome, photon)
-            dr.scatter(weight_of, dr.select(absorbed, 0, boost * dr.exp(-(1 - KILLED_SHARE) * tau)), photon)
-            dr.scatter(roulette_of, -given, photon)
-            for target, value in ((u_of, u), (v_of, v), (x_of, x), (y_of, y)):
-                dr.scatter(target, value, photon)
-            for k in range(last_layer + 1):
-                dr.scatter(path_of[k], path[k], photon)
-                path[k] = F(0)
-            photon += width
+    rng, count : Per lane: its generator, and how many photons it walks.
+    places : u, v, x, y of each photon, to be written.
+    """
+    width = dr.width(count)
+    photon = _launch(layers, rng, dr.arange(mi.UInt32, width))
+    events = dr.zeros(mi.UInt32, width)
+    active = count > 0
+    while dr.hint(active, label="layered walk"):
+        up, meets = _step(photon, layers, active)
+        u = photon.rng.next_float32()
+        cos = henyey_greenstein(dr.gather(mi.Float, layers.g, photon.layer, active), u)
+        scattered = rotate_direction(photon.w, cos, 2 * dr.pi * photon.rng.next_float32())
+        leaves = _meet_face(photon, layers, up, meets & ~photon.bounced, u)
+        photon.w = mi.Vector3f(dr.select(meets, photon.w, scattered))
+        events += dr.select(meets, mi.UInt32(0), mi.UInt32(1))
+        left = dr.select(up, mi.UInt32(TOP), mi.UInt32(BOTTOM))
+        absorbed = photon.tau > photon.absorption_optical_depth
+        photon.outcome = dr.select(absorbed, mi.UInt32(ABSORBED), dr.select(leaves, left, 0))
+        roulette(photon, 1, 1)
+        if photon.outcome > 0:
+            ends.record(photon)
+            ends.record_path(photon)
+            for target, value in zip(places, (photon.u, photon.v, photon.x, photon.y), strict=True):
+                dr.scatter(target, value, photon.index)
+            photon = _launch(layers, photon.rng, photon.index + width)
             count -= 1
-            u, v, bounced, w, life = _launch(rng, n, emission)
-            x, y, depth, tau, boost, given = F(0), F(0), F(0), F(0), F(1), F(0)
-            layer, age = U(0), U(0)
+        # Whoever ended has begun anew; so no loop carries this along.
+        photon.outcome = mi.UInt32(0)
         active &= count > 0
     return events
+
+
+def _step(photon: _LayeredPhoton, layers: _Layers, active: Any) -> tuple[Any, Any]:
+    """Move photons to their next scattering or to the face of their layer; returns which go up, and which meet it."""
+    mu_s = dr.gather(mi.Float, layers.mu_s, photon.layer, active)
+    free = dr.select(mu_s > 0, -dr.log(1 - photon.rng.next_float32()) * dr.rcp(mu_s), FAR)
+    up = (photon.w.z > 0) | photon.bounced
+    thickness = dr.gather(mi.Float, layers.thickness, photon.layer, active)
+    room, cos = dr.select(up, photon.depth, thickness - photon.depth), dr.abs(photon.w.z)
+    meets = free * cos >= room
+    step = dr.select(meets, minimum(room * dr.rcp(maximum(cos, TINY)), FAR), free)
+    step = dr.select(photon.bounced, 0, step)
+    photon.x = dr.fma(step, photon.w.x, photon.x)
+    photon.y = dr.fma(step, photon.w.y, photon.y)
+    at_face = dr.select(up, 0, photon.depth + room)
+    photon.depth = dr.select(meets, at_face, dr.fma(-step, photon.w.z, photon.depth))
+    photon.tau = dr.fma(step, dr.gather(mi.Float, layers.mu_a, photon.layer, active), photon.tau)
+    photon.path = [path + dr.select(photon.layer == k, step, 0) for k, path in enumerate(photon.path)]
+    return up, meets
+
+
+@dr.syntax
+def _meet_face(photon: _LayeredPhoton, layers: _Layers, up: Any, meets: Any, u: Any) -> Any:
+    """Reflect or refract photons at the face that they meet, u a uniform number; returns which leave the phantom."""
+    leaves = mi.Bool(photon.bounced)
+    if meets:
+        here = dr.gather(mi.Float, layers.n, photon.layer + 1)
+        there = dr.gather(mi.Float, layers.n, dr.select(up, photon.layer, photon.layer + 2))
+        reflectance, cos_out, eta = fresnel(dr.abs(photon.w.z), n_in=here, n_out=there)
+        reflected = u < reflectance
+        leaves = ~reflected & dr.select(up, photon.layer == 0, photon.layer == layers.count - 1)
+        moves = ~reflected & ~leaves
+        photon.w = dr.select(
+            reflected,
+            mi.Vector3f(photon.w.x, photon.w.y, -photon.w.z),
+            mi.Vector3f(eta * photon.w.x, eta * photon.w.y, dr.copysign(cos_out, photon.w.z)),
+        )
+        photon.layer = dr.select(moves, dr.select(up, photon.layer - 1, photon.layer + 1), photon.layer)
+        thickness = dr.gather(mi.Float, layers.thickness, photon.layer)
+        photon.depth = dr.select(moves, dr.select(up, thickness, 0), photon.depth)
+    return leaves

@@ -167,12 +167,12 @@ def tracer(scene: Scene, backend: str) -> Any:
         raise InputError(f"the photons engine needs a JIT backend, and {chosen.name} is none: {chosen.advice}")
     backends.activate(chosen)
     if scene.phantom is not None:
-        from .layered_walk import StackTracer
+        from .layered_walk import LayeredTracer
 
-        return StackTracer
-    from .finger_walk import MeshTracer
+        return LayeredTracer
+    from .finger_walk import FingerTracer
 
-    return MeshTracer
+    return FingerTracer
 
 
 def grow(

@@ -1,5 +1,6 @@
-"""What both photon walks are made of, as Dr.Jit arithmetic: scattering, refraction, emission, long lives."""
+"""What both photon walks are made of, as Dr.Jit arithmetic: scattering, refraction, emission, roulette, records."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -12,18 +13,104 @@ from .arithmetic import clip, minimum, safe_sqrt
 # Absorption ends a photon at half its rate; the other half only dims it. Ending it all the way makes long paths
 # rare that a reading with less absorption needs, not at all wastes events on photons that no longer count.
 KILLED_SHARE = 0.5
-# From here on a photon survives each doubling of its events with probability 1/2 and counts twice.
-LONG_LIFE = 1 << 16
+# From so many steps on a photon survives each doubling of them with probability 1/2 and counts twice.
+LONG_WALK = 1 << 16
+# How a photon ends; 0 while it walks.
 TOP, BOTTOM, ABSORBED, LOST = 1, 2, 3, 4
 # Squared cosines of emission at equal steps of probability: linear, because a Lambertian emitter's are.
 LAMBERTIAN = np.linspace(1, 0, 257)
 FAR = 1e9  # mm; stands for infinity where infinity would make NaN of zero
 
 
+@dataclass
+class Photon:
+    """What both walks carry of a photon from step to step; each lane holds one.
+
+    index : Which photon of the batch it is.
+    rng : The lane's random generator.
+    w : Direction.
+    weight : What it counts for, before absorption dims it.
+    roulette_balance : What roulette took from it less what it gave.
+    tau : Optical depth of absorption so far; at `absorption_optical_depth` it ends.
+    path : (t) list. Path in each medium. [mm]
+    steps : Scatterings and interfaces so far.
+    outcome : How it ended; 0 while it walks.
+    """
+
+    index: Any
+    rng: Any
+    w: Any
+    weight: Any
+    roulette_balance: Any
+    tau: Any
+    absorption_optical_depth: Any
+    path: list[Any]
+    steps: Any
+    outcome: Any
+
+
+@dataclass(frozen=True)
+class WalkedPhotons:
+    """What became of each photon of a batch.
+
+    outcome : (n,) int. TOP, BOTTOM, ABSORBED, LOST, or in a finger DETECTED + i by photodiode i.
+    weight : (n,) float. Weight at the end, at the traced absorption; 0 for those that were absorbed.
+    roulette_balance : (n,) float. What roulette took from it less what it gave; even on average, it counts as lost.
+    path_mm : (t, n) float32. Path in each medium. [mm]
+    events : Scatterings in all.
+    """
+
+    outcome: np.ndarray
+    weight: np.ndarray
+    roulette_balance: np.ndarray
+    path_mm: np.ndarray
+    events: int
+
+    def energy(self) -> dict[str, tuple[float, float]]:
+        """Sums over photons of their parts reflected, transmitted, absorbed and lost, and of the squares of those."""
+        reflected, transmitted, lost = (np.where(self.outcome == end, self.weight, 0.0) for end in (TOP, BOTTOM, LOST))
+        lost = lost + self.roulette_balance
+        absorbed = 1 - reflected - transmitted - lost
+        parts = {"reflected": reflected, "transmitted": transmitted, "absorbed": absorbed, "lost": lost}
+        return {name: (float(part.sum()), float((part**2).sum())) for name, part in parts.items()}
+
+
+class PhotonEnds:
+    """Where a kernel writes what became of each photon: `WalkedPhotons` as Dr.Jit arrays."""
+
+    def __init__(self, photons: int, *, paths: int) -> None:
+        self.outcome = dr.zeros(mi.UInt32, photons)
+        self.weight, self.roulette_balance = dr.zeros(mi.Float, photons), dr.zeros(mi.Float, photons)
+        self.path = [dr.zeros(mi.Float, photons) for _ in range(paths)]
+
+    def record(self, photon: Photon) -> None:
+        """Write how a photon ended, and with what weight."""
+        dr.scatter(self.outcome, photon.outcome, photon.index)
+        weight = dr.select(photon.outcome == ABSORBED, 0, photon.weight * remaining(photon.tau))
+        dr.scatter(self.weight, weight, photon.index)
+        dr.scatter(self.roulette_balance, photon.roulette_balance, photon.index)
+
+    def record_path(self, photon: Photon) -> None:
+        """Write which way a photon came."""
+        for target, value in zip(self.path, photon.path, strict=True):
+            dr.scatter(target, value, photon.index)
+
+    def evaluated(self, events: Any) -> WalkedPhotons:
+        """What was written, once the kernel has run; events : scatterings of each lane."""
+        dr.eval(events, self.outcome, self.weight, self.roulette_balance, self.path)
+        return WalkedPhotons(
+            outcome=np.array(self.outcome),
+            weight=np.array(self.weight).astype(float),
+            roulette_balance=np.array(self.roulette_balance).astype(float),
+            path_mm=np.stack([np.array(path) for path in self.path]),
+            events=int(np.array(events).sum(dtype=np.int64)),
+        )
+
+
 def lanes(photons: int, seed: int) -> tuple[Any, Any]:
     """A random generator and a number of photons for each lane.
 
-    A lane walks one photon after the other, so that none waits for one long life. Photon i is the work of lane
+    A lane walks one photon after the other, so that none waits for one long walk. Photon i is the work of lane
     i modulo the lanes, whatever the machine: same seed, same bits.
     """
     width = min(photons, 8192 if dr.backend_v(mi.Float) == dr.JitBackend.LLVM else 1 << 18)
@@ -34,20 +121,46 @@ def lanes(photons: int, seed: int) -> tuple[Any, Any]:
 
 
 def state_of(first: Any, photon: Any) -> Any:
-    """Where a lane's generator stands when one of its photons starts, whatever those before it drew.
+    """The state of a lane's generator when one of its photons starts, whatever those before it drew.
 
     So two walks of one seed, in scenes that differ in one part, have all photons in common that never meet it.
     """
     return first + mi.sample_tea_64(mi.UInt32(first), photon)  # type: ignore[call-overload]
 
 
-def lifetime(u: Any) -> Any:
-    """Optical depth of absorption at which a photon ends, for a uniform number u."""
+def absorption_depth(u: Any) -> Any:
+    """The optical depth of absorption at which a photon ends, for a uniform number u."""
     return -dr.log(1 - u) / KILLED_SHARE
 
 
+def remaining(tau: Any) -> Any:
+    """The part of its weight that a photon keeps over an optical depth of absorption; the rest ends photons."""
+    return dr.exp(-(1 - KILLED_SHARE) * tau)
+
+
+@dr.syntax
+def roulette(photon: Photon, steps: Any, copies: Any) -> None:
+    """Add to a photon's steps; where that doubles a long walk, end half of the photons, and let the others count twice.
+
+    copies : How many photons of its weight go on as one: 0 for one that will be walked once more.
+    """
+    before = mi.UInt32(photon.steps)
+    photon.steps = before + steps
+    # Their highest bits differ.
+    doubled = (photon.steps ^ before) > before
+    if (photon.outcome == 0) & (photon.steps >= LONG_WALK) & doubled:
+        ended = photon.rng.next_float32() < 0.5
+        gain = photon.weight * copies * remaining(photon.tau)
+        photon.roulette_balance = dr.select(ended, photon.roulette_balance, photon.roulette_balance - gain)
+        photon.weight = dr.select(ended, photon.weight, 2 * photon.weight)
+        photon.outcome = dr.select(ended, mi.UInt32(LOST), 0)
+
+
 def henyey_greenstein(g: Any, u: Any) -> Any:
-    """Cosine of the scattering angle for anisotropy g and a uniform number u (Henyey, Greenstein 1941)."""
+    """The cosine of the scattering angle for anisotropy g and a uniform number u.
+
+    References: Henyey, Greenstein 1941, Astrophys. J. 93, 70.
+    """
     isotropic = dr.abs(g) < 1e-3  # below, the formula loses its digits, and cos = 2u - 1 + O(g) is exact to 1e-3 in g
     s = (1 - g * g) / (1 - g + 2 * g * u)
     cos = (1 + g * g - s * s) / (2 * dr.select(isotropic, 1, g))
@@ -55,25 +168,28 @@ def henyey_greenstein(g: Any, u: Any) -> Any:
     return dr.select(isotropic, clip(first_order, -1, 1), clip(cos, -1, 1))
 
 
-def turn(w: Any, cos: Any, phi: Any) -> Any:
-    """Direction w turned by an angle of the given cosine about a random azimuth phi (Duff et al., JCGT 6(1), 2017)."""
+def rotate_direction(w: Any, cos: Any, phi: Any) -> Any:
+    """A direction at an angle of the given cosine to the direction w, at the azimuth phi around it. [rad]
+
+    References: Duff et al. 2017, J. Computer Graphics Techniques 6(1), 1.
+    """
     sin_phi, cos_phi = dr.sincos(phi)
     sin = safe_sqrt(1 - cos * cos)
     sign = dr.copysign(mi.Float(1), w.z)
     a = -dr.rcp(sign + w.z)
     b = w.x * w.y * a
     x, y = sin * cos_phi, sin * sin_phi
-    turned = mi.Vector3f(
+    rotated = mi.Vector3f(
         x * (1 + sign * w.x * w.x * a) + y * b + cos * w.x,
         x * sign * b + y * (sign + w.y * w.y * a) + cos * w.y,
         -x * sign * w.x - y * w.y + cos * w.z,
     )
-    # One Newton step: hundreds of turns would otherwise let the length drift.
-    return turned * (1.5 - 0.5 * dr.squared_norm(turned))
+    # One Newton step: hundreds of rotations would otherwise let the length drift.
+    return rotated * (1.5 - 0.5 * dr.squared_norm(rotated))
 
 
 def fresnel(cos_in: Any, *, n_in: Any, n_out: Any) -> tuple[Any, Any, Any]:
-    """Unpolarised Fresnel reflectance of an interface.
+    """The unpolarised Fresnel reflectance of an interface.
 
     Returns: reflectance (1 beyond the critical angle), cosine of the refracted angle, n_in / n_out.
     """
@@ -85,7 +201,7 @@ def fresnel(cos_in: Any, *, n_in: Any, n_out: Any) -> tuple[Any, Any, Any]:
 
 
 def emission_table(led: Led) -> np.ndarray:
-    """Squared cosines of emission at equal steps of probability, (257,) float.
+    """The squared cosines of an LED's emission at equal steps of probability, (257,) float.
 
     Squares, because those of a Lambertian emitter are linear, so that interpolation is exact. A measured
     radiant intensity I(theta) emits I sin(theta) per angle.
@@ -103,28 +219,8 @@ def emission_table(led: Led) -> np.ndarray:
 
 
 def emission_cosine(table: Any, u: Any) -> Any:
-    """Cosine of emission for a uniform number u, from an `emission_table`."""
+    """The cosine of emission for a uniform number u, from an `emission_table`."""
     place = u * (dr.width(table) - 1)
     cell = minimum(mi.UInt32(place), dr.width(table) - 2)
     low, high = dr.gather(mi.Float, table, cell), dr.gather(mi.Float, table, cell + 1)
     return safe_sqrt(dr.lerp(low, high, place - mi.Float(cell)))
-
-
-def energy_sums(outcome: np.ndarray, weight: np.ndarray, roulette: np.ndarray) -> dict[str, tuple[float, float]]:
-    """Sums over photons of their parts reflected, transmitted, absorbed and lost, and of the squares of those.
-
-    Parameters
-    ----------
-    weight : (n,) float. Weight at the end, 0 for those that absorption ended.
-    roulette : (n,) float. What roulette took from a photon less what it gave; even on average, it counts as lost.
-    """
-    reflected = np.where(outcome == TOP, weight, 0.0)
-    transmitted = np.where(outcome == BOTTOM, weight, 0.0)
-    lost = np.where(outcome == LOST, weight, 0.0) + roulette
-    parts = {
-        "reflected": reflected,
-        "transmitted": transmitted,
-        "absorbed": 1 - reflected - transmitted - lost,
-        "lost": lost,
-    }
-    return {name: (float(part.sum()), float((part**2).sum())) for name, part in parts.items()}

@@ -24,26 +24,26 @@ class Splitting:
     photodiode, score : (photons,) which photodiode each counts for, and its weight there; 0 if for none.
     """
 
-    def __init__(self, shape: Geometry, photons: int) -> None:
+    def __init__(self, geometry: Geometry, photons: int) -> None:
         self.photodiode, self.score = dr.zeros(mi.UInt32, photons), dr.zeros(mi.Float, photons)
-        near, low = near_photodiodes(shape)
+        near, low = near_photodiodes(geometry)
         self.near = mi.Bool(near.ravel())
         self.low = [dr.opaque(mi.Float, float(x)) for x in low]
-        self.shape = [dr.opaque(mi.UInt32, n) for n in near.shape]
+        self.count = [dr.opaque(mi.UInt32, n) for n in near.shape]
 
     def within_reach(self, p: Any, active: Any) -> Any:
         """Whether a photodiode is within reach of p, seen from above."""
         at, inside = mi.UInt32(0), mi.Bool(active)
-        for value, low, n in zip((p.x, p.y), self.low, self.shape, strict=True):
+        for value, low, n in zip((p.x, p.y), self.low, self.count, strict=True):
             cell = mi.Int32(dr.floor((value - low) * (1 / CELL_MM)))
             inside &= (cell >= 0) & (mi.UInt32(cell) < n)
             at = at * n + mi.UInt32(cell)
         return dr.gather(mi.Bool, self.near, at, inside)
 
 
-def near_photodiodes(shape: Geometry) -> tuple[np.ndarray, np.ndarray]:
+def near_photodiodes(geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:
     """Cells seen from above that lie within reach of a photodiode, (nx, ny) bool, and their lower corner (2,). [mm]"""
-    plans = [np.asarray(face.quads).reshape(-1, 3)[:, :2] for face in shape.photodiodes]
+    plans = [np.asarray(face.quads).reshape(-1, 3)[:, :2] for face in geometry.photodiodes]
     low = np.min([plan.min(0) for plan in plans], axis=0) - REACH_MM
     high = np.max([plan.max(0) for plan in plans], axis=0) + REACH_MM
     middles = [a + CELL_MM * (np.arange(np.ceil((b - a) / CELL_MM)) + 0.5) for a, b in zip(low, high, strict=True)]

@@ -75,9 +75,9 @@ def trace(
     backends.activate(chosen)
     tracer: Any
     if scene.phantom is not None:
-        from .layered_walk import StackTracer as tracer
+        from .layered_walk import LayeredTracer as tracer
     else:
-        from .finger_walk import MeshTracer as tracer
+        from .finger_walk import FingerTracer as tracer
     engine = tracer(scene)
     start, cpu = time.perf_counter(), time.process_time()
     traces, events, complaint = [], 0, None

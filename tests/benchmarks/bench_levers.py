@@ -2,9 +2,9 @@
 
 On the photodiode-sized reading of a slab (10 mm, mu_a 0.05, mu_s 10 per mm, g 0.9, matched; 1 x 1 mm, 2 mm from a
 pencil beam), with a small walk of its own: analog; next-event estimation; that with multiple importance sampling of
-direction; quasi-random numbers for the first step and turn. On the prototype: splitting near the photodiodes; and, by
-reciprocity, light traced from a photodiode to the LED. Printed: figures of merit 1 / (relative error^2 CPU seconds),
-as ratios to the plain way in the same run; errors are those of independent batches, which assume nothing.
+direction; quasi-random numbers for the first step and direction. On the prototype: splitting near the photodiodes;
+and, by reciprocity, light traced from a photodiode to the LED. Printed: figures of merit 1 / (relative error^2 CPU
+seconds), as ratios to the plain way in the same run; errors are those of independent batches, which assume nothing.
 """
 
 import math
@@ -22,8 +22,9 @@ backend.activate(backend.choose("auto"))
 import mitsuba as mi  # noqa: E402
 
 from nailoptics.light.board_map import BoardTracer  # noqa: E402
-from nailoptics.light.finger_walk import DETECTED, MeshTracer  # noqa: E402
-from nailoptics.light.sampling import henyey_greenstein, turn  # noqa: E402
+from nailoptics.light.finger_walk import FingerTracer  # noqa: E402
+from nailoptics.light.sampling import henyey_greenstein, rotate_direction  # noqa: E402
+from nailoptics.light.surroundings import DETECTED  # noqa: E402
 
 THICKNESS_MM, MU_A, MU_S, G = 10.0, 0.05, 10.0, 0.9
 LOW, HIGH = (1.5, -0.5), (2.5, 0.5)
@@ -38,7 +39,7 @@ def slab(seed: int, next_event: bool, importance: bool, quasi: bool) -> mi.Float
     rng = mi.PCG32(size=PHOTONS, initstate=dr.opaque(mi.UInt64, seed))
     F = mi.Float
     p, w = mi.Point3f(dr.zeros(F, PHOTONS), 0, 0), mi.Vector3f(dr.zeros(F, PHOTONS), 0, 1)
-    life = -dr.log(1 - rng.next_float32()) / MU_A
+    absorption_path = -dr.log(1 - rng.next_float32()) / MU_A
     first = [rng.next_float32(), rng.next_float32(), rng.next_float32()]
     if dr.hint(quasi, mode="scalar"):
         shift = np.random.default_rng(seed).random(3)
@@ -52,9 +53,9 @@ def slab(seed: int, next_event: bool, importance: bool, quasi: bool) -> mi.Float
         at = mi.Point3f(p + w * step)
         surface = dr.select(w.z < 0, -p.z / w.z, dr.select(w.z > 0, (THICKNESS_MM - p.z) / w.z, 1e9))
         leaves = step > surface
-        life -= dr.minimum(step, surface)
+        absorption_path -= dr.minimum(step, surface)
         x, y = p.x + w.x * surface, p.y + w.y * surface
-        seen = leaves & (w.z < 0) & (life > 0) & (x > LOW[0]) & (x < HIGH[0]) & (y > LOW[1]) & (y < HIGH[1])
+        seen = leaves & (w.z < 0) & (absorption_path > 0) & (x > LOW[0]) & (x < HIGH[0]) & (y > LOW[1]) & (y < HIGH[1])
         if dr.hint(not next_event, mode="scalar"):
             score += dr.select(seen, F(1), 0)
         elif dr.hint(importance, mode="scalar"):
@@ -62,7 +63,7 @@ def slab(seed: int, next_event: bool, importance: bool, quasi: bool) -> mi.Float
             by_area = surface * surface / -w.z
             score += dr.select(seen, density / (density + by_area), 0)
         p = at
-        active &= ~leaves & (life > 0)
+        active &= ~leaves & (absorption_path > 0)
         if dr.hint(next_event, mode="scalar"):
             to = mi.Vector3f(LOW[0] + rng.next_float32() - p.x, LOW[1] + rng.next_float32() - p.y, -p.z)
             r = dr.norm(to)
@@ -77,7 +78,7 @@ def slab(seed: int, next_event: bool, importance: bool, quasi: bool) -> mi.Float
         phi = 2 * dr.pi * dr.select(start, first[2], rng.next_float32())
         cos = henyey_greenstein(F(G), u)
         density = (1 - G * G) / (4 * dr.pi * (1 + G * G - 2 * G * cos) ** 1.5)
-        w = mi.Vector3f(turn(w, cos, phi))
+        w = mi.Vector3f(rotate_direction(w, cos, phi))
         scattered += 1
     return score
 
@@ -99,7 +100,7 @@ def main() -> None:
         ("analog", (False, False, False)),
         ("next-event estimation", (True, False, False)),
         ("  with importance sampling", (True, True, False)),
-        ("quasi-random first turn", (False, False, True)),
+        ("quasi-random first direction", (False, False, True)),
     ):
         mean, error, figure = merit(lambda seed, how=how: float(dr.mean(slab(int(seed), *how))[0]))
         plain = plain or figure
@@ -110,7 +111,7 @@ def main() -> None:
 def finger() -> None:
     """The same for the prototype's photodiodes, one by one."""
     scene = nail.load_scene(data_dir("scenes") / "prototype.toml")
-    tracer = MeshTracer(scene)
+    tracer = FingerTracer(scene)
     names, count = tracer.photodiodes, len(tracer.photodiodes)
 
     def split(seed: int) -> np.ndarray:
@@ -118,9 +119,9 @@ def finger() -> None:
         return np.bincount(batch.photodiode, batch.weight, minlength=count) / PHOTONS
 
     def unsplit(seed: int) -> np.ndarray:
-        outcome, weight, *_ = tracer.walk(0, photons=PHOTONS, seed=int(seed))
-        ended = outcome >= DETECTED
-        return np.bincount(outcome[ended] - DETECTED, weight[ended], minlength=count) / PHOTONS
+        walked = tracer.walk(0, photons=PHOTONS, seed=int(seed))
+        ended = walked.outcome >= DETECTED
+        return np.bincount(walked.outcome[ended] - DETECTED, walked.weight[ended], minlength=count) / PHOTONS
 
     figures = {}
     for name, batch in (("plain", unsplit), ("split", split)):
@@ -134,8 +135,8 @@ def finger() -> None:
         mean, error = values.mean(0)[i], values.std(0, ddof=1)[i] / math.sqrt(BATCHES)
         row(f"{names[i]}, split near photodiodes", mean, error, ratio)
 
-    board, die = BoardTracer(scene), tracer.shape.leds[0]
-    area = tracer.shape.photodiodes[0].area_mm2
+    board, die = BoardTracer(scene), tracer.geometry.leds[0]
+    area = tracer.geometry.photodiodes[0].area_mm2
     u, v = scene.leds[0].position_mm
 
     def back(seed: int) -> float:

@@ -301,12 +301,12 @@ def test_meshes_from_coarse_to_a_million_triangles_are_closed(resolution, least)
 @pytest.mark.slow
 def test_readings_do_not_hang_on_the_fineness_of_the_mesh(jit_backend):
     """A million triangles in place of ten thousand: the same readings within the error, and nothing more lost."""
-    from nailoptics.light.finger_walk import MeshTracer
+    from nailoptics.light.finger_walk import FingerTracer
 
     scene = prototype_with()
     found = []
     for resolution, seed in ((1.0, 1), (9.0, 2)):
-        tracer = MeshTracer(scene, geometry.build(scene, resolution=resolution))
+        tracer = FingerTracer(scene, geometry.build(scene, resolution=resolution))
         batch = tracer.batch(0, photons=250_000, seed=seed)
         assert batch.energy["lost"][0] < 1e-4 * batch.photons
         total, square = batch.weight.sum(), (batch.weight**2).sum()

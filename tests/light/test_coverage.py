@@ -12,7 +12,7 @@ import nailoptics as nail
 from nailoptics import tissue
 from nailoptics.light import Transfer, optics, read_rest, reuse
 from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
-from nailoptics.light.finger_walk import MeshTracer
+from nailoptics.light.finger_walk import FingerTracer
 from nailoptics.light.records import Batch, LedTrace, joined
 from nailoptics.light.reweight import course
 from nailoptics.light.tracing import _trace_led
@@ -127,7 +127,7 @@ def of_trace(transfer: Transfer) -> Estimates:
 @pytest.mark.jit
 @pytest.mark.parametrize("runs", RUNS)
 def test_intervals_of_everything_read_from_a_trace_of_a_finger(jit_backend, runs):
-    small, whole = small_traces(parse_scene(FINGER), MeshTracer, jit_backend.name, runs=runs, photons=8192)
+    small, whole = small_traces(parse_scene(FINGER), FingerTracer, jit_backend.name, runs=runs, photons=8192)
     covers([of_trace(one) for one in small], of_trace(whole))
 
 
@@ -182,9 +182,9 @@ def test_intervals_of_each_engine_on_a_phantom(jit_backend, engine):
 @pytest.mark.slow
 def test_intervals_of_a_trace_that_stopped_at_a_tolerance(jit_backend, monkeypatch):
     """Paths and a reread state of a trace that stopped by its reading, beside the reading."""
-    from nailoptics.light.layered_walk import StackTracer
+    from nailoptics.light.layered_walk import LayeredTracer
 
-    monkeypatch.setattr(StackTracer, "batch_photons", 1 << 11)
+    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 11)
     scene = parse_scene(SLAB.format(u=2.0))
 
     def estimates(transfer: Transfer) -> Estimates:

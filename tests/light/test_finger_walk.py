@@ -7,7 +7,8 @@ import nailoptics as nail
 from nailoptics import geometry
 from nailoptics.assets import data_dir
 from nailoptics.light import backend, optics
-from nailoptics.light.finger_walk import _SHAPELESS, MeshTracer, Section
+from nailoptics.light.finger_walk import FingerTracer
+from nailoptics.light.tallies.section import Section
 from nailoptics.light.volpath import integrate, states
 from nailoptics.scene import Scene, load_scene
 
@@ -145,7 +146,7 @@ def test_a_bed_that_absorbs_more_dims_both_engines_alike(jit_backend):
 @pytest.mark.jit
 def test_the_same_seed_gives_the_same_bits_and_another_one_others(jit_backend):
     scene = prototype()
-    tracer = MeshTracer(scene)
+    tracer = FingerTracer(scene)
     first, second, other = (tracer.batch(0, photons=1 << 16, seed=seed) for seed in (5, 5, 6))
     assert np.array_equal(first.weight, second.weight) and np.array_equal(first.path_mm, second.path_mm)
     assert not np.array_equal(first.weight, other.weight)
@@ -173,7 +174,7 @@ def test_the_sections_path_density_adds_up_to_the_paths_of_all_light(jit_backend
     low, high = np.asarray(shape.bounds_mm)
     y, z = np.arange(low[1] - 0.5, high[1] + 0.5, 0.1), np.arange(low[2] - 0.5, high[2] + 0.5, 0.1)
     section = Section(y, z)
-    MeshTracer(scene, shape).walk(0, photons=1 << 16, seed=9, section=section)
+    FingerTracer(scene, shape).walk(0, photons=1 << 16, seed=9, section=section)
     density = section.density(1 << 16)
     assert density.shape == (len(y), len(z)) and np.all(density >= 0) and np.isfinite(density).all()
     total = density.sum() * 0.1**2
@@ -183,8 +184,8 @@ def test_the_sections_path_density_adds_up_to_the_paths_of_all_light(jit_backend
     assert abs(y[at[0]] - led[:, 1].mean()) < 0.5 and abs(z[at[1]] - led[:, 2].mean()) < 0.5
 
 
-def test_scenes_that_differ_in_optics_have_their_shape_in_common():
-    """Expected: what the cache of shapes leaves aside changes no triangle; what shapes the finger is not left aside."""
+def test_scenes_that_differ_in_optics_have_their_geometry_in_common():
+    """Expected: what the cache of geometries leaves aside changes no triangle; what a finger is built from stays."""
     scene = prototype()
     light = scene.light.model_copy(update={"index_steps": False, "left_out": ("bone",), "bed_scattering": 2.0})
     blood = scene.blood.model_copy(update={"zone_edges_mm": (1.0,), "rest_blood_fraction": 0.1})
@@ -192,4 +193,6 @@ def test_scenes_that_differ_in_optics_have_their_shape_in_common():
     one, two = (geometry.build(s) for s in (scene, other))
     assert np.array_equal(one.vertices, two.vertices) and np.array_equal(one.triangles, two.triangles)
     assert one.regions == two.regions
-    assert {"finger", "board", "leds", "photodiodes"}.isdisjoint(_SHAPELESS)
+    kept = geometry.shaping(other)
+    assert kept == geometry.shaping(scene) and kept.blood == type(blood)() and kept.light == type(light)()
+    assert all(getattr(kept, name) == getattr(scene, name) for name in ("finger", "board", "leds", "photodiodes"))

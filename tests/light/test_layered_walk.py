@@ -6,7 +6,7 @@ import pytest
 from scipy import special, stats
 
 import nailoptics as nail
-from nailoptics.light.layered_walk import StackTracer, arc_share, walk_stack
+from nailoptics.light.layered_walk import LayeredTracer, arc_share, walk_layers
 from nailoptics.light.sampling import TOP
 from nailoptics.light.tracing import _seeds
 from nailoptics.scene import Scene, parse_scene
@@ -274,11 +274,11 @@ def test_a_square_sees_what_counting_exits_in_it_gives(jit_backend, led, center)
     square = SQUARE.replace("[2.0, 0.0]", str(list(center)))
     scene = phantom(layer(thickness=2.0, mu_a=0.1, mu_s=5.0, g=0.7, n=1.4), led=led, photodiodes=square)
     photons = 1 << 19
-    walked = walk_stack(scene.phantom, scene.leds[0], photons=photons, seed=11)
+    walked = walk_layers(scene.phantom, scene.leds[0], photons=photons, seed=11)
     at = walked.start_mm + walked.shift_mm - center
     inside = (walked.outcome == TOP) & (abs(at) < 0.5).all(axis=1)
     counted = np.where(inside, walked.weight, 0.0)
-    batch = StackTracer(scene).batch(0, photons=photons, seed=11)
+    batch = LayeredTracer(scene).batch(0, photons=photons, seed=11)
     stderr = counted.std() / np.sqrt(photons)
     assert abs(batch.weight.sum() / photons - counted.mean()) < 3.5 * stderr < 0.05 * counted.mean()
 
@@ -305,7 +305,7 @@ def test_photons_of_a_batch_and_batches_of_a_seed_are_independent(jit_backend):
     scene = slab(a=0.9, b=2.0, g=0.0, n=1.0)
     seeds = _seeds(7, 0)
     one, two = (
-        (walk_stack(scene.phantom, scene.leds[0], photons=1 << 18, seed=next(seeds)).outcome == TOP) - 0.36
+        (walk_layers(scene.phantom, scene.leds[0], photons=1 << 18, seed=next(seeds)).outcome == TOP) - 0.36
         for _ in range(2)
     )
     count = len(one)

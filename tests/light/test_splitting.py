@@ -16,9 +16,9 @@ def prototype():
 
 
 def test_cells_within_reach_are_those_and_no_others(prototype):
-    shape = geometry.build(prototype)
-    near, low = near_photodiodes(shape)
-    plans = [np.asarray(face.quads).reshape(-1, 3)[:, :2] for face in shape.photodiodes]
+    finger = geometry.build(prototype)
+    near, low = near_photodiodes(finger)
+    plans = [np.asarray(face.quads).reshape(-1, 3)[:, :2] for face in finger.photodiodes]
     middle = np.mean(plans[0], axis=0)
     across, along = np.floor((middle - low) / CELL_MM).astype(int)
     assert near[across, along]
@@ -33,14 +33,15 @@ def test_split_photons_read_what_plain_ones_read(jit_backend, prototype):
 
     chi^2 of 24 dependent values: 60 is one in more than 1e4 even of 24 independent ones.
     """
-    from nailoptics.light.finger_walk import DETECTED, MeshTracer
+    from nailoptics.light.finger_walk import FingerTracer
+    from nailoptics.light.surroundings import DETECTED
 
-    tracer = MeshTracer(prototype)
+    tracer = FingerTracer(prototype)
     photons, count = 1 << 19, len(tracer.photodiodes)
     split = tracer.batch(0, photons=photons, seed=2026_11_21)
-    outcome, weight, _, paths, _ = tracer.walk(0, photons=photons, seed=1911_05_03)
-    ended = np.flatnonzero(outcome >= DETECTED)
-    plain = outcome[ended] - DETECTED, weight[ended].astype(float), tracer.by_zone(paths[:, ended])
+    walked = tracer.walk(0, photons=photons, seed=1911_05_03)
+    ended = np.flatnonzero(walked.outcome >= DETECTED)
+    plain = walked.outcome[ended] - DETECTED, walked.weight[ended], tracer.by_zone(walked.path_mm[:, ended])
     found = []
     for photodiode, light, path in ((split.photodiode, split.weight, split.path_mm), plain):
         scores = np.stack([light, light * path[:, 0], light * path[:, 1:3].sum(1)])

@@ -67,7 +67,7 @@ def test_a_sky_of_the_other_engine_brings_what_reciprocity_foretells(jit_backend
     for seed in range(4):
         _, left = tracer.back(0, 0, photons=1 << 18, seed=seed)
         each.append(left.weight.sum() / left.photons)
-    shape = tracer.tracer.shape
+    shape = tracer.tracer.geometry
     found = optics.finger_media(scene, shape.regions, 800.0)
     n = found.n[shape.regions.index("epoxy")]
     area = shape.photodiodes[0].area_mm2

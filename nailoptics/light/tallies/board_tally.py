@@ -8,27 +8,32 @@ import numpy as np
 
 from ...geometry import Geometry
 from ..arithmetic import atan2
+from ..sampling import remaining
+from ..surroundings import FingerPhoton
 
 # The bare board sends back a few percent, so that a photon may arrive again; a fifth time one in a million does.
 ARRIVALS = 4
 
 
-class Recorder:
+class BoardTally:
     """Place, weight and paths of every arrival at the underside, in slots of their photon."""
 
-    def __init__(self, shape: Geometry, *, photons: int, tallies: int) -> None:
-        self.nail_mm, self.board_mm = (dr.opaque(mi.Float, r) for r in (shape.nail_radius_mm, shape.board_radius_mm))
-        self.columns = [dr.zeros(mi.Float, photons * ARRIVALS) for _ in range(3 + tallies)]
+    def __init__(self, geometry: Geometry, *, photons: int, paths: int) -> None:
+        self.nail_mm, self.board_mm = (
+            dr.opaque(mi.Float, r) for r in (geometry.nail_radius_mm, geometry.board_radius_mm)
+        )
+        self.columns = [dr.zeros(mi.Float, photons * ARRIVALS) for _ in range(3 + paths)]
 
-    def add(self, p: Any, weight: Any, path: list[Any], photon: Any, arrived: Any, active: Any) -> None:
-        """Keep photons that arrive at p for the arrived-th time."""
-        slot, inside = photon * ARRIVALS + arrived, active & (arrived < ARRIVALS)
-        u = self.board_mm * atan2(p.x, p.z + self.nail_mm)
-        for column, value in zip(self.columns, (u, p.y, weight, *path), strict=True):
+    def add(self, photon: FingerPhoton, active: Any) -> None:
+        """Keep a photon that arrives once more."""
+        slot, inside = photon.index * ARRIVALS + photon.arrivals, active & (photon.arrivals < ARRIVALS)
+        u = self.board_mm * atan2(photon.p.x, photon.p.z + self.nail_mm)
+        values = (u, photon.p.y, photon.weight * remaining(photon.tau), *photon.path)
+        for column, value in zip(self.columns, values, strict=True):
             dr.scatter(column, value, slot, inside)
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Photon (n,), place (n, 2) [mm], weight (n,) and paths (tallies, n) [mm], in the order of the photons."""
+        """Photon (n,), place (n, 2) [mm], weight (n,) and paths (t, n) [mm], in the order of the photons."""
         dr.eval(self.columns)
         slot = np.flatnonzero(np.array(self.columns[2]))
         u, v, weight, *paths = (np.array(column)[slot] for column in self.columns)

@@ -11,6 +11,7 @@ import numpy as np
 from ...geometry import Geometry
 from ...scene import Scene
 from ..arithmetic import atan2
+from ..sampling import Photon
 
 ACROSS_MM, ALONG_MM = 0.3, 0.2
 # Cells through the bed's depth; below it a part as deep again as half the bed is looked at, too.
@@ -18,7 +19,7 @@ BED_CELLS, DEEPER_CELLS = 16, 8
 
 
 @dataclass(frozen=True)
-class Cells:
+class VoxelGrid:
     """Cells under the nail, in its own coordinates: u across (as on the board), v along, depth below the plate's face.
 
     u_mm, v_mm, depth_mm : edges, evenly spaced; the bed's faces are among those of the depth. [mm]
@@ -31,19 +32,19 @@ class Cells:
     board_radius_mm: float
 
     @staticmethod
-    def under_nail(scene: Scene, shape: Geometry) -> "Cells":
+    def under_nail(scene: Scene, geometry: Geometry) -> "VoxelGrid":
         """Cells from the plate through the bed into what lies below, over the whole nail."""
         finger = scene.finger
         assert finger is not None
-        half_u = finger.nail_width_mm / 2 * shape.board_radius_mm / shape.nail_radius_mm
+        half_u = finger.nail_width_mm / 2 * geometry.board_radius_mm / geometry.nail_radius_mm
         half_v, step = finger.nail_length_mm / 2, finger.bed_thickness_mm / BED_CELLS
         above = int(finger.nail_thickness_mm / step)
-        return Cells(
+        return VoxelGrid(
             np.linspace(-half_u, half_u, max(2, round(2 * half_u / ACROSS_MM) + 1)),
             np.linspace(-half_v, half_v, max(2, round(2 * half_v / ALONG_MM) + 1)),
             finger.nail_thickness_mm + step * np.arange(-above, BED_CELLS + DEEPER_CELLS + 1),
-            shape.nail_radius_mm,
-            shape.board_radius_mm,
+            geometry.nail_radius_mm,
+            geometry.board_radius_mm,
         )
 
     @property
@@ -59,13 +60,13 @@ class Cells:
         return (area * (self.depth_mm[1] - self.depth_mm[0]) * radius / self.board_radius_mm)[None, None]
 
 
-class Seen:
+class SensitivityTally:
     """Sums of paths on cells, each times what its photon counts for, in several groups of photons.
 
     weight, group : (photons,) of each photon of the walk, seen or not.
     """
 
-    def __init__(self, cells: Cells, weight: np.ndarray, group: np.ndarray, groups: int) -> None:
+    def __init__(self, cells: VoxelGrid, weight: np.ndarray, group: np.ndarray, groups: int) -> None:
         self.cells, self.groups = cells, groups
         self.weight, self.group = mi.Float(weight.astype(np.float32)), mi.UInt32(group.astype(np.uint32))
         self.values = dr.zeros(mi.Float64, groups * int(np.prod(cells.shape)))
@@ -75,17 +76,17 @@ class Seen:
         self.per_mm = [dr.opaque(mi.Float, float(1 / (e[1] - e[0]))) for e in edges]
         self.count = [dr.opaque(mi.UInt32, n) for n in cells.shape]
 
-    def add(self, p: Any, path: Any, weight: Any, photon: Any, active: Any) -> None:
-        """Add paths at their middles; what a photon weighs on its way is not asked, but what it counts for. [mm]"""
+    def add(self, photon: Photon, p: Any, path: Any, weight: Any, active: Any) -> None:
+        """Add a photon's path, of a middle p, times what it counts for in the end, whatever it weighs there. [mm]"""
         nail, board = self.radii
         height = p.z + nail
         places = (board * atan2(p.x, height), p.y, nail - dr.sqrt(p.x * p.x + height * height))
-        at, inside = dr.gather(mi.UInt32, self.group, photon, active), mi.Bool(active)
+        at, inside = dr.gather(mi.UInt32, self.group, photon.index, active), mi.Bool(active)
         for place, low, per_mm, count in zip(places, self.low, self.per_mm, self.count, strict=True):
             cell = mi.Int32(dr.floor((place - low) * per_mm))
             inside &= (cell >= 0) & (mi.UInt32(cell) < count)
             at = at * count + mi.UInt32(cell)
-        counts = dr.gather(mi.Float, self.weight, photon, active)
+        counts = dr.gather(mi.Float, self.weight, photon.index, active)
         dr.scatter_reduce(dr.ReduceOp.Add, self.values, mi.Float64(path * counts), at, inside)
 
     def sums(self) -> np.ndarray:

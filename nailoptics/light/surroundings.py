@@ -1,0 +1,199 @@
+"""A photon in a finger, and what it meets there as arrays that its walk reads: emitter, interfaces, regions, zones.
+
+What it meets are plain classes, because Dr.Jit's loops carry the fields of a dataclass along as each photon's own.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..geometry import DistanceGrid, Face, Geometry
+from ..scene import Scene
+from ..tissue import BloodZones
+from . import optics
+from .arithmetic import clip, maximum
+from .sampling import ABSORBED, BOTTOM, FAR, Photon, emission_cosine, rotate_direction
+
+# Outcomes from here on name the photodiode that a photon reached.
+DETECTED = 16
+# Through these light comes back from the bed to the photodiodes.
+OVER_BED = ("plate", "epoxy")
+# The number of a triangle's region below and that above share the 24 bits that a float32 holds exactly.
+REGION_BITS = 10
+# Of a coordinate and of 1 mm; about sixteen times what float32 resolves, enough for a few roundings.
+SURFACE_OFFSET = 2e-6
+
+
+@dataclass
+class FingerPhoton(Photon):
+    """A photon in a finger.
+
+    p : Place. [mm]
+    region : Index of the region it is in.
+    arrivals : How often it has come to the board.
+    copies : How many it stands for, walked one after the other, if it has been split; else 1.
+    copies_left : Of these still to be walked after the present one.
+    score : Weight of all its copies that a photodiode detected.
+    """
+
+    p: Any
+    region: Any
+    arrivals: Any
+    copies: Any
+    copies_left: Any
+    score: Any
+
+
+class Medium(NamedTuple):
+    """Optics of the region where a photon is.
+
+    mean_path_mm : Between two scatterings, where the medium `scatters`. [mm]
+    mu_a : [mm^-1]
+    """
+
+    scatters: Any
+    mean_path_mm: Any
+    g: Any
+    mu_a: Any
+    in_bed: Any
+
+    def free_path(self, rng: Any) -> Any:
+        """A random path to the next scattering. [mm]"""
+        return dr.select(self.scatters, -self.mean_path_mm * dr.log(1 - rng.next_float32()), FAR)
+
+
+class Regions:
+    """Optics of each region at rest and at one wavelength, and what becomes of a photon that enters it."""
+
+    def __init__(self, scene: Scene, geometry: Geometry, wavelength_nm: float) -> None:
+        names = geometry.regions
+        media = optics.finger_media(scene, names, wavelength_nm)
+        self.mu_a, self.mu_s, self.g, self.n = (mi.Float(a) for a in (media.mu_a, media.mu_s, media.g, media.n))
+        self.opaque, self.reflectance = mi.Bool(media.opaque), mi.Float(media.reflectance)
+        detectors = {face.region: DETECTED + i for i, face in enumerate(geometry.photodiodes)}
+        self.end = mi.UInt32([BOTTOM if name == "cut" else detectors.get(i, ABSORBED) for i, name in enumerate(names)])
+        parts = {face.region for face in (*geometry.leds, *geometry.photodiodes)}
+        self.on_board = mi.Bool([name in ("kapton", "silicon") or i in parts for i, name in enumerate(names)])
+        self.over_bed = mi.Bool([name in OVER_BED for name in names])
+        no_tissue = len(optics.TISSUES)
+        self.tissue = mi.UInt32([optics.TISSUES.index(n) if n in optics.TISSUES else no_tissue for n in names])
+        self.bed, self.epoxy, self.air = (dr.opaque(mi.UInt32, names.index(name)) for name in ("bed", "epoxy", "air"))
+
+    def medium(self, region: Any, active: Any) -> Medium:
+        """Optics of one region for each photon."""
+        mu_s = dr.gather(mi.Float, self.mu_s, region, active)
+        return Medium(
+            scatters=mu_s > 0,
+            mean_path_mm=dr.rcp(mu_s),
+            g=dr.gather(mi.Float, self.g, region, active),
+            mu_a=dr.gather(mi.Float, self.mu_a, region, active),
+            in_bed=region == self.bed,
+        )
+
+
+class Interfaces:
+    """All faces between regions: which one a ray meets, what lies on its sides, and how far the nearest one is."""
+
+    def __init__(self, geometry: Geometry, distances: DistanceGrid) -> None:
+        self.scene = _mesh_scene(geometry)
+        self.triangles = _triangle_table(geometry)
+        self.distance = mi.Float(np.ascontiguousarray(distances.distance_mm.transpose(2, 1, 0), np.float32).ravel())
+        self.count = [dr.opaque(mi.UInt32, int(n)) for n in distances.distance_mm.shape]
+        self.origin = [dr.opaque(mi.Float, float(x)) for x in distances.origin_mm]
+        self.spacing = dr.opaque(mi.Float, float(distances.spacing_mm))
+
+    def free(self, p: Any, active: Any) -> Any:
+        """A distance at p within which no interface lies; 0 where nothing is known. [mm]"""
+        cell, off = [], mi.Float(0)
+        inside = mi.Bool(active)
+        for value, low, n in zip(p, self.origin, self.count, strict=True):
+            place = (value - low) * dr.rcp(self.spacing)
+            index = mi.Int32(dr.floor(place))
+            inside &= (index >= 0) & (mi.UInt32(index) < n)
+            cell.append(mi.UInt32(index))
+            off += dr.square(place - mi.Float(index) - 0.5)
+        at = cell[0] + self.count[0] * (cell[1] + self.count[1] * cell[2])
+        return maximum(dr.gather(mi.Float, self.distance, at, inside) - dr.sqrt(off) * self.spacing, 0)
+
+    def first_hit(self, p: Any, w: Any, step: Any, active: Any) -> Any:
+        """The first triangle within a step from p along w, if any."""
+        ray: Any = mi.Ray3f(p, w, step, 0, [])  # type: ignore[call-overload]
+        return self.scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+
+    def sides(self, triangle: Any) -> tuple[Any, Any, Any]:
+        """A triangle's normal, the region below it, and the one above, to which the normal points."""
+        row = dr.gather(mi.Vector4f, self.triangles, triangle)
+        pair = mi.UInt32(row.w)
+        return mi.Vector3f(row.x, row.y, row.z), pair & ((1 << REGION_BITS) - 1), pair >> REGION_BITS
+
+
+class Emitter:
+    """The facets of a die or of a photodiode that shines, and its `emission_table`."""
+
+    def __init__(self, face: Face, emission: np.ndarray) -> None:
+        quads = np.asarray(face.quads)
+        area = np.linalg.norm(np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]), axis=1) / 2
+        self.cumulative_area = mi.Float(np.cumsum(area) / area.sum())
+        self.corners = mi.Float(quads.astype(np.float32).ravel())
+        self.normal = mi.Float(np.asarray(face.normal, np.float32).ravel())
+        self.emission = mi.Float(emission)
+
+    def emit(self, rng: Any) -> tuple[Any, Any]:
+        """Place and direction of a new photon."""
+        pick, facet = rng.next_float32(), mi.UInt32(0)
+        for i in range(dr.width(self.cumulative_area) - 1):
+            facet += dr.select(pick >= dr.gather(mi.Float, self.cumulative_area, i), mi.UInt32(1), mi.UInt32(0))
+        a, b, c, d = (dr.gather(mi.Point3f, self.corners, 4 * facet + i) for i in range(4))
+        u, v = rng.next_float32(), rng.next_float32()
+        normal = dr.gather(mi.Vector3f, self.normal, facet)
+        p = dr.lerp(dr.lerp(a, b, u), dr.lerp(d, c, u), v)
+        cos = emission_cosine(self.emission, rng.next_float32())
+        w = rotate_direction(normal, cos, 2 * dr.pi * rng.next_float32())
+        return mi.Point3f(off_surface(p, normal)), mi.Vector3f(w)
+
+
+class ZoneEdges:
+    """The edges between the bed's blood zones, each a smooth step along the nail (`tissue.BloodZones`)."""
+
+    def __init__(self, zones: BloodZones) -> None:
+        self.edges = [dr.opaque(mi.Float, edge) for edge in zones.edges_mm]
+        self.width = dr.opaque(mi.Float, zones.width_mm)
+
+    def beyond(self, y: Any, path: Any) -> list[Any]:
+        """The part of a path, of its middle at y, that counts as beyond each edge. [mm]"""
+        steps = [clip((y - edge) / self.width + 0.5, 0, 1) for edge in self.edges]
+        return [path * t * t * (3 - 2 * t) for t in steps]
+
+
+class Surroundings:
+    """All that the walk of one LED's light reads."""
+
+    def __init__(self, interfaces: Interfaces, regions: Regions, emitter: Emitter, zones: BloodZones) -> None:
+        self.interfaces, self.regions, self.emitter, self.zones = interfaces, regions, emitter, ZoneEdges(zones)
+
+
+def off_surface(p: Any, normal: Any) -> Any:
+    """A point moved off a face by a little more than float32 resolves there."""
+    return p + normal * (SURFACE_OFFSET * (1 + maximum(maximum(dr.abs(p.x), dr.abs(p.y)), dr.abs(p.z))))
+
+
+def _mesh_scene(geometry: Geometry) -> Any:
+    mesh = mi.Mesh("interfaces", len(geometry.vertices), len(geometry.triangles))
+    params = mi.traverse(mesh)
+    params["vertex_positions"] = mi.Float(geometry.vertices.astype(np.float32).ravel())
+    params["faces"] = mi.UInt32(geometry.triangles.astype(np.uint32).ravel())
+    params.update()
+    return mi.load_dict({"type": "scene", "interfaces": mesh}, optimize=False)
+
+
+def _triangle_table(geometry: Geometry) -> Any:
+    """Per triangle: normal (3) and, packed into the bits of the fourth number, the regions below and above."""
+    a, b, c = (geometry.vertices[geometry.triangles[:, i]] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    table = np.empty((len(normal), 4), np.float32)
+    table[:, :3] = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    table[:, 3] = geometry.below + (geometry.above << REGION_BITS)
+    return mi.Float(table.ravel())
