@@ -16,14 +16,17 @@ _CURVATURE_RANGE = (1e-4, 50.0)
 
 @dataclass(frozen=True, kw_only=True)
 class _Fit:
-    """What both fits tell beside their constants."""
+    """What both fits say beside their constants.
+
+    covariance : Of the constants, in the order of the fields; inf where the readings do not determine one.
+    residual_rms_v, residual_max_v : What the curve misses of the readings. [V]
+    note : Empty, or one line on what the readings could not determine.
+    """
 
     covariance: Array
-    """Covariance of the constants, in the order of the fields; inf where the readings do not determine one."""
     residual_rms_v: float
     residual_max_v: float
     note: str
-    """Empty, or one line on what the readings could not determine."""
 
     @property
     def stderr(self) -> Array:
@@ -40,7 +43,7 @@ class BeerLambertFit(_Fit):
     alpha_per_m2: float
 
     def predict(self, diameter_m: ArrayLike) -> Array:
-        """Return the reading at a capillary diameter [m]. [V]"""
+        """The reading at a capillary diameter [m]. [V]"""
         return beer_lambert(diameter_m, v0_v=self.v0_v, v1_v=self.v1_v, alpha_per_m2=self.alpha_per_m2)
 
 
@@ -52,34 +55,32 @@ class TaylorFit(_Fit):
     v1_v_per_m2: float
 
     def predict(self, diameter_m: ArrayLike) -> Array:
-        """Return the reading at a capillary diameter [m]. [V]"""
+        """The reading at a capillary diameter [m]. [V]"""
         return taylor(diameter_m, v0_v=self.v0_v, v1_v_per_m2=self.v1_v_per_m2)
 
 
 def beer_lambert(diameter_m: ArrayLike, *, v0_v: float, v1_v: float, alpha_per_m2: float) -> Array:
-    """Return the reading by equation (8): v0 + v1 exp(-alpha D^2). [V]"""
+    """The reading by equation (8): v0 + v1 exp(-alpha D^2). [V]"""
     return np.asarray(v0_v + v1_v * np.exp(-alpha_per_m2 * np.square(np.asarray(diameter_m, dtype=float))))
 
 
 def taylor(diameter_m: ArrayLike, *, v0_v: float, v1_v_per_m2: float) -> Array:
-    """Return the reading by equation (9): v0' - v1' D^2. [V]"""
+    """The reading by equation (9): v0' - v1' D^2. [V]"""
     return np.asarray(v0_v - v1_v_per_m2 * np.square(np.asarray(diameter_m, dtype=float)))
 
 
 def fit_taylor(diameter_m: ArrayLike, volts: ArrayLike, stderr_v: ArrayLike | None = None) -> TaylorFit:
     """Fit the two constants of equation (9), V = V0' - V1' D^2, by (weighted) least squares.
 
-    Parameters
-    ----------
     diameter_m : (t,) float. Capillary diameter D_C + x_C, 0 or more. [m]
     volts : (t,) float. Readings. [V]
     stderr_v : (t,) float or one for all. Standard errors of the readings; they weigh them and set the errors of the
-        constants. Without them (or all 0) the scatter about the fit does. Taken as independent: readings reread from
-        one trace share their noise, and the errors of the slope are then upper bounds. [V]
+        constants. Without them (or all 0) the scatter about the fit does. Taken as independent: readings of one trace
+        share their noise, and the errors of the slope are then upper bounds. [V]
 
     Where the diameters do not vary the slope is 0 with an infinite error, and `note` says so.
 
-    Raises InputError for arrays of different length, none at all, or values that are not finite.
+    Raises: InputError for arrays of different length, none at all, or values that are not finite.
 
     References: Mascaro and Asada 2001, IEEE Trans. Robotics and Automation 17(5), eq. (9).
     """
@@ -88,7 +89,7 @@ def fit_taylor(diameter_m: ArrayLike, volts: ArrayLike, stderr_v: ArrayLike | No
         return TaylorFit(
             **data.residuals(data.constant),
             covariance=np.diag([data.mean_variance(), np.inf]),
-            note="the diameters do not vary: no slope can be told",
+            note="the diameters do not vary: the slope is not known",
             v0_v=data.mean(),
             v1_v_per_m2=0.0,
         )
@@ -101,7 +102,7 @@ def fit_taylor(diameter_m: ArrayLike, volts: ArrayLike, stderr_v: ArrayLike | No
     return TaylorFit(
         **data.residuals(lambda x: value - slope * (x - centre)),
         covariance=covariance,
-        note="" if np.isfinite(covariance).all() else "as many constants as readings: their errors cannot be told",
+        note="" if np.isfinite(covariance).all() else "as many constants as readings: their errors are not known",
         v0_v=value + slope * centre,
         v1_v_per_m2=slope / data.scale_m2,
     )
@@ -115,9 +116,9 @@ def fit_beer_lambert(diameter_m: ArrayLike, volts: ArrayLike, stderr_v: ArrayLik
     by one, and turns them into V0, V1 and alpha at the end; their standard errors then say how far the three are
     known, and the prediction is good even where they are not. alpha D^2 is held in 1e-4 to 50.
 
-    Parameters, errors and what happens where the diameters do not vary: as in `fit_taylor`. Where the curvature
-    cannot be told from the readings, the constants are those of the best curve in range, their errors are large (or
-    infinite, at the ends of the range), and `note` says so.
+    Parameters, errors and what happens where the diameters do not vary: as in `fit_taylor`. Where the readings do not
+    determine the curvature, the constants are those of the best curve in range, their errors are large (or infinite,
+    at the ends of the range), and `note` says so.
 
     References: Mascaro and Asada 2001, IEEE Trans. Robotics and Automation 17(5), eq. (8).
     """
@@ -128,67 +129,100 @@ def fit_beer_lambert(diameter_m: ArrayLike, volts: ArrayLike, stderr_v: ArrayLik
         return BeerLambertFit(
             **data.residuals(data.constant),
             covariance=np.diag([data.mean_variance(), np.inf, np.inf]),
-            note=f"the {what}: neither V1 nor alpha can be told",
+            note=f"the {what}: neither V1 nor alpha is known",
             v0_v=data.mean(),
             v1_v=0.0,
             alpha_per_m2=0.0,
         )
+    curve = _fitted_curve(data)
+    covariance, note = _curve_covariance(data, curve), _out_of_range(data, curve)
+    if note:
+        covariance = np.full((3, 3), np.inf)
+    elif not covariance[2, 2] < (curve.curvature / data.scale_m2) ** 2:
+        note = "alpha differs from 0 by less than its standard error: V1 and alpha are known by their product only"
+    return BeerLambertFit(
+        **data.residuals(curve.at),
+        covariance=covariance,
+        note=note,
+        v0_v=curve.value - curve.slope / curve.curvature,
+        v1_v=curve.slope / curve.curvature * curve.growth,
+        alpha_per_m2=curve.curvature / data.scale_m2,
+    )
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """Equation (8) by its value, slope and relative curvature at the centre of the readings, over x = D^2 / scale."""
+
+    centre: float
+    value: float
+    slope: float
+    curvature: float
+
+    @property
+    def growth(self) -> float:
+        """The exponential at D = 0 over that at the centre."""
+        return float(np.exp(self.curvature * self.centre))
+
+    def at(self, x: Array) -> Array:
+        return np.asarray(self.value - self.slope * _bend(self.curvature, x - self.centre))
+
+
+def _line_design(curvature: float, shift: Array) -> Array:
+    """What value and slope multiply at a given curvature, (t, 2) float."""
+    return np.stack([np.ones_like(shift), -_bend(curvature, shift)], axis=1)
+
+
+def _fitted_curve(data: "_Data") -> _Curve:
+    """The curve with the least squared residual; two different diameters get the straightest one."""
     centre = data.centre()
     shift = data.x - centre
-    low, high = _CURVATURE_RANGE
-    curvature = _best_curvature(data, shift) if data.distinct() > 2 else low
-    design = np.stack([np.ones_like(shift), -_bend(curvature, shift)], axis=1)
-    value, slope = data.solve(design)
+    curvature = _best_curvature(data, shift) if data.distinct() > 2 else _CURVATURE_RANGE[0]
+    value, slope = data.solve(_line_design(curvature, shift))
+    return _Curve(centre, value, slope, curvature)
 
-    def model(x: Array) -> Array:
-        return np.asarray(value - slope * _bend(curvature, x - centre))
 
-    # From value, slope and curvature at the centre of the data to V0, V1 and alpha.
-    grown = float(np.exp(curvature * centre))
+def _curve_covariance(data: "_Data", curve: _Curve) -> Array:
+    """Covariance of V0, V1 and alpha, (3, 3) float, from that of value, slope and curvature at the centre."""
+    centre, slope, curvature, growth = curve.centre, curve.slope, curve.curvature, curve.growth
     jacobian = np.array(
         [
             [1.0, -1.0 / curvature, slope / curvature**2],
-            [0.0, grown / curvature, slope * grown * (centre * curvature - 1) / curvature**2],
+            [0.0, growth / curvature, slope * growth * (centre * curvature - 1) / curvature**2],
             [0.0, 0.0, 1.0 / data.scale_m2],
         ]
     )
-    full = np.column_stack([design, -slope * _bend_slope(curvature, shift)])
-    covariance = _carried(data.covariance(full, data.volts - model(data.x)), jacobian)
-    note = ""
+    shift = data.x - centre
+    full = np.column_stack([_line_design(curvature, shift), -slope * _bend_slope(curvature, shift)])
+    return _carried(data.covariance(full, data.volts - curve.at(data.x)), jacobian)
+
+
+def _out_of_range(data: "_Data", curve: _Curve) -> str:
+    """Why the readings do not determine alpha; empty where they may."""
+    low, high = _CURVATURE_RANGE
     if data.distinct() == 2:
-        note = "only two different diameters: any alpha fits, and the straight line in D^2 is taken"
-    elif curvature <= 1.01 * low:
-        note = "the readings are straight in D^2, or bent the other way: alpha is at the low end of its range"
-    elif curvature >= 0.99 * high:
-        note = "the readings are a step in D^2: alpha is at the high end of its range"
-    if note:
-        covariance = np.full((3, 3), np.inf)
-    elif not covariance[2, 2] < (curvature / data.scale_m2) ** 2:
-        note = "alpha is not told from 0 within its standard error: V1 and alpha are known by their product only"
-    return BeerLambertFit(
-        **data.residuals(model),
-        covariance=covariance,
-        note=note,
-        v0_v=value - slope / curvature,
-        v1_v=slope / curvature * grown,
-        alpha_per_m2=curvature / data.scale_m2,
-    )
+        return "only two different diameters: any alpha fits, and the straight line in D^2 is taken"
+    if curve.curvature <= 1.01 * low:
+        return "the readings are straight in D^2, or bent the other way: alpha is at the low end of its range"
+    if curve.curvature >= 0.99 * high:
+        return "the readings are a step in D^2: alpha is at the high end of its range"
+    return ""
 
 
 def _carried(covariance: Array, jacobian: Array) -> Array:
-    """Return the covariance in other constants; where it is not known it stays infinite, not nan."""
+    """The covariance in other constants; where it is not known it stays infinite, not nan."""
     if not np.isfinite(covariance).all():
         return np.full_like(covariance, np.inf)
     return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
 def _bend(curvature: float, shift: Array) -> Array:
-    """Return (1 - exp(-a s)) / a, which goes to s as a goes to 0."""
+    """(1 - exp(-a s)) / a, which goes to s as a goes to 0."""
     return np.asarray(-np.expm1(-curvature * shift) / curvature)
 
 
 def _bend_slope(curvature: float, shift: Array) -> Array:
-    """Return the derivative of `_bend` by the curvature, without the loss of digits that its closed form has."""
+    """The derivative of `_bend` by the curvature, without the loss of digits that its closed form has."""
     t = curvature * shift
     small = np.abs(t) < 1e-3
     safe = np.where(small, 1.0, t)
@@ -198,16 +232,15 @@ def _bend_slope(curvature: float, shift: Array) -> Array:
 
 
 def _best_curvature(data: "_Data", shift: Array) -> float:
-    """Return the relative curvature with the least squared residual; value and slope follow from it linearly."""
+    """The relative curvature with the least squared residual; value and slope follow from it linearly."""
     from scipy.optimize import minimize_scalar
 
     def cost(log_curvature: float) -> float:
-        design = np.stack([np.ones_like(shift), -_bend(float(np.exp(log_curvature)), shift)], axis=1)
+        design = _line_design(float(np.exp(log_curvature)), shift)
         return float(np.sum(np.square((data.volts - design @ data.solve(design)) * data.root_weight)))
 
     # The cost can have a flat start and one valley; a coarse scan finds the valley, a bounded search its bottom.
-    first, last = _CURVATURE_RANGE
-    grid = np.log(np.geomspace(first, last, 41))
+    grid = np.log(np.geomspace(*_CURVATURE_RANGE, 41))
     costs = [cost(x) for x in grid]
     best = int(np.argmin(costs))
     low, high = grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)]
@@ -247,7 +280,7 @@ class _Data:
         return cls(np.square(diameter) / scale_m2, reading, root_weight, scale_m2, absolute)
 
     def distinct(self) -> int:
-        """Return the number of diameters that are more than rounding apart."""
+        """The number of diameters that differ by more than rounding."""
         return 1 + int(np.count_nonzero(np.diff(np.sort(self.x)) > 1e-12))
 
     def constant(self, x: Array) -> Array:
@@ -269,7 +302,7 @@ class _Data:
         return [float(constant) for constant in solution]
 
     def covariance(self, design: Array, residual: Array) -> Array:
-        """Return the covariance of linear constants: from the stated errors, else from the scatter about the fit."""
+        """The covariance of linear constants: from the stated errors, else from the scatter about the fit."""
         count = design.shape[1]
         # Columns differ by orders of magnitude; at equal length their cross product keeps its digits.
         weighted = design * self.root_weight[:, None]
