@@ -462,12 +462,11 @@ def check(scene: ScenePath, *, json_: Json = False) -> None:
     report: dict[str, Any] = {"scene": scene, "valid": True}
     if asked.finger is not None:
         from . import hemodynamics
-        from .geometry import build
-        from .geometry import check as check_geometry
+        from .geometry import build, check_watertight
 
         hemodynamics.parameters(asked.blood.parameters)
         shape = build(asked)
-        found = check_geometry(shape, crossings=100_000)
+        found = check_watertight(shape, crossings=100_000)
         report |= {
             "regions": list(shape.regions),
             "triangles": len(shape.triangles),

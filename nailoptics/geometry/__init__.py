@@ -1,17 +1,17 @@
 """SHAPE: fingertip, nail, bone and board of a scene as watertight interfaces that know both sides."""
 
 from .build import build, shaping
-from .check import Report, check
 from .distance import DistanceGrid, distance_grid
 from .model import Face, Geometry, nail_coordinates
+from .watertight import WatertightReport, check_watertight
 
 __all__ = [
     "DistanceGrid",
     "Face",
     "Geometry",
-    "Report",
+    "WatertightReport",
     "build",
-    "check",
+    "check_watertight",
     "distance_grid",
     "nail_coordinates",
     "shaping",

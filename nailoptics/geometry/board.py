@@ -10,7 +10,7 @@ from ..errors import InputError
 from ..scene import Scene
 from ..scene.layout import Layout, Rectangle
 from .regions import AIR, BARRIER, COVER, EPOXY, KAPTON, REGIONS, SILICON, led_region, photodiode_region
-from .surfaces import Shape
+from .surfaces import FingerSurfaces
 
 Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ class BentBoard:
     """
 
     scene: Scene
-    shape: Shape
+    surfaces: FingerSurfaces
 
     @cached_property
     def layout(self) -> Layout:
@@ -42,7 +42,7 @@ class BentBoard:
     @property
     def radius_mm(self) -> float:
         """Radius of the underside. [mm]"""
-        return self.shape.finger.nail_radius_mm + self.height_mm
+        return self.surfaces.finger.nail_radius_mm + self.height_mm
 
     @property
     def heights_mm(self) -> Array:
@@ -53,9 +53,9 @@ class BentBoard:
     @cached_property
     def rim(self) -> Rectangle:
         """The outline with the rim of opaque epoxy around it, as far as the nail carries it."""
-        outline, shape = self.layout.outline, self.shape
-        u_end = shape.nail_half_angle * self.radius_mm - EDGE_MM
-        v_end = shape.nail_end - EDGE_MM
+        outline, surfaces = self.layout.outline, self.surfaces
+        u_end = surfaces.nail_half_angle * self.radius_mm - EDGE_MM
+        v_end = surfaces.nail_end - EDGE_MM
         return Rectangle(
             "rim",
             max(outline.u_min - RIM_MM, -u_end),

@@ -12,7 +12,7 @@ from .grid import Grid
 from .model import Face, Geometry
 from .nodes import BELOW, Nodes
 from .regions import REGIONS
-from .surfaces import Shape
+from .surfaces import FingerSurfaces
 
 log = logging.getLogger(__name__)
 
@@ -63,9 +63,9 @@ def _grid(scene: Scene, resolution: float) -> tuple[BentBoard, Grid]:
     """The board and the grid, with the steepest folds of skin beside the nail that leave the layers apart."""
     assert scene.finger is not None
     for fold_rad in FOLDS_RAD:
-        shape = Shape(scene.finger, fold_rad)
-        board = BentBoard(scene, shape)
-        nodes = Nodes(shape, board, resolution)
+        surfaces = FingerSurfaces(scene.finger, fold_rad)
+        board = BentBoard(scene, surfaces)
+        nodes = Nodes(surfaces, board, resolution)
         grid = Grid(nodes.positions(), nodes.labels())
         corners, _, _ = grid.tetrahedra()
         if np.linalg.det(corners[:, 1:] - corners[:, :1]).min() > -1e-9:

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .boxes import Boxes
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.int32]
 
@@ -23,7 +25,7 @@ class Crossings:
 
     ray: NDArray[np.int64]
     z: Array
-    triangle: NDArray[np.int64]
+    triangle: Indices
     forward: NDArray[np.bool_]
 
 
@@ -33,14 +35,14 @@ def cast(vertices: Array, triangles: Indices, rays: Array) -> Crossings:
     Which side of an edge a ray passes is decided once for the edge, whichever triangle asks, so that a ray never slips
     between two triangles that share one, nor meets both.
     """
-    boxes = _Boxes(vertices, triangles, rays)
-    found = [boxes.cross(part) for part in boxes.parts()]
+    caster = _Caster(vertices, triangles, rays)
+    found = [caster.cross(part) for part in caster.parts()]
     ray, z, triangle, forward = (np.concatenate([f[i] for f in found]) for i in range(4))
     order = np.lexsort((z, ray))
     return Crossings(ray[order], z[order], triangle[order], forward[order])
 
 
-class _Boxes:
+class _Caster:
     """Triangles by the boxes of an even plane grid that they may reach into."""
 
     def __init__(self, vertices: Array, triangles: Indices, rays: Array) -> None:
@@ -51,13 +53,7 @@ class _Boxes:
         self.bins = int(np.clip(np.sqrt(len(triangles)), 1, 512))
         self.per_mm = self.bins / (high - self.low)
         first, last = self._bin(flat.min(axis=1)), self._bin(flat.max(axis=1))
-        wide = last - first + 1
-        count = wide[:, 0] * wide[:, 1]
-        owner = np.repeat(np.arange(len(count)), count)
-        rank = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
-        box = (first[owner, 0] + rank // wide[owner, 1]) * self.bins + first[owner, 1] + rank % wide[owner, 1]
-        self.start = np.concatenate([[0], np.cumsum(np.bincount(box, minlength=self.bins**2))])
-        self.members = owner[np.argsort(box, kind="stable")]
+        self.boxes = Boxes.sort(first, last, bins=self.bins)
 
     def _bin(self, points: Array) -> NDArray[np.int64]:
         # Rounding is monotone, so a ray within a triangle's bounds falls within its bins.
@@ -67,19 +63,14 @@ class _Boxes:
         """Indices of rays over the mesh, in parts that keep the work arrays small."""
         bins = self._bin(self.rays)
         over = np.nonzero(((bins >= 0) & (bins < self.bins)).all(axis=1))[0]
-        box = bins[over, 0] * self.bins + bins[over, 1]
-        work = np.cumsum(self.start[box + 1] - self.start[box])
+        work = np.cumsum(self.boxes.count(self.boxes.at(bins[over])))
         cuts = np.searchsorted(work, np.arange(PAIRS, work[-1] if len(work) else 0, PAIRS))
         return np.split(over, cuts)
 
-    def cross(self, rays: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array, NDArray[np.int64], NDArray[np.bool_]]:
+    def cross(self, rays: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array, Indices, NDArray[np.bool_]]:
         """Ray, z, triangle and direction of each crossing of the given rays."""
-        bins = self._bin(self.rays[rays])
-        box = bins[:, 0] * self.bins + bins[:, 1]
-        count = self.start[box + 1] - self.start[box]
-        begin = np.cumsum(count) - count
-        triangle = self.members[np.repeat(self.start[box] - begin, count) + np.arange(count.sum())]
-        ray = np.repeat(rays, count)
+        box = self.boxes.at(self._bin(self.rays[rays]))
+        triangle, ray = self.boxes.items(box), np.repeat(rays, self.boxes.count(box))
         corner = self.triangles[triangle]
         x, y = self.rays[ray].T
         area, left = np.empty((3, len(ray))), np.empty((3, len(ray)), bool)

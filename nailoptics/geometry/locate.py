@@ -6,6 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from .boxes import Boxes
 from .grid import Grid
 from .regions import AIR
 
@@ -22,8 +23,7 @@ class Locator:
 
     rows : (n + 1,) float. Planes between rows. [mm]
     low, per_mm : (2,) float. Corner and bins per mm in (x, z).
-    start : (n * BINS^2 + 1,) int. Where the list of each box starts in members.
-    members : (l,) int. Tetrahedra that may reach into each box.
+    boxes : Tetrahedra that may reach into each box of each row.
     inverse, origin : (m, 3, 3), (m, 3) float. From a point to barycentric coordinates 1 to 3.
     labels : (m,) int. Region of each tetrahedron.
     """
@@ -31,8 +31,7 @@ class Locator:
     rows: Array
     low: Array
     per_mm: Array
-    start: NDArray[np.int64]
-    members: Indices
+    boxes: Boxes
     inverse: Array
     origin: Array
     labels: Indices
@@ -50,20 +49,11 @@ class Locator:
         # A little wider than the tetrahedra, so that rounding leaves no point between boxes.
         first = np.clip(((flat.min(axis=1) - 1e-9 - low) * per_mm).astype(np.int64), 0, BINS - 1)
         last = np.clip(((flat.max(axis=1) + 1e-9 - low) * per_mm).astype(np.int64), 0, BINS - 1)
-        wide = last - first + 1
-        count = wide[:, 0] * wide[:, 1]
-        owner = np.repeat(np.arange(len(count), dtype=np.int32), count)
-        rank = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
-        bin_x = first[owner, 0] + rank // wide[owner, 1]
-        bin_z = first[owner, 1] + rank % wide[owner, 1]
-        box = ((rows[owner].astype(np.int64) * BINS) + bin_x) * BINS + bin_z
-        boxes = (len(grid.rows_mm) - 1) * BINS * BINS
-        start = np.concatenate([[0], np.cumsum(np.bincount(box, minlength=boxes))])
+        boxes = Boxes.sort(first, last, bins=BINS, layer=rows.astype(np.int64), layers=len(grid.rows_mm) - 1)
         one, two, three = edges[:, 0], edges[:, 1], edges[:, 2]
         normals = np.stack([np.cross(two, three), np.cross(three, one), np.cross(one, two)], axis=1)
         inverse = normals / np.einsum("ij,ij->i", one, normals[:, 0])[:, None, None]
-        members = owner[np.argsort(box, kind="stable")]
-        return cls(grid.rows_mm, low, per_mm, start, members, inverse, corners[:, 0].copy(), labels)
+        return cls(grid.rows_mm, low, per_mm, boxes, inverse, corners[:, 0].copy(), labels)
 
     def region_at(self, points: Array) -> Indices:
         """Region (k,) at points (k, 3)."""
@@ -78,19 +68,16 @@ class Locator:
         inside = (row >= 0) & (row < len(self.rows) - 1) & (bins >= 0).all(axis=1) & (bins < BINS).all(axis=1)
         result = np.full(len(points), AIR, np.int32)
         where = np.nonzero(inside)[0]
-        if not len(where):
-            return result
-        box = (row[where] * BINS + bins[where, 0]) * BINS + bins[where, 1]
-        count = self.start[box + 1] - self.start[box]
+        box = self.boxes.at(bins[where], row[where])
+        count = self.boxes.count(box)
         where, box, count = where[count > 0], box[count > 0], count[count > 0]
         if not len(where):
             return result
-        begin = np.cumsum(count) - count
-        tetrahedra = self.members[np.repeat(self.start[box] - begin, count) + np.arange(count.sum())]
+        tetrahedra = self.boxes.items(box)
         offset = points[np.repeat(where, count)] - self.origin[tetrahedra]
         weights = np.einsum("kij,kj->ki", self.inverse[tetrahedra], offset)
         margin = np.minimum(weights.min(axis=1), 1 - weights.sum(axis=1))
-        best = np.maximum.reduceat(margin, begin)
+        best = np.maximum.reduceat(margin, np.cumsum(count) - count)
         # Rounding may put a point on a face a little outside both neighbours: the better one takes it.
         chosen = np.nonzero(margin == np.repeat(best, count))[0]
         owner = np.repeat(np.arange(len(where)), count)[chosen]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from .board import BentBoard
 from .lines import grid_lines
 from .regions import AIR, BED, BONE, CUT, EPIDERMIS, PLATE, PULP
-from .surfaces import BONE_ROUNDING_MM, Shape, signed_angle, smooth_step
+from .surfaces import BONE_ROUNDING_MM, FingerSurfaces, signed_angle, smooth_step
 
 Array = NDArray[np.float64]
 
@@ -30,14 +30,14 @@ class Nodes:
     face, and the plate's and the epidermis's in their order), the skin or the nail's face, and three above the nail.
     """
 
-    shape: Shape
+    surfaces: FingerSurfaces
     board: BentBoard
     resolution: float
 
     @cached_property
     def theta(self) -> Array:
         """Angles of the nail's columns around its axis, (a_nail,) float. [rad]"""
-        radius, edge = self.shape.finger.nail_radius_mm, self.shape.nail_half_angle
+        radius, edge = self.surfaces.finger.nail_radius_mm, self.surfaces.nail_half_angle
         step = min(NAIL_STEP_MM, np.sqrt(8 * SAGITTA_MM * radius)) / self.resolution
         required = [x * radius for x in (-edge, edge, *self.board.angles)]
         spans = [(low * radius, high * radius) for low, high in self.board.led_angles]
@@ -46,8 +46,8 @@ class Nodes:
     @cached_property
     def phi(self) -> Array:
         """Angles of all columns around the central line, (a,) float. [rad]"""
-        shape, nail = self.shape, self.shape.nail_angle_to_phi(self.theta)
-        reach = max(shape.finger.width_mm / 2, shape.finger.thickness_mm + shape.center_z)
+        surfaces, nail = self.surfaces, self.surfaces.nail_angle_to_phi(self.theta)
+        reach = max(surfaces.finger.width_mm / 2, surfaces.finger.thickness_mm + surfaces.center_z)
         span = 2 * np.pi - (nail[-1] - nail[0])
         count = int(np.ceil(span * reach * self.resolution / BODY_STEP_MM))
         return np.concatenate([nail, nail[-1] + span * np.arange(1, count) / count])
@@ -55,19 +55,19 @@ class Nodes:
     @cached_property
     def y(self) -> Array:
         """Places of the rows, (n + 1,) float. [mm]"""
-        shape, end = self.shape, self.shape.nail_end
-        required = [shape.cut - CUT_SLICE_MM, shape.cut, -end, end, *self.board.places]
-        required += [shape.tip - x for x in (0.0, *self.tip_depths)]
-        if shape.bone_end > shape.cut:
-            required.append(shape.bone_end)
+        surfaces, end = self.surfaces, self.surfaces.nail_end
+        required = [surfaces.cut - CUT_SLICE_MM, surfaces.cut, -end, end, *self.board.places]
+        required += [surfaces.tip - x for x in (0.0, *self.tip_depths)]
+        if surfaces.bone_end > surfaces.cut:
+            required.append(surfaces.bone_end)
         pieces = int(np.ceil(9 * self.resolution))
         arc = np.sin(np.pi / 2 * np.arange(1, pieces) / pieces)
-        wanted = [-end - 0.5, *(end + shape.beyond_nail * arc), *(shape.bone_end - BONE_ROUNDING_MM * (1 - arc))]
+        wanted = [-end - 0.5, *(end + surfaces.beyond_nail * arc), *(surfaces.bone_end - BONE_ROUNDING_MM * (1 - arc))]
 
         def step(place: float) -> float:
-            if place < shape.cut:
+            if place < surfaces.cut:
                 return 2 * CUT_SLICE_MM
-            size = NAIL_STEP_MM if -end < place < shape.tip else BODY_STEP_MM
+            size = NAIL_STEP_MM if -end < place < surfaces.tip else BODY_STEP_MM
             return size / self.resolution
 
         return grid_lines(required, wanted=wanted, step=step, closed=self.board.led_places)
@@ -75,7 +75,7 @@ class Nodes:
     @cached_property
     def _depths(self) -> tuple[Array, Array, bool]:
         """Three depths below the nail and below the skin, deepest first, and whether the plate's is the second."""
-        finger, deep = self.shape.finger, self.shape.deep
+        finger, deep = self.surfaces.finger, self.surfaces.deep
         plate, bed, epidermis = finger.nail_thickness_mm, finger.bed_thickness_mm, finger.epidermis_thickness_mm
         # Where a depth bounds nothing it only has to keep its place among the others.
         if epidermis < plate:
@@ -89,20 +89,20 @@ class Nodes:
     @cached_property
     def tip_depths(self) -> Array:
         """How far before the tip the three depths end, (3,) float. [mm]"""
-        beyond = self.shape.beyond_nail
+        beyond = self.surfaces.beyond_nail
         first = min(self._depths[1][2], 0.2 * beyond)
         second = max(1.2 * first, min(self._depths[1][1], 0.25 * beyond))
         return np.array([max(1.2 * second, min(self._depths[1][0], 0.3 * beyond)), second, first])
 
     def positions(self) -> Array:
         """Nodes, (a, n + 1, 9, 3) float. [mm]"""
-        shape, y = self.shape, self.y
-        center = np.array([0.0, shape.center_z])
-        straight = y <= shape.nail_end
+        surfaces, y = self.surfaces, self.y
+        center = np.array([0.0, surfaces.center_z])
+        straight = y <= surfaces.nail_end
         rows = y[straight]
         beyond = y[~straight]
         ring = self._layers(rows)
-        phi = np.arctan2(ring[:, -1, :, 0], ring[:, -1, :, 1] - shape.center_z)
+        phi = np.arctan2(ring[:, -1, :, 0], ring[:, -1, :, 1] - surfaces.center_z)
         depths = (*self.tip_depths, 0.0)
         growth = np.stack([self._growth(phi[:, k], beyond, depth) for k, depth in enumerate(depths)], axis=-1)
         tip = center + (ring[:, -1:] - center) * growth[..., None]
@@ -122,56 +122,58 @@ class Nodes:
 
     def _layers(self, rows: Array) -> Array:
         """The three depths and the skin, (a, n, 4, 2) in (x, z), in rows no further than the nail's free edge."""
-        shape, radius = self.shape, self.shape.finger.nail_radius_mm
+        surfaces, radius = self.surfaces, self.surfaces.finger.nail_radius_mm
         below_nail, below_skin, _ = self._depths
         direction = _direction(self.theta)
         shells = radius - np.append(below_nail, 0.0)
-        risen = shells + shape.fold(rows)[:, None]
+        risen = shells + surfaces.fold(rows)[:, None]
         nail = risen[:, :, None] * direction[:, None, None] - [0.0, radius]
         outer = signed_angle(self.phi[len(self.theta) :])
         body = np.empty((len(outer), len(rows), 4, 2))
         caps = np.array([0.45, 0.3, 0.2, 0.0])
-        edge = nail[-1] - [0.0, shape.center_z]
+        edge = nail[-1] - [0.0, surfaces.center_z]
         around = (np.abs(outer) - self.phi[len(self.theta) - 1]) / (np.pi - self.phi[len(self.theta) - 1])
         for k, depth in enumerate((*below_skin, 0.0)):
             # Under the nail columns point to its axis and elsewhere to the central line; angles that run evenly from
             # the nail's edge to the pulp keep columns from crossing on the way from one to the other.
             edge_phi = np.arctan2(edge[:, k, 0], edge[:, k, 1])
             phi = np.sign(outer)[:, None] * (edge_phi + (np.pi - edge_phi) * around[:, None])
-            skin = shape.skin(np.concatenate([phi, edge_phi[None]]), rows)
+            skin = surfaces.skin(np.concatenate([phi, edge_phi[None]]), rows)
             distance = skin - np.minimum(depth, caps[k] * skin)
             step = np.linalg.norm(edge[:, k], axis=-1) - distance[-1]
             distance = distance[:-1] + step * (1 - smooth_step(2 * around))[:, None]
-            body[:, :, k] = [0.0, shape.center_z] + distance[..., None] * _direction(phi)
+            body[:, :, k] = [0.0, surfaces.center_z] + distance[..., None] * _direction(phi)
         return np.concatenate([nail, body])
 
     def _growth(self, phi: Array, beyond: Array, depth: float) -> Array:
         """Size of the sections beyond the nail, relative to that at its free edge, (a, n) float; 0 at the end."""
-        shape = self.shape
-        stretched = shape.nail_end + (beyond - shape.nail_end) * shape.beyond_nail / (shape.beyond_nail - depth)
-        size = shape.skin(phi[:, None], stretched) / shape.skin(phi[:, None], np.array([shape.nail_end]))
-        return np.where(beyond < shape.tip - depth - 1e-6, size, 0.0)
+        surfaces = self.surfaces
+        stretched = surfaces.nail_end + (beyond - surfaces.nail_end) * surfaces.beyond_nail / (
+            surfaces.beyond_nail - depth
+        )
+        size = surfaces.skin(phi[:, None], stretched) / surfaces.skin(phi[:, None], np.array([surfaces.nail_end]))
+        return np.where(beyond < surfaces.tip - depth - 1e-6, size, 0.0)
 
     def _bone(self, bed: Array) -> Array:
         """The bone's surface in each column, (a, n + 1, 2), at most out to the deepest layer.
 
         bed : (a, n + 1, 2) float. The deepest layer, from the central line. [mm]
         """
-        shape, length = self.shape, np.linalg.norm(bed, axis=-1)
+        surfaces, length = self.surfaces, np.linalg.norm(bed, axis=-1)
         rows = np.broadcast_to(self.y, length.shape)
-        bone = np.minimum(shape.bone(np.arctan2(bed[..., 0], bed[..., 1]), rows), length)
+        bone = np.minimum(surfaces.bone(np.arctan2(bed[..., 0], bed[..., 1]), rows), length)
         bone = np.where(length - bone < SNAP_BONE_MM, length, bone)
         bone = np.where(bone < 0.2 * SNAP_BONE_MM, 0.0, bone)
-        center = np.array([0.0, shape.center_z])
+        center = np.array([0.0, surfaces.center_z])
         part = bone / length.clip(1e-12)
         # A column whose bone touches the bed must share its node to the last bit, else a gap of no width is left.
         return np.where((bone == length)[..., None], center + bed, center + bed * part[..., None])
 
     def _above(self, surface: Array) -> Array:
         """Three layers above the nail, (a, n + 1, 3, 2); elsewhere they lie on the skin and hold no cells."""
-        theta, radius = self.theta, self.shape.finger.nail_radius_mm
+        theta, radius = self.theta, self.surfaces.finger.nail_radius_mm
         above = np.repeat(surface[:, :, None], 3, axis=2)
-        on_nail = np.abs(self.y) <= self.shape.nail_end
+        on_nail = np.abs(self.y) <= self.surfaces.nail_end
         direction = _direction(theta)
         shells = (radius + self.board.heights_mm)[:, None] * direction[:, None] - [0.0, radius]
         above[: len(theta), on_nail] = shells[:, None]
@@ -179,20 +181,20 @@ class Nodes:
 
     def labels(self) -> NDArray[np.int32]:
         """Region of each cell, (a, n, 8) int."""
-        shape, y = self.shape, (self.y[1:] + self.y[:-1]) / 2
+        surfaces, y = self.surfaces, (self.y[1:] + self.y[:-1]) / 2
         below_nail, below_skin, plate_is_second = self._depths
         labels = np.full((len(self.phi), len(y), BELOW + 3), AIR, np.int32)
         labels[:, :, :BELOW] = PULP
-        labels[:, y < shape.bone_end, 0] = BONE
+        labels[:, y < surfaces.bone_end, 0] = BONE
         skin_cells = [4] if plate_is_second else [3, 4]
         labels[:, :, skin_cells] = EPIDERMIS
         nail_columns = np.arange(len(self.theta) - 1)
-        nail_rows = np.nonzero(np.abs(y) < shape.nail_end)[0]
+        nail_rows = np.nonzero(np.abs(y) < surfaces.nail_end)[0]
         for layer, region in zip((2, 3, 4), (BED, PLATE if plate_is_second else BED, PLATE), strict=True):
             labels[:, :, layer][np.ix_(nail_columns, nail_rows)] = region
         middle = (self.theta[1:] + self.theta[:-1]) / 2
         labels[: len(middle), :, BELOW:] = self.board.labels(middle, y)
-        labels[:, y < shape.cut, :BELOW] = CUT
+        labels[:, y < surfaces.cut, :BELOW] = CUT
         return labels
 
 

@@ -1,4 +1,4 @@
-"""The finger's shape: skin, nail, layers and bone as functions of the angle around it and the place along it."""
+"""The finger's surfaces: skin, nail, layers and bone as functions of the angle around it and the place along it."""
 
 from dataclasses import dataclass
 
@@ -34,7 +34,7 @@ def signed_angle(phi: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Shape:
+class FingerSurfaces:
     """A fingertip around a nail that is a piece of a cylinder; lengths in mm.
 
     The origin is the centre of the nail plate's outer face, x across, y to the tip, z out of the nail. The nail's

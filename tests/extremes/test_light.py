@@ -294,7 +294,7 @@ class _Bare(str):
 def test_meshes_from_coarse_to_a_million_triangles_are_closed(resolution, least):
     shape = geometry.build(prototype_with(), resolution=resolution)
     assert len(shape.triangles) >= least
-    assert geometry.check(shape, crossings=20_000).disagreements <= 20
+    assert geometry.check_watertight(shape, crossings=20_000).disagreements <= 20
 
 
 @jit

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from nailoptics.errors import InputError
-from nailoptics.geometry import build, check, nail_coordinates
+from nailoptics.geometry import build, check_watertight, nail_coordinates
 from nailoptics.scene import parse_scene
 
 DIGITS = ("thumb", "index", "middle", "ring", "little")
@@ -33,7 +33,7 @@ def test_every_digit_builds_quickly_and_partitions_space(sensor, digit):
     assert time.thread_time() - start < 1.0
     assert len(geometry.triangles) < 100_000
     assert heights(geometry).min() > 1e-3
-    report = check(geometry, crossings=20_000, seed=1)
+    report = check_watertight(geometry, crossings=20_000, seed=1)
     assert report.disagreements == 0 and report.crossings >= 20_000
     assert report.volume_error < 1e-12
 
@@ -86,7 +86,7 @@ def test_without_a_cover_the_film_meets_the_air_and_the_rim_still_stands(sensor)
     bare = build(sensor(board="cover_um = 0"))
     names = [{bare.regions[low], bare.regions[high]} for low, high in bare.interfaces()]
     assert {"air", "kapton"} in names and {"air", "led:led0"} in names and {"epoxy", "air"} not in names
-    assert {"epoxy", "cover"} in names and check(bare, crossings=20_000, seed=1).passed
+    assert {"epoxy", "cover"} in names and check_watertight(bare, crossings=20_000, seed=1).passed
     # Film and epoxy end 0.475 mm above the nail; beside them the rim is as high.
     r = bare.nail_radius_mm + 0.47
     assert region(bare, r * np.sin(1.05 / 9.35), 0, r * np.cos(1.05 / 9.35) - bare.nail_radius_mm) == "cover"
@@ -164,14 +164,14 @@ def test_nail_coordinates_are_arc_length_place_and_depth():
 def test_leds_may_lie_on_any_side(sensor, led, barrier):
     geometry = build(sensor(leds=(led,), board=f"barrier = {str(barrier).lower()}", elements=4, wired=[0, 2]))
     assert (geometry.volumes_mm3()["barrier"] > 0) == barrier
-    report = check(geometry, crossings=10_000, seed=2)
+    report = check_watertight(geometry, crossings=10_000, seed=2)
     assert report.disagreements == 0 and report.volume_error < 1e-12
     assert len(geometry.leds[0].quads) == 1
 
 
 def test_one_sensor_may_have_leds_on_several_sides(sensor):
     geometry = build(sensor(leds=((-1.2, 0), (1.2, 0.3), (0, 2.4)), elements=4, wired=[0, 2]))
-    assert check(geometry, crossings=10_000, seed=3).disagreements == 0
+    assert check_watertight(geometry, crossings=10_000, seed=3).disagreements == 0
 
 
 # The widest thing a scene can ask for: where no finger comes of it, one line says so; where one does, it is whole.
@@ -194,7 +194,7 @@ def test_extreme_sizes_build_or_say_why(
     except InputError as error:
         assert "\n" not in str(error)
         return
-    report = check(geometry, crossings=2000, seed=4)
+    report = check_watertight(geometry, crossings=2000, seed=4)
     assert report.disagreements == 0 and report.volume_error < 1e-10
 
 

@@ -85,4 +85,4 @@ def test_a_sky_of_the_other_engine_brings_what_reciprocity_foretells(jit_backend
     spread = theirs.std(ddof=1) / np.sqrt(len(theirs))
     assert abs(theirs.mean() - ours) < 4 * np.hypot(error, spread), (theirs.mean(), spread, ours, error)
     assert error < 0.05 * ours and spread < 0.05 * ours
-    assert geometry.check(shape, crossings=10_000).passed
+    assert geometry.check_watertight(shape, crossings=10_000).passed

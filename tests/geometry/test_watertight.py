@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from nailoptics.geometry import build, check
+from nailoptics.geometry import build, check_watertight
 from nailoptics.geometry.cast import cast
 
 
 def test_a_hundred_thousand_crossings_agree(geometry):
-    report = check(geometry, crossings=100_000)
+    report = check_watertight(geometry, crossings=100_000)
     assert report.passed and report.disagreements == 0 and report.crossings >= 100_000
     assert report.volume_error < 1e-12
 
@@ -18,7 +18,7 @@ def test_a_hundred_thousand_crossings_agree(geometry):
 @pytest.mark.slow
 @pytest.mark.parametrize("digit", ["thumb", "index", "middle", "ring", "little"])
 def test_a_million_crossings_agree_on_every_digit(sensor, digit):
-    report = check(build(sensor(finger=f'digit = "{digit}"')), crossings=1_000_000)
+    report = check_watertight(build(sensor(finger=f'digit = "{digit}"')), crossings=1_000_000)
     assert report.passed and report.crossings >= 1_000_000
 
 
@@ -29,14 +29,14 @@ def test_a_missing_patch_is_seen(geometry):
     holed = dataclasses.replace(
         geometry, triangles=geometry.triangles[keep], below=geometry.below[keep], above=geometry.above[keep]
     )
-    report = check(holed, crossings=100_000)
+    report = check_watertight(holed, crossings=100_000)
     assert not report.passed and report.disagreements > 5 and report.volume_error > 1e-6
 
 
 def test_a_wrong_label_is_seen(geometry):
     below = geometry.below.copy()
     below[below == geometry.regions.index("bed")] = geometry.regions.index("pulp")
-    report = check(dataclasses.replace(geometry, below=below), crossings=20_000)
+    report = check_watertight(dataclasses.replace(geometry, below=below), crossings=20_000)
     assert not report.passed and report.disagreements > 100
 
 
@@ -44,7 +44,7 @@ def test_a_bent_surface_is_seen(geometry):
     vertices = geometry.vertices.copy()
     bent = (np.abs(vertices[:, 1]) < 5) & (np.abs(vertices[:, 0]) < 3) & (np.abs(vertices[:, 2]) < 0.3)
     vertices[bent, 2] += 0.02
-    assert not check(dataclasses.replace(geometry, vertices=vertices), crossings=100_000).passed
+    assert not check_watertight(dataclasses.replace(geometry, vertices=vertices), crossings=100_000).passed
 
 
 def test_rays_through_edges_and_corners_cross_once():

@@ -13,15 +13,15 @@ Array = NDArray[np.float64]
 
 ALLOWED_PER_CROSSING = 1e-6
 ALLOWED_VOLUME = 1e-6
-SHORT_MM = 1e-7
-RAYS = 20_000
+SHORT_MM = 1e-7  # crossings that lie closer have no order
+RAYS = 20_000  # at once, to bound the memory
 
 
 @dataclass(frozen=True)
-class Report:
-    """What a check found.
+class WatertightReport:
+    """How far a geometry is watertight.
 
-    crossings : Crossings of rays and interfaces that were looked at.
+    crossings : Crossings of rays and interfaces that were checked.
     disagreements : Stretches between crossings whose medium by the interfaces is not the one by arithmetic, and
         crossings whose interface does not border on the medium that the ray was in.
     volume_error : Difference between the sum of the regions' volumes and the volume within the outermost faces, and
@@ -39,28 +39,28 @@ class Report:
         return few and self.volume_error < ALLOWED_VOLUME
 
 
-def check(geometry: Geometry, *, crossings: int = 1_000_000, seed: int = 0) -> Report:
+def check_watertight(geometry: Geometry, *, crossings: int = 1_000_000, seed: int = 0) -> WatertightReport:
     """Fire random rays through the whole and compare the media they meet with point-in-region answers.
 
-    crossings : How many crossings to look at, at least.
+    crossings : How many crossings to check, at least.
     """
     random = np.random.default_rng(seed)
     seen = disagreements = 0
     middle = geometry.bounds_mm.mean(axis=0)
     while seen < crossings:
-        turn = _random_rotation(random)
-        vertices = (geometry.vertices - middle) @ turn.T
+        rotation = _random_rotation(random)
+        vertices = (geometry.vertices - middle) @ rotation.T
         low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
         # The average ray crosses about seven interfaces.
         rays = int(min(RAYS, max(100, (crossings - seen) / 6)))
         start = low + random.random((rays, 2)) * (high - low)
         found = cast(vertices, geometry.triangles, start)
-        disagreements += _disagreements(geometry, found, start, turn, middle)
+        disagreements += _disagreements(geometry, found, start, rotation, middle)
         seen += len(found.ray)
-    return Report(seen, disagreements, _volume_error(geometry))
+    return WatertightReport(seen, disagreements, _volume_error(geometry))
 
 
-def _disagreements(geometry: Geometry, found: Crossings, start: Array, turn: Array, middle: Array) -> int:
+def _disagreements(geometry: Geometry, found: Crossings, start: Array, rotation: Array, middle: Array) -> int:
     below, above = geometry.below[found.triangle], geometry.above[found.triangle]
     before, after = np.where(found.forward, below, above), np.where(found.forward, above, below)
     first = np.r_[True, found.ray[1:] != found.ray[:-1]]
@@ -71,7 +71,7 @@ def _disagreements(geometry: Geometry, found: Crossings, start: Array, turn: Arr
     wrong = int(((medium != before) & (np.roll(length, 1) > SHORT_MM)).sum()) + int((after[last] != AIR).sum())
     between = np.nonzero(~last & (length > SHORT_MM))[0]
     place = np.column_stack([start[found.ray[between]], found.z[between] + length[between] / 2])
-    return wrong + int((geometry.region_at(place @ turn + middle) != after[between]).sum())
+    return wrong + int((geometry.region_at(place @ rotation + middle) != after[between]).sum())
 
 
 def _volume_error(geometry: Geometry) -> float:
