@@ -1,9 +1,9 @@
 """The command line: parse, call, print."""
 
-import json
 import math
 import os
 import sys
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -11,15 +11,15 @@ from cyclopts import App, CycloptsError, Parameter
 
 from . import __version__
 from .errors import InputError, NailopticsError, NotReachedError
-from .io import turn, write_dataset, write_text
-from .options import BackendName, TraceOptions
+from .io import write_text
+from .options import TraceOptions
 from .terminal import (
     as_far_as_reached,
     batch_progress,
     complain,
-    finite,
     plain_messages,
     print_json,
+    say,
     silence_stdout,
     writable,
     writable_file,
@@ -93,32 +93,20 @@ def simulate(
 
     Writes result.nc and report.html.
     """
-    from .report import write_report
+    from .report.result_files import SIMULATION, write_simulation
+    from .report.summaries import simulation_lines, simulation_summary
     from .studies.simulate import simulate as study
 
-    asked = _load(scene)
-    if asked.finger is None:
-        raise InputError(f"{scene}: simulate needs a [finger] scene; a [phantom] has no blood, use nailoptics trace.")
-    _announce(options.backend, asked)
-    with writable(output or Path("results") / Path(scene).stem, "result.nc", "report.html") as folder:
-        result, unmet = as_far_as_reached(
-            lambda told: study(
-                asked,
-                progress=told,
-                **options.fields,
-            )
-        )
-        paths = {"result": folder / "result.nc", "report": folder / "report.html"}
-        with turn(folder):
-            write_dataset(result, paths["result"])
-            write_report(result, paths["report"])
+    asked, _ = _load(scene, options)
+    with _results(output, scene, SIMULATION) as folder:
+        result, unmet = as_far_as_reached(study, asked, **options.fields)
+        paths = write_simulation(result, folder)
+    summary = simulation_summary(result)
     if json_:
-        print_json(_summary(result) | {name: str(path) for name, path in paths.items()})
+        print_json(summary | _texts(paths))
     else:
-        _print_readings(result)
-        print(f"{paths['report']}\n{paths['result']}")
-    if unmet:
-        raise NotReachedError(f"{unmet} What was reached is in {folder}.")
+        print(*simulation_lines(summary), *paths.values(), sep="\n")
+    _end(unmet, folder)
 
 
 @app.command
@@ -131,37 +119,20 @@ def trace(
 ) -> None:
     """Trace the light only: readings at the scene's rest state, and with -o the transfer for any other."""
     from .light import read_rest
+    from .report.summaries import rest_lines
 
-    asked = _load(scene)
-    engine = _announce(options.backend, asked)
+    asked, engine = _load(scene, options)
     if output is not None and engine == "volpath":
         raise InputError(f"{output}: volpath traces readings, not a transfer that could be saved; leave -o out.")
     with writable_file(output):
-        rest, unmet = as_far_as_reached(
-            lambda told: read_rest(
-                asked,
-                progress=told,
-                **options.fields,
-            )
-        )
+        rest, unmet = as_far_as_reached(read_rest, asked, **options.fields)
         if output is not None and rest.transfer is not None:
             rest.transfer.save(output)
     if json_:
         print_json(rest.as_dict())
     else:
-        for row in rest.readings:
-            error = _plus_minus(row["stderr"], ".1e")
-            if "upper_limit_95" in row:
-                error = f"below {row['upper_limit_95']:.1e} (95 %)"
-            print(f"{row['led']:>10} {row['photodiode']:<16} {row['detected_fraction']:.4e} {error}")
-        for part, share in (rest.energy or {}).items():
-            print(f"{part:>11} {share['value']:.5f} {_plus_minus(share['stderr'], '.5f')}")
-    if unmet:
-        raise NotReachedError(f"{unmet} What was reached is in {output}." if output is not None else str(unmet))
-
-
-def _plus_minus(stderr: float, form: str) -> str:
-    return "+- unknown" if math.isnan(stderr) else f"+- {stderr:{form}}"
+        print(*rest_lines(rest), sep="\n")
+    _end(unmet, output)
 
 
 @app.command
@@ -190,39 +161,24 @@ def compare(
 
     Writes compare.nc and compare.html.
     """
-    from .report.compare_page import write_comparison
+    from .report.result_files import COMPARISON, write_comparison
     from .studies.comparison.compare import compare as study
     from .studies.comparison.verdict import summary, verdict
 
-    asked = _load(scene)
-    _announce(options.backend, asked)
+    asked, _ = _load(scene, options)
     if require is not None and not 0 < require < math.inf:
         raise InputError(f"--require {require:g} must be a part of the swing above 0, such as 0.05.")
-    with writable(output or Path("results") / Path(scene).stem, "compare.nc", "compare.html") as folder:
-        result, unmet = as_far_as_reached(
-            lambda told: study(
-                asked,
-                over=over,
-                wavelengths_nm=wavelength_nm,
-                progress=told,
-                **options.fields,
-            )
-        )
-        paths = {"result": folder / "compare.nc", "report": folder / "compare.html"}
-        with turn(folder):
-            write_dataset(result, paths["result"])
-            write_comparison(result, paths["report"])
+    with _results(output, scene, COMPARISON) as folder:
+        result, unmet = as_far_as_reached(study, asked, over=over, wavelengths_nm=wavelength_nm, **options.fields)
+        paths = write_comparison(result, folder)
     judged = verdict(result, 0.05 if require is None else require, model=model)
     if json_:
-        files = {name: str(path) for name, path in paths.items()}
-        print_json(summary(result) | {"verdict": vars(judged)} | files)
+        print_json(summary(result) | {"verdict": vars(judged)} | _texts(paths))
     else:
-        for line in (judged, *paths.values()):
-            print(line)
+        print(judged, *paths.values(), sep="\n")
     if require is not None and judged.outcome == "missed":
         raise NailopticsError(f"{judged}")
-    if unmet:
-        raise NotReachedError(f"{unmet} What was reached is in {folder}.")
+    _end(unmet, folder)
     if require is not None and judged.outcome == "undecided":
         raise NotReachedError(f"{judged}")
 
@@ -242,60 +198,20 @@ def place(
 
     Writes place.nc, ranking.csv, place.html, and the best layout as best.toml, best.csv (KiCad), outline and best.glb.
     """
-    import csv
-    from io import StringIO
-
-    from . import geometry
-    from .exports.mesh_files import export_mesh
-    from .report.place_page import write_placement
-    from .scene import to_toml
-    from .scene.dxf import write_outline
-    from .scene.positions import write_positions
+    from .report.result_files import PLACEMENT, write_placement
+    from .report.summaries import placement_lines, placement_summary
     from .studies.placement.place import place as study
-    from .studies.placement.result import chosen, gain, kicad_parts, outline, rows
 
-    asked = _load(scene)
-    _announce(options.backend, asked)
-    files = ("place.nc", "ranking.csv", "place.html", "best.toml", "best.csv", "best.glb")
-    with writable(output or Path("results") / Path(scene).stem, *files) as folder:
-        result, unmet = as_far_as_reached(
-            lambda told: study(
-                asked,
-                progress=told,
-                **options.fields,
-            )
-        )
-        ranking, best = rows(result), chosen(result)
-        table = StringIO(newline="")
-        lines = csv.DictWriter(table, list(ranking[0]))
-        lines.writeheader()
-        lines.writerows(ranking)
-        asked_as = Path((asked.placement and asked.placement.outline) or "outline.csv").suffix.lower()
-        with turn(folder):
-            write_dataset(result, folder / "place.nc")
-            write_text(folder / "ranking.csv", table.getvalue())
-            write_text(folder / "best.toml", to_toml(best))
-            write_positions(folder / "best.csv", kicad_parts(best, asked), negate_x_on_bottom=negate_x_on_bottom)
-            write_outline(folder / f"outline{asked_as}", outline(result))
-            export_mesh(geometry.build(best), folder / "best.glb")
-            write_placement(result, folder / "place.html")
-    better = gain(result)
+    asked, _ = _load(scene, options)
+    with _results(output, scene, PLACEMENT) as folder:
+        result, unmet = as_far_as_reached(study, asked, **options.fields)
+        paths = write_placement(result, asked, folder, negate_x_on_bottom=negate_x_on_bottom)
+    summary = placement_summary(result)
     if json_:
-        told = {"ranking": ranking, "checked_resolution_n": result.attrs["checked_resolution_n"]}
-        told["gain_over_paper"] = {"value": better[0], "stderr": better[1]} if better else None
-        kept = ("photons", "cpu_seconds", "wall_seconds", "digest", "rank_by")
-        print_json(told | {key: result.attrs[key] for key in kept} | {"folder": str(folder)})
+        print_json(summary | {"folder": str(folder)} | _texts(paths))
     else:
-        for row in ranking:
-            print(
-                f"{row['rank']:>3} {row['layout']:<28} {1e3 * row['force_resolution_n']:9.3f} mN "
-                f"+- {1e3 * row['force_resolution_n_stderr']:.3f}{'  tied' if row['tied'] else ''}"
-            )
-        if better:
-            print(f"the best resolves force {better[0]:.2f} +- {better[1]:.2f} times as finely as the paper's layout")
-        print(f"{folder / 'place.html'}\n{folder / 'best.toml'}")
-    if unmet:
-        raise NotReachedError(f"{unmet} What was reached is in {folder}.")
+        print(*placement_lines(summary), *paths.values(), sep="\n")
+    _end(unmet, folder)
 
 
 @app.command
@@ -316,56 +232,34 @@ def batch(
 
     Writes table.csv and report.html beside the results; nailoptics.open_results(DIR) opens them in Python.
     """
-    import dataclasses
-
     from . import batch as batches
+    from .report.result_files import write_sweep
 
     if status:
         found = batches.status(output or sweep)
-        print_json(dataclasses.asdict(found) | {"left": found.left}) if json_ else print(found)
+        print_json(vars(found) | {"left": found.left}) if json_ else print(found)
         return
     planned = batches.load_sweep(sweep)
     if dry_run:
         cost = batches.estimate(planned, **options.fields)
-        print_json(dataclasses.asdict(cost)) if json_ else print(cost)
+        print_json(vars(cost)) if json_ else print(cost)
         return
     if output is None:
         raise InputError("batch needs -o DIR, a folder for its results.")
-    unmet = None
+    how = {"workers": workers, "scheduler": scheduler, "shard": shard, "retry_failed": retry_failed}
+    outcome, unmet = as_far_as_reached(
+        batches.run_batch, planned, output, shown=batch_progress, **how, **options.fields
+    )
     try:
-        with batch_progress() as told:
-            outcome = batches.run_batch(
-                planned,
-                output,
-                workers=workers,
-                scheduler=scheduler,
-                shard=shard,
-                retry_failed=retry_failed,
-                progress=told,
-                **options.fields,
-            )
-    except NotReachedError as error:
-        if not isinstance(error.result, batches.Outcome):
-            raise
-        outcome, unmet = error.result, error
-    from .report.sweep_page import write_sweep_page
-
-    results = batches.open_results(output)
-    try:
-        table = batches.write_table(results, output / "table.csv")
-        write_sweep_page(results, output / "report.html", failures=outcome.failed)
-    except InputError as error:  # a full disk has been told already
+        paths = write_sweep(batches.open_results(output), output, failures=outcome.failed)
+    except InputError as error:  # a full disk ended the batch, too, which said so
         raise unmet or error from None
     if json_:
-        told = dataclasses.asdict(outcome) | {"results": str(output), "table": str(table)}
-        print_json(told | {"report": str(output / "report.html")})
+        print_json(vars(outcome) | {"results": str(output)} | _texts(paths))
     else:
-        print(
-            f"{len(outcome.done)} scenes done, {len(outcome.kept)} were there before; {outcome.lights} traces for all"
-        )
-        print(f"{output / 'report.html'}\n{table}")
-    if unmet:
-        raise NotReachedError(str(unmet))
+        there = f"{len(outcome.done)} scenes done, {len(outcome.kept)} were there before"
+        print(f"{there}; {outcome.lights} traces for all", *paths.values(), sep="\n")
+    _end(unmet)
 
 
 @app.command
@@ -386,28 +280,17 @@ def explain(
     from .scene import to_toml
     from .studies.model_error.explain import explain as study
 
-    asked = _load(scene)
-    _announce(options.backend, asked)
+    asked, _ = _load(scene, options)
     with writable_file(output):
-        found, unmet = as_far_as_reached(
-            lambda told: study(
-                asked,
-                tolerance=tolerance,
-                progress=told,
-                **options.fields,
-            )
-        )
-        if output and not unmet:
-            write_text(output, to_toml(found.required))
-    written = str(output) if output and not unmet else None
-    if json_:
-        print_json(found.as_dict() | {"scene": written})
-    else:
-        print(found)
+        found, unmet = as_far_as_reached(study, asked, tolerance=tolerance, **options.fields)
+        written = output if output and not unmet else None
         if written:
-            print(written)
-    if unmet:
-        raise NotReachedError(str(unmet))
+            write_text(written, to_toml(found.required))
+    if json_:
+        print_json(found.as_dict() | {"scene": written and str(written)})
+    else:
+        print(found, *([written] if written else []), sep="\n")
+    _end(unmet)
 
 
 @app.command
@@ -423,42 +306,24 @@ def tradeoff(
 
     Writes tradeoff.json and tradeoff.html, tradeoff.png for a README, and scene.toml: the scene at that level.
     """
-    from .report.style import write_figure
-    from .report.tradeoff_page import draw, write_tradeoff
-    from .scene import to_toml
+    from .report.result_files import TRADEOFF, write_tradeoff
     from .studies.model_error.tradeoff import tradeoff as study
 
-    asked = _load(scene)
-    _announce(options.backend, asked)
-    files = ("tradeoff.json", "tradeoff.html", "tradeoff.png", "scene.toml")
-    with writable(output or Path("results") / Path(scene).stem, *files) as folder:
-        found, unmet = as_far_as_reached(
-            lambda told: study(
-                asked,
-                tolerance=tolerance,
-                progress=told,
-                **options.fields,
-            )
-        )
-        table, page, picture, selected = (folder / name for name in files)
-        with turn(folder):
-            write_text(table, json.dumps(finite(found.as_dict()), indent=1) + "\n")
-            write_tradeoff(found, page)
-            write_figure(draw(found), picture, dpi=120, facecolor="white")
-            write_text(selected, to_toml(found.scene))
+    asked, _ = _load(scene, options)
+    with _results(output, scene, TRADEOFF) as folder:
+        found, unmet = as_far_as_reached(study, asked, tolerance=tolerance, **options.fields)
+        paths = write_tradeoff(found, folder)
     if json_:
-        print_json(found.as_dict() | {"report": str(page), "scene": str(selected)})
+        print_json(found.as_dict() | _texts(paths))
     else:
-        print(found)
-        print(f"{page}\n{selected}")
-    if unmet:
-        raise NotReachedError(str(unmet))
+        print(found, *paths.values(), sep="\n")
+    _end(unmet, folder)
 
 
 @app.command
 def check(scene: ScenePath, *, json_: Json = False) -> None:
     """Check a scene file: fields, parts, layout, hemodynamic set and, for a finger, the geometry."""
-    asked = _load(scene)
+    asked = _scene(scene)
     report: dict[str, Any] = {"scene": scene, "valid": True}
     if asked.finger is not None:
         from . import hemodynamics
@@ -490,7 +355,7 @@ def export(scene: ScenePath, *, output: Annotated[Path, Parameter(name=["--outpu
     from .exports.mesh_files import export_mesh
     from .geometry import build
 
-    asked = _load(scene)
+    asked = _scene(scene)
     if asked.finger is None:
         raise InputError(f"{scene}: a phantom has no mesh to export; give a [finger] scene.")
     with writable_file(output):
@@ -566,7 +431,18 @@ def doctor(*, json_: Json = False) -> None:
         print(advice)
 
 
-def _load(name: str) -> "Scene":
+def _load(name: str, options: TraceOptions) -> "tuple[Scene, str]":
+    """A scene and the engine that will trace it; says in one line what would be faster if it is the slow one."""
+    from .light import backend as backends
+    from .light.engines import engine_for
+
+    scene, chosen = _scene(name), backends.choose(options.backend)
+    if chosen.name == "scalar" and chosen.advice and options.backend == "auto":
+        say(chosen.advice)
+    return scene, engine_for(scene, chosen)
+
+
+def _scene(name: str) -> "Scene":
     """The scene at a path, or the shipped one of that name."""
     from .assets import data_dir
     from .scene import load_scene
@@ -589,50 +465,16 @@ def _exists(path: Path) -> bool:
         return False
 
 
-def _announce(backend: BackendName, scene: "Scene") -> str:
-    """The engine that will be used; says in one line what would be faster if it is the slow one."""
-    from .light import backend as backends
-    from .light.engines import engine_for
-
-    chosen = backends.choose(backend)
-    engine = engine_for(scene, chosen)
-    if chosen.name == "scalar" and chosen.advice and backend == "auto":
-        complain(chosen.advice, 0)
-    return engine
+def _results(output: Path | None, scene: str, files: tuple[str, ...]) -> AbstractContextManager[Path]:
+    """The folder for the results of a scene, in which these files can be written."""
+    return writable(output or Path("results") / Path(scene).stem, *files)
 
 
-def _summary(result: Any) -> dict[str, Any]:
-    """What simulate prints as JSON: rest, largest change, noise, for each pair."""
-    import numpy as np
-
-    rows = []
-    for led in result.led.values:
-        for photodiode in result.photodiode.values:
-            one = result.sel(led=led, photodiode=photodiode)
-            peak = int(np.abs(one.volts_change.values).argmax())
-            rows.append(
-                {
-                    "led": str(led),
-                    "photodiode": str(photodiode),
-                    "volts_start": float(one.volts[0]),
-                    "volts_start_stderr": float(one.volts_stderr[0]),
-                    "volts_change": float(one.volts_change[peak]),
-                    "volts_change_stderr": float(one.volts_change_stderr[peak]),
-                    "volts_noise_rms": float(one.volts_noise_rms[peak]),
-                    "time_of_change_s": float(one.time[peak]),
-                    "beer_lambert_residual_rms_v": float(one.beer_lambert_residual_rms_v),
-                    "taylor_residual_rms_v": float(one.taylor_residual_rms_v),
-                }
-            )
-    kept = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest", "accuracy_reached")
-    return {"readings": rows} | {name: result.attrs[name] for name in kept}
+def _texts(paths: dict[str, Path]) -> dict[str, str]:
+    return {name: str(path) for name, path in paths.items()}
 
 
-def _print_readings(result: Any) -> None:
-    print(f"{'LED':>10} {'photodiode':<14} {'start V':>9} {'+-':>8} {'change mV':>10} {'+-':>7} {'noise mV':>9}")
-    for row in _summary(result)["readings"]:
-        print(
-            f"{row['led']:>10} {row['photodiode']:<14} {row['volts_start']:9.4f} {row['volts_start_stderr']:8.4f} "
-            f"{1e3 * row['volts_change']:10.3f} {1e3 * row['volts_change_stderr']:7.3f} "
-            f"{1e3 * row['volts_noise_rms']:9.4f}"
-        )
+def _end(unmet: NotReachedError | None, where: Path | None = None) -> None:
+    """End with exit code 3 if what was asked was not reached; where is what was reached."""
+    if unmet:
+        raise NotReachedError(f"{unmet} What was reached is in {where}." if where else str(unmet))

@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import json
+import math
 import os
 import secrets
 import zlib
@@ -133,6 +134,21 @@ def write_dataset(dataset: "xr.Dataset", path: Path) -> None:
     data = dataset.to_netcdf(engine="h5netcdf")
     make_folder(path.parent)
     write_bytes(path, data)
+
+
+def to_json(value: Any) -> str:
+    """A value as JSON text; what is NaN or infinite, and so unknown to JSON, becomes null."""
+    return json.dumps(_nan_as_null(value), indent=2, allow_nan=False)
+
+
+def _nan_as_null(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _nan_as_null(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_nan_as_null(item) for item in value]
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    return float(value) if math.isfinite(value) else None
 
 
 def pack(header: Mapping[str, Any], arrays: Mapping[str, "np.ndarray"]) -> memoryview:

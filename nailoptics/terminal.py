@@ -1,6 +1,5 @@
 """The terminal and the files around a command: messages, progress, Ctrl-C, JSON, folders that results go to."""
 
-import json
 import logging
 import math
 import os
@@ -8,29 +7,37 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .errors import InputError, NotReachedError
-from .io import held
+from .io import held, to_json
 
 if TYPE_CHECKING:
+    from .batch import BatchProgress
     from .light import Progress
+
+# Time between two lines of progress in a log. [s]
+LOG_EVERY_S = 10.0
+
+
+def say(line: str) -> None:
+    """Say it in one line on stderr."""
+    print(f"nailoptics: {' '.join(line.split())}", file=sys.stderr, flush=True)
 
 
 def complain(line: str, code: int) -> int:
-    """Say it in one line on stderr; hands the exit code back."""
-    print(f"nailoptics: {' '.join(line.split())}", file=sys.stderr)
+    """Say what went wrong; hands the exit code back."""
+    say(line)
     return code
 
 
 def silence_stdout() -> None:
     """Nothing more can be written there, and Python must not try when it ends."""
-    try:
+    with suppress(OSError, ValueError, AttributeError):  # no real file, as under a test
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (OSError, ValueError, AttributeError):  # no real file, as under a test
-        pass
 
 
 @contextmanager
@@ -42,9 +49,9 @@ def plain_messages() -> Iterator[None]:
         message: Warning | str, category: type[Warning], filename: str, lineno: int, file: Any = None, line: Any = None
     ) -> None:
         if category.__module__.startswith("nailoptics"):
-            complain(str(message), 0)
+            say(str(message))
         elif debug:
-            complain(f"{filename}:{lineno}: {category.__name__}: {message}", 0)
+            say(f"{filename}:{lineno}: {category.__name__}: {message}")
 
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("nailoptics: %(message)s"))
@@ -76,10 +83,8 @@ def writable(folder: Path, *files: str) -> Iterator[Path]:
             yield folder
     finally:
         for path in made:
-            try:
+            with suppress(OSError):  # something lies in it, or it was never made
                 path.rmdir()
-            except OSError:  # something lies in it, or it was never made
-                pass
 
 
 @contextmanager
@@ -92,11 +97,44 @@ def writable_file(path: Path | None) -> Iterator[None]:
         yield
 
 
-def as_far_as_reached(work: Callable[[Any], Any]) -> tuple[Any, NotReachedError | None]:
-    """What work(progress) returns, or what it had when time or Ctrl-C ended it, and the reason."""
+@contextmanager
+def trace_progress() -> "Iterator[Callable[[Progress], None]]":
+    """A callback that shows how far a trace is, and raises KeyboardInterrupt after Ctrl-C."""
+    with _display() as show, _interrupts() as interrupted:
+
+        def report_progress(p: "Progress") -> None:
+            error = f"error {p.relative_error:.2%}" if p.relative_error < 1 else "error not known yet"
+            asked = f" ({p.target:.2%} asked)" if p.target else ""
+            show(_State(f"LED {p.led}", error + asked, p.fraction_done, p.seconds, p.seconds_left))
+            if interrupted():
+                raise KeyboardInterrupt
+
+        yield report_progress
+
+
+@contextmanager
+def batch_progress() -> "Iterator[Callable[[BatchProgress], None]]":
+    """A callback that shows how many scenes of a batch are done, and its news as it comes."""
+    with _display() as show:
+
+        def report_progress(p: "BatchProgress") -> None:
+            failed = f", {p.failed} failed" if p.failed else ""
+            text = f"{p.done} of {p.total} scenes{failed}"
+            show(_State("batch", text, (p.done + p.failed) / max(p.total, 1), p.seconds, p.seconds_left, p.news))
+
+        yield report_progress
+
+
+def as_far_as_reached(
+    study: Callable[..., Any],
+    *arguments: Any,
+    shown: Callable[[], AbstractContextManager[Callable[[Any], None]]] = trace_progress,
+    **options: Any,
+) -> tuple[Any, NotReachedError | None]:
+    """What a study returns, or what it had when it could not reach what was asked, and the reason."""
     try:
-        with progress() as told:
-            return work(told), None
+        with shown() as progress:
+            return study(*arguments, progress=progress, **options), None
     except NotReachedError as error:
         if error.result is None:
             raise
@@ -104,20 +142,7 @@ def as_far_as_reached(work: Callable[[Any], Any]) -> tuple[Any, NotReachedError 
 
 
 @contextmanager
-def progress() -> Iterator[Any]:
-    """A progress callback that shows how far a trace is, and hears Ctrl-C."""
-    with _shown() as show, _interrupts() as interrupted:
-
-        def told(p: "Progress") -> None:
-            show(p)
-            if interrupted():
-                raise KeyboardInterrupt
-
-        yield told
-
-
-@contextmanager
-def _interrupts() -> Iterator[Any]:
+def _interrupts() -> Iterator[Callable[[], bool]]:
     """Whether Ctrl-C was pressed, which is asked between batches; a second one ends everything at once.
 
     Compiled code turns an interrupt into errors of its own, and what was traced would be lost.
@@ -127,7 +152,7 @@ def _interrupts() -> Iterator[Any]:
     def note(number: int, frame: Any) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
         pressed.append(number)
-        complain("stopping after this batch; press Ctrl-C again to stop at once.", 0)
+        say("stopping after this batch; press Ctrl-C again to stop at once.")
 
     try:
         before = signal.signal(signal.SIGINT, note)
@@ -140,87 +165,56 @@ def _interrupts() -> Iterator[Any]:
         signal.signal(signal.SIGINT, before)
 
 
-@contextmanager
-def _shown() -> Iterator[Any]:
-    """Shows progress: a bar with time left on a terminal, a line every ten seconds elsewhere."""
-    if not (sys.stderr and sys.stderr.isatty()):
-        told: dict[str, float] = {}
+@dataclass(frozen=True)
+class _State:
+    """How far one thing is; news is a line that is shown at once and stays."""
 
-        def log_line(p: "Progress") -> None:
-            done = p.fraction_done >= 1
-            if p.seconds - told.get(p.led, 0.0) < 10 and not done or told.get(p.led) == math.inf:
-                return
-            told[p.led] = math.inf if done else p.seconds
-            when = f"{p.seconds:.0f} s" if done else f"{p.seconds_left:.0f} s left"
-            complain(f"LED {p.led}, {_told(p)}, {when}", 0)
+    name: str
+    text: str
+    share: float
+    seconds: float
+    seconds_left: float | None
+    news: str = ""
+
+    def words(self) -> str:
+        """How far it is, and the time left while it is known and not over."""
+        left = math.inf if self.seconds_left is None or self.share >= 1 else self.seconds_left
+        return self.text if math.isinf(left) else f"{self.text}, {left:.0f} s left"
+
+
+@contextmanager
+def _display() -> Iterator[Callable[[_State], None]]:
+    """Shows progress: bars on a terminal, a line every ten seconds and one at the end elsewhere."""
+    if not (sys.stderr and sys.stderr.isatty()):
+        logged: dict[str, float] = {}
+
+        def log_line(state: _State) -> None:
+            if state.news:
+                say(state.news)
+            done, last = state.share >= 1, logged.get(state.name, 0.0)
+            if not math.isinf(last) and (done or state.seconds - last >= LOG_EVERY_S):
+                logged[state.name] = math.inf if done else state.seconds
+                say(f"{state.name}, {state.words()}" + (f", {state.seconds:.0f} s" if done else ""))
 
         yield log_line
         return
     from rich.console import Console
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[told]}"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Bar(*columns, console=Console(stderr=True)) as bar:
+    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[words]}"), TimeElapsedColumn()
+    with Progress(*columns, console=Console(stderr=True, soft_wrap=True)) as bars:
         tasks: dict[str, Any] = {}
 
-        def show(p: "Progress") -> None:
-            if p.led not in tasks:
-                tasks[p.led] = bar.add_task(f"LED {p.led}", total=1.0, told="")
-            bar.update(tasks[p.led], completed=p.fraction_done, told=_told(p))
+        def draw(state: _State) -> None:
+            if state.name not in tasks:
+                tasks[state.name] = bars.add_task(state.name, total=1.0, words="")
+            bars.update(tasks[state.name], completed=state.share, words=state.words())
+            if state.news:
+                bars.console.print(f"nailoptics: {state.news}", markup=False, highlight=False)
 
-        yield show
-
-
-def _told(p: "Progress") -> str:
-    error = f"error {p.relative_error:.2%}" if p.relative_error < 1 else "error not known yet"
-    return error + (f" ({p.target:.2%} asked)" if p.target else "")
-
-
-@contextmanager
-def batch_progress() -> Iterator[Any]:
-    """The same over scenes: a bar with time left, or a line every ten seconds; failures as they come."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bar
-
-    console = Console(stderr=True, soft_wrap=True)
-    live = bool(sys.stderr and sys.stderr.isatty())
-    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    last = 0.0
-    with Bar(*columns, console=console, disable=not live) as bar:
-        task = bar.add_task("", total=None)
-
-        def show(p: Any) -> None:
-            nonlocal last
-            left = "" if p.seconds_left is None else f", {p.seconds_left:.0f} s left"
-            bar.update(task, completed=p.done + p.failed, total=p.total, description=left[2:])
-            if p.said:
-                bar.console.print(f"nailoptics: {p.said}", markup=False, highlight=False)
-            elif not live and p.seconds - last >= 10:
-                last = p.seconds
-                failed = f", {p.failed} failed" if p.failed else ""
-                print(f"nailoptics: {p.done} of {p.total} scenes{failed}{left}", file=sys.stderr, flush=True)
-
-        yield show
+        yield draw
 
 
 def print_json(value: Any) -> None:
-    print(json.dumps(finite(value), indent=2, allow_nan=False))
-
-
-def finite(value: Any) -> Any:
-    """JSON has neither NaN nor infinity: what is not known is null."""
-    if isinstance(value, dict):
-        return {name: finite(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(item) for item in value]
-    if value is None or isinstance(value, str | bool | int):
-        return value
-    return float(value) if math.isfinite(value) else None
+    """Print a value as JSON on stdout."""
+    print(to_json(value))

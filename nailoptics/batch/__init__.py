@@ -3,14 +3,14 @@
 from ..scene.sweep import Axis, Sweep, load_sweep
 from .cost import Estimate, estimate
 from .results import open_results, write_table
-from .run import Outcome, Progress, run_batch
+from .run import BatchProgress, Outcome, run_batch
 from .status import Status, status
 
 __all__ = [
     "Axis",
+    "BatchProgress",
     "Estimate",
     "Outcome",
-    "Progress",
     "Status",
     "Sweep",
     "estimate",

@@ -16,7 +16,7 @@ from ..scene.sweep import Sweep
 from . import plan as plans
 from .executors import ClusterSlots, LocalSlots, Slots, single_threaded_blas
 from .folder import Folder
-from .work import Job, Report, Settings, cores, work
+from .work import Job, JobReport, Settings, cores, work
 
 log = logging.getLogger(__name__)
 
@@ -44,15 +44,15 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Progress:
-    """How far a run is; said is news such as a failure, empty if there is none. [s]"""
+class BatchProgress:
+    """How far a run is; news is what happened since, such as a failure, empty if nothing. [s]"""
 
     done: int
     total: int
     failed: int
     seconds: float
     seconds_left: float | None
-    said: str = ""
+    news: str = ""
 
 
 def run_batch(
@@ -64,7 +64,7 @@ def run_batch(
     scheduler: str | None = None,
     shard: str | None = None,
     retry_failed: bool = False,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[BatchProgress], None] | None = None,
     **requested: Unpack[Requested],
 ) -> Outcome:
     """Do what is left of a sweep in a folder; what is there already is kept, or continued if it is not good enough.
@@ -111,7 +111,7 @@ def run_batch(
         outcome.failed[digest] = (place.read_failure(digest) or {}).get("error", "unknown")
     driver = _Driver(settings, todo.jobs, outcome, begin, progress)
     for digest in todo.corrupt:
-        driver.tell(f"result {digest[:12]} is damaged or another version's (checksum); made again")
+        driver.show(f"result {digest[:12]} is damaged or another version's (checksum); made again")
     if todo.jobs:
         with single_threaded_blas():
             driver.run(_slots(settings, scheduler, workers, threads, len(todo.jobs)))
@@ -154,12 +154,12 @@ class _Driver:
         jobs: list[Job],
         outcome: Outcome,
         begin: float,
-        progress: Callable[[Progress], None] | None,
+        progress: Callable[[BatchProgress], None] | None,
     ) -> None:
         self.settings, self.outcome, self.begin, self.progress = settings, outcome, begin, progress
         self.queue = deque(plans.first_of(job) for job in jobs)
         self.later = {job.key: plans.rest_of(job) for job in jobs}
-        self.running: dict[Future[Report], tuple[int, Job]] = {}
+        self.running: dict[Future[JobReport], tuple[int, Job]] = {}
         self.asleep: deque[tuple[float, Job]] = deque()
         # Deaths by scene; and by light, scenes given up since one of it was reported.
         self.deaths: Counter[str] = Counter()
@@ -206,7 +206,7 @@ class _Driver:
                     self._take(future, slot, job, slots)
                 if self.trouble.startswith("the scheduler"):
                     self.running.clear()
-                self._show()
+                self.show()
             orderly = True
         except KeyboardInterrupt:
             self.trouble = "interrupted; what is done is kept, run again to go on"
@@ -214,7 +214,7 @@ class _Driver:
             self.outcome.unfinished = len(self.left)
             slots.close(now=not orderly)
 
-    def _take(self, future: "Future[Report]", slot: int, job: Job, slots: Slots) -> None:
+    def _take(self, future: "Future[JobReport]", slot: int, job: Job, slots: Slots) -> None:
         """Book a job's report, or its worker's death."""
         try:
             report = future.result()
@@ -243,9 +243,9 @@ class _Driver:
         self.outcome.corrupt += report.corrupt
         self.left -= {*report.done, *report.unmet, *report.failed}
         for name in report.corrupt:
-            self.tell(f"light {name[:12]} is damaged or another version's (checksum); traced again")
+            self.show(f"light {name[:12]} is damaged or another version's (checksum); traced again")
         for digest, why in report.failed.items():
-            self.tell(f"scene {digest[:12]} failed: {why}")
+            self.show(f"scene {digest[:12]} failed: {why}")
         # The others can read the light now.
         self.fatal.pop(job.key, None)
         self.queue.extendleft(reversed(self.later.pop(job.key, [])))
@@ -254,7 +254,7 @@ class _Driver:
         """Say once that nobody is left to work; nothing comes from them in time."""
         deserted = slots.deserted()
         if deserted and not self.deserted:
-            self.tell("the cluster has no workers any more; waiting for new ones (Ctrl-C keeps what is done)")
+            self.show("the cluster has no workers any more; waiting for new ones (Ctrl-C keeps what is done)")
         self.deserted = deserted
         if deserted and self.settings.is_late():
             self.running.clear()
@@ -271,7 +271,7 @@ class _Driver:
         self.deaths[digest] += alone
         if self.deaths[digest] < DEATHS:
             self.queue.append(Job(job.key, job.scenes[:1]))
-            self.tell(
+            self.show(
                 f"a worker was killed; scene {digest[:12]} is tried again"
                 + ("" if alone else ", and those with it one by one")
             )
@@ -297,7 +297,7 @@ class _Driver:
                 return
             self.outcome.failed[digest] = why
             self.left.discard(digest)
-            self.tell(f"scene {digest[:12]} failed: {why}")
+            self.show(f"scene {digest[:12]} failed: {why}")
 
     def _no_room(self, why: str) -> None:
         self.trouble = f"the folder takes no more: {why.rstrip('.')}"
@@ -306,11 +306,8 @@ class _Driver:
         log.debug("scheduler lost: %r", error)
         self.trouble = "the scheduler went away; what is done is kept, run again to go on"
 
-    def tell(self, said: str) -> None:
-        """Say something at once."""
-        self._show(said)
-
-    def _show(self, said: str = "") -> None:
+    def show(self, news: str = "") -> None:
+        """Show how far the run is, and what just happened."""
         if self.progress is None:
             return
         now, seconds_left = time.time(), None
@@ -318,5 +315,5 @@ class _Driver:
             seconds_left = (now - self.started) / self.reported * len(self.left)
         done = self.outcome.total - len(self.left) - len(self.outcome.failed)
         self.progress(
-            Progress(done, self.outcome.total, len(self.outcome.failed), now - self.begin, seconds_left, said)
+            BatchProgress(done, self.outcome.total, len(self.outcome.failed), now - self.begin, seconds_left, news)
         )

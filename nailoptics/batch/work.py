@@ -81,7 +81,7 @@ class Job:
 
 
 @dataclass
-class Report:
+class JobReport:
     """What became of a job: digests of the scenes by what happened to them."""
 
     done: list[str] = field(default_factory=list)
@@ -111,12 +111,12 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def work(job: Job, settings: Settings, sharers: int = 0) -> Report:
+def work(job: Job, settings: Settings, sharers: int = 0) -> JobReport:
     """Do a job; what goes wrong with a scene is in the report, never raised.
 
     sharers : workers among which this machine's cores are to be divided, if that has not been done.
     """
-    report = Report()
+    report = JobReport()
     with _one_job:
         if sharers:
             reuse.set_threads(max(1, cores() // sharers))
@@ -135,7 +135,7 @@ def work(job: Job, settings: Settings, sharers: int = 0) -> Report:
     return report
 
 
-def _do(job: Job, settings: Settings, report: Report) -> None:
+def _do(job: Job, settings: Settings, report: JobReport) -> None:
     folder = Folder(settings.folder)
     todo = [(digest, scene) for digest, scene in job.scenes if not _is_done(folder, digest, settings.asked(scene))]
     report.done += [digest for digest, _ in job.scenes if digest not in dict(todo)]
@@ -175,7 +175,7 @@ def _is_storage(error: Exception) -> bool:
     return isinstance(error, WriteError) or (isinstance(error, OSError) and error.errno in _STORAGE)
 
 
-def _failed(folder: Folder, digest: str, error: Exception, report: Report) -> None:
+def _failed(folder: Folder, digest: str, error: Exception, report: JobReport) -> None:
     why = str(error) if isinstance(error, NailopticsError) else f"{type(error).__name__}: {error}"
     if isinstance(error, MemoryError):
         why = f"not enough memory for it ({error})"
@@ -212,7 +212,7 @@ def _is_done(folder: Folder, digest: str, asked: Accuracy) -> bool:
 class _Light:
     """The light of a job's scenes: stored batches, and those that were missing."""
 
-    def __init__(self, job: Job, scenes: list[Scene], settings: Settings, report: Report) -> None:
+    def __init__(self, job: Job, scenes: list[Scene], settings: Settings, report: JobReport) -> None:
         self.settings = settings
         folder, first = Folder(settings.folder), scenes[0]
         kind, made = reuse.tracer(first, settings.backend), settings.made()

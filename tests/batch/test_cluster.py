@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from nailoptics.batch import Progress, Sweep, run_batch
+from nailoptics.batch import BatchProgress, Sweep, run_batch
 from nailoptics.batch.work import cores
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.scene import Accuracy
@@ -83,9 +83,9 @@ def once(at: int, act) -> tuple[list[str], object]:
     """A progress callback that acts when so many scenes are done, and what it was told."""
     said, left = [], [act]
 
-    def progress(p: Progress) -> None:
-        if p.said:
-            said.append(p.said)
+    def progress(p: BatchProgress) -> None:
+        if p.news:
+            said.append(p.news)
         if p.done >= at and left:
             left.pop()()
 
@@ -120,9 +120,9 @@ def test_a_cluster_gives_the_same_bits_and_loses_nothing_when_workers_or_schedul
 def test_a_run_without_workers_says_so_and_goes_on_with_new_ones(calm, cluster, tmp_path):
     said, end = once(8, lambda: [cluster.end(worker) for worker in cluster.workers])
 
-    def progress(p: Progress) -> None:
+    def progress(p: BatchProgress) -> None:
         end(p)
-        if "no workers any more" in p.said:
+        if "no workers any more" in p.news:
             cluster.workers.append(cluster.add_worker())
 
     done_with(cluster, calm, tmp_path / "b", progress)
@@ -137,7 +137,7 @@ def test_a_scene_that_kills_every_worker_of_a_cluster_fails_alone(jit_backend, c
     sweep = Sweep(sweep.name, sweep.axes, sweep.dims, (endless, *sweep.scenes[1:]))
     killed = [time.time()]
 
-    def kill(p: Progress) -> None:
+    def kill(p: BatchProgress) -> None:
         """The others take milliseconds: whoever still works works on the endless one."""
         if p.done == 4 and time.time() - killed[-1] > 5:
             killed.append(time.time())

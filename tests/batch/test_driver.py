@@ -8,7 +8,7 @@ import pytest
 
 from nailoptics.batch.executors import Slots
 from nailoptics.batch.run import DEATHS, FATAL, Outcome, _Driver
-from nailoptics.batch.work import Job, Report, Settings
+from nailoptics.batch.work import Job, JobReport, Settings
 
 
 class Dying(Executor):
@@ -22,7 +22,7 @@ class Dying(Executor):
         if self.kills(job):
             future.set_exception(BrokenExecutor())
         else:
-            future.set_result(Report(done=[digest for digest, _ in job.scenes]))
+            future.set_result(JobReport(done=[digest for digest, _ in job.scenes]))
         return future
 
 

@@ -16,10 +16,10 @@ import pytest
 
 import nailoptics as nail
 from nailoptics import io
-from nailoptics.batch import Outcome, Progress, Sweep, estimate, load_sweep, run_batch, status
+from nailoptics.batch import BatchProgress, Outcome, Sweep, estimate, load_sweep, run_batch, status
 from nailoptics.batch.folder import Folder
 from nailoptics.batch.plan import as_json, left, of_shard, parse_shard, plan
-from nailoptics.batch.work import Report, Settings, meets, work
+from nailoptics.batch.work import JobReport, Settings, meets, work
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.light import read_rest, reuse
 from nailoptics.scene import Accuracy
@@ -52,7 +52,7 @@ def test_random_kills_and_the_number_of_workers_and_threads_change_no_bit(calm, 
     """A worker is killed (SIGKILL) after every seventh scene; what is left is the work of an undisturbed run."""
     rng, killed = random.Random(1), [0]
 
-    def kill(p: Progress) -> None:
+    def kill(p: BatchProgress) -> None:
         if p.done + p.failed >= 7 * (killed[0] + 1) and children():
             killed[0] += 1
             os.kill(rng.choice(children()), signal.SIGKILL)
@@ -99,7 +99,7 @@ def finish(sweep, folder: Path, **options) -> Outcome:
     raise AssertionError("twenty runs were not enough")
 
 
-def done_here(sweep: Sweep, settings: Settings) -> list[Report]:
+def done_here(sweep: Sweep, settings: Settings) -> list[JobReport]:
     """What workers do, without them: all that is left of a sweep."""
     folder, planned = Folder(settings.folder), plan(sweep, settings)
     folder.make()
@@ -114,9 +114,9 @@ def test_a_scene_that_kills_its_worker_again_and_again_fails_alone(jit_backend, 
     sweep = Sweep(sweep.name, sweep.axes, sweep.dims, (*sweep.scenes[:2], endless))
     last, said = [time.time()], []
 
-    def kill(p: Progress) -> None:
-        if p.said:
-            said.append(p.said)
+    def kill(p: BatchProgress) -> None:
+        if p.news:
+            said.append(p.news)
             last[0] = time.time()
         if p.done == 2 and time.time() - last[0] > 1.5 and children():
             last[0] = time.time()
@@ -205,7 +205,7 @@ def test_a_damaged_result_and_damaged_light_are_found_said_and_made_again(jit_ba
         light.write_bytes(light.read_bytes()[:200])
     assert status(tmp_path / "b").corrupt == 2
     said = []
-    outcome = run_batch(sweep, tmp_path / "b", workers=1, progress=lambda p: p.said and said.append(p.said))
+    outcome = run_batch(sweep, tmp_path / "b", workers=1, progress=lambda p: p.news and said.append(p.news))
     assert bits(tmp_path / "b") == before
     assert len(outcome.done) == 2 and len(outcome.kept) == 2 and len(outcome.corrupt) == 4
     assert sum("checksum" in line for line in said) == 4

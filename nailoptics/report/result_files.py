@@ -1,0 +1,99 @@
+"""The files that a study leaves in its folder: those of two results never mix."""
+
+import csv
+from collections.abc import Mapping
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..io import to_json, turn, write_dataset, write_text
+from ..scene import Scene, to_toml
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from ..studies.model_error.tradeoff import Tradeoff
+
+SIMULATION = ("result.nc", "report.html")
+COMPARISON = ("compare.nc", "compare.html")
+PLACEMENT = ("place.nc", "ranking.csv", "place.html", "best.toml", "best.csv", "best.glb")
+TRADEOFF = ("tradeoff.json", "tradeoff.html", "tradeoff.png", "scene.toml")
+
+Paths = dict[str, Path]
+
+
+def write_simulation(result: "xr.Dataset", folder: Path) -> Paths:
+    """Write a simulated touch and its report; returns their paths. Raises WriteError, as all functions here."""
+    from .simulate_page import write_report
+
+    data, page = (folder / name for name in SIMULATION)
+    with turn(folder):
+        write_dataset(result, data)
+        write_report(result, page)
+    return {"report": page, "result": data}
+
+
+def write_comparison(result: "xr.Dataset", folder: Path) -> Paths:
+    """Write a comparison and its report; returns their paths."""
+    from . import compare_page
+
+    data, page = (folder / name for name in COMPARISON)
+    with turn(folder):
+        write_dataset(result, data)
+        compare_page.write_comparison(result, page)
+    return {"report": page, "result": data}
+
+
+def write_placement(result: "xr.Dataset", scene: Scene, folder: Path, *, negate_x_on_bottom: bool = False) -> Paths:
+    """Write a placement, its ranking and report, and the best layout for the next program; returns report and scene.
+
+    scene : the one that was asked; its outline's kind of file is that of the outline that is written.
+    negate_x_on_bottom : whether X is negated in the position file for parts on the bottom side.
+    """
+    from ..exports.mesh_files import export_mesh
+    from ..geometry import build
+    from ..scene.dxf import write_outline
+    from ..scene.positions import write_positions
+    from ..studies.placement.result import chosen, kicad_parts, outline, rows
+    from . import place_page
+
+    data, ranking, page, best_scene, positions, mesh = (folder / name for name in PLACEMENT)
+    best, table = chosen(result), StringIO(newline="")
+    lines = csv.DictWriter(table, list(rows(result)[0]))
+    lines.writeheader()
+    lines.writerows(rows(result))
+    like = Path((scene.placement and scene.placement.outline) or "outline.csv")
+    with turn(folder):
+        write_dataset(result, data)
+        write_text(ranking, table.getvalue())
+        write_text(best_scene, to_toml(best))
+        write_positions(positions, kicad_parts(best, scene), negate_x_on_bottom=negate_x_on_bottom)
+        write_outline(folder / f"outline{like.suffix.lower()}", outline(result))
+        export_mesh(build(best), mesh)
+        place_page.write_placement(result, page)
+    return {"report": page, "scene": best_scene}
+
+
+def write_tradeoff(found: "Tradeoff", folder: Path) -> Paths:
+    """Write a tradeoff as JSON, page and picture, and the scene at the chosen level; returns report and scene."""
+    from . import tradeoff_page
+    from .style import write_figure
+
+    data, page, picture, scene = (folder / name for name in TRADEOFF)
+    with turn(folder):
+        write_text(data, to_json(found.as_dict()) + "\n")
+        tradeoff_page.write_tradeoff(found, page)
+        write_figure(tradeoff_page.draw(found), picture, dpi=120, facecolor="white")
+        write_text(scene, to_toml(found.scene))
+    return {"report": page, "scene": scene}
+
+
+def write_sweep(results: "xr.Dataset", folder: Path, *, failures: Mapping[str, str]) -> Paths:
+    """Write the table and the page of a sweep, of what `batch.open_results` returns; returns their paths."""
+    from ..batch import write_table
+    from .sweep_page import write_sweep_page
+
+    table, page = folder / "table.csv", folder / "report.html"
+    write_table(results, table)
+    write_sweep_page(results, page, failures=failures)
+    return {"report": page, "table": table}
