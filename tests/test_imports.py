@@ -1,13 +1,19 @@
-"""The order of the rooms: each imports only from those before it, and slow packages only where they are needed."""
+"""How the package is laid out: its rooms in order, no circles, one home for every idea, slow imports where needed."""
 
 import ast
 import os
+import re
 import subprocess
 import sys
+import tokenize
+from collections import Counter
 from collections.abc import Iterator
+from io import StringIO
 from pathlib import Path
 
 import pytest
+
+from nailoptics.report.result_files import COMPARISON, PLACEMENT, SIMULATION, TRADEOFF
 
 PACKAGE = Path(__file__).parents[1] / "nailoptics"
 # Rooms in one entry do not import each other.
@@ -105,6 +111,88 @@ def test_only_the_light_room_imports_mitsuba_and_drjit(path):
     if path.relative_to(PACKAGE).parts[0] != "light":
         names = imported(path.read_text(encoding="utf-8"), module_name(path), package=path.name == "__init__.py")
         assert not {name.split(".")[0] for name in names} & {"mitsuba", "drjit"}
+
+
+MODULES = {".".join(module_name(path)): path for path in FILES}
+
+
+def modules_imported(path: Path) -> set[str]:
+    """Modules of the package that a module imports by name, functions and type checking included."""
+    names = imported(path.read_text(encoding="utf-8"), module_name(path), package=path.name == "__init__.py")
+    return {name if name in MODULES else name.rpartition(".")[0] for name in names} & MODULES.keys()
+
+
+def circle(imports: dict[str, set[str]]) -> list[str]:
+    """Modules that import each other in a ring, or nothing."""
+    finished: set[str] = set()
+
+    def search(module: str, way: list[str]) -> list[str]:
+        if module in way:
+            return way[way.index(module) :]
+        if module not in finished:
+            for other in sorted(imports[module]):
+                if found := search(other, [*way, module]):
+                    return found
+            finished.add(module)
+        return []
+
+    return next((found for module in imports if (found := search(module, []))), [])
+
+
+def test_a_circle_is_found():
+    assert circle({"a": {"b"}, "b": {"c", "d"}, "c": set(), "d": {"b"}}) == ["b", "d"]
+
+
+def test_no_two_modules_have_one_name():
+    stems = Counter(path.stem for path in FILES if path.stem != "__init__")
+    assert [stem for stem, count in stems.items() if count > 1] == []
+
+
+@pytest.mark.parametrize(
+    ("what", "home"),
+    [
+        (r"\b1\.96\b", "statistics.py"),
+        ("(?i)<!doctype", "report/html.py"),
+        (r"os\.replace", "io.py"),
+    ],
+    ids=["95 % of a normal distribution", "HTML", "writing files"],
+)
+def test_an_idea_has_one_home(what, home):
+    found = {str(path.relative_to(PACKAGE)) for path in FILES if re.search(what, path.read_text(encoding="utf-8"))}
+    assert found == {home}
+
+
+ROOT = PACKAGE.parent
+FILE = re.compile(
+    r"(?<![\w/.*-])(?:[\w.-]+/)*[\w-]+\.(?:py|toml|csv|md|nc|npz|html|css|png|json|glb|ply|dxf|dat|yml)(?![\w.(/])"
+)
+# What users have or make.
+THEIRS = {
+    "a.toml",
+    "b.toml",
+    "sweep.toml",
+    "board.dxf",
+    "board-bottom.csv",
+    "FINGER.glb",
+    "results/prototype/report.html",
+}
+THEIRS |= {*SIMULATION, *COMPARISON, *PLACEMENT, *TRADEOFF, "table.csv", "_fig10.png"}
+
+
+def prose(path: Path) -> Iterator[str]:
+    """What a file says to its readers: comments and docstrings of a module, all of a page, the comments of data."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".py":
+        tokens = tokenize.generate_tokens(StringIO(text).readline)
+        yield from (token.string for token in tokens if token.type == tokenize.COMMENT)
+        documented = ast.Module, ast.ClassDef, ast.FunctionDef
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, documented):
+                yield ast.get_docstring(node) or ""
+    elif path.suffix == ".md":
+        yield text
+    else:
+        yield from (line for line in text.splitlines() if line.startswith("#"))
 
 
 def run(code: str) -> str:

@@ -40,7 +40,7 @@ class Verdict:
 def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> Verdict:
     """Judge a fitted model over the force, or over the first sweep where the force was not swept.
 
-    Met only if every error lies below the tolerance by 1.96 standard errors; missed if one lies above it by as much.
+    Met only if every error with its 95 % interval lies below the tolerance; missed if one interval lies above it.
     """
     sweep = "force" if "force" in result.sweep.values else str(result.sweep.values[0])
     end = result.sel(sweep=sweep, way="fitted", model=model).isel(point=-1)

@@ -17,7 +17,7 @@ from .unshared import unshared_photons
 
 PILOT_PHOTONS = 1 << 17
 LEAST_PHOTONS = 1 << 14
-# Variance of a count of photons that is 0, (3 / 1.96)^2: of n photons none seen means, at 95 %, a part below 3 / n.
+# Variance of a count of photons that is 0, (3 / Z95)^2: of n photons none seen means, at 95 %, a part below 3 / n.
 UNSEEN_VARIANCE = 2.34
 
 
