@@ -17,6 +17,7 @@ from ..statistics import stderr_of_mean
 from ..tissue.properties import DermisAbsorption
 from . import backend as backends
 from . import optics
+from .reweight import attenuation
 from .transfer import provenance
 
 if TYPE_CHECKING:
@@ -150,12 +151,12 @@ class BloodPoint:
     def values(self, arrivals: Arrivals) -> np.ndarray:
         """What each arrival adds, (n, 2 + K): to the reading, to its part never in the bed, to d reading / d blood."""
         path = arrivals.path_mm.astype(float)
-        part = self.share * np.exp(-(path @ (self.mu_a - self.traced).T))
+        part = self.share * attenuation(path, self.mu_a - self.traced)
         weight = arrivals.weight * part.sum(1)
-        fall = arrivals.weight * (part @ self.slope)
+        per_path = arrivals.weight * (part @ self.slope)
         bed = path[:, self.beds]
         direct = np.where(bed.sum(1) <= NO_PATH_MM, weight, 0.0)
-        return np.column_stack([weight, direct, -fall[:, None] * bed])
+        return np.column_stack([weight, direct, -per_path[:, None] * bed])
 
 
 def blood_point(

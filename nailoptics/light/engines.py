@@ -18,7 +18,7 @@ from ..options import Requested, TraceOptions
 from ..scene import Accuracy, Scene
 from . import backend as backends
 from . import optics
-from .reweight import Course, course
+from .course import Course, course
 from .tracing import INTERRUPTED, Progress, accuracy, trace
 from .transfer import FEW_PHOTONS, Transfer, provenance
 

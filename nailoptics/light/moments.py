@@ -70,19 +70,6 @@ class Moments:
         return -self.path / self.photons, stderr_of_mean(self.path, self.path_square, self.photons)
 
 
-def transmission(path_mm: np.ndarray, mu_a: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """What each photon's weight is multiplied by in another state, averaged over the line, (n,) float.
-
-    path_mm : (n, r) float. [mm]
-    mu_a : (q, r) float. Absorption over the line, less that for which the weights hold. [mm^-1]
-    share : (q,) float. Weights of the line.
-    """
-    factor = np.zeros(len(path_mm))
-    for mu, part in zip(mu_a, share, strict=True):
-        factor += part * np.exp(-(path_mm @ mu))
-    return factor
-
-
 def moments_of(photons: int, photodiode: np.ndarray, weight: np.ndarray, path_mm: np.ndarray, count: int) -> Moments:
     """Moments of records that stand for all photons; weights are those of the state that is read."""
 

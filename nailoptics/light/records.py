@@ -8,7 +8,8 @@ from operator import add
 import numpy as np
 
 from ..errors import InputError
-from .moments import Moments, RestState, moments_of, moments_of_sample, transmission
+from .moments import Moments, RestState, moments_of, moments_of_sample
+from .reweight import transmission
 
 # Photons kept per LED; of more, each is kept with one probability, and sums over all of them at rest.
 MAX_RECORDS = 8_000_000

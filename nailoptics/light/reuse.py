@@ -14,10 +14,11 @@ from ..errors import InputError
 from ..scene import Accuracy, Scene, digest
 from . import backend as backends
 from . import optics
+from .course import course
 from .engines import Light
-from .moments import RestState, transmission
+from .moments import RestState
 from .records import Batch, LedTrace, joined, of_batch
-from .reweight import course
+from .reweight import transmission
 from .tracing import UNSEEN_PHOTONS, _largest_error, _seeds, unseen
 from .transfer import Transfer, rest_state, versions
 

@@ -17,8 +17,9 @@ from ..scene import Accuracy, Scene
 from ..statistics import stderr_of_mean
 from . import backend as backends
 from . import optics, records
-from .moments import RestState, transmission
+from .moments import RestState
 from .records import Batch, LedTrace, joined, of_batch
+from .reweight import transmission
 from .transfer import MIN_EFFECTIVE_PHOTONS, Transfer, rest_state, versions
 
 log = logging.getLogger(__name__)

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import electronics, tissue
 from ..light import optics
 from ..light.board_map import Arrivals
+from ..light.reweight import attenuation
 from ..scene import Scene
 
 Array = NDArray[np.float64]
@@ -79,6 +80,6 @@ def photocurrents_a(
     wavelength, per_mm2 = ambient.photocurrent_a_per_mm2(quantum_efficiency)
     inside = np.clip(wavelength, *tissue.WAVELENGTH_RANGE_NM)
     mu_a, traced = optics.absorption(scene, inside), optics.absorption(scene, traced_nm)[0]
-    part = np.exp(-(escaped.path_mm.astype(float) @ (mu_a - traced).T)) @ per_mm2
+    part = attenuation(escaped.path_mm.astype(float), mu_a - traced) @ per_mm2
     n = float(tissue.scattering("epoxy", traced_nm)[2]) if scene.light.index_steps else 1.0
     return collecting_area_mm2(escaped.weight * part / escaped.photons, area_mm2=area_mm2, n=n)

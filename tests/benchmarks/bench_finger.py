@@ -14,7 +14,7 @@ import nailoptics as nail
 from nailoptics import geometry
 from nailoptics.assets import data_dir
 from nailoptics.light import backend, optics
-from nailoptics.light.reweight import course
+from nailoptics.light.course import course
 
 PHOTODIODE = 1
 MORE_BLOOD = 1.1

@@ -12,13 +12,12 @@ import nailoptics as nail
 from nailoptics import tissue
 from nailoptics.light import Transfer, optics, read_rest, reuse
 from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
+from nailoptics.light.course import course, read_replicates
 from nailoptics.light.finger_walk import FingerTracer
 from nailoptics.light.records import Batch, LedTrace, joined
-from nailoptics.light.reweight import course
 from nailoptics.light.tracing import _trace_led
 from nailoptics.scene import Accuracy, Scene, parse_scene
 from nailoptics.statistics import jackknife, left_out, stderr_of_mean
-from nailoptics.studies import replicates
 from nailoptics.studies.comparison import fits
 from nailoptics.studies.placement import fisher
 
@@ -112,7 +111,7 @@ def of_trace(transfer: Transfer) -> Estimates:
     wavelength, _ = optics.spectrum(led)
     mu_a = optics.absorption(transfer.scene, wavelength, blood_fraction=states)
     blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, 0.97))
-    read = replicates.read_led(transfer, 0, mu_a, blood, seed=1)
+    read = read_replicates(transfer, 0, mu_a, blood, seed=1)
     ratio = read.reading[..., -1] / read.reading[..., 0]
     fitted = fits.exponential(states[:, 0], read.reading[:, 0])[0][:, -1] / read.reading[:, 0, 0]
     for name, values in (

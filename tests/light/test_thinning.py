@@ -10,9 +10,9 @@ import pytest
 import nailoptics as nail
 from nailoptics.errors import NotReachedError
 from nailoptics.light import Transfer, optics, records
+from nailoptics.light.course import course
 from nailoptics.light.layered_walk import LayeredTracer
 from nailoptics.light.records import LedTrace, joined
-from nailoptics.light.reweight import course
 from nailoptics.light.transfer import rest_state
 from nailoptics.scene import Scene, parse_scene
 

@@ -10,12 +10,12 @@ import xarray as xr
 from ... import tissue
 from ...errors import InputError, NotReachedError
 from ...light import Progress, Transfer, optics, trace
+from ...light.course import read_replicates
 from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...scene.files import scene_of
 from ...variables import Variable, variable
 from ..blood_states import zones_of_photodiodes
-from ..replicates import read_led
 from .formula_errors import MODELS, PARTS, TOLERANCES, WAYS, TracedSweep, formula_errors
 from .state_sweep import OVER, Over, StateSweep, state_sweep
 
@@ -178,7 +178,7 @@ def _led_errors(
     wavelength, share = optics.spectrum(scene.leds[led])
     share = share * wavelength / np.sum(share * wavelength)
     blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, float(sweep.so2[0])))
-    read = read_led(transfer, led, _absorption(transfer, wavelength, sweep), blood, seed=seed)
+    read = read_replicates(transfer, led, _absorption(transfer, wavelength, sweep), blood, seed=seed)
     # One absorption for the whole line: that a line has many is an error of one path for all light.
     over_line = np.asarray(tissue.blood_mu_a_per_mm(wavelength, sweep.so2[:, None])) @ share
     denser = _added_scattering(scene.leds[led].wavelength_nm, sweep)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import InputError, NotReachedError
 from ...light import Progress, Transfer, trace
-from ...light.reweight import course
+from ...light.course import course
 from ...light.tracing import INTERRUPTED
 from ...options import BackendName, TraceOptions
 from ...scene import Scene

@@ -11,12 +11,11 @@ from ... import tissue
 from ...errors import InputError, NotReachedError
 from ...light import Progress, Rest, optics, read_rest
 from ...light import backend as backends
-from ...light.reweight import course
+from ...light.course import course, read_replicates
 from ...light.tracing import INTERRUPTED, unseen
 from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
 from ...statistics import Z95, jackknife
-from ..replicates import read_led
 from .paired import (
     PairedReadings,
     PairedTracer,
@@ -320,7 +319,7 @@ def _formulas(full: Scene, base: PairedReadings, reference: Level, seed: int, to
         wavelength, share = optics.spectrum(led)
         mu_a = optics.absorption(full, wavelength, blood_fraction=states)
         blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, full.blood.so2))
-        read = read_led(base.transfer, i, mu_a, blood, seed=seed)
+        read = read_replicates(base.transfer, i, mu_a, blood, seed=seed)
         depth = read.mean_path_mm @ ((states[1] - states[0]) * float(np.average(blood, weights=share * wavelength)))
         traced = read.reading[..., 1] / read.reading[..., 0] - 1
         off["taylor"].append((-depth - traced) / unit)

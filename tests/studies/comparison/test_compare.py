@@ -10,6 +10,7 @@ from nailoptics import cli, load_scene, tissue
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.light import Transfer, optics
+from nailoptics.light.course import GROUPS, read_replicates
 from nailoptics.light.records import LedTrace
 from nailoptics.scene import Scene
 from nailoptics.statistics import Z95, jackknife
@@ -17,7 +18,6 @@ from nailoptics.studies.comparison import fits
 from nailoptics.studies.comparison.compare import compare, compare_transfer
 from nailoptics.studies.comparison.state_sweep import Over, state_sweep
 from nailoptics.studies.comparison.verdict import summary, verdict
-from nailoptics.studies.replicates import GROUPS, read_led
 
 NO_SCATTERING = np.zeros((2, 1, 8))
 
@@ -148,7 +148,7 @@ def test_replicates_know_the_noise_of_the_count():
     """The number of detected photons is random: its error belongs to a reading, not only that of the weights."""
     transfer = made_up(np.full(10_000, 1.0), np.zeros(10_000))
     mu_a = optics.absorption(transfer.scene, [800.0])[None]
-    read = read_led(transfer, 0, mu_a, np.array([0.4]), seed=1)
+    read = read_replicates(transfer, 0, mu_a, np.array([0.4]), seed=1)
     assert read.reading.shape == (1 + GROUPS, 8, 1) and np.allclose(read.reading[0], 0.1)
     assert np.allclose(jackknife(read.reading) / 0.1, 0.01, rtol=0.5)
 

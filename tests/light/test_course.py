@@ -7,9 +7,9 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.errors import InputError
-from nailoptics.light import RereadWarning, Transfer, optics, reweight
+from nailoptics.light import RereadWarning, Transfer, optics
+from nailoptics.light.course import MAX_ZONES_BETWEEN_NODES, course
 from nailoptics.light.records import LedTrace
-from nailoptics.light.reweight import course
 from nailoptics.scene import Scene, parse_scene
 
 FINGER = """
@@ -209,7 +209,7 @@ def test_reading_another_state_is_tracing_it_afresh(jit_backend, traced, blood, 
 def test_a_real_trace_is_interpolated_as_well_as_a_made_up_one(traced):
     states = random_states(1000, low=0.005, high=0.08)
     smooth = course(traced, states)
-    assert len(states) > reweight.MAX_ZONES_BETWEEN_NODES
+    assert len(states) > MAX_ZONES_BETWEEN_NODES
     for k in (3, 400, 999):
         alone = traced.at(blood_fraction=states[k])
         error = abs(smooth.fraction[:, :, k] - alone.detected_fraction.values)

@@ -1,0 +1,232 @@
+"""One trace read in many states: over a course of the blood, and with and without each group of its photons."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError
+from ..statistics import stderr_of_mean
+from . import optics
+from .moments import slope_of
+from .reweight import attenuation, transmissions
+from .transfer import Transfer
+
+# Readings over more zones than this are taken state by state: nodes grow with the power of the zones.
+MAX_ZONES_BETWEEN_NODES = 2
+# Interpolation may be off by this part of a reading; no trace has a standard error near it.
+INTERPOLATION_ERROR = 1e-8
+# Photons read at once: their weights at all nodes fill the processor's cache, not the memory.
+CHUNK = 4096
+# Groups of photons that are left out in turn.
+GROUPS = 40
+# Photons read at once in groups; with a few hundred states their weights fill the processor's cache, not the memory.
+GROUP_CHUNK = 8192
+
+
+@dataclass(frozen=True)
+class Course:
+    """Readings over many states, (led, photodiode, state) float each, fractions of the emitted power.
+
+    fraction, stderr : detected fraction and its standard error.
+    change, change_stderr : difference from the first state; both share their noise, so that its error is small.
+    """
+
+    fraction: np.ndarray
+    stderr: np.ndarray
+    change: np.ndarray
+    change_stderr: np.ndarray
+
+
+def course(
+    transfer: Transfer, blood_fraction: np.ndarray, *, so2: float | None = None, electrons: bool = False
+) -> Course:
+    """Readings over a course of blood states; a press of ten thousand steps takes about as long as one of a hundred.
+
+    Readings are smooth in the blood: they are taken at Chebyshev nodes over the range of states, as many as keep the
+    error of interpolation below 1e-8 of a reading for all but the longest paths, and interpolated.
+
+    blood_fraction : (t, K) float in 0-1. Blood of each zone in each state.
+    electrons : weigh the LED's line by the photodiode's response, relative to that at the peak wavelength.
+
+    Warns: RereadWarning where fewer than 100 effective photons stand behind a reading of some state, or fewer than 25
+    behind the standard error of one that is brighter than the traced state.
+    """
+    found = _course(transfer, blood_fraction, so2, electrons)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # Of n equal photons the relative error is 1 / sqrt(n).
+        effective = np.square(found.fraction / found.stderr)
+    # Where there is least blood, single long paths weigh most.
+    palest = transfer.moments_at(np.min(blood_fraction, 0), so2)
+    transfer.warn_if_thin(np.nan_to_num(effective, nan=np.inf).min(-1), palest)
+    return found
+
+
+def _course(transfer: Transfer, blood_fraction: np.ndarray, so2: float | None, electrons: bool) -> Course:
+    states = np.asarray(blood_fraction, float)
+    count = optics.zones(transfer.scene).count
+    if states.ndim != 2 or states.shape[1] != count or not len(states):
+        raise InputError(f"blood_fraction has shape {states.shape}; give (states, {count}), one value for each zone.")
+    low, high = states.min(0), states.max(0)
+    varies = np.flatnonzero(high - low > 1e-12)
+    if not len(varies):
+        one = _sums(transfer, states[:1], states[0], so2, electrons)
+        return Course(*(np.repeat(values, len(states), -1) for values in one))
+    counts = [_nodes_needed(transfer, int(k), high[k] - low[k], so2) for k in varies]
+    if len(states) <= np.prod(counts) or len(varies) > MAX_ZONES_BETWEEN_NODES:
+        return Course(*_sums(transfer, states, states[0], so2, electrons))
+    nodes, weights = _barycentric(states[:, varies], low[varies], high[varies], counts)
+    at_nodes = np.repeat(states[:1], len(nodes), 0)
+    at_nodes[:, varies] = nodes
+    fraction, stderr, change, change_stderr = _sums(transfer, at_nodes, states[0], so2, electrons)
+    return Course(
+        fraction=fraction @ weights.T,
+        stderr=np.sqrt(np.maximum(stderr**2 @ weights.T, 0)),
+        change=change @ weights.T,
+        change_stderr=np.sqrt(np.maximum(change_stderr**2 @ weights.T, 0)),
+    )
+
+
+def _nodes_needed(transfer: Transfer, zone: int, span: float, so2: float | None) -> int:
+    """Chebyshev nodes that interpolate exp(-x) over the optical depths that a zone's range of blood spans."""
+    depth = 0.0
+    for trace, led in zip(transfer.traces, transfer.scene.leds, strict=True):
+        column = optics.bed_columns(transfer.scene)[zone]
+        if len(trace.weight):
+            more = optics.absorption(
+                transfer.scene, led.wavelength_nm, blood_fraction=np.ones(optics.zones(transfer.scene).count), so2=so2
+            )
+            less = optics.absorption(
+                transfer.scene, led.wavelength_nm, blood_fraction=np.zeros(optics.zones(transfer.scene).count), so2=so2
+            )
+            slope = float((more - less)[0, column])
+            depth = max(depth, slope * span * float(np.quantile(trace.path_mm[:, column], 0.999)))
+    # The error of n nodes on exp over a range of depth d is (d / 4)^n 2 / n!; squares double the depth.
+    count, error = 2, math.inf
+    while error > INTERPOLATION_ERROR and count < 24:
+        count += 1
+        error = 2 * (depth / 2) ** count / math.factorial(count)
+    return count
+
+
+def _barycentric(
+    states: np.ndarray, low: np.ndarray, high: np.ndarray, counts: list[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Chebyshev nodes (m, d) over a box, and each state's weights on them (t, m) (Berrut, Trefethen 2004)."""
+    axes, weights = [], np.ones((len(states), 1))
+    for column, a, b, n in zip(states.T, low, high, counts, strict=True):
+        angle = (2 * np.arange(n) + 1) * np.pi / (2 * n)
+        sign = np.sin(angle) * (-1.0) ** np.arange(n)
+        axis = (a + b) / 2 + (b - a) / 2 * np.cos(angle)
+        away = column[:, None] - axis
+        on_node = np.abs(away) < 1e-14 * (b - a)
+        share = sign / np.where(on_node, 1, away)
+        share = np.where(on_node.any(1, keepdims=True), on_node, share / share.sum(1, keepdims=True))
+        weights = (weights[:, :, None] * share[:, None, :]).reshape(len(states), -1)
+        axes.append(axis)
+    grids = np.meshgrid(*axes, indexing="ij")
+    return np.stack([grid.ravel() for grid in grids], -1).reshape(-1, len(low)), weights
+
+
+def _sums(
+    transfer: Transfer, states: np.ndarray, first: np.ndarray, so2: float | None, electrons: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Fraction, its error, change from a first state and its error, (led, photodiode, states) each."""
+    shape = (len(transfer.traces), len(transfer.photodiodes), len(states))
+    out = tuple(np.zeros(shape) for _ in range(4))
+    for i, (trace, led) in enumerate(zip(transfer.traces, transfer.scene.leds, strict=True)):
+        wavelength, share = optics.spectrum(led)
+        if electrons:
+            share = share * wavelength / led.wavelength_nm
+        mu_a = (
+            optics.absorption(transfer.scene, wavelength, blood_fraction=np.vstack([first, states]), so2=so2)
+            - trace.mu_a
+        )
+        sums, full = np.zeros((4, *shape[1:])), trace.full
+        # Of a sample of the photons: sums at rest and of their products with the values, to hold them against all.
+        rest, rest_square, products = np.zeros(shape[1]), np.zeros(shape[1]), np.zeros((2, *shape[1:]))
+        at_rest = trace.weight_at_rest if full is not None else None
+        order = np.argsort(trace.photodiode, kind="stable")
+        edges = np.searchsorted(trace.photodiode[order], np.arange(shape[1] + 1))
+        pieces = [(p, at) for p in range(shape[1]) for at in range(edges[p], edges[p + 1], CHUNK)]
+        for j, start in pieces:
+            chunk = order[start : min(start + CHUNK, edges[j + 1])]
+            weight = transmissions(trace.path_mm[chunk], mu_a, share) * trace.weight[chunk, None]
+            change = weight[:, 1:] - weight[:, :1]
+            weight = weight[:, 1:]
+            for total, values in zip(sums, (weight, weight**2, change, change**2), strict=True):
+                total[j] += values.sum(0)
+            if at_rest is not None:
+                own = at_rest[chunk]
+                rest[j] += own.sum()
+                rest_square[j] += own @ own
+                products[0, j] += own @ weight
+                products[1, j] += own @ change
+        for k, unseen in ((0, 1.0), (2, 0.0)):
+            total, square = sums[k], sums[k + 1]
+            if full is not None:
+                slope = slope_of(products[k // 2], rest_square[:, None], unseen)
+                total = slope * full.weight[:, None] + (total - slope * rest[:, None])
+                left = np.maximum(square - slope * products[k // 2], 0)
+                square = slope**2 * full.square[:, None] + left
+            out[k][i] = total / trace.photons
+            out[k + 1][i] = stderr_of_mean(total, square, trace.photons)
+    return out  # type: ignore[return-value]
+
+
+@dataclass(frozen=True)
+class Replicates:
+    """One LED's readings in many states; in replicate 0 by all photons, in each other without one group of them.
+
+    reading : (1 + groups, photodiodes, states) float. Fraction of the emitted power, weighed by the photodiode's
+        response relative to that at the LED's peak.
+    mean_path_mm : (1 + groups, photodiodes, zones) float. In the first state, minus the derivative of ln reading by the
+        absorption of the blood in each zone, averaged over the line: the mean path there. [mm]
+    """
+
+    reading: np.ndarray
+    mean_path_mm: np.ndarray
+
+
+def read_replicates(
+    transfer: Transfer, led: int, mu_a: np.ndarray, blood_per_mm: np.ndarray, *, seed: int
+) -> Replicates:
+    """Read one LED's trace in many states, with and without each group of its photons.
+
+    mu_a : (states, q, absorbers) float. Absorption over the LED's line, `optics.spectrum`. [mm^-1]
+    blood_per_mm : (q,) float. Absorption of the blood over the line, in the first state. [mm^-1]
+    seed : of the photons' groups.
+    """
+    trace, source = transfer.traces[led], transfer.scene.leds[led]
+    wavelength, share = optics.spectrum(source)
+    share = share * wavelength / source.wavelength_nm
+    mean = float(share @ blood_per_mm / share.sum())
+    zones = list(optics.bed_columns(transfer.scene))
+    count = len(transfer.photodiodes)
+    weight = np.zeros((count, GROUPS, len(mu_a)))
+    path = np.zeros((count, GROUPS, len(zones)))
+    groups = np.random.default_rng(seed).integers(GROUPS, size=len(trace.weight))
+    numbers = np.arange(GROUPS)[:, None]
+    for j in range(count):
+        mine = np.flatnonzero(trace.photodiode == j)
+        for start in range(0, len(mine), GROUP_CHUNK):
+            chunk = mine[start : start + GROUP_CHUNK]
+            lengths = trace.path_mm[chunk].astype(float)
+            own, slope = np.zeros((len(chunk), len(mu_a))), np.zeros(len(chunk))
+            for q, part in enumerate(share):
+                seen = part * attenuation(lengths, mu_a[:, q] - trace.mu_a) * trace.weight[chunk, None]
+                own += seen
+                slope += seen[:, 0] * blood_per_mm[q] / mean
+            picks = (groups[chunk] == numbers).astype(float)
+            weight[j] += picks @ own
+            path[j] += picks @ (slope[:, None] * lengths[:, zones])
+    total, by_path = (_left_out(sums) / trace.photons for sums in (weight, path))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return Replicates(reading=total, mean_path_mm=by_path / total[:, :, :1])
+
+
+def _left_out(sums: np.ndarray) -> np.ndarray:
+    """Sums over all groups, then over all but one of them, scaled up to as many photons: (1 + groups, ...)."""
+    sums = np.moveaxis(sums, 1, 0)
+    total = sums.sum(0)
+    return np.concatenate([total[None], (total - sums) * (GROUPS / (GROUPS - 1))])
