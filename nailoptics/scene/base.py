@@ -1,5 +1,6 @@
 """The model every table of a scene is made from: frozen, strict, no unknown fields, no NaN."""
 
+from collections.abc import Sequence
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -17,6 +18,13 @@ class Table(BaseModel):
     model_config = ConfigDict(
         frozen=True, strict=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
     )
+
+
+def check_unique(names: Sequence[str], what: str) -> None:
+    """Raise ValueError where a name is used twice."""
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f'{what}: the name "{name}" is used twice; give each its own')
 
 
 Positive = Annotated[float, Field(gt=0)]

@@ -1,5 +1,6 @@
 """Where everything lies on the flat board: dies, photodiode elements, barrier walls, outline."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -163,16 +164,16 @@ def _barriers(
 ) -> tuple[Rectangle, ...]:
     """Straight walls over the whole board, each at the asked gap from the LEDs on one side, or midway."""
     width, beside = board.barrier_um * 1e-3, board.barrier_gap_mm
-    u_low, u_high = min(r.u_min for r in photodiodes), max(r.u_max for r in photodiodes)
-    v_low, v_high = min(r.v_min for r in photodiodes), max(r.v_max for r in photodiodes)
-    sides: dict[str, list[Rectangle]] = {"left": [], "right": [], "below": [], "above": []}
+    # Of an LED on each side, the edge that faces the photodiodes, their edge there, and the way from it to them.
+    sides: dict[str, tuple[Callable[[Rectangle], float], float, int]] = {
+        "left": (lambda led: led.u_max, min(r.u_min for r in photodiodes), 1),
+        "right": (lambda led: led.u_min, max(r.u_max for r in photodiodes), -1),
+        "below": (lambda led: led.v_max, min(r.v_min for r in photodiodes), 1),
+        "above": (lambda led: led.v_min, max(r.v_max for r in photodiodes), -1),
+    }
+    groups: dict[str, list[float]] = {side: [] for side in sides}
     for led in leds:
-        gaps = {
-            "left": u_low - led.u_max,
-            "right": led.u_min - u_high,
-            "below": v_low - led.v_max,
-            "above": led.v_min - v_high,
-        }
+        gaps = {side: way * (face - edge(led)) for side, (edge, face, way) in sides.items()}
         side = max(gaps, key=lambda key: gaps[key])
         if gaps[side] < width + (beside or 0.0) + WALL_ROOM_MM:
             raise ValueError(
@@ -180,23 +181,19 @@ def _barriers(
                 f"leaves no room for a wall of {width:g} mm{f' at a gap of {beside:g} mm' if beside else ''}; "
                 "move it, make barrier_um smaller, or set barrier = false"
             )
-        sides[side].append(led)
+        groups[side].append(sides[side][0](led))
     walls = []
-    for side, group in sides.items():
-        if not group:
+    for side, edges in groups.items():
+        if not edges:
             continue
-        # The wall's middle: from the edge of the nearest LED outwards, or halfway to the photodiodes.
-        edge, facing, outward = {
-            "left": (max(r.u_max for r in group), u_low, 1),
-            "right": (min(r.u_min for r in group), u_high, -1),
-            "below": (max(r.v_max for r in group), v_low, 1),
-            "above": (min(r.v_min for r in group), v_high, -1),
-        }[side]
-        middle = (edge + facing) / 2 if beside is None else edge + outward * (beside + width / 2)
+        _, face, way = sides[side]
+        nearest = max(edges) if way > 0 else min(edges)
+        middle = (nearest + face) / 2 if beside is None else nearest + way * (beside + width / 2)
+        low, high = middle - width / 2, middle + width / 2
         if side in ("left", "right"):
-            walls.append(Rectangle(side, middle - width / 2, middle + width / 2, outline.v_min, outline.v_max))
+            walls.append(Rectangle(side, low, high, outline.v_min, outline.v_max))
         else:
-            walls.append(Rectangle(side, outline.u_min, outline.u_max, middle - width / 2, middle + width / 2))
+            walls.append(Rectangle(side, outline.u_min, outline.u_max, low, high))
     for wall in walls:
         for led in leds:
             if wall.overlap_mm(led) > ROUNDING_MM:

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from ..assets import WAVELENGTH_RANGE_NM
 from ..errors import InputError
-from .base import USUAL_BLOOD_FRACTION, USUAL_SO2, Fraction, Name, NonNegative, Positive, Table
+from .base import USUAL_BLOOD_FRACTION, USUAL_SO2, Fraction, Name, NonNegative, Positive, Table, check_unique
 from .finger import Finger
 from .layout import Layout, lay_out
 from .parts import Board, Led, Photodiode
@@ -50,10 +50,7 @@ class Phantom(Table):
 
     @model_validator(mode="after")
     def _layers_are_a_stack(self) -> Self:
-        names = [layer.name for layer in self.layers]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f'layers: the name "{name}" is used twice; give each layer its own')
+        check_unique([layer.name for layer in self.layers], "layers")
         for layer in self.layers[:-1]:
             if math.isinf(layer.thickness_mm):
                 raise ValueError(
@@ -154,14 +151,8 @@ class Scene(Table):
     def _finger_or_phantom(self) -> Self:
         if (self.phantom is None) == (self.finger is None):
             raise ValueError("a scene has either [finger] or [phantom]; give exactly one of them")
-        leds, photodiodes = (
-            [led.name for led in self.leds],
-            [name for p in self.photodiodes for name in p.element_names()],
-        )
-        for kind, names in (("leds", leds), ("photodiodes", photodiodes)):
-            for name in names:
-                if names.count(name) > 1:
-                    raise ValueError(f'{kind}: the name "{name}" is used twice; give each its own')
+        check_unique([led.name for led in self.leds], "leds")
+        check_unique([name for p in self.photodiodes for name in p.element_names()], "photodiodes")
         for i, led in enumerate(self.leds):
             if self.finger is not None and led.pattern == "pencil":
                 raise ValueError(

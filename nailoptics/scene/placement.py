@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationInfo, model_validator
 
-from .base import Fraction, Name, NonNegative, Point, Table
+from .base import Fraction, Name, NonNegative, Point, Table, check_unique
 from .dxf import read_outline
 from .positions import read_positions
 
@@ -109,11 +109,8 @@ class Placement(Table):
     def _something_to_do(self) -> Self:
         if not self.search and not self.candidates:
             raise ValueError("search = false leaves nothing to rank; give candidates")
-        for what, names in (("candidates", self.candidates), ("fingers", self.fingers)):
-            listed = [item.name for item in names]
-            for name in listed:
-                if listed.count(name) > 1:
-                    raise ValueError(f'{what}: the name "{name}" is used twice; give each its own')
+        check_unique([candidate.name for candidate in self.candidates], "candidates")
+        check_unique([case.name for case in self.fingers], "fingers")
         if self.outline_mm is not None and len(self.outline_mm) < 3:
             raise ValueError("outline_mm needs three corners or more")
         return self

@@ -172,15 +172,6 @@ class Sweep:
     scenes: tuple[Scene, ...]
 
 
-@dataclass(frozen=True)
-class _Base:
-    """A base scene as the user wrote it, with the folder of its parts."""
-
-    name: str
-    tables: dict[str, Any]
-    folder: Path
-
-
 def load_sweep(path: str | Path) -> Sweep:
     """Read a sweep file and build its scenes.
 
@@ -191,7 +182,7 @@ def load_sweep(path: str | Path) -> Sweep:
     try:
         return _build(SweepFile.model_validate(tables), path)
     except (ValidationError, InputError) as error:
-        text = f"{explain(error, SweepFile)}" if isinstance(error, ValidationError) else str(error)
+        text = explain(error, SweepFile) if isinstance(error, ValidationError) else str(error)
         raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from None
 
 
@@ -201,18 +192,17 @@ def sweep_json_schema() -> dict[str, Any]:
 
 
 def _build(file: SweepFile, path: Path) -> Sweep:
-    axes = _axes(file)
-    bases = [_base(one, path) for one in ([file.base] if file.scenes is None else file.scenes)]
-    dims = {} if file.scenes is None else {"scene": len(bases)}
-    if file.combine == "product":
-        dims |= {axis.name: len(axis.values) for axis in axes}
-    elif axes:
-        dims["sample"] = len(axes[0].values)
+    axes, points = _axes(file), zip if file.combine != "product" else itertools.product
+    dims = {axis.name: len(axis.values) for axis in axes}
+    if file.combine != "product" and axes:
+        dims = {"sample": len(axes[0].values)}
+    if file.scenes is not None:
+        dims = {"scene": len(file.scenes)} | dims
     if math.prod(dims.values()) > MAX_SCENES:
         raise InputError(f"axes make {math.prod(dims.values())} scenes; at most {MAX_SCENES}, use fewer values.")
-    combined = itertools.product if file.combine == "product" else zip
-    points = list(combined(*(axis.values for axis in axes))) if axes else [()]
-    scenes = tuple(_scene(base, axes, point) for base, point in itertools.product(bases, points))
+    given = list(points(*(axis.values for axis in axes))) if axes else [()]
+    bases = [_base(file.base, path)] if file.scenes is None else [_base(name, path) for name in file.scenes]
+    scenes = tuple(_scene(*base, axes, values) for base in bases for values in given)
     if file.scenes is not None:
         axes = (Axis("scene", "", tuple(Path(name).stem for name in file.scenes)), *axes)
     return Sweep(path.stem, axes, dims, scenes)
@@ -229,15 +219,16 @@ def _axes(file: SweepFile) -> tuple[Axis, ...]:
     return tuple(Axis(axis.axis_name, axis.path, own) for axis, own in zip(file.axes, values, strict=True))
 
 
-def _base(base: Any, path: Path) -> _Base:
+def _base(base: Any, path: Path) -> tuple[str, dict[str, Any], Path]:
+    """Name of a base scene, its tables as the user wrote them, and the folder of its parts."""
     if isinstance(base, dict):
-        return _Base("base", base, path.parent)
+        return "base", base, path.parent
     file = path.parent / base
     if not file.exists() and Path(base).parent == Path():
         shipped = data_dir("scenes") / (base if base.endswith(".toml") else f"{base}.toml")
         file = shipped if shipped.exists() else file
     load_scene(file)  # a fault of the base is told as its own, before any axis touches it
-    return _Base(base, parse_toml(read_text(file, "the path of a scene file (TOML)"), str(file)), file.parent)
+    return base, parse_toml(read_text(file, "the path of a scene file (TOML)"), str(file)), file.parent
 
 
 def _steps(path: str) -> list[str | int]:
@@ -252,13 +243,13 @@ def _steps(path: str) -> list[str | int]:
     return steps
 
 
-def _scene(base: _Base, axes: tuple[Axis, ...], values: tuple[Any, ...]) -> Scene:
+def _scene(name: str, tables: dict[str, Any], folder: Path, axes: tuple[Axis, ...], values: tuple[Any, ...]) -> Scene:
     """The base with values at their places; a digit or a part still fills what was not given."""
-    at = ", ".join(f"{axis.path} = {value}" for axis, value in zip(axes, values, strict=True))
-    tables: Any = base.tables
+    at = []
     for axis, value in zip(axes, values, strict=True):
         tables = _with(tables, _steps(axis.path), value, axis.path)
-    return scene_of(tables, folder=base.folder, name=f"{base.name} with {at}" if at else base.name)
+        at.append(f"{axis.path} = {value}")
+    return scene_of(tables, folder=folder, name=f"{name} with {', '.join(at)}" if at else name)
 
 
 def _with(item: Any, steps: list[str | int], value: Any, path: str) -> Any:

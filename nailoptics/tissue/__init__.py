@@ -1,6 +1,6 @@
 """Blood to media: from chromophores to mu_a, mu_s, g and n of every region, and the blood zones under the nail."""
 
-from .blood_zones import BloodZones, bed_zone_name, mu_a_field
+from .blood_zones import BloodZones, bed_zone_name
 from .properties import (
     REGIONS,
     REST_BLOOD_FRACTION,
@@ -24,7 +24,6 @@ __all__ = [
     "absorption",
     "bed_zone_name",
     "blood_mu_a_per_mm",
-    "mu_a_field",
     "optical_properties",
     "scattering",
 ]

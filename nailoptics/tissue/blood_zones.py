@@ -1,4 +1,4 @@
-"""Blood zones along the nail: a smooth partition of unity, and the absorption field that it carries."""
+"""Blood zones along the nail: a smooth partition of unity."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -6,9 +6,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import checks
 from ..errors import InputError
-from .properties import DermisAbsorption, absorption
 from .spectra import Array
 
 
@@ -60,39 +58,3 @@ class BloodZones:
         ones, zeros = np.ones_like(v), np.zeros_like(v)
         # Edges are a width apart, so at most one step is under way at any v and the sum is exact in floating point.
         return np.asarray(np.concatenate([ones, passed], axis=-1) - np.concatenate([passed, zeros], axis=-1))
-
-    def table(self, v_min_mm: float, v_max_mm: float, n: int) -> Array:
-        """The weights at n equally spaced nodes, both ends included, (n, K) float.
-
-        Linear interpolation between them keeps the sum 1; its error is at most 0.75 (step / width_mm)^2.
-        """
-        if n < 2 or not v_max_mm > v_min_mm:
-            raise InputError(f"a zone table needs n >= 2 and v_min < v_max, not {n}, {v_min_mm:g} and {v_max_mm:g}")
-        return self.weights(np.linspace(v_min_mm, v_max_mm, n))
-
-
-def mu_a_field(
-    zones: BloodZones,
-    blood_fraction: ArrayLike,
-    so2: ArrayLike,
-    wavelength_nm: float,
-    v_mm: ArrayLike,
-    *,
-    dermis_absorption: DermisAbsorption = "jacques_baseline",
-) -> Array:
-    """The bed's absorption along the nail, for a grid volume, (n,) float. [mm^-1]
-
-    For Mitsuba's gridvolume write it as `field.reshape(1, n, 1, 1)` (z, y, x, channel) with v along y. Its values
-    sit at the centres of n equal cells: with nodes from v_min to v_max and h = (v_max - v_min) / (n - 1) its box
-    reaches from v_min - h / 2 to v_max + h / 2.
-
-    blood_fraction : (K,) float. Blood in each zone, 0-1.
-    so2 : float, or (K,) float where the zones differ. Oxygen saturation, 0-1.
-    v_mm : (n,) float. Places along the nail, such as the nodes of `BloodZones.table`. [mm]
-    """
-    fraction = checks.fraction("blood_fraction", blood_fraction)
-    if fraction.shape != (zones.count,):
-        raise InputError(f"blood_fraction has shape {fraction.shape}; give one value for each of {zones.count} zones")
-    saturation = np.broadcast_to(np.asarray(so2, dtype=float), fraction.shape)
-    bed = absorption("bed", np.full(zones.count, wavelength_nm), so2=saturation, dermis_absorption=dermis_absorption)
-    return np.asarray(zones.weights(v_mm) @ np.asarray(bed.mu_a_per_mm(fraction)))
