@@ -87,12 +87,10 @@ def search(
     max_seconds: float = 600.0,
     population: int = 150,
     factor: float = 10.0,
-    start: Parameters | None = None,
 ) -> Found:
     """The best set that differential evolution finds in a time, each value within a factor of the listed one.
 
     seed : Of the random numbers. max_seconds : Wall time. population : Sets in each generation.
-    start : A set to begin with, among the random ones.
 
     Raises: InputError if the time or the population is too small.
 
@@ -133,7 +131,6 @@ def search(
         vectorized=True,
         updating="deferred",
         callback=late,
-        x0=None if start is None else np.log10([start.as_dict()[name] for name in SEARCHED]),
     )
     values = {name: float(f"{10.0**x:.3g}") for name, x in zip(SEARCHED, result.x, strict=True)}
     parameters = Parameters(**values)

@@ -57,11 +57,8 @@ def coefficients(
     low = np.array([a1 * r2, a2 * r1, r1 * r2]) / total
     high = np.array([v1 * r2 + rv * (r1 + r2), v2 * r1 + rv * (r1 + r2), rv * (r1 + r2)]) / total
     surface = np.asarray(area)
-    drive = np.zeros((3, 4))
-    drive[:, 0] = surface * high
-    drive[:, 1] = surface * low
-    drive[2, 2] = -surface[2]
-    drive[1, 3] = -surface[1]
+    drive = np.column_stack([surface * high, surface * low, np.zeros((3, 2))])
+    drive[2, 2], drive[1, 3] = -surface[2], -surface[1]
     return Coefficients(total=total, damping=np.diag(damping) + np.outer(surface, surface) * z, drive=drive)
 
 
@@ -91,12 +88,7 @@ def state_matrices(parameters: Parameters, width_m: np.ndarray) -> tuple[np.ndar
         area=(p.capillary_area_m2, p.capillary_area_m2, p.vein_area_m2),
         damping=(p.capillary_damping_n_s_per_m, p.capillary_damping_n_s_per_m, p.vein_damping_n_s_per_m),
     )
-    mass = np.array([p.capillary_mass_kg, p.capillary_mass_kg, p.vein_mass_kg])
-    stiffness = np.array([p.capillary_stiffness_n_per_m, p.capillary_stiffness_n_per_m, p.vein_stiffness_n_per_m])
-    a = np.block(
-        [
-            [np.zeros((3, 3)), np.eye(3)],
-            [-np.diag(stiffness / mass), -c.damping / mass[:, None]],
-        ]
-    )
-    return a, np.vstack([np.zeros((3, 4)), c.drive / mass[:, None]])
+    mass = np.array([p.capillary_mass_kg, p.capillary_mass_kg, p.vein_mass_kg])[:, None]
+    stiffness = np.diag([p.capillary_stiffness_n_per_m, p.capillary_stiffness_n_per_m, p.vein_stiffness_n_per_m])
+    a = np.block([[np.zeros((3, 3)), np.eye(3)], [-stiffness / mass, -c.damping / mass]])
+    return a, np.vstack([np.zeros((3, 4)), c.drive / mass])

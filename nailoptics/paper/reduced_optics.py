@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..checks import finite, not_negative
 from ..errors import InputError
 
 Array = NDArray[np.float64]
@@ -260,21 +261,15 @@ class _Data:
 
     @classmethod
     def checked(cls, diameter_m: ArrayLike, volts: ArrayLike, stderr_v: ArrayLike | None) -> "_Data":
-        diameter, reading = (np.asarray(value, dtype=float) for value in (diameter_m, volts))
+        diameter, reading = not_negative("diameter_m", diameter_m), finite("volts", volts)
         if diameter.ndim != 1 or diameter.shape != reading.shape or diameter.size == 0:
             raise InputError(
                 f"diameter_m {diameter.shape} and volts {reading.shape} must be rows of one length, and not empty"
             )
-        if not (np.isfinite(diameter).all() and (diameter >= 0).all()):
-            raise InputError("diameter_m must be finite and not negative; a vessel wall cannot pass through itself")
-        if not np.isfinite(reading).all():
-            raise InputError("volts must be finite; leave out readings that are not")
-        error = np.zeros_like(reading)
-        if stderr_v is not None:
-            error = error + np.asarray(stderr_v, dtype=float)
+        error = np.zeros_like(reading) + not_negative("stderr_v", 0.0 if stderr_v is None else stderr_v)
         absolute = bool((error > 0).any())
-        if not np.isfinite(error).all() or (error < 0).any() or (absolute and not (error > 0).all()):
-            raise InputError("stderr_v must be finite and above 0 (or 0 for all readings, which then weigh alike)")
+        if absolute and not (error > 0).all():
+            raise InputError("stderr_v must be above 0 (or 0 for all readings, which then weigh alike)")
         scale_m2 = float(np.square(diameter.max())) or 1.0
         root_weight = 1.0 / error if absolute else np.ones_like(reading)
         return cls(np.square(diameter) / scale_m2, reading, root_weight, scale_m2, absolute)

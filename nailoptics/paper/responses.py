@@ -134,48 +134,38 @@ def _relax(
     References: Verwer, Spee, Blom, Hundsdorfer 1999, SIAM J. Sci. Comput. 20:1456.
     """
     gamma = 1.0 - np.sqrt(0.5)
-    width = [np.array(w) for w in start]
-    force = [0.0 * touch, walls.area[1] * distal_part * touch, walls.area[2] * touch]
+    area, stiffness, listed, closed = map(np.stack, (walls.area, walls.stiffness, walls.diameter, walls.closed))
+    force = np.stack([0.0 * area[0] * touch, area[1] * distal_part * touch, area[2] * touch])
     part = np.ones(PHASE_S.size) if course is None else course
 
-    def load(w: list[np.ndarray], factor: float) -> list[np.ndarray]:
-        return [factor * f + k * (x - d) for f, k, x, d in zip(force, walls.stiffness, w, walls.diameter, strict=True)]
+    def load(width: np.ndarray, factor: float) -> np.ndarray:
+        return np.asarray(factor * force + stiffness * (width - listed))
 
-    path = [np.stack(width)]
+    path = [start]
     for h, now, then in zip(np.diff(PHASE_S), part[:-1], part[1:], strict=True):
-        held = [np.where(w <= c, 0.0, 1.0) for w, c in zip(width, walls.closed, strict=True)]
-        loads = load(width, now)
+        width, loads = path[-1], load(path[-1], now)
+        held = np.where(width <= closed, 0.0, 1.0)
         pressures, _ = massless_rates(walls, width, loads, held, high, low)
-        free = [
-            np.where((f > 0.0) | (a * p > g), 1.0, 0.0)
-            for f, a, p, g in zip(held, walls.area, pressures, loads, strict=True)
-        ]
-        pressures, first = massless_rates(walls, width, loads, free, high, low)
-        diagonal, left, right = massless_jacobian(walls, width, free, pressures, high, low)
-        drift: list[Any] = [0.0, 0.0, 0.0]
+        free = np.where((held > 0.0) | (area * pressures > loads), 1.0, 0.0)
+        pressures, speeds = massless_rates(walls, width, loads, free, high, low)
+        jacobian = massless_jacobian(walls, width, free, pressures, high, low)
+        drift = np.zeros_like(width)
         if course is not None:
-            _, drift = massless_rates(walls, width, [(then - now) / h * f for f in force], free, 0.0 * high, 0.0 * low)
-        first = [f + gamma * h * d for f, d in zip(first, drift, strict=True)]
-        k1 = _rank_one_solve(first, diagonal, left, right, gamma * h)
-        middle = [np.maximum(w + h * k, c) for w, k, c in zip(width, k1, walls.closed, strict=True)]
-        _, second = massless_rates(walls, middle, load(middle, then), free, high, low)
-        k2 = _rank_one_solve(
-            [s - 2.0 * k - gamma * h * d for s, k, d in zip(second, k1, drift, strict=True)],
-            diagonal,
-            left,
-            right,
-            gamma * h,
-        )
-        width = [
-            np.maximum(w + h * (1.5 * a + 0.5 * b), c) for w, a, b, c in zip(width, k1, k2, walls.closed, strict=True)
-        ]
-        path.append(np.stack(width))
+            # What the touch's own change does to the speeds.
+            _, rates = massless_rates(walls, width, (then - now) / h * force, free, 0.0 * high, 0.0 * low)
+            drift = gamma * h * np.array(rates)
+        k1 = _rank_one_solve(speeds + drift, jacobian, gamma * h)
+        middle = np.maximum(width + h * k1, closed)
+        _, later = massless_rates(walls, middle, load(middle, then), free, high, low)
+        k2 = _rank_one_solve(later - 2.0 * k1 - drift, jacobian, gamma * h)
+        path.append(np.maximum(width + h * (1.5 * k1 + 0.5 * k2), closed))
     return np.stack(path, axis=-1)
 
 
-def _rank_one_solve(rhs: list[Any], diagonal: list[Any], left: list[Any], right: list[Any], gh: float) -> list[Any]:
+def _rank_one_solve(rhs: np.ndarray, jacobian: tuple[Any, Any, Any], gh: float) -> np.ndarray:
     """The x of (I - gh (diag(d) + outer(p, q))) x = rhs, by the formula of Sherman and Morrison."""
-    inverse = [1.0 / (1.0 - gh * d) for d in diagonal]
-    reach = sum(q * e * r for q, e, r in zip(right, inverse, rhs, strict=True))
-    loss = 1.0 - gh * sum(q * e * p for q, e, p in zip(right, inverse, left, strict=True))
-    return [e * (r + gh * p * reach / loss) for e, r, p in zip(inverse, rhs, left, strict=True)]
+    diagonal, left, right = map(np.array, jacobian)
+    inverse = 1.0 / (1.0 - gh * diagonal)
+    reach = (right * inverse * rhs).sum(axis=0)
+    loss = 1.0 - gh * (right * inverse * left).sum(axis=0)
+    return np.asarray(inverse * (rhs + gh * left * reach / loss))
