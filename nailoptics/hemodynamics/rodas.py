@@ -95,6 +95,7 @@ def step(
 
 
 def _add(base: Vector, factors: tuple[float, ...] | list[float], stages: list[Vector]) -> Vector:
+    """The base and the first stages times their factors; spelled out, since this is the innermost loop."""
     columns = zip(base, *stages[: len(factors)], strict=True)
     if len(factors) == 1:
         (a,) = factors

@@ -104,7 +104,7 @@ def solve_walls(
     outside : (N+1, *S) float. Touch pressure on each wall. high, low : S float. P_H and P_L. [Pa]
     tolerance : error of the vein's pressure, relative to P_H and P_L, and of the diameters. [1]
 
-    The constants of ``walls`` may be arrays that broadcast to S.
+    The constants of `walls` may be arrays that broadcast to S.
     """
     n = len(walls.venule)
     one = np.ones((1,) * high.ndim)

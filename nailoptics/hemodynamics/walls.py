@@ -22,7 +22,7 @@ CLOSED_FRACTION = 1e-3
 class Walls:
     """Constants of N capillary units and the vein (last), with each unit's share of the bed, in SI units.
 
-    area, damping, stiffness, mass, diameter, closed : (N+1,) floats. ``closed`` is the diameter at contact.
+    area, damping, stiffness, mass, diameter, closed : (N+1,) floats. `closed` is the diameter at contact.
     flow_factor : (N+1,) floats. Times (D+x)^4 it is 1/R of eq. (3). [m^-1 Pa^-1 s^-1]
     venule : (N,) floats. 1/R_Vi. [m^3 Pa^-1 s^-1]
     mobile : (N+1,) floats. A/b: speed that a pressure gives to a free wall. [m Pa^-1 s^-1]
@@ -66,7 +66,7 @@ def massless_rates(
 ) -> tuple[list[Any], list[Any]]:
     """Pressures [Pa] and wall speeds [m/s], N+1 each, of the network whose walls have no mass.
 
-    width : N+1 values. D + x, no less than ``walls.closed``. [m]
+    width : N+1 values. D + x, no less than `walls.closed`. [m]
     load : N+1 values. Force that presses the wall inward against the blood: A P_F + k x. [N]
     free : N+1 values. 1 where the wall may move, 0 where it is held in contact.
     high, low : P_H and P_L. [Pa]

@@ -42,7 +42,7 @@ _JUMP, _JUMP_COST = 0.2, 5.0
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """The best set of a search. met : claims met of ``len(RULES)``. loss : the objective. sets : number tried."""
+    """The best set of a search. met : claims met of `len(RULES)`. loss : the objective. sets : number tried."""
 
     parameters: Parameters
     met: int
