@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..scene import Scene
 from ..scene.layout import Layout, Rectangle
-from .regions import AIR, BARRIER, COVER, EPOXY, KAPTON, REGIONS, SILICON, led_region, photodiode_region
+from .regions import AIR, BARRIER, COVER, EPOXY, KAPTON, REGIONS, SILICON
 from .surfaces import FingerSurfaces
 
 Array = NDArray[np.float64]
 
-RIM_MM = 0.15
+RIM_MM = 0.15  # width of the opaque epoxy around the board
 EDGE_MM = 0.01  # the rim ends this far before the nail's edges
 
 
@@ -76,7 +76,7 @@ class BentBoard:
     def regions(self) -> tuple[str, ...]:
         """Names of all regions."""
         layout = self.layout
-        names = [led_region(r.name) for r in layout.leds] + [photodiode_region(e.name) for e in layout.photodiodes]
+        names = [f"led:{r.name}" for r in layout.leds] + [f"photodiode:{e.name}" for e in layout.photodiodes]
         return (*REGIONS, *names)
 
     @property

@@ -16,7 +16,7 @@ from .surfaces import FingerSurfaces
 
 log = logging.getLogger(__name__)
 
-FOLDS_RAD = (0.28, 0.6, 1.2)
+FOLDS_RAD = (0.28, 0.6, 1.2)  # over which the skin beside the nail leaves its cylinder; the steepest that fits is built
 # What of a scene a geometry is built from.
 BUILT_FROM = ("finger", "board", "leds", "photodiodes")
 

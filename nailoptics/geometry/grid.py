@@ -35,9 +35,12 @@ class Grid:
         """Places of the planes between the rows, (n + 1,) float. [mm]"""
         return self.nodes[0, :, 0, 1]
 
-    def tetrahedra(self, *, drop_air: bool = True) -> tuple[Array, Indices, Indices]:
-        """Corners (m, 4, 3) with positive volume where the grid does not fold, region (m,) and row (m,) of each."""
-        cells = np.nonzero(self.labels != AIR) if drop_air else np.nonzero(np.ones_like(self.labels, bool))
+    def tetrahedra(self) -> tuple[Array, Indices, Indices]:
+        """Corners (m, 4, 3) of all cells but air, region (m,) and row (m,) of each.
+
+        Their volume is positive where the grid does not fold.
+        """
+        cells = np.nonzero(self.labels != AIR)
         a, n, k = cells
         around = self.nodes.shape[0]
         corners = []

@@ -23,7 +23,7 @@ def grid_lines(
     step : Largest gap as a function of place. [mm]
     closed : Spans (low, high) that get no line but a required one. [mm]
 
-    Returns (n,) float, rising. [mm]
+    Returns: (n,) float, rising. [mm]
     """
     lines: list[float] = []
     for place in sorted(required):

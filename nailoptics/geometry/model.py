@@ -79,7 +79,7 @@ class Geometry:
 
         points : (k, 3) float. [mm]
 
-        Returns (k,) int; a point on an interface gets either side.
+        Returns: (k,) int; a point on an interface gets either side.
         """
         return self._locator.region_at(points)
 
@@ -110,8 +110,8 @@ def nail_coordinates(points: Array, *, nail_radius_mm: float) -> Array:
     points : (k, 3) float. [mm]
     nail_radius_mm : Radius of the nail plate's outer face. [mm]
 
-    Returns (k, 3) float: u, the arc length across on the plate's outer face; v along, to the tip; depth, negative above
-    the plate. [mm]
+    Returns: (k, 3) float. u, the arc length across on the plate's outer face; v along, to the tip; depth, negative
+    above the plate. [mm]
     """
     x, y, z = np.moveaxis(np.asarray(points, float), -1, 0)
     height = z + nail_radius_mm

@@ -17,6 +17,11 @@ SAGITTA_MM = 0.0019  # how far the nail's facets may lie inside its cylinder
 NAIL_STEP_MM = 0.5
 BODY_STEP_MM = 0.8
 CUT_SLICE_MM = 1.0
+# What no anatomy says, because the depths bound nothing there and only have to stay in their order without flat cells.
+TIP_SHARES = (0.3, 0.25, 0.2)  # of the tip beyond the nail, the most that each of the three depths takes
+TIP_ORDER = 1.2  # each depth ends at least so many times as far before the tip as the next one
+SECTION_SHARES = (0.45, 0.3, 0.2, 0.0)  # of the way to the central line, the most that depths and skin take
+WITHIN, BEYOND = 0.8, 1.25  # a depth that bounds nothing lies at these multiples of its neighbour
 SNAP_BONE_MM = 0.1  # a thinner gap between bone and bed is closed
 BELOW = 5  # layers below the skin or the nail's face: bone, pulp, and three between the depths
 
@@ -77,22 +82,20 @@ class Nodes:
         """Three depths below the nail and below the skin, deepest first, and whether the plate's is the second."""
         finger, deep = self.surfaces.finger, self.surfaces.deep
         plate, bed, epidermis = finger.nail_thickness_mm, finger.bed_thickness_mm, finger.epidermis_thickness_mm
-        # Where a depth bounds nothing it only has to keep its place among the others.
         if epidermis < plate:
-            below_nail = [deep, plate, min(epidermis, 0.8 * plate)]
-            below_skin = [max(deep, 2 * epidermis), max(plate, 1.25 * epidermis), epidermis]
+            below_nail = [deep, plate, min(epidermis, WITHIN * plate)]
+            below_skin = [max(deep, 2 * epidermis), max(plate, BEYOND * epidermis), epidermis]
         else:
             below_nail = [deep, float(np.clip(epidermis, plate + 0.2 * bed, plate + 0.5 * bed)), plate]
-            below_skin = [max(deep, 1.5 * epidermis), epidermis, 0.8 * plate]
+            below_skin = [max(deep, 1.5 * epidermis), epidermis, WITHIN * plate]
         return np.array(below_nail), np.array(below_skin), epidermis < plate
 
     @cached_property
     def tip_depths(self) -> Array:
         """How far before the tip the three depths end, (3,) float. [mm]"""
-        beyond = self.surfaces.beyond_nail
-        first = min(self._depths[1][2], 0.2 * beyond)
-        second = max(1.2 * first, min(self._depths[1][1], 0.25 * beyond))
-        return np.array([max(1.2 * second, min(self._depths[1][0], 0.3 * beyond)), second, first])
+        deepest, middle, first = np.minimum(self._depths[1], np.array(TIP_SHARES) * self.surfaces.beyond_nail)
+        middle = max(TIP_ORDER * first, middle)
+        return np.array([max(TIP_ORDER * middle, deepest), middle, first])
 
     def positions(self) -> Array:
         """Nodes, (a, n + 1, 9, 3) float. [mm]"""
@@ -130,7 +133,6 @@ class Nodes:
         nail = risen[:, :, None] * direction[:, None, None] - [0.0, radius]
         outer = signed_angle(self.phi[len(self.theta) :])
         body = np.empty((len(outer), len(rows), 4, 2))
-        caps = np.array([0.45, 0.3, 0.2, 0.0])
         edge = nail[-1] - [0.0, surfaces.center_z]
         around = (np.abs(outer) - self.phi[len(self.theta) - 1]) / (np.pi - self.phi[len(self.theta) - 1])
         for k, depth in enumerate((*below_skin, 0.0)):
@@ -139,7 +141,7 @@ class Nodes:
             edge_phi = np.arctan2(edge[:, k, 0], edge[:, k, 1])
             phi = np.sign(outer)[:, None] * (edge_phi + (np.pi - edge_phi) * around[:, None])
             skin = surfaces.skin(np.concatenate([phi, edge_phi[None]]), rows)
-            distance = skin - np.minimum(depth, caps[k] * skin)
+            distance = skin - np.minimum(depth, SECTION_SHARES[k] * skin)
             step = np.linalg.norm(edge[:, k], axis=-1) - distance[-1]
             distance = distance[:-1] + step * (1 - smooth_step(2 * around))[:, None]
             body[:, :, k] = [0.0, surfaces.center_z] + distance[..., None] * _direction(phi)

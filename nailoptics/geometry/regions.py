@@ -29,13 +29,3 @@ cut : a slice beyond the proximal end of the modelled finger, to tell light that
 silicon : photodiode elements that are not wired.
 """
 AIR, PLATE, BED, BONE, PULP, EPIDERMIS, EPOXY, BARRIER, KAPTON, COVER, CUT, SILICON = range(len(REGIONS))
-
-
-def led_region(name: str) -> str:
-    """Name of the region of an LED die."""
-    return f"led:{name}"
-
-
-def photodiode_region(name: str) -> str:
-    """Name of the region of a photodiode element that is read."""
-    return f"photodiode:{name}"

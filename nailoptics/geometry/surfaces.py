@@ -10,11 +10,12 @@ from ..scene import Finger
 
 Array = NDArray[np.float64]
 
+PHALANX_MM = 15.8  # mean length of the distal phalanx of adult index fingers
+# Set by eye, as anatomy gives no number.
 PULP_EXPONENT = 2.3  # of the superellipse that the section is on the pulp's side; on the nail's it is an ellipse
-PHALANX_MM = 15.8  # length of the distal phalanx
-BONE_ROUNDING_MM = 3.0
+BONE_ROUNDING_MM = 3.0  # of the bone's end
 FOLD_MM = 0.4  # how high the fold of skin at the nail's root rises above the nail
-FOLD_LENGTH_MM = 1.5
+FOLD_LENGTH_MM = 1.5  # over which it rises
 
 
 def smooth_step(x: Array | float) -> Array:
@@ -46,7 +47,7 @@ class FingerSurfaces:
     """
 
     finger: Finger
-    fold_rad: float = 0.28
+    fold_rad: float
     """Angle over which the skin beside the nail leaves the nail's cylinder, at least. [rad]"""
 
     def __post_init__(self) -> None:

@@ -11,7 +11,7 @@ from ..errors import InputError
 from ..scene import Led, Scene
 
 # Named as in the geometry. Whatever is not a medium is opaque.
-TISSUES = ("plate", "bed", "bone", "pulp", "epidermis", "epoxy", "kapton")
+TISSUES: tuple[str, ...] = tissue.REGIONS
 # Whose optics a part takes that is left out.
 AROUND = {"bone": "pulp", "epidermis": "pulp", "kapton": "epoxy"}
 

@@ -6,9 +6,9 @@ from pydantic import Field, model_validator
 
 from .base import USUAL_MELANIN_FRACTION, Fraction, Positive, Table
 
-# Sizes of adult digits in mm. Transverse nail radii and the distance from the bone's end to the
-# tip are measured per digit; widths and thicknesses of the index span 16-20 and 12-15, nails
-# 10-14 wide and 11-13 long, and the other digits are set within or in proportion to these.
+# Sizes of adult digits in mm. Transverse nail radii and the distance from the bone's end to the tip are measured
+# means per digit. The index lies within its measured ranges: 16-20 wide and 12-15 thick, its nail 10-14 wide and
+# 11-13 long. Widths and thicknesses of the other digits are set in proportion to it.
 _SIZES = ("width_mm", "thickness_mm", "nail_width_mm", "nail_length_mm", "nail_radius_mm", "bone_to_tip_mm")
 _DIGITS = {
     "thumb": (21.0, 15.0, 14.0, 13.0, 11.4, 5.7),
