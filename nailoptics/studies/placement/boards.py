@@ -136,13 +136,7 @@ def explicit(scene: Scene, name: str) -> Scene:
     if len(layout.barriers) > 1:
         raise InputError(f'layout "{name}": has walls on several sides; place takes boards with one wall or none.')
     for wall in layout.barriers:
-        gaps = {
-            "left": wall.u_min - max(r.u_max for r in layout.leds),
-            "right": min(r.u_min for r in layout.leds) - wall.u_max,
-            "below": wall.v_min - max(r.v_max for r in layout.leds),
-            "above": min(r.v_min for r in layout.leds) - wall.v_max,
-        }
-        update["barrier_gap_mm"] = gaps[wall.name]
+        update["barrier_gap_mm"] = min(-wall.overlap_mm(led) for led in layout.leds)
     shift = (du - u, dv - v)
 
     def moved(parts: tuple) -> tuple:

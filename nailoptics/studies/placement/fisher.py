@@ -147,8 +147,11 @@ def _with_prior(information: Array) -> tuple[Array, Array, Array]:
 
 
 def condition_number(read: Response) -> float:
-    """Condition number of the matrix of readings by zones (n, 2), each reading in units of its noise."""
-    matrix = read.zone_v / read.noise_v[..., None]
+    """Condition number of the matrix of readings by zones, by all photons, each reading in units of its noise.
+
+    read : (1 + blocks, n), of n photodiodes by all photons and without each block of them.
+    """
+    matrix = read.zone_v[0] / read.noise_v[0][..., None]
     return float(np.linalg.cond(matrix)) if len(matrix) > 1 else float("inf")
 
 

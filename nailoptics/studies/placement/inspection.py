@@ -12,7 +12,6 @@ import xarray as xr
 
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, PhotonMap, blood_point, readings
 from ...scene import Photodiode, Scene
-from ...scene.layout import Layout
 from ...statistics import Z95, jackknife, left_out, seed_of, stderr_of_mean
 from ...variables import Variable, variable
 from ..ambient import SOURCES, photocurrents_a
@@ -40,16 +39,19 @@ class _Setup:
 
     scene: Scene
     condition: FingerCondition
-    layout: Layout
-    photodiode: Photodiode
     tracer: BoardTracer
     points: tuple[BloodPoint, ...]
     seed: int
 
     @property
+    def photodiode(self) -> Photodiode:
+        """What all photodiodes of the layout are."""
+        return self.scene.layout.photodiodes[0].photodiode
+
+    @property
     def areas_mm2(self) -> np.ndarray:
         """Areas of the photodiodes. [mm^2]"""
-        return np.array([e.area.area_mm2 for e in self.layout.photodiodes])
+        return np.array([area.area_mm2 for area in self.scene.layout.photodiode_areas])
 
     def response(self, led: int, values: np.ndarray, ambient_a: Any = 0.0) -> Response:
         """What the photodiodes read of one LED, (..., photodiodes, 4) float."""
@@ -71,11 +73,10 @@ def inspect_layout(
     """
     begin = time.perf_counter()
     scene = boards.on_finger(best, condition.case)
-    layout, tracer = scene.layout, BoardTracer(scene, backend=backend)
+    tracer = BoardTracer(scene, backend=backend)
     blood, dermis = condition.point.blood_fraction, condition.case.dermis
     points = tuple(blood_point(scene, led, blood_fraction=blood, dermis=dermis) for led in range(len(scene.leds)))
-    photodiode = layout.photodiodes[0].photodiode
-    setup = _Setup(scene, condition, layout, photodiode, tracer, points, seed)
+    setup = _Setup(scene, condition, tracer, points, seed)
     batches = max(LEAST_BATCHES, photons // tracer.batch_photons)
     values, found = _fresh_trace(setup, batches, begin + max_seconds / 2)
     found |= _back(setup, max(1, batches // BATCHES_PER_ROUND), begin + max_seconds, values, backend)
@@ -86,7 +87,7 @@ def inspect_layout(
     }
     if "reciprocal_fraction" in found:
         attributes |= _reciprocity(found)
-    names = {"led": [led.name for led in scene.leds], "best_photodiode": list(layout.photodiode_names)}
+    names = {"led": [led.name for led in scene.leds], "best_photodiode": list(scene.layout.photodiode_names)}
     return xr.Dataset(found, coords=names, attrs=attributes)
 
 
@@ -131,7 +132,7 @@ def _fresh_trace(setup: _Setup, batches: int, deadline: float) -> tuple[list[np.
 def _back(setup: _Setup, rounds: int, deadline: float, values: list[np.ndarray], backend: str) -> Variables:
     """Light from each photodiode: what an LED at each place would bring it, and what comes from outside."""
     photodiodes, leds = range(len(setup.areas_mm2)), range(len(setup.points))
-    outline, die_areas = setup.layout.outline, setup.layout.leds
+    outline, die_areas = setup.scene.layout.outline, setup.scene.layout.leds
     maps = [[PhotonMap(outline, values=4, spacing_mm=LED_SPACING_MM, blocks=BLOCKS) for _ in photodiodes] for _ in leds]
     on_die = np.zeros((2, len(leds), len(photodiodes)))
     outside = np.zeros((2, len(COVERS), len(SOURCES), len(photodiodes)))
@@ -216,7 +217,7 @@ def _ambient(setup: _Setup, values: list[np.ndarray], current: np.ndarray, error
 
 def _led_places(setup: _Setup, maps: list[list[PhotonMap]], mean: np.ndarray, error: np.ndarray) -> Variables:
     """What each photodiode would read of an LED at each place of the board, and the force that this resolves."""
-    area, dies = setup.areas_mm2, np.array([r.area_mm2 for r in setup.layout.leds])[:, None]
+    area, dies = setup.areas_mm2, np.array([r.area_mm2 for r in setup.scene.layout.leds])[:, None]
     pair, places = ("led", "best_photodiode"), ("led_u", "led_v")
     text = "part of an LED's light on each photodiode, by light from the photodiode to the LED"
     found = variable("reciprocal_fraction", pair, mean * area / dies, text, stderr=error * area / dies)

@@ -21,7 +21,6 @@ from .fisher import (
     fisher_information,
     fixed_ratio_resolution_n,
     response,
-    total_information,
 )
 from .photon_maps import FingerCondition
 from .scores import LayoutScore
@@ -99,21 +98,12 @@ def _ranking(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore]) 
     found |= variable("fixed_ratio_resolution_n", both, value, text, units="N")
     value, text = of_all_photons("pressure_resolution_pa"), "resolution of each pressure"
     found |= variable("pressure_resolution_pa", pressures, value, text, units="Pa")
-    value = np.array([[_matrix(by_led) for by_led in score.responses] for score in scores])
+    value = of_all_photons("information_per_pa2")[..., [[0, 1], [1, 2]]]
     text = "Fisher information of the two pressures in one sample of all readings"
     found |= variable("fisher_information_per_pa2", (*pressures, "pressure_too"), value, text, units="Pa-2")
-    value = np.array(
-        [[max(condition_number(r.of_all_photons) for r in by_led) for by_led in score.responses] for score in scores]
-    )
-    return found | variable(
-        "condition_number", both, value, "condition number of the matrix of readings by blood zones"
-    )
-
-
-def _matrix(by_led: Sequence[Response]) -> np.ndarray:
-    """Information of all readings as a matrix, (2, 2) float. [Pa^-2]"""
-    one, both, two = total_information(read.of_all_photons for read in by_led)
-    return np.array([[one, both], [both, two]])
+    conditions = [[max(map(condition_number, by_led)) for by_led in score.responses] for score in scores]
+    text = "condition number of the matrix of readings by blood zones"
+    return found | variable("condition_number", both, conditions, text)
 
 
 def _extremes(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore]) -> Variables:

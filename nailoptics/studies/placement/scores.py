@@ -35,6 +35,7 @@ class LayoutScore:
         is known. [N]
     pressure_resolution_pa : (1 + blocks, fingers, 2) float. Of the proximal and distal pressure. [Pa]
     score_n : (1 + blocks,) float. Over the fingers. [N]
+    information_per_pa2 : (1 + blocks, fingers, 3) float. As `total_information`. [Pa^-2]
     responses : by finger and LED, (1 + blocks, photodiodes).
     """
 
@@ -42,6 +43,7 @@ class LayoutScore:
     fixed_ratio_resolution_n: np.ndarray
     pressure_resolution_pa: np.ndarray
     score_n: np.ndarray
+    information_per_pa2: np.ndarray
     responses: list[list[Response]]
 
     @property
@@ -68,6 +70,7 @@ def score_layout(layout: CandidateLayout, cache: PhotonMapCache, rank_by: str) -
         fixed_ratio_resolution_n=np.stack(fixed_ratio).T,
         pressure_resolution_pa=np.stack([pressure_resolution_pa(one) for one in information], 1),
         score_n=over_fingers(resolution, rank_by),
+        information_per_pa2=np.stack(information, 1),
         responses=responses,
     )
 

@@ -17,6 +17,7 @@ from nailoptics.scene.dxf import read_outline, write_outline
 from nailoptics.scene.layout import Rectangle
 from nailoptics.scene.positions import read_positions
 from nailoptics.studies.placement import boards, exchange, fisher, photon_maps, place, result, scores
+from nailoptics.studies.placement.progress import StageProgress
 from nailoptics.tissue import BloodZones
 
 SCENE = """
@@ -244,12 +245,10 @@ def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
         pressure_per_n=np.array([0.0, 1e4]),
     )
     conditions = (photon_maps.FingerCondition(FingerCase(name="planted"), planted),)
-    cache = photon_maps.PhotonMapCache(
-        conditions, seed=3, stream=0, backend="auto", spacing_mm=0.1, blocks=1, quick=True
-    )
-    layouts, tried = place._searched(base, rules, cache, np.inf, lambda *_: None)
-    assert len(tried) >= 8 and min(s.place_mm[1] for s, _ in tried) < -2.5
-    best = layouts[0].scene.layout
+    cache = photon_map_cache(conditions, seed=3, stream=0, blocks=1)
+    tried = exchange.search(base, rules, cache, StageProgress(None))
+    assert len(tried) >= 8 and min(one.site.place_mm[1] for one in tried) < -2.5
+    best = exchange.finalists(base, tried)[0].scene.layout
     assert best.leds[0].center_mm[1] > 1.0
     assert all(e.area.center_mm[1] > 1.0 for e in best.photodiodes)
 
@@ -268,9 +267,7 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
     conditions = [photon_maps.FingerCondition(FingerCase(name="one"), fisher.operating_point(base, 0.5))]
     judged = []
     for seed in range(12):
-        cache = photon_maps.PhotonMapCache(
-            conditions, seed=seed, stream=1, backend="auto", spacing_mm=0.1, blocks=32, quick=True
-        )
+        cache = photon_map_cache(conditions, seed=seed, stream=1, blocks=32)
         cache.extend(layouts[0].board, 1 << 18)
         judged.append([scores.score_layout(layout, cache, "worst") for layout in layouts])
     score = np.log([[float(one.score_n[0]) for one in row] for row in judged])
