@@ -2,20 +2,19 @@
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Unpack
 
 from ..io import pack
-from ..light import backend as backends
 from ..light import reuse
 from ..light.engines import VOLPATH_RELATIVE_ERROR
 from ..options import Requested, TraceOptions
-from ..scene import Accuracy, Scene
+from ..scene import Scene
 from ..scene.sweep import Sweep
 from . import reading
 from .plan import plan
-from .status import told_time
+from .status import duration_text
 from .work import Settings, reads_transfer
 
 # Lights that are tried, evenly spaced in the sweep.
@@ -36,20 +35,17 @@ class Estimate:
 
     def __str__(self) -> str:
         saved = self.cpu_seconds_without_sharing / self.cpu_seconds if self.cpu_seconds else 1.0
+        shared, each = duration_text(self.cpu_seconds), duration_text(self.cpu_seconds_without_sharing)
         return (
             f"{self.scenes} scenes, light traced {self.lights} times\n"
-            f"about {told_time(self.cpu_seconds)} of processor time ({told_time(self.cpu_seconds_without_sharing)} if "
-            f"every scene were traced: {saved:.1f} times as much)\n"
+            f"about {shared} of processor time ({each} if every scene were traced: {saved:.1f} times as much)\n"
             f"about {self.disk_bytes / 1e6:.1f} MB of disk"
         )
 
 
 def estimate(sweep: Sweep, **requested: Unpack[Requested]) -> Estimate:
     """Estimate a sweep's cost; compiling is not counted, as it happens once per worker."""
-    options = TraceOptions(**requested)
-    settings = Settings(
-        Path(), options.seed, backends.choose(options.backend).name, options.photons, options.relative_error
-    )
+    settings = Settings.of(Path(), TraceOptions(**requested))
     planned = plan(sweep, settings)
     groups: dict[str, list[Scene]] = {}
     for p in planned:
@@ -73,19 +69,19 @@ def _cost(scene: Scene, settings: Settings) -> tuple[float, float, float, float]
     """Processor seconds of a scene's light and of its reading, and the bytes of both."""
     if not reads_transfer(scene, settings):
         begin = time.process_time()
-        rough = Accuracy(relative_error=0.5, max_seconds=VOLPATH_SECONDS)
-        dataset, paths, _ = reading.by_volpath(scene, seed=settings.seed, backend=settings.backend, asked=rough)
-        asked = settings.asked(scene)
-        if scene.phantom is not None and asked.photons:
-            more = max(asked.photons / paths, 1.0)
+        rough = replace(settings.options, relative_error=0.5, max_seconds=VOLPATH_SECONDS, photons=None)
+        dataset, paths, _ = reading.by_volpath(scene, rough)
+        required = settings.required(scene)
+        if scene.phantom is not None and required.photons:
+            more = max(required.photons / paths, 1.0)
         else:
             floor = VOLPATH_RELATIVE_ERROR if scene.finger is not None else 0.0
             error = min(reading.relative_error(dataset), 1.0)  # a photodiode may have seen nothing yet
-            more = max((error / max(asked.relative_error or floor, floor)) ** 2, 1.0)
+            more = max((error / max(required.relative_error or floor, floor)) ** 2, 1.0)
         size = len(pack(*reading.to_record(dataset)))
         return (time.process_time() - begin) * more, 0.0, 0.0, float(size)
-    kind = reuse.tracer(scene, settings.backend)
-    engine, asked = kind(reuse.reference(scene)), settings.asked(scene)
+    kind = reuse.tracer(scene, settings.options.backend)
+    engine, required = kind(reuse.reference(scene)), settings.required(scene)
     engine.batch(0, photons=1024, seed=1)  # compiles
     opening = time.process_time()
     engine = kind(reuse.reference(scene))
@@ -95,19 +91,19 @@ def _cost(scene: Scene, settings: Settings) -> tuple[float, float, float, float]
         begin = time.process_time()
         batch = engine.batch(led, photons=kind.batch_photons, seed=1)
         spent = time.process_time() - begin
-        need = reuse.Need(scene, led, asked, engine.mu_a(led))
+        need = reuse.Need(scene, led, required, engine.mu_a(led))
         need.add(batch)
-        photons = asked.photons or kind.batch_photons
-        if asked.photons is None and asked.relative_error is not None and math.isfinite(need.errors[0]):
-            photons *= max((need.errors[0] / asked.relative_error) ** 2, 1.0)
+        photons = required.photons or kind.batch_photons
+        if required.photons is None and required.relative_error is not None and math.isfinite(need.errors[0]):
+            photons *= max((need.errors[0] / required.relative_error) ** 2, 1.0)
         times = photons / kind.batch_photons
         light_s += spent * times
         light_bytes += times * (batch.weight.nbytes + batch.path_mm.nbytes + batch.photodiode.nbytes)
         batches = reuse.LedBatches(engine.mu_a(led), {(0, kind.batch_photons): batch})
-        traces.append(batches.trace([kind.batch_photons], seed=settings.seed, led=led, rest=need.rest))
-    transfer = reuse.transfer_of(scene, traces, backend=settings.backend)
-    reading.of_transfer(transfer, seed=settings.seed)  # imports
+        traces.append(batches.trace([kind.batch_photons], seed=settings.options.seed, led=led, rest=need.rest))
+    transfer = reuse.transfer_of(scene, traces, backend=settings.options.backend)
+    reading.of_transfer(transfer, seed=settings.options.seed)  # imports
     begin = time.process_time()
-    dataset = reading.of_transfer(transfer, seed=settings.seed)
+    dataset = reading.of_transfer(transfer, seed=settings.options.seed)
     size = len(pack(*reading.to_record(dataset)))
     return light_s, time.process_time() - begin, light_bytes, float(size)

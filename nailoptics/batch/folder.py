@@ -1,11 +1,8 @@
 """A batch folder: where plan, traced light, results and failures lie, and who works on what."""
 
 import json
-import logging
-import os
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,11 +10,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..io import CorruptError, held, pack, unpack, write_bytes
+from ..io import CorruptError, claimed, held, pack, unpack, write_bytes
 from ..light.records import Batch
 from ..light.reuse import LedBatches
-
-log = logging.getLogger(__name__)
 
 FORMAT = 1
 # Older leftovers of killed writers are swept away; a writer at work is never this slow. [s]
@@ -133,27 +128,9 @@ class Folder:
         arrays = {name: np.concatenate([getattr(b, name) for b in light.pieces.values()]) for name in _COLUMNS}
         write_bytes(self.light(key, led), pack({"made": made, "pieces": pieces}, arrays | {"mu_a": light.mu_a}))
 
-    @contextmanager
-    def claimed(self, name: str) -> Iterator[bool]:
-        """Whether this process is the only one that works on something; the system frees the claims of the dead.
-
-        Claims save work; without them (some network file systems) two runs do the same twice, with the same bits.
-        """
-        try:
-            import fcntl
-        except ImportError:  # not a POSIX system
-            yield True
-            return
-        place = int(name[:15], 16)
-        with open(self.root / ".claims", "ab") as file:
-            try:
-                fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place, os.SEEK_SET)
-            except (BlockingIOError, PermissionError):
-                yield False
-                return
-            except OSError as error:
-                log.debug("no claims in %s: %s", self.root, error)
-            yield True
+    def claimed(self, digest: str) -> AbstractContextManager[bool]:
+        """Whether this process is the only one that works on what has this digest."""
+        return claimed(self.root / ".claims", int(digest[:15], 16))
 
 
 def _read(path: Path, *, arrays: bool = True) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:

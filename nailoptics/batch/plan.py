@@ -74,7 +74,7 @@ def left(planned: list[Planned], folder: Folder, settings: Settings, *, retry_fa
         except CorruptError:
             corrupt.append(p.digest)
             found = None
-        if found is not None and meets(found[0], settings.asked(p.scene)):
+        if found is not None and meets(found[0], settings.required(p.scene)):
             kept.append(p.digest)
         elif not retry_failed and folder.failure(p.digest).exists():
             failed.append(p.digest)
@@ -99,12 +99,9 @@ def as_json(sweep: Sweep, planned: list[Planned], settings: Settings) -> dict[st
         "sweep": sweep.name,
         "dims": sweep.dims,
         "axes": [{"name": a.name, "path": a.path, "values": a.values} for a in sweep.axes],
-        "seed": settings.seed,
-        "backend": settings.backend,
-        "photons": settings.photons,
-        "relative_error": settings.relative_error,
+        **{name: getattr(settings.options, name) for name in ("seed", "backend", "photons", "relative_error")},
         "scenes": [p.digest for p in planned],
-        "asked": [settings.asked(p.scene).model_dump(exclude_none=True) for p in planned],
+        "asked": [settings.required(p.scene).model_dump(exclude_none=True) for p in planned],
         "lights": len({p.key for p in planned}),
     }
 
@@ -117,8 +114,8 @@ def check_same(folder: Folder, settings: Settings) -> None:
         old = folder.read_plan()
     except InputError:
         return  # written anew
-    for name, mine in (("seed", settings.seed), ("backend", settings.backend)):
-        if old.get(name) != mine:
+    for name in ("seed", "backend"):
+        if old.get(name) != (mine := getattr(settings.options, name)):
             raise InputError(
                 f"{folder.root}: was begun with {name} {old.get(name)}, and {mine} is asked for; "
                 f"use --{name} {old.get(name)} or another folder."

@@ -8,7 +8,8 @@ import xarray as xr
 
 from ..errors import NotReachedError
 from ..light import Transfer, reuse
-from ..scene import Accuracy, Scene
+from ..options import TraceOptions
+from ..scene import Scene
 
 
 def of_transfer(transfer: Transfer, *, seed: int) -> xr.Dataset:
@@ -85,15 +86,14 @@ def _summarised(result: xr.Dataset) -> xr.Dataset:
     )
 
 
-def by_volpath(scene: Scene, *, seed: int, backend: str, asked: Accuracy) -> tuple[xr.Dataset, int, bool]:
+def by_volpath(scene: Scene, options: TraceOptions) -> tuple[xr.Dataset, int, bool]:
     """The same from volpath, which traces every scene anew: the dataset, its photons, and whether it is accurate."""
-    common: dict[str, Any] = {"seed": seed, "backend": backend} | asked.model_dump()
     reached = True
     if scene.finger is not None:
         from ..studies.simulate import simulate
 
         try:
-            result = simulate(scene, **common)
+            result = simulate(scene, **options.fields)
         except NotReachedError as error:
             if not isinstance(error.result, xr.Dataset):
                 raise
@@ -103,7 +103,7 @@ def by_volpath(scene: Scene, *, seed: int, backend: str, asked: Accuracy) -> tup
     from ..light import Rest, read_rest
 
     try:
-        rest = read_rest(scene, **common)
+        rest = read_rest(scene, **options.fields)
     except NotReachedError as error:
         if not isinstance(error.result, Rest):
             raise

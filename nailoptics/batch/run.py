@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Unpack
 
 from ..errors import InputError, NotReachedError, WriteError
-from ..light import backend as backends
 from ..options import Requested, TraceOptions
 from ..scene.sweep import Sweep
 from . import plan as plans
@@ -69,8 +68,6 @@ def run_batch(
 ) -> Outcome:
     """Do what is left of a sweep in a folder; what is there already is kept, or continued if it is not good enough.
 
-    Parameters
-    ----------
     workers : processes on this machine; one per core (on CUDA: one) if not given.
     threads : threads of each; the cores divided among the workers if not given.
     scheduler : address of a Dask scheduler in place of local workers; its workers must see the folder.
@@ -81,49 +78,43 @@ def run_batch(
     Raises: InputError; NotReachedError, whose result is the Outcome, where scenes failed, missed their tolerance or
     were not reached.
     """
-    options = TraceOptions(**requested)
-    max_seconds = options.max_seconds
-    for name, value in (("workers", workers), ("threads", threads), ("max_seconds", max_seconds)):
+    for name, value in (("workers", workers), ("threads", threads)):
         if value is not None and not value > 0:
             raise InputError(f"{name} = {value}; must be above 0.")
     if workers is not None and scheduler is not None:
         raise InputError("--workers and --scheduler exclude each other; a scheduler has its own workers.")
     begin = time.time()
-    settings = Settings(
-        folder=Path(folder).resolve(),
-        seed=options.seed,
-        backend=backends.choose(options.backend).name,
-        photons=options.photons,
-        relative_error=options.relative_error,
-        deadline=None if max_seconds is None else begin + max_seconds,
-    )
-    part = plans.parse_shard(shard)
+    settings = Settings.of(Path(folder), TraceOptions(**requested))
+    place, part = Folder(settings.folder), plans.parse_shard(shard)
     planned = plans.plan(sweep, settings)
-    place = Folder(settings.folder)
     plans.check_same(place, settings)
     place.make()
     place.write_plan(plans.as_json(sweep, planned, settings))
     mine = plans.of_shard(planned, part)
     todo = plans.left(mine, place, settings, retry_failed=retry_failed)
-    outcome = Outcome(total=len({p.digest for p in mine}), lights=len({p.key for p in mine}), kept=todo.kept)
-    outcome.corrupt += todo.corrupt
-    for digest in todo.failed:
-        outcome.failed[digest] = (place.read_failure(digest) or {}).get("error", "unknown")
+    failed = {digest: (place.read_failure(digest) or {}).get("error", "unknown") for digest in todo.failed}
+    outcome = Outcome(
+        total=len({p.digest for p in mine}),
+        lights=len({p.key for p in mine}),
+        kept=todo.kept,
+        failed=failed,
+        corrupt=list(todo.corrupt),
+    )
     driver = _Driver(settings, todo.jobs, outcome, begin, progress)
     for digest in todo.corrupt:
         driver.show(f"result {digest[:12]} is damaged or another version's (checksum); made again")
     if todo.jobs:
         with single_threaded_blas():
-            driver.run(_slots(settings, scheduler, workers, threads, len(todo.jobs)))
+            driver.run(_slots(settings, scheduler, workers, threads))
     outcome.seconds = time.time() - begin
     return _judged(outcome, driver.trouble)
 
 
-def _slots(settings: Settings, scheduler: str | None, workers: int | None, threads: int | None, jobs: int) -> Slots:
+def _slots(settings: Settings, scheduler: str | None, workers: int | None, threads: int | None) -> Slots:
     if scheduler is not None:
         return ClusterSlots(scheduler)
     if workers is None:
-        workers = 1 if settings.backend == "cuda" else cores()
+        workers = 1 if settings.options.backend == "cuda" else cores()
     return LocalSlots(workers, threads or max(1, cores() // workers))
 
 

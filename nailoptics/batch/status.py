@@ -43,13 +43,13 @@ class Status:
         if self.left:
             pace = "no new result in the last ten minutes"
             if self.seconds_left is not None:
-                pace = f"about {told_time(self.seconds_left)} left at the pace of the last ten minutes"
+                pace = f"about {duration_text(self.seconds_left)} left at the pace of the last ten minutes"
             lines.append(pace)
         lines += [f"failed: {digest[:12]} {why}" for digest, why in self.failed.items()]
         return "\n".join(lines)
 
 
-def told_time(seconds: float) -> str:
+def duration_text(seconds: float) -> str:
     """A duration for people."""
     if seconds < 120:
         return f"{seconds:.2g} s" if seconds < 10 else f"{seconds:.0f} s"
@@ -60,10 +60,10 @@ def status(folder: str | Path) -> Status:
     """How far a batch is; raises InputError where the folder holds none."""
     place = Folder(Path(folder))
     plan = place.read_plan()
-    asked = {digest: Accuracy(**wanted) for digest, wanted in zip(plan["scenes"], plan["asked"], strict=True)}
+    required = {digest: Accuracy(**wanted) for digest, wanted in zip(plan["scenes"], plan["asked"], strict=True)}
     now = time.time()
     done, below, corrupt, times, failed = 0, 0, 0, [], {}
-    for digest, wanted in asked.items():
+    for digest, wanted in required.items():
         try:
             found = place.read_result(digest, arrays=False)
         except CorruptError:
@@ -76,11 +76,11 @@ def status(folder: str | Path) -> Status:
             failed[digest] = str(failure.get("error", "unknown"))
         elif found is not None:
             below += 1
-    left = len(asked) - done - len(failed)
+    left = len(required) - done - len(failed)
     recent = sorted(t for t in times if now - t < _WINDOW_S)
     pace = len(recent) / max(now - recent[0], 1.0) if recent else 0.0
     return Status(
-        total=len(asked),
+        total=len(required),
         lights=plan["lights"],
         done=done,
         below=below,

@@ -9,18 +9,19 @@ import threading
 import time
 import traceback
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from ..errors import NailopticsError, NotReachedError, WriteError
 from ..io import CorruptError, pack, write_bytes
 from ..light import RereadWarning, Transfer, reuse
+from ..light import backend as backends
 from ..light.tracing import accuracy
 from ..light.transfer import versions
-from ..options import TraceOptions
+from ..options import BackendName, TraceOptions
 from ..scene import Accuracy, Scene, to_toml
 from . import reading
 from .folder import Folder
@@ -32,26 +33,32 @@ _STORAGE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, err
 
 @dataclass(frozen=True)
 class Settings:
-    """What all jobs of a batch share; deadline is in seconds since the epoch."""
+    """What all jobs of a batch share.
+
+    options : of every scene; the time that a run may take is in deadline, in seconds since the epoch.
+    """
 
     folder: Path
-    seed: int
-    backend: str
-    photons: int | None = None
-    relative_error: float | None = None
+    options: TraceOptions
     deadline: float | None = None
 
-    def asked(self, scene: Scene) -> Accuracy:
-        """What a scene's light must reach."""
-        return accuracy(scene, TraceOptions(photons=self.photons, relative_error=self.relative_error))
+    @classmethod
+    def of(cls, folder: Path, options: TraceOptions) -> "Settings":
+        """The settings of a run that begins now, with the backend that this machine offers."""
+        deadline = None if options.max_seconds is None else time.time() + options.max_seconds
+        chosen = cast(BackendName, backends.choose(options.backend).name)
+        return cls(folder.resolve(), replace(options, backend=chosen, max_seconds=None), deadline)
 
-    def in_time(self, scene: Scene) -> Accuracy:
-        """The same, but no longer than the run has left."""
-        asked = self.asked(scene)
-        if self.deadline is None:
-            return asked
-        left = max(self.deadline - time.time(), 1e-3)
-        return asked.model_copy(update={"max_seconds": min(left, asked.max_seconds or left)})
+    def required(self, scene: Scene) -> Accuracy:
+        """What a scene's light must reach."""
+        return accuracy(scene, self.options)
+
+    def in_time(self, required: Accuracy) -> TraceOptions:
+        """The options that reach it, but take no longer than the run has left."""
+        if self.deadline is not None:
+            left = max(self.deadline - time.time(), 1e-3)
+            required = required.model_copy(update={"max_seconds": min(left, required.max_seconds or left)})
+        return replace(self.options, **required.model_dump())
 
     def is_late(self) -> bool:
         """Whether the run's time is over."""
@@ -59,7 +66,8 @@ class Settings:
 
     def made(self) -> dict[str, Any]:
         """What stored light must have been made with."""
-        return {"seed": self.seed, "backend": self.backend, "engine": "photons", "versions": versions()}
+        shared = {"seed": self.options.seed, "backend": self.options.backend}
+        return shared | {"engine": "photons", "versions": versions()}
 
 
 @dataclass(frozen=True)
@@ -137,7 +145,7 @@ def work(job: Job, settings: Settings, sharers: int = 0) -> JobReport:
 
 def _do(job: Job, settings: Settings, report: JobReport) -> None:
     folder = Folder(settings.folder)
-    todo = [(digest, scene) for digest, scene in job.scenes if not _is_done(folder, digest, settings.asked(scene))]
+    todo = [(digest, scene) for digest, scene in job.scenes if not _is_done(folder, digest, settings.required(scene))]
     report.done += [digest for digest, _ in job.scenes if digest not in dict(todo)]
     if not todo:
         return
@@ -186,27 +194,27 @@ def _failed(folder: Folder, digest: str, error: Exception, report: JobReport) ->
 
 def reads_transfer(scene: Scene, settings: Settings) -> bool:
     """Whether a scene is read from stored light; volpath traces every scene anew."""
-    return scene.light.engine != "volpath" and settings.backend != "scalar"
+    return scene.light.engine != "volpath" and settings.options.backend != "scalar"
 
 
-def meets(header: dict[str, Any], asked: Accuracy) -> bool:
-    """Whether a stored result is at least as accurate as what is asked."""
-    if header["reached"] and header.get("asked") == asked.model_dump(exclude_none=True):
+def meets(header: dict[str, Any], required: Accuracy) -> bool:
+    """Whether a stored result is at least as accurate as is required."""
+    if header["reached"] and header.get("asked") == required.model_dump(exclude_none=True):
         return True  # volpath answers a finger's tolerance as well as it can
-    if asked.photons is not None:
-        return header["photons_per_led"] >= asked.photons
-    if asked.relative_error is not None:
+    if required.photons is not None:
+        return header["photons_per_led"] >= required.photons
+    if required.relative_error is not None:
         reached = header["relative_error"]
-        return reached is not None and reached <= asked.relative_error
+        return reached is not None and reached <= required.relative_error
     return True
 
 
-def _is_done(folder: Folder, digest: str, asked: Accuracy) -> bool:
+def _is_done(folder: Folder, digest: str, required: Accuracy) -> bool:
     try:
         found = folder.read_result(digest, arrays=False)
     except CorruptError:
         return False
-    return found is not None and meets(found[0], asked)
+    return found is not None and meets(found[0], required)
 
 
 class _Light:
@@ -215,7 +223,7 @@ class _Light:
     def __init__(self, job: Job, scenes: list[Scene], settings: Settings, report: JobReport) -> None:
         self.settings = settings
         folder, first = Folder(settings.folder), scenes[0]
-        kind, made = reuse.tracer(first, settings.backend), settings.made()
+        kind, made = reuse.tracer(first, settings.options.backend), settings.made()
         self.full: int = kind.batch_photons
         opened: list[Any] = []
 
@@ -237,10 +245,10 @@ class _Light:
             needs: dict[Any, reuse.Need] = {}
             own = {}
             for scene in (*scenes, *job.also):
-                asked = settings.asked(scene)
-                same = (scene.blood, scene.finger, scene.leds[led].fwhm_nm, asked)
+                required = settings.required(scene)
+                same = (scene.blood, scene.finger, scene.leds[led].fwhm_nm, required)
                 if same not in needs:
-                    needs[same] = reuse.Need(scene, led, asked, mu_a)
+                    needs[same] = reuse.Need(scene, led, required, mu_a)
                 own[id(scene)] = needs[same]
 
             def save(batches: reuse.LedBatches, led: int = led) -> None:
@@ -252,7 +260,7 @@ class _Light:
                     led,
                     have,
                     list(needs.values()),
-                    seed=settings.seed,
+                    seed=settings.options.seed,
                     full=self.full,
                     stop=settings.is_late,
                     save=save,
@@ -276,10 +284,10 @@ class _Light:
                 return None
             reached &= met
             errors.append(need.errors[len(sizes) - 1] if sizes[-1] == self.full else None)
-            traces.append(batches.trace(sizes, seed=settings.seed, led=led, rest=need.rest))
+            traces.append(batches.trace(sizes, seed=settings.options.seed, led=led, rest=need.rest))
         known = [error for error in errors if error is not None]
         worst = max(known) if len(known) == len(errors) else None
-        return reuse.transfer_of(scene, traces, backend=settings.backend), reached, worst
+        return reuse.transfer_of(scene, traces, backend=settings.options.backend), reached, worst
 
 
 def _result(
@@ -290,21 +298,20 @@ def _result(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RereadWarning)
         if light is None:
-            asked, limited = settings.asked(scene), settings.in_time(scene)
-            dataset, photons, reached = reading.by_volpath(
-                scene, seed=settings.seed, backend=settings.backend, asked=limited
-            )
-            timed = asked.photons is None and asked.relative_error is None
-            if limited.max_seconds != asked.max_seconds and settings.is_late() and (timed or not reached):
+            required = settings.required(scene)
+            limited = settings.in_time(required)
+            dataset, photons, reached = reading.by_volpath(scene, limited)
+            timed = required.photons is None and required.relative_error is None
+            if limited.max_seconds != required.max_seconds and settings.is_late() and (timed or not reached):
                 return None, {}
-            own = {"asked": asked.model_dump(exclude_none=True)}
+            own = {"asked": required.model_dump(exclude_none=True)}
             worst = reading.relative_error(dataset)
         else:
             found = light.transfer(scene)
             if found is None:
                 return None, {}
             transfer, reached, error = found
-            dataset = reading.of_transfer(transfer, seed=settings.seed)
+            dataset = reading.of_transfer(transfer, seed=settings.options.seed)
             worst = reading.relative_error(dataset) if error is None else error
             photons = min(t.photons for t in transfer.traces)
     header, arrays = reading.to_record(dataset)
@@ -312,8 +319,8 @@ def _result(
         **header,
         **own,
         "scene": to_toml(scene),
-        "seed": settings.seed,
-        "backend": settings.backend,
+        "seed": settings.options.seed,
+        "backend": settings.options.backend,
         "photons_per_led": photons,
         "relative_error": worst if math.isfinite(worst) else None,
         "reached": reached,

@@ -9,6 +9,7 @@ import pytest
 from nailoptics.batch.executors import Slots
 from nailoptics.batch.run import DEATHS, FATAL, Outcome, _Driver
 from nailoptics.batch.work import Job, JobReport, Settings
+from nailoptics.options import TraceOptions
 
 
 class Dying(Executor):
@@ -46,7 +47,7 @@ def played(tmp_path, kills: Callable[[Job], bool], lights: int = 2, each: int = 
     (tmp_path / "failed").mkdir()
     jobs = [Job(f"{k:064}", tuple((f"{k}-{i}", f"scene {k}-{i}") for i in range(each))) for k in range(lights)]
     outcome = Outcome(total=lights * each, lights=lights)
-    _Driver(Settings(tmp_path, 0, "llvm"), jobs, outcome, time.time(), None).run(Played(kills))
+    _Driver(Settings(tmp_path, TraceOptions(backend="llvm")), jobs, outcome, time.time(), None).run(Played(kills))
     assert outcome.unfinished == 0 and len(outcome.done) + len(outcome.failed) == lights * each
     assert len(set(outcome.done)) == len(outcome.done) and not set(outcome.done) & set(outcome.failed)
     assert {path.stem for path in (tmp_path / "failed").iterdir()} == set(outcome.failed)

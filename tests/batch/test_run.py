@@ -22,6 +22,7 @@ from nailoptics.batch.plan import as_json, left, of_shard, parse_shard, plan
 from nailoptics.batch.work import JobReport, Settings, meets, work
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.light import read_rest, reuse
+from nailoptics.options import TraceOptions
 from nailoptics.scene import Accuracy
 
 from .conftest import FAILING, bits, command_of, kill_one, offspring, phantoms
@@ -264,7 +265,7 @@ def test_a_light_that_one_scene_cannot_have_is_there_for_the_others(jit_backend,
         return need(scene, *arguments)
 
     monkeypatch.setattr(reuse, "Need", limited)
-    [report] = done_here(sweep, Settings(tmp_path / "b", 0, jit_backend.name))
+    [report] = done_here(sweep, Settings(tmp_path / "b", TraceOptions(backend=jit_backend.name)))
     [why] = report.failed.values()
     assert len(report.done) == 3 and "not enough memory for it (Unable to allocate 99 TiB)" in why
 
@@ -319,7 +320,7 @@ def test_a_time_limit_keeps_the_light_and_the_next_run_continues_it(jit_backend,
         # The time of a run ends after two new batches, whatever the clock says.
         asked = itertools.count()
         monkeypatch.setattr(Settings, "is_late", lambda _, asked=asked: next(asked) >= 2)
-        [report] = done_here(sweep, Settings(tmp_path / "here", 0, jit_backend.name))
+        [report] = done_here(sweep, Settings(tmp_path / "here", TraceOptions(backend=jit_backend.name)))
         assert not report.done and not report.unmet and not report.failed and not bits(tmp_path / "here")
         [light] = (tmp_path / "here" / "light").iterdir()
         batches.append(len(io.unpack(light.read_bytes(), arrays=False)[0]["pieces"]))
@@ -328,18 +329,18 @@ def test_a_time_limit_keeps_the_light_and_the_next_run_continues_it(jit_backend,
 
 def test_more_accuracy_later_continues_and_gives_the_bits_of_a_fresh_run(jit_backend, tmp_path):
     sweep = phantoms(tmp_path, 1, accuracy="relative_error = 0.004")
-    [report] = done_here(sweep, Settings(tmp_path / "b", 0, jit_backend.name))
+    [report] = done_here(sweep, Settings(tmp_path / "b", TraceOptions(backend=jit_backend.name)))
     [light] = (tmp_path / "b" / "light").iterdir()
     first = light.stat().st_size
     assert len(run_batch(sweep, tmp_path / "b", workers=1, relative_error=0.002).done) == len(report.done) == 1
     assert nail.open_results(tmp_path / "b").relative_error.item() < 0.002 and light.stat().st_size >= 2 * first
-    done_here(sweep, Settings(tmp_path / "fresh", 0, jit_backend.name, relative_error=0.002))
+    done_here(sweep, Settings(tmp_path / "fresh", TraceOptions(backend=jit_backend.name, relative_error=0.002)))
     assert bits(tmp_path / "b") == bits(tmp_path / "fresh")
     assert len(run_batch(sweep, tmp_path / "b", workers=1).kept) == 1
 
 
 def test_shards_are_all_scenes_once_and_never_split_a_light(fingers, tmp_path):
-    settings = Settings(tmp_path, 0, "llvm")
+    settings = Settings(tmp_path, TraceOptions(backend="llvm"))
     planned = plan(phantoms(tmp_path, 11), settings)
     parts = [of_shard(planned, parse_shard(f"{i}/3")) for i in (1, 2, 3)]
     assert sorted(p.digest for part in parts for p in part) == sorted(p.digest for p in planned)

@@ -18,6 +18,7 @@ from nailoptics.batch.folder import Folder
 from nailoptics.batch.plan import left, plan
 from nailoptics.batch.work import Settings, work
 from nailoptics.light import backend, reuse
+from nailoptics.options import TraceOptions
 
 BASE = """
 schema_version = 1
@@ -55,7 +56,7 @@ def sweep_of(folder: Path, count: int, photons: int):
 def overhead_and_memory(folder: Path, count: int) -> dict[str, object]:
     """One worker's loop in this process: time beyond the traces alone, and memory along the way."""
     name = backend.choose("auto").name
-    sweep, settings = sweep_of(folder, count, 1000), Settings(folder / "overhead", 0, name)
+    sweep, settings = sweep_of(folder, count, 1000), Settings(folder / "overhead", TraceOptions(backend=name))
     place = Folder(settings.folder)
     place.make()
     jobs = left(plan(sweep, settings), place, settings, retry_failed=False).jobs
