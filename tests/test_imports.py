@@ -154,8 +154,9 @@ def test_no_two_modules_have_one_name():
         (r"\b1\.96\b", "statistics.py"),
         ("(?i)<!doctype", "report/html.py"),
         (r"os\.replace", "io.py"),
+        (r"exp\(-.*@", "light/reweight.py"),
     ],
-    ids=["95 % of a normal distribution", "HTML", "writing files"],
+    ids=["95 % of a normal distribution", "HTML", "writing files", "attenuation along paths"],
 )
 def test_an_idea_has_one_home(what, home):
     found = {str(path.relative_to(PACKAGE)) for path in FILES if re.search(what, path.read_text(encoding="utf-8"))}

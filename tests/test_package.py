@@ -156,6 +156,16 @@ def test_every_package_that_the_code_imports_is_required():
     assert {name.replace("_", "-") for name in needed} <= declared | optional
 
 
+def test_every_package_that_is_required_is_imported():
+    used = {DISTRIBUTION.get(name, name) for name in third_party((ROOT / "nailoptics").rglob("*.py"))}
+    # xarray imports h5netcdf by its name, and that h5py, which it does not require.
+    assert 'engine="h5netcdf"' in (ROOT / "nailoptics/io.py").read_text(encoding="utf-8")
+    used |= {"h5netcdf", "h5py"}
+    optional = PROJECT["project"]["optional-dependencies"]["cluster"]
+    declared = distributions(PROJECT["project"]["dependencies"] + optional)
+    assert declared - {name.replace("_", "-") for name in used} == set()
+
+
 def test_every_package_that_the_tests_import_is_in_the_test_extra():
     needed = {DISTRIBUTION.get(name, name) for name in third_party((ROOT / "tests").rglob("*.py"))}
     extras = PROJECT["project"]["optional-dependencies"]
