@@ -120,7 +120,7 @@ class BoardTracer:
         counts, looks = np.zeros(photons), np.zeros(photons, int)
         counts[ended], looks[ended] = values[:, 0], where
         tally = SensitivityTally(cells, counts, looks, count)
-        again = self.tracer.replay(led, photons=photons, seed=seed, which=ended, tally=tally)
+        again = self.tracer.walk(led, photons=photons, seed=seed, which=ended, section=tally).outcome[ended]
         if np.count_nonzero(again != walked.outcome[ended]) > 1 + 0.01 * len(ended):
             raise RuntimeError("photons walked otherwise when they walked again; this backend does not repeat itself.")
         return means, tally.sums() / (photons * cells.volume_mm3)

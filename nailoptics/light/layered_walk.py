@@ -26,6 +26,7 @@ from .sampling import (
     lanes,
     rotate_direction,
     roulette,
+    starts,
 )
 
 # Of a cosine, or in mm: keeps a division by what may be 0 finite, and is lost in any number that is not.
@@ -118,7 +119,7 @@ class _Layers:
         dr.make_opaque(self.n, self.mu_a, self.mu_s, self.g, self.thickness, self.emission)
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _LayeredPhoton(Photon):
     """A photon in a phantom.
 
@@ -131,10 +132,10 @@ class _LayeredPhoton(Photon):
 
     u: Any
     v: Any
-    x: Any
-    y: Any
-    layer: Any
-    depth: Any
+    x: Any = starts(0.0)
+    y: Any = starts(0.0)
+    layer: Any = starts(0)
+    depth: Any = starts(0.0)
     bounced: Any
 
 
@@ -176,10 +177,11 @@ def arc_share(shift_mm: np.ndarray, start_mm: np.ndarray, aperture: tuple[float,
 
 def _launch(layers: _Layers, rng: Any, index: Any) -> _LayeredPhoton:
     """A new photon on the die, mirrored at the top face or on its way in."""
-    F, U = mi.Float, mi.UInt32
     u, v = rng.next_float32(), rng.next_float32()
     cos = emission_cosine(layers.emission, rng.next_float32())
-    reflectance, cos_in, eta = fresnel(cos, n_in=dr.gather(F, layers.n, 0), n_out=dr.gather(F, layers.n, 1))
+    reflectance, cos_in, eta = fresnel(
+        cos, n_in=dr.gather(mi.Float, layers.n, 0), n_out=dr.gather(mi.Float, layers.n, 1)
+    )
     sin_phi, cos_phi = dr.sincos(2 * dr.pi * rng.next_float32())
     sin = eta * safe_sqrt(1 - cos * cos)
     bounced = rng.next_float32() < reflectance
@@ -187,19 +189,10 @@ def _launch(layers: _Layers, rng: Any, index: Any) -> _LayeredPhoton:
         index=index,
         rng=rng,
         w=mi.Vector3f(sin * cos_phi, sin * sin_phi, -cos_in),
-        weight=F(1),
-        roulette_balance=F(0),
-        tau=F(0),
         absorption_optical_depth=absorption_depth(rng.next_float32()),
-        path=[F(0) for _ in range(layers.count)],
-        steps=U(0),
-        outcome=U(0),
+        path=[mi.Float(0) for _ in range(layers.count)],
         u=u,
         v=v,
-        x=F(0),
-        y=F(0),
-        layer=U(0),
-        depth=F(0),
         bounced=bounced,
     )
 

@@ -10,10 +10,12 @@ from .. import tissue
 from ..errors import InputError
 from ..scene import Led, Scene
 
-# Named as in the geometry. Whatever is not a medium is opaque.
+# Regions of a finger's geometry that light scatters in or passes; all others are opaque, but for the air.
 TISSUES: tuple[str, ...] = tissue.REGIONS
-# Whose optics a part takes that is left out.
+# The region around a part, whose optics it takes where the scene leaves it out.
 AROUND = {"bone": "pulp", "epidermis": "pulp", "kapton": "epoxy"}
+# These opaque regions reflect as the board's field says; all others swallow light.
+REFLECTING = ("barrier", "cover")
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ def absorbing(scene: Scene) -> tuple[Absorber, ...]:
 
 
 def absorbers(scene: Scene) -> tuple[str, ...]:
-    """Names of the absorbers of a scene, in the order of a trace's paths."""
+    """The names of the absorbers of a scene, in the order of a trace's paths."""
     return tuple(absorber.name for absorber in absorbing(scene))
 
 
@@ -74,24 +76,18 @@ def finger_media(scene: Scene, regions: tuple[str, ...], wavelength_nm: float) -
     assert scene.finger is not None
     # At rest all zones of the bed hold the same blood.
     rest = {a.region: mu_a for a, mu_a in zip(absorbing(scene), absorption(scene, wavelength_nm)[0], strict=True)}
-    values: dict[str, list[Any]] = {name: [] for name in ("opaque", "reflectance", "mu_a", "mu_s", "g", "n")}
+    rows = []
     for region in regions:
-        opaque = region not in TISSUES and region != "air"
-        black = region not in ("barrier", "cover")
-        optics = (0.0, 0.0, 0.0, 1.0)
+        mu_s, g, n = 0.0, 0.0, 1.0
         if region in TISSUES:
             mu_s, g, n = (float(x) for x in tissue.scattering(_optics_of(scene, region), wavelength_nm))
             mu_s *= scene.light.bed_scattering if region == "bed" else 1.0
             if scene.light.similarity:
                 mu_s, g = mu_s * (1 - g), 0.0
-            optics = (rest[region], mu_s, g, n)
-        values["opaque"].append(opaque)
-        values["reflectance"].append(scene.board.opaque_reflectance if opaque and not black else 0.0)
-        for name, value in zip(("mu_a", "mu_s", "g", "n"), optics, strict=True):
-            values[name].append(value)
-    if not scene.light.index_steps:
-        values["n"] = [1.0] * len(regions)
-    return Media(**{name: np.array(column) for name, column in values.items()})
+        opaque = region not in TISSUES and region != "air"
+        reflectance = scene.board.opaque_reflectance if region in REFLECTING else 0.0
+        rows.append((opaque, reflectance, rest.get(region, 0.0), mu_s, g, n if scene.light.index_steps else 1.0))
+    return Media(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
 def _optics_of(scene: Scene, region: str) -> Any:
@@ -102,7 +98,7 @@ def _optics_of(scene: Scene, region: str) -> Any:
 def absorption(
     scene: Scene, wavelength_nm: ArrayLike, *, blood_fraction: ArrayLike | None = None, so2: ArrayLike | None = None
 ) -> np.ndarray:
-    """Absorption of every absorber of a scene at blood states and wavelengths, (..., q, r) float. [mm^-1]
+    """The absorption of every absorber of a scene at blood states and wavelengths, (..., q, r) float. [mm^-1]
 
     wavelength_nm : (q,) float. [nm]
     blood_fraction : (..., K) float in 0-1. Blood in each zone of the bed; at rest if not given.
@@ -117,9 +113,8 @@ def absorption(
         return np.tile([layer.mu_a_per_mm for layer in scene.phantom.layers], (len(wavelength), 1))
     assert scene.finger is not None
     count = zones(scene).count
-    fraction = np.asarray(
-        [scene.blood.rest_blood_fraction] * count if blood_fraction is None else blood_fraction, float
-    )
+    rest = [scene.blood.rest_blood_fraction] * count
+    fraction = np.asarray(rest if blood_fraction is None else blood_fraction, float)
     if fraction.shape[-1:] != (count,):
         raise InputError(
             f"blood_fraction has shape {fraction.shape}; its last axis needs one value for each of the {count} zones."
@@ -143,7 +138,7 @@ def absorption(
 
 
 def spectrum(led: Led, points: int = 5) -> tuple[np.ndarray, np.ndarray]:
-    """Wavelengths and weights that integrate over an LED's Gaussian line (Gauss-Hermite), (q,) float each. [nm]
+    """The wavelengths and weights that integrate over an LED's Gaussian line (Gauss-Hermite), (q,) float each. [nm]
 
     Nodes at which tissue has no data are left out and the rest rescaled.
     """

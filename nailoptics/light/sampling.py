@@ -1,6 +1,6 @@
 """What both photon walks are made of, as Dr.Jit arithmetic: scattering, refraction, emission, roulette, records."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import drjit as dr
@@ -11,7 +11,7 @@ from ..scene import Led
 from .arithmetic import clip, minimum, safe_sqrt
 
 # Absorption ends a photon at half its rate; the other half only dims it. Ending it all the way makes long paths
-# rare that a reading with less absorption needs, not at all wastes events on photons that no longer count.
+# rare that a reading with less absorption needs, not at all wastes scatterings on photons that no longer count.
 KILLED_SHARE = 0.5
 # From so many steps on a photon survives each doubling of them with probability 1/2 and counts twice.
 LONG_WALK = 1 << 16
@@ -22,7 +22,12 @@ LAMBERTIAN = np.linspace(1, 0, 257)
 FAR = 1e9  # mm; stands for infinity where infinity would make NaN of zero
 
 
-@dataclass
+def starts(value: float) -> Any:
+    """A field of every new photon: whole numbers count something, others measure it."""
+    return field(default_factory=lambda: mi.UInt32(value) if isinstance(value, int) else mi.Float(value))
+
+
+@dataclass(kw_only=True)
 class Photon:
     """What both walks carry of a photon from step to step; each lane holds one.
 
@@ -40,13 +45,13 @@ class Photon:
     index: Any
     rng: Any
     w: Any
-    weight: Any
-    roulette_balance: Any
-    tau: Any
+    weight: Any = starts(1.0)
+    roulette_balance: Any = starts(0.0)
+    tau: Any = starts(0.0)
     absorption_optical_depth: Any
     path: list[Any]
-    steps: Any
-    outcome: Any
+    steps: Any = starts(0)
+    outcome: Any = starts(0)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Splitting near the photodiodes: where light is about to be detected, a photon goes on as several."""
+"""Splitting near the photodiodes: where light may soon be detected, a photon goes on as several of less weight."""
 
 from typing import Any
 
@@ -8,20 +8,23 @@ import numpy as np
 
 from ..geometry import Geometry
 
-# As many photons, each of their part of the weight, walk through plate and epoxy within reach of a photodiode; the last
-# of them goes on beyond. On the prototype this reads 2 to 3 times as well per processor second, blood's changes too.
+# A photon that comes within reach of a photodiode, in plate or epoxy, is walked there as so many copies of equal shares
+# of its weight. On the prototype the figure of merit of readings, and of their changes with blood, is 2 to 3 times that
+# of plain walks.
 COPIES = 8
 REACH_MM = 0.4
+# Reach is known on cells of this size, seen from above.
 CELL_MM = 0.1
 
 
 class Splitting:
-    """Where photons are split, and what each scored in the photodiodes.
+    """Where photons are split, and what each of them scored in the photodiodes.
 
-    A photon whose copies reach several photodiodes counts for one of them alone, chosen as likely as it weighs, with
-    all of their weight: so every photon leaves one record, and records are independent.
+    If copies of a photon reach several photodiodes, it counts for one of these, chosen with a probability in proportion
+    to the weight that arrived there, and with the weight of all: so every photon leaves one record, and records are
+    independent.
 
-    photodiode, score : (photons,) which photodiode each counts for, and its weight there; 0 if for none.
+    photodiode, score : (photons,) Which photodiode each counts for, and its weight there; 0 if none.
     """
 
     def __init__(self, geometry: Geometry, photons: int) -> None:
@@ -42,7 +45,7 @@ class Splitting:
 
 
 def near_photodiodes(geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:
-    """Cells seen from above that lie within reach of a photodiode, (nx, ny) bool, and their lower corner (2,). [mm]"""
+    """The cells within reach of a photodiode, seen from above, (nx, ny) bool, and their lower corner, (2,) float. [mm]"""
     plans = [np.asarray(face.quads).reshape(-1, 3)[:, :2] for face in geometry.photodiodes]
     low = np.min([plan.min(0) for plan in plans], axis=0) - REACH_MM
     high = np.max([plan.max(0) for plan in plans], axis=0) + REACH_MM

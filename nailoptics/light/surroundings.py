@@ -15,7 +15,7 @@ from ..scene import Scene
 from ..tissue import BloodZones
 from . import optics
 from .arithmetic import clip, maximum
-from .sampling import ABSORBED, BOTTOM, FAR, Photon, emission_cosine, rotate_direction
+from .sampling import ABSORBED, BOTTOM, FAR, Photon, emission_cosine, rotate_direction, starts
 
 # Outcomes from here on name the photodiode that a photon reached.
 DETECTED = 16
@@ -27,7 +27,7 @@ REGION_BITS = 10
 SURFACE_OFFSET = 2e-6
 
 
-@dataclass
+@dataclass(kw_only=True)
 class FingerPhoton(Photon):
     """A photon in a finger.
 
@@ -41,10 +41,10 @@ class FingerPhoton(Photon):
 
     p: Any
     region: Any
-    arrivals: Any
-    copies: Any
-    copies_left: Any
-    score: Any
+    arrivals: Any = starts(0)
+    copies: Any = starts(1)
+    copies_left: Any = starts(0)
+    score: Any = starts(0.0)
 
 
 class Medium(NamedTuple):
@@ -166,13 +166,6 @@ class ZoneEdges:
         """The part of a path, of its middle at y, that counts as beyond each edge. [mm]"""
         steps = [clip((y - edge) / self.width + 0.5, 0, 1) for edge in self.edges]
         return [path * t * t * (3 - 2 * t) for t in steps]
-
-
-class Surroundings:
-    """All that the walk of one LED's light reads."""
-
-    def __init__(self, interfaces: Interfaces, regions: Regions, emitter: Emitter, zones: BloodZones) -> None:
-        self.interfaces, self.regions, self.emitter, self.zones = interfaces, regions, emitter, ZoneEdges(zones)
 
 
 def off_surface(p: Any, normal: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Where light was that ends in a photodiode: its photons are walked once more, and their paths summed on cells."""
+"""Where detected light was in the finger: its photons are walked once more, and their paths summed on voxels."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +14,7 @@ from ..arithmetic import atan2
 from ..sampling import Photon
 
 ACROSS_MM, ALONG_MM = 0.3, 0.2
-# Cells through the bed's depth; below it a part as deep again as half the bed is looked at, too.
+# Cells through the depth of the bed, and below it.
 BED_CELLS, DEEPER_CELLS = 16, 8
 
 
@@ -63,7 +63,7 @@ class VoxelGrid:
 class SensitivityTally:
     """Sums of paths on cells, each times what its photon counts for, in several groups of photons.
 
-    weight, group : (photons,) of each photon of the walk, seen or not.
+    weight, group : (photons,) What each photon of the walk counts for, and in which group.
     """
 
     def __init__(self, cells: VoxelGrid, weight: np.ndarray, group: np.ndarray, groups: int) -> None:
