@@ -212,9 +212,9 @@ def _walk(layers: _Layers, rng: Any, count: Any, ends: PhotonEnds, places: list[
         up, meets = _step(photon, layers, active)
         u = photon.rng.next_float32()
         cos = henyey_greenstein(dr.gather(mi.Float, layers.g, photon.layer, active), u)
-        scattered = rotate_direction(photon.w, cos, 2 * dr.pi * photon.rng.next_float32())
-        leaves = _meet_face(photon, layers, up, meets & ~photon.bounced, u)
-        photon.w = mi.Vector3f(dr.select(meets, photon.w, scattered))
+        w = mi.Vector3f(photon.w)
+        photon.w = mi.Vector3f(rotate_direction(w, cos, 2 * dr.pi * photon.rng.next_float32()))
+        leaves = _meet_face(photon, w, layers, up, meets & ~photon.bounced, u)
         events += dr.select(meets, mi.UInt32(0), mi.UInt32(1))
         left = dr.select(up, mi.UInt32(TOP), mi.UInt32(BOTTOM))
         absorbed = photon.tau > photon.absorption_optical_depth
@@ -253,20 +253,20 @@ def _step(photon: _LayeredPhoton, layers: _Layers, active: Any) -> tuple[Any, An
 
 
 @dr.syntax
-def _meet_face(photon: _LayeredPhoton, layers: _Layers, up: Any, meets: Any, u: Any) -> Any:
-    """Reflect or refract photons at the face that they meet, u a uniform number; returns which leave the phantom."""
+def _meet_face(photon: _LayeredPhoton, w: Any, layers: _Layers, up: Any, meets: Any, u: Any) -> Any:
+    """Reflect or refract photons that meet a face along w, u a uniform number; returns which leave the phantom."""
     leaves = mi.Bool(photon.bounced)
     if meets:
         here = dr.gather(mi.Float, layers.n, photon.layer + 1)
         there = dr.gather(mi.Float, layers.n, dr.select(up, photon.layer, photon.layer + 2))
-        reflectance, cos_out, eta = fresnel(dr.abs(photon.w.z), n_in=here, n_out=there)
+        reflectance, cos_out, eta = fresnel(dr.abs(w.z), n_in=here, n_out=there)
         reflected = u < reflectance
         leaves = ~reflected & dr.select(up, photon.layer == 0, photon.layer == layers.count - 1)
         moves = ~reflected & ~leaves
         photon.w = dr.select(
             reflected,
-            mi.Vector3f(photon.w.x, photon.w.y, -photon.w.z),
-            mi.Vector3f(eta * photon.w.x, eta * photon.w.y, dr.copysign(cos_out, photon.w.z)),
+            mi.Vector3f(w.x, w.y, -w.z),
+            mi.Vector3f(eta * w.x, eta * w.y, dr.copysign(cos_out, w.z)),
         )
         photon.layer = dr.select(moves, dr.select(up, photon.layer - 1, photon.layer + 1), photon.layer)
         thickness = dr.gather(mi.Float, layers.thickness, photon.layer)

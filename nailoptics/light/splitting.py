@@ -45,7 +45,7 @@ class Splitting:
 
 
 def near_photodiodes(geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:
-    """The cells within reach of a photodiode, seen from above, (nx, ny) bool, and their lower corner, (2,) float. [mm]"""
+    """The cells from which a photodiode is within reach, (nx, ny) bool, and their lower corner, (2,) float. [mm]"""
     plans = [np.asarray(face.quads).reshape(-1, 3)[:, :2] for face in geometry.photodiodes]
     low = np.min([plan.min(0) for plan in plans], axis=0) - REACH_MM
     high = np.max([plan.max(0) for plan in plans], axis=0) + REACH_MM
