@@ -14,6 +14,7 @@ from ...light.course import read_replicates
 from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...scene.files import scene_of
+from ...statistics import seed_of
 from ...variables import Variable, variable
 from ..blood_states import zones_of_photodiodes
 from .formula_errors import MODELS, PARTS, TOLERANCES, WAYS, TracedSweep, formula_errors
@@ -98,7 +99,9 @@ def _scattering_slopes(
         changed = light.model_copy(update={"bed_scattering": factor * light.bed_scattering})
         scene = transfer.scene.model_copy(update={"light": changed})
         limit = None if options.max_seconds is None else SCATTERING_SHARE * options.max_seconds
-        fewer = replace(options, photons=photons, relative_error=None, max_seconds=limit, seed=options.seed + 1 + k)
+        # Streams of their own, which no neighbouring seed shares; a trace takes seeds below 2^63.
+        seed = seed_of(options.seed, k) >> 1
+        fewer = replace(options, photons=photons, relative_error=None, max_seconds=limit, seed=seed)
         other, _ = _traced(scene, fewer, progress)
         rest = other.at()
         value, error = rest.detected_fraction.values, rest.detected_fraction_stderr.values

@@ -181,6 +181,20 @@ def test_the_verdict_needs_all_readings(tolerance, outcome):
     ).outcome == ("undecided")
 
 
+def test_neighbouring_seeds_share_no_streams(monkeypatch):
+    """Rationale: the scattering is traced with seeds of its own. Expected: no two studies have one in common."""
+    used = []
+
+    def trace(scene, *, seed, **_):
+        used.append(seed)
+        return made_up(np.full(50, 4.0), np.zeros(50), scene=scene)
+
+    monkeypatch.setattr("nailoptics.studies.comparison.compare.trace", trace)
+    for seed in range(4):
+        compare(prototype(fwhm_nm=0.0), over=["blood"], photons=400, seed=seed)
+    assert len(used) == len(set(used)) == 12 and max(used) < 2**63
+
+
 def test_what_cannot_be_compared_is_one_line():
     scene = prototype()
     still = scene.model_copy(update={"touch": scene.touch.model_copy(update={"force_n": 0.0})})
