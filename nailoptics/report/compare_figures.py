@@ -27,6 +27,7 @@ WAY_TITLES = {
     "predicted": "no fit: own zone's mean path",
     "predicted_both": "no fit: both zones' mean paths",
 }
+FORMULAS = {"taylor": "(9) Taylor", "beer_lambert": "(8) Beer–Lambert"}
 _FLOOR, _CEILING = 0.01, 150.0
 
 
@@ -40,50 +41,43 @@ def order(result: xr.Dataset) -> list[int]:
     return [int(i) for i in np.argsort(result.zone_of_photodiode.values, kind="stable")]
 
 
-def holds(result: xr.Dataset, *, led: int) -> "Figure":
+def range_errors(result: xr.Dataset, *, led: int) -> "Figure":
     """The error of fitted (9) and (8) over each range from the sweep's start, beside 1 % and 5 %."""
     sweeps = [str(s) for s in result.sweep.values]
-    places = order(result)
-    colours = style.place_colours(len(places))
     with style.drawing():
         figure = style.new_figure(9.6, 0.9 + 3.0 * len(sweeps))
         grid = figure.subplots(len(sweeps), 2, sharey=True, sharex="row", squeeze=False)
-        for row, sweep in enumerate(sweeps):
-            x = result.setting.sel(sweep=sweep).values * scale(sweep)
-            for column, (model, name) in enumerate((("taylor", "(9) Taylor"), ("beer_lambert", "(8) Beer–Lambert"))):
-                axes = grid[row, column]
+        for row, sweep in zip(grid, sweeps, strict=True):
+            for axes, model in zip(row, ("taylor", "beer_lambert"), strict=True):
                 one = result.sel(sweep=sweep, way="fitted", model=model).isel(led=led)
-                for colour, j in zip(colours, places, strict=True):
-                    error, stderr = one.range_error.values[j], one.range_error_stderr.values[j]
-                    low, high = (np.clip(error + k * Z95 * stderr, _FLOOR, _CEILING) for k in (-1, 1))
-                    axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
-                    label = style.plain(result.photodiode.values[j])
-                    axes.plot(x, np.clip(error, _FLOOR, None), color=colour, label=label)
-                for tolerance in (1, 5):
-                    axes.axhline(tolerance, color=style.INK, lw=0.9, ls=(0, (4, 2)))
-                    axes.text(
-                        0.995,
-                        tolerance * 1.08,
-                        f"{tolerance} %",
-                        transform=axes.get_yaxis_transform(),
-                        ha="right",
-                        fontsize=8,
-                    )
-                axes.set_yscale("log")
-                axes.set_ylim(_FLOOR, _CEILING)
-                axes.set_yticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
-                axes.set_xlim(x[0], x[-1])
-                axes.set_xlabel(f"range from {x[0]:g} to this {X_LABELS[sweep]}")
-                axes.set_title(f"{name}, fitted, over {sweep}")
-            grid[row, 0].set_ylabel("largest error [% of swing]")
-        handles, labels = grid[0, 0].get_legend_handles_labels()
-        figure.legend(
-            handles, labels, loc="outside upper center", ncols=min(len(labels), 8), columnspacing=1.2, handlelength=1.4
-        )
+                _range_error(axes, one, order(result), sweep)
+                axes.set_title(f"{FORMULAS[model]}, fitted, over {sweep}")
+            row[0].set_ylabel("largest error [% of swing]")
+        ncols = min(result.sizes["photodiode"], 8)
+        style.legend_above(figure, grid[0, 0], ncols=ncols, columnspacing=1.2, handlelength=1.4)
     return figure
 
 
-def split(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
+def _range_error(axes: "Axes", one: xr.Dataset, places: list[int], sweep: str) -> None:
+    """One model's error over one sweep, by photodiode, with 95 % intervals."""
+    x = one.setting.values * scale(sweep)
+    for colour, j in zip(style.place_colours(len(places)), places, strict=True):
+        error, stderr = one.range_error.values[j], one.range_error_stderr.values[j]
+        low, high = (np.clip(error + k * Z95 * stderr, _FLOOR, _CEILING) for k in (-1, 1))
+        axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
+        axes.plot(x, np.clip(error, _FLOOR, None), color=colour, label=style.plain(one.photodiode.values[j]))
+    look: Any = {"transform": axes.get_yaxis_transform(), "ha": "right", "fontsize": 8}
+    for tolerance in (1, 5):
+        axes.axhline(tolerance, color=style.INK, lw=0.9, ls=(0, (4, 2)))
+        axes.text(0.995, tolerance * 1.08, f"{tolerance} %", **look)
+    axes.set_yscale("log")
+    axes.set_ylim(_FLOOR, _CEILING)
+    axes.set_yticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
+    axes.set_xlim(x[0], x[-1])
+    axes.set_xlabel(f"range from {x[0]:g} to this {X_LABELS[sweep]}")
+
+
+def error_parts(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     """What the error of (9) is made of, photodiode by photodiode, where it is largest."""
     places = order(result)
     with style.drawing():
@@ -96,14 +90,8 @@ def split(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
                 axes.axhspan(row - 0.5, row + 0.5, color=style.GRID, alpha=0.5 * (row % 2), lw=0)
                 for k, part in enumerate(result.part.values):
                     here = one.sel(part=part).isel(photodiode=j, point=at)
-                    _dot(
-                        axes,
-                        float(here.part_error),
-                        float(here.part_error_stderr),
-                        row + 0.17 * (k - 1.5),
-                        str(part),
-                        row == 0,
-                    )
+                    value, stderr = float(here.part_error), float(here.part_error_stderr)
+                    _dot(axes, value, stderr, row + 0.17 * (k - 1.5), str(part), row == 0)
             axes.set_title(WAY_TITLES[str(way)])
             axes.set_xscale("log")
             axes.set_xlabel("error of (9) [% of swing], without its sign")
@@ -113,15 +101,18 @@ def split(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
         panels[0].set_xlim(max(low, 0.01), min(high, 2000))
         ticks = [t for t in (0.01, 0.1, 1, 10, 100, 1000) if max(low, 0.01) <= t <= high]
         panels[0].set_xticks(ticks, [f"{t:g}" for t in ticks])
-        panels[0].set_yticks(range(len(places)), [style.plain(result.photodiode.values[j]) for j in places])
+        _name_rows(panels[0], result, places)
         panels[0].set_ylim(len(places) - 0.5, -0.5)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=4)
+        style.legend_above(figure, panels[0], ncols=4)
     return figure
 
 
+def _name_rows(axes: "Axes", result: xr.Dataset, places: list[int]) -> None:
+    axes.set_yticks(range(len(places)), [style.plain(result.photodiode.values[j]) for j in places])
+
+
 def _dot(axes: "Axes", value: float, stderr: float, y: float, part: str, labelled: bool) -> None:
-    """One part of an error with its 95 % interval; hollow where it is not told from nothing."""
+    """One part of an error with its 95 % interval; hollow where that holds 0."""
     if not np.isfinite(value) or value == 0:
         if labelled:
             axes.plot([], [], ls="none", marker=_PART_MARKS[part], color=_PART_COLOURS[part], label=PART_NAMES[part])
@@ -135,50 +126,24 @@ def _dot(axes: "Axes", value: float, stderr: float, y: float, part: str, labelle
     axes.plot([abs(value)], [y], **look, label=PART_NAMES[part] if labelled else None)
 
 
-def alpha(result: xr.Dataset, *, led: int) -> "Figure":
+def alpha_d2(result: xr.Dataset, *, led: int) -> "Figure":
     """How large alpha D^2 is over the force and up to which (9) holds, beside the paper's 1e-2."""
     places = order(result)
-    colours = style.place_colours(len(places))
     first = result.isel(led=led, sweep=0)
     fails = result.isel(led=led, sweep=-1).sel(way="fitted", model="taylor")
-    over = str(fails.sweep.values)
     with style.drawing():
         figure = style.new_figure(9.6, 1.3 + 0.4 * len(places))
         axes = figure.subplots()
-        for row, (j, colour) in enumerate(zip(places, colours, strict=True)):
+        for row, (j, colour) in enumerate(zip(places, style.place_colours(len(places)), strict=True)):
             values = first.bed_alpha_d2.values[j]
-            axes.plot(
-                [max(values.min(), 1e-4), values.max()],
-                [row, row],
-                color=colour,
-                lw=7,
-                solid_capstyle="butt",
-                alpha=0.75,
-            )
+            ends = [max(values.min(), 1e-4), values.max()]
+            axes.plot(ends, [row, row], color=colour, lw=7, solid_capstyle="butt", alpha=0.75)
             axes.plot(values[0], row, "|", color=style.INK, ms=13, mew=2, label="at the start" if row == 0 else None)
-            for mark, within in (("o", 0.01), ("s", 0.05)):
-                here = fails.sel(within=within).isel(photodiode=j)
-                value, low, high = (float(here[f"limit_bed_alpha_d2{s}"]) for s in ("", "_low", "_high"))
-                ends = bool(here.limit_ends)
-                y = row + 0.27
-                axes.plot([low, high], [y, y], color=style.INK, lw=1)
-                label = f"(9) errs by {100 * within:g} % of swing, over {over}" if row == 0 else None
-                face = style.INK if ends else style.PAPER
-                axes.plot(
-                    value,
-                    y,
-                    mark if ends else ">",
-                    ms=5,
-                    color=style.INK,
-                    markerfacecolor=face,
-                    label=label if ends else None,
-                )
-                if not ends:
-                    break
+            _limits_of_taylor(axes, fails.isel(photodiode=j), row + 0.27, labelled=row == 0)
         axes.axvline(0.01, color=style.ZONES[0], lw=1.4, ls=(0, (5, 2)))
         axes.text(0.0103, -0.62, "the paper: about 10$^{-2}$", color=style.ZONES[0], fontsize=8.5, va="bottom")
         axes.set_xscale("log")
-        axes.set_yticks(range(len(places)), [style.plain(result.photodiode.values[j]) for j in places])
+        _name_rows(axes, result, places)
         axes.set_ylim(len(places) - 0.4, -0.7)
         axes.set_xlabel(f"αD² of all the blood in the bed: bars, its range over {first.sweep.values}")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3)
@@ -186,10 +151,23 @@ def alpha(result: xr.Dataset, *, led: int) -> "Figure":
     return figure
 
 
-def readings(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
+def _limits_of_taylor(axes: "Axes", fails: xr.Dataset, y: float, *, labelled: bool) -> None:
+    """Alpha D^2 at which (9) errs by 1 % and 5 %, with 95 % intervals; an arrow where it does not within the sweep."""
+    for mark, within in (("o", 0.01), ("s", 0.05)):
+        here = fails.sel(within=within)
+        value, low, high = (float(here[f"limit_bed_alpha_d2{s}"]) for s in ("", "_low", "_high"))
+        ends = bool(here.limit_ends)
+        axes.plot([low, high], [y, y], color=style.INK, lw=1)
+        label = f"(9) errs by {100 * within:g} % of swing, over {fails.sweep.values}" if labelled and ends else None
+        face = style.INK if ends else style.PAPER
+        axes.plot(value, y, mark if ends else ">", ms=5, color=style.INK, markerfacecolor=face, label=label)
+        if not ends:
+            break
+
+
+def changes(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     """Every photodiode's traced change over a sweep beside the models, in percent of its reading at the start."""
     places = order(result)
-    colours = style.place_colours(len(places))
     columns = min(4, len(places))
     rows = -(-len(places) // columns)
     one = result.sel(sweep=sweep).isel(led=led)
@@ -197,7 +175,7 @@ def readings(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     with style.drawing():
         figure = style.new_figure(9.6, 0.6 + 2.0 * rows)
         grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
-        for axes, j, colour in zip(grid.ravel(), places, colours, strict=False):
+        for axes, j, colour in zip(grid.ravel(), places, style.place_colours(len(places)), strict=False):
             traced = one.reading.values[j]
             looks = (
                 ("predicted", "beer_lambert", style.MUTED, (0, (1, 1.5)), "(8), no fit, own zone"),
@@ -210,9 +188,7 @@ def readings(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
                 axes.plot(x, 100 * (values / traced[0] - 1), color=ink, ls=dashes, lw=1.2, label=label)
             swing = 100 * float(one.swing[j] / traced[0])
             axes.set_title(style.plain(result.photodiode.values[j]))
-            axes.set_title(
-                f"swing {significant(swing, 2)} %", loc="right", fontsize=8, fontweight="normal", color=style.MUTED
-            )
+            style.remark(axes, f"swing {significant(swing, 2)} %")
             axes.set_xlim(x[0], x[-1])
         for axes in grid.ravel()[len(places) :]:
             axes.set_visible(False)
@@ -220,6 +196,5 @@ def readings(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
             axes.set_xlabel(X_LABELS[sweep])
         for axes in grid[:, 0]:
             axes.set_ylabel("change [%]")
-        handles, labels = grid[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=4)
+        style.legend_above(figure, grid[0, 0], ncols=4)
     return figure

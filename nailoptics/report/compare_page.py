@@ -30,7 +30,7 @@ def _led_section(result: xr.Dataset, led: int) -> str:
     """How far the models hold under one LED, and why not further."""
     lines = [
         figure(
-            compare_figures.holds(result, led=led),
+            compare_figures.range_errors(result, led=led),
             f"holds{led}",
             "Each model is fitted anew to every range from the start; its largest distance from the trace is "
             "given as a part of the reading's swing over that range. Warm colours are proximal, cool ones distal; "
@@ -42,14 +42,14 @@ def _led_section(result: xr.Dataset, led: int) -> str:
         lines += [
             f"<h3>What (9) leaves out, over {escaped(sweep)}</h3>",
             figure(
-                compare_figures.split(result, led=led, sweep=sweep),
+                compare_figures.error_parts(result, led=led, sweep=sweep),
                 f"split{led}{sweep}",
                 "The error of (9), split where it is largest. Hollow marks cannot be told from nothing. The first "
                 "three add up to the error against the trace; that blood scatters too is in neither, and comes on "
                 "top. What changes the mean path with the blood is the spread of paths: one path for all light.",
             ),
             figure(
-                compare_figures.readings(result, led=led, sweep=sweep),
+                compare_figures.changes(result, led=led, sweep=sweep),
                 f"readings{led}{sweep}",
                 "Traced readings and models, as change from the start of the sweep.",
             ),
@@ -57,7 +57,7 @@ def _led_section(result: xr.Dataset, led: int) -> str:
     lines += [
         "<h3>How large αD² is</h3>",
         figure(
-            compare_figures.alpha(result, led=led),
+            compare_figures.alpha_d2(result, led=led),
             f"alpha{led}",
             "αD² is the mean path in the bed times the absorption of its blood: the exponent of (8). Open arrows: "
             "(9) stays within the tolerance over the whole sweep.",

@@ -156,8 +156,7 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
             axes.set_visible(False)
         for axes in grid[-1]:
             _time_axis(axes, result)
-        handles, labels = grid[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=5, handlelength=2.2, columnspacing=1.4)
+        style.legend_above(figure, grid[0, 0], ncols=5, handlelength=2.2, columnspacing=1.4)
     return figure
 
 
@@ -167,26 +166,14 @@ def _reading(axes: "Axes", result: xr.Dataset, led: int, photodiode: int, colour
     index = seen.attrs["samples"]
     one = seen.isel(led=led, photodiode=photodiode)
     _, stderr, bound = change_v(result)
-    stderr_v, noise_v, volts_v = (
-        stderr[led, photodiode, index],
-        one.volts_noise_rms.to_numpy(),
-        one.volts.to_numpy(),
-    )
-    scale, letter = prefix(float(np.abs(volts_v).max()))
-    time, middle = one.time.to_numpy(), volts_v / scale
+    scale, letter = prefix(float(np.abs(one.volts).max()))
+    time, middle = one.time.to_numpy(), one.volts.to_numpy() / scale
     if len(time) > 1:
-        axes.fill_between(
-            time, middle - noise_v / scale, middle + noise_v / scale, color=colour, alpha=0.2, lw=0, label="noise (rms)"
-        )
-        axes.fill_between(
-            time,
-            middle - stderr_v / scale,
-            middle + stderr_v / scale,
-            color=colour,
-            alpha=0.45,
-            lw=0,
-            label="error of the trace" + (", at most" if bound else ""),
-        )
+        name = "error of the trace" + (", at most" if bound else "")
+        bands = ((one.volts_noise_rms.to_numpy(), 0.2, "noise (rms)"), (stderr[led, photodiode, index], 0.45, name))
+        for error_v, alpha, label in bands:
+            low, high = middle - error_v / scale, middle + error_v / scale
+            axes.fill_between(time, low, high, color=colour, alpha=alpha, lw=0, label=label)
     _line(axes, one, middle, color=colour, label="traced light")
     for name, (label, look) in MODELS.items():
         _line(axes, one, one[f"volts_{name}"] / scale, label=label, **look)
@@ -194,7 +181,7 @@ def _reading(axes: "Axes", result: xr.Dataset, led: int, photodiode: int, colour
     rest = result.isel(led=led, photodiode=photodiode, time=0)
     level = with_error(float(rest.volts) / scale, float(rest.volts_stderr) / scale)
     axes.set_title(style.plain(result.photodiode.values[photodiode]), color=style.INK)
-    axes.set_title(f"at rest {level} {letter}V", loc="right", fontsize=8, fontweight="normal", color=style.MUTED)
+    style.remark(axes, f"at rest {level} {letter}V")
     _not_too_close(axes)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from ..io import write_bytes
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # These four are replaced by the page's own colours, so that figures turn dark with it.
@@ -81,6 +82,17 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def legend_above(figure: "Figure", axes: "Axes", *, ncols: int, **look: Any) -> None:
+    """One legend above all panels of a figure, for the lines in one of them."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=ncols, **look)
+
+
+def remark(axes: "Axes", text: str) -> None:
+    """A few words at the right above a panel, beside its title."""
+    axes.set_title(text, loc="right", fontsize=8, fontweight="normal", color=MUTED)
 
 
 def place_colours(count: int) -> list[str]:
