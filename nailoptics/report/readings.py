@@ -8,22 +8,10 @@ import xarray as xr
 from ..scene import Scene
 
 
-@dataclass(frozen=True)
-class TouchMoments:
-    """The two moments between which a touch is judged: indices into time.
-
-    rest : the first sample.
-    hold : the end of the hold, the last sample whose force is (nearly) as far from the first as any.
-    """
-
-    rest: int
-    hold: int
-
-    @classmethod
-    def of(cls, result: xr.Dataset) -> "TouchMoments":
-        """The moments of a result."""
-        departure = np.abs(result.force_n.to_numpy() - float(result.force_n[0]))
-        return cls(0, int(np.flatnonzero(departure >= 0.995 * departure.max())[-1]))
+def hold_end(result: xr.Dataset) -> int:
+    """Index of the end of the hold: the last sample whose force is (nearly) as far from the first as any."""
+    departure = np.abs(result.force_n.to_numpy() - float(result.force_n[0]))
+    return int(np.flatnonzero(departure >= 0.995 * departure.max())[-1])
 
 
 @dataclass(frozen=True)
@@ -91,11 +79,11 @@ def change_v(result: xr.Dataset) -> tuple[np.ndarray, np.ndarray, bool]:
 
 def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> list[Reading]:
     """Every LED and photodiode, LED by LED, photodiodes from proximal to distal."""
-    moments = TouchMoments.of(result)
+    hold = hold_end(result)
     change, change_stderr, _ = change_v(result)
-    at_rest, at_hold = result.isel(time=moments.rest), result.isel(time=moments.hold)
+    at_rest, at_hold = result.isel(time=0), result.isel(time=hold)
     force = result.force_n.to_numpy()
-    moved_n = float(force[moments.hold] - force[moments.rest])
+    moved_n = float(force[hold] - force[0])
     distance = distances_mm(result, scene)
     zones = [str(z) for z in result.zone.values]
     saturated = result.saturated.any("time")
@@ -113,8 +101,8 @@ def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> list[Reading
                     rest_v=float(at_rest.volts[i, j]),
                     rest_stderr_v=float(at_rest.volts_stderr[i, j]),
                     noise_rms_v=float(at_hold.volts_noise_rms[i, j]),
-                    change_v=float(change[i, j, moments.hold]),
-                    change_stderr_v=float(change_stderr[i, j, moments.hold]),
+                    change_v=float(change[i, j, hold]),
+                    change_stderr_v=float(change_stderr[i, j, hold]),
                     force_change_n=moved_n,
                     saturated=bool(saturated[i, j]),
                 )

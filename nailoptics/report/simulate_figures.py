@@ -8,7 +8,7 @@ import xarray as xr
 from ..scene import Scene
 from . import style
 from .numbers import prefix, quantity, with_error
-from .readings import TouchMoments, change_v, order_along_nail
+from .readings import change_v, hold_end, order_along_nail
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -98,7 +98,7 @@ def draw_change(axes: "Axes", result: xr.Dataset, scene: Scene | None, *, led: i
     """Draw the change of every photodiode from rest under one LED into axes, with its value at the hold's end."""
     order = order_along_nail(result, scene)
     change, _, _ = change_v(result)
-    hold = TouchMoments.of(result).hold
+    hold = hold_end(result)
     scale, letter = prefix(float(np.abs(change).max()))
     seen = _thin(result)
     axes.axhline(0, color=style.MUTED, lw=0.8)

@@ -11,7 +11,7 @@ from ..scene import Scene, parse_scene
 from . import findings, maps, simulate_figures, tables
 from .html import document, escaped, figure, section, small
 from .numbers import significant
-from .readings import Reading, TouchMoments, change_v, photodiode_readings
+from .readings import Reading, change_v, hold_end, photodiode_readings
 
 log = logging.getLogger(__name__)
 
@@ -50,7 +50,7 @@ def page(result: xr.Dataset) -> str:
 
 def _readings_section(result: xr.Dataset, scene: Scene | None, found: list[Reading]) -> str:
     _, _, bound = change_v(result)
-    hold_s = float(result.time[TouchMoments.of(result).hold])
+    hold_s = float(result.time[hold_end(result)])
     error = (
         "Errors of a change are upper bounds: those of its two readings, which share the trace's noise, added."
         if bound

@@ -66,51 +66,41 @@ def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> V
 
 def summary(result: xr.Dataset) -> dict[str, Any]:
     """The comparison in plain numbers, ready for JSON: readings by sweep, LED and photodiode, and the paper's claim."""
-    rows = []
-    for sweep, led, photodiode in np.ndindex(*(result.sizes[d] for d in ("sweep", "led", "photodiode"))):
-        one = result.isel(sweep=sweep, led=led, photodiode=photodiode)
-        last = one.isel(point=-1)
-        row: dict[str, Any] = {
-            "sweep": str(one.sweep.values),
-            "led": str(one.led.values),
-            "photodiode": str(one.photodiode.values),
-            "swing_of_reading": float(one.swing / one.reading[0]),
-            "path_mm": _pair(one.path_mm, one.path_mm_stderr),
-            "alpha_d2_start": _pair(one.alpha_d2[0], one.alpha_d2_stderr[0]),
-            "alpha_d2_end": _pair(one.alpha_d2[-1], one.alpha_d2_stderr[-1]),
-            "bed_alpha_d2_start": _pair(one.bed_alpha_d2[0], one.bed_alpha_d2_stderr[0]),
-            "bed_alpha_d2_end": _pair(one.bed_alpha_d2[-1], one.bed_alpha_d2_stderr[-1]),
-        }
-        for way in result.way.values:
-            for model in result.model.values:
-                at = {"way": way, "model": model}
-                limits = {}
-                for within in result.within.values:
-                    here = one.sel(**at, within=within)
-                    limits[f"{within:g}"] = {"ends_within_sweep": bool(here.limit_ends)} | {
-                        name: {
-                            "value": float(here[f"limit{suffix}"]),
-                            "low": float(here[f"limit{suffix}_low"]),
-                            "high": float(here[f"limit{suffix}_high"]),
-                        }
-                        for name, suffix in _LIMITS.items()
-                    }
-                error = last.sel(**at)
-                row[f"{model}_{way}"] = {
-                    "error_of_swing": _pair(error.range_error / 100, error.range_error_stderr / 100),
-                    "holds_to": limits,
-                }
-            parts = one.sel(way=way).isel(point=int(np.abs(one.error.sel(way=way, model="taylor").values).argmax()))
-            row[f"parts_{way}"] = {
-                str(p): _pair(parts.part_error.sel(part=p) / 100, parts.part_error_stderr.sel(part=p) / 100)
-                for p in result.part.values
-            }
-        rows.append(row)
+    pairs = (
+        result.isel(sweep=i, led=j, photodiode=k) for i, j, k in np.ndindex(*result.swing.transpose(*_PAIRS).shape)
+    )
     kept = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest")
+    rows = [_row(one) for one in pairs]
     return {"comparisons": rows, "claim": claim(result)} | {name: result.attrs[name] for name in kept}
 
 
+_PAIRS = ("sweep", "led", "photodiode")
 _LIMITS = {"setting": "", "blood_fraction": "_blood_fraction", "alpha_d2": "_alpha_d2", "bed_alpha_d2": "_bed_alpha_d2"}
+
+
+def _row(one: xr.Dataset) -> dict[str, Any]:
+    """One photodiode under one LED over one sweep."""
+    row: dict[str, Any] = {name: str(one[name].values) for name in _PAIRS}
+    row |= {"swing_of_reading": float(one.swing / one.reading[0]), "path_mm": _pair(one, "path_mm")}
+    for name in ("alpha_d2", "bed_alpha_d2"):
+        row |= {f"{name}_{end}": _pair(one.isel(point=at), name) for end, at in (("start", 0), ("end", -1))}
+    for way in (str(w) for w in one.way.values):
+        for model in (str(m) for m in one.model.values):
+            here = one.sel(way=way, model=model)
+            error = _pair(here.isel(point=-1), "range_error", percent=True)
+            limits = {f"{within:g}": _limit(here.sel(within=within)) for within in one.within.values}
+            row[f"{model}_{way}"] = {"error_of_swing": error, "holds_to": limits}
+        worst = int(np.abs(one.error.sel(way=way, model="taylor").values).argmax())
+        parts = one.sel(way=way).isel(point=worst)
+        row[f"parts_{way}"] = {str(p): _pair(parts.sel(part=p), "part_error", percent=True) for p in one.part.values}
+    return row
+
+
+def _limit(here: xr.Dataset) -> dict[str, Any]:
+    """Up to where a model holds, in every measure."""
+    ends = (("value", ""), ("low", "_low"), ("high", "_high"))
+    limits = {name: {end: float(here[f"limit{of}{tail}"]) for end, tail in ends} for name, of in _LIMITS.items()}
+    return {"ends_within_sweep": bool(here.limit_ends)} | limits
 
 
 def claim(result: xr.Dataset) -> dict[str, Any]:
@@ -126,5 +116,7 @@ def claim(result: xr.Dataset) -> dict[str, Any]:
     return found
 
 
-def _pair(value: Any, error: Any) -> dict[str, float]:
-    return {"value": float(value), "stderr": float(error)}
+def _pair(one: xr.Dataset, name: str, *, percent: bool = False) -> dict[str, float]:
+    """A value and its standard error, percent as parts of 1."""
+    by = 100 if percent else 1
+    return {"value": float(one[name] / by), "stderr": float(one[f"{name}_stderr"] / by)}

@@ -13,7 +13,7 @@ from ...scene import Scene
 from ...scene.finger import BEYOND_NAIL_MM
 from . import bounds
 from .effect import Change, Effect, effect_of
-from .paired import PairedReadings, PairedTracer, difference, require_finger, reweighted
+from .paired import PairedReadings, PairedTracer, check_study, difference, reweighted
 from .variants import ONE_WAVELENGTH, PART_WIDTH, Changes, lines_of, part_width_nm, revised
 
 DEFAULT_SECONDS = 90.0
@@ -110,7 +110,7 @@ def explain(
     Raises: InputError; NotReachedError, whose result is the Explanation as far as it was made, if interrupted.
     """
     limit = tolerance or scene.accuracy.relative_error or DEFAULT_TOLERANCE
-    require_finger(scene, limit if tolerance is None else tolerance, "explain", "is modelled as it is written")
+    check_study(scene, limit if tolerance is None else tolerance, "explain", "is modelled as it is written")
     options = TraceOptions(**requested)
     if options.unbounded:
         options = replace(options, max_seconds=DEFAULT_SECONDS)

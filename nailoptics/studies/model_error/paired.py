@@ -9,11 +9,11 @@ import numpy as np
 from ...errors import InputError, NotReachedError
 from ...light import Progress, Transfer, trace
 from ...light.course import course
+from ...light.records import LedTrace
 from ...light.tracing import INTERRUPTED
 from ...options import BackendName, TraceOptions
 from ...scene import Scene
 from ..blood_states import largest_force_n, steady_blood
-from .unshared import unshared_photons
 
 PILOT_PHOTONS = 1 << 17
 LEAST_PHOTONS = 1 << 14
@@ -172,6 +172,31 @@ def difference(base: PairedReadings, other: PairedReadings) -> Difference:
         return Difference(ratio, noise, swing, np.linalg.norm(swing_noise, axis=0) / unit)
 
 
+def unshared_photons(one: Transfer, other: Transfer) -> tuple[Transfer, Transfer]:
+    """Both traces without the photons they share.
+
+    In scenes that differ in one part, a photon that never meets that part goes the same way and counts the same, bit
+    for bit, if both traces have one seed and as many photons. What is left of each makes up their difference, with
+    only its own noise; without a common seed that is everything.
+    """
+    pairs = [_unshared(a, b) for a, b in zip(one.traces, other.traces, strict=True)]
+    left, right = zip(*pairs, strict=True)
+    return replace(one, traces=left), replace(other, traces=right)
+
+
+def _unshared(a: LedTrace, b: LedTrace) -> tuple[LedTrace, LedTrace]:
+    if a.photons != b.photons or a.seeds != b.seeds:
+        return a, b
+    keys_a, keys_b = _keys(a), _keys(b)
+    return a.only(~np.isin(keys_a, keys_b)), b.only(~np.isin(keys_b, keys_a))
+
+
+def _keys(trace: LedTrace) -> np.ndarray:
+    """All that is known of each photon, as one item of bytes, (n,)."""
+    columns = np.column_stack([trace.photodiode, trace.weight, trace.path_mm]).astype(np.float32)
+    return np.ascontiguousarray(columns).view(np.dtype((np.void, columns.dtype.itemsize * columns.shape[1]))).ravel()
+
+
 def error_of_ratio(ratio: np.ndarray, *relative_stderr: np.ndarray) -> np.ndarray:
     """Error of a relative change; few paths that happen to be dim must not pass for a sure small reading."""
     return np.asarray(np.maximum(1 + ratio, 1) * np.hypot(*relative_stderr))
@@ -189,7 +214,7 @@ def weighted_mean(values: np.ndarray, error: np.ndarray, base: PairedReadings) -
     return float((weight * values).sum()), float(np.linalg.norm(weight * error))
 
 
-def require_finger(scene: Scene, tolerance: float, study: str, why: str) -> None:
+def check_study(scene: Scene, tolerance: float, study: str, why: str) -> None:
     """Raise InputError where a study of a scene's model has nothing to work on."""
     if scene.finger is None:
         raise InputError(f"{study} needs a [finger] scene; a [phantom] {why}.")

@@ -19,10 +19,10 @@ from ...statistics import Z95, jackknife
 from .paired import (
     PairedReadings,
     PairedTracer,
+    check_study,
     difference,
     end_states,
     error_of_ratio,
-    require_finger,
     reweighted,
     weighted_mean,
 )
@@ -180,7 +180,7 @@ def tradeoff(
 
     Raises: InputError; NotReachedError, whose result is the Tradeoff as far as it was made, if interrupted.
     """
-    require_finger(scene, tolerance, "tradeoff", "has one level, itself")
+    check_study(scene, tolerance, "tradeoff", "has one level, itself")
     options = TraceOptions(**requested)
     chosen = _jit_backend(options.backend)
     if options.unbounded:

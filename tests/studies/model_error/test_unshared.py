@@ -8,7 +8,7 @@ import pytest
 import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.scene import Scene, load_scene
-from nailoptics.studies.model_error.unshared import unshared_photons
+from nailoptics.studies.model_error.paired import unshared_photons
 
 pytestmark = pytest.mark.jit
 
