@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
-from ..statistics import stderr_of_mean
+from ..statistics import left_out, stderr_of_mean
 from . import optics
 from .moments import slope_of
 from .reweight import attenuation, transmissions
@@ -220,13 +220,6 @@ def read_replicates(
             picks = (groups[chunk] == numbers).astype(float)
             weight[j] += picks @ own
             path[j] += picks @ (slope[:, None] * lengths[:, zones])
-    total, by_path = (_left_out(sums) / trace.photons for sums in (weight, path))
+    total, by_path = (left_out(np.moveaxis(sums, 1, 0) * (GROUPS / trace.photons)) for sums in (weight, path))
     with np.errstate(invalid="ignore", divide="ignore"):
         return Replicates(reading=total, mean_path_mm=by_path / total[:, :, :1])
-
-
-def _left_out(sums: np.ndarray) -> np.ndarray:
-    """Sums over all groups, then over all but one of them, scaled up to as many photons: (1 + groups, ...)."""
-    sums = np.moveaxis(sums, 1, 0)
-    total = sums.sum(0)
-    return np.concatenate([total[None], (total - sums) * (GROUPS / (GROUPS - 1))])
