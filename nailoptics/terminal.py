@@ -17,7 +17,7 @@ from .io import held, to_json
 
 if TYPE_CHECKING:
     from .batch import BatchProgress
-    from .light import Progress
+    from .light import TraceProgress
 
 # Time between two lines of progress in a log. [s]
 LOG_EVERY_S = 10.0
@@ -98,11 +98,11 @@ def writable_file(path: Path | None) -> Iterator[None]:
 
 
 @contextmanager
-def trace_progress() -> "Iterator[Callable[[Progress], None]]":
+def trace_progress() -> "Iterator[Callable[[TraceProgress], None]]":
     """A callback that shows how far a trace is, and raises KeyboardInterrupt after Ctrl-C."""
     with _display() as show, _interrupts() as interrupted:
 
-        def report_progress(p: "Progress") -> None:
+        def report_progress(p: "TraceProgress") -> None:
             error = f"error {p.relative_error:.2%}" if p.relative_error < 1 else "error not known yet"
             asked = f" ({p.target:.2%} asked)" if p.target else ""
             show(_State(f"LED {p.led}", error + asked, p.fraction_done, p.seconds, p.seconds_left))

@@ -100,12 +100,12 @@ def by_volpath(scene: Scene, options: TraceOptions) -> tuple[xr.Dataset, int, bo
             result, reached = error.result, False
         kept = [name for name in result.variables if not str(name).startswith(("section_", "path_density"))]
         return _summarised(result[kept]), int(result.attrs["photons"]), reached
-    from ..light import Rest, read_rest
+    from ..light import RestReadings, read_rest
 
     try:
         rest = read_rest(scene, **options.fields)
     except NotReachedError as error:
-        if not isinstance(error.result, Rest):
+        if not isinstance(error.result, RestReadings):
             raise
         rest, reached = error.result, False
     names = reuse.photodiode_names(scene)

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..errors import NailopticsError, NotReachedError, WriteError
 from ..io import CorruptError, pack, write_bytes
-from ..light import RereadWarning, Transfer, reuse
+from ..light import ReweightWarning, Transfer, reuse
 from ..light import backend as backends
 from ..light.tracing import accuracy
 from ..light.transfer import versions
@@ -296,7 +296,7 @@ def _result(
     """Header and arrays of a scene's result; no header where the batch's time ended before its light was traced."""
     own: dict[str, Any] = {}
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", RereadWarning)
+        warnings.simplefilter("always", ReweightWarning)
         if light is None:
             required = settings.required(scene)
             limited = settings.in_time(required)
@@ -324,5 +324,5 @@ def _result(
         "photons_per_led": photons,
         "relative_error": worst if math.isfinite(worst) else None,
         "reached": reached,
-        "warnings": sorted({str(w.message) for w in caught if issubclass(w.category, RereadWarning)}),
+        "warnings": sorted({str(w.message) for w in caught if issubclass(w.category, ReweightWarning)}),
     }, arrays

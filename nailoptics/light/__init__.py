@@ -1,9 +1,19 @@
 """MEDIA AND SHAPE TO DETECTED LIGHT: the only room that imports Mitsuba, and only when light is traced."""
 
 from .board_map import map_board
-from .engines import Light, open_light
-from .rest import Rest, read_rest
-from .tracing import Progress, trace
-from .transfer import RereadWarning, Transfer
+from .engines import DetectedLight, open_light
+from .rest import RestReadings, read_rest
+from .tracing import TraceProgress, trace
+from .transfer import ReweightWarning, Transfer
 
-__all__ = ["Light", "Progress", "RereadWarning", "Rest", "Transfer", "map_board", "open_light", "read_rest", "trace"]
+__all__ = [
+    "DetectedLight",
+    "RestReadings",
+    "ReweightWarning",
+    "TraceProgress",
+    "Transfer",
+    "map_board",
+    "open_light",
+    "read_rest",
+    "trace",
+]

@@ -19,7 +19,7 @@ from ..scene import Accuracy, Scene
 from . import backend as backends
 from . import optics
 from .course import Course, course
-from .tracing import INTERRUPTED, Progress, accuracy, trace
+from .tracing import INTERRUPTED, TraceProgress, accuracy, trace
 from .transfer import FEW_PHOTONS, Transfer, provenance
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ VOLPATH_RELATIVE_ERROR = 0.05
 
 
 @dataclass(frozen=True)
-class Light:
+class DetectedLight:
     """Detected light of a finger scene, whatever engine traced it.
 
     over : reads a course of blood states, (t, zones) float -> Course.
@@ -54,16 +54,16 @@ def open_light(
     scene: Scene,
     *,
     states: np.ndarray,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[TraceProgress], None] | None = None,
     **requested: Unpack[Requested],
-) -> Light:
+) -> DetectedLight:
     """Trace a finger scene with the engine that it asks for, or the best that this machine can run.
 
     Parameters
     ----------
     states : (t, zones) float. The blood states that will be read; volpath traces three that span them.
 
-    Raises: NotReachedError with the Light so far as result.
+    Raises: NotReachedError with the DetectedLight so far as result.
     """
     options = TraceOptions(**requested)
     chosen, engine = open_engine(scene, options.backend)
@@ -109,7 +109,7 @@ def _reached(relative: np.ndarray) -> str:
     return f"relative standard error of every reading at rest at most {worst:.2g}"
 
 
-def _photons(transfer: Transfer, shape: Geometry, seed: int) -> Light:
+def _photons(transfer: Transfer, shape: Geometry, seed: int) -> DetectedLight:
     rest = transfer.at()
     blind = rest.effective_photons.values < FEW_PHOTONS
     if blind.any():
@@ -127,7 +127,7 @@ def _photons(transfer: Transfer, shape: Geometry, seed: int) -> Light:
         seen.stderr[blind] = seen.change_stderr[blind] = np.nan
         return seen
 
-    return Light(
+    return DetectedLight(
         over=over,
         absorbers=transfer.absorbers,
         mean_path=rest.mean_path_mm.values,
@@ -181,8 +181,8 @@ def _volpath(
     states: np.ndarray,
     seed: int,
     wanted: Accuracy,
-    progress: Callable[[Progress], None] | None,
-) -> Light:
+    progress: Callable[[TraceProgress], None] | None,
+) -> DetectedLight:
     """Trace rest and one changed state per zone; between them each zone dims as in Beer-Lambert (8)."""
     target = max(wanted.relative_error or 0.0, VOLPATH_RELATIVE_ERROR)
     log.warning(
@@ -206,7 +206,7 @@ def _volpath(
         relative = np.stack([r.fraction_stderr[:, 0] for r in traced]) / fraction
     ratio, ratio_stderr = np.stack([r.ratio for r in traced]), np.stack([r.ratio_stderr for r in traced])
     mean_path, mean_path_stderr = _secant_paths(scene, corners, ratio, ratio_stderr)
-    light = Light(
+    light = DetectedLight(
         over=lambda blood: _between(fraction, relative, ratio, ratio_stderr, corners, np.asarray(blood, float)),
         absorbers=optics.absorbers(scene),
         mean_path=mean_path,
@@ -233,7 +233,7 @@ def volpath_states(
     seed: int,
     target: float,
     max_seconds: float,
-    progress: Callable[[Progress], None] | None,
+    progress: Callable[[TraceProgress], None] | None,
 ) -> "StateReadings":
     """Readings of one LED by volpath in up to three blood states, (states, zones) float."""
     from .volpath.mitsuba_scene import BedAbsorption
@@ -249,7 +249,7 @@ def volpath_states(
         # The error falls with the root of the time.
         share = min(1.0, max((target / error) ** 2 if error > 0 else 1.0, seconds / max_seconds))
         if progress:
-            progress(Progress(name, 0, error, target, share, seconds))
+            progress(TraceProgress(name, 0, error, target, share, seconds))
 
     return finger_states(
         scene,

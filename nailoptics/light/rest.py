@@ -16,7 +16,7 @@ from ..scene import Accuracy, Scene
 from . import backend as backends
 from . import optics
 from .engines import open_engine, volpath_states
-from .tracing import INTERRUPTED, Progress, accuracy, trace
+from .tracing import INTERRUPTED, TraceProgress, accuracy, trace
 from .transfer import FEW_PHOTONS, Transfer
 
 log = logging.getLogger(__name__)
@@ -27,7 +27,7 @@ MAX_PATHS = 1 << 18
 
 
 @dataclass(frozen=True)
-class Rest:
+class RestReadings:
     """Readings of every LED and photodiode at rest, and where the light went (None where volpath cannot tell).
 
     The standard error of a reading is NaN where fewer than ten effective photons were seen.
@@ -50,10 +50,10 @@ class Rest:
 def read_rest(
     scene: Scene,
     *,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[TraceProgress], None] | None = None,
     **requested: Unpack[Requested],
-) -> Rest:
-    """Trace a scene and read it at rest; raises NotReachedError with the Rest so far as result."""
+) -> RestReadings:
+    """Trace a scene and read it at rest; raises NotReachedError with the RestReadings so far as result."""
     options = TraceOptions(**requested)
     chosen, engine = open_engine(scene, options.backend)
     if engine == "volpath":
@@ -66,7 +66,7 @@ def read_rest(
         raise
 
 
-def _of_transfer(transfer: Transfer) -> Rest:
+def _of_transfer(transfer: Transfer) -> RestReadings:
     rest = transfer.at()
     few = rest.effective_photons.values < FEW_PHOTONS
     if few.any():
@@ -90,7 +90,7 @@ def _of_transfer(transfer: Transfer) -> Rest:
                     transfer.traces[i].photons,
                 )
             )
-    return Rest(
+    return RestReadings(
         readings=rows,
         energy=transfer.energy(),
         photons=transfer.photons,
@@ -136,8 +136,8 @@ def _volpath(
     scene: Scene,
     chosen: backends.Backend,
     options: TraceOptions,
-    progress: Callable[[Progress], None] | None,
-) -> Rest:
+    progress: Callable[[TraceProgress], None] | None,
+) -> RestReadings:
     wanted, seed = accuracy(scene, options), options.seed
     begin, cpu = time.perf_counter(), time.process_time()
     rows, paths, complaint, energy = [], 0, None, []
@@ -165,7 +165,7 @@ def _volpath(
             _row(led.name, name, led.wavelength_nm, float(v), float(e), {}, {}, spent)
             for name, (v, e) in zip(names, values, strict=True)
         ]
-    rest = Rest(
+    rest = RestReadings(
         readings=rows,
         energy=_mean_of_leds(energy) if energy else None,
         photons=paths,
@@ -199,7 +199,7 @@ def _phantom(
     seed: int,
     wanted: Accuracy,
     max_seconds: float,
-    progress: Callable[[Progress], None] | None,
+    progress: Callable[[TraceProgress], None] | None,
 ) -> tuple[list[tuple[float, float]], dict[str, tuple[float, float]], int, bool]:
     """Readings and energy of one LED, the paths spent on each, and whether all that was asked is met.
 
@@ -231,7 +231,7 @@ def _phantom(
         met = share >= 1 or not (wanted.photons or wanted.relative_error)
         share = min(1.0, max(share, seconds / max_seconds)) if max_seconds > 0 else 1.0
         if progress:
-            progress(Progress(scene.leds[led].name, done, error, wanted.relative_error, share, seconds))
+            progress(TraceProgress(scene.leds[led].name, done, error, wanted.relative_error, share, seconds))
     reflected, transmitted, out = (
         _pooled(columns, sizes)
         for columns in ([r[:, -2] for r in rounds], [r[:, -1] for r in rounds], [r[:, -2:].sum(1) for r in rounds])
@@ -259,7 +259,7 @@ def _finger(
     led: int,
     seed: int,
     wanted: Accuracy,
-    progress: Callable[[Progress], None] | None,
+    progress: Callable[[TraceProgress], None] | None,
 ) -> tuple[list[tuple[float, float]], int, str | None]:
     """Readings of one LED, the paths spent on all, and why they fall short of what was asked, if they do."""
     target = wanted.relative_error or 0.05

@@ -15,7 +15,7 @@ from ..scene import Accuracy, Scene, digest
 from . import backend as backends
 from . import optics
 from .course import course
-from .engines import Light
+from .engines import DetectedLight
 from .moments import RestState
 from .records import Batch, LedTrace, joined, of_batch
 from .reweight import transmission
@@ -244,11 +244,11 @@ def transfer_of(scene: Scene, traces: Sequence[LedTrace], *, backend: str) -> Tr
     )
 
 
-def light_of(transfer: Transfer) -> Light:
+def light_of(transfer: Transfer) -> DetectedLight:
     """A Transfer as the light of a finger scene, without the map of its section."""
     rest = transfer.at()
     worst = float((rest.detected_fraction_stderr / rest.detected_fraction).max())
-    return Light(
+    return DetectedLight(
         over=lambda states: course(transfer, states, electrons=True),
         absorbers=transfer.absorbers,
         mean_path=rest.mean_path_mm.values,

@@ -31,7 +31,7 @@ INTERRUPTED = "interrupted"
 
 
 @dataclass(frozen=True)
-class Progress:
+class TraceProgress:
     """How far a trace is.
 
     relative_error is the largest over the LED's photodiodes, inf while one of them has seen nothing.
@@ -53,7 +53,7 @@ class Progress:
 def trace(
     scene: Scene,
     *,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[TraceProgress], None] | None = None,
     **requested: Unpack[Requested],
 ) -> Transfer:
     """Trace the light of every LED once; the result can be read at any blood state.
@@ -158,7 +158,7 @@ def _trace_led(
     asked: Accuracy,
     seed: int,
     deadline: float | None,
-    progress: Callable[[Progress], None] | None,
+    progress: Callable[[TraceProgress], None] | None,
     *,
     rest: RestState | None = None,
 ) -> tuple[_Gathered, str | None]:
@@ -192,7 +192,7 @@ def _trace_led(
                     share = min(1.0, (time.perf_counter() - begin) / max(deadline - begin, 1e-9))
                 else:
                     share = min(1.0, done / planned)
-                progress(Progress(name, done, error, asked.relative_error, share, time.perf_counter() - begin))
+                progress(TraceProgress(name, done, error, asked.relative_error, share, time.perf_counter() - begin))
             if done >= planned:
                 return gathered, None
             if asked.photons is None and deadline is None and done >= UNSEEN_PHOTONS and not weight.all():

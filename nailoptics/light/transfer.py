@@ -27,7 +27,7 @@ FEW_PHOTONS = 10.0
 MIN_ERROR_PHOTONS = 25.0
 
 
-class RereadWarning(UserWarning):
+class ReweightWarning(UserWarning):
     """A reading was asked for at a state for which the trace holds too few effective photons."""
 
 
@@ -86,7 +86,7 @@ class Transfer:
         Dataset over led, photodiode (and absorber): detected_fraction, mean_path_mm, effective_photons, each with
         its standard error, or its derivative to mu_a. Fractions are of the power that the LED emits.
 
-        Warns: RereadWarning where fewer than 100 effective photons stand behind a reading of this state, or, of a
+        Warns: ReweightWarning where fewer than 100 effective photons stand behind a reading of this state, or, of a
         brighter state than the traced one, fewer than 25 behind its standard error.
         """
         moments = self.moments_at(blood_fraction, so2, mu_a_per_mm)
@@ -198,7 +198,7 @@ class Transfer:
             warnings.warn(
                 f'LED "{led}", photodiode "{self.photodiodes[i]}": this state is so far from the traced one that only '
                 f"{left[i]:.1f} effective photons of {traced[i]:.0f} bear its {what}; trace nearer or more photons",
-                RereadWarning,
+                ReweightWarning,
                 stacklevel=4,
             )
 

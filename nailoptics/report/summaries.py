@@ -8,7 +8,7 @@ import numpy as np
 if TYPE_CHECKING:
     import xarray as xr
 
-    from ..light import Rest
+    from ..light import RestReadings
 
 
 def simulation_summary(result: "xr.Dataset") -> dict[str, Any]:
@@ -46,7 +46,7 @@ def simulation_lines(summary: dict[str, Any]) -> list[str]:
     return lines
 
 
-def rest_lines(rest: "Rest") -> list[str]:
+def rest_lines(rest: "RestReadings") -> list[str]:
     """The readings of a trace, and where its light went."""
     lines = []
     for row in rest.readings:

@@ -8,7 +8,7 @@ import xarray as xr
 
 from .. import electronics
 from ..errors import InputError, NotReachedError
-from ..light import Light, Progress, open_light
+from ..light import DetectedLight, TraceProgress, open_light
 from ..options import Requested, TraceOptions
 from ..paper import reduced_optics
 from ..scene import Scene
@@ -36,7 +36,7 @@ REDUCED_OPTICS: tuple[tuple[str, str, Callable[..., Any], dict[str, str]], ...] 
 def simulate(
     scene: Scene,
     *,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[TraceProgress], None] | None = None,
     **requested: Unpack[Requested],
 ) -> xr.Dataset:
     """Simulate a touch on a finger scene, from force to the volts of every photodiode.
@@ -55,7 +55,7 @@ def simulate(
     try:
         light = open_light(scene, states=blood, progress=progress, **requested)
     except NotReachedError as error:
-        if not isinstance(error.result, Light):
+        if not isinstance(error.result, DetectedLight):
             raise
         light, unmet = error.result, error
     result = simulate_from(scene, light, course=course, seed=options.seed)
@@ -64,7 +64,7 @@ def simulate(
     return result
 
 
-def simulate_from(scene: Scene, light: Light, *, course: xr.Dataset, seed: int) -> xr.Dataset:
+def simulate_from(scene: Scene, light: DetectedLight, *, course: xr.Dataset, seed: int) -> xr.Dataset:
     """What `simulate` returns, from light that is already traced and the scene's `blood_over_touch`."""
     result = course.merge(_read_volts(scene, light, course.blood_fraction.values.T))
     result = result.merge(_fit_reduced(result))
@@ -79,7 +79,7 @@ def simulate_from(scene: Scene, light: Light, *, course: xr.Dataset, seed: int) 
     return result
 
 
-def _read_volts(scene: Scene, light: Light, blood: np.ndarray) -> xr.Dataset:
+def _read_volts(scene: Scene, light: DetectedLight, blood: np.ndarray) -> xr.Dataset:
     """Detected fractions and volts over the course, with standard errors and noise."""
     layout, readings = scene.layout, light.over(blood)
     diodes = [element.photodiode for element in layout.photodiodes]

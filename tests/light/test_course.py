@@ -7,7 +7,7 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.errors import InputError
-from nailoptics.light import RereadWarning, Transfer, optics
+from nailoptics.light import ReweightWarning, Transfer, optics
 from nailoptics.light.course import MAX_ZONES_BETWEEN_NODES, course
 from nailoptics.light.records import LedTrace
 from nailoptics.scene import Scene, parse_scene
@@ -166,7 +166,7 @@ def test_a_course_into_states_too_far_away_warns():
     course(trace, random_states(50, high=0.1))
     states = np.full((200, 2), 0.03)
     states[77] = 1.0
-    with pytest.warns(RereadWarning, match='photodiode "(near|far)".*effective photons'):
+    with pytest.warns(ReweightWarning, match='photodiode "(near|far)".*effective photons'):
         course(trace, states)
 
 

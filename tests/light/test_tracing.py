@@ -11,7 +11,7 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.errors import InputError, NotReachedError
-from nailoptics.light import Progress, tracing
+from nailoptics.light import TraceProgress, tracing
 from nailoptics.light.layered_walk import LayeredTracer
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, parse_scene
@@ -138,7 +138,7 @@ def test_an_interrupt_keeps_what_was_traced(jit_backend, monkeypatch):
 
 def test_progress_is_told_after_every_batch(jit_backend, monkeypatch):
     monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 13)
-    told: list[Progress] = []
+    told: list[TraceProgress] = []
     nail.trace(slab(leds=2), photons=5 << 13, progress=told.append)
     assert [p.led for p in told] == 5 * ["beam0"] + 5 * ["beam1"]
     first = told[:5]
@@ -151,7 +151,7 @@ def test_progress_is_told_after_every_batch(jit_backend, monkeypatch):
 
 def test_progress_towards_a_tolerance_ends_at_one(jit_backend, monkeypatch):
     monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 12)
-    told: list[Progress] = []
+    told: list[TraceProgress] = []
     nail.trace(slab(), relative_error=0.01, progress=told.append)
     assert told[-1].fraction_done == 1 and told[-1].relative_error <= 0.01 == told[-1].target
     assert all(0 < p.fraction_done <= 1 for p in told)

@@ -8,7 +8,7 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.errors import InputError
-from nailoptics.light import RereadWarning, Transfer, records
+from nailoptics.light import ReweightWarning, Transfer, records
 from nailoptics.light.records import LedTrace
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.statistics import stderr_of_mean
@@ -243,7 +243,7 @@ def test_a_state_too_far_away_warns(traced):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         traced.at(mu_a_per_mm={"lower": 0.2})
-    with pytest.warns(RereadWarning, match=r'photodiode "p[01]".*effective photons'):
+    with pytest.warns(ReweightWarning, match=r'photodiode "p[01]".*effective photons'):
         traced.at(mu_a_per_mm={"upper": 200.0, "lower": 50.0})
 
 
@@ -275,7 +275,7 @@ def test_a_state_of_far_less_absorption_warns(jit_backend):
     with absorption has seen hardly any; the few that it has seen outweigh all others.
     Expected: a warning where reading and error are wrong, and none where both are right."""
     deep = nail.trace(parse_scene(DEEP.format(mu_a=0.1)), photons=1 << 17, seed=3)
-    with pytest.warns(RereadWarning, match='photodiode "all".*effective photons of .* bear its error'):
+    with pytest.warns(ReweightWarning, match='photodiode "all".*effective photons of .* bear its error'):
         wrong = deep.at(mu_a_per_mm={"deep": 0.0}).squeeze()
     # Nothing absorbs, so that all comes back.
     assert wrong.detected_fraction + 5 * wrong.detected_fraction_stderr < 1

@@ -9,7 +9,7 @@ import xarray as xr
 
 from ... import tissue
 from ...errors import InputError, NotReachedError
-from ...light import Progress, Transfer, optics, trace
+from ...light import TraceProgress, Transfer, optics, trace
 from ...light.course import read_replicates
 from ...options import Requested, TraceOptions
 from ...scene import Scene
@@ -32,7 +32,7 @@ def compare(
     *,
     over: Sequence[Over] = ("force", "blood"),
     wavelengths_nm: Sequence[float] = (),
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[TraceProgress], None] | None = None,
     **requested: Unpack[Requested],
 ) -> xr.Dataset:
     """Compare the paper's reduced optics with traced light, for every LED and photodiode of a finger scene.
@@ -69,7 +69,7 @@ def compare(
 
 
 def _traced(
-    scene: Scene, options: TraceOptions, progress: Callable[[Progress], None] | None
+    scene: Scene, options: TraceOptions, progress: Callable[[TraceProgress], None] | None
 ) -> tuple[Transfer, str | None]:
     try:
         return trace(scene, progress=progress, **options.fields), None
@@ -89,7 +89,7 @@ def _at_wavelength(scene: Scene, wavelength_nm: float) -> Scene:
 
 
 def _scattering_slopes(
-    transfer: Transfer, options: TraceOptions, progress: Callable[[Progress], None] | None
+    transfer: Transfer, options: TraceOptions, progress: Callable[[TraceProgress], None] | None
 ) -> np.ndarray:
     """Slope of ln reading by ln of the bed's scattering at rest and its error, (2, led, photodiode); NaN if unseen."""
     photons = max(1, round(SCATTERING_SHARE * max(t.photons for t in transfer.traces)))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, Unpack
 
 from ...errors import NotReachedError
-from ...light import Progress
+from ...light import TraceProgress
 from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...scene.finger import BEYOND_NAIL_MM
@@ -93,7 +93,7 @@ def explain(
     scene: Scene,
     *,
     tolerance: float | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[TraceProgress], None] | None = None,
     **requested: Unpack[Requested],
 ) -> Explanation:
     """Measure what every part and effect of a finger scene does to its readings.

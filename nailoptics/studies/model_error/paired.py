@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...errors import InputError, NotReachedError
-from ...light import Progress, Transfer, trace
+from ...light import TraceProgress, Transfer, trace
 from ...light.course import course
 from ...light.records import LedTrace
 from ...light.tracing import INTERRUPTED
@@ -78,7 +78,7 @@ class PairedTracer:
 
     scenes: int
     options: TraceOptions
-    progress: Callable[[Progress], None] | None
+    progress: Callable[[TraceProgress], None] | None
     _done: int = field(default=0, init=False)
     _start: float = field(default_factory=time.perf_counter, init=False)
 
@@ -124,7 +124,7 @@ class PairedTracer:
             raise NotReachedError(str(error)) from None
         return paired_readings(transfer, max(time.perf_counter() - begin - transfer.wall_seconds, 0.0))
 
-    def _report_progress(self, p: Progress) -> None:
+    def _report_progress(self, p: TraceProgress) -> None:
         if self.progress:
             share = (self._done + p.fraction_done) / self.scenes
             name = f"{p.led}, trace {self._done + 1} of {self.scenes}"

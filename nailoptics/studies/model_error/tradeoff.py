@@ -9,7 +9,7 @@ import numpy as np
 
 from ... import tissue
 from ...errors import InputError, NotReachedError
-from ...light import Progress, Rest, optics, read_rest
+from ...light import RestReadings, TraceProgress, optics, read_rest
 from ...light import backend as backends
 from ...light.course import course, read_replicates
 from ...light.tracing import INTERRUPTED, unseen
@@ -165,7 +165,7 @@ def tradeoff(
     scene: Scene,
     *,
     tolerance: float = DEFAULT_TOLERANCE,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[TraceProgress], None] | None = None,
     **requested: Unpack[Requested],
 ) -> Tradeoff:
     """Measure bias and cost of every level of model on a finger scene, against its full model.
@@ -346,7 +346,7 @@ def _stock(
     backend: BackendName,
     max_seconds: float,
     tolerance: float,
-    progress: Callable[[Progress], None] | None,
+    progress: Callable[[TraceProgress], None] | None,
 ) -> Level:
     """Stock Mitsuba, which traces one wavelength, against the reference at that wavelength."""
     narrow = reweighted(base.transfer, revised(full, ONE_WAVELENGTH))
@@ -356,7 +356,7 @@ def _stock(
     try:
         rest = read_rest(scene, seed=seed, backend=backend, progress=progress, **accuracy)
     except NotReachedError as error:
-        if not isinstance(error.result, Rest) or str(error).startswith(INTERRUPTED):
+        if not isinstance(error.result, RestReadings) or str(error).startswith(INTERRUPTED):
             raise
         rest = error.result
     shape = narrow.level.shape

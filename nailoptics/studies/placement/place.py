@@ -11,7 +11,7 @@ import xarray as xr
 
 from ...assets import data_dir
 from ...errors import InputError, NotReachedError
-from ...light import Progress
+from ...light import TraceProgress
 from ...light import backend as backends
 from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, load_scene
@@ -35,7 +35,7 @@ BLOCKS = 32
 def place(
     scene: Scene,
     *,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[TraceProgress], None] | None = None,
     **requested: Unpack[Requested],
 ) -> xr.Dataset:
     """Rank layouts of a finger scene by the force that they resolve; `result.chosen` is the best as a scene.

@@ -4,13 +4,13 @@ import math
 import time
 from collections.abc import Callable
 
-from ...light import Progress
+from ...light import TraceProgress
 
 
 class StageProgress:
     """Reports the stages of a placement to a callback; knows whether time ran out or the user interrupted."""
 
-    def __init__(self, callback: Callable[[Progress], None] | None, limit_s: float = math.inf) -> None:
+    def __init__(self, callback: Callable[[TraceProgress], None] | None, limit_s: float = math.inf) -> None:
         self.callback, self.limit_s, self.begin = callback, limit_s, time.perf_counter()
         self.interrupted = False
         self._last: tuple[str, float, float, float | None] | None = None
@@ -20,7 +20,7 @@ class StageProgress:
         self._last = (stage, done, error, target)
         if self.callback and not self.interrupted:
             try:
-                self.callback(Progress(stage, 0, error, target, min(1.0, done), self.seconds))
+                self.callback(TraceProgress(stage, 0, error, target, min(1.0, done), self.seconds))
             except KeyboardInterrupt:
                 self.interrupted = True
 
