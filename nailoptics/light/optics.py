@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import tissue
+from .. import checks, tissue
 from ..errors import InputError
 from ..scene import Led, Scene
 
@@ -114,24 +114,19 @@ def absorption(
     assert scene.finger is not None
     count = zones(scene).count
     rest = [scene.blood.rest_blood_fraction] * count
-    fraction = np.asarray(rest if blood_fraction is None else blood_fraction, float)
+    fraction = checks.fraction("blood_fraction", rest if blood_fraction is None else blood_fraction)
     if fraction.shape[-1:] != (count,):
         raise InputError(
             f"blood_fraction has shape {fraction.shape}; its last axis needs one value for each of the {count} zones."
         )
-    if not (np.all(fraction >= 0) and np.all(fraction <= 1)):
-        raise InputError(f"blood_fraction = {fraction.min():g} to {fraction.max():g}; must lie in 0 to 1.")
     saturation = np.asarray(scene.blood.so2 if so2 is None else so2, float)[..., None]
     columns = []
     shape = np.broadcast_shapes(fraction.shape[:-1], saturation.shape[:-1])
     for absorber in absorbing(scene):
         region = _optics_of(scene, absorber.region)
         mixed = tissue.absorption(region, wavelength, so2=saturation, melanin_fraction=scene.finger.melanin_fraction)
-        blood: Any = 0.0
-        if absorber.zone is not None:
-            blood = fraction[..., absorber.zone, None]
-        elif region == "pulp":
-            blood = tissue.REST_BLOOD_FRACTION["pulp"]
+        at_rest = tissue.REST_BLOOD_FRACTION.get(region, 0.0)
+        blood = at_rest if absorber.zone is None else fraction[..., absorber.zone, None]
         column = np.asarray(mixed.base_per_mm) + blood * np.asarray(mixed.per_blood_fraction_per_mm)
         columns.append(np.broadcast_to(column, (*shape, len(wavelength))))
     return np.stack(columns, -1)

@@ -1,0 +1,45 @@
+"""The layout of a scene's board: of each copy its own, with names, areas and photodiodes together."""
+
+import pickle
+
+import pytest
+
+from nailoptics.assets import data_dir
+from nailoptics.errors import InputError
+from nailoptics.scene import load_scene
+
+
+@pytest.fixture
+def scene():
+    return load_scene(data_dir("scenes") / "prototype.toml")
+
+
+def test_a_copy_has_its_own_layout(scene):
+    before = scene.layout
+    moved = scene.model_copy(update={"board": scene.board.model_copy(update={"center_mm": (0.1, 0.2)})})
+    (u, v), (moved_u, moved_v) = before.leds[0].center_mm, moved.layout.leds[0].center_mm
+    assert (moved_u - u, moved_v - v) == (pytest.approx(0.1), pytest.approx(0.2))
+    assert scene.layout == before != moved.layout
+
+
+def test_a_pickled_scene_has_the_same_layout(scene):
+    before = scene.layout
+    again = pickle.loads(pickle.dumps(scene))
+    assert again == scene and again.layout == before
+
+
+def test_elements_carry_their_names_and_photodiodes(scene):
+    layout = scene.layout
+    assert layout.photodiode_names == tuple(area.name for area in layout.photodiode_areas)
+    for element in layout.photodiodes:
+        assert element.photodiode in scene.photodiodes and element.name in element.photodiode.element_names()
+        width, length = element.photodiode.size_mm
+        assert element.area.area_mm2 == pytest.approx(width * length)
+
+
+def test_impossible_copies_and_phantoms_have_none(scene):
+    wide = scene.board.model_copy(update={"size_mm": (100.0, 11.0)})
+    with pytest.raises(ValueError, match="does not fit on the nail"):
+        _ = scene.model_copy(update={"board": wide}).layout
+    with pytest.raises(InputError, match="phantom has no board"):
+        _ = load_scene(data_dir("scenes") / "phantom.toml").layout
