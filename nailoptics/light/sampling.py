@@ -15,6 +15,9 @@ from .arithmetic import clip, minimum, safe_sqrt
 KILLED_SHARE = 0.5
 # From so many steps on a photon survives each doubling of them with probability 1/2 and counts twice.
 LONG_WALK = 1 << 16
+# Photons walked side by side: enough to fill a processor's vectors or a graphics card. Of more, each lane would walk
+# fewer one after the other, and a larger part of the lanes would stand idle until the last one ends.
+CPU_LANES, GPU_LANES = 8192, 1 << 18
 # How a photon ends; 0 while it walks.
 TOP, BOTTOM, ABSORBED, LOST = 1, 2, 3, 4
 # Squared cosines of emission at equal steps of probability: linear, because a Lambertian emitter's are.
@@ -118,7 +121,7 @@ def lanes(photons: int, seed: int) -> tuple[Any, Any]:
     A lane walks one photon after the other, so that none waits for one long walk. Photon i is the work of lane
     i modulo the lanes, whatever the machine: same seed, same bits.
     """
-    width = min(photons, 8192 if dr.backend_v(mi.Float) == dr.JitBackend.LLVM else 1 << 18)
+    width = min(photons, CPU_LANES if dr.backend_v(mi.Float) == dr.JitBackend.LLVM else GPU_LANES)
     one_more = dr.arange(mi.UInt32, width) < photons % width
     count = dr.full(mi.UInt32, photons // width, width) + dr.select(one_more, mi.UInt32(1), mi.UInt32(0))
     rng: Any = mi.PCG32(size=width, initstate=dr.opaque(mi.UInt64, seed))  # type: ignore[operator]

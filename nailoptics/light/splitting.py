@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..geometry import Geometry
+from .tallies.cell_grid import CellGrid
 
 # A photon that comes within reach of a photodiode, in plate or epoxy, is walked there as so many copies of equal shares
 # of its weight. On the prototype the figure of merit of readings, and of their changes with blood, is 2 to 3 times that
@@ -31,17 +32,12 @@ class Splitting:
         self.photodiode, self.score = dr.zeros(mi.UInt32, photons), dr.zeros(mi.Float, photons)
         near, low = near_photodiodes(geometry)
         self.near = mi.Bool(near.ravel())
-        self.low = [dr.opaque(mi.Float, float(x)) for x in low]
-        self.count = [dr.opaque(mi.UInt32, n) for n in near.shape]
+        self.grid = CellGrid(low, [CELL_MM] * 2, near.shape)
 
     def within_reach(self, p: Any, active: Any) -> Any:
         """Whether a photodiode is within reach of p, seen from above."""
-        at, inside = mi.UInt32(0), mi.Bool(active)
-        for value, low, n in zip((p.x, p.y), self.low, self.count, strict=True):
-            cell = mi.Int32(dr.floor((value - low) * (1 / CELL_MM)))
-            inside &= (cell >= 0) & (mi.UInt32(cell) < n)
-            at = at * n + mi.UInt32(cell)
-        return dr.gather(mi.Bool, self.near, at, inside)
+        cell, inside = self.grid.cell((p.x, p.y), active)
+        return dr.gather(mi.Bool, self.near, cell, inside)
 
 
 def near_photodiodes(geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:

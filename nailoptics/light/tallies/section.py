@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..sampling import Photon
+from .cell_grid import CellGrid
 
 
 class Section:
@@ -15,15 +16,12 @@ class Section:
     def __init__(self, y_mm: np.ndarray, z_mm: np.ndarray) -> None:
         self.y_mm, self.z_mm, self.spacing_mm = y_mm, z_mm, float(y_mm[1] - y_mm[0])
         self.values = dr.zeros(mi.Float64, len(y_mm) * len(z_mm))
-        self.low = [dr.opaque(mi.Float, float(axis[0] - self.spacing_mm / 2)) for axis in (y_mm, z_mm)]
-        self.count = [dr.opaque(mi.UInt32, len(axis)) for axis in (y_mm, z_mm)]
+        low = [float(axis[0] - self.spacing_mm / 2) for axis in (y_mm, z_mm)]
+        self.grid = CellGrid(low, [self.spacing_mm] * 2, [len(y_mm), len(z_mm)])
 
     def add(self, photon: Photon, p: Any, path: Any, weight: Any, active: Any) -> None:
         """Add a photon's path, of a middle p and a weight there. [mm]"""
-        j = mi.Int32(dr.floor((p.y - self.low[0]) / self.spacing_mm))
-        k = mi.Int32(dr.floor((p.z - self.low[1]) / self.spacing_mm))
-        inside = active & (j >= 0) & (k >= 0) & (mi.UInt32(j) < self.count[0]) & (mi.UInt32(k) < self.count[1])
-        cell = mi.UInt32(j) * self.count[1] + mi.UInt32(k)
+        cell, inside = self.grid.cell((p.y, p.z), active)
         dr.scatter_reduce(dr.ReduceOp.Add, self.values, mi.Float64(path * weight), cell, inside)
 
     def density(self, photons: int) -> np.ndarray:

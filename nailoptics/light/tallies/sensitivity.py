@@ -12,6 +12,7 @@ from ...geometry import Geometry
 from ...scene import Scene
 from ..arithmetic import atan2
 from ..sampling import Photon
+from .cell_grid import CellGrid
 
 ACROSS_MM, ALONG_MM = 0.3, 0.2
 # Cells through the depth of the bed, and below it.
@@ -70,24 +71,22 @@ class SensitivityTally:
         self.cells, self.groups = cells, groups
         self.weight, self.group = mi.Float(weight.astype(np.float32)), mi.UInt32(group.astype(np.uint32))
         self.values = dr.zeros(mi.Float64, groups * int(np.prod(cells.shape)))
+        self.per_group = dr.opaque(mi.UInt32, int(np.prod(cells.shape)))
         self.radii = [dr.opaque(mi.Float, r) for r in (cells.nail_radius_mm, cells.board_radius_mm)]
         edges = (cells.u_mm, cells.v_mm, cells.depth_mm)
-        self.low = [dr.opaque(mi.Float, float(e[0])) for e in edges]
-        self.per_mm = [dr.opaque(mi.Float, float(1 / (e[1] - e[0]))) for e in edges]
-        self.count = [dr.opaque(mi.UInt32, n) for n in cells.shape]
+        self.grid = CellGrid([e[0] for e in edges], [e[1] - e[0] for e in edges], cells.shape)
 
     def add(self, photon: Photon, p: Any, path: Any, weight: Any, active: Any) -> None:
         """Add a photon's path, of a middle p, times what it counts for in the end, whatever it weighs there. [mm]"""
         nail, board = self.radii
         height = p.z + nail
-        places = (board * atan2(p.x, height), p.y, nail - dr.sqrt(p.x * p.x + height * height))
-        at, inside = dr.gather(mi.UInt32, self.group, photon.index, active), mi.Bool(active)
-        for place, low, per_mm, count in zip(places, self.low, self.per_mm, self.count, strict=True):
-            cell = mi.Int32(dr.floor((place - low) * per_mm))
-            inside &= (cell >= 0) & (mi.UInt32(cell) < count)
-            at = at * count + mi.UInt32(cell)
+        place = (board * atan2(p.x, height), p.y, nail - dr.sqrt(p.x * p.x + height * height))
+        cell, inside = self.grid.cell(place, active)
+        group = dr.gather(mi.UInt32, self.group, photon.index, active)
         counts = dr.gather(mi.Float, self.weight, photon.index, active)
-        dr.scatter_reduce(dr.ReduceOp.Add, self.values, mi.Float64(path * counts), at, inside)
+        dr.scatter_reduce(
+            dr.ReduceOp.Add, self.values, mi.Float64(path * counts), group * self.per_group + cell, inside
+        )
 
     def sums(self) -> np.ndarray:
         """Sums in each group and cell, (groups, u, v, depth) float. [mm]"""
