@@ -3,7 +3,6 @@
 import math
 import os
 import sys
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -11,7 +10,7 @@ from cyclopts import App, CycloptsError, Parameter
 
 from . import __version__
 from .errors import InputError, NailopticsError, NotReachedError
-from .io import write_text
+from .io import check_writable, make_folder, write_text
 from .options import TraceOptions
 from .terminal import (
     as_far_as_reached,
@@ -21,8 +20,6 @@ from .terminal import (
     print_json,
     say,
     silence_stdout,
-    writable,
-    writable_file,
 )
 
 if TYPE_CHECKING:
@@ -82,13 +79,7 @@ def run(arguments: list[str]) -> int:
 
 
 @app.command
-def simulate(
-    scene: ScenePath,
-    *,
-    output: Folder = None,
-    json_: Json = False,
-    options: Options = USUAL,
-) -> None:
+def simulate(scene: ScenePath, *, output: Folder = None, json_: Json = False, options: Options = USUAL) -> None:
     """Simulate a touch: force to volts over time, traced light beside the paper's (8) and (9).
 
     Writes result.nc and report.html.
@@ -98,9 +89,9 @@ def simulate(
     from .studies.simulate import simulate as study
 
     asked, _ = _load(scene, options)
-    with _results(output, scene, SIMULATION) as folder:
-        result, unmet = as_far_as_reached(study, asked, **options.fields)
-        paths = write_simulation(result, folder)
+    folder = _results(output, scene, SIMULATION)
+    result, unmet = as_far_as_reached(study, asked, **options.fields)
+    paths = write_simulation(result, folder)
     summary = simulation_summary(result)
     if json_:
         print_json(summary | _texts(paths))
@@ -110,13 +101,7 @@ def simulate(
 
 
 @app.command
-def trace(
-    scene: ScenePath,
-    *,
-    output: File = None,
-    json_: Json = False,
-    options: Options = USUAL,
-) -> None:
+def trace(scene: ScenePath, *, output: File = None, json_: Json = False, options: Options = USUAL) -> None:
     """Trace the light only: readings at the scene's rest state, and with -o the transfer for any other."""
     from .light import read_rest
     from .report.summaries import rest_lines
@@ -124,10 +109,11 @@ def trace(
     asked, engine = _load(scene, options)
     if output is not None and engine == "volpath":
         raise InputError(f"{output}: volpath traces readings, not a transfer that could be saved; leave -o out.")
-    with writable_file(output):
-        rest, unmet = as_far_as_reached(read_rest, asked, **options.fields)
-        if output is not None and rest.transfer is not None:
-            rest.transfer.save(output)
+    _check_file(output)
+    rest, unmet = as_far_as_reached(read_rest, asked, **options.fields)
+    if output is not None and rest.transfer is not None:
+        make_folder(output.parent)
+        rest.transfer.save(output)
     if json_:
         print_json(rest.as_dict())
     else:
@@ -168,9 +154,9 @@ def compare(
     asked, _ = _load(scene, options)
     if require is not None and not 0 < require < math.inf:
         raise InputError(f"--require {require:g} must be a part of the swing above 0, such as 0.05.")
-    with _results(output, scene, COMPARISON) as folder:
-        result, unmet = as_far_as_reached(study, asked, over=over, wavelengths_nm=wavelength_nm, **options.fields)
-        paths = write_comparison(result, folder)
+    folder = _results(output, scene, COMPARISON)
+    result, unmet = as_far_as_reached(study, asked, over=over, wavelengths_nm=wavelength_nm, **options.fields)
+    paths = write_comparison(result, folder)
     judged = verdict(result, 0.05 if require is None else require, model=model)
     if json_:
         print_json(summary(result) | {"verdict": vars(judged)} | _texts(paths))
@@ -203,9 +189,9 @@ def place(
     from .studies.placement.place import place as study
 
     asked, _ = _load(scene, options)
-    with _results(output, scene, PLACEMENT) as folder:
-        result, unmet = as_far_as_reached(study, asked, **options.fields)
-        paths = write_placement(result, asked, folder, negate_x_on_bottom=negate_x_on_bottom)
+    folder = _results(output, scene, PLACEMENT)
+    result, unmet = as_far_as_reached(study, asked, **options.fields)
+    paths = write_placement(result, asked, folder, negate_x_on_bottom=negate_x_on_bottom)
     summary = placement_summary(result)
     if json_:
         print_json(summary | {"folder": str(folder)} | _texts(paths))
@@ -281,11 +267,12 @@ def explain(
     from .studies.model_error.explain import explain as study
 
     asked, _ = _load(scene, options)
-    with writable_file(output):
-        found, unmet = as_far_as_reached(study, asked, tolerance=tolerance, **options.fields)
-        written = output if output and not unmet else None
-        if written:
-            write_text(written, to_toml(found.required))
+    _check_file(output)
+    found, unmet = as_far_as_reached(study, asked, tolerance=tolerance, **options.fields)
+    written = output if output and not unmet else None
+    if written:
+        make_folder(written.parent)
+        write_text(written, to_toml(found.required))
     if json_:
         print_json(found.as_dict() | {"scene": written and str(written)})
     else:
@@ -310,9 +297,9 @@ def tradeoff(
     from .studies.model_error.tradeoff import tradeoff as study
 
     asked, _ = _load(scene, options)
-    with _results(output, scene, TRADEOFF) as folder:
-        found, unmet = as_far_as_reached(study, asked, tolerance=tolerance, **options.fields)
-        paths = write_tradeoff(found, folder)
+    folder = _results(output, scene, TRADEOFF)
+    found, unmet = as_far_as_reached(study, asked, tolerance=tolerance, **options.fields)
+    paths = write_tradeoff(found, folder)
     if json_:
         print_json(found.as_dict() | _texts(paths))
     else:
@@ -358,8 +345,10 @@ def export(scene: ScenePath, *, output: Annotated[Path, Parameter(name=["--outpu
     asked = _scene(scene)
     if asked.finger is None:
         raise InputError(f"{scene}: a phantom has no mesh to export; give a [finger] scene.")
-    with writable_file(output):
-        export_mesh(build(asked), output)
+    _check_file(output)
+    mesh = build(asked)
+    make_folder(output.parent)
+    export_mesh(mesh, output)
     print(output)
 
 
@@ -387,8 +376,8 @@ def figures(
     if touch is not None:
         recorded = dict(zip(("time_s", "force_n"), map(np.asarray, read_recording(touch)), strict=True))
     named = {name: hemodynamics.parameters(name) for name in sets or hemodynamics.NAMES}
-    with writable(output):
-        pictures = [path for name, values in named.items() for path in draw(output, values, name=name, **recorded)]
+    make_folder(output)
+    pictures = [path for name, values in named.items() for path in draw(output, values, name=name, **recorded)]
     judged = table(named)
     if json_:
         print_json({"claims": as_rows(judged), "pictures": [str(path) for path in pictures]})
@@ -465,9 +454,17 @@ def _exists(path: Path) -> bool:
         return False
 
 
-def _results(output: Path | None, scene: str, files: tuple[str, ...]) -> AbstractContextManager[Path]:
-    """The folder for the results of a scene, in which these files can be written."""
-    return writable(output or Path("results") / Path(scene).stem, *files)
+def _results(output: Path | None, scene: str, files: tuple[str, ...]) -> Path:
+    """The folder for the results of a scene; raises WriteError where these files cannot be written in it."""
+    folder = output or Path("results") / Path(scene).stem
+    check_writable(folder, *files)
+    return folder
+
+
+def _check_file(path: Path | None) -> None:
+    """Raise WriteError where a file, if there is to be one, cannot be written."""
+    if path is not None:
+        check_writable(path.parent, path.name)
 
 
 def _texts(paths: dict[str, Path]) -> dict[str, str]:

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-# Others may take a new folder away before there is a file in it, but hardly so often.
-_ATTEMPTS = 100
 # The end of an archive, its checksum in hexadecimal.
 _CHECKSUM = 8
 _NUMBERS = "biuf"
@@ -44,9 +42,10 @@ def write_bytes(path: Path, data: bytes | memoryview, *, flush: bool = False) ->
     try:
         if path.exists() and not path.is_file():
             raise WriteError(f"{path}: is a folder or device where a file is to be written; choose another name.")
+        # Exclusive creation opens no file of another and follows no link.
+        file = open(aside, "xb")
         try:
-            # Exclusive creation opens no file of another and follows no link.
-            with open(aside, "xb") as file:
+            with file:
                 file.write(data)
                 file.flush()
                 if flush:
@@ -79,36 +78,27 @@ def make_folder(folder: Path) -> None:
         raise _refused(folder, error) from None
 
 
-@contextlib.contextmanager
-def held(folder: Path) -> Iterator[None]:
-    """Make a folder unless it is there, and hold it by a hidden empty file, so that nobody takes it away as empty.
-
-    Raises: WriteError where nothing can be written in it.
-    """
-    hold = folder / f".nailoptics-{secrets.token_hex(8)}.hold"
+def check_writable(folder: Path, *files: str) -> None:
+    """Raise WriteError where a folder cannot be made, or these files not be written in it; leaves nothing."""
     try:
-        for left in reversed(range(_ATTEMPTS)):
-            try:
-                folder.mkdir(parents=True, exist_ok=True)
-                hold.touch(exist_ok=False)
-                break
-            except (FileNotFoundError, FileExistsError):  # another command took the folder away in between
-                if not left:
-                    raise
+        nearest = next(path for path in (folder, *folder.parents) if path.exists())
+        probe = nearest / f".nailoptics-{secrets.token_hex(8)}.part"
+        probe.touch(exist_ok=False)
+        probe.unlink()
     except OSError as error:
         raise _refused(folder, error) from None
-    try:
-        yield
-    finally:
-        hold.unlink(missing_ok=True)
+    for name in files:
+        if (folder / name).is_dir():
+            raise WriteError(f"{folder / name}: is a folder where a file is to be written; choose another.")
 
 
 @contextlib.contextmanager
 def turn(folder: Path) -> Iterator[None]:
-    """Wait until no other process writes its results in a folder, so that files that belong together stay together.
+    """Make a folder and wait until nobody else writes results in it, so that files that belong together stay together.
 
     Where the file system knows no locks (some network file systems) nobody waits.
     """
+    make_folder(folder)
     try:
         import fcntl
     except ImportError:  # not a POSIX system

@@ -1,4 +1,4 @@
-"""The terminal and the files around a command: messages, progress, Ctrl-C, JSON, folders that results go to."""
+"""The terminal around a command: messages, progress, Ctrl-C, JSON."""
 
 import logging
 import math
@@ -9,11 +9,10 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .errors import InputError, NotReachedError
-from .io import held, to_json
+from .errors import NotReachedError
+from .io import to_json
 
 if TYPE_CHECKING:
     from .batch import BatchProgress
@@ -64,37 +63,6 @@ def plain_messages() -> Iterator[None]:
             yield
     finally:
         logging.getLogger().removeHandler(handler)
-
-
-@contextmanager
-def writable(folder: Path, *files: str) -> Iterator[Path]:
-    """The folder, made if need be, and taken away again if nothing came to lie in it, of this command or another.
-
-    Raises: InputError before any work is done if nothing can be written there.
-    """
-    made: list[Path] = []
-    try:
-        with suppress(OSError):  # a name too long, say; then nothing can be made either
-            made = [path for path in (folder, *folder.parents) if not path.exists()]
-        with held(folder):
-            for name in files:
-                if (folder / name).is_dir():
-                    raise InputError(f"{folder / name}: is a folder where a file is to be written; choose another.")
-            yield folder
-    finally:
-        for path in made:
-            with suppress(OSError):  # something lies in it, or it was never made
-                path.rmdir()
-
-
-@contextmanager
-def writable_file(path: Path | None) -> Iterator[None]:
-    """The same for a file, if there is one to write."""
-    if path is None:
-        yield
-        return
-    with writable(path.parent, path.name):
-        yield
 
 
 @contextmanager

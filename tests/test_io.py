@@ -138,7 +138,7 @@ def test_a_link_is_replaced_and_what_it_points_to_stays(tmp_path):
 def test_links_planted_where_a_temporary_file_might_lie_are_not_followed(tmp_path, monkeypatch):
     victim = tmp_path / "victim"
     victim.write_text("precious")
-    planted = [".result.nc.part", "result.nc.part", ".nailoptics-guessed.part", ".nailoptics-guessed.hold"]
+    planted = [".result.nc.part", "result.nc.part", ".nailoptics-guessed.part"]
     for name in planted:
         (tmp_path / name).symlink_to(victim)
     io.write_dataset(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "result.nc")
@@ -147,8 +147,8 @@ def test_links_planted_where_a_temporary_file_might_lie_are_not_followed(tmp_pat
     monkeypatch.setattr(io.secrets, "token_hex", lambda size: "guessed")
     with pytest.raises(WriteError, match="File exists"):
         io.write_text(tmp_path / "other", "text")
-    with pytest.raises(WriteError, match="File exists"), io.held(tmp_path):
-        pass
+    with pytest.raises(WriteError, match="File exists"):
+        io.check_writable(tmp_path)
     assert victim.read_text() == "precious" and not (tmp_path / "other").exists()
 
 
@@ -251,14 +251,13 @@ def test_sets_of_files_that_are_written_at_once_do_not_mix(tmp_path):
         import sys
         from pathlib import Path
         from nailoptics.io import turn, write_text
-        from nailoptics.terminal import writable
-        with writable(Path("out")) as folder:
-            for i in range(50):
-                with turn(folder):
-                    for name in "abc":
-                        write_text(folder / name, f"{sys.argv[1]} {i}")
-                with turn(folder):
-                    assert len({(folder / name).read_text() for name in "abc"}) == 1
+        folder = Path("out")
+        for i in range(50):
+            with turn(folder):
+                for name in "abc":
+                    write_text(folder / name, f"{sys.argv[1]} {i}")
+            with turn(folder):
+                assert len({(folder / name).read_text() for name in "abc"}) == 1
     """
     many = [
         subprocess.Popen([sys.executable, "-c", code, n], cwd=tmp_path, env=ENVIRONMENT, stderr=subprocess.PIPE)
@@ -267,50 +266,17 @@ def test_sets_of_files_that_are_written_at_once_do_not_mix(tmp_path):
     assert [one.communicate()[1] for one in many] == [b""] * 4 and names(tmp_path / "out") == ["a", "b", "c"]
 
 
-def test_a_command_that_fails_leaves_the_folder_to_another_that_still_works(tmp_path):
-    """The one made the folder, the other is about to write there."""
-    code = """if True:
-        from pathlib import Path
-        from nailoptics.terminal import writable
-        with writable(Path("deep/out")) as folder:
-            print("in", flush=True)
-            input()
-            assert folder.is_dir()
-            if {fails}:
-                raise SystemExit(2)
-            (folder / "file").touch()
-    """
-    one, two = (
-        subprocess.Popen(
-            [sys.executable, "-c", code.format(fails=fails)],
-            cwd=tmp_path,
-            env=ENVIRONMENT,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        for fails in (True, False)
-    )
-    assert one.stdout.readline() == "in\n" == two.stdout.readline()
-    one.communicate("\n")
-    two.communicate("\n")
-    assert (one.returncode, two.returncode) == (2, 0) and names(tmp_path / "deep" / "out") == ["file"]
-
-
-def test_a_folder_that_others_keep_taking_away_is_made_again(tmp_path):
-    """Many commands without results, at once, in one folder that none of them found."""
-    code = """if True:
-        from pathlib import Path
-        from nailoptics.terminal import writable
-        for i in range(300):
-            with writable(Path("deep/out")) as folder:
-                assert folder.is_dir()
-    """
-    many = [
-        subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, env=ENVIRONMENT, stderr=subprocess.PIPE)
-        for _ in range(4)
-    ]
-    assert [one.communicate()[1] for one in many] == [b""] * 4 and [one.returncode for one in many] == [0] * 4
+def test_asking_whether_files_can_be_written_makes_nothing(tmp_path):
+    (tmp_path / "file").touch()
+    (tmp_path / "out/result.nc").mkdir(parents=True)
+    io.check_writable(tmp_path / "new/deep", "result.nc")
+    io.check_writable(tmp_path / "out", "other.nc")
+    for place, word in (("file", "Not a directory"), ("file/sub", "Not a directory"), ("x" * 300, "name too long")):
+        with pytest.raises(WriteError, match=f"{place}: cannot be written: .*{word}"):
+            io.check_writable(tmp_path / place)
+    with pytest.raises(WriteError, match="result.nc: is a folder"):
+        io.check_writable(tmp_path / "out", "result.nc")
+    assert names(tmp_path) == ["file", "out"] and names(tmp_path / "out") == ["result.nc"]
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..io import CorruptError, claimed, held, pack, unpack, write_bytes
+from ..io import CorruptError, check_writable, claimed, make_folder, pack, unpack, write_bytes
 from ..light.records import Batch
 from ..light.reuse import LedBatches
 
@@ -30,8 +30,8 @@ class Folder:
     def make(self) -> None:
         """Make the folder; raises WriteError where nothing can be written."""
         for name in ("results", "light", "failed"):
-            with held(self.root / name):
-                pass
+            make_folder(self.root / name)
+            check_writable(self.root / name)
         old = time.time() - _LEFTOVER_S
         try:
             for part in self.root.glob("*/.*.part"):
