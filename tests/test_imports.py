@@ -148,6 +148,14 @@ def test_no_two_modules_have_one_name():
     assert [stem for stem, count in stems.items() if count > 1] == []
 
 
+def test_no_two_public_classes_have_one_name():
+    names: Counter[str] = Counter()
+    for path in FILES:
+        body = ast.parse(path.read_text(encoding="utf-8")).body
+        names.update(node.name for node in body if isinstance(node, ast.ClassDef) and not node.name.startswith("_"))
+    assert [name for name, count in names.items() if count > 1] == []
+
+
 @pytest.mark.parametrize(
     ("what", "home"),
     [
@@ -194,6 +202,19 @@ def prose(path: Path) -> Iterator[str]:
         yield text
     else:
         yield from (line for line in text.splitlines() if line.startswith("#"))
+
+
+def test_every_file_that_a_text_names_exists():
+    shipped = {
+        str(path.relative_to(ROOT))
+        for folder in ("nailoptics", "tests", "assets", "scenes", ".github")
+        for path in (ROOT / folder).rglob("*.*")
+    } | {path.name for path in ROOT.glob("*.*")}
+    readable = [ROOT / name for name in shipped if name.endswith((".py", ".md", ".toml", ".csv"))]
+    named = {name: path for path in readable for text in prose(path) for name in FILE.findall(text)}
+    assert len(named) > 20
+    missing = [name for name in named.keys() - THEIRS if not any(f"/{one}".endswith(f"/{name}") for one in shipped)]
+    assert {name: str(named[name].relative_to(ROOT)) for name in missing} == {}
 
 
 def run(code: str) -> str:

@@ -10,6 +10,9 @@ from ..errors import NotReachedError
 from ..light import Transfer, reuse
 from ..options import TraceOptions
 from ..scene import Scene
+from ..variables import Variable, variable
+
+PAIR = ("led", "photodiode")
 
 
 def of_transfer(transfer: Transfer, *, seed: int) -> xr.Dataset:
@@ -29,8 +32,7 @@ def _at_rest(transfer: Transfer) -> xr.Dataset:
     rest, energy = transfer.at(), transfer.energy()
     kept = {name: rest.variables[name] for name in ("effective_photons", "mean_path_mm", "mean_path_mm_stderr")}
     fraction, pair = rest.variables["detected_fraction"], {"ancillary_variables": "detected_fraction_rest_stderr"}
-    share = {"units": "1", "long_name": "share of the emitted power", "ancillary_variables": "energy_stderr"}
-    error = {"units": "1", "long_name": "standard error of the share of the emitted power"}
+    value, stderr = ([part[name] for part in energy.values()] for name in ("value", "stderr"))
     # One constructor: every further step of xarray costs as much as a small trace.
     return xr.Dataset(
         {
@@ -38,8 +40,7 @@ def _at_rest(transfer: Transfer) -> xr.Dataset:
             "detected_fraction_rest_stderr": rest.variables["detected_fraction_stderr"],
             **kept,
             "wavelength_nm": rest.variables["wavelength_nm"],
-            "energy": ("part", [part["value"] for part in energy.values()], share),
-            "energy_stderr": ("part", [part["stderr"] for part in energy.values()], error),
+            **variable("energy", "part", value, "share of the emitted power", stderr=stderr),
         },
         coords={"part": list(energy)} | {name: rest.variables[name] for name in ("led", "photodiode", "absorber")},
         attrs=rest.attrs,
@@ -56,33 +57,21 @@ def _simulate(transfer: Transfer, seed: int) -> xr.Dataset:
 
 def _summarised(result: xr.Dataset) -> xr.Dataset:
     """A simulated touch with the numbers that a sweep is about: at the start, and where it changes most."""
-    peak = abs(result.volts_change).argmax("time")
+    start, peak = result.isel(time=0), result.isel(time=abs(result.volts_change).argmax("time"))
 
-    def of(values: xr.DataArray, name: str, error: str | None = None) -> xr.DataArray:
-        out = values.drop_vars("time", errors="ignore")
-        out.attrs = {"units": values.attrs["units"], "long_name": name}
-        return out.assign_attrs(ancillary_variables=error) if error else out
+    def of(moment: xr.Dataset, source: str, name: str, text: str) -> dict[str, Variable]:
+        values, stderr = moment[source].transpose(*PAIR), None
+        if f"{source}_stderr" in moment:
+            stderr = moment[f"{source}_stderr"].transpose(*PAIR).values
+        return variable(name, PAIR, values.values, text, units=values.attrs["units"], stderr=stderr)
 
-    first = result.isel(time=0)
+    saturated = result.saturated.any("time").values
     return result.assign(
-        detected_fraction_rest=of(
-            first.detected_fraction, "detected fraction at the start", "detected_fraction_rest_stderr"
-        ),
-        detected_fraction_rest_stderr=of(first.detected_fraction_stderr, "standard error of that fraction"),
-        volts_start=of(first.volts, "voltage at the start", "volts_start_stderr"),
-        volts_start_stderr=of(first.volts_stderr, "standard error of the voltage at the start (light tracing)"),
-        volts_change_peak=of(
-            result.volts_change.isel(time=peak), "largest change of the voltage", "volts_change_peak_stderr"
-        ),
-        volts_change_peak_stderr=of(
-            result.volts_change_stderr.isel(time=peak), "standard error of the largest change (light tracing)"
-        ),
-        volts_noise_peak=of(result.volts_noise_rms.isel(time=peak), "electronic noise at the largest change, rms"),
-        saturated_ever=(
-            ("led", "photodiode"),
-            result.saturated.any("time").values,
-            {"units": "1", "long_name": "converter at its limit at any time"},
-        ),
+        of(start, "detected_fraction", "detected_fraction_rest", "detected fraction at the start")
+        | of(start, "volts", "volts_start", "voltage at the start")
+        | of(peak, "volts_change", "volts_change_peak", "largest change of the voltage")
+        | of(peak, "volts_noise_rms", "volts_noise_peak", "electronic noise at the largest change, rms")
+        | variable("saturated_ever", PAIR, saturated, "converter at its limit at any time")
     )
 
 
@@ -109,22 +98,13 @@ def by_volpath(scene: Scene, options: TraceOptions) -> tuple[xr.Dataset, int, bo
             raise
         rest, reached = error.result, False
     names = reuse.photodiode_names(scene)
-    shape = (len(scene.leds), len(names))
-    pair = ("led", "photodiode")
-    unit = {"units": "1", "long_name": "detected fraction of the emitted power"}
+    fraction, stderr = (
+        np.reshape([row[column] for row in rest.readings], (len(scene.leds), len(names)))
+        for column in ("detected_fraction", "stderr")
+    )
+    text = "detected fraction of the emitted power"
     dataset = xr.Dataset(
-        {
-            "detected_fraction_rest": (
-                pair,
-                np.reshape([row["detected_fraction"] for row in rest.readings], shape),
-                unit | {"ancillary_variables": "detected_fraction_rest_stderr"},
-            ),
-            "detected_fraction_rest_stderr": (
-                pair,
-                np.reshape([row["stderr"] for row in rest.readings], shape),
-                unit | {"long_name": "standard error of the detected fraction of the emitted power"},
-            ),
-        },
+        variable("detected_fraction_rest", PAIR, fraction, text, stderr=stderr),
         coords={"led": [led.name for led in scene.leds], "photodiode": list(names)},
         attrs={"engine": "volpath", "backend": rest.backend},
     )
@@ -134,13 +114,13 @@ def by_volpath(scene: Scene, options: TraceOptions) -> tuple[xr.Dataset, int, bo
 def to_record(dataset: xr.Dataset) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """A dataset as a header for JSON and arrays of numbers."""
     variables, arrays = {}, {}
-    for name, variable in dataset.variables.items():
-        entry: dict[str, Any] = {"dims": variable.dims, "attrs": variable.attrs, "coord": name in dataset.coords}
-        if variable.dtype.kind in "biuf":
-            arrays[str(name)] = variable.values
+    for name, one in dataset.variables.items():
+        entry: dict[str, Any] = {"dims": one.dims, "attrs": one.attrs, "coord": name in dataset.coords}
+        if one.dtype.kind in "biuf":
+            arrays[str(name)] = one.values
         else:
-            entry["text"] = [str(item) for item in variable.values.ravel()]
-            entry["shape"] = variable.shape
+            entry["text"] = [str(item) for item in one.values.ravel()]
+            entry["shape"] = one.shape
         variables[str(name)] = entry
     kept = {k: v for k, v in dataset.attrs.items() if k not in ("scene", "cpu_seconds", "wall_seconds")}
     return {"variables": variables, "attrs": kept}, arrays

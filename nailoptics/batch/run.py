@@ -194,7 +194,7 @@ class _Driver:
                 for future in finished:
                     slot, job = self.running.pop(future)
                     free.append(slot)
-                    self._take(future, slot, job, slots)
+                    self._book(future, slot, job, slots)
                 if self.trouble.startswith("the scheduler"):
                     self.running.clear()
                 self.show()
@@ -205,7 +205,7 @@ class _Driver:
             self.outcome.unfinished = len(self.left)
             slots.close(now=not orderly)
 
-    def _take(self, future: "Future[JobReport]", slot: int, job: Job, slots: Slots) -> None:
+    def _book(self, future: "Future[JobReport]", slot: int, job: Job, slots: Slots) -> None:
         """Book a job's report, or its worker's death."""
         try:
             report = future.result()

@@ -147,7 +147,7 @@ def test_electrons_weigh_each_wavelength_of_the_line_by_its_photons_per_watt():
 
 
 def test_ten_thousand_states_take_little_longer_than_a_hundred():
-    """design.md's promise is a second for a whole press; measured where two other processes may have the machine."""
+    """A whole press takes about a second, also where two other processes have the machine."""
     transfer = made_up(100_000)
     t = np.linspace(0, 1, 10_000)
     states = np.column_stack([0.03 - 0.02 * np.sin(9 * t) ** 2, 0.03 + 0.01 * np.sin(5 * t) ** 2])
