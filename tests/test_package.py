@@ -48,6 +48,7 @@ def test_a_plain_install_finds_its_assets_and_scenes(tmp_path):
     code = """if True:
         import nailoptics
         from nailoptics.assets import data_dir, read_table
+        from nailoptics.scene.catalogue import load_part
         scene = nailoptics.load_scene(data_dir("scenes") / "prototype.toml")
         print(data_dir("assets"), data_dir("scenes"), len(read_table("spectra/water.csv")), sep="\\n")
     """
