@@ -7,8 +7,11 @@ from pathlib import Path
 from typing import Unpack
 
 from ..io import pack
-from ..light import reuse
 from ..light.engines import VOLPATH_RELATIVE_ERROR
+from ..light.identity import light_scene
+from ..light.records import LedBatches
+from ..light.tracing import StoppingRule, photons_engine
+from ..light.transfer import transfer_of
 from ..options import Requested, TraceOptions
 from ..scene import Scene
 from ..scene.sweep import Sweep
@@ -80,28 +83,29 @@ def _cost(scene: Scene, settings: Settings) -> tuple[float, float, float, float]
             more = max((error / max(required.relative_error or floor, floor)) ** 2, 1.0)
         size = len(pack(*reading.to_record(dataset)))
         return (time.process_time() - begin) * more, 0.0, 0.0, float(size)
-    kind = reuse.tracer(scene, settings.options.backend)
-    engine, required = kind(reuse.reference(scene)), settings.required(scene)
+    engine_class, _ = photons_engine(scene, settings.options.backend)
+    full: int = engine_class.batch_photons
+    engine, required = engine_class(light_scene(scene)), settings.required(scene)
     engine.batch(0, photons=1024, seed=1)  # compiles
     opening = time.process_time()
-    engine = kind(reuse.reference(scene))
+    engine = engine_class(light_scene(scene))
     opening = time.process_time() - opening
     light_s, light_bytes, traces = opening, 0.0, []
     for led in range(len(scene.leds)):
         begin = time.process_time()
-        batch = engine.batch(led, photons=kind.batch_photons, seed=1)
+        batch = engine.batch(led, photons=full, seed=1)
         spent = time.process_time() - begin
-        need = reuse.Need(scene, led, required, engine.mu_a(led))
-        need.add(batch)
-        photons = required.photons or kind.batch_photons
-        if required.photons is None and required.relative_error is not None and math.isfinite(need.errors[0]):
-            photons *= max((need.errors[0] / required.relative_error) ** 2, 1.0)
-        times = photons / kind.batch_photons
+        rule = StoppingRule(scene, led, required, engine.mu_a(led), full=full)
+        rule.add(batch)
+        photons = float(required.photons or full)
+        if required.photons is None and required.relative_error is not None and math.isfinite(rule.error):
+            photons *= max((rule.error / required.relative_error) ** 2, 1.0)
+        times = photons / full
         light_s += spent * times
         light_bytes += times * (batch.weight.nbytes + batch.path_mm.nbytes + batch.photodiode.nbytes)
-        batches = reuse.LedBatches(engine.mu_a(led), {(0, kind.batch_photons): batch})
-        traces.append(batches.trace([kind.batch_photons], seed=settings.options.seed, led=led, rest=need.rest))
-    transfer = reuse.transfer_of(scene, traces, backend=settings.options.backend)
+        batches = LedBatches(engine.mu_a(led), {(0, full): batch})
+        traces.append(batches.trace([full], seed=settings.options.seed, led=led, rest=rule.rest))
+    transfer = transfer_of(scene, traces, backend=settings.options.backend)
     reading.of_transfer(transfer, seed=settings.options.seed)  # imports
     begin = time.process_time()
     dataset = reading.of_transfer(transfer, seed=settings.options.seed)

@@ -11,8 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..io import CorruptError, check_writable, claimed, make_folder, pack, unpack, write_bytes
-from ..light.records import Batch
-from ..light.reuse import LedBatches
+from ..light.records import Batch, LedBatches
 
 FORMAT = 1
 # Older leftovers of killed writers are swept away; a writer at work is never this slow. [s]

@@ -5,7 +5,7 @@ from typing import Any
 
 from ..errors import InputError
 from ..io import CorruptError
-from ..light import reuse
+from ..light.identity import light_digest
 from ..scene import Scene, digest
 from ..scene.sweep import Sweep
 from .folder import Folder
@@ -29,7 +29,7 @@ def plan(sweep: Sweep, settings: Settings) -> list[Planned]:
     planned = []
     for scene in sweep.scenes:
         own = digest(scene)
-        planned.append(Planned(own, reuse.light_digest(scene) if reads_transfer(scene, settings) else own, scene))
+        planned.append(Planned(own, light_digest(scene) if reads_transfer(scene, settings) else own, scene))
     return planned
 
 

@@ -7,7 +7,9 @@ import numpy as np
 import xarray as xr
 
 from ..errors import NotReachedError
-from ..light import Transfer, reuse
+from ..light import Transfer
+from ..light.engines import light_of
+from ..light.transfer import photodiode_names
 from ..options import TraceOptions
 from ..scene import Scene
 from ..variables import Variable, variable
@@ -52,7 +54,7 @@ def _simulate(transfer: Transfer, seed: int) -> xr.Dataset:
     from ..studies.simulate import simulate_from
 
     course = blood_over_touch(transfer.scene)
-    return _summarised(simulate_from(transfer.scene, reuse.light_of(transfer), course=course, seed=seed))
+    return _summarised(simulate_from(transfer.scene, light_of(transfer), course=course, seed=seed))
 
 
 def _summarised(result: xr.Dataset) -> xr.Dataset:
@@ -97,7 +99,7 @@ def by_volpath(scene: Scene, options: TraceOptions) -> tuple[xr.Dataset, int, bo
         if not isinstance(error.result, RestReadings):
             raise
         rest, reached = error.result, False
-    names = reuse.photodiode_names(scene)
+    names = photodiode_names(scene)
     fraction, stderr = (
         np.reshape([row[column] for row in rest.readings], (len(scene.leds), len(names)))
         for column in ("detected_fraction", "stderr")

@@ -17,10 +17,12 @@ import numpy as np
 
 from ..errors import NailopticsError, NotReachedError, WriteError
 from ..io import CorruptError, pack, write_bytes
-from ..light import ReweightWarning, Transfer, reuse
+from ..light import ReweightWarning, Transfer
 from ..light import backend as backends
-from ..light.tracing import accuracy
-from ..light.transfer import versions
+from ..light.identity import light_scene
+from ..light.records import LedBatches
+from ..light.tracing import StoppingRule, accuracy, extend, photons_engine
+from ..light.transfer import transfer_of, versions
 from ..options import BackendName, TraceOptions
 from ..scene import Accuracy, Scene, to_toml
 from . import reading
@@ -111,7 +113,7 @@ def prepare(threads: int) -> None:
             os._exit(1)
 
         threading.Thread(target=watch, daemon=True).start()
-    reuse.set_threads(threads)
+    backends.set_threads(threads)
 
 
 def cores() -> int:
@@ -127,7 +129,7 @@ def work(job: Job, settings: Settings, sharers: int = 0) -> JobReport:
     report = JobReport()
     with _one_job:
         if sharers:
-            reuse.set_threads(max(1, cores() // sharers))
+            backends.set_threads(max(1, cores() // sharers))
         try:
             with Folder(settings.folder).claimed(job.claim) as mine:
                 if mine:
@@ -223,17 +225,17 @@ class _Light:
     def __init__(self, job: Job, scenes: list[Scene], settings: Settings, report: JobReport) -> None:
         self.settings = settings
         folder, first = Folder(settings.folder), scenes[0]
-        kind, made = reuse.tracer(first, settings.options.backend), settings.made()
-        self.full: int = kind.batch_photons
+        (engine_class, _), made = photons_engine(first, settings.options.backend), settings.made()
+        full: int = engine_class.batch_photons
         opened: list[Any] = []
 
         def engine() -> Any:
             if not opened:
-                opened.append(kind(reuse.reference(first)))
+                opened.append(engine_class(light_scene(first)))
             return opened[0]
 
-        self.leds: list[reuse.LedBatches] = []
-        self.needs: list[dict[int, reuse.Need]] = []
+        self.leds: list[LedBatches] = []
+        self.rules: list[dict[int, StoppingRule]] = []
         for led in range(len(first.leds)):
             have = None
             try:
@@ -242,31 +244,30 @@ class _Light:
                 report.corrupt.append(folder.light(job.key, led).name)
             mu_a = have.mu_a if have else engine().mu_a(led)
             # Scenes that differ only in what comes after the light need the same of it.
-            needs: dict[Any, reuse.Need] = {}
+            rules: dict[Any, StoppingRule] = {}
             own = {}
             for scene in (*scenes, *job.also):
                 required = settings.required(scene)
                 same = (scene.blood, scene.finger, scene.leds[led].fwhm_nm, required)
-                if same not in needs:
-                    needs[same] = reuse.Need(scene, led, required, mu_a)
-                own[id(scene)] = needs[same]
+                if same not in rules:
+                    rules[same] = StoppingRule(scene, led, required, mu_a, full=full)
+                own[id(scene)] = rules[same]
 
-            def save(batches: reuse.LedBatches, led: int = led) -> None:
+            def save(batches: LedBatches, led: int = led) -> None:
                 folder.write_light(job.key, led, batches, made=made)
 
             self.leds.append(
-                reuse.grow(
+                extend(
                     engine,
                     led,
                     have,
-                    list(needs.values()),
+                    list(rules.values()),
                     seed=settings.options.seed,
-                    full=self.full,
                     stop=settings.is_late,
                     save=save,
                 )
             )
-            self.needs.append(own)
+            self.rules.append(own)
 
     def transfer(self, scene: Scene) -> tuple[Transfer, bool, float | None] | None:
         """The scene's light, whether it is as accurate as asked, and its largest relative error if that was looked at.
@@ -275,19 +276,19 @@ class _Light:
         """
         settings, traces, reached = self.settings, [], True
         errors: list[float | None] = []
-        for led, (batches, own) in enumerate(zip(self.leds, self.needs, strict=True)):
-            need = own[id(scene)]
-            if need.dark:
-                raise NotReachedError(need.dark)
-            sizes, met = need.settled(batches, self.full)
+        for led, (batches, own) in enumerate(zip(self.leds, self.rules, strict=True)):
+            rule = own[id(scene)]
+            if rule.unseen:
+                raise NotReachedError(rule.unseen)
+            sizes, met = rule.settled(batches.pieces)
             if not sizes or (not met and settings.is_late()):
                 return None
             reached &= met
-            errors.append(need.errors[len(sizes) - 1] if sizes[-1] == self.full else None)
-            traces.append(batches.trace(sizes, seed=settings.options.seed, led=led, rest=need.rest))
+            errors.append(rule.errors[len(sizes) - 1] if sizes[-1] == rule.full else None)
+            traces.append(batches.trace(sizes, seed=settings.options.seed, led=led, rest=rule.rest))
         known = [error for error in errors if error is not None]
         worst = max(known) if len(known) == len(errors) else None
-        return reuse.transfer_of(scene, traces, backend=settings.options.backend), reached, worst
+        return transfer_of(scene, traces, backend=settings.options.backend), reached, worst
 
 
 def _result(

@@ -336,3 +336,11 @@ def _remember(file: Path | None, key: str, engines: tuple[str, ...], why: str) -
         write_text(file, json.dumps(answers, indent=1))
     except (OSError, WriteError) as error:
         log.debug("backends are not remembered: %s", error)
+
+
+def set_threads(count: int) -> None:
+    """Let Dr.Jit use so many threads in this process."""
+    import drjit as dr
+
+    if dr.thread_count() != count:
+        dr.set_thread_count(count)

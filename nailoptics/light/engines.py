@@ -142,6 +142,21 @@ def _photons(transfer: Transfer, shape: Geometry, seed: int) -> DetectedLight:
     )
 
 
+def light_of(transfer: Transfer) -> DetectedLight:
+    """A Transfer as the light of a finger scene, without the map of its section."""
+    rest = transfer.at()
+    worst = float((rest.detected_fraction_stderr / rest.detected_fraction).max())
+    return DetectedLight(
+        over=lambda states: course(transfer, states, electrons=True),
+        absorbers=transfer.absorbers,
+        mean_path=rest.mean_path_mm.values,
+        mean_path_stderr=rest.mean_path_mm_stderr.values,
+        section=xr.Dataset(),
+        attributes=transfer.attributes()
+        | {"accuracy_reached": f"relative standard error of every reading at rest at most {worst:.2g}"},
+    )
+
+
 def _section(scene: Scene, shape: Geometry, seed: int, *, traced: bool) -> xr.Dataset:
     """The longitudinal section at u = 0: regions and, if traced, each LED's path density."""
     low, high = np.asarray(shape.bounds_mm)

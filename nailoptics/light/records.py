@@ -8,6 +8,7 @@ from operator import add
 import numpy as np
 
 from ..errors import InputError
+from ..statistics import seed_of
 from .moments import Moments, RestState, moments_of, moments_of_sample
 from .reweight import transmission
 
@@ -106,6 +107,8 @@ def joined(traces: Sequence[LedTrace]) -> LedTrace:
         raise InputError(f"these traces share {shared} seed(s), so they are not independent; use different seeds.")
     if any(not np.array_equal(trace.mu_a, traces[0].mu_a) for trace in traces):
         raise InputError("these traces were made at different absorption; trace both at the same blood state.")
+    if any(_differ(trace.rest, traces[0].rest) for trace in traces):
+        raise InputError("these traces are of scenes that differ at rest; merge traces of one scene.")
     # One probability for all: had records of earlier batches another, few of them would carry most of a reading.
     keep = min(trace.keep for trace in traces)
     while sum(np.count_nonzero(trace.draw < keep) for trace in traces) > MAX_RECORDS:
@@ -133,7 +136,13 @@ def joined(traces: Sequence[LedTrace]) -> LedTrace:
     )
 
 
-def of_batch(batch: Batch, mu_a: np.ndarray, seed: int, rest: RestState | None) -> LedTrace:
+def _differ(a: RestState | None, b: RestState | None) -> bool:
+    if a is None or b is None:
+        return a is not b
+    return not (np.array_equal(a.mu_a, b.mu_a) and np.array_equal(a.share, b.share))
+
+
+def _of_batch(batch: Batch, mu_a: np.ndarray, seed: int, rest: RestState | None) -> LedTrace:
     """One batch as a trace.
 
     mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
@@ -148,3 +157,43 @@ def of_batch(batch: Batch, mu_a: np.ndarray, seed: int, rest: RestState | None) 
         seeds=(seed,),
         rest=rest,
     )
+
+
+@dataclass(frozen=True)
+class LedBatches:
+    """The traced batches of one LED, each by itself, so that a scene can be read from those that it needs alone.
+
+    mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
+    pieces : batch by its number and its photons; both, with the seed, determine its bits.
+    """
+
+    mu_a: np.ndarray
+    pieces: Mapping[tuple[int, int], Batch]
+
+    def trace(self, sizes: Sequence[int], *, seed: int, led: int, rest: RestState) -> LedTrace:
+        """The batches of these sizes as one trace, exact at rest however many records it keeps."""
+        found = LedRecords(self.mu_a, rest, seed=seed, led=led)
+        for number, size in enumerate(sizes):
+            found.add(number, self.pieces[number, size])
+        return found.trace()
+
+
+class LedRecords:
+    """Records of one LED as its batches come in; memory stays bounded however many there are."""
+
+    def __init__(self, mu_a: np.ndarray, rest: RestState | None, *, seed: int, led: int) -> None:
+        self.mu_a, self.rest, self.seed, self.led, self.events = mu_a, rest, seed, led, 0
+        self._whole: LedTrace | None = None
+        self._loose: list[LedTrace] = []
+
+    def add(self, number: int, batch: Batch) -> None:
+        """Add the batch of a number, which with the seed decided its random numbers."""
+        self.events += batch.events
+        self._loose.append(_of_batch(batch, self.mu_a, seed_of(self.seed, self.led, number), self.rest))
+        if sum(len(trace.weight) for trace in self._loose) > MAX_RECORDS:
+            self.trace()
+
+    def trace(self) -> LedTrace:
+        """All batches so far as one."""
+        self._whole, self._loose = joined([*([self._whole] if self._whole else []), *self._loose]), []
+        return self._whole

@@ -1,9 +1,8 @@
-"""One trace per LED, in batches, until the asked error, the time or the number of photons is reached."""
+"""The driver of every trace: batches of each LED until a stopping rule is met, from what is already there."""
 
-import logging
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 from typing import Any, Unpack
 
@@ -14,20 +13,21 @@ from .. import checks
 from ..errors import InputError, NotReachedError
 from ..options import Requested, TraceOptions
 from ..scene import Accuracy, Scene
-from ..statistics import stderr_of_mean
+from ..statistics import seed_of, stderr_of_mean
 from . import backend as backends
-from . import optics, records
-from .moments import RestState
-from .records import Batch, LedTrace, joined, of_batch
+from .records import Batch, LedBatches, LedRecords
 from .reweight import transmission
-from .transfer import MIN_EFFECTIVE_PHOTONS, Transfer, rest_state, versions
-
-log = logging.getLogger(__name__)
+from .transfer import MIN_EFFECTIVE_PHOTONS, Transfer, photodiode_names, rest_state, transfer_of
 
 DEFAULT_PHOTONS = 1_000_000
-# A photodiode that none of so many photons reached is taken for dark, unless a time limit says otherwise.
+# A photodiode that none of so many photons reached is taken for unseen, unless a time limit says otherwise.
 UNSEEN_PHOTONS = 100_000_000
 INTERRUPTED = "interrupted"
+# Errors are checked after so many batches, each time a quarter more: seldom enough that stopping hardly favours luck.
+# The numbers are fixed, so that a trace that is continued stops where one that was never interrupted stops.
+CHECK_GROWTH = 1.25
+# What a killed process can lose of a long trace. [s]
+SAVE_EVERY_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,6 @@ def trace(
 ) -> Transfer:
     """Trace the light of every LED once; the result can be read at any blood state.
 
-    Parameters
-    ----------
     requested : fields of `TraceOptions`; a million photons where neither they nor the scene say how far.
     progress : called after every batch.
 
@@ -67,43 +65,29 @@ def trace(
     within max_seconds or the trace was interrupted.
     """
     options = TraceOptions(**requested)
-    chosen = backends.choose(options.backend)
-    if not chosen.jit:
-        raise InputError(
-            f"the photons engine needs a JIT backend, and {chosen.name} is none: {chosen.advice or 'ask for auto'}"
-        )
-    asked = accuracy(scene, options)
-    backends.activate(chosen)
-    tracer: Any
-    if scene.phantom is not None:
-        from .layered_walk import LayeredTracer as tracer
-    else:
-        from .finger_walk import FingerTracer as tracer
-    engine = tracer(scene)
+    engine_class, chosen = photons_engine(scene, options.backend)
+    required = accuracy(scene, options)
+    engine = engine_class(scene)
     start, cpu = time.perf_counter(), time.process_time()
     traces, events, complaint = [], 0, None
-    for i in range(len(scene.leds)):
+    for led in range(len(scene.leds)):
         # A fair share of the time for each LED that is left.
-        deadline = None
-        if asked.max_seconds is not None:
-            left = asked.max_seconds - (time.perf_counter() - start)
-            deadline = time.perf_counter() + left / (len(scene.leds) - i)
-        rest = rest_state(scene, i, len(engine.photodiodes))
-        gathered, why = _trace_led(engine, i, asked, options.seed, deadline, progress, rest=rest)
+        seconds = math.inf
+        if required.max_seconds is not None:
+            seconds = (required.max_seconds - (time.perf_counter() - start)) / (len(scene.leds) - led)
+        rule = StoppingRule(scene, led, required, engine.mu_a(led), full=engine.batch_photons, seconds=seconds)
+        found = LedRecords(engine.mu_a(led), rule.rest, seed=options.seed, led=led)
+        why = _trace_led(engine, rule, found, progress)
         complaint = complaint or why
         if why and why.startswith(INTERRUPTED):
             # What is there is of use only with something from every LED: one batch each, then the end.
-            asked = Accuracy(photons=engine.batch_photons)
-        events += gathered.events
-        traces.append(gathered.trace())
-    result = Transfer(
-        scene=scene,
-        photodiodes=engine.photodiodes,
-        absorbers=optics.absorbers(scene),
-        traces=tuple(traces),
-        engine="photons",
+            required = Accuracy(photons=engine.batch_photons)
+        events += found.events
+        traces.append(found.trace())
+    result = transfer_of(
+        scene,
+        traces,
         backend=chosen.name,
-        versions=versions(),
         cpu_seconds=time.process_time() - cpu,
         wall_seconds=time.perf_counter() - start,
         events=events,
@@ -111,6 +95,26 @@ def trace(
     if complaint:
         raise NotReachedError(complaint, result=result)
     return result
+
+
+def photons_engine(scene: Scene, backend: str) -> tuple[Any, backends.Backend]:
+    """The class of the photons engine for a scene, and its backend, which is active from then on.
+
+    Raises: InputError where the backend compiles no kernels.
+    """
+    chosen = backends.choose(backend)
+    if not chosen.jit:
+        raise InputError(
+            f"the photons engine needs a JIT backend, and {chosen.name} is none: {chosen.advice or 'ask for auto'}"
+        )
+    backends.activate(chosen)
+    if scene.phantom is not None:
+        from .layered_walk import LayeredTracer
+
+        return LayeredTracer, chosen
+    from .finger_walk import FingerTracer
+
+    return FingerTracer, chosen
 
 
 def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
@@ -130,90 +134,207 @@ def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
     return asked
 
 
-class _Gathered:
-    """Batches of one LED as they come in; memory stays bounded however many there are."""
+def check_schedule(batches: int) -> bool:
+    """Whether errors are checked after so many batches."""
+    check = 1
+    while check < batches:
+        check = max(check + 1, math.floor(check * CHECK_GROWTH))
+    return check == batches
 
-    def __init__(self, mu_a: np.ndarray, rest: RestState | None) -> None:
-        self.mu_a, self.rest, self.events = mu_a, rest, 0
-        self._whole: LedTrace | None = None
-        self._loose: list[LedTrace] = []
 
-    def add(self, seed: int, batch: Batch) -> None:
-        """Add one batch and the seed that made it."""
-        self.events += batch.events
-        self._loose.append(of_batch(batch, self.mu_a, seed, self.rest))
-        if sum(len(trace.weight) for trace in self._loose) > records.MAX_RECORDS:
-            self.trace()
+class StoppingRule:
+    """When the trace of one LED may end: what a scene requires of it, held against the batches as they come.
 
-    def trace(self) -> LedTrace:
-        """All batches so far as one."""
-        traces = ([self._whole] if self._whole else []) + self._loose
-        self._whole, self._loose = joined(traces), []
-        return self._whole
+    photons, or the relative standard error of every photodiode at rest, checked by `check_schedule`; or the time; or
+    very many photons of which some photodiode has seen none, which no number of photons will mend.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        led: int,
+        required: Accuracy,
+        mu_a: np.ndarray,
+        *,
+        full: int,
+        seconds: float | None = None,
+    ) -> None:
+        """mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
+
+        full : photons of a full batch.
+        seconds : for this LED; its share of max_seconds if not given. [s]
+        """
+        self.led, self.required, self.full = led, required, full
+        self.name, self.photodiodes = scene.leds[led].name, photodiode_names(scene)
+        self.seconds = required.max_seconds / len(scene.leds) if required.max_seconds else math.inf
+        if seconds is not None:
+            self.seconds = seconds
+        self.rest, self._mu_a = rest_state(scene, led, len(self.photodiodes)), mu_a
+        self._weight, self._square = np.zeros(len(self.photodiodes)), np.zeros(len(self.photodiodes))
+        self.photons = 0
+        self.errors: list[float] = []
+        # Why no number of photons will do.
+        self.unseen = ""
+        self._batches: int | None = None
+
+    @property
+    def error(self) -> float:
+        """The largest relative standard error so far."""
+        return self.errors[-1] if self.errors else math.inf
+
+    def add(self, batch: Batch) -> None:
+        """Take in the next batch."""
+        weight = batch.weight * transmission(batch.path_mm, self.rest.mu_a - self._mu_a, self.rest.share)
+        self._weight += np.bincount(batch.photodiode, weight, minlength=len(self._weight))
+        self._square += np.bincount(batch.photodiode, weight**2, minlength=len(self._weight))
+        self.photons += batch.photons
+        self.errors.append(_largest_error(self._weight, self._square, self.photons))
+        target = self.required.relative_error
+        if self._batches is None and target is not None and self.error <= target and check_schedule(len(self.errors)):
+            self._batches = len(self.errors)
+        endless = self.required.photons is None and math.isinf(self.seconds)
+        if endless and not self.unseen and self.photons >= UNSEEN_PHOTONS and not self._weight.all():
+            self.unseen = unseen(self.name, self.photodiodes[int(np.argmin(self._weight))], self.photons)
+
+    def sizes(self) -> list[int] | None:
+        """Photons of the batches that meet the rule; None while that is not known."""
+        if self.required.photons is not None:
+            whole, rest = divmod(self.required.photons, self.full)
+            return [self.full] * whole + ([rest] if rest else [])
+        return None if self._batches is None else [self.full] * self._batches
+
+    def wants(self, number: int) -> bool:
+        """Whether the full batch of this number is needed."""
+        sizes = self.sizes()
+        return (sizes is None and not self.unseen) or (sizes or [])[number : number + 1] == [self.full]
+
+    def settled(self, pieces: Container[tuple[int, int]]) -> tuple[list[int], bool]:
+        """Photons of the batches to read, and whether they meet the rule; of as many as there are if they do not."""
+        sizes = self.sizes()
+        if sizes is not None and all(piece in pieces for piece in enumerate(sizes)):
+            return sizes, True
+        timed = self.required.photons is None and self.required.relative_error is None
+        return [self.full] * len(self.errors), timed
+
+    def shortfall(self) -> str | None:
+        """Why what was traced falls short of what is required, if it does."""
+        target, photons = self.required.relative_error, self.required.photons
+        if self.unseen:
+            return self.unseen
+        if photons is None and target is None or (target and self.error <= target):
+            return None
+        if photons is not None and self.photons >= photons:
+            return None
+        what = f"relative error {self.error:.3g}, {target:g} asked" if target else f"{self.photons} photons"
+        return f'max_seconds ended the trace of LED "{self.name}" at {what}; allow more time or ask for less.'
+
+    def progress(self, seconds: float) -> TraceProgress:
+        """How far the trace is after some time."""
+        target, share = self.required.relative_error, seconds / max(self.seconds, 1e-9)
+        if self.required.photons is not None:
+            share = self.photons / self.required.photons
+        elif target is not None:
+            # While nothing is known of the error, the end is as far as that of a photodiode that sees nothing.
+            known = self.photons / UNSEEN_PHOTONS if math.isinf(self.error) else (target / max(self.error, 1e-99)) ** 2
+            share = max(share, known)
+        return TraceProgress(self.name, self.photons, self.error, target, min(share, 1.0), seconds)
+
+
+def _take_batches(
+    rules: Sequence[StoppingRule],
+    batch_of: Callable[[int, int], Batch],
+    *,
+    has: Callable[[int, int], bool] = lambda number, photons: False,
+    stop: Callable[[], bool] = lambda: False,
+    report: Callable[[float], None] = lambda seconds: None,
+) -> None:
+    """Take the batches of one LED, those that are there and new ones, until every rule is met or out of time.
+
+    rules : of all scenes that will be read; they must not have taken in any batch yet.
+    batch_of : the batch of a number and its photons, stored or traced now.
+    has : whether it is stored; what is stored is taken even when time is over.
+    stop : whether nothing more is to be traced.
+    report : called after every batch with the seconds spent.
+    """
+    begin, number = time.perf_counter(), 0
+    while waiting := [rule for rule in rules if rule.wants(number)]:
+        full = waiting[0].full
+        late = number > 0 and time.perf_counter() - begin >= max(rule.seconds for rule in waiting)
+        if not has(number, full) and (late or stop()):
+            return
+        batch = batch_of(number, full)
+        for rule in rules:
+            rule.add(batch)
+        number += 1
+        report(time.perf_counter() - begin)
+    for rule in rules:
+        sizes = rule.sizes()
+        if sizes and sizes[-1] != rule.full and not stop():
+            late = number > 0 and time.perf_counter() - begin >= rule.seconds
+            if not late or has(len(sizes) - 1, sizes[-1]):
+                batch = batch_of(len(sizes) - 1, sizes[-1])
+                if len(rules) == 1:
+                    rule.add(batch)
+                    report(time.perf_counter() - begin)
+
+
+def extend(
+    engine: Callable[[], Any],
+    led: int,
+    have: LedBatches | None,
+    rules: Sequence[StoppingRule],
+    *,
+    seed: int,
+    stop: Callable[[], bool],
+    save: Callable[[LedBatches], None],
+) -> LedBatches:
+    """Continue the stored batches of one LED until every rule is met or out of time, or `stop` says so.
+
+    engine : makes the engine; called only if something has to be traced.
+    rules : of all scenes that will be read; they must not have taken in any batch yet.
+    save : called every now and then, and at the end, if there is anything new.
+    """
+    pieces = dict(have.pieces) if have else {}
+    batches = LedBatches(have.mu_a if have else engine().mu_a(led), pieces)
+    saved, unsaved = time.perf_counter(), False
+
+    def batch_of(number: int, photons: int) -> Batch:
+        nonlocal saved, unsaved
+        if (number, photons) not in pieces:
+            pieces[number, photons] = engine().batch(led, photons=photons, seed=seed_of(seed, led, number))
+            unsaved = True
+            if time.perf_counter() - saved > SAVE_EVERY_S:
+                save(batches)
+                saved, unsaved = time.perf_counter(), False
+        return pieces[number, photons]
+
+    _take_batches(rules, batch_of, has=lambda number, photons: (number, photons) in pieces, stop=stop)
+    if unsaved:
+        save(batches)
+    return batches
 
 
 def _trace_led(
-    engine: Any,
-    led: int,
-    asked: Accuracy,
-    seed: int,
-    deadline: float | None,
-    progress: Callable[[TraceProgress], None] | None,
-    *,
-    rest: RestState | None = None,
-) -> tuple[_Gathered, str | None]:
-    """Batches of one LED with their seeds, and why they fall short of what was asked, if they do.
+    engine: Any, rule: StoppingRule, found: LedRecords, progress: Callable[[TraceProgress], None] | None
+) -> str | None:
+    """Trace one LED into its records; says why they fall short of what is required, if they do."""
 
-    rest : state in which the error is looked at; the traced one if not given.
-    """
-    name, begin = engine.scene.leds[led].name, time.perf_counter()
-    gathered = _Gathered(engine.mu_a(led), rest)
-    count = len(engine.photodiodes)
-    weight, square, done = np.zeros(count), np.zeros(count), 0
-    planned = asked.photons or engine.batch_photons
-    error = math.inf
+    def traced(number: int, photons: int) -> Batch:
+        batch: Batch = engine.batch(found.led, photons=photons, seed=seed_of(found.seed, found.led, number))
+        found.add(number, batch)
+        return batch
+
+    def report(seconds: float) -> None:
+        if progress:
+            progress(rule.progress(seconds))
+
     try:
-        for batch_seed in _seeds(seed, led):
-            size = min(engine.batch_photons, planned - done)
-            batch = engine.batch(led, photons=size, seed=batch_seed)
-            gathered.add(batch_seed, batch)
-            done += size
-            read = batch.weight
-            if rest is not None:
-                read = read * transmission(batch.path_mm, rest.mu_a - gathered.mu_a, rest.share)
-            weight += np.bincount(batch.photodiode, read, minlength=count)
-            square += np.bincount(batch.photodiode, read**2, minlength=count)
-            error = _largest_error(weight, square, done)
-            late = deadline is not None and time.perf_counter() >= deadline
-            if asked.photons is None and done >= planned:
-                planned = _plan(asked.relative_error, error, done, engine.batch_photons)
-            if progress:
-                if deadline is not None and (asked.relative_error is None or planned == math.inf):
-                    share = min(1.0, (time.perf_counter() - begin) / max(deadline - begin, 1e-9))
-                else:
-                    share = min(1.0, done / planned)
-                progress(TraceProgress(name, done, error, asked.relative_error, share, time.perf_counter() - begin))
-            if done >= planned:
-                return gathered, None
-            if asked.photons is None and deadline is None and done >= UNSEEN_PHOTONS and not weight.all():
-                return gathered, unseen(name, engine.photodiodes[int(np.argmin(weight))], done)
-            if late:
-                if asked.relative_error is None and asked.photons is None:
-                    return gathered, None
-                what = (
-                    f"relative error {error:.3g}, {asked.relative_error:g} asked"
-                    if asked.relative_error
-                    else f"{done} photons"
-                )
-                return (
-                    gathered,
-                    f'max_seconds ended the trace of LED "{name}" at {what}; allow more time or ask for less.',
-                )
+        _take_batches([rule], traced, report=report)
     except KeyboardInterrupt:
-        if not done:
+        if not rule.photons:
             raise
-        return gathered, f'{INTERRUPTED}: LED "{name}" has {done} photons, relative error {error:.3g}.'
-    raise AssertionError("seeds never end")
+        return f'{INTERRUPTED}: LED "{rule.name}" has {rule.photons} photons, relative error {rule.error:.3g}.'
+    return rule.shortfall()
 
 
 def unseen(led: str, photodiode: str, photons: int) -> str:
@@ -224,18 +345,6 @@ def unseen(led: str, photodiode: str, photons: int) -> str:
     )
 
 
-def _plan(target: float | None, error: float, done: int, batch: int) -> float:
-    """Photons in all that should meet the target, decided in few rounds so that stopping hardly favours luck."""
-    if target is None:
-        return math.inf
-    if error <= target:
-        return done
-    if math.isinf(error):
-        return 4 * done
-    needed = done * min((error / target) ** 2 * 1.02, 64.0)
-    return math.ceil(max(needed - done, 1) / batch) * batch + done
-
-
 def _largest_error(weight: np.ndarray, square: np.ndarray, photons: int) -> float:
     """Largest relative standard error; inf as long as a photodiode has too few photons for one."""
     if not len(weight):
@@ -243,12 +352,3 @@ def _largest_error(weight: np.ndarray, square: np.ndarray, photons: int) -> floa
     if np.any(weight**2 < MIN_EFFECTIVE_PHOTONS * square) or np.any(square == 0):
         return math.inf
     return float(np.max(stderr_of_mean(weight, square, photons) / (weight / photons)))
-
-
-def _seeds(seed: int, led: int) -> Iterator[int]:
-    """Independent seeds for the batches of one LED."""
-    batch = 0
-    while True:
-        sequence = np.random.SeedSequence(seed, spawn_key=(led, batch))
-        yield int(sequence.generate_state(1, np.uint64)[0])
-        batch += 1

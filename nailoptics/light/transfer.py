@@ -16,6 +16,7 @@ from ..errors import InputError, NailopticsError
 from ..scene import Scene, digest, parse_scene, to_toml
 from ..statistics import stderr_of_mean
 from . import optics
+from .identity import light_digest
 from .moments import Moments, RestState, moments_of
 from .records import LedTrace, joined
 
@@ -133,7 +134,9 @@ class Transfer:
 
     def merge(self, other: "Transfer") -> "Transfer":
         """This trace and another of the same light as one; raises InputError if they differ or share a seed."""
-        if optical_key(self.scene) != optical_key(other.scene) or self.engine != other.engine:
+        # What reads the light is one scene's, too.
+        kept, merged = ((light_digest(t.scene), t.scene.leds, t.scene.photodiodes, t.engine) for t in (self, other))
+        if kept != merged:
             raise InputError("these traces are of different scenes or engines; merge traces of one scene.")
         return replace(
             self,
@@ -251,16 +254,33 @@ def provenance(scene: Scene, *, engine: str, backend: str, photons: int, seeds: 
     }
 
 
-def optical_key(scene: Scene) -> str:
-    """Digest of what decides where light goes and how it is traced; blood, touch and electronics do not."""
-    light_only = scene.model_copy(
-        update={
-            "touch": type(scene.touch)(),
-            "electronics": type(scene.electronics)(),
-            "accuracy": type(scene.accuracy)(),
-        }
+def photodiode_names(scene: Scene) -> tuple[str, ...]:
+    """Names of the photodiodes in the order in which a trace counts them."""
+    return scene.layout.photodiode_names if scene.phantom is None else tuple(p.name for p in scene.photodiodes)
+
+
+def transfer_of(
+    scene: Scene,
+    traces: Sequence[LedTrace],
+    *,
+    backend: str,
+    cpu_seconds: float = 0.0,
+    wall_seconds: float = 0.0,
+    events: int = 0,
+) -> Transfer:
+    """What was traced as the Transfer of a scene; of light traced for many scenes the time is nobody's share."""
+    return Transfer(
+        scene=scene,
+        photodiodes=photodiode_names(scene),
+        absorbers=optics.absorbers(scene),
+        traces=tuple(traces),
+        engine="photons",
+        backend=backend,
+        versions=versions(),
+        cpu_seconds=cpu_seconds,
+        wall_seconds=wall_seconds,
+        events=events,
     )
-    return digest(light_only)
 
 
 def scene_from_attributes(attributes: Mapping[str, Any]) -> Scene:

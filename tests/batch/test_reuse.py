@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 import nailoptics as nail
-from nailoptics.light import reuse
+from nailoptics.light import tracing
+from nailoptics.light.identity import light_digest, light_scene
+from nailoptics.light.tracing import StoppingRule, check_schedule, extend, photons_engine
+from nailoptics.light.transfer import photodiode_names, rest_state, transfer_of
 from nailoptics.scene import Accuracy, load_scene, parse_scene
 from nailoptics.scene.placement import Placement
 
@@ -23,7 +26,7 @@ def changed(scene, table, **update):
 
 def test_what_does_not_change_the_light_leaves_its_digest():
     scene = prototype()
-    key = reuse.light_digest(scene)
+    key = light_digest(scene)
     led = scene.leds[0].model_copy(update={"name": "x", "flux_mw": 9.0, "fwhm_nm": 3.0, "part": None})
     diode = scene.photodiodes[0].model_copy(update={"dark_current_na": 5.0, "quantum_efficiency": 0.5})
     same = [
@@ -36,7 +39,7 @@ def test_what_does_not_change_the_light_leaves_its_digest():
         scene.model_copy(update={"leds": (led,)}),
         scene.model_copy(update={"photodiodes": (diode, *scene.photodiodes[1:])}),
     ]
-    assert [reuse.light_digest(s) for s in same] == [key] * len(same)
+    assert [light_digest(s) for s in same] == [key] * len(same)
 
 
 def test_what_changes_the_light_changes_its_digest():
@@ -50,11 +53,11 @@ def test_what_changes_the_light_changes_its_digest():
         scene.model_copy(update={"leds": (scene.leds[0].model_copy(update={"wavelength_nm": 660.0}),)}),
         scene.model_copy(update={"leds": (scene.leds[0].model_copy(update={"position_mm": (-1.2, 1.0)}),)}),
     ]
-    assert len({reuse.light_digest(s) for s in [scene, *other]}) == 1 + len(other)
+    assert len({light_digest(s) for s in [scene, *other]}) == 1 + len(other)
 
 
 def grown(scene, *, asked, have=None, seed=0):
-    kind = reuse.tracer(scene, "auto")
+    kind, _ = photons_engine(scene, "auto")
     traced: list[int] = []
 
     class Counting(kind):
@@ -62,25 +65,24 @@ def grown(scene, *, asked, have=None, seed=0):
             traced.append(photons)
             return super().batch(led, photons=photons, seed=seed)
 
-    engine = Counting(reuse.reference(scene))
-    need = reuse.Need(scene, 0, asked, engine.mu_a(0))
-    batches = reuse.grow(
+    engine = Counting(light_scene(scene))
+    rule = StoppingRule(scene, 0, asked, engine.mu_a(0), full=kind.batch_photons)
+    batches = extend(
         lambda: engine,
         0,
         have,
-        [need],
+        [rule],
         seed=seed,
-        full=kind.batch_photons,
         stop=lambda: False,
         save=lambda _: None,
     )
-    sizes, met = need.settled(batches, kind.batch_photons)
+    sizes, met = rule.settled(batches.pieces)
     assert met
     return batches, sizes, traced
 
 
 def rest_of(scene):
-    return reuse.rest_state(scene, 0, len(reuse.photodiode_names(scene)))
+    return rest_state(scene, 0, len(photodiode_names(scene)))
 
 
 @pytest.mark.jit
@@ -93,7 +95,7 @@ def test_a_trace_for_many_is_the_trace_of_one_bit_for_bit(jit_backend, tmp_path,
         scene, photons = prototype(), 8_000
     batches, sizes, _ = grown(scene, asked=Accuracy(photons=photons), seed=5)
     trace = batches.trace(sizes, seed=5, led=0, rest=rest_of(scene))
-    mine = reuse.transfer_of(scene, [trace], backend=jit_backend.name)
+    mine = transfer_of(scene, [trace], backend=jit_backend.name)
     theirs = nail.trace(scene, photons=photons, seed=5)
     assert mine.photodiodes == theirs.photodiodes and mine.absorbers == theirs.absorbers
     for name in ("photodiode", "weight", "path_mm"):
@@ -107,7 +109,7 @@ def test_another_state_read_from_the_shared_trace_meets_its_own_trace(jit_backen
     scene = changed(changed(prototype(), "blood", so2=0.75, rest_blood_fraction=0.05), "finger", melanin_fraction=0.1)
     batches, sizes, _ = grown(scene, asked=Accuracy(photons=1 << 19))
     trace = batches.trace(sizes, seed=0, led=0, rest=rest_of(scene))
-    shared = reuse.transfer_of(scene, [trace], backend=jit_backend.name).at()
+    shared = transfer_of(scene, [trace], backend=jit_backend.name).at()
     own = nail.trace(scene, photons=1 << 19, seed=99).at()
     off = (shared.detected_fraction - own.detected_fraction) / np.hypot(
         shared.detected_fraction_stderr, own.detected_fraction_stderr
@@ -129,32 +131,33 @@ def test_a_tighter_error_goes_on_from_what_is_there_and_ends_where_a_fresh_trace
     assert np.array_equal(one.weight, two.weight) and one.energy == two.energy and one.seeds == two.seeds
 
 
-def test_errors_are_looked_at_seldom_and_at_fixed_numbers():
-    looks = [n for n in range(1, 400) if reuse.is_look(n)]
-    assert looks[:6] == [1, 2, 3, 4, 5, 6] and len(looks) < 30
-    assert all(b <= max(a + 1, 1.25 * a) for a, b in zip(looks, looks[1:], strict=False))
+def test_errors_are_checked_seldom_and_at_fixed_numbers():
+    checks = [n for n in range(1, 400) if check_schedule(n)]
+    assert checks[:6] == [1, 2, 3, 4, 5, 6] and len(checks) < 30
+    assert all(b <= max(a + 1, 1.25 * a) for a, b in zip(checks, checks[1:], strict=False))
 
 
-def test_the_reference_of_a_scene_is_its_own_reference():
+def test_the_light_of_a_scene_is_its_own_light():
     for scene in (prototype(), parse_scene(nail.scene.to_toml(prototype()))):
-        once = reuse.reference(scene)
-        assert reuse.reference(once) == once
+        once = light_scene(scene)
+        assert light_scene(once) == once
 
 
 @pytest.mark.jit
 def test_a_photodiode_that_no_light_reaches_ends_the_trace_with_a_word(jit_backend, tmp_path, monkeypatch):
     """However many other scenes go on tracing, and seen or not by their photons later."""
-    monkeypatch.setattr(reuse, "UNSEEN_PHOTONS", 1_000_000)
+    monkeypatch.setattr(tracing, "UNSEEN_PHOTONS", 1_000_000)
     scene = phantoms(tmp_path, 2, path="photodiodes.p.position_mm[0]", high=500.0).scenes[1]
-    kind = reuse.tracer(scene, "auto")
-    mu_a = kind(reuse.reference(scene)).mu_a(0)
-    dark, more = (
-        reuse.Need(scene, 0, asked, mu_a) for asked in (Accuracy(relative_error=0.01), Accuracy(photons=1 << 22))
+    kind, _ = photons_engine(scene, "auto")
+    mu_a = kind(light_scene(scene)).mu_a(0)
+    far, more = (
+        StoppingRule(scene, 0, asked, mu_a, full=kind.batch_photons)
+        for asked in (Accuracy(relative_error=0.01), Accuracy(photons=1 << 22))
     )
-    engine = kind(reuse.reference(scene))
-    options = {"seed": 0, "full": kind.batch_photons, "stop": lambda: False, "save": lambda _: None}
-    batches = reuse.grow(lambda: engine, 0, None, [dark], **options)
-    assert sum(size for _, size in batches.pieces) < 2_000_000 and 'none reached photodiode "p"' in dark.dark
-    again = reuse.Need(scene, 0, Accuracy(relative_error=0.01), mu_a)
-    assert len(reuse.grow(lambda: engine, 0, batches, [again, more], **options).pieces) == 8
-    assert again.dark == dark.dark and not more.dark
+    engine = kind(light_scene(scene))
+    options = {"seed": 0, "stop": lambda: False, "save": lambda _: None}
+    batches = extend(lambda: engine, 0, None, [far], **options)
+    assert sum(size for _, size in batches.pieces) < 2_000_000 and 'none reached photodiode "p"' in far.unseen
+    again = StoppingRule(scene, 0, Accuracy(relative_error=0.01), mu_a, full=kind.batch_photons)
+    assert len(extend(lambda: engine, 0, batches, [again, more], **options).pieces) == 8
+    assert again.unseen == far.unseen and not more.unseen

@@ -17,7 +17,9 @@ from nailoptics.batch import load_sweep, run_batch
 from nailoptics.batch.folder import Folder
 from nailoptics.batch.plan import left, plan
 from nailoptics.batch.work import Settings, work
-from nailoptics.light import backend, reuse
+from nailoptics.light import backend
+from nailoptics.light.identity import light_scene
+from nailoptics.light.tracing import photons_engine
 from nailoptics.options import TraceOptions
 
 BASE = """
@@ -60,13 +62,13 @@ def overhead_and_memory(folder: Path, count: int) -> dict[str, object]:
     place = Folder(settings.folder)
     place.make()
     jobs = left(plan(sweep, settings), place, settings, retry_failed=False).jobs
-    kind = reuse.tracer(sweep.scenes[0], name)
-    reuse.set_threads(1)
+    kind, _ = photons_engine(sweep.scenes[0], name)
+    backend.set_threads(1)
     work(jobs[0], settings)  # compiles
     trace_s, work_s, memory_mb = 0.0, 0.0, []
     for i, (job, scene) in enumerate(zip(jobs[1:], sweep.scenes[1:], strict=True)):
         begin = time.perf_counter()
-        kind(reuse.reference(scene)).batch(0, photons=1000, seed=1)
+        kind(light_scene(scene)).batch(0, photons=1000, seed=1)
         middle = time.perf_counter()
         work(job, settings)
         trace_s, work_s = trace_s + middle - begin, work_s + time.perf_counter() - middle

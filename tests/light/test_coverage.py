@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,12 +9,13 @@ import pytest
 
 import nailoptics as nail
 from nailoptics import tissue
-from nailoptics.light import Transfer, optics, read_rest, reuse
+from nailoptics.light import Transfer, optics, read_rest
 from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
 from nailoptics.light.course import course, read_replicates
 from nailoptics.light.finger_walk import FingerTracer
 from nailoptics.light.records import Batch, LedTrace, joined
-from nailoptics.light.tracing import _trace_led
+from nailoptics.light.tracing import StoppingRule, extend
+from nailoptics.light.transfer import transfer_of
 from nailoptics.scene import Accuracy, Scene, parse_scene
 from nailoptics.statistics import jackknife, left_out, stderr_of_mean
 from nailoptics.studies.comparison import fits
@@ -90,8 +90,8 @@ def small_traces(
         batch = engine.batch(0, photons=photons, seed=1000 + seed)
         kept = {name: getattr(batch, name) for name in ("photodiode", "weight", "path_mm", "energy")}
         traces.append(LedTrace(photons=photons, mu_a=engine.mu_a(0), seeds=(seed,), **kept))
-    small = [reuse.transfer_of(scene, [trace], backend=backend) for trace in traces]
-    return small, reuse.transfer_of(scene, [joined(traces)], backend=backend)
+    small = [transfer_of(scene, [trace], backend=backend) for trace in traces]
+    return small, transfer_of(scene, [joined(traces)], backend=backend)
 
 
 def of_trace(transfer: Transfer) -> Estimates:
@@ -202,7 +202,7 @@ class Urn:
     """Stands for an engine whose truth is known: each photon is detected with one probability, at a skewed weight."""
 
     photodiodes = ("a",)
-    scene = SimpleNamespace(leds=(SimpleNamespace(name="urn"),))
+    scene = parse_scene(SLAB.format(u=2.0).replace("mu_a_per_mm = 0.2", "mu_a_per_mm = 0.0"))
     batch_photons = 1024
     probability = 0.05
     truth = probability / 4  # the mean of u^3
@@ -219,9 +219,12 @@ class Urn:
 
 def stopped(seed: int, target: float) -> tuple[float, float]:
     """Relative departure from the truth, and relative standard error, of a run that stops at a tolerance."""
-    gathered, why = _trace_led(Urn(), 0, Accuracy(relative_error=target), seed, None, None)
-    assert why is None
-    trace = gathered.trace()
+    urn = Urn()
+    rule = StoppingRule(urn.scene, 0, Accuracy(relative_error=target), urn.mu_a(0), full=urn.batch_photons)
+    batches = extend(lambda: urn, 0, None, [rule], seed=seed, stop=lambda: False, save=lambda _: None)
+    sizes, met = rule.settled(batches.pieces)
+    assert met
+    trace = batches.trace(sizes, seed=seed, led=0, rest=rule.rest)
     total = trace.weight.sum()
     error = stderr_of_mean(total, (trace.weight**2).sum(), trace.photons) * trace.photons / total
     return float(total / trace.photons / Urn.truth - 1), float(error)

@@ -8,8 +8,8 @@ from scipy import special, stats
 import nailoptics as nail
 from nailoptics.light.layered_walk import LayeredTracer, arc_share, walk_layers
 from nailoptics.light.sampling import TOP
-from nailoptics.light.tracing import _seeds
 from nailoptics.scene import Scene, parse_scene
+from nailoptics.statistics import seed_of
 
 pytestmark = pytest.mark.jit
 SQUARE = """
@@ -303,10 +303,9 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_others(jit_backend):
 def test_photons_of_a_batch_and_batches_of_a_seed_are_independent(jit_backend):
     """Expected: no correlation between what photons i and i + k became, nor between photons i of two batches."""
     scene = slab(a=0.9, b=2.0, g=0.0, n=1.0)
-    seeds = _seeds(7, 0)
     one, two = (
-        (walk_layers(scene.phantom, scene.leds[0], photons=1 << 18, seed=next(seeds)).outcome == TOP) - 0.36
-        for _ in range(2)
+        (walk_layers(scene.phantom, scene.leds[0], photons=1 << 18, seed=seed_of(7, 0, batch)).outcome == TOP) - 0.36
+        for batch in range(2)
     )
     count = len(one)
     for k in (1, 2, 4096, 8191, 8192, 8193, 16384):

@@ -19,7 +19,7 @@ from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.light import backend, trace
 from nailoptics.light.board_map import BoardTracer, blood_point
-from nailoptics.light.reuse import set_threads
+from nailoptics.light.backend import set_threads
 
 backend.activate(backend.choose("llvm"))
 set_threads(1)  # sums on cells add up in the order of their photons

@@ -15,6 +15,7 @@ from nailoptics.light import TraceProgress, tracing
 from nailoptics.light.layered_walk import LayeredTracer
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, parse_scene
+from nailoptics.statistics import seed_of
 
 pytestmark = pytest.mark.jit
 LED = '[[leds]]\nname = "{name}"\nwavelength_nm = 800.0\npattern = "pencil"\nposition_mm = [{x}, 0.0]\n'
@@ -200,7 +201,7 @@ def test_impossible_demands_are_refused_in_one_line(jit_backend, asked, field):
 
 
 def test_seeds_of_leds_and_batches_are_all_different():
-    seen = [seed for run in (0, 1) for led in range(3) for seed in itertools.islice(tracing._seeds(run, led), 100)]
+    seen = [seed for run in (0, 1) for led in range(3) for seed in (seed_of(run, led, batch) for batch in range(100))]
     assert len(set(seen)) == len(seen)
 
 

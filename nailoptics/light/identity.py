@@ -1,0 +1,45 @@
+"""What decides where light goes: scenes that agree in it share a trace, whatever dims or reads the light."""
+
+from ..scene import Accuracy, Scene, digest
+
+
+def light_scene(scene: Scene) -> Scene:
+    """The scene with the same light paths and everything else at its default; equal for all that can share a trace.
+
+    Blood, saturation and melanin only dim the light; touch, electronics, flux and line width come after it; and the
+    fingers and boards of a search for a layout are not those of its scene.
+    """
+    blood = type(scene.blood)(zone_edges_mm=scene.blood.zone_edges_mm, zone_width_mm=scene.blood.zone_width_mm)
+    leds = tuple(
+        led.model_copy(update={"name": f"led{i}", "part": None, "flux_mw": 1.0, "fwhm_nm": 0.0})
+        for i, led in enumerate(scene.leds)
+    )
+    photodiodes = tuple(
+        p.model_copy(
+            update={"name": f"photodiode{i}", "array": None}
+            | {n: type(p).model_fields[n].default for n in ("quantum_efficiency", "dark_current_na", "shunt_mohm")}
+        )
+        for i, p in enumerate(scene.photodiodes)
+    )
+    update = {
+        "blood": blood,
+        "touch": type(scene.touch)(),
+        "electronics": type(scene.electronics)(),
+        "accuracy": Accuracy(),
+        "light": scene.light.model_copy(update={"engine": "auto"}),
+        "leds": leds,
+        "photodiodes": photodiodes,
+        "placement": None,
+    }
+    if scene.finger is not None:
+        melanin = type(scene.finger).model_fields["melanin_fraction"].default
+        update["finger"] = scene.finger.model_copy(update={"digit": "index", "melanin_fraction": melanin})
+    if scene.phantom is not None:
+        layers = tuple(layer.model_copy(update={"name": f"layer{i}"}) for i, layer in enumerate(scene.phantom.layers))
+        update["phantom"] = scene.phantom.model_copy(update={"layers": layers})
+    return scene.model_copy(update=update)
+
+
+def light_digest(scene: Scene) -> str:
+    """Digest of what decides where light goes, (64) hexadecimal characters; scenes with the same one share a trace."""
+    return digest(light_scene(scene))
