@@ -2,7 +2,7 @@
 
 from .build import build, shaping
 from .distance import DistanceGrid, distance_grid
-from .model import Face, Geometry, nail_coordinates
+from .model import Face, Geometry
 from .watertight import WatertightReport, check_watertight
 
 __all__ = [
@@ -13,6 +13,5 @@ __all__ = [
     "build",
     "check_watertight",
     "distance_grid",
-    "nail_coordinates",
     "shaping",
 ]

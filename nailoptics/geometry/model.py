@@ -102,17 +102,3 @@ class Geometry:
         low, high = np.minimum(self.below, self.above), np.maximum(self.below, self.above)
         key = low.astype(np.int64) * len(self.regions) + high
         return {(int(k) // len(self.regions), int(k) % len(self.regions)): triangles[key == k] for k in np.unique(key)}
-
-
-def nail_coordinates(points: Array, *, nail_radius_mm: float) -> Array:
-    """Place on the nail (u, v) and depth below the plate's outer face of points (x, y, z).
-
-    points : (k, 3) float. [mm]
-    nail_radius_mm : Radius of the nail plate's outer face. [mm]
-
-    Returns: (k, 3) float. u, the arc length across on the plate's outer face; v along, to the tip; depth, negative
-    above the plate. [mm]
-    """
-    x, y, z = np.moveaxis(np.asarray(points, float), -1, 0)
-    height = z + nail_radius_mm
-    return np.stack([nail_radius_mm * np.arctan2(x, height), y, nail_radius_mm - np.hypot(x, height)], axis=-1)

@@ -1,7 +1,5 @@
 """Walls with mass over time, the paper's six-state model: the check on the massless one."""
 
-import dataclasses
-
 import numpy as np
 
 from ..errors import NotReachedError
@@ -14,24 +12,10 @@ _CONTACT_OVER_WALL = 1e6
 _WIDTH_STEP, _SPEED_STEP = 1e-7, 1.0
 
 
-@dataclasses.dataclass(frozen=True)
-class InertialTrajectory:
-    """Walls over time, with their speeds.
-
-    width_m : (N+1, T) float. D + x of each unit and the vein. [m]
-    speed_m_per_s : (N+1, T) float.
-    closed : (N+1, T) bool. True in contact.
-    """
-
-    width_m: np.ndarray
-    speed_m_per_s: np.ndarray
-    closed: np.ndarray
-
-
 def integrate(
     walls: Walls, drive: Drive, time_s: np.ndarray, start_m: np.ndarray, *, rtol: float, contact: bool
-) -> InertialTrajectory:
-    """Walls and their speeds at given times, by scipy's Radau between the stops of the drive.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Diameters D + x [m], speeds [m/s] and contact (bool) of walls at given times, (N+1, T) each, by scipy's Radau.
 
     start_m : (N+1,) float. D + x at time_s[0], at rest. [m]
     contact : Walls push back once closed (a spring a million times as stiff as the wall, with its damping); without,
@@ -53,32 +37,22 @@ def integrate(
         pressure = np.array(inertial_pressures(walls, open_width, speed, inputs[0], inputs[1]))
         force = area * (pressure - inputs[2:]) - stiffness * (width - rest) - damping * speed
         if contact:
-            depth = np.maximum(closed - width, 0.0)
-            force += _CONTACT_OVER_WALL * stiffness * depth
+            force += _CONTACT_OVER_WALL * stiffness * np.maximum(closed - width, 0.0)
         return np.concatenate([speed, force / mass]) / np.tile(rest, 2)
 
     # Rates are linear in the speeds, and smooth in the diameters: fixed differences serve, where adaptive ones stall.
-    offset = np.concatenate([np.full(n, _WIDTH_STEP), np.full(n, _SPEED_STEP)])
+    steps = np.diag(np.repeat([_WIDTH_STEP, _SPEED_STEP], n))
 
     def jacobian(time: float, state: np.ndarray) -> np.ndarray:
-        columns = [(rates(time, state + e) - rates(time, state - e)) / (2.0 * e.sum()) for e in np.diag(offset)]
-        return np.column_stack(columns)
+        return np.stack([(rates(time, state + e) - rates(time, state - e)) / (2.0 * e.sum()) for e in steps], axis=1)
 
     state = np.concatenate([start_m / rest, np.zeros(n)])
     samples = np.empty((2 * n, time_s.size))
     for begin, end in zip(drive.stops[:-1], drive.stops[1:], strict=True):
         inside = (time_s >= begin) & (time_s <= end)
-        wanted = np.append(time_s[inside], end)
-        solution = solve_ivp(
-            rates,
-            (begin, end),
-            state,
-            method="Radau",
-            t_eval=np.unique(wanted),
-            rtol=max(rtol, 3e-14),
-            atol=rtol,
-            jac=jacobian,
-        )
+        wanted = np.unique(np.append(time_s[inside], end))
+        errors = {"rtol": max(rtol, 3e-14), "atol": rtol}
+        solution = solve_ivp(rates, (begin, end), state, "Radau", wanted, jac=jacobian, **errors)
         if not solution.success:
             raise NotReachedError(
                 f"hemodynamics: the inertial model stopped at {begin:g} s ({solution.message}); raise rtol."
@@ -86,7 +60,7 @@ def integrate(
         samples[:, inside] = solution.y[:, : np.count_nonzero(inside)]
         state = solution.y[:, -1]
     width = samples[:n] * rest[:, None]
-    touching = width <= closed[:, None] if contact else np.zeros(width.shape, dtype=bool)
+    touching = contact & (width <= closed[:, None])
     if contact:
         width = np.maximum(width, closed[:, None])
-    return InertialTrajectory(width_m=width, speed_m_per_s=samples[n:] * rest[:, None], closed=touching)
+    return width, samples[n:] * rest[:, None], touching

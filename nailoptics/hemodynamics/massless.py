@@ -4,9 +4,7 @@ A wall in contact stands still while the load presses it on; it leaves when the 
 located, so that between them the equations are smooth and the method keeps its order.
 """
 
-import dataclasses
 import logging
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,28 +18,6 @@ _MOST_STEPS = 2_000_000
 _FIRST_STEP_S = 1e-3
 # Of the listed diameter: closer than this a wall counts as touching.
 _SNAP = 1e-9
-
-
-@dataclasses.dataclass(frozen=True)
-class MasslessTrajectory:
-    """Walls over time.
-
-    width_m : (N+1, T) float. D + x of each unit and the vein. [m]
-    free : (N+1, T) float. 0 where the wall is in contact, else 1.
-    """
-
-    width_m: np.ndarray
-    free: np.ndarray
-
-
-class _Step(NamedTuple):
-    """A step that met the tolerance and crosses no contact: its length, the curve over it, and the next to try."""
-
-    step_s: float
-    after: list[float]
-    first: list[float]
-    second: list[float]
-    next_step_s: float
 
 
 class _System:
@@ -64,9 +40,8 @@ class _System:
     def slope(self, time: float, width: list[float]) -> list[float]:
         """Speed of each wall. [m/s]"""
         inputs = self.drive.at(time)
-        return massless_rates(
-            self.walls, self._open(width), self._load(inputs, width), self.free, inputs[0], inputs[1]
-        )[1]
+        load = self._load(inputs, width)
+        return massless_rates(self.walls, self._open(width), load, self.free, inputs[0], inputs[1])[1]
 
     def lift(self, time: float, width: list[float]) -> list[float]:
         """Force that would move each wall outwards if nothing held it. [N]"""
@@ -103,9 +78,7 @@ class _System:
             return
         for _ in range(2 * len(touching) + 2):
             lift = self.lift(time, width)
-            wrong = [
-                (abs(force), i) for i, force in enumerate(lift) if touching[i] and (force > 0.0) != (self.free[i] > 0.0)
-            ]
+            wrong = [(abs(f), i) for i, f in enumerate(lift) if touching[i] and (f > 0.0) != (self.free[i] > 0.0)]
             if not wrong:
                 return
             i = max(wrong)[1]
@@ -114,38 +87,55 @@ class _System:
 
 def integrate(
     walls: Walls, drive: Drive, time_s: np.ndarray, start_m: np.ndarray, *, rtol: float, most_steps: int = _MOST_STEPS
-) -> MasslessTrajectory:
-    """The walls at given times.
+) -> tuple[np.ndarray, np.ndarray]:
+    """The walls at given times: their diameters D + x [m], and 0 where one is in contact, else 1; (N+1, T) float each.
 
     start_m : (N+1,) float. D + x at time_s[0]. [m]
     rtol : Allowed local error of a step, relative to the diameter or the listed one if that is larger. [1]
 
     Raises: NotReachedError if the tolerance needs more than `most_steps` steps.
     """
-    system, record = _System(walls, drive), _Record()
+    system = _System(walls, drive)
+    steps: list[list[float]] = []
     width = [max(float(d), c) for d, c in zip(start_m, walls.closed, strict=True)]
     time, end = drive.stops[0], drive.stops[-1]
     step_s = min(_FIRST_STEP_S, end - time)
     for stop in drive.stops[1:]:
         system.settle(time, width)
         while time < stop:
-            step = _step(system, time, width, step_s, stop=stop, rtol=rtol)
-            record.add(time, step.step_s, width, step.after, step.first, step.second, system.free)
-            if record.count > most_steps:
+            step_s, after, first, second, next_step_s = _step(system, time, width, step_s, stop=stop, rtol=rtol)
+            steps.append([time, step_s, *width, *after, *first, *second, *system.free])
+            if len(steps) > most_steps:
                 raise NotReachedError(
                     f"hemodynamics: the response needs more than {most_steps} steps (reached {time:g} s); "
                     "raise rtol or soften the parameters."
                 )
-            time = stop if step.step_s == stop - time else time + step.step_s
-            width, step_s = step.after, step.next_step_s
+            time = stop if step_s == stop - time else time + step_s
+            width, step_s = after, next_step_s
             if system.snap(width) or 0.0 in system.free:
                 system.settle(time, width)
-    _LOG.debug("massless model: %d steps over %g s", record.count, end - drive.stops[0])
-    return record.sample(time_s, walls.closed)
+    _LOG.debug("massless model: %d steps over %g s", len(steps), end - drive.stops[0])
+    return _sample(np.array(steps), time_s, walls.closed)
 
 
-def _step(system: _System, time: float, width: list[float], step_s: float, *, stop: float, rtol: float) -> _Step:
-    """Shorten a step until its error is allowed and no wall meets or leaves another before its end."""
+def _sample(steps: np.ndarray, time_s: np.ndarray, closed: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Accepted steps, a row each, read at given times."""
+    starts, lengths = steps[:, 0], steps[:, 1]
+    row = np.clip(np.searchsorted(starts, time_s, side="right") - 1, 0, starts.size - 1)
+    part = np.clip((time_s - starts[row]) / lengths[row], 0.0, 1.0)[:, None]
+    begin, end, first, second, free = (block[row] for block in np.split(steps[:, 2:], 5, axis=1))
+    width = (1.0 - part) * begin + part * (end + (1.0 - part) * (first + part * second))
+    width = np.where(free > 0.0, np.maximum(width, closed), closed)
+    return width.T.copy(), free.T.copy()
+
+
+def _step(
+    system: _System, time: float, width: list[float], step_s: float, *, stop: float, rtol: float
+) -> tuple[float, list[float], list[float], list[float], float]:
+    """Shorten a step until its error is allowed and no wall meets or leaves another before its end.
+
+    Returns: the step, the walls after it, the two vectors of `rodas.interpolate`, and the step to try next.
+    """
     slope, in_time, jacobian = system.linearise(time, width)
     while True:
         wanted_s = step_s
@@ -153,13 +143,7 @@ def _step(system: _System, time: float, width: list[float], step_s: float, *, st
         if at_stop:
             step_s = stop - time
         after, error, first, second = rodas.step(
-            system.slope,
-            time=time,
-            state=width,
-            slope_now=slope,
-            slope_in_time=in_time,
-            jacobian=jacobian,
-            step_s=step_s,
+            system.slope, time, width, slope_now=slope, slope_in_time=in_time, jacobian=jacobian, step_s=step_s
         )
         listed = system.walls.diameter
         size = max([abs(e) / (rtol * max(d, a, r)) for e, d, a, r in zip(error, width, after, listed, strict=True)])
@@ -175,7 +159,7 @@ def _step(system: _System, time: float, width: list[float], step_s: float, *, st
             part = _first_release(system, time, step_s, width, after, first, second)
         if part == 1.0:
             next_step_s = max(wanted_s, step_s * scale) if at_stop and scale >= 1.0 else step_s * scale
-            return _Step(step_s, after, first, second, next_step_s)
+            return step_s, after, first, second, next_step_s
         step_s *= part
 
 
@@ -183,15 +167,9 @@ def _first_contact(
     system: _System, width: list[float], after: list[float], first: list[float], second: list[float]
 ) -> float:
     """The part of the step at which a free wall first reaches contact, 1 if none does."""
-    curves = zip(width, after, first, second, strict=True)
-    return min(
-        [
-            _contact_of_one(curve, closed, _SNAP * listed) if free else 1.0
-            for curve, closed, listed, free in zip(
-                curves, system.walls.closed, system.walls.diameter, system.free, strict=True
-            )
-        ]
-    )
+    curves, walls = zip(width, after, first, second, strict=True), system.walls
+    each = zip(curves, walls.closed, walls.diameter, system.free, strict=True)
+    return min([_contact_of_one(curve, shut, _SNAP * listed) if free else 1.0 for curve, shut, listed, free in each])
 
 
 def _contact_of_one(curve: tuple[float, float, float, float], closed: float, slack: float) -> float:
@@ -240,30 +218,3 @@ def _first_release(
         middle = 0.5 * (low + high)
         low, high = (low, middle) if lifted(middle) else (middle, high)
     return 1.0 if high > 1.0 - 1e-3 else high
-
-
-class _Record:
-    """Accepted steps, to be read at any time afterwards."""
-
-    def __init__(self) -> None:
-        self._rows: list[list[float]] = []
-
-    @property
-    def count(self) -> int:
-        return len(self._rows)
-
-    def add(self, time: float, step_s: float, *vectors: list[float]) -> None:
-        row = [time, step_s]
-        for vector in vectors:
-            row += vector
-        self._rows.append(row)
-
-    def sample(self, time_s: np.ndarray, closed: tuple[float, ...]) -> MasslessTrajectory:
-        table = np.array(self._rows)
-        starts, steps = table[:, 0], table[:, 1]
-        row = np.clip(np.searchsorted(starts, time_s, side="right") - 1, 0, starts.size - 1)
-        part = np.clip((time_s - starts[row]) / steps[row], 0.0, 1.0)[:, None]
-        begin, end, first, second, free = (block[row] for block in np.split(table[:, 2:], 5, axis=1))
-        width = (1.0 - part) * begin + part * (end + (1.0 - part) * (first + part * second))
-        width = np.where(free > 0.0, np.maximum(width, closed), closed)
-        return MasslessTrajectory(width_m=width.T.copy(), free=free.T.copy())

@@ -63,22 +63,6 @@ class Parameters:
         """The values by name."""
         return dataclasses.asdict(self)
 
-    @property
-    def capillary_resistance_pa_s_per_m3(self) -> float:
-        """R_A at the listed diameter, eq. (3). [Pa s/m^3]"""
-        return _poiseuille(
-            self.capillary_length_m, self.capillary_count, self.capillary_diameter_m, self.viscosity_pa_s
-        )
-
-    @property
-    def vein_resistance_pa_s_per_m3(self) -> float:
-        """R_V at the listed diameter, eq. (3). [Pa s/m^3]"""
-        return _poiseuille(self.vein_length_m, self.vein_count, self.vein_diameter_m, self.viscosity_pa_s)
-
-
-def _poiseuille(length_m: float, count: float, diameter_m: float, viscosity_pa_s: float) -> float:
-    return 128.0 * length_m * viscosity_pa_s / (count * math.pi * diameter_m**4)
-
 
 _SETS: dict[str, dict[str, float]] = {
     "listed": {},

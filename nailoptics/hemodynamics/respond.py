@@ -82,23 +82,16 @@ def respond(
     walls, outside = build_walls(p, zones), wall_pressures(zones, touch)
     drive = Drive(time, np.vstack([high, low, outside]))
     if model == "massless":
-        run = massless.integrate(walls, drive, time, start_m, rtol=rtol)
-        width, closed = run.width_m, run.free == 0.0
-        load = [
-            a * f + k * (w - d)
-            for a, f, k, w, d in zip(walls.area, outside, walls.stiffness, width, walls.diameter, strict=True)
-        ]
-        pressure, _ = massless_rates(walls, width, load, run.free, high, low)
+        width, free = massless.integrate(walls, drive, time, start_m, rtol=rtol)
+        closed = free == 0.0
+        each = zip(walls.area, outside, walls.stiffness, width, walls.diameter, strict=True)
+        pressure, _ = massless_rates(walls, width, [a * f + k * (w - d) for a, f, k, w, d in each], free, high, low)
     else:
-        state = inertial.integrate(walls, drive, time, start_m, rtol=rtol, contact=contact)
-        width, closed = state.width_m, state.closed
-        pressure = inertial_pressures(walls, width, state.speed_m_per_s, high, low)
-    return _dataset(
-        _state_variables(zones, width, np.array(pressure), closed) | _input_variables(zones, touch, high, low),
-        zones,
-        time,
-        {"model": model} | {f"parameter_{name}": value for name, value in p.as_dict().items()},
-    )
+        width, speed, closed = inertial.integrate(walls, drive, time, start_m, rtol=rtol, contact=contact)
+        pressure = inertial_pressures(walls, width, speed, high, low)
+    variables = _state_variables(zones, width, np.array(pressure), closed) | _input_variables(zones, touch, high, low)
+    attributes = {"model": model} | {f"parameter_{name}": value for name, value in p.as_dict().items()}
+    return _dataset(variables, zones, time, attributes)
 
 
 def _check_choices(model: str, start: str, *, contact: bool, rtol: float) -> None:
@@ -160,11 +153,8 @@ def _dataset(
     text = "centre of the unit along the bed, 0 cuticle to 1 tip"
     coordinates = variable("time", "time", time, "time", units="s")
     coordinates |= variable("zone_position", "zone", zones.position, text)
-    coordinates["zone"] = (
-        ("zone",),
-        np.array(zones.names),
-        {"long_name": "capillary unit, from the cuticle to the tip"},
-    )
+    names = {"long_name": "capillary unit, from the cuticle to the tip"}
+    coordinates["zone"] = (("zone",), np.array(zones.names), names)
     about = {
         "Conventions": "CF-1.11",
         "title": "touch to blood: vessel diameters and pressures under the nail",

@@ -39,9 +39,9 @@ Vector = list[float]
 
 def step(
     slope: Callable[[float, Vector], Vector],
-    *,
     time: float,
     state: Vector,
+    *,
     slope_now: Vector,
     slope_in_time: Vector,
     jacobian: tuple[Vector, Vector, Vector],

@@ -76,7 +76,7 @@ def massless_rates(
     """
     n = len(walls.venule)
     mobile, area = walls.mobile, walls.area
-    numerators, sums, ratios = [], [], []
+    parts, ratios = [], []
     flow_in: Any = 0.0
     conductance: Any = 0.0
     for i in range(n):
@@ -89,14 +89,13 @@ def massless_rates(
         numerator = arteriole * high + m * load[i]
         flow_in = flow_in + ratio * numerator
         conductance = conductance + ratio * own
-        numerators.append(numerator)
-        sums.append(total)
+        parts.append(numerator / total)
         ratios.append(ratio)
     w2 = width[n] * width[n]
     vein = walls.flow_factor[n] * (w2 * w2)
     m = mobile[n] * free[n]
     node = (flow_in + m * load[n] + vein * low) / (conductance + m * area[n] + vein)
-    pressures = [numerators[i] / sums[i] + ratios[i] * node for i in range(n)]
+    pressures = [part + ratio * node for part, ratio in zip(parts, ratios, strict=True)]
     pressures.append(node)
     speeds = [free[i] * (area[i] * pressures[i] - load[i]) / walls.damping[i] for i in range(n + 1)]
     return pressures, speeds
@@ -139,22 +138,12 @@ def massless_jacobian(
 
 def inertial_pressures(walls: Walls, width: PerWall, speed: PerWall, high: Any, low: Any) -> list[Any]:
     """The N+1 pressures [Pa] of the network whose walls move at given speeds [m/s], as walls with mass do."""
-    n = len(walls.venule)
-    numerators, sums, ratios = [], [], []
-    flow_in: Any = 0.0
-    conductance: Any = 0.0
-    for i in range(n):
-        w2 = width[i] * width[i]
-        arteriole = walls.flow_factor[i] * (w2 * w2)
-        total = arteriole + walls.venule[i]
-        ratio = walls.venule[i] / total
-        numerator = arteriole * high - walls.area[i] * speed[i]
-        flow_in = flow_in + ratio * numerator
-        conductance = conductance + ratio * arteriole
-        numerators.append(numerator)
-        sums.append(total)
-        ratios.append(ratio)
-    w2 = width[n] * width[n]
-    vein = walls.flow_factor[n] * (w2 * w2)
-    node = (flow_in - walls.area[n] * speed[n] + vein * low) / (conductance + vein)
-    return [numerators[i] / sums[i] + ratios[i] * node for i in range(n)] + [node]
+    *arterioles, vein = [f * (w * w * (w * w)) for f, w in zip(walls.flow_factor, width, strict=True)]
+    *displaced, by_vein = [a * s for a, s in zip(walls.area, speed, strict=True)]
+    totals = [a + v for a, v in zip(arterioles, walls.venule, strict=True)]
+    ratios = [v / t for v, t in zip(walls.venule, totals, strict=True)]
+    inflows = [a * high - d for a, d in zip(arterioles, displaced, strict=True)]
+    flow_in = sum(r * i for r, i in zip(ratios, inflows, strict=True))
+    conductance = sum(r * a for r, a in zip(ratios, arterioles, strict=True))
+    node = (flow_in - by_vein + vein * low) / (conductance + vein)
+    return [i / t + r * node for i, t, r in zip(inflows, totals, ratios, strict=True)] + [node]

@@ -10,12 +10,16 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from nailoptics.hemodynamics import parameters, respond, steady_state, zones
-from nailoptics.paper.printed_equations import state_matrices
+
+sys.path.append(str(Path(__file__).parents[1]))
+
+from printed_equations import state_matrices  # noqa: E402
 
 
 def seconds(call: Callable[[], object], repeats: int) -> float:

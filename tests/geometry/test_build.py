@@ -8,10 +8,17 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from nailoptics.errors import InputError
-from nailoptics.geometry import build, check_watertight, nail_coordinates
+from nailoptics.geometry import build, check_watertight
 from nailoptics.scene import parse_scene
 
 DIGITS = ("thumb", "index", "middle", "ring", "little")
+
+
+def nail_coordinates(points, *, nail_radius_mm):
+    """Arc length across on the plate's outer face, place along it and depth below it (k, 3) of points (k, 3)."""
+    x, y, z = np.moveaxis(points, -1, 0)
+    height = z + nail_radius_mm
+    return np.stack([nail_radius_mm * np.arctan2(x, height), y, nail_radius_mm - np.hypot(x, height)], axis=-1)
 
 
 def heights(geometry):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from printed_equations import state_matrices
 from scipy.integrate import simpson, solve_ivp
 
 from nailoptics.errors import InputError, NotReachedError
@@ -18,7 +19,6 @@ from nailoptics.hemodynamics import (
 )
 from nailoptics.hemodynamics.steady import wall_pressures
 from nailoptics.hemodynamics.walls import build_walls, massless_rates
-from nailoptics.paper.printed_equations import state_matrices
 
 TIME = np.arange(0.0, 4.0, 1e-3)
 

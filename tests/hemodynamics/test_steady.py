@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from printed_equations import state_matrices
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import NAMES, parameters, steady_state, zones
-from nailoptics.paper.printed_equations import state_matrices
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -1,13 +1,13 @@
-"""The paper's eq. (1)-(4) for its two beds in closed form: R_Total, R_ij, B_ij, and the matrices A and B.
-
-`hemodynamics.walls` solves the same network for any number of beds; tests hold both to a direct Kirchhoff solution.
+"""The paper's eq. (1)-(4) for its two beds in closed form, R_Total, R_ij, B_ij and the matrices A and B: the reference
+to which the network of `hemodynamics.walls` is held, which is solved for any number of beds.
 """
 
 import dataclasses
+import math
 
 import numpy as np
 
-from ..hemodynamics.parameters import Parameters
+from nailoptics.hemodynamics import Parameters
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -66,11 +66,9 @@ def resistances(parameters: Parameters, width_m: np.ndarray) -> tuple[tuple[floa
     """(R_A1, R_A2) and R_V of eq. (3) from (3,) diameters D + x of capillaries and vein. [Pa s/m^3]"""
     p = parameters
     c1, c2, v = (float(w) for w in width_m)
-    capillary = p.capillary_resistance_pa_s_per_m3
-    return (
-        (capillary * (p.capillary_diameter_m / c1) ** 4, capillary * (p.capillary_diameter_m / c2) ** 4),
-        p.vein_resistance_pa_s_per_m3 * (p.vein_diameter_m / v) ** 4,
-    )
+    capillary = 128.0 * p.capillary_length_m * p.viscosity_pa_s / (p.capillary_count * math.pi)
+    vein = 128.0 * p.vein_length_m * p.viscosity_pa_s / (p.vein_count * math.pi)
+    return (capillary / c1**4, capillary / c2**4), vein / v**4
 
 
 def state_matrices(parameters: Parameters, width_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
