@@ -16,6 +16,7 @@ from ..errors import InputError, NotReachedError
 from ..geometry import Geometry
 from ..options import Requested, TraceOptions
 from ..scene import Accuracy, Scene
+from ..statistics import seed_of
 from . import backend as backends
 from . import optics
 from .course import Course, course
@@ -274,7 +275,7 @@ def volpath_states(
         led=led,
         relative_error=target,
         max_seconds=max_seconds,
-        seed=int(np.random.SeedSequence(seed, spawn_key=(led,)).generate_state(1)[0]),
+        seed=seed_of(seed, led),
         backend=chosen,
         progress=told,
     )

@@ -13,6 +13,7 @@ from .. import geometry
 from ..errors import InputError, NotReachedError
 from ..options import Requested, TraceOptions
 from ..scene import Accuracy, Scene
+from ..statistics import seed_of
 from . import backend as backends
 from . import optics
 from .engines import open_engine, volpath_states
@@ -209,7 +210,7 @@ def _phantom(
 
     if scene.leds[led].pattern == "measured":
         raise InputError(f'leds[{led}].pattern = "measured" cannot be traced by volpath; use the photons engine.')
-    begin, sequence = time.perf_counter(), np.random.SeedSequence(seed, spawn_key=(led,))
+    begin = time.perf_counter()
     rounds: list[np.ndarray] = []
     sizes: list[int] = []
     done, met, share = 0, False, 0.0
@@ -217,7 +218,7 @@ def _phantom(
         asked = wanted.photons - done if wanted.photons else max(done, FIRST_ROUND)
         each = min(math.ceil(asked / VOLPATH_BATCHES), MAX_PATHS)
         options: dict[str, Any] = {"led": led, "batches": VOLPATH_BATCHES, "paths_per_batch": each, "backend": chosen}
-        *seeds, last = (int(s) for s in sequence.spawn(1)[0].generate_state(len(scene.photodiodes) + 1))
+        *seeds, last = (seed_of(seed, led, len(rounds), k) for k in range(len(scene.photodiodes) + 1))
         columns = [phantom_fractions(scene, photodiode=j, seed=s, **options) for j, s in enumerate(seeds)]
         rounds.append(np.column_stack([*columns, phantom_energy(scene, seed=last, **options)]))
         sizes.append(each)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...geometry import Geometry
 from ...scene import Led, Scene
+from ...statistics import seed_of
 from ..backend import Backend, activate, choose
 from ..optics import Media
 from .mitsuba_scene import EVERYTHING, FILM, BedAbsorption, Window, check_pattern, finger_scene, phantom_scene
@@ -34,6 +35,8 @@ log = logging.getLogger(__name__)
 VARIANTS = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
 PIXELS = FILM * FILM
 MAX_SPP = 10_000
+# Mitsuba's seeds have 32 bits.
+SEEDS = 1 << 32
 
 
 @contextmanager
@@ -58,7 +61,7 @@ def _render(mi: Any, scene: Any, *, paths: int, seed: int) -> NDArray[np.float64
     spp = max(1, math.ceil(paths / PIXELS))
     if spp > MAX_SPP:
         raise ValueError(f"{paths} paths in one batch lose counts in float32; at most {MAX_SPP * PIXELS}")
-    image = np.array(mi.render(scene, spp=spp, seed=seed), dtype=np.float64)
+    image = np.array(mi.render(scene, spp=spp, seed=seed % SEEDS), dtype=np.float64)
     mean = image.reshape(-1, image.shape[-1]).mean(axis=0)
     if not np.isfinite(mean).all():
         raise FloatingPointError(f"volpath gave {mean}")
@@ -67,7 +70,7 @@ def _render(mi: Any, scene: Any, *, paths: int, seed: int) -> NDArray[np.float64
 
 def _seeds(seed: int, batches: int) -> list[int]:
     """Independent seeds of the batches."""
-    return [int(child.generate_state(1)[0]) for child in np.random.SeedSequence(seed).spawn(batches)]
+    return [seed_of(seed, number) for number in range(batches)]
 
 
 def phantom_fractions(

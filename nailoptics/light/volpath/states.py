@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...geometry import Geometry
 from ...scene import Scene
+from ...statistics import seed_of
 from ..backend import Backend
 from ..optics import Media
 from ..tracing import INTERRUPTED, unseen
@@ -77,7 +78,6 @@ def finger_states(
     Raises: InputError for an LED with a measured pattern.
     """
     start = time.perf_counter()
-    sequence = np.random.SeedSequence(seed)
     count, states = len(geometry.photodiodes), len(bed.mu_a_per_mm)
 
     def tracer(absorption: BedAbsorption, photodiodes: tuple[int, ...]) -> FingerPaths:
@@ -92,8 +92,7 @@ def finger_states(
         )
 
     def batch(traced: FingerPaths) -> NDArray[np.float64]:
-        [child] = sequence.spawn(1)
-        return traced.batch(paths=paths, seed=int(child.generate_state(1)[0]))
+        return traced.batch(paths=paths, seed=seed_of(seed, done))
 
     def told() -> None:
         worst = max(relative_stderr(values) for values in level)
