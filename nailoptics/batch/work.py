@@ -321,7 +321,8 @@ def _result(
         **own,
         "scene": to_toml(scene),
         "seed": settings.options.seed,
-        "backend": settings.options.backend,
+        # volpath may have run on another backend than photons would.
+        "backend": dataset.attrs["backend"],
         "photons_per_led": photons,
         "relative_error": worst if math.isfinite(worst) else None,
         "reached": reached,
