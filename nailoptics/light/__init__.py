@@ -1,6 +1,5 @@
 """MEDIA AND SHAPE TO DETECTED LIGHT: the only room that imports Mitsuba, and only when light is traced."""
 
-from .board_map import map_board
 from .engines import DetectedLight, open_light
 from .rest import RestReadings, read_rest
 from .tracing import TraceProgress, trace
@@ -12,7 +11,6 @@ __all__ = [
     "ReweightWarning",
     "TraceProgress",
     "Transfer",
-    "map_board",
     "open_light",
     "read_rest",
     "trace",

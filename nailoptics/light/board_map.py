@@ -18,7 +18,6 @@ from ..tissue.properties import DermisAbsorption
 from . import backend as backends
 from . import optics
 from .reweight import attenuation
-from .transfer import provenance
 
 if TYPE_CHECKING:
     from .tallies.sensitivity import VoxelGrid
@@ -270,44 +269,6 @@ class PhotonMap:
         """Means per emitted photon and area, and their standard errors over blocks, (values, u, v) float. [mm^-2]"""
         each = self.blocks_per_mm2()
         return each.mean(1), each.std(1, ddof=1) / np.sqrt(self.blocks)
-
-
-def map_board(
-    scene: Scene, *, photons: int = 1_000_000, seed: int = 0, backend: str = "auto", spacing_mm: float = 0.1
-) -> xr.Dataset:
-    """Trace where each LED's light arrives on the underside of the board, at rest.
-
-    Where a photodiode would lie, the map's integral is what it would read, but for the light that the bare board sends
-    back there and that then arrives there again, a part in a thousand.
-
-    Parameters
-    ----------
-    spacing_mm : size of the map's cells, about. [mm]
-
-    Returns: Dataset over led, u (across) and v (along the nail, towards the tip): irradiance, its part that was never
-    in the bed, its derivative to the blood of each zone, each with its standard error, as fractions of the emitted
-    power per area. [mm^-2]
-
-    Raises: InputError for a phantom, a bad spacing, or without a JIT backend.
-    """
-    if not 0.01 <= spacing_mm <= 2:
-        raise InputError(f"spacing_mm = {spacing_mm:g} must lie in 0.01 to 2.")
-    tracer = BoardTracer(scene, backend=backend)
-    maps = []
-    for led in range(len(scene.leds)):
-        point = blood_point(scene, led)
-        one = PhotonMap(scene.layout.outline, values=2 + len(point.beds), spacing_mm=spacing_mm)
-        count = -(-photons // tracer.batch_photons)
-        for i, batch_seed in enumerate(np.random.SeedSequence(seed, spawn_key=(led,)).generate_state(count, np.uint64)):
-            size = min(tracer.batch_photons, photons - i * tracer.batch_photons)
-            arrivals = tracer.arrivals(led, photons=size, seed=int(batch_seed))
-            one.add(arrivals, point.values(arrivals))
-        maps.append(one)
-    return map_dataset([led.name for led in scene.leds], maps).assign_attrs(
-        provenance(
-            scene, engine="photons", backend=tracer.backend.name, photons=photons * len(scene.leds), seeds=str(seed)
-        )
-    )
 
 
 def map_dataset(leds: Sequence[str], maps: Sequence[PhotonMap]) -> xr.Dataset:

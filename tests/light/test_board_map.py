@@ -5,7 +5,7 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.errors import InputError
-from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, map_board, readings
+from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, map_dataset, readings
 from nailoptics.light.course import course
 from nailoptics.scene import parse_scene, to_toml
 from nailoptics.scene.layout import Rectangle
@@ -172,15 +172,18 @@ def test_light_from_a_to_b_is_light_from_b_to_a(chosen_jit, scene):
 
 
 def test_map_as_a_dataset_integrates_to_the_light_on_the_board(scene, chosen_jit):
-    found = map_board(scene, photons=1 << 17, spacing_mm=0.5)
+    tracer, point = BoardTracer(scene), blood_point(scene, 0)
+    one = PhotonMap(scene.layout.outline, values=2 + len(point.beds), spacing_mm=0.5)
+    arrivals = tracer.arrivals(0, photons=1 << 17, seed=0)
+    one.add(arrivals, point.values(arrivals))
+    found = map_dataset([led.name for led in scene.leds], [one])
     assert dict(found.sizes) == {"led": 1, "u": 16, "v": 18, "blood_zone": 2}
     assert 0.1 < float(found.irradiance.sum()) * 0.25 < 1
     assert bool((found.direct <= found.irradiance + 1e-12).all())
-    assert found.attrs["photons"] == 1 << 17 and parse_scene(to_toml(scene)) == scene
+    assert one.photons == 1 << 17 and parse_scene(to_toml(scene)) == scene
 
 
-@pytest.mark.parametrize("asked", [{"spacing_mm": 0.0}, {"backend": "scalar"}])
-def test_impossible_maps_are_refused_in_one_line(scene, asked):
+def test_a_map_without_a_jit_backend_is_refused_in_one_line(scene):
     with pytest.raises(InputError) as caught:
-        map_board(scene, **asked)
+        BoardTracer(scene, backend="scalar")
     assert len(str(caught.value).splitlines()) == 1
