@@ -14,14 +14,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 X_LABELS = {"force": "force [N]", "blood": "blood fraction of both zones [%]", "saturation": "oxygen saturation [%]"}
-PART_NAMES = {
-    "truncation": "exponential cut to a line",
-    "one_path": "one path for all light",
-    "both_zones": "both zones seen",
-    "blood_scattering": "blood scatters too",
+# Name, colour and mark of each part of the error of (9).
+PARTS = {
+    "truncation": ("exponential cut to a line", "#e08a3c", "s"),
+    "one_path": ("one path for all light", "#7a5aa6", "D"),
+    "both_zones": ("both zones seen", "#2f7fc9", "o"),
+    "blood_scattering": ("blood scatters too", "#4b8b5a", "^"),
 }
-_PART_COLOURS = {"truncation": "#e08a3c", "one_path": "#7a5aa6", "both_zones": "#2f7fc9", "blood_scattering": "#4b8b5a"}
-_PART_MARKS = {"truncation": "s", "one_path": "D", "both_zones": "o", "blood_scattering": "^"}
 WAY_TITLES = {
     "fitted": "constants fitted to the readings",
     "predicted": "no fit: own zone's mean path",
@@ -41,69 +40,59 @@ def order(result: xr.Dataset) -> list[int]:
     return [int(i) for i in np.argsort(result.zone_of_photodiode.values, kind="stable")]
 
 
+@style.drawing()
 def range_errors(result: xr.Dataset, *, led: int) -> "Figure":
-    """The error of fitted (9) and (8) over each range from the sweep's start, beside 1 % and 5 %."""
-    sweeps = [str(s) for s in result.sweep.values]
-    with style.drawing():
-        figure = style.new_figure(9.6, 0.9 + 3.0 * len(sweeps))
-        grid = figure.subplots(len(sweeps), 2, sharey=True, sharex="row", squeeze=False)
-        for row, sweep in zip(grid, sweeps, strict=True):
-            for axes, model in zip(row, ("taylor", "beer_lambert"), strict=True):
-                one = result.sel(sweep=sweep, way="fitted", model=model).isel(led=led)
-                _range_error(axes, one, order(result), sweep)
-                axes.set_title(f"{FORMULAS[model]}, fitted, over {sweep}")
-            row[0].set_ylabel("largest error [% of swing]")
-        ncols = min(result.sizes["photodiode"], 8)
-        style.legend_above(figure, grid[0, 0], ncols=ncols, columnspacing=1.2, handlelength=1.4)
+    """The error of fitted (9) and (8) over each range from the sweep's start with 95 % intervals, beside 1 and 5 %."""
+    places, sweeps = order(result), [str(s) for s in result.sweep.values]
+    height_in = 0.9 + 3.0 * len(sweeps)
+    figure, grid = style.panels(9.6, height_in, len(sweeps), 2, sharey=True, sharex="row", squeeze=False)
+    for row, sweep in zip(grid, sweeps, strict=True):
+        for axes, (model, formula) in zip(row, FORMULAS.items(), strict=True):
+            one = result.sel(sweep=sweep, way="fitted", model=model).isel(led=led)
+            x = one.setting.values * scale(sweep)
+            for colour, j in zip(style.place_colours(len(places)), places, strict=True):
+                error, stderr = one.range_error.values[j], one.range_error_stderr.values[j]
+                low, high = (np.clip(error + k * Z95 * stderr, _FLOOR, _CEILING) for k in (-1, 1))
+                axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
+                axes.plot(x, np.clip(error, _FLOOR, None), color=colour, label=style.plain(one.photodiode.values[j]))
+            right = axes.get_yaxis_transform()
+            for tolerance in (1, 5):
+                axes.axhline(tolerance, color=style.INK, lw=0.9, ls=(0, (4, 2)))
+                axes.text(0.995, tolerance * 1.08, f"{tolerance} %", transform=right, ha="right", fontsize=8)
+            axes.set(yscale="log", ylim=(_FLOOR, _CEILING), xlim=(x[0], x[-1]))
+            axes.set_yticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
+            axes.set_xlabel(f"range from {x[0]:g} to this {X_LABELS[sweep]}")
+            axes.set_title(f"{formula}, fitted, over {sweep}")
+        row[0].set_ylabel("largest error [% of swing]")
+    style.legend_above(figure, grid[0, 0], ncols=min(len(places), 8), columnspacing=1.2, handlelength=1.4)
     return figure
 
 
-def _range_error(axes: "Axes", one: xr.Dataset, places: list[int], sweep: str) -> None:
-    """One model's error over one sweep, by photodiode, with 95 % intervals."""
-    x = one.setting.values * scale(sweep)
-    for colour, j in zip(style.place_colours(len(places)), places, strict=True):
-        error, stderr = one.range_error.values[j], one.range_error_stderr.values[j]
-        low, high = (np.clip(error + k * Z95 * stderr, _FLOOR, _CEILING) for k in (-1, 1))
-        axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
-        axes.plot(x, np.clip(error, _FLOOR, None), color=colour, label=style.plain(one.photodiode.values[j]))
-    look: Any = {"transform": axes.get_yaxis_transform(), "ha": "right", "fontsize": 8}
-    for tolerance in (1, 5):
-        axes.axhline(tolerance, color=style.INK, lw=0.9, ls=(0, (4, 2)))
-        axes.text(0.995, tolerance * 1.08, f"{tolerance} %", **look)
-    axes.set_yscale("log")
-    axes.set_ylim(_FLOOR, _CEILING)
-    axes.set_yticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
-    axes.set_xlim(x[0], x[-1])
-    axes.set_xlabel(f"range from {x[0]:g} to this {X_LABELS[sweep]}")
-
-
+@style.drawing()
 def error_parts(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     """What the error of (9) is made of, photodiode by photodiode, where it is largest."""
     places = order(result)
-    with style.drawing():
-        figure = style.new_figure(9.6, 1.3 + 0.42 * len(places))
-        panels = figure.subplots(1, result.sizes["way"], sharey=True, sharex=True, squeeze=False)[0]
-        for axes, way in zip(panels, result.way.values, strict=True):
-            one = result.sel(sweep=sweep, way=way).isel(led=led)
-            for row, j in enumerate(places):
-                at = int(np.abs(one.error.sel(model="taylor").values[j]).argmax())
-                axes.axhspan(row - 0.5, row + 0.5, color=style.GRID, alpha=0.5 * (row % 2), lw=0)
-                for k, part in enumerate(result.part.values):
-                    here = one.sel(part=part).isel(photodiode=j, point=at)
-                    value, stderr = float(here.part_error), float(here.part_error_stderr)
-                    _dot(axes, value, stderr, row + 0.17 * (k - 1.5), str(part), row == 0)
-            axes.set_title(WAY_TITLES[str(way)])
-            axes.set_xscale("log")
-            axes.set_xlabel("error of (9) [% of swing], without its sign")
-            for tolerance in (1, 5):
-                axes.axvline(tolerance, color=style.INK, lw=0.8, ls=(0, (4, 2)))
-        low, high = panels[0].get_xlim()
-        panels[0].set_xlim(max(low, 0.01), min(high, 2000))
-        ticks = [t for t in (0.01, 0.1, 1, 10, 100, 1000) if max(low, 0.01) <= t <= high]
-        panels[0].set_xticks(ticks, [f"{t:g}" for t in ticks])
-        _name_rows(panels[0], result, places)
-        panels[0].set_ylim(len(places) - 0.5, -0.5)
-        style.legend_above(figure, panels[0], ncols=4)
+    height_in, count = 1.3 + 0.42 * len(places), result.sizes["way"]
+    figure, panels = style.panels(9.6, height_in, 1, count, sharey=True, sharex=True, squeeze=False)
+    for axes, way in zip(panels[0], result.way.values, strict=True):
+        one = result.sel(sweep=sweep, way=way).isel(led=led)
+        for row, j in enumerate(places):
+            at = int(np.abs(one.error.sel(model="taylor").values[j]).argmax())
+            axes.axhspan(row - 0.5, row + 0.5, color=style.GRID, alpha=0.5 * (row % 2), lw=0)
+            for k, part in enumerate(result.part.values):
+                here = one.sel(part=part).isel(photodiode=j, point=at)
+                _dot(axes, here, row + 0.17 * (k - 1.5), labelled=row == 0)
+        axes.set(title=WAY_TITLES[str(way)], xscale="log", xlabel="error of (9) [% of swing], without its sign")
+        for tolerance in (1, 5):
+            axes.axvline(tolerance, color=style.INK, lw=0.8, ls=(0, (4, 2)))
+    first = panels[0, 0]
+    low, high = first.get_xlim()
+    first.set_xlim(max(low, 0.01), min(high, 2000))
+    ticks = [t for t in (0.01, 0.1, 1, 10, 100, 1000) if max(low, 0.01) <= t <= high]
+    first.set_xticks(ticks, [f"{t:g}" for t in ticks])
+    _name_rows(first, result, places)
+    first.set_ylim(len(places) - 0.5, -0.5)
+    style.legend_above(figure, first, ncols=4)
     return figure
 
 
@@ -111,43 +100,39 @@ def _name_rows(axes: "Axes", result: xr.Dataset, places: list[int]) -> None:
     axes.set_yticks(range(len(places)), [style.plain(result.photodiode.values[j]) for j in places])
 
 
-def _dot(axes: "Axes", value: float, stderr: float, y: float, part: str, labelled: bool) -> None:
+def _dot(axes: "Axes", part: xr.Dataset, y: float, *, labelled: bool) -> None:
     """One part of an error with its 95 % interval; hollow where that holds 0."""
-    if not np.isfinite(value) or value == 0:
-        if labelled:
-            axes.plot([], [], ls="none", marker=_PART_MARKS[part], color=_PART_COLOURS[part], label=PART_NAMES[part])
-        return
-    sure = abs(value) > Z95 * stderr
-    low, high = max(abs(value) - Z95 * stderr, 1e-3), abs(value) + Z95 * stderr
-    colour = _PART_COLOURS[part]
-    axes.plot([low, high], [y, y], color=colour, lw=1.2)
-    face = colour if sure else style.PAPER
-    look: Any = {"color": colour, "markerfacecolor": face, "markersize": 5.5, "ls": "none", "marker": _PART_MARKS[part]}
-    axes.plot([abs(value)], [y], **look, label=PART_NAMES[part] if labelled else None)
+    size, spread = abs(float(part.part_error)), Z95 * float(part.part_error_stderr)
+    name, colour, mark = PARTS[str(part.part.values)]
+    look: Any = {"color": colour, "ls": "none", "marker": mark, "label": name if labelled else None}
+    if np.isfinite(size) and size > 0:
+        axes.plot([max(size - spread, 1e-3), size + spread], [y, y], color=colour, lw=1.2)
+        axes.plot([size], [y], markerfacecolor=colour if size > spread else style.PAPER, markersize=5.5, **look)
+    elif labelled:
+        axes.plot([], [], **look)
 
 
+@style.drawing()
 def alpha_d2(result: xr.Dataset, *, led: int) -> "Figure":
     """How large alpha D^2 is over the force and up to which (9) holds, beside the paper's 1e-2."""
     places = order(result)
     first = result.isel(led=led, sweep=0)
     fails = result.isel(led=led, sweep=-1).sel(way="fitted", model="taylor")
-    with style.drawing():
-        figure = style.new_figure(9.6, 1.3 + 0.4 * len(places))
-        axes = figure.subplots()
-        for row, (j, colour) in enumerate(zip(places, style.place_colours(len(places)), strict=True)):
-            values = first.bed_alpha_d2.values[j]
-            ends = [max(values.min(), 1e-4), values.max()]
-            axes.plot(ends, [row, row], color=colour, lw=7, solid_capstyle="butt", alpha=0.75)
-            axes.plot(values[0], row, "|", color=style.INK, ms=13, mew=2, label="at the start" if row == 0 else None)
-            _limits_of_taylor(axes, fails.isel(photodiode=j), row + 0.27, labelled=row == 0)
-        axes.axvline(0.01, color=style.ZONES[0], lw=1.4, ls=(0, (5, 2)))
-        axes.text(0.0103, -0.62, "the paper: about 10$^{-2}$", color=style.ZONES[0], fontsize=8.5, va="bottom")
-        axes.set_xscale("log")
-        _name_rows(axes, result, places)
-        axes.set_ylim(len(places) - 0.4, -0.7)
-        axes.set_xlabel(f"αD² of all the blood in the bed: bars, its range over {first.sweep.values}")
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3)
-        axes.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
+    figure, axes = style.panels(9.6, 1.3 + 0.4 * len(places))
+    for row, (j, colour) in enumerate(zip(places, style.place_colours(len(places)), strict=True)):
+        values = first.bed_alpha_d2.values[j]
+        ends = [max(values.min(), 1e-4), values.max()]
+        axes.plot(ends, [row, row], color=colour, lw=7, solid_capstyle="butt", alpha=0.75)
+        axes.plot(values[0], row, "|", color=style.INK, ms=13, mew=2, label="at the start" if row == 0 else None)
+        _limits_of_taylor(axes, fails.isel(photodiode=j), row + 0.27, labelled=row == 0)
+    axes.axvline(0.01, color=style.ZONES[0], lw=1.4, ls=(0, (5, 2)))
+    axes.text(0.0103, -0.62, "the paper: about 10$^{-2}$", color=style.ZONES[0], fontsize=8.5, va="bottom")
+    axes.set_xscale("log")
+    _name_rows(axes, result, places)
+    axes.set_ylim(len(places) - 0.4, -0.7)
+    axes.set_xlabel(f"αD² of all the blood in the bed: bars, its range over {first.sweep.values}")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3)
+    axes.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
     return figure
 
 
@@ -156,15 +141,15 @@ def _limits_of_taylor(axes: "Axes", fails: xr.Dataset, y: float, *, labelled: bo
     for mark, within in (("o", 0.01), ("s", 0.05)):
         here = fails.sel(within=within)
         value, low, high = (float(here[f"limit_bed_alpha_d2{s}"]) for s in ("", "_low", "_high"))
-        ends = bool(here.limit_ends)
         axes.plot([low, high], [y, y], color=style.INK, lw=1)
-        label = f"(9) errs by {100 * within:g} % of swing, over {fails.sweep.values}" if labelled and ends else None
-        face = style.INK if ends else style.PAPER
-        axes.plot(value, y, mark if ends else ">", ms=5, color=style.INK, markerfacecolor=face, label=label)
-        if not ends:
+        if not here.limit_ends:
+            axes.plot(value, y, ">", ms=5, color=style.INK, markerfacecolor=style.PAPER)
             break
+        label = f"(9) errs by {100 * within:g} % of swing, over {fails.sweep.values}" if labelled else None
+        axes.plot(value, y, mark, ms=5, color=style.INK, label=label)
 
 
+@style.drawing()
 def changes(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     """Every photodiode's traced change over a sweep beside the models, in percent of its reading at the start."""
     places = order(result)
@@ -172,29 +157,25 @@ def changes(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     rows = -(-len(places) // columns)
     one = result.sel(sweep=sweep).isel(led=led)
     x = one.setting.values * scale(sweep)
-    with style.drawing():
-        figure = style.new_figure(9.6, 0.6 + 2.0 * rows)
-        grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
-        for axes, j, colour in zip(grid.ravel(), places, style.place_colours(len(places)), strict=False):
-            traced = one.reading.values[j]
-            looks = (
-                ("predicted", "beer_lambert", style.MUTED, (0, (1, 1.5)), "(8), no fit, own zone"),
-                ("predicted_both", "beer_lambert", style.VEIN, (0, (6, 2)), "(8), no fit, both zones"),
-                ("fitted", "taylor", style.INK, (0, (4, 2)), "(9) fitted"),
-            )
-            axes.plot(x, 100 * (traced / traced[0] - 1), color=colour, lw=3, alpha=0.8, label="traced")
-            for way, model, ink, dashes, label in looks:
-                values = one.sel(way=way, model=model).model_reading.values[j]
-                axes.plot(x, 100 * (values / traced[0] - 1), color=ink, ls=dashes, lw=1.2, label=label)
-            swing = 100 * float(one.swing[j] / traced[0])
-            axes.set_title(style.plain(result.photodiode.values[j]))
-            style.remark(axes, f"swing {significant(swing, 2)} %")
-            axes.set_xlim(x[0], x[-1])
-        for axes in grid.ravel()[len(places) :]:
-            axes.set_visible(False)
-        for axes in grid[-1]:
-            axes.set_xlabel(X_LABELS[sweep])
-        for axes in grid[:, 0]:
-            axes.set_ylabel("change [%]")
-        style.legend_above(figure, grid[0, 0], ncols=4)
+    models = (
+        ("predicted", "beer_lambert", style.MUTED, (0, (1, 1.5)), "(8), no fit, own zone"),
+        ("predicted_both", "beer_lambert", style.VEIN, (0, (6, 2)), "(8), no fit, both zones"),
+        ("fitted", "taylor", style.INK, (0, (4, 2)), "(9) fitted"),
+    )
+    figure, grid = style.panels(9.6, 0.6 + 2.0 * rows, rows, columns, sharex=True, squeeze=False)
+    for axes, j, colour in zip(grid.flat, places, style.place_colours(len(places)), strict=False):
+        traced = one.reading.values[j]
+        axes.plot(x, 100 * (traced / traced[0] - 1), color=colour, lw=3, alpha=0.8, label="traced")
+        for way, model, ink, dashes, label in models:
+            values = one.sel(way=way, model=model).model_reading.values[j]
+            axes.plot(x, 100 * (values / traced[0] - 1), color=ink, ls=dashes, lw=1.2, label=label)
+        axes.set(title=style.plain(result.photodiode.values[j]), xlim=(x[0], x[-1]))
+        style.remark(axes, f"swing {significant(100 * float(one.swing[j] / traced[0]), 2)} %")
+    for axes in grid.flat[len(places) :]:
+        axes.set_visible(False)
+    for axes in grid[-1]:
+        axes.set_xlabel(X_LABELS[sweep])
+    for axes in grid[:, 0]:
+        axes.set_ylabel("change [%]")
+    style.legend_above(figure, grid[0, 0], ncols=4)
     return figure

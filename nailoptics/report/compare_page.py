@@ -81,54 +81,38 @@ def _title(result: xr.Dataset) -> str:
 
 def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
     found = claim(result)["bed_alpha_d2"]["at_start"]
-    cards = [
-        (
-            f"{significant(found['least'], 2)} – {significant(found['largest'], 2)}",
-            f"αD² where the {result.sweep.values[0]} starts, over all photodiodes; the paper says about 0.01",
-        )
-    ]
+    sweep = result.sweep.values[0]
+    words = f"αD² where the {sweep} starts, over all photodiodes; the paper says about 0.01"
+    cards = [(f"{significant(found['least'], 2)} – {significant(found['largest'], 2)}", words)]
     for within in (0.01, 0.05):
         taylor, total = _counts(result, "taylor", within)
         exact, _ = _counts(result, "beer_lambert", within)
-        text = f"fitted readings within {100 * within:g} % of their swing by (9), and by (8)"
-        cards.append((f"{taylor} and {exact} of {total}", f"{text}, over the whole {result.sweep.values[0]}"))
+        words = f"fitted readings within {100 * within:g} % of their swing by (9), and by (8), over the whole {sweep}"
+        cards.append((f"{taylor} and {exact} of {total}", words))
     if "blood" in result.sweep.values:
         one = result.sel(sweep="blood", way="fitted", model="taylor", within=0.01)
-        low, high = (100 * float(f(one.limit)) for f in (np.min, np.max))
-        cards.append(
-            (
-                f"{significant(low, 2)} – {significant(high, 2)} %",
-                "blood fraction up to which (9) errs by less than 1 %",
-            )
-        )
+        low, high = (significant(100 * float(f(one.limit)), 2) for f in (np.min, np.max))
+        cards.append((f"{low} – {high} %", "blood fraction up to which (9) errs by less than 1 %"))
     parts = np.abs(result.isel(sweep=0, point=-1).sel(way="fitted").part_error).median(("led", "photodiode"))
-    worst = str(result.part.values[int(parts.values.argmax())])
-    cards.append(
-        (
-            f"{significant(float(parts.max()), 2)} %",
-            f"of the swing is the largest part, by the median: {compare_figures.PART_NAMES[worst]}",
-        )
-    )
-    return cards
+    worst, *_ = compare_figures.PARTS[str(result.part.values[int(parts.values.argmax())])]
+    words = f"of the swing is the largest part, by the median: {worst}"
+    return [*cards, (f"{significant(float(parts.max()), 2)} %", words)]
 
 
 def _limits(result: xr.Dataset, led: int) -> str:
     """Up to what force, blood and alpha D^2 each fitted model stays within 1 % and 5 %."""
     head, rows = ["Photodiode", "Swing<br>[% of reading]", "Mean path in<br>own zone [mm]"], []
-    units = {"force": "N", "blood": "%", "saturation": "%"}
     for sweep in result.sweep.values:
         for model in ("(9)", "(8)"):
             for within in result.within.values:
-                head.append(f"{model} to {100 * within:g} %<br>{escaped(sweep)} [{units[str(sweep)]}]")
+                head.append(f"{model} to {100 * within:g} %<br>{escaped(sweep)} [{'N' if sweep == 'force' else '%'}]")
     head += ["αD² at which (9)<br>errs by 1 %", "at which (9)<br>errs by 5 %"]
     for j in compare_figures.order(result):
         one = result.isel(led=led, photodiode=j)
         first = one.isel(sweep=0)
-        cells = [
-            escaped(one.photodiode.values),
-            with_error(100 * float(first.swing / first.reading[0]), 100 * float(first.swing_stderr / first.reading[0])),
-            with_error(float(first.path_mm), float(first.path_mm_stderr)),
-        ]
+        swing, swing_stderr = (100 * float(value / first.reading[0]) for value in (first.swing, first.swing_stderr))
+        path_mm = with_error(float(first.path_mm), float(first.path_mm_stderr))
+        cells = [escaped(one.photodiode.values), with_error(swing, swing_stderr), path_mm]
         for sweep in result.sweep.values:
             by = compare_figures.scale(str(sweep))
             for model in ("taylor", "beer_lambert"):

@@ -84,6 +84,12 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
     return figure
 
 
+def panels(width_in: float, height_in: float, rows: int = 1, columns: int = 1, **how: Any) -> "tuple[Figure, Any]":
+    """An empty figure and its axes: one alone, or an array of them."""
+    figure = new_figure(width_in, height_in)
+    return figure, figure.subplots(rows, columns, **how)
+
+
 def legend_above(figure: "Figure", axes: "Axes", *, ncols: int, **look: Any) -> None:
     """One legend above all panels of a figure, for the lines in one of them."""
     handles, labels = axes.get_legend_handles_labels()
