@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_WIDTH_IN, _DOTS_PER_IN = 9.5, 140
-_TOUCH_SHADE = "#f4f4f4"
+_WIDTH_IN = 9.5
 _PROXIMAL, _DISTAL = style.ZONES
 _READING = "change, eq. (9) [rest blood]"
 
 
+@style.drawing()
 def draw(
     directory: Path,
     parameters: Parameters,
@@ -38,32 +38,21 @@ def draw(
     name : Of the set, for titles and file names.
     time_s, force_n : (T,) float. A recorded force for Figs. 17-18; without, the paper's subjects' exponential. [s, N]
     """
-    directory = Path(directory)
-    make_folder(directory)
+    make_folder(Path(directory))
     if time_s is None or force_n is None:
         time_s = np.arange(0.0, 5.0, 1e-3)
         force_n = subject_force(time_s, on_s=0.5, off_s=3.0)
-    paths = []
-    with style.drawing():
-        for label, title, figure in (
-            ("fig10", "Fig. 10: vessels under steps of proximal pressure", _figure_10(parameters)),
-            ("fig11", "Fig. 11: readings under steps of both pressures", _figure_11(parameters)),
-            ("fig12", "Fig. 12: steady readings against pressure", _figure_12(parameters)),
-            (
-                "fig15to18",
-                "Figs. 15–18: readings under a touch, simulated",
-                _figures_15_to_18(parameters, time_s, force_n),
-            ),
-        ):
-            figure.suptitle(f"{title} (set “{name}”)", x=0.02, ha="left", fontsize=11, fontweight="bold")
-            paths.append(directory / f"hemodynamics_{name}_{label}.png")
-            style.write_figure(figure, paths[-1], dpi=_DOTS_PER_IN, facecolor=style.PAPER)
+    figures = {
+        "Fig. 10: vessels under steps of proximal pressure": _figure_10(parameters),
+        "Fig. 11: readings under steps of both pressures": _figure_11(parameters),
+        "Fig. 12: steady readings against pressure": _figure_12(parameters),
+        "Figs. 15–18: readings under a touch, simulated": _figures_15_to_18(parameters, time_s, force_n),
+    }
+    paths = [Path(directory, f"hemodynamics_{name}_fig{number}.png") for number in ("10", "11", "12", "15to18")]
+    for path, (title, figure) in zip(paths, figures.items(), strict=True):
+        figure.suptitle(f"{title} (set “{name}”)", x=0.02, ha="left", fontsize=11, fontweight="bold")
+        style.write_figure(figure, path, dpi=140, facecolor=style.PAPER)
     return paths
-
-
-def _two_panels(height_in: float) -> "tuple[Figure, list[Axes]]":
-    figure = style.new_figure(_WIDTH_IN, height_in)
-    return figure, list(figure.subplots(1, 2))
 
 
 def _steps_over_time(run: "xarray.Dataset", panels: list[tuple[str, str, np.ndarray]]) -> "Figure":
@@ -72,11 +61,11 @@ def _steps_over_time(run: "xarray.Dataset", panels: list[tuple[str, str, np.ndar
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import BoundaryNorm, ListedColormap
 
-    figure, axes = _two_panels(3.7)
+    figure, axes = style.panels(_WIDTH_IN, 3.7, 1, 2)
     time = run["time"].values
     colours: Any = colormaps["viridis_r"](np.linspace(0.12, 1.0, STEPS_PA.size))
     for axis, (title, label, paths) in zip(axes, panels, strict=True):
-        axis.axvspan(0.0, ON_S, color=_TOUCH_SHADE, lw=0)
+        axis.axvspan(0.0, ON_S, color="#f4f4f4", lw=0)
         for path, colour in zip(paths, colours, strict=True):
             axis.plot(time, path, color=colour)
         axis.set(title=title, ylabel=label, xlabel="time [s]", xlim=(time[0], time[-1]))
@@ -114,7 +103,7 @@ def _figure_11(parameters: Parameters) -> "Figure":
 def _figure_12(parameters: Parameters) -> "Figure":
     touch = np.linspace(0.0, 1.6e4, 321)
     proximal, distal = protocols.static_readings(parameters, touch)
-    figure, axes = _two_panels(3.5)
+    figure, axes = style.panels(_WIDTH_IN, 3.5, 1, 2)
     panels = (("$V_{P1}$, proximal", proximal, _PROXIMAL), ("$V_{P2}$, distal", distal, _DISTAL))
     for axis, (title, curve, colour) in zip(axes, panels, strict=True):
         _mark_1(axis)
@@ -124,7 +113,7 @@ def _figure_12(parameters: Parameters) -> "Figure":
 
 
 def _figures_15_to_18(parameters: Parameters, time_s: np.ndarray, force_n: np.ndarray) -> "Figure":
-    figure, (steady, moving) = _two_panels(4.3)
+    figure, (steady, moving) = style.panels(_WIDTH_IN, 4.3, 1, 2)
     force = np.linspace(0.0, 4.0, 321)
     many = zones(8, decay_length=DECAY_LENGTH)
     for cut, line, label in ((PAPER_ZONES, "-", "two zones"), (many, "--", "eight zones, reach falls off")):

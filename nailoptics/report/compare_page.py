@@ -11,6 +11,7 @@ from ..studies.comparison.verdict import claim, verdict
 from . import compare_figures
 from .html import document, escaped, figure, section, small, table
 from .numbers import significant, with_error
+from .readings import led_name
 
 
 def write_comparison(result: xr.Dataset, path: Path) -> None:
@@ -63,8 +64,7 @@ def _led_section(result: xr.Dataset, led: int) -> str:
             "(9) stays within the tolerance over the whole sweep.",
         ),
     ]
-    name = f"LED {escaped(result.led.values[led])}, {float(result.wavelength_nm[led]):g} nm"
-    return section(f"How far the models hold: {name}", *lines)
+    return section(f"How far the models hold: {escaped(led_name(result, led))}", *lines)
 
 
 def _counts(result: xr.Dataset, model: str, within: float) -> tuple[int, int]:

@@ -8,10 +8,10 @@ import numpy as np
 import xarray as xr
 
 from ..scene import Scene
-from ..scene.layout import Layout, Rectangle
+from ..scene.layout import Rectangle
 from ..tissue.blood_zones import BloodZones
 from . import style
-from .readings import order_along_nail
+from .readings import centres_mm, led_name, order_along_nail
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,6 +34,7 @@ TISSUE = {
 }
 DECADES = 3.0
 LAYERS = ("plate", "bed", "bone")
+ACROSS, ALONG = "across the nail [mm]", "along the nail, towards the tip [mm]"
 
 
 def extent(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float]:
@@ -57,11 +58,11 @@ def draw_rectangle(axes: "Axes", r: Rectangle, *, turned: bool = False, **look: 
     axes.add_patch(Patch(low[::-1], *size[::-1], **look) if turned else Patch(low, *size, **look))
 
 
+@style.drawing()
 def top_view(scene: Scene, result: xr.Dataset) -> "Figure":
     """The board on the nail, seen from above and rolled flat: what is where, and which blood lies below."""
-    with style.drawing():
-        figure = style.new_figure(6.4, 6.0)
-        draw_top_view(figure.subplots(), scene, result)
+    figure, axes = style.panels(6.4, 6.0)
+    draw_top_view(axes, scene, result)
     return figure
 
 
@@ -83,13 +84,10 @@ def draw_top_view(axes: "Axes", scene: Scene, result: xr.Dataset) -> None:
         draw_rectangle(axes, wired.area, zorder=4, fc=colours.get(j, SILICON), ec=style.DARK_INK, lw=0.6)
     for led in layout.leds:
         draw_rectangle(axes, led, zorder=4, fc=LED, ec=style.DARK_INK, lw=0.8)
-    _label_parts(axes, scene, layout, half_v)
-    axes.set_xlim(-half_u - 0.3, half_u + 0.3)
-    axes.set_ylim(-half_v - 0.3, half_v + 0.3)
-    axes.set_aspect("equal")
+    _label_parts(axes, scene, half_v)
+    axes.set(xlim=(-half_u - 0.3, half_u + 0.3), ylim=(-half_v - 0.3, half_v + 0.3), aspect="equal")
+    axes.set(xlabel=ACROSS, ylabel=ALONG)
     axes.grid(False)
-    axes.set_xlabel("across the nail [mm]")
-    axes.set_ylabel("along the nail, towards the tip [mm]")
 
 
 def _blood_zones(axes: "Axes", scene: Scene, half_u: float, half_v: float) -> None:
@@ -101,17 +99,18 @@ def _blood_zones(axes: "Axes", scene: Scene, half_u: float, half_v: float) -> No
     tint = weights @ np.array([to_rgb(c) for c in style.place_colours(weights.shape[1])])
     image = np.concatenate([tint, np.full((len(v), 1), 0.30)], axis=1)[:, None]
     axes.imshow(image, extent=(-half_u, half_u, -half_v, half_v), origin="lower", aspect="auto", zorder=1)
-    text: dict[str, Any] = {"color": style.DARK_INK, "fontsize": 8, "zorder": 5}
     for edge in scene.blood.zone_edges_mm:
-        low, high = edge - scene.blood.zone_width_mm / 2, edge + scene.blood.zone_width_mm / 2
-        for place in (low, high):
+        for side in (-1, 1):
+            place = edge + side * scene.blood.zone_width_mm / 2
             axes.plot([-half_u, half_u], [place, place], color=style.DARK_INK, lw=0.6, ls=(0, (2, 3)), zorder=1.5)
-    axes.text(-half_u + 0.15, half_v - 0.15, "distal blood", va="top", **text)
-    axes.text(-half_u + 0.15, -half_v + 0.15, "proximal blood", va="bottom", **text)
+    for name, side, va in (("distal blood", 1, "top"), ("proximal blood", -1, "bottom")):
+        at = -half_u + 0.15, side * (half_v - 0.15)
+        axes.text(*at, name, va=va, color=style.DARK_INK, fontsize=8, zorder=5)
 
 
-def _label_parts(axes: "Axes", scene: Scene, layout: Layout, half_v: float) -> None:
+def _label_parts(axes: "Axes", scene: Scene, half_v: float) -> None:
     """Names beside the parts, none on another: photodiodes on the right, the rest on the side where it lies."""
+    layout = scene.layout
     right = [(e.area, e.name) for e in layout.photodiodes]
     middle = sum(r.center_mm[0] for r, _ in right) / len(right)
     others = [(r, f"LED {r.name}, {led.wavelength_nm:g} nm") for r, led in zip(layout.leds, scene.leds, strict=True)]
@@ -126,15 +125,13 @@ def _label_parts(axes: "Axes", scene: Scene, layout: Layout, half_v: float) -> N
     right += [(r, name) for r, name in others if r.center_mm[0] > middle]
     gap = min(0.07 * half_v, 1.9 * half_v / len(right))
     size = max(8.0 * gap / (0.07 * half_v), 3.0)
-    for group, side in ((left, -1), (right, 1)):
-        edge = layout.outline.u_max if side > 0 else layout.outline.u_min
+    for group, side, bound, ha, fontsize in ((left, -1, "u_min", "right", 8.0), (right, 1, "u_max", "left", size)):
+        edge = getattr(layout.outline, bound)
+        look: dict[str, Any] = {"color": style.DARK_INK, "fontsize": fontsize, "ha": ha, "va": "center", "zorder": 6}
         for (r, name), place in zip(group, style.spread([r.center_mm[1] for r, _ in group], gap), strict=True):
-            v, near = r.center_mm[1], r.u_max if side > 0 else r.u_min
-            u = [near, edge, edge + side * 0.37]
+            v, u = r.center_mm[1], [getattr(r, bound), edge, edge + side * 0.37]
             axes.plot(u, [v, v, place], color=style.DARK_INK, lw=0.6, zorder=6)
-            look: dict[str, Any] = {"color": style.DARK_INK, "fontsize": size if side > 0 else 8.0}
-            where: dict[str, Any] = {"ha": "left" if side > 0 else "right", "va": "center"}
-            axes.text(edge + side * 0.45, place, style.plain(name), zorder=6, **look, **where)
+            axes.text(edge + side * 0.45, place, style.plain(name), **look)
 
 
 @dataclass(frozen=True)
@@ -161,21 +158,20 @@ class _Cut:
         return self.region == self.names.index(name)
 
 
+@style.drawing()
 def section(scene: Scene | None, result: xr.Dataset) -> "Figure":
     """The finger and its board cut lengthwise, one close view per LED with the density of its light's paths."""
     leds = result.sizes["led"] if "path_density" in result else 1
-    with style.drawing():
-        figure = style.new_figure(9.2, 3.1 + 3.55 * leds)
-        panels = figure.subplots(leds + 1, 1, squeeze=False, gridspec_kw={"height_ratios": [2.9] + [3.5] * leds})[:, 0]
-        whole, cut = panels[0], _Cut.of(result)
-        _regions(whole, cut)
-        low_y, high_y, low_z, high_z = _close_view(scene, cut)
-        frame = [low_y, high_y, high_y, low_y, low_y], [low_z, low_z, high_z, high_z, low_z]
-        whole.plot(*frame, color=style.MUTED, lw=1.2, ls=(0, (3, 2)))
-        whole.set_title("Finger and board, cut lengthwise")
-        _key(whole, cut)
-        for i, axes in enumerate(panels[1:]):
-            draw_section(axes, scene, result, led=i)
+    figure, (whole, *views) = style.panels(9.2, 3.1 + 3.55 * leds, leds + 1, height_ratios=[2.9] + [3.5] * leds)
+    cut = _Cut.of(result)
+    _regions(whole, cut)
+    low_y, high_y, low_z, high_z = _close_view(scene, cut)
+    frame = [low_y, high_y, high_y, low_y, low_y], [low_z, low_z, high_z, high_z, low_z]
+    whole.plot(*frame, color=style.MUTED, lw=1.2, ls=(0, (3, 2)))
+    whole.set_title("Finger and board, cut lengthwise")
+    _key(whole, cut)
+    for i, axes in enumerate(views):
+        draw_section(axes, scene, result, led=i)
     return figure
 
 
@@ -186,13 +182,11 @@ def draw_section(axes: "Axes", scene: Scene | None, result: xr.Dataset, *, led: 
     _regions(axes, cut)
     if "path_density" in result:
         _paths(axes, cut, result.path_density.isel(led=led).transpose("section_y", "section_z").to_numpy())
-        name = f"Paths of the light of LED {result.led.values[led]}, {float(result.wavelength_nm[led]):g} nm"
-        axes.set_title(style.plain(name))
+        axes.set_title(style.plain(f"Paths of the light of {led_name(result, led)}"))
     _outlines(axes, cut)
     _layer_names(axes, cut, low_y, low_z)
     _parts_above(axes, scene, result, led, high_z)
-    axes.set_xlim(low_y, high_y)
-    axes.set_ylim(low_z, high_z)
+    axes.set(xlim=(low_y, high_y), ylim=(low_z, high_z))
 
 
 def _paths(axes: "Axes", cut: _Cut, density: np.ndarray) -> None:
@@ -227,21 +221,15 @@ def _paths(axes: "Axes", cut: _Cut, density: np.ndarray) -> None:
             axes.contour(cut.y, cut.z, smooth.T, levels=[level], zorder=5, **look)
 
 
-def _colour(name: str) -> str:
-    return LED if name.startswith("led:") else TISSUE.get(name, SILICON)
-
-
 def _regions(axes: "Axes", cut: _Cut) -> None:
     """Fill each region with its colour."""
     from matplotlib.colors import to_rgba
 
-    axes.set_aspect("equal")
+    axes.set(aspect="equal", xlabel=ALONG, ylabel="height [mm]")
     axes.grid(False)
-    axes.set_xlabel("along the nail, towards the tip [mm]")
-    axes.set_ylabel("height [mm]")
     if cut.region is not None:
-        palette = np.array([to_rgba(_colour(name)) for name in cut.names])
-        image = palette[cut.region].transpose(1, 0, 2)
+        colours = [LED if name.startswith("led:") else TISSUE.get(name, SILICON) for name in cut.names]
+        image = np.array([to_rgba(colour) for colour in colours])[cut.region].transpose(1, 0, 2)
         axes.imshow(image, extent=extent(cut.y, cut.z), origin="lower", zorder=1)
 
 
@@ -265,17 +253,14 @@ def _layer_names(axes: "Axes", cut: _Cut, left: float, bottom: float) -> None:
 
 def _parts_above(axes: "Axes", scene: Scene | None, result: xr.Dataset, led: int, top: float) -> None:
     """Mark above the board where photodiodes and the LED lie along it; they need not lie in the section."""
-    if scene is None or scene.finger is None:
-        return
-    layout = scene.layout
-    if len(layout.photodiodes) != result.sizes["photodiode"] or len(layout.leds) != result.sizes["led"]:
+    centres = centres_mm(result, scene)
+    if scene is None or centres is None:
         return
     order = order_along_nail(result, scene)
     for colour, j in zip(style.place_colours(len(order)), order, strict=True):
-        area = layout.photodiodes[j].area
+        area = scene.layout.photodiodes[j].area
         axes.plot([area.v_min, area.v_max], [top - 0.2] * 2, color=colour, lw=5, solid_capstyle="butt", zorder=6)
-    r = layout.leds[led]
-    axes.plot([r.center_mm[1]], [top - 0.55], marker="v", color=LED, mec=style.DARK_INK, mew=0.7, ms=8, zorder=7)
+    axes.plot([centres[0][led, 1]], [top - 0.55], marker="v", color=LED, mec=style.DARK_INK, mew=0.7, ms=8, zorder=7)
 
 
 def _close_view(scene: Scene | None, cut: _Cut) -> tuple[float, float, float, float]:

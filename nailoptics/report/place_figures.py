@@ -6,7 +6,6 @@ import numpy as np
 import xarray as xr
 
 from ..scene import Scene
-from ..scene.layout import Layout
 from . import maps, style
 
 if TYPE_CHECKING:
@@ -23,45 +22,41 @@ KNOWN = 0.25
 DIMMEST = 3e4
 
 
+@style.drawing()
 def ranking_figure(result: xr.Dataset) -> "Figure":
     """Layouts with their intervals, best on top."""
     count = min(result.sizes["layout"], SHOWN)
-    with style.drawing():
-        figure = style.new_figure(7.2, 0.9 + 0.32 * count)
-        axes = figure.subplots()
-        for i in range(count):
-            low, high = (1e3 * float(result[f"force_resolution_{end}_n"][i]) for end in ("low", "high"))
-            colour = style.ZONES[0] if str(result.layout.values[i]) == "paper" else style.ZONES[1]
-            axes.plot([low, high], [i, i], color=colour, lw=2.2, solid_capstyle="butt")
-            fill = colour if bool(result.tied[i]) else "none"
-            axes.plot([1e3 * float(result.force_resolution_n[i])], [i], "o", mfc=fill, mec=colour, ms=6)
-            each = 1e3 * result.finger_resolution_n.values[i]
-            axes.plot(each, [i] * len(each), "|", color=style.MUTED, ms=9, mew=1.0, zorder=1)
-        names = [style.plain(name).replace("_", " ") for name in result.layout.values[:count]]
-        axes.set_yticks(range(count), names)
-        axes.set_ylim(count - 0.5, -0.5)
-        if 1e3 * float(result.force_resolution_high_n[:count].max()) > 8e3 * float(result.force_resolution_n[0]):
-            axes.set_xscale("log")
-        else:
-            axes.set_xlim(left=0)
-        axes.set_xlabel("force resolution [mN]")
+    figure, axes = style.panels(7.2, 0.9 + 0.32 * count)
+    for i in range(count):
+        best, low, high = (1e3 * float(result[f"force_resolution_{end}n"][i]) for end in ("", "low_", "high_"))
+        colour = style.ZONES[0] if str(result.layout.values[i]) == "paper" else style.ZONES[1]
+        axes.plot([low, high], [i, i], color=colour, lw=2.2, solid_capstyle="butt")
+        axes.plot([best], [i], "o", mfc=colour if bool(result.tied[i]) else "none", mec=colour, ms=6)
+        each = 1e3 * result.finger_resolution_n.values[i]
+        axes.plot(each, [i] * len(each), "|", color=style.MUTED, ms=9, mew=1.0, zorder=1)
+    axes.set_yticks(range(count), [style.plain(name).replace("_", " ") for name in result.layout.values[:count]])
+    axes.set(ylim=(count - 0.5, -0.5), xlabel="force resolution [mN]")
+    if float(result.force_resolution_high_n[:count].max()) > 8 * float(result.force_resolution_n[0]):
+        axes.set_xscale("log")
+    else:
+        axes.set_xlim(left=0)
     return figure
 
 
+@style.drawing()
 def board_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     """The best layout from above."""
     names = list(scene.layout.photodiode_names)
     shown = xr.Dataset(coords={"led": [led.name for led in scene.leds], "photodiode": names})
-    with style.drawing():
-        figure = style.new_figure(9.2, 6.4)
-        axes = figure.subplots()
-        maps.draw_top_view(axes, scene, shown)
-        # Boards may be as wide as the nail, and their labels want room beside it.
-        low, high = axes.get_xlim()
-        axes.set_xlim(low - 2.6, high + 1.2)
+    figure, axes = style.panels(9.2, 6.4)
+    maps.draw_top_view(axes, scene, shown)
+    # Boards may be as wide as the nail, and their labels want room beside it.
+    low, high = axes.get_xlim()
+    axes.set_xlim(low - 2.6, high + 1.2)
     return figure
 
 
+@style.drawing()
 def map_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     """Light and its direct part, and noise and resolution of one photodiode, over the board."""
     light, direct = (_smooth(result[name].isel(led=0).to_numpy()) for name in ("irradiance", "direct"))
@@ -73,13 +68,12 @@ def map_figure(scene: Scene, result: xr.Dataset) -> "Figure":
         ("Noise of a photodiode [µV]", "place_u", noise, "viridis", (noise.min(), noise.max())),
         ("Resolves by itself [mN]", "place_u", tells, "viridis_r", _fine(tells)),
     )
-    with style.drawing():
-        figure = style.new_figure(9.2, 8.4)
-        for axes, (title, u, values, colours, span) in zip(figure.subplots(2, 2).flat, panels, strict=True):
-            _plane(axes, result, u, values, colours, span, even=values is noise)
-            axes.set_title(title)
-            _parts(axes, scene)
-            axes.axis(_board_edges(result))
+    figure, grid = style.panels(9.2, 8.4, 2, 2)
+    for axes, (title, u, values, colours, span) in zip(grid.flat, panels, strict=True):
+        _plane(axes, result, u, values, colours, span, even=values is noise)
+        axes.set_title(title)
+        _parts(axes, scene)
+        axes.axis(_board_edges(result))
     return figure
 
 
@@ -121,6 +115,7 @@ def _plane(
     axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02)
 
 
+@style.drawing()
 def sensitivity_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     """Fall of the light with the blood of either zone, relative to the light there."""
     light = _smooth(result.irradiance.isel(led=0).to_numpy())
@@ -131,40 +126,37 @@ def sensitivity_figure(scene: Scene, result: xr.Dataset) -> "Figure":
         fall = [np.where(light > 0, one / light, np.nan) for one in each]
     top = float(np.nanquantile(np.stack(fall), 0.99))
     levels, edges = np.linspace(0, top, 7)[1:-1], _board_edges(result)
-    with style.drawing():
-        figure = style.new_figure(9.2, 4.7)
-        for axes, values, title in zip(figure.subplots(1, 2), fall, ("Proximal", "Distal"), strict=True):
-            shown = np.clip(values, 0, top).T
-            image = axes.imshow(shown, extent=edges, origin="lower", cmap="magma", vmin=0, vmax=top)
-            axes.contour(result.u, result.v, values.T, levels=levels, colors=["#ffffff"], linewidths=0.5)
-            figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02)
-            axes.set_title(f"{title} blood [%/%]")
-            _parts(axes, scene)
+    figure, panels = style.panels(9.2, 4.7, 1, 2)
+    for axes, values, title in zip(panels, fall, ("Proximal", "Distal"), strict=True):
+        shown = np.clip(values, 0, top).T
+        image = axes.imshow(shown, extent=edges, origin="lower", cmap="magma", vmin=0, vmax=top)
+        axes.contour(result.u, result.v, values.T, levels=levels, colors=["#ffffff"], linewidths=0.5)
+        figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02)
+        axes.set_title(f"{title} blood [%/%]")
+        _parts(axes, scene)
     return figure
 
 
+@style.drawing()
 def sites_figure(result: xr.Dataset) -> "Figure":
     """Places of the LED by what the search found there."""
     from matplotlib.colors import LogNorm
 
-    with style.drawing():
-        figure = style.new_figure(9.2, 4.8)
-        axes = figure.subplots()
-        place, found = result.led_site_mm.to_numpy(), 1e3 * result.led_site_resolution_n.to_numpy()
-        norm = LogNorm(found.min(), max(found.max(), 1.001 * found.min()))
-        marks = {"left": (">", 0.12, 0), "right": ("<", -0.12, 0), "below": ("^", 0, 0.12), "above": ("v", 0, -0.12)}
-        look: dict[str, Any] = {"cmap": "viridis_r", "s": 46, "edgecolors": style.MUTED, "linewidths": 0.4}
-        for side in dict.fromkeys(result.led_site_side.values):
-            at, (mark, du, dv) = result.led_site_side.values == side, marks.get(str(side), ("o", 0, 0))
-            image = axes.scatter(place[at, 0] + du, place[at, 1] + dv, c=found[at], norm=norm, marker=mark, **look)
-        figure.colorbar(image, ax=axes, label="force resolution [mN]")
-        axes.axis(_board_edges(result))
-        axes.set_aspect("equal")
-        axes.set_xlabel("across the nail [mm]")
-        axes.set_ylabel("along the nail, towards the tip [mm]")
+    figure, axes = style.panels(9.2, 4.8)
+    place, found = result.led_site_mm.to_numpy(), 1e3 * result.led_site_resolution_n.to_numpy()
+    norm = LogNorm(found.min(), max(found.max(), 1.001 * found.min()))
+    marks = {"left": (">", 0.12, 0), "right": ("<", -0.12, 0), "below": ("^", 0, 0.12), "above": ("v", 0, -0.12)}
+    look: dict[str, Any] = {"cmap": "viridis_r", "s": 46, "edgecolors": style.MUTED, "linewidths": 0.4}
+    for side in dict.fromkeys(result.led_site_side.values):
+        at, (mark, du, dv) = result.led_site_side.values == side, marks.get(str(side), ("o", 0, 0))
+        image = axes.scatter(place[at, 0] + du, place[at, 1] + dv, c=found[at], norm=norm, marker=mark, **look)
+    figure.colorbar(image, ax=axes, label="force resolution [mN]")
+    axes.axis(_board_edges(result))
+    axes.set(aspect="equal", xlabel=maps.ACROSS, ylabel=maps.ALONG)
     return figure
 
 
+@style.drawing()
 def banana_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     """Where under the nail each photodiode looks: cut lengthwise, and the bed from above."""
     assert scene.finger is not None
@@ -175,42 +167,27 @@ def banana_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     in_bed = seen.where((result.depth > bed[0]) & (result.depth < bed[1]), 0.0)
     v, u, depth = (result[name].to_numpy() for name in ("under_v", "under_u", "depth"))
     cut, above = seen.sum("under_u").to_numpy(), in_bed.sum("depth").to_numpy()
-    with style.drawing():
-        figure = style.new_figure(9.2, 8.4)
-        section, plan = figure.subplots(2, 1, gridspec_kw={"height_ratios": [2.6, 4.6]})
-        section.axhspan(0, bed[0], color=maps.TISSUE["plate"], lw=0, zorder=0)
-        section.axhspan(*bed, color=maps.TISSUE["bed"], lw=0, zorder=0)
-        section.axhspan(bed[1], depth[-1], color=maps.TISSUE["bone"], lw=0, zorder=0)
-        for name, place in (("plate", bed[0] / 2), ("bed", sum(bed) / 2), ("below", (bed[1] + depth[-1]) / 2)):
-            section.text(v[0] + 0.1, place, name, fontsize=8, color=style.DARK_INK, va="center", zorder=6)
-        colours = _colours(layout)
-        _bananas(section, v, depth, cut, colours)
-        for colour, j in colours:
-            area = layout.photodiodes[j].area
-            section.plot([area.v_min, area.v_max], [-0.12] * 2, color=colour, lw=5, solid_capstyle="butt")
-        section.plot([layout.leds[0].center_mm[1]], [-0.32], "v", color=maps.LED, mec=style.DARK_INK, mew=0.7, ms=8)
-        section.set_xlim(v[0], v[-1])
-        section.set_ylim(depth[-1], -0.5)
-        section.set_aspect("equal")
-        section.set_xlabel("along the nail, towards the tip [mm]")
-        section.set_ylabel("depth [mm]")
-        section.set_title("Cut lengthwise, summed over the width")
-        _bananas(plan, v, u, above.transpose(0, 2, 1), colours)
-        _parts(plan, scene, turned=True)
-        plan.set_xlim(v[0], v[-1])
-        plan.set_ylim(u[0], u[-1])
-        plan.set_aspect("equal")
-        plan.set_title("The bed from above, summed over its depth")
-        for axes in (section, plan):
-            axes.grid(False)
+    layers = (("plate", "plate", 0.0, bed[0]), ("bed", "bed", *bed), ("below", "bone", bed[1], depth[-1]))
+    # From the most proximal to the most distal.
+    order = sorted(range(len(layout.photodiodes)), key=lambda j: layout.photodiodes[j].area.center_mm[::-1])
+    colours = list(zip(style.place_colours(len(order)), order, strict=True))
+    figure, (section, plan) = style.panels(9.2, 8.4, 2, height_ratios=[2.6, 4.6])
+    for name, tissue, top, bottom in layers:
+        section.axhspan(top, bottom, color=maps.TISSUE[tissue], lw=0, zorder=0)
+        section.text(v[0] + 0.1, (top + bottom) / 2, name, fontsize=8, color=style.DARK_INK, va="center", zorder=6)
+    _bananas(section, v, depth, cut, colours)
+    for colour, j in colours:
+        area = layout.photodiodes[j].area
+        section.plot([area.v_min, area.v_max], [-0.12] * 2, color=colour, lw=5, solid_capstyle="butt")
+    section.plot([layout.leds[0].center_mm[1]], [-0.32], "v", color=maps.LED, mec=style.DARK_INK, mew=0.7, ms=8)
+    section.set(xlim=(v[0], v[-1]), ylim=(depth[-1], -0.5), aspect="equal", xlabel=maps.ALONG, ylabel="depth [mm]")
+    section.set_title("Cut lengthwise, summed over the width")
+    section.grid(False)
+    _bananas(plan, v, u, above.transpose(0, 2, 1), colours)
+    _parts(plan, scene, turned=True)
+    plan.set(xlim=(v[0], v[-1]), ylim=(u[0], u[-1]), aspect="equal")
+    plan.set_title("The bed from above, summed over its depth")
     return figure
-
-
-def _colours(layout: Layout) -> list[tuple[str, int]]:
-    """Colour and index of each photodiode, from the most proximal to the most distal."""
-    centers = [e.area.center_mm for e in layout.photodiodes]
-    order = sorted(range(len(centers)), key=lambda j: centers[j][::-1])
-    return list(zip(style.place_colours(len(order)), order, strict=True))
 
 
 def _bananas(axes: "Axes", x: np.ndarray, y: np.ndarray, each: np.ndarray, colours: list[tuple[str, int]]) -> None:
@@ -234,6 +211,7 @@ def _bananas(axes: "Axes", x: np.ndarray, y: np.ndarray, each: np.ndarray, colou
             axes.contour(x, y, shares[j].T, levels=[level], colors=[colour], linewidths=1.5, zorder=4)
 
 
+@style.drawing()
 def led_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     """What the photodiodes as they are would resolve with the LED elsewhere, by light that was traced from them."""
     light = result.led_place_fraction.isel(led=0).sum("best_photodiode").to_numpy()
@@ -244,27 +222,25 @@ def led_figure(scene: Scene, result: xr.Dataset) -> "Figure":
         ("Light on all photodiodes [of the LED's]", light, "viridis", _bright(light)),
         ("Resolves with the LED here [mN]", tells, "viridis_r", _fine(tells)),
     )
-    with style.drawing():
-        figure = style.new_figure(9.2, 4.7)
-        for axes, (title, values, colours, span) in zip(figure.subplots(1, 2), panels, strict=True):
-            _plane(axes, result, "led_u", values, colours, span, even=False)
-            axes.set_title(title)
-            _parts(axes, scene)
+    figure, both = style.panels(9.2, 4.7, 1, 2)
+    for axes, (title, values, colours, span) in zip(both, panels, strict=True):
+        _plane(axes, result, "led_u", values, colours, span, even=False)
+        axes.set_title(title)
+        _parts(axes, scene)
     return figure
 
 
 def _parts(axes: "Axes", scene: Scene, *, turned: bool = False) -> None:
     """Outline the layout's parts over a map, its tip upwards, or turned to the right."""
-    layout = scene.layout
-    for r in layout.barriers:
+    for r in scene.layout.barriers:
         maps.draw_rectangle(axes, r, turned=turned, zorder=3, fc=maps.BARRIER, lw=0)
-    boxes = [(e.area, "none") for e in layout.photodiodes] + [(led, maps.LED) for led in layout.leds]
+    boxes = [(e.area, "none") for e in scene.layout.photodiodes] + [(led, maps.LED) for led in scene.layout.leds]
     for r, fill in boxes:
         for colour, width in (("#ffffff", 1.8), (style.DARK_INK, 0.8)):
             maps.draw_rectangle(axes, r, turned=turned, zorder=3, fc=fill, ec=colour, lw=width)
     axes.grid(False)
-    axes.set_xlabel("along the nail, towards the tip [mm]" if turned else "across [mm]")
-    axes.set_ylabel("across [mm]" if turned else "along, to the tip [mm]")
+    labels = (maps.ALONG, "across [mm]") if turned else ("across [mm]", "along, to the tip [mm]")
+    axes.set(xlabel=labels[0], ylabel=labels[1])
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:

@@ -153,17 +153,14 @@ def _ambient(result: xr.Dataset) -> str:
         for source in SOURCES:
             at = result.sel(cover=cover, ambient=source.name)
             lux = f"{source.lux:,.0f}".replace(",", "\u202f")
-            saturated = " (saturated)" if bool((at.ambient_volts >= result.attrs["adc_range_v"]).any()) else ""
+            name = f"{source.name}, {lux} lux, {'with the cover' if cover == 'covered' else 'without it'}"
+            most = [1e6 * at.ambient_high_a.max(), at.ambient_volts.max(), 1e6 * at.ambient_noise_v.max()]
+            current, output, noise = (significant(float(value)) for value in most)
+            if bool((at.ambient_volts >= result.attrs["adc_range_v"]).any()):
+                output += " (saturated)"
             resolution_mn = 1e3 * float(at.ambient_resolution_n)
-            lines.append(
-                [
-                    f"{source.name}, {lux} lux, " + ("with the cover" if cover == "covered" else "without it"),
-                    significant(1e6 * float(at.ambient_high_a.max())),
-                    significant(float(at.ambient_volts.max())) + saturated,
-                    significant(1e6 * float(at.ambient_noise_v.max())),
-                    significant(resolution_mn) if resolution_mn < NOTHING_MN else "nothing",
-                ]
-            )
+            resolves = significant(resolution_mn) if resolution_mn < NOTHING_MN else "nothing"
+            lines.append([name, current, output, noise, resolves])
     return table(head, lines) + small(
         "The largest of all photodiodes, upper end of the 95 % interval, for light from all sides with the spectrum of "
         "a black body. A steady part can be subtracted; its noise and a saturated converter cannot."

@@ -1,5 +1,6 @@
 """What each photodiode tells about the touch: rest, change at the end of the hold, noise, resolution."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,10 +83,8 @@ def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> list[Reading
     hold = hold_end(result)
     change, change_stderr, _ = change_v(result)
     at_rest, at_hold = result.isel(time=0), result.isel(time=hold)
-    force = result.force_n.to_numpy()
-    moved_n = float(force[hold] - force[0])
-    distance = distances_mm(result, scene)
-    zones = [str(z) for z in result.zone.values]
+    moved_n = float(at_hold.force_n - at_rest.force_n)
+    centres = centres_mm(result, scene)
     saturated = result.saturated.any("time")
     found = []
     for i, led in enumerate(result.led.values):
@@ -96,8 +95,8 @@ def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> list[Reading
                     photodiode=str(result.photodiode.values[j]),
                     led_index=i,
                     photodiode_index=j,
-                    zone=zones[int(result.zone_of_photodiode[j])],
-                    distance_mm=float(distance[i, j]),
+                    zone=str(result.zone.values[int(result.zone_of_photodiode[j])]),
+                    distance_mm=float(np.linalg.norm(centres[0][i] - centres[1][j])) if centres else math.nan,
                     rest_v=float(at_rest.volts[i, j]),
                     rest_stderr_v=float(at_rest.volts_stderr[i, j]),
                     noise_rms_v=float(at_hold.volts_noise_rms[i, j]),
@@ -110,29 +109,24 @@ def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> list[Reading
     return found
 
 
-def _centres(result: xr.Dataset, scene: Scene | None) -> tuple[np.ndarray, np.ndarray] | None:
-    """Centres of LEDs and of photodiodes on the board, or None where the scene does not match the result."""
+def led_name(result: xr.Dataset, led: int) -> str:
+    """An LED with its wavelength."""
+    return f"LED {result.led.values[led]}, {float(result.wavelength_nm[led]):g} nm"
+
+
+def centres_mm(result: xr.Dataset, scene: Scene | None) -> tuple[np.ndarray, np.ndarray] | None:
+    """Centres of LEDs and of photodiodes on the board, (n, 2) each; None where the scene is not the result's. [mm]"""
     if scene is None or scene.finger is None:
         return None
-    layout = scene.layout
-    leds = np.array([r.center_mm for r in layout.leds])
-    photodiodes = np.array([e.area.center_mm for e in layout.photodiodes])
+    leds = np.array([r.center_mm for r in scene.layout.leds])
+    photodiodes = np.array([e.area.center_mm for e in scene.layout.photodiodes])
     fits = len(leds) == result.sizes["led"] and len(photodiodes) == result.sizes["photodiode"]
     return (leds, photodiodes) if fits else None
 
 
 def order_along_nail(result: xr.Dataset, scene: Scene | None) -> list[int]:
     """Indices of the photodiodes from the most proximal to the most distal."""
-    centres = _centres(result, scene)
+    centres = centres_mm(result, scene)
     if centres is None:
         return list(range(result.sizes["photodiode"]))
     return [int(i) for i in np.argsort(centres[1][:, 1], kind="stable")]
-
-
-def distances_mm(result: xr.Dataset, scene: Scene | None) -> np.ndarray:
-    """Distance from each LED to each photodiode, centre to centre on the board, (led, photodiode). [mm]"""
-    centres = _centres(result, scene)
-    if centres is None:
-        return np.full((result.sizes["led"], result.sizes["photodiode"]), np.nan)
-    leds, photodiodes = centres
-    return np.asarray(np.linalg.norm(leds[:, None] - photodiodes[None], axis=-1))

@@ -8,7 +8,7 @@ import xarray as xr
 from ..scene import Scene
 from . import style
 from .numbers import prefix, quantity, with_error
-from .readings import change_v, hold_end, order_along_nail
+from .readings import change_v, hold_end, led_name, order_along_nail
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,73 +24,64 @@ MODELS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
+@style.drawing()
 def touch(result: xr.Dataset) -> "Figure":
     """The touch: force, and the pressures that it makes on the veins and on the distal capillaries."""
-    with style.drawing():
-        figure = style.new_figure(9.2, 2.7)
-        left, right = figure.subplots(1, 2, sharex=True)
-        seen = _thin(result)
-        _line(left, seen, seen.force_n, color=style.INK)
-        left.set_title("Force on the fingertip")
-        left.set_ylabel("force [N]")
-        names = (("proximal", "on the veins (proximal)", "-"), ("distal", "on the capillaries (distal)", (0, (4, 2.5))))
-        for zone, (name, label, dashes) in enumerate(names):
-            pressure = seen[f"{name}_pressure_pa"] / 1e3
-            _line(right, seen, pressure, color=style.ZONES[zone], linestyle=dashes, label=label, lw=2.2 - 0.4 * zone)
-        right.set_title("Pressure that it makes")
-        right.set_ylabel("pressure [kPa]")
-        for axes in (left, right):
-            axes.set_ylim(0, None)
-            _time_axis(axes, result)
-        _legend_below(right)
+    figure, (left, right) = style.panels(9.2, 2.7, 1, 2, sharex=True)
+    seen = _thin(result)
+    _line(left, seen, seen.force_n, color=style.INK)
+    names = (("proximal", "on the veins (proximal)", "-"), ("distal", "on the capillaries (distal)", (0, (4, 2.5))))
+    for zone, (name, label, dashes) in enumerate(names):
+        pressure = seen[f"{name}_pressure_pa"] / 1e3
+        _line(right, seen, pressure, color=style.ZONES[zone], linestyle=dashes, label=label, lw=2.2 - 0.4 * zone)
+    left.set(title="Force on the fingertip", ylabel="force [N]")
+    right.set(title="Pressure that it makes", ylabel="pressure [kPa]")
+    for axes in (left, right):
+        axes.set_ylim(0, None)
+        _time_axis(axes, result)
+    _legend_below(right)
     return figure
 
 
+@style.drawing()
 def vessels(result: xr.Dataset) -> "Figure":
     """What the touch does to the blood: capillary and vein diameters, and the bed's blood fraction."""
-    with style.drawing():
-        figure = style.new_figure(9.2, 2.9)
-        capillary, vein, blood = figure.subplots(1, 3, sharex=True)
-        seen = _thin(result)
-        for i, zone in enumerate(result.zone.values):
-            look = {"color": style.place_colours(result.sizes["zone"])[i], "label": style.plain(zone)}
-            _line(capillary, seen, seen.capillary_diameter_m.isel(zone=i) * 1e6, **look)
-            _line(blood, seen, seen.blood_fraction.isel(zone=i) * 100, **look)
-        _line(vein, seen, seen.vein_diameter_m * 1e6, color=style.VEIN)
-        for axes, title, label in (
-            (capillary, "Capillaries", "diameter [µm]"),
-            (vein, "Vein of the pulp", "diameter [µm]"),
-            (blood, "Blood in the nail bed", "blood fraction [%]"),
-        ):
-            axes.set_title(title)
-            axes.set_ylabel(label)
-            _time_axis(axes, result)
-            _not_too_close(axes)
-        _legend_below(capillary)
-        _legend_below(blood)
+    figure, panels = style.panels(9.2, 2.9, 1, 3, sharex=True)
+    capillary, vein, blood = panels
+    seen = _thin(result)
+    for i, (zone, colour) in enumerate(zip(result.zone.values, style.place_colours(result.sizes["zone"]), strict=True)):
+        look = {"color": colour, "label": style.plain(zone)}
+        _line(capillary, seen, seen.capillary_diameter_m.isel(zone=i) * 1e6, **look)
+        _line(blood, seen, seen.blood_fraction.isel(zone=i) * 100, **look)
+    _line(vein, seen, seen.vein_diameter_m * 1e6, color=style.VEIN)
+    capillary.set(title="Capillaries", ylabel="diameter [µm]")
+    vein.set(title="Vein of the pulp", ylabel="diameter [µm]")
+    blood.set(title="Blood in the nail bed", ylabel="blood fraction [%]")
+    for axes in panels:
+        _time_axis(axes, result)
+        _not_too_close(axes)
+    _legend_below(capillary)
+    _legend_below(blood)
     return figure
 
 
+@style.drawing()
 def overview(result: xr.Dataset, scene: Scene | None) -> "Figure":
     """Change of every photodiode from rest, one panel per LED, over the force."""
     leds = result.sizes["led"]
-    with style.drawing():
-        per_led = 3.6 if leds > 1 else 4.2
-        figure = style.new_figure(9.2, 0.9 + per_led * leds)
-        panels = figure.subplots(
-            leds + 1, 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": [0.8] + [per_led] * leds}
-        )[:, 0]
-        for axes in panels[2:]:
-            axes.sharey(panels[1])
-        seen = _thin(result)
-        _line(panels[0], seen, seen.force_n, color=style.INK)
-        panels[0].fill_between(seen.time, 0, seen.force_n, color=style.MUTED, alpha=0.15, lw=0)
-        panels[0].set_ylabel("force [N]")
-        panels[0].set_ylim(0, None)
-        for i, axes in enumerate(panels[1:]):
-            draw_change(axes, result, scene, led=i)
-            if i < leds - 1:
-                axes.set_xlabel("")
+    per_led = 3.6 if leds > 1 else 4.2
+    heights = [0.8] + [per_led] * leds
+    figure, (top, *panels) = style.panels(9.2, 0.9 + per_led * leds, leds + 1, sharex=True, height_ratios=heights)
+    seen = _thin(result)
+    _line(top, seen, seen.force_n, color=style.INK)
+    top.fill_between(seen.time, 0, seen.force_n, color=style.MUTED, alpha=0.15, lw=0)
+    top.set(ylabel="force [N]", ylim=(0, None))
+    for axes in panels[1:]:
+        axes.sharey(panels[0])
+    for i, axes in enumerate(panels):
+        draw_change(axes, result, scene, led=i)
+        if i < leds - 1:
+            axes.set_xlabel("")
     return figure
 
 
@@ -99,15 +90,15 @@ def draw_change(axes: "Axes", result: xr.Dataset, scene: Scene | None, *, led: i
     order = order_along_nail(result, scene)
     change, _, _ = change_v(result)
     hold = hold_end(result)
+    hold_s = float(result.time[hold])
     scale, letter = prefix(float(np.abs(change).max()))
     seen = _thin(result)
     axes.axhline(0, color=style.MUTED, lw=0.8)
     for colour, j in zip(style.place_colours(len(order)), order, strict=True):
         label = f"{result.photodiode.values[j]}  {quantity(change[led, j, hold], 'V', sign=True)}"
         _line(axes, seen, change[led, j, seen.attrs["samples"]] / scale, color=colour, label=style.plain(label))
-    axes.set_ylabel(f"change from rest [{letter}V]")
-    axes.axvline(float(result.time[hold]), color=style.MUTED, lw=0.8, ls=(0, (2, 2)))
-    axes.set_title(style.plain(_led_title(result, led)))
+    axes.axvline(hold_s, color=style.MUTED, lw=0.8, ls=(0, (2, 2)))
+    axes.set(title=style.plain(led_name(result, led)), ylabel=f"change from rest [{letter}V]")
     _not_too_close(axes)
     _time_axis(axes, result)
     handles, labels = axes.get_legend_handles_labels()
@@ -117,11 +108,12 @@ def draw_change(axes: "Axes", result: xr.Dataset, scene: Scene | None, *, led: i
         labels[::-1],
         loc="center left",
         bbox_to_anchor=(1.0, 0.5),
-        title=f"at {float(result.time[hold]):.3g} s",
+        title=f"at {hold_s:.3g} s",
         ncols=1 + (len(order) - 1) // 16,
     )
 
 
+@style.drawing()
 def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
     """One LED's readings, one panel per photodiode: traced volts with both errors, (8), (9) and what they miss.
 
@@ -132,31 +124,27 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
     order = order_along_nail(result, scene)
     if len(order) > PANELS:
         order = [order[k] for k in np.linspace(0, len(order) - 1, PANELS).round().astype(int)]
-    colours = style.place_colours(len(order))
-    rows = -(-len(order) // 2)
-    columns = 1 if len(order) == 1 else 2
-    with style.drawing():
-        figure = style.new_figure(9.2, 0.45 + 2.15 * rows)
-        grid = figure.subplots(
-            2 * rows, columns, sharex=True, squeeze=False, gridspec_kw={"height_ratios": [2.2, 1] * rows}
-        )
-        residual_v = np.stack([result[f"volts_{name}"] - result.volts for name in ("beer_lambert", "taylor")])[:, led]
-        outer = float(np.abs(residual_v[:, order]).max())
-        residual_scale, letter = prefix(max(outer, float(result.volts_noise_rms[led].max())))
-        for k, j in enumerate(order):
-            column, row = divmod(k, rows)
-            main, below = grid[2 * row, column], grid[2 * row + 1, column]
-            _reading(main, result, led, j, colours[k])
-            _residual(below, result, led, j, residual_scale)
-            below.set_ylabel(f"missed\n[{letter}V]", fontsize=8)
-        limit = 1.15 * max(abs(y) for axes in grid[1::2].ravel() for y in axes.dataLim.intervaly if np.isfinite(y))
-        for axes in grid[1::2].ravel():
-            axes.set_ylim(-(limit or 1.0), limit or 1.0)
-        for axes in grid.ravel()[2 * len(order) :]:
-            axes.set_visible(False)
-        for axes in grid[-1]:
-            _time_axis(axes, result)
-        style.legend_above(figure, grid[0, 0], ncols=5, handlelength=2.2, columnspacing=1.4)
+    rows, columns = -(-len(order) // 2), min(len(order), 2)
+    ratios = [2.2, 1] * rows
+    height_in = 0.45 + 2.15 * rows
+    figure, grid = style.panels(9.2, height_in, 2 * rows, columns, sharex=True, squeeze=False, height_ratios=ratios)
+    missed_v = [np.abs(result[f"volts_{name}"] - result.volts)[led, order].max() for name in MODELS]
+    scale, letter = prefix(max(*map(float, missed_v), float(result.volts_noise_rms[led].max())))
+    for k, (j, colour) in enumerate(zip(order, style.place_colours(len(order)), strict=True)):
+        column, row = divmod(k, rows)
+        main, below = grid[2 * row : 2 * row + 2, column]
+        _reading(main, result, led, j, colour)
+        _residual(below, result, led, j, scale)
+        below.set_ylabel(f"missed\n[{letter}V]", fontsize=8)
+    residuals = grid[1::2].ravel()
+    limit = 1.15 * max(abs(y) for axes in residuals for y in axes.dataLim.intervaly if np.isfinite(y)) or 1.0
+    for axes in residuals:
+        axes.set_ylim(-limit, limit)
+    for axes in grid.ravel()[2 * len(order) :]:
+        axes.set_visible(False)
+    for axes in grid[-1]:
+        _time_axis(axes, result)
+    style.legend_above(figure, grid[0, 0], ncols=5, handlelength=2.2, columnspacing=1.4)
     return figure
 
 
@@ -194,10 +182,6 @@ def _residual(axes: "Axes", result: xr.Dataset, led: int, photodiode: int, scale
     axes.axhline(0, color=style.MUTED, lw=0.7)
     for name, (_, look) in MODELS.items():
         _line(axes, one, (one[f"volts_{name}"] - one.volts) / scale, **look)
-
-
-def _led_title(result: xr.Dataset, led: int) -> str:
-    return f"LED {result.led.values[led]}, {float(result.wavelength_nm[led]):g} nm"
 
 
 def _thin(result: xr.Dataset) -> xr.Dataset:

@@ -90,6 +90,7 @@ def _held(results: xr.Dataset, name: str) -> str:
     return ", ".join(f"{d} = {v:.4g}" if isinstance(v, float) else f"{d} = {v}" for d, v in values.items())
 
 
+@style.drawing()
 def _along(results: xr.Dataset, quantity: str, name: str) -> "Figure":
     (dim,) = results[name].dims
     others = _others(results, name)
@@ -97,32 +98,22 @@ def _along(results: xr.Dataset, quantity: str, name: str) -> "Figure":
     coordinate = results[name].values
     numeric = coordinate.dtype.kind in "iuf"
     x = coordinate.astype(float) if numeric else np.arange(len(coordinate))
-    scattered = name not in results.state.dims
     scale, letter = prefix(float(np.nanmax(np.abs(values.values), initial=0.0)))
     pairs = [(i, j) for i in range(values.sizes["led"]) for j in range(values.sizes["photodiode"])]
-    with style.drawing():
-        drawing = style.new_figure(6.4, 2.9)
-        axes = drawing.add_subplot()
-        for (i, j), colour in zip(pairs[:LINES], style.place_colours(min(len(pairs), LINES)), strict=False):
-            one = {"led": i, "photodiode": j}
-            axes.errorbar(
-                x,
-                values.isel(one).transpose(dim).values / scale,
-                errors.isel(one).transpose(dim).values / scale,
-                color=colour,
-                marker="o",
-                markersize=3,
-                linestyle="none" if scattered or not numeric else "-",
-                linewidth=1.2,
-                label=style.plain(f"{values.led.values[i]} → {values.photodiode.values[j]}"),
-            )
-        unit = str(results[quantity].attrs["units"])
-        axes.set_ylabel(f"[{letter}{unit}]" if unit != "1" else (f"[10^{round(np.log10(scale))}]" if letter else "[1]"))
-        axes.set_xlabel(style.plain(name))
-        if not numeric:
-            axes.set_xticks(x, [style.plain(str(v)[:24]) for v in coordinate])
-        if pairs:
-            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    drawing, axes = style.panels(6.4, 2.9)
+    look: Any = {"marker": "o", "markersize": 3, "linewidth": 1.2}
+    look["linestyle"] = "-" if numeric and name in results.state.dims else "none"
+    for (i, j), colour in zip(pairs[:LINES], style.place_colours(min(len(pairs), LINES)), strict=True):
+        y, error = (v.isel(led=i, photodiode=j).transpose(dim).values / scale for v in (values, errors))
+        label = style.plain(f"{values.led.values[i]} → {values.photodiode.values[j]}")
+        axes.errorbar(x, y, error, color=colour, label=label, **look)
+    unit = str(results[quantity].attrs["units"])
+    axes.set_ylabel(f"[{letter}{unit}]" if unit != "1" else (f"[10^{round(np.log10(scale))}]" if letter else "[1]"))
+    axes.set_xlabel(style.plain(name))
+    if not numeric:
+        axes.set_xticks(x, [style.plain(str(v)[:24]) for v in coordinate])
+    if pairs:
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return drawing
 
 

@@ -24,18 +24,9 @@ def readings_table(found: Sequence[Reading], hold_s: float, *, bound: bool) -> s
     volts, letter = prefix(max((abs(r.rest_v) for r in found), default=0.0))
     change, change_letter = prefix(max((abs(r.change_v) for r in found), default=0.0))
     noise, noise_letter = prefix(max((r.noise_rms_v for r in found), default=0.0))
-    head = [
-        "Photodiode",
-        "Blood<br>zone",
-        "LED at<br>[mm]",
-        f"At rest<br>[{letter}V]",
-        f"Change at<br>{significant(hold_s)} s [{change_letter}V]",
-        "Change<br>[%]",
-        "Sure by<br>[σ]",
-        f"Noise,<br>rms [{noise_letter}V]",
-        "Signal<br>to noise",
-        "Resolves<br>[mN]",
-    ]
+    head = ["Photodiode", "Blood<br>zone", "LED at<br>[mm]", f"At rest<br>[{letter}V]"]
+    head += [f"Change at<br>{significant(hold_s)} s [{change_letter}V]", "Change<br>[%]", "Sure by<br>[σ]"]
+    head += [f"Noise,<br>rms [{noise_letter}V]", "Signal<br>to noise", "Resolves<br>[mN]"]
     rows = []
     for r, name in zip(found, _names(found), strict=True):
         full = ' <span class="bad">saturated</span>' if r.saturated else ""
@@ -58,20 +49,17 @@ def path_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
     mean, stderr = result.mean_path_mm, result.mean_path_mm_stderr
     if not np.isfinite(mean).any():
         return ""
-    zones = [str(z) for z in result.zone.values]
-    names = {bed_zone_name(k): f"bed,<br>{escaped(zone)}" for k, zone in enumerate(zones)}
+    names = {bed_zone_name(k): f"bed,<br>{escaped(zone)}" for k, zone in enumerate(result.zone.values)}
     head = ["Photodiode", *(f"{names.get(str(a), escaped(a))} [mm]" for a in result.absorber.values)]
     rows = []
     for r, name in zip(found, _names(found), strict=True):
         here = {"led": r.led_index, "photodiode": r.photodiode_index}
-        pairs = zip(mean.isel(here).values.tolist(), stderr.isel(here).values.tolist(), strict=True)
-        rows.append([name, *(number(value, _path(value, error)) for value, error in pairs)])
+        cells = [name]
+        for value, error in zip(mean.isel(here).values.tolist(), stderr.isel(here).values.tolist(), strict=True):
+            # A path that is nothing beside a finger is not shown in powers of ten.
+            cells.append(number(value, "< 0.001" if 0 <= value + 2 * error < 1e-3 else with_error(value, error)))
+        rows.append(cells)
     return table(head, rows, kind="paths", groups=_groups(found))
-
-
-def _path(value: float, error: float) -> str:
-    """A mean path in mm; one that is nothing beside a finger is not shown in powers of ten."""
-    return "< 0.001" if 0 <= value + 2 * error < 1e-3 else with_error(value, error)
 
 
 def fit_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
@@ -94,10 +82,9 @@ def fit_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
         cells = [name + (f" <sup>{mark}</sup>" if mark else "")]
         for field, _, unit in fields:
             value = float(result[field].isel(here))
+            text = significant(value / unit)
             if f"{field}_stderr" in result:
                 text = with_error(value / unit, float(result[f"{field}_stderr"].isel(here)) / unit)
-            else:
-                text = significant(value / unit, 3)
             cells.append(number(value, text))
         rows.append(cells)
     notes = "".join(small(f"<sup>{mark}</sup> {escaped(note)}") for note, mark in marks.items())

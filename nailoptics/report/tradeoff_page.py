@@ -66,74 +66,58 @@ def write_tradeoff(found: Tradeoff, path: Path) -> None:
     write_text(path, text)
 
 
+@style.drawing()
 def draw(found: Tradeoff) -> "Figure":
     """Error of every level against processor time to 1 %, of the reading with the Pareto front, and of the signal."""
     from matplotlib.ticker import LogLocator
 
-    with style.drawing():
-        drawing = style.new_figure(11.0, 4.6)
-        left, right = drawing.subplots(1, 2, sharey=True, width_ratios=[1.3, 1])
-        front = found.front
-        left.step(
-            [one.cpu_seconds[0] for one in front],
-            [_height(one.reading) for one in front],
-            where="post",
-            color=style.MUTED,
-            lw=1.2,
-            ls=(0, (4, 2)),
-            zorder=1,
-        )
-        left.set_yscale("log")
-        left.set_ylim(0.6 * FLOOR_PERCENT, 200)
-        left.set_ylabel("error [%]")
-        left.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        for axes, which, title in ((left, "reading", "Reading at rest"), (right, "signal", "Signal by touch")):
-            axes.set_title(title)
-            axes.set_xscale("log")
-            axes.set_xlim(*_range([one for one in found.levels if _known(one, which)]))
-            axes.axhline(100 * found.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)), zorder=1)
-            axes.set_xlabel("processor time to 1 % on the worst photodiode [s]")
-            axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}" if value >= 1 else f"{value:g}")
-            narrow = np.ptp(np.log10(axes.get_xlim())) < 2
-            axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if narrow else (1,)))
-            axes.xaxis.set_minor_formatter("")
-            _marks(axes, found, which)
-            _labels(axes, found, which)
-        text = f"tolerance {100 * found.tolerance:g} %"
-        right.text(0.995, 112 * found.tolerance, text, transform=right.get_yaxis_transform(), ha="right", fontsize=8.5)
-        chosen = style.plain(found.chosen)
-        words = f"Cheapest that provably keeps every reading within {100 * found.tolerance:g} %: {chosen}"
-        drawing.suptitle(words, x=0.01, ha="left", fontsize=10.5, fontweight="bold")
+    drawing, (left, right) = style.panels(11.0, 4.6, 1, 2, sharey=True, width_ratios=[1.3, 1])
+    seconds, errors = zip(*((one.cpu_seconds[0], _height(one.reading)) for one in found.front), strict=True)
+    left.step(seconds, errors, where="post", color=style.MUTED, lw=1.2, ls=(0, (4, 2)), zorder=1)
+    left.set(yscale="log", ylim=(0.6 * FLOOR_PERCENT, 200), ylabel="error [%]")
+    left.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    for axes, which, title in ((left, "reading", "Reading at rest"), (right, "signal", "Signal by touch")):
+        known = _known(found, which)
+        low, high = min(one.cpu_seconds[0] for one, _ in known) / 2, max(one.cpu_seconds[0] for one, _ in known) * 2
+        # The names want room at the right.
+        axes.set(title=title, xscale="log", xlim=(low, high * (high / low) ** 0.45))
+        axes.axhline(100 * found.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)), zorder=1)
+        axes.set_xlabel("processor time to 1 % on the worst photodiode [s]")
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}" if value >= 1 else f"{value:g}")
+        narrow = np.ptp(np.log10(axes.get_xlim())) < 2
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if narrow else (1,)))
+        axes.xaxis.set_minor_formatter("")
+        _marks(axes, known, found.chosen)
+        _labels(axes, known, found.chosen)
+    percent = f"{100 * found.tolerance:g} %"
+    where = {"transform": right.get_yaxis_transform(), "ha": "right"}
+    right.text(0.995, 112 * found.tolerance, f"tolerance {percent}", fontsize=8.5, **where)
+    words = f"Cheapest that provably keeps every reading within {percent}: {style.plain(found.chosen)}"
+    drawing.suptitle(words, x=0.01, ha="left", fontsize=10.5, fontweight="bold")
     return drawing
 
 
-def _known(one: Level, which: str) -> Bias | None:
-    """Bias of the reading or the signal; None where it or the cost is not known."""
-    bias: Bias | None = getattr(one, which)
-    return bias if bias and np.isfinite(bias.value) and np.isfinite(one.cpu_seconds[0]) else None
+def _known(found: Tradeoff, which: str) -> list[tuple[Level, Bias]]:
+    """Levels with their bias of the reading or the signal, where that and their cost are known."""
+    pairs = [(one, one.reading if which == "reading" else one.signal) for one in found.levels]
+    return [(one, b) for one, b in pairs if b and np.isfinite(b.value) and np.isfinite(one.cpu_seconds[0])]
 
 
-def _marks(axes: Any, found: Tradeoff, which: str) -> None:
+def _marks(axes: Any, known: list[tuple[Level, Bias]], chosen: str) -> None:
     # What is proven lies on top of what is not.
-    for one in sorted(found.levels, key=lambda level: (level.proven, level.name == found.chosen)):
-        bias = _known(one, which)
-        if bias is None:
-            continue
+    for one, bias in sorted(known, key=lambda pair: (pair[0].proven, pair[0].name == chosen)):
         height, spread, x = _height(bias), 100 * Z95 * bias.stderr, one.cpu_seconds[0]
         colour = style.ZONES[1] if one.proven else style.ZONES[0]
         axes.plot([x, x], [height, max(100 * bias.bound, height)], color=colour, lw=0.7, alpha=0.6)
         axes.plot([x, x], [max(height - spread, FLOOR_PERCENT), height + spread], color=colour, lw=2.2, alpha=0.5)
-        face, size = colour if one.proven else style.PAPER, 11 if one.name == found.chosen else 7
+        face, size = colour if one.proven else style.PAPER, 11 if one.name == chosen else 7
         axes.plot(x, height, "o", ms=size, color=colour, markerfacecolor=face, zorder=3)
 
 
-def _labels(axes: Any, found: Tradeoff, which: str) -> None:
+def _labels(axes: Any, known: list[tuple[Level, Bias]], chosen: str) -> None:
     """Names beside the marks; those of one mark together, those of near ones one below the other."""
     names: dict[tuple[float, float], list[str]] = {}
-    for one in sorted(found.levels, key=lambda level: level.name != found.chosen):
-        bias = _known(one, which)
-        if bias is None:
-            continue
+    for one, bias in sorted(known, key=lambda pair: pair[0].name != chosen):
         x, y = one.cpu_seconds[0], _height(bias)
         near = (mark for mark in names if abs(np.log10(mark[0] / x)) < NEAR and abs(np.log10(mark[1] / y)) < NEAR)
         names.setdefault(next(near, (x, y)), []).append(one.name)
@@ -148,17 +132,10 @@ def _labels(axes: Any, found: Tradeoff, which: str) -> None:
             xytext=(seconds * (high / low) ** 0.025, 10**place),
             va="center",
             fontsize=8,
-            fontweight="bold" if found.chosen in words else "normal",
+            fontweight="bold" if chosen in words else "normal",
             arrowprops=arrow if abs(place - np.log10(height)) > 0.1 else None,
             bbox={"facecolor": style.PAPER, "edgecolor": "none", "alpha": 0.75, "pad": 0.6},
         )
-
-
-def _range(levels: list[Level]) -> tuple[float, float]:
-    """Processor times from the cheapest to the dearest, with room for the names at the right."""
-    seconds = [one.cpu_seconds[0] for one in levels]
-    low, high = min(seconds) / 2, max(seconds) * 2
-    return low, high * (high / low) ** 0.45
 
 
 def _height(bias: Bias) -> float:
@@ -178,17 +155,9 @@ def _table(found: Tradeoff) -> str:
     head += [f"{STATES} more<br>states [s]", "Memory<br>[MB]", "Setup<br>[s]", "Front", "Scene lines"]
     rows = []
     for one in found.levels:
-        rows.append(
-            [
-                escaped(one.name) + (" <b>✓</b>" if one.name == found.chosen else ""),
-                *_cells(one.reading),
-                *_cells(one.signal),
-                *(significant(seconds, 2) for seconds in one.cpu_seconds),
-                "–" if one.reweight_seconds is None else significant(one.reweight_seconds, 2),
-                "–" if one.memory_mb is None else significant(one.memory_mb, 2),
-                significant(one.setup_seconds, 2),
-                "●" if one in found.front else "",
-                "<br>".join(f"<code>{escaped(line)}</code>" for line in one.lines),
-            ]
-        )
+        name = escaped(one.name) + (" <b>✓</b>" if one.name == found.chosen else "")
+        costs = [*one.cpu_seconds, one.reweight_seconds, one.memory_mb, one.setup_seconds]
+        shown = ["–" if cost is None else significant(cost, 2) for cost in costs]
+        lines = "<br>".join(f"<code>{escaped(line)}</code>" for line in one.lines)
+        rows.append([name, *_cells(one.reading), *_cells(one.signal), *shown, "●" if one in found.front else "", lines])
     return table(head, rows)
