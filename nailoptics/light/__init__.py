@@ -2,11 +2,12 @@
 
 from .engines import DetectedLight, open_light
 from .rest import RestReadings, read_rest
-from .tracing import TraceProgress, trace
+from .tracing import ProgressCallback, TraceProgress, trace
 from .transfer import ReweightWarning, Transfer
 
 __all__ = [
     "DetectedLight",
+    "ProgressCallback",
     "RestReadings",
     "ReweightWarning",
     "TraceProgress",

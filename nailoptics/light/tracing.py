@@ -50,6 +50,9 @@ class TraceProgress:
         return self.seconds * (1 / self.fraction_done - 1) if self.fraction_done > 0 else math.inf
 
 
+ProgressCallback = Callable[[TraceProgress], None]
+
+
 def trace(
     scene: Scene,
     *,

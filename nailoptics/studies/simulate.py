@@ -8,9 +8,9 @@ import xarray as xr
 
 from .. import electronics
 from ..errors import InputError, NotReachedError
-from ..light import DetectedLight, TraceProgress, open_light
+from ..light import DetectedLight, ProgressCallback, open_light
 from ..options import Requested, TraceOptions
-from ..paper import reduced_optics
+from ..paper.reduced_optics import fit_beer_lambert, fit_taylor
 from ..scene import Scene
 from ..variables import Variable, variable
 from .blood_states import blood_over_touch, zones_of_photodiodes
@@ -23,22 +23,12 @@ COORDINATES = {
 }
 # Prefix of the variables, name, fit, and units of the constants.
 REDUCED_OPTICS: tuple[tuple[str, str, Callable[..., Any], dict[str, str]], ...] = (
-    (
-        "beer_lambert",
-        "Beer-Lambert (8)",
-        reduced_optics.fit_beer_lambert,
-        {"v0_v": "V", "v1_v": "V", "alpha_per_m2": "m-2"},
-    ),
-    ("taylor", "Taylor (9)", reduced_optics.fit_taylor, {"v0_v": "V", "v1_v_per_m2": "V m-2"}),
+    ("beer_lambert", "Beer-Lambert (8)", fit_beer_lambert, {"v0_v": "V", "v1_v": "V", "alpha_per_m2": "m-2"}),
+    ("taylor", "Taylor (9)", fit_taylor, {"v0_v": "V", "v1_v_per_m2": "V m-2"}),
 )
 
 
-def simulate(
-    scene: Scene,
-    *,
-    progress: Callable[[TraceProgress], None] | None = None,
-    **requested: Unpack[Requested],
-) -> xr.Dataset:
+def simulate(scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> xr.Dataset:
     """Simulate a touch on a finger scene, from force to the volts of every photodiode.
 
     Returns: Dataset over led, photodiode, zone and time with the force, pressures, vessel diameters, blood, detected
@@ -49,11 +39,9 @@ def simulate(
     options = TraceOptions(**requested)
     if scene.finger is None:
         raise InputError("simulate needs a [finger] scene; a [phantom] has no blood, use trace for its light.")
-    course = blood_over_touch(scene)
-    blood = course.blood_fraction.values.T
-    unmet = None
+    course, unmet = blood_over_touch(scene), None
     try:
-        light = open_light(scene, states=blood, progress=progress, **requested)
+        light = open_light(scene, states=course.blood_fraction.values.T, progress=progress, **requested)
     except NotReachedError as error:
         if not isinstance(error.result, DetectedLight):
             raise
@@ -67,8 +55,7 @@ def simulate(
 def simulate_from(scene: Scene, light: DetectedLight, *, course: xr.Dataset, seed: int) -> xr.Dataset:
     """What `simulate` returns, from light that is already traced and the scene's `blood_over_touch`."""
     result = course.merge(_read_volts(scene, light, course.blood_fraction.values.T))
-    result = result.merge(_fit_reduced(result))
-    result = result.merge(light.section)
+    result = result.merge(_fit_reduced(result)).merge(light.section)
     for name, text in COORDINATES.items():
         result[name].attrs = {"long_name": text} | result[name].attrs
     result.attrs = light.attributes | {
@@ -81,8 +68,7 @@ def simulate_from(scene: Scene, light: DetectedLight, *, course: xr.Dataset, see
 
 def _read_volts(scene: Scene, light: DetectedLight, blood: np.ndarray) -> xr.Dataset:
     """Detected fractions and volts over the course, with standard errors and noise."""
-    layout, readings = scene.layout, light.over(blood)
-    diodes = [element.photodiode for element in layout.photodiodes]
+    readings, diodes = light.over(blood), [element.photodiode for element in scene.layout.photodiodes]
     wavelength_nm = np.array([led.wavelength_nm for led in scene.leds])
     efficiency = [diode.quantum_efficiency for diode in diodes]
     responsivity = electronics.responsivity_a_per_w(wavelength_nm[:, None], efficiency)
@@ -109,12 +95,8 @@ def _read_volts(scene: Scene, light: DetectedLight, blood: np.ndarray) -> xr.Dat
     text, zones = "blood zone above which it lies, 0 proximal", zones_of_photodiodes(scene)
     data |= variable("zone_of_photodiode", "photodiode", zones, text)
     data |= variable("wavelength_nm", "led", wavelength_nm, "peak wavelength", units="nm")
-    coords = {
-        "led": [led.name for led in scene.leds],
-        "photodiode": list(layout.photodiode_names),
-        "absorber": list(light.absorbers),
-    }
-    return xr.Dataset(data, coords)
+    names = {"led": [led.name for led in scene.leds], "photodiode": list(scene.layout.photodiode_names)}
+    return xr.Dataset(data, names | {"absorber": list(light.absorbers)})
 
 
 def _fit_reduced(result: xr.Dataset) -> xr.Dataset:

@@ -1,6 +1,6 @@
 """Where Taylor (9) and Beer-Lambert (8) hold against traced light, and what each of them leaves out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Unpack
 
@@ -9,7 +9,7 @@ import xarray as xr
 
 from ... import tissue
 from ...errors import InputError, NotReachedError
-from ...light import TraceProgress, Transfer, optics, trace
+from ...light import ProgressCallback, Transfer, optics, trace
 from ...light.course import read_replicates
 from ...options import Requested, TraceOptions
 from ...scene import Scene
@@ -32,7 +32,7 @@ def compare(
     *,
     over: Sequence[Over] = ("force", "blood"),
     wavelengths_nm: Sequence[float] = (),
-    progress: Callable[[TraceProgress], None] | None = None,
+    progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
 ) -> xr.Dataset:
     """Compare the paper's reduced optics with traced light, for every LED and photodiode of a finger scene.
@@ -68,9 +68,7 @@ def compare(
     return result
 
 
-def _traced(
-    scene: Scene, options: TraceOptions, progress: Callable[[TraceProgress], None] | None
-) -> tuple[Transfer, str | None]:
+def _traced(scene: Scene, options: TraceOptions, progress: ProgressCallback | None) -> tuple[Transfer, str | None]:
     try:
         return trace(scene, progress=progress, **options.fields), None
     except NotReachedError as error:
@@ -88,22 +86,17 @@ def _at_wavelength(scene: Scene, wavelength_nm: float) -> Scene:
     return scene_of(scene.model_dump() | {"leds": tuple(leds)})
 
 
-def _scattering_slopes(
-    transfer: Transfer, options: TraceOptions, progress: Callable[[TraceProgress], None] | None
-) -> np.ndarray:
+def _scattering_slopes(transfer: Transfer, options: TraceOptions, progress: ProgressCallback | None) -> np.ndarray:
     """Slope of ln reading by ln of the bed's scattering at rest and its error, (2, led, photodiode); NaN if unseen."""
     photons = max(1, round(SCATTERING_SHARE * max(t.photons for t in transfer.traces)))
-    log, square = [], []
+    limit = None if options.max_seconds is None else SCATTERING_SHARE * options.max_seconds
+    fewer = replace(options, photons=photons, relative_error=None, max_seconds=limit)
+    light, log, square = transfer.scene.light, [], []
     for k, factor in enumerate(SCATTERING_FACTORS):
-        light = transfer.scene.light
         changed = light.model_copy(update={"bed_scattering": factor * light.bed_scattering})
         scene = transfer.scene.model_copy(update={"light": changed})
-        limit = None if options.max_seconds is None else SCATTERING_SHARE * options.max_seconds
         # Streams of their own, which no neighbouring seed shares; a trace takes seeds below 2^63.
-        seed = seed_of(options.seed, k) >> 1
-        fewer = replace(options, photons=photons, relative_error=None, max_seconds=limit, seed=seed)
-        other, _ = _traced(scene, fewer, progress)
-        rest = other.at()
+        rest = _traced(scene, replace(fewer, seed=seed_of(options.seed, k) >> 1), progress)[0].at()
         value, error = rest.detected_fraction.values, rest.detected_fraction_stderr.values
         with np.errstate(invalid="ignore", divide="ignore"):
             log.append(np.where(value > 0, np.log(value), np.nan))
@@ -130,8 +123,8 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
             if f"{name}_{end}" in gathered:
                 words = f"{end} end of the 95 % interval: {text}"
                 data |= variable(f"{name}_{end}", dims, gathered[f"{name}_{end}"], words, units=units)
-    text = "what is swept: force in N, blood fraction, or saturation"
-    data |= variable("setting", ("sweep", "point"), [s.setting for s in sweeps], text)
+    settings, text = [s.setting for s in sweeps], "what is swept: force in N, blood fraction, or saturation"
+    data |= variable("setting", ("sweep", "point"), settings, text)
     blood, text = [s.blood.T for s in sweeps], "blood fraction of the nail bed"
     data |= variable("blood_fraction", ("sweep", "zone", "point"), blood, text)
     data |= variable("zone_of_photodiode", "photodiode", zone, "blood zone above which it lies, 0 proximal")
@@ -143,11 +136,8 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
         "photodiode": list(transfer.photodiodes),
         "sweep": [s.over for s in sweeps],
         "zone": ["proximal", "distal"],
-        "model": list(MODELS),
-        "way": list(WAYS),
-        "part": list(PARTS),
-        "within": list(TOLERANCES),
     }
+    coords |= {"model": list(MODELS), "way": list(WAYS), "part": list(PARTS), "within": list(TOLERANCES)}
     seconds = {"cpu_seconds": transfer.cpu_seconds, "wall_seconds": transfer.wall_seconds}
     return xr.Dataset(data, coords=coords, attrs=transfer.attributes() | seconds)
 
@@ -203,12 +193,9 @@ def _led_errors(
 def _absorption(transfer: Transfer, wavelength: np.ndarray, sweep: StateSweep) -> np.ndarray:
     """Absorption over the line in all states, then in those where only one zone's blood changes, zone by zone."""
     mu_a = optics.absorption(transfer.scene, wavelength, blood_fraction=sweep.blood, so2=sweep.so2)
-    states = [mu_a]
-    for column in optics.bed_columns(transfer.scene):
-        alone = np.repeat(mu_a[:1], len(mu_a), 0)
-        alone[..., column] = mu_a[..., column]
-        states.append(alone)
-    return np.concatenate(states)
+    columns = np.arange(mu_a.shape[-1])
+    alone = [np.where(columns == column, mu_a, mu_a[:1]) for column in optics.bed_columns(transfer.scene)]
+    return np.concatenate([mu_a, *alone])
 
 
 def _added_scattering(wavelength_nm: float, sweep: StateSweep) -> np.ndarray:

@@ -10,10 +10,7 @@ GAUSS_NEWTON_STEPS = 3
 
 
 def line(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Least-squares line through replicates, at x.
-
-    x : (t,) float. y : (r, t) float. Returns (r, t) float.
-    """
+    """Least-squares line through replicates y (r, t) over x (t,), at x: (r, t) float."""
     shift = x - x.mean()
     spread = float(shift @ shift)
     slope = y @ shift / spread if spread > 0 else np.zeros(len(y))

@@ -1,7 +1,6 @@
 """How far (9) and (8) are from one photodiode's traced light over one sweep: in all, in parts, and up to where."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -45,28 +44,16 @@ class TracedSweep:
         return np.asarray(np.ptp(self.traced, axis=1)[:, None])
 
 
-class _Formulas(NamedTuple):
-    """Readings by (9) and (8), (r, t) float each: fitted, with the own zone's mean path, and with both zones'."""
-
-    fitted_line: np.ndarray
-    fitted_curve: np.ndarray
-    line: np.ndarray
-    curve: np.ndarray
-    line_of_both: np.ndarray
-    curve_of_both: np.ndarray
-
-
 def formula_errors(one: TracedSweep, sweep: StateSweep) -> dict[str, np.ndarray]:
     """All that is known of the formulas' errors, by name of the variable, with standard errors as NAME_stderr."""
     fitted_curve, fitted_path_mm = fits.exponential(one.own_mu_a, one.traced)
-    by = _formulas(one, fitted_curve)
-    readings = np.stack([by[:2], by[2:4], by[4:]])
-    part, part_stderr = _parts(one, by)
+    readings = _readings(one, fitted_curve)
+    part, part_stderr = _parts(one, readings)
     replicates = {
         "reading": one.traced,
         "swing": one.swing,
         "error": np.moveaxis((readings - one.traced) / one.swing, 2, 0),
-        "range_error": np.moveaxis(_range_errors(one, by), 2, 0),
+        "range_error": np.moveaxis(_range_errors(one, readings), 2, 0),
         "alpha_d2": one.path_mm[:, one.own, None] * one.own_mu_a,
         "bed_alpha_d2": one.path_mm @ one.mu_a.T,
         "path_mm": one.path_mm,
@@ -82,28 +69,23 @@ def formula_errors(one: TracedSweep, sweep: StateSweep) -> dict[str, np.ndarray]
     return out | _limits(out, sweep, one.own)
 
 
-def _formulas(one: TracedSweep, fitted_curve: np.ndarray) -> _Formulas:
-    start = one.traced[:, :1]
-    depth = one.path_mm[:, one.own, None] * (one.own_mu_a - one.own_mu_a[0])
+def _readings(one: TracedSweep, fitted_curve: np.ndarray) -> np.ndarray:
+    """Readings by (9) and (8): fitted, with the own zone's mean path, with both zones', (way, model, r, t) float."""
+    own = one.path_mm[:, one.own, None] * (one.own_mu_a - one.own_mu_a[0])
     both = one.path_mm @ (one.mu_a - one.mu_a[0]).T
-    return _Formulas(
-        fitted_line=fits.line(one.own_mu_a, one.traced),
-        fitted_curve=fitted_curve,
-        line=start * (1 - depth),
-        curve=start * np.exp(-depth),
-        line_of_both=start * (1 - both),
-        curve_of_both=start * np.exp(-both),
-    )
+    predicted = [[one.traced[:, :1] * factor for factor in (1 - depth, np.exp(-depth))] for depth in (own, both)]
+    return np.stack([[fits.line(one.own_mu_a, one.traced), fitted_curve], *predicted])
 
 
-def _parts(one: TracedSweep, by: _Formulas) -> tuple[np.ndarray, np.ndarray]:
+def _parts(one: TracedSweep, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The error of (9), step by step from the formula to the trace, and standard errors, (way, part, t) float each."""
-    chain = [by.curve, one.alone, one.traced, one.scattered]
+    (line, curve), (line_of_both, curve_of_both) = readings[1:]
+    chain = [curve, one.alone, one.traced, one.scattered]
     missed = [fits.line(one.own_mu_a, level) - level for level in chain]
     fitted = [missed[0], *(b - a for a, b in zip(missed, missed[1:], strict=False))]
-    predicted = [by.line - by.curve, by.curve - one.alone, one.alone - one.traced, one.traced - one.scattered]
+    predicted = [line - curve, curve - one.alone, one.alone - one.traced, one.traced - one.scattered]
     none = np.zeros_like(one.traced)
-    knowing_both = [by.line_of_both - by.curve_of_both, by.curve_of_both - one.traced, none, predicted[3]]
+    knowing_both = [line_of_both - curve_of_both, curve_of_both - one.traced, none, predicted[3]]
     part = np.stack([fitted, predicted, knowing_both]) / one.swing
     stderr = jackknife(np.moveaxis(part, 2, 0))
     # The slope comes from traces of its own, so its error is independent.
@@ -113,32 +95,24 @@ def _parts(one: TracedSweep, by: _Formulas) -> tuple[np.ndarray, np.ndarray]:
     return part[:, :, 0], stderr
 
 
-def _range_errors(one: TracedSweep, by: _Formulas) -> np.ndarray:
+def _range_errors(one: TracedSweep, readings: np.ndarray) -> np.ndarray:
     """Largest error over the range from the start to each point, of the swing there, (way, model, r, t) float."""
-    return np.stack(
-        [
-            [fits.fitted_range_errors(one.own_mu_a, one.traced, name) for name in MODELS],
-            [fits.range_errors(readings, one.traced) for readings in (by.line, by.curve)],
-            [fits.range_errors(readings, one.traced) for readings in (by.line_of_both, by.curve_of_both)],
-        ]
-    )
+    fitted = [fits.fitted_range_errors(one.own_mu_a, one.traced, name) for name in MODELS]
+    return np.stack([fitted, *([fits.range_errors(model, one.traced) for model in way] for way in readings[1:])])
 
 
 def _limits(found: dict[str, np.ndarray], sweep: StateSweep, own: int) -> dict[str, np.ndarray]:
     """How far each model holds, in the sweep's setting, in blood and in alpha D^2, with 95 % intervals."""
     shape = (len(WAYS), len(MODELS), len(TOLERANCES))
-    limit, low, high = (np.zeros(shape) for _ in range(3))
-    ends = np.zeros(shape, bool)
     # Crossings are counted in points, then turned into whatever is wanted.
     points = np.arange(len(sweep.setting), dtype=float)
-    for w, m, k in np.ndindex(shape):
-        limit[w, m, k], low[w, m, k], high[w, m, k], ends[w, m, k] = fits.limit(
-            points, found["range_error"][w, m], found["range_error_stderr"][w, m], 100 * TOLERANCES[k]
-        )
-    out: dict[str, np.ndarray] = {"limit_ends": ends}
+    error, stderr = found["range_error"], found["range_error_stderr"]
+    limits = [fits.limit(points, error[w, m], stderr[w, m], 100 * TOLERANCES[k]) for w, m, k in np.ndindex(shape)]
+    limit, low, high, ends = (np.reshape(column, shape) for column in zip(*limits, strict=True))
+    out, exact = {"limit_ends": ends}, np.zeros(len(points))
     curves = {
-        "limit": (sweep.setting, np.zeros(len(points))),
-        "limit_blood_fraction": (sweep.blood[:, own], np.zeros(len(points))),
+        "limit": (sweep.setting, exact),
+        "limit_blood_fraction": (sweep.blood[:, own], exact),
         "limit_alpha_d2": (found["alpha_d2"], found["alpha_d2_stderr"]),
         "limit_bed_alpha_d2": (found["bed_alpha_d2"], found["bed_alpha_d2_stderr"]),
     }

@@ -45,13 +45,11 @@ def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> V
     sweep = "force" if "force" in result.sweep.values else str(result.sweep.values[0])
     end = result.sel(sweep=sweep, way="fitted", model=model).isel(point=-1)
     error, stderr = end.range_error.values / 100, end.range_error_stderr.values / 100
-    if np.all(error + Z95 * stderr <= tolerance):
-        outcome: Literal["met", "missed", "undecided"] = "met"
-        at = np.argmax(error + Z95 * stderr)
-    else:
-        outcome = "missed" if np.any(error - Z95 * stderr > tolerance) else "undecided"
-        at = np.nanargmax(error - Z95 * stderr if outcome == "missed" else error + Z95 * stderr)
-    i, j = np.unravel_index(int(at), error.shape)
+    least, most = error - Z95 * stderr, error + Z95 * stderr
+    outcome: Literal["met", "missed", "undecided"] = "missed" if np.any(least > tolerance) else "undecided"
+    if np.all(most <= tolerance):
+        outcome = "met"
+    i, j = np.unravel_index(int(np.nanargmax(least if outcome == "missed" else most)), error.shape)
     return Verdict(
         outcome=outcome,
         model=model,
@@ -66,23 +64,21 @@ def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> V
 
 def summary(result: xr.Dataset) -> dict[str, Any]:
     """The comparison in plain numbers, ready for JSON: readings by sweep, LED and photodiode, and the paper's claim."""
-    pairs = (
-        result.isel(sweep=i, led=j, photodiode=k) for i, j, k in np.ndindex(*result.swing.transpose(*_PAIRS).shape)
-    )
+    places = np.ndindex(*(result.sizes[name] for name in _PAIRS))
+    rows = [_row(result.isel(dict(zip(_PAIRS, at, strict=True)))) for at in places]
     kept = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest")
-    rows = [_row(one) for one in pairs]
     return {"comparisons": rows, "claim": claim(result)} | {name: result.attrs[name] for name in kept}
 
 
 _PAIRS = ("sweep", "led", "photodiode")
-_LIMITS = {"setting": "", "blood_fraction": "_blood_fraction", "alpha_d2": "_alpha_d2", "bed_alpha_d2": "_bed_alpha_d2"}
+_ALPHA_D2 = ("alpha_d2", "bed_alpha_d2")
 
 
 def _row(one: xr.Dataset) -> dict[str, Any]:
     """One photodiode under one LED over one sweep."""
     row: dict[str, Any] = {name: str(one[name].values) for name in _PAIRS}
     row |= {"swing_of_reading": float(one.swing / one.reading[0]), "path_mm": _pair(one, "path_mm")}
-    for name in ("alpha_d2", "bed_alpha_d2"):
+    for name in _ALPHA_D2:
         row |= {f"{name}_{end}": _pair(one.isel(point=at), name) for end, at in (("start", 0), ("end", -1))}
     for way in (str(w) for w in one.way.values):
         for model in (str(m) for m in one.model.values):
@@ -98,16 +94,18 @@ def _row(one: xr.Dataset) -> dict[str, Any]:
 
 def _limit(here: xr.Dataset) -> dict[str, Any]:
     """Up to where a model holds, in every measure."""
-    ends = (("value", ""), ("low", "_low"), ("high", "_high"))
-    limits = {name: {end: float(here[f"limit{of}{tail}"]) for end, tail in ends} for name, of in _LIMITS.items()}
-    return {"ends_within_sweep": bool(here.limit_ends)} | limits
+    limits: dict[str, Any] = {"ends_within_sweep": bool(here.limit_ends)}
+    for name in ("setting", "blood_fraction", *_ALPHA_D2):
+        limit = "limit" if name == "setting" else f"limit_{name}"
+        limits[name] = {"value": float(here[limit])} | {end: float(here[f"{limit}_{end}"]) for end in ("low", "high")}
+    return limits
 
 
 def claim(result: xr.Dataset) -> dict[str, Any]:
     """How large alpha D^2 is over the first sweep, beside the paper's 1e-2."""
     first = result.isel(sweep=0)
     found: dict[str, Any] = {"paper": 0.01, "sweep": str(result.sweep.values[0])}
-    for name in ("alpha_d2", "bed_alpha_d2"):
+    for name in _ALPHA_D2:
         start, error = first[name].isel(point=0), first[f"{name}_stderr"].isel(point=0)
         found[name] = {
             "at_start": {"least": float(start.min()), "largest": float(start.max()), "stderr": float(error.max())},
