@@ -27,7 +27,12 @@ class Rectangle:
     @property
     def area_mm2(self) -> float:
         """Area. [mm^2]"""
-        return (self.u_max - self.u_min) * (self.v_max - self.v_min)
+        return self.size_mm[0] * self.size_mm[1]
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Size along u and v. [mm]"""
+        return self.u_max - self.u_min, self.v_max - self.v_min
 
     @property
     def center_mm(self) -> tuple[float, float]:

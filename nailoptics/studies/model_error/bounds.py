@@ -36,17 +36,14 @@ def blood_scattering(scene: Scene, base: PairedReadings, denser: PairedReadings,
     reduced = np.array([float(b.mu_s_per_mm) * (1 - float(b.g)) for b in bed])[:, None]
     more = moved * BLOOD_REDUCED_SCATTERING_PER_MM / reduced
     text = f"bed's mu_s' follows the blood ({float(more.max()):.1%} of it)"
-    found = _moved(slope * more, error * more)
+    found = Difference(slope * more, error * more)
     return effect_of(Change("blood's own scattering", False, text), found, base, tolerance=tolerance)
 
 
 def farthest(scene: Scene) -> Scene:
     """The photodiode farthest from the first LED, swapped with it."""
-    layout = scene.layout
-    return swapped(
-        scene,
-        max(layout.photodiode_areas, key=lambda area: math.dist(area.center_mm, layout.leds[0].center_mm)),
-    )
+    led_mm = scene.layout.leds[0].center_mm
+    return swapped(scene, max(scene.layout.photodiode_areas, key=lambda area: math.dist(area.center_mm, led_mm)))
 
 
 def most_proximal(scene: Scene) -> Scene:
@@ -56,9 +53,9 @@ def most_proximal(scene: Scene) -> Scene:
 
 def swapped(scene: Scene, far: Rectangle) -> Scene:
     """A photodiode as a Lambertian LED, and a photodiode where the first LED was."""
-    layout, tables = scene.layout, scene.model_dump()
+    outline, tables = scene.layout.outline, scene.model_dump()
     # The board stays where it is, though its parts no longer span it evenly.
-    center, (du, dv), (u, v) = layout.outline.center_mm, scene.board.center_mm, scene.leds[0].position_mm
+    center, (du, dv), (u, v) = outline.center_mm, scene.board.center_mm, scene.leds[0].position_mm
     led = tables["leds"][0] | {
         "name": "swapped",
         "part": None,
@@ -66,13 +63,11 @@ def swapped(scene: Scene, far: Rectangle) -> Scene:
         "pattern_deg": None,
         "pattern_relative": None,
         "position_mm": (far.center_mm[0] - center[0], far.center_mm[1] - center[1]),
-        "size_mm": (far.u_max - far.u_min, far.v_max - far.v_min),
+        "size_mm": far.size_mm,
     }
     place = (u + du - center[0], v + dv - center[1])
     photodiode = {"name": "swapped", "position_mm": place, "size_mm": scene.leds[0].size_mm}
-    outline = layout.outline
-    size = (outline.u_max - outline.u_min, outline.v_max - outline.v_min)
-    board = tables["board"] | {"size_mm": size, "center_mm": center}
+    board = tables["board"] | {"size_mm": outline.size_mm, "center_mm": center}
     return scene_of(tables | {"board": board, "leds": (led,), "photodiodes": (photodiode,)})
 
 
@@ -84,17 +79,15 @@ def ambient(scene: Scene, base: PairedReadings, swapped: PairedReadings, toleran
     lamp = SOURCES[-1]
     efficiency = scene.photodiodes[0].quantum_efficiency
     per_mm2 = float(lamp.photocurrent_a_per_mm2(efficiency)[1].sum())
-    escapes = swapped.transfer.energy()["reflected"]
-    led = swapped.transfer.scene.leds[0]
+    escapes, led = swapped.transfer.energy()["reflected"], swapped.transfer.scene.leds[0]
     area_mm2, index = led.size_mm[0] * led.size_mm[1], index_of("epoxy", led.wavelength_nm)
-    current = [
-        per_mm2 * float(collecting_area_mm2(escapes[k], area_mm2=area_mm2, n=index)) for k in ("value", "stderr")
-    ]
+    parts = [escapes["value"], escapes["stderr"]]
+    current = [per_mm2 * float(collecting_area_mm2(part, area_mm2=area_mm2, n=index)) for part in parts]
     response = electronics.responsivity_a_per_w(np.array([one.wavelength_nm for one in scene.leds]), efficiency)
     full = 1e-3 * np.array([one.flux_mw for one in scene.leds]) * response
     with np.errstate(divide="ignore"):
         ratio, error = (np.where(base.level > 0, x / (base.level * full[:, None]), np.inf) for x in current)
-    found = _moved(ratio, np.hypot(error, ratio * base.relative_stderr))
+    found = Difference(ratio, np.hypot(error, ratio * base.relative_stderr))
     text = f"{lamp.name} of {lamp.lux:g} lux on all sides; a reading with the LED off takes it away"
     return effect_of(Change("ambient light", False, text), found, base, tolerance=tolerance)
 
@@ -107,14 +100,12 @@ def index_of(region: str, wavelength_nm: float) -> float:
 def from_deep(base: PairedReadings) -> Effect:
     """What of a reading comes back from the pulp, which lies under the bed and around the bone."""
     pulp = base.transfer.absorbers.index("pulp")
-    deep = []
-    for trace in base.transfer.traces:
-        deep.append(trace.only(trace.path_mm[:, pulp] > 0))
-    seen = paired_readings(replace(base.transfer, traces=tuple(deep)))
+    deep = tuple(trace.only(trace.path_mm[:, pulp] > 0) for trace in base.transfer.traces)
+    seen = paired_readings(replace(base.transfer, traces=deep))
     with np.errstate(divide="ignore", invalid="ignore"):
         # A photon more or less may have been missed.
         noise = np.hypot(seen.level_stderr / base.level, math.sqrt(UNSEEN_VARIANCE) * base.relative_stderr**2)
-        found = _moved(-seen.level / base.level, noise)
+        found = Difference(-seen.level / base.level, noise)
     change = Change("light back from the pulp", True, "pulp swallows all")
     return effect_of(change, found, base, tolerance=RETURNING)
 
@@ -141,16 +132,9 @@ def returning(change: Change, base: PairedReadings, cut: PairedReadings, back: P
     with np.errstate(divide="ignore"):
         most = np.where(base.level > 0, returned / base.level, np.inf)
     # All that is known is what it is at most.
-    found = _moved(np.zeros_like(most), most / Z95)
-    return effect_of(change, found, base, tolerance=RETURNING)
+    return effect_of(change, Difference(np.zeros_like(most), most / Z95), base, tolerance=RETURNING)
 
 
 def nothing(name: str, why: str, tolerance: float) -> Effect:
     """An effect that is none by construction."""
     return Effect(name, False, why, "derived", 0.0, 0.0, 0.0, "", 0.0, 0.0, 0.0, {}, tolerance)
-
-
-def _moved(ratio: np.ndarray, error: np.ndarray) -> Difference:
-    """A difference of which only the readings are known."""
-    unknown = np.full_like(ratio, np.nan)
-    return Difference(ratio, error, unknown, unknown)

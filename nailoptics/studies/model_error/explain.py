@@ -2,12 +2,12 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Unpack
 
 from ...errors import NotReachedError
-from ...light import TraceProgress
+from ...light import ProgressCallback
 from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...scene.finger import BEYOND_NAIL_MM
@@ -54,14 +54,12 @@ class Explanation:
         def row(effect: Effect) -> dict[str, Any]:
             return vars(effect) | {"matters": effect.matters, "lines": effect.lines}
 
-        kept = {name: getattr(self, name) for name in ("tolerance", "photons", "backend", "wall_seconds")}
-        together = None if self.together is None else row(self.together)
         return {
             "effects": [row(e) for e in self.effects],
             "not_needed": [e.name for e in self.needless],
             "missing": [e.name for e in self.missing],
-            "together": together,
-        } | kept
+            "together": self.together and row(self.together),
+        } | {name: getattr(self, name) for name in ("tolerance", "photons", "backend", "wall_seconds")}
 
     def __str__(self) -> str:
         head = f"{'effect':<26} {'in scene':<8} {'reading moves':>17} {'at most':>8} {'signal':>8}  matters"
@@ -93,7 +91,7 @@ def explain(
     scene: Scene,
     *,
     tolerance: float | None = None,
-    progress: Callable[[TraceProgress], None] | None = None,
+    progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
 ) -> Explanation:
     """Measure what every part and effect of a finger scene does to its readings.
@@ -120,7 +118,7 @@ def explain(
     tracer = PairedTracer(sum(not c.same_photons for c in changes) + 7, options, progress)
     base = tracer.trace(scene)
     effects: list[Effect] = []
-    together, unmet = None, None
+    together = unmet = None
     try:
         for effect in _effects(scene, base, changes, tracer, limit):
             effects.append(effect)
@@ -129,7 +127,7 @@ def explain(
         unmet = f"{error} ({len(effects)} effects were measured before)"
     effects.sort(key=lambda e: -abs(e.typical) if math.isfinite(e.typical) else 0.0)
     # What is not known stays as it is.
-    known = [e for e in effects if (e.modelled and e.matters == "no") or (not e.modelled and e.matters == "yes")]
+    known = [e for e in effects if e.matters == ("no" if e.modelled else "yes")]
     result = Explanation(
         effects=tuple(effects),
         together=together,
@@ -201,19 +199,11 @@ def _changes(scene: Scene) -> Iterator[Change]:
     """The scene's parts and effects, each with what leaves it out, or puts it in."""
     assert scene.finger is not None
     light, board, finger = scene.light, scene.board, scene.finger
-    steps = light.index_steps
-    yield Change(
-        "index steps",
-        steps,
-        "one index everywhere" if steps else "refraction where the index changes",
-        {"light": {"index_steps": not steps}},
-    )
-    yield Change(
-        "forward scattering",
-        not light.similarity,
-        "isotropic with the same mu_s'" if not light.similarity else "Henyey-Greenstein",
-        {"light": {"similarity": not light.similarity}},
-    )
+    steps, similar = light.index_steps, light.similarity
+    text = "one index everywhere" if steps else "refraction where the index changes"
+    yield Change("index steps", steps, text, {"light": {"index_steps": not steps}})
+    text = "Henyey-Greenstein" if similar else "isotropic with the same mu_s'"
+    yield Change("forward scattering", not similar, text, {"light": {"similarity": not similar}})
     for part in ("bone", "epidermis", "kapton"):
         gone = part in light.left_out
         left = [p for p in light.left_out if p != part] if gone else [*light.left_out, part]
@@ -227,13 +217,9 @@ def _changes(scene: Scene) -> Iterator[Change]:
     if "epidermis" not in light.left_out:
         melanin = finger.melanin_fraction
         usual = type(finger).model_fields["melanin_fraction"].default
-        yield Change(
-            "melanin",
-            melanin > 0,
-            "none" if melanin else f"{usual:.1%} of the epidermis",
-            {"finger": {"melanin_fraction": 0.0 if melanin else usual}},
-            same_photons=True,
-        )
+        text = "none" if melanin else f"{usual:.1%} of the epidermis"
+        other = {"finger": {"melanin_fraction": 0.0 if melanin else usual}}
+        yield Change("melanin", melanin > 0, text, other, same_photons=True)
     if board.opaque_reflectance:
         yield Change("opaque epoxy's reflection", True, "black", {"board": {"opaque_reflectance": 0.0}})
     if board.barrier:

@@ -1,13 +1,13 @@
 """Scenes traced with the same random numbers, what each reads, and how far one reads from another."""
 
+import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ...errors import InputError, NotReachedError
-from ...light import TraceProgress, Transfer, trace
+from ...light import ProgressCallback, TraceProgress, Transfer, trace
 from ...light.course import course
 from ...light.records import LedTrace
 from ...light.tracing import INTERRUPTED
@@ -78,7 +78,7 @@ class PairedTracer:
 
     scenes: int
     options: TraceOptions
-    progress: Callable[[TraceProgress], None] | None
+    progress: ProgressCallback | None
     _done: int = field(default=0, init=False)
     _start: float = field(default_factory=time.perf_counter, init=False)
 
@@ -137,13 +137,14 @@ class Difference:
     """How far one scene reads from another, (led, photodiode) float each; NaN and inf where nothing was seen.
 
     ratio, ratio_stderr : relative change of the reading at rest.
-    swing, swing_stderr : change of the modulation, as a part of the largest modulation.
+    swing, swing_stderr : change of the modulation, as a part of the largest modulation; NaN where only the readings at
+        rest are known.
     """
 
     ratio: np.ndarray
     ratio_stderr: np.ndarray
-    swing: np.ndarray
-    swing_stderr: np.ndarray
+    swing: np.ndarray | float = math.nan
+    swing_stderr: np.ndarray | float = math.nan
 
 
 def difference(base: PairedReadings, other: PairedReadings) -> Difference:
@@ -179,16 +180,14 @@ def unshared_photons(one: Transfer, other: Transfer) -> tuple[Transfer, Transfer
     for bit, if both traces have one seed and as many photons. What is left of each makes up their difference, with
     only its own noise; without a common seed that is everything.
     """
-    pairs = [_unshared(a, b) for a, b in zip(one.traces, other.traces, strict=True)]
-    left, right = zip(*pairs, strict=True)
-    return replace(one, traces=left), replace(other, traces=right)
-
-
-def _unshared(a: LedTrace, b: LedTrace) -> tuple[LedTrace, LedTrace]:
-    if a.photons != b.photons or a.seeds != b.seeds:
-        return a, b
-    keys_a, keys_b = _keys(a), _keys(b)
-    return a.only(~np.isin(keys_a, keys_b)), b.only(~np.isin(keys_b, keys_a))
+    left, right = [], []
+    for a, b in zip(one.traces, other.traces, strict=True):
+        if (a.photons, a.seeds) == (b.photons, b.seeds):
+            keys_a, keys_b = _keys(a), _keys(b)
+            a, b = a.only(~np.isin(keys_a, keys_b)), b.only(~np.isin(keys_b, keys_a))
+        left.append(a)
+        right.append(b)
+    return replace(one, traces=tuple(left)), replace(other, traces=tuple(right))
 
 
 def _keys(trace: LedTrace) -> np.ndarray:

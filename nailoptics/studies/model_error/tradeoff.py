@@ -1,7 +1,7 @@
 """Error against processor time for every level of model, side by side on the user's scene."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Unpack
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from ... import tissue
 from ...errors import InputError, NotReachedError
-from ...light import RestReadings, TraceProgress, optics, read_rest
+from ...light import ProgressCallback, RestReadings, optics, read_rest
 from ...light import backend as backends
 from ...light.course import course, read_replicates
 from ...light.tracing import INTERRUPTED, unseen
@@ -145,10 +145,10 @@ class Tradeoff:
             memory = "" if one.memory_mb is None else f"{one.memory_mb:.0f}"
             off = f"{100 * one.reading.value:+8.2f} +- {100 * one.reading.stderr:4.2f} %"
             off = off if np.isfinite(one.reading.value) else "not known"
+            first, second, third = one.cpu_seconds
             lines.append(
-                f"{one.name:<24} {off:>18} {one.reading.bound:>8.1%} "
-                f"{signal:>17} {bound:>8} {one.cpu_seconds[0]:>12.3g} {one.cpu_seconds[1]:>8.3g} "
-                f"{one.cpu_seconds[2]:>8.3g} {memory:>6}  {'*' if one in self.front else ''}"
+                f"{one.name:<24} {off:>18} {one.reading.bound:>8.1%} {signal:>17} {bound:>8} "
+                f"{first:>12.3g} {second:>8.3g} {third:>8.3g} {memory:>6}  {'*' if one in self.front else ''}"
             )
         choice = self.choice
         lines.append(f"Cheapest that provably meets {self.tolerance:.2%} on every photodiode: {choice.name}.")
@@ -165,7 +165,7 @@ def tradeoff(
     scene: Scene,
     *,
     tolerance: float = DEFAULT_TOLERANCE,
-    progress: Callable[[TraceProgress], None] | None = None,
+    progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
 ) -> Tradeoff:
     """Measure bias and cost of every level of model on a finger scene, against its full model.
@@ -236,9 +236,9 @@ def _jit_backend(name: BackendName) -> backends.Backend:
 def _reference(full: Scene, tracer: PairedTracer) -> PairedReadings:
     """The full model; raises NotReachedError where a photodiode saw nothing to compare levels by."""
     base = tracer.trace(full)
+    found = base.transfer
     for led, photodiode in np.argwhere(~(base.level > 0)):
-        trace, names = base.transfer.traces[led], base.transfer
-        raise NotReachedError(unseen(names.leds[led], names.photodiodes[photodiode], trace.photons))
+        raise NotReachedError(unseen(found.leds[led], found.photodiodes[photodiode], found.traces[led].photons))
     return base
 
 
@@ -270,14 +270,15 @@ def _measured(name: str, changes: Changes, base: PairedReadings, other: PairedRe
     """A traced level against the reference."""
     found = difference(base, other)
     reading = _bias(found.ratio, found.ratio_stderr, base)
-    signal = _bias(found.swing, found.swing_stderr, base)
+    signal = _bias(np.asarray(found.swing), np.asarray(found.swing_stderr), base)
     if other is base:
         reading, signal = replace(reading, bound=0.0), replace(signal, bound=0.0)
     worst = float(other.relative_stderr.max())
     kept = sum(t.weight.nbytes + t.path_mm.nbytes + t.photodiode.nbytes for t in other.transfer.traces)
     more = (worst / TARGETS[0]) ** 2
+    first, last = end_states(other.transfer.scene)
     begin = time.perf_counter()
-    course(other.transfer, _between(*end_states(other.transfer.scene)), electrons=True)
+    course(other.transfer, first + np.linspace(0, 1, STATES)[:, None] * (last - first), electrons=True)
     reweight_seconds = more * (time.perf_counter() - begin)
     return Level(
         name=name,
@@ -291,10 +292,6 @@ def _measured(name: str, changes: Changes, base: PairedReadings, other: PairedRe
         setup_seconds=other.setup_seconds,
         proven=reading.bound <= tolerance,
     )
-
-
-def _between(first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    return first + np.linspace(0, 1, STATES)[:, None] * (last - first)
 
 
 def _bias(values: np.ndarray, error: np.ndarray, base: PairedReadings) -> Bias:
@@ -312,31 +309,22 @@ def _formulas(full: Scene, base: PairedReadings, reference: Level, seed: int, to
     At rest a formula is the reading that gave it its constants, at what that costs; it is the signal that it may miss.
     """
     states, along = end_states(full), np.linspace(0, 1, STATES)
-    unit = float(np.abs(base.modulation).max())
-    off: dict[str, list[np.ndarray]] = {"taylor": [], "beer_lambert": []}
-    depth = np.zeros(len(base.transfer.photodiodes))
+    depths, traced = [], []
     for i, led in enumerate(full.leds):
         wavelength, share = optics.spectrum(led)
         mu_a = optics.absorption(full, wavelength, blood_fraction=states)
         blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, full.blood.so2))
         read = read_replicates(base.transfer, i, mu_a, blood, seed=seed)
-        depth = read.mean_path_mm @ ((states[1] - states[0]) * float(np.average(blood, weights=share * wavelength)))
-        traced = read.reading[..., 1] / read.reading[..., 0] - 1
-        off["taylor"].append((-depth - traced) / unit)
-        off["beer_lambert"].append((np.expm1(-depth) - traced) / unit)
-    formulas = (("taylor", "Taylor (9)", lambda x: 1 - x), ("beer_lambert", "Beer-Lambert (8)", lambda x: np.exp(-x)))
-    for name, words, formula in formulas:
-        values = np.stack(off[name])
+        mean = float(np.average(blood, weights=share * wavelength))
+        depths.append(read.mean_path_mm @ ((states[1] - states[0]) * mean))
+        traced.append(read.reading[..., 1] / read.reading[..., 0] - 1)
+    for name, change in (("Taylor (9)", np.negative), ("Beer-Lambert (8)", lambda depth: np.expm1(-depth))):
+        values = (change(np.stack(depths)) - np.stack(traced)) / float(np.abs(base.modulation).max())
         signal = _bias(values[:, 0], np.stack([jackknife(one) for one in values]), base)
         begin = time.perf_counter()
-        formula(np.outer(depth, along))
-        yield replace(
-            reference,
-            name=words,
-            signal=signal,
-            reweight_seconds=len(full.leds) * (time.perf_counter() - begin),
-            proven=signal.bound <= tolerance,
-        )
+        change(np.outer(depths[-1], along))
+        spent = len(full.leds) * (time.perf_counter() - begin)
+        yield replace(reference, name=name, signal=signal, reweight_seconds=spent, proven=signal.bound <= tolerance)
 
 
 def _stock(
@@ -346,27 +334,25 @@ def _stock(
     backend: BackendName,
     max_seconds: float,
     tolerance: float,
-    progress: Callable[[TraceProgress], None] | None,
+    progress: ProgressCallback | None,
 ) -> Level:
     """Stock Mitsuba, which traces one wavelength, against the reference at that wavelength."""
     narrow = reweighted(base.transfer, revised(full, ONE_WAVELENGTH))
     scene = revised(full, STOCK)
+    limits = Requested(relative_error=VOLPATH_ERROR, max_seconds=max_seconds, seed=seed, backend=backend)
     begin, cpu = time.perf_counter(), time.process_time()
-    accuracy: dict[str, Any] = {"relative_error": VOLPATH_ERROR, "max_seconds": max_seconds}
     try:
-        rest = read_rest(scene, seed=seed, backend=backend, progress=progress, **accuracy)
+        rest = read_rest(scene, progress=progress, **limits)
     except NotReachedError as error:
         if not isinstance(error.result, RestReadings) or str(error).startswith(INTERRUPTED):
             raise
         rest = error.result
-    shape = narrow.level.shape
-    value = np.array([row["detected_fraction"] for row in rest.readings]).reshape(shape)
-    relative = np.array([row["stderr"] for row in rest.readings]).reshape(shape)
+    rows = [(row["detected_fraction"], row["stderr"]) for row in rest.readings]
+    value, stderr = np.array(rows).T.reshape(2, *narrow.level.shape)
     with np.errstate(divide="ignore", invalid="ignore"):
-        relative = np.where(value > 0, relative / value, np.inf)
+        relative = np.where(value > 0, stderr / value, np.inf)
         ratio = value / narrow.level - 1
-        error_of = error_of_ratio(ratio, relative, narrow.relative_stderr)
-    reading = _bias(ratio, error_of, narrow)
+        reading = _bias(ratio, error_of_ratio(ratio, relative, narrow.relative_stderr), narrow)
     return Level(
         name=f"stock Mitsuba, {backend}",
         backend=backend,
