@@ -50,11 +50,9 @@ def further(scene: nail.Scene, found: xr.Dataset) -> float:
     conditions = [place.finger_condition(base, case, rules) for case in boards.fingers(scene)]
     best = result.chosen(found)
     board = boards.bare(boards.explicit(best, "best"))
-    cache = photon_maps.PhotonMapCache(
-        conditions, seed=1, stream=1, backend="auto", spacing_mm=place.SPACING_MM, blocks=place.BLOCKS
-    )
+    cache = photon_maps.PhotonMapCache(conditions, seed=1, stream=1, backend="auto", blocks=place.BLOCKS)
     cache.extend(board, 1 << 18)
-    places = [area.center_mm for area in boards.photodiode_areas(best)]
+    places = [area.center_mm for area in best.layout.photodiode_areas]
     spent = []
     for i in range(CANDIDATES):
         begin = time.perf_counter()

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from ...errors import InputError
 from ...scene import Finger, FingerCase, Led, Photodiode, Placement, Scene
-from ...scene.layout import Rectangle
 
 Places = Sequence[tuple[float, float]]
 
@@ -53,7 +53,7 @@ def on_finger(scene: Scene, case: FingerCase, *, light_only: bool = False) -> Sc
     finger = scene.finger if case.digit is None else Finger(digit=case.digit, **kept)
     if light_only:
         return scene.model_copy(update={"finger": finger})
-    blood = {name: getattr(case, name) for name in ("rest_blood_fraction", "so2")}
+    blood = {"rest_blood_fraction": case.rest_blood_fraction, "so2": case.so2}
     blood = {name: value for name, value in blood.items() if value is not None}
     if case.melanin_fraction is not None:
         finger = finger.model_copy(update={"melanin_fraction": case.melanin_fraction})
@@ -101,19 +101,16 @@ def with_parts(
         raise InputError(f'layout "{name}" places {len(leds_mm)} LEDs, but the scene has {len(base.leds)}.')
     du, dv = base.board.center_mm
 
-    def placed(part: Led | Photodiode, place: tuple[float, float], turned: Sequence[bool], i: int) -> dict[str, object]:
-        size = part.size_mm[::-1] if turned and turned[i] else part.size_mm
-        return {"position_mm": (place[0] - du, place[1] - dv), "size_mm": size}
+    def placed(parts: Sequence[Led | Photodiode], places: Places, turned: Sequence[bool]) -> tuple[Any, ...]:
+        out = []
+        for i, (part, (u, v)) in enumerate(zip(parts, places, strict=True)):
+            size = part.size_mm[::-1] if turned and turned[i] else part.size_mm
+            out.append(part.model_copy(update={"position_mm": (u - du, v - dv), "size_mm": size}))
+        return tuple(out)
 
     single = base.photodiodes[0].model_copy(update=SINGLE)
-    leds = tuple(
-        led.model_copy(update=placed(led, place, leds_turned, i))
-        for i, (led, place) in enumerate(zip(base.leds, leds_mm, strict=True))
-    )
-    photodiodes = tuple(
-        single.model_copy(update={"name": f"PD{i + 1}"} | placed(single, place, photodiodes_turned, i))
-        for i, place in enumerate(photodiodes_mm)
-    )
+    named = [single.model_copy(update={"name": f"PD{i + 1}"}) for i in range(len(photodiodes_mm))]
+    leds, photodiodes = placed(base.leds, leds_mm, leds_turned), placed(named, photodiodes_mm, photodiodes_turned)
     scene = base.model_copy(update={"leds": leds, "photodiodes": photodiodes})
     check(scene, name)
     return scene
@@ -130,21 +127,19 @@ def check(scene: Scene, name: str) -> None:
 def explicit(scene: Scene, name: str) -> Scene:
     """The same layout with outline and wall spelled out, so that they stay when its photodiodes are taken away."""
     layout = scene.layout
-    outline, (du, dv) = layout.outline, scene.board.center_mm
-    (u, v), size = outline.center_mm, (outline.u_max - outline.u_min, outline.v_max - outline.v_min)
-    update: dict[str, object] = {"center_mm": (u, v), "size_mm": size}
+    (u, v), (du, dv) = layout.outline.center_mm, scene.board.center_mm
+    update: dict[str, object] = {"center_mm": (u, v), "size_mm": layout.outline.size_mm}
     if len(layout.barriers) > 1:
         raise InputError(f'layout "{name}": has walls on several sides; place takes boards with one wall or none.')
     for wall in layout.barriers:
         update["barrier_gap_mm"] = min(-wall.overlap_mm(led) for led in layout.leds)
-    shift = (du - u, dv - v)
 
-    def moved(parts: tuple) -> tuple:
-        places = [(part.position_mm[0] + shift[0], part.position_mm[1] + shift[1]) for part in parts]
-        return tuple(part.model_copy(update={"position_mm": place}) for part, place in zip(parts, places, strict=True))
+    def moved(part: Led | Photodiode) -> Led | Photodiode:
+        x, y = part.position_mm
+        return part.model_copy(update={"position_mm": (x + (du - u), y + (dv - v))})
 
     board = scene.board.model_copy(update=update)
-    parts = {"leds": moved(scene.leds), "photodiodes": moved(scene.photodiodes)}
+    parts = {"leds": tuple(map(moved, scene.leds)), "photodiodes": tuple(map(moved, scene.photodiodes))}
     return scene.model_copy(update={"board": board, "placement": None} | parts)
 
 
@@ -166,8 +161,3 @@ def bare(scene: Scene, *, side: str | None = None) -> Scene:
         place = (across * reach[0] if across else led[0], along * reach[1] if along else led[1])
     speck = SINGLE | {"name": "speck", "position_mm": place, "size_mm": (SPECK_MM, SPECK_MM)}
     return scene.model_copy(update={"photodiodes": (scene.photodiodes[0].model_copy(update=speck),)})
-
-
-def photodiode_areas(scene: Scene) -> list[Rectangle]:
-    """Where the photodiodes lie that a layout reads."""
-    return list(scene.layout.photodiode_areas)

@@ -13,7 +13,7 @@ from ...scene.layout import Rectangle
 from . import boards
 from .boards import CandidateLayout
 from .fisher import fisher_information, force_resolution_n, over_fingers, response
-from .photon_maps import FingerCondition, PhotonMapCache
+from .photon_maps import PhotonMapCache
 from .progress import StageProgress
 
 log = logging.getLogger(__name__)
@@ -65,7 +65,12 @@ def search(
         raise InputError(
             f"placement.search places one LED, the scene has {len(base.leds)}; set search = false and give candidates."
         )
-    score = scorer(cache.conditions, placement.rank_by)
+
+    def score(information: np.ndarray) -> np.ndarray:
+        each = [force_resolution_n(*both) for both in zip(information, points, strict=True)]
+        return over_fingers(np.stack(each), placement.rank_by)
+
+    points = [condition.point for condition in cache.conditions]
     found: dict[LedSite, SearchedSite] = {}
     step, seen, waiting = placement.led_step_mm, set(), led_sites(base, placement)
     start = report_progress.seconds
@@ -143,9 +148,8 @@ def neighbours(site: LedSite, step_mm: float, base: Scene, placement: Placement)
     low, high = _led_range(base, placement)
     found = []
     for du, dv in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-        u, v = site.place_mm[0] + du * step_mm, site.place_mm[1] + dv * step_mm
-        on_board = np.all(np.array([u, v]) >= low - 1e-9) and np.all(np.array([u, v]) <= high + 1e-9)
-        if on_board and _inside((u, v), base.leds[0].size_mm, placement):
+        place = u, v = site.place_mm[0] + du * step_mm, site.place_mm[1] + dv * step_mm
+        if np.all((low - 1e-9 <= place) & (place <= high + 1e-9)) and _inside((u, v), base.leds[0].size_mm, placement):
             found.append(LedSite((round(u, 4), round(v, 4)), site.side))
     return found
 
@@ -161,7 +165,7 @@ def _walls_at(place: tuple[float, float], base: Scene) -> list[str | None]:
     if not base.board.barrier:
         return [None]
     outline, (u, v) = _outline(base), place
-    wide, long = LEAST_ROOM * (outline.u_max - outline.u_min), LEAST_ROOM * (outline.v_max - outline.v_min)
+    wide, long = (LEAST_ROOM * size for size in outline.size_mm)
     room = {"left": outline.u_max - u > wide, "right": u - outline.u_min > wide}
     room |= {"below": outline.v_max - v > long, "above": v - outline.v_min > long}
     return [side for side, enough in room.items() if enough]
@@ -185,16 +189,13 @@ def free_places(board: Scene, size_mm: tuple[float, float], placement: Placement
     places = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
     keep = np.ones(len(places), bool)
     for wall in layout.barriers:
-        axis, edge, sign = {
-            "left": (0, wall.u_max, 1),
-            "right": (0, wall.u_min, -1),
-            "below": (1, wall.v_max, 1),
-            "above": (1, wall.v_min, -1),
-        }[wall.name]
+        across, along = boards.FAR_SIDE[wall.name]
+        edge = {"left": wall.u_max, "right": wall.u_min, "below": wall.v_max, "above": wall.v_min}[wall.name]
+        axis, sign = (0, across) if across else (1, along)
         keep &= sign * (places[:, axis] - edge) >= half[axis] + max(placement.clearance_mm, WALL_ROOM_MM) - 1e-9
     if not layout.barriers:
         for led in layout.leds:
-            wide = np.array([led.u_max - led.u_min, led.v_max - led.v_min]) / 2 + half + placement.bond_wire_mm
+            wide = np.array(led.size_mm) / 2 + half + placement.bond_wire_mm
             keep &= np.any(np.abs(places - led.center_mm) >= wide - 1e-9, axis=1)
     if placement.outline_mm is not None:
         keep &= np.array([_inside((u, v), size_mm, placement) for u, v in places])
@@ -254,25 +255,13 @@ def information_at(
     """
     half = np.array(size_mm) / 2
     areas = np.stack([places - half, places + half], -1).reshape(-1, 4)
-    out = []
-    for condition, by_led in zip(cache.conditions, cache.maps(board), strict=True):
-        total = np.zeros((len(places), 3))
+    out = np.zeros((len(cache.conditions), len(places), 3))
+    for total, condition, by_led in zip(out, cache.conditions, cache.maps(board), strict=True):
         for led, one in zip(board.leds, by_led, strict=True):
             values = one.over(areas).mean(0)
             read = response(values, led, like.photodiodes[0], like.electronics, condition.point)
             total += fisher_information(read)
-        out.append(total)
-    return np.stack(out)
-
-
-def scorer(conditions: Sequence[FingerCondition], rank_by: str) -> Callable[[np.ndarray], np.ndarray]:
-    """Force resolution over the fingers from sums of information (fingers, ..., 3)."""
-
-    def score(total: np.ndarray) -> np.ndarray:
-        each = [force_resolution_n(one, condition.point) for one, condition in zip(total, conditions, strict=True)]
-        return over_fingers(np.stack(each), rank_by)
-
-    return score
+    return out
 
 
 def _outline(base: Scene) -> Rectangle:

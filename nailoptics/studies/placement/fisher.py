@@ -71,11 +71,6 @@ class Response:
         """Noise of one sample, rms. [V]"""
         return np.sqrt(self.noise_v2)
 
-    @property
-    def of_all_photons(self) -> "Response":
-        """The first of values by all photons and without each block of them."""
-        return Response(*(part[0] for part in vars(self).values()))
-
 
 def response(
     values: Array,

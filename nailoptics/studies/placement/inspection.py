@@ -81,10 +81,8 @@ def inspect_layout(
     values, found = _fresh_trace(setup, batches, begin + max_seconds / 2)
     found |= _back(setup, max(1, batches // BATCHES_PER_ROUND), begin + max_seconds, values, backend)
     resolution = setup.force_resolution_n([setup.response(i, each) for i, each in enumerate(values)])
-    attributes = {
-        "checked_resolution_n": float(resolution[0]),
-        "checked_resolution_n_stderr": float(resolution[0] * jackknife(np.log(resolution))),
-    }
+    error = resolution[0] * jackknife(np.log(resolution))
+    attributes = {"checked_resolution_n": float(resolution[0]), "checked_resolution_n_stderr": float(error)}
     if "reciprocal_fraction" in found:
         attributes |= _reciprocity(found)
     names = {"led": [led.name for led in scene.leds], "best_photodiode": list(scene.layout.photodiode_names)}
@@ -164,8 +162,7 @@ def _through_open_board(setup: _Setup, backend: str) -> np.ndarray:
     """Photocurrent by light from outside on a board without a cover and its standard error, (2, sources, photodiodes)
     float. [A]"""
     board = setup.scene.board.model_copy(update={"cover_um": 0.0})
-    scene = setup.scene.model_copy(update={"board": board})
-    tracer = BoardTracer(scene, backend=backend, spacing_mm=OPEN_DISTANCE_MM)
+    tracer = BoardTracer(setup.scene.model_copy(update={"board": board}), backend=backend, spacing_mm=OPEN_DISTANCE_MM)
     found = []
     for j in range(len(setup.areas_mm2)):
         # So much light comes through an open board that one round tells it.
@@ -177,16 +174,10 @@ def _through_open_board(setup: _Setup, backend: str) -> np.ndarray:
 
 def _from_outside(setup: _Setup, left: Arrivals, photodiode: int) -> np.ndarray:
     """Photocurrent by light from outside and its variance, (2, sources) float. [A], [A^2]"""
-    sums = []
+    scene, area_mm2, sums = setup.scene, float(setup.areas_mm2[photodiode]), []
+    nm, efficiency = scene.leds[0].wavelength_nm, setup.photodiode.quantum_efficiency
     for source in SOURCES:
-        each = photocurrents_a(
-            left,
-            setup.scene,
-            source,
-            traced_nm=setup.scene.leds[0].wavelength_nm,
-            quantum_efficiency=setup.photodiode.quantum_efficiency,
-            area_mm2=float(setup.areas_mm2[photodiode]),
-        )
+        each = photocurrents_a(left, scene, source, traced_nm=nm, quantum_efficiency=efficiency, area_mm2=area_mm2)
         # Most photons did not leave: each of them counts 0.
         sums.append((each.sum(), (each**2).sum() - each.sum() ** 2 / left.photons))
     return np.array(sums).T
@@ -194,19 +185,16 @@ def _from_outside(setup: _Setup, left: Arrivals, photodiode: int) -> np.ndarray:
 
 def _ambient(setup: _Setup, values: list[np.ndarray], current: np.ndarray, error: np.ndarray) -> Variables:
     """What light from outside adds to each photodiode, and what it leaves of the force resolution."""
-    dims = ("cover", "ambient", "best_photodiode")
-    found: Variables = {
-        "cover": (("cover",), np.array(COVERS), {}),
-        "ambient": (("ambient",), np.array([source.name for source in SOURCES]), {}),
-    }
+    dims, sources = ("cover", "ambient", "best_photodiode"), np.array([source.name for source in SOURCES])
+    found: Variables = {"cover": (("cover",), np.array(COVERS), {}), "ambient": (("ambient",), sources, {})}
     text = "photocurrent by light from outside, from all sides"
     found |= variable("ambient_a", dims, current, text, units="A", stderr=error)
     high = current + Z95 * error
     found |= variable("ambient_high_a", dims, high, f"upper end of the 95 % interval: {text}", units="A")
     read = [setup.response(i, each[0], high) for i, each in enumerate(values)]
     most, noise = np.max([r.volts for r in read], axis=0), np.max([r.noise_v for r in read], axis=0)
-    limit = f"{setup.scene.electronics.adc_range_v:g} V"
-    text = f"largest output with light from outside at its bound; the converter ends at {limit}"
+    limit_v = setup.scene.electronics.adc_range_v
+    text = f"largest output with light from outside at its bound; the converter ends at {limit_v:g} V"
     found |= variable("ambient_volts", dims, most, text, units="V")
     text = "noise of one sample with light from outside at its bound, rms"
     found |= variable("ambient_noise_v", dims, noise, text, units="V")
@@ -229,11 +217,10 @@ def _led_places(setup: _Setup, maps: list[list[PhotonMap]], mean: np.ndarray, er
         fraction.append(np.moveaxis(each[..., 0], -1, 1))
         resolution.append(setup.force_resolution_n([setup.response(i, each)]))
     text = "part of the light of an LED at this place on each photodiode, by reciprocity"
-    errors = [jackknife(f) for f in fraction]
-    found |= variable("led_place_fraction", (*pair, *places), [f[0] for f in fraction], text, stderr=errors)
+    value, errors = [f[0] for f in fraction], [jackknife(f) for f in fraction]
+    found |= variable("led_place_fraction", (*pair, *places), value, text, stderr=errors)
     text = "force resolution with this LED alone at this place and the photodiodes where they are"
-    errors = [r[0] * jackknife(np.log(r)) for r in resolution]
-    value = [r[0] for r in resolution]
+    value, errors = [r[0] for r in resolution], [r[0] * jackknife(np.log(r)) for r in resolution]
     found |= variable("led_place_resolution_n", ("led", *places), value, text, units="N", stderr=errors)
     one = maps[0][0]
     return found | _middles("led_u", one.u_mm, "place of the LED") | _middles("led_v", one.v_mm, "place of the LED")
@@ -241,9 +228,8 @@ def _led_places(setup: _Setup, maps: list[list[PhotonMap]], mean: np.ndarray, er
 
 def _reciprocity(found: Variables) -> dict[str, float]:
     """Light of the first LED on all photodiodes, by light the other way over that of the fresh trace."""
-    sums, errors = [], []
-    for name in ("reciprocal_fraction", "checked_fraction"):
-        sums.append(float(found[name][1][0].sum()))
-        errors.append(float(np.linalg.norm(found[f"{name}_stderr"][1][0])) / sums[-1])
-    ratio = sums[0] / sums[1]
-    return {"reciprocity_ratio": ratio, "reciprocity_ratio_stderr": ratio * math.hypot(*errors)}
+    names = ("reciprocal_fraction", "checked_fraction")
+    back, fresh = (float(found[name][1][0].sum()) for name in names)
+    back_error, fresh_error = (float(np.linalg.norm(found[f"{name}_stderr"][1][0])) for name in names)
+    error = math.hypot(back_error / back, fresh_error / fresh)
+    return {"reciprocity_ratio": back / fresh, "reciprocity_ratio_stderr": back / fresh * error}

@@ -2,9 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from ...light.board_map import BloodPoint, BoardTracer, PhotonMap, blood_point
+from ...light.board_map import BoardTracer, PhotonMap, blood_point
 from ...scene import FingerCase, Scene, digest
 from ...statistics import left_out, seed_of
 from . import boards
@@ -33,14 +32,13 @@ class PhotonMapCache:
         seed: int,
         stream: int,
         backend: str,
-        spacing_mm: float,
         blocks: int,
         quick: bool = False,
     ) -> None:
         """quick : boards are traced for a second or two each, so that what is made for each must be made soon."""
         self.distance_mm = QUICK_DISTANCE_MM if quick else DISTANCE_MM
         self.conditions, self.seed, self.stream, self.backend = tuple(conditions), seed, stream, backend
-        self.spacing_mm, self.blocks = spacing_mm, blocks
+        self.blocks = blocks
         self._maps: dict[str, list[list[PhotonMap]]] = {}
         self._tracers: dict[tuple[str, str | None], BoardTracer] = {}
         self.photons = 0
@@ -54,8 +52,9 @@ class PhotonMapCache:
         key = digest(board)
         if key not in self._maps:
             outline = board.layout.outline
-            size: dict[str, Any] = {"spacing_mm": self.spacing_mm, "blocks": self.blocks}
-            self._maps[key] = [[PhotonMap(outline, values=4, **size) for _ in board.leds] for _ in self.conditions]
+            self._maps[key] = [
+                [PhotonMap(outline, values=4, blocks=self.blocks) for _ in board.leds] for _ in self.conditions
+            ]
         # Conditions of one digit differ in what only dims the light: they share a trace.
         for digit in dict.fromkeys(condition.case.digit for condition in self.conditions):
             members = [i for i, condition in enumerate(self.conditions) if condition.case.digit == digit]
@@ -69,7 +68,11 @@ class PhotonMapCache:
         self, key: str, tracer: BoardTracer, board: Scene, led: int, members: list[int], photons: int
     ) -> None:
         """Trace one LED on one digit and add its light to the maps of all conditions of that digit."""
-        points = [self._blood_point(board, self.conditions[i], led, tracer.scene) for i in members]
+        points = []
+        for condition in (self.conditions[i] for i in members):
+            scene, blood = boards.on_finger(board, condition.case), condition.point.blood_fraction
+            dermis = condition.case.dermis
+            points.append(blood_point(scene, led, traced=tracer.scene, blood_fraction=blood, dermis=dermis))
         first = self._maps[key][members[0]][led].photons // tracer.batch_photons
         for batch in range(first, first + max(1, round(photons / tracer.batch_photons))):
             # From the board's digest, so that a trace does not depend on which were made before it.
@@ -78,10 +81,6 @@ class PhotonMapCache:
             self.photons += arrivals.photons
             for i, point in zip(members, points, strict=True):
                 self._maps[key][i][led].add(arrivals, point.values(arrivals))
-
-    def _blood_point(self, board: Scene, condition: FingerCondition, led: int, traced: Scene) -> BloodPoint:
-        scene, blood = boards.on_finger(board, condition.case), condition.point.blood_fraction
-        return blood_point(scene, led, traced=traced, blood_fraction=blood, dermis=condition.case.dermis)
 
     def forget(self, board: Scene) -> None:
         """Free what a board holds."""
@@ -93,8 +92,7 @@ class PhotonMapCache:
     def read(self, layout: Scene, board: Scene) -> list[list[Response]]:
         """Responses of a layout, by finger and LED, each (1 + blocks, photodiodes): by all photons, then without each
         block of them."""
-        areas = boards.photodiode_areas(layout)
-        photodiode = layout.layout.photodiodes[0].photodiode
+        areas, photodiode = layout.layout.photodiode_areas, layout.layout.photodiodes[0].photodiode
         return [
             [
                 response(left_out(one.over(areas)), led, photodiode, layout.electronics, condition.point)

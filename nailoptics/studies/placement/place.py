@@ -3,7 +3,7 @@
 import logging
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Unpack
 
 import numpy as np
@@ -11,7 +11,7 @@ import xarray as xr
 
 from ...assets import data_dir
 from ...errors import InputError, NotReachedError
-from ...light import TraceProgress
+from ...light import ProgressCallback
 from ...light import backend as backends
 from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, load_scene
@@ -28,16 +28,10 @@ log = logging.getLogger(__name__)
 
 DEFAULT_SECONDS = 480.0
 DEFAULT_RELATIVE_ERROR = 0.02
-SPACING_MM = 0.1
 BLOCKS = 32
 
 
-def place(
-    scene: Scene,
-    *,
-    progress: Callable[[TraceProgress], None] | None = None,
-    **requested: Unpack[Requested],
-) -> xr.Dataset:
+def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> xr.Dataset:
     """Rank layouts of a finger scene by the force that they resolve; `result.chosen` is the best as a scene.
 
     photons : per layout, LED and finger, in place of a tolerance.
@@ -59,8 +53,8 @@ def place(
     rules, base = boards.rules(scene), boards.base_board(scene)
     conditions = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
     made: dict[str, Any] = {"seed": options.seed, "backend": backends.choose(options.backend).name}
-    searching = PhotonMapCache(conditions, **made, stream=0, spacing_mm=SPACING_MM, blocks=1, quick=True)
-    judging = PhotonMapCache(conditions, **made, stream=1, spacing_mm=SPACING_MM, blocks=BLOCKS)
+    searching = PhotonMapCache(conditions, **made, stream=0, blocks=1, quick=True)
+    judging = PhotonMapCache(conditions, **made, stream=1, blocks=BLOCKS)
     layouts, searched = _candidates(base, rules, searching, report_progress)
     wanted = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
     scores, unmet = score_layouts(
@@ -74,16 +68,7 @@ def place(
     report_progress("check", 1.0, scores[0].relative_error)
     made |= {"photons": judging.photons + searching.photons, "rank_by": rules.rank_by}
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
-    result = as_dataset(
-        scene,
-        layouts,
-        scores,
-        conditions=conditions,
-        maps=maps,
-        searched=searched,
-        inspected=inspected,
-        attributes=made,
-    )
+    result = as_dataset(scene, layouts, scores, conditions, maps, searched, inspected, made)
     if unmet:
         raise NotReachedError(unmet, result=result)
     return result

@@ -2,15 +2,14 @@
 
 import math
 import time
-from collections.abc import Callable
 
-from ...light import TraceProgress
+from ...light import ProgressCallback, TraceProgress
 
 
 class StageProgress:
     """Reports the stages of a placement to a callback; knows whether time ran out or the user interrupted."""
 
-    def __init__(self, callback: Callable[[TraceProgress], None] | None, limit_s: float = math.inf) -> None:
+    def __init__(self, callback: ProgressCallback | None, limit_s: float = math.inf) -> None:
         self.callback, self.limit_s, self.begin = callback, limit_s, time.perf_counter()
         self.interrupted = False
         self._last: tuple[str, float, float, float | None] | None = None

@@ -12,16 +12,10 @@ from ...scene import Scene, parse_scene, to_toml
 from ...scene.positions import PlacedPart
 from ...statistics import jackknife, left_out
 from ...variables import Variable, variable
+from . import fisher
 from .boards import CandidateLayout
 from .exchange import SearchedSite
-from .fisher import (
-    OperatingPoint,
-    Response,
-    condition_number,
-    fisher_information,
-    fixed_ratio_resolution_n,
-    response,
-)
+from .fisher import OperatingPoint, Response
 from .photon_maps import FingerCondition
 from .scores import LayoutScore
 
@@ -36,7 +30,6 @@ def as_dataset(
     scene: Scene,
     layouts: Sequence[CandidateLayout],
     scores: Sequence[LayoutScore],
-    *,
     conditions: Sequence[FingerCondition],
     maps: Sequence[PhotonMap],
     searched: Sequence[SearchedSite],
@@ -49,7 +42,7 @@ def as_dataset(
     inspected : what `inspect_layout` says of the best layout on the first finger.
     """
     best = layouts[0].scene
-    data = _ranking(layouts, scores) | _extremes(layouts, scores) | _sites(searched)
+    data = _ranking(layouts, scores, conditions) | _extremes(layouts, scores) | _sites(searched)
     coordinates = {
         "layout": [layout.name for layout in layouts],
         "finger": [condition.case.name for condition in conditions],
@@ -60,20 +53,16 @@ def as_dataset(
     result = xr.Dataset(data | _predicted(scores[0].responses[0]), coords=coordinates)
     result = result.merge(map_dataset([led.name for led in best.leds], maps)).merge(inspected)
     result = result.merge(_photodiode_anywhere(best, maps, conditions[0].point))
-    made = provenance(
-        scene,
-        engine="photons",
-        backend=attributes["backend"],
-        photons=attributes["photons"],
-        seeds=str(attributes["seed"]),
-    )
-    result.attrs = made | attributes
-    result.attrs |= inspected.attrs | {"adc_range_v": best.electronics.adc_range_v}
-    result.attrs["title"] = "nailoptics: layouts ranked by force resolution"
+    traced = {name: attributes[name] for name in ("backend", "photons")}
+    made = provenance(scene, engine="photons", seeds=str(attributes["seed"]), **traced)
+    more = {"adc_range_v": best.electronics.adc_range_v, "title": "nailoptics: layouts ranked by force resolution"}
+    result.attrs = made | attributes | inspected.attrs | more
     return result
 
 
-def _ranking(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore]) -> Variables:
+def _ranking(
+    layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore], conditions: Sequence[FingerCondition]
+) -> Variables:
     """Each layout with what it resolves, over the fingers and on each."""
     one, both = ("layout",), ("layout", "finger")
     pressures = (*both, "pressure")
@@ -94,25 +83,27 @@ def _ranking(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore]) 
     value, text = of_all_photons("resolution_n"), "force resolution on each finger"
     errors = [jackknife(score.resolution_n) for score in scores]
     found |= variable("finger_resolution_n", both, value, text, units="N", stderr=errors)
-    value, text = of_all_photons("fixed_ratio_resolution_n"), "force resolution if the split of the force is known"
-    found |= variable("fixed_ratio_resolution_n", both, value, text, units="N")
-    value, text = of_all_photons("pressure_resolution_pa"), "resolution of each pressure"
+    information, text = of_all_photons("information_per_pa2"), "force resolution if the split of the force is known"
+    fixed = [fisher.fixed_ratio_resolution_n(information[:, k], one.point) for k, one in enumerate(conditions)]
+    found |= variable("fixed_ratio_resolution_n", both, np.stack(fixed, 1), text, units="N")
+    value, text = fisher.pressure_resolution_pa(information), "resolution of each pressure"
     found |= variable("pressure_resolution_pa", pressures, value, text, units="Pa")
-    value = of_all_photons("information_per_pa2")[..., [[0, 1], [1, 2]]]
+    value = information[..., [[0, 1], [1, 2]]]
     text = "Fisher information of the two pressures in one sample of all readings"
     found |= variable("fisher_information_per_pa2", (*pressures, "pressure_too"), value, text, units="Pa-2")
-    conditions = [[max(map(condition_number, by_led)) for by_led in score.responses] for score in scores]
+    numbers = [[max(map(fisher.condition_number, by_led)) for by_led in score.responses] for score in scores]
     text = "condition number of the matrix of readings by blood zones"
-    return found | variable("condition_number", both, conditions, text)
+    return found | variable("condition_number", both, numbers, text)
 
 
 def _extremes(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore]) -> Variables:
     """Volts, headroom, signal to noise and shunted light of the photodiode that is worst off on any finger."""
-    reads = [[read.of_all_photons for by_led in score.responses for read in by_led] for score in scores]
+    # The first of each is that by all photons.
+    reads = [[read for by_led in score.responses for read in by_led] for score in scores]
     full_v = np.array([layout.scene.electronics.adc_range_v for layout in layouts])
-    least, most = ([pick([r.volts for r in each]) for each in reads] for pick in (np.min, np.max))
-    snr = [np.min([r.volts / r.noise_v for r in each]) for each in reads]
-    shunted = [np.max([r.shunted_fraction for r in each]) for each in reads]
+    least, most = ([pick([r.volts[0] for r in each]) for each in reads] for pick in (np.min, np.max))
+    snr = [np.min([r.volts[0] / r.noise_v[0] for r in each]) for each in reads]
+    shunted = [np.max([r.shunted_fraction[0] for r in each]) for each in reads]
     found = variable("least_volts", "layout", least, "least reading of a photodiode over fingers", units="V")
     found |= variable("most_volts", "layout", most, "largest reading of a photodiode over fingers", units="V")
     found |= variable("adc_headroom", "layout", full_v / most, "full scale over the largest reading; 1 is saturated")
@@ -129,9 +120,8 @@ def _sites(searched: Sequence[SearchedSite]) -> Variables:
     text = "force resolution that the search found there"
     found = variable("led_site_mm", ("led_site", "axis"), places, "LED place tried", units="mm")
     found |= variable("led_site_resolution_n", "led_site", reached, text, units="N")
-    return found | {
-        "led_site_side": (("led_site",), sides, {"long_name": "side of the photodiodes where the LED lies"})
-    }
+    about = {"long_name": "side of the photodiodes where the LED lies"}
+    return found | {"led_site_side": (("led_site",), sides, about)}
 
 
 def _predicted(by_led: Sequence[Response]) -> Variables:
@@ -160,10 +150,10 @@ def _photodiode_anywhere(scene: Scene, maps: Sequence[PhotonMap], point: Operati
     areas = np.stack([u - half_u, u + half_u, v - half_v, v + half_v], -1).reshape(-1, 4)
     noise, resolution, error = [], [], []
     for led, one in zip(scene.leds, maps, strict=True):
-        read = response(left_out(one.over(areas)), led, photodiode, scene.electronics, point)
+        read = fisher.response(left_out(one.over(areas)), led, photodiode, scene.electronics, point)
         noise.append(read.noise_v[0].reshape(u.shape))
         with np.errstate(divide="ignore", invalid="ignore"):
-            replicates = fixed_ratio_resolution_n(fisher_information(read), point)
+            replicates = fisher.fixed_ratio_resolution_n(fisher.fisher_information(read), point)
             error.append((replicates[0] * jackknife(np.log(replicates))).reshape(u.shape))
         resolution.append(replicates[0].reshape(u.shape))
     dims = ("led", "place_u", "place_v")

@@ -10,14 +10,7 @@ from ...scene import digest
 from ...statistics import Z95, jackknife
 from .boards import CandidateLayout
 from .exchange import SEARCH_PHOTONS
-from .fisher import (
-    Response,
-    fixed_ratio_resolution_n,
-    force_resolution_n,
-    over_fingers,
-    pressure_resolution_pa,
-    total_information,
-)
+from .fisher import Response, force_resolution_n, over_fingers, total_information
 from .photon_maps import PhotonMapCache
 from .progress import StageProgress
 
@@ -31,17 +24,13 @@ JUDGE_SHARE = 0.85
 class LayoutScore:
     """How finely a layout resolves force: by all photons and without each block of them.
 
-    resolution_n, fixed_ratio_resolution_n : (1 + blocks, fingers) float. Whatever the split of the force; and if it
-        is known. [N]
-    pressure_resolution_pa : (1 + blocks, fingers, 2) float. Of the proximal and distal pressure. [Pa]
+    resolution_n : (1 + blocks, fingers) float. Whatever the split of the force. [N]
     score_n : (1 + blocks,) float. Over the fingers. [N]
     information_per_pa2 : (1 + blocks, fingers, 3) float. As `total_information`. [Pa^-2]
     responses : by finger and LED, (1 + blocks, photodiodes).
     """
 
     resolution_n: np.ndarray
-    fixed_ratio_resolution_n: np.ndarray
-    pressure_resolution_pa: np.ndarray
     score_n: np.ndarray
     information_per_pa2: np.ndarray
     responses: list[list[Response]]
@@ -61,14 +50,11 @@ class LayoutScore:
 def score_layout(layout: CandidateLayout, cache: PhotonMapCache, rank_by: str) -> LayoutScore:
     """A layout's score from light that is traced; a further layout on a traced board costs milliseconds."""
     responses = cache.read(layout.scene, layout.board)
-    points = [condition.point for condition in cache.conditions]
     information = [total_information(by_led) for by_led in responses]
+    points = [condition.point for condition in cache.conditions]
     resolution = np.stack([force_resolution_n(*both) for both in zip(information, points, strict=True)])
-    fixed_ratio = [fixed_ratio_resolution_n(*both) for both in zip(information, points, strict=True)]
     return LayoutScore(
         resolution_n=resolution.T,
-        fixed_ratio_resolution_n=np.stack(fixed_ratio).T,
-        pressure_resolution_pa=np.stack([pressure_resolution_pa(one) for one in information], 1),
         score_n=over_fingers(resolution, rank_by),
         information_per_pa2=np.stack(information, 1),
         responses=responses,

@@ -56,9 +56,7 @@ AT = fisher.OperatingPoint(
 
 
 def photon_map_cache(conditions, *, seed, stream, blocks):
-    return photon_maps.PhotonMapCache(
-        conditions, seed=seed, stream=stream, backend="auto", spacing_mm=0.1, blocks=blocks, quick=True
-    )
+    return photon_maps.PhotonMapCache(conditions, seed=seed, stream=stream, backend="auto", blocks=blocks, quick=True)
 
 
 @pytest.fixture(scope="module")
@@ -307,7 +305,7 @@ def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene
     """Must reach: under 50 ms."""
     base = boards.base_board(scene)
     conditions = [photon_maps.FingerCondition(FingerCase(name="one"), fisher.operating_point(base, 0.5))]
-    cache = photon_maps.PhotonMapCache(conditions, seed=0, stream=1, backend="auto", spacing_mm=0.1, blocks=32)
+    cache = photon_maps.PhotonMapCache(conditions, seed=0, stream=1, backend="auto", blocks=32)
     layouts = place.given(base, boards.rules(scene))
     assert layouts[0].board == layouts[1].board
     cache.extend(layouts[0].board, 1 << 18)
