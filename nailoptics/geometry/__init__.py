@@ -3,13 +3,12 @@
 from .build import build, shaping
 from .distance import DistanceGrid, distance_grid
 from .model import Face, Geometry
-from .watertight import WatertightReport, check_watertight
+from .watertight import check_watertight
 
 __all__ = [
     "DistanceGrid",
     "Face",
     "Geometry",
-    "WatertightReport",
     "build",
     "check_watertight",
     "distance_grid",

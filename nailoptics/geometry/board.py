@@ -80,28 +80,9 @@ class BentBoard:
         return (*REGIONS, *names)
 
     @property
-    def _rectangles(self) -> list[Rectangle]:
+    def rectangles(self) -> list[Rectangle]:
+        """Everything on the board that begins or ends somewhere."""
         return [self.rim, self.layout.outline, *self.layout.barriers, *(r for _, r in self.parts)]
-
-    @property
-    def angles(self) -> list[float]:
-        """Angles around the nail's axis at which something on the board begins or ends. [rad]"""
-        return [u / self.radius_mm for r in self._rectangles for u in (r.u_min, r.u_max)]
-
-    @property
-    def places(self) -> list[float]:
-        """Places along the nail at which something on the board begins or ends. [mm]"""
-        return [v for r in self._rectangles for v in (r.v_min, r.v_max)]
-
-    @property
-    def led_angles(self) -> list[tuple[float, float]]:
-        """Span of each LED die around the nail's axis. [rad]"""
-        return [(r.u_min / self.radius_mm, r.u_max / self.radius_mm) for r in self.layout.leds]
-
-    @property
-    def led_places(self) -> list[tuple[float, float]]:
-        """Span of each LED die along the nail. [mm]"""
-        return [(r.v_min, r.v_max) for r in self.layout.leds]
 
     def labels(self, theta: Array, v: Array) -> NDArray[np.int32]:
         """Region of the three layers above the nail, (a, n, 3), in cells with middles theta (a,) [rad], v (n,) [mm]."""

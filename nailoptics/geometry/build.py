@@ -3,7 +3,6 @@
 import logging
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..scene import Scene
@@ -78,20 +77,14 @@ def _grid(scene: Scene, resolution: float) -> tuple[BentBoard, Grid]:
 
 def _face(grid: Grid, name: str, region: int) -> Face:
     """The lower face of a part in the board's film."""
-    cells = grid.labels[:, :, BELOW + 1] == region
-    column = np.nonzero(cells.any(axis=1))[0]
-    row = np.nonzero(cells.any(axis=0))[0]
-    nodes = grid.nodes[:, :, BELOW + 1]
+    cells, nodes = grid.labels[:, :, BELOW + 1] == region, grid.nodes[:, :, BELOW + 1]
+    column, row = np.nonzero(cells.any(axis=1))[0], np.nonzero(cells.any(axis=0))[0]
     # A column is straight along the nail, so its cells are one rectangle. Corners run along the nail first, then
     # across, because the nail side sees the board from below.
     first, last = row[0], row[-1] + 1
     quads = np.stack(
         [nodes[column, first], nodes[column, last], nodes[column + 1, last], nodes[column + 1, first]], axis=1
     )
-    return _planar(name, region, quads)
-
-
-def _planar(name: str, region: int, quads: NDArray[np.float64]) -> Face:
     cross = np.cross(quads[:, 1] - quads[:, 0], quads[:, 3] - quads[:, 0])
     area = np.linalg.norm(cross, axis=1)
     return Face(name, region, quads, cross / area[:, None], float(area.sum()))

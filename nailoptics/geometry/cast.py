@@ -52,8 +52,7 @@ class _Caster:
         high = flat.max(axis=(0, 1)) + 1e-9
         self.bins = int(np.clip(np.sqrt(len(triangles)), 1, 512))
         self.per_mm = self.bins / (high - self.low)
-        first, last = self._bin(flat.min(axis=1)), self._bin(flat.max(axis=1))
-        self.boxes = Boxes.sort(first, last, bins=self.bins)
+        self.boxes = Boxes.sort(self._bin(flat.min(axis=1)), self._bin(flat.max(axis=1)), bins=self.bins)
 
     def _bin(self, points: Array) -> NDArray[np.int64]:
         # Rounding is monotone, so a ray within a triangle's bounds falls within its bins.

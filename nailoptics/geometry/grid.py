@@ -45,14 +45,10 @@ class Grid:
         around = self.nodes.shape[0]
         corners = []
         for order in itertools.permutations(range(3)):
-            step = np.zeros(3, int)
-            path = [step.copy()]
-            for axis in order:
-                step[axis] = 1
-                path.append(step.copy())
+            path = np.cumsum([(0, 0, 0), *np.eye(3, dtype=int)[list(order)]], axis=0)
             odd = order in ((0, 2, 1), (1, 0, 2), (2, 1, 0))
             if odd:
-                path[1], path[2] = path[2], path[1]
+                path[[1, 2]] = path[[2, 1]]
             corners.append(np.stack([self.nodes[(a + i) % around, n + j, k + m] for i, j, m in path], axis=1))
         labels = self.labels[cells].astype(np.int32)
         return np.concatenate(corners), np.tile(labels, 6), np.tile(n.astype(np.int32), 6)
@@ -93,23 +89,18 @@ def _clean(
     keep = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2 > MIN_AREA_MM2
     triangles, below, above = triangles[keep], below[keep], above[keep]
 
-    order = np.sort(triangles, axis=1)
-    _, group, size = np.unique(order, axis=0, return_inverse=True, return_counts=True)
+    _, group, size = np.unique(np.sort(triangles, axis=1), axis=0, return_inverse=True, return_counts=True)
     group = group.reshape(-1)
     multiple = np.nonzero(size[group] > 1)[0]
     if len(multiple):
-        drop, low, high = _join(triangles, below, above, group, multiple)
-        keep = np.ones(len(triangles), bool)
-        keep[drop] = False
-        below, above = low[keep], high[keep]
-        triangles = triangles[keep]
+        triangles, below, above = _join(triangles, below, above, group, multiple)
     used, flat = np.unique(triangles, return_inverse=True)
     return vertices[used], flat.reshape(-1, 3).astype(np.int32), below.astype(np.int32), above.astype(np.int32)
 
 
 def _join(
     triangles: NDArray[np.int64], below: Indices, above: Indices, group: NDArray[np.int64], multiple: NDArray[np.int64]
-) -> tuple[list[int], Indices, Indices]:
+) -> tuple[NDArray[np.int64], Indices, Indices]:
     """Each stack of triangles on the same three vertices as one: what lies between them has no volume."""
     below, above = below.copy(), above.copy()
     drop: list[int] = []
@@ -132,4 +123,4 @@ def _join(
             below[first], above[first] = left[0], entered[0]
         else:
             drop.append(first)
-    return drop, below, above
+    return np.delete(triangles, drop, axis=0), np.delete(below, drop), np.delete(above, drop)

@@ -1,8 +1,5 @@
 """Which region a point lies in, by arithmetic on the grid's tetrahedra."""
 
-from dataclasses import dataclass
-from typing import Self
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,43 +14,27 @@ BINS = 64
 CHUNK = 100_000
 
 
-@dataclass(frozen=True)
 class Locator:
-    """The tetrahedra of a grid, sorted into boxes: rows along y, even bins across x and z.
+    """The tetrahedra of a grid, sorted into boxes: rows along y, even bins across x and z."""
 
-    rows : (n + 1,) float. Planes between rows. [mm]
-    low, per_mm : (2,) float. Corner and bins per mm in (x, z).
-    boxes : Tetrahedra that may reach into each box of each row.
-    inverse, origin : (m, 3, 3), (m, 3) float. From a point to barycentric coordinates 1 to 3.
-    labels : (m,) int. Region of each tetrahedron.
-    """
-
-    rows: Array
-    low: Array
-    per_mm: Array
-    boxes: Boxes
-    inverse: Array
-    origin: Array
-    labels: Indices
-
-    @classmethod
-    def of(cls, grid: Grid) -> Self:
-        """Sort the tetrahedra of a grid."""
+    def __init__(self, grid: Grid) -> None:
         corners, labels, rows = grid.tetrahedra()
         edges = corners[:, 1:] - corners[:, :1]
         solid = np.linalg.det(edges) > 1e-14
-        corners, labels, rows, edges = corners[solid], labels[solid], rows[solid], edges[solid]
+        corners, rows, edges = corners[solid], rows[solid], edges[solid]
         flat = corners[:, :, [0, 2]]
-        low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
-        per_mm = BINS / (high - low)
+        self.rows, self.labels = grid.rows_mm, labels[solid]
+        self.low = flat.min(axis=(0, 1))
+        self.per_mm = BINS / (flat.max(axis=(0, 1)) - self.low)
         # A little wider than the tetrahedra, so that rounding leaves no point between boxes.
-        first = np.clip(((flat.min(axis=1) - 1e-9 - low) * per_mm).astype(np.int64), 0, BINS - 1)
-        last = np.clip(((flat.max(axis=1) + 1e-9 - low) * per_mm).astype(np.int64), 0, BINS - 1)
-        boxes = Boxes.sort(first, last, bins=BINS, layer=rows.astype(np.int64), layers=len(grid.rows_mm) - 1)
+        first = np.clip(((flat.min(axis=1) - 1e-9 - self.low) * self.per_mm).astype(np.int64), 0, BINS - 1)
+        last = np.clip(((flat.max(axis=1) + 1e-9 - self.low) * self.per_mm).astype(np.int64), 0, BINS - 1)
+        self.boxes = Boxes.sort(first, last, bins=BINS, layer=rows.astype(np.int64), layers=len(self.rows) - 1)
         one, two, three = edges[:, 0], edges[:, 1], edges[:, 2]
         normals = np.stack([np.cross(two, three), np.cross(three, one), np.cross(one, two)], axis=1)
-        inverse = normals / np.einsum("ij,ij->i", one, normals[:, 0])[:, None, None]
-        return cls(grid.rows_mm, low, per_mm, boxes, inverse, corners[:, 0].copy(), labels)
+        # From a point, less the origin, to barycentric coordinates 1 to 3.
+        self.inverse = normals / np.einsum("ij,ij->i", one, normals[:, 0])[:, None, None]
+        self.origin = corners[:, 0].copy()
 
     def region_at(self, points: Array) -> Indices:
         """Region (k,) at points (k, 3)."""

@@ -67,7 +67,7 @@ class Geometry:
 
     @cached_property
     def _locator(self) -> Locator:
-        return Locator.of(self.grid)
+        return Locator(self.grid)
 
     @property
     def bounds_mm(self) -> Array:

@@ -44,9 +44,11 @@ class Nodes:
         """Angles of the nail's columns around its axis, (a_nail,) float. [rad]"""
         radius, edge = self.surfaces.finger.nail_radius_mm, self.surfaces.nail_half_angle
         step = min(NAIL_STEP_MM, np.sqrt(8 * SAGITTA_MM * radius)) / self.resolution
-        required = [x * radius for x in (-edge, edge, *self.board.angles)]
-        spans = [(low * radius, high * radius) for low, high in self.board.led_angles]
-        return grid_lines(required, step=lambda _: step, closed=spans) / radius
+        under = self.board.radius_mm
+        required = [-edge * radius, edge * radius]
+        required += [u / under * radius for r in self.board.rectangles for u in (r.u_min, r.u_max)]
+        dies = [(r.u_min / under * radius, r.u_max / under * radius) for r in self.board.layout.leds]
+        return grid_lines(required, step=lambda _: step, closed=dies) / radius
 
     @cached_property
     def phi(self) -> Array:
@@ -61,7 +63,8 @@ class Nodes:
     def y(self) -> Array:
         """Places of the rows, (n + 1,) float. [mm]"""
         surfaces, end = self.surfaces, self.surfaces.nail_end
-        required = [surfaces.cut - CUT_SLICE_MM, surfaces.cut, -end, end, *self.board.places]
+        required = [surfaces.cut - CUT_SLICE_MM, surfaces.cut, -end, end]
+        required += [v for r in self.board.rectangles for v in (r.v_min, r.v_max)]
         required += [surfaces.tip - x for x in (0.0, *self.tip_depths)]
         if surfaces.bone_end > surfaces.cut:
             required.append(surfaces.bone_end)
@@ -75,7 +78,8 @@ class Nodes:
             size = NAIL_STEP_MM if -end < place < surfaces.tip else BODY_STEP_MM
             return size / self.resolution
 
-        return grid_lines(required, wanted=wanted, step=step, closed=self.board.led_places)
+        dies = [(r.v_min, r.v_max) for r in self.board.layout.leds]
+        return grid_lines(required, wanted=wanted, step=step, closed=dies)
 
     @cached_property
     def _depths(self) -> tuple[Array, Array, bool]:
@@ -102,24 +106,15 @@ class Nodes:
         surfaces, y = self.surfaces, self.y
         center = np.array([0.0, surfaces.center_z])
         straight = y <= surfaces.nail_end
-        rows = y[straight]
-        beyond = y[~straight]
-        ring = self._layers(rows)
+        ring, beyond = self._layers(y[straight]), y[~straight]
         phi = np.arctan2(ring[:, -1, :, 0], ring[:, -1, :, 1] - surfaces.center_z)
         depths = (*self.tip_depths, 0.0)
         growth = np.stack([self._growth(phi[:, k], beyond, depth) for k, depth in enumerate(depths)], axis=-1)
         tip = center + (ring[:, -1:] - center) * growth[..., None]
         layers = np.concatenate([ring, tip], axis=1)
-        bone = self._bone(layers[:, :, 0] - center)
-        flat = np.concatenate(
-            [
-                np.broadcast_to(center, (*layers.shape[:2], 1, 2)),
-                bone[:, :, None],
-                layers,
-                self._above(layers[:, :, -1]),
-            ],
-            axis=2,
-        )
+        line = np.broadcast_to(center, (*layers.shape[:2], 1, 2))
+        bone = self._bone(layers[:, :, 0] - center)[:, :, None]
+        flat = np.concatenate([line, bone, layers, self._above(layers[:, :, -1])], axis=2)
         along = np.broadcast_to(y[None, :, None], flat.shape[:3])
         return np.stack([flat[..., 0], along, flat[..., 1]], axis=-1)
 
@@ -127,10 +122,8 @@ class Nodes:
         """The three depths and the skin, (a, n, 4, 2) in (x, z), in rows no further than the nail's free edge."""
         surfaces, radius = self.surfaces, self.surfaces.finger.nail_radius_mm
         below_nail, below_skin, _ = self._depths
-        direction = _direction(self.theta)
-        shells = radius - np.append(below_nail, 0.0)
-        risen = shells + surfaces.fold(rows)[:, None]
-        nail = risen[:, :, None] * direction[:, None, None] - [0.0, radius]
+        shells = radius - np.append(below_nail, 0.0) + surfaces.fold(rows)[:, None]
+        nail = shells[:, :, None] * _direction(self.theta)[:, None, None] - [0.0, radius]
         outer = signed_angle(self.phi[len(self.theta) :])
         body = np.empty((len(outer), len(rows), 4, 2))
         edge = nail[-1] - [0.0, surfaces.center_z]
@@ -149,11 +142,9 @@ class Nodes:
 
     def _growth(self, phi: Array, beyond: Array, depth: float) -> Array:
         """Size of the sections beyond the nail, relative to that at its free edge, (a, n) float; 0 at the end."""
-        surfaces = self.surfaces
-        stretched = surfaces.nail_end + (beyond - surfaces.nail_end) * surfaces.beyond_nail / (
-            surfaces.beyond_nail - depth
-        )
-        size = surfaces.skin(phi[:, None], stretched) / surfaces.skin(phi[:, None], np.array([surfaces.nail_end]))
+        surfaces, end, reach = self.surfaces, self.surfaces.nail_end, self.surfaces.beyond_nail
+        stretched = end + (beyond - end) * reach / (reach - depth)
+        size = surfaces.skin(phi[:, None], stretched) / surfaces.skin(phi[:, None], np.array([end]))
         return np.where(beyond < surfaces.tip - depth - 1e-6, size, 0.0)
 
     def _bone(self, bed: Array) -> Array:
@@ -173,23 +164,21 @@ class Nodes:
 
     def _above(self, surface: Array) -> Array:
         """Three layers above the nail, (a, n + 1, 3, 2); elsewhere they lie on the skin and hold no cells."""
-        theta, radius = self.theta, self.surfaces.finger.nail_radius_mm
+        radius = self.surfaces.finger.nail_radius_mm
         above = np.repeat(surface[:, :, None], 3, axis=2)
         on_nail = np.abs(self.y) <= self.surfaces.nail_end
-        direction = _direction(theta)
-        shells = (radius + self.board.heights_mm)[:, None] * direction[:, None] - [0.0, radius]
-        above[: len(theta), on_nail] = shells[:, None]
+        shells = (radius + self.board.heights_mm)[:, None] * _direction(self.theta)[:, None] - [0.0, radius]
+        above[: len(self.theta), on_nail] = shells[:, None]
         return above
 
     def labels(self) -> NDArray[np.int32]:
         """Region of each cell, (a, n, 8) int."""
         surfaces, y = self.surfaces, (self.y[1:] + self.y[:-1]) / 2
-        below_nail, below_skin, plate_is_second = self._depths
+        plate_is_second = self._depths[2]
         labels = np.full((len(self.phi), len(y), BELOW + 3), AIR, np.int32)
         labels[:, :, :BELOW] = PULP
         labels[:, y < surfaces.bone_end, 0] = BONE
-        skin_cells = [4] if plate_is_second else [3, 4]
-        labels[:, :, skin_cells] = EPIDERMIS
+        labels[:, :, [4] if plate_is_second else [3, 4]] = EPIDERMIS
         nail_columns = np.arange(len(self.theta) - 1)
         nail_rows = np.nonzero(np.abs(y) < surfaces.nail_end)[0]
         for layer, region in zip((2, 3, 4), (BED, PLATE if plate_is_second else BED, PLATE), strict=True):

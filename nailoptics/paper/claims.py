@@ -38,12 +38,6 @@ def _at(pressure_n_per_cm2: float) -> int:
     return int(np.argmin(np.abs(CURVE_PA - pressure_n_per_cm2 * N_PER_CM2)))
 
 
-def _changed_part(path: np.ndarray) -> np.ndarray:
-    """How much of the change from the first to the last value has come about at each, with its sign. [1]"""
-    whole = path[..., -1:] - path[..., :1]
-    return (path - path[..., :1]) / np.where(whole == 0.0, 1.0, whole)
-
-
 def _crossing(done: np.ndarray, target: float, after: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """Where a curve over an axis passes a target between the sample `after` and the one before it."""
     above = np.take_along_axis(done, after[..., None], axis=-1)[..., 0]
@@ -77,7 +71,8 @@ def _level_from(curve: np.ndarray) -> np.ndarray:
 
 def _time_constant(path: np.ndarray) -> np.ndarray:
     """Time to 63 % of the change over a phase. [s]"""
-    done = _changed_part(path)
+    whole = path[..., -1:] - path[..., :1]
+    done = (path - path[..., :1]) / np.where(whole == 0.0, 1.0, whole)
     reached = np.argmax(done >= _TIME_CONSTANT_PART, axis=-1)
     time = _crossing(done, _TIME_CONSTANT_PART, np.maximum(reached, 1), PHASE_S)
     return np.where(reached > 0, time, PHASE_S[-1])
@@ -101,15 +96,6 @@ def _distal(r: Responses) -> np.ndarray:
 def _ratio(slow: np.ndarray, fast: np.ndarray) -> np.ndarray:
     """Geometric mean over the steps of one time constant over another. [1]"""
     return np.exp(np.mean(np.log(_time_constant(slow) / _time_constant(fast)), axis=-1))
-
-
-def _sluggish(r: Responses) -> np.ndarray:
-    times = _time_constant(r.proximal_on[0])
-    return times[..., 0] / times[..., -1]
-
-
-def _vein_gap(r: Responses) -> np.ndarray:
-    return np.abs(_time_constant(r.proximal_off[2]) - _time_constant(r.proximal_on[2])).max(axis=-1)
 
 
 def _steeper_at_first(curve: np.ndarray) -> np.ndarray:
@@ -138,10 +124,13 @@ RULES = (
          lambda r: _blood(r.proximal[0])[..., _at(1.0)] - 1.0, low=0.1),
     Rule("10", "steady capillary diameters are not linear in pressure (off the chord by)",
          lambda r: _off_chord(r.proximal[0]), low=0.05),
-    Rule("10", "capillaries are sluggish at low pressure (time at 0.1 over time at 1 N/cm^2)", _sluggish, low=1.5),
+    Rule("10", "capillaries are sluggish at low pressure (time at 0.1 over time at 1 N/cm^2)",
+         lambda r: _time_constant(r.proximal_on[0][..., 0, :]) / _time_constant(r.proximal_on[0][..., -1, :]), low=1.5),
     Rule("10", "capillaries are much slower on release (release over loading time, 0.5 to 1)",
          lambda r: _ratio(r.proximal_off[0][..., _LARGE, :], r.proximal_on[0][..., _LARGE, :]), low=1.75),
-    Rule("10", "the vein is equally fast both ways (difference of times)", _vein_gap, "s", high=0.05),
+    Rule("10", "the vein is equally fast both ways (difference of times)",
+         lambda r: np.abs(_time_constant(r.proximal_off[2]) - _time_constant(r.proximal_on[2])).max(axis=-1), "s",
+         high=0.05),
     Rule("11", "the proximal reading falls with every step of both pressures",
          lambda r: _smallest_step(_proximal(r)), low=0.0),
     Rule("11", "the distal reading rises with every step", lambda r: _smallest_step(_distal(r)), low=0.0),

@@ -56,14 +56,9 @@ class Claim:
 def judge(set_of_parameters: Parameters) -> list[Claim]:
     """Every claim, measured on one set."""
     responses = simulate_responses(set_of_parameters)
-    claims = [
-        Claim(rule.figure, rule.text, rule.unit, float(rule.measure(responses)), rule.low, rule.high) for rule in RULES
-    ]
-    return [
-        *claims,
-        *_past_1_n("two zones", set_of_parameters, PAPER_ZONES),
-        *_past_1_n("eight zones", set_of_parameters, zones(8, decay_length=DECAY_LENGTH)),
-    ]
+    claims = [Claim(r.figure, r.text, r.unit, float(r.measure(responses)), r.low, r.high) for r in RULES]
+    claims += _past_1_n("two zones", set_of_parameters, PAPER_ZONES)
+    return claims + _past_1_n("eight zones", set_of_parameters, zones(8, decay_length=DECAY_LENGTH))
 
 
 def table(sets: Mapping[str, Parameters] | Iterable[str] = NAMES) -> dict[str, list[Claim]]:
@@ -95,11 +90,8 @@ def as_text(judged: Mapping[str, list[Claim]]) -> str:
 
     lines = [line("fig.", "claim", "rule", judged)]
     for row in rows:
-        cells = [
-            # A negative zero reads as 0.
-            f"{one['value'] or 0.0:.3g} {'met    ' if one['met'] else 'not met'}"
-            for one in row["sets"].values()
-        ]
+        # A negative zero reads as 0.
+        cells = [f"{s['value'] or 0.0:.3g} {'met    ' if s['met'] else 'not met'}" for s in row["sets"].values()]
         lines.append(line(row["figure"], row["claim"], row["rule"], cells))
     met = [sum(claim.met for claim in claims) for claims in judged.values()]
     return "\n".join([*lines, line("", f"claims met of {len(rows)}", "", met)])
@@ -122,11 +114,9 @@ def _past_1_n(label: str, p: Parameters, cut: Zones) -> list[Claim]:
     slope = (distal[-1] - distal[two]) / 2.0 / ((distal[one] - distal[0]) / 1.0)
     white = white_band(p, np.array([1.0, 4.0]), cut=cut)
     late = (proximal[-1] - proximal[knee]) / abs(proximal[knee])
-    return [
-        Claim("15-18", f"{label}: {text}", "1", float(value), low, high)
-        for text, value, low, high in (
-            ("distal slope past 1 N is small and positive (2 to 4 N over 0 to 1 N)", slope, 0.005, 0.3),
-            ("the white band widens from 1 to 4 N (growth, of the bed)", white[1] - white[0], 0.1, math.inf),
-            ("the proximal reading rises late (1.2 to 4 N, of its fall)", late, 0.01, math.inf),
-        )
-    ]
+    measured = (
+        ("distal slope past 1 N is small and positive (2 to 4 N over 0 to 1 N)", slope, 0.005, 0.3),
+        ("the white band widens from 1 to 4 N (growth, of the bed)", white[1] - white[0], 0.1, math.inf),
+        ("the proximal reading rises late (1.2 to 4 N, of its fall)", late, 0.01, math.inf),
+    )
+    return [Claim("15-18", f"{label}: {text}", "1", float(value), *limits) for text, value, *limits in measured]

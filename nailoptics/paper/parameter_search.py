@@ -114,9 +114,6 @@ def search(
         tried += columns.shape[1]
         return loss(simulate_responses_of_many(values_of(columns))) + _NEAR * np.mean((columns - centre) ** 2, axis=0)
 
-    def late(intermediate_result: object) -> bool:
-        return time.monotonic() > deadline
-
     result = differential_evolution(
         objective,
         ranges,
@@ -130,20 +127,17 @@ def search(
         polish=False,
         vectorized=True,
         updating="deferred",
-        callback=late,
+        callback=lambda intermediate_result: time.monotonic() > deadline,
     )
     values = {name: float(f"{10.0**x:.3g}") for name, x in zip(SEARCHED, result.x, strict=True)}
-    parameters = Parameters(**values)
     responses = simulate_responses_of_many(values_of(np.log10(np.array([[values[name]] for name in SEARCHED]))))
     met = int((misses(responses)[:, 0] == 0.0).sum())
-    found = Found(parameters, met, float(loss(responses)[0]), tried)
     _LOG.info("search with seed %d: %d of %d claims met after %d sets", seed, met, len(RULES), tried)
-    return found
+    return Found(Parameters(**values), met, float(loss(responses)[0]), tried)
 
 
 def values_of(logarithms: np.ndarray) -> dict[str, np.ndarray]:
     """Every parameter as a (B,) array from (len(SEARCHED), B) decimal logarithms of those searched."""
     size = logarithms.shape[1]
     values = {name: np.full(size, value) for name, value in Parameters().as_dict().items()}
-    values.update({name: 10.0**row for name, row in zip(SEARCHED, logarithms, strict=True)})
-    return values
+    return values | {name: 10.0**row for name, row in zip(SEARCHED, logarithms, strict=True)}

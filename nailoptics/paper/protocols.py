@@ -13,6 +13,7 @@ from ..hemodynamics.parameters import Parameters
 from ..hemodynamics.respond import respond
 from ..hemodynamics.steady import steady_state
 from ..hemodynamics.zones import PAPER_ZONES, Zones
+from ..variables import variable
 from .responses import N_PER_CM2, ON_S, STEPS_PA
 
 if TYPE_CHECKING:
@@ -38,14 +39,10 @@ def steps(parameters: Parameters, *, distal_part: float) -> "xarray.Dataset":
     import xarray
 
     time = np.arange(0.0, 2.0 * ON_S, 1e-3)
-    runs = []
-    for pressure in STEPS_PA:
-        touch = np.where(time < ON_S, pressure, 0.0)
-        runs.append(respond(parameters, time, proximal_pressure_pa=touch, distal_pressure_pa=distal_part * touch))
-    axis = xarray.DataArray(
-        STEPS_PA / N_PER_CM2, dims="pressure", attrs={"units": "N cm-2", "long_name": "touch pressure of the step"}
-    )
-    return xarray.concat(runs, dim="pressure", data_vars="all").assign_coords(pressure=axis)
+    touches = [np.where(time < ON_S, pressure, 0.0) for pressure in STEPS_PA]
+    runs = [respond(parameters, time, proximal_pressure_pa=t, distal_pressure_pa=distal_part * t) for t in touches]
+    axis = variable("pressure", "pressure", STEPS_PA / N_PER_CM2, "touch pressure of the step", units="N cm-2")
+    return xarray.concat(runs, dim="pressure", data_vars="all").assign_coords(axis)
 
 
 def static_readings(parameters: Parameters, pressure_pa: ArrayLike, *, zones: Zones = PAPER_ZONES) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -87,13 +88,8 @@ def fit_taylor(diameter_m: ArrayLike, volts: ArrayLike, stderr_v: ArrayLike | No
     """
     data = _Data.checked(diameter_m, volts, stderr_v)
     if data.distinct() == 1:
-        return TaylorFit(
-            **data.residuals(data.constant),
-            covariance=np.diag([data.mean_variance(), np.inf]),
-            note="the diameters do not vary: the slope is not known",
-            v0_v=data.mean(),
-            v1_v_per_m2=0.0,
-        )
+        note = "the diameters do not vary: the slope is not known"
+        return TaylorFit(**data.constant(2), note=note, v1_v_per_m2=0.0)
     centre = data.centre()
     design = np.stack([np.ones_like(data.x), -(data.x - centre)], axis=1)
     value, slope = data.solve(design)
@@ -127,14 +123,8 @@ def fit_beer_lambert(diameter_m: ArrayLike, volts: ArrayLike, stderr_v: ArrayLik
     still = data.distinct() == 1
     if still or np.ptp(data.volts) <= 1e-12 * np.abs(data.volts).max():
         what = "diameters do not vary" if still else "readings do not change with the diameter"
-        return BeerLambertFit(
-            **data.residuals(data.constant),
-            covariance=np.diag([data.mean_variance(), np.inf, np.inf]),
-            note=f"the {what}: neither V1 nor alpha is known",
-            v0_v=data.mean(),
-            v1_v=0.0,
-            alpha_per_m2=0.0,
-        )
+        note = f"the {what}: neither V1 nor alpha is known"
+        return BeerLambertFit(**data.constant(3), note=note, v1_v=0.0, alpha_per_m2=0.0)
     curve = _fitted_curve(data)
     covariance, note = _curve_covariance(data, curve), _out_of_range(data, curve)
     if note:
@@ -278,18 +268,15 @@ class _Data:
         """The number of diameters that differ by more than rounding."""
         return 1 + int(np.count_nonzero(np.diff(np.sort(self.x)) > 1e-12))
 
-    def constant(self, x: Array) -> Array:
-        return np.full_like(x, self.mean())
-
     def centre(self) -> float:
         return float(np.average(self.x, weights=self.root_weight**2))
 
-    def mean(self) -> float:
-        return float(np.average(self.volts, weights=self.root_weight**2))
-
-    def mean_variance(self) -> float:
-        design = np.ones((self.x.size, 1))
-        return float(self.covariance(design, self.volts - self.mean())[0, 0])
+    def constant(self, constants: int) -> dict[str, Any]:
+        """What a fit of so many constants says where only the mean of the readings is known."""
+        mean = float(np.average(self.volts, weights=self.root_weight**2))
+        covariance = np.diag(np.full(constants, np.inf))
+        covariance[0, 0] = self.covariance(np.ones((self.x.size, 1)), self.volts - mean)[0, 0]
+        return self.residuals(lambda x: np.full_like(x, mean)) | {"covariance": covariance, "v0_v": mean}
 
     def solve(self, design: Array) -> list[float]:
         weighted = design * self.root_weight[:, None]
@@ -299,25 +286,19 @@ class _Data:
     def covariance(self, design: Array, residual: Array) -> Array:
         """The covariance of linear constants: from the stated errors, else from the scatter about the fit."""
         count = design.shape[1]
+        free, unknown = self.x.size - count, np.full((count, count), np.inf)
         # Columns differ by orders of magnitude; at equal length their cross product keeps its digits.
         weighted = design * self.root_weight[:, None]
         length = np.linalg.norm(weighted, axis=0)
-        if not (length > 0).all():
-            return np.full((count, count), np.inf)
+        if not (length > 0).all() or (free == 0 and not self.absolute):
+            return unknown
         _, singular, axes = np.linalg.svd(weighted / length, full_matrices=False)
         if singular.size < count or singular[-1] < 1e-14 * singular[0]:
-            return np.full((count, count), np.inf)
+            return unknown
         covariance = (axes.T / singular**2) @ axes / np.outer(length, length)
-        if not self.absolute:
-            free = self.x.size - count
-            if free == 0:
-                return np.full((count, count), np.inf)
-            covariance = covariance * np.sum(residual**2) / free
-        return np.asarray(covariance)
+        return np.asarray(covariance if self.absolute else covariance * np.sum(residual**2) / free)
 
-    def residuals(self, model: Callable[[Array], Array]) -> dict[str, float]:
+    def residuals(self, model: Callable[[Array], Array]) -> dict[str, Any]:
         residual = self.volts - model(self.x)
-        return {
-            "residual_rms_v": float(np.sqrt(np.mean(residual**2))),
-            "residual_max_v": float(np.abs(residual).max()),
-        }
+        rms_v = float(np.sqrt(np.mean(residual**2)))
+        return {"residual_rms_v": rms_v, "residual_max_v": float(np.abs(residual).max())}

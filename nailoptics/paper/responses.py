@@ -72,11 +72,9 @@ def simulate_responses(parameters: Parameters) -> Responses:
     for name, distal_part in (("proximal", 0.0), ("both", 1.0)):
         state = steady_state(parameters, proximal_pressure_pa=CURVE_PA, distal_pressure_pa=distal_part * CURVE_PA)
         fields[name] = np.vstack([state.capillary_diameter_m, state.vein_diameter_m[None]])
-        widths = []
-        for pressure in STEPS_PA:
-            touch = np.where(knots <= ON_S, pressure, 0.0)
-            widths.append(np.delete(_widths(parameters, knots, touch, distal_part * touch), size, axis=1))
-        width = np.stack(widths, axis=1)
+        touches = [np.where(knots <= ON_S, pressure, 0.0) for pressure in STEPS_PA]
+        widths = [_widths(parameters, knots, touch, distal_part * touch) for touch in touches]
+        width = np.delete(np.stack(widths, axis=1), size, axis=2)
         fields[f"{name}_on"], fields[f"{name}_off"] = width[..., :size], width[..., size - 1 :]
     fine = np.union1d(np.arange(0.0, 2.0 * ON_S, 1e-3), time)
     touch = N_PER_CM2 * subject_force(fine, on_s=0.0, off_s=ON_S)
