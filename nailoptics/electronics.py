@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import fraction, not_negative
+from .checks import Array, fraction, not_negative
 from .errors import InputError
 from .scene.models import Electronics, Led, Photodiode
 
@@ -14,8 +14,6 @@ ELEMENTARY_CHARGE_C = 1.602176634e-19
 BOLTZMANN_J_PER_K = 1.380649e-23
 # Planck's constant times the speed of light over the elementary charge: a photon of 1240 nm carries 1 eV.
 PHOTON_NM_PER_V = 1239.841984
-
-Array = NDArray[np.float64]
 
 
 class NoiseBudget(NamedTuple):

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.model import Geometry
@@ -45,12 +44,6 @@ def export_mesh(geometry: Geometry, path: str | Path) -> Path:
     return path
 
 
-def region_triangles(geometry: Geometry, region: int) -> NDArray[np.int32]:
-    """The closed surface of a region, (k, 3) int, with normals out of it."""
-    out, inward = geometry.below == region, geometry.above == region
-    return np.concatenate([geometry.triangles[out], geometry.triangles[inward][:, ::-1]])
-
-
 def _glb(geometry: Geometry) -> bytes:
     import trimesh
 
@@ -58,7 +51,9 @@ def _glb(geometry: Geometry) -> bytes:
     dies = {face.region: COLOURS["led"] for face in geometry.leds}
     dies |= {face.region: COLOURS["photodiode"] for face in geometry.photodiodes}
     for index, name in enumerate(geometry.regions):
-        triangles = region_triangles(geometry, index)
+        # The closed surface of the region: faces below which it lies have their normals out of it already.
+        out, inward = geometry.triangles[geometry.below == index], geometry.triangles[geometry.above == index]
+        triangles = np.concatenate([out, inward[:, ::-1]])
         if name == "air" or not len(triangles):
             continue
         used, flat = np.unique(triangles, return_inverse=True)
@@ -66,12 +61,8 @@ def _glb(geometry: Geometry) -> bytes:
         material = trimesh.visual.material.PBRMaterial(
             name=name, baseColorFactor=colour, metallicFactor=0.0, roughnessFactor=0.7
         )
-        mesh = trimesh.Trimesh(
-            geometry.vertices[used],
-            flat.reshape(-1, 3),
-            process=False,
-            visual=trimesh.visual.TextureVisuals(material=material),
-        )
+        visual = trimesh.visual.TextureVisuals(material=material)
+        mesh = trimesh.Trimesh(geometry.vertices[used], flat.reshape(-1, 3), process=False, visual=visual)
         scene.add_geometry(mesh, node_name=name, geom_name=name, transform=TO_GLTF)
     return bytes(scene.export(file_type="glb"))
 

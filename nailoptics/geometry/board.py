@@ -10,9 +10,7 @@ from ..errors import InputError
 from ..scene import Scene
 from ..scene.layout import Layout, Rectangle
 from .regions import AIR, BARRIER, COVER, EPOXY, KAPTON, REGIONS, SILICON
-from .surfaces import FingerSurfaces
-
-Array = NDArray[np.float64]
+from .surfaces import Array, FingerSurfaces
 
 RIM_MM = 0.15  # width of the opaque epoxy around the board
 EDGE_MM = 0.01  # the rim ends this far before the nail's edges

@@ -6,11 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .cast import cast
+from .cast import Array, cast
 from .model import Geometry
 from .regions import AIR
-
-Array = NDArray[np.float64]
 
 FINE = 0.4  # covering radius of the fine samples, in spacings
 COARSE = 1.5

@@ -1,14 +1,10 @@
 """Which region a point lies in, by arithmetic on the grid's tetrahedra."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .boxes import Boxes
-from .grid import Grid
+from .grid import Array, Grid, Indices
 from .regions import AIR
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int32]
 
 BINS = 64
 CHUNK = 100_000

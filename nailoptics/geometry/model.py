@@ -4,13 +4,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .grid import Grid
+from .grid import Array, Grid, Indices
 from .locate import Locator
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int32]
 
 
 @dataclass(frozen=True)

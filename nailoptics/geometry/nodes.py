@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 from .board import BentBoard
 from .lines import grid_lines
 from .regions import AIR, BED, BONE, CUT, EPIDERMIS, PLATE, PULP
-from .surfaces import BONE_ROUNDING_MM, FingerSurfaces, signed_angle, smooth_step
-
-Array = NDArray[np.float64]
+from .surfaces import BONE_ROUNDING_MM, Array, FingerSurfaces, signed_angle, smooth_step
 
 SAGITTA_MM = 0.0019  # how far the nail's facets may lie inside its cylinder
 NAIL_STEP_MM = 0.5

@@ -152,10 +152,7 @@ class FingerSurfaces:
         return FOLD_MM * smooth_step((-self.nail_end - y) / FOLD_LENGTH_MM)
 
     def bone(self, phi: Array, y: Array) -> Array:
-        """Distance from the central line to the bone, same shape as phi; 0 beyond its end.
-
-        phi, y : (n, m) float.
-        """
+        """Distance from the central line to the bone at phi, y (n, m), same shape; 0 beyond its end."""
         finger = self.finger
         base = smooth_step((self.bone_end - y - 0.55 * PHALANX_MM) / (0.4 * PHALANX_MM))
         rounded = taper((y - self.bone_end) / BONE_ROUNDING_MM + 1, exponent=2.0)

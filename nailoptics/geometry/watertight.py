@@ -3,13 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .cast import Crossings, cast
+from .cast import Array, Crossings, cast
 from .model import Geometry
 from .regions import AIR
-
-Array = NDArray[np.float64]
 
 ALLOWED_PER_CROSSING = 1e-6
 ALLOWED_VOLUME = 1e-6

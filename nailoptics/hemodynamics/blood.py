@@ -13,10 +13,7 @@ from .steady import steady_state
 
 
 def blood_fraction(
-    parameters: Parameters,
-    capillary_diameter_m: ArrayLike,
-    *,
-    rest_blood_fraction: float = USUAL_BLOOD_FRACTION,
+    parameters: Parameters, capillary_diameter_m: ArrayLike, *, rest_blood_fraction: float = USUAL_BLOOD_FRACTION
 ) -> np.ndarray:
     """The part of the nail bed that is blood, from the diameter of its capillaries: it goes with their square. [1]
 

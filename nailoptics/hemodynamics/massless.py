@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import NotReachedError
 from . import rodas
 from .drive import Drive
+from .rodas import Vector
 from .walls import Walls, massless_jacobian, massless_rates
 
 _LOG = logging.getLogger(__name__)
@@ -18,6 +19,9 @@ _MOST_STEPS = 2_000_000
 _FIRST_STEP_S = 1e-3
 # Of the listed diameter: closer than this a wall counts as touching.
 _SNAP = 1e-9
+
+# One wall over a step, as `rodas.interpolate` takes it.
+Curve = tuple[float, float, float, float]
 
 
 class _System:
@@ -50,9 +54,7 @@ class _System:
         pressures, _ = massless_rates(self.walls, self._open(width), load, self.free, inputs[0], inputs[1])
         return [a * p - f for a, p, f in zip(self.walls.area, pressures, load, strict=True)]
 
-    def linearise(
-        self, time: float, width: list[float]
-    ) -> tuple[list[float], list[float], tuple[list[float], list[float], list[float]]]:
+    def linearise(self, time: float, width: Vector) -> tuple[Vector, Vector, tuple[Vector, Vector, Vector]]:
         """Speeds, their derivatives by time, and by the widths as diag(d) + outer(p, q)."""
         inputs = self.drive.at(time)
         load = self._load(inputs, width)
@@ -130,8 +132,8 @@ def _sample(steps: np.ndarray, time_s: np.ndarray, closed: tuple[float, ...]) ->
 
 
 def _step(
-    system: _System, time: float, width: list[float], step_s: float, *, stop: float, rtol: float
-) -> tuple[float, list[float], list[float], list[float], float]:
+    system: _System, time: float, width: Vector, step_s: float, *, stop: float, rtol: float
+) -> tuple[float, Vector, Vector, Vector, float]:
     """Shorten a step until its error is allowed and no wall meets or leaves another before its end.
 
     Returns: the step, the walls after it, the two vectors of `rodas.interpolate`, and the step to try next.
@@ -154,26 +156,24 @@ def _step(
         if size > 1.0:
             step_s *= min(scale, 0.9)
             continue
-        part = _first_contact(system, width, after, first, second)
+        curves = list(zip(width, after, first, second, strict=True))
+        part = _first_contact(system, curves)
         if part == 1.0:
-            part = _first_release(system, time, step_s, width, after, first, second)
+            part = _first_release(system, time, step_s, curves)
         if part == 1.0:
             next_step_s = max(wanted_s, step_s * scale) if at_stop and scale >= 1.0 else step_s * scale
             return step_s, after, first, second, next_step_s
         step_s *= part
 
 
-def _first_contact(
-    system: _System, width: list[float], after: list[float], first: list[float], second: list[float]
-) -> float:
+def _first_contact(system: _System, curves: list[Curve]) -> float:
     """The part of the step at which a free wall first reaches contact, 1 if none does."""
-    curves, walls = zip(width, after, first, second, strict=True), system.walls
-    each = zip(curves, walls.closed, walls.diameter, system.free, strict=True)
+    each = zip(curves, system.walls.closed, system.walls.diameter, system.free, strict=True)
     return min([_contact_of_one(curve, shut, _SNAP * listed) if free else 1.0 for curve, shut, listed, free in each])
 
 
-def _contact_of_one(curve: tuple[float, float, float, float], closed: float, slack: float) -> float:
-    """The part of the step at which one wall reaches contact, 1 if it does not; the curve is `interpolate`'s."""
+def _contact_of_one(curve: Curve, closed: float, slack: float) -> float:
+    """The part of the step at which one wall reaches contact, 1 if it does not."""
     begin, end = curve[:2]
     high = 1.0
     if end >= closed - slack:
@@ -192,23 +192,14 @@ def _contact_of_one(curve: tuple[float, float, float, float], closed: float, sla
     return high
 
 
-def _first_release(
-    system: _System,
-    time: float,
-    step_s: float,
-    width: list[float],
-    after: list[float],
-    first: list[float],
-    second: list[float],
-) -> float:
+def _first_release(system: _System, time: float, step_s: float, curves: list[Curve]) -> float:
     """The part of the step at which the blood first lifts a held wall, 1 if it lifts none."""
     held = [i for i, free in enumerate(system.free) if not free]
     if not held:
         return 1.0
 
     def lifted(part: float) -> bool:
-        here = [rodas.interpolate(a, b, k1, k2, part) for a, b, k1, k2 in zip(width, after, first, second, strict=True)]
-        force = system.lift(time + part * step_s, here)
+        force = system.lift(time + part * step_s, [rodas.interpolate(*curve, part) for curve in curves])
         return any(force[i] > 0.0 for i in held)
 
     if not lifted(1.0):

@@ -44,7 +44,5 @@ def cardiac_pressure(
 
 def _beat(phase: np.ndarray) -> np.ndarray:
     """The pulse before it is scaled, from the phase in beats."""
-    return sum(
-        (height * np.exp(sharp * (np.cos(2.0 * np.pi * (phase - at)) - 1.0)) for height, at, sharp in _WAVES),
-        start=np.zeros_like(phase),
-    )
+    waves = [height * np.exp(sharp * (np.cos(2.0 * np.pi * (phase - at)) - 1.0)) for height, at, sharp in _WAVES]
+    return sum(waves, start=np.zeros_like(phase))

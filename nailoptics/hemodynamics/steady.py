@@ -58,11 +58,8 @@ def steady_state(
     arterial_pressure_pa = p.arterial_pressure_pa if arterial_pressure_pa is None else arterial_pressure_pa
     venous_pressure_pa = p.venous_pressure_pa if venous_pressure_pa is None else venous_pressure_pa
     touch = touch_inputs(zones, proximal_pressure_pa, distal_pressure_pa, pressure_pa)
-    high, low, *touch = np.broadcast_arrays(
-        finite("arterial_pressure_pa", arterial_pressure_pa),
-        finite("venous_pressure_pa", venous_pressure_pa),
-        *touch,
-    )
+    given = (finite("arterial_pressure_pa", arterial_pressure_pa), finite("venous_pressure_pa", venous_pressure_pa))
+    high, low, *touch = np.broadcast_arrays(*given, *touch)
     shape = high.shape
     walls = build_walls(p, zones)
     outside = wall_pressures(zones, np.array([t.ravel() for t in touch]))
@@ -155,6 +152,9 @@ def _openings(
         u4 = u**4
         return tension * (u - 1.0) - push - head * u4 / (u4 + barrier)
 
+    def balance_slope(u: np.ndarray) -> np.ndarray:
+        return tension - 4.0 * head * barrier * u**3 / (u**4 + barrier) ** 2
+
     lowest = np.full(push.shape, CLOSED_FRACTION)
     bottom = np.maximum(lowest, 1.0 + (push + np.minimum(head, 0.0)) / tension)
     top = np.maximum(lowest, 1.0 + (push + np.maximum(head, 0.0)) / tension)
@@ -165,17 +165,11 @@ def _openings(
     if (slope > tension).any():
         with np.errstate(over="ignore"):
             far = np.maximum(steepest, top) + 1.0
-            minimum = _bracketed_root(
-                lambda u: tension - 4.0 * head * barrier * u**3 / (u**4 + barrier) ** 2,
-                steepest,
-                far,
-                tolerance=tolerance * far,
-            )
+            minimum = _bracketed_root(balance_slope, steepest, far, tolerance=tolerance * far)
         folded = slope > tension
         wide = folded & (minimum < top) & (balance(minimum) <= 0.0)
         bottom = np.where(wide, np.maximum(bottom, minimum), bottom)
-        narrow = folded & ~wide
-        top = np.where(narrow, np.clip(steepest, bottom, top), top)
+        top = np.where(folded & ~wide, np.clip(steepest, bottom, top), top)
     return _bracketed_root(balance, bottom, top, tolerance=tolerance * top)
 
 

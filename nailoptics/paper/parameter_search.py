@@ -81,13 +81,7 @@ def loss(responses: Responses) -> np.ndarray:
     return total
 
 
-def search(
-    *,
-    seed: int,
-    max_seconds: float = 600.0,
-    population: int = 150,
-    factor: float = 10.0,
-) -> Found:
+def search(*, seed: int, max_seconds: float = 600.0, population: int = 150, factor: float = 10.0) -> Found:
     """The best set that differential evolution finds in a time, each value within a factor of the listed one.
 
     seed : Of the random numbers. max_seconds : Wall time. population : Sets in each generation.

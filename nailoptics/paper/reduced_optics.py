@@ -5,12 +5,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..checks import finite, not_negative
+from ..checks import Array, finite, not_negative
 from ..errors import InputError
-
-Array = NDArray[np.float64]
 
 # alpha D_ref^2 between these: below, (8) is a straight line in D^2 to 1e-5 of its slope; above, light is all gone.
 _CURVATURE_RANGE = (1e-4, 50.0)
