@@ -82,9 +82,8 @@ def _face(grid: Grid, name: str, region: int) -> Face:
     # A column is straight along the nail, so its cells are one rectangle. Corners run along the nail first, then
     # across, because the nail side sees the board from below.
     first, last = row[0], row[-1] + 1
-    quads = np.stack(
-        [nodes[column, first], nodes[column, last], nodes[column + 1, last], nodes[column + 1, first]], axis=1
-    )
+    corners = ((column, first), (column, last), (column + 1, last), (column + 1, first))
+    quads = np.stack([nodes[corner] for corner in corners], axis=1)
     cross = np.cross(quads[:, 1] - quads[:, 0], quads[:, 3] - quads[:, 0])
     area = np.linalg.norm(cross, axis=1)
     return Face(name, region, quads, cross / area[:, None], float(area.sum()))

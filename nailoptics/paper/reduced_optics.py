@@ -174,16 +174,12 @@ def _fitted_curve(data: "_Data") -> _Curve:
 def _curve_covariance(data: "_Data", curve: _Curve) -> Array:
     """Covariance of V0, V1 and alpha, (3, 3) float, from that of value, slope and curvature at the centre."""
     centre, slope, curvature, growth = curve.centre, curve.slope, curve.curvature, curve.growth
-    jacobian = np.array(
-        [
-            [1.0, -1.0 / curvature, slope / curvature**2],
-            [0.0, growth / curvature, slope * growth * (centre * curvature - 1) / curvature**2],
-            [0.0, 0.0, 1.0 / data.scale_m2],
-        ]
-    )
+    v0 = [1.0, -1.0 / curvature, slope / curvature**2]
+    v1 = [0.0, growth / curvature, slope * growth * (centre * curvature - 1) / curvature**2]
+    alpha = [0.0, 0.0, 1.0 / data.scale_m2]
     shift = data.x - centre
     full = np.column_stack([_line_design(curvature, shift), -slope * _bend_slope(curvature, shift)])
-    return _carried(data.covariance(full, data.volts - curve.at(data.x)), jacobian)
+    return _carried(data.covariance(full, data.volts - curve.at(data.x)), np.array([v0, v1, alpha]))
 
 
 def _out_of_range(data: "_Data", curve: _Curve) -> str:
