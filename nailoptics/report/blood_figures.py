@@ -15,11 +15,12 @@ from . import style
 
 if TYPE_CHECKING:
     import xarray
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _WIDTH_IN = 9.5
 _PROXIMAL, _DISTAL = style.ZONES
+# The line at 1 N or 1 N/cm^2, where the paper's veins are shut.
+_VEINS_SHUT: Any = {"color": style.MUTED, "lw": 0.9, "ls": (0, (4, 3))}
 _READING = "change, eq. (9) [rest blood]"
 
 
@@ -106,7 +107,7 @@ def _figure_12(parameters: Parameters) -> "Figure":
     figure, axes = style.panels(_WIDTH_IN, 3.5, 1, 2)
     panels = (("$V_{P1}$, proximal", proximal, _PROXIMAL), ("$V_{P2}$, distal", distal, _DISTAL))
     for axis, (title, curve, colour) in zip(axes, panels, strict=True):
-        _mark_1(axis)
+        axis.axvline(1.0, **_VEINS_SHUT)
         axis.plot(touch / N_PER_CM2, curve, color=colour, lw=1.8)
         axis.set(title=title, xlabel="pressure, proximal = distal [N/cm²]", ylabel=_READING, xlim=(0.0, 1.6))
     return figure
@@ -120,7 +121,7 @@ def _figures_15_to_18(parameters: Parameters, time_s: np.ndarray, force_n: np.nd
         proximal, distal = protocols.static_readings(parameters, force * N_PER_CM2, zones=cut)
         steady.plot(force, proximal, color=_PROXIMAL, ls=line, label=f"proximal, {label}")
         steady.plot(force, distal, color=_DISTAL, ls=line, label=f"distal, {label}")
-    _mark_1(steady)
+    steady.axvline(1.0, **_VEINS_SHUT)
     steady.set(title="Steady, against force", xlabel="force on 1 cm² [N]", ylabel=_READING, xlim=(0.0, 4.0))
     proximal, distal = protocols.press(parameters, time_s, force_n)
     moving.plot(time_s, proximal, color=_PROXIMAL, label="proximal")
@@ -135,8 +136,3 @@ def _figures_15_to_18(parameters: Parameters, time_s: np.ndarray, force_n: np.nd
     for axis, columns in ((steady, 2), (moving, 3)):
         axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=columns)
     return figure
-
-
-def _mark_1(axis: "Axes") -> None:
-    """A line at 1 N or 1 N/cm^2, where the paper's veins are shut."""
-    axis.axvline(1.0, color=style.MUTED, lw=0.9, ls=(0, (4, 3)))

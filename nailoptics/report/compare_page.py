@@ -1,5 +1,6 @@
 """The page of a comparison: whether (8) and (9) hold on the user's scene, how far, and why not further."""
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +14,31 @@ from .html import document, escaped, figure, section, small, table
 from .numbers import significant, with_error
 from .readings import led_name
 
+HOLDS = (
+    "Each model is fitted anew to every range from the start; its largest distance from the trace is given as a part "
+    "of the reading's swing over that range. Warm colours are proximal, cool ones distal; bands are 95 % intervals of "
+    "the light tracing."
+)
+SPLIT = (
+    "The error of (9), split where it is largest. Hollow marks cannot be told from nothing. The first three add up to "
+    "the error against the trace; that blood scatters too is in neither, and comes on top. What changes the mean path "
+    "with the blood is the spread of paths: one path for all light."
+)
+READINGS = "Traced readings and models, as change from the start of the sweep."
+ALPHA = (
+    "αD² is the mean path in the bed times the absorption of its blood: the exponent of (8). Open arrows: (9) stays "
+    "within the tolerance over the whole sweep."
+)
+
 
 def write_comparison(result: xr.Dataset, path: Path) -> None:
     """Write the page, whole or not at all; raises WriteError."""
+    met, total = _counts(result, "taylor", 0.05)
+    sweep = str(result.sweep.values[0])
+    over = "range of saturation" if sweep == "saturation" else f"{sweep} range"
     text = document(
         kicker="reduced optics against traced light",
-        title=_title(result),
+        title=f"Taylor (9) holds to 5 % for {met} of {total} readings over the whole {over}",
         lead=str(verdict(result, 0.05)),
         cards=_cards(result),
         body=[_led_section(result, led) for led in range(result.sizes["led"])],
@@ -29,41 +49,14 @@ def write_comparison(result: xr.Dataset, path: Path) -> None:
 
 def _led_section(result: xr.Dataset, led: int) -> str:
     """How far the models hold under one LED, and why not further."""
-    lines = [
-        figure(
-            compare_figures.range_errors(result, led=led),
-            f"holds{led}",
-            "Each model is fitted anew to every range from the start; its largest distance from the trace is "
-            "given as a part of the reading's swing over that range. Warm colours are proximal, cool ones distal; "
-            "bands are 95 % intervals of the light tracing.",
-        ),
-        _limits(result, led),
-    ]
+    lines = [figure(compare_figures.range_errors(result, led=led), f"holds{led}", HOLDS), _limits(result, led)]
     for sweep in (str(s) for s in result.sweep.values):
         lines += [
             f"<h3>What (9) leaves out, over {escaped(sweep)}</h3>",
-            figure(
-                compare_figures.error_parts(result, led=led, sweep=sweep),
-                f"split{led}{sweep}",
-                "The error of (9), split where it is largest. Hollow marks cannot be told from nothing. The first "
-                "three add up to the error against the trace; that blood scatters too is in neither, and comes on "
-                "top. What changes the mean path with the blood is the spread of paths: one path for all light.",
-            ),
-            figure(
-                compare_figures.changes(result, led=led, sweep=sweep),
-                f"readings{led}{sweep}",
-                "Traced readings and models, as change from the start of the sweep.",
-            ),
+            figure(compare_figures.error_parts(result, led=led, sweep=sweep), f"split{led}{sweep}", SPLIT),
+            figure(compare_figures.changes(result, led=led, sweep=sweep), f"readings{led}{sweep}", READINGS),
         ]
-    lines += [
-        "<h3>How large αD² is</h3>",
-        figure(
-            compare_figures.alpha_d2(result, led=led),
-            f"alpha{led}",
-            "αD² is the mean path in the bed times the absorption of its blood: the exponent of (8). Open arrows: "
-            "(9) stays within the tolerance over the whole sweep.",
-        ),
-    ]
+    lines += ["<h3>How large αD² is</h3>", figure(compare_figures.alpha_d2(result, led=led), f"alpha{led}", ALPHA)]
     return section(f"How far the models hold: {escaped(led_name(result, led))}", *lines)
 
 
@@ -71,12 +64,6 @@ def _counts(result: xr.Dataset, model: str, within: float) -> tuple[int, int]:
     """Readings that a fitted model meets for sure over the whole first sweep, and all readings."""
     one = result.isel(sweep=0, point=-1).sel(way="fitted", model=model)
     return int(np.sum((one.range_error + Z95 * one.range_error_stderr).values <= 100 * within)), one.range_error.size
-
-
-def _title(result: xr.Dataset) -> str:
-    met, total = _counts(result, "taylor", 0.05)
-    sweep = {"force": "force range", "blood": "blood range", "saturation": "range of saturation"}
-    return f"Taylor (9) holds to 5 % for {met} of {total} readings over the whole {sweep[str(result.sweep.values[0])]}"
 
 
 def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
@@ -102,10 +89,10 @@ def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
 def _limits(result: xr.Dataset, led: int) -> str:
     """Up to what force, blood and alpha D^2 each fitted model stays within 1 % and 5 %."""
     head, rows = ["Photodiode", "Swing<br>[% of reading]", "Mean path in<br>own zone [mm]"], []
-    for sweep in result.sweep.values:
-        for model in ("(9)", "(8)"):
-            for within in result.within.values:
-                head.append(f"{model} to {100 * within:g} %<br>{escaped(sweep)} [{'N' if sweep == 'force' else '%'}]")
+    columns = list(product(map(str, result.sweep.values), compare_figures.FORMULAS, result.within.values))
+    for sweep, model, within in columns:
+        number, _ = compare_figures.FORMULAS[model].split()
+        head.append(f"{number} to {100 * within:g} %<br>{escaped(sweep)} [{'N' if sweep == 'force' else '%'}]")
     head += ["αD² at which (9)<br>errs by 1 %", "at which (9)<br>errs by 5 %"]
     for j in compare_figures.order(result):
         one = result.isel(led=led, photodiode=j)
@@ -113,11 +100,9 @@ def _limits(result: xr.Dataset, led: int) -> str:
         swing, swing_stderr = (100 * float(value / first.reading[0]) for value in (first.swing, first.swing_stderr))
         path_mm = with_error(float(first.path_mm), float(first.path_mm_stderr))
         cells = [escaped(one.photodiode.values), with_error(swing, swing_stderr), path_mm]
-        for sweep in result.sweep.values:
-            by = compare_figures.scale(str(sweep))
-            for model in ("taylor", "beer_lambert"):
-                for within in result.within.values:
-                    cells.append(_interval(one.sel(sweep=sweep, way="fitted", model=model, within=within), "limit", by))
+        for sweep, model, within in columns:
+            at = one.sel(sweep=sweep, way="fitted", model=model, within=within)
+            cells.append(_interval(at, "limit", compare_figures.scale(sweep)))
         for within in result.within.values:
             at = one.isel(sweep=-1).sel(way="fitted", model="taylor", within=within)
             cells.append(_interval(at, "limit_bed_alpha_d2", 1.0))

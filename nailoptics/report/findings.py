@@ -15,11 +15,9 @@ def title(scene: Scene | None) -> str:
     """What was simulated, in a few words."""
     if scene is None or scene.finger is None:
         return "Fingernail sensor"
-    touch = scene.touch
-    kind = {"step": "step", "ramp": "ramp", "hold": "hold", "recorded": "recorded touch"}[touch.profile]
-    force = "" if touch.profile == "recorded" else f" of {touch.force_n:g} N"
-    article = "an" if scene.finger.digit == "index" else "a"
-    return f"A {kind}{force} on {article} {scene.finger.digit} finger".replace("thumb finger", "thumb")
+    touch, digit = scene.touch, scene.finger.digit
+    kind = "recorded touch" if touch.profile == "recorded" else f"{touch.profile} of {touch.force_n:g} N"
+    return f"A {kind} on {'an' if digit == 'index' else 'a'} {digit}{'' if digit == 'thumb' else ' finger'}"
 
 
 def sentence(scene: Scene | None, result: xr.Dataset) -> str:
@@ -27,9 +25,9 @@ def sentence(scene: Scene | None, result: xr.Dataset) -> str:
     leds, photodiodes = result.sizes["led"], result.sizes["photodiode"]
     waves = _list([f"{float(w):g}" for w in result.wavelength_nm]) + " nm"
     text = f"{leds} LED{'s' * (leds != 1)} ({waves}) and {photodiodes} photodiode{'s' * (photodiodes != 1)} on the nail"
-    duration = float(result.time[-1] - result.time[0])
-    force = result.force_n
-    text += f"; force up to {float(force.max()):.3g} N" + (f" within {duration:.3g} s" if duration else "")
+    text += f"; force up to {float(result.force_n.max()):.3g} N"
+    if duration := float(result.time[-1] - result.time[0]):
+        text += f" within {duration:.3g} s"
     if scene is not None and scene.finger is not None:
         blood = scene.blood
         text += f"; blood {100 * blood.rest_blood_fraction:g} % of the bed at rest, {100 * blood.so2:g} % saturated"
@@ -45,21 +43,19 @@ def findings(found: Sequence[Reading], result: xr.Dataset) -> list[tuple[str, st
     def name(r: Reading) -> str:
         return f"{r.photodiode} under {r.led}" if several else r.photodiode
 
-    falling = [r for r in found if r.change_v < 0]
-    rising = [r for r in found if r.change_v > 0]
-    for group, word in ((falling, "fall"), (rising, "rise")):
-        if group:
-            r = max(group, key=lambda r: abs(r.change_v))
-            percent = f"{significant(r.change_percent, 3, sign=True)} %"
-            ratio = f"{significant(r.signal_to_noise, 3)} times the noise of one sample"
-            words = f"largest {word}: {name(r)}, {percent}, {ratio}"
+    for sign, word in ((-1, "fall"), (1, "rise")):
+        moved = [r for r in found if sign * r.change_v > 0]
+        if moved:
+            r = max(moved, key=lambda r: abs(r.change_v))
+            ratio = f"{significant(r.signal_to_noise)} times the noise of one sample"
+            words = f"largest {word}: {name(r)}, {significant(r.change_percent, sign=True)} %, {ratio}"
             lines.append((quantity(r.change_v, "V", sign=True), words))
     resolved = [r for r in found if math.isfinite(r.resolution_n) and r.resolution_n > 0]
     if resolved:
         r = min(resolved, key=lambda r: r.resolution_n)
         words = f"force that one sample resolves at best (noise / slope): {name(r)}"
         lines.append((quantity(r.resolution_n, "N"), words))
-    if falling or rising:
+    if any(r.change_v for r in found):
         lines.append(_signs(found, paired="volts_change_stderr" in result))
     lines.append(_models(found, result))
     return lines
@@ -79,18 +75,14 @@ def warnings(found: Sequence[Reading], result: xr.Dataset) -> list[str]:
 def reached(result: xr.Dataset) -> list[tuple[str, str]]:
     """What was reached and what it took, as (name, value)."""
     attrs = result.attrs
-    rows = []
-    if "accuracy_reached" in attrs:
-        rows.append(("Accuracy reached", str(attrs["accuracy_reached"])))
+    rows = {"Accuracy reached": str(attrs.get("accuracy_reached", ""))}
     if "photons" in attrs:
-        rows.append(("Photons", f"{int(attrs['photons']):,}".replace(",", "\u202f")))
-    engine = [str(attrs[k]) for k in ("engine", "backend") if k in attrs]
-    if engine:
-        rows.append(("Engine", " on ".join(engine)))
+        rows["Photons"] = f"{int(attrs['photons']):,}".replace(",", "\u202f")
+    rows["Engine"] = " on ".join(str(attrs[key]) for key in ("engine", "backend") if key in attrs)
     for key, label in (("wall_seconds", "Time taken"), ("cpu_seconds", "Processor time")):
         if key in attrs:
-            rows.append((label, f"{float(attrs[key]):.3g} s"))
-    return rows
+            rows[label] = f"{float(attrs[key]):.3g} s"
+    return [(label, value) for label, value in rows.items() if value]
 
 
 def _signs(found: Sequence[Reading], *, paired: bool) -> tuple[str, str]:
@@ -113,13 +105,9 @@ def _signs(found: Sequence[Reading], *, paired: bool) -> tuple[str, str]:
 
 def _models(found: Sequence[Reading], result: xr.Dataset) -> tuple[str, str]:
     """How far (8) and (9) are from the traced light at worst, beside the noise."""
-    worst = {}
-    for model in ("beer_lambert", "taylor"):
-        rms = result[f"{model}_residual_rms_v"]
-        worst[model] = float(rms.max())
+    worst = [float(result[f"{model}_residual_rms_v"].max()) for model in ("beer_lambert", "taylor")]
     noise = max((r.noise_rms_v for r in found), default=0.0)
-    one, other = (quantity(worst[m], "V", digits=2) for m in ("beer_lambert", "taylor"))
-    limit = quantity(noise, "V", digits=2)
+    one, other, limit = (quantity(value, "V", digits=2) for value in (*worst, noise))
     return one, f"rms that Beer–Lambert (8) misses at worst; Taylor (9): {other}; noise of one sample: {limit}"
 
 

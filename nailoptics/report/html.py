@@ -42,14 +42,13 @@ def document(
     facts : names and values in one line below them.
     """
     css = resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
+    items = [f"<li><b>{escaped(number)}</b><span>{escaped(words)}</span></li>" for number, words in cards]
     parts = [
         f"<header><p class='kicker'>nailoptics · {escaped(kicker)}</p><h1>{escaped(title)}</h1>",
         f"<p class='lead'>{escaped(lead)}</p>",
         *(f"<p class='warning'>{escaped(line)}</p>" for line in warnings),
-        "<ul class='findings'>" if cards else "",
-        *(f"<li><b>{escaped(number)}</b><span>{escaped(words)}</span></li>" for number, words in cards),
-        "</ul>" if cards else "",
-        _definitions(facts, kind="reached"),
+        *(["<ul class='findings'>", *items, "</ul>"] if items else []),
+        _definitions(facts, opening="<dl class='reached'>"),
         "</header>",
         *body,
         _provenance(attributes),
@@ -106,9 +105,8 @@ def escaped(text: object) -> str:
     return html.escape(str(text))
 
 
-def _definitions(rows: Iterable[tuple[str, str]], *, kind: str = "") -> str:
+def _definitions(rows: Iterable[tuple[str, str]], *, opening: str = "<dl>") -> str:
     inside = "".join(f"<div><dt>{escaped(name)}</dt><dd>{escaped(value)}</dd></div>" for name, value in rows)
-    opening = f"<dl class='{kind}'>" if kind else "<dl>"
     return f"{opening}{inside}</dl>" if inside else ""
 
 

@@ -136,26 +136,24 @@ def _label_parts(axes: "Axes", scene: Scene, half_v: float) -> None:
 
 @dataclass(frozen=True)
 class _Cut:
-    """The finger cut lengthwise: middles of the pixels, the region of each (y, z), and the regions' names."""
+    """The finger cut lengthwise: middles of the pixels, the region of each (y, z), and the regions' names if known."""
 
     y: np.ndarray
     z: np.ndarray
-    region: np.ndarray | None
+    region: np.ndarray
     names: list[str]
 
     @classmethod
     def of(cls, result: xr.Dataset) -> "_Cut":
         y, z = result.section_y.to_numpy(), result.section_z.to_numpy()
         if "section_region" not in result:
-            return cls(y, z, None, [])
+            return cls(y, z, np.full((len(y), len(z)), -1), [])
         region = result.section_region.transpose("section_y", "section_z").to_numpy()
         return cls(y, z, region, [str(name) for name in json.loads(result.section_region.attrs["regions"])])
 
     def where(self, name: str) -> np.ndarray:
         """Which pixels a region fills."""
-        if self.region is None or name not in self.names:
-            return np.zeros((len(self.y), len(self.z)), bool)
-        return self.region == self.names.index(name)
+        return self.region == self.names.index(name) if name in self.names else np.zeros(self.region.shape, bool)
 
 
 @style.drawing()
@@ -227,7 +225,7 @@ def _regions(axes: "Axes", cut: _Cut) -> None:
 
     axes.set(aspect="equal", xlabel=ALONG, ylabel="height [mm]")
     axes.grid(False)
-    if cut.region is not None:
+    if cut.names:
         colours = [LED if name.startswith("led:") else TISSUE.get(name, SILICON) for name in cut.names]
         image = np.array([to_rgba(colour) for colour in colours])[cut.region].transpose(1, 0, 2)
         axes.imshow(image, extent=extent(cut.y, cut.z), origin="lower", zorder=1)
@@ -277,7 +275,7 @@ def _key(axes: "Axes", cut: _Cut) -> None:
     """A key of the regions' colours."""
     from matplotlib.patches import Patch
 
-    if cut.region is None:
+    if not cut.names:
         return
     names = [cut.names[i] for i in np.unique(cut.region)]
     label = {"epoxy": "clear epoxy", "cut": "cut end", "cover": "opaque cover"}

@@ -73,7 +73,7 @@ def map_figure(scene: Scene, result: xr.Dataset) -> "Figure":
         _plane(axes, result, u, values, colours, span, even=values is noise)
         axes.set_title(title)
         _parts(axes, scene)
-        axes.axis(_board_edges(result))
+        axes.axis(maps.extent(result.u.to_numpy(), result.v.to_numpy()))
     return figure
 
 
@@ -125,7 +125,8 @@ def sensitivity_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     with np.errstate(invalid="ignore", divide="ignore"):
         fall = [np.where(light > 0, one / light, np.nan) for one in each]
     top = float(np.nanquantile(np.stack(fall), 0.99))
-    levels, edges = np.linspace(0, top, 7)[1:-1], _board_edges(result)
+    levels = np.linspace(0, top, 7)[1:-1]
+    edges = maps.extent(result.u.to_numpy(), result.v.to_numpy())
     figure, panels = style.panels(9.2, 4.7, 1, 2)
     for axes, values, title in zip(panels, fall, ("Proximal", "Distal"), strict=True):
         shown = np.clip(values, 0, top).T
@@ -151,7 +152,7 @@ def sites_figure(result: xr.Dataset) -> "Figure":
         at, (mark, du, dv) = result.led_site_side.values == side, marks.get(str(side), ("o", 0, 0))
         image = axes.scatter(place[at, 0] + du, place[at, 1] + dv, c=found[at], norm=norm, marker=mark, **look)
     figure.colorbar(image, ax=axes, label="force resolution [mN]")
-    axes.axis(_board_edges(result))
+    axes.axis(maps.extent(result.u.to_numpy(), result.v.to_numpy()))
     axes.set(aspect="equal", xlabel=maps.ACROSS, ylabel=maps.ALONG)
     return figure
 
@@ -251,7 +252,3 @@ def _smooth(values: np.ndarray) -> np.ndarray:
     weight = gaussian_filter(known.astype(float), SMOOTH_CELLS)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(weight > 0.05, gaussian_filter(np.where(known, values, 0.0), SMOOTH_CELLS) / weight, np.nan)
-
-
-def _board_edges(result: xr.Dataset) -> tuple[float, float, float, float]:
-    return maps.extent(result.u.to_numpy(), result.v.to_numpy())

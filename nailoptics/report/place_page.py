@@ -41,12 +41,7 @@ CAPTIONS = {
 
 
 def write_placement(result: xr.Dataset, path: Path) -> None:
-    """Write the page of what `place` returns, whole or not at all."""
-    write_text(Path(path), page(result))
-
-
-def page(result: xr.Dataset) -> str:
-    """The page as text."""
+    """Write the page of what `place` returns, whole or not at all; raises WriteError."""
     best, ranking = chosen(result), rows(result)
     maps = _figure("maps", figures.map_figure(best, result))
     maps += _figure("sensitivity", figures.sensitivity_figure(best, result))
@@ -54,21 +49,25 @@ def page(result: xr.Dataset) -> str:
         maps += _figure("led", figures.led_figure(best, result)) + _reciprocity(result)
     if result.sizes["led_site"]:
         maps += _figure("tried", figures.sites_figure(result))
-    board, bananas = figures.board_figure(best, result), figures.banana_figure(best, result)
-    looks = "<h3>Where each photodiode looks</h3>" + _figure("bananas", bananas)
-    ambient = "<h3>Light from outside</h3>" + _ambient(result)
-    return document(
+    layout = [
+        _figure("board", figures.board_figure(best, result)),
+        _photodiodes(result),
+        "<h3>Where each photodiode looks</h3>" + _figure("bananas", figures.banana_figure(best, result)),
+        "<h3>Light from outside</h3>" + _ambient(result),
+    ]
+    text = document(
         kicker="where to put them",
         title=f"{result.sizes['best_photodiode']} photodiodes on the nail",
         lead=_lead(result, ranking),
         cards=_cards(result, ranking[0]),
         body=[
             section("The ranking", _figure("ranking", figures.ranking_figure(result)), _table(ranking), _check(result)),
-            section("The best layout", _figure("board", board), _photodiodes(result), looks, ambient),
+            section("The best layout", *layout),
             section("Where on this board the light tells", maps),
         ],
         attributes=result.attrs,
     )
+    write_text(Path(path), text)
 
 
 def _figure(name: str, drawing: "Figure") -> str:

@@ -68,11 +68,12 @@ def change_v(result: xr.Dataset) -> tuple[np.ndarray, np.ndarray, bool]:
     All times are read from one trace and share its noise, so the error of a change is far less than that of a reading;
     `volts_change_stderr` holds it. Without that variable the two errors are added as if independent: an upper bound.
     """
-    volts = result.volts.transpose("led", "photodiode", "time").to_numpy()
+    bounded = "volts_change_stderr" not in result
+    names = ("volts", "volts_stderr" if bounded else "volts_change_stderr")
+    volts, stderr = (result[name].transpose("led", "photodiode", "time").to_numpy() for name in names)
     change = volts - volts[..., :1]
-    if "volts_change_stderr" in result:
-        return change, result.volts_change_stderr.transpose("led", "photodiode", "time").to_numpy(), False
-    stderr = result.volts_stderr.transpose("led", "photodiode", "time").to_numpy()
+    if not bounded:
+        return change, stderr, False
     bound = np.sqrt(stderr**2 + stderr[..., :1] ** 2)
     bound[..., 0] = 0.0
     return change, bound, True

@@ -129,13 +129,34 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
     height_in = 0.45 + 2.15 * rows
     figure, grid = style.panels(9.2, height_in, 2 * rows, columns, sharex=True, squeeze=False, height_ratios=ratios)
     missed_v = [np.abs(result[f"volts_{name}"] - result.volts)[led, order].max() for name in MODELS]
-    scale, letter = prefix(max(*map(float, missed_v), float(result.volts_noise_rms[led].max())))
+    missed_scale, missed_letter = prefix(max(*map(float, missed_v), float(result.volts_noise_rms[led].max())))
+    _, stderr, bound = change_v(result)
+    seen, rest = _thin(result).isel(led=led), result.isel(led=led, time=0)
+    error_name = "error of the trace" + (", at most" if bound else "")
     for k, (j, colour) in enumerate(zip(order, style.place_colours(len(order)), strict=True)):
         column, row = divmod(k, rows)
         main, below = grid[2 * row : 2 * row + 2, column]
-        _reading(main, result, led, j, colour)
-        _residual(below, result, led, j, scale)
-        below.set_ylabel(f"missed\n[{letter}V]", fontsize=8)
+        one = seen.isel(photodiode=j)
+        scale, letter = prefix(float(np.abs(one.volts).max()))
+        middle, noise_v = one.volts.to_numpy() / scale, one.volts_noise_rms.to_numpy()
+        below.axhline(0, color=style.MUTED, lw=0.7)
+        if one.sizes["time"] > 1:
+            error_v = stderr[led, j, seen.attrs["samples"]]
+            for band_v, alpha, label in ((noise_v, 0.2, "noise (rms)"), (error_v, 0.45, error_name)):
+                low, high = middle - band_v / scale, middle + band_v / scale
+                main.fill_between(one.time, low, high, color=colour, alpha=alpha, lw=0, label=label)
+            noise = noise_v / missed_scale
+            below.fill_between(one.time, -noise, noise, color=style.MUTED, alpha=0.16, lw=0)
+        _line(main, one, middle, color=colour, label="traced light")
+        for name, (label, look) in MODELS.items():
+            _line(main, one, one[f"volts_{name}"] / scale, label=label, **look)
+            _line(below, one, (one[f"volts_{name}"] - one.volts) / missed_scale, **look)
+        main.set_ylabel(f"volts [{letter}V]", fontsize=8)
+        below.set_ylabel(f"missed\n[{missed_letter}V]", fontsize=8)
+        level = with_error(float(rest.volts[j]) / scale, float(rest.volts_stderr[j]) / scale)
+        main.set_title(style.plain(one.photodiode.values), color=style.INK)
+        style.remark(main, f"at rest {level} {letter}V")
+        _not_too_close(main)
     residuals = grid[1::2].ravel()
     limit = 1.15 * max(abs(y) for axes in residuals for y in axes.dataLim.intervaly if np.isfinite(y)) or 1.0
     for axes in residuals:
@@ -146,42 +167,6 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
         _time_axis(axes, result)
     style.legend_above(figure, grid[0, 0], ncols=5, handlelength=2.2, columnspacing=1.4)
     return figure
-
-
-def _reading(axes: "Axes", result: xr.Dataset, led: int, photodiode: int, colour: str) -> None:
-    """Traced volts of one photodiode with bands, and both reduced models."""
-    seen = _thin(result)
-    index = seen.attrs["samples"]
-    one = seen.isel(led=led, photodiode=photodiode)
-    _, stderr, bound = change_v(result)
-    scale, letter = prefix(float(np.abs(one.volts).max()))
-    time, middle = one.time.to_numpy(), one.volts.to_numpy() / scale
-    if len(time) > 1:
-        name = "error of the trace" + (", at most" if bound else "")
-        bands = ((one.volts_noise_rms.to_numpy(), 0.2, "noise (rms)"), (stderr[led, photodiode, index], 0.45, name))
-        for error_v, alpha, label in bands:
-            low, high = middle - error_v / scale, middle + error_v / scale
-            axes.fill_between(time, low, high, color=colour, alpha=alpha, lw=0, label=label)
-    _line(axes, one, middle, color=colour, label="traced light")
-    for name, (label, look) in MODELS.items():
-        _line(axes, one, one[f"volts_{name}"] / scale, label=label, **look)
-    axes.set_ylabel(f"volts [{letter}V]", fontsize=8)
-    rest = result.isel(led=led, photodiode=photodiode, time=0)
-    level = with_error(float(rest.volts) / scale, float(rest.volts_stderr) / scale)
-    axes.set_title(style.plain(result.photodiode.values[photodiode]), color=style.INK)
-    style.remark(axes, f"at rest {level} {letter}V")
-    _not_too_close(axes)
-
-
-def _residual(axes: "Axes", result: xr.Dataset, led: int, photodiode: int, scale: float) -> None:
-    """What each reduced model misses of one photodiode's traced volts, against the noise."""
-    one = _thin(result).isel(led=led, photodiode=photodiode)
-    noise = one.volts_noise_rms.to_numpy() / scale
-    if len(noise) > 1:
-        axes.fill_between(one.time, -noise, noise, color=style.MUTED, alpha=0.16, lw=0)
-    axes.axhline(0, color=style.MUTED, lw=0.7)
-    for name, (_, look) in MODELS.items():
-        _line(axes, one, (one[f"volts_{name}"] - one.volts) / scale, **look)
 
 
 def _thin(result: xr.Dataset) -> xr.Dataset:

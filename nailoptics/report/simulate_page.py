@@ -13,6 +13,11 @@ from .html import document, escaped, figure, section, small
 from .numbers import significant
 from .readings import Reading, change_v, hold_end, photodiode_readings
 
+TOUCH = "The force over time, and the pressures that it puts on the vessels."
+VESSELS = (
+    "Pressure on the pulp's veins dams the blood up into the capillaries under the nail; pressure on the distal "
+    "capillaries squeezes it out of them."
+)
 log = logging.getLogger(__name__)
 
 
@@ -31,6 +36,8 @@ def page(result: xr.Dataset) -> str:
     """The page as text."""
     scene = _scene(result)
     found = photodiode_readings(result, scene)
+    touch = figure(simulate_figures.touch(result), "touch", TOUCH)
+    vessels = figure(simulate_figures.vessels(result), "vessels", VESSELS)
     return document(
         kicker="touch to volts",
         title=findings.title(scene),
@@ -40,7 +47,7 @@ def page(result: xr.Dataset) -> str:
         facts=findings.reached(result),
         body=[
             _readings_section(result, scene, found),
-            _touch_section(result),
+            section("The touch and the blood", touch, vessels),
             _space_section(result, scene),
             _models_section(result, scene, found),
         ],
@@ -69,23 +76,6 @@ def _readings_section(result: xr.Dataset, scene: Scene | None, found: list[Readi
             f"± is one standard error of the light tracing, and σ counts a change in them. {error} Noise "
             "is that of the electronics and the converter in one sample; a sample resolves the force that equals its "
             "noise, by the mean slope from rest to the end of the hold."
-        ),
-    )
-
-
-def _touch_section(result: xr.Dataset) -> str:
-    return section(
-        "The touch and the blood",
-        figure(
-            simulate_figures.touch(result),
-            "touch",
-            "The force over time, and the pressures that it puts on the vessels.",
-        ),
-        figure(
-            simulate_figures.vessels(result),
-            "vessels",
-            "Pressure on the pulp's veins dams the blood up into the capillaries under the nail; pressure on the "
-            "distal capillaries squeezes it out of them.",
         ),
     )
 

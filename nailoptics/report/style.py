@@ -148,9 +148,8 @@ def to_svg(figure: "Figure", *, name: str, description: str) -> str:
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
+    text = re.sub(r"<metadata>.*?</metadata>\s*|<!--.*?-->\s*", "", text, flags=re.DOTALL)
     text = re.sub(r'<(g|text) id="[^"]*"', r"<\1", text)
-    text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)
     opening, rest = text.split(">", 1)
     box = re.search(r'viewBox="[^"]*"', opening)
     width_pt = figure.get_figwidth() * 72

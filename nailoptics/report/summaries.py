@@ -17,17 +17,11 @@ def simulation_summary(result: "xr.Dataset") -> dict[str, Any]:
     for led in result.led.values:
         for photodiode in result.photodiode.values:
             one = result.sel(led=led, photodiode=photodiode)
-            peak = int(np.abs(one.volts_change.values).argmax())
-            at = {
-                "volts_start": one.volts[0],
-                "volts_start_stderr": one.volts_stderr[0],
-                "volts_change": one.volts_change[peak],
-                "volts_change_stderr": one.volts_change_stderr[peak],
-                "volts_noise_rms": one.volts_noise_rms[peak],
-                "time_of_change_s": one.time[peak],
-                "beer_lambert_residual_rms_v": one.beer_lambert_residual_rms_v,
-                "taylor_residual_rms_v": one.taylor_residual_rms_v,
-            }
+            peak = one.isel(time=int(np.abs(one.volts_change.values).argmax()))
+            at = {"volts_start": one.volts[0], "volts_start_stderr": one.volts_stderr[0]}
+            at |= {name: peak[name] for name in ("volts_change", "volts_change_stderr", "volts_noise_rms")}
+            at |= {"time_of_change_s": peak.time}
+            at |= {name: one[name] for name in ("beer_lambert_residual_rms_v", "taylor_residual_rms_v")}
             names = {"led": str(led), "photodiode": str(photodiode)}
             rows.append(names | {name: float(value) for name, value in at.items()})
     kept = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest", "accuracy_reached")

@@ -21,25 +21,22 @@ _QUANTITIES = ("volts_change_peak", "volts_start", "detected_fraction_rest")
 
 
 def write_sweep_page(results: xr.Dataset, path: Path, *, failures: Mapping[str, str]) -> None:
-    """Write the page of a sweep, whole or not at all; raises WriteError."""
-    write_text(path, sweep_page(results, failures=failures))
-
-
-def sweep_page(results: xr.Dataset, *, failures: Mapping[str, str]) -> str:
-    """The page as text.
+    """Write the page of a sweep, whole or not at all; raises WriteError.
 
     results : what `batch.open_results` returns.
     failures : why scenes failed, by digest.
     """
     states, counts = np.unique(results.state.values, return_counts=True)
-    lead = f"{counts.sum()} scenes: " + ", ".join(f"{n} {s}" for s, n in zip(states, counts, strict=True)) + "."
-    return document(
+    rows = [[escaped(digest[:12]), escaped(why)] for digest, why in failures.items()]
+    failed = section(f"{len(failures)} failed", table(["Scene", "Why"], rows)) if rows else ""
+    text = document(
         kicker="sweep",
         title=str(results.attrs["title"]).removeprefix("nailoptics: "),
-        lead=lead,
-        body=[section("The axes", _axes_table(results)), *_figures(results), *_failures(failures)],
+        lead=f"{counts.sum()} scenes: {', '.join(f'{n} {s}' for s, n in zip(states, counts, strict=True))}.",
+        body=[section("The axes", _axes_table(results)), _figures(results), failed],
         attributes=results.attrs,
     )
+    write_text(path, text)
 
 
 def axes_of(results: xr.Dataset) -> list[str]:
@@ -56,15 +53,15 @@ def _axes_table(results: xr.Dataset) -> str:
             shown = f"{significant(min(values), 4)} to {significant(max(values), 4)}"
         else:
             shown = ", ".join(str(v) for v in values[:8]) + (", …" if len(values) > 8 else "")
-        place = str(coord.attrs.get("long_name", ""))
-        rows.append([escaped(name), escaped(place), str(len(values)), escaped(shown)])
+        cells = (name, coord.attrs.get("long_name", ""), len(values), shown)
+        rows.append([escaped(cell) for cell in cells])
     return table(["Axis", "Place in the scene", "Values", "From, to"], rows)
 
 
-def _figures(results: xr.Dataset) -> list[str]:
+def _figures(results: xr.Dataset) -> str:
     quantity = next((q for q in _QUANTITIES if q in results), None)
     if quantity is None:
-        return []
+        return ""
     text = str(results[quantity].attrs["long_name"])
     lines = [
         small(
@@ -76,7 +73,7 @@ def _figures(results: xr.Dataset) -> list[str]:
         held = _held(results, name)
         caption = f"Over {results[name].attrs.get('long_name', name)}" + (f", at {held}." if held else ".")
         lines.append(figure(_along(results, quantity, name), f"axis{i}", caption))
-    return [section(escaped(text[0].upper() + text[1:]), *lines)]
+    return section(escaped(text[0].upper() + text[1:]), *lines)
 
 
 def _others(results: xr.Dataset, name: str) -> dict[Any, int]:
@@ -115,10 +112,3 @@ def _along(results: xr.Dataset, quantity: str, name: str) -> "Figure":
     if pairs:
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return drawing
-
-
-def _failures(failures: Mapping[str, str]) -> list[str]:
-    if not failures:
-        return []
-    rows = [[escaped(digest[:12]), escaped(why)] for digest, why in failures.items()]
-    return [section(f"{len(failures)} failed", table(["Scene", "Why"], rows))]
