@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 
 Variable = tuple[tuple[str, ...], np.ndarray, dict[str, str]]
+Variables = dict[str, Variable]
 
 
 def variable(
     name: str, dims: str | tuple[str, ...], values: Any, long_name: str, *, units: str = "1", stderr: Any = None
-) -> dict[str, Variable]:
+) -> Variables:
     """A variable by its name, with its standard error beside it as NAME_stderr if it has one.
 
     Joined by |, several make the first argument of `xarray.Dataset`.

@@ -12,7 +12,7 @@ from ..light import DetectedLight, ProgressCallback, open_light
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import fit_beer_lambert, fit_taylor
 from ..scene import Scene
-from ..variables import Variable, variable
+from ..variables import Variables, variable
 from .blood_states import blood_over_touch, zones_of_photodiodes
 
 COORDINATES = {
@@ -104,7 +104,7 @@ def _fit_reduced(result: xr.Dataset) -> xr.Dataset:
     pair = ("led", "photodiode")
     diameter_m = result.capillary_diameter_m.values[result.zone_of_photodiode.values]
     notes = np.full(result.volts.shape[:2], "", dtype=object)
-    data: dict[str, Variable] = {}
+    data: Variables = {}
     for model, name, fit, units in REDUCED_OPTICS:
         fits = [[fit(*one) for one in zip(diameter_m, volts, strict=True)] for volts in result.volts.values]
         curves = [[found.predict(d) for found, d in zip(row, diameter_m, strict=True)] for row in fits]

@@ -15,7 +15,7 @@ from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...scene.files import scene_of
 from ...statistics import seed_of
-from ...variables import Variable, variable
+from ...variables import Variables, variable
 from ..blood_states import zones_of_photodiodes
 from .formula_errors import MODELS, PARTS, TOLERANCES, WAYS, TracedSweep, formula_errors
 from .state_sweep import OVER, Over, StateSweep, state_sweep
@@ -115,7 +115,7 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
     zone = zones_of_photodiodes(scene)
     found = [[_led_errors(transfer, i, s, zone, slopes[:, i], seed) for s in sweeps] for i in range(len(scene.leds))]
     gathered = {name: np.stack([[one[name] for one in by_sweep] for by_sweep in found]) for name in found[0][0]}
-    data: dict[str, Variable] = {}
+    data: Variables = {}
     for name, (dims, units, text) in _VARIABLES.items():
         dims = ("led", "sweep", *dims)
         data |= variable(name, dims, gathered[name], text, units=units, stderr=gathered.get(f"{name}_stderr"))

@@ -110,15 +110,9 @@ class PairedTracer:
         return max(LEAST_PHOTONS, int(PILOT_PHOTONS * seconds / readings.transfer.wall_seconds))
 
     def _traced(self, scene: Scene, backend: BackendName | None, photons: int | None) -> PairedReadings:
-        begin = time.perf_counter()
+        begin, chosen, seed = time.perf_counter(), backend or self.options.backend, self.options.seed
         try:
-            transfer = trace(
-                scene,
-                photons=photons,
-                seed=self.options.seed,
-                backend=backend or self.options.backend,
-                progress=self._report_progress,
-            )
+            transfer = trace(scene, photons=photons, seed=seed, backend=chosen, progress=self._report_progress)
         except NotReachedError as error:
             # A part of one trace is of no use to those that are compared with it.
             raise NotReachedError(str(error)) from None

@@ -16,16 +16,8 @@ from ...light.tracing import INTERRUPTED, unseen
 from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
 from ...statistics import Z95, jackknife
-from .paired import (
-    PairedReadings,
-    PairedTracer,
-    check_study,
-    difference,
-    end_states,
-    error_of_ratio,
-    reweighted,
-    weighted_mean,
-)
+from . import paired
+from .paired import PairedReadings, PairedTracer
 from .variants import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, lines_of, revised
 
 DEFAULT_SECONDS, DEFAULT_TOLERANCE = 120.0, 0.02
@@ -180,7 +172,7 @@ def tradeoff(
 
     Raises: InputError; NotReachedError, whose result is the Tradeoff as far as it was made, if interrupted.
     """
-    check_study(scene, tolerance, "tradeoff", "has one level, itself")
+    paired.check_study(scene, tolerance, "tradeoff", "has one level, itself")
     options = TraceOptions(**requested)
     chosen = _jit_backend(options.backend)
     if options.unbounded:
@@ -202,7 +194,9 @@ def tradeoff(
         for level in _levels(full, base, tracer, cheaper, others, tolerance, options.seed):
             measured.append(level)
         for name in stock:
-            measured.append(_stock(full, base, options.seed, name, volpath_seconds, tolerance, progress))
+            limits = Requested(relative_error=VOLPATH_ERROR, max_seconds=volpath_seconds)
+            limits |= Requested(seed=options.seed, backend=name)
+            measured.append(_stock(full, base, tolerance, limits, progress))
         batches = _batches(full, tracer)
     except (NotReachedError, KeyboardInterrupt) as error:
         unmet = f"{str(error) or INTERRUPTED} ({len(measured)} levels were measured before)"
@@ -256,7 +250,7 @@ def _levels(
     yield reference
     yield from _formulas(full, base, reference, seed, tolerance)
     if any(led.fwhm_nm for led in full.leds):
-        narrow = reweighted(base.transfer, revised(full, ONE_WAVELENGTH))
+        narrow = paired.reweighted(base.transfer, revised(full, ONE_WAVELENGTH))
         level = _measured("one wavelength", ONE_WAVELENGTH, base, narrow, tolerance)
         # The same trace, so the same cost, whatever the noise of its error.
         yield replace(level, cpu_seconds=reference.cpu_seconds, memory_mb=reference.memory_mb)
@@ -268,7 +262,7 @@ def _levels(
 
 def _measured(name: str, changes: Changes, base: PairedReadings, other: PairedReadings, tolerance: float) -> Level:
     """A traced level against the reference."""
-    found = difference(base, other)
+    found = paired.difference(base, other)
     reading = _bias(found.ratio, found.ratio_stderr, base)
     signal = _bias(np.asarray(found.swing), np.asarray(found.swing_stderr), base)
     if other is base:
@@ -276,7 +270,7 @@ def _measured(name: str, changes: Changes, base: PairedReadings, other: PairedRe
     worst = float(other.relative_stderr.max())
     kept = sum(t.weight.nbytes + t.path_mm.nbytes + t.photodiode.nbytes for t in other.transfer.traces)
     more = (worst / TARGETS[0]) ** 2
-    first, last = end_states(other.transfer.scene)
+    first, last = paired.end_states(other.transfer.scene)
     begin = time.perf_counter()
     course(other.transfer, first + np.linspace(0, 1, STATES)[:, None] * (last - first), electrons=True)
     reweight_seconds = more * (time.perf_counter() - begin)
@@ -296,7 +290,8 @@ def _measured(name: str, changes: Changes, base: PairedReadings, other: PairedRe
 
 def _bias(values: np.ndarray, error: np.ndarray, base: PairedReadings) -> Bias:
     bounds = np.abs(values) + Z95 * error
-    return Bias(*weighted_mean(values, error, base), float(np.max(np.where(np.isfinite(bounds), bounds, np.inf))))
+    bound = float(np.max(np.where(np.isfinite(bounds), bounds, np.inf)))
+    return Bias(*paired.weighted_mean(values, error, base), bound)
 
 
 def _cost(cpu_seconds: float, error: float) -> tuple[float, ...]:
@@ -308,7 +303,7 @@ def _formulas(full: Scene, base: PairedReadings, reference: Level, seed: int, to
 
     At rest a formula is the reading that gave it its constants, at what that costs; it is the signal that it may miss.
     """
-    states, along = end_states(full), np.linspace(0, 1, STATES)
+    states, along = paired.end_states(full), np.linspace(0, 1, STATES)
     depths, traced = [], []
     for i, led in enumerate(full.leds):
         wavelength, share = optics.spectrum(led)
@@ -328,18 +323,11 @@ def _formulas(full: Scene, base: PairedReadings, reference: Level, seed: int, to
 
 
 def _stock(
-    full: Scene,
-    base: PairedReadings,
-    seed: int,
-    backend: BackendName,
-    max_seconds: float,
-    tolerance: float,
-    progress: ProgressCallback | None,
+    full: Scene, base: PairedReadings, tolerance: float, limits: Requested, progress: ProgressCallback | None
 ) -> Level:
     """Stock Mitsuba, which traces one wavelength, against the reference at that wavelength."""
-    narrow = reweighted(base.transfer, revised(full, ONE_WAVELENGTH))
+    narrow = paired.reweighted(base.transfer, revised(full, ONE_WAVELENGTH))
     scene = revised(full, STOCK)
-    limits = Requested(relative_error=VOLPATH_ERROR, max_seconds=max_seconds, seed=seed, backend=backend)
     begin, cpu = time.perf_counter(), time.process_time()
     try:
         rest = read_rest(scene, progress=progress, **limits)
@@ -352,10 +340,10 @@ def _stock(
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.where(value > 0, stderr / value, np.inf)
         ratio = value / narrow.level - 1
-        reading = _bias(ratio, error_of_ratio(ratio, relative, narrow.relative_stderr), narrow)
+        reading = _bias(ratio, paired.error_of_ratio(ratio, relative, narrow.relative_stderr), narrow)
     return Level(
-        name=f"stock Mitsuba, {backend}",
-        backend=backend,
+        name=f"stock Mitsuba, {limits['backend']}",
+        backend=limits["backend"],
         changes=STOCK,
         reading=reading,
         signal=None,

@@ -13,7 +13,7 @@ import xarray as xr
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, PhotonMap, blood_point, readings
 from ...scene import Photodiode, Scene
 from ...statistics import Z95, jackknife, left_out, seed_of, stderr_of_mean
-from ...variables import Variable, variable
+from ...variables import Variables, variable
 from ..ambient import SOURCES, photocurrents_a
 from . import boards
 from .fisher import Response, force_resolution_n, response, total_information
@@ -29,8 +29,6 @@ BLOCKS = 16
 COVERS = ("covered", "uncovered")
 # Streams of random numbers.
 FORWARD, BACK, OPEN_BOARD = 2, 3, 4
-
-Variables = dict[str, Variable]
 
 
 @dataclass(frozen=True)

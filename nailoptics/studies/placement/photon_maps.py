@@ -36,9 +36,8 @@ class PhotonMapCache:
         quick: bool = False,
     ) -> None:
         """quick : boards are traced for a second or two each, so that what is made for each must be made soon."""
-        self.distance_mm = QUICK_DISTANCE_MM if quick else DISTANCE_MM
+        self.distance_mm, self.blocks = QUICK_DISTANCE_MM if quick else DISTANCE_MM, blocks
         self.conditions, self.seed, self.stream, self.backend = tuple(conditions), seed, stream, backend
-        self.blocks = blocks
         self._maps: dict[str, list[list[PhotonMap]]] = {}
         self._tracers: dict[tuple[str, str | None], BoardTracer] = {}
         self.photons = 0
@@ -86,8 +85,7 @@ class PhotonMapCache:
         """Free what a board holds."""
         key = digest(board)
         self._maps.pop(key, None)
-        for name in [name for name in self._tracers if name[0] == key]:
-            del self._tracers[name]
+        self._tracers = {name: tracer for name, tracer in self._tracers.items() if name[0] != key}
 
     def read(self, layout: Scene, board: Scene) -> list[list[Response]]:
         """Responses of a layout, by finger and LED, each (1 + blocks, photodiodes): by all photons, then without each

@@ -11,7 +11,7 @@ from ...light.transfer import provenance
 from ...scene import Scene, parse_scene, to_toml
 from ...scene.positions import PlacedPart
 from ...statistics import jackknife, left_out
-from ...variables import Variable, variable
+from ...variables import Variables, variable
 from . import fisher
 from .boards import CandidateLayout
 from .exchange import SearchedSite
@@ -22,8 +22,6 @@ from .scores import LayoutScore
 # Spacing of the places at which one more photodiode is tried.
 PLACES_MM = 0.2
 PRESSURES = ("proximal", "distal")
-
-Variables = dict[str, Variable]
 
 
 def as_dataset(

@@ -107,16 +107,11 @@ def _extend(
     report_progress: StageProgress,
 ) -> bool:
     """Trace the boards of the named layouts further and count it in `traced`; False where time ran out before."""
-    sharing: dict[str, list[CandidateLayout]] = {}
-    for layout in layouts:
-        sharing.setdefault(digest(layout.board), []).append(layout)
-    for members in sharing.values():
-        if names.isdisjoint(layout.name for layout in members):
-            continue
+    for key, board in {digest(layout.board): layout.board for layout in layouts if layout.name in names}.items():
         if all(traced.values()) and report_progress.must_end(JUDGE_SHARE):
             return False
-        cache.extend(members[0].board, photons)
-        for layout in members:
-            traced[layout.name] += photons
+        cache.extend(board, photons)
+        for layout in layouts:
+            traced[layout.name] += photons if digest(layout.board) == key else 0
         report_progress.repeat()
     return True
