@@ -423,7 +423,7 @@ def doctor(*, json_: Json = False) -> None:
 def _load(name: str, options: TraceOptions) -> "tuple[Scene, str]":
     """A scene and the engine that will trace it; says in one line what would be faster if it is the slow one."""
     from .light import backend as backends
-    from .light.engines import engine_for
+    from .light.detect import engine_for
 
     scene, chosen = _scene(name), backends.choose(options.backend)
     if chosen.name == "scalar" and chosen.advice and options.backend == "auto":

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Unpack
 
 from ..io import pack
-from ..light.engines import VOLPATH_RELATIVE_ERROR
+from ..light.detect import VOLPATH_RELATIVE_ERROR
 from ..light.identity import light_scene
 from ..light.records import LedBatches
 from ..light.tracing import StoppingRule, photons_engine

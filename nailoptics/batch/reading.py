@@ -8,7 +8,7 @@ import xarray as xr
 
 from ..errors import NotReachedError
 from ..light import Transfer
-from ..light.engines import light_of
+from ..light.detect import light_of
 from ..light.transfer import photodiode_names
 from ..options import TraceOptions
 from ..scene import Scene

@@ -1,7 +1,6 @@
 """MEDIA AND SHAPE TO DETECTED LIGHT: the only room that imports Mitsuba, and only when light is traced."""
 
-from .engines import DetectedLight, open_light
-from .rest import RestReadings, read_rest
+from .detect import DetectedLight, RestReadings, open_light, read_rest
 from .tracing import ProgressCallback, TraceProgress, trace
 from .transfer import ReweightWarning, Transfer
 

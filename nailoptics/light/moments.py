@@ -33,6 +33,17 @@ class Moments:
     path_cross: np.ndarray  # (p, r): sum of w^2 L
     fourth: np.ndarray  # (p,): sum of w^4
 
+    @property
+    def table(self) -> np.ndarray:
+        """All sums side by side, (p, 3 + 3 r) float."""
+        return np.column_stack([self.weight, self.square, self.path, self.path_square, self.path_cross, self.fourth])
+
+    @classmethod
+    def of_table(cls, table: np.ndarray, photons: int) -> "Moments":
+        """The sums that `table` put side by side."""
+        path, path_square, path_cross = np.split(table[:, 2:-1], 3, axis=1)
+        return cls(photons, table[:, 0], table[:, 1], path, path_square, path_cross, table[:, -1])
+
     def __add__(self, other: "Moments") -> "Moments":
         return Moments(**{name: value + getattr(other, name) for name, value in vars(self).items()})
 
@@ -96,8 +107,6 @@ def moments_of_sample(
     is left. At rest nothing is left, so that this returns `full`; far from rest the multiple is small and the sample
     speaks alone.
 
-    Parameters
-    ----------
     full : over all photons at rest.
     keep : probability with which each photon came into the sample.
     weight, rest : (n,) float. Weights in the state that is read and at rest, both divided by `keep`.

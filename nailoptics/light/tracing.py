@@ -53,12 +53,7 @@ class TraceProgress:
 ProgressCallback = Callable[[TraceProgress], None]
 
 
-def trace(
-    scene: Scene,
-    *,
-    progress: Callable[[TraceProgress], None] | None = None,
-    **requested: Unpack[Requested],
-) -> Transfer:
+def trace(scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> Transfer:
     """Trace the light of every LED once; the result can be read at any blood state.
 
     requested : fields of `TraceOptions`; a million photons where neither they nor the scene say how far.
@@ -74,10 +69,7 @@ def trace(
     start, cpu = time.perf_counter(), time.process_time()
     traces, events, complaint = [], 0, None
     for led in range(len(scene.leds)):
-        # A fair share of the time for each LED that is left.
-        seconds = math.inf
-        if required.max_seconds is not None:
-            seconds = (required.max_seconds - (time.perf_counter() - start)) / (len(scene.leds) - led)
+        seconds = share_of_time(required, start, len(scene.leds) - led)
         rule = StoppingRule(scene, led, required, engine.mu_a(led), full=engine.batch_photons, seconds=seconds)
         found = LedRecords(engine.mu_a(led), rule.rest, seed=options.seed, led=led)
         why = _trace_led(engine, rule, found, progress)
@@ -121,20 +113,27 @@ def photons_engine(scene: Scene, backend: str) -> tuple[Any, backends.Backend]:
 
 
 def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
-    """What to reach: as asked, else as the scene says, else a million photons."""
+    """What to reach: as requested, else as the scene says, else a million photons."""
     given = {name: getattr(options, name) for name in Accuracy.model_fields}
     given = {name: value for name, value in given.items() if value is not None}
-    asked = scene.accuracy
+    required = scene.accuracy
     if given:
-        # Asking for photons alone sets the scene's tolerance aside; a time limit alone keeps it.
+        # Requesting photons alone sets the scene's tolerance aside; a time limit alone keeps it.
         kept = {} if {"photons", "relative_error"} & given.keys() else scene.accuracy.model_dump(exclude_none=True)
         try:
-            asked = Accuracy(**(kept | given))
+            required = Accuracy(**(kept | given))
         except ValidationError as error:
             raise InputError(checks.explain(error, Accuracy)) from None
-    if asked.photons is None and asked.relative_error is None and asked.max_seconds is None:
+    if not required.model_dump(exclude_none=True):
         return Accuracy(photons=DEFAULT_PHOTONS)
-    return asked
+    return required
+
+
+def share_of_time(required: Accuracy, begin: float, leds: int) -> float:
+    """A fair share, for each of the LEDs that are left, of the time since `begin` of the performance counter. [s]"""
+    if required.max_seconds is None:
+        return math.inf
+    return (required.max_seconds - (time.perf_counter() - begin)) / leds
 
 
 def check_schedule(batches: int) -> bool:
@@ -317,9 +316,7 @@ def extend(
     return batches
 
 
-def _trace_led(
-    engine: Any, rule: StoppingRule, found: LedRecords, progress: Callable[[TraceProgress], None] | None
-) -> str | None:
+def _trace_led(engine: Any, rule: StoppingRule, found: LedRecords, progress: ProgressCallback | None) -> str | None:
     """Trace one LED into its records; says why they fall short of what is required, if they do."""
 
     def traced(number: int, photons: int) -> Batch:

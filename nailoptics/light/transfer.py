@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from .. import io
 from ..errors import InputError, NailopticsError
 from ..scene import Scene, digest, parse_scene, to_toml
 from ..statistics import stderr_of_mean
@@ -20,16 +21,18 @@ from .identity import light_digest
 from .moments import Moments, RestState, moments_of
 from .records import LedTrace, joined
 
+# What is kept of each detected photon.
+COLUMNS = ("photodiode", "weight", "path_mm", "draw")
 # A reading that rests on fewer effective photons than this has no trustworthy standard error.
 MIN_EFFECTIVE_PHOTONS = 100.0
-# Of fewer effective photons than this no standard error is told at all.
+# Of fewer effective photons than this no standard error is given at all.
 FEW_PHOTONS = 10.0
 # A standard error that rests on n effective photons is itself off by 1 / (2 sqrt(n)), here a tenth.
 MIN_ERROR_PHOTONS = 25.0
 
 
 class ReweightWarning(UserWarning):
-    """A reading was asked for at a state for which the trace holds too few effective photons."""
+    """A reading was requested at a state for which the trace holds too few effective photons."""
 
 
 def rest_state(scene: Scene, led: int, photodiodes: int) -> RestState:
@@ -76,16 +79,12 @@ class Transfer:
     ) -> xr.Dataset:
         """Readings at one state.
 
-        Parameters
-        ----------
         blood_fraction : (K,) float in 0-1. Blood in each zone of the bed; at rest if not given.
         so2 : oxygen saturation in 0-1; the scene's if not given.
         mu_a_per_mm : absorption by absorber's name, in place of what the scene says. [mm^-1]
 
-        Returns
-        -------
-        Dataset over led, photodiode (and absorber): detected_fraction, mean_path_mm, effective_photons, each with
-        its standard error, or its derivative to mu_a. Fractions are of the power that the LED emits.
+        Returns: Dataset over led, photodiode and absorber: detected_fraction, mean_path_mm and derivative_mm, each with
+        its standard error, and effective_photons. Fractions are of the power that the LED emits.
 
         Warns: ReweightWarning where fewer than 100 effective photons stand behind a reading of this state, or, of a
         brighter state than the traced one, fewer than 25 behind its standard error.
@@ -148,16 +147,65 @@ class Transfer:
 
     def save(self, path: str | Path) -> None:
         """Write the transfer to a NumPy archive (.npz), whole or not at all."""
-        from .store import save
-
-        save(self, Path(path))
+        header = {
+            **self.attributes(),
+            "photodiodes": self.photodiodes,
+            "absorbers": self.absorbers,
+            "leds": [
+                {"records": len(t.weight), "photons": t.photons, "energy": t.energy, "seeds": t.seeds, "keep": t.keep}
+                for t in self.traces
+            ],
+            "version_table": dict(self.versions),
+            "cpu_seconds": self.cpu_seconds,
+            "wall_seconds": self.wall_seconds,
+            "events": self.events,
+        }
+        # Photons of all LEDs lie one after the other.
+        arrays = {name: np.concatenate([getattr(t, name) for t in self.traces]) for name in COLUMNS}
+        arrays["mu_a_per_mm"] = np.array([t.mu_a for t in self.traces])
+        no_sums = np.full((len(self.photodiodes), 3 + 3 * len(self.absorbers)), np.nan)
+        arrays["full"] = np.array([no_sums if t.full is None else t.full.table for t in self.traces])
+        path = Path(path)
+        io.make_folder(path.parent)
+        io.write_bytes(path, io.pack(header, arrays))
 
     @staticmethod
     def load(path: str | Path) -> "Transfer":
-        """Read a transfer that `save` wrote."""
-        from .store import load
-
-        return load(Path(path))
+        """Read a transfer that `save` wrote; raises InputError for a file that is none."""
+        path = Path(path)
+        try:
+            header, arrays = io.unpack(path.read_bytes())
+            scene, photodiodes = scene_from_attributes(header), tuple(header["photodiodes"])
+            traces, start = [], 0
+            for i, (led, mu_a, sums) in enumerate(
+                zip(header["leds"], arrays["mu_a_per_mm"], arrays["full"], strict=True)
+            ):
+                end = start + led["records"]
+                traces.append(
+                    LedTrace(
+                        photons=led["photons"],
+                        mu_a=mu_a,
+                        energy={part: (a, b) for part, (a, b) in led["energy"].items()},
+                        seeds=tuple(led["seeds"]),
+                        keep=led["keep"],
+                        rest=rest_state(scene, i, len(photodiodes)),
+                        full=Moments.of_table(sums, led["photons"]) if sums.size and not np.isnan(sums).any() else None,
+                        **{name: arrays[name][start:end] for name in COLUMNS},
+                    )
+                )
+                start = end
+            return Transfer(
+                scene=scene,
+                photodiodes=photodiodes,
+                absorbers=tuple(header["absorbers"]),
+                traces=tuple(traces),
+                versions=header["version_table"],
+                **{name: header[name] for name in ("engine", "backend", "cpu_seconds", "wall_seconds", "events")},
+            )
+        except (OSError, io.CorruptError, KeyError, TypeError, ValueError) as error:
+            raise InputError(
+                f"{path}: is not a transfer that this version can read ({error}); trace the scene again."
+            ) from None
 
     def _mu_a(
         self, led: int, blood: ArrayLike | None, so2: ArrayLike | None, override: Mapping[str, float] | None

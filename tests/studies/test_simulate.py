@@ -7,7 +7,7 @@ import xarray as xr
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.io import write_dataset
-from nailoptics.light import engines
+from nailoptics.light import detect
 from nailoptics.light.volpath import states
 from nailoptics.scene import Scene, digest, load_scene, parse_scene
 from nailoptics.studies.blood_states import blood_over_touch
@@ -30,7 +30,7 @@ def pressed(chosen_jit) -> dict[str, xr.Dataset]:
 @pytest.fixture
 def quick_section(chosen_jit, monkeypatch) -> None:
     """Few photons for the picture of the light's paths, which these tests do not look at."""
-    monkeypatch.setattr(engines, "SECTION_PHOTONS", 1 << 12)
+    monkeypatch.setattr(detect, "SECTION_PHOTONS", 1 << 12)
 
 
 def largest_change(result: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
@@ -173,7 +173,7 @@ def test_without_a_touch_nothing_changes(quick_section):
 def test_the_main_job_runs_without_a_jit_backend(monkeypatch, caplog):
     """Rationale: where no LLVM is usable, volpath in the scalar variant answers. Expected: the same dataset, errors no
     larger than asked, and the signs of the largest changes, of which the states share their noise."""
-    monkeypatch.setattr(engines, "VOLPATH_RELATIVE_ERROR", 0.3)
+    monkeypatch.setattr(detect, "VOLPATH_RELATIVE_ERROR", 0.3)
     monkeypatch.setattr(states, "BATCH_SECONDS", 0.3)
     scene = prototype()
     scene = scene.model_copy(

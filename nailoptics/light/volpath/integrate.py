@@ -122,8 +122,6 @@ def _phantom(
 class FingerPaths:
     """Traces one LED of a finger to one photodiode in up to three blood states, or to up to three in one state.
 
-    Parameters
-    ----------
     geometry : the finger.
     media : optics of its regions; the bed's own mu_a is not used.
     bed : absorption of the bed along the nail in each state.

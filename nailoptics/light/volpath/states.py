@@ -27,8 +27,8 @@ BATCH_SECONDS = 1.5
 # before so many, and what is still needed is decided in few rounds.
 LEAST_BATCHES = 30
 ROUND_FACTOR = 4.0
-# A photodiode that so many batches saw nothing of is taken for dark.
-DARK_BATCHES = 400
+# A photodiode that so many batches saw nothing of is taken for unseen.
+UNSEEN_BATCHES = 400
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,9 @@ class StateReadings:
     fraction, fraction_stderr : (photodiodes, states) float. Detected fraction of the LED's power; the error is infinite
         where nothing was seen.
     ratio, ratio_stderr : (photodiodes, states) float. Reading over that of the first state; far less noisy than either.
-    batches : Batches in all, each of `paths` paths.
-    fell_short : Why some fraction does not have the relative error that was asked for; None if all have.
+    batches, paths : How many in all.
+    fell_short : Why some fraction does not have the relative error that was required; None if all have.
+    energy : Where the light went, with standard errors; None where that is not known.
     """
 
     fraction: NDArray[np.float64]
@@ -49,7 +50,7 @@ class StateReadings:
     batches: int
     paths: int
     fell_short: str | None
-    seconds: float
+    energy: dict[str, tuple[float, float]] | None = None
 
 
 def finger_states(
@@ -77,8 +78,6 @@ def finger_states(
 
     Raises: InputError for an LED with a measured pattern.
     """
-    start = time.perf_counter()
-    count, states = len(geometry.photodiodes), len(bed.mu_a_per_mm)
 
     def tracer(absorption: BedAbsorption, photodiodes: tuple[int, ...]) -> FingerPaths:
         return FingerPaths(
@@ -91,61 +90,12 @@ def finger_states(
             backend=backend,
         )
 
-    def batch(traced: FingerPaths) -> NDArray[np.float64]:
-        return traced.batch(paths=paths, seed=seed_of(seed, done))
-
-    def told() -> None:
-        worst = max(relative_stderr(values) for values in level)
-        log.debug("volpath: %d batches, worst relative error %.3g", done, worst)
-        if progress:
-            progress(worst, time.perf_counter() - start)
-
-    level: list[list[float]] = [[] for _ in range(count)]
-    ratio, ratio_stderr = np.ones((count, states)), np.zeros((count, states))
-    paths = done = 0
-    for i in range(count):
-        traced = tracer(bed, (i,))
-        # Batches of one size, so that all of them weigh the same.
-        paths = paths or traced.paths_for(min(BATCH_SECONDS, RATIO_SHARE * max_seconds / (RATIO_BATCHES * count)))
-        rows = []
-        for _ in range(RATIO_BATCHES):
-            rows.append(batch(traced))
-            level[i].append(float(rows[-1][0]))
-            done += 1
-            told()
-        ratio[i], ratio_stderr[i] = ratio_to_first(np.stack(rows))
-    rest = BedAbsorption(bed.v_mm, bed.mu_a_per_mm[:1])
-    # Photodiodes that are equally hard share a trace.
-    order = sorted(range(count), key=lambda i: relative_stderr(level[i]))
-    groups = [tuple(order[k : k + 3]) for k in range(0, count, 3)]
-    tracers: dict[tuple[int, ...], FingerPaths] = {}
-    planned, name, fell_short = dict.fromkeys(groups, LEAST_BATCHES), scene.leds[led].name, None
-    try:
-        while unfinished := [group for group in groups if len(level[group[0]]) < planned[group]]:
-            if time.perf_counter() - start >= max_seconds:
-                fell_short = (
-                    f'max_seconds ended the trace of LED "{name}" before the relative error of {relative_error:g} was '
-                    "reached; allow more time or ask for less."
-                )
-                break
-            group = max(unfinished, key=lambda group: planned[group] / len(level[group[0]]))
-            if group not in tracers:
-                tracers[group] = tracer(rest, group)
-            for i, value in zip(group, batch(tracers[group]), strict=True):
-                level[i].append(float(value))
-            done += 1
-            told()
-            if len(level[group[0]]) == planned[group]:
-                dark = [i for i in group if not any(level[i])]
-                if dark and planned[group] >= DARK_BATCHES:
-                    photodiode = geometry.photodiodes[dark[0]].name
-                    fell_short = unseen(name, photodiode, planned[group] * paths)
-                else:
-                    planned[group] = max(batches_for(relative_error, level[i]) for i in group)
-    except KeyboardInterrupt:
-        fell_short = f'{INTERRUPTED}: LED "{name}" has {done} batches.'
-    mean = np.array([np.mean(values) for values in level])
-    relative = np.array([relative_stderr(values) for values in level])
+    names = [face.name for face in geometry.photodiodes]
+    batches = _Batches(tracer, bed, scene.leds[led].name, names, seed=seed, progress=progress)
+    ratio, ratio_stderr = batches.settle_ratios(max_seconds)
+    fell_short = batches.settle_levels(relative_error, max_seconds)
+    mean = np.array([np.mean(values) for values in batches.level])
+    relative = np.array([relative_stderr(values) for values in batches.level])
     fraction = mean[:, None] * ratio
     error = np.full_like(fraction, math.inf)
     seen = mean > 0
@@ -155,11 +105,87 @@ def finger_states(
         fraction_stderr=error,
         ratio=ratio,
         ratio_stderr=ratio_stderr,
-        batches=done,
-        paths=paths,
+        batches=batches.done,
+        paths=batches.done * batches.paths,
         fell_short=fell_short,
-        seconds=time.perf_counter() - start,
     )
+
+
+class _Batches:
+    """The batches of one LED as they come, all of one size, so that all weigh the same.
+
+    level : Of each photodiode, its readings in the first state, batch by batch.
+    done, paths : How many batches there are, and the paths of each.
+    """
+
+    def __init__(
+        self,
+        tracer: Callable[[BedAbsorption, tuple[int, ...]], FingerPaths],
+        bed: BedAbsorption,
+        led: str,
+        photodiodes: list[str],
+        *,
+        seed: int,
+        progress: Callable[[float, float], None] | None,
+    ) -> None:
+        self.tracer, self.bed, self.led, self.photodiodes = tracer, bed, led, photodiodes
+        self.seed, self.progress = seed, progress
+        self.start, self.done, self.paths = time.perf_counter(), 0, 0
+        self.level: list[list[float]] = [[] for _ in photodiodes]
+
+    def settle_ratios(self, max_seconds: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Each state's reading over that of the first state, and its standard error, (photodiodes, states) float."""
+        found = []
+        for i in range(len(self.level)):
+            traced, rows = self.tracer(self.bed, (i,)), []
+            share = RATIO_SHARE * max_seconds / (RATIO_BATCHES * len(self.level))
+            self.paths = self.paths or traced.paths_for(min(BATCH_SECONDS, share))
+            for _ in range(RATIO_BATCHES):
+                rows.append(self._trace(traced, (i,)))
+            found.append(ratio_to_first(np.stack(rows)))
+        ratio, stderr = np.reshape(found, (len(found), 2, -1)).swapaxes(0, 1)
+        return ratio, stderr
+
+    def settle_levels(self, relative_error: float, max_seconds: float) -> str | None:
+        """Trace the first state until every photodiode has the relative error; says why not, if they do not."""
+        rest = BedAbsorption(self.bed.v_mm, self.bed.mu_a_per_mm[:1])
+        # Photodiodes that are equally hard share a trace.
+        order = sorted(range(len(self.level)), key=lambda i: relative_stderr(self.level[i]))
+        groups = [tuple(order[k : k + 3]) for k in range(0, len(order), 3)]
+        tracers: dict[tuple[int, ...], FingerPaths] = {}
+        planned, fell_short = dict.fromkeys(groups, LEAST_BATCHES), None
+        try:
+            while unfinished := [group for group in groups if len(self.level[group[0]]) < planned[group]]:
+                if time.perf_counter() - self.start >= max_seconds:
+                    return (
+                        f'max_seconds ended the trace of LED "{self.led}" before the relative error of '
+                        f"{relative_error:g} was reached; allow more time or ask for less."
+                    )
+                group = max(unfinished, key=lambda group: planned[group] / len(self.level[group[0]]))
+                if group not in tracers:
+                    tracers[group] = self.tracer(rest, group)
+                self._trace(tracers[group], group)
+                if len(self.level[group[0]]) == planned[group]:
+                    blind = [i for i in group if not any(self.level[i])]
+                    if blind and planned[group] >= UNSEEN_BATCHES:
+                        fell_short = unseen(self.led, self.photodiodes[blind[0]], planned[group] * self.paths)
+                    else:
+                        planned[group] = max(batches_for(relative_error, self.level[i]) for i in group)
+        except KeyboardInterrupt:
+            return f'{INTERRUPTED}: LED "{self.led}" has {self.done} batches.'
+        return fell_short
+
+    def _trace(self, traced: FingerPaths, photodiodes: tuple[int, ...]) -> NDArray[np.float64]:
+        """Add one batch to the levels; its first readings are those of the photodiodes in the first state."""
+        values = traced.batch(paths=self.paths, seed=seed_of(self.seed, self.done))
+        for i, value in zip(photodiodes, values, strict=False):
+            self.level[i].append(float(value))
+        self.done += 1
+        worst = max(relative_stderr(values) for values in self.level)
+        log.debug("volpath: %d batches, worst relative error %.3g", self.done, worst)
+        if self.progress:
+            self.progress(worst, time.perf_counter() - self.start)
+        return values
 
 
 def batches_for(relative_error: float, values: list[float]) -> int:

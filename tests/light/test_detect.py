@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from nailoptics.errors import InputError
-from nailoptics.light import backend, engines, optics, read_rest
-from nailoptics.light.engines import engine_for
+from nailoptics.light import backend, detect, optics, read_rest
+from nailoptics.light.detect import engine_for
+from nailoptics.light.volpath.led_readings import between as read_between
+from nailoptics.light.volpath.led_readings import corner_states, secant_paths
 from nailoptics.scene import Scene, parse_scene
 
 FINGER = """
@@ -41,13 +43,13 @@ def test_photons_are_taken_where_kernels_are_compiled_and_volpath_elsewhere():
 
 def test_every_zone_gets_a_state_in_which_it_alone_is_far_from_rest():
     blood = np.array([[0.03, 0.03], [0.02, 0.03], [0.025, 0.05], [0.03, 0.04]])
-    corners = engines._corners(blood)
+    corners = corner_states(blood)
     assert np.array_equal(corners, [[0.03, 0.03], [0.02, 0.03], [0.03, 0.05]])
 
 
 @pytest.mark.parametrize("rest", [0.0, 1e-4, 0.03, 0.9, 1.0])
 def test_blood_that_does_not_move_still_gets_states_that_differ_and_are_possible(rest):
-    corners = engines._corners(np.full((5, 2), rest))
+    corners = corner_states(np.full((5, 2), rest))
     assert corners.shape == (3, 2) and np.all((corners >= 0) & (corners <= 1))
     away = np.diagonal(corners[1:]) - corners[0]
     assert np.all(abs(away) > 1e-5)
@@ -57,7 +59,7 @@ def test_blood_that_does_not_move_still_gets_states_that_differ_and_are_possible
 def between(blood: np.ndarray, corners: np.ndarray, ratio: np.ndarray, *, relative: float = 0.05):
     rest = np.array([[1e-3]])
     stderr = np.where(ratio == 1, 0, 0.001)
-    return engines._between(rest, np.full((1, 1), relative), ratio, stderr, corners, blood)
+    return read_between(rest, np.full((1, 1), relative), ratio, stderr, corners, blood)
 
 
 def test_between_the_states_light_dims_as_in_beer_lambert():
@@ -87,12 +89,12 @@ def test_a_change_is_counted_from_the_first_state_wherever_that_lies():
 def test_a_photodiode_that_saw_nothing_has_no_error_rather_than_none_at_all():
     corners = np.array([[0.03, 0.03], [0.05, 0.03], [0.03, 0.01]])
     nothing = np.array([[[1.0, 1.0, 1.0]]])
-    seen = engines._between(
+    seen = read_between(
         np.zeros((1, 1)), np.full((1, 1), np.nan), nothing, np.full_like(nothing, np.inf), corners, corners
     )
     assert np.all(seen.fraction == 0) and not np.isfinite(seen.stderr).any()
-    assert engines._reached(np.array([0.01, np.nan])) == "some photodiode saw no light"
-    assert "0.02" in engines._reached(np.array([0.01, 0.02]))
+    assert detect._reached(np.array([0.01, np.nan])) == "some photodiode saw no light"
+    assert "0.02" in detect._reached(np.array([0.01, 0.02]))
 
 
 def test_secants_give_the_paths_that_made_them():
@@ -103,7 +105,7 @@ def test_secants_give_the_paths_that_made_them():
     path = np.zeros(len(names))
     path[[names.index("bed_1"), names.index("bed_2")]] = 3.0, 1.5
     ratio = np.exp(-(mu_a - mu_a[0]) @ path)[None, None]
-    mean, stderr = engines._secant_paths(scene, corners, ratio, np.full_like(ratio, 1e-4))
+    mean, stderr = secant_paths(scene, corners, ratio, np.full_like(ratio, 1e-4))
     assert mean[0, 0, names.index("bed_1")] == pytest.approx(3.0)
     assert mean[0, 0, names.index("bed_2")] == pytest.approx(1.5)
     assert 0 < stderr[0, 0, names.index("bed_1")] < 0.1

@@ -1,0 +1,223 @@
+"""Readings by stock volpath: LED by LED within an accuracy, and what lies between the blood states that were traced."""
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError
+from ...geometry import Geometry
+from ...scene import Accuracy, Scene
+from ...statistics import seed_of
+from .. import optics
+from ..backend import Backend
+from ..course import Course
+from ..tracing import INTERRUPTED, ProgressCallback, TraceProgress, share_of_time
+from .integrate import phantom_energy, phantom_fractions
+from .mitsuba_scene import BedAbsorption
+from .states import StateReadings, finger_states
+
+# Batches of each round over a phantom, whose spread gives the standard error.
+ROUND_BATCHES = 32
+# Paths of the first round, and most paths of one batch, which runs uninterrupted.
+FIRST_ROUND, MAX_BATCH_PATHS = 1 << 16, 1 << 18
+# A zone whose blood changes by less than this part of it gets a state of its own, so that its mean path is known: by a
+# fifth more, or less where half is blood; without blood, by a thousandth.
+LEAST_CHANGE, OWN_CHANGE, OWN_BLOOD = 0.02, 0.2, 1e-3
+# The bed's absorption is given on so many places per width of the step between two blood zones, and a little beyond
+# the finger. [1, mm]
+PLACES_PER_STEP, BEYOND_MM = 40, 0.2
+
+
+def read_leds(
+    scene: Scene, required: Accuracy, read: Callable[..., StateReadings]
+) -> tuple[list[StateReadings], str | None]:
+    """The readings of every LED, and why some fall short of what is required, if they do.
+
+    read : reads one LED, of the keywords `led` and `max_seconds`.
+    """
+    begin, traced = time.perf_counter(), []
+    for led in range(len(scene.leds)):
+        traced.append(read(led=led, max_seconds=share_of_time(required, begin, len(scene.leds) - led)))
+        if (traced[-1].fell_short or "").startswith(INTERRUPTED) and led + 1 < len(scene.leds):
+            raise KeyboardInterrupt  # nothing is known of the other LEDs
+    return traced, next((one.fell_short for one in traced if one.fell_short), None)
+
+
+def finger_readings(
+    scene: Scene,
+    finger: Geometry,
+    blood: np.ndarray,
+    *,
+    led: int,
+    relative_error: float,
+    max_seconds: float,
+    seed: int,
+    backend: Backend,
+    progress: ProgressCallback | None,
+) -> StateReadings:
+    """Read one LED of a finger in up to three blood states, (states, zones) float, to a relative error."""
+    source, zones = scene.leds[led], optics.zones(scene)
+    mu_a = optics.absorption(scene, source.wavelength_nm, blood_fraction=blood)[:, 0]
+    low, high = np.asarray(finger.bounds_mm)[:, 1]
+    places = 1 + round((high - low) / (zones.width_mm / PLACES_PER_STEP))
+    v = np.linspace(low - BEYOND_MM, high + BEYOND_MM, places)
+
+    def report_progress(error: float, seconds: float) -> None:
+        # The error falls with the root of the time.
+        share = min(1.0, max((relative_error / error) ** 2 if error > 0 else 1.0, seconds / max_seconds))
+        if progress:
+            progress(TraceProgress(source.name, 0, error, relative_error, share, seconds))
+
+    return finger_states(
+        scene,
+        finger,
+        optics.finger_media(scene, finger.regions, source.wavelength_nm),
+        bed=BedAbsorption(v, mu_a[:, list(optics.bed_columns(scene))] @ zones.weights(v).T),
+        led=led,
+        relative_error=relative_error,
+        max_seconds=max_seconds,
+        seed=seed_of(seed, led),
+        backend=backend,
+        progress=report_progress,
+    )
+
+
+def phantom_readings(
+    scene: Scene,
+    required: Accuracy,
+    *,
+    led: int,
+    max_seconds: float,
+    seed: int,
+    backend: Backend,
+    progress: ProgressCallback | None,
+) -> StateReadings:
+    """Read one LED over a phantom, and where its light went.
+
+    Paths are traced in rounds, each as long as all before it; the first always runs, and none begins after max_seconds.
+    """
+    source = scene.leds[led]
+    if source.pattern == "measured":
+        raise InputError(f'leds[{led}].pattern = "measured" cannot be traced by volpath; use the photons engine.')
+    begin = time.perf_counter()
+    rounds: list[np.ndarray] = []
+    sizes: list[int] = []
+    paths, met, share = 0, False, 0.0
+    while share < 1:
+        missing = required.photons - paths if required.photons else max(paths, FIRST_ROUND)
+        size = min(math.ceil(missing / ROUND_BATCHES), MAX_BATCH_PATHS)
+        rounds.append(_phantom_round(scene, led, size, seed=(seed, led, len(rounds)), backend=backend))
+        sizes.append(size)
+        paths += size * ROUND_BATCHES
+        # Row by row: photodiodes, reflected, transmitted, both of these.
+        *values, reflected, transmitted, out = (_pooled(list(row), sizes) for row in zip(*rounds, strict=True))
+        error = max((stderr / value if value > 0 else math.inf for value, stderr in values), default=0.0)
+        seconds = time.perf_counter() - begin
+        if required.photons:
+            share = paths / required.photons
+        elif required.relative_error:
+            share = min(1.0, (required.relative_error / error) ** 2) if error > 0 else 1.0
+        met = share >= 1 or not (required.photons or required.relative_error)
+        share = min(1.0, max(share, seconds / max_seconds)) if max_seconds > 0 else 1.0
+        if progress:
+            progress(TraceProgress(source.name, paths, error, required.relative_error, share, seconds))
+    fell_short = (
+        f'max_seconds ended the trace of LED "{source.name}" at relative error {error:.3g}; '
+        "allow more time or ask for less."
+    )
+    fraction, fraction_stderr = np.array(values).reshape(-1, 2, 1).swapaxes(0, 1)
+    return StateReadings(
+        fraction=fraction,
+        fraction_stderr=fraction_stderr,
+        ratio=np.ones_like(fraction),
+        ratio_stderr=np.zeros_like(fraction),
+        batches=len(rounds) * ROUND_BATCHES,
+        paths=paths,
+        fell_short=None if met else fell_short,
+        energy={
+            "reflected": reflected,
+            "transmitted": transmitted,
+            "absorbed": (1 - out[0], out[1]),
+            "lost": (0.0, 0.0),
+        },
+    )
+
+
+def _phantom_round(scene: Scene, led: int, size: int, *, seed: tuple[int, ...], backend: Backend) -> np.ndarray:
+    """One round of batches: photodiodes, light reflected, transmitted, and both of these, (p + 3, batches) float."""
+    options: dict[str, Any] = {"led": led, "batches": ROUND_BATCHES, "paths_per_batch": size, "backend": backend}
+    *seeds, last = (seed_of(*seed, k) for k in range(len(scene.photodiodes) + 1))
+    rows = [phantom_fractions(scene, photodiode=j, seed=one, **options) for j, one in enumerate(seeds)]
+    leaving = phantom_energy(scene, seed=last, **options)
+    return np.stack([*rows, *leaving.T, leaving.sum(1)])
+
+
+def _pooled(rounds: list[np.ndarray], sizes: list[int]) -> tuple[float, float]:
+    """Mean and standard error of rounds of batches, each round weighed by the paths in a batch of it."""
+    weight = np.array(sizes) / sum(sizes)
+    mean = [float(np.mean(batches)) for batches in rounds]
+    stderr = [float(np.std(batches, ddof=1) / math.sqrt(len(batches))) for batches in rounds]
+    return float(weight @ mean), float(np.linalg.norm(weight * stderr))
+
+
+def mean_of_leds(energy: list[dict[str, tuple[float, float]]]) -> dict[str, dict[str, float]] | None:
+    """Where the light of all LEDs went, in equal parts; None where nothing is known of it."""
+    out = {}
+    for name in energy[0] if energy else ():
+        values, errors = zip(*(parts[name] for parts in energy), strict=True)
+        out[name] = {"value": float(np.mean(values)), "stderr": float(np.linalg.norm(errors) / len(errors))}
+    return out or None
+
+
+def corner_states(states: np.ndarray) -> np.ndarray:
+    """The first state, and for each zone a state in which that zone alone is as far from it as it ever gets."""
+    rest = states[0]
+    far = states[np.abs(states - rest).argmax(0), np.arange(len(rest))]
+    own = np.where(rest < 0.5, (1 + OWN_CHANGE) * rest + OWN_BLOOD, (1 - OWN_CHANGE) * rest)
+    far = np.where(np.abs(far - rest) <= LEAST_CHANGE * rest, own, far)
+    return np.stack([rest, *(np.where(np.arange(len(rest)) == k, far, rest) for k in range(len(rest)))])
+
+
+def secant_paths(
+    scene: Scene, corners: np.ndarray, ratio: np.ndarray, ratio_stderr: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean path in each blood zone, -d ln S / d mu_a between its two states; NaN for the other absorbers. [mm]"""
+    out = np.full((2, *ratio.shape[:2], len(optics.absorbers(scene))), np.nan)
+    for i, led in enumerate(scene.leds):
+        mu_a = optics.absorption(scene, led.wavelength_nm, blood_fraction=corners)[:, 0]
+        for k, column in enumerate(optics.bed_columns(scene)):
+            span = mu_a[k + 1, column] - mu_a[0, column]
+            out[0, i, :, column] = -np.log(ratio[i, :, k + 1]) / span
+            out[1, i, :, column] = ratio_stderr[i, :, k + 1] / ratio[i, :, k + 1] / abs(span)
+    return out[0], out[1]
+
+
+def between(
+    rest: np.ndarray,
+    relative: np.ndarray,
+    ratio: np.ndarray,
+    ratio_stderr: np.ndarray,
+    corners: np.ndarray,
+    blood: np.ndarray,
+) -> Course:
+    """Readings between the corner states: ln S is linear in the blood of each zone.
+
+    The errors of the zones' ratios share noise of unknown sign, so they are added, which is an upper bound.
+    """
+    x = (blood - corners[0]) / (np.diagonal(corners[1:]) - corners[0])
+    # Where nothing was seen the errors are infinite, and what comes of them is not a number.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        of_rest = np.exp(np.log(ratio[..., 1:]) @ x.T)
+        each = ratio_stderr[..., 1:] / ratio[..., 1:]
+        spread, moved = (each @ np.abs(d).T for d in (x, x - x[0]))
+        fraction, level = rest[..., None] * of_rest, relative[..., None]
+        change = fraction - fraction[..., :1]
+        return Course(
+            fraction=fraction,
+            stderr=fraction * np.hypot(level, spread),
+            change=change,
+            change_stderr=np.hypot(np.abs(change) * level, fraction * moved),
+        )
