@@ -23,9 +23,9 @@ def of_transfer(transfer: Transfer, *, seed: int) -> xr.Dataset:
 
 
 def relative_error(dataset: xr.Dataset) -> float:
-    """Largest relative standard error at rest; inf where a photodiode has seen nothing."""
+    """Largest relative standard error at rest; inf where a photodiode has seen nothing, or too little for one."""
     fraction, stderr = dataset["detected_fraction_rest"].values, dataset["detected_fraction_rest_stderr"].values
-    if np.any(fraction <= 0):
+    if np.any(fraction <= 0) or np.any(np.isnan(stderr)):
         return math.inf
     return float(np.max(stderr / fraction, initial=0.0))
 

@@ -141,7 +141,7 @@ def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None, section: xr.
     section : the map of the finger's section; without one it is left out.
     """
     rest = transfer.at() if rest is None else rest
-    blind = (rest.effective_photons.values < FEW_PHOTONS) & (section is not None)
+    blind = rest.effective_photons.values < FEW_PHOTONS
     with np.errstate(invalid="ignore", divide="ignore"):
         relative = rest.detected_fraction_stderr.values / rest.detected_fraction.values
 

@@ -6,6 +6,8 @@ import pytest
 from nailoptics.errors import InputError
 from nailoptics.light import backend, detect, optics, read_rest
 from nailoptics.light.detect import engine_for
+from nailoptics.light.records import LedTrace
+from nailoptics.light.transfer import transfer_of
 from nailoptics.light.volpath.led_readings import between as read_between
 from nailoptics.light.volpath.led_readings import corner_states, secant_paths
 from nailoptics.scene import Scene, parse_scene
@@ -95,6 +97,23 @@ def test_a_photodiode_that_saw_nothing_has_no_error_rather_than_none_at_all():
     assert np.all(seen.fraction == 0) and not np.isfinite(seen.stderr).any()
     assert detect._reached(np.array([0.01, np.nan])) == "some photodiode saw no light"
     assert "0.02" in detect._reached(np.array([0.01, 0.02]))
+
+
+@pytest.mark.parametrize(("photons", "known"), [(9, False), (11, True)])
+def test_of_fewer_than_ten_photons_no_standard_error_is_known(photons, known):
+    scene = finger()
+    path = np.ones((photons, len(optics.absorbers(scene))), np.float32)
+    trace = LedTrace(
+        photons=1000,
+        mu_a=optics.absorption(scene, 800.0)[0],
+        photodiode=np.zeros(photons, np.uint16),
+        weight=np.ones(photons),
+        path_mm=path,
+        energy={},
+        seeds=(1,),
+    )
+    seen = detect.light_of(transfer_of(scene, [trace], backend="llvm")).over(np.full((2, 2), 0.03))
+    assert np.all(seen.fraction > 0) and np.all(np.isfinite(seen.stderr) == known)
 
 
 def test_secants_give_the_paths_that_made_them():
