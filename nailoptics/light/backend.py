@@ -177,7 +177,7 @@ def _quiet_stderr() -> Iterator[None]:
 
 
 def _look(name: Name) -> Iterator[Finding]:
-    """The candidates of one backend; each is probed when it is asked for, not before."""
+    """The candidates of one backend; each is probed when its turn comes, not before."""
     if name == "scalar":
         yield Finding("scalar", None, ("volpath",), "works everywhere")
         return

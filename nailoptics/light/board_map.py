@@ -15,6 +15,7 @@ from ..scene import Scene
 from ..scene.layout import Rectangle
 from ..statistics import stderr_of_mean
 from ..tissue.properties import DermisAbsorption
+from ..variables import Variable, variable
 from . import backend as backends
 from . import optics
 from .reweight import attenuation
@@ -99,7 +100,7 @@ class BoardTracer:
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """What the scene's own photodiodes read, (photodiodes, 2 + K) float: means of a BloodPoint's values.
 
-        cells : ask, too, where in the finger each photodiode looks: how its reading falls with absorption in each
+        cells : tells, too, where in the finger each photodiode looks: how its reading falls with absorption in each
             cell, per volume, (photodiodes, u, v, depth) float. [mm^-2]
         """
         from .surroundings import DETECTED
@@ -177,8 +178,8 @@ def blood_point(
     mu_a = optics.absorption(scene, wavelength, blood_fraction=blood_fraction)
     beds = optics.bed_columns(scene)
     usual = tissue.absorption("bed", wavelength, so2=scene.blood.so2)
-    asked = tissue.absorption("bed", wavelength, so2=scene.blood.so2, dermis_absorption=dermis)
-    mu_a[:, beds] += (np.asarray(asked.base_per_mm) - np.asarray(usual.base_per_mm))[:, None]
+    chosen = tissue.absorption("bed", wavelength, so2=scene.blood.so2, dermis_absorption=dermis)
+    mu_a[:, beds] += (np.asarray(chosen.base_per_mm) - np.asarray(usual.base_per_mm))[:, None]
     return BloodPoint(
         share=share * wavelength / source.wavelength_nm,
         mu_a=mu_a,
@@ -273,30 +274,22 @@ class PhotonMap:
 
 def map_dataset(leds: Sequence[str], maps: Sequence[PhotonMap]) -> xr.Dataset:
     """Maps of several LEDs on one board as a Dataset over led, zone, u and v."""
-    mean, error = (np.stack(both) for both in zip(*(one.per_mm2() for one in maps), strict=True))
-    plane, texts = ("led", "u", "v"), {
-        "irradiance": "irradiance of the board's underside per emitted power",
-        "direct": "irradiance by light that was never in the bed, per emitted power",
-        "sensitivity": "derivative of the irradiance to the blood fraction of a zone, per emitted power",
-    }  # fmt: skip
-    data = {}
-    for name, text in texts.items():
-        column = slice(2, None) if name == "sensitivity" else ["irradiance", "direct"].index(name)
-        dims = ("led", "blood_zone", "u", "v") if name == "sensitivity" else plane
-        about = {"units": "mm-2", "long_name": text, "ancillary_variables": f"{name}_stderr"}
-        data[name] = (dims, mean[:, column], about)
-        data[f"{name}_stderr"] = (
-            dims,
-            error[:, column],
-            {"units": "mm-2", "long_name": f"standard error of the {text}"},
-        )
+    mean, stderr = (np.stack(both) for both in zip(*(one.per_mm2() for one in maps), strict=True))
+    zones = np.arange(mean.shape[1] - 2)
+    data: dict[str, Variable] = {}
+    for name, column, axis, text in (
+        ("irradiance", 0, (), "irradiance of the board's underside per emitted power"),
+        ("direct", 1, (), "irradiance by light that was never in the bed, per emitted power"),
+        (
+            "sensitivity",
+            zones + 2,
+            ("blood_zone",),
+            "derivative of the irradiance to the blood fraction of a zone, per emitted power",
+        ),
+    ):
+        dims = ("led", *axis, "u", "v")
+        data |= variable(name, dims, mean[:, column], text, units="mm-2", stderr=stderr[:, column])
     u, v = ((edges[1:] + edges[:-1]) / 2 for edges in (maps[0].u_mm, maps[0].v_mm))
-    return xr.Dataset(
-        data,
-        coords={
-            "led": list(leds),
-            "blood_zone": np.arange(mean.shape[1] - 2),
-            "u": ("u", u, {"units": "mm", "long_name": "across the nail, on the flat board"}),
-            "v": ("v", v, {"units": "mm", "long_name": "along the nail, towards the tip"}),
-        },
-    )
+    data |= variable("u", "u", u, "across the nail, on the flat board", units="mm")
+    data |= variable("v", "v", v, "along the nail, towards the tip", units="mm")
+    return xr.Dataset(data, {"led": list(leds), "blood_zone": zones})

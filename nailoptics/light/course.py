@@ -89,17 +89,12 @@ def _course(transfer: Transfer, blood_fraction: np.ndarray, so2: float | None, e
 
 def _nodes_needed(transfer: Transfer, zone: int, span: float, so2: float | None) -> int:
     """Chebyshev nodes that interpolate exp(-x) over the optical depths that a zone's range of blood spans."""
-    depth = 0.0
+    depth, column = 0.0, optics.bed_columns(transfer.scene)[zone]
+    no_and_all = np.repeat([[0.0], [1.0]], optics.zones(transfer.scene).count, 1)
     for trace, led in zip(transfer.traces, transfer.scene.leds, strict=True):
-        column = optics.bed_columns(transfer.scene)[zone]
         if len(trace.weight):
-            more = optics.absorption(
-                transfer.scene, led.wavelength_nm, blood_fraction=np.ones(optics.zones(transfer.scene).count), so2=so2
-            )
-            less = optics.absorption(
-                transfer.scene, led.wavelength_nm, blood_fraction=np.zeros(optics.zones(transfer.scene).count), so2=so2
-            )
-            slope = float((more - less)[0, column])
+            mu_a = optics.absorption(transfer.scene, led.wavelength_nm, blood_fraction=no_and_all, so2=so2)
+            slope = float(mu_a[1, 0, column] - mu_a[0, 0, column])
             depth = max(depth, slope * span * float(np.quantile(trace.path_mm[:, column], 0.999)))
     # The error of n nodes on exp over a range of depth d is (d / 4)^n 2 / n!; squares double the depth.
     count, error = 2, math.inf

@@ -91,7 +91,8 @@ def open_light(
     required = accuracy(scene, options)  # what cannot be required is said before any work
     finger = geometry.build(scene)
     if engine == "volpath":
-        return _light_by_volpath(scene, finger, chosen, np.asarray(states, float), options.seed, required, progress)
+        states = np.asarray(states, float)
+        return _light_by_volpath(scene, finger, states, required, seed=options.seed, backend=chosen, progress=progress)
 
     def read(transfer: Transfer) -> DetectedLight:
         rest = transfer.at()
@@ -227,10 +228,11 @@ def _section(scene: Scene, finger: Geometry, seed: int, *, traced: bool) -> xr.D
 def _light_by_volpath(
     scene: Scene,
     finger: Geometry,
-    chosen: backends.Backend,
     states: np.ndarray,
-    seed: int,
     required: Accuracy,
+    *,
+    seed: int,
+    backend: backends.Backend,
     progress: ProgressCallback | None,
 ) -> DetectedLight:
     """Trace rest and one changed state per zone; between them each zone dims as in Beer-Lambert (8)."""
@@ -240,16 +242,8 @@ def _light_by_volpath(
     )
     corners = volpath.corner_states(states)
     begin, cpu = time.perf_counter(), time.process_time()
-    read = partial(
-        volpath.finger_readings,
-        scene,
-        finger,
-        corners,
-        relative_error=target,
-        seed=seed,
-        backend=chosen,
-        progress=progress,
-    )
+    shared: dict[str, Any] = {"seed": seed, "backend": backend, "progress": progress}
+    read = partial(volpath.finger_readings, scene, finger, corners, relative_error=target, **shared)
     traced, complaint = volpath.read_leds(scene, required, read)
     fraction, stderr, ratio, ratio_stderr = (
         np.stack([getattr(one, name) for one in traced])
@@ -266,7 +260,7 @@ def _light_by_volpath(
         mean_path=mean_path,
         mean_path_stderr=mean_path_stderr,
         section=_section(scene, finger, seed, traced=False),
-        attributes=provenance(scene, engine="volpath", backend=chosen.name, photons=paths, seeds=str(seed))
+        attributes=provenance(scene, engine="volpath", backend=backend.name, photons=paths, seeds=str(seed))
         | {
             "cpu_seconds": time.process_time() - cpu,
             "wall_seconds": time.perf_counter() - begin,
@@ -322,14 +316,12 @@ def _rest_by_volpath(
         rest = np.full((1, optics.zones(scene).count), scene.blood.rest_blood_fraction)
         read = partial(volpath.finger_readings, scene, geometry.build(scene), rest, relative_error=target, **shared)
     traced, complaint = volpath.read_leds(scene, required, read)
+    rows = []
+    for led, one in zip(scene.leds, traced, strict=True):
+        values = zip(photodiode_names(scene), one.fraction[:, 0], one.fraction_stderr[:, 0], strict=True)
+        rows += [_row(led, *value, one.paths) for value in values]
     result = RestReadings(
-        readings=[
-            _row(led, name, fraction, stderr, one.paths)
-            for led, one in zip(scene.leds, traced, strict=True)
-            for name, fraction, stderr in zip(
-                photodiode_names(scene), one.fraction[:, 0], one.fraction_stderr[:, 0], strict=True
-            )
-        ],
+        readings=rows,
         energy=volpath.mean_of_leds([one.energy for one in traced if one.energy]),
         photons=sum(one.paths for one in traced),
         engine="volpath",

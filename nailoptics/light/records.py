@@ -12,6 +12,8 @@ from ..statistics import seed_of
 from .moments import Moments, RestState, moments_of, moments_of_sample
 from .reweight import transmission
 
+# What is kept of each detected photon.
+COLUMNS = ("photodiode", "weight", "path_mm", "draw")
 # Photons kept per LED; of more, each is kept with one probability, and sums over all of them at rest.
 MAX_RECORDS = 8_000_000
 
@@ -65,7 +67,7 @@ class LedTrace:
 
     def only(self, chosen: np.ndarray) -> "LedTrace":
         """Some of the records, (n,) bool, as a trace of as many photons; sums over all photons do not hold for them."""
-        records = {name: getattr(self, name)[chosen] for name in ("photodiode", "weight", "path_mm", "draw")}
+        records = {name: getattr(self, name)[chosen] for name in COLUMNS}
         return replace(self, **records, rest=None, full=None)
 
     def kept(self, keep: float) -> "LedTrace":
@@ -121,18 +123,15 @@ def joined(traces: Sequence[LedTrace]) -> LedTrace:
     return LedTrace(
         photons=sum(trace.photons for trace in traces),
         mu_a=traces[0].mu_a,
-        photodiode=np.concatenate([trace.photodiode for trace in traces]),
-        weight=np.concatenate([trace.weight for trace in traces]),
-        path_mm=np.concatenate([trace.path_mm for trace in traces]),
         energy={
             part: (sum(t.energy[part][0] for t in traces), sum(t.energy[part][1] for t in traces))
             for part in traces[0].energy
         },
         seeds=tuple(seeds),
-        draw=np.concatenate([trace.draw for trace in traces]),
         keep=keep,
         rest=traces[0].rest,
         full=full,
+        **{name: np.concatenate([getattr(trace, name) for trace in traces]) for name in COLUMNS},
     )
 
 
@@ -140,23 +139,6 @@ def _differ(a: RestState | None, b: RestState | None) -> bool:
     if a is None or b is None:
         return a is not b
     return not (np.array_equal(a.mu_a, b.mu_a) and np.array_equal(a.share, b.share))
-
-
-def _of_batch(batch: Batch, mu_a: np.ndarray, seed: int, rest: RestState | None) -> LedTrace:
-    """One batch as a trace.
-
-    mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
-    """
-    return LedTrace(
-        photons=batch.photons,
-        mu_a=mu_a,
-        photodiode=batch.photodiode,
-        weight=batch.weight,
-        path_mm=batch.path_mm,
-        energy=batch.energy,
-        seeds=(seed,),
-        rest=rest,
-    )
 
 
 @dataclass(frozen=True)
@@ -189,7 +171,9 @@ class LedRecords:
     def add(self, number: int, batch: Batch) -> None:
         """Add the batch of a number, which with the seed decided its random numbers."""
         self.events += batch.events
-        self._loose.append(_of_batch(batch, self.mu_a, seed_of(self.seed, self.led, number), self.rest))
+        kept = {name: value for name, value in vars(batch).items() if name != "events"}
+        seeds = (seed_of(self.seed, self.led, number),)
+        self._loose.append(LedTrace(**kept, mu_a=self.mu_a, seeds=seeds, rest=self.rest))
         if sum(len(trace.weight) for trace in self._loose) > MAX_RECORDS:
             self.trace()
 

@@ -16,13 +16,12 @@ from .. import io
 from ..errors import InputError, NailopticsError
 from ..scene import Scene, digest, parse_scene, to_toml
 from ..statistics import stderr_of_mean
+from ..variables import variable
 from . import optics
 from .identity import light_digest
 from .moments import Moments, RestState, moments_of
-from .records import LedTrace, joined
+from .records import COLUMNS, LedTrace, joined
 
-# What is kept of each detected photon.
-COLUMNS = ("photodiode", "weight", "path_mm", "draw")
 # A reading that rests on fewer effective photons than this has no trustworthy standard error.
 MIN_EFFECTIVE_PHOTONS = 100.0
 # Of fewer effective photons than this no standard error is given at all.
@@ -90,20 +89,25 @@ class Transfer:
         brighter state than the traced one, fewer than 25 behind its standard error.
         """
         moments = self.moments_at(blood_fraction, so2, mu_a_per_mm)
-        self.warn_if_thin(np.array([m.effective_photons for m in moments]), moments)
+        effective, fraction, stderr = (
+            np.array([getattr(m, name) for m in moments]) for name in ("effective_photons", "fraction", "stderr")
+        )
+        path, path_stderr = (np.array(both) for both in zip(*(m.mean_path for m in moments), strict=True))
+        slope, slope_stderr = (np.array(both) for both in zip(*(m.derivative for m in moments), strict=True))
+        self.warn_if_thin(effective, moments)
         pairs = ("led", "photodiode")
-        paths = [m.mean_path for m in moments]
-        slopes = [m.derivative for m in moments]
-        data = {
-            "detected_fraction": (pairs, [m.fraction for m in moments]),
-            "detected_fraction_stderr": (pairs, [m.stderr for m in moments]),
-            "effective_photons": (pairs, [m.effective_photons for m in moments]),
-            "mean_path_mm": ((*pairs, "absorber"), [p[0] for p in paths]),
-            "mean_path_mm_stderr": ((*pairs, "absorber"), [p[1] for p in paths]),
-            "derivative_mm": ((*pairs, "absorber"), [s[0] for s in slopes]),
-            "derivative_mm_stderr": ((*pairs, "absorber"), [s[1] for s in slopes]),
-        }
-        return self._dataset({name: (dims, np.array(values)) for name, (dims, values) in data.items()})
+        each = (*pairs, "absorber")
+        text = "detected fraction of the emitted power"
+        data = variable("detected_fraction", pairs, fraction, text, stderr=stderr)
+        data |= variable("effective_photons", pairs, effective, "effective number of detected photons")
+        text = "mean path of the detected light in the absorber"
+        data |= variable("mean_path_mm", each, path, text, units="mm", stderr=path_stderr)
+        text = "derivative of the detected fraction to the absorber's mu_a"
+        data |= variable("derivative_mm", each, slope, text, units="mm", stderr=slope_stderr)
+        wavelength = [led.wavelength_nm for led in self.scene.leds]
+        data |= variable("wavelength_nm", "led", wavelength, "peak wavelength", units="nm")
+        names = {"led": list(self.leds), "photodiode": list(self.photodiodes), "absorber": list(self.absorbers)}
+        return xr.Dataset(data, names, self.attributes())
 
     def moments_at(
         self, blood_fraction: ArrayLike | None, so2: float | None, mu_a_per_mm: Mapping[str, float] | None = None
@@ -252,27 +256,6 @@ class Transfer:
                 ReweightWarning,
                 stacklevel=4,
             )
-
-    def _dataset(self, data: Mapping[str, tuple[tuple[str, ...], np.ndarray]]) -> xr.Dataset:
-        coords = {"led": list(self.leds), "photodiode": list(self.photodiodes), "absorber": list(self.absorbers)}
-        names = {
-            "detected_fraction": ("detected fraction of the emitted power", "1"),
-            "effective_photons": ("effective number of detected photons", "1"),
-            "mean_path_mm": ("mean path of the detected light in the absorber", "mm"),
-            "derivative_mm": ("derivative of the detected fraction to the absorber's mu_a", "mm"),
-        }
-        out = xr.Dataset({name: (dims, values) for name, (dims, values) in data.items()}, coords=coords)
-        for name, (long_name, unit) in names.items():
-            out[name].attrs = {"long_name": long_name, "units": unit}
-            if f"{name}_stderr" in out:
-                out[name].attrs["ancillary_variables"] = f"{name}_stderr"
-                out[f"{name}_stderr"].attrs = {"long_name": f"standard error of the {long_name}", "units": unit}
-        out["wavelength_nm"] = (
-            "led",
-            [led.wavelength_nm for led in self.scene.leds],
-            {"units": "nm", "long_name": "peak wavelength"},
-        )
-        return out.assign_attrs(self.attributes())
 
     def attributes(self) -> dict[str, Any]:
         """What a result carries about its making: scene, digest, engine, backend, versions, photons."""

@@ -11,6 +11,7 @@ from nailoptics.light.finger_walk import FingerTracer
 from nailoptics.light.tallies.section import Section
 from nailoptics.light.volpath import integrate, states
 from nailoptics.scene import Scene, load_scene
+from nailoptics.statistics import seed_of
 
 
 def prototype(*, index_steps: bool = True, elements: tuple[tuple[int, ...], tuple[int, ...]] | None = None) -> Scene:
@@ -74,18 +75,15 @@ def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_prototype(jit_
     shape = geometry.build(scene)
     found = optics.finger_media(scene, shape.regions, 800.0)
     v = np.linspace(*(np.asarray(shape.bounds_mm)[:, 1] + [-0.2, 0.2]), 101)
-    batches = integrate.finger_fractions(
-        scene,
+    paths = integrate.FingerPaths(
         shape,
         found,
         bed=integrate.BedAbsorption(v, np.full((1, len(v)), found.mu_a[shape.regions.index("bed")])),
         led=0,
-        photodiode=0,
-        batches=60,
-        paths_per_batch=5632,
-        seed=2,
+        photodiodes=(0,),
         backend=backend.choose("auto", volpath=True),
-    )[:, 0]
+    )
+    batches = np.array([paths.batch(paths=5632, seed=seed_of(2, k))[0] for k in range(60)])
     other, error = batches.mean(), batches.std(ddof=1) / np.sqrt(len(batches))
     assert error < 0.03 * other and seen.detected_fraction_stderr < 0.03 * seen.detected_fraction
     assert abs(seen.detected_fraction - other) < 3 * np.hypot(error, seen.detected_fraction_stderr)

@@ -11,6 +11,7 @@ from nailoptics.light import backend
 from nailoptics.light.optics import finger_media
 from nailoptics.light.volpath import integrate, mitsuba_scene, states
 from nailoptics.scene import parse_scene
+from nailoptics.statistics import seed_of
 
 # Dermis, measured by Shimojo (mu_a), and reduced scattering 4.6 (lambda / 500)^-1.421 (Jacques 2013). [mm^-1]
 DERMIS = {660.0: (0.065, 3.10), 800.0: (0.050, 2.36), 940.0: (0.066, 1.88)}
@@ -213,19 +214,16 @@ def prepare(text):
 
 def read(finger, engine, *, seed, batches, swapped=True, keep=slice(None), optics=None):
     scene, shape, media, bed = finger
-    return integrate.finger_fractions(
-        scene,
+    paths = integrate.FingerPaths(
         shape,
         optics or media,
         bed=integrate.BedAbsorption(bed.v_mm, bed.mu_a_per_mm[keep]),
         led=0,
-        photodiode=0,
-        batches=batches,
-        paths_per_batch=2048,
-        seed=seed,
+        photodiodes=(0,),
         backend=engine,
         swapped=swapped,
     )
+    return np.stack([paths.batch(paths=2048, seed=seed_of(seed, k)) for k in range(batches)])
 
 
 @pytest.mark.jit

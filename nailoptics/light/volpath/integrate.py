@@ -25,9 +25,9 @@ from ...scene import Led, Scene
 from ...statistics import seed_of
 from ..backend import Backend, activate, choose
 from ..optics import Media
-from .mitsuba_scene import EVERYTHING, FILM, BedAbsorption, Window, check_pattern, finger_scene, phantom_scene
+from .mitsuba_scene import EVERYTHING, FILM, BedAbsorption, Window, finger_scene, phantom_scene
 
-__all__ = ["BedAbsorption", "FingerPaths", "finger_fractions", "phantom_energy", "phantom_fractions"]
+__all__ = ["BedAbsorption", "FingerPaths", "phantom_energy", "phantom_fractions"]
 
 log = logging.getLogger(__name__)
 
@@ -68,11 +68,6 @@ def _render(mi: Any, scene: Any, *, paths: int, seed: int) -> NDArray[np.float64
     return np.asarray(mean)
 
 
-def _seeds(seed: int, batches: int) -> list[int]:
-    """Independent seeds of the batches."""
-    return [seed_of(seed, number) for number in range(batches)]
-
-
 def phantom_fractions(
     scene: Scene,
     *,
@@ -83,11 +78,7 @@ def phantom_fractions(
     seed: int,
     backend: Backend | None = None,
 ) -> NDArray[np.float64]:
-    """Detected fraction of an LED's power in an aperture on a phantom, batch by batch.
-
-    led, photodiode : Indices in the scene.
-
-    Returns (batches,) float; the mean is the estimate, their spread gives its standard error.
+    """Detected fraction of an LED's power in an aperture on a phantom, batch by batch, (batches,) float.
 
     Raises: InputError for an LED with a measured pattern.
     """
@@ -115,7 +106,7 @@ def _phantom(
     scale /= 1.0 if led.pattern == "pencil" else math.pi
     with _mitsuba(backend) as mi:
         loaded = mi.load_dict(phantom_scene(mi, phantom, led, windows), optimize=False)
-        colours = np.stack([_render(mi, loaded, paths=paths, seed=s) for s in _seeds(seed, batches)])
+        colours = np.stack([_render(mi, loaded, paths=paths, seed=seed_of(seed, k)) for k in range(batches)])
     return np.asarray(colours[:, : len(windows)] * scale)
 
 
@@ -125,8 +116,8 @@ class FingerPaths:
     geometry : the finger.
     media : optics of its regions; the bed's own mu_a is not used.
     bed : absorption of the bed along the nail in each state.
-    led, photodiodes : indices into geometry.leds and geometry.photodiodes; several only with one state.
-    pattern : the LED, whose angular pattern must be Lambertian.
+    led, photodiodes : indices into geometry.leds, whose light is taken to be Lambertian, and geometry.photodiodes;
+        several only with one state.
     swapped : sense at the die and emit from the photodiode (less noise), or the other way round.
     """
 
@@ -138,12 +129,9 @@ class FingerPaths:
         bed: BedAbsorption,
         led: int,
         photodiodes: tuple[int, ...],
-        pattern: Led | None = None,
         backend: Backend | None = None,
         swapped: bool = True,
     ) -> None:
-        if pattern is not None:
-            check_pattern(pattern)
         states = len(bed.mu_a_per_mm)
         if not 1 <= len(photodiodes) <= 3 or (len(photodiodes) > 1 and (states > 1 or not swapped)):
             raise ValueError("three colours can tell states or photodiodes apart, not both")
@@ -180,38 +168,3 @@ class FingerPaths:
                 wanted = int(paths * seconds / max(spent, 1e-6)) // PIXELS * PIXELS
                 return min(max(wanted, PIXELS), MAX_SPP * PIXELS)
             paths *= 4
-
-
-def finger_fractions(
-    scene: Scene,
-    geometry: Geometry,
-    media: Media,
-    *,
-    bed: BedAbsorption,
-    led: int,
-    photodiode: int,
-    batches: int,
-    paths_per_batch: int,
-    seed: int,
-    backend: Backend | None = None,
-    swapped: bool = True,
-) -> NDArray[np.float64]:
-    """Detected fraction of an LED's power on one photodiode of a finger, (batches, states) float.
-
-    States share their paths, so that the noise of their ratio is far below that of each.
-
-    Raises: InputError where the scene is no finger or the LED's pattern is measured.
-    """
-    if scene.finger is None:
-        raise InputError("finger_fractions needs a finger scene; use phantom_fractions for a phantom.")
-    paths = FingerPaths(
-        geometry,
-        media,
-        bed=bed,
-        led=led,
-        photodiodes=(photodiode,),
-        pattern=scene.leds[led],
-        backend=backend,
-        swapped=swapped,
-    )
-    return np.stack([paths.batch(paths=paths_per_batch, seed=s) for s in _seeds(seed, batches)])

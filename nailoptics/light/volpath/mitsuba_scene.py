@@ -181,7 +181,7 @@ def phantom_scene(mi: Any, phantom: Phantom, led: Led, windows: list[Window]) ->
         height = gap if window.top else float(z[-1]) - gap
         scene[f"window_{i}"] = {
             "type": "rectangle",
-            "to_world": (T().translate([*window.center_mm, height]) @ flip).scale([*half(window.size_mm), 1]),
+            "to_world": (T().translate([*window.center_mm, height]) @ flip).scale([*np.divide(window.size_mm, 2), 1]),
             "bsdf": BLACK,
             "emitter": emitter([float(i == k) for k in range(3)]),
         }
@@ -200,17 +200,12 @@ def phantom_scene(mi: Any, phantom: Phantom, led: Led, windows: list[Window]) ->
             "type": "rectangle",
             "to_world": T().translate([x, y, gap / 2])
             @ T().rotate([1, 0, 0], 180)
-            @ T().scale([*half(led.size_mm), 1]),
+            @ T().scale([*np.divide(led.size_mm, 2), 1]),
             # In a phantom the die stands in nobody's way.
             "bsdf": {"type": "null"},
             "sensor": {"type": "irradiancemeter", "film": film()},
         }
     return scene
-
-
-def half(size: tuple[float, float]) -> tuple[float, float]:
-    """Half of a size."""
-    return size[0] / 2, size[1] / 2
 
 
 def sides(*, below: str | None, above: str | None) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from ..backend import Backend
 from ..optics import Media
 from ..tracing import INTERRUPTED, unseen
 from .integrate import BedAbsorption, FingerPaths
+from .mitsuba_scene import check_pattern
 
 log = logging.getLogger(__name__)
 
@@ -78,6 +79,7 @@ def finger_states(
 
     Raises: InputError for an LED with a measured pattern.
     """
+    check_pattern(scene.leds[led])
 
     def tracer(absorption: BedAbsorption, photodiodes: tuple[int, ...]) -> FingerPaths:
         return FingerPaths(
@@ -86,7 +88,6 @@ def finger_states(
             bed=absorption,
             led=led,
             photodiodes=photodiodes,
-            pattern=scene.leds[led],
             backend=backend,
         )
 
