@@ -22,7 +22,7 @@ from . import backend as backends
 from . import optics
 from .course import Course, course
 from .tracing import ProgressCallback, accuracy, trace
-from .transfer import FEW_PHOTONS, Transfer, photodiode_names, provenance
+from .transfer import FEW_PHOTONS, Transfer, mean_of_leds, photodiode_names, provenance
 from .volpath import led_readings as volpath
 
 log = logging.getLogger(__name__)
@@ -322,7 +322,7 @@ def _rest_by_volpath(
         rows += [_row(led, *value, one.paths) for value in values]
     result = RestReadings(
         readings=rows,
-        energy=volpath.mean_of_leds([one.energy for one in traced if one.energy]),
+        energy=mean_of_leds([one.energy for one in traced if one.energy]) if scene.phantom is not None else None,
         photons=sum(one.paths for one in traced),
         engine="volpath",
         backend=chosen.name,

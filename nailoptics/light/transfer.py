@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from .. import io
-from ..errors import InputError, NailopticsError
+from ..errors import InputError
 from ..scene import Scene, digest, parse_scene, to_toml
 from ..statistics import stderr_of_mean
 from ..variables import variable
@@ -128,12 +128,15 @@ class Transfer:
 
     def energy(self) -> dict[str, dict[str, float]]:
         """Where the light of all LEDs went, in equal parts, with standard errors; fractions of the power emitted."""
-        parts = {}
-        for name in ("reflected", "transmitted", "absorbed", "lost"):
-            values = [t.energy[name][0] / t.photons for t in self.traces]
-            errors = [float(stderr_of_mean(*t.energy[name], t.photons)) for t in self.traces]
-            parts[name] = {"value": float(np.mean(values)), "stderr": float(np.linalg.norm(errors) / len(errors))}
-        return parts
+        return mean_of_leds(
+            [
+                {
+                    name: (sums[0] / t.photons, float(stderr_of_mean(*sums, t.photons)))
+                    for name, sums in t.energy.items()
+                }
+                for t in self.traces
+            ]
+        )
 
     def merge(self, other: "Transfer") -> "Transfer":
         """This trace and another of the same light as one; raises InputError if they differ or share a seed."""
@@ -179,7 +182,7 @@ class Transfer:
         path = Path(path)
         try:
             header, arrays = io.unpack(path.read_bytes())
-            scene, photodiodes = scene_from_attributes(header), tuple(header["photodiodes"])
+            scene, photodiodes = parse_scene(header["scene"], name="the stored scene"), tuple(header["photodiodes"])
             traces, start = [], 0
             for i, (led, mu_a, sums) in enumerate(
                 zip(header["leds"], arrays["mu_a_per_mm"], arrays["full"], strict=True)
@@ -285,6 +288,15 @@ def provenance(scene: Scene, *, engine: str, backend: str, photons: int, seeds: 
     }
 
 
+def mean_of_leds(energy: Sequence[Mapping[str, tuple[float, float]]]) -> dict[str, dict[str, float]]:
+    """Where the light of all LEDs went, in equal parts, from the parts of each and their standard errors."""
+    out = {}
+    for name in energy[0]:
+        values, errors = zip(*(parts[name] for parts in energy), strict=True)
+        out[name] = {"value": float(np.mean(values)), "stderr": float(np.linalg.norm(errors) / len(errors))}
+    return out
+
+
 def photodiode_names(scene: Scene) -> tuple[str, ...]:
     """Names of the photodiodes in the order in which a trace counts them."""
     return scene.layout.photodiode_names if scene.phantom is None else tuple(p.name for p in scene.photodiodes)
@@ -312,10 +324,3 @@ def transfer_of(
         wall_seconds=wall_seconds,
         events=events,
     )
-
-
-def scene_from_attributes(attributes: Mapping[str, Any]) -> Scene:
-    """The scene that a result carries."""
-    if "scene" not in attributes:
-        raise NailopticsError("this file carries no scene; it was not written by nailoptics.")
-    return parse_scene(str(attributes["scene"]), name="the stored scene")

@@ -9,7 +9,7 @@ from nailoptics.assets import data_dir
 from nailoptics.light import backend, optics
 from nailoptics.light.finger_walk import FingerTracer
 from nailoptics.light.tallies.section import Section
-from nailoptics.light.volpath import integrate, states
+from nailoptics.light.volpath import integrate, mitsuba_scene, states
 from nailoptics.scene import Scene, load_scene
 from nailoptics.statistics import seed_of
 
@@ -35,7 +35,7 @@ def by_volpath(scene: Scene, *, relative_error: float, seed: int) -> tuple[np.nd
         scene,
         shape,
         found,
-        bed=integrate.BedAbsorption(v, rest),
+        bed=mitsuba_scene.BedAbsorption(v, rest),
         led=0,
         relative_error=relative_error,
         max_seconds=900,
@@ -78,7 +78,7 @@ def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_prototype(jit_
     paths = integrate.FingerPaths(
         shape,
         found,
-        bed=integrate.BedAbsorption(v, np.full((1, len(v)), found.mu_a[shape.regions.index("bed")])),
+        bed=mitsuba_scene.BedAbsorption(v, np.full((1, len(v)), found.mu_a[shape.regions.index("bed")])),
         led=0,
         photodiodes=(0,),
         backend=backend.choose("auto", volpath=True),
@@ -125,7 +125,7 @@ def test_a_bed_that_absorbs_more_dims_both_engines_alike(jit_backend):
         scene,
         shape,
         found,
-        bed=integrate.BedAbsorption(np.array([-20.0, 20.0]), np.array([[bed] * 2, [bed + more] * 2])),
+        bed=mitsuba_scene.BedAbsorption(np.array([-20.0, 20.0]), np.array([[bed] * 2, [bed + more] * 2])),
         led=0,
         relative_error=0.5,  # the ratio is settled before the level
         max_seconds=300,

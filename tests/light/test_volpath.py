@@ -10,6 +10,7 @@ from nailoptics.errors import InputError
 from nailoptics.light import backend
 from nailoptics.light.optics import finger_media
 from nailoptics.light.volpath import integrate, mitsuba_scene, states
+from nailoptics.light.volpath.mitsuba_scene import EVERYTHING, LEAVING, BedAbsorption, Window
 from nailoptics.scene import parse_scene
 from nailoptics.statistics import seed_of
 
@@ -22,6 +23,7 @@ aperture = true
 position_mm = [2.0, 0.0]
 size_mm = [1.0, 1.0]
 """
+THROUGH_SQUARE = [Window((2.0, 0.0), (1.0, 1.0))]
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +75,7 @@ def test_a_slab_at_each_wavelength_meets_adding_doubling(wavelength, n, engine):
     mu_s = reduced / (1 - g)
     exact = iadpython.Sample(a=mu_s / (mu_a + mu_s), b=mu_a + mu_s, g=g, n=n, quad_pts=20).rt()[:2]
     scene = slab(mu_a=mu_a, mu_s=mu_s, g=g, n=n, wavelength=wavelength)
-    batches = integrate.phantom_energy(scene, batches=16, paths_per_batch=4096, seed=1, backend=engine)
+    batches = integrate.phantom_fractions(scene, LEAVING, batches=16, paths_per_batch=4096, seed=1, backend=engine)
     mean, stderr = statistics(batches)
     assert np.all(abs(mean - exact) < 4 * stderr)
     assert np.all(stderr < 0.01 * mean)
@@ -84,7 +86,7 @@ def test_a_lambertian_die_meets_adding_doubling(engine):
     iadpython = pytest.importorskip("iadpython")
     exact = iadpython.Sample(a=0.99, b=10, g=0.8, n=1.4, quad_pts=20).rt()[2:]
     scene = slab(mu_a=0.1, mu_s=9.9, g=0.8, n=1.4, led="size_mm = [0.25, 0.25]")
-    batches = integrate.phantom_energy(scene, batches=16, paths_per_batch=4096, seed=2, backend=engine)
+    batches = integrate.phantom_fractions(scene, LEAVING, batches=16, paths_per_batch=4096, seed=2, backend=engine)
     mean, stderr = statistics(batches)
     assert np.all(abs(mean - exact) < 4 * stderr)
     assert np.all(stderr < 0.01 * mean)
@@ -94,7 +96,7 @@ def test_a_lambertian_die_meets_adding_doubling(engine):
 def test_without_absorption_all_light_comes_out(led, engine):
     """R + T = 1 path by path, also where the index below differs: radiance over n squared is what is reciprocal."""
     scene = slab(mu_a=0.0, mu_s=8.0, g=0.5, n=1.5, n_below=1.33, led=led)
-    batches = integrate.phantom_energy(scene, batches=2, paths_per_batch=4096, seed=3, backend=engine)
+    batches = integrate.phantom_fractions(scene, LEAVING, batches=2, paths_per_batch=4096, seed=3, backend=engine)
     assert np.allclose(batches.sum(axis=1), 1, atol=1e-3)
     assert np.all(batches > 0.1)
 
@@ -106,10 +108,8 @@ def test_three_blood_states_in_one_heterogeneous_medium_meet_adding_doubling(eng
     exact = [iadpython.Sample(a=mu_s / (m + mu_s), b=m + mu_s, g=g, n=1.4, quad_pts=20).rt()[0] for m in states]
     with integrate._mitsuba(engine) as mi:
         scene = slab(mu_a=0.05, mu_s=mu_s, g=g, n=1.4)
-        made = mitsuba_scene.phantom_scene(
-            mi, scene.phantom, scene.leds[0], [mitsuba_scene.Window((0.0, 0.0), mitsuba_scene.EVERYTHING)]
-        )
-        bed = integrate.BedAbsorption(np.array([-80.0, 0.0, 80.0]), np.repeat(states[:, None], 3, axis=1))
+        made = mitsuba_scene.phantom_scene(mi, scene.phantom, scene.leds[0], [Window((0.0, 0.0), EVERYTHING)])
+        bed = BedAbsorption(np.array([-80.0, 0.0, 80.0]), np.repeat(states[:, None], 3, axis=1))
         box = np.array([[-80.0, -80, -1.2], [80, 80, 0.2]])
         made["medium_0"] = mitsuba_scene.bed_medium(mi, bed, mu_s=mu_s, g=g, bounds_mm=box)
         made["window_0"]["emitter"] = mitsuba_scene.emitter([1.0, 1.0, 1.0])
@@ -123,7 +123,9 @@ def test_three_blood_states_in_one_heterogeneous_medium_meet_adding_doubling(eng
 def test_a_photodiode_sized_reading(engine):
     """8.977(9)e-3 through a 1 x 1 mm square 2 mm from a beam on 10 mm of matched medium: pmmc, MCX and plain C."""
     scene = slab(mu_a=0.05, mu_s=10, g=0.9, n=1, thickness=10, photodiode=SQUARE)
-    batches = integrate.phantom_fractions(scene, batches=20, paths_per_batch=5120, seed=4, backend=engine)
+    batches = integrate.phantom_fractions(
+        scene, THROUGH_SQUARE, batches=20, paths_per_batch=5120, seed=4, backend=engine
+    )
     mean, stderr = statistics(batches)
     assert abs(mean - 8.977e-3) < 4 * stderr and stderr < 0.04 * mean
 
@@ -132,7 +134,7 @@ def test_same_seed_same_bits_and_the_variant_is_given_back(engine):
     mi = backend.activate(backend.choose("scalar"))
     scene = slab(mu_a=0.1, mu_s=1, g=0, n=1.3, photodiode=SQUARE)
     first, second, other = (
-        integrate.phantom_fractions(scene, batches=2, paths_per_batch=512, seed=seed, backend=engine)
+        integrate.phantom_fractions(scene, THROUGH_SQUARE, batches=2, paths_per_batch=512, seed=seed, backend=engine)
         for seed in (5, 5, 6)
     )
     assert np.array_equal(first, second) and not np.array_equal(first, other)
@@ -149,13 +151,17 @@ def test_what_stock_mitsuba_cannot_do_is_said():
         photodiode=SQUARE,
     )
     with pytest.raises(InputError, match="measured"):
-        integrate.phantom_fractions(scene, batches=1, paths_per_batch=256, seed=1, backend=backend.choose("scalar"))
+        integrate.phantom_fractions(
+            scene, THROUGH_SQUARE, batches=1, paths_per_batch=256, seed=1, backend=backend.choose("scalar")
+        )
     plain = slab(mu_a=0.1, mu_s=1, g=0, n=1, photodiode=SQUARE)
     with pytest.raises(ValueError, match="float32"):
-        integrate.phantom_fractions(plain, batches=1, paths_per_batch=10**8, seed=1, backend=backend.choose("scalar"))
+        integrate.phantom_fractions(
+            plain, THROUGH_SQUARE, batches=1, paths_per_batch=10**8, seed=1, backend=backend.choose("scalar")
+        )
     for places, values in (([0, 1], [0.1, 0.2]), ([0, 1, 3], [[0.1] * 3]), ([0, 1], [[0.1] * 2] * 4)):
         with pytest.raises(ValueError):
-            integrate.BedAbsorption(np.array(places), np.array(values))
+            BedAbsorption(np.array(places), np.array(values))
 
 
 def test_the_bed_varies_along_the_nail_as_asked():
@@ -164,7 +170,7 @@ def test_the_bed_varies_along_the_nail_as_asked():
     v = np.linspace(-6, 6, 121)
     states = np.stack([0.1 + 0.05 * np.tanh(v), 0.2 - 0.01 * v, np.full_like(v, 0.3)])
     made = mitsuba_scene.bed_medium(
-        mi, integrate.BedAbsorption(v, states), mu_s=20.0, g=0.9, bounds_mm=np.array([[-5.0, -5, -9], [5, 5, 0]])
+        mi, BedAbsorption(v, states), mu_s=20.0, g=0.9, bounds_mm=np.array([[-5.0, -5, -9], [5, 5, 0]])
     )
     sigma_t, albedo = mi.load_dict(made["sigma_t"]), mi.load_dict(made["albedo"])
     assert sigma_t.max() >= 1.05 * (states.max() + 20)
@@ -177,7 +183,11 @@ def test_the_bed_varies_along_the_nail_as_asked():
         assert np.allclose(total * (1 - share), expected, rtol=1e-3)
     with pytest.raises(ValueError, match="does not cover"):
         mitsuba_scene.bed_medium(
-            mi, integrate.BedAbsorption(v, states), mu_s=20.0, g=0.9, bounds_mm=np.array([[-5.0, -9, -9], [5, 5, 0]])
+            mi,
+            BedAbsorption(v, states),
+            mu_s=20.0,
+            g=0.9,
+            bounds_mm=np.array([[-5.0, -9, -9], [5, 5, 0]]),
         )
 
 
@@ -209,7 +219,7 @@ def prepare(text):
     bloodless = optics.mu_a[shape.regions.index("bed")]
     # 1, 3 and 6 % of blood of 0.437 per mm, smoothly less towards the tip.
     states = bloodless + 0.437 * np.outer([0.01, 0.03, 0.06], 1 - 0.3 / (1 + np.exp(-v)))
-    return scene, shape, optics, integrate.BedAbsorption(v, states)
+    return scene, shape, optics, BedAbsorption(v, states)
 
 
 def read(finger, engine, *, seed, batches, swapped=True, keep=slice(None), optics=None):
@@ -217,7 +227,7 @@ def read(finger, engine, *, seed, batches, swapped=True, keep=slice(None), optic
     paths = integrate.FingerPaths(
         shape,
         optics or media,
-        bed=integrate.BedAbsorption(bed.v_mm, bed.mu_a_per_mm[keep]),
+        bed=BedAbsorption(bed.v_mm, bed.mu_a_per_mm[keep]),
         led=0,
         photodiodes=(0,),
         backend=engine,
@@ -276,7 +286,7 @@ position_mm = [0.0, 1.0]
 size_mm = [1.0, 1.0]
 """
     scene, shape, media, bed = prepare(FINGER + two)
-    rest = integrate.BedAbsorption(bed.v_mm, bed.mu_a_per_mm[:1])
+    rest = BedAbsorption(bed.v_mm, bed.mu_a_per_mm[:1])
     scalar = backend.choose("scalar")
 
     def trace(photodiodes, seed):

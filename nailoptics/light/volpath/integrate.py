@@ -5,12 +5,11 @@ and up to three blood states travel as the three colours of one path, so that th
 Where no JIT backend works it does the main job in the scalar variant.
 """
 
-import logging
 import math
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -21,15 +20,11 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...geometry import Geometry
-from ...scene import Led, Scene
+from ...scene import Scene
 from ...statistics import seed_of
 from ..backend import Backend, activate, choose
 from ..optics import Media
-from .mitsuba_scene import EVERYTHING, FILM, BedAbsorption, Window, finger_scene, phantom_scene
-
-__all__ = ["BedAbsorption", "FingerPaths", "phantom_energy", "phantom_fractions"]
-
-log = logging.getLogger(__name__)
+from .mitsuba_scene import FILM, BedAbsorption, Window, finger_scene, phantom_scene
 
 # The rgb variants carry three plain floats, at the cost of one.
 VARIANTS = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
@@ -70,43 +65,27 @@ def _render(mi: Any, scene: Any, *, paths: int, seed: int) -> NDArray[np.float64
 
 def phantom_fractions(
     scene: Scene,
+    windows: Sequence[Window],
     *,
     led: int = 0,
-    photodiode: int = 0,
     batches: int,
     paths_per_batch: int,
     seed: int,
     backend: Backend | None = None,
 ) -> NDArray[np.float64]:
-    """Detected fraction of an LED's power in an aperture on a phantom, batch by batch, (batches,) float.
+    """The fraction of an LED's power that leaves a phantom through up to three windows, (batches, windows) float.
 
     Raises: InputError for an LED with a measured pattern.
     """
-    aperture = scene.photodiodes[photodiode]
-    window = Window(aperture.position_mm, aperture.size_mm)
-    return _phantom(scene, scene.leds[led], [window], batches, paths_per_batch, seed, backend)[:, 0]
-
-
-def phantom_energy(
-    scene: Scene, *, led: int = 0, batches: int, paths_per_batch: int, seed: int, backend: Backend | None = None
-) -> NDArray[np.float64]:
-    """Reflected (specular included) and transmitted fraction of an LED's power, batch by batch, (batches, 2) float."""
-    windows = [Window((0.0, 0.0), EVERYTHING), Window((0.0, 0.0), EVERYTHING, top=False)]
-    return _phantom(scene, scene.leds[led], windows, batches, paths_per_batch, seed, backend)
-
-
-def _phantom(
-    scene: Scene, led: Led, windows: list[Window], batches: int, paths: int, seed: int, backend: Backend | None
-) -> NDArray[np.float64]:
     assert scene.phantom is not None
-    phantom = scene.phantom
+    phantom, source = scene.phantom, scene.leds[led]
     # What is reciprocal is radiance over n squared.
     scale = np.array([1.0 if window.top else (phantom.n_below / phantom.n_above) ** 2 for window in windows])
     # A beam reads the radiance that leaves along it; a die reads irradiance, pi times as much.
-    scale /= 1.0 if led.pattern == "pencil" else math.pi
+    scale /= 1.0 if source.pattern == "pencil" else math.pi
     with _mitsuba(backend) as mi:
-        loaded = mi.load_dict(phantom_scene(mi, phantom, led, windows), optimize=False)
-        colours = np.stack([_render(mi, loaded, paths=paths, seed=seed_of(seed, k)) for k in range(batches)])
+        loaded = mi.load_dict(phantom_scene(mi, phantom, source, windows), optimize=False)
+        colours = np.stack([_render(mi, loaded, paths=paths_per_batch, seed=seed_of(seed, k)) for k in range(batches)])
     return np.asarray(colours[:, : len(windows)] * scale)
 
 

@@ -15,8 +15,8 @@ from .. import optics
 from ..backend import Backend
 from ..course import Course
 from ..tracing import INTERRUPTED, ProgressCallback, TraceProgress, share_of_time
-from .integrate import phantom_energy, phantom_fractions
-from .mitsuba_scene import BedAbsorption
+from .integrate import phantom_fractions
+from .mitsuba_scene import LEAVING, BedAbsorption, Window
 from .states import StateReadings, finger_states
 
 # Batches of each round over a phantom, whose spread gives the standard error.
@@ -149,10 +149,11 @@ def phantom_readings(
 def _phantom_round(scene: Scene, led: int, size: int, *, seed: tuple[int, ...], backend: Backend) -> np.ndarray:
     """One round of batches: photodiodes, light reflected, transmitted, and both of these, (p + 3, batches) float."""
     options: dict[str, Any] = {"led": led, "batches": ROUND_BATCHES, "paths_per_batch": size, "backend": backend}
-    *seeds, last = (seed_of(*seed, k) for k in range(len(scene.photodiodes) + 1))
-    rows = [phantom_fractions(scene, photodiode=j, seed=one, **options) for j, one in enumerate(seeds)]
-    leaving = phantom_energy(scene, seed=last, **options)
-    return np.stack([*rows, *leaving.T, leaving.sum(1)])
+    windows = [*([Window(p.position_mm, p.size_mm)] for p in scene.photodiodes), LEAVING]
+    *apertures, leaving = (
+        phantom_fractions(scene, some, seed=seed_of(*seed, k), **options) for k, some in enumerate(windows)
+    )
+    return np.stack([*(batches[:, 0] for batches in apertures), *leaving.T, leaving.sum(1)])
 
 
 def _pooled(rounds: list[np.ndarray], sizes: list[int]) -> tuple[float, float]:
@@ -161,15 +162,6 @@ def _pooled(rounds: list[np.ndarray], sizes: list[int]) -> tuple[float, float]:
     mean = [float(np.mean(batches)) for batches in rounds]
     stderr = [float(np.std(batches, ddof=1) / math.sqrt(len(batches))) for batches in rounds]
     return float(weight @ mean), float(np.linalg.norm(weight * stderr))
-
-
-def mean_of_leds(energy: list[dict[str, tuple[float, float]]]) -> dict[str, dict[str, float]] | None:
-    """Where the light of all LEDs went, in equal parts; None where nothing is known of it."""
-    out = {}
-    for name in energy[0] if energy else ():
-        values, errors = zip(*(parts[name] for parts in energy), strict=True)
-        out[name] = {"value": float(np.mean(values)), "stderr": float(np.linalg.norm(errors) / len(errors))}
-    return out or None
 
 
 def corner_states(states: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ with less noise. All three colours of an rgb variant are plain floats here; they
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,8 @@ class Window:
 
 
 EVERYTHING = (0.9 * 2 * INFINITE_MM, 0.9 * 2 * INFINITE_MM)
+# All light that a phantom reflects (specular included), and all that it transmits.
+LEAVING = (Window((0.0, 0.0), EVERYTHING), Window((0.0, 0.0), EVERYTHING, top=False))
 
 
 def medium(*, mu_a: float, mu_s: float, g: float) -> dict[str, Any] | None:
@@ -148,7 +151,7 @@ def check_pattern(led: Led) -> None:
         )
 
 
-def phantom_scene(mi: Any, phantom: Phantom, led: Led, windows: list[Window]) -> dict[str, Any]:
+def phantom_scene(mi: Any, phantom: Phantom, led: Led, windows: Sequence[Window]) -> dict[str, Any]:
     """A phantom seen from its LED; window i emits in colour i, and windows of one face must not overlap."""
     check_pattern(led)
     T = mi.ScalarTransform4f

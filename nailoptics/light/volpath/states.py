@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,17 +81,7 @@ def finger_states(
     Raises: InputError for an LED with a measured pattern.
     """
     check_pattern(scene.leds[led])
-
-    def tracer(absorption: BedAbsorption, photodiodes: tuple[int, ...]) -> FingerPaths:
-        return FingerPaths(
-            geometry,
-            media,
-            bed=absorption,
-            led=led,
-            photodiodes=photodiodes,
-            backend=backend,
-        )
-
+    tracer = partial(FingerPaths, geometry, media, led=led, backend=backend)
     names = [face.name for face in geometry.photodiodes]
     batches = _Batches(tracer, bed, scene.leds[led].name, names, seed=seed, progress=progress)
     ratio, ratio_stderr = batches.settle_ratios(max_seconds)
@@ -121,7 +112,7 @@ class _Batches:
 
     def __init__(
         self,
-        tracer: Callable[[BedAbsorption, tuple[int, ...]], FingerPaths],
+        tracer: Callable[..., FingerPaths],
         bed: BedAbsorption,
         led: str,
         photodiodes: list[str],
@@ -138,7 +129,7 @@ class _Batches:
         """Each state's reading over that of the first state, and its standard error, (photodiodes, states) float."""
         found = []
         for i in range(len(self.level)):
-            traced, rows = self.tracer(self.bed, (i,)), []
+            traced, rows = self.tracer(bed=self.bed, photodiodes=(i,)), []
             share = RATIO_SHARE * max_seconds / (RATIO_BATCHES * len(self.level))
             self.paths = self.paths or traced.paths_for(min(BATCH_SECONDS, share))
             for _ in range(RATIO_BATCHES):
@@ -164,7 +155,7 @@ class _Batches:
                     )
                 group = max(unfinished, key=lambda group: planned[group] / len(self.level[group[0]]))
                 if group not in tracers:
-                    tracers[group] = self.tracer(rest, group)
+                    tracers[group] = self.tracer(bed=rest, photodiodes=group)
                 self._trace(tracers[group], group)
                 if len(self.level[group[0]]) == planned[group]:
                     blind = [i for i in group if not any(self.level[i])]
