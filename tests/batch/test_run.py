@@ -1,5 +1,6 @@
 """A batch loses nothing: kills, failures, damage, full disks and rivals, and always the same bits."""
 
+import contextlib
 import itertools
 import json
 import multiprocessing
@@ -155,14 +156,19 @@ def test_a_killed_driver_takes_its_workers_along_and_the_next_run_goes_on(calm, 
 
 
 def test_an_interrupted_run_ends_at_once_and_keeps_what_is_done(calm, tmp_path):
-    process = driver(calm.file, tmp_path / "b", "--workers", "1", start_new_session=True)
-    deadline = time.time() + 60
-    while len(bits(tmp_path / "b")) < 4 and time.time() < deadline:
-        time.sleep(0.01)
-    os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C does, to the workers too
-    _, told = process.communicate(timeout=20)
+    for attempt in range(5):
+        folder = tmp_path / f"b{attempt}"
+        process = driver(calm.file, folder, "--workers", "1", start_new_session=True)
+        deadline = time.time() + 60
+        while len(bits(folder)) < 4 and time.time() < deadline:
+            time.sleep(0.01)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C does, to the workers too
+        _, told = process.communicate(timeout=20)
+        if process.returncode:  # on a busy machine the run may have ended before it was interrupted
+            break
     assert process.returncode == 3 and "interrupted; what is done is kept" in told
-    there = bits(tmp_path / "b")
+    there = bits(folder)
     assert 4 <= len(there) < 30 and there.items() <= calm.bits.items()
 
 
