@@ -95,7 +95,7 @@ class Finding:
 
 
 def choose(requested: str = "auto", *, volpath: bool = False) -> Backend:
-    """The backend to trace with: the one asked for, or the first that works of cuda, llvm, scalar.
+    """The backend to trace with: the one requested, or the first that works of cuda, llvm, scalar.
 
     Does not import mitsuba. A library seen for the first time costs a subprocess of about a second.
 

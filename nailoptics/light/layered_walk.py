@@ -151,14 +151,9 @@ def arc_share(shift_mm: np.ndarray, start_mm: np.ndarray, aperture: tuple[float,
     x_min, x_max, y_min, y_max = aperture
     radius = np.maximum(np.hypot(*shift_mm.T), TINY)
     share = np.zeros(len(radius))
-    near = np.hypot(
-        np.maximum(np.maximum(x_min - start_mm[:, 0], start_mm[:, 0] - x_max), 0),
-        np.maximum(np.maximum(y_min - start_mm[:, 1], start_mm[:, 1] - y_max), 0),
-    )
-    far = np.hypot(
-        np.maximum(x_max - start_mm[:, 0], start_mm[:, 0] - x_min),
-        np.maximum(y_max - start_mm[:, 1], start_mm[:, 1] - y_min),
-    )
+    low, high = np.array([x_min, y_min]), np.array([x_max, y_max])
+    near = np.hypot(*np.maximum(np.maximum(low - start_mm, start_mm - high), 0).T)
+    far = np.hypot(*np.maximum(high - start_mm, start_mm - low).T)
     hit = np.flatnonzero((radius >= near) & (radius <= far))
     r, (sx, sy) = radius[hit], start_mm[hit].T
     # Azimuths with x inside: [a, b] and its mirror image; with y inside: [c, d] and its mirror image.

@@ -69,8 +69,8 @@ def trace(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     start, cpu = time.perf_counter(), time.process_time()
     traces, events, complaint = [], 0, None
     for led in range(len(scene.leds)):
-        seconds = share_of_time(required, start, len(scene.leds) - led)
-        rule = StoppingRule(scene, led, required, engine.mu_a(led), full=engine.batch_photons, seconds=seconds)
+        rule = StoppingRule(scene, led, required, engine.mu_a(led), full=engine.batch_photons)
+        rule.seconds = share_of_time(required, start, len(scene.leds) - led)
         found = LedRecords(engine.mu_a(led), rule.rest, seed=options.seed, led=led)
         why = _trace_led(engine, rule, found, progress)
         complaint = complaint or why
@@ -151,26 +151,15 @@ class StoppingRule:
     very many photons of which some photodiode has seen none, which no number of photons will mend.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        led: int,
-        required: Accuracy,
-        mu_a: np.ndarray,
-        *,
-        full: int,
-        seconds: float | None = None,
-    ) -> None:
+    def __init__(self, scene: Scene, led: int, required: Accuracy, mu_a: np.ndarray, *, full: int) -> None:
         """mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
 
         full : photons of a full batch.
-        seconds : for this LED; its share of max_seconds if not given. [s]
         """
         self.led, self.required, self.full = led, required, full
         self.name, self.photodiodes = scene.leds[led].name, photodiode_names(scene)
+        # For this LED. [s]
         self.seconds = required.max_seconds / len(scene.leds) if required.max_seconds else math.inf
-        if seconds is not None:
-            self.seconds = seconds
         self.rest, self._mu_a = rest_state(scene, led, len(self.photodiodes)), mu_a
         self._weight, self._square = np.zeros(len(self.photodiodes)), np.zeros(len(self.photodiodes))
         self.photons = 0
@@ -293,7 +282,7 @@ def extend(
     """Continue the stored batches of one LED until every rule is met or out of time, or `stop` says so.
 
     engine : makes the engine; called only if something has to be traced.
-    rules : of all scenes that will be read; they must not have taken in any batch yet.
+    rules : as for `_take_batches`.
     save : called every now and then, and at the end, if there is anything new.
     """
     pieces = dict(have.pieces) if have else {}

@@ -28,6 +28,8 @@ MIN_EFFECTIVE_PHOTONS = 100.0
 FEW_PHOTONS = 10.0
 # A standard error that rests on n effective photons is itself off by 1 / (2 sqrt(n)), here a tenth.
 MIN_ERROR_PHOTONS = 25.0
+# What a trace took, which adds up where traces are merged.
+EFFORT = ("cpu_seconds", "wall_seconds", "events")
 
 
 class ReweightWarning(UserWarning):
@@ -147,25 +149,19 @@ class Transfer:
         return replace(
             self,
             traces=tuple(joined(pair) for pair in zip(self.traces, other.traces, strict=True)),
-            cpu_seconds=self.cpu_seconds + other.cpu_seconds,
-            wall_seconds=self.wall_seconds + other.wall_seconds,
-            events=self.events + other.events,
+            **{name: getattr(self, name) + getattr(other, name) for name in EFFORT},
         )
 
     def save(self, path: str | Path) -> None:
         """Write the transfer to a NumPy archive (.npz), whole or not at all."""
         header = {
             **self.attributes(),
-            "photodiodes": self.photodiodes,
-            "absorbers": self.absorbers,
+            **{name: getattr(self, name) for name in ("photodiodes", "absorbers", *EFFORT)},
             "leds": [
                 {"records": len(t.weight), "photons": t.photons, "energy": t.energy, "seeds": t.seeds, "keep": t.keep}
                 for t in self.traces
             ],
             "version_table": dict(self.versions),
-            "cpu_seconds": self.cpu_seconds,
-            "wall_seconds": self.wall_seconds,
-            "events": self.events,
         }
         # Photons of all LEDs lie one after the other.
         arrays = {name: np.concatenate([getattr(t, name) for t in self.traces]) for name in COLUMNS}
@@ -207,7 +203,7 @@ class Transfer:
                 absorbers=tuple(header["absorbers"]),
                 traces=tuple(traces),
                 versions=header["version_table"],
-                **{name: header[name] for name in ("engine", "backend", "cpu_seconds", "wall_seconds", "events")},
+                **{name: header[name] for name in ("engine", "backend", *EFFORT)},
             )
         except (OSError, io.CorruptError, KeyError, TypeError, ValueError) as error:
             raise InputError(
