@@ -62,11 +62,12 @@ def map_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     light, direct = (_smooth(result[name].isel(led=0).to_numpy()) for name in ("irradiance", "direct"))
     noise = 1e6 * result.place_noise_v.isel(led=0).to_numpy()
     tells = 1e3 * _known(result, "place_resolution_n")
+    # Boards are narrow, and a title on one line would be cut off at the picture's edge.
     panels = (
-        ("Light [1/mm²]", "u", light, "viridis", _bright(light)),
-        ("Never in the bed [1/mm²]", "u", direct, "viridis", _bright(direct)),
-        ("Noise of a photodiode [µV]", "place_u", noise, "viridis", (noise.min(), noise.max())),
-        ("Resolves by itself [mN]", "place_u", tells, "viridis_r", _fine(tells)),
+        ("Light\n[1/mm²]", "u", light, "viridis", _bright(light)),
+        ("Never in the bed\n[1/mm²]", "u", direct, "viridis", _bright(direct)),
+        ("Noise of a photodiode\n[µV]", "place_u", noise, "viridis", (noise.min(), noise.max())),
+        ("Resolves by itself\n[mN]", "place_u", tells, "viridis_r", _fine(tells)),
     )
     figure, grid = style.panels(9.2, 8.4, 2, 2)
     for axes, (title, u, values, colours, span) in zip(grid.flat, panels, strict=True):
