@@ -1,7 +1,7 @@
 """Touch to blood: the paper's network of vessels under the nail, eq. (1)-(4), and the blood of eq. (7)."""
 
 from .blood import blood_fraction, tissue_volume_m3
-from .contact import pressures
+from .contact import pressures, side_areas_mm2
 from .parameters import NAMES, Parameters, bounds, parameters
 from .pulse import cardiac_pressure
 from .respond import respond
@@ -20,6 +20,7 @@ __all__ = [
     "parameters",
     "pressures",
     "respond",
+    "side_areas_mm2",
     "steady_state",
     "tissue_volume_m3",
     "zones",

@@ -9,28 +9,60 @@ from ..scene.base import USUAL_CONTACT_AREA_MM2
 
 
 def pressures(
-    force_n: ArrayLike, contact_area_mm2: float = USUAL_CONTACT_AREA_MM2, proximal_share: float = 0.5
+    force_n: ArrayLike,
+    contact_area_mm2: float = USUAL_CONTACT_AREA_MM2,
+    proximal_share: float = 0.5,
+    *,
+    proximal_area_mm2: float | None = None,
+    distal_area_mm2: float | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The proximal and the distal pressure, P_F1 and P_F2, that a force on the fingertip gives. [Pa]
 
     force_n : any shape, float, 0 or more. Normal force. [N]
-    contact_area_mm2 : Area of the whole touch, half of it proximal and half distal. [mm^2]
-    proximal_share : Part of the force that the proximal half carries, 0 to 1. [1]
+    contact_area_mm2, proximal_share, proximal_area_mm2, distal_area_mm2 : As for `side_areas_mm2`.
 
-    Each half of the contact carries its share on half the area: P_F1 = share F / (area/2), P_F2 = (1-share) F /
-    (area/2). The forces add up to F, and at an even share both pressures are F/area: 1 N on 1 cm^2 is 1 N/cm^2 on both,
-    which puts the paper's model (level near 1 N/cm^2) and its experiments (level near 1 N) on one axis.
+    Each side carries its share of the force on its own area, so that both forces add up to the touch's. By default 1 N
+    on one side is 1 N/cm^2 there, and an even touch of 1 N is 1 N/cm^2 on both, which puts the paper's model (level
+    near 1 N/cm^2) and its experiments (level near 1 N) on one axis.
 
-    Raises: InputError if the force is negative or not finite, the area is not positive, or the share is not in 0..1.
+    Raises: InputError if the force is negative or not finite, an area is not positive, or the share is not in 0..1.
     """
     force = finite("force_n", force_n)
     if np.any(force < 0.0):
         raise InputError(f"force_n must be 0 or more, got {force.min():g} N; a finger pushes, it does not pull.")
-    area = number("contact_area_mm2", contact_area_mm2)
-    if area <= 0.0:
-        raise InputError(f"contact_area_mm2 must be greater than 0, got {area:g}; {USUAL_CONTACT_AREA_MM2:g} is usual.")
-    share = number("proximal_share", proximal_share)
+    proximal_mm2, distal_mm2 = side_areas_mm2(
+        contact_area_mm2, proximal_share, proximal_area_mm2=proximal_area_mm2, distal_area_mm2=distal_area_mm2
+    )
+    return proximal_share * force / (proximal_mm2 * 1e-6), (1.0 - proximal_share) * force / (distal_mm2 * 1e-6)
+
+
+def side_areas_mm2(
+    contact_area_mm2: float = USUAL_CONTACT_AREA_MM2,
+    proximal_share: float = 0.5,
+    *,
+    proximal_area_mm2: float | None = None,
+    distal_area_mm2: float | None = None,
+) -> tuple[float, float]:
+    """The areas on which a touch presses the proximal and the distal pulp. [mm^2]
+
+    contact_area_mm2 : Area of the whole touch. [mm^2]
+    proximal_share : Part of the force that the proximal side carries, 0 to 1. [1]
+    proximal_area_mm2, distal_area_mm2 : Area of a side. None: the part of the contact that goes with the side's share
+        of the force, but no less than half: a touch on one side presses there with all of the contact, an even one
+        with half of it on each side. [mm^2]
+
+    Raises: InputError if an area is not positive, or the share is not in 0..1.
+    """
+    contact, share = _area("contact_area_mm2", contact_area_mm2), number("proximal_share", proximal_share)
     if not 0.0 <= share <= 1.0:
         raise InputError(f"proximal_share must lie in 0..1, got {share:g}; 0.5 is an even touch.")
-    even = force / (area * 1e-6)
-    return 2.0 * share * even, 2.0 * (1.0 - share) * even
+    proximal = contact * max(share, 0.5) if proximal_area_mm2 is None else _area("proximal_area_mm2", proximal_area_mm2)
+    distal = contact * max(1.0 - share, 0.5) if distal_area_mm2 is None else _area("distal_area_mm2", distal_area_mm2)
+    return proximal, distal
+
+
+def _area(name: str, value: float) -> float:
+    area = number(name, value)
+    if area <= 0.0:
+        raise InputError(f"{name} must be greater than 0, got {area:g}; {USUAL_CONTACT_AREA_MM2:g} is usual.")
+    return area

@@ -36,9 +36,13 @@ class Touch(Table):
     recorded_force_n: tuple[NonNegative, ...] | None = None
     """The recorded forces; filled from file. [N]"""
     contact_area_mm2: Positive = USUAL_CONTACT_AREA_MM2
-    """Area over which the force presses on the pulp. [mm^2]"""
+    """Area of the whole touch: on one side it presses there with all of it, evenly with half of it on each. [mm^2]"""
     proximal_share: Fraction = 0.5
     """Share of the force that presses on the proximal pulp (the veins); the rest presses distally."""
+    proximal_area_mm2: Positive | None = None
+    """Area on which the proximal share presses; by default its part of the contact, but at least half. [mm^2]"""
+    distal_area_mm2: Positive | None = None
+    """Area on which the distal share presses; by default its part of the contact, but at least half. [mm^2]"""
 
     @model_validator(mode="before")
     @classmethod

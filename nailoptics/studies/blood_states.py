@@ -1,5 +1,7 @@
 """Touch to blood: what a scene's force makes of the blood under the nail, over time or held until nothing moves."""
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
@@ -52,7 +54,17 @@ def steady_blood_at(scene: Scene, *, proximal_pressure_pa: ArrayLike, distal_pre
 
 def touch_pressures_pa(scene: Scene, force_n: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Proximal and distal pressure of a force that presses as the scene's touch does. [Pa]"""
-    return hemodynamics.pressures(force_n, scene.touch.contact_area_mm2, scene.touch.proximal_share)
+    return hemodynamics.pressures(force_n, **_contact(scene))
+
+
+def touch_areas_mm2(scene: Scene) -> tuple[float, float]:
+    """Area on which the scene's touch presses the proximal and the distal pulp. [mm^2]"""
+    return hemodynamics.side_areas_mm2(**_contact(scene))
+
+
+def _contact(scene: Scene) -> dict[str, Any]:
+    names = ("contact_area_mm2", "proximal_share", "proximal_area_mm2", "distal_area_mm2")
+    return {name: getattr(scene.touch, name) for name in names}
 
 
 def zones_of_photodiodes(scene: Scene) -> np.ndarray:

@@ -11,6 +11,7 @@ from nailoptics.hemodynamics import (
     cardiac_pressure,
     parameters,
     pressures,
+    side_areas_mm2,
     steady_state,
     tissue_volume_m3,
 )
@@ -50,9 +51,19 @@ def test_an_even_touch_of_1_n_on_1_cm2_is_1_n_per_cm2_on_both():
 def test_the_two_halves_carry_the_force(share):
     force, area = np.array([0.0, 0.5, 3.0]), 80.0
     proximal, distal = pressures(force, area, share)
-    half = 0.5 * area * 1e-6
-    assert np.allclose((proximal + distal) * half, force, rtol=1e-12)
-    assert np.allclose(proximal * half, share * force, rtol=1e-12)
+    areas = side_areas_mm2(area, share)
+    assert np.allclose(proximal * areas[0] * 1e-6, share * force, rtol=1e-12)
+    assert np.allclose(distal * areas[1] * 1e-6, (1.0 - share) * force, rtol=1e-12)
+    # The side that carries more feels the force on the whole contact, the other in proportion to its share.
+    assert np.allclose(np.maximum(proximal, distal), force / (area * 1e-6), rtol=1e-12)
+    assert np.allclose(np.minimum(proximal, distal), 2.0 * min(share, 1.0 - share) * force / (area * 1e-6), rtol=1e-12)
+
+
+def test_1_n_on_one_side_is_1_n_per_cm2_there_unless_its_area_is_stated():
+    assert pressures(1.0, proximal_share=1.0) == (1e4, 0.0)
+    assert pressures(1.0, proximal_share=0.0) == (0.0, 1e4)
+    assert pressures(1.0, proximal_share=1.0, proximal_area_mm2=50.0, distal_area_mm2=40.0) == (2e4, 0.0)
+    assert pressures(1.0, distal_area_mm2=25.0) == (1e4, 2e4)
 
 
 @pytest.mark.parametrize(
@@ -67,6 +78,12 @@ def test_the_two_halves_carry_the_force(share):
 def test_a_touch_that_cannot_be_is_refused(arguments, name):
     with pytest.raises(InputError, match=name):
         pressures(*arguments)
+
+
+@pytest.mark.parametrize("name", ["proximal_area_mm2", "distal_area_mm2"])
+def test_an_area_of_a_side_must_be_positive(name):
+    with pytest.raises(InputError, match=name):
+        pressures(1.0, **{name: 0.0})
 
 
 def test_pulse_has_the_mean_height_and_rate_asked_for():

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ... import electronics
 from ...scene import Electronics, Led, Photodiode, Scene
-from ..blood_states import steady_blood_at, touch_pressures_pa
+from ..blood_states import steady_blood_at, touch_areas_mm2, touch_pressures_pa
 
 Array = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ class OperatingPoint:
 
     blood_fraction : (2,) float. Blood of the proximal and distal zone there.
     blood_per_pa : (zone, pressure) float. How it changes with the proximal and distal pressure. [Pa^-1]
-    force_per_pa : (2,) float. Force for each pressure: half the contact area each. [N/Pa]
+    force_per_pa : (2,) float. Force for each pressure: the area of either side. [N/Pa]
     pressure_per_n : (2,) float. Pressures for each newton of the scene's touch. [Pa/N]
     """
 
@@ -45,7 +45,7 @@ def operating_point(scene: Scene, force_n: float) -> OperatingPoint:
     return OperatingPoint(
         blood_fraction=blood[0],
         blood_per_pa=np.stack([blood[1] - blood[2], blood[3] - blood[4]], -1) / width,
-        force_per_pa=np.full(2, scene.touch.contact_area_mm2 * 1e-6 / 2),
+        force_per_pa=np.array(touch_areas_mm2(scene)) * 1e-6,
         pressure_per_n=per_n,
     )
 
@@ -115,7 +115,7 @@ def force_resolution_n(information: Array, point: OperatingPoint) -> Array:
     """Standard deviation of the force told by one sample of all readings, whatever its split. [N]
 
     information : (..., 3) float. Of all readings. It is a matrix J; the force w . P has the variance w^T J^-1 w
-        (Cramer-Rao), with w half the contact area for each pressure.
+        (Cramer-Rao), with w the area of the side for each pressure.
     """
     one, both, two = _with_prior(information)
     w = point.force_per_pa

@@ -100,6 +100,15 @@ def test_blood_changes_with_pressure_as_steady_states_do(scene):
     assert at.blood_per_pa[0, 0] > 0 > at.blood_per_pa[1, 1]
 
 
+def test_a_touch_on_one_side_presses_on_that_sides_area(scene):
+    touched = {share: scene.touch.model_copy(update={"proximal_share": share}) for share in (1.0, 0.5)}
+    one, even = (fisher.operating_point(scene.model_copy(update={"touch": t}), 0.5) for t in touched.values())
+    assert np.allclose(one.pressure_per_n, [1e4, 0.0]) and np.allclose(one.force_per_pa, [1e-4, 5e-5])
+    assert np.allclose(even.pressure_per_n, 1e4) and np.allclose(even.force_per_pa, 5e-5)
+    stated = touched[1.0].model_copy(update={"proximal_area_mm2": 50.0})
+    assert np.allclose(fisher.operating_point(scene.model_copy(update={"touch": stated}), 0.5).force_per_pa, 5e-5)
+
+
 def test_a_planted_optimum_is_found():
     """Light whose blood dims it at two spots alone: the photodiodes go there, proximal and distal."""
     rng = np.random.default_rng(2)
