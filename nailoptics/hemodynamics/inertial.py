@@ -13,11 +13,19 @@ _WIDTH_STEP, _SPEED_STEP = 1e-7, 1.0
 
 
 def integrate(
-    walls: Walls, drive: Drive, time_s: np.ndarray, start_m: np.ndarray, *, rtol: float, contact: bool
+    walls: Walls,
+    drive: Drive,
+    time_s: np.ndarray,
+    start_m: np.ndarray,
+    inputs: np.ndarray,
+    *,
+    rtol: float,
+    contact: bool,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Diameters D + x [m], speeds [m/s] and contact (bool) of walls at given times, (N+1, T) each, by scipy's Radau.
+    """Diameters D + x [m], pressures [Pa] and contact (bool) of walls at given times, (N+1, T) each, by scipy's Radau.
 
     start_m : (N+1,) float. D + x at time_s[0], at rest. [m]
+    inputs : (N+3, T) float. What `drive` gives at time_s: P_H, P_L and the touch pressure on each wall. [Pa]
     contact : Walls push back once closed (a spring a million times as stiff as the wall, with its damping); without,
         they pass through each other, as printed in the paper.
 
@@ -63,4 +71,4 @@ def integrate(
     touching = contact & (width <= closed[:, None])
     if contact:
         width = np.maximum(width, closed[:, None])
-    return width, samples[n:] * rest[:, None], touching
+    return width, np.array(inertial_pressures(walls, width, samples[n:] * rest[:, None], *inputs[:2])), touching

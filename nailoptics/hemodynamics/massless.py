@@ -88,11 +88,19 @@ class _System:
 
 
 def integrate(
-    walls: Walls, drive: Drive, time_s: np.ndarray, start_m: np.ndarray, *, rtol: float, most_steps: int = _MOST_STEPS
-) -> tuple[np.ndarray, np.ndarray]:
-    """The walls at given times: their diameters D + x [m], and 0 where one is in contact, else 1; (N+1, T) float each.
+    walls: Walls,
+    drive: Drive,
+    time_s: np.ndarray,
+    start_m: np.ndarray,
+    inputs: np.ndarray,
+    *,
+    rtol: float,
+    most_steps: int = _MOST_STEPS,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Diameters D + x [m], pressures [Pa] and contact (bool) of walls at given times, (N+1, T) each.
 
     start_m : (N+1,) float. D + x at time_s[0]. [m]
+    inputs : (N+3, T) float. What `drive` gives at time_s: P_H, P_L and the touch pressure on each wall. [Pa]
     rtol : Allowed local error of a step, relative to the diameter or the listed one if that is larger. [1]
 
     Raises: NotReachedError if the tolerance needs more than `most_steps` steps.
@@ -117,7 +125,11 @@ def integrate(
             if system.snap(width) or 0.0 in system.free:
                 system.settle(time, width)
     _LOG.debug("massless model: %d steps over %g s", len(steps), end - drive.stops[0])
-    return _sample(np.array(steps), time_s, walls.closed)
+    diameters, free = _sample(np.array(steps), time_s, walls.closed)
+    high, low, *outside = inputs
+    each = zip(walls.area, outside, walls.stiffness, diameters, walls.diameter, strict=True)
+    load = [a * f + k * (d - rest) for a, f, k, d, rest in each]
+    return diameters, np.array(massless_rates(walls, diameters, load, free, high, low)[0]), free == 0.0
 
 
 def _sample(steps: np.ndarray, time_s: np.ndarray, closed: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:

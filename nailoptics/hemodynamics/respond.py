@@ -12,7 +12,7 @@ from . import inertial, massless
 from .drive import Drive
 from .parameters import Parameters
 from .steady import steady_state, touch_inputs, wall_pressures
-from .walls import build_walls, inertial_pressures, massless_rates
+from .walls import build_walls
 from .zones import PAPER_ZONES, Zones
 
 if TYPE_CHECKING:
@@ -64,32 +64,20 @@ def respond(
     """
     time = _times(time_s)
     _check_choices(model, start, contact=contact, rtol=rtol)
-    p = parameters
-    inputs = touch_inputs(zones, proximal_pressure_pa, distal_pressure_pa, pressure_pa)
-    touch = np.array([_over_time("pressure_pa", one, time) for one in inputs])
-    arterial_pressure_pa = p.arterial_pressure_pa if arterial_pressure_pa is None else arterial_pressure_pa
-    venous_pressure_pa = p.venous_pressure_pa if venous_pressure_pa is None else venous_pressure_pa
-    high = _over_time("arterial_pressure_pa", arterial_pressure_pa, time)
-    low = _over_time("venous_pressure_pa", venous_pressure_pa, time)
-    first = steady_state(
-        p,
-        arterial_pressure_pa=high[0],
-        venous_pressure_pa=low[0],
-        zones=zones,
-        pressure_pa=touch[:, 0] if start == "steady" else np.zeros(zones.inputs),
-    )
-    start_m = np.append(first.capillary_diameter_m, first.vein_diameter_m)
-    walls, outside = build_walls(p, zones), wall_pressures(zones, touch)
-    drive = Drive(time, np.vstack([high, low, outside]))
+    p, given = parameters, touch_inputs(zones, proximal_pressure_pa, distal_pressure_pa, pressure_pa)
+    touch = np.array([_over_time("pressure_pa", one, time) for one in given])
+    high = _over_time("arterial_pressure_pa", arterial_pressure_pa, time, p.arterial_pressure_pa)
+    low = _over_time("venous_pressure_pa", venous_pressure_pa, time, p.venous_pressure_pa)
+    held = touch[:, 0] if start == "steady" else np.zeros(zones.inputs)
+    first = steady_state(p, arterial_pressure_pa=high[0], venous_pressure_pa=low[0], zones=zones, pressure_pa=held)
+    begin = np.append(first.capillary_diameter_m, first.vein_diameter_m)
+    walls, inputs = build_walls(p, zones), np.vstack([high, low, wall_pressures(zones, touch)])
+    drive = Drive(time, inputs)
     if model == "massless":
-        width, free = massless.integrate(walls, drive, time, start_m, rtol=rtol)
-        closed = free == 0.0
-        each = zip(walls.area, outside, walls.stiffness, width, walls.diameter, strict=True)
-        pressure, _ = massless_rates(walls, width, [a * f + k * (w - d) for a, f, k, w, d in each], free, high, low)
+        width, pressure, closed = massless.integrate(walls, drive, time, begin, inputs, rtol=rtol)
     else:
-        width, speed, closed = inertial.integrate(walls, drive, time, start_m, rtol=rtol, contact=contact)
-        pressure = inertial_pressures(walls, width, speed, high, low)
-    variables = _state_variables(zones, width, np.array(pressure), closed) | _input_variables(zones, touch, high, low)
+        width, pressure, closed = inertial.integrate(walls, drive, time, begin, inputs, rtol=rtol, contact=contact)
+    variables = _state_variables(zones, width, pressure, closed) | _input_variables(zones, touch, high, low)
     attributes = {"model": model} | {f"parameter_{name}": value for name, value in p.as_dict().items()}
     return _dataset(variables, zones, time, attributes)
 
@@ -116,8 +104,8 @@ def _times(time_s: ArrayLike) -> np.ndarray:
     return time
 
 
-def _over_time(name: str, value: ArrayLike, time: np.ndarray) -> np.ndarray:
-    array = finite(name, value)
+def _over_time(name: str, value: ArrayLike | None, time: np.ndarray, usual: float = 0.0) -> np.ndarray:
+    array = finite(name, usual if value is None else value)
     if array.shape not in ((), time.shape):
         raise InputError(f"{name} must be one number or one for each of {time.size} times, got shape {array.shape}.")
     return np.broadcast_to(array, time.shape)

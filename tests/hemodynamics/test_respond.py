@@ -276,7 +276,7 @@ def test_a_tolerance_out_of_reach_is_said():
     from nailoptics.hemodynamics.drive import Drive
     from nailoptics.hemodynamics.walls import build_walls
 
-    drive = Drive(np.array([0.0, 1.0]), np.array([[1e4, 1e4], [0, 0], [0, 0], [0, 0], [5e3, 5e3]], dtype=float))
+    time, inputs = np.array([0.0, 1.0]), np.array([[1e4] * 2, [0.0] * 2, [0.0] * 2, [0.0] * 2, [5e3] * 2])
     walls = build_walls(parameters("listed"), PAPER_ZONES)
     with pytest.raises(NotReachedError, match="more than 5 steps"):
-        massless.integrate(walls, drive, np.array([0.0, 1.0]), np.array(walls.diameter), rtol=1e-9, most_steps=5)
+        massless.integrate(walls, Drive(time, inputs), time, np.array(walls.diameter), inputs, rtol=1e-9, most_steps=5)
