@@ -3,7 +3,7 @@
 from .blood import blood_fraction, tissue_volume_m3
 from .contact import pressures, side_areas_mm2
 from .parameters import NAMES, Parameters, bounds, parameters
-from .pulse import cardiac_pressure
+from .pulse import breathing_pressure, cardiac_pressure, vasomotion_pressure
 from .respond import respond
 from .steady import SteadyState, steady_state
 from .zones import PAPER_ZONES, Zones, zones
@@ -16,6 +16,7 @@ __all__ = [
     "Zones",
     "blood_fraction",
     "bounds",
+    "breathing_pressure",
     "cardiac_pressure",
     "parameters",
     "pressures",
@@ -23,5 +24,6 @@ __all__ = [
     "side_areas_mm2",
     "steady_state",
     "tissue_volume_m3",
+    "vasomotion_pressure",
     "zones",
 ]

@@ -1,13 +1,15 @@
 """What decides where light goes: scenes that agree in it share a trace, whatever dims or reads the light."""
 
+from typing import Any
+
 from ..scene import Accuracy, Scene, digest
 
 
 def light_scene(scene: Scene) -> Scene:
     """The scene with the same light paths and everything else at its default; equal for all that can share a trace.
 
-    Blood, saturation and melanin only dim the light; touch, electronics, flux and line width come after it; and the
-    fingers and boards of a search for a layout are not those of its scene.
+    Blood, saturation and melanin only dim the light; touch, body, electronics, flux and line width come after it; and
+    the fingers and boards of a search for a layout are not those of its scene.
     """
     blood = type(scene.blood)(zone_edges_mm=scene.blood.zone_edges_mm, zone_width_mm=scene.blood.zone_width_mm)
     leds = tuple(
@@ -21,9 +23,10 @@ def light_scene(scene: Scene) -> Scene:
         )
         for i, p in enumerate(scene.photodiodes)
     )
-    update = {
+    update: dict[str, Any] = {
         "blood": blood,
         "touch": type(scene.touch)(),
+        "body": None,
         "electronics": type(scene.electronics)(),
         "accuracy": Accuracy(),
         "light": scene.light.model_copy(update={"engine": "auto"}),

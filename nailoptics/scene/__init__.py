@@ -1,22 +1,28 @@
 """WHAT THE USER WROTE: frozen models of a scene, read from and written to TOML."""
 
+from .body import Body, Breathing, Heartbeat, Vasomotion
 from .files import digest, json_schema, load_scene, parse_scene, to_toml
 from .finger import Finger
 from .layout import Element, Layout, Rectangle
-from .models import Accuracy, Blood, Electronics, Layer, Light, Phantom, Scene
+from .models import Accuracy, Electronics, Layer, Light, Phantom, Scene
 from .parts import Board, Led, Photodiode
 from .placement import Candidate, FingerCase, Placement
-from .touch import Touch
+from .touch import ForceStep, Touch
+from .vessels import Blood, Tuning
 
 __all__ = [
     "Accuracy",
     "Blood",
     "Board",
+    "Body",
+    "Breathing",
     "Candidate",
     "Electronics",
     "Element",
     "Finger",
     "FingerCase",
+    "ForceStep",
+    "Heartbeat",
     "Layer",
     "Layout",
     "Led",
@@ -27,6 +33,8 @@ __all__ = [
     "Rectangle",
     "Scene",
     "Touch",
+    "Tuning",
+    "Vasomotion",
     "digest",
     "json_schema",
     "load_scene",

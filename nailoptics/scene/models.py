@@ -7,12 +7,14 @@ from pydantic import Field, model_validator
 
 from ..assets import WAVELENGTH_RANGE_NM
 from ..errors import InputError
-from .base import USUAL_BLOOD_FRACTION, USUAL_SO2, Fraction, Name, NonNegative, Positive, Table, check_unique
+from .base import Name, NonNegative, Positive, Table, check_unique
+from .body import Body
 from .finger import Finger
 from .layout import Layout, lay_out
 from .parts import Board, Led, Photodiode
 from .placement import Placement
 from .touch import Touch
+from .vessels import Blood
 
 
 class Layer(Table):
@@ -57,21 +59,6 @@ class Phantom(Table):
                     f'layers: "{layer.name}" has thickness_mm = inf but is not the last; only the last can be infinite'
                 )
         return self
-
-
-class Blood(Table):
-    """The blood in the nail bed and the vessels that carry it."""
-
-    parameters: str = "listed"
-    """Named set of hemodynamic parameters."""
-    rest_blood_fraction: Fraction = USUAL_BLOOD_FRACTION
-    """Volume fraction of blood in the nail bed at rest."""
-    so2: Fraction = USUAL_SO2
-    """Oxygen saturation of the blood."""
-    zone_edges_mm: Annotated[tuple[float, ...], Field(min_length=1, max_length=1)] = (0.0,)
-    """Where proximal and distal blood zone meet, along the nail from its centre. [mm]"""
-    zone_width_mm: Positive = 2.0
-    """Width of the smooth passage from zone to zone. [mm]"""
 
 
 class Electronics(Table):
@@ -132,6 +119,8 @@ class Scene(Table):
     """Blood in the nail bed."""
     touch: Touch = Touch()
     """Force over time."""
+    body: Body | None = None
+    """What moves the arterial pressure; nothing if not given."""
     board: Board = Board()
     """The board on the nail."""
     leds: Annotated[tuple[Led, ...], Field(min_length=1, max_length=64)]
@@ -175,6 +164,25 @@ class Scene(Table):
         # The board is laid out here so that every impossible layout is the scene's own error.
         if self.finger is not None:
             lay_out(self.finger, self.board, self.leds, self.photodiodes)
+        return self
+
+    @model_validator(mode="after")
+    def _body_suits_vessels_and_touch(self) -> Self:
+        heartbeat, tuning = (self.body.heartbeat if self.body else None), self.blood.tuning
+        if heartbeat is not None and heartbeat.mean_pressure_pa is not None and tuning is not None:
+            if "arterial_pressure_pa" in tuning.changed():
+                raise ValueError(
+                    "body.heartbeat.mean_pressure_pa and blood.tuning.arterial_pressure_pa both set P_H; give one of "
+                    "them"
+                )
+        recorded = self.body.recorded_time_s if self.body else None
+        if recorded is not None:
+            times = self.touch.times_s()
+            if recorded[0] > times[0] or recorded[-1] < times[-1]:
+                raise ValueError(
+                    f"body.file reaches from {recorded[0]:g} to {recorded[-1]:g} s, but the touch from {times[0]:g} to "
+                    f"{times[-1]:g} s; record longer, or shorten the touch"
+                )
         return self
 
     @property

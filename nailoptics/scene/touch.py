@@ -1,70 +1,138 @@
-"""The touch: force over time as a step, a ramp, a held force or a recorded CSV."""
+"""The touch: force over time as a step, a ramp, a cycle, a list of steps, a held force or a recorded CSV."""
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
-from ..errors import InputError
 from .base import USUAL_CONTACT_AREA_MM2, Fraction, NonNegative, Positive, Table
-from .text_files import read_rows
+from .recordings import check_columns, read_columns
+
+SHARES = {"proximal": 1.0, "distal": 0.0, "even": 0.5}
+# The paper's subjects pressed slowly, at 0.05 Hz, and its readings are means of three cycles.
+CYCLE: dict[str, Any] = {"period_s": 20.0, "cycles": 3, "waveform": "sine"}
+# A sine goes through so many corners in a period: between them it is off by 4e-5 of its force.
+CORNERS_PER_PERIOD = 256
+# The last of a list of steps is held so long if no duration is given. [s]
+LAST_STEP_S = 2.0
+PRESSURES = ("proximal_pressure_pa", "distal_pressure_pa")
+
+Force = Annotated[float, Field(ge=0, le=100)]
+
+
+class ForceStep(Table):
+    """One of a list of steps."""
+
+    start_s: NonNegative
+    """When the force jumps to force_n. [s]"""
+    force_n: Force
+    """Force until the next step. [N]"""
 
 
 class Touch(Table):
     """Force on the fingertip over time, and how it spreads over the pulp."""
 
-    profile: Literal["step", "ramp", "hold", "recorded"] = "step"
-    """step: force_n from start_s to release_s; ramp: with linear edges; hold: constant; recorded: from a CSV."""
-    force_n: Annotated[float, Field(ge=0, le=100)] = 1.0
-    """Force of the step, ramp or hold. [N]"""
+    profile: Literal["step", "ramp", "hold", "cycle", "steps", "recorded"] = "step"
+    """step: force_n from start_s to release_s; ramp: with linear edges; hold: constant; cycle: from 0 to force_n and
+    back, over and over; steps: a list of them; recorded: from a CSV."""
+    force_n: Force = 1.0
+    """Force of the step, ramp or hold, and the largest of a cycle. [N]"""
     start_s: NonNegative = 0.25
     """When the force starts. [s]"""
     ramp_s: Positive = 1.0
     """Duration of a ramp's rise, and of its fall. [s]"""
     release_s: NonNegative = 2.25
     """When the force is released (a ramp begins to fall). [s]"""
+    period_s: Positive | None = None
+    """Duration of one cycle; 20 if not given, the paper's. [s]"""
+    cycles: Annotated[int, Field(ge=1, le=10_000)] | None = None
+    """Number of cycles; 3 if not given, the paper's."""
+    waveform: Literal["sine", "triangle"] | None = None
+    """Shape of a cycle: (1 - cos)/2, or straight up and straight down; sine if not given."""
+    steps: Annotated[tuple[ForceStep, ...], Field(min_length=1, max_length=10_000)] | None = None
+    """The list of steps, in order of time; before the first the force is 0."""
     duration_s: Annotated[float, Field(gt=0, le=86400)] = 4.0
-    """Length of the simulated time. [s]"""
+    """Length of the simulated time; if not given 4, the end of a cycle's last, or 2 after the last of the steps. [s]"""
     sample_rate_hz: Annotated[float, Field(gt=0, le=100_000)] = 100.0
-    """Samples per second of the results. [Hz]"""
+    """Samples per second of the results; the touch itself does not depend on it. [Hz]"""
     file: str | None = None
-    """Recorded touch: a CSV with columns time_s, force_n, beside the scene file."""
+    """Recorded touch beside the scene file: a CSV with columns time_s and force_n, or time_s, proximal_pressure_pa and
+    distal_pressure_pa, or all of them; shear_n may stand there, too."""
     recorded_time_s: tuple[float, ...] | None = None
     """The recorded times; filled from file. [s]"""
     recorded_force_n: tuple[NonNegative, ...] | None = None
     """The recorded forces; filled from file. [N]"""
+    recorded_proximal_pressure_pa: tuple[NonNegative, ...] | None = None
+    """The recorded pressures on the proximal pulp (the veins); filled from file. [Pa]"""
+    recorded_distal_pressure_pa: tuple[NonNegative, ...] | None = None
+    """The recorded pressures on the distal pulp; filled from file. [Pa]"""
+    recorded_shear_n: tuple[float, ...] | None = None
+    """The recorded longitudinal forces; filled from file. [N]"""
     contact_area_mm2: Positive = USUAL_CONTACT_AREA_MM2
     """Area of the whole touch: on one side it presses there with all of it, evenly with half of it on each. [mm^2]"""
+    site: Literal["proximal", "distal", "even"] | None = None
+    """Where the force presses: it sets proximal_share to 1, 0 or 0.5."""
     proximal_share: Fraction = 0.5
     """Share of the force that presses on the proximal pulp (the veins); the rest presses distally."""
     proximal_area_mm2: Positive | None = None
     """Area on which the proximal share presses; by default its part of the contact, but at least half. [mm^2]"""
     distal_area_mm2: Positive | None = None
     """Area on which the distal share presses; by default its part of the contact, but at least half. [mm^2]"""
+    shear_n: Annotated[float, Field(ge=-100, le=100)] | None = None
+    """Longitudinal force where the force is largest, positive towards the tip; it rises and falls with the force. Of it
+    the paper says only that it widens the white band: here it presses on the distal capillaries besides the force, by
+    its amount over the distal area, whichever way it points. [N]"""
 
     @model_validator(mode="before")
     @classmethod
-    def _read_the_recording(cls, data: object, info: ValidationInfo) -> object:
-        if isinstance(data, dict) and isinstance(data.get("file"), str) and "recorded_time_s" not in data:
+    def _fill_in(cls, data: object, info: ValidationInfo) -> object:
+        if not isinstance(data, dict):
+            return data
+        if isinstance(data.get("file"), str) and "recorded_time_s" not in data:
             folder = (info.context or {}).get("folder") or Path()
-            time_s, force_n = read_recording(Path(folder) / data["file"])
-            return data | {"recorded_time_s": time_s, "recorded_force_n": force_n}
-        return data
+            columns = read_touch(Path(folder) / data["file"])
+            data = data | {f"recorded_{name}": column for name, column in columns.items()}
+        if data.get("profile") == "cycle":
+            data = CYCLE | data
+        if data.get("site") in tuple(SHARES):
+            data = {"proximal_share": SHARES[data["site"]]} | data
+        return _duration_of(data) | data
 
     @model_validator(mode="after")
     def _profile_is_complete(self) -> Self:
         if (self.profile == "recorded") != (self.recorded_time_s is not None):
             raise ValueError('profile = "recorded" and file go together; give both or neither')
-        if self.recorded_time_s is not None and self.recorded_force_n is not None:
-            check_recording(self.recorded_time_s, self.recorded_force_n, "touch.file")
+        if (self.profile == "steps") != (self.steps is not None):
+            raise ValueError('profile = "steps" and the list steps go together; give both or neither')
+        for name in CYCLE:
+            if self.profile != "cycle" and getattr(self, name) is not None:
+                raise ValueError(f'{name} = {getattr(self, name)} belongs to profile = "cycle"; leave it out')
+        if self.recorded_time_s is not None:
+            columns = {name: getattr(self, f"recorded_{name}") for name in ("time_s", "force_n", "shear_n", *PRESSURES)}
+            check_columns({name: column for name, column in columns.items() if column is not None}, "touch.file")
+        if self.site is not None and self.proximal_share != SHARES[self.site]:
+            raise ValueError(
+                f'site = "{self.site}" sets proximal_share to {SHARES[self.site]:g}, '
+                f"but it is {self.proximal_share:g}; give one of them"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _times_are_in_order(self) -> Self:
         if self.profile in ("step", "ramp") and self.release_s <= self.start_s:
             raise ValueError(f"release_s = {self.release_s} must come after start_s = {self.start_s}")
         if self.profile == "ramp" and self.release_s < self.start_s + self.ramp_s:
             raise ValueError(
                 f"release_s = {self.release_s} cuts the ramp, which ends at {self.start_s + self.ramp_s} s"
             )
+        steps = self.steps or ()
+        for i, (before, after) in enumerate(zip(steps, steps[1:], strict=False)):
+            if after.start_s <= before.start_s:
+                raise ValueError(
+                    f"steps[{i + 1}].start_s = {after.start_s} must come after steps[{i}].start_s = {before.start_s}"
+                )
         if self.duration_s * self.sample_rate_hz > 10_000_000:
             raise ValueError(
                 f"duration_s * sample_rate_hz = {self.duration_s * self.sample_rate_hz:g} samples; at most 1e7"
@@ -78,53 +146,72 @@ class Touch(Table):
             return first + np.arange(math.floor((last - first) * self.sample_rate_hz + 1e-9) + 1) / self.sample_rate_hz
         return np.arange(math.floor(self.duration_s * self.sample_rate_hz + 1e-9) + 1) / self.sample_rate_hz
 
-    def force_at(self, time_s: np.ndarray) -> np.ndarray:
-        """Force at the given times, (t,) float. [N]"""
-        time_s = np.asarray(time_s, float)
-        if self.recorded_time_s is not None and self.recorded_force_n is not None:
-            return np.interp(time_s, self.recorded_time_s, self.recorded_force_n)
+    def corners(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times [s] and forces [N] between which the force is linear, (k,) float each; a time twice where it jumps.
+
+        A recording of pressures alone has no force: NaN.
+        """
+        if self.recorded_time_s is not None:
+            time_s = np.array(self.recorded_time_s)
+            return time_s, np.array(self.recorded_force_n or [math.nan] * len(time_s))
         if self.profile == "hold":
-            return np.full(time_s.shape, self.force_n)
-        if self.profile == "step":
-            return np.where((time_s >= self.start_s) & (time_s < self.release_s), self.force_n, 0.0)
-        knots = [self.start_s, self.start_s + self.ramp_s, self.release_s, self.release_s + self.ramp_s]
-        return np.interp(time_s, knots, [0.0, self.force_n, self.force_n, 0.0])
+            points = [(0.0, self.force_n), (self.duration_s, self.force_n)]
+        elif self.profile in ("step", "steps"):
+            steps = [(step.start_s, step.force_n) for step in self.steps or ()]
+            steps = steps or [(self.start_s, self.force_n), (self.release_s, 0.0)]
+            before = [0.0, *(force for _, force in steps)]
+            points = [(t, f) for (t, after), last in zip(steps, before, strict=False) for f in (last, after)]
+        elif self.profile == "ramp":
+            times = [self.start_s, self.start_s + self.ramp_s, self.release_s, self.release_s + self.ramp_s]
+            points = list(zip(times, [0.0, self.force_n, self.force_n, 0.0], strict=True))
+        else:
+            points = self._cycle_corners()
+        time_s, force_n = np.array(points).T
+        return time_s, force_n
+
+    def _cycle_corners(self) -> list[tuple[float, float]]:
+        period_s, cycles = self.period_s or CYCLE["period_s"], self.cycles or CYCLE["cycles"]
+        per_period = 2 if self.waveform == "triangle" else CORNERS_PER_PERIOD
+        turns = np.arange(cycles * per_period + 1) / per_period
+        # Where it is 0 it is so exactly.
+        shape = 1 - np.abs(2 * (turns % 1) - 1) if per_period == 2 else np.sin(np.pi * (turns % 1)) ** 2
+        return list(zip((self.start_s + period_s * turns).tolist(), (self.force_n * shape).tolist(), strict=True))
+
+    def force_at(self, time_s: np.ndarray) -> np.ndarray:
+        """Force at the given times, (t,) float; at a jump that after it. [N]"""
+        time_s = np.asarray(time_s, float)
+        return value_at(*self.corners(), time_s)
+
+
+def value_at(corner_s: np.ndarray, values: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+    """What is linear between corners, at times; at a jump the value after it, outside the corners the nearest."""
+    places = np.maximum(np.searchsorted(corner_s, time_s, side="right") - 1, 0)
+    time_s = np.clip(time_s, corner_s[0], corner_s[-1])
+    ends = np.minimum(places + 1, len(corner_s) - 1)
+    span = corner_s[ends] - corner_s[places]
+    slope = (values[ends] - values[places]) / np.where(span > 0, span, 1.0)
+    return slope * (time_s - corner_s[places]) + values[places]
+
+
+def _duration_of(data: dict[str, Any]) -> dict[str, float]:
+    """The duration that a cycle or a list of steps has where none is given, if what it takes to tell is there."""
+    try:
+        if data.get("profile") == "cycle":
+            return {"duration_s": float(data.get("start_s", 0.25) + data["cycles"] * data["period_s"])}
+        if data.get("profile") == "steps":
+            last = data["steps"][-1]
+            return {"duration_s": float(last["start_s"] if isinstance(last, dict) else last.start_s) + LAST_STEP_S}
+    except (TypeError, KeyError, IndexError, ValueError, AttributeError):
+        pass  # the fields' own rules say what is wrong
+    return {}
+
+
+def read_touch(path: Path) -> dict[str, tuple[float, ...]]:
+    """Columns of a recorded touch: time_s, force_n or both pressures, and shear_n if it is there."""
+    return read_columns(path, "touch.file", ("force_n", *PRESSURES, "shear_n"), either=(("force_n",), PRESSURES))
 
 
 def read_recording(path: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Time [s] and force [N] of a recorded touch, from a CSV with the header time_s,force_n."""
-    name = f"touch.file {str(path)!r}"
-    lines = read_rows(path, "a CSV with columns time_s,force_n", shown=name)
-    header = [cell.strip() for cell in lines[0][1]] if lines else []
-    if "time_s" not in header or "force_n" not in header:
-        raise InputError(f"{name} needs a header with time_s and force_n, has {','.join(header) or 'nothing'!r}.")
-    columns = header.index("time_s"), header.index("force_n")
-    time_s, force_n = [], []
-    for number, row in lines[1:]:
-        try:
-            time_s.append(float(row[columns[0]]))
-            force_n.append(float(row[columns[1]]))
-        except (ValueError, IndexError):
-            raise InputError(f"{name} line {number}: {','.join(row)!r} is not two numbers.") from None
-    check_recording(time_s, force_n, name)
-    return tuple(time_s), tuple(force_n)
-
-
-def check_recording(
-    time_s: "list[float] | tuple[float, ...]", force_n: "list[float] | tuple[float, ...]", name: str
-) -> None:
-    """Raise InputError unless the recording has rising finite times and forces of 0 to 100 N."""
-    if len(time_s) < 2 or len(time_s) != len(force_n):
-        raise InputError(f"{name} needs at least two samples of time and force, has {len(time_s)} and {len(force_n)}.")
-    if not np.all(np.isfinite(time_s)) or not np.all(np.isfinite(force_n)):
-        raise InputError(f"{name} holds a value that is not finite; remove the sample.")
-    falling = np.flatnonzero(np.diff(time_s) <= 0)
-    if falling.size:
-        at = int(falling[0]) + 1
-        raise InputError(
-            f"{name}: time_s must rise, but sample {at + 1} ({time_s[at]:g}) follows {time_s[at - 1]:g}; "
-            "sort or remove it."
-        )
-    if min(force_n) < 0 or max(force_n) > 100:
-        wrong = min(force_n) if min(force_n) < 0 else max(force_n)
-        raise InputError(f"{name}: force_n must lie in 0 to 100 N, found {wrong:g}; check sign and unit.")
+    columns = read_columns(path, "touch.file", ("force_n",), either=(("force_n",),))
+    return columns["time_s"], columns["force_n"]

@@ -8,12 +8,14 @@ import pytest
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import (
     blood_fraction,
+    breathing_pressure,
     cardiac_pressure,
     parameters,
     pressures,
     side_areas_mm2,
     steady_state,
     tissue_volume_m3,
+    vasomotion_pressure,
 )
 
 
@@ -98,7 +100,46 @@ def test_pulse_has_the_mean_height_and_rate_asked_for():
     assert np.argmax(beat) - np.argmin(beat) < 0.35 * beat.size
 
 
-@pytest.mark.parametrize("bad", [{"rate_per_min": 0.0}, {"pulse_pressure_pa": -1.0}, {"mean_pressure_pa": np.nan}])
+@pytest.mark.parametrize(
+    "bad",
+    [{"rate_per_min": 0.0}, {"pulse_pressure_pa": -1.0}, {"mean_pressure_pa": np.nan}, {"rate_variability": 0.3}],
+)
 def test_a_pulse_that_cannot_be_is_refused(bad):
     with pytest.raises(InputError, match=next(iter(bad))):
         cardiac_pressure([0.0, 1.0], **bad)
+
+
+def test_an_uneven_heart_has_the_mean_and_the_spread_of_its_intervals():
+    """Expected: standard errors of a mean of 1000 intervals, and of their spread; four of them."""
+    time = np.arange(0.0, 900.0, 2e-3)
+    wave = cardiac_pressure(time, rate_per_min=70.0, rate_variability=0.05, seed=3)
+    # One crossing on each systolic rise; the later waves of a beat do not come so high.
+    high = wave.min() + 0.8 * np.ptp(wave)
+    rises = time[1:][(wave[:-1] < high) & (wave[1:] >= high)]
+    interval = np.diff(rises)
+    mean = 60.0 / 70.0
+    assert interval.size == pytest.approx(900 / mean, rel=0.02)
+    assert interval.mean() == pytest.approx(mean, abs=4 * 0.05 * mean / math.sqrt(interval.size))
+    # What lies between two rises is parts of two intervals, which evens them out by less than a tenth.
+    assert 0.85 < interval.std() / (0.05 * mean) < 1.1
+    assert np.ptp(wave) == pytest.approx(2e3, rel=1e-3) and wave.mean() == pytest.approx(1e4, rel=1e-3)
+
+
+def test_what_moves_the_pressure_follows_from_the_seed_alone_however_long_or_fine_the_course():
+    short, fine = np.arange(0.0, 5.0, 0.5), np.arange(0.0, 50.0, 0.125)
+    for wave in (
+        lambda time, seed: cardiac_pressure(time, rate_variability=0.1, seed=seed),
+        lambda time, seed: breathing_pressure(time, amplitude_pa=200.0, seed=seed),
+        lambda time, seed: vasomotion_pressure(time, amplitude_pa=600.0, seed=seed),
+    ):
+        assert np.array_equal(wave(short, 7), wave(fine, 7)[:40:4])
+        assert not np.allclose(wave(short, 7), wave(short, 8))
+
+
+def test_slow_waves_have_their_standard_deviation_and_stay_in_their_band():
+    time = np.arange(0.0, 20_000.0, 0.5)
+    wave = vasomotion_pressure(time, amplitude_pa=600.0, band_hz=(0.05, 0.15), seed=1)
+    assert wave.std() == pytest.approx(600.0, rel=0.02) and abs(wave.mean()) < 10.0
+    power = np.abs(np.fft.rfft(wave * np.hanning(time.size))) ** 2
+    frequency = np.fft.rfftfreq(time.size, 0.5)
+    assert power[(frequency > 0.049) & (frequency < 0.151)].sum() > 0.999 * power.sum()

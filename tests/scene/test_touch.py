@@ -6,6 +6,7 @@ from pydantic import ValidationError
 
 from nailoptics.errors import InputError
 from nailoptics.scene import Touch
+from nailoptics.scene.touch import ForceStep
 
 
 def test_a_step_begins_at_start_and_ends_at_release():
@@ -46,11 +47,50 @@ def test_a_recording_may_have_other_columns_and_a_byte_order_mark(tmp_path):
     assert touch.recorded_time_s == (0.0, 1.0) and touch.recorded_force_n == (1.0, 2.0)
 
 
+def test_a_cycle_goes_to_its_force_and_back_as_often_as_asked_and_lasts_as_long():
+    for waveform, quarter in (("sine", 1.0), ("triangle", 1.0)):
+        touch = Touch(profile="cycle", force_n=2.0, start_s=1.0, period_s=4.0, cycles=2, waveform=waveform)
+        assert touch.duration_s == 9.0
+        times = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 9.0])
+        assert touch.force_at(times) == pytest.approx([0, 0, quarter, 2, quarter, 0, 2, 0], abs=1e-12)
+    usual = Touch(profile="cycle")
+    assert (usual.period_s, usual.cycles, usual.waveform) == (20.0, 3, "sine") and usual.duration_s == 60.25
+    fine = np.linspace(0.25, 20.25, 5001)
+    assert np.abs(usual.force_at(fine) - np.sin(np.pi * (fine - 0.25) / 20) ** 2).max() < 5e-5
+
+
+def test_a_list_of_steps_holds_each_force_until_the_next():
+    touch = Touch(profile="steps", steps=(ForceStep(start_s=0.5, force_n=1.0), ForceStep(start_s=1.5, force_n=0.25)))
+    assert touch.duration_s == 3.5
+    assert touch.force_at(np.array([0, 0.499, 0.5, 1.4, 1.5, 3.5])).tolist() == [0, 0, 1, 1, 0.25, 0.25]
+
+
+def test_corners_are_where_the_force_bends_or_jumps():
+    time_s, force_n = Touch(force_n=2.0, start_s=0.5, release_s=1.0).corners()
+    assert time_s.tolist() == [0.5, 0.5, 1.0, 1.0] and force_n.tolist() == [0.0, 2.0, 2.0, 0.0]
+
+
+@pytest.mark.parametrize(("site", "share"), [("proximal", 1.0), ("distal", 0.0), ("even", 0.5)])
+def test_a_site_sets_the_share(site, share):
+    assert Touch(site=site).proximal_share == share
+    assert Touch(site=site, proximal_share=share).proximal_share == share
+
+
+def test_a_recording_may_hold_pressures_and_shear(tmp_path):
+    text = "time_s,proximal_pressure_pa,distal_pressure_pa,shear_n\n0,0,0,0\n1,1e4,5e3,-0.5\n"
+    touch = recorded(tmp_path, text)
+    assert touch.recorded_proximal_pressure_pa == (0.0, 1e4) and touch.recorded_distal_pressure_pa == (0.0, 5e3)
+    assert touch.recorded_force_n is None and touch.recorded_shear_n == (0.0, -0.5)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "needs a header with time_s and force_n, has 'nothing'"),
-        ("t,f\n0,0\n1,1\n", "needs a header with time_s and force_n, has 't,f'"),
+        (
+            "",
+            "needs a header with time_s and force_n, or time_s and proximal_pressure_pa",
+        ),
+        ("t,f\n0,0\n1,1\n", "needs a header with time_s and force_n, or"),
         ("time_s,force_n\n0,0\n", "at least two samples"),
         ("time_s,force_n\n0,0\n1,one\n", "line 3: '1,one' is not two numbers"),
         ("# by hand\ntime_s,force_n\n0,0\n1\n", "line 4: '1' is not two numbers"),
@@ -60,6 +100,9 @@ def test_a_recording_may_have_other_columns_and_a_byte_order_mark(tmp_path):
         ("time_s,force_n\n0,0\n1,inf\n", "not finite"),
         ("time_s,force_n\n0,0\n1,-0.5\n", "0 to 100 N, found -0.5"),
         ("time_s,force_n\n0,0\n1,1000\n", "0 to 100 N, found 1000"),
+        ("time_s,distal_pressure_pa\n0,0\n1,1\n", "or time_s and proximal_pressure_pa and distal_pressure_pa, has"),
+        ("time_s,force_n,shear_n\n0,0,0\n1,1,200\n", "shear_n must lie in -100 to 100 N, found 200"),
+        ("time_s,force_n,shear_n\n0,0,0\n1,1,x\n", "line 3: '1,1,x' is not three numbers"),
         (b"\xff\xfe\x00\x01", "not a text file"),
     ],
 )
@@ -84,9 +127,19 @@ def test_a_recording_that_is_not_there_is_named(tmp_path):
         ({"profile": "recorded"}, "go together"),
         ({"start_s": 2.0, "release_s": 2.0}, "must come after start_s"),
         ({"profile": "ramp", "start_s": 0.0, "ramp_s": 3.0, "release_s": 2.0}, "cuts the ramp"),
+        ({"period_s": 2.0}, 'period_s = 2.0 belongs to profile = "cycle"'),
+        ({"profile": "steps"}, 'profile = "steps" and the list steps go together'),
+        ({"profile": "cycle", "cycles": 0}, "greater than or equal to 1"),
+        ({"site": "distal", "proximal_share": 0.5}, 'site = "distal" sets proximal_share to 0, but it is 0.5'),
         ({"duration_s": 80_000.0, "sample_rate_hz": 1000.0}, "at most 1e7"),
     ],
 )
 def test_impossible_profiles_are_refused(fields, words):
     with pytest.raises(ValidationError, match=words):
         Touch(**fields)
+
+
+def test_steps_must_follow_each_other():
+    steps = (ForceStep(start_s=1.0, force_n=1.0), ForceStep(start_s=1.0, force_n=0.0))
+    with pytest.raises(ValidationError, match=r"steps\[1\].start_s = 1.0 must come after steps\[0\].start_s = 1.0"):
+        Touch(profile="steps", steps=steps)

@@ -1,0 +1,99 @@
+"""The body that wears the sensor: what makes its arterial pressure rise and fall while the finger is touched."""
+
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, ValidationInfo, model_validator
+
+from .base import NonNegative, Positive, Table
+from .recordings import check_columns, read_columns
+
+
+class Heartbeat(Table):
+    """The heart's beat in the arterial pressure."""
+
+    mean_pressure_pa: float | None = None
+    """Mean of the pressure over a beat; the vessels' own P_H if not given. [Pa]"""
+    # Between the finger's artery (45 mmHg, Imholz 1998, Cardiovasc. Res. 38:605) and its capillaries (up to some 10
+    # mmHg, Mahler 1979, Am. J. Physiol. 236:H888), which beat by 4 to 14 mmHg under this in the named sets.
+    pulse_pressure_pa: NonNegative = 2000.0
+    """Highest less lowest pressure of a beat behind the small arteries, where P_H acts. [Pa]"""
+    rate_per_min: Annotated[float, Field(ge=20, le=300)] = 70.0
+    """Beats in a minute."""
+    # Healthy adults lying at rest: intervals of 926 ms with a standard deviation of 50 ms (Nunan 2010, PACE 33:1407).
+    rate_variability: Annotated[float, Field(ge=0, le=0.2)] = 0.05
+    """Standard deviation of the interval from beat to beat, relative to its mean."""
+
+
+class Breathing(Table):
+    """The breath in the arterial pressure, a sine."""
+
+    # Adults at rest breathe 12 to 20 times a minute; the systolic pressure in their fingers follows by 2 to 4 mmHg
+    # from top to bottom (Elghozi 1991, Clin. Exp. Pharmacol. Physiol. 18:735).
+    rate_per_min: Annotated[float, Field(ge=2, le=60)] = 15.0
+    """Breaths in a minute."""
+    amplitude_pa: NonNegative = 200.0
+    """Amplitude of the pressure, half of top to bottom. [Pa]"""
+
+
+class Vasomotion(Table):
+    """The slow, irregular waves of the vessels' tone (Mayer waves), as arterial pressure."""
+
+    # Variance 14 to 39 mmHg^2 in healthy adults, 0.05 to 0.15 Hz (Taylor 1998, Am. J. Physiol. 274:H1194); waves of
+    # 0.07 to 0.2 Hz were seen in the capillaries of the nailfold, too (Mahler 1979, Am. J. Physiol. 236:H888).
+    amplitude_pa: NonNegative = 600.0
+    """Standard deviation of the pressure. [Pa]"""
+    band_hz: tuple[Positive, Positive] = (0.05, 0.15)
+    """Lowest and highest frequency of the waves. [Hz]"""
+
+    @model_validator(mode="after")
+    def _band_rises(self) -> Self:
+        if self.band_hz[1] <= self.band_hz[0]:
+            raise ValueError(f"band_hz = {list(self.band_hz)} must rise from the lowest to the highest frequency")
+        return self
+
+
+class Body(Table):
+    """What moves the arterial pressure P_H; whatever is not given is still."""
+
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Seed of intervals between beats, of phases and of slow waves."""
+    heartbeat: Heartbeat | None = None
+    """The heart's beat."""
+    breathing: Breathing | None = None
+    """The breath."""
+    vasomotion: Vasomotion | None = None
+    """Slow waves of the vessels' tone."""
+    file: str | None = None
+    """Recorded pressure beside the scene file, in place of all of these: a CSV with columns time_s (from the start of
+    the touch) and arterial_pressure_pa."""
+    recorded_time_s: tuple[float, ...] | None = None
+    """The recorded times; filled from file. [s]"""
+    recorded_arterial_pressure_pa: tuple[float, ...] | None = None
+    """The recorded pressures; filled from file. [Pa]"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_the_recording(cls, data: object, info: ValidationInfo) -> object:
+        if isinstance(data, dict) and isinstance(data.get("file"), str) and "recorded_time_s" not in data:
+            path = Path((info.context or {}).get("folder") or Path()) / data["file"]
+            names = ("arterial_pressure_pa",)
+            columns = read_columns(path, "body.file", names, either=(names,))
+            return data | {f"recorded_{name}": column for name, column in columns.items()}
+        return data
+
+    @model_validator(mode="after")
+    def _is_recorded_or_made(self) -> Self:
+        if self.recorded_time_s is None or self.recorded_arterial_pressure_pa is None:
+            return self
+        columns = {"time_s": self.recorded_time_s, "arterial_pressure_pa": self.recorded_arterial_pressure_pa}
+        check_columns(columns, "body.file")
+        for name in ("heartbeat", "breathing", "vasomotion"):
+            if getattr(self, name) is not None:
+                raise ValueError(f"file holds the whole pressure; leave out [body.{name}], or file")
+        return self
+
+    @property
+    def moves(self) -> bool:
+        """Whether the arterial pressure changes over time at all."""
+        return any((self.heartbeat, self.breathing, self.vasomotion, self.recorded_time_s))

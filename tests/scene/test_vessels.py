@@ -1,0 +1,62 @@
+"""Own constants of the vessels: values and factors, and what is refused."""
+
+import dataclasses
+
+import pytest
+
+from nailoptics.errors import InputError
+from nailoptics.hemodynamics import Parameters, parameters
+from nailoptics.scene import Tuning, parse_scene
+from nailoptics.studies.blood_states import blood_over_touch, vessels
+
+SCENE = """
+schema_version = 1
+[finger]
+[[leds]]
+name = "ir"
+part = "led_800"
+position_mm = [-1.2, 0.0]
+[[photodiodes]]
+name = "pd"
+position_mm = [0.5, 0.0]
+[blood]
+parameters = "best"
+"""
+
+
+def test_every_constant_of_the_network_can_be_tuned():
+    assert list(Tuning.model_fields) == [*(field.name for field in dataclasses.fields(Parameters)), "factors"]
+
+
+def test_values_and_factors_change_what_they_name_and_nothing_else():
+    text = (
+        "[blood.tuning]\nvein_stiffness_n_per_m = 4e3\nfactors = { capillary_count = 0.5, arterial_pressure_pa = 1.2 }"
+    )
+    tuned, named = vessels(parse_scene(SCENE + text)), parameters("best")
+    assert tuned == named.replace(
+        vein_stiffness_n_per_m=4e3, capillary_count=0.5 * named.capillary_count, arterial_pressure_pa=1.2e4
+    )
+    assert vessels(parse_scene(SCENE)) == named
+
+
+def test_tuned_vessels_answer_a_touch_in_their_own_way():
+    """A vein four times as stiff closes later: less blood is dammed up."""
+    stiff = SCENE + "[blood.tuning]\nfactors = { vein_stiffness_n_per_m = 4.0 }"
+    dammed = [blood_over_touch(parse_scene(text)).blood_fraction.isel(zone=0).max() for text in (SCENE, stiff)]
+    assert dammed[1] < 0.9 * dammed[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("vein_stifness_n_per_m = 4e3", 'did you mean "vein_stiffness_n_per_m"'),
+        ("vein_count = -1.0", "blood.tuning.vein_count = -1.0: must be greater than 0"),
+        ("factors = { vein_cuont = 2.0 }", 'factors.vein_cuont is not a parameter; did you mean "vein_count"'),
+        ("factors = { vein_count = 0.0 }", "blood.tuning.factors.vein_count = 0.0: must be greater than 0"),
+        ("vein_count = 20.0\nfactors = { vein_count = 2.0 }", "vein_count has both a value and a factor"),
+    ],
+)
+def test_a_tuning_that_cannot_be_is_refused_in_one_line(text, words):
+    with pytest.raises(InputError, match=words) as caught:
+        parse_scene(SCENE + "[blood.tuning]\n" + text)
+    assert len(str(caught.value).splitlines()) == 1
