@@ -23,7 +23,7 @@ def chosen_llvm() -> backend.Backend:
 def chosen_jit() -> backend.Backend:
     chosen = backend.choose("auto")
     if not chosen.jit:
-        pytest.skip(f"no JIT backend works here: {chosen.reason}")
+        pytest.skip(f"no JIT backend works here: {chosen.why}")
     return chosen
 
 

@@ -11,7 +11,7 @@ from ..light.detect import VOLPATH_RELATIVE_ERROR
 from ..light.identity import light_scene
 from ..light.records import LedBatches
 from ..light.tracing import StoppingRule, photons_engine
-from ..light.transfer import transfer_of
+from ..light.transfer import Transfer
 from ..options import Requested, TraceOptions
 from ..scene import Scene
 from ..scene.sweep import Sweep
@@ -105,7 +105,7 @@ def _cost(scene: Scene, settings: Settings) -> tuple[float, float, float, float]
         light_bytes += times * (batch.weight.nbytes + batch.path_mm.nbytes + batch.photodiode.nbytes)
         batches = LedBatches(engine.mu_a(led), {(0, full): batch})
         traces.append(batches.trace([full], seed=settings.options.seed, led=led, rest=rule.rest))
-    transfer = transfer_of(scene, traces, backend=settings.options.backend)
+    transfer = Transfer(scene, tuple(traces), settings.options.backend)
     reading.of_transfer(transfer, seed=settings.options.seed)  # imports
     begin = time.process_time()
     dataset = reading.of_transfer(transfer, seed=settings.options.seed)

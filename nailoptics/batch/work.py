@@ -22,7 +22,7 @@ from ..light import backend as backends
 from ..light.identity import light_scene
 from ..light.records import LedBatches
 from ..light.tracing import StoppingRule, accuracy, extend, photons_engine
-from ..light.transfer import transfer_of, versions
+from ..light.transfer import current_versions
 from ..options import BackendName, TraceOptions
 from ..scene import Accuracy, Scene, to_toml
 from . import reading
@@ -69,7 +69,7 @@ class Settings:
     def made(self) -> dict[str, Any]:
         """What stored light must have been made with."""
         shared = {"seed": self.options.seed, "backend": self.options.backend}
-        return shared | {"engine": "photons", "versions": versions()}
+        return shared | {"engine": "photons", "versions": current_versions()}
 
 
 @dataclass(frozen=True)
@@ -288,7 +288,7 @@ class _Light:
             traces.append(batches.trace(sizes, seed=settings.options.seed, led=led, rest=rule.rest))
         known = [error for error in errors if error is not None]
         worst = max(known) if len(known) == len(errors) else None
-        return transfer_of(scene, traces, backend=settings.options.backend), reached, worst
+        return Transfer(scene, tuple(traces), settings.options.backend), reached, worst
 
 
 def _result(

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from importlib import metadata
@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import InputError, WriteError
-from ..io import write_text
+from ..io import make_folder, write_text
 
 log = logging.getLogger(__name__)
 
@@ -68,30 +68,26 @@ _answers: dict[str, tuple[tuple[str, ...], str]] = {}
 
 @dataclass(frozen=True)
 class Backend:
-    """A usable backend: its Mitsuba variant, its library, why it was taken, what would be faster, what it can run."""
+    """One of Mitsuba's backends with one library, the engines that it can run here, and why it is taken or not.
 
-    name: Name
-    variant: str
-    jit: bool
-    library: str | None
-    reason: str
-    advice: str | None = None
-    engines: tuple[str, ...] = ENGINES
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One candidate: a backend, its library, the engines that it can run here, and why it is taken or not."""
+    advice : What would be faster.
+    """
 
     name: Name
     library: str | None
     engines: tuple[str, ...]
     why: str
+    advice: str | None = None
 
     @property
     def usable(self) -> bool:
         """Whether it can run any engine."""
         return bool(self.engines)
+
+    @property
+    def jit(self) -> bool:
+        """Whether it compiles kernels."""
+        return self.name != "scalar"
 
 
 def choose(requested: str = "auto", *, volpath: bool = False) -> Backend:
@@ -106,40 +102,35 @@ def choose(requested: str = "auto", *, volpath: bool = False) -> Backend:
     if requested != "auto" and requested not in NAMES:
         raise InputError(f'backend "{requested}" is not known; choose one of auto, {", ".join(NAMES)}.')
     failures: list[str] = []
-    for name in NAMES:
-        if requested not in ("auto", name):
-            continue
+    for name in (name for name in NAMES if requested in ("auto", name)):
         failed = []
-        for finding in _look(name):
-            if finding.usable:
-                if volpath and "volpath" not in finding.engines:
-                    return replace(choose("scalar"), reason=f"{name} {finding.why}", advice=VOLPATH_ADVICE)
-                reason = "asked for" if requested == name else "; ".join(failures) or "the fastest that there is"
-                advice = ADVICE if name == "scalar" and requested == "auto" else None
-                jit, library = name != "scalar", finding.library
-                return Backend(name, VARIANTS[name], jit, library, reason, advice, finding.engines)
-            failed.append(f"{finding.library}: {finding.why}" if finding.library else finding.why)
+        for found in _look(name):
+            if found.usable:
+                if volpath and "volpath" not in found.engines:
+                    return replace(choose("scalar"), why=f"{name} {found.why}", advice=VOLPATH_ADVICE)
+                why = "requested" if requested == name else "; ".join(failures) or "the fastest that there is"
+                return replace(found, why=why, advice=ADVICE if requested == "auto" and not found.jit else None)
+            failed.append(f"{found.library}: {found.why}" if found.library else found.why)
         failures.append(f"{name} is not usable ({'; '.join(failed)})")
     raise InputError(f"backend {failures[0]}; use --backend auto, or see nailoptics doctor.")
 
 
-def findings() -> list[Finding]:
+def findings() -> list[Backend]:
     """Every candidate of every backend, in the order they are tried, and why it is taken or not."""
-    found: list[Finding] = []
-    taken: Finding | None = None
-    for finding in (f for name in NAMES for f in _look(name)):
-        if finding.usable:
-            which = f"{taken.name} ({taken.library})" if taken else ""
-            why = f"{finding.why}; not needed, {which} comes first" if taken else f"{finding.why}; taken"
-            if taken and finding.name == "scalar" and "volpath" not in taken.engines:
-                why = f"{finding.why}; taken for volpath"
-            finding = replace(finding, why=why)
-            taken = taken or finding
-        found.append(finding)
-    return found
+    candidates: list[Backend] = []
+    taken: Backend | None = None
+    for found in (one for name in NAMES for one in _look(name)):
+        if found.usable:
+            what = f"not needed, {taken.name} ({taken.library}) comes first" if taken else "taken"
+            if taken and found.name == "scalar" and "volpath" not in taken.engines:
+                what = "taken for volpath"
+            found = replace(found, why=f"{found.why}; {what}")
+            taken = taken or found
+        candidates.append(found)
+    return candidates
 
 
-def activate(backend: Backend) -> Any:
+def activate(backend: Backend, variants: Mapping[Name, str] = VARIANTS) -> Any:
     """Mitsuba with the backend's variant set.
 
     Raises: InputError where mitsuba cannot be imported.
@@ -148,15 +139,24 @@ def activate(backend: Backend) -> Any:
         os.environ["DRJIT_LIBLLVM_PATH"] = backend.library
     try:
         # Dr.Jit complains of a missing or broken libLLVM even where none is needed.
-        with _quiet_stderr() if backend.name == "scalar" else nullcontext():
+        with nullcontext() if backend.jit else _quiet_stderr():
             import mitsuba as mi
 
-            if mi.variant() != backend.variant:
-                mi.set_variant(backend.variant)
+            if mi.variant() != variants[backend.name]:
+                mi.set_variant(variants[backend.name])
     except ImportError as error:
         why = _last_line(str(error))
         raise InputError(f"mitsuba cannot be used: {why}; reinstall it: pip install mitsuba.") from None
     return mi
+
+
+def activate_jit(requested: str, what: str) -> Backend:
+    """The backend requested, active from now on; raises InputError where it compiles no kernels, which `what` needs."""
+    chosen = choose(requested)
+    if not chosen.jit:
+        raise InputError(f"{what} needs a JIT backend, and scalar is none: {chosen.advice or 'choose auto'}")
+    activate(chosen)
+    return chosen
 
 
 @contextmanager
@@ -176,17 +176,17 @@ def _quiet_stderr() -> Iterator[None]:
         os.close(kept)
 
 
-def _look(name: Name) -> Iterator[Finding]:
+def _look(name: Name) -> Iterator[Backend]:
     """The candidates of one backend; each is probed when its turn comes, not before."""
     if name == "scalar":
-        yield Finding("scalar", None, ("volpath",), "works everywhere")
+        yield Backend("scalar", None, ("volpath",), "works everywhere")
         return
     libraries = list(_cuda_libraries() if name == "cuda" else _llvm_libraries())
     if not libraries:
         wanted = "NVIDIA driver and device" if name == "cuda" else "libLLVM"
-        yield Finding(name, None, (), f"no {wanted} found")
+        yield Backend(name, None, (), f"no {wanted} found")
     for library in libraries:
-        yield Finding(name, library, *_works(name, library))
+        yield Backend(name, library, *_works(name, library))
 
 
 def _cuda_libraries() -> list[str]:
@@ -229,20 +229,17 @@ def _major_version(path: str) -> int:
 def _works(name: Name, library: str) -> tuple[tuple[str, ...], str]:
     """The engines that work with a library, and why not all: from memory, from the user's cache, or from a probe."""
     key = _key(name, library)
-    if key in _answers:
-        return _answers[key]
-    file = _cache_file()
-    remembered = _read(file).get(key)
-    if isinstance(remembered, dict) and isinstance(remembered.get("engines"), list):
-        answer = tuple(e for e in ENGINES if e in remembered["engines"]), str(remembered.get("why", ""))
-    else:
-        engines, why, lasting = _probe(name, library)
-        answer = engines, why
-        log.info("backend %s with %s: %s", name, library, why)
-        if lasting:
-            _remember(file, key, engines, why)
-    _answers[key] = answer
-    return answer
+    if key not in _answers:
+        try:
+            remembered = _read_cache()[key]
+            _answers[key] = tuple(e for e in ENGINES if e in remembered["engines"]), str(remembered["why"])
+        except (KeyError, TypeError):
+            engines, why, lasting = _probe(name, library)
+            _answers[key] = engines, why
+            log.info("backend %s with %s: %s", name, library, why)
+            if lasting:
+                _remember(key, engines, why)
+    return _answers[key]
 
 
 def _key(name: Name, library: str) -> str:
@@ -252,16 +249,10 @@ def _key(name: Name, library: str) -> str:
         file: list[Any] = [stat.st_mtime_ns, stat.st_size]
     except OSError:
         file = []
-    versions = [_version("drjit"), _version("mitsuba"), platform.python_version(), platform.machine()]
+    packages = [one.version for name in ("drjit", "mitsuba") for one in metadata.distributions(name=name)]
+    versions = [*packages, platform.python_version(), platform.machine()]
     seen = [os.environ.get("CUDA_VISIBLE_DEVICES"), platform.node(), *_devices()] if name == "cuda" else []
     return json.dumps([name, library, file, versions, seen, zlib.crc32(PROBE.encode())])
-
-
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return "none"
 
 
 def _probe(name: Name, library: str) -> tuple[tuple[str, ...], str, bool]:
@@ -310,31 +301,25 @@ def _last_line(text: str) -> str:
     return lines[-1][:200].rstrip(".") if lines else ""
 
 
-def _cache_file() -> Path | None:
-    try:
-        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    except RuntimeError:
-        return None
-    return folder / "nailoptics" / "backends.json"
+def _cache_file() -> Path:
+    """The file of answers; raises RuntimeError for a user without a home."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "nailoptics" / "backends.json"
 
 
-def _read(file: Path | None) -> dict[str, Any]:
+def _read_cache() -> dict[str, Any]:
     try:
-        answers = json.loads(file.read_text(encoding="utf-8")) if file else {}
-    except (OSError, ValueError):
+        answers = json.loads(_cache_file().read_text(encoding="utf-8"))
+    except (OSError, ValueError, RuntimeError):
         return {}
     return answers if isinstance(answers, dict) else {}
 
 
-def _remember(file: Path | None, key: str, engines: tuple[str, ...], why: str) -> None:
+def _remember(key: str, engines: tuple[str, ...], why: str) -> None:
     """Add an answer to the user's cache; without one the next process probes again."""
-    if file is None:
-        return
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        answers = _read(file) | {key: {"engines": engines, "why": why}}
-        write_text(file, json.dumps(answers, indent=1))
-    except (OSError, WriteError) as error:
+        make_folder(_cache_file().parent)
+        write_text(_cache_file(), json.dumps(_read_cache() | {key: {"engines": engines, "why": why}}, indent=1))
+    except (RuntimeError, WriteError) as error:
         log.debug("backends are not remembered: %s", error)
 
 

@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike
 
 from .. import tissue
 from ..errors import InputError
-from ..geometry import Face, Geometry
+from ..geometry import Face
 from ..scene import Scene
 from ..scene.layout import Rectangle
 from ..statistics import stderr_of_mean
 from ..tissue.properties import DermisAbsorption
-from ..variables import Variable, variable
+from ..variables import Variables, variable
 from . import backend as backends
 from . import optics
 from .reweight import attenuation
@@ -48,22 +48,15 @@ class Arrivals:
 class BoardTracer:
     """Traces a finger scene's LEDs onto its board, whatever its photodiodes."""
 
-    def __init__(
-        self, scene: Scene, geometry: Geometry | None = None, *, backend: str = "auto", spacing_mm: float = 0.1
-    ) -> None:
+    def __init__(self, scene: Scene, *, backend: str = "auto", spacing_mm: float = 0.1) -> None:
         """spacing_mm : cells of the distances that the walk asks for; wider ones are made sooner and walk slower."""
         if scene.finger is None:
             raise InputError("a photon map needs a [finger] scene; a phantom has no board, give it apertures.")
-        self.backend = backends.choose(backend)
-        if not self.backend.jit:
-            raise InputError(
-                f"a photon map needs a JIT backend, and {self.backend.name} is none: {self.backend.advice}"
-            )
-        backends.activate(self.backend)
+        self.backend = backends.activate_jit(backend, "a photon map")
         from .finger_walk import FingerTracer
 
         self.scene = scene
-        self.tracer = FingerTracer(scene, geometry, spacing_mm=spacing_mm)
+        self.tracer = FingerTracer(scene, spacing_mm=spacing_mm)
         self.batch_photons = self.tracer.batch_photons
 
     def arrivals(self, led: int, *, photons: int, seed: int) -> Arrivals:
@@ -96,12 +89,12 @@ class BoardTracer:
         )
 
     def detected(
-        self, led: int, point: "BloodPoint", *, photons: int, seed: int, cells: "VoxelGrid | None" = None
-    ) -> tuple[np.ndarray, np.ndarray | None]:
-        """What the scene's own photodiodes read, (photodiodes, 2 + K) float: means of a BloodPoint's values.
+        self, led: int, point: "BloodPoint", *, photons: int, seed: int, cells: "VoxelGrid"
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What the scene's own photodiodes read, and where in the finger each of them looks.
 
-        cells : tells, too, where in the finger each photodiode looks: how its reading falls with absorption in each
-            cell, per volume, (photodiodes, u, v, depth) float. [mm^-2]
+        Returns: means of a BloodPoint's values, (photodiodes, 2 + K) float; and how the reading falls with absorption
+        in each cell, per volume, (photodiodes, u, v, depth) float. [mm^-2]
         """
         from .surroundings import DETECTED
         from .tallies.sensitivity import SensitivityTally
@@ -113,8 +106,6 @@ class BoardTracer:
         arrived = Arrivals(photons, ended, nowhere, walked.weight[ended], self.tracer.by_zone(walked.path_mm[:, ended]))
         values = point.values(arrived)
         means = np.stack([np.bincount(where, column, minlength=count) for column in values.T], -1) / photons
-        if cells is None:
-            return means, None
         if not len(ended):
             return means, np.zeros((count, *cells.shape))
         counts, looks = np.zeros(photons), np.zeros(photons, int)
@@ -213,9 +204,7 @@ class PhotonMap:
 
     def __init__(self, outline: Rectangle, *, values: int, spacing_mm: float = 0.1, blocks: int = 32) -> None:
         self.outline, self.blocks = outline, blocks
-        self.shape = tuple(
-            max(1, round(size / spacing_mm)) for size in (outline.u_max - outline.u_min, outline.v_max - outline.v_min)
-        )
+        self.shape = tuple(max(1, round(size / spacing_mm)) for size in outline.size_mm)
         self.u_mm = np.linspace(outline.u_min, outline.u_max, self.shape[0] + 1)
         self.v_mm = np.linspace(outline.v_min, outline.v_max, self.shape[1] + 1)
         self.sums = np.zeros((values, blocks, *self.shape))
@@ -275,21 +264,15 @@ class PhotonMap:
 def map_dataset(leds: Sequence[str], maps: Sequence[PhotonMap]) -> xr.Dataset:
     """Maps of several LEDs on one board as a Dataset over led, zone, u and v."""
     mean, stderr = (np.stack(both) for both in zip(*(one.per_mm2() for one in maps), strict=True))
-    zones = np.arange(mean.shape[1] - 2)
-    data: dict[str, Variable] = {}
-    for name, column, axis, text in (
-        ("irradiance", 0, (), "irradiance of the board's underside per emitted power"),
-        ("direct", 1, (), "irradiance by light that was never in the bed, per emitted power"),
-        (
-            "sensitivity",
-            zones + 2,
-            ("blood_zone",),
-            "derivative of the irradiance to the blood fraction of a zone, per emitted power",
-        ),
+    data: Variables = {}
+    for name, column, dims, text in (
+        ("irradiance", 0, ("led", "u", "v"), "irradiance of the board's underside"),
+        ("direct", 1, ("led", "u", "v"), "irradiance by light that was never in the bed"),
+        ("sensitivity", np.s_[2:], ("led", "blood_zone", "u", "v"), "change of the irradiance by a zone's blood"),
     ):
-        dims = ("led", *axis, "u", "v")
-        data |= variable(name, dims, mean[:, column], text, units="mm-2", stderr=stderr[:, column])
+        values, errors = mean[:, column], stderr[:, column]
+        data |= variable(name, dims, values, f"{text}, per emitted power", units="mm-2", stderr=errors)
     u, v = ((edges[1:] + edges[:-1]) / 2 for edges in (maps[0].u_mm, maps[0].v_mm))
     data |= variable("u", "u", u, "across the nail, on the flat board", units="mm")
     data |= variable("v", "v", v, "along the nail, towards the tip", units="mm")
-    return xr.Dataset(data, {"led": list(leds), "blood_zone": zones})
+    return xr.Dataset(data, {"led": list(leds), "blood_zone": np.arange(mean.shape[1] - 2)})

@@ -4,10 +4,10 @@ import json
 import logging
 import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Unpack
+from typing import Any, TypeVar, Unpack
 
 import numpy as np
 import xarray as xr
@@ -16,7 +16,7 @@ from .. import geometry
 from ..errors import InputError, NotReachedError
 from ..geometry import Geometry
 from ..options import Requested, TraceOptions
-from ..scene import Accuracy, Led, Scene
+from ..scene import Led, Scene
 from ..variables import variable
 from . import backend as backends
 from . import optics
@@ -24,6 +24,9 @@ from .course import Course, course
 from .tracing import ProgressCallback, accuracy, trace
 from .transfer import FEW_PHOTONS, Transfer, mean_of_leds, photodiode_names, provenance
 from .volpath import led_readings as volpath
+from .volpath.states import StateReadings
+
+T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
@@ -33,8 +36,6 @@ SECTION_PHOTONS = 1 << 17
 SECTION_FROM_Y_MM, SECTION_FROM_Z_MM = -14.0, -9.0
 # Air that it shows in front of the fingertip and above the board. [mm]
 AIR_BEYOND_TIP_MM, AIR_ABOVE_BOARD_MM = 0.5, 0.3
-# So few photons are walked for it that distances on the usual cells of 0.1 mm would take longer than they save. [mm]
-SECTION_CELLS_MM = 0.2
 # The stock integrator answers for states one by one, so it stops at this relative error even if less is required.
 VOLPATH_RELATIVE_ERROR = 0.05
 
@@ -49,7 +50,6 @@ class DetectedLight:
     """
 
     over: Callable[[np.ndarray], Course]
-    absorbers: tuple[str, ...]
     mean_path: np.ndarray
     mean_path_stderr: np.ndarray
     section: xr.Dataset
@@ -86,40 +86,40 @@ def open_light(
 
     Raises: NotReachedError with the DetectedLight so far as result.
     """
-    options = TraceOptions(**requested)
-    chosen, engine = open_engine(scene, options.backend)
-    required = accuracy(scene, options)  # what cannot be required is said before any work
-    finger = geometry.build(scene)
+    options, engine = _options(scene, requested)
     if engine == "volpath":
-        states = np.asarray(states, float)
-        return _light_by_volpath(scene, finger, states, required, seed=options.seed, backend=chosen, progress=progress)
+        return _light_by_volpath(scene, np.asarray(states, float), options, progress)
 
     def read(transfer: Transfer) -> DetectedLight:
         rest = transfer.at()
         unknown = "saw no light or too few photons, so that nothing is known of their standard errors"
         _with_few_photons(transfer, rest, unknown)
-        return light_of(transfer, rest=rest, section=_section(scene, finger, options.seed, traced=True))
+        return light_of(transfer, rest=rest, section=_section(scene, options.seed))
 
-    return _traced(scene, read, progress, requested)
+    return _traced(scene, read, progress, options)
 
 
 def read_rest(
     scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]
 ) -> RestReadings:
     """Trace a scene and read it at rest; raises NotReachedError with the RestReadings so far as result."""
-    options = TraceOptions(**requested)
-    chosen, engine = open_engine(scene, options.backend)
+    options, engine = _options(scene, requested)
     if engine == "volpath":
-        return _rest_by_volpath(scene, chosen, options, progress)
-    return _traced(scene, _rest_of, progress, requested)
+        return _rest_by_volpath(scene, options, progress)
+    return _traced(scene, _rest_of, progress, options)
 
 
-def open_engine(scene: Scene, requested: str) -> tuple[backends.Backend, str]:
-    """The backend and the engine that trace a scene; warns where volpath cannot run on the backend and takes scalar."""
-    chosen = backends.choose(requested, volpath=scene.light.engine == "volpath")
+def _options(scene: Scene, requested: Requested) -> tuple[TraceOptions, str]:
+    """How a scene is traced, on the backend that is there and as far as it says, and the engine that traces it.
+
+    Warns where volpath cannot run on the backend and takes scalar.
+    """
+    options = TraceOptions(**requested)
+    chosen = backends.choose(options.backend, volpath=scene.light.engine == "volpath")
     if chosen.advice == backends.VOLPATH_ADVICE:
         log.warning(chosen.advice)
-    return chosen, engine_for(scene, chosen)
+    required = accuracy(scene, options).model_dump()
+    return replace(options, backend=chosen.name, **required), engine_for(scene, chosen)
 
 
 def engine_for(scene: Scene, chosen: backends.Backend) -> str:
@@ -154,7 +154,6 @@ def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None, section: xr.
 
     return DetectedLight(
         over=over,
-        absorbers=transfer.absorbers,
         mean_path=rest.mean_path_mm.values,
         mean_path_stderr=rest.mean_path_mm_stderr.values,
         section=xr.Dataset() if section is None else section,
@@ -167,12 +166,10 @@ def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None, section: xr.
     )
 
 
-def _traced(
-    scene: Scene, read: Callable[[Transfer], Any], progress: ProgressCallback | None, requested: Requested
-) -> Any:
+def _traced(scene: Scene, read: Callable[[Transfer], T], progress: ProgressCallback | None, options: TraceOptions) -> T:
     """What is read from a scene's trace, or from as much of it as there is when it falls short."""
     try:
-        transfer = trace(scene, progress=progress, **requested)
+        transfer = trace(scene, progress=progress, **options.fields)
     except NotReachedError as error:
         if isinstance(error.result, Transfer):
             error.result = read(error.result)
@@ -197,8 +194,18 @@ def _reached(relative: np.ndarray) -> str:
     return f"relative standard error of every reading at rest at most {worst:.2g}"
 
 
-def _section(scene: Scene, finger: Geometry, seed: int, *, traced: bool) -> xr.Dataset:
-    """The longitudinal section at u = 0: regions and, if traced, each LED's path density."""
+def _section(scene: Scene, seed: int, finger: Geometry | None = None) -> xr.Dataset:
+    """The longitudinal section at u = 0: regions and each LED's path density, which is traced.
+
+    finger : what is shown without light.
+    """
+    tracer = None
+    if finger is None:
+        from .finger_walk import FingerTracer
+        from .tallies.section import Section
+
+        tracer = FingerTracer(scene)
+        finger = tracer.geometry
     low, high = np.asarray(finger.bounds_mm)
     y = np.arange(max(low[1], SECTION_FROM_Y_MM), high[1] + AIR_BEYOND_TIP_MM, SECTION_MM)
     z = np.arange(max(low[2], SECTION_FROM_Z_MM), high[2] + AIR_ABOVE_BOARD_MM, SECTION_MM)
@@ -208,11 +215,7 @@ def _section(scene: Scene, finger: Geometry, seed: int, *, traced: bool) -> xr.D
     data: dict[str, Any] = {
         "section_region": (plane, finger.region_at(grid).reshape(len(y), len(z)).astype(np.int16), about)
     }
-    if traced:
-        from .finger_walk import FingerTracer
-        from .tallies.section import Section
-
-        tracer = FingerTracer(scene, finger, spacing_mm=SECTION_CELLS_MM)
+    if tracer:
         density = []
         for led in range(len(scene.leds)):
             section = Section(y, z)
@@ -226,25 +229,17 @@ def _section(scene: Scene, finger: Geometry, seed: int, *, traced: bool) -> xr.D
 
 
 def _light_by_volpath(
-    scene: Scene,
-    finger: Geometry,
-    states: np.ndarray,
-    required: Accuracy,
-    *,
-    seed: int,
-    backend: backends.Backend,
-    progress: ProgressCallback | None,
+    scene: Scene, states: np.ndarray, options: TraceOptions, progress: ProgressCallback | None
 ) -> DetectedLight:
     """Trace rest and one changed state per zone; between them each zone dims as in Beer-Lambert (8)."""
-    target = max(required.relative_error or 0.0, VOLPATH_RELATIVE_ERROR)
+    options = replace(options, relative_error=max(options.relative_error or 0.0, VOLPATH_RELATIVE_ERROR))
     log.warning(
-        "volpath traces three blood states to a relative error of %g and takes Beer-Lambert (8) between them", target
+        "volpath traces three blood states to a relative error of %g and takes Beer-Lambert (8) between them",
+        options.relative_error,
     )
-    corners = volpath.corner_states(states)
     begin, cpu = time.perf_counter(), time.process_time()
-    shared: dict[str, Any] = {"seed": seed, "backend": backend, "progress": progress}
-    read = partial(volpath.finger_readings, scene, finger, corners, relative_error=target, **shared)
-    traced, complaint = volpath.read_leds(scene, required, read)
+    finger, corners = geometry.build(scene), volpath.corner_states(states)
+    traced = volpath.read_leds(scene, options, partial(volpath.finger_readings, scene, finger, corners, progress))
     fraction, stderr, ratio, ratio_stderr = (
         np.stack([getattr(one, name) for one in traced])
         for name in ("fraction", "fraction_stderr", "ratio", "ratio_stderr")
@@ -253,23 +248,27 @@ def _light_by_volpath(
     with np.errstate(invalid="ignore", divide="ignore"):
         relative = stderr[:, :, 0] / rest
     mean_path, mean_path_stderr = volpath.secant_paths(scene, corners, ratio, ratio_stderr)
-    paths = sum(one.paths for one in traced)
+    made: dict[str, Any] = {"engine": "volpath", "backend": options.backend, "seeds": str(options.seed)}
     light = DetectedLight(
         over=lambda blood: volpath.between(rest, relative, ratio, ratio_stderr, corners, np.asarray(blood, float)),
-        absorbers=optics.absorbers(scene),
         mean_path=mean_path,
         mean_path_stderr=mean_path_stderr,
-        section=_section(scene, finger, seed, traced=False),
-        attributes=provenance(scene, engine="volpath", backend=backend.name, photons=paths, seeds=str(seed))
+        section=_section(scene, options.seed, finger),
+        attributes=provenance(scene, photons=sum(one.paths for one in traced), **made)
         | {
             "cpu_seconds": time.process_time() - cpu,
             "wall_seconds": time.perf_counter() - begin,
             "accuracy_reached": _reached(relative) + "; three blood states traced, Beer-Lambert (8) between them",
         },
     )
-    if complaint:
-        raise NotReachedError(complaint, result=light)
-    return light
+    return _unless_short(light, traced)
+
+
+def _unless_short(result: T, traced: Sequence[StateReadings]) -> T:
+    """What was made of volpath's readings; raises NotReachedError with it if some fall short of what is required."""
+    if short := next((one.fell_short for one in traced if one.fell_short), None):
+        raise NotReachedError(short, result=result)
+    return result
 
 
 def _rest_of(transfer: Transfer) -> RestReadings:
@@ -283,10 +282,8 @@ def _rest_of(transfer: Transfer) -> RestReadings:
             at = {"led": i, "photodiode": j}
             row = _row(led, photodiode, rest.detected_fraction[at], stderr[i, j], transfer.traces[i].photons)
             for name in ("mean_path_mm", "mean_path_mm_stderr"):
-                values = dict(zip(transfer.absorbers, rest[name][at].values, strict=True))
-                key = name.replace("_mm_stderr", "_stderr_mm")
-                # JSON has no NaN: a path of light that was not seen is null.
-                row[key] = {absorber: float(x) if math.isfinite(x) else None for absorber, x in values.items()}
+                paths = zip(transfer.absorbers, rest[name][at].values.tolist(), strict=True)
+                row[name.replace("_mm_stderr", "_stderr_mm")] = dict(paths)
             rows.append(row)
     return RestReadings(
         readings=rows,
@@ -300,22 +297,19 @@ def _rest_of(transfer: Transfer) -> RestReadings:
     )
 
 
-def _rest_by_volpath(
-    scene: Scene, chosen: backends.Backend, options: TraceOptions, progress: ProgressCallback | None
-) -> RestReadings:
+def _rest_by_volpath(scene: Scene, options: TraceOptions, progress: ProgressCallback | None) -> RestReadings:
     """The readings of a scene at rest, traced by volpath."""
-    required = accuracy(scene, options)
     begin, cpu = time.perf_counter(), time.process_time()
-    shared: dict[str, Any] = {"seed": options.seed, "backend": chosen, "progress": progress}
     if scene.phantom is not None:
-        read = partial(volpath.phantom_readings, scene, required, **shared)
+        read = partial(volpath.phantom_readings, scene, progress)
     else:
-        target = required.relative_error or VOLPATH_RELATIVE_ERROR
-        if required.relative_error is None and required.max_seconds is None:
+        target = options.relative_error or VOLPATH_RELATIVE_ERROR
+        if options.relative_error is None and options.max_seconds is None:
             log.warning("volpath traces a finger to a relative error, not a number of photons; it takes %g", target)
+        options = replace(options, relative_error=target)
         rest = np.full((1, optics.zones(scene).count), scene.blood.rest_blood_fraction)
-        read = partial(volpath.finger_readings, scene, geometry.build(scene), rest, relative_error=target, **shared)
-    traced, complaint = volpath.read_leds(scene, required, read)
+        read = partial(volpath.finger_readings, scene, geometry.build(scene), rest, progress)
+    traced = volpath.read_leds(scene, options, read)
     rows = []
     for led, one in zip(scene.leds, traced, strict=True):
         values = zip(photodiode_names(scene), one.fraction[:, 0], one.fraction_stderr[:, 0], strict=True)
@@ -325,13 +319,11 @@ def _rest_by_volpath(
         energy=mean_of_leds([one.energy for one in traced if one.energy]) if scene.phantom is not None else None,
         photons=sum(one.paths for one in traced),
         engine="volpath",
-        backend=chosen.name,
+        backend=options.backend,
         cpu_seconds=time.process_time() - cpu,
         wall_seconds=time.perf_counter() - begin,
     )
-    if complaint:
-        raise NotReachedError(complaint, result=result)
-    return result
+    return _unless_short(result, traced)
 
 
 def _row(led: Led, photodiode: str, fraction: Any, stderr: Any, photons: int) -> dict[str, Any]:

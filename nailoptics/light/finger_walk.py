@@ -45,18 +45,14 @@ PLATE, BED, EPOXY = (optics.TISSUES.index(name) for name in ("plate", "bed", "ep
 
 @lru_cache(maxsize=2)
 def _built(scene: Scene, spacing_mm: float) -> tuple[Geometry, DistanceGrid]:
-    """A scene's geometry and its distances, which take seconds; scenes that differ in optics have them in common."""
+    """A scene's geometry and distances to its interfaces near the board; seconds, for all scenes of one shape."""
     geometry = finger_geometry.build(scene)
-    return geometry, _distances(geometry, spacing_mm)
-
-
-def _distances(geometry: Geometry, spacing_mm: float) -> DistanceGrid:
-    """Distances to the interfaces near the board."""
     faces = (*geometry.leds, *geometry.photodiodes)
     corners = np.concatenate([np.asarray(face.quads).reshape(-1, 3) for face in faces])
     low = np.maximum(corners.min(0) - [ASIDE_MM, ASIDE_MM, BELOW_MM], geometry.bounds_mm[0])
     high = np.minimum(corners.max(0) + [ASIDE_MM, ASIDE_MM, ABOVE_MM], geometry.bounds_mm[1])
-    return finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high]), spacing_mm=spacing_mm)
+    bounds = np.stack([low, high])
+    return geometry, finger_geometry.distance_grid(geometry, bounds_mm=bounds, spacing_mm=spacing_mm)
 
 
 class FingerTracer:
@@ -64,13 +60,10 @@ class FingerTracer:
 
     batch_photons = 1 << 18
 
-    def __init__(self, scene: Scene, geometry: Geometry | None = None, *, spacing_mm: float = 0.1) -> None:
+    def __init__(self, scene: Scene, *, spacing_mm: float = 0.1) -> None:
         """spacing_mm : Cells of the distances; wider ones are made sooner and let light skip less. [mm]"""
         self.scene = scene
-        if geometry is None:
-            self.geometry, distances = _built(finger_geometry.shaping(scene), spacing_mm)
-        else:
-            self.geometry, distances = geometry, _distances(geometry, spacing_mm)
+        self.geometry, distances = _built(finger_geometry.shaping(scene), spacing_mm)
         self.photodiodes = tuple(face.name for face in self.geometry.photodiodes)
         self.interfaces = Interfaces(self.geometry, distances)
         self.regions = [Regions(scene, self.geometry, led.wavelength_nm) for led in scene.leds]

@@ -1,6 +1,6 @@
 """The photon walk through a phantom: exact planes, laterally infinite, no mesh."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -53,11 +53,11 @@ class LayeredTracer:
 
     def batch(self, led: int, *, photons: int, seed: int) -> Batch:
         """Trace some photons of one LED."""
-        walked = walk_layers(self.phantom, self.scene.leds[led], photons=photons, seed=seed)
+        walked, start, shift = walk_layers(self.phantom, self.scene.leds[led], photons=photons, seed=seed)
         top = np.flatnonzero(walked.outcome == TOP)
         photodiode, weight, path = [], [], []
         for i, aperture in enumerate(self.apertures):
-            share = arc_share(walked.shift_mm[top], walked.start_mm[top], aperture)
+            share = arc_share(shift[top], start[top], aperture)
             seen = np.flatnonzero(share)
             photodiode.append(np.full(len(seen), i, np.uint16))
             weight.append(share[seen] * walked.weight[top[seen]])
@@ -72,32 +72,21 @@ class LayeredTracer:
         )
 
 
-@dataclass(frozen=True)
-class LayeredPhotons(WalkedPhotons):
-    """What became of each photon of a batch in a phantom.
-
-    start_mm, shift_mm : (n, 2) float. Where it entered, and its lateral displacement from there. [mm]
-    """
-
-    start_mm: np.ndarray
-    shift_mm: np.ndarray
-
-
-def walk_layers(phantom: Phantom, led: Led, *, photons: int, seed: int) -> LayeredPhotons:
+def walk_layers(phantom: Phantom, led: Led, *, photons: int, seed: int) -> tuple[WalkedPhotons, np.ndarray, np.ndarray]:
     """Trace a batch of photons from a beam or a die on the phantom's top face, each to its end.
 
     Absorption dims a photon and at last ends it, each at half its rate; very long walks end by roulette: nothing is
     cut off. Depths are counted from the top of the photon's layer, so that thin layers keep their digits.
+
+    Returns: the photons; where each entered, and its lateral displacement from there, (n, 2) float. [mm]
     """
     rng, count = lanes(photons, seed)
-    ends = PhotonEnds(photons, paths=len(phantom.layers))
-    places = [dr.zeros(mi.Float, photons) for _ in range(4)]
-    walked = ends.evaluated(_walk(_Layers(phantom, led), rng, count, ends, places))
-    u, v, x, y = (np.array(place) for place in places)
+    ends = PhotonEnds(photons, paths=len(phantom.layers) + 4)
+    walked = ends.evaluated(_walk(_Layers(phantom, led), rng, count, ends))
+    *path, u, v, x, y = walked.path_mm
     size = (0.0, 0.0) if led.pattern == "pencil" else led.size_mm
     start = np.stack([led.position_mm[0] + (u - 0.5) * size[0], led.position_mm[1] + (v - 0.5) * size[1]], -1)
-    shift = np.stack([x, y], -1)
-    return LayeredPhotons(**vars(walked), start_mm=start.astype(float), shift_mm=shift.astype(float))
+    return replace(walked, path_mm=np.stack(path)), start.astype(float), np.stack([x, y], -1).astype(float)
 
 
 class _Layers:
@@ -193,11 +182,10 @@ def _launch(layers: _Layers, rng: Any, index: Any) -> _LayeredPhoton:
 
 
 @dr.syntax
-def _walk(layers: _Layers, rng: Any, count: Any, ends: PhotonEnds, places: list[Any]) -> Any:
+def _walk(layers: _Layers, rng: Any, count: Any, ends: PhotonEnds) -> Any:
     """Walk all photons of a batch to their ends, in each lane one after the other; returns scatterings per lane.
 
     rng, count : Per lane: its generator, and how many photons it walks.
-    places : u, v, x, y of each photon, to be written.
     """
     width = dr.width(count)
     photon = _launch(layers, rng, dr.arange(mi.UInt32, width))
@@ -217,9 +205,7 @@ def _walk(layers: _Layers, rng: Any, count: Any, ends: PhotonEnds, places: list[
         roulette(photon, 1, 1)
         if photon.outcome > 0:
             ends.record(photon)
-            ends.record_path(photon)
-            for target, value in zip(places, (photon.u, photon.v, photon.x, photon.y), strict=True):
-                dr.scatter(target, value, photon.index)
+            ends.record_path(photon, photon.u, photon.v, photon.x, photon.y)
             photon = _launch(layers, photon.rng, photon.index + width)
             count -= 1
         # Whoever ended has begun anew; so no loop carries this along.

@@ -8,7 +8,7 @@ from operator import add
 import numpy as np
 
 from ..errors import InputError
-from ..statistics import seed_of
+from ..statistics import seed_of, stderr_of_mean
 from .moments import Moments, RestState, moments_of, moments_of_sample
 from .reweight import transmission
 
@@ -87,6 +87,14 @@ class LedTrace:
         if self.full is None:
             return moments_of(self.photons, self.photodiode, weight, self.path_mm, count)
         return moments_of_sample(self.full, self.keep, self.photodiode, weight, self.weight_at_rest, self.path_mm)
+
+    @property
+    def energy_parts(self) -> dict[str, tuple[float, float]]:
+        """Fractions of the light by where it went, each with its standard error."""
+        return {
+            name: (sums[0] / self.photons, float(stderr_of_mean(*sums, self.photons)))
+            for name, sums in self.energy.items()
+        }
 
     @property
     def weight_at_rest(self) -> np.ndarray:

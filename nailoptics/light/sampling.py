@@ -98,9 +98,9 @@ class PhotonEnds:
         dr.scatter(self.weight, weight, photon.index)
         dr.scatter(self.roulette_balance, photon.roulette_balance, photon.index)
 
-    def record_path(self, photon: Photon) -> None:
-        """Write which way a photon came."""
-        for target, value in zip(self.path, photon.path, strict=True):
+    def record_path(self, photon: Photon, *more: Any) -> None:
+        """Write which way a photon came, and what else its walk adds to its paths."""
+        for target, value in zip(self.path, [*photon.path, *more], strict=True):
             dr.scatter(target, value, photon.index)
 
     def evaluated(self, events: Any) -> WalkedPhotons:

@@ -17,7 +17,7 @@ from ..statistics import seed_of, stderr_of_mean
 from . import backend as backends
 from .records import Batch, LedBatches, LedRecords
 from .reweight import transmission
-from .transfer import MIN_EFFECTIVE_PHOTONS, Transfer, photodiode_names, rest_state, transfer_of
+from .transfer import MIN_EFFECTIVE_PHOTONS, Transfer, photodiode_names, rest_state
 
 DEFAULT_PHOTONS = 1_000_000
 # A photodiode that none of so many photons reached is taken for unseen, unless a time limit says otherwise.
@@ -70,7 +70,7 @@ def trace(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     traces, events, complaint = [], 0, None
     for led in range(len(scene.leds)):
         rule = StoppingRule(scene, led, required, engine.mu_a(led), full=engine.batch_photons)
-        rule.seconds = share_of_time(required, start, len(scene.leds) - led)
+        rule.seconds = share_of_time(required.max_seconds, start, len(scene.leds) - led)
         found = LedRecords(engine.mu_a(led), rule.rest, seed=options.seed, led=led)
         why = _trace_led(engine, rule, found, progress)
         complaint = complaint or why
@@ -79,10 +79,10 @@ def trace(scene: Scene, *, progress: ProgressCallback | None = None, **requested
             required = Accuracy(photons=engine.batch_photons)
         events += found.events
         traces.append(found.trace())
-    result = transfer_of(
+    result = Transfer(
         scene,
-        traces,
-        backend=chosen.name,
+        tuple(traces),
+        chosen.name,
         cpu_seconds=time.process_time() - cpu,
         wall_seconds=time.perf_counter() - start,
         events=events,
@@ -97,12 +97,7 @@ def photons_engine(scene: Scene, backend: str) -> tuple[Any, backends.Backend]:
 
     Raises: InputError where the backend compiles no kernels.
     """
-    chosen = backends.choose(backend)
-    if not chosen.jit:
-        raise InputError(
-            f"the photons engine needs a JIT backend, and {chosen.name} is none: {chosen.advice or 'ask for auto'}"
-        )
-    backends.activate(chosen)
+    chosen = backends.activate_jit(backend, "the photons engine")
     if scene.phantom is not None:
         from .layered_walk import LayeredTracer
 
@@ -129,11 +124,9 @@ def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
     return required
 
 
-def share_of_time(required: Accuracy, begin: float, leds: int) -> float:
+def share_of_time(max_seconds: float | None, begin: float, leds: int) -> float:
     """A fair share, for each of the LEDs that are left, of the time since `begin` of the performance counter. [s]"""
-    if required.max_seconds is None:
-        return math.inf
-    return (required.max_seconds - (time.perf_counter() - begin)) / leds
+    return math.inf if max_seconds is None else (max_seconds - (time.perf_counter() - begin)) / leds
 
 
 def check_schedule(batches: int) -> bool:
@@ -160,7 +153,7 @@ class StoppingRule:
         self.name, self.photodiodes = scene.leds[led].name, photodiode_names(scene)
         # For this LED. [s]
         self.seconds = required.max_seconds / len(scene.leds) if required.max_seconds else math.inf
-        self.rest, self._mu_a = rest_state(scene, led, len(self.photodiodes)), mu_a
+        self.rest, self._mu_a = rest_state(scene, led), mu_a
         self._weight, self._square = np.zeros(len(self.photodiodes)), np.zeros(len(self.photodiodes))
         self.photons = 0
         self.errors: list[float] = []
@@ -216,8 +209,8 @@ class StoppingRule:
             return None
         if photons is not None and self.photons >= photons:
             return None
-        what = f"relative error {self.error:.3g}, {target:g} asked" if target else f"{self.photons} photons"
-        return f'max_seconds ended the trace of LED "{self.name}" at {what}; allow more time or ask for less.'
+        known = f"relative error {self.error:.3g}, {target:g} requested" if target else f"{self.photons} photons"
+        return out_of_time(self.name, known)
 
     def progress(self, seconds: float) -> TraceProgress:
         """How far the trace is after some time."""
@@ -326,11 +319,16 @@ def _trace_led(engine: Any, rule: StoppingRule, found: LedRecords, progress: Pro
     return rule.shortfall()
 
 
+def out_of_time(led: str, reached: str) -> str:
+    """Why a trace ends with what it has reached."""
+    return f'max_seconds ended the trace of LED "{led}" at {reached}; allow more time or require less.'
+
+
 def unseen(led: str, photodiode: str, photons: int) -> str:
     """Why a trace ends without an error for one of its photodiodes."""
     return (
-        f'of {photons} photons of LED "{led}" none reached photodiode "{photodiode}", so no error can be '
-        "told there; move it nearer, leave it out, or set max_seconds or photons."
+        f'of {photons} photons of LED "{led}" none reached photodiode "{photodiode}", so no error is '
+        "known there; move it nearer, leave it out, or set max_seconds or photons."
     )
 
 

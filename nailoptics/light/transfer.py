@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from .. import io
 from ..errors import InputError
 from ..scene import Scene, digest, parse_scene, to_toml
-from ..statistics import stderr_of_mean
 from ..variables import variable
 from . import optics
 from .identity import light_digest
@@ -36,10 +35,16 @@ class ReweightWarning(UserWarning):
     """A reading was requested at a state for which the trace holds too few effective photons."""
 
 
-def rest_state(scene: Scene, led: int, photodiodes: int) -> RestState:
+@cache
+def current_versions() -> dict[str, str]:
+    """Versions of what decides a result's bits."""
+    return {name: version(name) for name in ("nailoptics", "mitsuba", "drjit", "numpy")}
+
+
+def rest_state(scene: Scene, led: int) -> RestState:
     """The state in which a scene's light is read first: blood at rest, over the LED's line."""
     wavelengths, share = optics.spectrum(scene.leds[led])
-    return RestState(optics.absorption(scene, wavelengths), share, photodiodes)
+    return RestState(optics.absorption(scene, wavelengths), share, len(photodiode_names(scene)))
 
 
 @dataclass(frozen=True)
@@ -51,15 +56,24 @@ class Transfer:
     """
 
     scene: Scene
-    photodiodes: tuple[str, ...]
-    absorbers: tuple[str, ...]
     traces: tuple[LedTrace, ...]
-    engine: str
     backend: str
-    versions: Mapping[str, str]
-    cpu_seconds: float
-    wall_seconds: float
-    events: int
+    engine: str = "photons"
+    versions: Mapping[str, str] = field(default_factory=current_versions)
+    # Of light that was traced for many scenes the time is nobody's share.
+    cpu_seconds: float = 0.0
+    wall_seconds: float = 0.0
+    events: int = 0
+
+    @cached_property
+    def photodiodes(self) -> tuple[str, ...]:
+        """Names of the photodiodes, in the order of the traces' numbers."""
+        return photodiode_names(self.scene)
+
+    @cached_property
+    def absorbers(self) -> tuple[str, ...]:
+        """Names of the absorbers, in the order of the traces' paths."""
+        return optics.absorbers(self.scene)
 
     @property
     def leds(self) -> tuple[str, ...]:
@@ -124,21 +138,9 @@ class Transfer:
         """Derivative of each reading to the mu_a of each absorber, -<w L>, (led, photodiode, absorber). [mm]"""
         return self.at(blood_fraction, so2).derivative_mm
 
-    def mean_path_mm(self, blood_fraction: ArrayLike | None = None, so2: float | None = None) -> xr.DataArray:
-        """Mean path of the detected light in each absorber, (led, photodiode, absorber). [mm]"""
-        return self.at(blood_fraction, so2).mean_path_mm
-
     def energy(self) -> dict[str, dict[str, float]]:
         """Where the light of all LEDs went, in equal parts, with standard errors; fractions of the power emitted."""
-        return mean_of_leds(
-            [
-                {
-                    name: (sums[0] / t.photons, float(stderr_of_mean(*sums, t.photons)))
-                    for name, sums in t.energy.items()
-                }
-                for t in self.traces
-            ]
-        )
+        return mean_of_leds([t.energy_parts for t in self.traces])
 
     def merge(self, other: "Transfer") -> "Transfer":
         """This trace and another of the same light as one; raises InputError if they differ or share a seed."""
@@ -154,15 +156,10 @@ class Transfer:
 
     def save(self, path: str | Path) -> None:
         """Write the transfer to a NumPy archive (.npz), whole or not at all."""
-        header = {
-            **self.attributes(),
-            **{name: getattr(self, name) for name in ("photodiodes", "absorbers", *EFFORT)},
-            "leds": [
-                {"records": len(t.weight), "photons": t.photons, "energy": t.energy, "seeds": t.seeds, "keep": t.keep}
-                for t in self.traces
-            ],
-            "version_table": dict(self.versions),
-        }
+        of_led = ("photons", "energy", "seeds", "keep")
+        leds = [{"records": len(t.weight)} | {name: getattr(t, name) for name in of_led} for t in self.traces]
+        header = self.attributes() | {name: getattr(self, name) for name in EFFORT}
+        header |= {"leds": leds, "version_table": dict(self.versions)}
         # Photons of all LEDs lie one after the other.
         arrays = {name: np.concatenate([getattr(t, name) for t in self.traces]) for name in COLUMNS}
         arrays["mu_a_per_mm"] = np.array([t.mu_a for t in self.traces])
@@ -178,33 +175,23 @@ class Transfer:
         path = Path(path)
         try:
             header, arrays = io.unpack(path.read_bytes())
-            scene, photodiodes = parse_scene(header["scene"], name="the stored scene"), tuple(header["photodiodes"])
-            traces, start = [], 0
-            for i, (led, mu_a, sums) in enumerate(
-                zip(header["leds"], arrays["mu_a_per_mm"], arrays["full"], strict=True)
-            ):
-                end = start + led["records"]
-                traces.append(
-                    LedTrace(
-                        photons=led["photons"],
-                        mu_a=mu_a,
-                        energy={part: (a, b) for part, (a, b) in led["energy"].items()},
-                        seeds=tuple(led["seeds"]),
-                        keep=led["keep"],
-                        rest=rest_state(scene, i, len(photodiodes)),
-                        full=Moments.of_table(sums, led["photons"]) if sums.size and not np.isnan(sums).any() else None,
-                        **{name: arrays[name][start:end] for name in COLUMNS},
-                    )
+            scene = parse_scene(header["scene"], name="the stored scene")
+            traces, first = [], np.cumsum([0, *(led["records"] for led in header["leds"])])
+            for i, led in enumerate(header["leds"]):
+                sums = arrays["full"][i]
+                one = LedTrace(
+                    photons=led["photons"],
+                    mu_a=arrays["mu_a_per_mm"][i],
+                    energy={part: (a, b) for part, (a, b) in led["energy"].items()},
+                    seeds=tuple(led["seeds"]),
+                    keep=led["keep"],
+                    rest=rest_state(scene, i),
+                    full=Moments.of_table(sums, led["photons"]) if sums.size and not np.isnan(sums).any() else None,
+                    **{name: arrays[name][first[i] : first[i + 1]] for name in COLUMNS},
                 )
-                start = end
-            return Transfer(
-                scene=scene,
-                photodiodes=photodiodes,
-                absorbers=tuple(header["absorbers"]),
-                traces=tuple(traces),
-                versions=header["version_table"],
-                **{name: header[name] for name in ("engine", "backend", *EFFORT)},
-            )
+                traces.append(one)
+            made = {name: header[name] for name in ("engine", "backend", *EFFORT)}
+            return Transfer(scene, tuple(traces), versions=header["version_table"], **made)
         except (OSError, io.CorruptError, KeyError, TypeError, ValueError) as error:
             raise InputError(
                 f"{path}: is not a transfer that this version can read ({error}); trace the scene again."
@@ -259,19 +246,14 @@ class Transfer:
     def attributes(self) -> dict[str, Any]:
         """What a result carries about its making: scene, digest, engine, backend, versions, photons."""
         seeds = " ".join(str(t.seeds[0]) for t in self.traces if t.seeds)
-        return provenance(self.scene, engine=self.engine, backend=self.backend, photons=self.photons, seeds=seeds) | {
-            "versions": " ".join(f"{name}={number}" for name, number in self.versions.items())
-        }
+        made: dict[str, Any] = {name: getattr(self, name) for name in ("engine", "backend", "photons", "versions")}
+        return provenance(self.scene, seeds=seeds, **made)
 
 
-@cache
-def versions() -> dict[str, str]:
-    """Versions of what decides a result's bits."""
-    return {name: version(name) for name in ("nailoptics", "mitsuba", "drjit", "numpy")}
-
-
-def provenance(scene: Scene, *, engine: str, backend: str, photons: int, seeds: str) -> dict[str, Any]:
-    """Attributes of a result that tell how it was made and let it be made again."""
+def provenance(
+    scene: Scene, *, engine: str, backend: str, photons: int, seeds: str, versions: Mapping[str, str] | None = None
+) -> dict[str, Any]:
+    """Attributes of a result that say how it was made and let it be made again."""
     return {
         "Conventions": "CF-1.11",
         "scene": to_toml(scene),
@@ -280,7 +262,7 @@ def provenance(scene: Scene, *, engine: str, backend: str, photons: int, seeds: 
         "backend": backend,
         "photons": photons,
         "seeds": seeds,
-        "versions": " ".join(f"{name}={number}" for name, number in versions().items()),
+        "versions": " ".join(f"{name}={number}" for name, number in (versions or current_versions()).items()),
     }
 
 
@@ -296,27 +278,3 @@ def mean_of_leds(energy: Sequence[Mapping[str, tuple[float, float]]]) -> dict[st
 def photodiode_names(scene: Scene) -> tuple[str, ...]:
     """Names of the photodiodes in the order in which a trace counts them."""
     return scene.layout.photodiode_names if scene.phantom is None else tuple(p.name for p in scene.photodiodes)
-
-
-def transfer_of(
-    scene: Scene,
-    traces: Sequence[LedTrace],
-    *,
-    backend: str,
-    cpu_seconds: float = 0.0,
-    wall_seconds: float = 0.0,
-    events: int = 0,
-) -> Transfer:
-    """What was traced as the Transfer of a scene; of light traced for many scenes the time is nobody's share."""
-    return Transfer(
-        scene=scene,
-        photodiodes=photodiode_names(scene),
-        absorbers=optics.absorbers(scene),
-        traces=tuple(traces),
-        engine="photons",
-        backend=backend,
-        versions=versions(),
-        cpu_seconds=cpu_seconds,
-        wall_seconds=wall_seconds,
-        events=events,
-    )

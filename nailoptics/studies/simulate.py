@@ -8,7 +8,7 @@ import xarray as xr
 
 from .. import electronics
 from ..errors import InputError, NotReachedError
-from ..light import DetectedLight, ProgressCallback, open_light
+from ..light import DetectedLight, ProgressCallback, open_light, optics
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import fit_beer_lambert, fit_taylor
 from ..scene import Scene
@@ -96,7 +96,7 @@ def _read_volts(scene: Scene, light: DetectedLight, blood: np.ndarray) -> xr.Dat
     data |= variable("zone_of_photodiode", "photodiode", zones, text)
     data |= variable("wavelength_nm", "led", wavelength_nm, "peak wavelength", units="nm")
     names = {"led": [led.name for led in scene.leds], "photodiode": list(scene.layout.photodiode_names)}
-    return xr.Dataset(data, names | {"absorber": list(light.absorbers)})
+    return xr.Dataset(data, names | {"absorber": list(optics.absorbers(scene))})
 
 
 def _fit_reduced(result: xr.Dataset) -> xr.Dataset:

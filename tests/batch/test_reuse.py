@@ -7,7 +7,7 @@ import nailoptics as nail
 from nailoptics.light import tracing
 from nailoptics.light.identity import light_digest, light_scene
 from nailoptics.light.tracing import StoppingRule, check_schedule, extend, photons_engine
-from nailoptics.light.transfer import photodiode_names, rest_state, transfer_of
+from nailoptics.light.transfer import Transfer, rest_state
 from nailoptics.scene import Accuracy, load_scene, parse_scene
 from nailoptics.scene.placement import Placement
 
@@ -82,7 +82,7 @@ def grown(scene, *, asked, have=None, seed=0):
 
 
 def rest_of(scene):
-    return rest_state(scene, 0, len(photodiode_names(scene)))
+    return rest_state(scene, 0)
 
 
 @pytest.mark.jit
@@ -95,7 +95,7 @@ def test_a_trace_for_many_is_the_trace_of_one_bit_for_bit(jit_backend, tmp_path,
         scene, photons = prototype(), 8_000
     batches, sizes, _ = grown(scene, asked=Accuracy(photons=photons), seed=5)
     trace = batches.trace(sizes, seed=5, led=0, rest=rest_of(scene))
-    mine = transfer_of(scene, [trace], backend=jit_backend.name)
+    mine = Transfer(scene, (trace,), jit_backend.name)
     theirs = nail.trace(scene, photons=photons, seed=5)
     assert mine.photodiodes == theirs.photodiodes and mine.absorbers == theirs.absorbers
     for name in ("photodiode", "weight", "path_mm"):
@@ -109,7 +109,7 @@ def test_another_state_read_from_the_shared_trace_meets_its_own_trace(jit_backen
     scene = changed(changed(prototype(), "blood", so2=0.75, rest_blood_fraction=0.05), "finger", melanin_fraction=0.1)
     batches, sizes, _ = grown(scene, asked=Accuracy(photons=1 << 19))
     trace = batches.trace(sizes, seed=0, led=0, rest=rest_of(scene))
-    shared = transfer_of(scene, [trace], backend=jit_backend.name).at()
+    shared = Transfer(scene, (trace,), jit_backend.name).at()
     own = nail.trace(scene, photons=1 << 19, seed=99).at()
     off = (shared.detected_fraction - own.detected_fraction) / np.hypot(
         shared.detected_fraction_stderr, own.detected_fraction_stderr

@@ -36,7 +36,7 @@ def test_a_library_that_aborts_leaves_this_process_alive(library, fresh, monkeyp
     monkeypatch.setattr(backend, "PROBE", "import os; os.abort()")
     chosen = backend.choose()
     assert (chosen.name, chosen.jit, chosen.library) == ("scalar", False, None)
-    assert "SIGABRT" in chosen.reason and library.name in chosen.reason
+    assert "SIGABRT" in chosen.why and library.name in chosen.why
     assert chosen.advice is not None and "libllvm19" in chosen.advice and "\n" not in chosen.advice
     with pytest.raises(InputError, match="SIGABRT") as caught:
         backend.choose("llvm")
@@ -72,7 +72,7 @@ def test_volpath_takes_the_scalar_backend_where_only_photons_compile(library, fr
     for requested in ("auto", "llvm"):
         stock = backend.choose(requested, volpath=True)
         assert (stock.name, stock.jit, stock.engines) == ("scalar", False, ("volpath",))
-        assert "SIGABRT" in stock.reason and stock.advice == backend.VOLPATH_ADVICE
+        assert "SIGABRT" in stock.why and stock.advice == backend.VOLPATH_ADVICE
     assert "libllvm19" in backend.VOLPATH_ADVICE and "\n" not in backend.VOLPATH_ADVICE
     assert {f.name: f.why.rpartition("; ")[2] for f in backend.findings() if f.usable} == {
         "llvm": "taken",
@@ -111,7 +111,7 @@ def test_the_answer_is_remembered_until_the_library_changes(library, fresh, monk
 def test_a_probe_that_hangs_is_given_up_and_not_remembered(library, fresh, monkeypatch):
     monkeypatch.setattr(backend, "PROBE", "import time; time.sleep(60)")
     monkeypatch.setattr(backend, "PROBE_TIMEOUT_S", 0.5)
-    assert "no answer" in backend.choose().reason
+    assert "no answer" in backend.choose().why
     assert not fresh.exists()
 
 
@@ -151,7 +151,7 @@ def test_findings_name_one_backend_as_taken(fresh, monkeypatch):
 
 
 def test_scalar_needs_no_library_and_an_unknown_backend_is_one_line():
-    assert backend.choose("scalar").variant == "scalar_rgb"
+    assert backend.choose("scalar").library is None
     with pytest.raises(InputError, match="auto, cuda, llvm, scalar"):
         backend.choose("opencl")
 

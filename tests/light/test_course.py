@@ -52,18 +52,7 @@ def made_up(records: int = 20_000, *, path_mm: float = 8.0) -> Transfer:
         energy={"absorbed": (0.0, 0.0)},
         seeds=(1,),
     )
-    return Transfer(
-        scene=asked,
-        photodiodes=("near", "far"),
-        absorbers=names,
-        traces=(trace,),
-        engine="photons",
-        backend="none",
-        versions={},
-        cpu_seconds=0.0,
-        wall_seconds=0.0,
-        events=0,
-    )
+    return Transfer(asked, (trace,), "none")
 
 
 @pytest.fixture(scope="module")

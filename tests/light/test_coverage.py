@@ -15,7 +15,6 @@ from nailoptics.light.course import course, read_replicates
 from nailoptics.light.finger_walk import FingerTracer
 from nailoptics.light.records import Batch, LedTrace, joined
 from nailoptics.light.tracing import StoppingRule, extend
-from nailoptics.light.transfer import transfer_of
 from nailoptics.scene import Accuracy, Scene, parse_scene
 from nailoptics.statistics import jackknife, left_out, stderr_of_mean
 from nailoptics.studies.comparison import fits
@@ -90,8 +89,8 @@ def small_traces(
         batch = engine.batch(0, photons=photons, seed=1000 + seed)
         kept = {name: getattr(batch, name) for name in ("photodiode", "weight", "path_mm", "energy")}
         traces.append(LedTrace(photons=photons, mu_a=engine.mu_a(0), seeds=(seed,), **kept))
-    small = [transfer_of(scene, [trace], backend=backend) for trace in traces]
-    return small, transfer_of(scene, [joined(traces)], backend=backend)
+    small = [Transfer(scene, (trace,), backend) for trace in traces]
+    return small, Transfer(scene, (joined(traces),), backend)
 
 
 def of_trace(transfer: Transfer) -> Estimates:

@@ -7,7 +7,7 @@ from nailoptics.errors import InputError
 from nailoptics.light import backend, detect, optics, read_rest
 from nailoptics.light.detect import engine_for
 from nailoptics.light.records import LedTrace
-from nailoptics.light.transfer import transfer_of
+from nailoptics.light.transfer import Transfer
 from nailoptics.light.volpath.led_readings import between as read_between
 from nailoptics.light.volpath.led_readings import corner_states, secant_paths
 from nailoptics.scene import Scene, parse_scene
@@ -26,8 +26,8 @@ size_mm = [1.0, 0.25]
 [light]
 engine = "{engine}"
 """
-SCALAR = backend.Backend("scalar", "scalar_rgb", False, None, "asked for")
-LLVM = backend.Backend("llvm", "llvm_ad_mono", True, "libLLVM.so", "asked for")
+SCALAR = backend.Backend("scalar", None, ("volpath",), "requested")
+LLVM = backend.Backend("llvm", "libLLVM.so", backend.ENGINES, "requested")
 
 
 def finger(engine: str = "auto") -> Scene:
@@ -112,7 +112,7 @@ def test_of_fewer_than_ten_photons_no_standard_error_is_known(photons, known):
         energy={},
         seeds=(1,),
     )
-    seen = detect.light_of(transfer_of(scene, [trace], backend="llvm")).over(np.full((2, 2), 0.03))
+    seen = detect.light_of(Transfer(scene, (trace,), "llvm")).over(np.full((2, 2), 0.03))
     assert np.all(seen.fraction > 0) and np.all(np.isfinite(seen.stderr) == known)
 
 

@@ -10,6 +10,7 @@ from nailoptics.light import backend, optics
 from nailoptics.light.finger_walk import FingerTracer
 from nailoptics.light.tallies.section import Section
 from nailoptics.light.volpath import integrate, mitsuba_scene, states
+from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, load_scene
 from nailoptics.statistics import seed_of
 
@@ -35,12 +36,9 @@ def by_volpath(scene: Scene, *, relative_error: float, seed: int) -> tuple[np.nd
         scene,
         shape,
         found,
-        bed=mitsuba_scene.BedAbsorption(v, rest),
+        mitsuba_scene.BedAbsorption(v, rest),
         led=0,
-        relative_error=relative_error,
-        max_seconds=900,
-        seed=seed,
-        backend=backend.choose("auto", volpath=True),
+        options=TraceOptions(relative_error=relative_error, max_seconds=900.0, seed=seed),
     )
     assert found.fell_short is None
     return found.fraction[:, 0], found.fraction_stderr[:, 0]
@@ -125,12 +123,10 @@ def test_a_bed_that_absorbs_more_dims_both_engines_alike(jit_backend):
         scene,
         shape,
         found,
-        bed=mitsuba_scene.BedAbsorption(np.array([-20.0, 20.0]), np.array([[bed] * 2, [bed + more] * 2])),
+        mitsuba_scene.BedAbsorption(np.array([-20.0, 20.0]), np.array([[bed] * 2, [bed + more] * 2])),
         led=0,
-        relative_error=0.5,  # the ratio is settled before the level
-        max_seconds=300,
-        seed=3,
-        backend=jit_backend,
+        # The ratio is settled before the level.
+        options=TraceOptions(relative_error=0.5, max_seconds=300.0, seed=3),
     )
     traced = nail.trace(scene, photons=1 << 20, seed=4)
     trace = traced.traces[0]
@@ -168,11 +164,12 @@ def test_the_sections_path_density_adds_up_to_the_paths_of_all_light(jit_backend
     """Expected: summed over the section, the density times the area is the mean path per photon in the finger near it,
     and none lies where there is no medium."""
     scene = prototype()
-    shape = geometry.build(scene)
+    tracer = FingerTracer(scene)
+    shape = tracer.geometry
     low, high = np.asarray(shape.bounds_mm)
     y, z = np.arange(low[1] - 0.5, high[1] + 0.5, 0.1), np.arange(low[2] - 0.5, high[2] + 0.5, 0.1)
     section = Section(y, z)
-    FingerTracer(scene, shape).walk(0, photons=1 << 16, seed=9, section=section)
+    tracer.walk(0, photons=1 << 16, seed=9, section=section)
     density = section.density(1 << 16)
     assert density.shape == (len(y), len(z)) and np.all(density >= 0) and np.isfinite(density).all()
     total = density.sum() * 0.1**2

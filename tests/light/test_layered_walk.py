@@ -274,8 +274,8 @@ def test_a_square_sees_what_counting_exits_in_it_gives(jit_backend, led, center)
     square = SQUARE.replace("[2.0, 0.0]", str(list(center)))
     scene = phantom(layer(thickness=2.0, mu_a=0.1, mu_s=5.0, g=0.7, n=1.4), led=led, photodiodes=square)
     photons = 1 << 19
-    walked = walk_layers(scene.phantom, scene.leds[0], photons=photons, seed=11)
-    at = walked.start_mm + walked.shift_mm - center
+    walked, start, shift = walk_layers(scene.phantom, scene.leds[0], photons=photons, seed=11)
+    at = start + shift - center
     inside = (walked.outcome == TOP) & (abs(at) < 0.5).all(axis=1)
     counted = np.where(inside, walked.weight, 0.0)
     batch = LayeredTracer(scene).batch(0, photons=photons, seed=11)
@@ -304,7 +304,7 @@ def test_photons_of_a_batch_and_batches_of_a_seed_are_independent(jit_backend):
     """Expected: no correlation between what photons i and i + k became, nor between photons i of two batches."""
     scene = slab(a=0.9, b=2.0, g=0.0, n=1.0)
     one, two = (
-        (walk_layers(scene.phantom, scene.leds[0], photons=1 << 18, seed=seed_of(7, 0, batch)).outcome == TOP) - 0.36
+        (walk_layers(scene.phantom, scene.leds[0], photons=1 << 18, seed=seed_of(7, 0, batch))[0].outcome == TOP) - 0.36
         for batch in range(2)
     )
     count = len(one)

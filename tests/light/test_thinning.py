@@ -81,14 +81,12 @@ def made_up(seed: int, photons: int, *, scene: Scene | None = None) -> LedTrace:
         path_mm=path,
         energy={name: (1.0, 1.0) for name in ("reflected", "transmitted", "absorbed", "lost")},
         seeds=(seed,),
-        rest=rest_state(scene, 0, 1),
+        rest=rest_state(scene, 0),
     )
 
 
 def light(trace: LedTrace, scene: Scene | None = None) -> Transfer:
-    scene = scene or phantom()
-    names = tuple(p.name for p in scene.photodiodes)
-    return Transfer(scene, names, optics.absorbers(scene), (trace,), "photons", "none", {}, 0.0, 0.0, 0)
+    return Transfer(scene or phantom(), (trace,), "none")
 
 
 def expected(mu_a: float) -> dict[str, float]:

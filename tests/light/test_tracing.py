@@ -100,7 +100,7 @@ def test_time_alone_ends_a_trace_without_complaint(jit_backend, monkeypatch):
 
 def test_a_tolerance_out_of_reach_saves_what_was_reached(jit_backend, monkeypatch):
     monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 14)
-    with pytest.raises(NotReachedError, match=r"max_seconds.*1e-06 asked") as caught:
+    with pytest.raises(NotReachedError, match=r"max_seconds.*1e-06 requested") as caught:
         nail.trace(slab(leds=2), relative_error=1e-6, max_seconds=0.4)
     error = caught.value
     assert error.exit_code == 3 and len(str(error).splitlines()) == 1

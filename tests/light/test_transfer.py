@@ -65,18 +65,7 @@ def small(weights: np.ndarray, paths: np.ndarray, *, photons: int = 1000, seeds:
 
 
 def by_hand(trace: LedTrace) -> Transfer:
-    return Transfer(
-        scene=two_layers(photodiodes=1),
-        photodiodes=("p0",),
-        absorbers=("upper", "lower"),
-        traces=(trace,),
-        engine="photons",
-        backend="none",
-        versions={"nailoptics": "0"},
-        cpu_seconds=1.0,
-        wall_seconds=1.0,
-        events=1,
-    )
+    return Transfer(two_layers(photodiodes=1), (trace,), "none", versions={"nailoptics": "0"}, events=1)
 
 
 def test_sums_are_those_of_the_definition():

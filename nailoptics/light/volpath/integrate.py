@@ -11,7 +11,6 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +21,12 @@ from ...errors import InputError
 from ...geometry import Geometry
 from ...scene import Scene
 from ...statistics import seed_of
-from ..backend import Backend, activate, choose
+from ..backend import Backend, Name, activate, choose
 from ..optics import Media
 from .mitsuba_scene import FILM, BedAbsorption, Window, finger_scene, phantom_scene
 
 # The rgb variants carry three plain floats, at the cost of one.
-VARIANTS = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
+VARIANTS: dict[Name, str] = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
 PIXELS = FILM * FILM
 MAX_SPP = 10_000
 # Mitsuba's seeds have 32 bits.
@@ -43,7 +42,7 @@ def _mitsuba(backend: Backend | None) -> Iterator[Any]:
     # Dr.Jit looks for its library at import, so only `activate`, which knows the right one, may import it.
     loaded = sys.modules.get("mitsuba")
     before = loaded.variant() if loaded else None
-    mi = activate(replace(backend, variant=VARIANTS[backend.name]))
+    mi = activate(backend, VARIANTS)
     try:
         yield mi
     finally:
@@ -97,7 +96,6 @@ class FingerPaths:
     bed : absorption of the bed along the nail in each state.
     led, photodiodes : indices into geometry.leds, whose light is taken to be Lambertian, and geometry.photodiodes;
         several only with one state.
-    swapped : sense at the die and emit from the photodiode (less noise), or the other way round.
     """
 
     def __init__(
@@ -109,22 +107,17 @@ class FingerPaths:
         led: int,
         photodiodes: tuple[int, ...],
         backend: Backend | None = None,
-        swapped: bool = True,
     ) -> None:
         states = len(bed.mu_a_per_mm)
-        if not 1 <= len(photodiodes) <= 3 or (len(photodiodes) > 1 and (states > 1 or not swapped)):
+        if not 1 <= len(photodiodes) <= 3 or (len(photodiodes) > 1 and states > 1):
             raise ValueError("three colours can tell states or photodiodes apart, not both")
-        self.channels = max(states, len(photodiodes))
-        die, elements = geometry.leds[led], [geometry.photodiodes[i] for i in photodiodes]
-        colours = {e.region: [float(i == k) for k in range(3)] for i, e in enumerate(elements)}
-        if len(elements) == 1:
-            colours = {(elements[0] if swapped else die).region: [1.0, 1.0, 1.0]}
-        sensor = die if swapped else elements[0]
+        self.channels, die = max(states, len(photodiodes)), geometry.leds[led]
+        colours = {geometry.photodiodes[p].region: [float(i == k) for k in range(3)] for i, p in enumerate(photodiodes)}
+        if len(photodiodes) == 1:
+            colours = dict.fromkeys(colours, [1.0, 1.0, 1.0])
         self._backend = backend or choose(volpath=True)
-        # Irradiance E under radiance 1 gives a throughput E A; a Lambertian die of radiance 1 emits pi A.
-        self._scale = sensor.area_mm2 / (math.pi * die.area_mm2)
         with _mitsuba(self._backend) as mi, tempfile.TemporaryDirectory(prefix="nailoptics-") as folder:
-            made = finger_scene(mi, geometry, media, bed, sensor=sensor.region, emitters=colours, folder=Path(folder))
+            made = finger_scene(mi, geometry, media, bed, sensor=die.region, emitters=colours, folder=Path(folder))
             self._scene = mi.load_dict(made, optimize=False)
 
     def batch(self, *, paths: int, seed: int) -> NDArray[np.float64]:
@@ -133,7 +126,8 @@ class FingerPaths:
         Cannot be interrupted where kernels are compiled: ask `paths_for` how many paths a second or two can hold.
         """
         with _mitsuba(self._backend) as mi:
-            return _render(mi, self._scene, paths=paths, seed=seed)[: self.channels] * self._scale
+            # Irradiance E under radiance 1 gives a throughput E A; a Lambertian die of radiance 1 emits pi A.
+            return _render(mi, self._scene, paths=paths, seed=seed)[: self.channels] / math.pi
 
     def paths_for(self, seconds: float) -> int:
         """How many paths take about this long; measured, and rounded to whole samples per pixel."""

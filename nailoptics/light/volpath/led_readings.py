@@ -3,18 +3,19 @@
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ...errors import InputError
 from ...geometry import Geometry
-from ...scene import Accuracy, Scene
+from ...options import TraceOptions
+from ...scene import Scene
 from ...statistics import seed_of
 from .. import optics
-from ..backend import Backend
+from ..backend import choose
 from ..course import Course
-from ..tracing import INTERRUPTED, ProgressCallback, TraceProgress, share_of_time
+from ..tracing import INTERRUPTED, ProgressCallback, TraceProgress, out_of_time, share_of_time
 from .integrate import phantom_fractions
 from .mitsuba_scene import LEAVING, BedAbsorption, Window
 from .states import StateReadings, finger_states
@@ -29,105 +30,70 @@ LEAST_CHANGE, OWN_CHANGE, OWN_BLOOD = 0.02, 0.2, 1e-3
 # The bed's absorption is given on so many places per width of the step between two blood zones, and a little beyond
 # the finger. [1, mm]
 PLACES_PER_STEP, BEYOND_MM = 40, 0.2
+# What an LED still gets when no time is left. [s]
+LEAST_SECONDS = 1e-9
 
 
-def read_leds(
-    scene: Scene, required: Accuracy, read: Callable[..., StateReadings]
-) -> tuple[list[StateReadings], str | None]:
-    """The readings of every LED, and why some fall short of what is required, if they do.
+def read_leds(scene: Scene, options: TraceOptions, read: Callable[..., StateReadings]) -> list[StateReadings]:
+    """The readings of every LED, each in its share of the time.
 
-    read : reads one LED, of the keywords `led` and `max_seconds`.
+    read : reads one LED, given its number and the options for it alone.
     """
     begin, traced = time.perf_counter(), []
     for led in range(len(scene.leds)):
-        traced.append(read(led=led, max_seconds=share_of_time(required, begin, len(scene.leds) - led)))
+        share = share_of_time(options.max_seconds, begin, len(scene.leds) - led)
+        traced.append(read(led, replace(options, max_seconds=max(share, LEAST_SECONDS))))
         if (traced[-1].fell_short or "").startswith(INTERRUPTED) and led + 1 < len(scene.leds):
             raise KeyboardInterrupt  # nothing is known of the other LEDs
-    return traced, next((one.fell_short for one in traced if one.fell_short), None)
+    return traced
 
 
 def finger_readings(
     scene: Scene,
     finger: Geometry,
     blood: np.ndarray,
-    *,
-    led: int,
-    relative_error: float,
-    max_seconds: float,
-    seed: int,
-    backend: Backend,
     progress: ProgressCallback | None,
+    led: int,
+    options: TraceOptions,
 ) -> StateReadings:
-    """Read one LED of a finger in up to three blood states, (states, zones) float, to a relative error."""
-    source, zones = scene.leds[led], optics.zones(scene)
-    mu_a = optics.absorption(scene, source.wavelength_nm, blood_fraction=blood)[:, 0]
+    """Read one LED of a finger in up to three blood states, (states, zones) float."""
+    wavelength_nm, zones = scene.leds[led].wavelength_nm, optics.zones(scene)
+    mu_a = optics.absorption(scene, wavelength_nm, blood_fraction=blood)[:, 0]
     low, high = np.asarray(finger.bounds_mm)[:, 1]
     places = 1 + round((high - low) / (zones.width_mm / PLACES_PER_STEP))
     v = np.linspace(low - BEYOND_MM, high + BEYOND_MM, places)
-
-    def report_progress(error: float, seconds: float) -> None:
-        # The error falls with the root of the time.
-        share = min(1.0, max((relative_error / error) ** 2 if error > 0 else 1.0, seconds / max_seconds))
-        if progress:
-            progress(TraceProgress(source.name, 0, error, relative_error, share, seconds))
-
-    return finger_states(
-        scene,
-        finger,
-        optics.finger_media(scene, finger.regions, source.wavelength_nm),
-        bed=BedAbsorption(v, mu_a[:, list(optics.bed_columns(scene))] @ zones.weights(v).T),
-        led=led,
-        relative_error=relative_error,
-        max_seconds=max_seconds,
-        seed=seed_of(seed, led),
-        backend=backend,
-        progress=report_progress,
-    )
+    bed = BedAbsorption(v, mu_a[:, list(optics.bed_columns(scene))] @ zones.weights(v).T)
+    media = optics.finger_media(scene, finger.regions, wavelength_nm)
+    return finger_states(scene, finger, media, bed, led=led, options=options, progress=progress)
 
 
-def phantom_readings(
-    scene: Scene,
-    required: Accuracy,
-    *,
-    led: int,
-    max_seconds: float,
-    seed: int,
-    backend: Backend,
-    progress: ProgressCallback | None,
-) -> StateReadings:
+def phantom_readings(scene: Scene, progress: ProgressCallback | None, led: int, options: TraceOptions) -> StateReadings:
     """Read one LED over a phantom, and where its light went.
 
     Paths are traced in rounds, each as long as all before it; the first always runs, and none begins after max_seconds.
     """
-    source = scene.leds[led]
-    if source.pattern == "measured":
-        raise InputError(f'leds[{led}].pattern = "measured" cannot be traced by volpath; use the photons engine.')
+    name, target, max_seconds = scene.leds[led].name, options.relative_error, options.max_seconds or math.inf
     begin = time.perf_counter()
     rounds: list[np.ndarray] = []
     sizes: list[int] = []
     paths, met, share = 0, False, 0.0
     while share < 1:
-        missing = required.photons - paths if required.photons else max(paths, FIRST_ROUND)
-        size = min(math.ceil(missing / ROUND_BATCHES), MAX_BATCH_PATHS)
-        rounds.append(_phantom_round(scene, led, size, seed=(seed, led, len(rounds)), backend=backend))
-        sizes.append(size)
-        paths += size * ROUND_BATCHES
+        missing = options.photons - paths if options.photons else max(paths, FIRST_ROUND)
+        sizes.append(min(math.ceil(missing / ROUND_BATCHES), MAX_BATCH_PATHS))
+        rounds.append(_phantom_round(scene, led, len(rounds), sizes[-1], options))
+        paths += sizes[-1] * ROUND_BATCHES
         # Row by row: photodiodes, reflected, transmitted, both of these.
         *values, reflected, transmitted, out = (_pooled(list(row), sizes) for row in zip(*rounds, strict=True))
         error = max((stderr / value if value > 0 else math.inf for value, stderr in values), default=0.0)
         seconds = time.perf_counter() - begin
-        if required.photons:
-            share = paths / required.photons
-        elif required.relative_error:
-            share = min(1.0, (required.relative_error / error) ** 2) if error > 0 else 1.0
-        met = share >= 1 or not (required.photons or required.relative_error)
-        share = min(1.0, max(share, seconds / max_seconds)) if max_seconds > 0 else 1.0
+        if options.photons:
+            share = paths / options.photons
+        elif target:
+            share = min(1.0, (target / error) ** 2) if error > 0 else 1.0
+        met = share >= 1 or not (options.photons or target)
+        share = min(1.0, max(share, seconds / max_seconds))
         if progress:
-            progress(TraceProgress(source.name, paths, error, required.relative_error, share, seconds))
-    fell_short = (
-        f'max_seconds ended the trace of LED "{source.name}" at relative error {error:.3g}; '
-        "allow more time or ask for less."
-    )
+            progress(TraceProgress(name, paths, error, target, share, seconds))
     fraction, fraction_stderr = np.array(values).reshape(-1, 2, 1).swapaxes(0, 1)
     return StateReadings(
         fraction=fraction,
@@ -136,7 +102,7 @@ def phantom_readings(
         ratio_stderr=np.zeros_like(fraction),
         batches=len(rounds) * ROUND_BATCHES,
         paths=paths,
-        fell_short=None if met else fell_short,
+        fell_short=None if met else out_of_time(name, f"relative error {error:.3g}"),
         energy={
             "reflected": reflected,
             "transmitted": transmitted,
@@ -146,12 +112,14 @@ def phantom_readings(
     )
 
 
-def _phantom_round(scene: Scene, led: int, size: int, *, seed: tuple[int, ...], backend: Backend) -> np.ndarray:
+def _phantom_round(scene: Scene, led: int, number: int, size: int, options: TraceOptions) -> np.ndarray:
     """One round of batches: photodiodes, light reflected, transmitted, and both of these, (p + 3, batches) float."""
-    options: dict[str, Any] = {"led": led, "batches": ROUND_BATCHES, "paths_per_batch": size, "backend": backend}
     windows = [*([Window(p.position_mm, p.size_mm)] for p in scene.photodiodes), LEAVING]
+    made: dict[str, Any] = {"led": led, "batches": ROUND_BATCHES, "paths_per_batch": size}
+    made["backend"] = choose(options.backend, volpath=True)
     *apertures, leaving = (
-        phantom_fractions(scene, some, seed=seed_of(*seed, k), **options) for k, some in enumerate(windows)
+        phantom_fractions(scene, some, seed=seed_of(options.seed, led, number, k), **made)
+        for k, some in enumerate(windows)
     )
     return np.stack([*(batches[:, 0] for batches in apertures), *leaving.T, leaving.sum(1)])
 

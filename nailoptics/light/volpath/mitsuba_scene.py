@@ -26,6 +26,9 @@ INFINITE_MM = 1e3
 GAP = 5e-4
 MAJORANT = 1.1
 BLACK = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
+# It keeps the three colours as they are.
+RGB_FILM: dict[str, Any] = {"type": "hdrfilm", "width": FILM, "height": FILM, "rfilter": {"type": "box"}}
+RGB_FILM |= {"pixel_format": "rgb", "component_format": "float32"}
 
 
 @dataclass(frozen=True)
@@ -125,18 +128,6 @@ def integrator(*, mu_a: NDArray[np.float64], mu_s: NDArray[np.float64]) -> dict[
     return {"type": "volpath", "rr_depth": depth, "max_depth": depth + 400, "block_size": 4}
 
 
-def film() -> dict[str, Any]:
-    """A film that keeps the three colours as they are."""
-    return {
-        "type": "hdrfilm",
-        "width": FILM,
-        "height": FILM,
-        "rfilter": {"type": "box"},
-        "pixel_format": "rgb",
-        "component_format": "float32",
-    }
-
-
 def emitter(colour: list[float]) -> dict[str, Any]:
     """Lambertian emission of the given radiance in each colour."""
     return {"type": "area", "radiance": {"type": "rgb", "value": colour}}
@@ -156,15 +147,11 @@ def phantom_scene(mi: Any, phantom: Phantom, led: Led, windows: Sequence[Window]
     check_pattern(led)
     T = mi.ScalarTransform4f
     layers = phantom.layers
-    columns = np.array([[layer.mu_a_per_mm, layer.mu_s_per_mm] for layer in layers])
-    scene: dict[str, Any] = {"type": "scene", "integrator": integrator(mu_a=columns[:, 0], mu_s=columns[:, 1])}
-    media: list[str | None] = [None]
-    for i, layer in enumerate(layers):
-        made = medium(mu_a=layer.mu_a_per_mm, mu_s=layer.mu_s_per_mm, g=layer.g)
-        media.append(f"medium_{i}" if made else None)
-        if made:
-            scene[f"medium_{i}"] = made
-    media.append(None)
+    mu_a, mu_s = np.array([[layer.mu_a_per_mm, layer.mu_s_per_mm] for layer in layers]).T
+    scene: dict[str, Any] = {"type": "scene", "integrator": integrator(mu_a=mu_a, mu_s=mu_s)}
+    made = [medium(mu_a=layer.mu_a_per_mm, mu_s=layer.mu_s_per_mm, g=layer.g) for layer in layers]
+    scene |= {f"medium_{i}": one for i, one in enumerate(made) if one}
+    media = [None, *(f"medium_{i}" if one else None for i, one in enumerate(made)), None]
     n = [phantom.n_above, *(layer.n for layer in layers), phantom.n_below]
     z = -np.cumsum([0.0, *(layer.thickness_mm for layer in layers)])
     for i in range(len(layers) + 1):
@@ -196,7 +183,7 @@ def phantom_scene(mi: Any, phantom: Phantom, led: Led, windows: Sequence[Window]
             "type": "orthographic",
             "near_clip": 1e-6,
             "to_world": look @ T().scale([1e-4, 1e-4, 1]),
-            "film": film(),
+            "film": RGB_FILM,
         }
     else:
         scene["die"] = {
@@ -206,7 +193,7 @@ def phantom_scene(mi: Any, phantom: Phantom, led: Led, windows: Sequence[Window]
             @ T().scale([*np.divide(led.size_mm, 2), 1]),
             # In a phantom the die stands in nobody's way.
             "bsdf": {"type": "null"},
-            "sensor": {"type": "irradiancemeter", "film": film()},
+            "sensor": {"type": "irradiancemeter", "film": RGB_FILM},
         }
     return scene
 
@@ -233,6 +220,8 @@ def finger_scene(
 
     Dies and photodiodes look into the epoxy only; what else they touch is black.
     """
+    import trimesh
+
     names = geometry.regions
     bed_region, epoxy = names.index("bed"), names.index("epoxy")
     mu_a = media.mu_a.copy()
@@ -264,7 +253,7 @@ def finger_scene(
             shape |= {"bsdf": {"type": "diffuse", "reflectance": grey}} | sides(below=None, above=refs[above])
             if above == epoxy and below == sensor:
                 inside = {"medium": {"type": "ref", "id": refs[epoxy]}} if refs[epoxy] else {}
-                shape["sensor"] = {"type": "irradiancemeter", "film": film()} | inside
+                shape["sensor"] = {"type": "irradiancemeter", "film": RGB_FILM} | inside
             if above == epoxy and below in emitters:
                 shape["emitter"] = emitter(emitters[below])
         else:
@@ -273,18 +262,8 @@ def finger_scene(
                 continue
             shape |= {"bsdf": bsdf} | sides(below=refs[below], above=refs[above])
         file = folder / f"{below}_{above}.ply"
-        file.write_bytes(ply(geometry.vertices, triangles))
+        mesh = trimesh.Trimesh(geometry.vertices, triangles, process=False)
+        mesh.remove_unreferenced_vertices()
+        mesh.export(file)
         scene[f"face_{below}_{above}"] = {"type": "ply", "filename": str(file)} | shape
     return scene
-
-
-def ply(vertices: NDArray[np.float64], triangles: NDArray[Any]) -> bytes:
-    """Triangles as a binary PLY file, with the vertices that they use."""
-    used, index = np.unique(triangles, return_inverse=True)
-    faces = np.empty(len(triangles), [("count", "u1"), ("corners", "<i4", 3)])
-    faces["count"], faces["corners"] = 3, index.reshape(-1, 3)
-    header = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(used)}\nproperty float x\nproperty float y\n"
-        f"property float z\nelement face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    return header.encode() + vertices[used].astype("<f4").tobytes() + faces.tobytes()

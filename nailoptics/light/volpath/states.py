@@ -1,6 +1,5 @@
 """The main job on stock volpath: every photodiode in a few blood states, within a tolerance or a time."""
 
-import logging
 import math
 import time
 from collections.abc import Callable
@@ -11,15 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...geometry import Geometry
+from ...options import TraceOptions
 from ...scene import Scene
 from ...statistics import seed_of
-from ..backend import Backend
+from ..backend import choose
 from ..optics import Media
-from ..tracing import INTERRUPTED, unseen
+from ..tracing import INTERRUPTED, ProgressCallback, TraceProgress, out_of_time, unseen
 from .integrate import BedAbsorption, FingerPaths
 from .mitsuba_scene import check_pattern
-
-log = logging.getLogger(__name__)
 
 # Batches per photodiode that settle how its states differ; their noise is shared, so few do.
 RATIO_BATCHES = 16
@@ -59,14 +57,11 @@ def finger_states(
     scene: Scene,
     geometry: Geometry,
     media: Media,
-    *,
     bed: BedAbsorption,
+    *,
     led: int,
-    relative_error: float,
-    max_seconds: float,
-    seed: int,
-    backend: Backend | None = None,
-    progress: Callable[[float, float], None] | None = None,
+    options: TraceOptions,
+    progress: ProgressCallback | None = None,
 ) -> StateReadings:
     """Readings of all photodiodes in up to three blood states, until each has the relative error or time is up.
 
@@ -74,33 +69,24 @@ def finger_states(
     in one trace, which settles the level. The first part always runs, whatever the time; an interrupt (from `progress`)
     in the second ends it with what is there.
 
-    relative_error : Relative standard error that every reading must reach.
-    max_seconds : Wall time after which no new batch begins. [s]
-    progress : Called after each batch with the worst relative error so far and the seconds spent.
+    options : with a relative error, which every reading must reach; no new batch begins after max_seconds.
 
     Raises: InputError for an LED with a measured pattern.
     """
     check_pattern(scene.leds[led])
+    backend = choose(options.backend, volpath=True)
     tracer = partial(FingerPaths, geometry, media, led=led, backend=backend)
-    names = [face.name for face in geometry.photodiodes]
-    batches = _Batches(tracer, bed, scene.leds[led].name, names, seed=seed, progress=progress)
-    ratio, ratio_stderr = batches.settle_ratios(max_seconds)
-    fell_short = batches.settle_levels(relative_error, max_seconds)
+    batches = _Batches(tracer, bed, geometry, led, options, progress)
+    ratio, ratio_stderr = batches.settle_ratios()
+    fell_short = batches.settle_levels()
     mean = np.array([np.mean(values) for values in batches.level])
     relative = np.array([relative_stderr(values) for values in batches.level])
     fraction = mean[:, None] * ratio
     error = np.full_like(fraction, math.inf)
     seen = mean > 0
     error[seen] = fraction[seen] * np.hypot(relative[seen, None], ratio_stderr[seen] / ratio[seen])
-    return StateReadings(
-        fraction=fraction,
-        fraction_stderr=error,
-        ratio=ratio,
-        ratio_stderr=ratio_stderr,
-        batches=batches.done,
-        paths=batches.done * batches.paths,
-        fell_short=fell_short,
-    )
+    paths = batches.done * batches.paths
+    return StateReadings(fraction, error, ratio, ratio_stderr, batches.done, paths, fell_short)
 
 
 class _Batches:
@@ -114,23 +100,24 @@ class _Batches:
         self,
         tracer: Callable[..., FingerPaths],
         bed: BedAbsorption,
-        led: str,
-        photodiodes: list[str],
-        *,
-        seed: int,
-        progress: Callable[[float, float], None] | None,
+        geometry: Geometry,
+        led: int,
+        options: TraceOptions,
+        progress: ProgressCallback | None,
     ) -> None:
-        self.tracer, self.bed, self.led, self.photodiodes = tracer, bed, led, photodiodes
-        self.seed, self.progress = seed, progress
+        self.tracer, self.bed, self.progress = tracer, bed, progress
+        self.led, self.photodiodes = geometry.leds[led].name, [face.name for face in geometry.photodiodes]
+        self.target, self.max_seconds = options.relative_error or 0.0, options.max_seconds or math.inf
+        self.seed = seed_of(options.seed, led)
         self.start, self.done, self.paths = time.perf_counter(), 0, 0
-        self.level: list[list[float]] = [[] for _ in photodiodes]
+        self.level: list[list[float]] = [[] for _ in self.photodiodes]
 
-    def settle_ratios(self, max_seconds: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def settle_ratios(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Each state's reading over that of the first state, and its standard error, (photodiodes, states) float."""
         found = []
         for i in range(len(self.level)):
             traced, rows = self.tracer(bed=self.bed, photodiodes=(i,)), []
-            share = RATIO_SHARE * max_seconds / (RATIO_BATCHES * len(self.level))
+            share = RATIO_SHARE * self.max_seconds / (RATIO_BATCHES * len(self.level))
             self.paths = self.paths or traced.paths_for(min(BATCH_SECONDS, share))
             for _ in range(RATIO_BATCHES):
                 rows.append(self._trace(traced, (i,)))
@@ -138,7 +125,7 @@ class _Batches:
         ratio, stderr = np.reshape(found, (len(found), 2, -1)).swapaxes(0, 1)
         return ratio, stderr
 
-    def settle_levels(self, relative_error: float, max_seconds: float) -> str | None:
+    def settle_levels(self) -> str | None:
         """Trace the first state until every photodiode has the relative error; says why not, if they do not."""
         rest = BedAbsorption(self.bed.v_mm, self.bed.mu_a_per_mm[:1])
         # Photodiodes that are equally hard share a trace.
@@ -148,11 +135,8 @@ class _Batches:
         planned, fell_short = dict.fromkeys(groups, LEAST_BATCHES), None
         try:
             while unfinished := [group for group in groups if len(self.level[group[0]]) < planned[group]]:
-                if time.perf_counter() - self.start >= max_seconds:
-                    return (
-                        f'max_seconds ended the trace of LED "{self.led}" before the relative error of '
-                        f"{relative_error:g} was reached; allow more time or ask for less."
-                    )
+                if time.perf_counter() - self.start >= self.max_seconds:
+                    return out_of_time(self.led, f"relative error {self.worst:.3g}, {self.target:g} requested")
                 group = max(unfinished, key=lambda group: planned[group] / len(self.level[group[0]]))
                 if group not in tracers:
                     tracers[group] = self.tracer(bed=rest, photodiodes=group)
@@ -162,7 +146,7 @@ class _Batches:
                     if blind and planned[group] >= UNSEEN_BATCHES:
                         fell_short = unseen(self.led, self.photodiodes[blind[0]], planned[group] * self.paths)
                     else:
-                        planned[group] = max(batches_for(relative_error, self.level[i]) for i in group)
+                        planned[group] = max(batches_for(self.target, self.level[i]) for i in group)
         except KeyboardInterrupt:
             return f'{INTERRUPTED}: LED "{self.led}" has {self.done} batches.'
         return fell_short
@@ -173,11 +157,17 @@ class _Batches:
         for i, value in zip(photodiodes, values, strict=False):
             self.level[i].append(float(value))
         self.done += 1
-        worst = max(relative_stderr(values) for values in self.level)
-        log.debug("volpath: %d batches, worst relative error %.3g", self.done, worst)
         if self.progress:
-            self.progress(worst, time.perf_counter() - self.start)
+            worst, seconds = self.worst, time.perf_counter() - self.start
+            # The error falls with the root of the time.
+            share = min(1.0, max((self.target / worst) ** 2 if worst > 0 else 1.0, seconds / self.max_seconds))
+            self.progress(TraceProgress(self.led, 0, worst, self.target, share, seconds))
         return values
+
+    @property
+    def worst(self) -> float:
+        """The largest relative standard error so far."""
+        return max(relative_stderr(values) for values in self.level)
 
 
 def batches_for(relative_error: float, values: list[float]) -> int:

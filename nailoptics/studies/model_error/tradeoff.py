@@ -8,7 +8,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from ... import tissue
-from ...errors import InputError, NotReachedError
+from ...errors import NotReachedError
 from ...light import ProgressCallback, RestReadings, optics, read_rest
 from ...light import backend as backends
 from ...light.course import course, read_replicates
@@ -174,7 +174,7 @@ def tradeoff(
     """
     paired.check_study(scene, tolerance, "tradeoff", "has one level, itself")
     options = TraceOptions(**requested)
-    chosen = _jit_backend(options.backend)
+    chosen = backends.activate_jit(options.backend, "tradeoff")
     if options.unbounded:
         options = replace(options, max_seconds=DEFAULT_SECONDS)
     start = time.perf_counter()
@@ -216,15 +216,6 @@ def tradeoff(
     if unmet:
         raise NotReachedError(unmet, result=result)
     return result
-
-
-def _jit_backend(name: BackendName) -> backends.Backend:
-    """The backend that all levels of the photon walk are traced on; raises InputError where none can."""
-    chosen = backends.choose(name)
-    if not chosen.jit:
-        advice = chosen.advice or "ask for auto"
-        raise InputError(f"tradeoff needs a JIT backend to compare levels, and {chosen.name} is none: {advice}")
-    return chosen
 
 
 def _reference(full: Scene, tracer: PairedTracer) -> PairedReadings:

@@ -100,7 +100,6 @@ def _fresh_trace(setup: _Setup, batches: int, deadline: float) -> tuple[list[np.
         for i, point in enumerate(setup.points):
             seed = seed_of(setup.seed, FORWARD, i, count)
             means, sensitivity = tracer.detected(i, point, photons=tracer.batch_photons, seed=seed, cells=cells)
-            assert sensitivity is not None
             blocks[i].append(means)
             total[i] += sensitivity
             square[i] += sensitivity**2

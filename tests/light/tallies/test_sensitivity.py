@@ -43,8 +43,6 @@ def seen(chosen_jit, scene):
     tracer = BoardTracer(scene)
     point, cells = blood_point(scene, 0), tracer.cells()
     each = [tracer.detected(0, point, photons=tracer.batch_photons, seed=i, cells=cells) for i in range(BATCHES)]
-    alone, nothing = tracer.detected(0, point, photons=tracer.batch_photons, seed=0)
-    assert nothing is None and np.array_equal(alone, each[0][0])
     return np.stack([means for means, _ in each]), np.stack([depth for _, depth in each]), cells
 
 

@@ -50,8 +50,7 @@ def made_up(own_mm, other_mm, *, seed: int = 0, scene: Scene | None = None) -> T
         energy={name: (0.0, 0.0) for name in ("reflected", "transmitted", "absorbed", "lost")},
         seeds=(seed,),
     )
-    diodes = tuple(f"p{i}" for i in range(8))
-    return Transfer(scene, diodes, names, (trace,), "made up", "none", {"numpy": "0"}, 0.0, 0.0, 0)
+    return Transfer(scene, (trace,), "none", engine="made up", versions={"numpy": "0"})
 
 
 def judged(transfer: Transfer, *over: Over, slopes: np.ndarray = NO_SCATTERING):
