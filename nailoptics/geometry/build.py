@@ -6,6 +6,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..scene import Scene
+from ..scene.finger import ABSORBING, SCATTERING
 from .board import BentBoard
 from .grid import Grid
 from .model import Face, Geometry
@@ -55,7 +56,10 @@ def build(scene: Scene, *, resolution: float = 1.0) -> Geometry:
 def shaping(scene: Scene) -> Scene:
     """A scene with everything at its default that its geometry is not built from; equal for all of one geometry."""
     others = {name: field for name, field in Scene.model_fields.items() if name not in BUILT_FROM}
-    return scene.model_copy(update={name: f.default for name, f in others.items() if not f.is_required()})
+    usual: dict[str, object] = {name: f.default for name, f in others.items() if not f.is_required()}
+    if scene.finger is not None:
+        usual["finger"] = scene.finger.with_usual((*ABSORBING, *SCATTERING))
+    return scene.model_copy(update=usual)
 
 
 def _grid(scene: Scene, resolution: float) -> tuple[BentBoard, Grid]:

@@ -14,7 +14,6 @@ from ..geometry import Face
 from ..scene import Scene
 from ..scene.layout import Rectangle
 from ..statistics import stderr_of_mean
-from ..tissue.properties import DermisAbsorption
 from ..variables import Variables, variable
 from . import backend as backends
 from . import optics
@@ -156,26 +155,22 @@ def blood_point(
     *,
     traced: Scene | None = None,
     blood_fraction: ArrayLike | None = None,
-    dermis: DermisAbsorption = "jacques_baseline",
 ) -> BloodPoint:
     """The absorption of a scene's blood state over the line of one of its LEDs.
 
     traced : the scene whose light was traced, if another of the same shape and scattering.
     blood_fraction : (K,) float in 0-1; at rest if not given.
-    dermis : what the bloodless bed absorbs.
     """
     source = scene.leds[led]
     wavelength, share = optics.spectrum(source)
     mu_a = optics.absorption(scene, wavelength, blood_fraction=blood_fraction)
     beds = optics.bed_columns(scene)
-    usual = tissue.absorption("bed", wavelength, so2=scene.blood.so2)
-    chosen = tissue.absorption("bed", wavelength, so2=scene.blood.so2, dermis_absorption=dermis)
-    mu_a[:, beds] += (np.asarray(chosen.base_per_mm) - np.asarray(usual.base_per_mm))[:, None]
+    blood = tissue.absorption("bed", wavelength, so2=scene.blood.so2)
     return BloodPoint(
         share=share * wavelength / source.wavelength_nm,
         mu_a=mu_a,
         traced=optics.absorption(traced or scene, source.wavelength_nm)[0],
-        slope=np.asarray(usual.per_blood_fraction_per_mm, float),
+        slope=np.asarray(blood.per_blood_fraction_per_mm, float),
         beds=beds,
     )
 

@@ -3,13 +3,14 @@
 from typing import Any
 
 from ..scene import Accuracy, Scene, digest
+from ..scene.finger import ABSORBING
 
 
 def light_scene(scene: Scene) -> Scene:
     """The scene with the same light paths and everything else at its default; equal for all that can share a trace.
 
-    Blood, saturation and melanin only dim the light; touch, body, electronics, flux and line width come after it; and
-    the fingers and boards of a search for a layout are not those of its scene.
+    Blood, saturation and what the finger's parts absorb only dim the light; touch, body, electronics, flux and line
+    width come after it; and the fingers and boards of a search for a layout are not those of its scene.
     """
     blood = type(scene.blood)(zone_edges_mm=scene.blood.zone_edges_mm, zone_width_mm=scene.blood.zone_width_mm)
     leds = tuple(
@@ -35,8 +36,7 @@ def light_scene(scene: Scene) -> Scene:
         "placement": None,
     }
     if scene.finger is not None:
-        melanin = type(scene.finger).model_fields["melanin_fraction"].default
-        update["finger"] = scene.finger.model_copy(update={"digit": "index", "melanin_fraction": melanin})
+        update["finger"] = scene.finger.with_usual(("digit", *ABSORBING))
     if scene.phantom is not None:
         layers = tuple(layer.model_copy(update={"name": f"layer{i}"}) for i, layer in enumerate(scene.phantom.layers))
         update["phantom"] = scene.phantom.model_copy(update={"layers": layers})

@@ -1,7 +1,7 @@
 """What a photon meets: the optics of every region of a scene, and how absorption follows the blood."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -81,7 +81,7 @@ def finger_media(scene: Scene, regions: tuple[str, ...], wavelength_nm: float) -
         mu_s, g, n = 0.0, 0.0, 1.0
         if region in TISSUES:
             mu_s, g, n = (float(x) for x in tissue.scattering(_optics_of(scene, region), wavelength_nm))
-            mu_s *= scene.light.bed_scattering if region == "bed" else 1.0
+            mu_s *= _factor(scene, _optics_of(scene, region), "scattering")
             if scene.light.similarity:
                 mu_s, g = mu_s * (1 - g), 0.0
         opaque = region not in TISSUES and region != "air"
@@ -93,6 +93,11 @@ def finger_media(scene: Scene, regions: tuple[str, ...], wavelength_nm: float) -
 def _optics_of(scene: Scene, region: str) -> Any:
     """The region whose optics a region has: its own, or those around it where it is left out."""
     return AROUND[region] if region in scene.light.left_out else region
+
+
+def _factor(scene: Scene, region: str, kind: Literal["absorption", "scattering"]) -> float:
+    """What the finger multiplies a region's absorption without blood, or its scattering, with."""
+    return float(getattr(scene.finger, f"{region}_{kind}", 1.0))
 
 
 def absorption(
@@ -124,10 +129,14 @@ def absorption(
     shape = np.broadcast_shapes(fraction.shape[:-1], saturation.shape[:-1])
     for absorber in absorbing(scene):
         region = _optics_of(scene, absorber.region)
-        mixed = tissue.absorption(region, wavelength, so2=saturation, melanin_fraction=scene.finger.melanin_fraction)
+        melanin, dermis = scene.finger.melanin_fraction, scene.finger.dermis
+        mixed = tissue.absorption(
+            region, wavelength, so2=saturation, melanin_fraction=melanin, dermis_absorption=dermis
+        )
         at_rest = tissue.REST_BLOOD_FRACTION.get(region, 0.0)
         blood = at_rest if absorber.zone is None else fraction[..., absorber.zone, None]
-        column = np.asarray(mixed.base_per_mm) + blood * np.asarray(mixed.per_blood_fraction_per_mm)
+        base = _factor(scene, region, "absorption") * np.asarray(mixed.base_per_mm)
+        column = base + blood * np.asarray(mixed.per_blood_fraction_per_mm)
         columns.append(np.broadcast_to(column, (*shape, len(wavelength))))
     return np.stack(columns, -1)
 

@@ -1,5 +1,6 @@
 """The finger a scene asks for: sizes from anatomy, each of which can be overridden."""
 
+from collections.abc import Iterable
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -18,6 +19,11 @@ _DIGITS = {
     "little": (14.5, 12.0, 8.5, 11.0, 5.8, 3.7),
 }
 ANATOMY = {digit: dict(zip(_SIZES, sizes, strict=True)) for digit, sizes in _DIGITS.items()}
+DermisAbsorption = Literal["jacques_baseline", "shimojo", "salomatina"]
+Factor = Annotated[float, Field(ge=0.01, le=100)]
+# Fields that decide how much light tissue absorbs, and how it scatters; all others are sizes.
+ABSORBING = ("melanin_fraction", "dermis", "plate_absorption", "bed_absorption", "bone_absorption", "pulp_absorption")
+SCATTERING = ("plate_scattering", "bed_scattering", "bone_scattering", "pulp_scattering")
 # From farther behind the nail less than 1e-4 of a photodiode's light returns, as explain measures.
 BEYOND_NAIL_MM = 4.0
 
@@ -49,6 +55,28 @@ class Finger(Table):
     """Length of finger that is modelled, from the tip; the nail's and 4 mm if not given. [mm]"""
     melanin_fraction: Fraction = USUAL_MELANIN_FRACTION
     """Volume fraction of melanosomes in the epidermis."""
+    dermis: DermisAbsorption = "jacques_baseline"
+    """What the nail bed absorbs without blood; the two measured ex vivo absorb two and five times as much."""
+    plate_absorption: Factor = 1.0
+    """Factor on the nail plate's absorption."""
+    plate_scattering: Factor = 1.0
+    """Factor on the nail plate's scattering."""
+    bed_absorption: Factor = 1.0
+    """Factor on what the nail bed absorbs without blood."""
+    bed_scattering: Factor = 1.0
+    """Factor on the nail bed's scattering."""
+    bone_absorption: Factor = 1.0
+    """Factor on the bone's absorption."""
+    bone_scattering: Factor = 1.0
+    """Factor on the bone's scattering."""
+    pulp_absorption: Factor = 1.0
+    """Factor on what the pulp absorbs without blood."""
+    pulp_scattering: Factor = 1.0
+    """Factor on the pulp's scattering."""
+
+    def with_usual(self, fields: Iterable[str]) -> Self:
+        """The finger with these fields at their defaults."""
+        return self.model_copy(update={name: type(self).model_fields[name].default for name in fields})
 
     @model_validator(mode="before")
     @classmethod

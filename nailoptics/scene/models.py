@@ -91,8 +91,6 @@ class Light(Table):
     """Isotropic scattering of equal mu_s (1 - g) in a finger: ten times fewer scatterings, wrong near the LED."""
     left_out: tuple[Literal["bone", "epidermis", "kapton"], ...] = ()
     """Parts that take the optics of what they lie in: bone and epidermis those of the pulp, Kapton those of epoxy."""
-    bed_scattering: Positive = 1.0
-    """Factor on the nail bed's scattering, to see how much a reading depends on it."""
 
 
 class Accuracy(Table):
@@ -135,6 +133,17 @@ class Scene(Table):
     """What the answer must reach."""
     placement: Placement | None = None
     """Where LEDs and photodiodes may go, for the search of a layout."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_the_old_place_of_bed_scattering(cls, data: object) -> object:
+        light = data.get("light") if isinstance(data, dict) else None
+        if not isinstance(data, dict) or not isinstance(light, dict) or "bed_scattering" not in light:
+            return data
+        moved = {"light": {name: value for name, value in light.items() if name != "bed_scattering"}}
+        if isinstance(data.get("finger"), dict):
+            moved["finger"] = {"bed_scattering": light["bed_scattering"]} | data["finger"]
+        return data | moved
 
     @model_validator(mode="after")
     def _finger_or_phantom(self) -> Self:

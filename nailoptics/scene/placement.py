@@ -7,6 +7,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from .base import Fraction, Name, NonNegative, Point, Table, check_unique
 from .dxf import read_outline
+from .finger import DermisAbsorption
 from .positions import read_positions
 
 
@@ -63,8 +64,8 @@ class FingerCase(Table):
     """Oxygen saturation of the blood."""
     melanin_fraction: Fraction | None = None
     """Volume fraction of melanosomes in the epidermis."""
-    dermis: Literal["jacques_baseline", "shimojo", "salomatina"] = "jacques_baseline"
-    """What the bloodless bed absorbs; the two measured ones are a factor 2 apart."""
+    dermis: DermisAbsorption | None = None
+    """What the bed absorbs without blood."""
 
 
 class Placement(Table):

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import checks
 from ..errors import InputError
 from ..scene.base import USUAL_BLOOD_FRACTION, USUAL_MELANIN_FRACTION, USUAL_SO2
+from ..scene.finger import DermisAbsorption
 from .spectra import (
     Array,
     blood_mu_a_per_mm,
@@ -19,7 +20,6 @@ from .spectra import (
 )
 
 Region = Literal["plate", "bed", "bone", "pulp", "epidermis", "epoxy", "kapton"]
-DermisAbsorption = Literal["jacques_baseline", "shimojo", "salomatina"]
 
 REGIONS: tuple[Region, ...] = get_args(Region)
 

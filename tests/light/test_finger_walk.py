@@ -182,9 +182,10 @@ def test_the_sections_path_density_adds_up_to_the_paths_of_all_light(jit_backend
 def test_scenes_that_differ_in_optics_have_their_geometry_in_common():
     """Expected: what the cache of geometries leaves aside changes no triangle; what a finger is built from stays."""
     scene = prototype()
-    light = scene.light.model_copy(update={"index_steps": False, "left_out": ("bone",), "bed_scattering": 2.0})
+    light = scene.light.model_copy(update={"index_steps": False, "left_out": ("bone",)})
+    finger = scene.finger.model_copy(update={"bed_scattering": 2.0, "plate_absorption": 0.5, "dermis": "shimojo"})
     blood = scene.blood.model_copy(update={"zone_edges_mm": (1.0,), "rest_blood_fraction": 0.1})
-    other = scene.model_copy(update={"light": light, "blood": blood})
+    other = scene.model_copy(update={"light": light, "blood": blood, "finger": finger})
     one, two = (geometry.build(s) for s in (scene, other))
     assert np.array_equal(one.vertices, two.vertices) and np.array_equal(one.triangles, two.triangles)
     assert one.regions == two.regions

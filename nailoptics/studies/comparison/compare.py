@@ -91,10 +91,11 @@ def _scattering_slopes(transfer: Transfer, options: TraceOptions, progress: Prog
     photons = max(1, round(SCATTERING_SHARE * max(t.photons for t in transfer.traces)))
     limit = None if options.max_seconds is None else SCATTERING_SHARE * options.max_seconds
     fewer = replace(options, photons=photons, relative_error=None, max_seconds=limit)
-    light, log, square = transfer.scene.light, [], []
+    finger, log, square = transfer.scene.finger, [], []
+    assert finger is not None
     for k, factor in enumerate(SCATTERING_FACTORS):
-        changed = light.model_copy(update={"bed_scattering": factor * light.bed_scattering})
-        scene = transfer.scene.model_copy(update={"light": changed})
+        changed = finger.model_copy(update={"bed_scattering": factor * finger.bed_scattering})
+        scene = transfer.scene.model_copy(update={"finger": changed})
         # Streams of their own, which no neighbouring seed shares; a trace takes seeds below 2^63.
         rest = _traced(scene, replace(fewer, seed=seed_of(options.seed, k) >> 1), progress)[0].at()
         value, error = rest.detected_fraction.values, rest.detected_fraction_stderr.values

@@ -23,7 +23,8 @@ RETURNING = 1e-4
 
 def denser(scene: Scene) -> Scene:
     """The scene with a bed that scatters more."""
-    return revised(scene, {"light": {"bed_scattering": SCATTERING_FACTOR * scene.light.bed_scattering}})
+    assert scene.finger is not None
+    return revised(scene, {"finger": {"bed_scattering": SCATTERING_FACTOR * scene.finger.bed_scattering}})
 
 
 def blood_scattering(scene: Scene, base: PairedReadings, denser: PairedReadings, tolerance: float) -> Effect:

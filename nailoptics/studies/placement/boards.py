@@ -6,6 +6,7 @@ from typing import Any
 
 from ...errors import InputError
 from ...scene import Finger, FingerCase, Led, Photodiode, Placement, Scene
+from ...scene.finger import ABSORBING, SCATTERING
 
 Places = Sequence[tuple[float, float]]
 
@@ -46,17 +47,18 @@ def fingers(scene: Scene) -> tuple[FingerCase, ...]:
 def on_finger(scene: Scene, case: FingerCase, *, light_only: bool = False) -> Scene:
     """The scene on one of the fingers.
 
-    light_only : change what decides where light goes, sizes, and leave blood and melanin, which only dim it.
+    light_only : change what decides where light goes, sizes, and leave what only dims it.
     """
     assert scene.finger is not None
-    kept = {"melanin_fraction": scene.finger.melanin_fraction}
+    kept = {name: getattr(scene.finger, name) for name in (*ABSORBING, *SCATTERING)}
     finger = scene.finger if case.digit is None else Finger(digit=case.digit, **kept)
     if light_only:
         return scene.model_copy(update={"finger": finger})
     blood = {"rest_blood_fraction": case.rest_blood_fraction, "so2": case.so2}
     blood = {name: value for name, value in blood.items() if value is not None}
-    if case.melanin_fraction is not None:
-        finger = finger.model_copy(update={"melanin_fraction": case.melanin_fraction})
+    absorbing = {"melanin_fraction": case.melanin_fraction, "dermis": case.dermis}
+    absorbing = {name: value for name, value in absorbing.items() if value is not None}
+    finger = finger.model_copy(update=absorbing)
     return scene.model_copy(update={"finger": finger, "blood": scene.blood.model_copy(update=blood)})
 
 

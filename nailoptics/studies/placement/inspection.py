@@ -72,8 +72,8 @@ def inspect_layout(
     begin = time.perf_counter()
     scene = boards.on_finger(best, condition.case)
     tracer = BoardTracer(scene, backend=backend)
-    blood, dermis = condition.point.blood_fraction, condition.case.dermis
-    points = tuple(blood_point(scene, led, blood_fraction=blood, dermis=dermis) for led in range(len(scene.leds)))
+    blood = condition.point.blood_fraction
+    points = tuple(blood_point(scene, led, blood_fraction=blood) for led in range(len(scene.leds)))
     setup = _Setup(scene, condition, tracer, points, seed)
     batches = max(LEAST_BATCHES, photons // tracer.batch_photons)
     values, found = _fresh_trace(setup, batches, begin + max_seconds / 2)

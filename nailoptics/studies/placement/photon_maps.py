@@ -70,8 +70,7 @@ class PhotonMapCache:
         points = []
         for condition in (self.conditions[i] for i in members):
             scene, blood = boards.on_finger(board, condition.case), condition.point.blood_fraction
-            dermis = condition.case.dermis
-            points.append(blood_point(scene, led, traced=tracer.scene, blood_fraction=blood, dermis=dermis))
+            points.append(blood_point(scene, led, traced=tracer.scene, blood_fraction=blood))
         first = self._maps[key][members[0]][led].photons // tracer.batch_photons
         for batch in range(first, first + max(1, round(photons / tracer.batch_photons))):
             # From the board's digest, so that a trace does not depend on which were made before it.
