@@ -2,6 +2,7 @@
 
 from .blood import blood_fraction, tissue_volume_m3
 from .contact import pressures, side_areas_mm2
+from .drive import Waveform
 from .parameters import NAMES, Parameters, bounds, parameters
 from .pulse import breathing_pressure, cardiac_pressure, vasomotion_pressure
 from .respond import respond
@@ -13,6 +14,7 @@ __all__ = [
     "PAPER_ZONES",
     "Parameters",
     "SteadyState",
+    "Waveform",
     "Zones",
     "blood_fraction",
     "bounds",

@@ -38,9 +38,9 @@ def integrate(
     rest, closed = np.array(walls.diameter), np.array(walls.closed)
     n = rest.size
 
-    def rates(time: float, state: np.ndarray) -> np.ndarray:
+    def rates(time: float, state: np.ndarray, pieces: tuple[int, int]) -> np.ndarray:
         width, speed = state[:n] * rest, state[n:] * rest
-        inputs = drive.at(time)
+        inputs = drive.at(time, *pieces)
         open_width = np.maximum(width, closed) if contact else width
         pressure = np.array(inertial_pressures(walls, open_width, speed, inputs[0], inputs[1]))
         force = area * (pressure - inputs[2:]) - stiffness * (width - rest) - damping * speed
@@ -51,16 +51,18 @@ def integrate(
     # Rates are linear in the speeds, and smooth in the diameters: fixed differences serve, where adaptive ones stall.
     steps = np.diag(np.repeat([_WIDTH_STEP, _SPEED_STEP], n))
 
-    def jacobian(time: float, state: np.ndarray) -> np.ndarray:
-        return np.stack([(rates(time, state + e) - rates(time, state - e)) / (2.0 * e.sum()) for e in steps], axis=1)
+    def jacobian(time: float, state: np.ndarray, pieces: tuple[int, int]) -> np.ndarray:
+        sides = [(rates(time, state + e, pieces), rates(time, state - e, pieces), 2.0 * e.sum()) for e in steps]
+        return np.stack([(above - below) / distance for above, below, distance in sides], axis=1)
 
     state = np.concatenate([start_m / rest, np.zeros(n)])
     samples = np.empty((2 * n, time_s.size))
-    for begin, end in zip(drive.stops[:-1], drive.stops[1:], strict=True):
+    for first, last in drive.stretches:
+        begin, end = drive.starts[first], drive.ends[last]
         inside = (time_s >= begin) & (time_s <= end)
         wanted = np.unique(np.append(time_s[inside], end))
         errors = {"rtol": max(rtol, 3e-14), "atol": rtol}
-        solution = solve_ivp(rates, (begin, end), state, "Radau", wanted, jac=jacobian, **errors)
+        solution = solve_ivp(rates, (begin, end), state, "Radau", wanted, args=((first, last),), jac=jacobian, **errors)
         if not solution.success:
             raise NotReachedError(
                 f"hemodynamics: the inertial model stopped at {begin:g} s ({solution.message}); raise rtol."

@@ -4,7 +4,13 @@ A wall in contact stands still while the load presses it on; it leaves when the 
 located, so that between them the equations are smooth and the method keeps its order.
 """
 
+import dataclasses
+import functools
 import logging
+import math
+from array import array
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -12,79 +18,172 @@ from ..errors import NotReachedError
 from . import rodas
 from .drive import Drive
 from .rodas import Vector
-from .walls import Walls, massless_jacobian, massless_rates
+from .unroll import larger, unroll
+from .walls import PerWall, Walls, massless_jacobian, massless_rates
 
 _LOG = logging.getLogger(__name__)
 _MOST_STEPS = 2_000_000
 _FIRST_STEP_S = 1e-3
 # Of the listed diameter: closer than this a wall counts as touching.
 _SNAP = 1e-9
+# A step that would end no further than this beyond its piece of the drive, in lengths of what is left of it, stays
+# inside: there the drive's slope is exact.
+_BEYOND = 1.5
 
 # One wall over a step, as `rodas.interpolate` takes it.
 Curve = tuple[float, float, float, float]
 
 
-class _System:
-    """The massless equations with a given set of walls in contact."""
+def _load(walls: Walls, inputs: PerWall, width: PerWall) -> list[Any]:
+    """Force that presses each wall inward against the blood. [N]"""
+    each = zip(walls.area, inputs[2:], walls.stiffness, width, walls.diameter, strict=True)
+    return [a * f + k * (d - rest) for a, f, k, d, rest in each]
 
-    def __init__(self, walls: Walls, drive: Drive) -> None:
-        self.walls, self.drive = walls, drive
-        self.free = [1.0] * len(walls.area)
 
-    def _load(self, inputs: list[float], width: list[float]) -> list[float]:
-        w = self.walls
-        return [
-            a * f + k * (d - rest)
-            for a, f, k, d, rest in zip(w.area, inputs[2:], w.stiffness, width, w.diameter, strict=True)
-        ]
+def _rates(walls: Walls, inputs: PerWall, width: PerWall, free: PerWall) -> tuple[list[Any], list[Any]]:
+    """Pressures [Pa] and wall speeds [m/s]; a wall that a stage has pushed past contact lets blood through as there."""
+    open_width = [larger(d, c) for d, c in zip(width, walls.closed, strict=True)]
+    return massless_rates(walls, open_width, _load(walls, inputs, width), free, inputs[0], inputs[1])
 
-    def _open(self, width: list[float]) -> list[float]:
-        return [d if d > c else c for d, c in zip(width, self.walls.closed, strict=True)]
 
-    def slope(self, time: float, width: list[float]) -> list[float]:
-        """Speed of each wall. [m/s]"""
-        inputs = self.drive.at(time)
-        load = self._load(inputs, width)
-        return massless_rates(self.walls, self._open(width), load, self.free, inputs[0], inputs[1])[1]
+def _lift(*arguments: Any) -> list[Any]:
+    """Force that would move each wall outwards if nothing held it: of constants, inputs, widths, who is free. [N]"""
+    *constants, inputs, width, free = arguments
+    walls = Walls(*constants)
+    pressures, _ = _rates(walls, inputs, width, free)
+    return [a * p - f for a, p, f in zip(walls.area, pressures, _load(walls, inputs, width), strict=True)]
 
-    def lift(self, time: float, width: list[float]) -> list[float]:
-        """Force that would move each wall outwards if nothing held it. [N]"""
-        inputs = self.drive.at(time)
-        load = self._load(inputs, width)
-        pressures, _ = massless_rates(self.walls, self._open(width), load, self.free, inputs[0], inputs[1])
-        return [a * p - f for a, p, f in zip(self.walls.area, pressures, load, strict=True)]
 
-    def linearise(self, time: float, width: Vector) -> tuple[Vector, Vector, tuple[Vector, Vector, Vector]]:
-        """Speeds, their derivatives by time, and by the widths as diag(d) + outer(p, q)."""
-        inputs = self.drive.at(time)
-        load = self._load(inputs, width)
-        pressures, speeds = massless_rates(self.walls, width, load, self.free, inputs[0], inputs[1])
-        change = self.drive.slope(time)
-        rise = [a * f for a, f in zip(self.walls.area, change[2:], strict=True)]
-        _, in_time = massless_rates(self.walls, width, rise, self.free, change[0], change[1])
-        return speeds, in_time, massless_jacobian(self.walls, width, self.free, pressures, inputs[0], inputs[1])
+def _try_step(*arguments: Any) -> tuple[Any, ...]:
+    """A step of one length: its error over what is allowed, how near a wall comes to contact, and its curve.
 
-    def snap(self, width: list[float]) -> bool:
+    Of constants, inputs at each of `rodas.INSTANTS`, their slopes, widths, who is free, the step and rtol.
+    """
+    *rest, change, width, free, step_s, rtol = arguments
+    constants, inputs = rest[: -len(rodas.INSTANTS)], rest[-len(rodas.INSTANTS) :]
+    walls = Walls(*constants)
+    pressures, _ = _rates(walls, inputs[0], width, free)
+    rise = [a * f for a, f in zip(walls.area, change[2:], strict=True)]
+    middle, after, error, first, second = rodas.step(
+        lambda instant, state: _rates(walls, inputs[instant], state, free)[1],
+        width,
+        slope_in_time=massless_rates(walls, width, rise, free, change[0], change[1])[1],
+        jacobian=massless_jacobian(walls, width, free, pressures, inputs[0][0], inputs[0][1]),
+        step_s=step_s,
+    )
+    excess: Any = 0.0
+    depth: Any = 0.0
+    for e, begin, half, end, listed, closed in zip(
+        error, width, middle, after, walls.diameter, walls.closed, strict=True
+    ):
+        excess = larger(excess, e / (rtol * larger(larger(begin, end), listed)))
+        depth = larger(depth, larger(closed - half, closed - end) / listed)
+    # A sum, other than a maximum, cannot lose a number that is none.
+    return excess + 0.0 * sum(after), depth, after, first, second
+
+
+@functools.cache
+def _unrolled(units: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """`_try_step` and `_lift` for a number of capillary units."""
+    walls, channels = units + 1, units + 3
+    constants = [units if field.name == "venule" else walls for field in dataclasses.fields(Walls)]
+    instants = [channels] * len(rodas.INSTANTS)
+    return (
+        unroll(_try_step, *constants, *instants, channels, walls, walls, None, None),
+        unroll(_lift, *constants, channels, walls, walls),
+    )
+
+
+class _Motion:
+    """The walls on their way: where they are, which are in contact, and every step so far."""
+
+    def __init__(self, walls: Walls, drive: Drive, width: Vector, *, rtol: float) -> None:
+        self.walls, self.drive, self.width, self.rtol = walls, drive, width, float(rtol)
+        self.free, self.piece = [1.0] * len(width), 0
+        self.time, self.step_s = drive.starts[0], min(_FIRST_STEP_S, drive.ends[-1] - drive.starts[0])
+        self.steps = array("d")
+        self._constants = tuple(getattr(walls, field.name) for field in dataclasses.fields(walls))
+        self._try_step, self._lift = _unrolled(len(walls.venule))
+
+    def snap(self) -> bool:
         """Put free walls that all but touch into contact; True if there are any."""
-        walls, touched = self.walls, False
-        for i, c in enumerate(walls.closed):
-            if self.free[i] and width[i] - c <= _SNAP * walls.diameter[i]:
-                width[i], touched = c, True
+        touched = False
+        for i, (c, listed) in enumerate(zip(self.walls.closed, self.walls.diameter, strict=True)):
+            if self.free[i] and self.width[i] - c <= _SNAP * listed:
+                self.width[i], touched = c, True
         return touched
 
-    def settle(self, time: float, width: list[float]) -> None:
+    def settle(self) -> None:
         """Choose which of the touching walls are held: the contact problem at one instant."""
-        touching = [d <= c for d, c in zip(width, self.walls.closed, strict=True)]
+        touching = [d <= c for d, c in zip(self.width, self.walls.closed, strict=True)]
         self.free = [0.0 if t else 1.0 for t in touching]
         if not any(touching):
             return
+        inputs = self.drive.at(self.time, self.piece, self.piece)
         for _ in range(2 * len(touching) + 2):
-            lift = self.lift(time, width)
+            lift = self._lift(*self._constants, inputs, self.width, self.free)
             wrong = [(abs(f), i) for i, f in enumerate(lift) if touching[i] and (f > 0.0) != (self.free[i] > 0.0)]
             if not wrong:
                 return
             i = max(wrong)[1]
             self.free[i] = 1.0 - self.free[i]
+
+    def step(self, last: int) -> None:
+        """One step within pieces of the drive, as long as its error allows and no wall meets or leaves another."""
+        ends, piece = self.drive.ends, self.piece
+        while True:
+            inside = self.step_s < _BEYOND * (ends[piece] - self.time)
+            until = piece if inside else last
+            wanted_s, left_s = self.step_s, ends[until] - self.time
+            at_end = wanted_s * (1.0 + 1e-9) >= left_s or self.time + wanted_s >= ends[until]
+            step_s = left_s if at_end else wanted_s
+            change = self.drive.slope(self.time, piece, smooth=until > piece)
+            inputs = self.drive.read([self.time + part * step_s for part in rodas.INSTANTS], piece, until)
+            try:
+                excess, depth, after, first, second = self._try_step(
+                    *self._constants, *inputs, change, self.width, self.free, step_s, self.rtol
+                )
+            except ZeroDivisionError:
+                # The step hit a pole of the method's stability function, at a growing mode: any other will do.
+                excess = math.inf
+            if not excess <= 1.0:
+                # The error goes with the fourth power of the step: aim a little below what is allowed.
+                self.step_s = step_s * (max(0.2, min(0.9, 0.9 * excess**-0.25)) if excess < 1e6 else 0.2)
+                continue
+            part = 1.0
+            if depth > _SNAP or 0.0 in self.free:
+                curves = list(zip(self.width, after, first, second, strict=True))
+                part = _first_contact(self.walls, self.free, curves)
+                if part == 1.0:
+                    part = self._first_release(step_s, curves, until)
+            if part < 1.0:
+                self.step_s = part * step_s
+                continue
+            self.steps.extend([self.time, step_s, *self.width, *after, *first, *second, *self.free])
+            self.time = ends[until] if at_end else self.time + step_s
+            while self.piece < last and ends[self.piece] <= self.time:
+                self.piece += 1
+            scale = 5.0 if excess < 1e-3 else 0.9 * excess**-0.25
+            self.step_s = max(wanted_s, step_s * scale) if at_end and scale >= 1.0 else step_s * scale
+            self.width = after
+            return
+
+    def _first_release(self, step_s: float, curves: list[Curve], until: int) -> float:
+        """The part of the step at which the blood first lifts a held wall, 1 if it lifts none."""
+
+        def lifted(part: float) -> bool:
+            inputs = self.drive.at(self.time + part * step_s, self.piece, until)
+            width = [rodas.interpolate(*curve, part) for curve in curves]
+            force = self._lift(*self._constants, inputs, width, self.free)
+            return any(f > 0.0 and not free for f, free in zip(force, self.free, strict=True))
+
+        if not lifted(1.0):
+            return 1.0
+        low, high = 0.0, 1.0
+        while high - low > 1e-4:
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if lifted(middle) else (middle, high)
+        return 1.0 if high > 1.0 - 1e-3 else high
 
 
 def integrate(
@@ -105,83 +204,46 @@ def integrate(
 
     Raises: NotReachedError if the tolerance needs more than `most_steps` steps.
     """
-    system = _System(walls, drive)
-    steps: list[list[float]] = []
-    width = [max(float(d), c) for d, c in zip(start_m, walls.closed, strict=True)]
-    time, end = drive.stops[0], drive.stops[-1]
-    step_s = min(_FIRST_STEP_S, end - time)
-    for stop in drive.stops[1:]:
-        system.settle(time, width)
-        while time < stop:
-            step_s, after, first, second, next_step_s = _step(system, time, width, step_s, stop=stop, rtol=rtol)
-            steps.append([time, step_s, *width, *after, *first, *second, *system.free])
-            if len(steps) > most_steps:
+    motion = _Motion(walls, drive, [max(float(d), c) for d, c in zip(start_m, walls.closed, strict=True)], rtol=rtol)
+    taken = 0
+    for motion.piece, last in drive.stretches:
+        motion.settle()
+        while motion.time < drive.ends[last]:
+            motion.step(last)
+            taken += 1
+            if taken > most_steps:
                 raise NotReachedError(
-                    f"hemodynamics: the response needs more than {most_steps} steps (reached {time:g} s); "
+                    f"hemodynamics: the response needs more than {most_steps} steps (reached {motion.time:g} s); "
                     "raise rtol or soften the parameters."
                 )
-            time = stop if step_s == stop - time else time + step_s
-            width, step_s = after, next_step_s
-            if system.snap(width) or 0.0 in system.free:
-                system.settle(time, width)
-    _LOG.debug("massless model: %d steps over %g s", len(steps), end - drive.stops[0])
-    diameters, free = _sample(np.array(steps), time_s, walls.closed)
-    high, low, *outside = inputs
-    each = zip(walls.area, outside, walls.stiffness, diameters, walls.diameter, strict=True)
-    load = [a * f + k * (d - rest) for a, f, k, d, rest in each]
-    return diameters, np.array(massless_rates(walls, diameters, load, free, high, low)[0]), free == 0.0
+            if motion.snap() or 0.0 in motion.free:
+                motion.settle()
+    _LOG.debug("massless model: %d steps over %g s", taken, drive.ends[-1] - drive.starts[0])
+    width, free = _sample(np.frombuffer(motion.steps).reshape(taken, -1), time_s, walls.closed)
+    pressure = massless_rates(walls, width, _load(walls, inputs, width), free, inputs[0], inputs[1])[0]
+    return width, np.array(pressure), free == 0.0
 
 
-def _sample(steps: np.ndarray, time_s: np.ndarray, closed: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Accepted steps, a row each, read at given times."""
+def _sample(steps: np.ndarray, time_s: np.ndarray, closed: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Accepted steps, a row each, read at given times: diameters [m], and 0 for walls in contact, else 1."""
     starts, lengths = steps[:, 0], steps[:, 1]
     row = np.clip(np.searchsorted(starts, time_s, side="right") - 1, 0, starts.size - 1)
-    part = np.clip((time_s - starts[row]) / lengths[row], 0.0, 1.0)[:, None]
-    begin, end, first, second, free = (block[row] for block in np.split(steps[:, 2:], 5, axis=1))
-    width = (1.0 - part) * begin + part * (end + (1.0 - part) * (first + part * second))
-    width = np.where(free > 0.0, np.maximum(width, closed), closed)
-    return width.T.copy(), free.T.copy()
+    part = np.clip((time_s - starts[row]) / lengths[row], 0.0, 1.0)
+    # Wall by wall: of a million samples the arrays between are the largest.
+    width, free = np.empty((len(closed), time_s.size)), np.empty((len(closed), time_s.size))
+    for i, (begin, end, first, second, is_free) in enumerate(zip(*np.split(steps[:, 2:].T, 5), strict=True)):
+        free[i] = is_free[row]
+        path = rodas.interpolate(begin[row], end[row], first[row], second[row], part)
+        width[i] = np.where(free[i] > 0.0, np.maximum(path, closed[i]), closed[i])
+    return width, free
 
 
-def _step(
-    system: _System, time: float, width: Vector, step_s: float, *, stop: float, rtol: float
-) -> tuple[float, Vector, Vector, Vector, float]:
-    """Shorten a step until its error is allowed and no wall meets or leaves another before its end.
-
-    Returns: the step, the walls after it, the two vectors of `rodas.interpolate`, and the step to try next.
-    """
-    slope, in_time, jacobian = system.linearise(time, width)
-    while True:
-        wanted_s = step_s
-        at_stop = time + step_s * (1.0 + 1e-9) >= stop
-        if at_stop:
-            step_s = stop - time
-        after, error, first, second = rodas.step(
-            system.slope, time, width, slope_now=slope, slope_in_time=in_time, jacobian=jacobian, step_s=step_s
-        )
-        listed = system.walls.diameter
-        size = max([abs(e) / (rtol * max(d, a, r)) for e, d, a, r in zip(error, width, after, listed, strict=True)])
-        if not size < float("inf"):
-            size = 1e6
-        # The error goes with the fourth power of the step: aim a little below what is allowed, and not far at once.
-        scale = 5.0 if size < 1e-3 else max(0.2, 0.9 * size**-0.25)
-        if size > 1.0:
-            step_s *= min(scale, 0.9)
-            continue
-        curves = list(zip(width, after, first, second, strict=True))
-        part = _first_contact(system, curves)
-        if part == 1.0:
-            part = _first_release(system, time, step_s, curves)
-        if part == 1.0:
-            next_step_s = max(wanted_s, step_s * scale) if at_stop and scale >= 1.0 else step_s * scale
-            return step_s, after, first, second, next_step_s
-        step_s *= part
-
-
-def _first_contact(system: _System, curves: list[Curve]) -> float:
+def _first_contact(walls: Walls, free: list[float], curves: list[Curve]) -> float:
     """The part of the step at which a free wall first reaches contact, 1 if none does."""
-    each = zip(curves, system.walls.closed, system.walls.diameter, system.free, strict=True)
-    return min([_contact_of_one(curve, shut, _SNAP * listed) if free else 1.0 for curve, shut, listed, free in each])
+    each = zip(curves, walls.closed, walls.diameter, free, strict=True)
+    return min(
+        [_contact_of_one(curve, shut, _SNAP * listed) if is_free else 1.0 for curve, shut, listed, is_free in each]
+    )
 
 
 def _contact_of_one(curve: Curve, closed: float, slack: float) -> float:
@@ -202,22 +264,3 @@ def _contact_of_one(curve: Curve, closed: float, slack: float) -> float:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if rodas.interpolate(*curve, middle) < closed else (middle, high)
     return high
-
-
-def _first_release(system: _System, time: float, step_s: float, curves: list[Curve]) -> float:
-    """The part of the step at which the blood first lifts a held wall, 1 if it lifts none."""
-    held = [i for i, free in enumerate(system.free) if not free]
-    if not held:
-        return 1.0
-
-    def lifted(part: float) -> bool:
-        force = system.lift(time + part * step_s, [rodas.interpolate(*curve, part) for curve in curves])
-        return any(force[i] > 0.0 for i in held)
-
-    if not lifted(1.0):
-        return 1.0
-    low, high = 0.0, 1.0
-    while high - low > 1e-4:
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if lifted(middle) else (middle, high)
-    return 1.0 if high > 1.0 - 1e-3 else high

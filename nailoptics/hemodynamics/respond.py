@@ -1,5 +1,6 @@
 """The response over time to touch and pulse: inputs checked, a model chosen, results labelled."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -9,7 +10,7 @@ from ..checks import finite
 from ..errors import InputError
 from ..variables import Variable, variable
 from . import inertial, massless
-from .drive import Drive
+from .drive import Drive, Waveform, waveform_of
 from .parameters import Parameters
 from .steady import steady_state, touch_inputs, wall_pressures
 from .walls import build_walls
@@ -25,12 +26,12 @@ def respond(
     parameters: Parameters,
     time_s: ArrayLike,
     *,
-    proximal_pressure_pa: ArrayLike = 0.0,
-    distal_pressure_pa: ArrayLike = 0.0,
-    arterial_pressure_pa: ArrayLike | None = None,
-    venous_pressure_pa: ArrayLike | None = None,
+    proximal_pressure_pa: ArrayLike | Waveform = 0.0,
+    distal_pressure_pa: ArrayLike | Waveform = 0.0,
+    arterial_pressure_pa: ArrayLike | Waveform | None = None,
+    venous_pressure_pa: ArrayLike | Waveform | None = None,
     zones: Zones = PAPER_ZONES,
-    pressure_pa: ArrayLike | None = None,
+    pressure_pa: ArrayLike | Sequence[ArrayLike | Waveform] | None = None,
     start: Literal["untouched", "steady"] = "untouched",
     model: Model = "massless",
     contact: bool = True,
@@ -39,13 +40,14 @@ def respond(
     """What a touch does to the vessels under the nail: their diameters and pressures over time.
 
     time_s : (T,) float, increasing, T of 2 or more. [s]
-    proximal_pressure_pa, distal_pressure_pa : (T,) float or one number. P_F1 and P_F2, linear between samples. [Pa]
-    arterial_pressure_pa, venous_pressure_pa : (T,) float or one number. P_H (see `cardiac_pressure`) and P_L; None
-        takes the parameters' values. [Pa]
+    proximal_pressure_pa, distal_pressure_pa : (T,) float, one number or a `Waveform`. P_F1 and P_F2. Samples are
+        linear between times; a waveform has knots of its own and jumps, so that no motion depends on time_s. [Pa]
+    arterial_pressure_pa, venous_pressure_pa : The same. P_H (see `cardiac_pressure`) and P_L; None takes the
+        parameters' values. [Pa]
     zones : Units along the nail and the reach of each pressure; the paper's two by default.
-    pressure_pa : (M, T) float. All touch pressures, for zones with other than two inputs. [Pa]
+    pressure_pa : (M, T) float, or M of the above. All touch pressures, for zones with other than two inputs. [Pa]
     start : At time_s[0] the vessels are in balance with no touch ("untouched": a pressure there is a step at that
-        instant) or with the first pressures ("steady").
+        instant) or with the first pressures ("steady"; before a waveform's jump, if it has one there).
     model : "massless" walls are the tool; "inertial" is the paper's six-state model (2 N + 2 states for N units), the
         check: it agrees within 1e-5 um and takes many times as long.
     contact : False, in the inertial model only, lets walls pass through each other as printed.
@@ -64,20 +66,34 @@ def respond(
     """
     time = _times(time_s)
     _check_choices(model, start, contact=contact, rtol=rtol)
-    p, given = parameters, touch_inputs(zones, proximal_pressure_pa, distal_pressure_pa, pressure_pa)
-    touch = np.array([_over_time("pressure_pa", one, time) for one in given])
-    high = _over_time("arterial_pressure_pa", arterial_pressure_pa, time, p.arterial_pressure_pa)
-    low = _over_time("venous_pressure_pa", venous_pressure_pa, time, p.venous_pressure_pa)
-    held = touch[:, 0] if start == "steady" else np.zeros(zones.inputs)
-    first = steady_state(p, arterial_pressure_pa=high[0], venous_pressure_pa=low[0], zones=zones, pressure_pa=held)
+    p, touches = parameters, touch_inputs(zones, proximal_pressure_pa, distal_pressure_pa, pressure_pa)
+    given = {
+        "arterial_pressure_pa": p.arterial_pressure_pa if arterial_pressure_pa is None else arterial_pressure_pa,
+        "venous_pressure_pa": p.venous_pressure_pa if venous_pressure_pa is None else venous_pressure_pa,
+    }
+    waveforms = [waveform_of(name, value, time) for name, value in (given | touches).items()]
+    high, low, *held = [waveform.at(time[:1], before_jump=True)[0] for waveform in waveforms]
+    untouched = np.zeros(zones.inputs)
+    first = steady_state(
+        p,
+        arterial_pressure_pa=high,
+        venous_pressure_pa=low,
+        zones=zones,
+        pressure_pa=held if start == "steady" else untouched,
+    )
     begin = np.append(first.capillary_diameter_m, first.vein_diameter_m)
-    walls, inputs = build_walls(p, zones), np.vstack([high, low, wall_pressures(zones, touch)])
-    drive = Drive(time, inputs)
+
+    def to_channels(rows: np.ndarray) -> np.ndarray:
+        return np.vstack([rows[:2], wall_pressures(zones, rows[2:])])
+
+    drive = Drive(waveforms, to_channels, begin_s=time[0], end_s=time[-1])
+    over_time = np.array([waveform.at(time) for waveform in waveforms])
+    walls, inputs = build_walls(p, zones), to_channels(over_time)
     if model == "massless":
         width, pressure, closed = massless.integrate(walls, drive, time, begin, inputs, rtol=rtol)
     else:
         width, pressure, closed = inertial.integrate(walls, drive, time, begin, inputs, rtol=rtol, contact=contact)
-    variables = _state_variables(zones, width, pressure, closed) | _input_variables(zones, touch, high, low)
+    variables = _state_variables(zones, width, pressure, closed) | _input_variables(zones, over_time)
     attributes = {"model": model} | {f"parameter_{name}": value for name, value in p.as_dict().items()}
     return _dataset(variables, zones, time, attributes)
 
@@ -104,13 +120,6 @@ def _times(time_s: ArrayLike) -> np.ndarray:
     return time
 
 
-def _over_time(name: str, value: ArrayLike | None, time: np.ndarray, usual: float = 0.0) -> np.ndarray:
-    array = finite(name, usual if value is None else value)
-    if array.shape not in ((), time.shape):
-        raise InputError(f"{name} must be one number or one for each of {time.size} times, got shape {array.shape}.")
-    return np.broadcast_to(array, time.shape)
-
-
 def _state_variables(zones: Zones, width: np.ndarray, pressure: np.ndarray, closed: np.ndarray) -> dict[str, Variable]:
     n, over = zones.count, ("zone", "time")
     return (
@@ -123,9 +132,10 @@ def _state_variables(zones: Zones, width: np.ndarray, pressure: np.ndarray, clos
     )
 
 
-def _input_variables(zones: Zones, touch: np.ndarray, high: np.ndarray, low: np.ndarray) -> dict[str, Variable]:
-    found = variable("arterial_pressure_pa", "time", high.copy(), "arterial pressure P_H", units="Pa")
-    found |= variable("venous_pressure_pa", "time", low.copy(), "venous pressure P_L", units="Pa")
+def _input_variables(zones: Zones, over_time: np.ndarray) -> dict[str, Variable]:
+    high, low, *touch = over_time
+    found = variable("arterial_pressure_pa", "time", high, "arterial pressure P_H", units="Pa")
+    found |= variable("venous_pressure_pa", "time", low, "venous pressure P_L", units="Pa")
     if zones.inputs != 2:
         return found | variable("touch_pressure_pa", ("input", "time"), touch, "touch pressure inputs", units="Pa")
     found |= variable("proximal_pressure_pa", "time", touch[0], "touch pressure on the vein P_F1", units="Pa")

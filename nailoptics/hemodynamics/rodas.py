@@ -5,12 +5,14 @@ The Jacobian is a diagonal and a product of two vectors, so that a stage costs a
 References: Hairer and Wanner 1996, Solving Ordinary Differential Equations II, section IV.7.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from .unroll import larger
 
 # The method's coefficients as its authors' code has them, where a stage needs no product with the Jacobian: gamma,
-# instants, gamma of each stage, weights of the stages in states (A) and in slopes (C), and of the curve between (H).
+# gamma of each stage, weights of the stages in states (A) and in slopes (C), and of the curve between (H).
 GAMMA = 0.25
-_TIMES = (0.0, 0.386, 0.21, 0.63, 1.0, 1.0)
 _D = (0.25, -0.1043, 0.1035, -0.0362, 0.0, 0.0)
 _A = (
     (),
@@ -31,6 +33,10 @@ _C = (
 _H1 = (10.12623508344586, -7.487995877610167, -34.80091861555747, -7.992771707568823, 1.025137723295662)
 _H2 = (-0.6762803392801253, 6.087714651680015, 16.43084320892478, 24.76722511418386, -6.594389125716872)
 
+# Parts of a step at which the slope is needed, and which of them each stage takes; the middle is the last.
+INSTANTS = (0.0, 0.386, 0.21, 0.63, 1.0, 0.5)
+_INSTANT_OF_STAGE = (0, 1, 2, 3, 4, 4)
+
 # Weight of the defect within a step beside the error at its end: of ordinary steps the end decides.
 _DEFECT_WEIGHT = 0.3
 
@@ -38,82 +44,57 @@ Vector = list[float]
 
 
 def step(
-    slope: Callable[[float, Vector], Vector],
-    time: float,
+    slope: Callable[[int, Vector], Vector],
     state: Vector,
     *,
-    slope_now: Vector,
     slope_in_time: Vector,
     jacobian: tuple[Vector, Vector, Vector],
     step_s: float,
-) -> tuple[Vector, Vector, Vector, Vector]:
-    """One step: the state after it, its estimated error (0 or more), and the two vectors that `interpolate` needs.
+) -> tuple[Vector, ...]:
+    """One step: the state in its middle and after it, its estimated error, and the two vectors of `interpolate`.
 
-    slope : d state/d time as a function of time and state; slope_now is its value at the start.
+    slope : d state/d time as a function of the position in INSTANTS and the state.
     slope_in_time : Its partial derivative by time at the start.
-    jacobian : (d, p, q), its derivative by the state as diag(d) + outer(p, q).
+    jacobian : (d, p, q), its derivative by the state at the start as diag(d) + outer(p, q).
     """
     diagonal, left, right = jacobian
     inverse_step = 1.0 / step_s
-    shift = inverse_step / GAMMA
-    inverse = [1.0 / (shift - d) for d in diagonal]
+    inverse = [1.0 / (inverse_step / GAMMA - d) for d in diagonal]
     spread = [p * e for p, e in zip(left, inverse, strict=True)]
     pull = [q * e for q, e in zip(right, inverse, strict=True)]
-    weight = 1.0 / (1.0 - sum([q * s for q, s in zip(right, spread, strict=True)]))
+    weight = 1.0 / (1.0 - sum(q * s for q, s in zip(right, spread, strict=True)))
+
+    def solve(residual: Vector) -> Vector:
+        reach = weight * sum(q * r for q, r in zip(pull, residual, strict=True))
+        return [r * e + reach * s for r, e, s in zip(residual, inverse, spread, strict=True)]
+
     stages: list[Vector] = []
     here = state
-    for index in range(6):
-        if index == 0:
-            residual = slope_now
-        else:
-            if index < 5:
-                here = _add(state, _A[index], stages)
-            else:
-                here = [a + b for a, b in zip(here, stages[4], strict=True)]
-            residual = slope(time + _TIMES[index] * step_s, here)
-            residual = _add(residual, [c * inverse_step for c in _C[index]], stages)
-        d = _D[index] * step_s
-        if d:
-            residual = [r + d * t for r, t in zip(residual, slope_in_time, strict=True)]
-        reach = weight * sum([q * r for q, r in zip(pull, residual, strict=True)])
-        stages.append([r * e + reach * s for r, e, s in zip(residual, inverse, spread, strict=True)])
-    error = stages[5]
-    after = [a + b for a, b in zip(here, error, strict=True)]
+    for instant, a, c, d in zip(_INSTANT_OF_STAGE, _A, _C, _D, strict=True):
+        here = _add(state, a, stages)
+        residual = _add(slope(instant, here), [inverse_step * factor for factor in c], stages)
+        stages.append(solve(_add(residual, [d * step_s] if d else [], [slope_in_time])))
+    after = [a + b for a, b in zip(here, stages[5], strict=True)]
     zero = [0.0] * len(state)
     first, second = _add(zero, _H1, stages), _add(zero, _H2, stages)
     # In a long stiff step the ends can be right and the curve between them wrong: its defect in the middle, brought
     # back to an error of the state, counts too.
-    middle = [0.5 * (a + b) + 0.25 * k1 + 0.125 * k2 for a, b, k1, k2 in zip(state, after, first, second, strict=True)]
-    defect = [
-        (b - a + 0.25 * k2) * inverse_step - f
-        for a, b, k2, f in zip(state, after, second, slope(time + 0.5 * step_s, middle), strict=True)
-    ]
-    reach = weight * sum([q * r for q, r in zip(pull, defect, strict=True)])
-    between = [r * e + reach * s for r, e, s in zip(defect, inverse, spread, strict=True)]
-    error = [max(abs(a), _DEFECT_WEIGHT * abs(b)) for a, b in zip(error, between, strict=True)]
-    return after, error, first, second
+    middle = [interpolate(*curve, 0.5) for curve in zip(state, after, first, second, strict=True)]
+    curve_slope = [(b - a + 0.25 * k2) * inverse_step for a, b, k2 in zip(state, after, second, strict=True)]
+    between = solve([c - f for c, f in zip(curve_slope, slope(5, middle), strict=True)])
+    error = [larger(abs(a), _DEFECT_WEIGHT * abs(b)) for a, b in zip(stages[5], between, strict=True)]
+    return middle, after, error, first, second
 
 
-def _add(base: Vector, factors: tuple[float, ...] | list[float], stages: list[Vector]) -> Vector:
-    """The base and the first stages times their factors; spelled out, since this is the innermost loop."""
-    columns = zip(base, *stages[: len(factors)], strict=True)
-    if len(factors) == 1:
-        (a,) = factors
-        return [y + a * k1 for y, k1 in columns]
-    if len(factors) == 2:
-        a, b = factors
-        return [y + a * k1 + b * k2 for y, k1, k2 in columns]
-    if len(factors) == 3:
-        a, b, c = factors
-        return [y + a * k1 + b * k2 + c * k3 for y, k1, k2, k3 in columns]
-    if len(factors) == 4:
-        a, b, c, d = factors
-        return [y + a * k1 + b * k2 + c * k3 + d * k4 for y, k1, k2, k3, k4 in columns]
-    a, b, c, d, e = factors
-    return [y + a * k1 + b * k2 + c * k3 + d * k4 + e * k5 for y, k1, k2, k3, k4, k5 in columns]
+def _add(base: Vector, factors: Sequence[float], stages: list[Vector]) -> Vector:
+    """The base and the first stages times their factors."""
+    total = base
+    for factor, stage in zip(factors, stages, strict=False):
+        total = [y + factor * k for y, k in zip(total, stage, strict=True)]
+    return total
 
 
-def interpolate(start: float, end: float, first: float, second: float, part: float) -> float:
+def interpolate(start: Any, end: Any, first: Any, second: Any, part: Any) -> Any:
     """One component of the state at a part 0..1 of a step, to order 3."""
     rest = 1.0 - part
     return rest * start + part * (end + rest * (first + part * second))

@@ -5,6 +5,7 @@ Two nested roots, each bracketed: the pressure of the vein node, and at a given 
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,11 +59,11 @@ def steady_state(
     arterial_pressure_pa = p.arterial_pressure_pa if arterial_pressure_pa is None else arterial_pressure_pa
     venous_pressure_pa = p.venous_pressure_pa if venous_pressure_pa is None else venous_pressure_pa
     touch = touch_inputs(zones, proximal_pressure_pa, distal_pressure_pa, pressure_pa)
-    given = (finite("arterial_pressure_pa", arterial_pressure_pa), finite("venous_pressure_pa", venous_pressure_pa))
-    high, low, *touch = np.broadcast_arrays(*given, *touch)
+    given = {"arterial_pressure_pa": arterial_pressure_pa, "venous_pressure_pa": venous_pressure_pa} | touch
+    high, low, *outer = np.broadcast_arrays(*[finite(name, value) for name, value in given.items()])
     shape = high.shape
     walls = build_walls(p, zones)
-    outside = wall_pressures(zones, np.array([t.ravel() for t in touch]))
+    outside = wall_pressures(zones, np.array([pressure.ravel() for pressure in outer]))
     width, pressure = solve_walls(walls, outside, high.ravel(), low.ravel())
     n = zones.count
     return SteadyState(
@@ -74,17 +75,17 @@ def steady_state(
 
 
 def touch_inputs(
-    zones: Zones, proximal_pressure_pa: ArrayLike, distal_pressure_pa: ArrayLike, pressure_pa: ArrayLike | None
-) -> list[np.ndarray]:
-    """One checked array for each touch pressure that the zones take."""
-    if pressure_pa is not None:
-        given = finite("pressure_pa", pressure_pa)
-        if given.ndim < 1 or given.shape[0] != zones.inputs:
-            raise InputError(f"pressure_pa must hold {zones.inputs} inputs on its first axis, got shape {given.shape}.")
-        return list(given)
-    if zones.inputs != 2:
-        raise InputError(f"zones take {zones.inputs} pressures, not 2; give them all in pressure_pa.")
-    return [finite("proximal_pressure_pa", proximal_pressure_pa), finite("distal_pressure_pa", distal_pressure_pa)]
+    zones: Zones, proximal_pressure_pa: Any, distal_pressure_pa: Any, pressure_pa: Any | None
+) -> dict[str, Any]:
+    """The value of each touch pressure that the zones take, under the name by which it was given."""
+    if pressure_pa is None:
+        if zones.inputs != 2:
+            raise InputError(f"zones take {zones.inputs} pressures, not 2; give them all in pressure_pa.")
+        return {"proximal_pressure_pa": proximal_pressure_pa, "distal_pressure_pa": distal_pressure_pa}
+    rows = pressure_pa if isinstance(pressure_pa, list | tuple) else np.atleast_1d(pressure_pa)
+    if len(rows) != zones.inputs:
+        raise InputError(f"pressure_pa must hold {zones.inputs} inputs on its first axis, got {len(rows)}.")
+    return {f"pressure_pa[{i}]": row for i, row in enumerate(rows)}
 
 
 def wall_pressures(zones: Zones, touch_pa: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from nailoptics.errors import InputError, NotReachedError
 from nailoptics.hemodynamics import (
     NAMES,
     PAPER_ZONES,
+    Waveform,
     Zones,
     blood_fraction,
     cardiac_pressure,
@@ -86,15 +87,10 @@ def test_one_step_has_the_order_of_the_method():
     from nailoptics.hemodynamics import rodas
 
     # y' = -y^2 + t, as diag(d) + outer(p, q); local error of an order-4 method falls with h^5.
-    def slope(time, state):
-        return [-(state[0] ** 2) + time]
-
     def error(step_s):
-        after, estimate, first, second = rodas.step(
-            slope,
-            time=0.0,
+        middle, after, estimate, first, second = rodas.step(
+            lambda instant, state: [-(state[0] ** 2) + rodas.INSTANTS[instant] * step_s],
             state=[1.0],
-            slope_now=[-1.0],
             slope_in_time=[1.0],
             jacobian=([-1.0], [-0.5], [2.0]),
             step_s=step_s,
@@ -102,8 +98,8 @@ def test_one_step_has_the_order_of_the_method():
         exact = solve_ivp(
             lambda t, y: -(y**2) + t, (0, step_s), [1.0], "DOP853", rtol=1e-13, atol=1e-15, t_eval=[step_s / 2, step_s]
         )
-        middle = rodas.interpolate(1.0, after[0], first[0], second[0], 0.5)
-        return abs(after[0] - exact.y[0, 1]), abs(estimate[0]), abs(middle - exact.y[0, 0])
+        assert middle[0] == rodas.interpolate(1.0, after[0], first[0], second[0], 0.5)
+        return abs(after[0] - exact.y[0, 1]), abs(estimate[0]), abs(middle[0] - exact.y[0, 0])
 
     steps = np.array([0.05, 0.025, 0.0125])
     order = np.polyfit(np.log(steps), np.log([error(h) for h in steps]), 1)[0]
@@ -202,6 +198,45 @@ def test_times_of_output_do_not_change_the_motion():
     assert np.allclose(few["capillary_diameter_m"], many["capillary_diameter_m"][:, at], rtol=2e-6)
 
 
+def test_a_step_given_by_its_jump_does_not_depend_on_the_times_of_output():
+    p = parameters("best")
+    step = Waveform(time_s=[0.25, 0.25, 2.25, 2.25], pressure_pa=[0.0, 9e3, 9e3, 0.0])
+    at = np.array([0.0, 0.25, 0.5, 2.25, 2.4, 4.0])
+
+    def diameters(time):
+        run = respond(p, time, proximal_pressure_pa=step, distal_pressure_pa=step, start="steady")
+        return run["capillary_diameter_m"].sel(time=at).values
+
+    few, many, irregular = map(diameters, (at, np.linspace(0.0, 4.0, 4001), np.union1d(at, np.geomspace(0.1, 4, 77))))
+    assert np.array_equal(few, many) and np.array_equal(few, irregular)
+    # A ramp ever shorter comes ever nearer.
+    gaps = []
+    for ramp_s in (1e-3, 1e-5):
+        knots = [0.0, 0.25, 0.25 + ramp_s, 2.25, 2.25 + ramp_s, 4.0]
+        time = np.union1d(knots, at)
+        touch = np.interp(time, knots, [0.0, 0.0, 9e3, 9e3, 0.0, 0.0])
+        run = respond(p, time, proximal_pressure_pa=touch, distal_pressure_pa=touch)
+        gaps.append(np.abs(run["capillary_diameter_m"].sel(time=at).values / few - 1).max())
+    assert gaps[1] < 1e-5 < gaps[0] < 1e-1
+
+
+def test_a_jump_at_the_first_instant_starts_from_what_was_before_it():
+    p = parameters("figures")
+    step = Waveform(time_s=[0.0, 0.0], pressure_pa=[0.0, 5e3])
+    jump = respond(p, TIME, proximal_pressure_pa=step, start="steady")
+    untouched = respond(p, TIME, proximal_pressure_pa=5e3)
+    assert np.allclose(jump["capillary_diameter_m"], untouched["capillary_diameter_m"], rtol=1e-12)
+    assert np.array_equal(jump["proximal_pressure_pa"], np.full(TIME.size, 5e3))
+
+
+def test_waveforms_drive_zones_of_three_inputs():
+    cut = Zones(share=(1.0, 1.0), reach=((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)), vein_reach=(1.0, 0.0, 0.0))
+    step = Waveform(time_s=[1.0, 1.0], pressure_pa=[0.0, 3e3])
+    three = respond(parameters("listed"), TIME, zones=cut, pressure_pa=[press(2e3), step, 0.0])
+    two = respond(parameters("listed"), TIME, proximal_pressure_pa=press(2e3), distal_pressure_pa=step)
+    assert np.array_equal(three["capillary_diameter_m"], two["capillary_diameter_m"])
+
+
 def test_two_units_are_the_paper_bit_for_bit_and_eight_equal_ones_agree():
     p = parameters("listed")
     inputs = {"proximal_pressure_pa": press(1.2e4), "distal_pressure_pa": press(9e3)}
@@ -277,6 +312,8 @@ def test_a_tolerance_out_of_reach_is_said():
     from nailoptics.hemodynamics.walls import build_walls
 
     time, inputs = np.array([0.0, 1.0]), np.array([[1e4] * 2, [0.0] * 2, [0.0] * 2, [0.0] * 2, [5e3] * 2])
+    rows = [Waveform(time_s=time, pressure_pa=row) for row in inputs]
+    drive = Drive(rows, lambda values: values, begin_s=0.0, end_s=1.0)
     walls = build_walls(parameters("listed"), PAPER_ZONES)
     with pytest.raises(NotReachedError, match="more than 5 steps"):
-        massless.integrate(walls, Drive(time, inputs), time, np.array(walls.diameter), inputs, rtol=1e-9, most_steps=5)
+        massless.integrate(walls, drive, time, np.array(walls.diameter), inputs, rtol=1e-9, most_steps=5)
