@@ -1,14 +1,11 @@
 """The board bent onto the nail: its edges as angles and places, and what each cell above the nail is."""
 
-from dataclasses import dataclass
-from functools import cached_property
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..scene import Scene
-from ..scene.layout import Layout, Rectangle
+from ..scene.layout import Rectangle
 from .regions import AIR, BARRIER, COVER, EPOXY, KAPTON, REGIONS, SILICON
 from .surfaces import Array, FingerSurfaces
 
@@ -16,71 +13,40 @@ RIM_MM = 0.15  # width of the opaque epoxy around the board
 EDGE_MM = 0.01  # the rim ends this far before the nail's edges
 
 
-@dataclass(frozen=True)
 class BentBoard:
     """A board whose underside is a cylinder around the nail's axis.
 
     Positions across the board are arc lengths on that underside: a film that bends keeps its lengths there, and its
     dies keep their areas; on the nail's own face they would grow by the height over the radius.
+
+    layout : The flat board.
+    radius_mm : Radius of the underside. [mm]
+    heights_mm : (3,) float. Heights of underside, film and cover above the nail. [mm]
+    rim : The outline with the rim of opaque epoxy around it, as far as the nail carries it.
+    parts : Region and rectangle of each part in the film: LEDs, photodiodes, unwired elements.
+    regions : Names of all regions.
+    rectangles : Everything on the board that begins or ends somewhere.
     """
 
-    scene: Scene
-    surfaces: FingerSurfaces
-
-    @cached_property
-    def layout(self) -> Layout:
-        """The flat board."""
-        return self.scene.layout
-
-    @property
-    def height_mm(self) -> float:
-        """Height of the underside above the nail: clear epoxy and adhesive. [mm]"""
-        return (self.scene.board.clear_epoxy_um + self.scene.board.adhesive_um) * 1e-3
-
-    @property
-    def radius_mm(self) -> float:
-        """Radius of the underside. [mm]"""
-        return self.surfaces.finger.nail_radius_mm + self.height_mm
-
-    @property
-    def heights_mm(self) -> Array:
-        """Heights of underside, film and cover above the nail, (3,) float. [mm]"""
-        board = self.scene.board
-        return self.height_mm + np.array([0.0, board.kapton_um, board.kapton_um + board.cover_um]) * 1e-3
-
-    @cached_property
-    def rim(self) -> Rectangle:
-        """The outline with the rim of opaque epoxy around it, as far as the nail carries it."""
-        outline, surfaces = self.layout.outline, self.surfaces
+    def __init__(self, scene: Scene, surfaces: FingerSurfaces) -> None:
+        board, layout = scene.board, scene.layout
+        self.scene, self.layout = scene, layout
+        height_mm = (board.clear_epoxy_um + board.adhesive_um) * 1e-3  # below the underside
+        self.heights_mm = height_mm + np.array([0.0, board.kapton_um, board.kapton_um + board.cover_um]) * 1e-3
+        self.radius_mm = surfaces.finger.nail_radius_mm + height_mm
+        outline, v_end = layout.outline, surfaces.nail_end - EDGE_MM
         u_end = surfaces.nail_half_angle * self.radius_mm - EDGE_MM
-        v_end = surfaces.nail_end - EDGE_MM
-        return Rectangle(
+        self.rim = Rectangle(
             "rim",
             max(outline.u_min - RIM_MM, -u_end),
             min(outline.u_max + RIM_MM, u_end),
             max(outline.v_min - RIM_MM, -v_end),
             min(outline.v_max + RIM_MM, v_end),
         )
-
-    @cached_property
-    def parts(self) -> tuple[tuple[int, Rectangle], ...]:
-        """Region and rectangle of each part in the film: LEDs, photodiodes, unwired elements."""
-        layout, leds = self.layout, len(self.layout.leds)
-        named = [(len(REGIONS) + i, r) for i, r in enumerate(layout.leds)]
-        named += [(len(REGIONS) + leds + i, e.area) for i, e in enumerate(layout.photodiodes)]
-        return (*named, *((SILICON, r) for r in layout.unwired))
-
-    @property
-    def regions(self) -> tuple[str, ...]:
-        """Names of all regions."""
-        layout = self.layout
-        names = [f"led:{r.name}" for r in layout.leds] + [f"photodiode:{e.name}" for e in layout.photodiodes]
-        return (*REGIONS, *names)
-
-    @property
-    def rectangles(self) -> list[Rectangle]:
-        """Everything on the board that begins or ends somewhere."""
-        return [self.rim, self.layout.outline, *self.layout.barriers, *(r for _, r in self.parts)]
+        named = {f"led:{r.name}": r for r in layout.leds} | {f"photodiode:{e.name}": e.area for e in layout.photodiodes}
+        self.regions = (*REGIONS, *named)
+        self.parts = [*enumerate(named.values(), len(REGIONS)), *((SILICON, r) for r in layout.unwired)]
+        self.rectangles = [self.rim, outline, *layout.barriers, *(r for _, r in self.parts)]
 
     def labels(self, theta: Array, v: Array) -> NDArray[np.int32]:
         """Region of the three layers above the nail, (a, n, 3), in cells with middles theta (a,) [rad], v (n,) [mm]."""

@@ -11,7 +11,7 @@ from .board import BentBoard
 from .grid import Grid
 from .model import Face, Geometry
 from .nodes import BELOW, Nodes
-from .regions import REGIONS
+from .regions import SILICON
 from .surfaces import FingerSurfaces
 
 log = logging.getLogger(__name__)
@@ -35,16 +35,15 @@ def build(scene: Scene, *, resolution: float = 1.0) -> Geometry:
         raise InputError(f"resolution = {resolution:g}: must be between 0.1 and 10.")
     board, grid = _grid(scene, resolution)
     vertices, triangles, below, above = grid.interfaces()
-    parts = board.layout
-    first = len(REGIONS)
+    faces = [_face(grid, r.name, region) for region, r in board.parts if region != SILICON]
     geometry = Geometry(
         vertices=vertices,
         triangles=triangles,
         below=below,
         above=above,
         regions=board.regions,
-        leds=tuple(_face(grid, r.name, first + i) for i, r in enumerate(parts.leds)),
-        photodiodes=tuple(_face(grid, e.name, first + len(parts.leds) + i) for i, e in enumerate(parts.photodiodes)),
+        leds=tuple(faces[: len(scene.leds)]),
+        photodiodes=tuple(faces[len(scene.leds) :]),
         nail_radius_mm=scene.finger.nail_radius_mm,
         board_radius_mm=board.radius_mm,
         grid=grid,

@@ -89,38 +89,27 @@ def _clean(
     keep = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2 > MIN_AREA_MM2
     triangles, below, above = triangles[keep], below[keep], above[keep]
 
-    _, group, size = np.unique(np.sort(triangles, axis=1), axis=0, return_inverse=True, return_counts=True)
-    group = group.reshape(-1)
-    multiple = np.nonzero(size[group] > 1)[0]
-    if len(multiple):
-        triangles, below, above = _join(triangles, below, above, group, multiple)
+    below, above, keep = _join(triangles, below, above)
+    triangles, below, above = triangles[keep], below[keep], above[keep]
     used, flat = np.unique(triangles, return_inverse=True)
     return vertices[used], flat.reshape(-1, 3).astype(np.int32), below.astype(np.int32), above.astype(np.int32)
 
 
-def _join(
-    triangles: NDArray[np.int64], below: Indices, above: Indices, group: NDArray[np.int64], multiple: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], Indices, Indices]:
-    """Each stack of triangles on the same three vertices as one: what lies between them has no volume."""
-    below, above = below.copy(), above.copy()
-    drop: list[int] = []
-    stacks: dict[int, list[int]] = {}
-    for t in multiple.tolist():
-        stacks.setdefault(int(group[t]), []).append(t)
-    for stack in stacks.values():
-        first = stack[0]
-        corners = triangles[first].tolist()
-        turns = [corners, corners[1:] + corners[:1], corners[2:] + corners[:2]]
-        crossings: dict[int, int] = {}
-        for t in stack:
-            sign = 1 if triangles[t].tolist() in turns else -1
-            crossings[int(below[t])] = crossings.get(int(below[t]), 0) - sign
-            crossings[int(above[t])] = crossings.get(int(above[t]), 0) + sign
-        left = [r for r, count in crossings.items() if count == -1]
-        entered = [r for r, count in crossings.items() if count == 1]
-        drop += stack[1:]
-        if left and entered:
-            below[first], above[first] = left[0], entered[0]
-        else:
-            drop.append(first)
-    return np.delete(triangles, drop, axis=0), np.delete(below, drop), np.delete(above, drop)
+def _join(triangles: NDArray[np.int64], below: Indices, above: Indices) -> tuple[Indices, Indices, NDArray[np.bool_]]:
+    """Each stack of triangles on the same three vertices as one: what lies between them has no volume.
+
+    Returns: the regions (m,) below and above each triangle, and which triangles stay, (m,) bool.
+    """
+    _, first, stack = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True, return_inverse=True)
+    stack = stack.reshape(-1)
+    turned = (triangles[:, [1, 2, 0]] - triangles[:, [0, 1, 2]] > 0).sum(axis=1) == 1
+    # How often the way through a stack enters each region more than it leaves it.
+    entered = np.zeros((len(first), int(max(below.max(), above.max())) + 1), int)
+    np.add.at(entered, (stack, above), np.where(turned, -1, 1))
+    np.add.at(entered, (stack, below), np.where(turned, 1, -1))
+    below, above, keep = below.copy(), above.copy(), np.zeros(len(triangles), bool)
+    first, entered = first[entered.any(axis=1)], entered[entered.any(axis=1)]
+    low, high = entered.argmin(axis=1), entered.argmax(axis=1)
+    below[first], above[first] = np.where(turned[first], (high, low), (low, high))
+    keep[first] = True
+    return below, above, keep

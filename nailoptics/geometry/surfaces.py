@@ -1,7 +1,5 @@
 """The finger's surfaces: skin, nail, layers and bone as functions of the angle around it and the place along it."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,7 +32,6 @@ def signed_angle(phi: Array) -> Array:
     return np.remainder(phi + np.pi, 2 * np.pi) - np.pi
 
 
-@dataclass(frozen=True)
 class FingerSurfaces:
     """A fingertip around a nail that is a piece of a cylinder; lengths in mm.
 
@@ -44,82 +41,47 @@ class FingerSurfaces:
 
     Sizes are anatomy's (see the finger's fields); what is between them, the rounding of the tip, the bone's waist and
     base, is set by eye in proportion to these.
+
+    fold_rad : Angle over which the skin beside the nail leaves the nail's cylinder, at least. [rad]
+    nail_half_angle : Half of the angle that the nail spans around its axis. [rad]
+    deep, bed_radius : Depth and radius of the bed's lower face.
+    bone_half_height : Half thickness of the bone under the nail.
+    center_z : Height of the line around which sections are described.
+    nail_end : Place of the nail's free edge; its other end lies at -nail_end.
+    beyond_nail : How far the tip reaches beyond the nail.
+    tip, cut, bone_end : Places of the tip, of the proximal end of what is modelled, of the end of the distal phalanx.
     """
 
-    finger: Finger
-    fold_rad: float
-    """Angle over which the skin beside the nail leaves the nail's cylinder, at least. [rad]"""
-
-    def __post_init__(self) -> None:
-        finger, edge = self.finger, self.nail_half_angle
-        half_span = finger.nail_radius_mm * np.sin(edge)
+    def __init__(self, finger: Finger, fold_rad: float) -> None:
+        radius, thickness = finger.nail_radius_mm, finger.thickness_mm
+        self.finger, self.fold_rad = finger, fold_rad
+        self.nail_half_angle = finger.nail_width_mm / 2 / radius
+        self.deep = finger.nail_thickness_mm + finger.bed_thickness_mm
+        self.bed_radius = radius - self.deep
+        half_span = radius * np.sin(self.nail_half_angle)
         if half_span > 0.95 * finger.width_mm / 2:
             raise InputError(
                 f"finger.nail_width_mm = {finger.nail_width_mm:g} spans {2 * half_span:.2f} mm across a finger "
                 f"{finger.width_mm:g} mm wide; at most {0.95 * finger.width_mm:.2f}: make the nail narrower."
             )
-        drop = finger.nail_radius_mm * (1 - np.cos(edge))
-        if drop > 0.5 * finger.thickness_mm:
+        drop = radius * (1 - np.cos(self.nail_half_angle))
+        if drop > 0.5 * thickness:
             raise InputError(
-                f"finger.nail_radius_mm = {finger.nail_radius_mm:g} bends the nail down by {drop:.2f} mm at its "
-                f"sides, more than half of thickness_mm = {finger.thickness_mm:g}; make the nail narrower or flatter."
+                f"finger.nail_radius_mm = {radius:g} bends the nail down by {drop:.2f} mm at its "
+                f"sides, more than half of thickness_mm = {thickness:g}; make the nail narrower or flatter."
             )
-        if self.bed_radius < 0.15 * finger.nail_radius_mm:
+        if self.bed_radius < 0.15 * radius:
             raise InputError(
                 f"finger: nail_thickness_mm + bed_thickness_mm = {self.deep:g} reaches the axis of a nail of radius "
-                f"{finger.nail_radius_mm:g} mm; make them thinner."
+                f"{radius:g} mm; make them thinner."
             )
-
-    @property
-    def nail_half_angle(self) -> float:
-        """Half of the angle that the nail spans around its axis. [rad]"""
-        return self.finger.nail_width_mm / 2 / self.finger.nail_radius_mm
-
-    @property
-    def deep(self) -> float:
-        """Depth of the bed's lower face."""
-        return self.finger.nail_thickness_mm + self.finger.bed_thickness_mm
-
-    @property
-    def bed_radius(self) -> float:
-        """Radius of the bed's lower face."""
-        return self.finger.nail_radius_mm - self.deep
-
-    @property
-    def bone_half_height(self) -> float:
-        """Half thickness of the bone under the nail."""
-        thickness = self.finger.thickness_mm
-        return min(0.17 * thickness, 0.3 * (thickness - self.deep), 0.8 * self.bed_radius)
-
-    @property
-    def center_z(self) -> float:
-        """Height of the line around which sections are described."""
-        return -(self.deep + self.bone_half_height)
-
-    @property
-    def nail_end(self) -> float:
-        """Place of the nail's free edge; its other end lies at -nail_end."""
-        return self.finger.nail_length_mm / 2
-
-    @property
-    def beyond_nail(self) -> float:
-        """How far the tip reaches beyond the nail."""
-        return float(np.clip(0.15 * self.finger.thickness_mm, 1.0, 2.0))
-
-    @property
-    def tip(self) -> float:
-        """Place of the tip."""
-        return self.nail_end + self.beyond_nail
-
-    @property
-    def cut(self) -> float:
-        """Place of the proximal end of what is modelled."""
-        return self.tip - self.finger.length_mm
-
-    @property
-    def bone_end(self) -> float:
-        """Place of the end of the distal phalanx."""
-        return self.tip - self.finger.bone_to_tip_mm
+        self.bone_half_height = min(0.17 * thickness, 0.3 * (thickness - self.deep), 0.8 * self.bed_radius)
+        self.center_z = -(self.deep + self.bone_half_height)
+        self.nail_end = finger.nail_length_mm / 2
+        self.beyond_nail = float(np.clip(0.15 * thickness, 1.0, 2.0))
+        self.tip = self.nail_end + self.beyond_nail
+        self.cut = self.tip - finger.length_mm
+        self.bone_end = self.tip - finger.bone_to_tip_mm
 
     def skin(self, phi: Array, y: Array) -> Array:
         """Distance from the central line to the skin (or nail), for angles and places that broadcast."""
