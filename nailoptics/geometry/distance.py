@@ -107,8 +107,7 @@ def _samples(corners: Array, radius: float) -> Array:
 def _inside(geometry: Geometry, grid: DistanceGrid) -> NDArray[np.bool_]:
     """Which centres lie in some region other than air, (nx, ny, nz) bool."""
     shape = grid.distance_mm.shape
-    columns = np.stack(np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij"), axis=-1).reshape(-1, 2)
-    rays = grid.origin_mm[:2] + grid.spacing_mm * (columns + 0.5)
+    rays = grid.origin_mm[:2] + grid.spacing_mm * (np.argwhere(np.ones(shape[:2])) + 0.5)
     outer = (geometry.below == AIR) | (geometry.above == AIR)
     triangles = geometry.triangles[outer]
     found = cast(geometry.vertices, triangles, rays)

@@ -1,6 +1,6 @@
 """Grid lines along one axis: every required edge, and steps between them."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ def grid_lines(
     *,
     wanted: Iterable[float] = (),
     step: Callable[[float], float],
-    closed: Iterable[tuple[float, float]] = (),
+    closed: Sequence[tuple[float, float]] = (),
 ) -> NDArray[np.float64]:
     """Lines through every required place, with gaps of at most a step between them.
 
@@ -29,15 +29,14 @@ def grid_lines(
     for place in sorted(required):
         if not lines or place - lines[-1] > MERGE_MM:
             lines.append(place)
-    spans = list(closed)
 
     def is_closed(place: float) -> bool:
-        return any(low < place < high for low, high in spans)
+        return any(low < place < high for low, high in closed)
 
     for place in sorted(wanted):
-        if lines[0] < place < lines[-1] and not is_closed(place):
-            if min(abs(place - line) for line in lines) > 0.25 * step(place):
-                lines.append(place)
+        clear = min(abs(place - line) for line in lines) > 0.25 * step(place)
+        if lines[0] < place < lines[-1] and clear and not is_closed(place):
+            lines.append(place)
     lines.sort()
     result = lines[:1]
     for low, high in zip(lines, lines[1:], strict=False):

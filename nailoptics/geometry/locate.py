@@ -35,9 +35,8 @@ class Locator:
     def region_at(self, points: Array) -> Indices:
         """Region (k,) at points (k, 3)."""
         points = np.asarray(points, float).reshape(-1, 3)
-        if not len(points):
-            return np.empty(0, np.int32)
-        return np.concatenate([self._chunk(points[i : i + CHUNK]) for i in range(0, len(points), CHUNK)])
+        chunks = (self._chunk(points[i : i + CHUNK]) for i in range(0, len(points), CHUNK))
+        return np.concatenate([np.empty(0, np.int32), *chunks])
 
     def _chunk(self, points: Array) -> Indices:
         row = np.searchsorted(self.rows, points[:, 1], side="right") - 1

@@ -56,7 +56,7 @@ def findings(found: Sequence[Reading], result: xr.Dataset) -> list[tuple[str, st
         words = f"force that one sample resolves at best (noise / slope): {name(r)}"
         lines.append((quantity(r.resolution_n, "N"), words))
     if any(r.change_v for r in found):
-        lines.append(_signs(found, paired="volts_change_stderr" in result))
+        lines.append(_signs(found))
     lines.append(_models(found, result))
     return lines
 
@@ -85,17 +85,14 @@ def reached(result: xr.Dataset) -> list[tuple[str, str]]:
     return [(label, value) for label, value in rows.items() if value]
 
 
-def _signs(found: Sequence[Reading], *, paired: bool) -> tuple[str, str]:
-    """Whether each zone's readings move the way that the paper saw: proximal down, distal up.
-
-    paired : whether the errors are those of changes; an upper bound would say little about how sure a sign is.
-    """
+def _signs(found: Sequence[Reading]) -> tuple[str, str]:
+    """Whether each zone's readings move the way that the paper saw: proximal down, distal up."""
     expected = {"proximal": -1, "distal": 1}
     judged = [r for r in found if r.zone in expected]
     right = [r for r in judged if np.sign(r.change_v) == expected[r.zone]]
     words = "readings move as in the paper, proximal ones down and distal ones up"
     least = min((r.sigmas for r in right), default=math.nan)
-    if paired and math.isfinite(least):
+    if math.isfinite(least):
         words += f", by {significant(least, 2)} σ of the trace or more"
     wrong = [r.photodiode for r in judged if r not in right]
     if right and 0 < len(wrong) < 4:

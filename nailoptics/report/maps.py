@@ -11,7 +11,7 @@ from ..scene import Scene
 from ..scene.layout import Rectangle
 from ..tissue.blood_zones import BloodZones
 from . import style
-from .readings import centres_mm, led_name, order_along_nail
+from .readings import coloured_along_nail, led_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,14 +59,14 @@ def draw_rectangle(axes: "Axes", r: Rectangle, *, turned: bool = False, **look: 
 
 
 @style.drawing()
-def top_view(scene: Scene, result: xr.Dataset) -> "Figure":
+def top_view(scene: Scene) -> "Figure":
     """The board on the nail, seen from above and rolled flat: what is where, and which blood lies below."""
     figure, axes = style.panels(6.4, 6.0)
-    draw_top_view(axes, scene, result)
+    draw_top_view(axes, scene)
     return figure
 
 
-def draw_top_view(axes: "Axes", scene: Scene, result: xr.Dataset) -> None:
+def draw_top_view(axes: "Axes", scene: Scene) -> None:
     """Draw the top view into axes."""
     assert scene.finger is not None
     layout, finger = scene.layout, scene.finger
@@ -79,9 +79,8 @@ def draw_top_view(axes: "Axes", scene: Scene, result: xr.Dataset) -> None:
         draw_rectangle(axes, wall, zorder=3, fc=BARRIER, lw=0)
     for element in layout.unwired:
         draw_rectangle(axes, element, zorder=3, fc="#c9ccd0", ec="#70767d", lw=0.5)
-    colours = dict(zip(order_along_nail(result, scene), style.place_colours(len(layout.photodiodes)), strict=False))
-    for j, wired in enumerate(layout.photodiodes):
-        draw_rectangle(axes, wired.area, zorder=4, fc=colours.get(j, SILICON), ec=style.DARK_INK, lw=0.6)
+    for colour, j in coloured_along_nail(scene, len(layout.photodiodes)):
+        draw_rectangle(axes, layout.photodiode_areas[j], zorder=4, fc=colour, ec=style.DARK_INK, lw=0.6)
     for led in layout.leds:
         draw_rectangle(axes, led, zorder=4, fc=LED, ec=style.DARK_INK, lw=0.8)
     _label_parts(axes, scene, half_v)
@@ -136,24 +135,17 @@ def _label_parts(axes: "Axes", scene: Scene, half_v: float) -> None:
 
 @dataclass(frozen=True)
 class _Cut:
-    """The finger cut lengthwise: middles of the pixels, the region of each (y, z), and the regions' names if known."""
+    """The finger cut lengthwise: middles of the pixels along y and z, and the name of the region of each (y, z)."""
 
     y: np.ndarray
     z: np.ndarray
     region: np.ndarray
-    names: list[str]
 
     @classmethod
     def of(cls, result: xr.Dataset) -> "_Cut":
-        y, z = result.section_y.to_numpy(), result.section_z.to_numpy()
-        if "section_region" not in result:
-            return cls(y, z, np.full((len(y), len(z)), -1), [])
-        region = result.section_region.transpose("section_y", "section_z").to_numpy()
-        return cls(y, z, region, [str(name) for name in json.loads(result.section_region.attrs["regions"])])
-
-    def where(self, name: str) -> np.ndarray:
-        """Which pixels a region fills."""
-        return self.region == self.names.index(name) if name in self.names else np.zeros(self.region.shape, bool)
+        names = np.array(json.loads(result.section_region.attrs["regions"]))
+        region = names[result.section_region.transpose("section_y", "section_z").to_numpy()]
+        return cls(result.section_y.to_numpy(), result.section_z.to_numpy(), region)
 
 
 @style.drawing()
@@ -181,9 +173,8 @@ def draw_section(axes: "Axes", scene: Scene | None, result: xr.Dataset, *, led: 
     if "path_density" in result:
         _paths(axes, cut, result.path_density.isel(led=led).transpose("section_y", "section_z").to_numpy())
         axes.set_title(style.plain(f"Paths of the light of {led_name(result, led)}"))
-    _outlines(axes, cut)
-    _layer_names(axes, cut, low_y, low_z)
-    _parts_above(axes, scene, result, led, high_z)
+    _layers(axes, cut, low_y, low_z)
+    _parts_above(axes, scene, led, high_z)
     axes.set(xlim=(low_y, high_y), ylim=(low_z, high_z))
 
 
@@ -225,46 +216,41 @@ def _regions(axes: "Axes", cut: _Cut) -> None:
 
     axes.set(aspect="equal", xlabel=ALONG, ylabel="height [mm]")
     axes.grid(False)
-    if cut.names:
-        colours = [LED if name.startswith("led:") else TISSUE.get(name, SILICON) for name in cut.names]
-        image = np.array([to_rgba(colour) for colour in colours])[cut.region].transpose(1, 0, 2)
-        axes.imshow(image, extent=extent(cut.y, cut.z), origin="lower", zorder=1)
+    names, index = np.unique(cut.region, return_inverse=True)
+    colours = [to_rgba(LED if name.startswith("led:") else TISSUE.get(name, SILICON)) for name in names]
+    image = np.array(colours)[index.reshape(cut.region.shape)].transpose(1, 0, 2)
+    axes.imshow(image, extent=extent(cut.y, cut.z), origin="lower", zorder=1)
 
 
-def _outlines(axes: "Axes", cut: _Cut) -> None:
-    """Draw the borders of plate, bed and bone over the light."""
-    for name in LAYERS:
-        here = cut.where(name).astype(float)
-        if here.any():
-            axes.contour(cut.y, cut.z, here.T, levels=[0.5], colors=["#ffffff"], linewidths=1.6, alpha=0.55, zorder=4)
-            axes.contour(cut.y, cut.z, here.T, levels=[0.5], colors=[style.DARK_INK], linewidths=0.7, zorder=4)
-
-
-def _layer_names(axes: "Axes", cut: _Cut, left: float, bottom: float) -> None:
-    """Name the layers where they meet the left edge."""
+def _layers(axes: "Axes", cut: _Cut, left: float, bottom: float) -> None:
+    """Draw the borders of plate, bed and bone over the light, and name these where they meet the left edge."""
     column = int(np.argmin(np.abs(cut.y - (left + 0.1))))
     for name in LAYERS:
-        heights = cut.z[cut.where(name)[column] & (cut.z > bottom)]
+        here = cut.region == name
+        if here.any():
+            border: dict[str, Any] = {"levels": [0.5], "zorder": 4}
+            axes.contour(cut.y, cut.z, here.T, colors=["#ffffff"], linewidths=1.6, alpha=0.55, **border)
+            axes.contour(cut.y, cut.z, here.T, colors=[style.DARK_INK], linewidths=0.7, **border)
+        heights = cut.z[here[column] & (cut.z > bottom)]
         if heights.size:
             axes.text(left + 0.12, heights.mean(), name, fontsize=8, color=style.DARK_INK, va="center", zorder=6)
 
 
-def _parts_above(axes: "Axes", scene: Scene | None, result: xr.Dataset, led: int, top: float) -> None:
+def _parts_above(axes: "Axes", scene: Scene | None, led: int, top: float) -> None:
     """Mark above the board where photodiodes and the LED lie along it; they need not lie in the section."""
-    centres = centres_mm(result, scene)
-    if scene is None or centres is None:
+    if scene is None:
         return
-    order = order_along_nail(result, scene)
-    for colour, j in zip(style.place_colours(len(order)), order, strict=True):
-        area = scene.layout.photodiodes[j].area
+    for colour, j in coloured_along_nail(scene, len(scene.layout.photodiodes)):
+        area = scene.layout.photodiode_areas[j]
         axes.plot([area.v_min, area.v_max], [top - 0.2] * 2, color=colour, lw=5, solid_capstyle="butt", zorder=6)
-    axes.plot([centres[0][led, 1]], [top - 0.55], marker="v", color=LED, mec=style.DARK_INK, mew=0.7, ms=8, zorder=7)
+    v = scene.layout.leds[led].center_mm[1]
+    axes.plot([v], [top - 0.55], marker="v", color=LED, mec=style.DARK_INK, mew=0.7, ms=8, zorder=7)
 
 
 def _close_view(scene: Scene | None, cut: _Cut) -> tuple[float, float, float, float]:
     """Box (y low, y high, z low, z high) around the board and what its light can reach. [mm]"""
     low_y, high_y, low_z, high_z = extent(cut.y, cut.z)
-    if scene is None or scene.finger is None:
+    if scene is None:
         return low_y, high_y, low_z, high_z
     outline, board = scene.layout.outline, scene.board
     cover = (board.adhesive_um + board.clear_epoxy_um + board.kapton_um + board.cover_um) * 1e-3
@@ -275,10 +261,7 @@ def _key(axes: "Axes", cut: _Cut) -> None:
     """A key of the regions' colours."""
     from matplotlib.patches import Patch
 
-    if not cut.names:
-        return
-    names = [cut.names[i] for i in np.unique(cut.region)]
     label = {"epoxy": "clear epoxy", "cut": "cut end", "cover": "opaque cover"}
-    shown = [name for name in names if name in TISSUE and name != "air"]
+    shown = [name for name in TISSUE if name != "air" and (cut.region == name).any()]
     handles = [Patch(fc=TISSUE[name], ec=style.MUTED, lw=0.5, label=label.get(name, name)) for name in shown]
     axes.legend(handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -20,9 +20,9 @@ def readme_picture(result: xr.Dataset, path: Path) -> None:
         figure.set_facecolor("white")
         grid = figure.add_gridspec(2, 2, width_ratios=[5.2, 6.6], height_ratios=[1.0, 1.05])
         board, change = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[1, 1])
-        maps.draw_top_view(board, scene, result)
+        maps.draw_top_view(board, scene)
         board.set_title("The board on the nail")
-        if "section_region" in result or "path_density" in result:
+        if "section_region" in result:
             cut = figure.add_subplot(grid[0, 1])
             maps.draw_section(cut, scene, result, led=0)
             cut.set_title("Its light in the finger, cut lengthwise")

@@ -7,6 +7,7 @@ import xarray as xr
 
 from ..scene import Scene
 from . import maps, style
+from .readings import coloured_along_nail
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,12 +45,10 @@ def ranking_figure(result: xr.Dataset) -> "Figure":
 
 
 @style.drawing()
-def board_figure(scene: Scene, result: xr.Dataset) -> "Figure":
+def board_figure(scene: Scene) -> "Figure":
     """The best layout from above."""
-    names = list(scene.layout.photodiode_names)
-    shown = xr.Dataset(coords={"led": [led.name for led in scene.leds], "photodiode": names})
     figure, axes = style.panels(9.2, 6.4)
-    maps.draw_top_view(axes, scene, shown)
+    maps.draw_top_view(axes, scene)
     # Boards may be as wide as the nail, and their labels want room beside it.
     low, high = axes.get_xlim()
     axes.set_xlim(low - 2.6, high + 1.2)
@@ -170,16 +169,14 @@ def banana_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     v, u, depth = (result[name].to_numpy() for name in ("under_v", "under_u", "depth"))
     cut, above = seen.sum("under_u").to_numpy(), in_bed.sum("depth").to_numpy()
     layers = (("plate", "plate", 0.0, bed[0]), ("bed", "bed", *bed), ("below", "bone", bed[1], depth[-1]))
-    # From the most proximal to the most distal.
-    order = sorted(range(len(layout.photodiodes)), key=lambda j: layout.photodiodes[j].area.center_mm[::-1])
-    colours = list(zip(style.place_colours(len(order)), order, strict=True))
+    colours = coloured_along_nail(scene, len(layout.photodiodes))
     figure, (section, plan) = style.panels(9.2, 8.4, 2, height_ratios=[2.6, 4.6])
     for name, tissue, top, bottom in layers:
         section.axhspan(top, bottom, color=maps.TISSUE[tissue], lw=0, zorder=0)
         section.text(v[0] + 0.1, (top + bottom) / 2, name, fontsize=8, color=style.DARK_INK, va="center", zorder=6)
     _bananas(section, v, depth, cut, colours)
     for colour, j in colours:
-        area = layout.photodiodes[j].area
+        area = layout.photodiode_areas[j]
         section.plot([area.v_min, area.v_max], [-0.12] * 2, color=colour, lw=5, solid_capstyle="butt")
     section.plot([layout.leds[0].center_mm[1]], [-0.32], "v", color=maps.LED, mec=style.DARK_INK, mew=0.7, ms=8)
     section.set(xlim=(v[0], v[-1]), ylim=(depth[-1], -0.5), aspect="equal", xlabel=maps.ALONG, ylabel="depth [mm]")

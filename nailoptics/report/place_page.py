@@ -50,7 +50,7 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
     if result.sizes["led_site"]:
         maps += _figure("tried", figures.sites_figure(result))
     layout = [
-        _figure("board", figures.board_figure(best, result)),
+        _figure("board", figures.board_figure(best)),
         _photodiodes(result),
         "<h3>Where each photodiode looks</h3>" + _figure("bananas", figures.banana_figure(best, result)),
         "<h3>Light from outside</h3>" + _ambient(result),

@@ -2,11 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import xarray as xr
 
 from ..scene import Scene
+from . import style
 
 
 def hold_end(result: xr.Dataset) -> int:
@@ -62,51 +64,31 @@ def _ratio(value: float, by: float) -> float:
     return float("inf") if value > 0 else float("nan")
 
 
-def change_v(result: xr.Dataset) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Change of every reading from rest and its standard error, (led, photodiode, time) each; whether that is a bound.
-
-    All times are read from one trace and share its noise, so the error of a change is far less than that of a reading;
-    `volts_change_stderr` holds it. Without that variable the two errors are added as if independent: an upper bound.
-    """
-    bounded = "volts_change_stderr" not in result
-    names = ("volts", "volts_stderr" if bounded else "volts_change_stderr")
-    volts, stderr = (result[name].transpose("led", "photodiode", "time").to_numpy() for name in names)
-    change = volts - volts[..., :1]
-    if not bounded:
-        return change, stderr, False
-    bound = np.sqrt(stderr**2 + stderr[..., :1] ** 2)
-    bound[..., 0] = 0.0
-    return change, bound, True
-
-
 def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> list[Reading]:
     """Every LED and photodiode, LED by LED, photodiodes from proximal to distal."""
-    hold = hold_end(result)
-    change, change_stderr, _ = change_v(result)
-    at_rest, at_hold = result.isel(time=0), result.isel(time=hold)
-    moved_n = float(at_hold.force_n - at_rest.force_n)
-    centres = centres_mm(result, scene)
-    saturated = result.saturated.any("time")
+    rest, held = result.isel(time=0), result.isel(time=hold_end(result))
     found = []
-    for i, led in enumerate(result.led.values):
-        for j in order_along_nail(result, scene):
-            found.append(
-                Reading(
-                    led=str(led),
-                    photodiode=str(result.photodiode.values[j]),
-                    led_index=i,
-                    photodiode_index=j,
-                    zone=str(result.zone.values[int(result.zone_of_photodiode[j])]),
-                    distance_mm=float(np.linalg.norm(centres[0][i] - centres[1][j])) if centres else math.nan,
-                    rest_v=float(at_rest.volts[i, j]),
-                    rest_stderr_v=float(at_rest.volts_stderr[i, j]),
-                    noise_rms_v=float(at_hold.volts_noise_rms[i, j]),
-                    change_v=float(change[i, j, hold]),
-                    change_stderr_v=float(change_stderr[i, j, hold]),
-                    force_change_n=moved_n,
-                    saturated=bool(saturated[i, j]),
-                )
+    for i, j in product(range(result.sizes["led"]), order_along_nail(scene, result.sizes["photodiode"])):
+        distance_mm = math.nan
+        if scene is not None:
+            distance_mm = math.dist(scene.layout.leds[i].center_mm, scene.layout.photodiode_areas[j].center_mm)
+        found.append(
+            Reading(
+                led=str(result.led.values[i]),
+                photodiode=str(result.photodiode.values[j]),
+                led_index=i,
+                photodiode_index=j,
+                zone=str(result.zone.values[int(result.zone_of_photodiode[j])]),
+                distance_mm=distance_mm,
+                rest_v=float(rest.volts[i, j]),
+                rest_stderr_v=float(rest.volts_stderr[i, j]),
+                noise_rms_v=float(held.volts_noise_rms[i, j]),
+                change_v=float(held.volts_change[i, j]),
+                change_stderr_v=float(held.volts_change_stderr[i, j]),
+                force_change_n=float(held.force_n - rest.force_n),
+                saturated=bool(result.saturated[i, j].any()),
             )
+        )
     return found
 
 
@@ -115,19 +97,14 @@ def led_name(result: xr.Dataset, led: int) -> str:
     return f"LED {result.led.values[led]}, {float(result.wavelength_nm[led]):g} nm"
 
 
-def centres_mm(result: xr.Dataset, scene: Scene | None) -> tuple[np.ndarray, np.ndarray] | None:
-    """Centres of LEDs and of photodiodes on the board, (n, 2) each; None where the scene is not the result's. [mm]"""
-    if scene is None or scene.finger is None:
-        return None
-    leds = np.array([r.center_mm for r in scene.layout.leds])
-    photodiodes = np.array([e.area.center_mm for e in scene.layout.photodiodes])
-    fits = len(leds) == result.sizes["led"] and len(photodiodes) == result.sizes["photodiode"]
-    return (leds, photodiodes) if fits else None
+def order_along_nail(scene: Scene | None, count: int) -> list[int]:
+    """Indices of so many photodiodes from the most proximal to the most distal; as they come where no scene says."""
+    if scene is None:
+        return list(range(count))
+    areas = scene.layout.photodiode_areas
+    return sorted(range(count), key=lambda j: areas[j].center_mm[1])
 
 
-def order_along_nail(result: xr.Dataset, scene: Scene | None) -> list[int]:
-    """Indices of the photodiodes from the most proximal to the most distal."""
-    centres = centres_mm(result, scene)
-    if centres is None:
-        return list(range(result.sizes["photodiode"]))
-    return [int(i) for i in np.argsort(centres[1][:, 1], kind="stable")]
+def coloured_along_nail(scene: Scene | None, count: int) -> list[tuple[str, int]]:
+    """Colour and index of each of so many photodiodes, from the most proximal to the most distal."""
+    return list(zip(style.place_colours(count), order_along_nail(scene, count), strict=True))

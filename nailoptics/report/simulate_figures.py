@@ -8,7 +8,7 @@ import xarray as xr
 from ..scene import Scene
 from . import style
 from .numbers import prefix, quantity, with_error
-from .readings import change_v, hold_end, led_name, order_along_nail
+from .readings import coloured_along_nail, hold_end, led_name, order_along_nail
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -87,16 +87,15 @@ def overview(result: xr.Dataset, scene: Scene | None) -> "Figure":
 
 def draw_change(axes: "Axes", result: xr.Dataset, scene: Scene | None, *, led: int) -> None:
     """Draw the change of every photodiode from rest under one LED into axes, with its value at the hold's end."""
-    order = order_along_nail(result, scene)
-    change, _, _ = change_v(result)
-    hold = hold_end(result)
+    photodiodes = coloured_along_nail(scene, result.sizes["photodiode"])
+    change, hold = result.volts_change, hold_end(result)
     hold_s = float(result.time[hold])
     scale, letter = prefix(float(np.abs(change).max()))
     seen = _thin(result)
     axes.axhline(0, color=style.MUTED, lw=0.8)
-    for colour, j in zip(style.place_colours(len(order)), order, strict=True):
-        label = f"{result.photodiode.values[j]}  {quantity(change[led, j, hold], 'V', sign=True)}"
-        _line(axes, seen, change[led, j, seen.attrs["samples"]] / scale, color=colour, label=style.plain(label))
+    for colour, j in photodiodes:
+        label = f"{result.photodiode.values[j]}  {quantity(float(change[led, j, hold]), 'V', sign=True)}"
+        _line(axes, seen, seen.volts_change[led, j] / scale, color=colour, label=style.plain(label))
     axes.axvline(hold_s, color=style.MUTED, lw=0.8, ls=(0, (2, 2)))
     axes.set(title=style.plain(led_name(result, led)), ylabel=f"change from rest [{letter}V]")
     _not_too_close(axes)
@@ -109,7 +108,7 @@ def draw_change(axes: "Axes", result: xr.Dataset, scene: Scene | None, *, led: i
         loc="center left",
         bbox_to_anchor=(1.0, 0.5),
         title=f"at {hold_s:.3g} s",
-        ncols=1 + (len(order) - 1) // 16,
+        ncols=1 + (len(photodiodes) - 1) // 16,
     )
 
 
@@ -121,7 +120,7 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
     the change from rest, the outer one the electronics' noise of one sample; the trace's error of the level, which
     all samples share, is a number in the title.
     """
-    order = order_along_nail(result, scene)
+    order = order_along_nail(scene, result.sizes["photodiode"])
     if len(order) > PANELS:
         order = [order[k] for k in np.linspace(0, len(order) - 1, PANELS).round().astype(int)]
     rows, columns = -(-len(order) // 2), min(len(order), 2)
@@ -130,9 +129,7 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
     figure, grid = style.panels(9.2, height_in, 2 * rows, columns, sharex=True, squeeze=False, height_ratios=ratios)
     missed_v = [np.abs(result[f"volts_{name}"] - result.volts)[led, order].max() for name in MODELS]
     missed_scale, missed_letter = prefix(max(*map(float, missed_v), float(result.volts_noise_rms[led].max())))
-    _, stderr, bound = change_v(result)
     seen, rest = _thin(result).isel(led=led), result.isel(led=led, time=0)
-    error_name = "error of the trace" + (", at most" if bound else "")
     for k, (j, colour) in enumerate(zip(order, style.place_colours(len(order)), strict=True)):
         column, row = divmod(k, rows)
         main, below = grid[2 * row : 2 * row + 2, column]
@@ -141,8 +138,8 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
         middle, noise_v = one.volts.to_numpy() / scale, one.volts_noise_rms.to_numpy()
         below.axhline(0, color=style.MUTED, lw=0.7)
         if one.sizes["time"] > 1:
-            error_v = stderr[led, j, seen.attrs["samples"]]
-            for band_v, alpha, label in ((noise_v, 0.2, "noise (rms)"), (error_v, 0.45, error_name)):
+            error_v = one.volts_change_stderr.to_numpy()
+            for band_v, alpha, label in ((noise_v, 0.2, "noise (rms)"), (error_v, 0.45, "error of the trace")):
                 low, high = middle - band_v / scale, middle + band_v / scale
                 main.fill_between(one.time, low, high, color=colour, alpha=alpha, lw=0, label=label)
             noise = noise_v / missed_scale
@@ -170,10 +167,9 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
 
 
 def _thin(result: xr.Dataset) -> xr.Dataset:
-    """At most SAMPLES times, the first and the last among them; attribute `samples` says which."""
+    """At most SAMPLES times, the first and the last among them."""
     count = result.sizes["time"]
-    index = np.unique(np.linspace(0, count - 1, min(count, SAMPLES)).round().astype(int))
-    return result.isel(time=index).assign_attrs(samples=index)
+    return result.isel(time=np.unique(np.linspace(0, count - 1, min(count, SAMPLES)).round().astype(int)))
 
 
 def _line(axes: "Axes", over: xr.Dataset, values: object, **look: Any) -> None:

@@ -11,7 +11,7 @@ from ..scene import Scene, parse_scene
 from . import findings, maps, simulate_figures, tables
 from .html import document, escaped, figure, section, small
 from .numbers import significant
-from .readings import Reading, change_v, hold_end, photodiode_readings
+from .readings import Reading, hold_end, photodiode_readings
 
 TOUCH = "The force over time, and the pressures that it puts on the vessels."
 VESSELS = (
@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 def write_report(result: xr.Dataset, path: Path) -> None:
     """Write the page of a simulated touch, whole or not at all.
 
-    result : what `studies.simulate` returns; path density, section and fit notes may be missing.
+    result : what `studies.simulate` returns; path density and section may be missing.
     path : the HTML file, replaced if it exists.
 
     Raises: WriteError where the file cannot be written.
@@ -56,13 +56,6 @@ def page(result: xr.Dataset) -> str:
 
 
 def _readings_section(result: xr.Dataset, scene: Scene | None, found: list[Reading]) -> str:
-    _, _, bound = change_v(result)
-    hold_s = float(result.time[hold_end(result)])
-    error = (
-        "Errors of a change are upper bounds: those of its two readings, which share the trace's noise, added."
-        if bound
-        else "Both states of a change are read from one trace, so its error is far below that of a level."
-    )
     return section(
         "What the photodiodes read",
         figure(
@@ -71,25 +64,26 @@ def _readings_section(result: xr.Dataset, scene: Scene | None, found: list[Readi
             "Change of every photodiode from rest while the finger is pressed. Warm colours lie proximal, cool ones "
             "distal. The dotted line marks the end of the hold, at which the table below is read.",
         ),
-        tables.readings_table(found, hold_s, bound=bound),
+        tables.readings_table(found, float(result.time[hold_end(result)])),
         small(
-            f"± is one standard error of the light tracing, and σ counts a change in them. {error} Noise "
-            "is that of the electronics and the converter in one sample; a sample resolves the force that equals its "
-            "noise, by the mean slope from rest to the end of the hold."
+            "± is one standard error of the light tracing, and σ counts a change in them. Both states of a change are "
+            "read from one trace, so its error is far below that of a level. Noise is that of the electronics and the "
+            "converter in one sample; a sample resolves the force that equals its noise, by the mean slope from rest "
+            "to the end of the hold."
         ),
     )
 
 
 def _space_section(result: xr.Dataset, scene: Scene | None) -> str:
     board = ""
-    if scene is not None and scene.finger is not None:
+    if scene is not None:
         text = (
             "The board on the nail, from above and rolled flat. The tint of the nail shows which blood lies below; "
             "between the dotted lines one passes into the other."
         )
-        board = figure(maps.top_view(scene, result), "top", text, narrow=True)
+        board = figure(maps.top_view(scene), "top", text, narrow=True)
     cut = small("The section of the finger was not computed.")
-    if "section_region" in result or "path_density" in result:
+    if "section_region" in result:
         text = "The section along the middle of the nail."
         if "path_density" in result:
             text += (

@@ -19,7 +19,7 @@ def number(value: float, text: str) -> str:
     return f'<data value="{value!r}">{shown}</data>' if math.isfinite(value) else shown
 
 
-def readings_table(found: Sequence[Reading], hold_s: float, *, bound: bool) -> str:
+def readings_table(found: Sequence[Reading], hold_s: float) -> str:
     """The readings of every photodiode, LED by LED."""
     volts, letter = prefix(max((abs(r.rest_v) for r in found), default=0.0))
     change, change_letter = prefix(max((abs(r.change_v) for r in found), default=0.0))
@@ -35,7 +35,7 @@ def readings_table(found: Sequence[Reading], hold_s: float, *, bound: bool) -> s
             number(r.rest_v, with_error(r.rest_v / volts, r.rest_stderr_v / volts)),
             number(r.change_v, with_error(r.change_v / change, r.change_stderr_v / change, sign=True)),
             number(r.change_percent, significant(r.change_percent, 3, sign=True)),
-            number(r.sigmas, ("> " if bound else "") + significant(r.sigmas, 2)),
+            number(r.sigmas, significant(r.sigmas, 2)),
             number(r.noise_rms_v, significant(r.noise_rms_v / noise)),
             number(r.signal_to_noise, significant(r.signal_to_noise, 3)),
             number(r.resolution_n, significant(r.resolution_n * 1e3, 3)),
@@ -77,7 +77,7 @@ def fit_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
     marks: dict[str, str] = {}
     for r, name in zip(found, _names(found), strict=True):
         here = {"led": r.led_index, "photodiode": r.photodiode_index}
-        note = str(result.fit_note.isel(here).item()) if "fit_note" in result else ""
+        note = str(result.fit_note.isel(here).item())
         mark = marks.setdefault(note, chr(ord("a") + len(marks) % 26)) if note else ""
         cells = [name + (f" <sup>{mark}</sup>" if mark else "")]
         for field, _, unit in fields:

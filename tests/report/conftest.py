@@ -13,7 +13,7 @@ SCENES = Path(__file__).parents[2] / "scenes"
 REGIONS = ("air", "plate", "bed", "bone", "pulp", "epoxy", "cover")
 
 
-def made_up(*, leds=1, times=41, swing=1.0, section=True, paired=True):
+def made_up(*, leds=1, times=41, swing=1.0, section=True):
     """A result of the prototype's board: proximal readings fall and distal ones rise with force, by `swing`."""
     text = (SCENES / "prototype.toml").read_text(encoding="utf-8")
     for i in range(1, leds):
@@ -38,6 +38,8 @@ def made_up(*, leds=1, times=41, swing=1.0, section=True, paired=True):
         "detected_fraction_stderr": (over, volts * 1e-5),
         "volts": (over, volts),
         "volts_stderr": (over, 0.01 * volts),
+        "volts_change": (over, volts - volts[..., :1]),
+        "volts_change_stderr": (over, np.abs(volts - volts[..., :1]) * 0.02),
         "volts_noise_rms": (over, np.full(volts.shape, 2.2e-5)),
         "saturated": (over, np.zeros(volts.shape, bool)),
         "volts_beer_lambert": (over, volts + 1e-5 * swing),
@@ -49,8 +51,6 @@ def made_up(*, leds=1, times=41, swing=1.0, section=True, paired=True):
         "wavelength_nm": ("led", [led.wavelength_nm for led in scene.leds]),
         "fit_note": (pair, np.full((leds, 8), "")),
     }
-    if paired:
-        data["volts_change_stderr"] = (over, np.abs(volts - volts[..., :1]) * 0.02)
     for name in ("beer_lambert_v0_v", "beer_lambert_v1_v", "taylor_v0_v"):
         data[name], data[f"{name}_stderr"] = (pair, rest), (pair, 0.01 * rest)
     for name, size in (("beer_lambert_alpha_per_m2", 1e9), ("taylor_v1_v_per_m2", 1e8)):
