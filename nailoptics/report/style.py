@@ -28,8 +28,6 @@ ZONES = (_PLACES[0], _PLACES[-1])
 VEIN = "#7a5aa6"
 
 _RC: Any = {
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
     "font.size": 9,
     "svg.fonttype": "none",
     "text.color": INK,
@@ -46,7 +44,6 @@ _RC: Any = {
     "axes.linewidth": 0.7,
     "axes.grid": True,
     "axes.axisbelow": True,
-    "axes.unicode_minus": True,
     "grid.color": GRID,
     "grid.linewidth": 0.7,
     "xtick.color": MUTED,
@@ -60,7 +57,6 @@ _RC: Any = {
     "legend.frameon": False,
     "legend.fontsize": 8.5,
     "figure.facecolor": "none",
-    "savefig.facecolor": "none",
     "image.interpolation": "nearest",
 }
 
@@ -68,25 +64,17 @@ _RC: Any = {
 @contextmanager
 def drawing() -> Iterator[None]:
     """The look of all figures, for as long as one is drawn."""
-    import matplotlib
+    from matplotlib import style
 
-    with matplotlib.rc_context(_RC):
+    with style.context(["default", _RC]):
         yield
 
 
-def new_figure(width_in: float, height_in: float) -> "Figure":
-    """An empty figure that no global state knows of."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+def panels(width_in: float, height_in: float, rows: int = 1, columns: int = 1, **how: Any) -> "tuple[Figure, Any]":
+    """An empty figure, which no global state knows of, and its axes: one alone, or an array of them."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def panels(width_in: float, height_in: float, rows: int = 1, columns: int = 1, **how: Any) -> "tuple[Figure, Any]":
-    """An empty figure and its axes: one alone, or an array of them."""
-    figure = new_figure(width_in, height_in)
     return figure, figure.subplots(rows, columns, **how)
 
 

@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, overload
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError
@@ -34,13 +34,15 @@ class LedPart(Table):
     """An LED die: its line, power and angular pattern."""
 
     kind: Literal["led"]
-    peak_nm: Annotated[float, Field(ge=WAVELENGTH_RANGE_NM[0], le=WAVELENGTH_RANGE_NM[1])]
+    peak_nm: Annotated[
+        float, Field(ge=WAVELENGTH_RANGE_NM[0], le=WAVELENGTH_RANGE_NM[1], serialization_alias="wavelength_nm")
+    ]
     """Peak wavelength. [nm]"""
     fwhm_nm: Annotated[float, Field(ge=0, le=200)]
     """Full width at half maximum of the spectrum; 0 makes a single line. [nm]"""
     flux_mw: Positive
     """Radiant flux. [mW]"""
-    die_size_mm: Size = (0.25, 0.25)
+    die_size_mm: Annotated[Size, Field(serialization_alias="size_mm")] = (0.25, 0.25)
     """Size of the die across the nail (u) and along it (v). [mm]"""
     pattern: Annotated[Literal["lambertian"] | tuple[tuple[float, float], ...], BeforeValidator(_pattern)] = (
         "lambertian"
@@ -49,14 +51,9 @@ class LedPart(Table):
 
     def scene_fields(self) -> dict[str, Any]:
         """The part under the names that an LED has in a scene."""
-        fields: dict[str, Any] = {
-            "wavelength_nm": self.peak_nm,
-            "fwhm_nm": self.fwhm_nm,
-            "flux_mw": self.flux_mw,
-            "size_mm": self.die_size_mm,
-        }
+        fields = self.model_dump(by_alias=True, exclude={"kind"})
         if self.pattern == "lambertian":
-            return fields | {"pattern": "lambertian"}
+            return fields
         angle_deg, relative = zip(*self.pattern, strict=True)
         return fields | {"pattern": "measured", "pattern_deg": angle_deg, "pattern_relative": relative}
 
@@ -67,7 +64,7 @@ class PhotodiodeArrayPart(Table):
     kind: Literal["photodiode_array"]
     elements: Annotated[int, Field(ge=1, le=1024)]
     """Number of elements."""
-    element_size_mm: Size
+    element_size_mm: Annotated[Size, Field(serialization_alias="size_mm")]
     """Size of an element across the nail (u) and along it (v). [mm]"""
     pitch_mm: Positive
     """From centre to centre, along v. [mm]"""
@@ -80,26 +77,14 @@ class PhotodiodeArrayPart(Table):
 
     def scene_fields(self) -> dict[str, Any]:
         """The part under the names that a photodiode has in a scene."""
-        return {
-            "elements": self.elements,
-            "size_mm": self.element_size_mm,
-            "pitch_mm": self.pitch_mm,
-            "quantum_efficiency": self.quantum_efficiency,
-            "dark_current_na": self.dark_current_na,
-            "shunt_mohm": self.shunt_ohm / 1e6,
-        }
+        return self.model_dump(by_alias=True, exclude={"kind", "shunt_ohm"}) | {"shunt_mohm": self.shunt_ohm / 1e6}
 
 
 Part = LedPart | PhotodiodeArrayPart
-_P = TypeVar("_P", LedPart, PhotodiodeArrayPart)
 KINDS: dict[str, type[Part]] = {"led": LedPart, "photodiode_array": PhotodiodeArrayPart}
 
 
-@overload
-def load_part(name: str, beside: Path | str | None = None, *, expect: None = None) -> Part: ...
-@overload
-def load_part(name: str, beside: Path | str | None = None, *, expect: type[_P]) -> _P: ...
-def load_part(name: str, beside: Path | str | None = None, *, expect: type | None = None) -> object:
+def load_part(name: str, beside: Path | str | None = None, *, expect: type[Part] | None = None) -> Part:
     """Load a part by name: the user's own beside their scene if there is one, else the shipped one.
 
     name : The file's name without .toml, such as "led_800".
@@ -115,7 +100,7 @@ def load_part(name: str, beside: Path | str | None = None, *, expect: type | Non
     if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f'{shown}: kind must be "led" or "photodiode_array"; set it')
     try:
-        part = KINDS[kind].model_validate(tables)
+        part: Part = KINDS[kind].model_validate(tables)
     except ValidationError as error:
         raise InputError(one_line(f"{shown}: {explain(error, KINDS[kind])}")) from None
     if expect is not None and not isinstance(part, expect):
