@@ -28,6 +28,7 @@ ZONES = (_PLACES[0], _PLACES[-1])
 VEIN = "#7a5aa6"
 
 _RC: Any = {
+    "font.sans-serif": ["DejaVu Sans"],
     "font.size": 9,
     "svg.fonttype": "none",
     "text.color": INK,

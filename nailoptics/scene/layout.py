@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import combinations, product
 
 from .finger import Finger
 from .parts import Board, Led, Photodiode
@@ -97,7 +98,9 @@ def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tu
     wired, unwired = _elements(board, photodiodes)
     parts = [(f'leds "{r.name}"', r) for r in dies] + [(f'photodiode "{e.name}"', e.area) for e in wired]
     parts += [(f'photodiode element "{r.name}"', r) for r in unwired]
-    _check_overlaps(parts)
+    for (name, r), (other_name, other) in combinations(parts, 2):
+        if (depth_mm := r.overlap_mm(other)) > ROUNDING_MM:
+            raise ValueError(f"{name}: position_mm lies {depth_mm:.3g} mm inside {other_name}; move one of them")
     outline = _outline(board, parts)
     _check_nail(outline, finger)
     barriers = _barriers(board, dies, [e.area for e in wired] + unwired, outline) if board.barrier else ()
@@ -118,10 +121,8 @@ def _outline(board: Board, parts: list[tuple[str, Rectangle]]) -> Rectangle:
     else:
         outline = Rectangle.around("board", board.center_mm, board.size_mm)
     for name, r in parts:
-        if (
-            min(r.u_min - outline.u_min, outline.u_max - r.u_max, r.v_min - outline.v_min, outline.v_max - r.v_max)
-            < ROUNDING_MM
-        ):
+        across = min(r.u_min - outline.u_min, outline.u_max - r.u_max)
+        if min(across, r.v_min - outline.v_min, outline.v_max - r.v_max) < ROUNDING_MM:
             raise ValueError(f"{name} reaches over the board's edge; move it or enlarge board.size_mm")
     return outline
 
@@ -156,18 +157,10 @@ def _elements(board: Board, photodiodes: tuple[Photodiode, ...]) -> tuple[list[E
     return wired, unwired
 
 
-def _check_overlaps(parts: list[tuple[str, Rectangle]]) -> None:
-    for i, (name, r) in enumerate(parts):
-        for other_name, other in parts[i + 1 :]:
-            depth = r.overlap_mm(other)
-            if depth > ROUNDING_MM:
-                raise ValueError(f"{name}: position_mm lies {depth:.3g} mm inside {other_name}; move one of them")
-
-
 def _barriers(
     board: Board, leds: tuple[Rectangle, ...], photodiodes: list[Rectangle], outline: Rectangle
 ) -> tuple[Rectangle, ...]:
-    """Straight walls over the whole board, each at the asked gap from the LEDs on one side, or midway."""
+    """Straight walls over the whole board, each at the requested gap from the LEDs on one side, or midway."""
     width, beside = board.barrier_um * 1e-3, board.barrier_gap_mm
     # Of an LED on each side, the edge that faces the photodiodes, their edge there, and the way from it to them.
     sides: dict[str, tuple[Callable[[Rectangle], float], float, int]] = {
@@ -176,7 +169,7 @@ def _barriers(
         "below": (lambda led: led.v_max, min(r.v_min for r in photodiodes), 1),
         "above": (lambda led: led.v_min, max(r.v_max for r in photodiodes), -1),
     }
-    groups: dict[str, list[float]] = {side: [] for side in sides}
+    faced: dict[str, list[float]] = {side: [] for side in sides}
     for led in leds:
         gaps = {side: way * (face - edge(led)) for side, (edge, face, way) in sides.items()}
         side = max(gaps, key=lambda key: gaps[key])
@@ -186,21 +179,18 @@ def _barriers(
                 f"leaves no room for a wall of {width:g} mm{f' at a gap of {beside:g} mm' if beside else ''}; "
                 "move it, make barrier_um smaller, or set barrier = false"
             )
-        groups[side].append(sides[side][0](led))
+        faced[side].append(sides[side][0](led))
     walls = []
-    for side, edges in groups.items():
+    for side, edges in faced.items():
         if not edges:
             continue
         _, face, way = sides[side]
         nearest = max(edges) if way > 0 else min(edges)
         middle = (nearest + face) / 2 if beside is None else nearest + way * (beside + width / 2)
-        low, high = middle - width / 2, middle + width / 2
-        if side in ("left", "right"):
-            walls.append(Rectangle(side, low, high, outline.v_min, outline.v_max))
-        else:
-            walls.append(Rectangle(side, outline.u_min, outline.u_max, low, high))
-    for wall in walls:
-        for led in leds:
-            if wall.overlap_mm(led) > ROUNDING_MM:
-                raise ValueError(f'board.barrier: the wall would cut LED "{led.name}"; move it or set barrier = false')
+        ends = {"u": (outline.u_min, outline.u_max), "v": (outline.v_min, outline.v_max)}
+        ends["u" if side in ("left", "right") else "v"] = (middle - width / 2, middle + width / 2)
+        walls.append(Rectangle(side, *ends["u"], *ends["v"]))
+    for wall, led in product(walls, leds):
+        if wall.overlap_mm(led) > ROUNDING_MM:
+            raise ValueError(f'board.barrier: the wall would cut LED "{led.name}"; move it or set barrier = false')
     return tuple(walls)

@@ -1,0 +1,31 @@
+"""Make the README's picture of a result, by the names of both files: board, section with light, and readings."""
+
+import sys
+from pathlib import Path
+
+import xarray as xr
+from matplotlib.figure import Figure
+
+from nailoptics.report import maps, simulate_figures, style
+from nailoptics.scene import parse_scene
+
+
+def readme_picture(result: xr.Dataset, path: Path) -> None:
+    """Write one wide picture of what `simulate` returned; the suffix of path says which kind (.png, .svg)."""
+    scene = parse_scene(str(result.attrs["scene"]))
+    with style.drawing():
+        # The page's paper would be transparent, which dark surroundings make unreadable.
+        figure = Figure(figsize=(12.0, 6.0), layout="constrained", facecolor="white")
+        places = [["board", "section"], ["board", "change"]]
+        axes = figure.subplot_mosaic(places, width_ratios=[5.2, 6.6], height_ratios=[1.0, 1.05])
+        maps.draw_top_view(axes["board"], scene)
+        maps.draw_section(axes["section"], scene, result, led=0)
+        simulate_figures.draw_change(axes["change"], result, scene, led=0)
+        axes["board"].set_title("The board on the nail")
+        axes["section"].set_title("Its light in the finger, cut lengthwise")
+        axes["change"].set_title("What the photodiodes read while the finger presses")
+        style.write_figure(figure, path, dpi=110, facecolor="white")
+
+
+if __name__ == "__main__":
+    readme_picture(xr.load_dataset(sys.argv[1], engine="h5netcdf"), Path(sys.argv[2]))
