@@ -37,7 +37,7 @@ def document(
 ) -> str:
     """A whole page as text; body holds HTML, everything else plain words.
 
-    attributes : of the result, from which the page tells what makes it again.
+    attributes : of the result, from which the page says what makes it again.
     cards : figures in large type, each with what it is.
     facts : names and values in one line below them.
     """

@@ -18,13 +18,6 @@ def prefix(magnitude: float) -> tuple[float, str]:
     return 10.0**power, _PREFIXES[power]
 
 
-def decimals_for(uncertainty: float, *, digits: int = 2) -> int:
-    """Decimals that show an uncertainty with its leading digits; negative where it is worth tens or more."""
-    if not math.isfinite(uncertainty) or uncertainty < TINY:
-        return 0
-    return digits - 1 - math.floor(math.log10(uncertainty))
-
-
 def fixed(value: float, decimals: int, *, sign: bool = False) -> str:
     """A number with so many decimals and a real minus sign; 0 is shown without a sign."""
     if not math.isfinite(value):
@@ -58,7 +51,7 @@ def with_error(value: float, error: float, *, sign: bool = False) -> str:
     largest = max(abs(value), error)
     power = math.floor(math.log10(largest))
     scale, tail = (1.0, "") if -3 <= power < 5 else (10.0**power, f" × 10{str(power).translate(_SUPERSCRIPT)}")
-    decimals = min(max(decimals_for(error / scale), 0), 9)
+    decimals = min(max(1 - math.floor(math.log10(error / scale)), 0), 9)
     text = f"{fixed(value / scale, decimals, sign=sign)} ± {fixed(error / scale, decimals)}"
     return f"({text}){tail}" if tail else text
 

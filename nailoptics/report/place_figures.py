@@ -125,14 +125,9 @@ def sensitivity_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     with np.errstate(invalid="ignore", divide="ignore"):
         fall = [np.where(light > 0, one / light, np.nan) for one in each]
     top = float(np.nanquantile(np.stack(fall), 0.99))
-    levels = np.linspace(0, top, 7)[1:-1]
-    edges = maps.extent(result.u.to_numpy(), result.v.to_numpy())
     figure, panels = style.panels(9.2, 4.7, 1, 2)
     for axes, values, title in zip(panels, fall, ("Proximal", "Distal"), strict=True):
-        shown = np.clip(values, 0, top).T
-        image = axes.imshow(shown, extent=edges, origin="lower", cmap="magma", vmin=0, vmax=top)
-        axes.contour(result.u, result.v, values.T, levels=levels, colors=["#ffffff"], linewidths=0.5)
-        figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02)
+        _plane(axes, result, "u", values, "magma", (0.0, top), even=True)
         axes.set_title(f"{title} blood [%/%]")
         _parts(axes, scene)
     return figure

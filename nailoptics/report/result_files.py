@@ -1,7 +1,7 @@
 """The files that a study leaves in its folder: those of two results never mix."""
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,28 +26,28 @@ def write_simulation(result: "xr.Dataset", folder: Path) -> Paths:
     """Write a simulated touch and its report; returns their paths. Raises WriteError, as all functions here."""
     from .simulate_page import write_report
 
-    data, page = (folder / name for name in SIMULATION)
-    with turn(folder):
-        write_dataset(result, data)
-        write_report(result, page)
-    return {"report": page, "result": data}
+    return _write(result, folder, SIMULATION, write_report)
 
 
 def write_comparison(result: "xr.Dataset", folder: Path) -> Paths:
     """Write a comparison and its report; returns their paths."""
     from . import compare_page
 
-    data, page = (folder / name for name in COMPARISON)
+    return _write(result, folder, COMPARISON, compare_page.write_comparison)
+
+
+def _write(result: "xr.Dataset", folder: Path, names: tuple[str, str], write_page: Callable[..., None]) -> Paths:
+    data, page = (folder / name for name in names)
     with turn(folder):
         write_dataset(result, data)
-        compare_page.write_comparison(result, page)
+        write_page(result, page)
     return {"report": page, "result": data}
 
 
 def write_placement(result: "xr.Dataset", scene: Scene, folder: Path, *, negate_x_on_bottom: bool = False) -> Paths:
     """Write a placement, its ranking and report, and the best layout for the next program; returns report and scene.
 
-    scene : the one that was asked; its outline's kind of file is that of the outline that is written.
+    scene : the one that was given; its outline's kind of file is that of the outline that is written.
     negate_x_on_bottom : whether X is negated in the position file for parts on the bottom side.
     """
     from ..exports.mesh_files import export_mesh

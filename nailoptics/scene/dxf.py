@@ -64,8 +64,7 @@ def _dxf_outline(path: Path) -> tuple[tuple[float, float], ...]:
             closed = int(values.get("70", [0])[0]) & 1
             chains.append(points + points[:1] if closed else points)
         elif kind in ("ARC", "CIRCLE") and points:
-            first = values["50"][0] if kind == "ARC" else 0.0
-            last = values["51"][0] if kind == "ARC" else 360.0
+            first, last = (values["50"][0], values["51"][0]) if kind == "ARC" else (0.0, 360.0)
             span = (last - first) % 360 or 360.0
             steps = math.ceil(span / ARC_STEP_DEG)
             (x, y), r = points[0], values["40"][0]
@@ -93,15 +92,13 @@ def _joined(chains: list[list[tuple[float, float]]], path: Path) -> list[tuple[f
     """Lines and arcs in any order and direction as one line round the board."""
     chain, rest = list(chains[0]), chains[1:]
     while rest:
-        for i, other in enumerate(rest):
-            if math.dist(chain[-1], other[0]) < SAME_PLACE_MM or math.dist(chain[-1], other[-1]) < SAME_PLACE_MM:
-                other = other if math.dist(chain[-1], other[0]) < SAME_PLACE_MM else other[::-1]
-                chain += other[1:]
-                del rest[i]
-                break
-        else:
+        ways = ((i, way) for i, other in enumerate(rest) for way in (other, other[::-1]))
+        following = next(((i, way) for i, way in ways if math.dist(chain[-1], way[0]) < SAME_PLACE_MM), None)
+        if following is None:
             x, y = chain[-1]
             raise InputError(f"{path}: the outline is not one closed line: nothing goes on from ({x:g}, {y:g}) mm.")
+        chain += following[1][1:]
+        del rest[following[0]]
     if math.dist(chain[0], chain[-1]) > SAME_PLACE_MM:
         raise InputError(f"{path}: the outline is open between its first and last point; close it.")
     return chain

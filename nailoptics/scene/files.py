@@ -62,7 +62,7 @@ def to_toml(scene: Scene) -> str:
 def json_schema() -> dict[str, Any]:
     """JSON Schema of a scene file, for editors."""
     schema = schema_of(Scene, "nailoptics scene")
-    # Parts fill what is required of an LED or a photodiode, so an editor must not ask for it.
+    # Parts fill what is required of an LED or a photodiode, so an editor must not require it.
     schema["$defs"]["Led"]["required"] = ["name"]
     schema["$defs"]["Photodiode"]["required"] = ["position_mm"]
     return schema

@@ -105,7 +105,7 @@ class Accuracy(Table):
 
 
 class Scene(Table):
-    """What was asked: everything that determines the answer, in one frozen model."""
+    """What was requested: everything that determines the answer, in one frozen model."""
 
     schema_version: Literal[1]
     """Version of this format."""

@@ -26,7 +26,7 @@ def with_part(data: object, key: str, info: ValidationInfo) -> object:
     try:
         part = load_part(data[key], beside=(info.context or {}).get("folder"), expect=PARTS[key])
     except InputError as error:
-        # As a ValueError it is told with the place in the scene that names the part.
+        # As a ValueError it comes with the place in the scene that names the part.
         raise ValueError(str(error).rstrip(".")) from None
     fields = part.scene_fields()
     if data.get("pattern", "measured") != "measured":

@@ -119,10 +119,11 @@ class SweepFile(Table):
             raise ValueError("a sweep has either base (a scene file or table) or scenes (a list of files); give one")
         if self.base is not None and not self.axes:
             raise ValueError("axes: a sweep over one base scene needs at least one [[axes]] table")
-        names = [axis.axis_name for axis in self.axes]
-        for i, name in enumerate(names):
-            if name in _TAKEN or name in names[:i]:
-                raise ValueError(f'axes[{i}]: the name "{name}" is taken; give the axis another name = "..."')
+        taken = set(_TAKEN)
+        for i, axis in enumerate(self.axes):
+            if axis.axis_name in taken:
+                raise ValueError(f'axes[{i}]: the name "{axis.axis_name}" is taken; give the axis another name = "..."')
+            taken.add(axis.axis_name)
         return self
 
     @model_validator(mode="after")
@@ -139,14 +140,13 @@ class SweepFile(Table):
                     f"axes[{i}]: a Latin hypercube takes range = [low, high] or values; "
                     'linspace and logspace are for "product" and "zip"'
                 )
-        if self.combine == "zip" and self.axes:
-            first, *others = ((axis.axis_name, len(axis.spaced_values())) for axis in self.axes)
-            for other in others:
-                if other[1] != first[1]:
-                    raise ValueError(
-                        f'axes "{first[0]}" and "{other[0]}" have {first[1]} and {other[1]} '
-                        'values; combine = "zip" needs as many of each'
-                    )
+        counts = {axis.axis_name: len(axis.spaced_values()) for axis in self.axes if self.combine == "zip"}
+        for (first, count), (other, another) in itertools.pairwise(counts.items()):
+            if another != count:
+                raise ValueError(
+                    f'axes "{first}" and "{other}" have {count} and {another} values; combine = "zip" needs as many '
+                    "of each"
+                )
         return self
 
 
@@ -201,7 +201,7 @@ def _build(file: SweepFile, path: Path) -> Sweep:
     if math.prod(dims.values()) > MAX_SCENES:
         raise InputError(f"axes make {math.prod(dims.values())} scenes; at most {MAX_SCENES}, use fewer values.")
     given = list(points(*(axis.values for axis in axes))) if axes else [()]
-    bases = [_base(file.base, path)] if file.scenes is None else [_base(name, path) for name in file.scenes]
+    bases = [_base(base, path) for base in file.scenes or [file.base]]
     scenes = tuple(_scene(*base, axes, values) for base in bases for values in given)
     if file.scenes is not None:
         axes = (Axis("scene", "", tuple(Path(name).stem for name in file.scenes)), *axes)
@@ -227,7 +227,7 @@ def _base(base: Any, path: Path) -> tuple[str, dict[str, Any], Path]:
     if not file.exists() and Path(base).parent == Path():
         shipped = data_dir("scenes") / (base if base.endswith(".toml") else f"{base}.toml")
         file = shipped if shipped.exists() else file
-    load_scene(file)  # a fault of the base is told as its own, before any axis touches it
+    load_scene(file)  # a fault of the base is reported as its own, before any axis touches it
     return base, parse_toml(read_text(file, "the path of a scene file (TOML)"), str(file)), file.parent
 
 
