@@ -3,24 +3,18 @@
 import math
 import os
 import sys
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
 from . import __version__
-from .errors import InputError, NailopticsError, NotReachedError
+from .errors import InputError, NailopticsError, NotReachedError, as_far_as_reached
 from .io import check_writable, make_folder, write_text
 from .options import TraceOptions
-from .terminal import (
-    as_far_as_reached,
-    batch_progress,
-    complain,
-    plain_messages,
-    print_json,
-    say,
-    silence_stdout,
-)
+from .terminal import batch_progress, plain_messages, print_json, say, silence_stdout, trace_progress
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -56,26 +50,26 @@ def run(arguments: list[str]) -> int:
                 sys.stdout.flush()
             return 0
         except CycloptsError as error:
-            return complain(f"{error} (nailoptics --help shows what is known)", 2)
+            line, code = f"{error} (nailoptics --help shows what is known)", 2
         except NailopticsError as error:
-            return complain(str(error), error.exit_code)
+            line, code = str(error), error.exit_code
         except KeyboardInterrupt:
-            return complain("interrupted; nothing was finished.", 130)
+            line, code = "interrupted; nothing was finished.", 130
         except BrokenPipeError:
             silence_stdout()
             return 0
         except OSError as error:
             silence_stdout()
-            return complain(f"{error.filename or 'the output'}: {error.strerror or error}.", 1)
+            line, code = f"{error.filename or 'the output'}: {error.strerror or error}.", 1
         except MemoryError:
-            return complain("not enough memory; ask for fewer samples (touch.sample_rate_hz) or photons.", 1)
+            line, code = "not enough memory; ask for fewer samples (touch.sample_rate_hz) or photons.", 1
         except Exception as error:  # the last resort of a command line
             if os.environ.get("NAILOPTICS_DEBUG"):
                 raise
-            kind = type(error).__name__
-            return complain(
-                f"internal error, our fault: {kind}: {error} (NAILOPTICS_DEBUG=1 shows where; please report it)", 1
-            )
+            what = f"{type(error).__name__}: {error}"
+            line, code = f"internal error, our fault: {what} (NAILOPTICS_DEBUG=1 shows where; please report it)", 1
+        say(line)
+        return code
 
 
 @app.command
@@ -88,15 +82,12 @@ def simulate(scene: ScenePath, *, output: Folder = None, json_: Json = False, op
     from .report.summaries import simulation_lines, simulation_summary
     from .studies.simulate import simulate as study
 
-    asked, _ = _load(scene, options)
+    loaded, _ = _load(scene, options)
     folder = _results(output, scene, SIMULATION)
-    result, unmet = as_far_as_reached(study, asked, **options.fields)
+    result, unmet = _watched(study, loaded, **options.fields)
     paths = write_simulation(result, folder)
     summary = simulation_summary(result)
-    if json_:
-        print_json(summary | _texts(paths))
-    else:
-        print(*simulation_lines(summary), *paths.values(), sep="\n")
+    _show(summary, simulation_lines(summary), paths, json_)
     _end(unmet, folder)
 
 
@@ -106,18 +97,14 @@ def trace(scene: ScenePath, *, output: File = None, json_: Json = False, options
     from .light import read_rest
     from .report.summaries import rest_lines
 
-    asked, engine = _load(scene, options)
+    loaded, engine = _load(scene, options)
     if output is not None and engine == "volpath":
         raise InputError(f"{output}: volpath traces readings, not a transfer that could be saved; leave -o out.")
     _check_file(output)
-    rest, unmet = as_far_as_reached(read_rest, asked, **options.fields)
+    rest, unmet = _watched(read_rest, loaded, **options.fields)
     if output is not None and rest.transfer is not None:
-        make_folder(output.parent)
         rest.transfer.save(output)
-    if json_:
-        print_json(rest.as_dict())
-    else:
-        print(*rest_lines(rest), sep="\n")
+    _show(rest.as_dict(), rest_lines(rest), {}, json_)
     _end(unmet, output)
 
 
@@ -151,17 +138,14 @@ def compare(
     from .studies.comparison.compare import compare as study
     from .studies.comparison.verdict import summary, verdict
 
-    asked, _ = _load(scene, options)
+    loaded, _ = _load(scene, options)
     if require is not None and not 0 < require < math.inf:
         raise InputError(f"--require {require:g} must be a part of the swing above 0, such as 0.05.")
     folder = _results(output, scene, COMPARISON)
-    result, unmet = as_far_as_reached(study, asked, over=over, wavelengths_nm=wavelength_nm, **options.fields)
+    result, unmet = _watched(study, loaded, over=over, wavelengths_nm=wavelength_nm, **options.fields)
     paths = write_comparison(result, folder)
     judged = verdict(result, 0.05 if require is None else require, model=model)
-    if json_:
-        print_json(summary(result) | {"verdict": vars(judged)} | _texts(paths))
-    else:
-        print(judged, *paths.values(), sep="\n")
+    _show(summary(result) | {"verdict": vars(judged)}, [judged], paths, json_)
     if require is not None and judged.outcome == "missed":
         raise NailopticsError(f"{judged}")
     _end(unmet, folder)
@@ -188,15 +172,12 @@ def place(
     from .report.summaries import placement_lines, placement_summary
     from .studies.placement.place import place as study
 
-    asked, _ = _load(scene, options)
+    loaded, _ = _load(scene, options)
     folder = _results(output, scene, PLACEMENT)
-    result, unmet = as_far_as_reached(study, asked, **options.fields)
-    paths = write_placement(result, asked, folder, negate_x_on_bottom=negate_x_on_bottom)
+    result, unmet = _watched(study, loaded, **options.fields)
+    paths = write_placement(result, loaded, folder, negate_x_on_bottom=negate_x_on_bottom)
     summary = placement_summary(result)
-    if json_:
-        print_json(summary | {"folder": str(folder)} | _texts(paths))
-    else:
-        print(*placement_lines(summary), *paths.values(), sep="\n")
+    _show(summary | {"folder": str(folder)}, placement_lines(summary), paths, json_)
     _end(unmet, folder)
 
 
@@ -223,28 +204,21 @@ def batch(
 
     if status:
         found = batches.status(output or sweep)
-        print_json(vars(found) | {"left": found.left}) if json_ else print(found)
-        return
+        return _show(vars(found) | {"left": found.left}, [found], {}, json_)
     planned = batches.load_sweep(sweep)
     if dry_run:
         cost = batches.estimate(planned, **options.fields)
-        print_json(vars(cost)) if json_ else print(cost)
-        return
+        return _show(vars(cost), [cost], {}, json_)
     if output is None:
         raise InputError("batch needs -o DIR, a folder for its results.")
     how = {"workers": workers, "scheduler": scheduler, "shard": shard, "retry_failed": retry_failed}
-    outcome, unmet = as_far_as_reached(
-        batches.run_batch, planned, output, shown=batch_progress, **how, **options.fields
-    )
+    outcome, unmet = _watched(batches.run_batch, planned, output, shown=batch_progress, **how, **options.fields)
     try:
         paths = write_sweep(batches.open_results(output), output, failures=outcome.failed)
     except InputError as error:  # a full disk ended the batch, too, which said so
         raise unmet or error from None
-    if json_:
-        print_json(vars(outcome) | {"results": str(output)} | _texts(paths))
-    else:
-        there = f"{len(outcome.done)} scenes done, {len(outcome.kept)} were there before"
-        print(f"{there}; {outcome.lights} traces for all", *paths.values(), sep="\n")
+    there = f"{len(outcome.done)} scenes done, {len(outcome.kept)} were there before; {outcome.lights} traces for all"
+    _show(vars(outcome) | {"results": str(output)}, [there], paths, json_)
     _end(unmet)
 
 
@@ -266,17 +240,14 @@ def explain(
     from .scene import to_toml
     from .studies.model_error.explain import explain as study
 
-    asked, _ = _load(scene, options)
+    loaded, _ = _load(scene, options)
     _check_file(output)
-    found, unmet = as_far_as_reached(study, asked, tolerance=tolerance, **options.fields)
-    written = output if output and not unmet else None
-    if written:
-        make_folder(written.parent)
-        write_text(written, to_toml(found.required))
-    if json_:
-        print_json(found.as_dict() | {"scene": written and str(written)})
-    else:
-        print(found, *([written] if written else []), sep="\n")
+    found, unmet = _watched(study, loaded, tolerance=tolerance, **options.fields)
+    paths = {"scene": output} if output and not unmet else {}
+    for path in paths.values():
+        make_folder(path.parent)
+        write_text(path, to_toml(found.required))
+    _show({"scene": None} | found.as_dict(), [found], paths, json_)
     _end(unmet)
 
 
@@ -296,42 +267,30 @@ def tradeoff(
     from .report.result_files import TRADEOFF, write_tradeoff
     from .studies.model_error.tradeoff import tradeoff as study
 
-    asked, _ = _load(scene, options)
+    loaded, _ = _load(scene, options)
     folder = _results(output, scene, TRADEOFF)
-    found, unmet = as_far_as_reached(study, asked, tolerance=tolerance, **options.fields)
+    found, unmet = _watched(study, loaded, tolerance=tolerance, **options.fields)
     paths = write_tradeoff(found, folder)
-    if json_:
-        print_json(found.as_dict() | _texts(paths))
-    else:
-        print(found, *paths.values(), sep="\n")
+    _show(found.as_dict(), [found], paths, json_)
     _end(unmet, folder)
 
 
 @app.command
 def check(scene: ScenePath, *, json_: Json = False) -> None:
     """Check a scene file: fields, parts, layout, hemodynamic set and, for a finger, the geometry."""
-    asked = _scene(scene)
+    loaded = _scene(scene)
     report: dict[str, Any] = {"scene": scene, "valid": True}
-    if asked.finger is not None:
+    if loaded.finger is not None:
         from . import hemodynamics
         from .geometry import build, check_watertight
 
-        hemodynamics.parameters(asked.blood.parameters)
-        shape = build(asked)
-        found = check_watertight(shape, crossings=100_000)
-        report |= {
-            "regions": list(shape.regions),
-            "triangles": len(shape.triangles),
-            "crossings": found.crossings,
-            "disagreements": found.disagreements,
-            "volume_error": found.volume_error,
-            "valid": bool(found.passed),
-        }
-    if json_:
-        print_json(report)
-    else:
-        for name, value in report.items():
-            print(f"{name}: {', '.join(value) if isinstance(value, list) else value}")
+        hemodynamics.parameters(loaded.blood.parameters)
+        mesh = build(loaded)
+        found = check_watertight(mesh, crossings=100_000)
+        report |= {"regions": list(mesh.regions), "triangles": len(mesh.triangles), **vars(found)}
+        report["valid"] = bool(found.passed)
+    lines = (f"{name}: {', '.join(v) if isinstance(v, list) else v}" for name, v in report.items())
+    _show(report, lines, {}, json_)
     if not report["valid"]:
         raise NailopticsError(f"{scene}: its geometry leaks; please report the scene.")
 
@@ -342,11 +301,11 @@ def export(scene: ScenePath, *, output: Annotated[Path, Parameter(name=["--outpu
     from .exports.mesh_files import export_mesh
     from .geometry import build
 
-    asked = _scene(scene)
-    if asked.finger is None:
+    loaded = _scene(scene)
+    if loaded.finger is None:
         raise InputError(f"{scene}: a phantom has no mesh to export; give a [finger] scene.")
     _check_file(output)
-    mesh = build(asked)
+    mesh = build(loaded)
     make_folder(output.parent)
     export_mesh(mesh, output)
     print(output)
@@ -379,10 +338,7 @@ def figures(
     make_folder(output)
     pictures = [path for name, values in named.items() for path in draw(output, values, name=name, **recorded)]
     judged = table(named)
-    if json_:
-        print_json({"claims": as_rows(judged), "pictures": [str(path) for path in pictures]})
-    else:
-        print(as_text(judged), *pictures, sep="\n")
+    _show({"claims": as_rows(judged), "pictures": list(map(str, pictures))}, [as_text(judged), *pictures], {}, json_)
 
 
 @app.command
@@ -402,22 +358,18 @@ def doctor(*, json_: Json = False) -> None:
     from .light import backend as backends
 
     chosen, stock, findings = backends.choose("auto"), backends.choose("auto", volpath=True), backends.findings()
-    if json_:
-        rows = [
-            {"backend": f.name, "library": f.library, "usable": f.usable, "engines": f.engines, "why": f.why}
-            for f in findings
-        ]
-        first = {"backend": chosen.name, "library": chosen.library, "advice": chosen.advice}
-        serving = {"photons": chosen.name if chosen.jit else None, "volpath": stock.name}
-        print_json(first | {"engines": serving, "findings": rows})
-        return
-    for finding in findings:
-        taken = "taken" if (finding.name, finding.library) == (chosen.name, chosen.library) else ""
-        engines = ", ".join(finding.engines) or "not usable"
-        print(f"{finding.name:<7} {engines:<17} {taken:<6} {finding.library or ''} {finding.why}".rstrip())
-    print("photons serves every command; volpath serves simulate, trace and batch")
-    for advice in dict.fromkeys(one.advice for one in (chosen, stock) if one.advice):
-        print(advice)
+    summary: dict[str, Any] = {"backend": chosen.name, "library": chosen.library, "advice": chosen.advice}
+    summary["engines"] = {"photons": chosen.name if chosen.jit else None, "volpath": stock.name}
+    summary["findings"], lines = [], []
+    for f in findings:
+        row = {name: getattr(f, name) for name in ("library", "usable", "engines", "why")}
+        summary["findings"].append({"backend": f.name} | row)
+        taken = "taken" if (f.name, f.library) == (chosen.name, chosen.library) else ""
+        engines = ", ".join(f.engines) or "not usable"
+        lines.append(f"{f.name:<7} {engines:<17} {taken:<6} {f.library or ''} {f.why}".rstrip())
+    lines.append("photons serves every command; volpath serves simulate, trace and batch")
+    lines += dict.fromkeys(one.advice for one in (chosen, stock) if one.advice)
+    _show(summary, lines, {}, json_)
 
 
 def _load(name: str, options: TraceOptions) -> "tuple[Scene, str]":
@@ -467,11 +419,26 @@ def _check_file(path: Path | None) -> None:
         check_writable(path.parent, path.name)
 
 
-def _texts(paths: dict[str, Path]) -> dict[str, str]:
-    return {name: str(path) for name, path in paths.items()}
+def _watched(
+    study: Callable[..., Any],
+    *arguments: Any,
+    shown: Callable[[], AbstractContextManager[Callable[[Any], None]]] = trace_progress,
+    **options: Any,
+) -> tuple[Any, NotReachedError | None]:
+    """What a study reaches, and why not all of it, while the terminal shows how far it is."""
+    with shown() as progress:
+        return as_far_as_reached(study, *arguments, progress=progress, **options)
+
+
+def _show(summary: Mapping[str, Any], text: Iterable[object], paths: Mapping[str, Path], as_json: bool) -> None:
+    """Print a result and where it lies: one JSON object, or lines of text."""
+    if as_json:
+        print_json({**summary, **{name: str(path) for name, path in paths.items()}})
+    else:
+        print(*text, *paths.values(), sep="\n")
 
 
 def _end(unmet: NotReachedError | None, where: Path | None = None) -> None:
-    """End with exit code 3 if what was asked was not reached; where is what was reached."""
+    """End with exit code 3 if what was requested was not reached; where is what was reached."""
     if unmet:
         raise NotReachedError(f"{unmet} What was reached is in {where}." if where else str(unmet))

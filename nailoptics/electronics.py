@@ -92,38 +92,6 @@ def noise_budget(
 
 
 def read(
-    power_w: ArrayLike,
-    *,
-    responsivity: ArrayLike,
-    amplifier: Electronics,
-    ambient_a: ArrayLike = 0.0,
-    dark_current_na: float = 0.1,
-    shunt_ohm: float = 1e9,
-) -> Output:
-    """What the converter reads for detected power: the mean, its noise, and whether it is at its limit.
-
-    power_w : array. Power on the photodiode. [W]
-    responsivity : array that broadcasts with it, from `responsivity_a_per_w`. [A/W]
-    amplifier : The stage and its converter, a scene's `[electronics]`.
-    ambient_a : array that broadcasts with both. Photocurrent by light from outside. [A]
-    dark_current_na, shunt_ohm : Of the photodiode element. [nA], [ohm]
-
-    Raises: InputError for power, responsivity or a current that is negative or not finite.
-    """
-    current = not_negative("power_w", power_w) * not_negative("responsivity", responsivity)
-    current = current + not_negative("ambient_a", ambient_a)
-    budget = noise_budget(current, amplifier, dark_current_na=dark_current_na, shunt_ohm=shunt_ohm)
-    amplified = (current + dark_current_na * 1e-9) * amplifier.feedback_ohm
-    return Output(
-        amplified_v=np.asarray(amplified),
-        volts=np.asarray(np.minimum(amplified, amplifier.adc_range_v)),
-        noise_v2=np.asarray(np.sum(np.stack(budget), axis=0)),
-        # The last code begins one step below the range: from there on the converter cannot tell more light.
-        saturated=np.asarray(amplified >= amplifier.adc_range_v - lsb_v(amplifier)),
-    )
-
-
-def read_fraction(
     detected_fraction: ArrayLike,
     led: Led,
     photodiode: Photodiode,
@@ -131,14 +99,26 @@ def read_fraction(
     *,
     ambient_a: ArrayLike = 0.0,
 ) -> Output:
-    """What a scene's stage reads of one LED's light, from the part of that light that its photodiode detects."""
-    return read(
-        np.asarray(detected_fraction) * led.flux_mw * 1e-3,
-        responsivity=responsivity_a_per_w(led.wavelength_nm, photodiode.quantum_efficiency),
-        amplifier=amplifier,
-        ambient_a=ambient_a,
-        dark_current_na=photodiode.dark_current_na,
-        shunt_ohm=photodiode.shunt_mohm * 1e6,
+    """What the converter reads of one LED's light on a photodiode: the mean, its noise, and whether it is at its limit.
+
+    detected_fraction : array. Part of the LED's light that the photodiode detects.
+    amplifier : The stage and its converter, a scene's `[electronics]`.
+    ambient_a : array that broadcasts with it. Photocurrent by light from outside. [A]
+
+    Raises: InputError for a fraction or a current that is negative or not finite.
+    """
+    power_w = not_negative("detected_fraction", detected_fraction) * led.flux_mw * 1e-3
+    current = power_w * responsivity_a_per_w(led.wavelength_nm, photodiode.quantum_efficiency)
+    current = current + not_negative("ambient_a", ambient_a)
+    dark_na = photodiode.dark_current_na
+    budget = noise_budget(current, amplifier, dark_current_na=dark_na, shunt_ohm=photodiode.shunt_mohm * 1e6)
+    amplified = (current + dark_na * 1e-9) * amplifier.feedback_ohm
+    return Output(
+        amplified_v=np.asarray(amplified),
+        volts=np.asarray(np.minimum(amplified, amplifier.adc_range_v)),
+        noise_v2=np.asarray(np.sum(np.stack(budget), axis=0)),
+        # The last code begins one step below the range: from there on the converter cannot tell more light.
+        saturated=np.asarray(amplified >= amplifier.adc_range_v - lsb_v(amplifier)),
     )
 
 

@@ -1,5 +1,8 @@
 """What can go wrong, in the user's words: one line, and the exit code it ends with."""
 
+from collections.abc import Callable
+from typing import Any
+
 
 class NailopticsError(Exception):
     """An error whose message is one clear line for the user."""
@@ -21,6 +24,16 @@ class NotReachedError(NailopticsError):
     def __init__(self, message: str, *, result: object = None) -> None:
         super().__init__(message)
         self.result = result
+
+
+def as_far_as_reached(study: Callable[..., Any], *arguments: Any, **options: Any) -> tuple[Any, NotReachedError | None]:
+    """What a function returns, or what it had when it could not reach what was requested, and the reason."""
+    try:
+        return study(*arguments, **options), None
+    except NotReachedError as error:
+        if error.result is None:
+            raise
+        return error.result, error
 
 
 class WriteError(InputError):

@@ -3,7 +3,6 @@
 import contextlib
 import errno
 import json
-import math
 import os
 import secrets
 import zlib
@@ -13,6 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .errors import WriteError
+
+try:
+    import fcntl
+except ImportError:  # not a POSIX system
+    fcntl = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     import numpy as np
@@ -99,9 +103,7 @@ def turn(folder: Path) -> Iterator[None]:
     Where the file system knows no locks (some network file systems) nobody waits.
     """
     make_folder(folder)
-    try:
-        import fcntl
-    except ImportError:  # not a POSIX system
+    if fcntl is None:
         yield
         return
     try:
@@ -122,9 +124,7 @@ def claimed(file: Path, number: int) -> Iterator[bool]:
 
     Claims save work; without them (some network file systems) two processes do the same twice.
     """
-    try:
-        import fcntl
-    except ImportError:  # not a POSIX system
+    if fcntl is None:
         yield True
         return
     with open(file, "ab") as handle:
@@ -150,17 +150,8 @@ def write_dataset(dataset: "xr.Dataset", path: Path) -> None:
 
 def to_json(value: Any) -> str:
     """A value as JSON text; what is NaN or infinite, and so unknown to JSON, becomes null."""
-    return json.dumps(_nan_as_null(value), indent=2, allow_nan=False)
-
-
-def _nan_as_null(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _nan_as_null(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_nan_as_null(item) for item in value]
-    if value is None or isinstance(value, str | bool | int):
-        return value
-    return float(value) if math.isfinite(value) else None
+    plain = json.loads(json.dumps(value, default=float), parse_constant=lambda name: None)
+    return json.dumps(plain, indent=2, allow_nan=False)
 
 
 def pack(header: Mapping[str, Any], arrays: Mapping[str, "np.ndarray"]) -> memoryview:
@@ -170,7 +161,7 @@ def pack(header: Mapping[str, Any], arrays: Mapping[str, "np.ndarray"]) -> memor
     for name, array in arrays.items():
         if np.asarray(array).dtype.kind not in _NUMBERS:
             raise TypeError(f"{name} holds {np.asarray(array).dtype}, which is no number")
-    text = json.dumps(header, separators=(",", ":"), default=_plain).encode()
+    text = json.dumps(header, separators=(",", ":"), default=np.generic.item).encode()
     data = BytesIO()
     columns: dict[str, Any] = {"header": np.frombuffer(text, np.uint8), **arrays}
     np.savez(data, **columns)
@@ -197,15 +188,6 @@ def unpack(data: bytes | memoryview, *, arrays: bool = True) -> tuple[dict[str, 
         return json.loads(found.pop("header").tobytes()), found
     except Exception as error:  # what is no archive of ours fails in many ways
         raise CorruptError(f"it is no archive of numbers ({error})") from None
-
-
-def _plain(value: Any) -> Any:
-    """NumPy's numbers as Python's."""
-    import numpy as np
-
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"{value!r} is no data")
 
 
 def _refused(path: Path, error: OSError, *, size: int = 0) -> WriteError:

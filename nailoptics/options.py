@@ -1,4 +1,4 @@
-"""What can be asked of every command and function that traces light, beside the scene: one object, passed whole."""
+"""What can be requested of every command and function that traces light, beside the scene: one object, passed whole."""
 
 import math
 from dataclasses import dataclass
@@ -65,5 +65,5 @@ class TraceOptions:
 
     @property
     def unbounded(self) -> bool:
-        """Whether nothing was asked of error, time or photons."""
+        """Whether nothing was requested of error, time or photons."""
         return self.relative_error is None and self.max_seconds is None and self.photons is None

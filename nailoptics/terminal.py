@@ -7,11 +7,10 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from .errors import NotReachedError
 from .io import to_json
 
 if TYPE_CHECKING:
@@ -25,12 +24,6 @@ LOG_EVERY_S = 10.0
 def say(line: str) -> None:
     """Say it in one line on stderr."""
     print(f"nailoptics: {' '.join(line.split())}", file=sys.stderr, flush=True)
-
-
-def complain(line: str, code: int) -> int:
-    """Say what went wrong; hands the exit code back."""
-    say(line)
-    return code
 
 
 def silence_stdout() -> None:
@@ -72,8 +65,8 @@ def trace_progress() -> "Iterator[Callable[[TraceProgress], None]]":
 
         def report_progress(p: "TraceProgress") -> None:
             error = f"error {p.relative_error:.2%}" if p.relative_error < 1 else "error not known yet"
-            asked = f" ({p.target:.2%} asked)" if p.target else ""
-            show(_State(f"LED {p.led}", error + asked, p.fraction_done, p.seconds, p.seconds_left))
+            target = f" ({p.target:.2%} requested)" if p.target else ""
+            show(_State(f"LED {p.led}", error + target, p.fraction_done, p.seconds, p.seconds_left))
             if interrupted():
                 raise KeyboardInterrupt
 
@@ -91,22 +84,6 @@ def batch_progress() -> "Iterator[Callable[[BatchProgress], None]]":
             show(_State("batch", text, (p.done + p.failed) / max(p.total, 1), p.seconds, p.seconds_left, p.news))
 
         yield report_progress
-
-
-def as_far_as_reached(
-    study: Callable[..., Any],
-    *arguments: Any,
-    shown: Callable[[], AbstractContextManager[Callable[[Any], None]]] = trace_progress,
-    **options: Any,
-) -> tuple[Any, NotReachedError | None]:
-    """What a study returns, or what it had when it could not reach what was asked, and the reason."""
-    try:
-        with shown() as progress:
-            return study(*arguments, progress=progress, **options), None
-    except NotReachedError as error:
-        if error.result is None:
-            raise
-        return error.result, error
 
 
 @contextmanager
@@ -146,8 +123,8 @@ class _State:
 
     def words(self) -> str:
         """How far it is, and the time left while it is known and not over."""
-        left = math.inf if self.seconds_left is None or self.share >= 1 else self.seconds_left
-        return self.text if math.isinf(left) else f"{self.text}, {left:.0f} s left"
+        known = self.seconds_left is not None and self.seconds_left < math.inf and self.share < 1
+        return f"{self.text}, {self.seconds_left:.0f} s left" if known else self.text
 
 
 @contextmanager

@@ -3,10 +3,14 @@
 import numpy as np
 import pytest
 
-from nailoptics.electronics import lsb_v, noise_budget, read, responsivity_a_per_w
+from nailoptics.electronics import PHOTON_NM_PER_V, lsb_v, noise_budget, read, responsivity_a_per_w
 from nailoptics.errors import InputError
-from nailoptics.scene import Electronics
-from nailoptics.scene.catalogue import PhotodiodeArrayPart, load_part
+from nailoptics.scene import Electronics, Led, Photodiode
+
+# Of one watt, so that a detected fraction is a power in watts.
+LED = Led(name="watt", wavelength_nm=800, flux_mw=1000)
+# 0.55 A/W at the LED's wavelength.
+DIODE = Photodiode(name="diode", position_mm=(0, 0), quantum_efficiency=0.55 * PHOTON_NM_PER_V / 800)
 
 
 def test_responsivity_is_that_of_silicon():
@@ -54,14 +58,8 @@ def test_simulated_electrons_show_the_same_shot_noise():
 
 
 def test_the_prototype_reads_tenths_of_a_volt_with_small_noise():
-    part = load_part("pd_array_4x1", expect=PhotodiodeArrayPart)
-    output = read(
-        np.array([1e-7, 1e-6]),
-        responsivity=responsivity_a_per_w(800, part.quantum_efficiency),
-        amplifier=Electronics(),
-        dark_current_na=part.dark_current_na,
-        shunt_ohm=part.shunt_ohm,
-    )
+    diode = Photodiode(name="diode", array="pd_array_4x1", position_mm=(0, 0))
+    output = read(np.array([1e-7, 1e-6]), LED, diode, Electronics())
     # P * 0.5485 A/W * 1 Mohm + 0.1 mV of dark current.
     assert output.volts == pytest.approx([0.0549, 0.5486], rel=0.005)
     assert (output.volts_noise_rms < 1e-3 * output.volts).all() and (output.volts_noise_rms > 0).all()
@@ -69,21 +67,20 @@ def test_the_prototype_reads_tenths_of_a_volt_with_small_noise():
 
 
 def test_darkness_reads_the_dark_current():
-    output = read(0.0, responsivity=0.55, amplifier=Electronics(), dark_current_na=0.1)
+    output = read(0.0, LED, DIODE, Electronics())
     assert output.volts == pytest.approx(1e-4)
     assert output.volts_noise_rms >= lsb_v(Electronics()) / np.sqrt(12)
     assert not output.saturated
 
 
 def test_a_coarse_converter_dominates():
-    assert read(0.0, responsivity=0.55, amplifier=Electronics(adc_bits=4)).volts_noise_rms == pytest.approx(
-        lsb_v(Electronics(adc_bits=4)) / np.sqrt(12), rel=1e-4
-    )
+    coarse = Electronics(adc_bits=4)
+    assert read(0.0, LED, DIODE, coarse).volts_noise_rms == pytest.approx(lsb_v(coarse) / np.sqrt(12), rel=1e-4)
 
 
 def test_too_much_light_is_held_at_the_range_and_marked():
     power_w = np.geomspace(1e-9, 1e-3, 61)
-    output = read(power_w, responsivity=0.55, amplifier=Electronics())
+    output = read(power_w, LED, DIODE, Electronics())
     saturated = output.saturated
     assert (np.diff(output.volts) >= 0).all() and output.volts.max() == Electronics().adc_range_v
     assert (np.diff(output.amplified_v) > 0).all()
@@ -91,14 +88,14 @@ def test_too_much_light_is_held_at_the_range_and_marked():
     assert saturated.any() and not saturated.all()
 
 
-def test_power_and_responsivity_broadcast():
-    output = read(np.full((3, 1), 1e-7), responsivity=[0.45, 0.55], amplifier=Electronics())
+def test_light_and_light_from_outside_broadcast():
+    output = read(np.full((3, 1), 1e-7), LED, DIODE, Electronics(), ambient_a=[0.0, 1e-8])
     assert output.volts.shape == output.volts_noise_rms.shape == output.saturated.shape == (3, 2)
 
 
 def test_light_from_outside_adds_its_current_and_its_noise():
     amplifier = Electronics()
-    alone, lit = (read(1e-7, responsivity=0.55, amplifier=amplifier, ambient_a=a) for a in (0.0, 2e-7))
+    alone, lit = (read(1e-7, LED, DIODE, amplifier, ambient_a=a) for a in (0.0, 2e-7))
     assert lit.volts - alone.volts == pytest.approx(2e-7 * amplifier.feedback_ohm, rel=1e-12)
     more = noise_budget(0.55e-7 + 2e-7, amplifier).shot_v2 - noise_budget(0.55e-7, amplifier).shot_v2
     assert lit.noise_v2 - alone.noise_v2 == pytest.approx(more, rel=1e-6)
@@ -106,8 +103,8 @@ def test_light_from_outside_adds_its_current_and_its_noise():
 
 @pytest.mark.parametrize("power_w", [-1e-9, np.nan, np.inf])
 def test_impossible_power_is_refused(power_w):
-    with pytest.raises(InputError, match="power_w"):
-        read([1e-7, power_w], responsivity=0.55, amplifier=Electronics())
+    with pytest.raises(InputError, match="detected_fraction"):
+        read([1e-7, power_w], LED, DIODE, Electronics())
 
 
 def test_impossible_quantum_efficiency_is_refused():

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Unpack
 
+import numpy as np
+
 from ..io import pack
+from ..light import Transfer, trace
 from ..light.detect import VOLPATH_RELATIVE_ERROR
-from ..light.identity import light_scene
-from ..light.records import LedBatches
-from ..light.tracing import StoppingRule, photons_engine
-from ..light.transfer import Transfer
+from ..light.tracing import photons_engine
 from ..options import Requested, TraceOptions
 from ..scene import Scene
 from ..scene.sweep import Sweep
@@ -50,13 +50,10 @@ def estimate(sweep: Sweep, **requested: Unpack[Requested]) -> Estimate:
     """Estimate a sweep's cost; compiling is not counted, as it happens once per worker."""
     settings = Settings.of(Path(), TraceOptions(**requested))
     planned = plan(sweep, settings)
-    groups: dict[str, list[Scene]] = {}
-    for p in planned:
-        groups.setdefault(p.key, []).append(p.scene)
-    lights = list(groups.values())
-    count = min(SAMPLES, len(lights))
-    picks = [lights[round(i * (len(lights) - 1) / max(count - 1, 1))] for i in range(count)]
-    costs = [_cost(group[0], settings) for group in picks]
+    first = {p.key: p.scene for p in reversed(planned)}
+    lights = [first[key] for key in dict.fromkeys(p.key for p in planned)]
+    picks = np.linspace(0, len(lights) - 1, min(SAMPLES, len(lights))).round().astype(int)
+    costs = [_cost(lights[pick], settings) for pick in picks]
     light_s, read_s, light_bytes, read_bytes = (sum(column) / len(costs) for column in zip(*costs, strict=True))
     scenes = len({p.digest for p in planned})
     return Estimate(
@@ -85,29 +82,23 @@ def _cost(scene: Scene, settings: Settings) -> tuple[float, float, float, float]
         return (time.process_time() - begin) * more, 0.0, 0.0, float(size)
     engine_class, _ = photons_engine(scene, settings.options.backend)
     full: int = engine_class.batch_photons
-    engine, required = engine_class(light_scene(scene)), settings.required(scene)
-    engine.batch(0, photons=1024, seed=1)  # compiles
-    opening = time.process_time()
-    engine = engine_class(light_scene(scene))
-    opening = time.process_time() - opening
-    light_s, light_bytes, traces = opening, 0.0, []
-    for led in range(len(scene.leds)):
-        begin = time.process_time()
-        batch = engine.batch(led, photons=full, seed=1)
-        spent = time.process_time() - begin
-        rule = StoppingRule(scene, led, required, engine.mu_a(led), full=full)
-        rule.add(batch)
-        photons = float(required.photons or full)
-        if required.photons is None and required.relative_error is not None and math.isfinite(rule.error):
-            photons *= max((rule.error / required.relative_error) ** 2, 1.0)
-        times = photons / full
-        light_s += spent * times
-        light_bytes += times * (batch.weight.nbytes + batch.path_mm.nbytes + batch.photodiode.nbytes)
-        batches = LedBatches(engine.mu_a(led), {(0, full): batch})
-        traces.append(batches.trace([full], seed=settings.options.seed, led=led, rest=rule.rest))
-    transfer = Transfer(scene, tuple(traces), settings.options.backend)
-    reading.of_transfer(transfer, seed=settings.options.seed)  # imports
+    required, seed = settings.required(scene), settings.options.seed
+    _traced(scene, settings, photons=1024)  # compiles
+    opening, _ = _traced(scene, settings, photons=1024)
+    spent, transfer = _traced(scene, settings, photons=full)
+    reading.of_transfer(transfer, seed=seed)  # imports
     begin = time.process_time()
-    dataset = reading.of_transfer(transfer, seed=settings.options.seed)
-    size = len(pack(*reading.to_record(dataset)))
-    return light_s, time.process_time() - begin, light_bytes, float(size)
+    dataset = reading.of_transfer(transfer, seed=seed)
+    read_s, times = time.process_time() - begin, (required.photons or full) / full
+    error = reading.relative_error(dataset)
+    if required.photons is None and required.relative_error is not None and math.isfinite(error):
+        times = max((error / required.relative_error) ** 2, 1.0)
+    kept = sum(t.weight.nbytes + t.path_mm.nbytes + t.photodiode.nbytes for t in transfer.traces)
+    return opening + times * (spent - opening), read_s, times * kept, float(len(pack(*reading.to_record(dataset))))
+
+
+def _traced(scene: Scene, settings: Settings, *, photons: int) -> tuple[float, Transfer]:
+    """Processor seconds of a trace from the scene on, and what it traced."""
+    begin = time.process_time()
+    transfer = trace(scene, photons=photons, seed=1, backend=settings.options.backend)
+    return time.process_time() - begin, transfer

@@ -3,7 +3,6 @@
 import contextlib
 import multiprocessing
 import os
-from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
@@ -17,7 +16,7 @@ _SINGLE = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB
 _STARTS = 5
 
 
-class Slots(ABC):
+class Slots:
     """Executors that take one job at a time; one that broke is replaced."""
 
     executors: list[Executor]
@@ -26,19 +25,16 @@ class Slots(ABC):
     # Workers of one machine that have yet to divide its cores.
     sharers = 0
 
-    @abstractmethod
     def start(self) -> None:
         """Wait until there is someone to work."""
 
-    @abstractmethod
     def renew(self, slot: int) -> None:
-        """Replace a slot whose worker died."""
+        """Replace a slot whose worker died, unless that happens by itself."""
 
     def deserted(self) -> bool:
         """Whether nobody is left to work, though somebody may come."""
         return False
 
-    @abstractmethod
     def close(self, *, now: bool) -> None:
         """Let the workers go; at once, with whatever they do, or when they are done."""
 
@@ -110,12 +106,6 @@ class ClusterSlots(Slots):
         self.executors = [executor] * (2 * sum(found.values()))
         self.sharers = max(Counter(address.rpartition(":")[0] for address in found).values())
 
-    def start(self) -> None:
-        """There were workers when this was made."""
-
-    def renew(self, slot: int) -> None:
-        """Dask starts dead workers again by itself."""
-
     def deserted(self) -> bool:
         try:
             return not self.client.nthreads()
@@ -129,13 +119,11 @@ class ClusterSlots(Slots):
 @contextlib.contextmanager
 def single_threaded_blas() -> Iterator[None]:
     """Processes started meanwhile do linear algebra on one thread."""
-    before = {name: os.environ.get(name) for name in _SINGLE}
+    before = {name: os.environ[name] for name in _SINGLE if name in os.environ}
     os.environ.update(dict.fromkeys(_SINGLE, "1"))
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        for name in _SINGLE:
+            del os.environ[name]
+        os.environ.update(before)

@@ -77,13 +77,12 @@ class Folder:
             raise CorruptError("it belongs to another scene")
         return found
 
-    def read_failure(self, digest: str) -> dict[str, Any] | None:
-        """Why a scene failed, or None."""
+    def why_failed(self, digest: str) -> str:
+        """Why a scene failed, in one line."""
         try:
-            found = json.loads(self.failure(digest).read_text(encoding="utf-8"))
-            return found if isinstance(found, dict) else None
-        except (OSError, ValueError):
-            return None
+            return str(json.loads(self.failure(digest).read_text(encoding="utf-8"))["error"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return "unknown"
 
     def write_failure(self, digest: str, failure: dict[str, Any]) -> None:
         """Record why a scene failed."""
@@ -100,13 +99,12 @@ class Folder:
         header, arrays = found
         if header["made"] != made:
             return None
-        pieces, start = {}, 0
+        pieces, end = {}, 0
         for piece in header["pieces"]:
-            chunk = slice(start, start + piece["records"])
-            start += piece["records"]
+            start, end = end, end + piece["records"]
             pieces[piece["number"], piece["photons"]] = Batch(
                 photons=piece["photons"],
-                **{name: arrays[name][chunk] for name in _COLUMNS},
+                **{name: arrays[name][start:end] for name in _COLUMNS},
                 energy={name: (a, b) for name, (a, b) in zip(_PARTS, piece["energy"], strict=True)},
                 events=piece["events"],
             )

@@ -4,12 +4,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import InputError
-from ..io import CorruptError
 from ..light.identity import light_digest
 from ..scene import Scene, digest
 from ..scene.sweep import Sweep
 from .folder import Folder
-from .work import Job, Settings, meets, reads_transfer
+from .work import Job, Settings, reads_transfer, standing
 
 # Scenes read from one light by one worker before others may help.
 CHUNK = 16
@@ -26,11 +25,10 @@ class Planned:
 
 def plan(sweep: Sweep, settings: Settings) -> list[Planned]:
     """Digest and light of every scene, in the sweep's order."""
-    planned = []
-    for scene in sweep.scenes:
-        own = digest(scene)
-        planned.append(Planned(own, light_digest(scene) if reads_transfer(scene, settings) else own, scene))
-    return planned
+    return [
+        Planned(digest(scene), light_digest(scene) if reads_transfer(scene, settings) else digest(scene), scene)
+        for scene in sweep.scenes
+    ]
 
 
 def parse_shard(text: str | None) -> tuple[int, int]:
@@ -54,7 +52,7 @@ class Todo:
     """What is left of a plan.
 
     jobs : one per light, each with all its scenes.
-    kept : digests that are done as asked. failed : those that failed before, which stay so.
+    kept : digests that are done as required. failed : those that failed before, which stay so.
     corrupt : results that are not what was written, and will be made again.
     """
 
@@ -67,19 +65,18 @@ class Todo:
 def left(planned: list[Planned], folder: Folder, settings: Settings, *, retry_failed: bool) -> Todo:
     """What is left to do, checking every result that is there."""
     groups: dict[str, dict[str, Scene]] = {}
-    kept, failed, corrupt = [], [], []
+    kept: list[str] = []
+    failed: list[str] = []
+    corrupt: list[str] = []
     for p in {p.digest: p for p in planned}.values():
-        try:
-            found = folder.read_result(p.digest, arrays=False)
-        except CorruptError:
-            corrupt.append(p.digest)
-            found = None
-        if found is not None and meets(found[0], settings.required(p.scene)):
+        stands = standing(folder, p.digest, settings.required(p.scene))
+        if stands == "done":
             kept.append(p.digest)
-        elif not retry_failed and folder.failure(p.digest).exists():
+        elif stands == "failed" and not retry_failed:
             failed.append(p.digest)
         else:
             groups.setdefault(p.key, {})[p.digest] = p.scene
+            corrupt += [p.digest] if stands == "corrupt" else []
     return Todo([Job(key, tuple(scenes.items())) for key, scenes in groups.items()], kept, failed, corrupt)
 
 
@@ -108,15 +105,13 @@ def as_json(sweep: Sweep, planned: list[Planned], settings: Settings) -> dict[st
 
 def check_same(folder: Folder, settings: Settings) -> None:
     """Raise InputError where the folder holds results of another seed or backend."""
-    if not (folder.root / "plan.json").exists():
-        return
     try:
         old = folder.read_plan()
     except InputError:
-        return  # written anew
+        return  # there is none, or it is written anew
     for name in ("seed", "backend"):
         if old.get(name) != (mine := getattr(settings.options, name)):
             raise InputError(
-                f"{folder.root}: was begun with {name} {old.get(name)}, and {mine} is asked for; "
+                f"{folder.root}: was begun with {name} {old.get(name)}, and {mine} is requested; "
                 f"use --{name} {old.get(name)} or another folder."
             )

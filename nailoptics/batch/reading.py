@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from ..errors import NotReachedError
+from ..errors import as_far_as_reached
 from ..light import Transfer
 from ..light.detect import light_of
 from ..light.transfer import photodiode_names
@@ -79,26 +79,15 @@ def _summarised(result: xr.Dataset) -> xr.Dataset:
 
 def by_volpath(scene: Scene, options: TraceOptions) -> tuple[xr.Dataset, int, bool]:
     """The same from volpath, which traces every scene anew: the dataset, its photons, and whether it is accurate."""
-    reached = True
     if scene.finger is not None:
         from ..studies.simulate import simulate
 
-        try:
-            result = simulate(scene, **options.fields)
-        except NotReachedError as error:
-            if not isinstance(error.result, xr.Dataset):
-                raise
-            result, reached = error.result, False
+        result, unmet = as_far_as_reached(simulate, scene, **options.fields)
         kept = [name for name in result.variables if not str(name).startswith(("section_", "path_density"))]
-        return _summarised(result[kept]), int(result.attrs["photons"]), reached
-    from ..light import RestReadings, read_rest
+        return _summarised(result[kept]), int(result.attrs["photons"]), not unmet
+    from ..light import read_rest
 
-    try:
-        rest = read_rest(scene, **options.fields)
-    except NotReachedError as error:
-        if not isinstance(error.result, RestReadings):
-            raise
-        rest, reached = error.result, False
+    rest, unmet = as_far_as_reached(read_rest, scene, **options.fields)
     names = photodiode_names(scene)
     fraction, stderr = (
         np.reshape([row[column] for row in rest.readings], (len(scene.leds), len(names)))
@@ -110,7 +99,7 @@ def by_volpath(scene: Scene, options: TraceOptions) -> tuple[xr.Dataset, int, bo
         coords={"led": [led.name for led in scene.leds], "photodiode": list(names)},
         attrs={"engine": "volpath", "backend": rest.backend},
     )
-    return dataset, rest.photons, reached
+    return dataset, rest.photons, not unmet
 
 
 def to_record(dataset: xr.Dataset) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -29,30 +29,22 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
     names = [axis["name"] for axis in plan["axes"]]
     states, found = [], []
     for digest in plan["scenes"]:
-        one, state = None, MISSING
+        one, state = None, FAILED if place.failure(digest).exists() else MISSING
         try:
-            stored = place.read_result(digest)
-            if stored is not None:
-                one = _one(*stored, course)
+            if stored := place.read_result(digest):
+                one, state = _one(*stored, course), DONE
                 # An axis may be called as a result is: leds.ir.wavelength_nm.
                 one = one.rename({name: f"{name}_result" for name in names if name in one.data_vars})
-                state = DONE
         except CorruptError:
             state = CORRUPT
-        if one is None and state == MISSING and place.failure(digest).exists():
-            state = FAILED
         states.append(state)
         found.append(one)
     dataset = _stacked(found, dims, shape)
     dataset["state"] = (dims, np.array(states).reshape(shape), {"long_name": "done, missing, failed or corrupt"})
     dataset["digest"] = (dims, np.array(plan["scenes"]).reshape(shape), {"long_name": "digest of the scene"})
     dataset = dataset.assign_coords(_coordinates(plan))
-    dataset.attrs |= {
-        "title": f"nailoptics: batch {plan['sweep']}",
-        "Conventions": "CF-1.11",
-        "seed": plan["seed"],
-        "backend": plan["backend"],
-    }
+    dataset.attrs |= {"title": f"nailoptics: batch {plan['sweep']}", "Conventions": "CF-1.11"}
+    dataset.attrs |= {name: plan[name] for name in ("seed", "backend")}
     return dataset
 
 
@@ -64,7 +56,7 @@ def _one(header: dict[str, Any], arrays: dict[str, np.ndarray], course: bool) ->
     return one.assign(
         relative_error=((), np.nan if error is None else error, {"units": "1", "long_name": "largest relative error"}),
         photons=((), float(header["photons_per_led"]), {"units": "1", "long_name": "photons per LED"}),
-        reached=((), bool(header["reached"]), {"units": "1", "long_name": "as accurate as asked"}),
+        reached=((), bool(header["reached"]), {"units": "1", "long_name": "as accurate as requested"}),
     )
 
 
@@ -83,9 +75,10 @@ def _stacked(found: list[xr.Dataset | None], dims: tuple[str, ...], shape: tuple
                 )
     data = {}
     for name, variable in first.data_vars.items():
-        full = np.full((len(found), *variable.shape), _empty(variable.dtype), _holding(variable.dtype))
-        if full.dtype.kind == "U":
-            full = full.astype(object)
+        # A type that can say that nothing is there.
+        number = np.result_type(variable.dtype, np.float32) if variable.dtype.kind not in "bU" else None
+        empty, holding = {"b": (False, bool), "U": ("", object)}.get(variable.dtype.kind, (np.nan, number))
+        full = np.full((len(found), *variable.shape), empty, holding)
         for i, item in enumerate(found):
             if item is not None and name in item:
                 full[i] = item[name].values
@@ -96,17 +89,8 @@ def _stacked(found: list[xr.Dataset | None], dims: tuple[str, ...], shape: tuple
     return xr.Dataset(data, coords=coords, attrs=kept)
 
 
-def _empty(dtype: np.dtype) -> Any:
-    return {"b": False, "U": "", "S": ""}.get(dtype.kind, np.nan)
-
-
-def _holding(dtype: np.dtype) -> Any:
-    """A type that can say that nothing is there."""
-    return dtype if dtype.kind in "bU" else np.result_type(dtype, np.float32)
-
-
 def _coordinates(plan: dict[str, Any]) -> dict[str, Any]:
-    """The axes as coordinates; values that are tables or arrays are told as text."""
+    """The axes as coordinates; values that are tables or arrays become text."""
     coordinates: dict[str, Any] = {}
     for axis in plan["axes"]:
         values = axis["values"]
@@ -122,14 +106,9 @@ def _coordinates(plan: dict[str, Any]) -> dict[str, Any]:
 def write_table(results: xr.Dataset, path: str | Path) -> Path:
     """Write what `open_results` returns as CSV: a row per scene, LED and photodiode, a column per quantity."""
     kept = [n for n, v in results.data_vars.items() if not {"absorber", "part", "zone", "time"} & set(v.dims)]
-    for dim, prefix in (("absorber", "mean_path_mm"),):
-        if dim in results.dims and prefix in results:
-            for item in results[dim].values:
-                for name in (prefix, f"{prefix}_stderr"):
-                    column = f"{name}_{item}"
-                    results = results.assign({column: results[name].sel({dim: item}, drop=True)})
-                    kept.append(column)
-    frame = results[kept].to_dataframe()
-    path = Path(path)
-    write_text(path, frame.to_csv())
-    return path
+    for item in results.absorber.values if "mean_path_mm" in results else ():
+        for name in ("mean_path_mm", "mean_path_mm_stderr"):
+            results = results.assign({f"{name}_{item}": results[name].sel(absorber=item, drop=True)})
+            kept.append(f"{name}_{item}")
+    write_text(Path(path), results[kept].to_dataframe().to_csv())
+    return Path(path)

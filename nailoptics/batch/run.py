@@ -92,30 +92,19 @@ def run_batch(
     place.write_plan(plans.as_json(sweep, planned, settings))
     mine = plans.of_shard(planned, part)
     todo = plans.left(mine, place, settings, retry_failed=retry_failed)
-    failed = {digest: (place.read_failure(digest) or {}).get("error", "unknown") for digest in todo.failed}
-    outcome = Outcome(
-        total=len({p.digest for p in mine}),
-        lights=len({p.key for p in mine}),
-        kept=todo.kept,
-        failed=failed,
-        corrupt=list(todo.corrupt),
-    )
+    failed = {digest: place.why_failed(digest) for digest in todo.failed}
+    total, lights = len({p.digest for p in mine}), len({p.key for p in mine})
+    outcome = Outcome(total, lights, kept=todo.kept, failed=failed, corrupt=list(todo.corrupt))
     driver = _Driver(settings, todo.jobs, outcome, begin, progress)
     for digest in todo.corrupt:
         driver.show(f"result {digest[:12]} is damaged or another version's (checksum); made again")
     if todo.jobs:
         with single_threaded_blas():
-            driver.run(_slots(settings, scheduler, workers, threads))
+            workers = workers or (1 if settings.options.backend == "cuda" else cores())
+            threads = threads or max(1, cores() // workers)
+            driver.run(ClusterSlots(scheduler) if scheduler is not None else LocalSlots(workers, threads))
     outcome.seconds = time.time() - begin
     return _judged(outcome, driver.trouble)
-
-
-def _slots(settings: Settings, scheduler: str | None, workers: int | None, threads: int | None) -> Slots:
-    if scheduler is not None:
-        return ClusterSlots(scheduler)
-    if workers is None:
-        workers = 1 if settings.options.backend == "cuda" else cores()
-    return LocalSlots(workers, threads or max(1, cores() // workers))
 
 
 def _judged(outcome: Outcome, trouble: str) -> Outcome:
@@ -136,27 +125,26 @@ def _judged(outcome: Outcome, trouble: str) -> Outcome:
     return outcome
 
 
+@dataclass
 class _Driver:
     """The loop of one run."""
 
-    def __init__(
-        self,
-        settings: Settings,
-        jobs: list[Job],
-        outcome: Outcome,
-        begin: float,
-        progress: Callable[[BatchProgress], None] | None,
-    ) -> None:
-        self.settings, self.outcome, self.begin, self.progress = settings, outcome, begin, progress
-        self.queue = deque(plans.first_of(job) for job in jobs)
-        self.later = {job.key: plans.rest_of(job) for job in jobs}
+    settings: Settings
+    jobs: list[Job]
+    outcome: Outcome
+    begin: float
+    progress: Callable[[BatchProgress], None] | None
+
+    def __post_init__(self) -> None:
+        self.queue = deque(plans.first_of(job) for job in self.jobs)
+        self.later = {job.key: plans.rest_of(job) for job in self.jobs}
         self.running: dict[Future[JobReport], tuple[int, Job]] = {}
         self.asleep: deque[tuple[float, Job]] = deque()
         # Deaths by scene; and by light, scenes given up since one of it was reported.
         self.deaths: Counter[str] = Counter()
         self.fatal: Counter[str] = Counter()
-        self.left = {digest for job in jobs for digest, _ in job.scenes}
-        self.started = begin
+        self.left = {digest for job in self.jobs for digest, _ in job.scenes}
+        self.started = self.begin
         self.reported, self.trouble, self.deserted = 0, "", False
 
     def run(self, slots: Slots) -> None:

@@ -1,13 +1,13 @@
 """How far the batch in a folder is, seen from outside."""
 
 import time
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..io import CorruptError
 from ..scene import Accuracy
 from .folder import Folder
-from .work import meets
+from .work import standing
 
 # The pace is that of the results of the last minutes.
 _WINDOW_S = 600.0
@@ -17,7 +17,7 @@ _WINDOW_S = 600.0
 class Status:
     """Counts of a batch's scenes; seconds_left at the pace of the last ten minutes, None where there was none.
 
-    below : results that are there, but not yet as accurate as asked.
+    below : results that are there, but not yet as accurate as requested.
     """
 
     total: int
@@ -37,7 +37,7 @@ class Status:
     def __str__(self) -> str:
         lines = [f"{self.done} of {self.total} scenes done, {self.left} left, {len(self.failed)} failed"]
         if self.below:
-            lines.append(f"{self.below} of those left are there, but less accurate than asked")
+            lines.append(f"{self.below} of those left are there, but less accurate than requested")
         if self.corrupt:
             lines.append(f"{self.corrupt} results are damaged or another version's; the next run makes them again")
         if self.left:
@@ -61,30 +61,17 @@ def status(folder: str | Path) -> Status:
     place = Folder(Path(folder))
     plan = place.read_plan()
     required = {digest: Accuracy(**wanted) for digest, wanted in zip(plan["scenes"], plan["asked"], strict=True)}
-    now = time.time()
-    done, below, corrupt, times, failed = 0, 0, 0, [], {}
-    for digest, wanted in required.items():
-        try:
-            found = place.read_result(digest, arrays=False)
-        except CorruptError:
-            corrupt += 1
-            continue
-        if found is not None and meets(found[0], wanted):
-            done += 1
-            times.append(place.result(digest).stat().st_mtime)
-        elif (failure := place.read_failure(digest)) is not None:
-            failed[digest] = str(failure.get("error", "unknown"))
-        elif found is not None:
-            below += 1
-    left = len(required) - done - len(failed)
+    stands = {digest: standing(place, digest, wanted) for digest, wanted in required.items()}
+    count, now = Counter(stands.values()), time.time()
+    times = [place.result(digest).stat().st_mtime for digest, how in stands.items() if how == "done"]
+    failed = {digest: place.why_failed(digest) for digest, how in stands.items() if how == "failed"}
+    left = len(required) - count["done"] - count["failed"]
     recent = sorted(t for t in times if now - t < _WINDOW_S)
     pace = len(recent) / max(now - recent[0], 1.0) if recent else 0.0
     return Status(
         total=len(required),
         lights=plan["lights"],
-        done=done,
-        below=below,
-        corrupt=corrupt,
+        **{how: count[how] for how in ("done", "below", "corrupt")},
         failed=failed,
         seconds_left=0.0 if not left else (left / pace if pace else None),
         last_result_s_ago=now - max(times) if times else None,

@@ -10,6 +10,7 @@ import time
 import traceback
 import warnings
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -147,7 +148,7 @@ def work(job: Job, settings: Settings, sharers: int = 0) -> JobReport:
 
 def _do(job: Job, settings: Settings, report: JobReport) -> None:
     folder = Folder(settings.folder)
-    todo = [(digest, scene) for digest, scene in job.scenes if not _is_done(folder, digest, settings.required(scene))]
+    todo = [one for one in job.scenes if standing(folder, one[0], settings.required(one[1])) != "done"]
     report.done += [digest for digest, _ in job.scenes if digest not in dict(todo)]
     if not todo:
         return
@@ -211,12 +212,17 @@ def meets(header: dict[str, Any], required: Accuracy) -> bool:
     return True
 
 
-def _is_done(folder: Folder, digest: str, required: Accuracy) -> bool:
+def standing(folder: Folder, digest: str, required: Accuracy) -> str:
+    """How a scene stands: done, below what is required, corrupt, failed or missing."""
     try:
         found = folder.read_result(digest, arrays=False)
     except CorruptError:
-        return False
-    return found is not None and meets(found[0], required)
+        return "corrupt"
+    if found is not None and meets(found[0], required):
+        return "done"
+    if folder.failure(digest).exists():
+        return "failed"
+    return "missing" if found is None else "below"
 
 
 class _Light:
@@ -235,7 +241,7 @@ class _Light:
             return opened[0]
 
         self.leds: list[LedBatches] = []
-        self.rules: list[dict[int, StoppingRule]] = []
+        self.rules: list[dict[Any, StoppingRule]] = []
         for led in range(len(first.leds)):
             have = None
             try:
@@ -245,39 +251,27 @@ class _Light:
             mu_a = have.mu_a if have else engine().mu_a(led)
             # Scenes that differ only in what comes after the light need the same of it.
             rules: dict[Any, StoppingRule] = {}
-            own = {}
             for scene in (*scenes, *job.also):
-                required = settings.required(scene)
-                same = (scene.blood, scene.finger, scene.leds[led].fwhm_nm, required)
-                if same not in rules:
-                    rules[same] = StoppingRule(scene, led, required, mu_a, full=full)
-                own[id(scene)] = rules[same]
+                need = self._need(scene, led)
+                if need not in rules:
+                    rules[need] = StoppingRule(scene, led, settings.required(scene), mu_a, full=full)
+            seed, save = settings.options.seed, partial(folder.write_light, job.key, led, made=made)
+            stop, every = settings.is_late, list(rules.values())
+            self.leds.append(extend(engine, led, have, every, seed=seed, stop=stop, save=save))
+            self.rules.append(rules)
 
-            def save(batches: LedBatches, led: int = led) -> None:
-                folder.write_light(job.key, led, batches, made=made)
-
-            self.leds.append(
-                extend(
-                    engine,
-                    led,
-                    have,
-                    list(rules.values()),
-                    seed=settings.options.seed,
-                    stop=settings.is_late,
-                    save=save,
-                )
-            )
-            self.rules.append(own)
+    def _need(self, scene: Scene, led: int) -> Any:
+        return scene.blood, scene.finger, scene.leds[led].fwhm_nm, self.settings.required(scene)
 
     def transfer(self, scene: Scene) -> tuple[Transfer, bool, float | None] | None:
-        """The scene's light, whether it is as accurate as asked, and its largest relative error if that was looked at.
+        """The scene's light, whether it is as accurate as required, and its largest relative error if that is known.
 
         None where the batch's time ended before.
         """
         settings, traces, reached = self.settings, [], True
         errors: list[float | None] = []
-        for led, (batches, own) in enumerate(zip(self.leds, self.rules, strict=True)):
-            rule = own[id(scene)]
+        for led, (batches, rules) in enumerate(zip(self.leds, self.rules, strict=True)):
+            rule = rules[self._need(scene, led)]
             if rule.unseen:
                 raise NotReachedError(rule.unseen)
             sizes, met = rule.settled(batches.pieces)
@@ -286,8 +280,7 @@ class _Light:
             reached &= met
             errors.append(rule.errors[len(sizes) - 1] if sizes[-1] == rule.full else None)
             traces.append(batches.trace(sizes, seed=settings.options.seed, led=led, rest=rule.rest))
-        known = [error for error in errors if error is not None]
-        worst = max(known) if len(known) == len(errors) else None
+        worst = None if None in errors else max(error for error in errors if error is not None)
         return Transfer(scene, tuple(traces), settings.options.backend), reached, worst
 
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from ..io import write_text
 from ..statistics import Z95
-from ..studies.model_error.tradeoff import REFERENCE, STATES, TARGETS, Bias, Level, Tradeoff
+from ..studies.model_error.levels import REFERENCE, STATES, TARGETS, Bias, Level
+from ..studies.model_error.tradeoff import Tradeoff
 from . import style
 from .html import document, escaped, figure, section, small, table
 from .numbers import significant, with_error

@@ -30,7 +30,7 @@ class Ambient:
 
     def irradiance(self, wavelength_nm: ArrayLike) -> Array:
         """Spectral irradiance. [W m^-2 nm^-1]"""
-        # Half a second, paid only where light from outside is asked for.
+        # Half a second, paid only where light from outside is requested.
         import colour
 
         def planck(nm: ArrayLike) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from .. import electronics
-from ..errors import InputError, NotReachedError
+from ..errors import InputError, NotReachedError, as_far_as_reached
 from ..light import DetectedLight, ProgressCallback, open_light, optics
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import fit_beer_lambert, fit_taylor
@@ -39,13 +39,9 @@ def simulate(scene: Scene, *, progress: ProgressCallback | None = None, **reques
     options = TraceOptions(**requested)
     if scene.finger is None:
         raise InputError("simulate needs a [finger] scene; a [phantom] has no blood, use trace for its light.")
-    course, unmet = blood_over_touch(scene), None
-    try:
-        light = open_light(scene, states=course.blood_fraction.values.T, progress=progress, **requested)
-    except NotReachedError as error:
-        if not isinstance(error.result, DetectedLight):
-            raise
-        light, unmet = error.result, error
+    course = blood_over_touch(scene)
+    states = course.blood_fraction.values.T
+    light, unmet = as_far_as_reached(open_light, scene, states=states, progress=progress, **requested)
     result = simulate_from(scene, light, course=course, seed=options.seed)
     if unmet:
         raise NotReachedError(str(unmet), result=result) from None
@@ -73,7 +69,7 @@ def _read_volts(scene: Scene, light: DetectedLight, blood: np.ndarray) -> xr.Dat
     efficiency = [diode.quantum_efficiency for diode in diodes]
     responsivity = electronics.responsivity_a_per_w(wavelength_nm[:, None], efficiency)
     read = [
-        [electronics.read_fraction(one, led, diode, scene.electronics) for one, diode in zip(row, diodes, strict=True)]
+        [electronics.read(one, led, diode, scene.electronics) for one, diode in zip(row, diodes, strict=True)]
         for row, led in zip(readings.fraction, scene.leds, strict=True)
     ]
     volts, noise, saturated = (_each(read, name) for name in ("volts", "volts_noise_rms", "saturated"))

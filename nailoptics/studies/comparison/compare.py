@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from ... import tissue
-from ...errors import InputError, NotReachedError
+from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...light import ProgressCallback, Transfer, optics, trace
 from ...light.course import read_replicates
 from ...options import Requested, TraceOptions
@@ -57,24 +57,15 @@ def compare(
     options = replace(options, max_seconds=share)
     results, unmet = [], None
     for one in scenes:
-        transfer, why = _traced(one, options, progress)
+        transfer, why = as_far_as_reached(trace, one, progress=progress, **options.fields)
         slopes = _scattering_slopes(transfer, options, progress)
         results.append(compare_transfer(transfer, sweeps, slopes, options.seed))
         unmet = unmet or why
     result = xr.concat(results, "led", data_vars="minimal", coords="minimal", compat="override", join="override")
     result.attrs = results[0].attrs
     if unmet:
-        raise NotReachedError(unmet, result=result)
+        raise NotReachedError(str(unmet), result=result)
     return result
-
-
-def _traced(scene: Scene, options: TraceOptions, progress: ProgressCallback | None) -> tuple[Transfer, str | None]:
-    try:
-        return trace(scene, progress=progress, **options.fields), None
-    except NotReachedError as error:
-        if not isinstance(error.result, Transfer):
-            raise
-        return error.result, str(error)
 
 
 def _at_wavelength(scene: Scene, wavelength_nm: float) -> Scene:
@@ -97,7 +88,8 @@ def _scattering_slopes(transfer: Transfer, options: TraceOptions, progress: Prog
         changed = finger.model_copy(update={"bed_scattering": factor * finger.bed_scattering})
         scene = transfer.scene.model_copy(update={"finger": changed})
         # Streams of their own, which no neighbouring seed shares; a trace takes seeds below 2^63.
-        rest = _traced(scene, replace(fewer, seed=seed_of(options.seed, k) >> 1), progress)[0].at()
+        own = replace(fewer, seed=seed_of(options.seed, k) >> 1).fields
+        rest = as_far_as_reached(trace, scene, progress=progress, **own)[0].at()
         value, error = rest.detected_fraction.values, rest.detected_fraction_stderr.values
         with np.errstate(invalid="ignore", divide="ignore"):
             log.append(np.where(value > 0, np.log(value), np.nan))

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -138,4 +139,6 @@ def returning(change: Change, base: PairedReadings, cut: PairedReadings, back: P
 
 def nothing(name: str, why: str, tolerance: float) -> Effect:
     """An effect that is none by construction."""
-    return Effect(name, False, why, "derived", 0.0, 0.0, 0.0, "", 0.0, 0.0, 0.0, {}, tolerance)
+    none: dict[str, Any] = dict.fromkeys(("change", "stderr", "bound", "typical", "typical_stderr"), 0.0)
+    none |= {"how": "derived", "photodiode": "", "modulation_bound": 0.0, "tolerance": tolerance}
+    return Effect(name=name, modelled=False, changed_to=why, **none)

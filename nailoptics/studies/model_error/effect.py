@@ -29,20 +29,16 @@ class Change:
     same_photons: bool = False
 
 
-@dataclass(frozen=True)
-class Effect:
-    """One part or effect: whether the scene models it, and by how much readings move when that is changed.
+@dataclass(frozen=True, kw_only=True)
+class Effect(Change):
+    """A change that was measured: by how much readings move.
 
     change, stderr : relative change of the reading at rest, of the photodiode that it surely moves most.
     bound : what no photodiode's change exceeds, with 95 % confidence each; the one named reaches it.
     typical, typical_stderr : change over all photodiodes, weighed by the errors of the scene's readings.
     modulation_bound : the same bound on the modulation by touch, as a part of the largest modulation.
-    changes : what of the scene changes it; nothing where no line can.
     """
 
-    name: str
-    modelled: bool
-    changed_to: str
     how: Literal["reweighted", "retraced", "derived"]
     change: float
     stderr: float
@@ -51,7 +47,6 @@ class Effect:
     typical: float
     typical_stderr: float
     modulation_bound: float | None
-    changes: Changes
     tolerance: float
 
     @property
@@ -88,9 +83,7 @@ def effect_of(
     mean, spread = weighted_mean(ratio, error, base)
     swing = np.abs(found.swing) + Z95 * found.swing_stderr
     return Effect(
-        name=change.name,
-        modelled=change.modelled,
-        changed_to=change.changed_to,
+        **vars(change),
         how=how,
         change=float(ratio[best]),
         stderr=float(error[best]),
@@ -99,6 +92,5 @@ def effect_of(
         typical=mean,
         typical_stderr=spread,
         modulation_bound=float(np.max(swing)) if np.isfinite(swing).all() else None,
-        changes=change.changes,
         tolerance=tolerance,
     )

@@ -52,7 +52,8 @@ class Explanation:
         """Everything, ready for JSON."""
 
         def row(effect: Effect) -> dict[str, Any]:
-            return vars(effect) | {"matters": effect.matters, "lines": effect.lines}
+            measured = {name: value for name, value in vars(effect).items() if name != "same_photons"}
+            return measured | {"matters": effect.matters, "lines": effect.lines}
 
         return {
             "effects": [row(e) for e in self.effects],
@@ -103,7 +104,7 @@ def explain(
     tolerance : relative change of a reading that matters; the scene's relative error if not given, else 2 %.
     photons : of each LED in each trace; or
     relative_error : of the scene's own trace, all others having as many photons; or
-    max_seconds : for all traces together, about; 90 if nothing else is asked for.
+    max_seconds : for all traces together, about; 90 if nothing else is requested.
 
     Raises: InputError; NotReachedError, whose result is the Explanation as far as it was made, if interrupted.
     """

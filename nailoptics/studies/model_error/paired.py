@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...errors import InputError, NotReachedError
+from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...light import ProgressCallback, TraceProgress, Transfer, trace
 from ...light.course import course
 from ...light.records import LedTrace
@@ -96,12 +96,10 @@ class PairedTracer:
         options = self.options
         if options.relative_error is not None:
             share = None if options.max_seconds is None else options.max_seconds / self.scenes
-            try:
-                pilot = trace(scene, progress=self.progress, **replace(options, max_seconds=share).fields)
-            except NotReachedError as error:
-                if not isinstance(error.result, Transfer) or str(error).startswith(INTERRUPTED):
-                    raise NotReachedError(str(error)) from None
-                pilot = error.result
+            fields = replace(options, max_seconds=share).fields
+            pilot, unmet = as_far_as_reached(trace, scene, progress=self.progress, **fields)
+            if unmet and str(unmet).startswith(INTERRUPTED):
+                raise NotReachedError(str(unmet))
             return max(led.photons for led in pilot.traces)
         assert options.max_seconds is not None
         readings = self._traced(scene, None, PILOT_PHOTONS)

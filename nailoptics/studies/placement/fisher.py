@@ -87,7 +87,7 @@ def response(
     ambient_a : photocurrent by light from outside, which tells nothing. [A]
     """
     detected = np.maximum(values[..., 0], 0.0)
-    read = electronics.read_fraction(detected, led, photodiode, amplifier, ambient_a=ambient_a)
+    read = electronics.read(detected, led, photodiode, amplifier, ambient_a=ambient_a)
     zone = values[..., 2:] * electronics.volts_per_fraction(led, photodiode, amplifier)
     with np.errstate(invalid="ignore", divide="ignore"):
         shunted = np.where(values[..., 0] > 0, values[..., 1] / values[..., 0], 0.0)

@@ -1,7 +1,7 @@
 """Photon maps of boards on every finger: traced once, extended where more photons are needed, read as any layout."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ...light.board_map import BoardTracer, PhotonMap, blood_point
 from ...scene import FingerCase, Scene, digest
@@ -22,25 +22,22 @@ class FingerCondition:
     point: OperatingPoint
 
 
+@dataclass
 class PhotonMapCache:
-    """Photon maps by board; boards that differ only in their photodiodes share one."""
+    """Photon maps by board; boards that differ only in their photodiodes share one.
 
-    def __init__(
-        self,
-        conditions: Sequence[FingerCondition],
-        *,
-        seed: int,
-        stream: int,
-        backend: str,
-        blocks: int,
-        quick: bool = False,
-    ) -> None:
-        """quick : boards are traced for a second or two each, so that what is made for each must be made soon."""
-        self.distance_mm, self.blocks = QUICK_DISTANCE_MM if quick else DISTANCE_MM, blocks
-        self.conditions, self.seed, self.stream, self.backend = tuple(conditions), seed, stream, backend
-        self._maps: dict[str, list[list[PhotonMap]]] = {}
-        self._tracers: dict[tuple[str, str | None], BoardTracer] = {}
-        self.photons = 0
+    distance_mm : cells of the distances that the walk asks for.
+    """
+
+    conditions: Sequence[FingerCondition]
+    seed: int
+    stream: int
+    backend: str
+    blocks: int
+    distance_mm: float = DISTANCE_MM
+    photons: int = field(default=0, init=False)
+    _maps: dict[str, list[list[PhotonMap]]] = field(default_factory=dict, init=False)
+    _tracers: dict[tuple[str, str | None], BoardTracer] = field(default_factory=dict, init=False)
 
     def maps(self, board: Scene) -> list[list[PhotonMap]]:
         """Maps of a bare board by finger and LED."""

@@ -19,7 +19,7 @@ from . import boards, exchange
 from .boards import CandidateLayout
 from .fisher import operating_point
 from .inspection import inspect_layout
-from .photon_maps import FingerCondition, PhotonMapCache
+from .photon_maps import QUICK_DISTANCE_MM, FingerCondition, PhotonMapCache
 from .progress import StageProgress
 from .result import as_dataset
 from .scores import score_layouts
@@ -36,8 +36,8 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
 
     photons : per layout, LED and finger, in place of a tolerance.
     relative_error : judging ends when the best is told from all others or every score is known so well; 0.02 if
-        nothing is asked.
-    max_seconds : wall time after which it ends in any case; 480 if nothing is asked. [s]
+        nothing is requested.
+    max_seconds : wall time after which it ends in any case; 480 if nothing is requested. [s]
 
     Returns: Dataset over layout (best first), finger, photodiode and, for the best, the plane of the board.
 
@@ -53,7 +53,7 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     rules, base = boards.rules(scene), boards.base_board(scene)
     conditions = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
     made: dict[str, Any] = {"seed": options.seed, "backend": backends.choose(options.backend).name}
-    searching = PhotonMapCache(conditions, **made, stream=0, blocks=1, quick=True)
+    searching = PhotonMapCache(conditions, **made, stream=0, blocks=1, distance_mm=QUICK_DISTANCE_MM)
     judging = PhotonMapCache(conditions, **made, stream=1, blocks=BLOCKS)
     layouts, searched = _candidates(base, rules, searching, report_progress)
     wanted = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR

@@ -1,4 +1,4 @@
-"""How far a placement is: told to one callback, which may also bring the user's wish to end."""
+"""How far a placement is: reported to one callback, which may also bring the user's wish to end."""
 
 import math
 import time

@@ -170,7 +170,7 @@ def chosen(result: xr.Dataset) -> Scene:
 
 
 def outline(result: xr.Dataset) -> list[tuple[float, float]]:
-    """Corners of the board's outline, as asked for or as the best layout has it. [mm]"""
+    """Corners of the board's outline, as requested or as the best layout has it. [mm]"""
     requested = parse_scene(str(result.attrs["scene"]), name="the scene").placement
     if requested is not None and requested.outline_mm is not None:
         return list(requested.outline_mm)
@@ -210,7 +210,7 @@ def gain(result: xr.Dataset) -> tuple[float, float] | None:
 def kicad_parts(scene: Scene, like: Scene) -> list[PlacedPart]:
     """A layout's LEDs and photodiodes as lines of a KiCad position file, all on the bottom, which faces the nail.
 
-    like : the scene that was asked, whose parts lie as at a rotation of 0.
+    like : the scene that was given, whose parts lie as at a rotation of 0.
     """
     layout, parts = scene.layout, []
 

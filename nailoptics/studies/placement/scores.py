@@ -86,7 +86,7 @@ def score_layouts(
         worst = max(errors.values())
         done = min(1.0, (relative_error / worst) ** 2) if len(errors) > 1 else 1.0
         report_progress("judge", done, worst, relative_error)
-        left = f"{len(errors)} layouts tied at relative error {worst:.3g}, {relative_error:g} asked"
+        left = f"{len(errors)} layouts tied at relative error {worst:.3g}, {relative_error:g} requested"
         if report_progress.interrupted:
             return scores, f"interrupted: {left}."
         if photons or len(errors) == 1 or worst <= relative_error:

@@ -155,7 +155,7 @@ def test_changes_are_told_as_lines_that_make_them():
 
 
 def effect(name: str, changes: dict, *, modelled: bool = True) -> Effect:
-    return Effect(name, modelled, "", "reweighted", 0.0, 0.0, 0.0, "", 0.0, 0.0, 0.0, changes, 0.02)
+    return replace(bounds.nothing(name, "", 0.02), modelled=modelled, changes=changes)
 
 
 def test_parts_that_are_not_needed_are_left_out_together():
@@ -174,10 +174,7 @@ def test_parts_that_are_not_needed_are_left_out_together():
 )
 def test_an_effect_matters_only_if_that_is_sure(change, stderr, bound, matters):
     values = {"change": change, "stderr": stderr, "bound": bound, "typical": change, "typical_stderr": stderr}
-    effect = Effect(
-        "x", True, "y", "retraced", photodiode="p", modulation_bound=None, changes={}, tolerance=0.02, **values
-    )
-    assert effect.matters == matters
+    assert replace(bounds.nothing("x", "", 0.02), **values).matters == matters
 
 
 def test_what_cannot_be_explained_is_one_line():

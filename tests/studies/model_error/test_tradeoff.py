@@ -13,9 +13,10 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.report import tradeoff_page
 from nailoptics.scene import Scene, parse_scene
-from nailoptics.studies.model_error import paired
+from nailoptics.studies.model_error import levels, paired
 from nailoptics.studies.model_error import tradeoff as study
-from nailoptics.studies.model_error.tradeoff import OWN, REFERENCE, Bias, Level, Tradeoff, tradeoff
+from nailoptics.studies.model_error.levels import OWN, REFERENCE, Bias, Level
+from nailoptics.studies.model_error.tradeoff import Tradeoff, tradeoff
 from nailoptics.studies.model_error.variants import changes_between, lines_of
 
 
@@ -36,7 +37,7 @@ def level(name: str, **changes: Any) -> Level:
 
 
 def test_costs_grow_with_the_square_of_the_accuracy():
-    assert study._cost(2.0, 0.05) == pytest.approx((50.0, 50.0 / 0.09, 5000.0))
+    assert levels._cost(2.0, 0.05) == pytest.approx((50.0, 50.0 / 0.09, 5000.0))
 
 
 def test_few_dim_photons_do_not_pass_for_a_sure_small_reading():
@@ -47,7 +48,7 @@ def test_few_dim_photons_do_not_pass_for_a_sure_small_reading():
 
 
 def test_the_picture_and_the_front_know_what_is_cheap_and_near():
-    levels = (
+    every = (
         level("far", reading=Bias(0.2, 0.01, 0.0), cpu_seconds=(1.0, 11.0, 100.0), proven=False),
         level("worse", reading=Bias(0.3, 0.0, 0.0), cpu_seconds=(2.0, 22.0, 200.0), proven=False),
         level("near", reading=Bias(0.01, 0.0, 0.0), cpu_seconds=(3.0, 33.0, 300.0), signal=Bias(0.03, 0.01, 0.1)),
@@ -55,7 +56,7 @@ def test_the_picture_and_the_front_know_what_is_cheap_and_near():
         level(REFERENCE, cpu_seconds=(9.0, 100.0, 900.0)),
     )
     made = {"scene": "", "digest": "", "photons": 1}
-    found = Tradeoff(levels, 0.02, "near", prototype(), None, {1000: 1.0}, 1.0, made)
+    found = Tradeoff(every, 0.02, "near", prototype(), None, {1000: 1.0}, 1.0, made)
     assert [one.name for one in found.front] == ["far", "near", REFERENCE]
     left, right = tradeoff_page.draw(found).axes
     # Four names at the left; at the right the one level whose signal is known, and the tolerance.
@@ -81,8 +82,8 @@ def test_the_full_model_is_chosen_unless_another_is_cheaper_beyond_the_noise_of_
 def found(chosen_jit):
     patch = pytest.MonkeyPatch()
     stock = level("stock Mitsuba, llvm", cpu_seconds=(1e5, 1e6, 1e7), proven=False)
-    patch.setattr(study, "_stock", lambda *_: stock)
-    patch.setattr(study, "_batches", lambda *_: {})
+    patch.setattr(levels, "_stock", lambda *_: stock)
+    patch.setattr(levels.Bench, "batches", lambda *_: {})
     try:
         return tradeoff(prototype(), photons=40_000, tolerance=0.02)
     finally:

@@ -56,7 +56,8 @@ AT = fisher.OperatingPoint(
 
 
 def photon_map_cache(conditions, *, seed, stream, blocks):
-    return photon_maps.PhotonMapCache(conditions, seed=seed, stream=stream, backend="auto", blocks=blocks, quick=True)
+    cells = photon_maps.QUICK_DISTANCE_MM
+    return photon_maps.PhotonMapCache(conditions, seed, stream, backend="auto", blocks=blocks, distance_mm=cells)
 
 
 @pytest.fixture(scope="module")
