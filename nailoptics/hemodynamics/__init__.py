@@ -1,13 +1,13 @@
 """Touch to blood: the paper's network of vessels under the nail, eq. (1)-(4), and the blood of eq. (7)."""
 
-from .blood import blood_fraction, tissue_volume_m3
+from .blood import blood_fraction, saturation, tissue_volume_m3
 from .contact import pressures, side_areas_mm2
 from .drive import Waveform
 from .parameters import NAMES, Parameters, bounds, parameters
 from .pulse import breathing_pressure, cardiac_pressure, vasomotion_pressure
 from .respond import respond
 from .steady import SteadyState, steady_state
-from .zones import PAPER_ZONES, Zones, zones
+from .zones import PAPER_ZONES, Zones, with_shear, zones, zones_between
 
 __all__ = [
     "NAMES",
@@ -23,9 +23,12 @@ __all__ = [
     "parameters",
     "pressures",
     "respond",
+    "saturation",
     "side_areas_mm2",
     "steady_state",
     "tissue_volume_m3",
     "vasomotion_pressure",
+    "with_shear",
     "zones",
+    "zones_between",
 ]

@@ -41,6 +41,27 @@ def blood_fraction(
     return result
 
 
+def saturation(
+    blood_fraction: ArrayLike, *, rest_blood_fraction: float, arterial_so2: float, venous_so2: float
+) -> np.ndarray:
+    """The oxygen saturation of the blood in a zone of the bed, from how much blood flowed in that did not flow out.
+
+    blood_fraction : any shape, float. Blood in the zone. [1]
+    rest_blood_fraction : without touch. [1]
+    arterial_so2, venous_so2 : of the blood that flows in and out. In a finger at rest they are some 0.08 apart (Nitzan
+        2000, J. Biomed. Opt. 5:155). [1]
+
+    At rest blood gives off its oxygen evenly along a capillary: the zone has the mean of both. A touch that shuts the
+    veins lets the arteries pool fresh blood in it (the paper's section II): what is there beyond rest is arterial. What
+    is squeezed out is blood as it was. Tissue needs minutes to use up what pooled; that is left out.
+    """
+    fraction = np.asarray(blood_fraction, dtype=float)
+    at_rest = 0.5 * (arterial_so2 + venous_so2)
+    pooled = np.maximum(fraction - rest_blood_fraction, 0.0)
+    part = np.divide(pooled, fraction, out=np.zeros_like(fraction), where=fraction > 0.0)
+    return at_rest + (arterial_so2 - at_rest) * part
+
+
 def tissue_volume_m3(parameters: Parameters, *, rest_blood_fraction: float = USUAL_BLOOD_FRACTION) -> float:
     """The volume of one half of the nail bed, V_tissue of eq. (7), from its blood fraction at rest. [m^3]
 

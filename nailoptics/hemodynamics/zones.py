@@ -1,6 +1,7 @@
 """How the nail bed is cut into capillary units, and which touch pressure reaches which wall."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -88,12 +89,51 @@ def zones(count: int, *, decay_length: float | None = None) -> Zones:
         if not (np.isfinite(decay_length) and decay_length > 0.0):
             raise InputError(f"zones.decay_length must be positive and finite, got {decay_length}; 0.3 is usual.")
         centre = (np.arange(count) + 0.5) / count
-        falling = np.exp((centre - centre[-1]) / decay_length)
         # The half itself would be cut through a unit if the count is odd: weigh by what lies in it.
-        inside = np.clip((centre - 0.5) * count + 0.5, 0.0, 1.0)
-        distal = falling * inside.sum() / (falling @ inside)
+        distal = _falling_off(centre, np.clip((centre - 0.5) * count + 0.5, 0.0, 1.0), decay_length)
     return Zones(
         share=(2.0 / count,) * int(count),
         reach=tuple((0.0, float(part)) for part in distal),
         vein_reach=(1.0, 0.0),
     )
+
+
+def zones_between(edges: Sequence[float], *, decay_length: float) -> Zones:
+    """Cut the nail bed at given places into units whose size is their part of it; pressures reach as in `zones`.
+
+    edges : where units meet, rising between 0 (the cuticle) and 1 (the tip). [1]
+
+    Raises: InputError if the edges do not rise from above 0 to below 1, or the length is not positive.
+    """
+    ends = np.concatenate(([0.0], np.asarray(edges, dtype=float), [1.0]))
+    size = np.diff(ends)
+    if not (np.all(np.isfinite(ends)) and np.all(size > 0.0)):
+        raise InputError(f"zones.edges must rise between 0 and 1, got {list(edges)}; sort them and leave out the ends.")
+    if not (np.isfinite(decay_length) and decay_length > 0.0):
+        raise InputError(f"zones.decay_length must be positive and finite, got {decay_length}; 0.15 is usual.")
+    inside = np.clip(ends[1:], 0.5, None) - np.clip(ends[:-1], 0.5, None)
+    distal = _falling_off(0.5 * (ends[:-1] + ends[1:]), inside, decay_length)
+    return Zones(
+        share=tuple((2.0 * size).tolist()),
+        reach=tuple((0.0, float(part)) for part in distal),
+        vein_reach=(1.0, 0.0),
+    )
+
+
+def with_shear(zones: Zones) -> Zones:
+    """The same units with a third input, shear, which reaches each of them as the distal pressure does.
+
+    The paper says of shear and longitudinal force only that they widen the white band. This is the simplest law that
+    does: over the distal area they press on the capillaries as a normal force would, and on no vein.
+    """
+    reach = tuple((proximal, distal, distal) for proximal, distal in zones.reach)
+    return dataclasses.replace(zones, reach=reach, vein_reach=(*zones.vein_reach, 0.0))
+
+
+def _falling_off(centre: np.ndarray, inside: np.ndarray, decay_length: float) -> np.ndarray:
+    """The part of P_F2 that each unit feels, so that P_F2 is its mean over the distal half.
+
+    inside : how much of each unit lies in that half.
+    """
+    falling = np.exp((centre - centre[-1]) / decay_length)
+    return np.asarray(falling * inside.sum() / (falling @ inside))

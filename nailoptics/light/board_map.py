@@ -165,7 +165,7 @@ def blood_point(
     wavelength, share = optics.spectrum(source)
     mu_a = optics.absorption(scene, wavelength, blood_fraction=blood_fraction)
     beds = optics.bed_columns(scene)
-    blood = tissue.absorption("bed", wavelength, so2=scene.blood.so2)
+    blood = tissue.absorption("bed", wavelength, so2=scene.blood.rest_so2)
     return BloodPoint(
         share=share * wavelength / source.wavelength_nm,
         mu_a=mu_a,

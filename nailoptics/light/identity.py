@@ -12,7 +12,7 @@ def light_scene(scene: Scene) -> Scene:
     Blood, saturation and what the finger's parts absorb only dim the light; touch, body, electronics, flux and line
     width come after it; and the fingers and boards of a search for a layout are not those of its scene.
     """
-    blood = type(scene.blood)(zone_edges_mm=scene.blood.zone_edges_mm, zone_width_mm=scene.blood.zone_width_mm)
+    blood = type(scene.blood)(zone_edges_mm=scene.zone_edges_mm, zone_width_mm=scene.zone_width_mm)
     leds = tuple(
         led.model_copy(update={"name": f"led{i}", "part": None, "flux_mw": 1.0, "fwhm_nm": 0.0})
         for i, led in enumerate(scene.leds)

@@ -6,7 +6,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import checks, tissue
+from .. import checks, hemodynamics, tissue
 from ..errors import InputError
 from ..scene import Led, Scene
 
@@ -36,7 +36,7 @@ class Media:
 
 def zones(scene: Scene) -> tissue.BloodZones:
     """The blood zones of the nail bed."""
-    return tissue.BloodZones(edges_mm=scene.blood.zone_edges_mm, width_mm=scene.blood.zone_width_mm)
+    return tissue.BloodZones(edges_mm=scene.zone_edges_mm, width_mm=scene.zone_width_mm)
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def absorption(
 
     wavelength_nm : (q,) float. [nm]
     blood_fraction : (..., K) float in 0-1. Blood in each zone of the bed; at rest if not given.
-    so2 : (...) float in 0-1. Oxygen saturation; the scene's if not given.
+    so2 : (...) float in 0-1. Oxygen saturation; the scene's if not given, zone by zone where its blood pools.
 
     Returns: one column for each of `absorbers(scene)`.
     """
@@ -124,21 +124,34 @@ def absorption(
         raise InputError(
             f"blood_fraction has shape {fraction.shape}; its last axis needs one value for each of the {count} zones."
         )
-    saturation = np.asarray(scene.blood.so2 if so2 is None else so2, float)[..., None]
+    saturation = np.asarray(scene.blood.rest_so2 if so2 is None else so2, float)[..., None]
+    pooled = zone_so2(scene, fraction) if so2 is None and scene.blood.venous_so2 is not None else None
     columns = []
     shape = np.broadcast_shapes(fraction.shape[:-1], saturation.shape[:-1])
     for absorber in absorbing(scene):
         region = _optics_of(scene, absorber.region)
+        own = saturation if absorber.zone is None or pooled is None else pooled[..., absorber.zone, None]
         melanin, dermis = scene.finger.melanin_fraction, scene.finger.dermis
-        mixed = tissue.absorption(
-            region, wavelength, so2=saturation, melanin_fraction=melanin, dermis_absorption=dermis
-        )
+        mixed = tissue.absorption(region, wavelength, so2=own, melanin_fraction=melanin, dermis_absorption=dermis)
         at_rest = tissue.REST_BLOOD_FRACTION.get(region, 0.0)
         blood = at_rest if absorber.zone is None else fraction[..., absorber.zone, None]
         base = _factor(scene, region, "absorption") * np.asarray(mixed.base_per_mm)
         column = base + blood * np.asarray(mixed.per_blood_fraction_per_mm)
         columns.append(np.broadcast_to(column, (*shape, len(wavelength))))
     return np.stack(columns, -1)
+
+
+def zone_so2(scene: Scene, blood_fraction: np.ndarray) -> np.ndarray:
+    """Oxygen saturation of the bed's blood, from how much of it there is, any shape. [1]"""
+    blood = scene.blood
+    if blood.venous_so2 is None:
+        return np.full(np.shape(blood_fraction), blood.so2)
+    return hemodynamics.saturation(
+        blood_fraction,
+        rest_blood_fraction=blood.rest_blood_fraction,
+        arterial_so2=blood.so2,
+        venous_so2=blood.venous_so2,
+    )
 
 
 def spectrum(led: Led, points: int = 5) -> tuple[np.ndarray, np.ndarray]:

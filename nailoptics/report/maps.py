@@ -94,13 +94,13 @@ def _blood_zones(axes: "Axes", scene: Scene, half_u: float, half_v: float) -> No
     from matplotlib.colors import to_rgb
 
     v = np.linspace(-half_v, half_v, 256)
-    weights = BloodZones(scene.blood.zone_edges_mm, scene.blood.zone_width_mm).weights(v)
+    weights = BloodZones(scene.zone_edges_mm, scene.zone_width_mm).weights(v)
     tint = weights @ np.array([to_rgb(c) for c in style.place_colours(weights.shape[1])])
     image = np.concatenate([tint, np.full((len(v), 1), 0.30)], axis=1)[:, None]
     axes.imshow(image, extent=(-half_u, half_u, -half_v, half_v), origin="lower", aspect="auto", zorder=1)
-    for edge in scene.blood.zone_edges_mm:
+    for edge in scene.zone_edges_mm:
         for side in (-1, 1):
-            place = edge + side * scene.blood.zone_width_mm / 2
+            place = edge + side * scene.zone_width_mm / 2
             axes.plot([-half_u, half_u], [place, place], color=style.DARK_INK, lw=0.6, ls=(0, (2, 3)), zorder=1.5)
     for name, side, va in (("distal blood", 1, "top"), ("proximal blood", -1, "bottom")):
         at = -half_u + 0.15, side * (half_v - 0.15)

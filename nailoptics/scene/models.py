@@ -194,6 +194,34 @@ class Scene(Table):
                 )
         return self
 
+    @model_validator(mode="after")
+    def _zones_lie_on_the_nail(self) -> Self:
+        if self.finger is not None and (len(self.blood.zone_edges_mm) > 1 or self.blood.decay_length is not None):
+            half = self.finger.nail_length_mm / 2
+            for edge in self.blood.zone_edges_mm:
+                if not -half < edge < half:
+                    raise ValueError(
+                        f"blood.zone_edges_mm {edge:g} lies off the nail, which reaches from {-half:g} to {half:g} mm; "
+                        "move it"
+                    )
+        return self
+
+    @property
+    def zone_edges_mm(self) -> tuple[float, ...]:
+        """Where blood zones meet, along the nail from its centre, from the most proximal on. [mm]"""
+        count = self.blood.zones
+        if count is None or self.finger is None:
+            return self.blood.zone_edges_mm
+        return tuple(self.finger.nail_length_mm * (k / count - 0.5) for k in range(1, count))
+
+    @property
+    def zone_width_mm(self) -> float:
+        """Width of the smooth passage from one blood zone to the next. [mm]"""
+        if self.blood.zones is None or self.finger is None:
+            return self.blood.zone_width_mm
+        # A little less than a zone, whose edges are rounded.
+        return min(self.blood.zone_width_mm, (1 - 1e-9) * self.finger.nail_length_mm / self.blood.zones)
+
     @property
     def layout(self) -> Layout:
         """Where everything lies on a finger scene's board.

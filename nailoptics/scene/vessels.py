@@ -1,11 +1,14 @@
 """The blood under the nail and the vessels that carry it: which set of constants, and what a scene changes in it."""
 
 import difflib
+from itertools import pairwise
 from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
 from .base import USUAL_BLOOD_FRACTION, USUAL_SO2, Fraction, Positive, Table
+
+MOST_ZONES = 32
 
 
 class Tuning(Table):
@@ -82,8 +85,39 @@ class Blood(Table):
     rest_blood_fraction: Fraction = USUAL_BLOOD_FRACTION
     """Volume fraction of blood in the nail bed at rest."""
     so2: Fraction = USUAL_SO2
-    """Oxygen saturation of the blood."""
-    zone_edges_mm: Annotated[tuple[float, ...], Field(min_length=1, max_length=1)] = (0.0,)
-    """Where proximal and distal blood zone meet, along the nail from its centre. [mm]"""
+    """Oxygen saturation of the blood; of arterial blood where venous_so2 is given."""
+    venous_so2: Fraction | None = None
+    """Oxygen saturation of venous blood. Given, the bed at rest holds the mean of both, and what pools beyond is
+    arterial; 0.86 is usual in a finger whose arteries have 0.95. If not given all blood has so2."""
+    zones: Annotated[int, Field(ge=2, le=MOST_ZONES)] | None = None
+    """Number of equal blood zones along the nail, in place of zone_edges_mm."""
+    zone_edges_mm: Annotated[tuple[float, ...], Field(min_length=1, max_length=MOST_ZONES - 1)] = (0.0,)
+    """Where blood zones meet, along the nail from its centre, from the most proximal on. [mm]"""
     zone_width_mm: Positive = 2.0
-    """Width of the smooth passage from zone to zone. [mm]"""
+    """Width of the smooth passage from zone to zone; no more than a zone where zones tells their number. [mm]"""
+    decay_length: Annotated[float, Field(ge=0.01, le=100)] | None = None
+    """Reach of the distal pressure, in lengths of the nail: it falls off as exp(-d/decay_length) with the distance d
+    from the tip. If not given, the distal one of two zones feels it alone; with more zones 0.15."""
+
+    @model_validator(mode="after")
+    def _zones_are_said_once_and_apart(self) -> Self:
+        edges = self.zone_edges_mm
+        if self.zones is not None and edges != (0.0,):
+            raise ValueError(
+                f"zones = {self.zones} and zone_edges_mm = {list(edges)} both cut the bed; give one of them"
+            )
+        for first, second in pairwise(edges):
+            # Closer, three zones would pass into each other at one place.
+            if second - first < self.zone_width_mm:
+                raise ValueError(
+                    f"zone_edges_mm {first:g} and {second:g} lie closer than zone_width_mm = {self.zone_width_mm:g}; "
+                    "move them apart (in rising order) or narrow the width"
+                )
+        if self.venous_so2 is not None and self.venous_so2 > self.so2:
+            raise ValueError(f"venous_so2 = {self.venous_so2} must not be above so2 = {self.so2}, that of the arteries")
+        return self
+
+    @property
+    def rest_so2(self) -> float:
+        """Oxygen saturation of the bed's blood at rest."""
+        return self.so2 if self.venous_so2 is None else 0.5 * (self.so2 + self.venous_so2)

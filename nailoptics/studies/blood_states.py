@@ -1,5 +1,6 @@
 """Touch to blood: what a scene's force makes of the blood under the nail, over time or held until nothing moves."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -7,9 +8,11 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from .. import hemodynamics
+from ..light import optics
 from ..scene import Body, Scene
+from ..scene.base import USUAL_DECAY_LENGTH
 from ..scene.touch import PRESSURES, value_at
-from ..variables import variable
+from ..variables import Variables, variable
 
 
 def vessels(scene: Scene) -> hemodynamics.Parameters:
@@ -44,10 +47,38 @@ def force_course(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def pressure_course(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Times [s], (k,) float, and proximal and distal pressures [Pa], (2, k) float, between which they are linear."""
+    """Times [s], (k,) float, and pressures [Pa], (M, k) float, between which they are linear.
+
+    The pressures are the proximal one, the distal one and, where the touch shears, that of the shear.
+    """
     time_s, force_n = force_course(scene)
     recorded_pa = _recorded_pressures_pa(scene)
-    return time_s, np.array(touch_pressures_pa(scene, force_n)) if recorded_pa is None else recorded_pa
+    rows = np.array(touch_pressures_pa(scene, force_n)) if recorded_pa is None else recorded_pa
+    shear_n = shear_course_n(scene)
+    return time_s, rows if shear_n is None else np.vstack([rows, np.abs(shear_n) / _distal_area_m2(scene)])
+
+
+def shear_course_n(scene: Scene) -> np.ndarray | None:
+    """The longitudinal force at the times of `force_course`, (k,) float, positive towards the tip; None if off. [N]"""
+    touch, force_n = scene.touch, force_course(scene)[1]
+    if touch.recorded_shear_n is not None:
+        return np.array(touch.recorded_shear_n)
+    if touch.shear_n is None:
+        return None
+    return touch.shear_n * force_n / max(float(force_n.max()), np.finfo(float).tiny)
+
+
+def capillary_zones(scene: Scene) -> hemodynamics.Zones:
+    """How the scene cuts the nail bed into capillary units, and how far the touch's pressures reach."""
+    blood, edges_mm = scene.blood, scene.zone_edges_mm
+    if len(edges_mm) == 1 and blood.decay_length is None:
+        cut = hemodynamics.PAPER_ZONES
+    else:
+        decay_length = USUAL_DECAY_LENGTH if blood.decay_length is None else blood.decay_length
+        cut = hemodynamics.zones_between(
+            [0.5 + edge / _nail_length_mm(scene) for edge in edges_mm], decay_length=decay_length
+        )
+    return cut if shear_course_n(scene) is None else hemodynamics.with_shear(cut)
 
 
 def arterial_pressure_pa(scene: Scene, time_s: np.ndarray) -> np.ndarray | None:
@@ -71,43 +102,99 @@ def arterial_pressure_pa(scene: Scene, time_s: np.ndarray) -> np.ndarray | None:
 
 def blood_over_touch(scene: Scene) -> xr.Dataset:
     """The touch over time and what it does: force, pressures, vessel diameters, and the blood fraction by zone."""
-    time_s, parameters = scene.touch.times_s(), vessels(scene)
-    proximal_pa, distal_pa = (value_at(*one, time_s) for one in _each(*pressure_course(scene)))
+    time_s, parameters, cut = scene.touch.times_s(), vessels(scene), capillary_zones(scene)
+    corner_s, corner_pa = pressure_course(scene)
+    pressure_pa = np.array([value_at(corner_s, row, time_s) for row in corner_pa])
     high_pa = arterial_pressure_pa(scene, time_s)
     run = hemodynamics.respond(
-        parameters,
-        time_s,
-        proximal_pressure_pa=proximal_pa,
-        distal_pressure_pa=distal_pa,
-        arterial_pressure_pa=high_pa,
-        start="steady",
+        parameters, time_s, pressure_pa=pressure_pa, arterial_pressure_pa=high_pa, zones=cut, start="steady"
     )
-    kept = ["capillary_diameter_m", "vein_diameter_m", "proximal_pressure_pa", "distal_pressure_pa"]
-    run = run[kept if high_pa is None else [*kept, "arterial_pressure_pa"]]
-    fraction = hemodynamics.blood_fraction(
-        parameters, run.capillary_diameter_m.values, rest_blood_fraction=scene.blood.rest_blood_fraction
-    )
-    data = variable("blood_fraction", ("zone", "time"), fraction, "blood fraction of the nail bed")
-    data |= variable("force_n", "time", value_at(*force_course(scene), time_s), "touch force", units="N")
-    return run.drop_vars("zone_position").assign(data)
+    run = run[["capillary_diameter_m", "vein_diameter_m"]].drop_vars("zone_position")
+    fraction = _fraction(scene, parameters, run.capillary_diameter_m.values)
+    return run.assign(_touch_variables(scene, time_s, pressure_pa, high_pa) | _blood_variables(scene, fraction))
+
+
+def _touch_variables(
+    scene: Scene, time_s: np.ndarray, pressure_pa: np.ndarray, high_pa: np.ndarray | None
+) -> Variables:
+    corner_s, force_n = force_course(scene)
+    data = variable("force_n", "time", value_at(corner_s, force_n, time_s), "touch force", units="N")
+    text = "touch pressure on the vein P_F1"
+    data |= variable("proximal_pressure_pa", "time", pressure_pa[0], text, units="Pa")
+    text = "touch pressure on the distal capillaries P_F2"
+    data |= variable("distal_pressure_pa", "time", pressure_pa[1], text, units="Pa")
+    shear_n = shear_course_n(scene)
+    if shear_n is not None:
+        text = "longitudinal force, positive towards the tip"
+        data |= variable("shear_n", "time", value_at(corner_s, shear_n, time_s), text, units="N")
+    if high_pa is not None:
+        data |= variable("arterial_pressure_pa", "time", high_pa, "arterial pressure P_H", units="Pa")
+    return data
+
+
+def _blood_variables(scene: Scene, fraction: np.ndarray) -> Variables:
+    over = ("zone", "time")
+    data = variable("blood_fraction", over, fraction, "blood fraction of the nail bed")
+    if scene.blood.venous_so2 is not None:
+        data |= variable("so2", over, optics.zone_so2(scene, fraction), "oxygen saturation of the nail bed's blood")
+    if len(fraction) > 2:
+        text = "width of the band at the tip that holds less than half of its blood at rest"
+        data |= variable("white_band_mm", "time", white_band_mm(scene, fraction), text, units="mm")
+    return data
+
+
+def white_band_mm(scene: Scene, blood_fraction: np.ndarray) -> np.ndarray:
+    """Width of the white band at the tip, where the bed holds less than half of its blood at rest, (t,) float. [mm]
+
+    blood_fraction : (zones, t) float. Taken for that at the middle of each zone, and for linear between.
+    """
+    half_mm = _nail_length_mm(scene) / 2
+    ends = np.array([-half_mm, *scene.zone_edges_mm, half_mm])
+    middle, part = 0.5 * (ends[1:] + ends[:-1]), blood_fraction / scene.blood.rest_blood_fraction
+    found = np.where(part[-1] < 0.5, 2 * half_mm, 0.0)
+    white = part[-1] < 0.5
+    for k in range(len(part) - 2, -1, -1):
+        ends_here = white & (part[k] >= 0.5)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = (part[k] - 0.5) / (part[k] - part[k + 1]) * (middle[k + 1] - middle[k])
+        found = np.where(ends_here, half_mm - middle[k] - step, found)
+        white &= ~ends_here
+    return np.asarray(found)
 
 
 def steady_blood(scene: Scene, force_n: ArrayLike) -> np.ndarray:
     """Blood fractions once each of the forces has been held for long, (n, zones) float for (n,) forces. [1]"""
-    proximal_pa, distal_pa = touch_pressures_pa(scene, force_n)
-    return steady_blood_at(scene, proximal_pressure_pa=proximal_pa, distal_pressure_pa=distal_pa)
+    rows = list(touch_pressures_pa(scene, force_n))
+    shear_n = shear_course_n(scene)
+    if shear_n is not None:
+        forces_n = force_course(scene)[1]
+        most = int(np.argmax(forces_n))
+        rows.append(np.abs(shear_n[most]) / forces_n[most] * np.asarray(force_n) / _distal_area_m2(scene))
+    return _steady(scene, capillary_zones(scene), rows)
 
 
 def steady_blood_at(scene: Scene, *, proximal_pressure_pa: ArrayLike, distal_pressure_pa: ArrayLike) -> np.ndarray:
-    """Blood fractions once both pressures have been held for long, (n, zones) float for (n,) pressures. [1]"""
+    """Blood fractions once both pressures have been held for long, (n, zones) float for (n,) pressures. [1]
+
+    A touch that shears is taken without its shear.
+    """
+    cut = capillary_zones(scene)
+    two = hemodynamics.Zones(
+        share=cut.share, reach=tuple((a, b) for a, b, *_ in cut.reach), vein_reach=cut.vein_reach[:2]
+    )
+    return _steady(scene, two, [proximal_pressure_pa, distal_pressure_pa])
+
+
+def _steady(scene: Scene, cut: hemodynamics.Zones, pressures_pa: Sequence[ArrayLike]) -> np.ndarray:
     parameters = vessels(scene)
-    state = hemodynamics.steady_state(
-        parameters, proximal_pressure_pa=proximal_pressure_pa, distal_pressure_pa=distal_pressure_pa
-    )
-    fraction = hemodynamics.blood_fraction(
-        parameters, state.capillary_diameter_m, rest_blood_fraction=scene.blood.rest_blood_fraction
-    )
-    return fraction.T
+    rows = np.array(np.broadcast_arrays(*pressures_pa))
+    state = hemodynamics.steady_state(parameters, pressure_pa=rows, zones=cut)
+    return _fraction(scene, parameters, state.capillary_diameter_m).T
+
+
+def _fraction(scene: Scene, parameters: hemodynamics.Parameters, diameter_m: np.ndarray) -> np.ndarray:
+    rest = scene.blood.rest_blood_fraction
+    return hemodynamics.blood_fraction(parameters, diameter_m, rest_blood_fraction=rest)
 
 
 def touch_pressures_pa(scene: Scene, force_n: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
@@ -130,13 +217,9 @@ def touch_areas_mm2(scene: Scene) -> tuple[float, float]:
 
 
 def zones_of_photodiodes(scene: Scene) -> np.ndarray:
-    """The blood zone above which each photodiode lies, (photodiodes,) int: 0 is proximal."""
-    edge_mm = scene.blood.zone_edges_mm[0]
-    return np.array([int(element.area.center_mm[1] >= edge_mm) for element in scene.layout.photodiodes])
-
-
-def _each(time_s: np.ndarray, rows: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    return [(time_s, row) for row in rows]
+    """The blood zone above which each photodiode lies, (photodiodes,) int: 0 is the most proximal."""
+    middle_mm = [element.area.center_mm[1] for element in scene.layout.photodiodes]
+    return np.searchsorted(scene.zone_edges_mm, middle_mm, side="right")
 
 
 def _contact(scene: Scene) -> dict[str, Any]:
@@ -156,3 +239,12 @@ def _mean_pressure_pa(body: Body | None) -> float | None:
         time_s, pressure_pa = np.array(body.recorded_time_s), np.array(body.recorded_arterial_pressure_pa)
         return float(np.trapezoid(pressure_pa, time_s) / (time_s[-1] - time_s[0]))
     return body.heartbeat.mean_pressure_pa if body is not None and body.heartbeat is not None else None
+
+
+def _nail_length_mm(scene: Scene) -> float:
+    assert scene.finger is not None
+    return scene.finger.nail_length_mm
+
+
+def _distal_area_m2(scene: Scene) -> float:
+    return touch_areas_mm2(scene)[1] * 1e-6

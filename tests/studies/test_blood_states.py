@@ -3,8 +3,21 @@
 import numpy as np
 import pytest
 
+from nailoptics.errors import InputError
+from nailoptics.hemodynamics import PAPER_ZONES, zones
+from nailoptics.light.identity import light_digest
 from nailoptics.scene import parse_scene
-from nailoptics.studies.blood_states import blood_over_touch, largest_force_n, steady_blood, touch_pressures_pa, vessels
+from nailoptics.studies.blood_states import (
+    blood_over_touch,
+    capillary_zones,
+    largest_force_n,
+    steady_blood,
+    steady_blood_at,
+    touch_pressures_pa,
+    vessels,
+    white_band_mm,
+    zones_of_photodiodes,
+)
 
 SCENE = """
 schema_version = 1
@@ -86,3 +99,93 @@ def test_a_recorded_pulse_is_the_arterial_pressure_and_its_mean_that_of_rest(tmp
     assert run.arterial_pressure_pa.sel(time=1.0, method="nearest") == pytest.approx(10_000.0)
     assert vessels(scene).arterial_pressure_pa == pytest.approx(10_000.0)
     assert steady_blood(scene, [0.0])[0] == pytest.approx([0.03, 0.03], rel=1e-9)
+
+
+def zoned(text="", zone_text="zones = 8"):
+    return scene_with(zone_text + "\n" + text)
+
+
+def test_two_zones_are_the_papers_and_eight_are_equal_parts_of_the_nail():
+    assert capillary_zones(scene_with("")) is PAPER_ZONES
+    eight, equal = capillary_zones(zoned()), zones(8, decay_length=0.15)
+    assert np.allclose(eight.share, equal.share, rtol=1e-12) and np.allclose(eight.reach, equal.reach, rtol=1e-12)
+    assert zoned().zone_edges_mm == pytest.approx([-4.5, -3.0, -1.5, 0.0, 1.5, 3.0, 4.5])
+    assert scene_with("zones = 2").zone_edges_mm == (0.0,)
+
+
+def test_edges_cut_the_bed_where_they_say_and_equal_ones_share_their_light_with_a_number_of_zones():
+    cut = capillary_zones(zoned(zone_text="zone_edges_mm = [-3.0, 3.0]"))
+    assert cut.share == pytest.approx((0.5, 1.0, 0.5)) and cut.names == ["zone_1", "zone_2", "zone_3"]
+    # P_F2 is the mean over the distal half, which holds half of the middle zone.
+    reach = np.array(cut.reach)[:, 1]
+    assert (reach[1] + reach[2]) / 2 == pytest.approx(1.0)
+    edges = zoned(zone_text=f"zone_edges_mm = {list(zoned().zone_edges_mm)}\nzone_width_mm = {zoned().zone_width_mm!r}")
+    assert light_digest(edges) == light_digest(zoned()) != light_digest(scene_with(""))
+
+
+def test_photodiodes_lie_above_their_own_zones():
+    board = """
+[[photodiodes]]
+name = "{name}"
+position_mm = [2.0, {v}]
+"""
+    text = SCENE + "{}" + "".join(board.format(name=f"p{k}", v=v) for k, v in enumerate((-4.0, -2.0, 2.0, 4.0)))
+    assert zones_of_photodiodes(parse_scene(text.format("zones = 8"))).tolist() == [4, 1, 2, 5, 6]
+    assert zones_of_photodiodes(parse_scene(text.format(""))).tolist() == [1, 0, 0, 1, 1]
+
+
+@pytest.mark.parametrize("name", ["best", "compromise"])
+def test_the_white_band_widens_from_1_to_4_n_and_shear_widens_it_further(name):
+    def band(force_n, extra=""):
+        text = f'zones = 16\n[touch]\nprofile = "hold"\nforce_n = {force_n}\nduration_s = 0.1\n{extra}'
+        return float(blood_over_touch(parse_scene(SCENE.replace("best", name) + text)).white_band_mm[-1])
+
+    assert band(0.0) == 0.0 and band(1.0) < band(2.0) < band(4.0) < 12.0
+    assert band(1.0) < band(1.0, "shear_n = 0.5") == band(1.0, "shear_n = -0.5") < band(1.0, "shear_n = 2.0")
+
+
+def test_the_white_band_ends_where_half_of_the_blood_is_left():
+    scene = zoned(zone_text="zones = 4")
+    part = np.array([[1.0, 1.0, 0.4, 0.9], [1.0, 0.8, 0.4, 0.4], [1.0, 0.4, 0.4, 0.3], [1.0, 0.0, 0.4, 0.6]])
+    # Middles lie at -4.5, -1.5, 1.5 and 4.5 mm; from 0.8 to 0.4 half is passed at three quarters of the way.
+    expected = [0.0, 6.0 - (-1.5 + 0.75 * 3.0), 12.0, 0.0]
+    assert white_band_mm(scene, 0.03 * part) == pytest.approx(expected)
+
+
+def test_shear_is_a_third_pressure_that_steady_states_at_two_pressures_leave_out():
+    sheared = zoned("[touch]\nforce_n = 2.0\nshear_n = -1.0\n")
+    run = blood_over_touch(sheared)
+    assert run.shear_n.min() == -1.0 and run.shear_n[0] == 0.0
+    assert run.distal_pressure_pa.max() == pytest.approx(2e4)
+    still = steady_blood(zoned(), [2.0])[0]
+    assert steady_blood(sheared, [2.0])[0, -3] < still[-3]
+    assert steady_blood_at(sheared, proximal_pressure_pa=[2e4], distal_pressure_pa=[2e4])[0] == pytest.approx(still)
+    assert steady_blood(sheared, [0.0])[0] == pytest.approx(np.full(8, 0.03), rel=1e-9)
+
+
+def test_blood_that_pools_is_arterial_and_what_is_squeezed_out_leaves_the_rest_as_it_was():
+    run = blood_over_touch(scene_with("so2 = 0.95\nvenous_so2 = 0.85\n"))
+    fraction, so2 = run.blood_fraction.values, run.so2.values
+    assert so2[:, 0] == pytest.approx([0.9, 0.9])
+    pooled = fraction > 0.03
+    assert so2[~pooled] == pytest.approx(0.9)
+    # Oxygen is what was there, and what came with the arteries.
+    assert (so2 * fraction)[pooled] == pytest.approx((0.9 * 0.03 + 0.95 * (fraction - 0.03))[pooled])
+    assert so2[0].max() > 0.91 and "so2" not in blood_over_touch(scene_with(""))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("zones = 8\nzone_edges_mm = [1.0]", "both cut the bed; give one of them"),
+        ("zone_edges_mm = [0.0, 1.0]", "lie closer than zone_width_mm = 2; move them apart"),
+        ("zone_edges_mm = [0.0, 7.0]", "blood.zone_edges_mm 7 lies off the nail, which reaches from -6 to 6 mm"),
+        ("zones = 1", "blood.zones = 1: must be greater than or equal to 2"),
+        ("venous_so2 = 0.99", "venous_so2 = 0.99 must not be above so2 = 0.97"),
+        ("decay_length = 0.0", "blood.decay_length = 0.0: must be greater than or equal to 0.01"),
+    ],
+)
+def test_blood_that_cannot_be_is_refused_in_one_line(text, words):
+    with pytest.raises(InputError, match=words) as caught:
+        scene_with(text)
+    assert len(str(caught.value).splitlines()) == 1

@@ -16,7 +16,7 @@ from ...scene import Scene
 from ...scene.files import scene_of
 from ...statistics import seed_of
 from ...variables import Variables, variable
-from ..blood_states import zones_of_photodiodes
+from ..blood_states import capillary_zones, zones_of_photodiodes
 from .formula_errors import MODELS, PARTS, TOLERANCES, WAYS, TracedSweep, formula_errors
 from .state_sweep import OVER, Over, StateSweep, state_sweep
 
@@ -128,7 +128,7 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
         "led": list(transfer.leds),
         "photodiode": list(transfer.photodiodes),
         "sweep": [s.over for s in sweeps],
-        "zone": ["proximal", "distal"],
+        "zone": capillary_zones(scene).names,
     }
     coords |= {"model": list(MODELS), "way": list(WAYS), "part": list(PARTS), "within": list(TOLERANCES)}
     seconds = {"cpu_seconds": transfer.cpu_seconds, "wall_seconds": transfer.wall_seconds}

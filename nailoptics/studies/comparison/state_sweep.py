@@ -32,7 +32,7 @@ class StateSweep:
 
 def state_sweep(scene: Scene, over: Over) -> StateSweep:
     """The steady force from 0 to the touch's largest, the blood fraction of all zones, or the saturation."""
-    so2, zones = scene.blood.so2, optics.zones(scene).count
+    so2, zones = scene.blood.rest_so2, optics.zones(scene).count
     along, same_so2 = np.linspace(0, 1, POINTS), np.full(POINTS, so2)
     if over == "blood":
         blood = along * LARGEST_BLOOD_FRACTION

@@ -215,7 +215,7 @@ def formulas(bench: Bench) -> Iterator[Level]:
     for i, led in enumerate(full.leds):
         wavelength, share = optics.spectrum(led)
         mu_a = optics.absorption(full, wavelength, blood_fraction=states)
-        blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, full.blood.so2))
+        blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, full.blood.rest_so2))
         read = read_replicates(base.transfer, i, mu_a, blood, seed=bench.options.seed)
         mean = float(np.average(blood, weights=share * wavelength))
         depths.append(read.mean_path_mm @ ((states[1] - states[0]) * mean))
