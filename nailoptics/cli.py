@@ -319,7 +319,7 @@ def figures(
         tuple[str, ...], Parameter(name="--set", negative="", help="Named parameter sets; all if not given.")
     ] = (),
     touch: Annotated[
-        Path | None, Parameter(help="Recorded touch for Figs. 17-18, a CSV with time_s, force_n; else the subjects'.")
+        Path | None, Parameter(help="Recorded touch for Figs. 16, 18, a CSV with time_s, force_n; else the subjects'.")
     ] = None,
     json_: Json = False,
 ) -> None:
@@ -327,17 +327,20 @@ def figures(
     import numpy as np
 
     from . import hemodynamics
-    from .paper.claims_table import as_rows, as_text, table
+    from .paper.claims_table import as_rows, as_text, judge
+    from .paper.responses import pressed, simulate_responses
     from .report.blood_figures import draw
     from .scene.touch import read_recording
 
-    recorded: dict[str, Any] = {}
-    if touch is not None:
-        recorded = dict(zip(("time_s", "force_n"), map(np.asarray, read_recording(touch)), strict=True))
-    named = {name: hemodynamics.parameters(name) for name in sets or hemodynamics.NAMES}
+    course = None if touch is None else [np.asarray(column) for column in read_recording(touch)]
+    judged, pictures = {}, []
     make_folder(output)
-    pictures = [path for name, values in named.items() for path in draw(output, values, name=name, **recorded)]
-    judged = table(named)
+    for name in sets or hemodynamics.NAMES:
+        parameters = hemodynamics.parameters(name)
+        responses = simulate_responses(parameters)
+        recorded = None if course is None else (course[0], course[1], pressed(parameters, *course))
+        pictures += draw(output, responses, name=name, recorded=recorded)
+        judged[name] = judge(responses)
     _show({"claims": as_rows(judged), "pictures": list(map(str, pictures))}, [as_text(judged), *pictures], {}, json_)
 
 

@@ -61,6 +61,31 @@ def side_areas_mm2(
     return proximal, distal
 
 
+def creeping_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, relaxation_s: float) -> np.ndarray:
+    """The pressure that a touch leaves in the pulp, which yields at once and recovers slowly, (..., T) float. [Pa]
+
+    time_s : (T,) float, increasing. [s]
+    pressure_pa : (..., T) float. Of the touch, linear between the times. [Pa]
+    relaxation_s : Time constant of the recovery; 0 is none. [s]
+
+    Where the touch presses harder than what is left, the pulp follows; where it presses less, the difference dies away
+    as exp(-t / relaxation_s).
+
+    Raises: InputError if a value is not finite, or the time constant is negative.
+    """
+    time, touch = finite("time_s", time_s), finite("pressure_pa", pressure_pa)
+    relaxation = number("relaxation_s", relaxation_s)
+    if relaxation < 0.0:
+        raise InputError(f"relaxation_s must be 0 or more, got {relaxation:g} s.")
+    left = touch.copy()
+    if relaxation > 0.0:
+        for i, h in enumerate(np.diff(time)):
+            lag = (touch[..., i + 1] - touch[..., i]) / h * relaxation
+            relaxed = touch[..., i + 1] - lag + (left[..., i] - touch[..., i] + lag) * np.exp(-h / relaxation)
+            left[..., i + 1] = np.maximum(touch[..., i + 1], relaxed)
+    return left
+
+
 def _area(name: str, value: float) -> float:
     area = number(name, value)
     if area <= 0.0:

@@ -1,7 +1,8 @@
 """What the paper says its figures show, as rules that the responses of one parameter set or of thousands are held to.
 
-Where the paper gives a number it is used; where it gives a word ("much more slowly", "nearly linear") the bound is a
-choice, spelled out with the claim. Readings follow eq. (9): they fall with (D+x)^2, the blood under the photodiode.
+Every rule stands for a sentence of the paper, in our words, and is judged under that figure's own touch. Where the
+paper gives a number it is used; where it gives a word ("much more slowly", "nearly linear") the bound is a choice,
+spelled out with the rule. Readings follow eq. (9): they fall with (D+x)^2, the blood under the photodiode.
 """
 
 import dataclasses
@@ -10,7 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .responses import CURVE_PA, N_PER_CM2, PHASE_S, Responses
+from .protocols import CURVE_PA, LOADING_S, N_PER_CM2, PHASE_S, UNLOADING_S
+from .responses import Responses
 
 # What divides is kept from 0 by this, far below any change that a figure shows. [m, 1]
 _TINY = 1e-30
@@ -20,12 +22,14 @@ _TIME_CONSTANT_PART, _LEVEL_PART = 1.0 - math.exp(-1.0), 0.95
 
 @dataclasses.dataclass(frozen=True)
 class Rule:
-    """One claim of a figure: what it says, and the bounds within which its measure must lie.
+    """One measure of what a sentence says of a figure, and the bounds within which it must lie.
 
+    sentence : of the paper, in our words. text : what is measured.
     measure : from responses of batch shape B to B floats, in the unit.
     """
 
     figure: str
+    sentence: str
     text: str
     measure: Callable[[Responses], np.ndarray]
     unit: str = "1"
@@ -69,13 +73,18 @@ def _level_from(curve: np.ndarray) -> np.ndarray:
     return _crossing(done, _LEVEL_PART, np.minimum(last_below + 1, samples - 1), CURVE_PA) / N_PER_CM2
 
 
-def _time_constant(path: np.ndarray) -> np.ndarray:
-    """Time to 63 % of the change over a phase. [s]"""
-    whole = path[..., -1:] - path[..., :1]
+def _time_constant(path: np.ndarray, *, end: np.ndarray | None = None) -> np.ndarray:
+    """Time to 63 % of the way to the end, by default the last of the phase; the whole phase if it stays short. [s]"""
+    whole = (path[..., -1:] if end is None else end) - path[..., :1]
     done = (path - path[..., :1]) / np.where(whole == 0.0, 1.0, whole)
     reached = np.argmax(done >= _TIME_CONSTANT_PART, axis=-1)
     time = _crossing(done, _TIME_CONSTANT_PART, np.maximum(reached, 1), PHASE_S)
     return np.where(reached > 0, time, PHASE_S[-1])
+
+
+def _release_time(on: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """Time constant of the way back to where the touch had begun. [s]"""
+    return _time_constant(off, end=on[..., :1])
 
 
 def _blood(width: np.ndarray) -> np.ndarray:
@@ -83,19 +92,23 @@ def _blood(width: np.ndarray) -> np.ndarray:
     return (width / width[..., :1]) ** 2
 
 
-def _proximal(r: Responses) -> np.ndarray:
-    """Blood under the proximal photodiode, whose reading falls as it rises."""
-    return _blood(r.both[0])
+def _overshoot(on: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """How far paths (..., steps, 81) pass their ends on either phase, of the largest step's change. [1]"""
+    change = off[..., -1] - off[..., 0]
+    past = [np.sign(phase[..., -1:] - phase[..., :1]) * (phase - phase[..., -1:]) for phase in (on, off)]
+    return np.max(past, axis=(0, -2, -1)) / np.maximum(np.abs(change).max(axis=-1), _TINY)
 
 
-def _distal(r: Responses) -> np.ndarray:
-    """Less the blood under the distal photodiode: its reading, but for scale and offset."""
-    return -_blood(r.both[1])
+def _release_over_loading(on: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """Geometric mean over the larger steps of the time constant on release over that on loading. [1]"""
+    large = slice(4, None)
+    ratio = _release_time(on[..., large, :], off[..., large, :]) / _time_constant(on[..., large, :])
+    return np.exp(np.log(ratio).mean(axis=-1))
 
 
-def _ratio(slow: np.ndarray, fast: np.ndarray) -> np.ndarray:
-    """Geometric mean over the steps of one time constant over another. [1]"""
-    return np.exp(np.mean(np.log(_time_constant(slow) / _time_constant(fast)), axis=-1))
+def _difference(on: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """Largest difference over the steps between the time constants on release and on loading. [s]"""
+    return np.abs(_release_time(on, off) - _time_constant(on)).max(axis=-1)
 
 
 def _steeper_at_first(curve: np.ndarray) -> np.ndarray:
@@ -105,56 +118,87 @@ def _steeper_at_first(curve: np.ndarray) -> np.ndarray:
     return first / np.maximum(np.abs(later), _TINY)
 
 
-def _still_changing(curve: np.ndarray) -> np.ndarray:
-    """Change from 1.2 to 2 N/cm^2 over that from 0 to 1.2. [1]"""
+def _past_the_knee(curve: np.ndarray) -> np.ndarray:
+    """Change from 1.2 to 2 N over that from 0 to 1.2 N. [1]"""
     knee = curve[..., _at(1.2)]
     return (curve[..., -1] - knee) / np.maximum(np.abs(knee - curve[..., 0]), _TINY)
 
 
-# Steps of 0.5 N/cm^2 and more.
-_LARGE = slice(4, None)
+def _late_slope(curve: np.ndarray) -> np.ndarray:
+    """Slope from 1.2 to 2 N over that from 0 to 1 N. [1]"""
+    first = curve[..., _at(1.0)] - curve[..., 0]
+    return (curve[..., -1] - curve[..., _at(1.2)]) / 0.8 / np.maximum(np.abs(first), _TINY)
+
+
+_WIDEN = "Pressing the proximal pulp narrows the vein and widens the capillaries."
+_REDDEN = "From some 0.3 N blood pools under the nail, which reddens, fully at about 1 N."
+_FIG_11 = "With both pressures the proximal reading falls, the distal one rises."
+_SMOOTH = "It goes from level to level; no overshoot is told of."
+_DISTAL_BOTH_WAYS = "The distal reading is nearly linear, and loads and unloads in equal times."
+_V_P1 = "V_P1 falls roughly linearly and levels off near 1 N/cm^2."
+_V_P2 = "V_P2 rises steeply to 0.1 N/cm^2, then linearly, and levels off just past 1."
+_FIG_15 = "Force on the proximal pulp: a linear fall to about 1 N, then level, in some a slight rise."
+_FIG_16 = "The proximal reading is no slower than the force: 0.16 s on loading, 0.12 s on unloading."
+_FIG_17 = "Force on the distal pulp: linear to about 1 N, then a small positive slope as the white band widens."
+_FIG_18 = "The distal reading takes 0.18 s on loading and 0.36 s on unloading."
+_BAND = "Past 1 N the tip whitens, in a band that widens until some 4 N."
 
 # fmt: off
 RULES = (
-    Rule("10", "capillaries widen with every step of proximal pressure (smallest step over range)",
+    Rule("10", _WIDEN, "smallest step of a capillary over its range",
          lambda r: _smallest_step(r.proximal[0]), low=0.0),
-    Rule("10", "the vein narrows with every step (smallest step over range)",
+    Rule("10", _WIDEN, "smallest step of the vein over its range, inwards",
          lambda r: _smallest_step(-r.proximal[2]), low=0.0),
-    Rule("10", "the reddening is visible: proximal blood grows by a tenth or more to 1 N/cm^2",
+    Rule("10", _REDDEN, "growth of proximal blood to 1 N/cm^2",
          lambda r: _blood(r.proximal[0])[..., _at(1.0)] - 1.0, low=0.1),
-    Rule("10", "steady capillary diameters are not linear in pressure (off the chord by)",
+    Rule("10", "Steady diameters are not linear in pressure.", "capillary off its chord to 1 N/cm^2, of the change",
          lambda r: _off_chord(r.proximal[0]), low=0.05),
-    Rule("10", "capillaries are sluggish at low pressure (time at 0.1 over time at 1 N/cm^2)",
+    Rule("10", "Capillaries are slower at low pressure.", "time constant at 0.1 over that at 1 N/cm^2",
          lambda r: _time_constant(r.proximal_on[0][..., 0, :]) / _time_constant(r.proximal_on[0][..., -1, :]), low=1.5),
-    Rule("10", "capillaries are much slower on release (release over loading time, 0.5 to 1)",
-         lambda r: _ratio(r.proximal_off[0][..., _LARGE, :], r.proximal_on[0][..., _LARGE, :]), low=1.75),
-    Rule("10", "the vein is equally fast both ways (difference of times)",
-         lambda r: np.abs(_time_constant(r.proximal_off[2]) - _time_constant(r.proximal_on[2])).max(axis=-1), "s",
-         high=0.05),
-    Rule("11", "the proximal reading falls with every step of both pressures",
-         lambda r: _smallest_step(_proximal(r)), low=0.0),
-    Rule("11", "the distal reading rises with every step", lambda r: _smallest_step(_distal(r)), low=0.0),
-    Rule("11", "the distal reading is nearly linear to 1 N/cm^2 (off the chord by)",
-         lambda r: _off_chord(_distal(r)), high=0.1),
-    Rule("11", "distal loading and unloading take equal times (unloading over loading)",
-         lambda r: _ratio(r.both_off[1] ** 2, r.both_on[1] ** 2), low=0.8, high=1.25),
-    Rule("12", "V_P1 falls roughly linearly to 0.9 N/cm^2 (off the chord by)",
-         lambda r: _off_chord(_proximal(r), end=0.9), high=0.15),
-    Rule("12", "V_P1 levels off near 1 N/cm^2", lambda r: _level_from(_proximal(r)), "N/cm2", low=0.85, high=1.15),
-    Rule("12", "V_P2 rises steeply to 0.1 N/cm^2 (slope over that from 0.1 to 1)",
-         lambda r: _steeper_at_first(_distal(r)), low=1.5),
-    Rule("12", "V_P2 is linear from 0.1 to 1 N/cm^2 (off the chord by)",
-         lambda r: _off_chord(_distal(r), start=0.1), high=0.1),
-    Rule("12", "V_P2 levels off just past 1 N/cm^2", lambda r: _level_from(_distal(r)), "N/cm2", low=1.0, high=1.3),
-    Rule("15-18", "the proximal reading is level past 1 N (change from 1.2 to 2 over that before)",
-         lambda r: _still_changing(_proximal(r)), low=-0.03, high=0.03),
-    Rule("17-18", "readings follow a force of 1 N like the subjects' in 0.1 to 0.4 s: proximal loading",
-         lambda r: _time_constant(r.force_on[0] ** 2)[..., 0], "s", low=0.1, high=0.4),
-    Rule("17-18", "the same, proximal unloading",
-         lambda r: _time_constant(r.force_off[0] ** 2)[..., 0], "s", low=0.1, high=0.4),
-    Rule("17-18", "the distal reading takes 0.18 s on loading (within a quarter)",
-         lambda r: _time_constant(r.force_on[1] ** 2)[..., 0], "s", low=0.135, high=0.225),
-    Rule("17-18", "the distal reading takes 0.36 s on unloading (within a quarter)",
-         lambda r: _time_constant(r.force_off[1] ** 2)[..., 0], "s", low=0.27, high=0.45),
+    Rule("10", "Capillaries are much slower on release than on loading.", "time constants, off over on, 0.5 to 1",
+         lambda r: _release_over_loading(r.proximal_on[0], r.proximal_off[0]), low=1.75),
+    Rule("10", "The vein is equally fast both ways.", "largest difference of its time constants",
+         lambda r: _difference(r.proximal_on[2], r.proximal_off[2]),
+         "s", high=0.05),
+    Rule("10", _SMOOTH, "overshoot of the vein, of its largest change",
+         lambda r: _overshoot(r.proximal_on[2], r.proximal_off[2]), high=0.05),
+    Rule("11", _FIG_11, "smallest step of the proximal reading over its range, downwards",
+         lambda r: _smallest_step(_blood(r.both[0])), low=0.0),
+    Rule("11", _FIG_11, "smallest step of the distal reading over its range, upwards",
+         lambda r: _smallest_step(-_blood(r.both[1])), low=0.0),
+    Rule("11", _SMOOTH, "overshoot of the proximal reading, of its largest change",
+         lambda r: _overshoot(r.both_on[0] ** 2, r.both_off[0] ** 2), high=0.05),
+    Rule("11", _DISTAL_BOTH_WAYS, "distal reading off its chord to 1 N/cm^2, of the change",
+         lambda r: _off_chord(_blood(r.both[1])), high=0.1),
+    Rule("11", _DISTAL_BOTH_WAYS, "distal time constants, unloading over loading, 0.5 to 1",
+         lambda r: _release_over_loading(r.both_on[1] ** 2, r.both_off[1] ** 2), low=0.8, high=1.25),
+    Rule("12", _V_P1, "V_P1 off its chord to 0.9 N/cm^2, of the change",
+         lambda r: _off_chord(_blood(r.proximal[0]), end=0.9), high=0.15),
+    Rule("12", _V_P1, "pressure at which 95 % of V_P1's change has come", lambda r: _level_from(_blood(r.proximal[0])),
+         "N/cm2", low=0.85, high=1.15),
+    Rule("12", _V_P2, "slope of V_P2 to 0.1 over that from 0.1 to 1 N/cm^2",
+         lambda r: _steeper_at_first(-_blood(r.distal[1])), low=1.5),
+    Rule("12", _V_P2, "V_P2 off its chord from 0.1 to 1 N/cm^2, of the change",
+         lambda r: _off_chord(_blood(r.distal[1]), start=0.1), high=0.1),
+    Rule("12", _V_P2, "pressure at which 95 % of V_P2's change has come", lambda r: _level_from(_blood(r.distal[1])),
+         "N/cm2", low=1.0, high=1.3),
+    Rule("15", _FIG_15, "proximal reading off its chord to 1 N, of the change",
+         lambda r: _off_chord(r.cycle[0].mean(axis=-2)), high=0.15),
+    Rule("15", _FIG_15, "change from 1.2 to 2 N over that to 1.2 N",
+         lambda r: _past_the_knee(r.cycle[0].mean(axis=-2)), low=-0.03, high=0.1),
+    Rule("16", _FIG_16, "proximal time constant on loading (a quarter more at most)",
+         lambda r: _time_constant(r.press_on[0]), "s", high=1.25 * LOADING_S),
+    Rule("16", _FIG_16, "proximal time constant on unloading (likewise)",
+         lambda r: _release_time(r.press_on[0], r.press_off[0]), "s", high=1.25 * UNLOADING_S),
+    Rule("17", _FIG_17, "distal reading off its chord to 1 N, of the change",
+         lambda r: _off_chord(r.cycle[1].mean(axis=-2)), high=0.15),
+    Rule("17", _FIG_17, "slope from 1.2 to 2 N over that to 1 N",
+         lambda r: _late_slope(r.cycle[1].mean(axis=-2)), low=0.005, high=0.3),
+    Rule("18", _FIG_18, "distal time constant on loading (within a quarter)",
+         lambda r: _time_constant(r.press_on[1]), "s", low=0.135, high=0.225),
+    Rule("18", _FIG_18, "distal time constant on unloading (within a quarter)",
+         lambda r: _release_time(r.press_on[1], r.press_off[1]), "s", low=0.27, high=0.45),
+    Rule("II", _BAND, "growth of the white part of the bed from 1 to 4 N on both sides",
+         lambda r: r.white[..., 1] - r.white[..., 0], low=0.1),
 )
 # fmt: on

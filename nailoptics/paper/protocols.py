@@ -1,61 +1,92 @@
-"""The curves of the paper's figures from any set: steps on and off, steady readings, and a press by a measured force.
+"""The touches of the paper's figures: which pressures press where, over time and held.
 
-Readings are those of eq. (9) with unit gain, counted from rest: minus the change of blood, relative to rest. [1]
+Figs. 10 and 15, 16 press on the proximal pulp alone, Figs. 17 and 18 on the distal pulp alone, Fig. 11 on both at once,
+and Fig. 12 on the side whose reading it shows. Figs. 10-12 are the paper's model and state pressures; Figs. 15-18 are
+its experiments and state forces, of which 1 N on one side is 1 N/cm^2.
 """
 
-from typing import TYPE_CHECKING
+import dataclasses
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..hemodynamics.contact import pressures
-from ..hemodynamics.parameters import Parameters
-from ..hemodynamics.respond import respond
-from ..hemodynamics.steady import steady_state
-from ..hemodynamics.zones import PAPER_ZONES, Zones
-from ..variables import variable
-from .responses import N_PER_CM2, ON_S, STEPS_PA
+from ..hemodynamics.contact import creeping_pressure, pressures
+from ..hemodynamics.zones import zones
 
-if TYPE_CHECKING:
-    import xarray
+# 1 N/cm^2, the paper's unit of pressure. [Pa]
+N_PER_CM2 = 1e4
+# Pressures of the static curves: 0 to 2 N/cm^2. (41,) [Pa]
+CURVE_PA = np.linspace(0.0, 2e4, 41)
+# The paper's steps: 0.1 to 1 N/cm^2. (10,) [Pa]
+STEPS_PA = 1e3 * np.arange(1, 11)
+# Each step is on from 0 to this instant and then off for as long. [s]
+ON_S = 2.0
+# Instants within each phase, dense after the step. (81,) [s]
+PHASE_S = ON_S * np.linspace(0.0, 1.0, 81) ** 2
+# Time constants of the subjects' force in the paper's Figs. 16 and 18. [s]
+LOADING_S, UNLOADING_S = 0.16, 0.12
+# The static experiments: a force to and fro between 0 and 2 N, as a sine.
+CYCLE_HZ, CYCLES = 0.05, 3
+# The finger of the experiments has what the paper names as missing from its model: the white zone spreads from the tip,
+# and the distal pulp recovers with one relaxation time.
+FINGER_ZONES = zones(8, decay_length=0.5)
+RELAXATION_S = 0.22
+# The release is a ramp this short, so that the touch is a step for every model here. [s]
+_RELEASE_S = 1e-6
 
 
-def readings(capillary_diameter_m: np.ndarray, rest_m: np.ndarray, zones: Zones = PAPER_ZONES) -> np.ndarray:
-    """The proximal and the distal reading, (2, ...) float, from (N, ...) diameters and (N,) at rest. [1]
+@dataclasses.dataclass(frozen=True)
+class Protocol:
+    """Pressures over time, each from rest: one that is there at the first instant is a step at that instant.
 
-    Each photodiode sees its half of the bed: the mean over its units, weighted by their shares.
+    time_s : (T,) float. Instants between which the pressures are linear. [s]
+    proximal_pa, distal_pa : (S, T) float. Of S touches. [Pa]
     """
-    blood = (capillary_diameter_m / rest_m.reshape((-1,) + (1,) * (capillary_diameter_m.ndim - 1))) ** 2
-    share, proximal = np.asarray(zones.share), zones.position < 0.5
-    halves = [np.tensordot(share[half], blood[half], axes=1) / share[half].sum() for half in (proximal, ~proximal)]
-    return 1.0 - np.array(halves)
+
+    time_s: np.ndarray
+    proximal_pa: np.ndarray
+    distal_pa: np.ndarray
 
 
-def steps(parameters: Parameters, *, distal_part: float) -> "xarray.Dataset":
-    """The response to the paper's steps of pressure, on at 0 and off at 2 s: Fig. 10 (distal_part 0) and Fig. 11 (1).
+def steps(*, distal_part: float) -> Protocol:
+    """The paper's steps of pressure, on at 0 and off at 2 s: Fig. 10 (distal_part 0) and Fig. 11 (1).
 
-    Dims pressure (10, N/cm^2), zone, time (1 kHz to 4 s).
+    Their phases are samples 0 to 80 and, from just after the release, 81 to 161.
     """
-    import xarray
-
-    time = np.arange(0.0, 2.0 * ON_S, 1e-3)
-    touches = [np.where(time < ON_S, pressure, 0.0) for pressure in STEPS_PA]
-    runs = [respond(parameters, time, proximal_pressure_pa=t, distal_pressure_pa=distal_part * t) for t in touches]
-    axis = variable("pressure", "pressure", STEPS_PA / N_PER_CM2, "touch pressure of the step", units="N cm-2")
-    return xarray.concat(runs, dim="pressure", data_vars="all").assign_coords(axis)
+    time = np.concatenate([PHASE_S, [ON_S + _RELEASE_S], ON_S + PHASE_S[1:]])
+    touch = STEPS_PA[:, None] * (time <= ON_S)
+    return Protocol(time, touch, distal_part * touch)
 
 
-def static_readings(parameters: Parameters, pressure_pa: ArrayLike, *, zones: Zones = PAPER_ZONES) -> np.ndarray:
-    """The (2, S) steady readings where both pressures are the same (Figs. 12, 15, 16). [1]"""
-    touch = np.asarray(pressure_pa, dtype=float)
-    state = steady_state(parameters, proximal_pressure_pa=touch, distal_pressure_pa=touch, zones=zones)
-    rest = steady_state(parameters, zones=zones).capillary_diameter_m
-    return readings(state.capillary_diameter_m, rest, zones)
+def one_sided(time_s: ArrayLike, force_n: ArrayLike) -> Protocol:
+    """A force over time on the proximal pulp, and the same on the distal pulp: two touches (Figs. 15-18)."""
+    time = np.asarray(time_s, dtype=float)
+    proximal, none = pressures(force_n, proximal_share=1.0)
+    distal = creeping_pressure(time, pressures(force_n, proximal_share=0.0)[1], relaxation_s=RELAXATION_S)
+    return Protocol(time, np.stack([proximal, none]), np.stack([none, distal]))
 
 
-def press(parameters: Parameters, time_s: ArrayLike, force_n: ArrayLike, *, zones: Zones = PAPER_ZONES) -> np.ndarray:
-    """The (2, T) readings of an even touch on 1 cm^2 with a force over time (Figs. 17, 18). [1]"""
-    proximal, distal = pressures(force_n)
-    run = respond(parameters, time_s, proximal_pressure_pa=proximal, distal_pressure_pa=distal, zones=zones)
-    rest = steady_state(parameters, zones=zones).capillary_diameter_m
-    return readings(run["capillary_diameter_m"].values, rest, zones)
+def cycle() -> Protocol:
+    """The static experiments: 0 to 2 N and back at 0.05 Hz, thrice (Figs. 15 and 17), where it passes CURVE_PA."""
+    force = np.concatenate([CURVE_PA, CURVE_PA[-2::-1]]) / N_PER_CM2
+    rising = np.arccos(1.0 - 2.0 * CURVE_PA / CURVE_PA[-1]) / (2.0 * np.pi)
+    turn = np.concatenate([rising, 1.0 - rising[-2::-1]])[1:]
+    time = np.concatenate([[0.0], *(turns + turn for turns in range(CYCLES))]) / CYCLE_HZ
+    return one_sided(time, np.append(0.0, np.tile(force[1:], CYCLES)))
+
+
+def press() -> Protocol:
+    """A force of 1 N like the subjects', on at 0 and off at 2 s (Figs. 16 and 18): phases 0 to 80 and 80 to 160."""
+    time = np.concatenate([PHASE_S, ON_S + PHASE_S[1:]])
+    return one_sided(time, subject_force(time))
+
+
+def subject_force(time_s: ArrayLike, *, force_n: float = 1.0, on_s: float = 0.0, off_s: float = ON_S) -> np.ndarray:
+    """The force of the paper's subjects over time: exponential, with 0.16 s on loading and 0.12 s on unloading. [N]
+
+    References: Mascaro and Asada 2001, Figs. 16 and 18.
+    """
+    time = np.asarray(time_s, dtype=float)
+    top = force_n * (1.0 - np.exp(-(off_s - on_s) / LOADING_S))
+    loading = force_n * (1.0 - np.exp(-np.maximum(time - on_s, 0.0) / LOADING_S))
+    return np.where(time < off_s, loading, top * np.exp(-np.maximum(time - off_s, 0.0) / UNLOADING_S))

@@ -1,10 +1,11 @@
-"""What vessels do in the paper's figures, for a set of parameters: steady states, and steps of pressure on and off.
+"""What vessels do under the touches of the paper's figures, for a set of parameters: steady states and over time.
 
 For one set the library's own solvers are used; for thousands of sets at once (the search) a coarse stepper that works
 on arrays. Both give the same `Responses`, so the claims are judged by one code.
 """
 
 import dataclasses
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -13,148 +14,165 @@ from numpy.typing import ArrayLike
 
 from ..hemodynamics.parameters import Parameters
 from ..hemodynamics.respond import respond
-from ..hemodynamics.steady import solve_walls, steady_state
+from ..hemodynamics.steady import solve_walls, steady_state, wall_pressures
 from ..hemodynamics.walls import Walls, build_walls, massless_jacobian, massless_rates
-from ..hemodynamics.zones import PAPER_ZONES
+from ..hemodynamics.zones import PAPER_ZONES, Zones
+from .protocols import CURVE_PA, FINGER_ZONES, N_PER_CM2, PHASE_S, Protocol, cycle, one_sided, press, steps
 
-# 1 N/cm^2, the paper's unit of pressure. [Pa]
-N_PER_CM2 = 1e4
-# Pressures of the static curves: 0 to 2 N/cm^2. (41,) [Pa]
-CURVE_PA = np.linspace(0.0, 2e4, 41)
-# The paper's steps: 0.1 to 1 N/cm^2. (10,) [Pa]
-STEPS_PA = 1e3 * np.arange(1, 11)
-# Each step is on from 0 to this instant and then off for as long. [s]
-ON_S = 2.0
-# Instants within each phase, dense after the step. (81,) [s]
-PHASE_S = ON_S * np.linspace(0.0, 1.0, 81) ** 2
-# Time constants of the subjects' force in the paper's Figs. 17-18. [s]
-LOADING_S, UNLOADING_S = 0.16, 0.12
-# The release is a ramp this short, so that the touch is a step for every model here. [s]
-_RELEASE_S = 1e-6
+# Steady widths from the (S,) proximal and distal pressures, and widths over time from a touch: (N+1, *B, S) or
+# (N+1, *B, S, T) float, capillary units and then the vein. [m]
+Steady = Callable[[np.ndarray, np.ndarray, Zones], np.ndarray]
+Follow = Callable[[Protocol, Zones], np.ndarray]
 
 
 @dataclasses.dataclass(frozen=True)
 class Responses:
-    """Diameters of [proximal capillary, distal capillary, vein] under touch; B is a batch shape, () for one set. [m]
+    """What every figure shows; B is a batch shape, () for one set.
 
-    proximal, both : (3, *B, 41) float. Steady, with P_F1 alone or P_F1 = P_F2 on CURVE_PA.
+    Diameters of [proximal capillary, distal capillary, vein] in the paper's network: [m]
+    proximal, distal, both : (3, *B, 41) float. Steady, with P_F1 alone, P_F2 alone or P_F1 = P_F2 on CURVE_PA.
     proximal_on, proximal_off, both_on, both_off : (3, *B, 10, 81) float. Over PHASE_S after each step on and off.
-    force_on, force_off : (3, *B, 1, 81) float. The same for the subjects' force of 1 N on 1 cm^2 (`subject_force`).
+
+    The finger of the experiments, [proximal reading with force there alone, distal reading with force there alone]: [1]
+    cycle : (2, *B, 2, 41) float. On loading and on unloading between 0 and 2 N, the mean of three cycles.
+    press_on, press_off : (2, *B, 81) float. Over PHASE_S after the subjects' force of 1 N comes and goes.
+    white : (*B, 2) float. Part of the bed with less than half of its blood, under even touches of 1 and 4 N.
     """
 
     proximal: np.ndarray
+    distal: np.ndarray
     both: np.ndarray
     proximal_on: np.ndarray
     proximal_off: np.ndarray
     both_on: np.ndarray
     both_off: np.ndarray
-    force_on: np.ndarray
-    force_off: np.ndarray
-
-
-def subject_force(time_s: ArrayLike, *, force_n: float = 1.0, on_s: float = 0.5, off_s: float = 2.5) -> np.ndarray:
-    """The force of the paper's subjects over time: exponential, with 0.16 s on loading and 0.12 s on unloading. [N]
-
-    References: Mascaro and Asada 2001, Figs. 17-18.
-    """
-    time = np.asarray(time_s, dtype=float)
-    top = force_n * (1.0 - np.exp(-(off_s - on_s) / LOADING_S))
-    loading = force_n * (1.0 - np.exp(-np.maximum(time - on_s, 0.0) / LOADING_S))
-    return np.where(time < off_s, loading, top * np.exp(-np.maximum(time - off_s, 0.0) / UNLOADING_S))
+    cycle: np.ndarray
+    press_on: np.ndarray
+    press_off: np.ndarray
+    white: np.ndarray
 
 
 def simulate_responses(parameters: Parameters) -> Responses:
     """The responses of one set, by `steady_state` and `respond`."""
-    time = np.concatenate([PHASE_S, ON_S + PHASE_S[1:]])
-    knots = np.sort(np.append(time, ON_S + _RELEASE_S))
-    size = PHASE_S.size
-    fields: dict[str, np.ndarray] = {}
-    for name, distal_part in (("proximal", 0.0), ("both", 1.0)):
-        state = steady_state(parameters, proximal_pressure_pa=CURVE_PA, distal_pressure_pa=distal_part * CURVE_PA)
-        fields[name] = np.vstack([state.capillary_diameter_m, state.vein_diameter_m[None]])
-        touches = [np.where(knots <= ON_S, pressure, 0.0) for pressure in STEPS_PA]
-        widths = [_widths(parameters, knots, touch, distal_part * touch) for touch in touches]
-        width = np.delete(np.stack(widths, axis=1), size, axis=2)
-        fields[f"{name}_on"], fields[f"{name}_off"] = width[..., :size], width[..., size - 1 :]
-    fine = np.union1d(np.arange(0.0, 2.0 * ON_S, 1e-3), time)
-    touch = N_PER_CM2 * subject_force(fine, on_s=0.0, off_s=ON_S)
-    width = _widths(parameters, fine, touch, touch)[:, None, np.searchsorted(fine, time)]
-    fields["force_on"], fields["force_off"] = width[..., :size], width[..., size - 1 :]
-    return Responses(**fields)
+
+    def steady(proximal: np.ndarray, distal: np.ndarray, zones: Zones) -> np.ndarray:
+        state = steady_state(parameters, proximal_pressure_pa=proximal, distal_pressure_pa=distal, zones=zones)
+        return np.vstack([state.capillary_diameter_m, state.vein_diameter_m[None]])
+
+    return _responses(steady, lambda touch, zones: _follow(parameters, touch, zones))
 
 
-def _widths(parameters: Parameters, time: np.ndarray, proximal: np.ndarray, distal: np.ndarray) -> np.ndarray:
-    run = respond(parameters, time, proximal_pressure_pa=proximal, distal_pressure_pa=distal)
-    return np.vstack([run["capillary_diameter_m"].values, run["vein_diameter_m"].values])
+def _follow(parameters: Parameters, touch: Protocol, zones: Zones) -> np.ndarray:
+    """Diameters under each touch, (N+1, S, T) float: capillary units and then the vein. [m]"""
+    widths = []
+    for proximal, distal in zip(touch.proximal_pa, touch.distal_pa, strict=True):
+        given: dict[str, Any] = {"proximal_pressure_pa": proximal, "distal_pressure_pa": distal, "zones": zones}
+        run = respond(parameters, touch.time_s, **given)
+        widths.append(np.vstack([run["capillary_diameter_m"].values, run["vein_diameter_m"].values]))
+    return np.stack(widths, axis=1)
+
+
+def pressed(parameters: Parameters, time_s: ArrayLike, force_n: ArrayLike) -> np.ndarray:
+    """The proximal reading with a force over time there alone, and the distal one with it there alone, (2, T). [1]"""
+    return _own_readings(_follow(parameters, one_sided(time_s, force_n), FINGER_ZONES), FINGER_ZONES)
 
 
 def simulate_responses_of_many(values: dict[str, np.ndarray]) -> Responses:
     """The responses of many sets at once, coarsely: (B,) float values of every field of `Parameters` by name."""
     # Each constant of the walls becomes a column of sets, beside which pressures are rows.
     columns = {name: np.asarray(value)[:, None] for name, value in values.items()}
-    walls = build_walls(cast(Parameters, SimpleNamespace(**columns)), PAPER_ZONES)
+    given = cast(Parameters, SimpleNamespace(**columns))
     high, low = columns["arterial_pressure_pa"], columns["venous_pressure_pa"]
+
+    def steady(proximal: np.ndarray, distal: np.ndarray, zones: Zones) -> np.ndarray:
+        outside = wall_pressures(zones, np.stack([proximal, distal]))[:, None]
+        each = np.broadcast_shapes(high.shape, outside.shape[1:])
+        pressures = np.broadcast_to(high, each), np.broadcast_to(low, each)
+        return solve_walls(build_walls(given, zones), outside, *pressures, tolerance=1e-9)[0]
+
+    def follow_all(touch: Protocol, zones: Zones) -> np.ndarray:
+        none = np.zeros(touch.proximal_pa.shape[0])
+        rest = steady(none[:1], none[:1], zones).repeat(none.size, axis=-1)
+        outside = wall_pressures(zones, np.stack([touch.proximal_pa, touch.distal_pa]))[:, None]
+        return _march(build_walls(given, zones), rest, touch.time_s, outside, high, low)
+
+    return _responses(steady, follow_all)
+
+
+def _readings(width: np.ndarray, rest: np.ndarray, zones: Zones) -> np.ndarray:
+    """The proximal and the distal reading, (2, ...) float, from (N+1, ...) diameters and those at rest. [1]
+
+    Those of eq. (9) with unit gain, counted from rest: minus the change of blood, relative to rest. Each photodiode
+    sees its half of the bed: the mean over its units, weighted by their shares.
+    """
+    blood = (width[: zones.count] / rest[: zones.count]) ** 2
+    share, proximal = np.asarray(zones.share), zones.position < 0.5
+    halves = [np.tensordot(share[half], blood[half], axes=1) / share[half].sum() for half in (proximal, ~proximal)]
+    return 1.0 - np.array(halves)
+
+
+def _own_readings(width: np.ndarray, zones: Zones) -> np.ndarray:
+    """The proximal reading of the first touch and the distal one of the second, (2, ..., T), from (N+1, ..., 2, T)."""
+    both = _readings(width, width[..., :1], zones)
+    return np.stack([both[0, ..., 0, :], both[1, ..., 1, :]])
+
+
+def _responses(steady: Steady, follow: Follow) -> Responses:
     fields: dict[str, np.ndarray] = {}
+    size = PHASE_S.size
+    for name, proximal, distal in (("proximal", 1.0, 0.0), ("distal", 0.0, 1.0), ("both", 1.0, 1.0)):
+        fields[name] = steady(proximal * CURVE_PA, distal * CURVE_PA, PAPER_ZONES)
     for name, distal_part in (("proximal", 0.0), ("both", 1.0)):
-        fields[name] = _balances(walls, CURVE_PA, distal_part, high, low)
-        rest = np.repeat(fields[name][:, :, :1], STEPS_PA.size, axis=2)
-        fields[f"{name}_on"] = _relax(walls, rest, STEPS_PA, distal_part, high, low)
-        fields[f"{name}_off"] = _relax(walls, fields[f"{name}_on"][..., -1], 0.0 * STEPS_PA, distal_part, high, low)
-    loading = 1.0 - np.exp(-PHASE_S / LOADING_S)
-    unloading = loading[-1] * np.exp(-PHASE_S / UNLOADING_S)
-    top = np.array([N_PER_CM2])
-    fields["force_on"] = _relax(walls, fields["both"][..., :1], top, 1.0, high, low, course=loading)
-    fields["force_off"] = _relax(walls, fields["force_on"][..., -1], top, 1.0, high, low, course=unloading)
+        width = follow(steps(distal_part=distal_part), PAPER_ZONES)
+        fields[f"{name}_on"], fields[f"{name}_off"] = width[..., :size], width[..., size:]
+    pressed = _own_readings(follow(press(), FINGER_ZONES), FINGER_ZONES)
+    fields["press_on"], fields["press_off"] = pressed[..., :size], pressed[..., size - 1 :]
+    fields["cycle"] = _branches(_own_readings(follow(cycle(), FINGER_ZONES), FINGER_ZONES))
+    even = N_PER_CM2 * np.array([0.0, 1.0, 4.0])
+    width = steady(even, even, FINGER_ZONES)[:-1]
+    white = (width / width[..., :1]) ** 2 < 0.5
+    fields["white"] = np.tensordot(FINGER_ZONES.share, white[..., 1:], axes=1) / sum(FINGER_ZONES.share)
     return Responses(**fields)
 
 
-def _balances(walls: Walls, touch: np.ndarray, distal_part: float, high: np.ndarray, low: np.ndarray) -> np.ndarray:
-    """Steady diameters, (3, B, pressures) float."""
-    shape = (high.shape[0], touch.size)
-    outside = np.stack([np.zeros(shape), np.broadcast_to(distal_part * touch, shape), np.broadcast_to(touch, shape)])
-    return solve_walls(walls, outside, np.broadcast_to(high, shape), np.broadcast_to(low, shape), tolerance=1e-9)[0]
+def _branches(course: np.ndarray) -> np.ndarray:
+    """The mean loading and unloading, (..., 2, 41) on CURVE_PA, of a course over whole cycles, (..., T)."""
+    branch = CURVE_PA.size - 1
+    turns = range(0, course.shape[-1] - 1, 2 * branch)
+    loading = np.mean([course[..., i : i + branch + 1] for i in turns], axis=0)
+    unloading = np.mean([course[..., i + branch : i + 2 * branch + 1] for i in turns], axis=0)
+    return np.stack([loading, unloading[..., ::-1]], axis=-2)
 
 
-def _relax(
-    walls: Walls,
-    start: np.ndarray,
-    touch: np.ndarray,
-    distal_part: float,
-    high: np.ndarray,
-    low: np.ndarray,
-    *,
-    course: np.ndarray | None = None,
+def _march(
+    walls: Walls, start: np.ndarray, time_s: np.ndarray, outside: np.ndarray, high: np.ndarray, low: np.ndarray
 ) -> np.ndarray:
-    """Diameters over PHASE_S, (3, B, steps, 81) float, by ROS2, a Rosenbrock method of order 2 that is L-stable.
+    """Diameters over time, (N+1, B, S, T) float, by ROS2, a Rosenbrock method of order 2 that is L-stable.
 
-    course : (81,) float. Factor of the touch over PHASE_S; None is a constant touch. [1]
+    outside : (N+1, 1, S, T) float. Touch pressure on each wall. [Pa]
 
     References: Verwer, Spee, Blom, Hundsdorfer 1999, SIAM J. Sci. Comput. 20:1456.
     """
     gamma = 1.0 - np.sqrt(0.5)
     area, stiffness, listed, closed = map(np.stack, (walls.area, walls.stiffness, walls.diameter, walls.closed))
-    force = np.stack([0.0 * area[0] * touch, area[1] * distal_part * touch, area[2] * touch])
-    part = np.ones(PHASE_S.size) if course is None else course
 
-    def load(width: np.ndarray, factor: float) -> np.ndarray:
-        return np.asarray(factor * force + stiffness * (width - listed))
+    def load(width: np.ndarray, at: int) -> np.ndarray:
+        return np.asarray(area * outside[..., at] + stiffness * (width - listed))
 
     path = [start]
-    for h, now, then in zip(np.diff(PHASE_S), part[:-1], part[1:], strict=True):
-        width, loads = path[-1], load(path[-1], now)
+    for i, h in enumerate(np.diff(time_s)):
+        width, loads = path[-1], load(path[-1], i)
         held = np.where(width <= closed, 0.0, 1.0)
         pressures, _ = massless_rates(walls, width, loads, held, high, low)
         free = np.where((held > 0.0) | (area * pressures > loads), 1.0, 0.0)
         pressures, speeds = massless_rates(walls, width, loads, free, high, low)
         jacobian = massless_jacobian(walls, width, free, pressures, high, low)
-        drift = np.zeros_like(width)
-        if course is not None:
-            # What the touch's own change does to the speeds.
-            _, rates = massless_rates(walls, width, (then - now) / h * force, free, 0.0 * high, 0.0 * low)
-            drift = gamma * h * np.array(rates)
+        # What the touch's own change does to the speeds.
+        rise = area * (outside[..., i + 1] - outside[..., i]) / h
+        drift = gamma * h * np.array(massless_rates(walls, width, rise, free, 0.0 * high, 0.0 * low)[1])
         k1 = _rank_one_solve(speeds + drift, jacobian, gamma * h)
         middle = np.maximum(width + h * k1, closed)
-        _, later = massless_rates(walls, middle, load(middle, then), free, high, low)
+        _, later = massless_rates(walls, middle, load(middle, i + 1), free, high, low)
         k2 = _rank_one_solve(later - 2.0 * k1 - drift, jacobian, gamma * h)
         path.append(np.maximum(width + h * (1.5 * k1 + 0.5 * k2), closed))
     return np.stack(path, axis=-1)

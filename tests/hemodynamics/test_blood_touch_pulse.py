@@ -10,6 +10,7 @@ from nailoptics.hemodynamics import (
     blood_fraction,
     breathing_pressure,
     cardiac_pressure,
+    creeping_pressure,
     parameters,
     pressures,
     side_areas_mm2,
@@ -86,6 +87,21 @@ def test_a_touch_that_cannot_be_is_refused(arguments, name):
 def test_an_area_of_a_side_must_be_positive(name):
     with pytest.raises(InputError, match=name):
         pressures(1.0, **{name: 0.0})
+
+
+def test_the_pulp_yields_at_once_and_recovers_slowly_however_finely_it_is_sampled():
+    coarse, fine = np.linspace(0.0, 4.0, 9), np.linspace(0.0, 4.0, 4001)
+    corners = [0.0, 1.0, 1.5, 4.0], [0.0, 1e4, 2e3, 2e3]
+    touches = [np.interp(time, *corners) for time in (coarse, fine)]
+    left = [creeping_pressure(t, p, relaxation_s=0.5) for t, p in zip((coarse, fine), touches, strict=True)]
+    assert np.allclose(left[0], left[1][::500], rtol=1e-9)
+    assert np.array_equal(left[1][fine <= 1.0], touches[1][fine <= 1.0]) and np.all(left[1] >= touches[1])
+    held = fine >= 1.5
+    beyond = left[1][held] - 2e3
+    assert np.allclose(beyond, beyond[0] * np.exp(-(fine[held] - 1.5) / 0.5), rtol=1e-9)
+    assert np.array_equal(creeping_pressure(coarse, touches[0], relaxation_s=0.0), touches[0])
+    with pytest.raises(InputError, match="relaxation_s"):
+        creeping_pressure(coarse, touches[0], relaxation_s=-1.0)
 
 
 def test_pulse_has_the_mean_height_and_rate_asked_for():
