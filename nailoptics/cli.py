@@ -278,6 +278,8 @@ def tradeoff(
 @app.command
 def check(scene: ScenePath, *, json_: Json = False) -> None:
     """Check a scene file: fields, parts, layout, hemodynamic set and, for a finger, the geometry."""
+    from .report.summaries import check_lines
+
     loaded = _scene(scene)
     report: dict[str, Any] = {"scene": scene, "valid": True}
     if loaded.finger is not None:
@@ -287,10 +289,9 @@ def check(scene: ScenePath, *, json_: Json = False) -> None:
         hemodynamics.parameters(loaded.blood.parameters)
         mesh = build(loaded)
         found = check_watertight(mesh, crossings=100_000)
-        report |= {"regions": list(mesh.regions), "triangles": len(mesh.triangles), **vars(found)}
-        report["valid"] = bool(found.passed)
-    lines = (f"{name}: {', '.join(v) if isinstance(v, list) else v}" for name, v in report.items())
-    _show(report, lines, {}, json_)
+        report |= {"vessels": loaded.blood.parameters, "regions": list(mesh.regions), "triangles": len(mesh.triangles)}
+        report |= {**vars(found), "valid": bool(found.passed)}
+    _show(report, check_lines(report), {}, json_)
     if not report["valid"]:
         raise NailopticsError(f"{scene}: its geometry leaks; please report the scene.")
 
@@ -369,8 +370,14 @@ def doctor(*, json_: Json = False) -> None:
         summary["findings"].append({"backend": f.name} | row)
         taken = "taken" if (f.name, f.library) == (chosen.name, chosen.library) else ""
         engines = ", ".join(f.engines) or "not usable"
-        lines.append(f"{f.name:<7} {engines:<17} {taken:<6} {f.library or ''} {f.why}".rstrip())
-    lines.append("photons serves every command; volpath serves simulate, trace and batch")
+        lines.append(f"  {f.name:<7} {engines:<17} {taken:<6} {f.library or ''} {f.why}".rstrip())
+    serves = f"photons runs on {chosen.name}" if chosen.jit else "photons cannot run here"
+    lines = [
+        f"{serves}: the engine of every command",
+        f"volpath runs on {stock.name}: stock Mitsuba, the check of simulate, trace and batch",
+        "what was found on this machine, and the engines that it can run:",
+        *lines,
+    ]
     lines += dict.fromkeys(one.advice for one in (chosen, stock) if one.advice)
     _show(summary, lines, {}, json_)
 

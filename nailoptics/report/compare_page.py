@@ -20,7 +20,7 @@ HOLDS = (
     "the light tracing."
 )
 SPLIT = (
-    "The error of (9), split where it is largest. Hollow marks cannot be told from nothing. The first three add up to "
+    "The error of (9), split where it is largest. Hollow marks cannot be told from 0. The first three add up to "
     "the error against the trace; that blood scatters too is in neither, and comes on top. What changes the mean path "
     "with the blood is the spread of paths: one path for all light."
 )
@@ -74,7 +74,7 @@ def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
     for within in (0.01, 0.05):
         taylor, total = _counts(result, "taylor", within)
         exact, _ = _counts(result, "beer_lambert", within)
-        words = f"fitted readings within {100 * within:g} % of their swing by (9), and by (8), over the whole {sweep}"
+        words = f"readings that fitted (9), and (8), meet within {100 * within:g} % of their swing over the {sweep}"
         cards.append((f"{taylor} and {exact} of {total}", words))
     if "blood" in result.sweep.values:
         one = result.sel(sweep="blood", way="fitted", model="taylor", within=0.01)
@@ -82,7 +82,7 @@ def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
         cards.append((f"{low} – {high} %", "blood fraction up to which (9) errs by less than 1 %"))
     parts = np.abs(result.isel(sweep=0, point=-1).sel(way="fitted").part_error).median(("led", "photodiode"))
     worst, *_ = compare_figures.PARTS[str(result.part.values[int(parts.values.argmax())])]
-    words = f"of the swing is the largest part, by the median: {worst}"
+    words = f"of the swing: the largest part of the error of (9), by the median of all readings: “{worst}”"
     return [*cards, (f"{significant(float(parts.max()), 2)} %", words)]
 
 

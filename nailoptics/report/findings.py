@@ -16,8 +16,9 @@ def title(scene: Scene | None) -> str:
     if scene is None or scene.finger is None:
         return "Fingernail sensor"
     touch, digit = scene.touch, scene.finger.digit
-    kind = "recorded touch" if touch.profile == "recorded" else f"{touch.profile} of {touch.force_n:g} N"
-    return f"A {kind} on {'an' if digit == 'index' else 'a'} {digit}{'' if digit == 'thumb' else ' finger'}"
+    several = {"recorded": "A recorded touch", "steps": "Steps of force"}
+    kind = several.get(touch.profile, f"A {touch.profile} of {touch.force_n:g} N")
+    return f"{kind} on {'an' if digit == 'index' else 'a'} {digit}{'' if digit == 'thumb' else ' finger'}"
 
 
 def sentence(scene: Scene | None, result: xr.Dataset) -> str:
@@ -30,7 +31,8 @@ def sentence(scene: Scene | None, result: xr.Dataset) -> str:
         text += f" within {duration:.3g} s"
     if scene is not None and scene.finger is not None:
         blood = scene.blood
-        text += f"; blood {100 * blood.rest_blood_fraction:g} % of the bed at rest, {100 * blood.so2:g} % saturated"
+        text += f"; blood {100 * blood.rest_blood_fraction:g}\u00a0% of the bed at rest, "
+        text += f"{100 * blood.so2:g}\u00a0% saturated"
         text += f', vessels "{blood.parameters}"'
     return text + "."
 
@@ -39,6 +41,7 @@ def findings(found: Sequence[Reading], result: xr.Dataset) -> list[tuple[str, st
     """Key findings as (figure, words), the most wanted first."""
     lines: list[tuple[str, str]] = []
     several = result.sizes["led"] > 1
+    found = [r for r in found if not r.saturated]
 
     def name(r: Reading) -> str:
         return f"{r.photodiode} under {r.led}" if several else r.photodiode
@@ -66,8 +69,11 @@ def warnings(found: Sequence[Reading], result: xr.Dataset) -> list[str]:
     lines = []
     full = [f"{r.photodiode} under {r.led}" for r in found if r.saturated]
     if full:
-        lines.append(f"The converter is at its limit: {_list(full)}. These volts do not tell the light.")
-    if not any(r.change_v for r in found):
+        lines.append(
+            f"The converter is at its limit: {_list(full)}. These volts do not tell the light; lower "
+            "electronics.feedback_ohm or the LED's flux_mw, or raise electronics.adc_range_v."
+        )
+    if len(full) < len(found) and not any(r.change_v for r in found if not r.saturated):
         lines.append("No reading changes: the force does not change within the simulated time, or no blood moves.")
     return lines
 
@@ -102,7 +108,8 @@ def _signs(found: Sequence[Reading]) -> tuple[str, str]:
 
 def _models(found: Sequence[Reading], result: xr.Dataset) -> tuple[str, str]:
     """How far (8) and (9) are from the traced light at worst, beside the noise."""
-    worst = [float(result[f"{model}_residual_rms_v"].max()) for model in ("beer_lambert", "taylor")]
+    told = ~result.saturated.any("time")
+    worst = [float(result[f"{model}_residual_rms_v"].where(told).max()) for model in ("beer_lambert", "taylor")]
     noise = max((r.noise_rms_v for r in found), default=0.0)
     one, other, limit = (quantity(value, "V", digits=2) for value in (*worst, noise))
     return one, f"rms that Beer–Lambert (8) misses at worst; Taylor (9): {other}; noise of one sample: {limit}"

@@ -37,16 +37,17 @@ def document(
 ) -> str:
     """A whole page as text; body holds HTML, everything else plain words.
 
-    attributes : of the result, from which the page says what makes it again.
+    attributes : of the result, from which the page says what makes it again, and whether it was cut off.
     cards : figures in large type, each with what it is.
     facts : names and values in one line below them.
     """
     css = resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
+    cut_off = [attributes["cut_off"]] if attributes.get("cut_off") else []
     items = [f"<li><b>{escaped(number)}</b><span>{escaped(words)}</span></li>" for number, words in cards]
     parts = [
         f"<header><p class='kicker'>nailoptics · {escaped(kicker)}</p><h1>{escaped(title)}</h1>",
         f"<p class='lead'>{escaped(lead)}</p>",
-        *(f"<p class='warning'>{escaped(line)}</p>" for line in warnings),
+        *(f"<p class='warning'>{escaped(line)}</p>" for line in (*cut_off, *warnings)),
         *(["<ul class='findings'>", *items, "</ul>"] if items else []),
         _definitions(facts, opening="<dl class='reached'>"),
         "</header>",

@@ -68,7 +68,9 @@ def map_figure(scene: Scene, result: xr.Dataset) -> "Figure":
         ("Noise of a photodiode\n[µV]", "place_u", noise, "viridis", (noise.min(), noise.max())),
         ("Resolves by itself\n[mN]", "place_u", tells, "viridis_r", _fine(tells)),
     )
-    figure, grid = style.panels(9.2, 8.4, 2, 2)
+    # Boards are often long and narrow, and then four maps have room beside one another.
+    slender = np.ptp(result.v.to_numpy()) > 2 * np.ptp(result.u.to_numpy())
+    figure, grid = style.panels(9.2, 4.9, 1, 4) if slender else style.panels(9.2, 8.4, 2, 2)
     for axes, (title, u, values, colours, span) in zip(grid.flat, panels, strict=True):
         _plane(axes, result, u, values, colours, span, even=values is noise)
         axes.set_title(title)
@@ -138,7 +140,7 @@ def sites_figure(result: xr.Dataset) -> "Figure":
     """Places of the LED by what the search found there."""
     from matplotlib.colors import LogNorm
 
-    figure, axes = style.panels(9.2, 4.8)
+    figure, axes = style.panels(5.6, 4.8)
     place, found = result.led_site_mm.to_numpy(), 1e3 * result.led_site_resolution_n.to_numpy()
     norm = LogNorm(found.min(), max(found.max(), 1.001 * found.min()))
     marks = {"left": (">", 0.12, 0), "right": ("<", -0.12, 0), "below": ("^", 0, 0.12), "above": ("v", 0, -0.12)}
@@ -146,7 +148,7 @@ def sites_figure(result: xr.Dataset) -> "Figure":
     for side in dict.fromkeys(result.led_site_side.values):
         at, (mark, du, dv) = result.led_site_side.values == side, marks.get(str(side), ("o", 0, 0))
         image = axes.scatter(place[at, 0] + du, place[at, 1] + dv, c=found[at], norm=norm, marker=mark, **look)
-    figure.colorbar(image, ax=axes, label="force resolution [mN]")
+    figure.colorbar(image, ax=axes, label="force resolution [mN]", format="{x:g}").ax.yaxis.set_minor_formatter("{x:g}")
     axes.axis(maps.extent(result.u.to_numpy(), result.v.to_numpy()))
     axes.set(aspect="equal", xlabel=maps.ACROSS, ylabel=maps.ALONG)
     return figure
@@ -213,8 +215,8 @@ def led_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     # What is much worse than the finest is only what was known before any reading.
     tells = np.where(tells < _fine(tells)[1], tells, np.nan)
     panels = (
-        ("Light on all photodiodes [of the LED's]", light, "viridis", _bright(light)),
-        ("Resolves with the LED here [mN]", tells, "viridis_r", _fine(tells)),
+        ("Light on all photodiodes\n[of the LED's]", light, "viridis", _bright(light)),
+        ("Resolves with the\nLED here [mN]", tells, "viridis_r", _fine(tells)),
     )
     figure, both = style.panels(9.2, 4.7, 1, 2)
     for axes, (title, values, colours, span) in zip(both, panels, strict=True):

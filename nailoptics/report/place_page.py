@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 NOTHING_MN = 1e3
 CAPTIONS = {
     "ranking": "Force resolution of each layout, smaller is finer, with its 95 % interval; those whose intervals "
-    "overlap that of the best are tied with it (filled). Small ticks are the single fingers.",
+    "overlap that of the best are tied with it (filled). Small ticks are the single fingers. Layouts that the search "
+    "found have the place of their LED as name: led m1.25 p0 left lies at u = −1.25 mm, v = +0 mm, left of its "
+    "photodiodes.",
     "board": "The board from above, rolled flat: LED, barrier and photodiodes on the nail, whose tint shows the blood "
     "below.",
     "bananas": "Where under the nail each photodiode looks: how much its reading falls by absorption there (shaded: "
@@ -48,7 +50,7 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
     if "led_place_fraction" in result:
         maps += _figure("led", figures.led_figure(best, result)) + _reciprocity(result)
     if result.sizes["led_site"]:
-        maps += _figure("tried", figures.sites_figure(result))
+        maps += _figure("tried", figures.sites_figure(result), narrow=True)
     layout = [
         _figure("board", figures.board_figure(best)),
         _photodiodes(result),
@@ -70,8 +72,8 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
     write_text(Path(path), text)
 
 
-def _figure(name: str, drawing: "Figure") -> str:
-    return figure(drawing, name, CAPTIONS[name])
+def _figure(name: str, drawing: "Figure", *, narrow: bool = False) -> str:
+    return figure(drawing, name, CAPTIONS[name], narrow=narrow)
 
 
 def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:

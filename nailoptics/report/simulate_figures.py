@@ -94,7 +94,8 @@ def draw_change(axes: "Axes", result: xr.Dataset, scene: Scene | None, *, led: i
     seen = _thin(result)
     axes.axhline(0, color=style.MUTED, lw=0.8)
     for colour, j in photodiodes:
-        label = f"{result.photodiode.values[j]}  {quantity(float(change[led, j, hold]), 'V', sign=True)}"
+        moved = "saturated" if result.saturated[led, j].any() else quantity(float(change[led, j, hold]), "V", sign=True)
+        label = f"{result.photodiode.values[j]}  {moved}"
         _line(axes, seen, seen.volts_change[led, j] / scale, color=colour, label=style.plain(label))
     axes.axvline(hold_s, color=style.MUTED, lw=0.8, ls=(0, (2, 2)))
     axes.set(title=style.plain(led_name(result, led)), ylabel=f"change from rest [{letter}V]")
@@ -152,7 +153,7 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
         below.set_ylabel(f"missed\n[{missed_letter}V]", fontsize=8)
         level = with_error(float(rest.volts[j]) / scale, float(rest.volts_stderr[j]) / scale)
         main.set_title(style.plain(one.photodiode.values), color=style.INK)
-        style.remark(main, f"at rest {level} {letter}V")
+        style.remark(main, "saturated" if one.saturated.any() else f"at rest {level} {letter}V")
         _not_too_close(main)
     residuals = grid[1::2].ravel()
     limit = 1.15 * max(abs(y) for axes in residuals for y in axes.dataLim.intervaly if np.isfinite(y)) or 1.0

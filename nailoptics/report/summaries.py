@@ -3,7 +3,7 @@
 import math
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
+from .readings import hold_end, photodiode_readings
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -12,18 +12,25 @@ if TYPE_CHECKING:
 
 
 def simulation_summary(result: "xr.Dataset") -> dict[str, Any]:
-    """Volts at the start, where they change most, and their noise there, for each LED and photodiode."""
-    rows = []
-    for led in result.led.values:
-        for photodiode in result.photodiode.values:
-            one = result.sel(led=led, photodiode=photodiode)
-            peak = one.isel(time=int(np.abs(one.volts_change.values).argmax()))
-            at = {"volts_start": one.volts[0], "volts_start_stderr": one.volts_stderr[0]}
-            at |= {name: peak[name] for name in ("volts_change", "volts_change_stderr", "volts_noise_rms")}
-            at |= {"time_of_change_s": peak.time}
-            at |= {name: one[name] for name in ("beer_lambert_residual_rms_v", "taylor_residual_rms_v")}
-            names = {"led": str(led), "photodiode": str(photodiode)}
-            rows.append(names | {name: float(value) for name, value in at.items()})
+    """Volts at the start, their change from there to the end of the hold, and their noise, reading by reading."""
+    rows = [
+        {
+            "led": r.led,
+            "photodiode": r.photodiode,
+            "volts_start": r.rest_v,
+            "volts_start_stderr": r.rest_stderr_v,
+            "volts_change": r.change_v,
+            "volts_change_stderr": r.change_stderr_v,
+            "volts_noise_rms": r.noise_rms_v,
+            "time_of_change_s": float(result.time[hold_end(result)]),
+            "saturated": r.saturated,
+        }
+        | {
+            name: float(result[name][r.led_index, r.photodiode_index])
+            for name in ("beer_lambert_residual_rms_v", "taylor_residual_rms_v")
+        }
+        for r in photodiode_readings(result, None)
+    ]
     kept = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest", "accuracy_reached")
     return {"readings": rows} | {name: result.attrs[name] for name in kept}
 
@@ -32,11 +39,29 @@ def simulation_lines(summary: dict[str, Any]) -> list[str]:
     """The readings of a `simulation_summary` as a table."""
     lines = [f"{'LED':>10} {'photodiode':<14} {'start V':>9} {'+-':>8} {'change mV':>10} {'+-':>7} {'noise mV':>9}"]
     for row in summary["readings"]:
-        lines.append(
-            f"{row['led']:>10} {row['photodiode']:<14} {row['volts_start']:9.4f} {row['volts_start_stderr']:8.4f} "
-            f"{1e3 * row['volts_change']:10.3f} {1e3 * row['volts_change_stderr']:7.3f} "
-            f"{1e3 * row['volts_noise_rms']:9.4f}"
-        )
+        line = f"{row['led']:>10} {row['photodiode']:<14} {row['volts_start']:9.4f} "
+        if row["saturated"]:
+            line += "saturated: the converter is at its limit, these volts do not tell the light"
+        else:
+            line += f"{row['volts_start_stderr']:8.4f} {1e3 * row['volts_change']:10.3f} "
+            line += f"{1e3 * row['volts_change_stderr']:7.3f} {1e3 * row['volts_noise_rms']:9.4f}"
+        lines.append(line)
+    hold_s = summary["readings"][0]["time_of_change_s"]
+    return [*lines, f"start: the first sample; change: from there to the end of the hold, at {hold_s:.3g} s"]
+
+
+def check_lines(report: dict[str, Any]) -> list[str]:
+    """What `check` found out about a scene, for people."""
+    lines = [f"{report['scene']}: fields, parts and layout are valid"]
+    if "triangles" in report:
+        lines[0] += f', vessels "{report["vessels"]}" are known'
+        names = ", ".join(name for name in report["regions"] if name != "air")
+        lines += [
+            f"geometry: {report['triangles']} triangles between the air and {names}",
+            f"closed: {'yes' if report['valid'] else 'NO'}; of {report['crossings']} times that a random ray crossed a "
+            f"surface, it came into another region than that surface says {report['disagreements']} times; volumes by "
+            f"surfaces and by cells agree within {report['volume_error']:.0e} of the whole",
+        ]
     return lines
 
 

@@ -72,7 +72,7 @@ def _figures(results: xr.Dataset) -> str:
     for i, name in enumerate([n for n in axes_of(results) if len(np.unique(results[n])) > 1][:FIGURES]):
         held = _held(results, name)
         caption = f"Over {results[name].attrs.get('long_name', name)}" + (f", at {held}." if held else ".")
-        lines.append(figure(_along(results, quantity, name), f"axis{i}", caption))
+        lines.append(figure(_along(results, quantity, name), f"axis{i}", caption, narrow=True))
     return section(escaped(text[0].upper() + text[1:]), *lines)
 
 

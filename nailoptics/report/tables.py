@@ -12,6 +12,10 @@ from .html import escaped, small, table
 from .numbers import prefix, significant, with_error
 from .readings import Reading
 
+SATURATED = ' <span class="bad">saturated</span>'
+# Less alpha D^2 than this over the whole touch: (8) is as straight in D^2 as (9), and its constants are not known.
+STRAIGHT = 0.01
+
 
 def number(value: float, text: str) -> str:
     """A number for people with its exact value for machines."""
@@ -29,9 +33,13 @@ def readings_table(found: Sequence[Reading], hold_s: float) -> str:
     head += [f"Noise,<br>rms [{noise_letter}V]", "Signal<br>to noise", "Resolves<br>[mN]"]
     rows = []
     for r, name in zip(found, _names(found), strict=True):
-        full = ' <span class="bad">saturated</span>' if r.saturated else ""
+        distance = number(r.distance_mm, significant(r.distance_mm, 3))
+        if r.saturated:
+            at_limit = number(r.rest_v, significant(r.rest_v / volts))
+            rows.append([name + SATURATED, escaped(r.zone), distance, at_limit, *["–"] * 6])
+            continue
         cells = [
-            number(r.distance_mm, significant(r.distance_mm, 3)),
+            distance,
             number(r.rest_v, with_error(r.rest_v / volts, r.rest_stderr_v / volts)),
             number(r.change_v, with_error(r.change_v / change, r.change_stderr_v / change, sign=True)),
             number(r.change_percent, significant(r.change_percent, 3, sign=True)),
@@ -40,7 +48,7 @@ def readings_table(found: Sequence[Reading], hold_s: float) -> str:
             number(r.signal_to_noise, significant(r.signal_to_noise, 3)),
             number(r.resolution_n, significant(r.resolution_n * 1e3, 3)),
         ]
-        rows.append([name + full, escaped(r.zone), *cells])
+        rows.append([name, escaped(r.zone), *cells])
     return table(head, rows, kind="readings", groups=_groups(found))
 
 
@@ -63,14 +71,18 @@ def path_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
 
 
 def fit_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
-    """Constants of (8) and (9) as fitted, with what they miss; below, what they could not determine."""
+    """Constants of (8) and (9) as fitted, with what they miss; below, what they could not determine.
+
+    Where the readings do not bend, V0, V1 and alpha of (8) are not known one by one: such a fit is shown as straight.
+    """
+    largest_m2 = float(result.capillary_diameter_m.max()) ** 2
     fields = [
         ("beer_lambert_v0_v", "(8) V<sub>0</sub><br>[mV]", 1e-3),
         ("beer_lambert_v1_v", "(8) V<sub>1</sub><br>[mV]", 1e-3),
-        ("beer_lambert_alpha_per_m2", "(8) α<br>[µm⁻²]", 1e12),
+        ("beer_lambert_alpha_per_m2", "(8) α<br>[10⁻³ µm⁻²]", 1e9),
         ("beer_lambert_residual_rms_v", "(8) misses,<br>rms [µV]", 1e-6),
         ("taylor_v0_v", "(9) V′<sub>0</sub><br>[mV]", 1e-3),
-        ("taylor_v1_v_per_m2", "(9) V′<sub>1</sub><br>[mV µm⁻²]", 1e9),
+        ("taylor_v1_v_per_m2", "(9) V′<sub>1</sub><br>[µV µm⁻²]", 1e6),
         ("taylor_residual_rms_v", "(9) misses,<br>rms [µV]", 1e-6),
     ]
     rows = []
@@ -79,15 +91,24 @@ def fit_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
         here = {"led": r.led_index, "photodiode": r.photodiode_index}
         note = str(result.fit_note.isel(here).item())
         mark = marks.setdefault(note, chr(ord("a") + len(marks) % 26)) if note else ""
+        if r.saturated:
+            rows.append([name + SATURATED, *["–"] * len(fields)])
+            continue
         cells = [name + (f" <sup>{mark}</sup>" if mark else "")]
         for field, _, unit in fields:
-            value = float(result[field].isel(here))
-            text = significant(value / unit)
+            value, text = float(result[field].isel(here)), ""
             if f"{field}_stderr" in result:
                 text = with_error(value / unit, float(result[f"{field}_stderr"].isel(here)) / unit)
-            cells.append(number(value, text))
+            if text.endswith("?") and field.startswith("beer_lambert"):
+                alpha_d2 = float(result.beer_lambert_alpha_per_m2.isel(here)) * largest_m2
+                text = "straight" if 0 < alpha_d2 < STRAIGHT else "not known"
+            cells.append(number(value, text or significant(value / unit)))
         rows.append(cells)
-    notes = "".join(small(f"<sup>{mark}</sup> {escaped(note)}") for note, mark in marks.items())
+    notes = small(
+        "± is what the distance of the readings from the curve leaves open. The trace's error of a reading, which all "
+        "its samples share, is in the first table and comes on top."
+    )
+    notes += "".join(small(f"<sup>{mark}</sup> {escaped(note)}") for note, mark in marks.items())
     head = ["Photodiode", *(title for _, title, _ in fields)]
     return table(head, rows, kind="fits", groups=_groups(found)) + notes
 

@@ -145,6 +145,40 @@ def test_saturation_is_said_at_the_top(make):
     assert text.index("at its limit: proximal.12 under ir") < text.index("<h2>")
 
 
+def test_a_saturated_reading_is_no_finding_and_has_no_numbers_but_its_limit(make):
+    result = make(section=False)
+    largest = int(abs(result.volts_change.values[0]).max(axis=-1).argmax())
+    name = str(result.photodiode.values[largest])
+    before = page(result)
+    result.saturated[0, largest, 5] = True
+    text = page(result)
+    assert f"largest fall: {name}," in before or f"largest rise: {name}," in before
+    assert f"largest fall: {name}," not in text and f"largest rise: {name}," not in text
+    tables = Page(text).tables
+    (row,) = [row for row in tables["readings"] if row[0][0] == name]
+    assert "saturated" in row[0] and row[0].count("–") == 6 and len(row[1]) == 2
+    (row,) = [row for row in tables["fits"] if row[0][0] == name]
+    assert "saturated" in row[0] and not row[1]
+
+
+def test_a_fit_that_is_straight_is_shown_as_straight(make):
+    result = make(section=False)
+    largest_m2 = float(result.capillary_diameter_m.max()) ** 2
+    result["beer_lambert_alpha_per_m2"][0, 3] = 1e-4 / largest_m2
+    result["beer_lambert_v0_v"][0, 3] = -79000.0
+    for constant in ("v0_v", "v1_v", "alpha_per_m2"):
+        result[f"beer_lambert_{constant}_stderr"][0, 3] = np.inf
+    texts, values = body_rows(Page(page(result)).tables["fits"])[3]
+    assert texts.count("straight") == 3 and values[0] == -79000.0
+    assert not any("79000" in text or "?" in text for text in texts[1:4])
+
+
+def test_a_result_that_was_cut_off_says_so_in_its_first_lines(make):
+    assert "Cut off" not in page(make(section=False))
+    text = page(make(section=False).assign_attrs(cut_off="Cut off after 3 s: 7 % instead of 1 %."))
+    assert text.index("Cut off after 3 s: 7 % instead of 1 %.") < text.index("<h2>")
+
+
 def test_a_scene_that_cannot_be_read_costs_the_drawing_of_the_board_only(make, caplog):
     result = make(section=False).assign_attrs(scene="not [a scene")
     parsed = Page(page(result))
