@@ -114,7 +114,9 @@ def _dot(axes: "Axes", part: xr.Dataset, y: float, *, labelled: bool) -> None:
 
 @style.drawing()
 def alpha_d2(result: xr.Dataset, *, led: int) -> "Figure":
-    """How large alpha D^2 is over the force and up to which (9) holds, beside the paper's 1e-2."""
+    """How large alpha D^2 is over the first sweep and up to which (9) holds over the last, beside the paper's 1e-2."""
+    from matplotlib.ticker import LogLocator
+
     places = order(result)
     first = result.isel(led=led, sweep=0)
     fails = result.isel(led=led, sweep=-1).sel(way="fitted", model="taylor")
@@ -132,7 +134,9 @@ def alpha_d2(result: xr.Dataset, *, led: int) -> "Figure":
     axes.set_ylim(len(places) - 0.4, -0.7)
     axes.set_xlabel(f"αD² of all the blood in the bed: bars, its range over {first.sweep.values}")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3)
-    axes.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
+    axes.xaxis.set_minor_locator(LogLocator(subs=(2, 4)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter("{x:g}")
     return figure
 
 

@@ -50,7 +50,8 @@ def vessels(result: xr.Dataset) -> "Figure":
     capillary, vein, blood = panels
     seen = _thin(result)
     for i, (zone, colour) in enumerate(zip(result.zone.values, style.place_colours(result.sizes["zone"]), strict=True)):
-        look = {"color": colour, "label": style.plain(zone)}
+        # Curves that lie on one another are all seen.
+        look = {"color": colour, "label": style.plain(zone), "linestyle": ("-", (0, (4, 2.5)))[i % 2]}
         _line(capillary, seen, seen.capillary_diameter_m.isel(zone=i) * 1e6, **look)
         _line(blood, seen, seen.blood_fraction.isel(zone=i) * 100, **look)
     _line(vein, seen, seen.vein_diameter_m * 1e6, color=style.VEIN)

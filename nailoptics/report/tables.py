@@ -28,7 +28,7 @@ def readings_table(found: Sequence[Reading], hold_s: float) -> str:
     volts, letter = prefix(max((abs(r.rest_v) for r in found), default=0.0))
     change, change_letter = prefix(max((abs(r.change_v) for r in found), default=0.0))
     noise, noise_letter = prefix(max((r.noise_rms_v for r in found), default=0.0))
-    head = ["Photodiode", "Blood<br>zone", "LED at<br>[mm]", f"At rest<br>[{letter}V]"]
+    head = ["Photodiode", "Blood<br>zone", "Away from<br>LED [mm]", f"At rest<br>[{letter}V]"]
     head += [f"Change at<br>{significant(hold_s)} s [{change_letter}V]", "Change<br>[%]", "Sure by<br>[σ]"]
     head += [f"Noise,<br>rms [{noise_letter}V]", "Signal<br>to noise", "Resolves<br>[mN]"]
     rows = []
