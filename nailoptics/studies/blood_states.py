@@ -14,6 +14,11 @@ from ..scene.base import USUAL_DECAY_LENGTH
 from ..scene.touch import PRESSURES, value_at
 from ..variables import Variables, variable
 
+# A body begins to beat so long before the touch. [s]
+WARM_UP_S = 5.0
+# Its pressure goes through so many knots in the shortest of its periods: a pulse is off by 0.4 % of its height at most.
+KNOTS_PER_PERIOD = 128
+
 
 def vessels(scene: Scene) -> hemodynamics.Parameters:
     """The constants of the scene's vessels: those of the named set, but for what the scene tunes.
@@ -81,35 +86,49 @@ def capillary_zones(scene: Scene) -> hemodynamics.Zones:
     return cut if shear_course_n(scene) is None else hemodynamics.with_shear(cut)
 
 
-def arterial_pressure_pa(scene: Scene, time_s: np.ndarray) -> np.ndarray | None:
-    """The arterial pressure P_H of the scene's body at times, (t,) float; None where it does not move. [Pa]"""
+def arterial_waveform(scene: Scene) -> hemodynamics.Waveform | None:
+    """The arterial pressure P_H of the scene's body over its touch and a while before; None where it does not move."""
     body = scene.body
     if body is None or not body.moves:
         return None
     if body.recorded_time_s is not None and body.recorded_arterial_pressure_pa is not None:
-        return np.interp(time_s, body.recorded_time_s, body.recorded_arterial_pressure_pa)
-    since = time_s - scene.touch.times_s()[0]
-    pressure = np.full(time_s.shape, vessels(scene).arterial_pressure_pa)
+        return hemodynamics.Waveform(time_s=body.recorded_time_s, pressure_pa=body.recorded_arterial_pressure_pa)
+    times_s = scene.touch.times_s()
+    spacing_s = 1.0 / (KNOTS_PER_PERIOD * _fastest_hz(body))
+    since_s = np.arange(-WARM_UP_S, times_s[-1] - times_s[0] + spacing_s, spacing_s)
+    pressure = np.full(since_s.shape, vessels(scene).arterial_pressure_pa)
     if body.heartbeat is not None:
         beat = body.heartbeat.model_dump(exclude={"mean_pressure_pa"})
-        pressure += hemodynamics.cardiac_pressure(since, mean_pressure_pa=0.0, seed=body.seed, **beat)
+        pressure += hemodynamics.cardiac_pressure(since_s, mean_pressure_pa=0.0, seed=body.seed, **beat)
     if body.breathing is not None:
-        pressure += hemodynamics.breathing_pressure(since, seed=body.seed, **body.breathing.model_dump())
+        pressure += hemodynamics.breathing_pressure(since_s, seed=body.seed, **body.breathing.model_dump())
     if body.vasomotion is not None:
-        pressure += hemodynamics.vasomotion_pressure(since, seed=body.seed, **body.vasomotion.model_dump())
-    return pressure
+        pressure += hemodynamics.vasomotion_pressure(since_s, seed=body.seed, **body.vasomotion.model_dump())
+    return hemodynamics.Waveform(time_s=times_s[0] + since_s, pressure_pa=pressure)
 
 
 def blood_over_touch(scene: Scene) -> xr.Dataset:
-    """The touch over time and what it does: force, pressures, vessel diameters, and the blood fraction by zone."""
-    time_s, parameters, cut = scene.touch.times_s(), vessels(scene), capillary_zones(scene)
+    """The touch over time and what it does: force, pressures, vessel diameters, and the blood fraction by zone.
+
+    The touch and the body are followed corner by corner, so that nothing depends on how often results are sampled.
+    """
+    time_s, parameters = scene.touch.times_s(), vessels(scene)
     corner_s, corner_pa = pressure_course(scene)
-    pressure_pa = np.array([value_at(corner_s, row, time_s) for row in corner_pa])
-    high_pa = arterial_pressure_pa(scene, time_s)
+    touch = [hemodynamics.Waveform(time_s=corner_s, pressure_pa=row) for row in corner_pa]
+    high = arterial_waveform(scene)
+    # Vessels that beat forget within seconds that they began at rest.
+    before_s = time_s[:1] - WARM_UP_S if high is not None else time_s[:0]
     run = hemodynamics.respond(
-        parameters, time_s, pressure_pa=pressure_pa, arterial_pressure_pa=high_pa, zones=cut, start="steady"
-    )
+        parameters,
+        np.concatenate([before_s, time_s]),
+        pressure_pa=touch,
+        arterial_pressure_pa=high,
+        zones=capillary_zones(scene),
+        start="steady",
+    ).isel(time=slice(len(before_s), None))
     run = run[["capillary_diameter_m", "vein_diameter_m"]].drop_vars("zone_position")
+    pressure_pa = np.array([row.at(time_s) for row in touch])
+    high_pa = high.at(time_s) if high is not None else None
     fraction = _fraction(scene, parameters, run.capillary_diameter_m.values)
     return run.assign(_touch_variables(scene, time_s, pressure_pa, high_pa) | _blood_variables(scene, fraction))
 
@@ -248,3 +267,10 @@ def _nail_length_mm(scene: Scene) -> float:
 
 def _distal_area_m2(scene: Scene) -> float:
     return touch_areas_mm2(scene)[1] * 1e-6
+
+
+def _fastest_hz(body: Body) -> float:
+    """The highest frequency at which a body's pressure repeats itself. [Hz]"""
+    beat = [body.heartbeat.rate_per_min / 60.0] if body.heartbeat else []
+    breath = [body.breathing.rate_per_min / 60.0] if body.breathing else []
+    return max([*beat, *breath, *(body.vasomotion.band_hz if body.vasomotion else [])])

@@ -85,6 +85,35 @@ def test_a_heartbeat_beats_in_the_blood_and_is_off_unless_asked_for():
     assert np.ptp(run.arterial_pressure_pa.values) == pytest.approx(2e3, rel=0.01)
 
 
+def blood_at(time_s, text, rate_hz):
+    run = blood_over_touch(scene_with(f"{text}\nsample_rate_hz = {rate_hz}\n"))
+    return run.blood_fraction.sel(time=time_s).values
+
+
+@pytest.mark.parametrize(
+    "touch",
+    [
+        "force_n = 1.0",
+        'profile = "steps"\nduration_s = 4.0\n'
+        "steps = [{ start_s = 0.1, force_n = 0.7 }, { start_s = 0.3, force_n = 0.2 }]",
+        'profile = "cycle"\nperiod_s = 0.7\ncycles = 2\nduration_s = 4.0\nwaveform = "triangle"',
+    ],
+)
+def test_blood_does_not_depend_on_how_often_results_are_sampled(touch):
+    """Expected: a quarter of a second after the onset both the same, to the stepper's tolerance."""
+    coarse, fine = (blood_at(0.5, "[touch]\n" + touch, rate) for rate in (4.0, 1000.0))
+    assert coarse == pytest.approx(fine, rel=1e-9)
+
+
+def test_a_beating_heart_is_followed_however_rarely_results_are_sampled_and_has_beaten_before():
+    beating = "[body.heartbeat]\n[touch]\n" + 'profile = "hold"\nforce_n = 0.0'
+    coarse, fine = (blood_at(2.0, beating, rate) for rate in (2.0, 500.0))
+    assert coarse == pytest.approx(fine, rel=1e-9)
+    run = blood_over_touch(scene_with(beating.replace("[body.heartbeat]", "[body.heartbeat]\nrate_variability = 0.0")))
+    beat = run.blood_fraction.isel(zone=0)
+    assert float(beat.interp(time=0.5)) == pytest.approx(float(beat.interp(time=0.5 + 3 * 60 / 70)), rel=1e-3)
+
+
 def test_breath_and_slow_waves_add_to_the_beat_and_the_seed_decides():
     parts = "[body.heartbeat]\n[body.breathing]\n[body.vasomotion]\n"
     runs = [blood_over_touch(scene_with(f"[body]\nseed = {seed}\n{parts}")) for seed in (1, 1, 2)]
