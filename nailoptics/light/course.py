@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import checks
 from ..errors import InputError
 from ..statistics import left_out, stderr_of_mean
 from . import optics
@@ -12,10 +13,15 @@ from .moments import slope_of
 from .reweight import attenuation, transmissions
 from .transfer import Transfer
 
-# Readings over more zones than this are taken state by state: nodes grow with the power of the zones.
+# Readings over more zones than this are taken along the few directions in which they change together, since nodes grow
+# with the power of what changes by itself.
 MAX_ZONES_BETWEEN_NODES = 2
 # Interpolation may be off by this part of a reading; no trace has a standard error near it.
-INTERPOLATION_ERROR = 1e-8
+INTERPOLATION_ERROR, INTERPOLATION_ERROR_OF_MANY = 1e-8, 1e-6
+# Of many zones, states that need more nodes than this are halved, and each half is read by itself.
+NODES_AT_ONCE = 64
+# States interpolated at once, whose weights on the nodes fill the memory.
+STATES_AT_ONCE = 1 << 16
 # Photons read at once: their weights at all nodes fill the processor's cache, not the memory.
 CHUNK = 4096
 # Groups of photons that are left out in turn.
@@ -67,76 +73,136 @@ def _course(transfer: Transfer, blood_fraction: np.ndarray, so2: float | None, e
     count = optics.zones(transfer.scene).count
     if states.ndim != 2 or states.shape[1] != count or not len(states):
         raise InputError(f"blood_fraction has shape {states.shape}; give (states, {count}), one value for each zone.")
+    blood, first = transfer.scene.blood, checks.fraction("blood_fraction", states)[0]
+    if so2 is not None or blood.venous_so2 is None:
+        return _read(transfer, states, first, so2, electrons)
+    # Absorption bends where blood begins to pool: between nodes on one side of that it is smooth.
+    sides, side = np.unique(states > blood.rest_blood_fraction, axis=0, return_inverse=True)
+    return _joined([_read(transfer, states[side == k], first, so2, electrons) for k in range(len(sides))], side)
+
+
+def _read(transfer: Transfer, states: np.ndarray, first: np.ndarray, so2: float | None, electrons: bool) -> Course:
+    """Readings in states between which absorption is linear in the blood, and their change from a first state."""
     low, high = states.min(0), states.max(0)
     varies = np.flatnonzero(high - low > 1e-12)
     if not len(varies):
-        one = _sums(transfer, states[:1], states[0], so2, electrons)
+        one = _sums(transfer, states[:1], first, so2, electrons)
         return Course(*(np.repeat(values, len(states), -1) for values in one))
-    counts = [_nodes_needed(transfer, int(k), high[k] - low[k], so2) for k in varies]
-    if len(states) <= np.prod(counts) or len(varies) > MAX_ZONES_BETWEEN_NODES:
-        return Course(*_sums(transfer, states, states[0], so2, electrons))
-    nodes, weights = _barycentric(states[:, varies], low[varies], high[varies], counts)
-    at_nodes = np.repeat(states[:1], len(nodes), 0)
-    at_nodes[:, varies] = nodes
-    fraction, stderr, change, change_stderr = _sums(transfer, at_nodes, states[0], so2, electrons)
-    return Course(
-        fraction=fraction @ weights.T,
-        stderr=np.sqrt(np.maximum(stderr**2 @ weights.T, 0)),
-        change=change @ weights.T,
-        change_stderr=np.sqrt(np.maximum(change_stderr**2 @ weights.T, 0)),
-    )
+    few = len(varies) <= MAX_ZONES_BETWEEN_NODES
+    directions = np.eye(states.shape[1])[:, varies] if few else _principal(states)
+    centre = np.zeros(states.shape[1]) if few else states.mean(0)
+    places = (states - centre) @ directions
+    spans = np.ptp(places, axis=0)
+    counts = [_nodes_needed(transfer, *each, so2, few=few) for each in zip(directions.T, spans, strict=True)]
+    if not few and min(len(states), np.prod(counts)) > NODES_AT_ONCE:
+        # Half of them lie in far fewer directions: a short piece of a course is nearly straight.
+        upper = places[:, 0] > places[:, 0].min() + spans[0] / 2
+        return _joined([_read(transfer, states[upper == k], first, so2, electrons) for k in (False, True)], upper)
+    if len(states) <= np.prod(counts):
+        return Course(*_sums(transfer, states, first, so2, electrons))
+    box = (places.min(0), places.max(0), counts)
+    nodes = _nodes(*box)
+    if few:
+        at_nodes = np.repeat(states[:1], len(nodes), 0)
+        at_nodes[:, varies] = nodes
+    else:
+        at_nodes = centre + nodes @ directions.T
+    sums = _sums(transfer, at_nodes, first, so2, electrons, line=None if few else (low, high))
+    fraction, stderr, change, change_stderr = sums
+    out = [np.empty((*fraction.shape[:2], len(states))) for _ in range(4)]
+    for start in range(0, len(states), STATES_AT_ONCE):
+        part = slice(start, start + STATES_AT_ONCE)
+        weights = _weights(places[part], *box).T
+        values = fraction @ weights, stderr**2 @ weights, change @ weights, change_stderr**2 @ weights
+        for whole, value, squared in zip(out, values, (False, True, False, True), strict=True):
+            whole[..., part] = np.sqrt(np.maximum(value, 0)) if squared else value
+    return Course(*out)
 
 
-def _nodes_needed(transfer: Transfer, zone: int, span: float, so2: float | None) -> int:
-    """Chebyshev nodes that interpolate exp(-x) over the optical depths that a zone's range of blood spans."""
-    depth, column = 0.0, optics.bed_columns(transfer.scene)[zone]
+def _joined(parts: list[Course], part: np.ndarray) -> Course:
+    """Courses of parts of the states as one; `part` says in which each state is, (t,) int."""
+    back = np.argsort(np.argsort(part, kind="stable"), kind="stable")
+    values = zip(*(vars(one).values() for one in parts), strict=True)
+    return Course(*(np.concatenate(each, -1)[..., back] for each in values))
+
+
+def _principal(states: np.ndarray) -> np.ndarray:
+    """Orthonormal directions along which states spread, the widest first, in columns (K, K): a touch moves all zones
+    along few of them."""
+    away = states - states.mean(0)
+    return np.asarray(np.linalg.eigh(away.T @ away)[1][:, ::-1])
+
+
+def _nodes_needed(transfer: Transfer, direction: np.ndarray, span: float, so2: float | None, *, few: bool) -> int:
+    """Chebyshev nodes that interpolate exp(-x) over the optical depths that a range of blood in a direction spans.
+
+    direction : (K,) float. Change of each zone's blood in one step; `span` is their number.
+    few : zones change one by one; of many, most directions hardly count.
+    """
+    depth, columns = 0.0, list(optics.bed_columns(transfer.scene))
     no_and_all = np.repeat([[0.0], [1.0]], optics.zones(transfer.scene).count, 1)
     for trace, led in zip(transfer.traces, transfer.scene.leds, strict=True):
         if len(trace.weight):
             mu_a = optics.absorption(transfer.scene, led.wavelength_nm, blood_fraction=no_and_all, so2=so2)
-            slope = float(mu_a[1, 0, column] - mu_a[0, 0, column])
-            depth = max(depth, slope * span * float(np.quantile(trace.path_mm[:, column], 0.999)))
+            slope = float(mu_a[1, 0, columns[0]] - mu_a[0, 0, columns[0]])
+            if few:
+                path = trace.path_mm[:, columns[int(np.flatnonzero(direction)[0])]]
+            else:
+                path = np.abs(trace.path_mm[:: 1 + len(trace.weight) // CHUNK, columns] @ direction)
+            depth = max(depth, slope * span * float(np.quantile(path, 0.999)))
     # The error of n nodes on exp over a range of depth d is (d / 4)^n 2 / n!; squares double the depth.
-    count, error = 2, math.inf
-    while error > INTERPOLATION_ERROR and count < 24:
+    count, error = (2, math.inf) if few else (0, math.inf)
+    while error > (INTERPOLATION_ERROR if few else INTERPOLATION_ERROR_OF_MANY) and count < 24:
         count += 1
         error = 2 * (depth / 2) ** count / math.factorial(count)
     return count
 
 
-def _barycentric(
-    states: np.ndarray, low: np.ndarray, high: np.ndarray, counts: list[int]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Chebyshev nodes (m, d) over a box, and each state's weights on them (t, m) (Berrut, Trefethen 2004)."""
-    axes, weights = [], np.ones((len(states), 1))
-    for column, a, b, n in zip(states.T, low, high, counts, strict=True):
-        angle = (2 * np.arange(n) + 1) * np.pi / (2 * n)
-        sign = np.sin(angle) * (-1.0) ** np.arange(n)
-        axis = (a + b) / 2 + (b - a) / 2 * np.cos(angle)
-        away = column[:, None] - axis
+def _nodes(low: np.ndarray, high: np.ndarray, counts: list[int]) -> np.ndarray:
+    """Chebyshev nodes over a box, (m, d) float."""
+    axes = [(a + b) / 2 + (b - a) / 2 * np.cos(_angles(n)) for a, b, n in zip(low, high, counts, strict=True)]
+    return np.stack([grid.ravel() for grid in np.meshgrid(*axes, indexing="ij")], -1).reshape(-1, len(low))
+
+
+def _weights(places: np.ndarray, low: np.ndarray, high: np.ndarray, counts: list[int]) -> np.ndarray:
+    """Each place's weights on the nodes of a box, (t, m) float (Berrut, Trefethen 2004)."""
+    weights = np.ones((len(places), 1))
+    for column, a, b, n in zip(places.T, low, high, counts, strict=True):
+        if n == 1:
+            continue
+        sign = np.sin(_angles(n)) * (-1.0) ** np.arange(n)
+        away = column[:, None] - ((a + b) / 2 + (b - a) / 2 * np.cos(_angles(n)))
         on_node = np.abs(away) < 1e-14 * (b - a)
         share = sign / np.where(on_node, 1, away)
         share = np.where(on_node.any(1, keepdims=True), on_node, share / share.sum(1, keepdims=True))
-        weights = (weights[:, :, None] * share[:, None, :]).reshape(len(states), -1)
-        axes.append(axis)
-    grids = np.meshgrid(*axes, indexing="ij")
-    return np.stack([grid.ravel() for grid in grids], -1).reshape(-1, len(low)), weights
+        weights = (weights[:, :, None] * share[:, None, :]).reshape(len(places), -1)
+    return weights
+
+
+def _angles(n: int) -> np.ndarray:
+    return (2 * np.arange(n) + 1) * np.pi / (2 * n)
 
 
 def _sums(
-    transfer: Transfer, states: np.ndarray, first: np.ndarray, so2: float | None, electrons: bool
+    transfer: Transfer,
+    states: np.ndarray,
+    first: np.ndarray,
+    so2: float | None,
+    electrons: bool,
+    *,
+    line: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Fraction, its error, change from a first state and its error, (led, photodiode, states) each."""
+    """Fraction, its error, change from a first state and its error, (led, photodiode, states) each.
+
+    line : two states on the line through which absorption lies, for states beyond what blood can be.
+    """
     shape = (len(transfer.traces), len(transfer.photodiodes), len(states))
     out = tuple(np.zeros(shape) for _ in range(4))
     for i, (trace, led) in enumerate(zip(transfer.traces, transfer.scene.leds, strict=True)):
         wavelength, share = optics.spectrum(led)
         if electrons:
             share = share * wavelength / led.wavelength_nm
-        mu_a = (
-            optics.absorption(transfer.scene, wavelength, blood_fraction=np.vstack([first, states]), so2=so2)
-            - trace.mu_a
-        )
+        mu_a = _absorption(transfer, wavelength, np.vstack([first, states]), so2, line) - trace.mu_a
         sums, full = np.zeros((4, *shape[1:])), trace.full
         # Of a sample of the photons: sums at rest and of their products with the values, to hold them against all.
         rest, rest_square, products = np.zeros(shape[1]), np.zeros(shape[1]), np.zeros((2, *shape[1:]))
@@ -167,6 +233,24 @@ def _sums(
             out[k][i] = total / trace.photons
             out[k + 1][i] = stderr_of_mean(total, square, trace.photons)
     return out  # type: ignore[return-value]
+
+
+def _absorption(
+    transfer: Transfer,
+    wavelength: np.ndarray,
+    states: np.ndarray,
+    so2: float | None,
+    line: tuple[np.ndarray, np.ndarray] | None,
+) -> np.ndarray:
+    """Absorption in a first state and in others, those on the line through two states if such are given."""
+    if line is None:
+        return optics.absorption(transfer.scene, wavelength, blood_fraction=states, so2=so2)
+    mu_a = optics.absorption(transfer.scene, wavelength, blood_fraction=np.vstack([states[:1], *line]), so2=so2)
+    (low, high), beds = line, list(optics.bed_columns(transfer.scene))
+    part = (states[1:] - low) / np.where(high > low, high - low, 1.0)
+    out = np.concatenate([mu_a[:1], np.repeat(mu_a[1:2], len(part), 0)])
+    out[1:, :, beds] += part[:, None, :] * (mu_a[2] - mu_a[1])[:, beds]
+    return out
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,11 @@ import pytest
 import nailoptics as nail
 from nailoptics.errors import InputError
 from nailoptics.light import ReweightWarning, Transfer, optics
+from nailoptics.light import course as course_module
 from nailoptics.light.course import MAX_ZONES_BETWEEN_NODES, course
 from nailoptics.light.records import LedTrace
 from nailoptics.scene import Scene, parse_scene
+from nailoptics.studies.blood_states import blood_over_touch
 
 FINGER = """
 schema_version = 1
@@ -35,13 +37,14 @@ def scene(*, wavelength_nm: float = 800.0, blood: str = "") -> Scene:
     return parse_scene(FINGER.format(wavelength_nm=wavelength_nm) + blood)
 
 
-def made_up(records: int = 20_000, *, path_mm: float = 8.0) -> Transfer:
-    """A trace of which nothing is known but its statistics: long-tailed paths in both zones, two photodiodes."""
+def made_up(records: int = 20_000, *, path_mm: float = 8.0, blood: str = "") -> Transfer:
+    """A trace of which nothing is known but its statistics: long-tailed paths in all zones, two photodiodes."""
     rng = np.random.default_rng(1)
-    asked = scene()
+    asked = scene(blood=blood)
     names = optics.absorbers(asked)
     path = np.zeros((records, len(names)), np.float32)
-    for name, mean in (("bed_1", path_mm), ("bed_2", path_mm), ("plate", 2.0), ("epoxy", 1.0)):
+    beds = [names[column] for column in optics.bed_columns(asked)]
+    for name, mean in (*((bed, 2 * path_mm / len(beds)) for bed in beds), ("plate", 2.0), ("epoxy", 1.0)):
         path[:, names.index(name)] = rng.exponential(mean, records)
     trace = LedTrace(
         photons=10**6,
@@ -81,6 +84,27 @@ def test_between_its_nodes_a_course_is_what_each_state_reads_on_its_own(high):
     direct = course(transfer, states[[0, 700, 1500]])
     assert np.allclose(smooth.change[..., [0, 700, 1500]], direct.change, rtol=0, atol=1e-6 * direct.fraction.max())
     assert np.allclose(smooth.change_stderr[..., [700, 1500]], direct.change_stderr[..., 1:], rtol=1e-3)
+
+
+@pytest.mark.parametrize("blood", ["zones = 8", "zones = 8\nvenous_so2 = 0.6", "venous_so2 = 0.6"])
+def test_zones_that_a_touch_moves_together_and_blood_that_turns_arterial_are_interpolated_as_well(monkeypatch, blood):
+    """Expected: as each state reads on its own, to far less than the standard error, from fewer nodes than states."""
+    text = '[blood]\nparameters = "best"\n' + blood + "\n[touch]\nforce_n = 4.0\nsample_rate_hz = 2000.0\n"
+    transfer, seen = made_up(5000, blood=text), []
+    states = blood_over_touch(transfer.scene).blood_fraction.values.T
+    sums = course_module._sums
+    monkeypatch.setattr(course_module, "_sums", lambda t, s, *a, **k: (seen.append(len(s)), sums(t, s, *a, **k))[1])
+    smooth = course(transfer, states)
+    assert sum(seen) < len(states) / 2
+    for k in (0, 505, 1200, 4490, 4600, 8000):
+        alone = transfer.at(blood_fraction=states[k])
+        fraction, stderr = alone.detected_fraction.values, alone.detected_fraction_stderr.values
+        assert np.all(abs(smooth.fraction[:, :, k] - fraction) < 1e-3 * stderr)
+        assert np.allclose(smooth.stderr[:, :, k], stderr, rtol=1e-3)
+    at = [0, 505, 4600]
+    direct = course(transfer, states[at])
+    assert np.allclose(smooth.change[..., at], direct.change, rtol=0, atol=1e-5 * direct.fraction.max())
+    assert np.allclose(smooth.change_stderr[..., at[1:]], direct.change_stderr[..., 1:], rtol=2e-3)
 
 
 def test_one_zone_alone_may_move():
