@@ -68,15 +68,18 @@ def map_figure(scene: Scene, result: xr.Dataset) -> "Figure":
         ("Noise of a photodiode\n[µV]", "place_u", noise, "viridis", (noise.min(), noise.max())),
         ("Resolves by itself\n[mN]", "place_u", tells, "viridis_r", _fine(tells)),
     )
-    # Boards are often long and narrow, and then four maps have room beside one another.
-    slender = np.ptp(result.v.to_numpy()) > 2 * np.ptp(result.u.to_numpy())
-    figure, grid = style.panels(9.2, 4.9, 1, 4) if slender else style.panels(9.2, 8.4, 2, 2)
+    figure, grid = style.panels(9.2, 4.9, 1, 4) if slender(result) else style.panels(9.2, 8.4, 2, 2)
     for axes, (title, u, values, colours, span) in zip(grid.flat, panels, strict=True):
         _plane(axes, result, u, values, colours, span, even=values is noise)
         axes.set_title(title)
         _parts(axes, scene)
         axes.axis(maps.extent(result.u.to_numpy(), result.v.to_numpy()))
     return figure
+
+
+def slender(result: xr.Dataset) -> bool:
+    """Whether the board is so long and narrow that four maps have room beside one another."""
+    return bool(np.ptp(result.v.to_numpy()) > 2 * np.ptp(result.u.to_numpy()))
 
 
 def _known(result: xr.Dataset, name: str) -> np.ndarray:
@@ -127,7 +130,7 @@ def sensitivity_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     with np.errstate(invalid="ignore", divide="ignore"):
         fall = [np.where(light > 0, one / light, np.nan) for one in each]
     top = float(np.nanquantile(np.stack(fall), 0.99))
-    figure, panels = style.panels(9.2, 4.7, 1, 2)
+    figure, panels = style.panels(5.6 if slender(result) else 9.2, 4.7, 1, 2)
     for axes, values, title in zip(panels, fall, ("Proximal", "Distal"), strict=True):
         _plane(axes, result, "u", values, "magma", (0.0, top), even=True)
         axes.set_title(f"{title} blood [%/%]")
@@ -140,7 +143,7 @@ def sites_figure(result: xr.Dataset) -> "Figure":
     """Places of the LED by what the search found there."""
     from matplotlib.colors import LogNorm
 
-    figure, axes = style.panels(5.6, 4.8)
+    figure, axes = style.panels(5.6 if slender(result) else 9.2, 4.8)
     place, found = result.led_site_mm.to_numpy(), 1e3 * result.led_site_resolution_n.to_numpy()
     norm = LogNorm(found.min(), max(found.max(), 1.001 * found.min()))
     marks = {"left": (">", 0.12, 0), "right": ("<", -0.12, 0), "below": ("^", 0, 0.12), "above": ("v", 0, -0.12)}
@@ -218,7 +221,7 @@ def led_figure(scene: Scene, result: xr.Dataset) -> "Figure":
         ("Light on all photodiodes\n[of the LED's]", light, "viridis", _bright(light)),
         ("Resolves with the\nLED here [mN]", tells, "viridis_r", _fine(tells)),
     )
-    figure, both = style.panels(9.2, 4.7, 1, 2)
+    figure, both = style.panels(5.6 if slender(result) else 9.2, 4.7, 1, 2)
     for axes, (title, values, colours, span) in zip(both, panels, strict=True):
         _plane(axes, result, "led_u", values, colours, span, even=False)
         axes.set_title(title)

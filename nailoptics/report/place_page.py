@@ -46,11 +46,12 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
     """Write the page of what `place` returns, whole or not at all; raises WriteError."""
     best, ranking = chosen(result), rows(result)
     maps = _figure("maps", figures.map_figure(best, result))
-    maps += _figure("sensitivity", figures.sensitivity_figure(best, result))
+    narrow = figures.slender(result)
+    maps += _figure("sensitivity", figures.sensitivity_figure(best, result), narrow=narrow)
     if "led_place_fraction" in result:
-        maps += _figure("led", figures.led_figure(best, result)) + _reciprocity(result)
+        maps += _figure("led", figures.led_figure(best, result), narrow=narrow) + _reciprocity(result)
     if result.sizes["led_site"]:
-        maps += _figure("tried", figures.sites_figure(result), narrow=True)
+        maps += _figure("tried", figures.sites_figure(result), narrow=narrow)
     layout = [
         _figure("board", figures.board_figure(best)),
         _photodiodes(result),

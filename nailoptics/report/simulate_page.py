@@ -10,6 +10,7 @@ from ..io import write_text
 from ..scene import Scene, parse_scene
 from . import findings, maps, simulate_figures, tables
 from .html import document, escaped, figure, section, small
+from .light_ends import light_ends
 from .numbers import significant
 from .readings import Reading, hold_end, photodiode_readings
 
@@ -92,7 +93,7 @@ def _space_section(result: xr.Dataset, scene: Scene | None) -> str:
                 "photodiodes in their colours and the LED (triangle) where they lie along the nail."
             )
         cut = figure(maps.section(scene, result), "section", text)
-    return section("The sensor on the finger", board, cut)
+    return section("The sensor on the finger", board, cut, light_ends(result))
 
 
 def _models_section(result: xr.Dataset, scene: Scene | None, found: list[Reading]) -> str:

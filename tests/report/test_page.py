@@ -179,6 +179,22 @@ def test_a_result_that_was_cut_off_says_so_in_its_first_lines(make):
     assert text.index("Cut off after 3 s: 7 % instead of 1 %.") < text.index("<h2>")
 
 
+def test_where_the_light_ends_is_shown_where_it_is_known(make):
+    result = make(leds=2)
+    assert "Where the light of each LED ends" not in page(result)
+    energy, absorbed = {"reflected": 0.1, "transmitted": 0.02, "absorbed": 0.88, "lost": 0.0}, [0.5, 0.3799, 0.00009]
+    for name, axis, values in (("energy", "part", [*energy.values()]), ("absorbed", "region", absorbed)):
+        result[f"{name}_fraction"] = (("led", axis), np.array([values, values]))
+        result[f"{name}_fraction_stderr"] = (("led", axis), np.full((2, len(values)), 1e-3))
+    result = result.assign_coords(part=list(energy), region=["bed", "barrier", "bone"])
+    text = page(result)
+    ends = text[text.index('aria-label="Where the light of each LED ends') :]
+    ends = ends[: ends.index("</svg>")]
+    for words, count in (("50.00 ± 0.10 %", 2), ("37.99 ± 0.10 %", 2), ("10.00 ± 0.10 %", 2), ("leaves to the air", 1)):
+        assert ends.count(words) == count, words
+    assert "barrier, opaque epoxy" in ends and ">bone<" not in ends
+
+
 def test_a_scene_that_cannot_be_read_costs_the_drawing_of_the_board_only(make, caplog):
     result = make(section=False).assign_attrs(scene="not [a scene")
     parsed = Page(page(result))
