@@ -47,6 +47,7 @@ class DetectedLight:
     over : reads a course of blood states, (t, zones) float -> Course.
     mean_path, mean_path_stderr : (led, photodiode, absorber) float at rest; NaN where the engine cannot tell. [mm]
     section : regions along the finger at u = 0 and, if traced, the light's path density.
+    transfer : the trace behind it; None where the engine keeps none.
     """
 
     over: Callable[[np.ndarray], Course]
@@ -54,6 +55,7 @@ class DetectedLight:
     mean_path_stderr: np.ndarray
     section: xr.Dataset
     attributes: dict[str, Any]
+    transfer: Transfer | None = None
 
 
 @dataclass(frozen=True)
@@ -163,6 +165,7 @@ def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None, section: xr.
             "wall_seconds": transfer.wall_seconds,
             "accuracy_reached": _reached(relative),
         },
+        transfer=transfer,
     )
 
 

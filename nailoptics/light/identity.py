@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from ..scene import Accuracy, Scene, digest
+from ..scene import Accuracy, Priors, Scene, digest
 from ..scene.finger import ABSORBING
 
 
@@ -28,6 +28,7 @@ def light_scene(scene: Scene) -> Scene:
         "blood": blood,
         "touch": type(scene.touch)(),
         "body": None,
+        "priors": Priors(),
         "electronics": type(scene.electronics)(),
         "accuracy": Accuracy(),
         "light": scene.light.model_copy(update={"engine": "auto"}),

@@ -4,17 +4,11 @@ import math
 from dataclasses import dataclass
 from itertools import product
 
-import numpy as np
 import xarray as xr
 
 from ..scene import Scene
+from ..studies.simulate import hold_end
 from . import style
-
-
-def hold_end(result: xr.Dataset) -> int:
-    """Index of the end of the hold: the last sample whose force is (nearly) as far from the first as any."""
-    departure = np.abs(result.force_n.to_numpy() - float(result.force_n[0]))
-    return int(np.flatnonzero(departure >= 0.995 * departure.max())[-1])
 
 
 @dataclass(frozen=True)
@@ -34,6 +28,15 @@ class Reading:
     change_stderr_v: float
     force_change_n: float
     saturated: bool
+    rest_spread: float = math.nan
+    change_spread: float = math.nan
+
+    @property
+    def spreads_v(self) -> dict[str, float]:
+        """How far reading and change spread over what is unknown of the finger; empty where nobody asked. [V]"""
+        told = {"start_spread": abs(self.rest_v) * self.rest_spread}
+        told["change_spread"] = abs(self.change_v) * self.change_spread
+        return {} if math.isnan(self.rest_spread) else told
 
     @property
     def change_percent(self) -> float:
@@ -67,6 +70,8 @@ def _ratio(value: float, by: float) -> float:
 def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> list[Reading]:
     """Every LED and photodiode, LED by LED, photodiodes from proximal to distal."""
     rest, held = result.isel(time=0), result.isel(time=hold_end(result))
+    told = {"rest_spread": "reading_spread", "change_spread": "change_spread"}
+    spreads = {name: result[told[name]].values for name in told if told[name] in result}
     found = []
     for i, j in product(range(result.sizes["led"]), order_along_nail(scene, result.sizes["photodiode"])):
         distance_mm = math.nan
@@ -87,6 +92,7 @@ def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> list[Reading
                 change_stderr_v=float(held.volts_change_stderr[i, j]),
                 force_change_n=float(held.force_n - rest.force_n),
                 saturated=bool(result.saturated[i, j].any()),
+                **{name: float(values[i, j]) for name, values in spreads.items()},
             )
         )
     return found

@@ -13,6 +13,7 @@ from .html import document, escaped, figure, section, small
 from .light_ends import light_ends
 from .numbers import significant
 from .readings import Reading, hold_end, photodiode_readings
+from .spread_section import spread_section
 
 TOUCH = "The force over time, and the pressures that it puts on the vessels."
 VESSELS = (
@@ -51,6 +52,7 @@ def page(result: xr.Dataset) -> str:
             section("The touch and the blood", touch, vessels),
             _space_section(result, scene),
             _models_section(result, scene, found),
+            spread_section(result),
         ],
         attributes=result.attrs,
     )

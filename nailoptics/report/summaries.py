@@ -4,6 +4,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from .readings import hold_end, photodiode_readings
+from .spread_section import spread_summary
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -29,25 +30,35 @@ def simulation_summary(result: "xr.Dataset") -> dict[str, Any]:
             name: float(result[name][r.led_index, r.photodiode_index])
             for name in ("beer_lambert_residual_rms_v", "taylor_residual_rms_v")
         }
+        | {f"volts_{name}": value for name, value in r.spreads_v.items()}
         for r in photodiode_readings(result, None)
     ]
     kept = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest", "accuracy_reached")
-    return {"readings": rows} | {name: result.attrs[name] for name in kept}
+    return {"readings": rows} | spread_summary(result) | {name: result.attrs[name] for name in kept}
 
 
 def simulation_lines(summary: dict[str, Any]) -> list[str]:
     """The readings of a `simulation_summary` as a table."""
-    lines = [f"{'LED':>10} {'photodiode':<14} {'start V':>9} {'+-':>8} {'change mV':>10} {'+-':>7} {'noise mV':>9}"]
+    spread = f" {'spread':>8}" if any("volts_start_spread" in row for row in summary["readings"]) else ""
+    head = f"{'LED':>10} {'photodiode':<14} {'start V':>9} {'+-':>8}{spread} {'change mV':>10} {'+-':>7}{spread}"
+    lines = [f"{head} {'noise mV':>9}"]
     for row in summary["readings"]:
         line = f"{row['led']:>10} {row['photodiode']:<14} {row['volts_start']:9.4f} "
         if row["saturated"]:
             line += "saturated: the converter is at its limit, these volts do not tell the light"
         else:
-            line += f"{row['volts_start_stderr']:8.4f} {1e3 * row['volts_change']:10.3f} "
-            line += f"{1e3 * row['volts_change_stderr']:7.3f} {1e3 * row['volts_noise_rms']:9.4f}"
+            line += f"{row['volts_start_stderr']:8.4f}" + (f" {row['volts_start_spread']:8.4f}" if spread else "")
+            line += f" {1e3 * row['volts_change']:10.3f} {1e3 * row['volts_change_stderr']:7.3f}"
+            line += f" {1e3 * row['volts_change_spread']:8.3f}" if spread else ""
+            line += f" {1e3 * row['volts_noise_rms']:9.4f}"
         lines.append(line)
     hold_s = summary["readings"][0]["time_of_change_s"]
-    return [*lines, f"start: the first sample; change: from there to the end of the hold, at {hold_s:.3g} s"]
+    lines.append(f"start: the first sample; change: from there to the end of the hold, at {hold_s:.3g} s")
+    if spread:
+        lines.append(
+            "+-: the trace's standard error; spread: one standard deviation over what is unknown of the finger"
+        )
+    return [*lines, *summary.get("conclusions", [])]
 
 
 def check_lines(report: dict[str, Any]) -> list[str]:

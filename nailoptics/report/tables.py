@@ -30,6 +30,8 @@ def readings_table(found: Sequence[Reading], hold_s: float) -> str:
     noise, noise_letter = prefix(max((r.noise_rms_v for r in found), default=0.0))
     head = ["Photodiode", "Blood<br>zone", "Away from<br>LED [mm]", f"At rest<br>[{letter}V]"]
     head += [f"Change at<br>{significant(hold_s)} s [{change_letter}V]", "Change<br>[%]", "Sure by<br>[σ]"]
+    spread = any(math.isfinite(r.rest_spread) for r in found)
+    head += ["At rest<br>spreads [%]", "Change<br>spreads [%]"] if spread else []
     head += [f"Noise,<br>rms [{noise_letter}V]", "Signal<br>to noise", "Resolves<br>[mN]"]
     rows = []
     for r, name in zip(found, _names(found), strict=True):
@@ -44,6 +46,7 @@ def readings_table(found: Sequence[Reading], hold_s: float) -> str:
             number(r.change_v, with_error(r.change_v / change, r.change_stderr_v / change, sign=True)),
             number(r.change_percent, significant(r.change_percent, 3, sign=True)),
             number(r.sigmas, significant(r.sigmas, 2)),
+            *(number(x, significant(100 * x, 2)) for x in (r.rest_spread, r.change_spread) if spread),
             number(r.noise_rms_v, significant(r.noise_rms_v / noise)),
             number(r.signal_to_noise, significant(r.signal_to_noise, 3)),
             number(r.resolution_n, significant(r.resolution_n * 1e3, 3)),

@@ -7,6 +7,7 @@ from .layout import Element, Layout, Rectangle
 from .models import Accuracy, Electronics, Layer, Light, Phantom, Scene
 from .parts import Board, Led, Photodiode
 from .placement import Candidate, FingerCase, Placement
+from .priors import Prior, Priors
 from .touch import ForceStep, Touch
 from .vessels import Blood, Tuning
 
@@ -30,6 +31,8 @@ __all__ = [
     "Phantom",
     "Photodiode",
     "Placement",
+    "Prior",
+    "Priors",
     "Rectangle",
     "Scene",
     "Touch",

@@ -13,6 +13,7 @@ from .finger import Finger
 from .layout import Layout, lay_out
 from .parts import Board, Led, Photodiode
 from .placement import Placement
+from .priors import Priors
 from .touch import Touch
 from .vessels import Blood
 
@@ -131,6 +132,8 @@ class Scene(Table):
     """How the light is traced."""
     accuracy: Accuracy = Accuracy()
     """What the answer must reach."""
+    priors: Priors = Priors()
+    """What is unknown of the finger, over which answers spread."""
     placement: Placement | None = None
     """Where LEDs and photodiodes may go, for the search of a layout."""
 

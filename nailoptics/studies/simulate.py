@@ -8,12 +8,13 @@ import xarray as xr
 
 from .. import electronics
 from ..errors import InputError, NotReachedError, as_far_as_reached
-from ..light import DetectedLight, ProgressCallback, open_light, optics
+from ..light import DetectedLight, ProgressCallback, Transfer, open_light, optics
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import fit_beer_lambert, fit_taylor
 from ..scene import Scene
 from ..variables import Variables, variable
 from .blood_states import blood_over_touch, zones_of_photodiodes
+from .unknowns import spread_dataset, spread_of_readings
 
 COORDINATES = {
     "time": "time from the start of the simulation",
@@ -32,7 +33,8 @@ def simulate(scene: Scene, *, progress: ProgressCallback | None = None, **reques
     """Simulate a touch on a finger scene, from force to the volts of every photodiode.
 
     Returns: Dataset over led, photodiode, zone and time with the force, pressures, vessel diameters, blood, detected
-    fraction and volts, each estimate with its standard error, the fits of (8) and (9), and the traced section.
+    fraction and volts, each estimate with its standard error, the fits of (8) and (9), the traced section, and how far
+    readings and their largest change spread over what is unknown of the finger.
 
     Raises: InputError; NotReachedError, whose result is the Dataset as far as the accuracy went.
     """
@@ -43,6 +45,8 @@ def simulate(scene: Scene, *, progress: ProgressCallback | None = None, **reques
     states = course.blood_fraction.values.T
     light, unmet = as_far_as_reached(open_light, scene, states=states, progress=progress, **requested)
     result = simulate_from(scene, light, course=course, seed=options.seed)
+    if scene.priors.spread and light.transfer is not None:
+        result = result.merge(_spread(result, light.transfer, options, progress))
     if unmet:
         raise NotReachedError(str(unmet), result=result) from None
     return result
@@ -60,6 +64,27 @@ def simulate_from(scene: Scene, light: DetectedLight, *, course: xr.Dataset, see
         "references": "S. A. Mascaro, H. H. Asada, IEEE Trans. Robotics and Automation 17(5), 2001",
     }
     return result
+
+
+def _spread(
+    result: xr.Dataset, transfer: Transfer, options: TraceOptions, progress: ProgressCallback | None
+) -> xr.Dataset:
+    """How far readings at the start, and their change to the end of the hold, spread over the priors."""
+    blood, usual = result.blood_fraction.values[:, [0, hold_end(result)]].T, transfer.scene.blood.rest_blood_fraction
+
+    def states(scene: Scene) -> np.ndarray:
+        # Eq. (7): blood goes with the blood at rest.
+        return np.asarray(blood * (scene.blood.rest_blood_fraction / usual))
+
+    own = transfer.scene.priors.own_traces
+    found = spread_of_readings(transfer, states, options=options, own_traces=own, progress=progress)
+    return spread_dataset(found, transfer.scene)
+
+
+def hold_end(result: xr.Dataset) -> int:
+    """Index of the end of the hold: the last sample whose force is (nearly) as far from the first as any."""
+    departure = np.abs(result.force_n.to_numpy() - float(result.force_n[0]))
+    return int(np.flatnonzero(departure >= 0.995 * departure.max())[-1])
 
 
 def _read_volts(scene: Scene, light: DetectedLight, blood: np.ndarray) -> xr.Dataset:

@@ -1,0 +1,88 @@
+"""What is unknown of a finger: ranges of a scene's fields, shipped with their sources, and what a scene says of it."""
+
+import tomllib
+from functools import cache
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ..assets import asset_path
+from ..statistics import Z95
+from .base import Positive, Table, check_unique
+
+# Gauss-Hermite quadrature of three nodes: in standard deviations from the middle, and their weights.
+NODES = (-(3**0.5), 0.0, 3**0.5)
+WEIGHTS = np.array([1, 4, 1]) / 6
+
+
+class PriorRange(Table):
+    """The range of one unknown field, in place of the shipped one."""
+
+    field: str
+    """The field, such as finger.plate_absorption."""
+    low: Positive
+    """Lower end; 2.5 % of fingers lie below."""
+    high: Positive
+    """Upper end; 2.5 % of fingers lie above."""
+
+    @model_validator(mode="after")
+    def _ends_rise(self) -> Self:
+        if self.low >= self.high:
+            raise ValueError(f"low = {self.low:g} must be below high = {self.high:g}")
+        return self
+
+
+class Prior(PriorRange):
+    """What is known beforehand of one field, and from where."""
+
+    name: str
+    """What it is, in words."""
+    scale: Literal["log", "linear"]
+    """On which scale it is normal."""
+    source: str
+    """Where the range comes from."""
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """The field at the three nodes of the quadrature."""
+        low, high = np.log([self.low, self.high]) if self.scale == "log" else (self.low, self.high)
+        at = (low + high) / 2 + np.array(NODES) * (high - low) / (2 * Z95)
+        return tuple(float(x) for x in (np.exp(at) if self.scale == "log" else at))
+
+
+class Priors(Table):
+    """How answers are spread over what is unknown of the finger; the ranges are shipped, with their sources."""
+
+    spread: bool = True
+    """Tell of every answer how far it spreads over what is unknown, beside its standard error."""
+    own_traces: bool = False
+    """Do so for scattering and thickness, too, each of which takes two traces more; else for what only absorbs."""
+    known: tuple[str, ...] = ()
+    """Fields that are known to be as the scene has them, such as "blood.so2"."""
+    ranges: Annotated[tuple[PriorRange, ...], Field(max_length=100)] = ()
+    """Ranges in place of the shipped ones."""
+
+    @model_validator(mode="after")
+    def _names_unknowns(self) -> Self:
+        named = [*self.known, *(one.field for one in self.ranges)]
+        check_unique(named, "known and ranges")
+        fields = [one.field for one in shipped_priors()]
+        for field in named:
+            if field not in fields:
+                raise ValueError(f'"{field}" is not among what is unknown; choose from {", ".join(fields)}')
+        return self
+
+    def of_finger(self) -> tuple[Prior, ...]:
+        """What is unknown: the shipped priors without what is known, with the ranges given."""
+        own = {one.field: {"low": one.low, "high": one.high} for one in self.ranges}
+        return tuple(
+            one.model_copy(update=own.get(one.field, {})) for one in shipped_priors() if one.field not in self.known
+        )
+
+
+@cache
+def shipped_priors() -> tuple[Prior, ...]:
+    """The priors of assets/priors.toml."""
+    with asset_path("priors.toml").open("rb") as file:
+        return tuple(Prior(**one) for one in tomllib.load(file)["priors"])

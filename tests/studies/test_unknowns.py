@@ -1,0 +1,205 @@
+"""Spread over what is unknown of the finger: against closed forms, fresh traces, joint draws and other photons."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nailoptics import load_scene, parse_scene, simulate, to_toml
+from nailoptics.assets import data_dir
+from nailoptics.errors import InputError
+from nailoptics.light import ReweightWarning, Transfer, optics, trace
+from nailoptics.light.course import course
+from nailoptics.light.records import LedTrace
+from nailoptics.options import TraceOptions
+from nailoptics.scene import Priors, Scene
+from nailoptics.scene.priors import WEIGHTS, Prior, PriorRange, shipped_priors
+from nailoptics.statistics import Z95
+from nailoptics.studies.blood_states import steady_blood
+from nailoptics.studies.unknowns import Spread, at_value, only_absorbs, spread_of_readings
+
+OPTIONS = TraceOptions(seed=1)
+
+
+def prototype(*known: str, **fields) -> Scene:
+    scene = load_scene(data_dir("scenes") / "prototype.toml")
+    return scene.model_copy(update={"priors": Priors(known=known, **fields)})
+
+
+def ends(scene: Scene) -> np.ndarray:
+    return steady_blood(scene, [0.0, 1.0])
+
+
+def all_but(*fields: str) -> tuple[str, ...]:
+    return tuple(one.field for one in shipped_priors() if one.field not in fields)
+
+
+@pytest.fixture(scope="module")
+def traced(chosen_jit) -> Transfer:
+    return trace(prototype(), photons=400_000, seed=1)
+
+
+def relative(transfer: Transfer, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Reading at rest, its error, its change by 1 N as a part of it and the error of that, (photodiode,) each."""
+    found = course(replace(transfer, scene=scene), ends(scene), electrons=True)
+    level, change = found.fraction[0, :, 0], found.change[0, :, 1]
+    return level, found.stderr[0, :, 0], change / level, found.change_stderr[0, :, 1] / level
+
+
+@pytest.mark.parametrize("scale", ["log", "linear"])
+def test_the_nodes_of_a_prior_have_its_mean_and_standard_deviation(scale):
+    prior = Prior(field="finger.plate_absorption", low=0.5, high=2.0, name="x", scale=scale, source="none")
+    of = np.log if scale == "log" else np.asarray
+    at, (low, high) = of(prior.values), of([0.5, 2.0])
+    assert WEIGHTS.sum() == pytest.approx(1) and WEIGHTS @ at == pytest.approx((low + high) / 2, abs=1e-12)
+    assert WEIGHTS @ (at - at[1]) ** 2 == pytest.approx(((high - low) / (2 * Z95)) ** 2)
+    assert low < at[0] < at[2] < high
+
+
+def test_light_of_one_path_spreads_as_the_absorption_does():
+    """Rationale: of one path L in the plate ln reading = -mu_a L f + const; f is lognormal with a known variance."""
+    scene, length_mm = prototype(*all_but("finger.plate_absorption")), 2.0
+    names = optics.absorbers(scene)
+    path = np.zeros((8 * 400, len(names)), np.float32)
+    path[:, names.index("plate")] = length_mm
+    light = LedTrace(
+        photons=4000,
+        mu_a=optics.absorption(scene, 800.0)[0],
+        photodiode=np.repeat(np.arange(8), 400),
+        weight=np.ones(len(path)),
+        path_mm=path,
+        energy={},
+        seeds=(0,),
+    )
+    transfer = Transfer(scene, (light,), "none", engine="made up", versions={"numpy": "0"})
+    found = spread_of_readings(transfer, ends, options=OPTIONS, own_traces=False)
+    value, error = found.level.total
+    sd, depth = np.log(4) / (2 * Z95), float(light.mu_a[names.index("plate")]) * length_mm
+    exact = depth * np.sqrt((np.exp(sd**2) - 1) * np.exp(sd**2))
+    assert value == pytest.approx(np.full((1, 8), exact), rel=0.01) and (error < 1e-6).all()
+    # No light went through the bed, so touch changes nothing.
+    assert (found.signal.own == 0).all() and not found.signal.keeps_sign.any()
+
+
+@pytest.mark.parametrize("field, value", [("finger.plate_absorption", 0.5), ("finger.bed_absorption", 4.0)])
+def test_a_reread_prior_meets_a_fresh_trace_of_it(jit_backend, traced, field, value):
+    changed = at_value(traced.scene, field, value)
+    assert only_absorbs(traced.scene, next(one for one in shipped_priors() if one.field == field))
+    reread, fresh = relative(traced, changed), relative(trace(changed, photons=400_000, seed=2), changed)
+    for k in (0, 2):
+        apart, error = np.abs(reread[k] - fresh[k]), np.hypot(reread[k + 1], fresh[k + 1])
+        assert (apart < 3 * error).all() and (apart**2 / error**2).mean() < 2
+    # Sharp enough to tell: the change is many times its error.
+    moved = np.abs(reread[0] / relative(traced, traced.scene)[0] - 1)
+    assert (moved > 5 * reread[1] / reread[0]).any()
+
+
+def test_one_prior_at_a_time_adds_up_to_all_at_once(traced):
+    """Expected: the sum of variances by one prior each is that of joint draws; what two add together is small."""
+    scene = traced.scene
+    found = spread_of_readings(traced, ends, options=OPTIONS, own_traces=False)
+    random, draws = np.random.default_rng(7), []
+    for _ in range(60):
+        drawn = scene
+        for prior in found.level.priors:
+            # Not beyond three standard deviations, where a saturation would exceed 1.
+            at = np.clip(random.normal(), -3, 3)
+            low, high = np.log([prior.low, prior.high]) if prior.scale == "log" else (prior.low, prior.high)
+            value = (low + high) / 2 + at * (high - low) / (2 * Z95)
+            drawn = at_value(drawn, prior.field, float(np.exp(value) if prior.scale == "log" else value))
+        with warnings.catch_warnings():
+            # Some draws lie far from the trace; they count with all others.
+            warnings.simplefilter("ignore", ReweightWarning)
+            draws.append(relative(traced, drawn))
+    level = np.log([one[0] for one in draws]).std(0, ddof=1)
+    signal = np.array([one[2] for one in draws]).std(0, ddof=1)
+    # Of 60 draws a standard deviation is known to 9 %, all photodiodes alike; lognormal tails make it some more.
+    assert found.level.total[0][0] == pytest.approx(level, rel=0.3)
+    assert found.signal.total[0][0] == pytest.approx(signal, rel=0.3)
+
+
+def test_the_standard_error_of_a_spread_is_true(traced):
+    """Twenty parts of the photons, each by itself, against all of them: 95 % intervals hold what they tell."""
+    light, parts = traced.traces[0], 20
+    whole = spread_of_readings(traced, ends, options=OPTIONS, own_traces=False)
+    of = np.random.default_rng(3).integers(parts, size=len(light.weight))
+    each = []
+    for k in range(parts):
+        part = replace(light.only(of == k), photons=light.photons // parts)
+        found = spread_of_readings(replace(traced, traces=(part,)), ends, options=OPTIONS, own_traces=False)
+        each.append([(*one.total, one.own[0]) for one in (found.level, found.change, found.signal)])
+    value, error = (np.array([[kind[j][0] for kind in one] for one in each]) for j in (0, 1))
+    for kind, one in ((0, whole.level), (1, whole.change), (2, whole.signal)):
+        truth = one.total[0][0]
+        off = (value[:, kind] - truth) / error[:, kind]
+        assert 0.85 < (np.abs(off) < Z95).mean()
+        assert 0.4 < (off**2).mean() < 2.0, kind
+
+
+def test_a_scattering_prior_has_traces_of_its_own(chosen_jit):
+    scene = prototype(*all_but("finger.plate_scattering", "finger.plate_absorption"))
+    transfer = trace(scene, photons=200_000, seed=1)
+    without = spread_of_readings(transfer, ends, options=OPTIONS, own_traces=False)
+    assert [one.field for one in without.untraced] == ["finger.plate_scattering"] and len(without.level.priors) == 1
+    found = spread_of_readings(transfer, ends, options=OPTIONS, own_traces=True)
+    assert found.untraced == () and [one.field for one in found.level.priors][1] == "finger.plate_scattering"
+    value, error = (each[1] for each in found.level.by_prior)
+    assert (value > 3 * error).sum() > 4
+    # A plate that scatters more passes less: the nodes fall in order, where the photodiodes see enough light.
+    nodes = found.level.nodes[1, :, 0, 0]
+    assert (np.diff(nodes[:, 2:6], axis=0) < 0).all()
+    assert (found.level.total[0] >= without.level.total[0] - 1e-12).all()
+
+
+def test_a_sign_holds_where_no_node_and_no_sum_of_them_turns_it():
+    prior = shipped_priors()[0]
+    nodes = np.zeros((1, 3, 5, 1, 3))
+    nodes[0, :, :] = np.array([[1.0, 1.0, 0.5], [1.2, 2.0, 1.0], [1.4, -0.5, 6.0]])[:, None, None]
+    own = np.broadcast_to(np.array([1.2, 1.0, 1.0]), (5, 1, 3))
+    assert Spread((prior,), nodes, own).keeps_sign.tolist() == [[True, False, False]]
+
+
+def test_a_simulated_touch_tells_its_spread_and_is_silent_where_that_is_off(chosen_jit):
+    found = simulate(
+        prototype("blood.so2", ranges=(PriorRange(field="finger.plate_absorption", low=0.9, high=1.1),)),
+        photons=60_000,
+        seed=1,
+    )
+    fields = [str(field) for field in found.prior_field.values]
+    assert "blood.so2" not in fields and set(fields) == set(all_but("blood.so2"))
+    how = dict(zip(fields, found.prior_how.values.tolist(), strict=True))
+    assert how["finger.plate_absorption"] == "reweighted" and how["finger.bed_scattering"] == "not traced"
+    narrow = found.prior_reading_spread.values[fields.index("finger.plate_absorption")]
+    assert 0 < narrow.max() < 0.05 and found.prior_range.values[0].tolist() == [0.9, 1.1]
+    for name in ("reading_spread", "change_spread", "signal_spread"):
+        assert (found[name] > 0).all() and (found[f"{name}_stderr"] > 0).all()
+    silent = simulate(prototype(spread=False), photons=60_000, seed=1)
+    assert "prior" not in silent.dims and "reading_spread" not in silent
+
+
+@pytest.mark.parametrize(
+    "lines, words",
+    [
+        (
+            'known = ["finger.plate"]',
+            '"finger.plate" is not among what is unknown; choose from finger.plate_absorption',
+        ),
+        ('known = ["blood.so2", "blood.so2"]', "used twice"),
+        ('[[priors.ranges]]\nfield = "blood.so2"\nlow = 0.9\nhigh = 0.8', "low = 0.9 must be below high = 0.8"),
+        ('[[priors.ranges]]\nfield = "blood.so2"\nlow = -0.9\nhigh = 0.8', "priors.ranges.* = -0.9"),
+    ],
+)
+def test_impossible_priors_are_refused_in_one_line(lines, words):
+    text = to_toml(prototype()).split("[priors]")[0] + "[priors]\n" + lines + "\n"
+    with pytest.raises(InputError, match=words) as caught:
+        parse_scene(text)
+    assert "\n" not in str(caught.value)
+
+
+def test_every_prior_names_its_source_and_a_field_of_the_scene_within_its_range():
+    scene = prototype()
+    assert len({one.field for one in shipped_priors()}) == len(shipped_priors()) >= 12
+    for prior in shipped_priors():
+        table, name = prior.field.split(".")
+        assert prior.source and prior.low <= getattr(getattr(scene, table), name) <= prior.high
