@@ -40,7 +40,7 @@ def write_comparison(result: xr.Dataset, path: Path) -> None:
     text = document(
         kicker="reduced optics against traced light",
         title=f"Taylor (9) holds to 5 % for {met} of {total} readings over the whole {over}",
-        lead=str(verdict(result, 0.05)),
+        lead=str(verdict(result, 0.05)).replace("+-", "±"),
         cards=_cards(result),
         body=[_led_section(result, led) for led in range(result.sizes["led"])],
         attributes=result.attrs,

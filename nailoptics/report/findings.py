@@ -8,7 +8,7 @@ import xarray as xr
 
 from ..scene import Scene
 from .numbers import quantity, significant
-from .readings import Reading
+from .readings import Reading, hold_end
 
 
 def title(scene: Scene | None) -> str:
@@ -59,7 +59,10 @@ def findings(found: Sequence[Reading], result: xr.Dataset) -> list[tuple[str, st
         words = f"force that one sample resolves at best (noise / slope): {name(r)}"
         lines.append((quantity(r.resolution_n, "N"), words))
     if any(r.change_v for r in found):
-        lines.append(_signs(found))
+        lines.append(_signs(found, result))
+    if "white_band_mm" in result:
+        words = "wide is the white band at the tip at the end of the hold, where the bed holds less than half its blood"
+        lines.append((f"{float(result.white_band_mm[hold_end(result)]):.1f}\u00a0mm", words))
     lines.append(_models(found, result))
     return lines
 
@@ -91,19 +94,18 @@ def reached(result: xr.Dataset) -> list[tuple[str, str]]:
     return [(label, value) for label, value in rows.items() if value]
 
 
-def _signs(found: Sequence[Reading]) -> tuple[str, str]:
-    """Whether each zone's readings move the way that the paper saw: proximal down, distal up."""
-    expected = {"proximal": -1, "distal": 1}
-    judged = [r for r in found if r.zone in expected]
-    right = [r for r in judged if np.sign(r.change_v) == expected[r.zone]]
+def _signs(found: Sequence[Reading], result: xr.Dataset) -> tuple[str, str]:
+    """Whether the readings move the way that the paper saw: over the proximal half of the zones down, distally up."""
+    zones = [str(name) for name in result.zone.values]
+    right = [r for r in found if np.sign(r.change_v) == (1 if 2 * zones.index(r.zone) >= len(zones) else -1)]
     words = "readings move as in the paper, proximal ones down and distal ones up"
     least = min((r.sigmas for r in right), default=math.nan)
     if math.isfinite(least):
         words += f", by {significant(least, 2)} σ of the trace or more"
-    wrong = [r.photodiode for r in judged if r not in right]
+    wrong = [r.photodiode for r in found if r not in right]
     if right and 0 < len(wrong) < 4:
         words += f"; not {_list(wrong)}"
-    return f"{len(right)} of {len(judged)}", words
+    return f"{len(right)} of {len(found)}", words
 
 
 def _models(found: Sequence[Reading], result: xr.Dataset) -> tuple[str, str]:

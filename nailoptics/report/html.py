@@ -42,7 +42,7 @@ def document(
     facts : names and values in one line below them.
     """
     css = resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
-    cut_off = [attributes["cut_off"]] if attributes.get("cut_off") else []
+    cut_off = [f"Cut off: {attributes['cut_off']}"] if attributes.get("cut_off") else []
     items = [f"<li><b>{escaped(number)}</b><span>{escaped(words)}</span></li>" for number, words in cards]
     parts = [
         f"<header><p class='kicker'>nailoptics · {escaped(kicker)}</p><h1>{escaped(title)}</h1>",

@@ -40,16 +40,19 @@ def light_ends(result: xr.Dataset) -> str:
 @style.drawing()
 def draw(result: xr.Dataset) -> "Figure":
     """One bar for each end of the light and LED, the ends that take most on top."""
+    from matplotlib import colormaps
+
     value, stderr = (_ends(result, suffix) for suffix in ("", "_stderr"))
     most = value.max("led")
     ends = most.end[most >= LEAST].values[np.argsort(-most[most >= LEAST].values, kind="stable")]
     leds = result.sizes["led"]
     drawing, axes = style.panels(9.2, 0.8 + len(ends) * (0.14 + 0.16 * leds))
     rows, high = np.arange(len(ends)), 0.8 / leds
-    for i, colour in enumerate(style.place_colours(leds)):
+    # Not the colours of places along the nail, which warm and cool ones stand for.
+    for i, colour in enumerate(colormaps["cividis"](np.linspace(0.45, 0.85, leds))):
         share, error = (100 * one.isel(led=i).sel(end=ends).values for one in (value, stderr))
         at = rows + (i - (leds - 1) / 2) * high
-        look: dict[str, Any] = {"color": colour, "alpha": 0.75, "label": style.plain(led_name(result, i))}
+        look: dict[str, Any] = {"color": colour, "label": style.plain(led_name(result, i))}
         bars = axes.barh(at, share, 0.9 * high, xerr=error, ecolor=style.INK, **look)
         words = [f"{with_error(*pair)} %" for pair in zip(share, error, strict=True)]
         axes.bar_label(bars, words, padding=4, fontsize=8, color=style.INK)

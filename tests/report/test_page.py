@@ -175,8 +175,17 @@ def test_a_fit_that_is_straight_is_shown_as_straight(make):
 
 def test_a_result_that_was_cut_off_says_so_in_its_first_lines(make):
     assert "Cut off" not in page(make(section=False))
-    text = page(make(section=False).assign_attrs(cut_off="Cut off after 3 s: 7 % instead of 1 %."))
-    assert text.index("Cut off after 3 s: 7 % instead of 1 %.") < text.index("<h2>")
+    text = page(make(section=False).assign_attrs(cut_off="7 % instead of 1 % after 3 s."))
+    assert text.index("Cut off: 7 % instead of 1 % after 3 s.") < text.index("<h2>")
+
+
+def test_signs_are_judged_by_where_a_zone_lies_whatever_its_name(make):
+    result = make(section=False).assign_coords(zone=["zone_1", "zone_2"])
+    result["white_band_mm"] = ("time", np.where(result.force_n > 0, 2.34, 0.0))
+    text = page(result)
+    assert "<b>8 of 8</b>" in text and "<b>2.3\u00a0mm</b>" in text
+    result.volts_change[0, 0] *= -1
+    assert "<b>7 of 8</b>" in page(result)
 
 
 def test_where_the_light_ends_is_shown_where_it_is_known(make):
