@@ -91,12 +91,12 @@ def fit_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
     rows = []
     marks: dict[str, str] = {}
     for r, name in zip(found, _names(found), strict=True):
-        here = {"led": r.led_index, "photodiode": r.photodiode_index}
-        note = str(result.fit_note.isel(here).item())
-        mark = marks.setdefault(note, chr(ord("a") + len(marks) % 26)) if note else ""
         if r.saturated:
             rows.append([name + SATURATED, *["–"] * len(fields)])
             continue
+        here = {"led": r.led_index, "photodiode": r.photodiode_index}
+        note = str(result.fit_note.isel(here).item())
+        mark = marks.setdefault(note, chr(ord("a") + len(marks) % 26)) if note else ""
         cells = [name + (f" <sup>{mark}</sup>" if mark else "")]
         for field, _, unit in fields:
             value, text = float(result[field].isel(here)), ""

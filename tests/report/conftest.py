@@ -49,7 +49,7 @@ def made_up(*, leds=1, times=41, swing=1.0, section=True):
         "zone_of_photodiode": ("photodiode", zone_of),
         "responsivity_a_per_w": (pair, np.full((leds, 8), 0.55)),
         "wavelength_nm": ("led", [led.wavelength_nm for led in scene.leds]),
-        "fit_note": (pair, np.full((leds, 8), "")),
+        "fit_note": (pair, np.full((leds, 8), "", dtype="U40")),
     }
     for name in ("beer_lambert_v0_v", "beer_lambert_v1_v", "taylor_v0_v"):
         data[name], data[f"{name}_stderr"] = (pair, rest), (pair, 0.01 * rest)

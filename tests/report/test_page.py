@@ -151,7 +151,9 @@ def test_a_saturated_reading_is_no_finding_and_has_no_numbers_but_its_limit(make
     name = str(result.photodiode.values[largest])
     before = page(result)
     result.saturated[0, largest, 5] = True
+    result.fit_note[0, largest] = "a note"
     text = page(result)
+    assert "a note" not in text
     assert f"largest fall: {name}," in before or f"largest rise: {name}," in before
     assert f"largest fall: {name}," not in text and f"largest rise: {name}," not in text
     tables = Page(text).tables
