@@ -243,10 +243,10 @@ def explain(
     loaded, _ = _load(scene, options)
     _check_file(output)
     found, unmet = _watched(study, loaded, tolerance=tolerance, **options.fields)
-    paths = {"scene": output} if output and not unmet else {}
+    paths = {"scene": output} if output else {}
     for path in paths.values():
         make_folder(path.parent)
-        write_text(path, to_toml(found.required))
+        write_text(path, _cut_off(unmet) + to_toml(found.required))
     _show({"scene": None} | found.as_dict(), [found], paths, json_)
     _end(unmet)
 
@@ -446,6 +446,11 @@ def _show(summary: Mapping[str, Any], text: Iterable[object], paths: Mapping[str
         print_json({**summary, **{name: str(path) for name, path in paths.items()}})
     else:
         print(*text, *paths.values(), sep="\n")
+
+
+def _cut_off(unmet: NotReachedError | None) -> str:
+    """The first line of a scene file that a study ended too early to be sure of."""
+    return f"# Cut off: {unmet}\n" if unmet else ""
 
 
 def _end(unmet: NotReachedError | None, where: Path | None = None) -> None:

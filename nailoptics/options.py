@@ -62,8 +62,3 @@ class TraceOptions:
     def fields(self) -> Requested:
         """The options as keyword arguments."""
         return cast(Requested, dict(vars(self)))
-
-    @property
-    def unbounded(self) -> bool:
-        """Whether nothing was requested of error, time or photons."""
-        return self.relative_error is None and self.max_seconds is None and self.photons is None

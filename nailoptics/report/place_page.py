@@ -52,19 +52,19 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
         maps += _figure("led", figures.led_figure(best, result), narrow=narrow) + _reciprocity(result)
     if result.sizes["led_site"]:
         maps += _figure("tried", figures.sites_figure(result), narrow=narrow)
-    layout = [
-        _figure("board", figures.board_figure(best)),
-        _photodiodes(result),
-        "<h3>Where each photodiode looks</h3>" + _figure("bananas", figures.banana_figure(best, result)),
-        "<h3>Light from outside</h3>" + _ambient(result),
-    ]
+    layout = [_figure("board", figures.board_figure(best)), _photodiodes(result)]
+    inspected = "checked_fraction" in result
+    if inspected:
+        layout += ["<h3>Where each photodiode looks</h3>" + _figure("bananas", figures.banana_figure(best, result))]
+        layout += ["<h3>Light from outside</h3>" + _ambient(result)]
+    checked = _check(result) if inspected else small("There was no time to trace the best layout once more by itself.")
     text = document(
         kicker="where to put them",
         title=f"{result.sizes['best_photodiode']} photodiodes on the nail",
         lead=_lead(result, ranking),
         cards=_cards(result, ranking[0]),
         body=[
-            section("The ranking", _figure("ranking", figures.ranking_figure(result)), _table(ranking), _check(result)),
+            section("The ranking", _figure("ranking", figures.ranking_figure(result)), _table(ranking), checked),
             section("The best layout", *layout),
             section("Where on this board the light tells", maps),
         ],
@@ -142,7 +142,7 @@ def _photodiodes(result: xr.Dataset) -> str:
         line += [significant(1e6 * noise_v), significant(volts / noise_v), known("predicted_shunted_fraction", 100)]
         # A hundredth of the bed's volume, in millivolts.
         line += [known("predicted_zone_v", 10, blood_zone=zone) for zone in range(2)]
-        lines.append([*line, significant(float(one.mean_depth_mm))])
+        lines.append([*line, significant(float(one.mean_depth_mm)) if "mean_depth_mm" in one else "–"])
     return table(head, lines)
 
 

@@ -66,7 +66,8 @@ def write_placement(result: "xr.Dataset", scene: Scene, folder: Path, *, negate_
     with turn(folder):
         write_dataset(result, data)
         write_text(ranking, table.getvalue())
-        write_text(best_scene, to_toml(best))
+        cut_off = result.attrs.get("cut_off")
+        write_text(best_scene, (f"# Cut off: {cut_off}\n" if cut_off else "") + to_toml(best))
         write_positions(positions, kicad_parts(best, scene), negate_x_on_bottom=negate_x_on_bottom)
         write_outline(folder / f"outline{like.suffix.lower()}", outline(result))
         export_mesh(build(best), mesh)

@@ -98,10 +98,12 @@ def placement_summary(result: "xr.Dataset") -> dict[str, Any]:
     from ..studies.placement.result import gain, rows
 
     better = gain(result)
-    kept = ("checked_resolution_n", "photons", "cpu_seconds", "wall_seconds", "digest", "rank_by")
+    kept = ("photons", "cpu_seconds", "wall_seconds", "digest", "rank_by")
     return {
         "ranking": rows(result),
         "gain_over_paper": {"value": better[0], "stderr": better[1]} if better else None,
+        "checked_resolution_n": result.attrs.get("checked_resolution_n"),
+        "cut_off": result.attrs.get("cut_off"),
     } | {name: result.attrs[name] for name in kept}
 
 

@@ -48,7 +48,8 @@ def simulate(scene: Scene, *, progress: ProgressCallback | None = None, **reques
     if scene.priors.spread and light.transfer is not None:
         result = result.merge(_spread(result, light.transfer, options, progress))
     if unmet:
-        raise NotReachedError(str(unmet), result=result) from None
+        result.attrs["cut_off"] = str(unmet)
+        raise NotReachedError(str(unmet), result=result)
     return result
 
 

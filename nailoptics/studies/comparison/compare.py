@@ -1,5 +1,7 @@
 """Where Taylor (9) and Beer-Lambert (8) hold against traced light, and what each of them leaves out."""
 
+import math
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Unpack
@@ -52,19 +54,28 @@ def compare(
     if not sweeps:
         raise InputError(f"over is empty; choose from {', '.join(OVER)}.")
     scenes = [scene, *(_at_wavelength(scene, value) for value in dict.fromkeys(wavelengths_nm))]
-    # A quarter of the photons twice, for the scattering, is half as much again.
-    share = None if options.max_seconds is None else options.max_seconds / len(scenes) / (1 + 2 * SCATTERING_SHARE)
-    options = replace(options, max_seconds=share)
-    results, unmet = [], None
-    for one in scenes:
-        transfer, why = as_far_as_reached(trace, one, progress=progress, **options.fields)
-        slopes = _scattering_slopes(transfer, options, progress)
+    begin, results, unmet = time.perf_counter(), [], None
+    for k, one in enumerate(scenes):
+        left = (options.max_seconds or math.inf) - (time.perf_counter() - begin)
+        if results and left <= 0:
+            unmet = f"max_seconds ended the comparison after {k} of {len(scenes)} traced wavelengths."
+            break
+        # A quarter of the photons twice, for the scattering, is half as much again.
+        share = None if math.isinf(left) else max(left, 1e-3) / (len(scenes) - k) / (1 + 2 * SCATTERING_SHARE)
+        limited = replace(options, max_seconds=share)
+        transfer, why = as_far_as_reached(trace, one, progress=progress, **limited.fields)
+        unmet = unmet or (str(why) if why else None)
+        slopes = np.full((2, len(one.leds), len(transfer.photodiodes)), np.nan)
+        if time.perf_counter() - begin < (options.max_seconds or math.inf):
+            slopes = _scattering_slopes(transfer, limited, progress)
+        elif not unmet:
+            unmet = "max_seconds ended the comparison before the bed's scattering was traced; its part is not known."
         results.append(compare_transfer(transfer, sweeps, slopes, options.seed))
-        unmet = unmet or why
     result = xr.concat(results, "led", data_vars="minimal", coords="minimal", compat="override", join="override")
     result.attrs = results[0].attrs
     if unmet:
-        raise NotReachedError(str(unmet), result=result)
+        result.attrs["cut_off"] = unmet
+        raise NotReachedError(unmet, result=result)
     return result
 
 

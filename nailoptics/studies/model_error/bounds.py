@@ -14,7 +14,7 @@ from ...statistics import Z95
 from ..ambient import SOURCES, collecting_area_mm2
 from ..comparison.compare import BLOOD_REDUCED_SCATTERING_PER_MM
 from .effect import Change, Effect, effect_of
-from .paired import UNSEEN_VARIANCE, Difference, PairedReadings, end_states, paired_readings
+from .paired import Difference, PairedReadings, difference, end_states
 from .variants import revised
 
 SCATTERING_FACTOR = 1.4
@@ -30,9 +30,10 @@ def denser(scene: Scene) -> Scene:
 
 def blood_scattering(scene: Scene, base: PairedReadings, denser: PairedReadings, tolerance: float) -> Effect:
     """What the scattering of the blood that a touch moves would do to a reading; the model's stays as at rest."""
+    both = difference(base, denser)
     with np.errstate(divide="ignore", invalid="ignore"):
-        slope = np.log(denser.level / base.level) / np.log(SCATTERING_FACTOR)
-        error = np.hypot(base.relative_stderr, denser.relative_stderr) / np.log(SCATTERING_FACTOR)
+        slope = np.log1p(both.ratio) / np.log(SCATTERING_FACTOR)
+        error = both.ratio_stderr / (1 + both.ratio) / np.log(SCATTERING_FACTOR)
     moved = np.abs(np.diff(end_states(scene), axis=0)).max()
     bed = [tissue.optical_properties("bed", led.wavelength_nm) for led in scene.leds]
     reduced = np.array([float(b.mu_s_per_mm) * (1 - float(b.g)) for b in bed])[:, None]
@@ -99,15 +100,17 @@ def index_of(region: str, wavelength_nm: float) -> float:
     return float(tissue.scattering(region, wavelength_nm)[2])  # type: ignore[arg-type]
 
 
+def without_deep(base: PairedReadings) -> Difference:
+    """What readings would lose of themselves if the pulp swallowed all light that meets it."""
+    pulp = base.transfer.absorbers.index("pulp")
+    shallow = [trace.path_mm[:, [pulp]] <= 0 for trace in base.transfer.traces]
+    left = tuple(part * kept for part, kept in zip(base.parts, shallow, strict=True))
+    return difference(base, replace(base, parts=left))
+
+
 def from_deep(base: PairedReadings) -> Effect:
     """What of a reading comes back from the pulp, which lies under the bed and around the bone."""
-    pulp = base.transfer.absorbers.index("pulp")
-    deep = tuple(trace.only(trace.path_mm[:, pulp] > 0) for trace in base.transfer.traces)
-    seen = paired_readings(replace(base.transfer, traces=deep))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # A photon more or less may have been missed.
-        noise = np.hypot(seen.level_stderr / base.level, math.sqrt(UNSEEN_VARIANCE) * base.relative_stderr**2)
-        found = Difference(-seen.level / base.level, noise)
+    found = without_deep(base)
     change = Change("light back from the pulp", True, "pulp swallows all")
     return effect_of(change, found, base, tolerance=RETURNING)
 

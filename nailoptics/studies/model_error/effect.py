@@ -33,8 +33,8 @@ class Change:
 class Effect(Change):
     """A change that was measured: by how much readings move.
 
-    change, stderr : relative change of the reading at rest, of the photodiode that it surely moves most.
-    bound : what no photodiode's change exceeds, with 95 % confidence each; the one named reaches it.
+    change, stderr : relative change of the reading at rest, of the photodiode named, which it surely moves most.
+    bound : what no photodiode's change exceeds, with 95 % confidence each.
     typical, typical_stderr : change over all photodiodes, weighed by the errors of the scene's readings.
     modulation_bound : the same bound on the modulation by touch, as a part of the largest modulation.
     """
@@ -76,10 +76,9 @@ def effect_of(
     # Where nothing was seen, anything may be.
     ratio, error = np.where(known, ratio, np.nan), np.where(known, error, np.nan)
     bounds = np.where(known, np.abs(ratio) + Z95 * error, np.inf)
-    i, j = np.unravel_index(int(np.argmax(bounds)), bounds.shape)
     # What is known best, not what is noisiest, says by how much readings move at least.
     sure = np.where(known, np.abs(ratio) - SURE * error, -np.inf)
-    best = np.unravel_index(int(np.argmax(sure)), sure.shape)
+    best = i, j = np.unravel_index(int(np.argmax(sure)), sure.shape)
     mean, spread = weighted_mean(ratio, error, base)
     swing = np.abs(found.swing) + Z95 * found.swing_stderr
     return Effect(
@@ -87,7 +86,7 @@ def effect_of(
         how=how,
         change=float(ratio[best]),
         stderr=float(error[best]),
-        bound=float(bounds[i, j]),
+        bound=float(bounds.max()),
         photodiode=f"{base.transfer.leds[i]} {base.transfer.photodiodes[j]}",
         typical=mean,
         typical_stderr=spread,

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal, Unpack
 
 from ...errors import NotReachedError
@@ -16,7 +16,6 @@ from .effect import Change, Effect, effect_of
 from .paired import PairedReadings, PairedTracer, check_study, difference, reweighted
 from .variants import ONE_WAVELENGTH, PART_WIDTH, Changes, lines_of, part_width_nm, revised
 
-DEFAULT_SECONDS = 90.0
 DEFAULT_TOLERANCE = 0.02
 TOGETHER = "all that is not needed"
 
@@ -28,6 +27,7 @@ class Explanation:
     together : what leaving out all that is not needed does to the readings; None where all is needed.
     required : the scene with that left out, and with what it leaves out although it matters.
     photons : of each LED in each trace.
+    cut_off : why it ended before all was measured, if it did.
     """
 
     effects: tuple[Effect, ...]
@@ -37,6 +37,7 @@ class Explanation:
     photons: int
     backend: str
     wall_seconds: float
+    cut_off: str | None = None
 
     @property
     def needless(self) -> list[Effect]:
@@ -60,23 +61,25 @@ class Explanation:
             "not_needed": [e.name for e in self.needless],
             "missing": [e.name for e in self.missing],
             "together": self.together and row(self.together),
-        } | {name: getattr(self, name) for name in ("tolerance", "photons", "backend", "wall_seconds")}
+        } | {name: getattr(self, name) for name in ("tolerance", "photons", "backend", "wall_seconds", "cut_off")}
 
     def __str__(self) -> str:
-        head = f"{'effect':<26} {'in scene':<8} {'reading moves':>17} {'at most':>8} {'signal':>8}  matters"
-        lines = [f"Changes of a reading by more than {self.tolerance:.2%} matter.", head]
+        head = f"{'effect':<26} {'in scene':<8} {'reading moves':>18} {'of':<16} "
+        head += f"{'all at most':>11} {'signal':>8}  matters"
+        lines = [f"Cut off: {self.cut_off}"] if self.cut_off else []
+        lines += [f"Changes of a reading by more than {self.tolerance:.2%} matter.", head]
         for e in (*self.effects, *([self.together] if self.together else [])):
             swing = "-" if e.modulation_bound is None else _percent(e.modulation_bound)
-            moved = f"{100 * e.typical:+8.2f} +- {100 * e.typical_stderr:4.2f}%"
-            moved = moved if math.isfinite(e.typical) else "not known"
-            modelled = "yes" if e.modelled else "no"
-            text = f"{e.name:<26} {modelled:<8} {moved:>17} {_percent(e.bound):>8} {swing:>8}  {e.matters:<11} "
-            lines.append(text + e.changed_to)
+            known, modelled = math.isfinite(e.change), "yes" if e.modelled else "no"
+            moved = f"{100 * e.change:+9.2f} +- {100 * e.stderr:4.2f}%" if known else "not known"
+            text = f"{e.name:<26} {modelled:<8} {moved:>18} {e.photodiode if known else '':<16} "
+            lines.append(f"{text}{_percent(e.bound):>11} {swing:>8}  {e.matters:<11} {e.changed_to}")
         if self.needless:
-            head = "Not needed; these scene lines leave it out"
-            if self.together and self.together.matters != "no":
-                head += f" (together up to {_percent(self.together.bound)})"
-            lines += [head + ":", *(f"  {line}" for line in lines_of(_merged(self.needless)))]
+            lines.append("Not needed each by itself; these scene lines leave all of it out:")
+            lines += [*(f"  {line}" for line in lines_of(_merged(self.needless)))]
+            if self.together:
+                moved = f"moves a reading by at most {_percent(self.together.bound)}"
+                lines.append(f"Leaving all of these out at once {moved}, all photodiodes, 95 % sure.")
         if self.missing:
             lines.append("Left out, though it matters: " + ", ".join(e.name for e in self.missing))
         if any(e.matters == "cannot tell" for e in self.effects):
@@ -104,29 +107,30 @@ def explain(
     tolerance : relative change of a reading that matters; the scene's relative error if not given, else 2 %.
     photons : of each LED in each trace; or
     relative_error : of the scene's own trace, all others having as many photons; or
-    max_seconds : for all traces together, about; 90 if nothing else is requested.
+    max_seconds : for all traces together, from which the photons follow where they are not given; then it ends with
+        what there is. If nothing is requested, about 90.
 
-    Raises: InputError; NotReachedError, whose result is the Explanation as far as it was made, if interrupted.
+    Raises: InputError; NotReachedError, whose result is the Explanation as far as it was made, if interrupted or out
+        of time.
     """
     limit = tolerance or scene.accuracy.relative_error or DEFAULT_TOLERANCE
     check_study(scene, limit if tolerance is None else tolerance, "explain", "is modelled as it is written")
-    options = TraceOptions(**requested)
-    if options.unbounded:
-        options = replace(options, max_seconds=DEFAULT_SECONDS)
-    start = time.perf_counter()
+    options, start = TraceOptions(**requested), time.perf_counter()
     changes = list(_changes(scene))
     # The scene itself, one with other scattering, two swapped ones, two cut short, and the one that is required.
-    tracer = PairedTracer(sum(not c.same_photons for c in changes) + 7, options, progress)
+    scenes = sum(not c.same_photons for c in changes) + 7
+    shapes = 3 + sum("board" in c.changes for c in changes)
+    tracer = PairedTracer(scenes, options, progress, shapes=shapes)
     base = tracer.trace(scene)
     effects: list[Effect] = []
-    together = unmet = None
+    together, unmet = None, tracer.shortfall
     try:
         for effect in _effects(scene, base, changes, tracer, limit):
             effects.append(effect)
         together = _left_out_together(scene, base, effects, tracer, limit)
     except NotReachedError as error:
-        unmet = f"{error} ({len(effects)} effects were measured before)"
-    effects.sort(key=lambda e: -abs(e.typical) if math.isfinite(e.typical) else 0.0)
+        unmet = f"{error}; {len(effects)} effects were measured before."
+    effects.sort(key=lambda e: -abs(e.change) if math.isfinite(e.change) else 0.0)
     # What is not known stays as it is.
     known = [e for e in effects if e.matters == ("no" if e.modelled else "yes")]
     result = Explanation(
@@ -137,6 +141,7 @@ def explain(
         photons=base.transfer.traces[0].photons,
         backend=base.transfer.backend,
         wall_seconds=time.perf_counter() - start,
+        cut_off=unmet,
     )
     if unmet:
         raise NotReachedError(unmet, result=result)

@@ -109,17 +109,15 @@ class Bench:
         Raises: InputError where there is none; NotReachedError where a photodiode saw nothing to compare levels by.
         """
         chosen = backends.activate_jit(options.backend, "tradeoff")
-        if options.unbounded:
-            options = replace(options, max_seconds=DEFAULT_SECONDS)
         full = revised(scene, FULL)
         own = changes_between(full, scene)
         changes = ({OWN: own} if own else {}) | CHEAPER
         others = [f.name for f in backends.findings() if f.usable and f.name not in (chosen.name, "scalar")]
         stock = [one.name for one in (chosen, backends.choose("scalar")) if "volpath" in one.engines]
-        walked = replace(options, backend=chosen.name)
+        walked, scenes = replace(options, backend=chosen.name), 1 + len(changes) + len(others)
         if options.max_seconds is not None:
             walked = replace(walked, max_seconds=options.max_seconds * (1 - len(stock) * VOLPATH_SHARE))
-        tracer = PairedTracer(1 + len(changes) + len(others), walked, progress)
+        tracer = PairedTracer(scenes, walked, progress, usual_seconds=DEFAULT_SECONDS)
         base = tracer.trace(full)
         found = base.transfer
         for led, photodiode in np.argwhere(~(base.level > 0)):

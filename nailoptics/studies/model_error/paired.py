@@ -3,58 +3,85 @@
 import math
 import time
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from ...errors import InputError, NotReachedError, as_far_as_reached
-from ...light import ProgressCallback, TraceProgress, Transfer, trace
-from ...light.course import course
+from ...light import ProgressCallback, TraceProgress, Transfer, optics, trace
 from ...light.records import LedTrace
+from ...light.reweight import transmissions
 from ...light.tracing import INTERRUPTED
+from ...light.transfer import FEW_PHOTONS
 from ...options import BackendName, TraceOptions
 from ...scene import Scene
 from ..blood_states import largest_force_n, steady_blood
 
 PILOT_PHOTONS = 1 << 17
 LEAST_PHOTONS = 1 << 14
-# Variance of a count of photons that is 0, (3 / Z95)^2: of n photons none seen means, at 95 %, a part below 3 / n.
-UNSEEN_VARIANCE = 2.34
+# Of the time that is left after the first traces, so much is planned; the rest is for what the plan does not know.
+PLANNED_SHARE = 0.85
+# By this part of the time it may take longer.
+OVERRUN = 0.15
+# Standard error of a count of photons that is 0, 3 / Z95: of n photons none seen means, at 95 %, a part below 3 / n.
+UNSEEN = 1.53
+# Photons that are read at once, to bound the memory.
+CHUNK = 1 << 18
 
 
 @dataclass(frozen=True)
 class PairedReadings:
     """What one scene reads, by photons that it may share with other scenes; (led, photodiode) float each.
 
-    level : fraction of the emitted power at rest, weighed by the photodiode's response over the LED's line.
-    change : of it at the touch's largest force.
+    parts : per LED (n, 2) float. What each kept photon adds to the reading at rest and at the touch's largest force,
+        fractions of the emitted power, weighed by the photodiode's response over the LED's line.
     setup_seconds : before the first photon.
     """
 
-    level: np.ndarray
-    level_stderr: np.ndarray
-    change: np.ndarray
-    change_stderr: np.ndarray
     transfer: Transfer
+    parts: tuple[np.ndarray, ...]
     setup_seconds: float = 0.0
 
-    @property
+    def sums(self, column: int, power: int = 1) -> np.ndarray:
+        """Sums over the photons of each LED and photodiode, at rest (column 0) or at the largest force (1)."""
+        count = len(self.transfer.photodiodes)
+        pairs = zip(self.transfer.traces, self.parts, strict=True)
+        return np.stack([np.bincount(one.photodiode, p[:, column] ** power, minlength=count) for one, p in pairs])
+
+    @cached_property
+    def level(self) -> np.ndarray:
+        """The reading at rest."""
+        return self.sums(0)
+
+    @cached_property
     def modulation(self) -> np.ndarray:
         """Change by touch, as a part of the reading at rest; NaN where nothing was seen."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            return self.change / self.level
+            return self.sums(1) / self.level - 1
 
-    @property
+    @cached_property
     def relative_stderr(self) -> np.ndarray:
-        """Relative standard error of the level; inf where nothing was seen."""
+        """Relative standard error of the level; inf where fewer than ten effective photons were seen."""
+        photons = np.array([trace.photons for trace in self.transfer.traces])[:, None]
+        square = self.sums(0, 2)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(self.level > 0, self.level_stderr / self.level, np.inf)
+            relative = np.sqrt(np.maximum(square - self.level**2 / photons, 0)) / self.level
+            return np.where(self.level**2 >= FEW_PHOTONS * square, relative, np.inf)
 
 
 def paired_readings(transfer: Transfer, setup_seconds: float = 0.0) -> PairedReadings:
     """Readings of a trace at rest and at the scene's largest force."""
-    found = course(transfer, end_states(transfer.scene), electrons=True)
-    values = (found.fraction[..., 0], found.stderr[..., 0], found.change[..., 1], found.change_stderr[..., 1])
-    return PairedReadings(*values, transfer, setup_seconds)
+    scene, states = transfer.scene, end_states(transfer.scene)
+    parts = []
+    for one, led in zip(transfer.traces, scene.leds, strict=True):
+        wavelength, share = optics.spectrum(led)
+        mu_a = optics.absorption(scene, wavelength, blood_fraction=states) - one.mu_a
+        left = [
+            transmissions(one.path_mm[start : start + CHUNK], mu_a, share * wavelength / led.wavelength_nm)
+            for start in range(0, max(len(one.weight), 1), CHUNK)
+        ]
+        parts.append(np.concatenate(left) * one.weight[:, None] / one.photons)
+    return PairedReadings(transfer, tuple(parts), setup_seconds)
 
 
 def reweighted(base: Transfer, scene: Scene) -> PairedReadings:
@@ -72,42 +99,67 @@ class PairedTracer:
     """Traces several scenes with one seed and as many photons each, so that what they share cancels in a difference.
 
     scenes : how many traces there will be, for the time that each gets and for the progress.
-    options : photons for each LED of every scene; or relative_error for the first scene and max_seconds for all scenes
-        together, from which the number follows.
+    options : photons for each LED of every scene; or relative_error for the first scene, whose photons all others get;
+        or the photons follow from the time. After max_seconds no trace begins, and one that runs ends.
+    usual_seconds : for all traces together where nothing is requested.
+    shapes : how many of the scenes have a geometry of their own, which takes time to build.
     """
 
     scenes: int
     options: TraceOptions
     progress: ProgressCallback | None
+    usual_seconds: float = 90.0
+    shapes: int = 0
+    shortfall: str | None = field(default=None, init=False)
     _done: int = field(default=0, init=False)
+    _opening_s: float = field(default=0.0, init=False)
     _start: float = field(default_factory=time.perf_counter, init=False)
+    _photons: int | None = field(default=None, init=False)
+
+    @property
+    def seconds_left(self) -> float:
+        """Time until the end that was requested. [s]"""
+        return (self.options.max_seconds or math.inf) - (time.perf_counter() - self._start)
 
     def trace(self, scene: Scene, *, backend: BackendName | None = None) -> PairedReadings:
-        """Trace and read a scene; raises NotReachedError if interrupted."""
+        """Trace and read a scene; raises NotReachedError if interrupted or out of time."""
         # A tolerance in the scene would set each trace's own number of photons.
         scene = scene.model_copy(update={"accuracy": type(scene.accuracy)()})
-        if self.options.photons is None:
-            self.options = replace(self.options, photons=self._photons_for(scene))
-        found = self._traced(scene, backend, self.options.photons)
+        if self._photons is None:
+            self._photons = self._photons_for(scene)
+        elif self.seconds_left < max(0.0, self._opening_s - OVERRUN * (self.options.max_seconds or math.inf)):
+            raise NotReachedError(self._out_of_time())
+        found = self._traced(scene, backend, self._photons)
         self._done += 1
         return found
 
     def _photons_for(self, scene: Scene) -> int:
+        """Photons of each trace, from what is requested and what the first scene's traces take."""
         options = self.options
-        if options.relative_error is not None:
-            share = None if options.max_seconds is None else options.max_seconds / self.scenes
+        if options.photons is not None and options.max_seconds is None:
+            return options.photons
+        if options.relative_error is not None or options.photons is not None:
+            share = None if options.max_seconds is None else options.max_seconds / (self.scenes + 1)
             fields = replace(options, max_seconds=share).fields
             pilot, unmet = as_far_as_reached(trace, scene, progress=self.progress, **fields)
-            if unmet and str(unmet).startswith(INTERRUPTED):
-                raise NotReachedError(str(unmet))
+            self.shortfall = str(unmet) if unmet else None
+            if self.shortfall and self.shortfall.startswith(INTERRUPTED):
+                raise NotReachedError(self.shortfall)
             return max(led.photons for led in pilot.traces)
-        assert options.max_seconds is not None
-        readings = self._traced(scene, None, PILOT_PHOTONS)
-        left = options.max_seconds - (time.perf_counter() - self._start)
-        seconds = left / self.scenes - readings.setup_seconds
-        return max(LEAST_PHOTONS, int(PILOT_PHOTONS * seconds / readings.transfer.wall_seconds))
+        # The first trace compiles; what a photon costs is what it costs from then on.
+        begin = time.perf_counter()
+        self._traced(scene, None, LEAST_PHOTONS)
+        self._opening_s = time.perf_counter() - begin
+        if self.seconds_left < 0:
+            return LEAST_PHOTONS
+        begin = time.perf_counter()
+        self._traced(scene, None, PILOT_PHOTONS)
+        each_s = time.perf_counter() - begin
+        left = (options.max_seconds or self.usual_seconds) - (time.perf_counter() - self._start)
+        share = (PLANNED_SHARE * left - self.shapes * self._opening_s) / self.scenes
+        return max(LEAST_PHOTONS, int(PILOT_PHOTONS * share / each_s))
 
-    def _traced(self, scene: Scene, backend: BackendName | None, photons: int | None) -> PairedReadings:
+    def _traced(self, scene: Scene, backend: BackendName | None, photons: int) -> PairedReadings:
         begin, chosen, seed = time.perf_counter(), backend or self.options.backend, self.options.seed
         try:
             transfer = trace(scene, photons=photons, seed=seed, backend=chosen, progress=self._report_progress)
@@ -116,7 +168,12 @@ class PairedTracer:
             raise NotReachedError(str(error)) from None
         return paired_readings(transfer, max(time.perf_counter() - begin - transfer.wall_seconds, 0.0))
 
+    def _out_of_time(self) -> str:
+        return f"max_seconds = {self.options.max_seconds:g} ended the study after {self._done} of {self.scenes} traces"
+
     def _report_progress(self, p: TraceProgress) -> None:
+        if self._done and p.fraction_done < 1 and self.seconds_left < 0:
+            raise NotReachedError(self._out_of_time())
         if self.progress:
             share = (self._done + p.fraction_done) / self.scenes
             name = f"{p.led}, trace {self._done + 1} of {self.scenes}"
@@ -126,7 +183,7 @@ class PairedTracer:
 
 @dataclass(frozen=True)
 class Difference:
-    """How far one scene reads from another, (led, photodiode) float each; NaN and inf where nothing was seen.
+    """How far one scene reads from another, (led, photodiode) float each; NaN and inf where too little was seen.
 
     ratio, ratio_stderr : relative change of the reading at rest.
     swing, swing_stderr : change of the modulation, as a part of the largest modulation; NaN where only the readings at
@@ -140,46 +197,82 @@ class Difference:
 
 
 def difference(base: PairedReadings, other: PairedReadings) -> Difference:
-    """How far the other scene reads from the base; its noise is that of the photons that are not in both."""
+    """How far the other scene reads from the base; its noise is that of what each photon adds to the difference.
+
+    To the sums over the photons comes a term for photons that were not seen: where few carry the difference, one more
+    like them, and where none does, one that the difference takes away whole.
+    """
+    seen = [np.isfinite(one.relative_stderr) for one in (base, other)]
     unit = np.nanmax(np.abs(base.modulation)) if np.isfinite(base.modulation).any() else np.nan
+    found = np.array([_by_photodiode(base, other, led) for led in range(len(base.parts))])
+    ratio, ratio_stderr, swing, swing_stderr, modulation_stderr = np.moveaxis(found, 1, 0)
+    with np.errstate(invalid="ignore"):
+        ratio_stderr = np.where(seen[0] & seen[1], ratio_stderr, np.inf)
+        unit_stderr = modulation_stderr.flat[np.nanargmax(np.abs(base.modulation))] if np.isfinite(unit) else np.nan
+        swing_stderr = np.where(seen[0] & seen[1], np.hypot(swing_stderr, swing * unit_stderr / unit), np.inf)
+    return Difference(ratio, ratio_stderr, swing / unit, swing_stderr / unit)
+
+
+def _by_photodiode(base: PairedReadings, other: PairedReadings, led: int) -> np.ndarray:
+    """Relative change and change of the modulation with their errors, and the modulation's error, (5, photodiode)."""
+    photodiode, a, b = _side_by_side(base, other, led)
+
+    def total(values: np.ndarray) -> np.ndarray:
+        return np.bincount(photodiode, values, minlength=len(base.transfer.photodiodes))
+
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio, swing = other.level / base.level - 1, (other.modulation - base.modulation) / unit
-        if other.transfer.traces is base.transfer.traces:
-            # Of the same photons a change is a mean of factors near 1, whose spread is at most about the change itself.
-            same = base.relative_stderr
-            return Difference(ratio, np.abs(ratio) * same, swing, np.abs(swing) * same)
-        gone, come = (paired_readings(part) for part in unshared_photons(base.transfer, other.transfer))
-        photons = [np.array([led.photons for led in one.transfer.traces], float)[:, None] for one in (base, other)]
-        missed = base.level * base.relative_stderr**2 * photons[0] / photons[1]
-        came = np.sqrt(come.level_stderr**2 + UNSEEN_VARIANCE * missed**2)
-        kept = np.sqrt(np.maximum(base.level_stderr**2 - gone.level_stderr**2, 0))
-        noise = np.sqrt(came**2 + ((1 + ratio) * gone.level_stderr) ** 2 + (ratio * kept) ** 2) / base.level
-        # Of a change and the level that divides it the errors are such that most of them cancels: the upper side.
-        kept_change = np.sqrt(np.maximum(base.change_stderr**2 - gone.change_stderr**2, 0))
-        swing_noise = [
-            np.hypot(come.change_stderr, other.modulation * came) / other.level,
-            np.hypot(gone.change_stderr, base.modulation * gone.level_stderr) / base.level,
-            (1 / other.level - 1 / base.level) * kept_change,
-            (other.modulation / other.level - base.modulation / base.level) * kept,
-        ]
-        return Difference(ratio, noise, swing, np.linalg.norm(swing_noise, axis=0) / unit)
+        level_a, level_b = total(a[:, 0]), total(b[:, 0])
+        gain, swing_a, swing_b = level_b / level_a, total(a[:, 1]) / level_a, total(b[:, 1]) / level_b
+        # Ratio and modulation are linear in what one photon more or less adds to them: that makes their errors.
+        moved = (b[:, 0] - gain[photodiode] * a[:, 0]) / level_a[photodiode]
+        own = (a[:, 1] - swing_a[photodiode] * a[:, 0]) / level_a[photodiode]
+        swung = (b[:, 1] - swing_b[photodiode] * b[:, 0]) / level_b[photodiode] - own
+        ratio_stderr, swing_stderr, own_stderr = (np.sqrt(total(each**2)) for each in (moved, swung, own))
+        step, square_a, square_b = np.abs(b[:, 0] - a[:, 0]), total(a[:, 0] ** 2), total(b[:, 0] ** 2)
+        carried = np.abs(swung) * (step > 0)
+        carriers = np.nan_to_num(total(step) ** 2 / total(step**2))
+        whole = np.maximum(square_a / level_a, square_b / level_b) / (1 + carriers) / level_a
+        # By as much do single photons differ in their modulation.
+        scatter = own_stderr * level_a / np.sqrt(square_a)
+        unseen = np.fmax(whole, total(step**2) / total(step) / level_a)
+        unseen_swing = np.fmax(whole * scatter, total(carried**2) / total(carried))
+        errors = np.hypot(ratio_stderr, UNSEEN * unseen), np.hypot(swing_stderr, UNSEEN * unseen_swing)
+        return np.stack([gain - 1, errors[0], swing_b - swing_a, errors[1], own_stderr])
 
 
-def unshared_photons(one: Transfer, other: Transfer) -> tuple[Transfer, Transfer]:
-    """Both traces without the photons they share.
+def _side_by_side(base: PairedReadings, other: PairedReadings, led: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Every photon's photodiode and what it adds in both scenes, (n,), (n, 2), (n, 2): 0 where it did not come."""
+    one, two = base.transfer.traces[led], other.transfer.traces[led]
+    a, b = base.parts[led], other.parts[led]
+    if one is two:
+        return one.photodiode, a, b
+    in_one, in_two = shared_photons(one, two)
+    alone = np.delete(np.arange(len(b)), in_two)
+    of_one = np.zeros_like(a)
+    of_one[in_one] = b[in_two]
+    photodiode = np.concatenate([one.photodiode, two.photodiode[alone]])
+    return photodiode, np.vstack([a, np.zeros((len(alone), 2))]), np.vstack([of_one, b[alone]])
+
+
+def shared_photons(one: LedTrace, two: LedTrace) -> tuple[np.ndarray, np.ndarray]:
+    """Indices in both traces of the photons that they share, pair by pair; none without a common seed.
 
     In scenes that differ in one part, a photon that never meets that part goes the same way and counts the same, bit
-    for bit, if both traces have one seed and as many photons. What is left of each makes up their difference, with
-    only its own noise; without a common seed that is everything.
+    for bit, if both traces have one seed and as many photons.
     """
-    left, right = [], []
-    for a, b in zip(one.traces, other.traces, strict=True):
-        if (a.photons, a.seeds) == (b.photons, b.seeds):
-            keys_a, keys_b = _keys(a), _keys(b)
-            a, b = a.only(~np.isin(keys_a, keys_b)), b.only(~np.isin(keys_b, keys_a))
-        left.append(a)
-        right.append(b)
-    return replace(one, traces=tuple(left)), replace(other, traces=tuple(right))
+    if (one.photons, one.seeds) != (two.photons, two.seeds):
+        return np.zeros(0, int), np.zeros(0, int)
+    _, kinds = np.unique(np.concatenate([_keys(one), _keys(two)]), return_inverse=True)
+    numbered = []
+    for kind in np.split(kinds, [len(one.weight)]):
+        # Photons that met no absorber are all alike: they are counted through.
+        order = np.argsort(kind, kind="stable")
+        numbered.append(
+            (order, kind[order] * len(kinds) + np.arange(len(kind)) - np.searchsorted(kind[order], kind[order]))
+        )
+    (order_one, number_one), (order_two, number_two) = numbered
+    _, in_one, in_two = np.intersect1d(number_one, number_two, assume_unique=True, return_indices=True)
+    return order_one[in_one], order_two[in_two]
 
 
 def _keys(trace: LedTrace) -> np.ndarray:

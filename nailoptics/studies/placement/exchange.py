@@ -77,7 +77,7 @@ def search(
     available = max(SEARCH_SHARE * report_progress.limit_s - start, 1e-9)
     while waiting and step >= placement.led_step_mm / 4:
         for i, site in enumerate(waiting):
-            if found and report_progress.must_end(SEARCH_SHARE):
+            if report_progress.interrupted and found or report_progress.is_late(SEARCH_SHARE):
                 why = "was interrupted" if report_progress.interrupted else "ran out of time"
                 log.warning("the search for LED places %s after %d of them", why, len(found))
                 return list(found.values())
@@ -116,7 +116,7 @@ def _best_at(
     cache.extend(board, SEARCH_PHOTONS)
     places = free_places(board, size, placement)
     chosen: list[int] = []
-    if len(places) >= placement.photodiodes:
+    if cache.is_traced(board) and len(places) >= placement.photodiodes:
         chosen, reached = exchange(
             information_at(cache, board, places, size, base),
             places,

@@ -20,6 +20,8 @@ from .fisher import Response, force_resolution_n, response, total_information
 from .photon_maps import FingerCondition
 
 LEAST_BATCHES = 8
+# A batch takes up to so long on two cores. [s]
+SHORT_S = 10.0
 # Photons from each photodiode in one round of traces the other way, and how many batches of the fresh trace go with it.
 BACK_PHOTONS = 1 << 16
 BATCHES_PER_ROUND = 2
@@ -76,7 +78,9 @@ def inspect_layout(
     points = tuple(blood_point(scene, led, blood_fraction=blood) for led in range(len(scene.leds)))
     setup = _Setup(scene, condition, tracer, points, seed)
     batches = max(LEAST_BATCHES, photons // tracer.batch_photons)
-    values, found = _fresh_trace(setup, batches, begin + max_seconds / 2)
+    # Where time is short, the batches that must be are small ones.
+    each = tracer.batch_photons if max_seconds > LEAST_BATCHES * SHORT_S else tracer.batch_photons // 8
+    values, found = _fresh_trace(setup, batches, each, begin + max_seconds / 2)
     found |= _back(setup, max(1, batches // BATCHES_PER_ROUND), begin + max_seconds, values, backend)
     resolution = setup.force_resolution_n([setup.response(i, each) for i, each in enumerate(values)])
     error = resolution[0] * jackknife(np.log(resolution))
@@ -91,7 +95,7 @@ def _middles(name: str, edges: np.ndarray, text: str) -> Variables:
     return variable(name, name, (edges[1:] + edges[:-1]) / 2, text, units="mm")
 
 
-def _fresh_trace(setup: _Setup, batches: int, deadline: float) -> tuple[list[np.ndarray], Variables]:
+def _fresh_trace(setup: _Setup, batches: int, photons: int, deadline: float) -> tuple[list[np.ndarray], Variables]:
     """Values of each LED, (1 + batches, photodiodes, 4) float, by all batches and without each; and what to keep."""
     tracer, cells, count = setup.tracer, setup.tracer.cells(), 0
     blocks: list[list[np.ndarray]] = [[] for _ in setup.points]
@@ -99,7 +103,7 @@ def _fresh_trace(setup: _Setup, batches: int, deadline: float) -> tuple[list[np.
     while count < LEAST_BATCHES or (count < batches and time.perf_counter() < deadline):
         for i, point in enumerate(setup.points):
             seed = seed_of(setup.seed, FORWARD, i, count)
-            means, sensitivity = tracer.detected(i, point, photons=tracer.batch_photons, seed=seed, cells=cells)
+            means, sensitivity = tracer.detected(i, point, photons=photons, seed=seed, cells=cells)
             blocks[i].append(means)
             total[i] += sensitivity
             square[i] += sensitivity**2

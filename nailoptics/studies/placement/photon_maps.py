@@ -1,6 +1,6 @@
 """Photon maps of boards on every finger: traced once, extended where more photons are needed, read as any layout."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from ...light.board_map import BoardTracer, PhotonMap, blood_point
@@ -27,6 +27,7 @@ class PhotonMapCache:
     """Photon maps by board; boards that differ only in their photodiodes share one.
 
     distance_mm : cells of the distances that the walk asks for.
+    stop : whether nothing more is to be traced, tested before every batch.
     """
 
     conditions: Sequence[FingerCondition]
@@ -35,6 +36,7 @@ class PhotonMapCache:
     backend: str
     blocks: int
     distance_mm: float = DISTANCE_MM
+    stop: Callable[[], bool] = lambda: False
     photons: int = field(default=0, init=False)
     _maps: dict[str, list[list[PhotonMap]]] = field(default_factory=dict, init=False)
     _tracers: dict[tuple[str, str | None], BoardTracer] = field(default_factory=dict, init=False)
@@ -43,8 +45,13 @@ class PhotonMapCache:
         """Maps of a bare board by finger and LED."""
         return self._maps[digest(board)]
 
+    def is_traced(self, board: Scene) -> bool:
+        """Whether there is light of every LED on every finger."""
+        maps = self._maps.get(digest(board))
+        return maps is not None and all(one.photons for by_led in maps for one in by_led)
+
     def extend(self, board: Scene, photons: int) -> None:
-        """Trace so many photons more, per LED and finger, of a bare board."""
+        """Trace so many photons more, per LED and finger, of a bare board; fewer where it has to stop."""
         key = digest(board)
         if key not in self._maps:
             outline = board.layout.outline
@@ -55,6 +62,8 @@ class PhotonMapCache:
         for digit in dict.fromkeys(condition.case.digit for condition in self.conditions):
             members = [i for i, condition in enumerate(self.conditions) if condition.case.digit == digit]
             if (key, digit) not in self._tracers:
+                if self.stop():
+                    return
                 traced = boards.on_finger(board, self.conditions[members[0]].case, light_only=True)
                 self._tracers[key, digit] = BoardTracer(traced, backend=self.backend, spacing_mm=self.distance_mm)
             for led in range(len(board.leds)):
@@ -70,6 +79,8 @@ class PhotonMapCache:
             points.append(blood_point(scene, led, traced=tracer.scene, blood_fraction=blood))
         first = self._maps[key][members[0]][led].photons // tracer.batch_photons
         for batch in range(first, first + max(1, round(photons / tracer.batch_photons))):
+            if self.stop():
+                return
             # From the board's digest, so that a trace does not depend on which were made before it.
             seed = seed_of(self.seed, self.stream, int(key[:8], 16), members[0], led, batch)
             arrivals = tracer.arrivals(led, photons=tracer.batch_photons, seed=seed)

@@ -4,6 +4,7 @@ import logging
 import math
 import time
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, Unpack
 
 import numpy as np
@@ -22,13 +23,15 @@ from .inspection import inspect_layout
 from .photon_maps import QUICK_DISTANCE_MM, FingerCondition, PhotonMapCache
 from .progress import StageProgress
 from .result import as_dataset
-from .scores import score_layouts
+from .scores import JUDGE_SHARE, score_layouts
 
 log = logging.getLogger(__name__)
 
 DEFAULT_SECONDS = 480.0
 DEFAULT_RELATIVE_ERROR = 0.02
 BLOCKS = 32
+# The best layout is looked at closely if so much time is left. [s]
+CHECK_S = 10.0
 
 
 def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> xr.Dataset:
@@ -54,22 +57,29 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     conditions = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
     made: dict[str, Any] = {"seed": options.seed, "backend": backends.choose(options.backend).name}
     searching = PhotonMapCache(conditions, **made, stream=0, blocks=1, distance_mm=QUICK_DISTANCE_MM)
+    searching.stop = partial(report_progress.is_late, exchange.SEARCH_SHARE)
     judging = PhotonMapCache(conditions, **made, stream=1, blocks=BLOCKS)
+    judging.stop = partial(report_progress.is_late, JUDGE_SHARE)
     layouts, searched = _candidates(base, rules, searching, report_progress)
     wanted = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
-    scores, unmet = score_layouts(
+    layouts, scores, unmet = score_layouts(
         layouts, judging, rank_by=rules.rank_by, photons=photons, relative_error=wanted, report_progress=report_progress
     )
     order = np.argsort([score.score_n[0] for score in scores], kind="stable")
     layouts, scores = [layouts[i] for i in order], [scores[i] for i in order]
     maps = judging.maps(layouts[0].board)[0]
-    left_s = 0.0 if report_progress.interrupted else limit_s - report_progress.seconds
-    inspected = inspect_layout(layouts[0].scene, conditions[0], photons=maps[0].photons, max_seconds=left_s, **made)
+    left_s, inspected = limit_s - report_progress.seconds, xr.Dataset()
+    if report_progress.interrupted or left_s > CHECK_S:
+        left_s = 0.0 if report_progress.interrupted else left_s
+        inspected = inspect_layout(layouts[0].scene, conditions[0], photons=maps[0].photons, max_seconds=left_s, **made)
     report_progress("check", 1.0, scores[0].relative_error)
     made |= {"photons": judging.photons + searching.photons, "rank_by": rules.rank_by}
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
     result = as_dataset(scene, layouts, scores, conditions, maps, searched, inspected, made)
+    if not inspected and not unmet:
+        unmet = "max_seconds ended before the best layout was looked at closely; allow more time."
     if unmet:
+        result.attrs["cut_off"] = unmet
         raise NotReachedError(unmet, result=result)
     return result
 
@@ -81,6 +91,8 @@ def _candidates(
     layouts, paper = given(base, rules), _paper_layout(base, cache.conditions)
     searched = exchange.search(base, rules, cache, report_progress) if rules.search else []
     layouts += exchange.finalists(base, searched) + ([paper] if paper else [])
+    if not layouts and report_progress.is_late(exchange.SEARCH_SHARE):
+        raise NotReachedError("max_seconds ended the search before one place of the LED was tried; allow more time.")
     if not layouts:
         raise InputError(
             f"placement: {rules.photodiodes} photodiodes of {base.photodiodes[0].size_mm} mm find no room; "

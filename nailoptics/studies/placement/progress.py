@@ -33,6 +33,6 @@ class StageProgress:
         """Time since the beginning. [s]"""
         return time.perf_counter() - self.begin
 
-    def must_end(self, share: float) -> bool:
-        """Whether the user interrupted or this share of the time is spent."""
-        return self.interrupted or self.seconds > share * self.limit_s
+    def is_late(self, share: float) -> bool:
+        """Whether this share of the time is spent."""
+        return self.seconds > share * self.limit_s

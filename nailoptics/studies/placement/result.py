@@ -165,8 +165,9 @@ def _photodiode_anywhere(scene: Scene, maps: Sequence[PhotonMap], point: Operati
 
 
 def chosen(result: xr.Dataset) -> Scene:
-    """The best layout as a scene."""
-    return parse_scene(str(result.scene.values[0]), name="the best layout")
+    """The best layout as a scene, without the time that its search was given."""
+    scene = parse_scene(str(result.scene.values[0]), name="the best layout")
+    return scene.model_copy(update={"accuracy": scene.accuracy.model_copy(update={"max_seconds": None})})
 
 
 def outline(result: xr.Dataset) -> list[tuple[float, float]]:

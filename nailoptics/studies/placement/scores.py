@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...errors import NotReachedError
 from ...scene import digest
 from ...statistics import Z95, jackknife
 from .boards import CandidateLayout
@@ -16,6 +17,8 @@ from .progress import StageProgress
 
 # Photons per LED and finger of the first round of judging.
 JUDGE_PHOTONS = 1 << 20
+# In runs shorter than this, the first round is as short as it can be. [s]
+HURRIED_S = 240.0
 # Part of the time by whose end the judging ends; the rest is for the last check.
 JUDGE_SHARE = 0.85
 
@@ -69,15 +72,23 @@ def score_layouts(
     photons: int | None,
     relative_error: float,
     report_progress: StageProgress,
-) -> tuple[list[LayoutScore], str | None]:
-    """Trace until the best is told from all others, more photons where that is undecided; and why not, if it was not.
+) -> tuple[list[CandidateLayout], list[LayoutScore], str | None]:
+    """Trace until the best is told from all others, more photons where that is undecided.
 
     photons : per layout, LED and finger, in place of a tolerance.
     relative_error : of the scores of those tied with the best, at which tracing ends as well.
+
+    Returns: the layouts that were traced on every finger, their scores, and why the best was not told, if so.
+
+    Raises: NotReachedError where time ends before one layout is traced.
     """
     traced = {layout.name: 0 for layout in layouts}
-    first = SEARCH_PHOTONS if report_progress.interrupted else photons or JUDGE_PHOTONS
-    _extend(layouts, cache, set(traced), first, traced, report_progress)
+    hurried = report_progress.interrupted or (not photons and report_progress.limit_s < HURRIED_S)
+    first = SEARCH_PHOTONS if hurried else photons or JUDGE_PHOTONS
+    complete = _extend(layouts, cache, set(traced), first, traced, report_progress)
+    every, layouts = len(layouts), [layout for layout in layouts if cache.is_traced(layout.board)]
+    if not layouts:
+        raise NotReachedError("max_seconds ended before one layout was traced on every finger; allow more time.")
     while True:
         scores = [score_layout(layout, cache, rank_by) for layout in layouts]
         by_name = {layout.name: score for layout, score in zip(layouts, scores, strict=True)}
@@ -88,14 +99,15 @@ def score_layouts(
         report_progress("judge", done, worst, relative_error)
         left = f"{len(errors)} layouts tied at relative error {worst:.3g}, {relative_error:g} requested"
         if report_progress.interrupted:
-            return scores, f"interrupted: {left}."
+            return layouts, scores, f"interrupted: {left}."
+        if not complete or len(layouts) < every:
+            return layouts, scores, f"max_seconds ended with {len(layouts)} of {every} layouts traced, {left}."
         if photons or len(errors) == 1 or worst <= relative_error:
-            return scores, None
+            return layouts, scores, None
         undecided = {name for name, error in errors.items() if error > relative_error}
         more = max(traced[name] for name in undecided) // 2
-        extended = _extend(layouts, cache, undecided, more, traced, report_progress)
-        if not extended and not report_progress.interrupted:
-            return scores, f"max_seconds ended with {left}; allow more time or ask for less."
+        if not _extend(layouts, cache, undecided, more, traced, report_progress):
+            return layouts, scores, f"max_seconds ended with {left}; allow more time or ask for less."
 
 
 def _extend(
@@ -108,7 +120,7 @@ def _extend(
 ) -> bool:
     """Trace the boards of the named layouts further and count it in `traced`; False where time ran out before."""
     for key, board in {digest(layout.board): layout.board for layout in layouts if layout.name in names}.items():
-        if all(traced.values()) and report_progress.must_end(JUDGE_SHARE):
+        if cache.stop():
             return False
         cache.extend(board, photons)
         for layout in layouts:

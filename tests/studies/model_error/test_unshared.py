@@ -8,7 +8,7 @@ import pytest
 import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.scene import Scene, load_scene
-from nailoptics.studies.model_error.paired import unshared_photons
+from nailoptics.studies.model_error.paired import difference, paired_readings, shared_photons
 
 pytestmark = pytest.mark.jit
 
@@ -31,18 +31,20 @@ def boneless(chosen_jit):
 def test_photons_that_never_meet_the_bone_are_the_same_without_it(whole, boneless):
     """Rationale: a photon's random numbers are its own, whatever the lives before it in its lane.
     Expected: all but the few that meet the bone are shared, and the traces differ by the others alone."""
-    a, b = unshared_photons(whole, boneless)
+    trace, other = whole.traces[0], boneless.traces[0]
+    in_whole, in_boneless = shared_photons(trace, other)
+    for name in ("photodiode", "weight", "path_mm"):
+        assert np.array_equal(getattr(trace, name)[in_whole], getattr(other, name)[in_boneless])
+    assert len(np.unique(in_whole)) == len(in_whole) and len(np.unique(in_boneless)) == len(in_boneless)
     bone = whole.absorbers.index("bone")
-    trace, rest = whole.traces[0], a.traces[0]
-    met = int((trace.path_mm[:, bone] > 0).sum())
+    met, apart = int((trace.path_mm[:, bone] > 0).sum()), len(trace.weight) - len(in_whole)
     # Besides those in the bone, those that its face reflects: a few percent; and single ones by rounding.
-    assert met <= len(rest.weight) <= 1.3 * met + 5 < 0.1 * len(trace.weight)
-    difference = boneless.at().detected_fraction - whole.at().detected_fraction
-    # What both have cancels, up to the order of summation.
-    apart_difference = b.at().detected_fraction - a.at().detected_fraction
-    assert np.allclose(difference, apart_difference, rtol=0, atol=1e-12)
-    noise = np.hypot(a.at().detected_fraction_stderr, b.at().detected_fraction_stderr)
-    assert (noise < 0.7 * whole.at().detected_fraction_stderr).all()
+    assert met <= apart <= 1.3 * met + 5 < 0.1 * len(trace.weight)
+    found = difference(paired_readings(whole), paired_readings(boneless))
+    ratio = boneless.at().detected_fraction / whole.at().detected_fraction - 1
+    assert np.allclose(found.ratio, ratio, rtol=0, atol=1e-6)
+    alone = whole.at().detected_fraction_stderr / whole.at().detected_fraction
+    assert (found.ratio_stderr < 0.7 * alone).all()
 
 
 @pytest.mark.slow
@@ -61,11 +63,20 @@ def test_the_difference_of_traces_with_common_photons_is_that_of_independent_one
 
 def test_other_seeds_share_nothing(chosen_jit):
     one, other = (nail.trace(prototype(), photons=8192, seed=seed) for seed in (7, 8))
-    a, b = unshared_photons(one, other)
-    assert 0 < len(a.traces[0].weight) == len(one.traces[0].weight)
-    assert len(b.traces[0].weight) == len(other.traces[0].weight)
+    a, b = shared_photons(one.traces[0], other.traces[0])
+    assert len(one.traces[0].weight) > 0 and len(a) == len(b) == 0
 
 
 def test_a_trace_shares_all_with_itself(whole):
-    a, b = unshared_photons(whole, replace(whole))
-    assert len(a.traces[0].weight) == len(b.traces[0].weight) == 0
+    every = np.arange(len(whole.traces[0].weight))
+    a, b = shared_photons(whole.traces[0], replace(whole.traces[0]))
+    assert np.array_equal(np.sort(a), every) and np.array_equal(np.sort(b), every)
+
+
+def test_photons_that_look_alike_are_shared_one_by_one(whole):
+    """Rationale: light that met no absorber leaves equal records. Expected: as many of them as both traces have."""
+    trace = whole.traces[0]
+    same = trace.only(np.zeros(len(trace.weight), int))
+    three, two = same.only(np.arange(3)), same.only(np.arange(2))
+    a, b = shared_photons(three, two)
+    assert len(a) == len(b) == 2 == len(set(a.tolist())) == len(set(b.tolist()))

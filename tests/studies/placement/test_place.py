@@ -1,5 +1,6 @@
 """Placement: the merit's arithmetic, a planted best layout is found, and the ranking is what fresh light confirms."""
 
+import itertools
 import json
 import time
 
@@ -11,6 +12,7 @@ from nailoptics.cli import run
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.io import write_dataset
 from nailoptics.light.board_map import Arrivals, PhotonMap
+from nailoptics.report import result_files
 from nailoptics.report.place_page import write_placement
 from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
 from nailoptics.scene.dxf import read_outline, write_outline
@@ -348,6 +350,28 @@ def test_an_interrupt_leaves_the_ranking_as_far_as_it_is(chosen_jit, scene):
     with pytest.raises(NotReachedError, match="^interrupted: ") as caught:
         place.place(scene, relative_error=1e-4, progress=interrupting)
     assert caught.value.result.sizes["layout"] == 3
+
+
+def test_time_that_is_over_leaves_the_layouts_that_were_traced_and_says_so(chosen_jit, scene, tmp_path, monkeypatch):
+    """Every look at the clock takes a second: the given layouts' board has light by then, the paper's has not."""
+    clock = itertools.count()
+    monkeypatch.setattr(StageProgress, "seconds", property(lambda _: next(clock)))
+    with pytest.raises(NotReachedError, match="^max_seconds ended with 2 of 3 layouts traced") as caught:
+        place.place(scene, max_seconds=5)
+    found = caught.value.result
+    assert set(found.layout.values) == {"near", "far"} and found.attrs["cut_off"] == str(caught.value)
+    assert "checked_fraction" not in found and found.attrs["photons"] < scores.JUDGE_PHOTONS
+    result_files.write_placement(found, scene, tmp_path)
+    head = (tmp_path / "place.html").read_text(encoding="utf-8").split("</header>")[0]
+    assert "max_seconds ended with 2 of 3 layouts traced" in head
+    best = (tmp_path / "best.toml").read_text()
+    assert best.startswith("# Cut off: max_seconds ended") and "max_seconds =" not in best
+
+
+def test_no_time_at_all_is_one_line(chosen_jit, scene):
+    with pytest.raises(NotReachedError, match="before one layout was traced") as caught:
+        place.place(scene, max_seconds=1e-9)
+    assert caught.value.result is None
 
 
 @pytest.mark.slow
