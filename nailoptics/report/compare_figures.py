@@ -51,7 +51,7 @@ def range_errors(result: xr.Dataset, *, led: int) -> "Figure":
             one = result.sel(sweep=sweep, way="fitted", model=model).isel(led=led)
             x = one.setting.values * scale(sweep)
             for colour, j in zip(style.place_colours(len(places)), places, strict=True):
-                error, stderr = one.range_error.values[j], one.range_error_stderr.values[j]
+                error, stderr = 100 * one.range_error.values[j], 100 * one.range_error_stderr.values[j]
                 low, high = (np.clip(error + k * Z95 * stderr, _FLOOR, _CEILING) for k in (-1, 1))
                 axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
                 axes.plot(x, np.clip(error, _FLOOR, None), color=colour, label=style.plain(one.photodiode.values[j]))
@@ -102,7 +102,7 @@ def _name_rows(axes: "Axes", result: xr.Dataset, places: list[int]) -> None:
 
 def _dot(axes: "Axes", part: xr.Dataset, y: float, *, labelled: bool) -> None:
     """One part of an error with its 95 % interval; hollow where that holds 0."""
-    size, spread = abs(float(part.part_error)), Z95 * float(part.part_error_stderr)
+    size, spread = 100 * abs(float(part.part_error)), 100 * Z95 * float(part.part_error_stderr)
     name, colour, mark = PARTS[str(part.part.values)]
     look: Any = {"color": colour, "ls": "none", "marker": mark, "label": name if labelled else None}
     if np.isfinite(size) and size > 0:

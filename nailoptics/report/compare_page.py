@@ -65,7 +65,7 @@ def _led_section(result: xr.Dataset, led: int) -> str:
 def _counts(result: xr.Dataset, model: str, within: float) -> tuple[int, int]:
     """Readings that a fitted model meets for sure over the whole first sweep, and all readings."""
     one = result.isel(sweep=0, point=-1).sel(way="fitted", model=model)
-    return int(np.sum((one.range_error + Z95 * one.range_error_stderr).values <= 100 * within)), one.range_error.size
+    return int(np.sum((one.range_error + Z95 * one.range_error_stderr).values <= within)), one.range_error.size
 
 
 def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
@@ -85,7 +85,7 @@ def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
     parts = np.abs(result.isel(sweep=0, point=-1).sel(way="fitted").part_error).median(("led", "photodiode"))
     worst, *_ = compare_figures.PARTS[str(result.part.values[int(parts.values.argmax())])]
     words = f"of the swing: the largest part of the error of (9), by the median of all readings: “{worst}”"
-    return [*cards, (f"{significant(float(parts.max()), 2)} %", words)]
+    return [*cards, (f"{significant(100 * float(parts.max()), 2)} %", words)]
 
 
 def _limits(result: xr.Dataset, led: int) -> str:

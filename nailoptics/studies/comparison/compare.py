@@ -43,7 +43,7 @@ def compare(
         the saturation from 1 to 0.5.
     wavelengths_nm : each LED is traced at these wavelengths too, as LED@wavelength. [nm]
 
-    Returns: Dataset over sweep, led, photodiode and point; errors in percent of the traced swing over the sweep.
+    Returns: Dataset over sweep, led, photodiode and point; errors as parts of the traced swing over the sweep.
 
     Raises: InputError; NotReachedError, whose result is the Dataset as far as the accuracy went.
     """
@@ -128,7 +128,9 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
                 words = f"{end} end of the 95 % interval: {text}"
                 data |= variable(f"{name}_{end}", dims, gathered[f"{name}_{end}"], words, units=units)
     settings, text = [s.setting for s in sweeps], "what is swept: force in N, blood fraction, or saturation"
-    data |= variable("setting", ("sweep", "point"), settings, text)
+    data |= variable("setting", ("sweep", "point"), settings, text, units="as setting_units says")
+    units = ["N" if s.over == "force" else "1" for s in sweeps]
+    data |= {"setting_units": (("sweep",), np.array(units), {"long_name": "units of what is swept, and of its limits"})}
     blood, text = [s.blood.T for s in sweeps], "blood fraction of the nail bed"
     data |= variable("blood_fraction", ("sweep", "zone", "point"), blood, text)
     data |= variable("zone_of_photodiode", "photodiode", zone, "blood zone above which it lies, 0 proximal")
@@ -151,15 +153,15 @@ _MODEL = ("photodiode", "way", "model", "point")
 _VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "reading": (_CURVE, "1", "traced reading, as a fraction of the emitted power"),
     "model_reading": (_MODEL, "1", "reading by the model, as a fraction of the emitted power"),
-    "error": (_MODEL, "percent", "model less trace, of the traced swing over the sweep"),
-    "range_error": (_MODEL, "percent", "largest error of the model over the range up to here, of the swing there"),
-    "part_error": (("photodiode", "way", "part", "point"), "percent", "part of the error of (9), of the swing"),
+    "error": (_MODEL, "1", "model less trace, as a part of the traced swing over the sweep"),
+    "range_error": (_MODEL, "1", "largest error of the model over the range up to here, as a part of the swing there"),
+    "part_error": (("photodiode", "way", "part", "point"), "1", "part of the error of (9), as a part of the swing"),
     "swing": (_PAIR, "1", "traced reading's largest less its least, as a fraction of the emitted power"),
     "alpha_d2": (_CURVE, "1", "alpha D^2 of the photodiode's own zone"),
     "bed_alpha_d2": (_CURVE, "1", "alpha D^2 of all the blood in the bed, zone by zone"),
     "path_mm": (_PAIR, "mm", "mean path in the photodiode's own zone where the sweep starts"),
     "path_fitted_mm": (_PAIR, "mm", "mean path there that the (8) fitted over the sweep has in its place"),
-    "limit": (_LIMIT, "1", "setting up to which the model holds"),
+    "limit": (_LIMIT, "as setting_units says", "setting up to which the model holds"),
     "limit_ends": (_LIMIT, "1", "whether it fails within the sweep at all"),
     "limit_blood_fraction": (_LIMIT, "1", "blood fraction of the photodiode's own zone there"),
     "limit_alpha_d2": (_LIMIT, "1", "alpha D^2 of the photodiode's own zone there"),

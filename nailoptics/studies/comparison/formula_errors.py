@@ -65,7 +65,6 @@ def formula_errors(one: TracedSweep, sweep: StateSweep) -> dict[str, np.ndarray]
     picked = {"swing": 0, "path_mm": one.own}
     for end in ("", "_stderr"):
         out |= {f"{name}{end}": out[f"{name}{end}"][k] for name, k in picked.items()}
-        out |= {f"{name}{end}": 100 * out[f"{name}{end}"] for name in ("error", "range_error", "part_error")}
     return out | _limits(out, sweep, one.own)
 
 
@@ -107,7 +106,7 @@ def _limits(found: dict[str, np.ndarray], sweep: StateSweep, own: int) -> dict[s
     # Crossings are counted in points, then turned into whatever is wanted.
     points = np.arange(len(sweep.setting), dtype=float)
     error, stderr = found["range_error"], found["range_error_stderr"]
-    limits = [fits.limit(points, error[w, m], stderr[w, m], 100 * TOLERANCES[k]) for w, m, k in np.ndindex(shape)]
+    limits = [fits.limit(points, error[w, m], stderr[w, m], TOLERANCES[k]) for w, m, k in np.ndindex(shape)]
     limit, low, high, ends = (np.reshape(column, shape) for column in zip(*limits, strict=True))
     out, exact = {"limit_ends": ends}, np.zeros(len(points))
     curves = {

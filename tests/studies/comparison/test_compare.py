@@ -67,13 +67,13 @@ def test_light_of_one_path_in_one_zone_is_beer_lambert():
     result = judged(transfer, "force", "blood").isel(led=0)
     depth = 4.0 * per_blood(transfer.scene) * result.setting.sel(sweep="blood").values
     assert np.allclose(result.alpha_d2.sel(sweep="blood"), depth, rtol=1e-5)
-    assert np.abs(result.error.sel(model="beer_lambert", way="fitted")).max() < 1e-3
-    assert np.abs(result.error.sel(model="beer_lambert", way="predicted")).max() < 1e-3
+    assert np.abs(result.error.sel(model="beer_lambert", way="fitted")).max() < 1e-5
+    assert np.abs(result.error.sel(model="beer_lambert", way="predicted")).max() < 1e-5
     blood = result.sel(sweep="blood", way="predicted")
-    exact = 100 * (1 - depth - np.exp(-depth)) / (1 - np.exp(-depth[-1]))
-    assert np.allclose(blood.error.sel(model="taylor"), exact, atol=1e-3)
-    assert np.allclose(blood.part_error.sel(part="truncation"), exact, atol=1e-3)
-    assert np.abs(result.part_error.sel(part=["one_path", "both_zones", "blood_scattering"])).max() < 2e-3
+    exact = (1 - depth - np.exp(-depth)) / (1 - np.exp(-depth[-1]))
+    assert np.allclose(blood.error.sel(model="taylor"), exact, atol=1e-5)
+    assert np.allclose(blood.part_error.sel(part="truncation"), exact, atol=1e-5)
+    assert np.abs(result.part_error.sel(part=["one_path", "both_zones", "blood_scattering"])).max() < 2e-5
 
 
 def test_a_spread_of_paths_is_told_from_truncation():
@@ -86,10 +86,10 @@ def test_a_spread_of_paths_is_told_from_truncation():
     scale /= 1 - scale * transfer.scene.blood.rest_blood_fraction * per_blood(transfer.scene)
     x = per_blood(transfer.scene) * blood.setting.values
     traced = (1 + scale * x) ** -shape
-    part = 100 * (np.exp(-shape * scale * x) - traced) / (1 - traced[-1])
+    part = (np.exp(-shape * scale * x) - traced) / (1 - traced[-1])
     found, error = (blood[name].sel(way="predicted", part="one_path") for name in ("part_error", "part_error_stderr"))
     assert np.all(np.abs(found - part)[1:] < 4 * error[1:]) and float(error[-1]) < 0.05 * abs(part[-1])
-    assert np.abs(blood.part_error.sel(part="both_zones")).max() < 1e-6
+    assert np.abs(blood.part_error.sel(part="both_zones")).max() < 1e-8
 
 
 def test_the_other_zone_is_told_too_and_known_paths_in_both_repair_it():
@@ -97,9 +97,9 @@ def test_the_other_zone_is_told_too_and_known_paths_in_both_repair_it():
     blood = judged(made_up(np.full(n, 2.0), np.full(n, 6.0)), "blood").isel(led=0, sweep=0)
     exponent = blood.setting.values * per_blood(prototype(fwhm_nm=0.0))
     own, both = np.exp(-2 * exponent), np.exp(-8 * exponent)
-    expected = 100 * (own - both) / (1 - both[-1])
-    assert np.allclose(blood.part_error.sel(way="predicted", part="both_zones"), expected, atol=1e-3)
-    assert np.abs(blood.error.sel(way="predicted_both", model="beer_lambert")).max() < 1e-3
+    expected = (own - both) / (1 - both[-1])
+    assert np.allclose(blood.part_error.sel(way="predicted", part="both_zones"), expected, atol=1e-5)
+    assert np.abs(blood.error.sel(way="predicted_both", model="beer_lambert")).max() < 1e-5
     assert np.allclose(blood.bed_alpha_d2, 4 * blood.alpha_d2, rtol=1e-5)
 
 
@@ -107,7 +107,7 @@ def test_the_parts_add_up_to_the_error_of_taylor():
     draw = np.random.default_rng(5).gamma(2.0, 2.0, (2, 3000))
     result = judged(made_up(*draw), "force", "blood", "saturation", slopes=np.full((2, 1, 8), 0.3))
     total = result.part_error.sel(part=["truncation", "one_path", "both_zones"]).sum("part")
-    assert np.allclose(total, result.error.sel(model="taylor"), atol=1e-9)
+    assert np.allclose(total, result.error.sel(model="taylor"), atol=1e-11)
     assert np.abs(result.part_error.sel(part="blood_scattering")).max() > 0
 
 
@@ -175,9 +175,27 @@ def test_the_verdict_needs_all_readings(tolerance, outcome):
     draw = np.random.default_rng(5).gamma(2.0, 2.0, (2, 3000))
     result = judged(made_up(*draw), "blood")
     assert verdict(result, tolerance).outcome == outcome
-    assert verdict(
-        result, float(result.range_error[..., -1].sel(way="fitted", model="taylor").max()) / 100
-    ).outcome == ("undecided")
+    largest = float(result.range_error[..., -1].sel(way="fitted", model="taylor").max())
+    assert verdict(result, largest).outcome == "undecided"
+
+
+def test_a_verdict_on_many_readings_errs_as_seldom_as_it_says():
+    """Rationale: of eight photodiodes one lies above a tolerance by chance more often than a single one does.
+    Expected: where all errors lie at the tolerance, a model is found to miss it in at most 5 % of the repeats, and to
+    meet it in fewer; where they lie two standard errors above it, it mostly misses; and the worst one is named."""
+    draw = np.random.default_rng(5).gamma(2.0, 2.0, (2, 3000))
+    result = judged(made_up(*draw), "blood")
+    rng, outcomes = np.random.default_rng(0), {0.05: [], 0.09: [], 0.01: []}
+    for truth, found in outcomes.items():
+        for _ in range(400):
+            end = result.copy(deep=True)
+            shape = end.range_error[..., -1].shape
+            end.range_error[..., -1] = truth + 0.01 * rng.standard_normal(shape)
+            end.range_error_stderr[..., -1] = 0.01
+            found.append(verdict(end, 0.05).outcome)
+    share = {truth: {word: found.count(word) / 400 for word in set(found)} for truth, found in outcomes.items()}
+    assert share[0.05].get("missed", 0) < 0.08 and share[0.05].get("met", 0) < 0.01
+    assert share[0.09]["missed"] > 0.95 and share[0.01]["met"] > 0.8
 
 
 def test_neighbouring_seeds_share_no_streams(monkeypatch):
