@@ -24,6 +24,8 @@ from .state_sweep import OVER, Over, StateSweep, state_sweep
 
 # The bed's scattering is traced at these factors, with this share of the photons, for the slope of ln reading.
 SCATTERING_FACTORS, SCATTERING_SHARE = (0.7, 1.4), 0.25
+# Photons of the trace that shows how long it takes before the first of them.
+OPENING_PHOTONS = 1024
 # mu_s' of whole blood at a haematocrit of 45 %, computed by N. Bosschaart et al., Lasers Med. Sci. 29, 453 (2014):
 # 1.34 per mm at 800 nm, 1.26 to 1.47 between 450 and 1000 nm.
 BLOOD_REDUCED_SCATTERING_PER_MM = 1.34
@@ -54,19 +56,16 @@ def compare(
     if not sweeps:
         raise InputError(f"over is empty; choose from {', '.join(OVER)}.")
     scenes = [scene, *(_at_wavelength(scene, value) for value in dict.fromkeys(wavelengths_nm))]
-    begin, results, unmet = time.perf_counter(), [], None
+    deadline, results, unmet = time.perf_counter() + (options.max_seconds or math.inf), [], None
     for k, one in enumerate(scenes):
-        left = (options.max_seconds or math.inf) - (time.perf_counter() - begin)
-        if results and left <= 0:
+        if results and time.perf_counter() > deadline:
             unmet = f"max_seconds ended the comparison after {k} of {len(scenes)} traced wavelengths."
             break
-        # A quarter of the photons twice, for the scattering, is half as much again.
-        share = None if math.isinf(left) else max(left, 1e-3) / (len(scenes) - k) / (1 + 2 * SCATTERING_SHARE)
-        limited = replace(options, max_seconds=share)
+        limited, opening_s = _share(one, options, deadline, len(scenes) - k)
         transfer, why = as_far_as_reached(trace, one, progress=progress, **limited.fields)
         unmet = unmet or (str(why) if why else None)
         slopes = np.full((2, len(one.leds), len(transfer.photodiodes)), np.nan)
-        if time.perf_counter() - begin < (options.max_seconds or math.inf):
+        if time.perf_counter() + opening_s < deadline:
             slopes = _scattering_slopes(transfer, limited, progress)
         elif not unmet:
             unmet = "max_seconds ended the comparison before the bed's scattering was traced; its part is not known."
@@ -77,6 +76,19 @@ def compare(
         result.attrs["cut_off"] = unmet
         raise NotReachedError(unmet, result=result)
     return result
+
+
+def _share(scene: Scene, options: TraceOptions, deadline: float, scenes: int) -> tuple[TraceOptions, float]:
+    """The options with a scene's share of the time that is left, and how long a trace takes before its first photon."""
+    if math.isinf(deadline):
+        return options, 0.0
+    begin = time.perf_counter()
+    trace(scene, photons=OPENING_PHOTONS, seed=options.seed, backend=options.backend)
+    now = time.perf_counter()
+    # The scene's own geometry is there now; those with other scattering have theirs to make.
+    left = (deadline - now) / scenes - 2 * (now - begin)
+    # A quarter of the photons twice, for the scattering, is half as much again.
+    return replace(options, max_seconds=max(left / (1 + 2 * SCATTERING_SHARE), 1e-3)), now - begin
 
 
 def _at_wavelength(scene: Scene, wavelength_nm: float) -> Scene:

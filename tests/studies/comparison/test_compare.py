@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from nailoptics import cli, load_scene, tissue
 from nailoptics.assets import data_dir
@@ -141,6 +142,31 @@ def test_standard_errors_are_those_of_repeated_traces():
         )
     ratio = np.mean(errors, 0) / np.std(values, 0, ddof=1)
     assert np.all((ratio > 0.65) & (ratio < 1.5)), ratio
+
+
+@pytest.mark.slow
+def test_what_a_comparison_prints_holds_the_truth_as_often_as_it_says():
+    """Rationale: every number of a comparison has a standard error, every limit a 95 % interval. Expected: over 20
+    made-up traces they hold what twenty times the photons give, in 17 or more (fewer would come once in 60 times)."""
+    rng = np.random.default_rng(21)
+
+    def found(photons: int, seed: int) -> xr.Dataset:
+        transfer = made_up(*rng.gamma(2.0, 2.0, (2, photons)), seed=seed)
+        return judged(transfer, "blood").isel(led=0, sweep=0, photodiode=0)
+
+    truth, each = found(60_000, 77), [found(3_000, seed) for seed in range(20)]
+    for name in ("range_error", "error", "part_error", "alpha_d2", "bed_alpha_d2", "reading"):
+        exact, error = (truth[f"{name}{end}"].isel(point=-1) for end in ("", "_stderr"))
+        ends = [one.isel(point=-1) for one in each]
+        z = [(one[name] - exact) / np.hypot(one[f"{name}_stderr"], error) for one in ends]
+        known = [abs(one).fillna(0.0) < Z95 for one in z]
+        assert int(sum(known).min()) >= 17, (name, sum(known))
+    for name in ("swing", "path_mm", "path_fitted_mm"):
+        z = [abs(one[name] - truth[name]) / np.hypot(one[f"{name}_stderr"], truth[f"{name}_stderr"]) for one in each]
+        assert sum(float(one) < Z95 for one in z) >= 17, name
+    for name in ("limit", "limit_blood_fraction", "limit_alpha_d2", "limit_bed_alpha_d2"):
+        held = sum((one[f"{name}_low"] <= truth[name]) & (truth[name] <= one[f"{name}_high"]) for one in each)
+        assert int(held.min()) >= 17, (name, held)
 
 
 def test_replicates_know_the_noise_of_the_count():
