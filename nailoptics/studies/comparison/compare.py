@@ -56,7 +56,8 @@ def compare(
     if not sweeps:
         raise InputError(f"over is empty; choose from {', '.join(OVER)}.")
     scenes = [scene, *(_at_wavelength(scene, value) for value in dict.fromkeys(wavelengths_nm))]
-    deadline, results, unmet = time.perf_counter() + (options.max_seconds or math.inf), [], None
+    deadline, unmet = time.perf_counter() + (options.max_seconds or math.inf), None
+    results: list[xr.Dataset] = []
     for k, one in enumerate(scenes):
         if results and time.perf_counter() > deadline:
             unmet = f"max_seconds ended the comparison after {k} of {len(scenes)} traced wavelengths."
@@ -141,8 +142,8 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
                 data |= variable(f"{name}_{end}", dims, gathered[f"{name}_{end}"], words, units=units)
     settings, text = [s.setting for s in sweeps], "what is swept: force in N, blood fraction, or saturation"
     data |= variable("setting", ("sweep", "point"), settings, text, units="as setting_units says")
-    units = ["N" if s.over == "force" else "1" for s in sweeps]
-    data |= {"setting_units": (("sweep",), np.array(units), {"long_name": "units of what is swept, and of its limits"})}
+    of_sweeps = np.array(["N" if s.over == "force" else "1" for s in sweeps])
+    data["setting_units"] = (("sweep",), of_sweeps, {"long_name": "units of what is swept, and of its limits"})
     blood, text = [s.blood.T for s in sweeps], "blood fraction of the nail bed"
     data |= variable("blood_fraction", ("sweep", "zone", "point"), blood, text)
     data |= variable("zone_of_photodiode", "photodiode", zone, "blood zone above which it lies, 0 proximal")
