@@ -1,0 +1,150 @@
+"""Recordings of a worn sensor: a CSV with time, readings in volts and, where it was measured, the force."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .text_files import read_rows
+
+Array = NDArray[np.float64]
+
+SITES = {"proximal": 1.0, "distal": 0.0, "even": np.nan}
+PRESSURES = ("proximal_pressure_pa", "distal_pressure_pa")
+MOST_FORCE_N = 100.0
+# A converter's counts are whole numbers far above any voltage of a photodiode's stage.
+MOST_VOLTS = 50.0
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Readings over time.
+
+    name : what messages call it. names : (R,) str, of the readings.
+    time_s : (T,) float, rising. [s]
+    volts : (R, T) float; NaN in a gap. [V]
+    force_n : (T,) float or None where no force was measured. [N]
+    site : (T,) float or None where it is not stated. 1 proximal, 0 distal, NaN even.
+    """
+
+    name: str
+    names: tuple[str, ...]
+    time_s: Array
+    volts: Array
+    force_n: Array | None
+    site: Array | None
+
+    def of(self, names: Sequence[str]) -> "Recording":
+        """The same with these readings, in this order; raises InputError unless it has just these."""
+        missing, unknown = [n for n in names if n not in self.names], [n for n in self.names if n not in names]
+        if missing:
+            raise InputError(
+                f"{self.name}: has no column {missing[0]!r}; this board's readings are {', '.join(names)}; "
+                "take the recording's own board."
+            )
+        if unknown:
+            raise InputError(
+                f"{self.name}: column {unknown[0]!r} is no reading of this board ({', '.join(names)}); "
+                "rename it or leave it out."
+            )
+        order = [self.names.index(name) for name in names]
+        return Recording(self.name, tuple(names), self.time_s, self.volts[order], self.force_n, self.site)
+
+
+def read_recording(path: str | Path) -> Recording:
+    """Read a recording: columns time_s, readings in volts, and, where known, force_n, site and both pressures.
+
+    Raises: InputError that names the column, the line, the value and what to do.
+    """
+    path = Path(path)
+    lines = read_rows(path, "a recording: a CSV with columns time_s, force_n and one for each reading in volts")
+    if not lines:
+        raise InputError(f"{path}: is empty; give a CSV with time_s, force_n and the readings in volts.")
+    header, rows = [cell.strip() for cell in lines[0][1]], lines[1:]
+    name = str(path)
+    check_header(header, name)
+    columns = {title: k for k, title in enumerate(header)}
+    time_s = _column(rows, columns["time_s"], "time_s", name, gaps=False)
+    if len(time_s) < 2:
+        raise InputError(f"{name}: has {len(time_s)} sample; two or more are needed.")
+    backwards = np.flatnonzero(np.diff(time_s) <= 0)
+    if backwards.size:
+        at = int(backwards[0]) + 1
+        raise InputError(
+            f"{name} line {rows[at][0]}: time_s = {time_s[at]:g} does not come after {time_s[at - 1]:g}; sort the rows."
+        )
+    readings = reading_columns(header)
+    volts = np.array([_column(rows, columns[title], title, name, gaps=True) for title in readings])
+    check_volts(volts, readings, name)
+    force_n = _column(rows, columns["force_n"], "force_n", name, gaps=True) if "force_n" in columns else None
+    if force_n is not None:
+        wrong = np.flatnonzero((force_n < 0) | (force_n > MOST_FORCE_N))
+        if wrong.size:
+            at = int(wrong[0])
+            raise InputError(
+                f"{name} line {rows[at][0]}: force_n = {force_n[at]:g} must lie in 0 to {MOST_FORCE_N:g} N; "
+                "check its sign and unit."
+            )
+    site = _sites(rows, columns["site"], name) if "site" in columns else None
+    return Recording(name, readings, time_s, volts, force_n, site)
+
+
+def reading_columns(header: Sequence[str]) -> tuple[str, ...]:
+    """The columns that hold readings."""
+    return tuple(title for title in header if title not in ("time_s", "force_n", "site", *PRESSURES))
+
+
+def check_header(header: Sequence[str], name: str) -> None:
+    """Raise InputError unless there is time, at least one reading, and no title twice."""
+    if "time_s" not in header:
+        raise InputError(f"{name}: has no column time_s (it has {', '.join(header)[:80]}); add the times in seconds.")
+    twice = next((title for title in header if header.count(title) > 1), None)
+    if twice is not None:
+        raise InputError(f"{name}: column {twice!r} is there twice; rename one.")
+    if not reading_columns(header):
+        raise InputError(f"{name}: has no reading; add a column of volts for each photodiode.")
+
+
+def check_volts(volts: Array, names: Sequence[str], label: str) -> None:
+    """Raise InputError for readings that are constant, empty, or counts of a converter."""
+    for title, values in zip(names, volts, strict=True):
+        seen = values[np.isfinite(values)]
+        if not seen.size:
+            raise InputError(f"{label}: column {title!r} is empty; leave it out or record it.")
+        if np.abs(seen).max() > MOST_VOLTS:
+            raise InputError(
+                f"{label}: column {title!r} reaches {np.abs(seen).max():g} V, which looks like a converter's counts; "
+                "convert it to volts."
+            )
+        if seen.size > 2 and np.ptp(seen) == 0:
+            raise InputError(f"{label}: column {title!r} is constant at {seen[0]:g} V; check its wiring.")
+
+
+def _column(rows: list[tuple[int, list[str]]], at: int, title: str, name: str, *, gaps: bool) -> Array:
+    """One column of numbers; NaN where a cell is empty and gaps are allowed."""
+    out = np.full(len(rows), np.nan)
+    for k, (line, row) in enumerate(rows):
+        text = row[at].strip() if at < len(row) else ""
+        if not text and gaps:
+            continue
+        try:
+            out[k] = float(text)
+        except ValueError:
+            out[k] = np.nan
+        if not np.isfinite(out[k]):
+            what = "an empty cell is a gap" if gaps else "every row needs one"
+            raise InputError(f"{name} line {line}: {title} = {text[:40]!r} is no finite number; {what}.")
+    return out
+
+
+def _sites(rows: list[tuple[int, list[str]]], at: int, name: str) -> Array:
+    out = np.full(len(rows), np.nan)
+    for k, (line, row) in enumerate(rows):
+        text = row[at].strip() if at < len(row) else ""
+        if text not in SITES:
+            raise InputError(f"{name} line {line}: site = {text[:40]!r} is none; choose from {', '.join(SITES)}.")
+        out[k] = SITES[text]
+    return out

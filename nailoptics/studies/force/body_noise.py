@@ -1,0 +1,104 @@
+"""What moves a person's readings beside the touch, learned from what a fit leaves over."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from ...scene.sensor_recordings import Recording
+from .network import widths_over
+from .observer import Noise, Oscillation
+from .person import Person
+from .reading_table import ReadingTable
+
+Array = NDArray[np.float64]
+
+# Bands of the body's rhythms: heartbeat and breathing of a resting adult, slow waves of the vessels' tone. [Hz]
+HEART_HZ, BREATH_HZ, SLOW_HZ = (0.7, 3.0), (0.15, 0.5), (0.03, 0.15)
+# Harmonics of the beat that carry a pulse's shape.
+HARMONICS = 3
+# How long rhythms keep their phase: a beat's intervals scatter by some 5 %, breaths by 10 %, slow waves come and go. [s]
+HEART_COHERENCE_S, BREATH_COHERENCE_S, SLOW_COHERENCE_S = 4.0, 8.0, 4.0
+# A step of arterial pressure by which its effect is found. [Pa]
+STEP_PA = 100.0
+# Drift is seen in means over so long. [s]
+DRIFT_S = 5.0
+# How fast touches are expected to change: a force that wanders by this in a second. A step of 1 N in 0.16 s, the
+# fastest of the paper's subjects, is then 8 standard deviations of what 0.16 s bring, which a filter still follows.
+# [N/cm^2 / sqrt(s)]
+TOUCH_RATE = 0.3
+
+
+def arterial_response(person: Person, table: ReadingTable, gain: Array, recording: Recording) -> Array:
+    """Change of every reading with the arterial pressure over a touch, slow against the vessels, (R, T) float. [V/Pa]"""
+    assert recording.force_n is not None and recording.site is not None
+    high = person.arterial_pa + STEP_PA * np.array([-0.5, 0.5])
+    pressure = np.repeat(person.pressures(recording.force_n, recording.site)[:, None], 2, axis=1)
+    start = replace(person, rest_m=np.repeat(person.rest_m[:, None], 2, axis=1))
+    blood = person.blood(widths_over(start, recording.time_s, pressure, arterial_pa=high))
+    volts = gain[:, None, None] * table.volts(blood)
+    return np.asarray((volts[:, 1] - volts[:, 0]) / STEP_PA)
+
+
+def learn_noise(
+    person: Person,
+    table: ReadingTable,
+    gain: Array,
+    recordings: Sequence[Recording],
+    residual_v: Sequence[Array],
+    rest_v: Array,
+) -> Noise:
+    """Noise of each reading, drift, and the rhythms of the arterial pressure, from the residuals (R, T) of recordings.
+
+    rest_v : (R,) float. Readings at rest. [V]
+    """
+    white = np.maximum(np.median([_white(one) for one in residual_v], axis=0), gain * table.noise_v)
+    spectra, drifts, spans = [], [], []
+    for recording, residual in zip(recordings, residual_v, strict=True):
+        time = recording.time_s
+        response, step = arterial_response(person, table, gain, recording), float(np.median(np.diff(time)))
+        filled = np.where(np.isfinite(residual), residual, 0.0)
+        weight = response / (white**2 + (1e-3 * rest_v) ** 2)[:, None]
+        strength = (weight * response).sum(0)
+        # Where a touch has all but shut the vessels the arterial pressure is not seen: less than a tenth counts as none.
+        seen = strength > 0.01 * strength.max()
+        pressure = np.where(seen, (weight * filled).sum(0) / np.where(seen, strength, 1.0), 0.0)
+        window = min(len(time), round(40.0 / step))
+        spectra.append(signal.welch(pressure, fs=1.0 / step, nperseg=window, detrend="constant"))
+        spans.append(len(time))
+        left = (filled - response * pressure) / rest_v[:, None]
+        group = max(1, min(len(time) // 2, round(DRIFT_S / step)))
+        blocks = left[:, : len(time) // group * group].reshape(len(left), -1, group).mean(-1)
+        drifts.append(np.sqrt(np.mean(np.diff(blocks, axis=1) ** 2) * 60.0 / DRIFT_S))
+    longest = int(np.argmax(spans))
+    frequency, power = spectra[longest]
+    drift = float(max(np.median(drifts), 1e-4))
+    return Noise(white, drift, _rhythms(frequency, power), TOUCH_RATE)
+
+
+def _rhythms(frequency: Array, power: Array) -> tuple[Oscillation, ...]:
+    """Oscillators with the power of each band of a spectrum of the arterial pressure [Pa^2/Hz]."""
+    width = frequency[1] - frequency[0]
+    inside = (frequency > HEART_HZ[0]) & (frequency < HEART_HZ[1])
+    rhythms = []
+    if inside.any():
+        beat = float(frequency[inside][np.argmax(power[inside])])
+        for k in range(1, HARMONICS + 1):
+            near = (frequency > (k - 0.35) * beat) & (frequency < (k + 0.35) * beat)
+            rms = float(np.sqrt(power[near].sum() * width))
+            rhythms.append(Oscillation(k * beat, HEART_COHERENCE_S / k, rms))
+    for band, coherence_s in ((BREATH_HZ, BREATH_COHERENCE_S), (SLOW_HZ, SLOW_COHERENCE_S)):
+        near = (frequency >= band[0]) & (frequency < band[1])
+        if near.any() and power[near].sum() > 0:
+            middle = float((frequency[near] * power[near]).sum() / power[near].sum())
+            rhythms.append(Oscillation(middle, coherence_s, float(np.sqrt(power[near].sum() * width))))
+    return tuple(rhythms)
+
+
+def _white(residual: Array) -> Array:
+    """White noise of each row, rms: from third differences, which take out what moves slowly."""
+    third = np.diff(residual, n=3, axis=1)
+    # Robust: the median of |x| of a Gaussian is 0.6745 of its standard deviation; third differences have 20 variances.
+    return np.asarray(np.nanmedian(np.abs(third), axis=1) / 0.6745 / np.sqrt(20.0))

@@ -1,0 +1,208 @@
+"""Calibrate a person's sensor with recordings of a known force."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Unpack
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from ... import hemodynamics
+from ...errors import InputError
+from ...light import ProgressCallback, open_light
+from ...options import Requested
+from ...scene import Scene, digest
+from ...scene.sensor_recordings import Recording
+from ...variables import variable
+from ..blood_states import vessels
+from .baselines import Regression, component_regression, linear_regression
+from .body_noise import learn_noise
+from .fit import Fit, Fitted
+from .force_interval import ForceInterval
+from .observer import Observer
+from .person import NAMES
+from .reading_table import ReadingTable, nodes_of, paper_table, reading_names, reading_table
+from .subject import Model, Subject
+
+log = logging.getLogger(__name__)
+Array = NDArray[np.float64]
+
+# The table of light reaches so far beyond the scene's blood at rest: pooling doubles it, people differ by two more.
+MOST_OVER_REST = 5.0
+# Recordings must begin or pause untouched, at less than this force, for so long in all. [N, s]
+REST_FORCE_N, REST_S = 0.05, 1.0
+# Part of the samples of the calibration's touches that intervals must cover.
+COVERED = 0.95
+# What the paper tunes by hand beside offset and scale: time constants.
+PAPER_FACTORS = ("vein_damping", "capillary_damping")
+
+
+def calibrate(
+    scene: Scene,
+    recordings: Sequence[Recording],
+    *,
+    model: Model = "network",
+    progress: ProgressCallback | None = None,
+    **requested: Unpack[Requested],
+) -> tuple[Subject, xr.Dataset]:
+    """Fit a person's sensor to recordings of a known force.
+
+    scene : the board and a guess of the finger.
+    recordings : one or more, each with the force and its site.
+    model : "network" fits the vessels on the traced light; "paper" offset and scale of (9) and time constants alone.
+
+    Returns: the subject, and a Dataset with the recordings beside what was fitted, over sample and reading.
+
+    Raises: InputError for recordings that cannot calibrate this board; NotReachedError of the trace.
+    """
+    names = reading_names(scene)
+    given = [_checked(one.of(names), scene) for one in recordings]
+    if not given:
+        raise InputError("calibrate needs at least one recording of a known force.")
+    scene = scene.model_copy(update={"blood": _two_zones(scene.blood)})
+    most_blood = min(1.0, MOST_OVER_REST * scene.blood.rest_blood_fraction)
+    light = open_light(scene, states=nodes_of(most_blood), progress=progress, **requested)
+    table = reading_table(scene, light, most_blood)
+    if model == "paper":
+        table = paper_table(scene, table)
+    return calibrate_with(scene, table, given, model=model)
+
+
+def calibrate_with(
+    scene: Scene, table: ReadingTable, recordings: Sequence[Recording], *, model: Model = "network"
+) -> tuple[Subject, xr.Dataset]:
+    """What `calibrate` returns, from a table of light that is already there."""
+    even = any(one.site is not None and np.isnan(one.site).any() for one in recordings)
+    searched = PAPER_FACTORS if model == "paper" else NAMES
+    free = np.array([name in searched and (name != "proximal_share" or even) for name in NAMES])
+    usual = {
+        "rest_blood": scene.blood.rest_blood_fraction,
+        "area_cm2": scene.touch.contact_area_mm2 / 100.0,
+        "share": scene.touch.proximal_share,
+    }
+    fit = Fit(recordings, table, vessels(scene), free=free, **usual)
+    fitted = fit.solve()
+    rest_v = _rest_volts(recordings)
+    who = fit.person(fitted.factors_ln)
+    noise = learn_noise(who, table, fitted.gain, recordings, fitted.residual_v, rest_v)
+    subject = Subject(
+        scene_digest=digest(scene),
+        model=model,
+        table=table,
+        base=fit.base,
+        factors_ln=fitted.factors_ln,
+        gain=fitted.gain,
+        offset_v=fitted.offset_v,
+        covariance=fitted.covariance,
+        residual_rms_v=np.sqrt(np.nanmean(np.concatenate(fitted.residual_v, axis=1) ** 2, axis=1)),
+        noise=noise,
+        widening=1.0,
+        most_force_n=_most_force(recordings),
+        chi2_per_dof=fitted.chi2_per_dof,
+        rms_n=float("nan"),
+        baselines=_baselines(recordings),
+        **usual,
+    )
+    subject = _judged(subject, recordings)
+    return subject, _dataset(recordings, fitted)
+
+
+def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
+    """The subject with the error of the force told from the calibration's own readings, and intervals that cover it."""
+    off, spread = [], []
+    interval = ForceInterval(subject.person(), widening=1.0)
+    for one in recordings:
+        observer = Observer(subject.calibrated, subject.noise)
+        since = [None, *np.diff(one.time_s)]
+        told = interval.tell([observer.see(volts, dt) for volts, dt in zip(one.volts.T, since, strict=True)])
+        assert one.force_n is not None
+        judged = np.isfinite(told.high_n) & np.isfinite(one.force_n)
+        off.append((told.force_n - one.force_n)[judged])
+        half = np.where(off[-1] < 0, (told.high_n - told.force_n)[judged], (told.force_n - told.low_n)[judged])
+        spread.append(half)
+    error, half = np.concatenate(off), np.concatenate(spread)
+    if not error.size:
+        return subject
+    touched = half > 0
+    ratio = np.abs(error[touched]) / half[touched]
+    widening = max(1.0, float(np.quantile(ratio, COVERED))) if ratio.size else 1.0
+    return replace(subject, rms_n=float(np.sqrt(np.mean(error**2))), widening=widening)
+
+
+def _checked(recording: Recording, scene: Scene) -> Recording:
+    """The recording, if it can calibrate: force and site known, a time of rest, no reading at the converter's limit."""
+    name = recording.name
+    if recording.force_n is None:
+        raise InputError(f"{name}: has no column force_n; calibrating needs the force in newtons.")
+    if np.isnan(recording.force_n).any():
+        line = int(np.flatnonzero(np.isnan(recording.force_n))[0]) + 2
+        raise InputError(f"{name} line {line}: force_n is empty; calibrating needs it in every row.")
+    if np.ptp(recording.force_n) == 0:
+        raise InputError(f"{name}: force_n is constant at {recording.force_n[0]:g} N; press the finger.")
+    limit = scene.electronics.adc_range_v
+    for title, volts in zip(recording.names, recording.volts, strict=True):
+        at_limit = int(np.sum(volts >= limit))
+        if at_limit > 0.01 * len(volts):
+            raise InputError(
+                f"{name}: column {title!r} is saturated ({limit:g} V) in {at_limit} samples; lower the LED's power."
+            )
+    untouched = recording.force_n < REST_FORCE_N
+    rest_s = float(np.diff(recording.time_s)[untouched[1:]].sum())
+    if rest_s < REST_S:
+        raise InputError(
+            f"{name}: the finger rests (force_n below {REST_FORCE_N:g} N) for {rest_s:.2g} s; "
+            f"record at least {REST_S:g} s without a touch."
+        )
+    if recording.site is None:
+        share = scene.touch.proximal_share
+        site = {1.0: 1.0, 0.0: 0.0}.get(share, np.nan)
+        return replace(recording, site=np.full(recording.time_s.shape, site))
+    return recording
+
+
+def _two_zones(blood: object) -> object:
+    """The scene's blood in the paper's two zones."""
+    return blood
+
+
+def _rest_volts(recordings: Sequence[Recording]) -> Array:
+    """Median of every reading while the finger rests. [V]"""
+    still = [one.volts[:, np.asarray(one.force_n) < REST_FORCE_N] for one in recordings]
+    return np.asarray(np.nanmedian(np.concatenate(still, axis=1), axis=1))
+
+
+def _most_force(recordings: Sequence[Recording]) -> dict[str, float]:
+    """The largest force by site."""
+    most: dict[str, float] = {}
+    for one in recordings:
+        assert one.force_n is not None and one.site is not None
+        for name, at in (("proximal", one.site == 1.0), ("distal", one.site == 0.0), ("even", np.isnan(one.site))):
+            if at.any():
+                most[name] = max(most.get(name, 0.0), float(one.force_n[at].max()))
+    return most
+
+
+def _baselines(recordings: Sequence[Recording]) -> dict[str, Regression]:
+    volts = np.concatenate([one.volts for one in recordings], axis=1)
+    force = np.concatenate([np.asarray(one.force_n) for one in recordings])
+    whole = np.isfinite(volts).all(0)
+    found = {"linear": linear_regression, "components": component_regression}
+    return {name: fit(volts[:, whole], force[whole]) for name, fit in found.items()}
+
+
+def _dataset(recordings: Sequence[Recording], fitted: Fitted) -> xr.Dataset:
+    """The recordings beside what was fitted, one after the other."""
+    which = np.concatenate([np.full(len(one.time_s), k) for k, one in enumerate(recordings)])
+    force = np.concatenate([np.asarray(one.force_n) for one in recordings])
+    site = np.concatenate([np.asarray(one.site) for one in recordings])
+    data = variable("recording", "sample", which, "number of the recording")
+    data |= variable("time_s", "sample", np.concatenate([one.time_s for one in recordings]), "time", units="s")
+    data |= variable("force_n", "sample", force, "known force", units="N")
+    data |= variable("site", "sample", site, "1 proximal, 0 distal, NaN even")
+    over = ("reading", "sample")
+    volts = np.concatenate([one.volts for one in recordings], axis=1)
+    data |= variable("volts", over, volts, "recorded voltage", units="V")
+    data |= variable("volts_fitted", over, np.concatenate(fitted.predicted_v, axis=1), "fitted voltage", units="V")
+    return xr.Dataset(data, {"reading": list(recordings[0].names)}, {"recordings": [one.name for one in recordings]})

@@ -1,0 +1,260 @@
+"""The fit of a person to recordings of a known force: gains and offsets solved, tied factors of the vessels searched."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from ...hemodynamics.parameters import Parameters
+from ...scene.sensor_recordings import Recording
+from .network import widths_over
+from .person import NAMES, SPREAD_LN, Person, person
+from .reading_table import ReadingTable
+
+Array = NDArray[np.float64]
+
+# The fit needs no more samples than the touch has detail: recordings are averaged to these rates, the first where the
+# force changes by more than FAST_N_PER_S. [Hz]
+FAST_RATE_HZ, SLOW_RATE_HZ, FAST_N_PER_S = 50.0, 20.0, 1.0
+# Step of the derivatives by the logarithm of a factor.
+STEP_LN = 0.02
+# Rounds in which the residuals' covariance, their memory and the samples' weights are taken from the round before.
+ROUNDS, MOST_EVALUATIONS = 3, 10
+# At first residuals are held to this part of a reading's swing.
+FIRST_MISFIT = 0.05
+# Samples this many standard deviations off begin to count less (Huber's weight for 95 % efficiency).
+HUBER = 1.345
+# Before any recording a gain is known to a factor of two, an offset to this part of the reading at rest.
+GAIN_SPREAD, OFFSET_PART = 0.7, 0.1
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What a fit found, R readings, K recordings.
+
+    factors_ln : (P,) float. Logarithms of the factors by NAMES.
+    covariance : (P + 2 R, P + 2 R) float. Of these, of the gains, and of the offsets.
+    gain, offset_v : (R,) float; drift_v_per_s : (K, R) float. Of every reading.
+    gain_stderr, offset_stderr_v : (R,) float.
+    residual_v : per recording (R, T) float at the recording's own samples; predicted_v likewise.
+    chi2_per_dof : of the whitened residuals of the last round.
+    """
+
+    factors_ln: Array
+    covariance: Array
+    gain: Array
+    gain_stderr: Array
+    offset_v: Array
+    offset_stderr_v: Array
+    drift_v_per_s: Array
+    predicted_v: list[Array]
+    residual_v: list[Array]
+    chi2_per_dof: float
+
+
+class Fit:
+    """Recordings of a known force beside what a person's sensor would read.
+
+    base, rest_blood, area_cm2, share : the scene's person, whom the factors change.
+    free : (P,) bool. Which factors are searched; the others stay 1.
+    """
+
+    def __init__(
+        self,
+        recordings: Sequence[Recording],
+        table: ReadingTable,
+        base: Parameters,
+        *,
+        rest_blood: float,
+        area_cm2: float,
+        share: float,
+        free: NDArray[np.bool_],
+    ) -> None:
+        self.recordings, self.table, self.base = list(recordings), table, base
+        self.usual = {"rest_blood": rest_blood, "area_cm2": area_cm2, "share": share}
+        self.free = np.flatnonzero(free)
+        self.slow = [_averaged(one) for one in self.recordings]
+        self.volts = np.concatenate([one.volts for one in self.slow], axis=1)
+        self.there = np.isfinite(self.volts)
+        swing = np.nanmax(self.volts, axis=1) - np.nanmin(self.volts, axis=1)
+        self.covariance = np.diag((FIRST_MISFIT * swing) ** 2 + table.noise_v**2)
+        self.weight = np.ones(self.volts.shape[1])
+        self.memory = 1.0
+
+    def person(self, factors_ln: Array) -> Person:
+        """The person of some factors (P, *S)."""
+        return person(self.base, dict(zip(NAMES, np.exp(factors_ln), strict=True)), **self.usual)
+
+    def model_volts(self, factors_ln: Array, recordings: Sequence[Recording]) -> list[Array]:
+        """Volts before gain and offset, (R, *S, T) for each recording."""
+        who = self.person(factors_ln)
+        out = []
+        for one in recordings:
+            assert one.force_n is not None and one.site is not None
+            pressure = who.pressures(one.force_n, one.site)
+            width = widths_over(who, one.time_s, pressure)
+            blood = np.asarray(who.rest_blood)[..., None] * width[:2] ** 2
+            out.append(self.table.volts(blood))
+        return out
+
+    def solve(self) -> Fitted:
+        """Search the factors."""
+        factors = np.zeros(len(NAMES))
+        for _ in range(ROUNDS):
+            found = least_squares(
+                self._residual, factors[self.free], jac=self._jacobian, method="trf", max_nfev=MOST_EVALUATIONS, xtol=1e-3, ftol=1e-4
+            )
+            factors[self.free] = found.x
+            self._learn(self._linear_fit(self._columns(found.x))[0][:, 0])
+        return self._finish(factors)
+
+    def _columns(self, free_ln: Array) -> Array:
+        """Volts (R, 1 + P, T) at the factors and with each free one a step larger."""
+        moved = np.zeros((len(NAMES), 1 + len(self.free)))
+        moved[self.free] = free_ln[:, None]
+        moved[self.free, np.arange(1, 1 + len(self.free))] += STEP_LN
+        return np.concatenate(self.model_volts(moved, self.slow), axis=-1)
+
+    def _design(self, model: Array, recordings: Sequence[Recording]) -> Array:
+        """Columns of the linear part, (R, S, T, 2 + K): the model, one, and each recording's time from its middle."""
+        readings, columns, _ = model.shape
+        basis = [np.ones(model.shape[-1])]
+        ends = np.cumsum([0, *(len(one.time_s) for one in recordings)])
+        for one, start, stop in zip(recordings, ends, ends[1:], strict=False):
+            ramp = np.zeros(model.shape[-1])
+            ramp[start:stop] = (one.time_s - one.time_s.mean()) / np.ptp(one.time_s)
+            basis.append(ramp)
+        fixed = np.broadcast_to(np.stack(basis, -1), (readings, columns, model.shape[-1], len(basis)))
+        return np.concatenate([model[..., None], fixed], axis=-1)
+
+    def _linear_fit(self, model: Array) -> tuple[Array, Array]:
+        """Gains, offsets and drifts solved: residuals (R, S, T), 0 in gaps, and those of the priors, (R (2 + K), S)."""
+        design = self._design(model, self.slow)
+        count = design.shape[-1]
+        weight = self.there * self.weight / np.diag(self.covariance)[:, None] / self.memory
+        spread = self._spread(count)
+        before = np.zeros(spread.shape)
+        before[:, 0] = 1.0
+        volts = np.where(self.there, self.volts, 0.0)
+        normal = np.einsum("rstp,rt,rstq->rspq", design, weight, design, optimize=True)
+        normal += (np.eye(count) / spread[:, None, :] ** 2)[:, None]
+        right = np.einsum("rstp,rt,rt->rsp", design, weight, volts, optimize=True) + (before / spread**2)[:, None]
+        found = np.linalg.solve(normal, right[..., None])[..., 0]
+        self.gain_offset_drift = found[:, 0]
+        fitted = np.einsum("rstp,rsp->rst", design, found)
+        beside = (found - before[:, None]) / spread[:, None]
+        residual = np.where(self.there[:, None], self.volts[:, None] - fitted, 0.0)
+        return residual, np.moveaxis(beside, 1, -1).reshape(-1, found.shape[1])
+
+    def _whiten(self, residual: Array) -> Array:
+        """Residuals (R, S, T) as independent numbers of variance 1, (R * T, S)."""
+        root = np.linalg.cholesky(self.covariance)
+        white = np.linalg.solve(root, residual.reshape(len(residual), -1)).reshape(residual.shape)
+        white = white * np.sqrt(self.weight / self.memory)
+        return np.moveaxis(white, 1, -1).reshape(-1, residual.shape[1])
+
+    def _evaluate(self, free_ln: Array) -> tuple[Array, Array]:
+        """Whitened residuals with the priors' below, and their derivatives; kept, as both are asked for in turn."""
+        key = free_ln.tobytes()
+        if getattr(self, "_key", None) != (key, self.memory, self.covariance[0, 0]):
+            residual, linear = self._linear_fit(self._columns(free_ln))
+            white = np.concatenate([self._whiten(residual), linear])
+            own = np.concatenate([white[:, 0], free_ln / SPREAD_LN[self.free]])
+            slopes = np.concatenate([(white[:, 1:] - white[:, :1]) / STEP_LN, np.diag(1 / SPREAD_LN[self.free])])
+            self._key, self._kept = (key, self.memory, self.covariance[0, 0]), (own, slopes)
+        return self._kept
+
+    def _residual(self, free_ln: Array) -> Array:
+        return self._evaluate(free_ln)[0]
+
+    def _jacobian(self, free_ln: Array) -> Array:
+        return self._evaluate(free_ln)[1]
+
+    def _learn(self, residual: Array) -> None:
+        """Take the residuals' covariance, memory and weights from what was left over, (R, T)."""
+        samples = residual.shape[1]
+        weighted = residual * np.sqrt(self.weight)
+        self.covariance = weighted @ weighted.T / samples + np.diag(self.table.noise_v**2)
+        white = np.linalg.solve(np.linalg.cholesky(self.covariance), residual)
+        far = np.sqrt((white**2).mean(0))
+        self.weight = np.minimum(1.0, HUBER / np.maximum(far, 1e-12))
+        # Samples that hang together count as one: the integrated autocorrelation, up to where it first vanishes.
+        power = np.abs(np.fft.rfft(white, 2 * samples)) ** 2
+        lagged = np.fft.irfft(power).mean(0)[:samples]
+        lagged = lagged / lagged[0]
+        end = int(np.argmax(lagged < 0)) or samples
+        self.memory = float(max(1.0, 1.0 + 2.0 * lagged[1:end].sum()))
+
+    def _joint_covariance(self, model: Array) -> Array:
+        """Covariance of all factors, gains and offsets together, from the model's columns (R, 1 + P, T)."""
+        readings, coefficients = len(self.gain_offset_drift), self.gain_offset_drift
+        moved = coefficients[:, 0][:, None, None] * (model[:, 1:] - model[:, :1]) / STEP_LN
+        design = self._design(model[:, :1], self.slow)[:, 0]
+        linear = np.zeros((readings, readings, *design.shape[1:]))
+        linear[range(readings), range(readings)] = design
+        linear = np.moveaxis(linear, 2, -1).reshape(readings, -1, design.shape[1])
+        slopes = self._whiten(np.where(self.there[:, None], np.concatenate([moved, linear], axis=1), 0.0))
+        curvature = slopes.T @ slopes
+        free, count = len(self.free), design.shape[-1]
+        spread = np.concatenate([SPREAD_LN[self.free], self._spread(count).ravel()])
+        inverse = np.linalg.inv(curvature + np.diag(1 / spread**2))
+        kept = np.r_[:free, free + count * np.arange(readings), free + 1 + count * np.arange(readings)]
+        out = np.diag(np.concatenate([SPREAD_LN**2, np.zeros(2 * readings)]))
+        place = np.r_[self.free, len(NAMES) : len(NAMES) + 2 * readings]
+        out[np.ix_(place, place)] = inverse[np.ix_(kept, kept)]
+        return out
+
+    def _spread(self, count: int) -> Array:
+        """What is known of gain, offset and drifts beforehand, (R, count)."""
+        rest = np.nanmedian(self.volts, axis=1)
+        return np.stack([np.full_like(rest, GAIN_SPREAD), *([OFFSET_PART * rest] * (count - 1))], -1)
+
+    def _finish(self, factors: Array) -> Fitted:
+        model = self._columns(factors[self.free])
+        residual, _ = self._linear_fit(model)
+        covariance = self._joint_covariance(model)
+        stderr = np.sqrt(np.diag(covariance))[len(NAMES) :].reshape(2, -1)
+        white = self._whiten(residual)[:, 0] * np.sqrt(self.memory)
+        coefficients = self.gain_offset_drift
+        predicted, left = [], []
+        full = self.model_volts(factors[:, None], self.recordings)
+        for k, (one, model) in enumerate(zip(self.recordings, full, strict=True)):
+            ramp = (one.time_s - one.time_s.mean()) / np.ptp(one.time_s)
+            curve = coefficients[:, :1] * model[:, 0] + coefficients[:, 1:2] + coefficients[:, 2 + k : 3 + k] * ramp
+            predicted.append(curve)
+            left.append(one.volts - curve)
+        spans = np.array([np.ptp(one.time_s) for one in self.slow])
+        return Fitted(
+            factors_ln=factors,
+            covariance=covariance,
+            gain=coefficients[:, 0],
+            gain_stderr=stderr[0],
+            offset_v=coefficients[:, 1],
+            offset_stderr_v=stderr[1],
+            drift_v_per_s=(coefficients[:, 2:] / spans).T,
+            predicted_v=predicted,
+            residual_v=left,
+            chi2_per_dof=float((white**2).sum() / max(int(self.there.sum()) - len(self.free) - coefficients.size, 1)),
+        )
+
+
+def _averaged(recording: Recording) -> Recording:
+    """The recording with groups of samples averaged to the rate of the fit, where it is faster."""
+    assert recording.force_n is not None
+    rise = np.nanmax(np.abs(np.diff(recording.force_n) / np.diff(recording.time_s)), initial=0.0)
+    rate = FAST_RATE_HZ if rise > FAST_N_PER_S else SLOW_RATE_HZ
+    group = max(1, round(1.0 / (rate * float(np.median(np.diff(recording.time_s))))))
+    count = len(recording.time_s) // group
+    if group == 1:
+        return recording
+
+    def mean(values: Array) -> Array:
+        blocks = values[..., : count * group].reshape(*values.shape[:-1], count, group)
+        return np.asarray(blocks.mean(-1))
+
+    site = None if recording.site is None else recording.site[: count * group : group]
+    return Recording(
+        recording.name, recording.names, mean(recording.time_s), mean(recording.volts), mean(recording.force_n), site
+    )

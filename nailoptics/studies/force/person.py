@@ -1,0 +1,117 @@
+"""A person's vessels and touch as a few factors on a scene's, each with what is known of it beforehand."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...hemodynamics.parameters import Parameters
+from ...hemodynamics.steady import solve_walls
+from ...hemodynamics.walls import Walls, build_walls
+from ...hemodynamics.zones import PAPER_ZONES
+
+Array = NDArray[np.float64]
+
+# 1 N/cm^2, the paper's unit of pressure. [Pa]
+N_PER_CM2 = 1e4
+
+
+class Prior(NamedTuple):
+    """What is known of a factor before any recording: two of three people lie within 1 / spread and spread.
+
+    fields : the constants of the network that it multiplies; none where it is not the network's.
+    """
+
+    spread: float
+    fields: tuple[str, ...]
+    text: str
+
+
+# Nobody has measured the spread of the network's constants among people; the paper tunes them by hand "within an order
+# of magnitude", so that a factor 2 is taken. Blood at rest: 1-5 % of the bed. The contact of a fingertip at 1 N: 0.6-1.6 cm^2.
+PRIORS: dict[str, Prior] = {
+    "vein_stiffness": Prior(2.0, ("vein_stiffness_n_per_m",), "stiffness of the vein's wall"),
+    "capillary_stiffness": Prior(2.0, ("capillary_stiffness_n_per_m",), "stiffness of the capillaries' walls"),
+    "vein_damping": Prior(2.0, ("vein_damping_n_s_per_m",), "damping of the vein's wall"),
+    "capillary_damping": Prior(2.0, ("capillary_damping_n_s_per_m",), "damping of the capillaries' walls"),
+    "feedback": Prior(1.5, ("venule_resistance_pa_s_per_m3",), "resistance of the venules over that of the arterioles"),
+    "contact_area": Prior(1.6, (), "area over which a force presses"),
+    "rest_blood": Prior(1.7, (), "blood of the bed at rest"),
+    "proximal_share": Prior(1.5, (), "proximal over distal force of an even touch"),
+}
+NAMES = tuple(PRIORS)
+SPREAD_LN = np.log([prior.spread for prior in PRIORS.values()])
+
+
+@dataclass(frozen=True)
+class Person:
+    """The network, contact and blood of one person, or of many side by side (arrays of shape S in place of numbers).
+
+    walls : constants of the two zones' network.
+    rest_m : (3, *S) float. Diameters of the untouched finger. [m]
+    rest_blood : S float. Blood fraction of the bed at rest.
+    area_cm2 : S float. Area over which a one-sided touch presses. [cm^2]
+    share : S float. Part of an even touch's force that presses proximally.
+    arterial_pa, venous_pa : P_H and P_L at rest. [Pa]
+    """
+
+    walls: Walls
+    rest_m: Array
+    rest_blood: Array
+    area_cm2: Array
+    share: Array
+    arterial_pa: float
+    venous_pa: float
+
+    def blood(self, width: Array) -> Array:
+        """Blood fraction of both zones, (2, *S), from diameters over those at rest."""
+        return np.asarray(self.rest_blood * width[:2] ** 2)
+
+    def pressures(self, force_n: Array, site: Array) -> Array:
+        """Touch pressures P_F1 and P_F2, (2, *S, T) float, of a force at a site over time (T,). [N/cm^2]
+
+        site : (T,) float. 1 where the touch is proximal, 0 where it is distal, NaN where it is even.
+        """
+        share = np.where(np.isnan(site), np.asarray(self.share)[..., None], site)
+        even = force_n / np.asarray(self.area_cm2)[..., None]
+        # A side that bears more than half of the force has as much more of the contact's area.
+        return np.stack([even * share / np.maximum(share, 0.5), even * (1 - share) / np.maximum(1 - share, 0.5)])
+
+
+def force_of(pressure: Array, area_cm2: float) -> tuple[Array, Array]:
+    """Force [N] and proximal share from both pressures (2, *S) in N/cm^2, the inverse of `Person.pressures`."""
+    larger = pressure.max(0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.where(larger > 0, pressure.min(0) / larger, 1.0)
+    share = np.where(pressure[0] >= pressure[1], 1.0 - ratio / 2.0, ratio / 2.0)
+    return area_cm2 * larger, share
+
+
+def person(base: Parameters, factors: Mapping[str, Array | float], *, rest_blood: float, area_cm2: float, share: float) -> Person:
+    """A person whose constants are a scene's times factors; arrays of factors make many people.
+
+    base : the scene's constants. rest_blood, area_cm2, share : of the scene.
+    factors : by NAMES; 1 where one is missing.
+    """
+    scaled = {name: np.asarray(value, dtype=float) for name, value in base.as_dict().items()}
+    for name, prior in PRIORS.items():
+        for field in prior.fields:
+            scaled[field] = scaled[field] * factors.get(name, 1.0)
+    shape = np.broadcast_shapes(*(np.shape(value) for value in factors.values()))
+    walls = build_walls(cast(Parameters, SimpleNamespace(**scaled)), PAPER_ZONES)
+    high, low = np.full(shape, base.arterial_pressure_pa), np.full(shape, base.venous_pressure_pa)
+    rest_m, _ = solve_walls(walls, np.zeros((3, *shape)), high, low, tolerance=1e-12)
+    odds = share / (1.0 - share) * np.asarray(factors.get("proximal_share", 1.0)) if 0.0 < share < 1.0 else math.inf * share
+    return Person(
+        walls=walls,
+        rest_m=rest_m,
+        rest_blood=np.asarray(rest_blood * np.asarray(factors.get("rest_blood", 1.0))),
+        area_cm2=np.asarray(area_cm2 * np.asarray(factors.get("contact_area", 1.0))),
+        share=np.asarray(odds / (1.0 + odds)) if share not in (0.0, 1.0) else np.asarray(share),
+        arterial_pa=base.arterial_pressure_pa,
+        venous_pa=base.venous_pressure_pa,
+    )

@@ -1,0 +1,208 @@
+"""Tell force over time from a calibrated person's readings, with intervals, events, and what does not fit."""
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from ...errors import InputError
+from ...scene.sensor_recordings import Recording
+from ...variables import variable
+from .force_interval import ForceEstimate, ForceInterval
+from .observer import Estimate, Observer
+from .smoothing import smooth
+from .subject import Subject
+
+log = logging.getLogger(__name__)
+Array = NDArray[np.float64]
+
+# A recording does not fit its subject if more of its samples than this are outliers, or if its readings are on average
+# further off their predictions than this, in variances.
+MOST_OUTLIERS, MOST_CHI2 = 0.03, 1.5
+# Patterns of a misfit are named where they explain this part of it.
+EXPLAINED = 0.8
+
+
+@dataclass(frozen=True)
+class Event:
+    """A press or release of the virtual switch.
+
+    latency_s : after the known force crossed the same threshold; NaN where no force is known.
+    """
+
+    time_s: float
+    kind: str
+    latency_s: float
+
+
+def predict(
+    subject: Subject,
+    recording: Recording,
+    *,
+    smoothed: bool = False,
+    press_n: float = 0.5,
+    release_n: float = 0.3,
+) -> xr.Dataset:
+    """Force over time from readings.
+
+    smoothed : use what comes after each sample, too; otherwise only what came before it.
+    press_n, release_n : the virtual switch closes above the first force and opens below the second. [N]
+
+    Returns: Dataset over time: force_n with force_low_n and force_high_n (95 %; infinite where open above), proximal
+    share and pressures with theirs, arterial pressure, surprise and outlier of each sample, and the regressions' forces;
+    its attributes hold what `prediction_summary` prints.
+
+    Raises: InputError for readings of another board, or thresholds out of order.
+    """
+    if not 0 < release_n < press_n:
+        raise InputError(f"release = {release_n:g} N must lie above 0 and below press = {press_n:g} N.")
+    recording = recording.of(subject.table.names)
+    _check_saturation(subject, recording)
+    observer = Observer(subject.calibrated, subject.noise)
+    since = [None, *np.diff(recording.time_s)]
+    seen = zip(recording.volts.T, since, strict=True)
+    if smoothed:
+        estimates = smooth(observer, seen)
+    else:
+        estimates = [observer.see(volts, dt) for volts, dt in seen]
+    told = ForceInterval(observer.person, widening=subject.widening).tell(estimates)
+    return _dataset(subject, recording, observer, estimates, told, press_n=press_n, release_n=release_n)
+
+
+def live(subject: Subject, samples: Iterator[tuple[float, Array]]) -> Iterator[tuple[float, ForceEstimate, Estimate]]:
+    """The same for samples (time [s], volts (R,)) that come one by one; each is answered before the next is read."""
+    observer, last = Observer(subject.calibrated, subject.noise), None
+    interval = ForceInterval(observer.person, widening=subject.widening)
+    for time_s, volts in samples:
+        if last is not None and time_s <= last:
+            raise InputError(f"time_s = {time_s:g} does not come after {last:g}; times must rise.")
+        estimate = observer.see(volts, None if last is None else time_s - last)
+        last = time_s
+        yield time_s, interval.tell([estimate]), estimate
+
+
+def events(time_s: Array, force_n: Array, *, press_n: float, release_n: float) -> list[tuple[float, str]]:
+    """Times at which a switch with hysteresis closes and opens."""
+    found, closed = [], False
+    for time, force in zip(time_s, force_n, strict=True):
+        if not closed and force > press_n:
+            closed = True
+            found.append((float(time), "press"))
+        elif closed and force < release_n:
+            closed = False
+            found.append((float(time), "release"))
+    return found
+
+
+def prediction_summary(result: xr.Dataset) -> dict[str, Any]:
+    """What a prediction's result says in few numbers, ready for JSON."""
+    names = ("rms_n", "coverage_95", "chi2_per_dof", "open_above_n", "outliers", "misfit")
+    return {name: result.attrs[name] for name in names} | {
+        "consistent": bool(result.attrs["consistent"]),
+        "baseline_rms_n": {name: result.attrs[f"rms_{name}_n"] for name in ("linear", "components")},
+        "events": [
+            {"time_s": float(time), "kind": str(kind), "latency_s": float(latency)}
+            for time, kind, latency in zip(
+                result.event_time_s.values, result.event_kind.values, result.event_latency_s.values, strict=True
+            )
+        ],
+    }
+
+
+def _dataset(
+    subject: Subject,
+    recording: Recording,
+    observer: Observer,
+    estimates: list[Estimate],
+    told: ForceEstimate,
+    *,
+    press_n: float,
+    release_n: float,
+) -> xr.Dataset:
+    time_s, over = recording.time_s, "time"
+    data = variable("force_n", over, told.force_n, "force, told from the readings", units="N")
+    data |= variable("force_low_n", over, told.low_n, "lower bound of the force, 95 %", units="N")
+    data |= variable("force_high_n", over, told.high_n, "upper bound of the force, 95 %; infinite if open", units="N")
+    data |= variable("proximal_share", over, told.share, "proximal share of the force")
+    data |= variable("proximal_share_low", over, told.share_low, "lower bound of the proximal share, 95 %")
+    data |= variable("proximal_share_high", over, told.share_high, "upper bound of the proximal share, 95 %")
+    for k, side in enumerate(("proximal", "distal")):
+        values, error = 1e4 * told.pressure[k], 1e4 * told.pressure_stderr[k]
+        data |= variable(f"{side}_pressure_pa", over, values, f"{side} touch pressure", units="Pa", stderr=error)
+    arterial = np.array([one.arterial_pa for one in estimates])
+    data |= variable("arterial_change_pa", over, arterial, "arterial pressure less its mean", units="Pa")
+    surprise = np.array([one.surprise for one in estimates])
+    data |= variable("surprise", over, surprise, "squared distance of the readings from their prediction")
+    outlier = np.array([one.outlier for one in estimates])
+    data |= variable("outlier", over, outlier, "too far off to be believed")
+    forces = {name: one.force_n(recording.volts) for name, one in subject.baselines.items()}
+    for name, force in forces.items():
+        data |= variable(f"force_{name}_n", over, force, f"force by regression ({name})", units="N")
+    known = np.full(time_s.shape, np.nan) if recording.force_n is None else recording.force_n
+    data |= variable("known_force_n", over, known, "known force", units="N")
+    found = events(time_s, told.force_n, press_n=press_n, release_n=release_n)
+    true = events(time_s, np.nan_to_num(known), press_n=press_n, release_n=release_n)
+    data |= _event_variables(found, true if recording.force_n is not None else None)
+    interval = ForceInterval(observer.person, widening=subject.widening)
+    consistent, misfit = _consistency(subject, recording, observer, estimates)
+    inside = (known >= told.low_n) & (known <= told.high_n)
+    judged = np.isfinite(known)
+    attributes = {
+        "rms_n": _rms(told.force_n - known),
+        "coverage_95": float(inside[judged].mean()) if judged.any() else float("nan"),
+        "chi2_per_dof": float(surprise.sum() / max(sum(one.count for one in estimates), 1)),
+        "open_above_n": interval.open_above_n,
+        "outliers": float(outlier.mean()),
+        "consistent": int(consistent),
+        "misfit": misfit,
+        "scene_digest": subject.scene_digest,
+        "title": "force from volts",
+    } | {f"rms_{name}_n": _rms(force - known) for name, force in forces.items()}
+    return xr.Dataset(data, variable("time", over, time_s, "time", units="s"), attributes)
+
+
+def _event_variables(found: list[tuple[float, str]], true: list[tuple[float, str]] | None) -> dict[str, Any]:
+    latency = []
+    for time, kind in found:
+        before = [t for t, other in true or [] if other == kind and t <= time]
+        latency.append(time - before[-1] if before else np.nan)
+    data = variable("event_time_s", "event", np.array([t for t, _ in found], float), "when the switch acts", units="s")
+    data |= variable("event_kind", "event", np.array([kind for _, kind in found], dtype=str), "press or release")
+    return data | variable("event_latency_s", "event", np.array(latency, float), "after the known force", units="s")
+
+
+def _consistency(
+    subject: Subject, recording: Recording, observer: Observer, estimates: list[Estimate]
+) -> tuple[bool, str]:
+    """Whether the readings fit the subject; else in one word what it looks like."""
+    outliers = float(np.mean([one.outlier for one in estimates]))
+    chi2 = sum(one.surprise for one in estimates) / max(sum(one.count for one in estimates), 1)
+    if outliers <= MOST_OUTLIERS and chi2 <= MOST_CHI2:
+        return True, ""
+    return False, _pattern(subject, recording, observer)
+
+
+def _pattern(subject: Subject, recording: Recording, observer: Observer) -> str:
+    """What a misfit looks like: more light on all alike, less of all in proportion, or neither."""
+    off = np.nanmedian(recording.volts, axis=1) - (observer.offset_v + observer.rest_volts)
+    patterns = {"ambient light": np.ones_like(off), "a lifted sensor or other gain": observer.rest_volts}
+    for name, shape in patterns.items():
+        along = (off @ shape) ** 2 / ((shape @ shape) * max(float(off @ off), 1e-30))
+        if along > EXPLAINED:
+            return name
+    return "another person or place, or motion"
+
+
+def _check_saturation(subject: Subject, recording: Recording) -> None:
+    for name, volts in zip(recording.names, recording.volts, strict=True):
+        if np.nanmin(volts) >= subject.table.range_v:
+            raise InputError(f"{recording.name}: column {name!r} is saturated throughout; lower the LED's power.")
+
+
+def _rms(off: Array) -> float:
+    there = np.isfinite(off)
+    return float(np.sqrt(np.mean(off[there] ** 2))) if there.any() else float("nan")

@@ -1,0 +1,213 @@
+"""A calibrated person as a file: everything that telling force from volts takes, readable, in TOML."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import InputError
+from ...hemodynamics.parameters import Parameters
+from ...io import write_text
+from ...scene.text_files import parse_toml, read_text
+from .baselines import Regression
+from .observer import Calibrated, Noise, Oscillation
+from .person import NAMES, PRIORS, SPREAD_LN, Person, person
+from .reading_table import POWERS, ReadingTable
+
+Array = NDArray[np.float64]
+
+SCHEMA_VERSION = 1
+Model = Literal["network", "paper"]
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A person's calibrated sensor, R readings.
+
+    scene_digest : of the scene whose board and finger it was calibrated for.
+    base, rest_blood, area_cm2, share : the scene's vessels and touch, which the factors change.
+    factors_ln : (P,) float. Logarithms of the factors by NAMES.
+    gain, offset_v, residual_rms_v : (R,) float.
+    covariance : (P + 2 R, P + 2 R) float. Of factors, gains and offsets.
+    widening : float. By how much intervals are wider than the filter's own, so that they cover what calibration saw.
+    most_force_n : the largest calibrated force by site.
+    chi2_per_dof, rms_n : of the fit's whitened residuals, and of the force told from the calibration's own readings.
+    """
+
+    scene_digest: str
+    model: Model
+    table: ReadingTable
+    base: Parameters
+    rest_blood: float
+    area_cm2: float
+    share: float
+    factors_ln: Array
+    gain: Array
+    offset_v: Array
+    covariance: Array
+    residual_rms_v: Array
+    noise: Noise
+    widening: float
+    most_force_n: dict[str, float]
+    chi2_per_dof: float
+    rms_n: float
+    baselines: dict[str, Regression]
+
+    def person(self, factors_ln: Array | None = None) -> Person:
+        """The person, or those of other factors (P, *S)."""
+        factors = dict(zip(NAMES, np.exp(self.factors_ln if factors_ln is None else factors_ln), strict=True))
+        return person(self.base, factors, rest_blood=self.rest_blood, area_cm2=self.area_cm2, share=self.share)
+
+    @property
+    def calibrated(self) -> Calibrated:
+        """What the observer takes."""
+        make: Callable[[Array], Person] = self.person
+        return Calibrated(make, self.table, self.factors_ln, self.gain, self.offset_v, self.covariance)
+
+    @property
+    def stderr(self) -> Array:
+        """Standard errors of factors' logarithms, gains and offsets, (P + 2 R,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def factors(self) -> dict[str, dict[str, Any]]:
+        """What is known of every factor, by name."""
+        spread = self.stderr[: len(NAMES)]
+        return {
+            name: {
+                "value": float(np.exp(self.factors_ln[k])),
+                "stderr": float(spread[k] * np.exp(self.factors_ln[k])),
+                "prior": f"lognormal about 1, a factor {prior.spread:g} either way",
+                "informed": bool(spread[k] < 0.7 * SPREAD_LN[k]),
+                "what": prior.text,
+            }
+            for k, (name, prior) in enumerate(PRIORS.items())
+        }
+
+    def readings(self) -> dict[str, dict[str, float]]:
+        """Gain, offset and noise of every reading, by name."""
+        count, errors = len(NAMES), self.stderr
+        size = len(self.gain)
+        return {
+            name: {
+                "gain": float(self.gain[k]),
+                "gain_stderr": float(errors[count + k]),
+                "offset_v": float(self.offset_v[k]),
+                "offset_stderr_v": float(errors[count + size + k]),
+                "residual_rms_v": float(self.residual_rms_v[k]),
+                "noise_v": float(self.noise.reading_v[k]),
+            }
+            for k, name in enumerate(self.table.names)
+        }
+
+
+def write_subject(subject: Subject, path: Path) -> None:
+    """Write a subject, whole or not at all; raises WriteError."""
+    import tomli_w
+
+    table = subject.table
+    write_text(
+        path,
+        tomli_w.dumps(
+            {
+                "schema_version": SCHEMA_VERSION,
+                "model": subject.model,
+                "scene_digest": subject.scene_digest,
+                "quality": {
+                    "chi2_per_dof": subject.chi2_per_dof,
+                    "rms_n": subject.rms_n,
+                    "widening": subject.widening,
+                    "most_force_n": subject.most_force_n,
+                },
+                "factors": subject.factors(),
+                "readings": subject.readings(),
+                "noise": {
+                    "drift_per_min": subject.noise.drift_per_min,
+                    "touch_rate_n_per_cm2_rt_s": subject.noise.touch_rate,
+                    "rhythms": [vars(one) for one in subject.noise.rhythms],
+                },
+                "baselines": {
+                    name: {"intercept_n": one.intercept_n, "weights_n_per_v": one.weights_n_per_v.tolist()}
+                    for name, one in subject.baselines.items()
+                },
+                "scene": {
+                    "rest_blood_fraction": subject.rest_blood,
+                    "contact_area_cm2": subject.area_cm2,
+                    "proximal_share": subject.share,
+                    "vessels": subject.base.as_dict(),
+                },
+                "light": {
+                    "most_blood_fraction": table.most_blood,
+                    "range_v": table.range_v,
+                    "powers": [list(power) for power in POWERS],
+                    "ln_volts": dict(zip(table.names, table.coefficients.tolist(), strict=True)),
+                    "dark_v": table.dark_v.tolist(),
+                    "slope_stderr": table.slope_stderr.tolist(),
+                    "noise_v": table.noise_v.tolist(),
+                },
+                "covariance": subject.covariance.tolist(),
+            }
+        ),
+    )
+
+
+def read_subject(path: str | Path) -> Subject:
+    """Read a subject file; raises InputError where it is none, or not whole."""
+    path = Path(path)
+    found = parse_toml(read_text(path, "a subject file that nailoptics calibrate wrote"), str(path))
+    try:
+        if found["schema_version"] != SCHEMA_VERSION:
+            raise InputError(f"{path}: schema_version = {found['schema_version']} is unknown; calibrate again.")
+        return _subject(found)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{path}: is no whole subject file ({error!r:.80}); calibrate again.") from None
+
+
+def _subject(found: dict[str, Any]) -> Subject:
+    light, scene, noise, quality = (found[name] for name in ("light", "scene", "noise", "quality"))
+    names, readings = tuple(light["ln_volts"]), found["readings"]
+    if tuple(map(tuple, light["powers"])) != POWERS or list(found["factors"]) != list(NAMES):
+        raise ValueError("another version's factors or powers")
+
+    def each(field: str) -> Array:
+        return np.array([readings[name][field] for name in names])
+
+    size = len(NAMES) + 2 * len(names)
+    covariance = np.array(found["covariance"], dtype=float)
+    if covariance.shape != (size, size):
+        raise ValueError(f"covariance of shape {covariance.shape}")
+    table = ReadingTable(
+        names=names,
+        coefficients=np.array([light["ln_volts"][name] for name in names]),
+        dark_v=np.array(light["dark_v"]),
+        most_blood=light["most_blood_fraction"],
+        slope_stderr=np.array(light["slope_stderr"]),
+        noise_v=np.array(light["noise_v"]),
+        range_v=light["range_v"],
+    )
+    rhythms = tuple(Oscillation(**one) for one in noise["rhythms"])
+    return Subject(
+        scene_digest=found["scene_digest"],
+        model=found["model"],
+        table=table,
+        base=Parameters(**scene["vessels"]),
+        rest_blood=scene["rest_blood_fraction"],
+        area_cm2=scene["contact_area_cm2"],
+        share=scene["proximal_share"],
+        factors_ln=np.log([found["factors"][name]["value"] for name in NAMES]),
+        gain=each("gain"),
+        offset_v=each("offset_v"),
+        covariance=covariance,
+        residual_rms_v=each("residual_rms_v"),
+        noise=Noise(each("noise_v"), noise["drift_per_min"], rhythms, noise["touch_rate_n_per_cm2_rt_s"]),
+        widening=quality["widening"],
+        most_force_n=dict(quality["most_force_n"]),
+        chi2_per_dof=quality["chi2_per_dof"],
+        rms_n=quality["rms_n"],
+        baselines={
+            name: Regression(one["intercept_n"], np.array(one["weights_n_per_v"]))
+            for name, one in found["baselines"].items()
+        },
+    )
