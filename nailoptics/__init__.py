@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from .light import Transfer, trace
     from .scene import Scene, load_scene, parse_scene, to_toml
     from .studies.comparison.compare import compare
+    from .studies.force.calibrate import calibrate
+    from .studies.force.predict import predict
     from .studies.model_error.explain import explain
     from .studies.model_error.tradeoff import tradeoff
     from .studies.placement.place import place
@@ -23,11 +25,13 @@ _ROOMS = ("hemodynamics", "scene", "tissue")
 _HOMES = {
     "Scene": ".scene",
     "Transfer": ".light",
+    "calibrate": ".studies.force.calibrate",
     "compare": ".studies.comparison.compare",
     "explain": ".studies.model_error.explain",
     "load_scene": ".scene",
     "open_results": ".batch",
     "parse_scene": ".scene",
+    "predict": ".studies.force.predict",
     "place": ".studies.placement.place",
     "simulate": ".studies.simulate",
     "to_toml": ".scene",
@@ -54,6 +58,7 @@ __all__ = [
     "NotReachedError",
     "Scene",
     "Transfer",
+    "calibrate",
     "compare",
     "explain",
     "hemodynamics",
@@ -61,6 +66,7 @@ __all__ = [
     "open_results",
     "parse_scene",
     "place",
+    "predict",
     "scene",
     "simulate",
     "tissue",

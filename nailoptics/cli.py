@@ -73,19 +73,32 @@ def run(arguments: list[str]) -> int:
 
 
 @app.command
-def simulate(scene: ScenePath, *, output: Folder = None, json_: Json = False, options: Options = USUAL) -> None:
+def simulate(
+    scene: ScenePath,
+    *,
+    output: Folder = None,
+    recording: Annotated[
+        Path | None, Parameter(help="Write what a worn sensor would record, noise included, to this CSV file, too.")
+    ] = None,
+    json_: Json = False,
+    options: Options = USUAL,
+) -> None:
     """Simulate a touch: force to volts over time, traced light beside the paper's (8) and (9).
 
     Writes result.nc and report.html.
     """
-    from .report.result_files import SIMULATION, write_simulation
+    from .report.result_files import SIMULATION, write_recording, write_simulation
     from .report.summaries import simulation_lines, simulation_summary
+    from .studies.force.virtual_recording import record
     from .studies.simulate import simulate as study
 
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, SIMULATION)
+    _check_file(recording)
     result, unmet = _watched(study, loaded, **options.fields)
     paths = write_simulation(result, folder)
+    if recording is not None:
+        paths |= write_recording(record(loaded, result, seed=options.seed), recording)
     summary = simulation_summary(result)
     _show(summary, simulation_lines(summary), paths, json_)
     _end(unmet, folder)
@@ -343,6 +356,84 @@ def figures(
         pictures += draw(output, responses, name=name, recorded=recorded)
         judged[name] = judge(responses)
     _show({"claims": as_rows(judged), "pictures": list(map(str, pictures))}, [as_text(judged), *pictures], {}, json_)
+
+
+@app.command
+def calibrate(
+    scene: ScenePath,
+    recordings: Annotated[list[Path], Parameter(help="Recordings of a known force (CSV), one or more.")],
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Subject file to write.")] = Path("subject.toml"),
+    model: Annotated[
+        Literal["network", "paper"],
+        Parameter(
+            help="network: the person's vessels on traced light; paper: offset and scale of (9), time constants."
+        ),
+    ] = "network",
+    json_: Json = False,
+    options: Options = USUAL,
+) -> None:
+    """Calibrate a person's sensor with recordings of a known force: gains, offsets, vessels, with their errors.
+
+    A recording has columns time_s, force_n, one of volts for each reading, and site (proximal, distal or even). Writes
+    the subject file and a page beside it.
+    """
+    from .report.result_files import write_calibration
+    from .studies.force.calibrate import calibrate as study
+    from .studies.force.calibrate import calibration_summary
+
+    if output.suffix != ".toml":
+        raise InputError(f"{output}: a subject file ends in .toml; rename it.")
+    loaded, _ = _load(scene, options)
+    check_writable(output.parent, output.name, output.with_suffix(".html").name)
+    result, unmet = _watched(study, loaded, recordings, model=model, **options.fields)
+    summary = calibration_summary(result)
+    for line in summary["warnings"]:
+        say(line)
+    text = [f"force told from these recordings: rms {1e3 * summary['rms_n']:.0f} mN"]
+    _show(summary, text, write_calibration(result, output), json_)
+    _end(unmet, output)
+
+
+@app.command
+def predict(
+    subject: Annotated[Path, Parameter(help="Subject file that calibrate wrote.")],
+    readings: Annotated[str, Parameter(help="Recording (CSV), or - for lines that come one by one on stdin.")],
+    *,
+    output: Annotated[
+        Path | None, Parameter(name=["--output", "-o"], help="Folder for the results; results/READINGS if not given.")
+    ] = None,
+    smooth: Annotated[bool, Parameter(negative="", help="Use what comes after each sample, too.")] = False,
+    press: Annotated[float, Parameter(help="Force at which the virtual switch closes. [N]")] = 0.5,
+    release: Annotated[float, Parameter(help="Force below which it opens. [N]")] = 0.3,
+    json_: Json = False,
+) -> None:
+    """Tell force over time, with its 95 % interval, from a calibrated person's readings.
+
+    Writes predict.csv, predict.nc and predict.html; with - each line is answered at once on stdout.
+    """
+    from .report.result_files import PREDICTION, write_prediction
+    from .studies.force.predict import live, prediction_summary
+    from .studies.force.predict import predict as study
+    from .studies.force.subject import read_subject
+
+    calibrated = read_subject(subject)
+    if readings == "-":
+        try:
+            for line in live(calibrated, sys.stdin):
+                print(line, flush=True)
+        except KeyboardInterrupt:
+            say("stopped.")
+        return
+    folder = _results(output, readings, PREDICTION)
+    result = study(calibrated, readings, smoothed=smooth, press_n=press, release_n=release)
+    summary, paths = prediction_summary(result), write_prediction(result, folder)
+    lines = [f"{result.sizes['time']} samples; open above from {summary['open_above_n']:.2f} N"]
+    if math.isfinite(summary["rms_n"]):
+        lines.append(f"rms {1e3 * summary['rms_n']:.0f} mN, {summary['coverage_95']:.0%} inside their 95 % interval")
+    if not summary["consistent"]:
+        say(f"the readings do not fit this subject: {summary['misfit']}.")
+    _show(summary, lines, paths, json_)
 
 
 @app.command

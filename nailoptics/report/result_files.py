@@ -6,8 +6,9 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..io import to_json, turn, write_dataset, write_text
+from ..io import make_folder, to_json, turn, write_dataset, write_text
 from ..scene import Scene, to_toml
+from ..scene.sensor_recordings import Recording, recording_csv
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -18,6 +19,8 @@ SIMULATION = ("result.nc", "report.html")
 COMPARISON = ("compare.nc", "compare.html")
 PLACEMENT = ("place.nc", "ranking.csv", "place.html", "best.toml", "best.csv", "best.glb")
 TRADEOFF = ("tradeoff.json", "tradeoff.html", "tradeoff.png", "scene.toml")
+
+PREDICTION = ("predict.nc", "predict.csv", "predict.html")
 
 Paths = dict[str, Path]
 
@@ -98,3 +101,35 @@ def write_sweep(results: "xr.Dataset", folder: Path, *, failures: Mapping[str, s
     write_table(results, table)
     write_sweep_page(results, page, failures=failures)
     return {"report": page, "table": table}
+
+
+def write_recording(recording: Recording, path: Path) -> Paths:
+    """Write a recording as a CSV; returns its path."""
+    make_folder(path.parent)
+    write_text(path, recording_csv(recording))
+    return {"recording": path}
+
+
+def write_calibration(result: "xr.Dataset", subject: Path) -> Paths:
+    """Write a subject file and, beside it, its page; returns their paths."""
+    from ..studies.force.calibrate import calibration_summary
+    from .force_pages import write_calibration_page
+
+    page = subject.with_suffix(".html")
+    make_folder(subject.parent)
+    write_text(subject, result.attrs["subject"])
+    write_calibration_page(result, calibration_summary(result), page)
+    return {"subject": subject, "report": page}
+
+
+def write_prediction(result: "xr.Dataset", folder: Path) -> Paths:
+    """Write a prediction as NetCDF, CSV and page; returns their paths."""
+    from ..studies.force.predict import csv_rows, prediction_summary
+    from .force_pages import write_prediction_page
+
+    data, rows, page = (folder / name for name in PREDICTION)
+    with turn(folder):
+        write_dataset(result, data)
+        write_text(rows, "".join(f"{row}\n" for row in csv_rows(result)))
+        write_prediction_page(result, prediction_summary(result), page)
+    return {"report": page, "result": data, "csv": rows}

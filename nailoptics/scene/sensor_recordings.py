@@ -1,7 +1,9 @@
 """Recordings of a worn sensor: a CSV with time, readings in volts and, where it was measured, the force."""
 
+import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +56,7 @@ class Recording:
         return Recording(self.name, tuple(names), self.time_s, self.volts[order], self.force_n, self.site)
 
 
-def read_recording(path: str | Path) -> Recording:
+def read_sensor_recording(path: str | Path) -> Recording:
     """Read a recording: columns time_s, readings in volts, and, where known, force_n, site and both pressures.
 
     Raises: InputError that names the column, the line, the value and what to do.
@@ -148,3 +150,19 @@ def _sites(rows: list[tuple[int, list[str]]], at: int, name: str) -> Array:
             raise InputError(f"{name} line {line}: site = {text[:40]!r} is none; choose from {', '.join(SITES)}.")
         out[k] = SITES[text]
     return out
+
+
+def recording_csv(recording: Recording) -> str:
+    """A recording as the text of its file."""
+    named = {value: name for name, value in SITES.items() if np.isfinite(value)}
+    out = StringIO()
+    rows = csv.writer(out, lineterminator="\n")
+    site, force = recording.site, recording.force_n
+    known = [*(["force_n"] if force is not None else []), *(["site"] if site is not None else [])]
+    rows.writerow(["time_s", *known, *recording.names])
+    for k, time_s in enumerate(recording.time_s):
+        cells = [f"{time_s:.6g}"]
+        cells += [f"{force[k]:.6g}"] if force is not None else []
+        cells += [named.get(site[k], "even")] if site is not None else []
+        rows.writerow([*cells, *("" if np.isnan(v) else f"{v:.7g}" for v in recording.volts[:, k])])
+    return out.getvalue()

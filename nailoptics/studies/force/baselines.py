@@ -27,7 +27,7 @@ def linear_regression(volts: Array, force_n: Array) -> Regression:
     """Least squares on all readings, (R, T) volts."""
     design = np.column_stack([np.ones(volts.shape[1]), volts.T])
     found = np.linalg.lstsq(design, force_n, rcond=None)[0]
-    return Regression(float(found[0]), found[1:])
+    return Regression(float(found[0]), np.asarray(found[1:], float))
 
 
 def component_regression(volts: Array, force_n: Array) -> Regression:
@@ -41,5 +41,5 @@ def component_regression(volts: Array, force_n: Array) -> Regression:
     basis = vectors[:, :kept]
     scores = basis.T @ (volts - middle[:, None])
     inner = linear_regression(scores, force_n)
-    weights = basis @ inner.weights_n_per_v
+    weights = np.asarray(basis @ inner.weights_n_per_v, float)
     return Regression(inner.intercept_n - float(weights @ middle), weights)

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 HEART_HZ, BREATH_HZ, SLOW_HZ = (0.7, 3.0), (0.15, 0.5), (0.03, 0.15)
 # Harmonics of the beat that carry a pulse's shape.
 HARMONICS = 3
-# How long rhythms keep their phase: a beat's intervals scatter by some 5 %, breaths by 10 %, slow waves come and go. [s]
+# How long rhythms keep their phase: beats scatter by some 5 %, breaths by 10 %, slow waves come and go. [s]
 HEART_COHERENCE_S, BREATH_COHERENCE_S, SLOW_COHERENCE_S = 4.0, 8.0, 4.0
 # A step of arterial pressure by which its effect is found. [Pa]
 STEP_PA = 100.0
@@ -32,7 +32,7 @@ TOUCH_RATE = 0.3
 
 
 def arterial_response(person: Person, table: ReadingTable, gain: Array, recording: Recording) -> Array:
-    """Change of every reading with the arterial pressure over a touch, slow against the vessels, (R, T) float. [V/Pa]"""
+    """Change of every reading with a slow change of arterial pressure, over a touch, (R, T) float. [V/Pa]"""
     assert recording.force_n is not None and recording.site is not None
     high = person.arterial_pa + STEP_PA * np.array([-0.5, 0.5])
     pressure = np.repeat(person.pressures(recording.force_n, recording.site)[:, None], 2, axis=1)
@@ -62,7 +62,7 @@ def learn_noise(
         filled = np.where(np.isfinite(residual), residual, 0.0)
         weight = response / (white**2 + (1e-3 * rest_v) ** 2)[:, None]
         strength = (weight * response).sum(0)
-        # Where a touch has all but shut the vessels the arterial pressure is not seen: less than a tenth counts as none.
+        # Where a touch has all but shut the vessels the arterial pressure is not seen.
         seen = strength > 0.01 * strength.max()
         pressure = np.where(seen, (weight * filled).sum(0) / np.where(seen, strength, 1.0), 0.0)
         window = min(len(time), round(40.0 / step))

@@ -1,32 +1,31 @@
 """Calibrate a person's sensor with recordings of a known force."""
 
-import logging
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Unpack
+from pathlib import Path
+from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from ... import hemodynamics
+from ... import __version__
 from ...errors import InputError
 from ...light import ProgressCallback, open_light
 from ...options import Requested
-from ...scene import Scene, digest
-from ...scene.sensor_recordings import Recording
+from ...scene import Scene, digest, to_toml
+from ...scene.sensor_recordings import Recording, read_sensor_recording
 from ...variables import variable
 from ..blood_states import vessels
 from .baselines import Regression, component_regression, linear_regression
 from .body_noise import learn_noise
 from .fit import Fit, Fitted
-from .force_interval import ForceInterval
+from .force_interval import ForceInterval, closure_of
 from .observer import Observer
 from .person import NAMES
 from .reading_table import ReadingTable, nodes_of, paper_table, reading_names, reading_table
-from .subject import Model, Subject
+from .subject import Model, Subject, parse_subject, subject_toml
 
-log = logging.getLogger(__name__)
 Array = NDArray[np.float64]
 
 # The table of light reaches so far beyond the scene's blood at rest: pooling doubles it, people differ by two more.
@@ -41,27 +40,31 @@ PAPER_FACTORS = ("vein_damping", "capillary_damping")
 
 def calibrate(
     scene: Scene,
-    recordings: Sequence[Recording],
+    recordings: Sequence[Recording | str | Path],
     *,
     model: Model = "network",
     progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
-) -> tuple[Subject, xr.Dataset]:
+) -> xr.Dataset:
     """Fit a person's sensor to recordings of a known force.
 
     scene : the board and a guess of the finger.
-    recordings : one or more, each with the force and its site.
+    recordings : one or more, or the files that hold them, each with the force and its site.
     model : "network" fits the vessels on the traced light; "paper" offset and scale of (9) and time constants alone.
 
-    Returns: the subject, and a Dataset with the recordings beside what was fitted, over sample and reading.
+    Returns: Dataset of the recordings beside what was fitted, over sample and reading; its attribute `subject` is the
+    text of the subject's file, from which `predict` tells force.
 
     Raises: InputError for recordings that cannot calibrate this board; NotReachedError of the trace.
     """
     names = reading_names(scene)
-    given = [_checked(one.of(names), scene) for one in recordings]
+    read = [one if isinstance(one, Recording) else read_sensor_recording(one) for one in recordings]
+    given = [_checked(one.of(names), scene) for one in read]
     if not given:
         raise InputError("calibrate needs at least one recording of a known force.")
-    scene = scene.model_copy(update={"blood": _two_zones(scene.blood)})
+    # A person is the paper's network of two zones, whatever the scene has.
+    two = {"zones": None, "zone_edges_mm": (0.0,), "decay_length": None}
+    scene = scene.model_copy(update={"blood": scene.blood.model_copy(update=two), "body": None})
     most_blood = min(1.0, MOST_OVER_REST * scene.blood.rest_blood_fraction)
     light = open_light(scene, states=nodes_of(most_blood), progress=progress, **requested)
     table = reading_table(scene, light, most_blood)
@@ -72,8 +75,8 @@ def calibrate(
 
 def calibrate_with(
     scene: Scene, table: ReadingTable, recordings: Sequence[Recording], *, model: Model = "network"
-) -> tuple[Subject, xr.Dataset]:
-    """What `calibrate` returns, from a table of light that is already there."""
+) -> xr.Dataset:
+    """What `calibrate` returns, from a table of light that is already there and recordings that were checked."""
     even = any(one.site is not None and np.isnan(one.site).any() for one in recordings)
     searched = PAPER_FACTORS if model == "paper" else NAMES
     free = np.array([name in searched and (name != "proximal_share" or even) for name in NAMES])
@@ -106,7 +109,47 @@ def calibrate_with(
         **usual,
     )
     subject = _judged(subject, recordings)
-    return subject, _dataset(recordings, fitted)
+    return _dataset(recordings, fitted).assign_attrs(
+        title="nailoptics: a person's sensor, calibrated",
+        digest=subject.scene_digest,
+        scene=to_toml(scene),
+        subject=subject_toml(subject),
+        recordings=[one.name for one in recordings],
+        versions=f"nailoptics {__version__}",
+        warnings=_warnings(subject),
+    )
+
+
+def calibration_summary(result: xr.Dataset) -> dict[str, Any]:
+    """What a calibration says in few numbers, ready for JSON."""
+    subject = parse_subject(result.attrs["subject"])
+    return {
+        "readings": subject.readings(),
+        "parameters": subject.factors(),
+        "chi2_per_dof": subject.chi2_per_dof,
+        "rms_n": subject.rms_n,
+        "widening": subject.widening,
+        "warnings": list(result.attrs["warnings"]),
+    }
+
+
+def _warnings(subject: Subject) -> list[str]:
+    """What a user should know of a calibration before trusting it."""
+    found = []
+    closure = closure_of(subject.person())
+    for side, shut in (("proximal", closure.proximal), ("distal", closure.distal)):
+        most = subject.most_force_n.get(side, subject.most_force_n.get("even", 0.0))
+        reach = shut * float(subject.person().area_cm2)
+        if most == 0:
+            found.append(f"no {side} touch was recorded: what is told of one rests on priors.")
+        elif most < 0.8 * reach:
+            found.append(f"{side} touches reach {most:.2g} N, the vessels close at {reach:.2g} N: record harder ones.")
+    if subject.widening > 2:
+        found.append(
+            f"intervals had to be made {subject.widening:.1f} times as wide to cover the calibration's own touches: "
+            "the model misses something."
+        )
+    return found
 
 
 def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
@@ -162,11 +205,6 @@ def _checked(recording: Recording, scene: Scene) -> Recording:
     return recording
 
 
-def _two_zones(blood: object) -> object:
-    """The scene's blood in the paper's two zones."""
-    return blood
-
-
 def _rest_volts(recordings: Sequence[Recording]) -> Array:
     """Median of every reading while the finger rests. [V]"""
     still = [one.volts[:, np.asarray(one.force_n) < REST_FORCE_N] for one in recordings]
@@ -205,4 +243,4 @@ def _dataset(recordings: Sequence[Recording], fitted: Fitted) -> xr.Dataset:
     volts = np.concatenate([one.volts for one in recordings], axis=1)
     data |= variable("volts", over, volts, "recorded voltage", units="V")
     data |= variable("volts_fitted", over, np.concatenate(fitted.predicted_v, axis=1), "fitted voltage", units="V")
-    return xr.Dataset(data, {"reading": list(recordings[0].names)}, {"recordings": [one.name for one in recordings]})
+    return xr.Dataset(data, {"reading": list(recordings[0].names)})

@@ -1,4 +1,4 @@
-"""The fit of a person to recordings of a known force: gains and offsets solved, tied factors of the vessels searched."""
+"""The fit of a person to recordings of a known force: gains and offsets solved, factors of the vessels searched."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -104,7 +104,13 @@ class Fit:
         factors = np.zeros(len(NAMES))
         for _ in range(ROUNDS):
             found = least_squares(
-                self._residual, factors[self.free], jac=self._jacobian, method="trf", max_nfev=MOST_EVALUATIONS, xtol=1e-3, ftol=1e-4
+                self._residual,
+                factors[self.free],
+                jac=self._jacobian,
+                method="trf",
+                max_nfev=MOST_EVALUATIONS,
+                xtol=1e-3,
+                ftol=1e-4,
             )
             factors[self.free] = found.x
             self._learn(self._linear_fit(self._columns(found.x))[0][:, 0])
@@ -146,14 +152,14 @@ class Fit:
         fitted = np.einsum("rstp,rsp->rst", design, found)
         beside = (found - before[:, None]) / spread[:, None]
         residual = np.where(self.there[:, None], self.volts[:, None] - fitted, 0.0)
-        return residual, np.moveaxis(beside, 1, -1).reshape(-1, found.shape[1])
+        return np.asarray(residual), np.moveaxis(beside, 1, -1).reshape(-1, found.shape[1])
 
     def _whiten(self, residual: Array) -> Array:
         """Residuals (R, S, T) as independent numbers of variance 1, (R * T, S)."""
         root = np.linalg.cholesky(self.covariance)
         white = np.linalg.solve(root, residual.reshape(len(residual), -1)).reshape(residual.shape)
         white = white * np.sqrt(self.weight / self.memory)
-        return np.moveaxis(white, 1, -1).reshape(-1, residual.shape[1])
+        return np.asarray(np.moveaxis(white, 1, -1).reshape(-1, residual.shape[1]))
 
     def _evaluate(self, free_ln: Array) -> tuple[Array, Array]:
         """Whitened residuals with the priors' below, and their derivatives; kept, as both are asked for in turn."""
@@ -204,7 +210,7 @@ class Fit:
         out = np.diag(np.concatenate([SPREAD_LN**2, np.zeros(2 * readings)]))
         place = np.r_[self.free, len(NAMES) : len(NAMES) + 2 * readings]
         out[np.ix_(place, place)] = inverse[np.ix_(kept, kept)]
-        return out
+        return np.asarray(out)
 
     def _spread(self, count: int) -> Array:
         """What is known of gain, offset and drifts beforehand, (R, count)."""

@@ -60,7 +60,9 @@ def closure_of(person: Person) -> Closure:
         pressure = np.zeros((2, SEARCHED.size))
         pressure[side] = SEARCHED
         full = np.full(SEARCHED.size, 1.0)
-        rest = solve_walls(person.walls, touch_on_walls(pressure), person.arterial_pa * full, person.venous_pa * full)[0]
+        rest = solve_walls(person.walls, touch_on_walls(pressure), person.arterial_pa * full, person.venous_pa * full)[
+            0
+        ]
         blood = rest[side] ** 2
         change = np.abs(blood - blood[0])
         left = change < (1 - LEFT_AT_CLOSURE) * change.max()

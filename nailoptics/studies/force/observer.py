@@ -146,7 +146,9 @@ class Observer:
             columns[factor, 14 + 2 * k] -= FACTOR_STEP_LN
         many = calibrated.make(columns)
         self._walls, self._rest = many.walls, many.rest_m
-        self._closed = np.stack(np.broadcast_arrays(*(np.asarray(one, dtype=float) for one in many.walls.closed), many.rest_m[0])[:3])
+        self._closed = np.stack(
+            np.broadcast_arrays(*(np.asarray(one, dtype=float) for one in many.walls.closed), many.rest_m[0])[:3]
+        )
         self.restart()
 
     def _open_covariance(self, covariance: Array) -> Array:
@@ -229,14 +231,17 @@ class Observer:
         around[range(5), range(6, 11)] -= reach
         highs = np.full(count, high)
         highs[11:13] += ARTERIAL_STEP_PA * np.array([1.0, -1.0])
-        widths = step(
-            self._walls,
-            np.maximum(around[WIDTHS] * self._rest, self._closed),
-            touch_on_walls(pressure_of(around[TOUCH])),
-            highs,
-            self.person.venous_pa,
-            step_s=step_s,
-        ) / self._rest
+        widths = (
+            step(
+                self._walls,
+                np.maximum(around[WIDTHS] * self._rest, self._closed),
+                touch_on_walls(pressure_of(around[TOUCH])),
+                highs,
+                self.person.venous_pa,
+                step_s=step_s,
+            )
+            / self._rest
+        )
         transition[WIDTHS, :5] = (widths[:, 1:6] - widths[:, 6:11]) / (2 * reach)
         transition[WIDTHS] += np.outer((widths[:, 11] - widths[:, 12]) / (2 * ARTERIAL_STEP_PA), self.arterial)
         by_factor = (widths[:, 13::2] - widths[:, 14::2]) / (2 * FACTOR_STEP_LN)

@@ -32,7 +32,8 @@ class Prior(NamedTuple):
 
 
 # Nobody has measured the spread of the network's constants among people; the paper tunes them by hand "within an order
-# of magnitude", so that a factor 2 is taken. Blood at rest: 1-5 % of the bed. The contact of a fingertip at 1 N: 0.6-1.6 cm^2.
+# of magnitude", so that a factor 2 is taken. Blood at rest: 1-5 % of the bed.
+# The contact of a fingertip at 1 N: 0.6-1.6 cm^2.
 PRIORS: dict[str, Prior] = {
     "vein_stiffness": Prior(2.0, ("vein_stiffness_n_per_m",), "stiffness of the vein's wall"),
     "capillary_stiffness": Prior(2.0, ("capillary_stiffness_n_per_m",), "stiffness of the capillaries' walls"),
@@ -91,7 +92,9 @@ def force_of(pressure: Array, area_cm2: float) -> tuple[Array, Array]:
     return area_cm2 * larger, share
 
 
-def person(base: Parameters, factors: Mapping[str, Array | float], *, rest_blood: float, area_cm2: float, share: float) -> Person:
+def person(
+    base: Parameters, factors: Mapping[str, Array | float], *, rest_blood: float, area_cm2: float, share: float
+) -> Person:
     """A person whose constants are a scene's times factors; arrays of factors make many people.
 
     base : the scene's constants. rest_blood, area_cm2, share : of the scene.
@@ -105,7 +108,11 @@ def person(base: Parameters, factors: Mapping[str, Array | float], *, rest_blood
     walls = build_walls(cast(Parameters, SimpleNamespace(**scaled)), PAPER_ZONES)
     high, low = np.full(shape, base.arterial_pressure_pa), np.full(shape, base.venous_pressure_pa)
     rest_m, _ = solve_walls(walls, np.zeros((3, *shape)), high, low, tolerance=1e-12)
-    odds = share / (1.0 - share) * np.asarray(factors.get("proximal_share", 1.0)) if 0.0 < share < 1.0 else math.inf * share
+    odds = (
+        share / (1.0 - share) * np.asarray(factors.get("proximal_share", 1.0))
+        if 0.0 < share < 1.0
+        else math.inf * share
+    )
     return Person(
         walls=walls,
         rest_m=rest_m,

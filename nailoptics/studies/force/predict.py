@@ -1,8 +1,7 @@
 """Tell force over time from a calibrated person's readings, with intervals, events, and what does not fit."""
 
-import logging
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,14 +9,13 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ...errors import InputError
-from ...scene.sensor_recordings import Recording
+from ...scene.sensor_recordings import Recording, check_header, read_sensor_recording
 from ...variables import variable
 from .force_interval import ForceEstimate, ForceInterval
 from .observer import Estimate, Observer
 from .smoothing import smooth
-from .subject import Subject
+from .subject import Subject, read_subject
 
-log = logging.getLogger(__name__)
 Array = NDArray[np.float64]
 
 # A recording does not fit its subject if more of its samples than this are outliers, or if its readings are on average
@@ -27,21 +25,9 @@ MOST_OUTLIERS, MOST_CHI2 = 0.03, 1.5
 EXPLAINED = 0.8
 
 
-@dataclass(frozen=True)
-class Event:
-    """A press or release of the virtual switch.
-
-    latency_s : after the known force crossed the same threshold; NaN where no force is known.
-    """
-
-    time_s: float
-    kind: str
-    latency_s: float
-
-
 def predict(
-    subject: Subject,
-    recording: Recording,
+    subject: Subject | str | Path,
+    readings: Recording | str | Path,
     *,
     smoothed: bool = False,
     press_n: float = 0.5,
@@ -49,17 +35,21 @@ def predict(
 ) -> xr.Dataset:
     """Force over time from readings.
 
+    subject : what `calibrate` found, or its file.
+    readings : a recording, or its file; its force, where known, is what the result is judged by.
     smoothed : use what comes after each sample, too; otherwise only what came before it.
     press_n, release_n : the virtual switch closes above the first force and opens below the second. [N]
 
     Returns: Dataset over time: force_n with force_low_n and force_high_n (95 %; infinite where open above), proximal
-    share and pressures with theirs, arterial pressure, surprise and outlier of each sample, and the regressions' forces;
-    its attributes hold what `prediction_summary` prints.
+    share and pressures with theirs, arterial pressure, surprise and outlier of each sample, the regressions'
+    forces; its attributes hold what `prediction_summary` prints.
 
     Raises: InputError for readings of another board, or thresholds out of order.
     """
     if not 0 < release_n < press_n:
         raise InputError(f"release = {release_n:g} N must lie above 0 and below press = {press_n:g} N.")
+    subject = subject if isinstance(subject, Subject) else read_subject(subject)
+    recording = readings if isinstance(readings, Recording) else read_sensor_recording(readings)
     recording = recording.of(subject.table.names)
     _check_saturation(subject, recording)
     observer = Observer(subject.calibrated, subject.noise)
@@ -73,8 +63,38 @@ def predict(
     return _dataset(subject, recording, observer, estimates, told, press_n=press_n, release_n=release_n)
 
 
-def live(subject: Subject, samples: Iterator[tuple[float, Array]]) -> Iterator[tuple[float, ForceEstimate, Estimate]]:
-    """The same for samples (time [s], volts (R,)) that come one by one; each is answered before the next is read."""
+def live(subject: Subject, lines: Iterable[str]) -> Iterator[str]:
+    """The lines of predict.csv for lines of a recording that come one by one: each is answered before the next is read.
+
+    Raises: InputError for a header that lacks a reading, or a line that is none.
+    """
+    names, given = subject.table.names, iter(lines)
+    header = [cell.strip() for cell in next(given, "").split(",")]
+    check_header(header, "stdin")
+    missing = [name for name in names if name not in header]
+    if missing:
+        raise InputError(f"stdin: has no column {missing[0]!r}; this subject's readings are {', '.join(names)}.")
+    places = [header.index(name) for name in ("time_s", *names)]
+    yield ",".join(CSV_COLUMNS)
+    samples = (_sample(line, places, number) for number, line in enumerate(given, start=2) if line.strip())
+    for time_s, told, estimate in _live(subject, samples):
+        share = (told.share[0], told.share_low[0], told.share_high[0])
+        yield csv_row(time_s, told.force_n[0], told.low_n[0], told.high_n[0], *share, estimate.outlier)
+
+
+def _sample(line: str, places: list[int], number: int) -> tuple[float, Array]:
+    """Time and volts of a line; empty cells are gaps."""
+    cells = line.split(",")
+    try:
+        values = np.array([float(cells[place].strip() or "nan") for place in places])
+    except (ValueError, IndexError):
+        raise InputError(f"stdin line {number}: {line.strip()[:60]!r} holds no number where one belongs.") from None
+    if not np.isfinite(values[0]) or np.isinf(values).any():
+        raise InputError(f"stdin line {number}: {line.strip()[:60]!r} needs a time and finite volts.")
+    return float(values[0]), values[1:]
+
+
+def _live(subject: Subject, samples: Iterable[tuple[float, Array]]) -> Iterator[tuple[float, ForceEstimate, Estimate]]:
     observer, last = Observer(subject.calibrated, subject.noise), None
     interval = ForceInterval(observer.person, widening=subject.widening)
     for time_s, volts in samples:
@@ -96,6 +116,36 @@ def events(time_s: Array, force_n: Array, *, press_n: float, release_n: float) -
             closed = False
             found.append((float(time), "release"))
     return found
+
+
+CSV_COLUMNS = (
+    "time_s",
+    "force_n",
+    "force_low_n",
+    "force_high_n",
+    "open_above",
+    "proximal_share",
+    "proximal_share_low",
+    "proximal_share_high",
+    "outlier",
+)
+
+
+def csv_rows(result: xr.Dataset) -> Iterator[str]:
+    """The lines of predict.csv; an upper bound that is open is left empty."""
+    yield ",".join(CSV_COLUMNS)
+    columns = [result.time.values, *(result[name].values for name in ("force_n", "force_low_n", "force_high_n"))]
+    columns += [result[name].values for name in CSV_COLUMNS[5:]]
+    for row in zip(*columns, strict=True):
+        yield csv_row(*row)
+
+
+def csv_row(
+    time_s: float, force_n: float, low_n: float, high_n: float, share: float, low: float, high: float, outlier: bool
+) -> str:
+    """One line of predict.csv."""
+    bound, is_open = ("", 1) if np.isinf(high_n) else (f"{high_n:.4f}", 0)
+    return f"{time_s:.6g},{force_n:.4f},{low_n:.4f},{bound},{is_open},{share:.3f},{low:.3f},{high:.3f},{int(outlier)}"
 
 
 def prediction_summary(result: xr.Dataset) -> dict[str, Any]:

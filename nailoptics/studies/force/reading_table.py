@@ -49,7 +49,10 @@ class ReadingTable:
     def slopes(self, blood: Array) -> tuple[Array, Array]:
         """Volts (R,) and their derivatives by the blood of each zone (R, 2), for blood (2,)."""
         x = np.clip(blood / self.most_blood, 0.0, 1.0)
-        rows = [[x[0] ** i * x[1] ** j, i * x[0] ** max(i - 1, 0) * x[1] ** j, j * x[0] ** i * x[1] ** max(j - 1, 0)] for i, j in POWERS]
+        rows = [
+            [x[0] ** i * x[1] ** j, i * x[0] ** max(i - 1, 0) * x[1] ** j, j * x[0] ** i * x[1] ** max(j - 1, 0)]
+            for i, j in POWERS
+        ]
         value, by_first, by_second = (self.coefficients @ np.array(rows)).T
         light = np.exp(value)
         return self.dark_v + light, light[:, None] * np.stack([by_first, by_second], 1) / self.most_blood
@@ -90,13 +93,19 @@ def reading_table(scene: Scene, light: DetectedLight, most_blood: float) -> Read
     diodes = [element.photodiode for element in scene.layout.photodiodes]
     pairs = [(led, diode) for led in scene.leds for diode in diodes]
     per_fraction = np.array([electronics.volts_per_fraction(led, diode, scene.electronics) for led, diode in pairs])
-    read = [electronics.read_fraction(part, led, diode, scene.electronics) for part, (led, diode) in zip(near.fraction[..., 0].ravel(), pairs, strict=True)]
+    read = [
+        electronics.read(part, led, diode, scene.electronics)
+        for part, (led, diode) in zip(near.fraction[..., 0].ravel(), pairs, strict=True)
+    ]
     names = reading_names(scene)
     for name, one, part in zip(names, read, near.fraction[..., 0].ravel(), strict=True):
         if not part > 0:
             raise InputError(f"{name}: sees no light in this scene; trace more photons or leave it out.")
         if one.saturated:
-            raise InputError(f"{name}: its converter is at its limit ({scene.electronics.adc_range_v:g} V) at rest; lower flux_mw or feedback_ohm.")
+            raise InputError(
+                f"{name}: its converter is at its limit ({scene.electronics.adc_range_v:g} V) at rest; "
+                "lower flux_mw or feedback_ohm."
+            )
     fraction = found.fraction.reshape(len(names), -1)
     x = nodes.T / most_blood
     design = np.stack([x[0] ** i * x[1] ** j for i, j in POWERS], 1)

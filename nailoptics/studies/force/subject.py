@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...hemodynamics.parameters import Parameters
-from ...io import write_text
 from ...scene.text_files import parse_toml, read_text
 from .baselines import Regression
 from .observer import Calibrated, Noise, Oscillation
@@ -103,13 +102,12 @@ class Subject:
         }
 
 
-def write_subject(subject: Subject, path: Path) -> None:
-    """Write a subject, whole or not at all; raises WriteError."""
+def subject_toml(subject: Subject) -> str:
+    """A subject as the text of its file."""
     import tomli_w
 
     table = subject.table
-    write_text(
-        path,
+    return str(
         tomli_w.dumps(
             {
                 "schema_version": SCHEMA_VERSION,
@@ -155,14 +153,18 @@ def write_subject(subject: Subject, path: Path) -> None:
 
 def read_subject(path: str | Path) -> Subject:
     """Read a subject file; raises InputError where it is none, or not whole."""
-    path = Path(path)
-    found = parse_toml(read_text(path, "a subject file that nailoptics calibrate wrote"), str(path))
+    return parse_subject(read_text(Path(path), "a subject file that nailoptics calibrate wrote"), name=str(path))
+
+
+def parse_subject(text: str, *, name: str = "subject") -> Subject:
+    """Read a subject from the text of its file."""
+    found = parse_toml(text, name)
     try:
         if found["schema_version"] != SCHEMA_VERSION:
-            raise InputError(f"{path}: schema_version = {found['schema_version']} is unknown; calibrate again.")
+            raise InputError(f"{name}: schema_version = {found['schema_version']} is unknown; calibrate again.")
         return _subject(found)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path}: is no whole subject file ({error!r:.80}); calibrate again.") from None
+        raise InputError(f"{name}: is no whole subject file ({error!r:.80}); calibrate again.") from None
 
 
 def _subject(found: dict[str, Any]) -> Subject:

@@ -1,0 +1,109 @@
+"""Pages of a calibration and of a prediction."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from ..io import write_text
+from . import force_figures
+from .html import document, escaped, figure, section, small, table
+from .numbers import significant, with_error
+
+
+def write_calibration_page(result: xr.Dataset, summary: dict[str, Any], path: Path) -> None:
+    """Write the page of a calibration, whole or not at all; raises WriteError.
+
+    summary : what `calibration_summary` says of the result.
+    """
+    cards = [
+        (f"{significant(1e3 * summary['rms_n'], 2)} mN", "error of the force told from these recordings, rms"),
+        (significant(summary["chi2_per_dof"], 2), "squared residuals over what their own scatter explains"),
+        (f"× {significant(summary['widening'], 2)}", "width of intervals over the filter's own, to cover 95 % here"),
+    ]
+    factors = [
+        [
+            escaped(name.replace("_", " ")),
+            with_error(one["value"], one["stderr"]),
+            escaped(one["prior"]),
+            "by the recording" if one["informed"] else "by the prior alone",
+            escaped(one["what"]),
+        ]
+        for name, one in summary["parameters"].items()
+    ]
+    rows = [
+        [
+            escaped(name),
+            with_error(one["gain"], one["gain_stderr"]),
+            with_error(1e3 * one["offset_v"], 1e3 * one["offset_stderr_v"]),
+            significant(1e3 * one["residual_rms_v"], 2),
+            significant(1e6 * one["noise_v"], 2),
+        ]
+        for name, one in summary["readings"].items()
+    ]
+    caption = "Each reading less its start: recorded (coloured) and fitted (dark), a column for each recording."
+    text = document(
+        kicker="calibration",
+        title="A person's sensor, calibrated",
+        lead=f"{len(result.attrs['recordings'])} recordings of a known force, "
+        f"{result.sizes['reading']} readings, {result.sizes['sample']} samples.",
+        warnings=summary["warnings"],
+        cards=cards,
+        body=[
+            section("Recorded and fitted", figure(force_figures.fit(result), "fit", caption)),
+            section(
+                "The person",
+                table(["Factor on the scene's", "Value", "Before", "Known", "What it is"], factors),
+                small(
+                    "A factor that the recording does not inform keeps its prior; its error is carried into intervals."
+                ),
+            ),
+            section(
+                "The readings",
+                table(["Reading", "Gain", "Offset [mV]", "Left over, rms [mV]", "Noise, rms [µV]"], rows),
+            ),
+        ],
+        attributes=result.attrs,
+    )
+    write_text(path, text)
+
+
+def write_prediction_page(result: xr.Dataset, summary: dict[str, Any], path: Path) -> None:
+    """Write the page of a prediction, whole or not at all; raises WriteError.
+
+    summary : what `prediction_summary` says of the result.
+    """
+    warnings = []
+    if not summary["consistent"]:
+        warnings.append(
+            f"These readings do not fit the subject: {summary['misfit']}. The force may be wrong; calibrate again."
+        )
+    is_open = float(np.isinf(result.force_high_n.values).mean())
+    cards = [(f"{significant(summary['open_above_n'], 2)} N", "force from which a touch may be any harder")]
+    if np.isfinite(summary["rms_n"]):
+        cards = [
+            (f"{significant(1e3 * summary['rms_n'], 2)} mN", "error of the force, rms"),
+            (f"{100 * summary['coverage_95']:.0f} %", "of samples inside their 95 % interval"),
+            (f"{significant(1e3 * summary['baseline_rms_n']['linear'], 2)} mN", "linear regression's error, rms"),
+            *cards,
+        ]
+    rows = [
+        [escaped(one["kind"]), significant(one["time_s"], 4), significant(1e3 * one["latency_s"], 2)]
+        for one in summary["events"]
+    ]
+    body = [
+        section("Force", figure(force_figures.force(result), "force", "Force over time with its 95 % interval.")),
+        section("Place, body and fit", figure(force_figures.share(result), "share", "What else the readings tell.")),
+        section("The virtual switch", table(["Event", "At [s]", "After the known force [ms]"], rows)) if rows else "",
+    ]
+    text = document(
+        kicker="prediction",
+        title="Force from volts",
+        lead=f"{result.sizes['time']} samples; the interval is open above in {100 * is_open:.0f} % of them.",
+        warnings=warnings,
+        cards=cards,
+        body=body,
+        attributes=result.attrs,
+    )
+    write_text(path, text)
