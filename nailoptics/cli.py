@@ -403,7 +403,6 @@ def predict(
     output: Annotated[
         Path | None, Parameter(name=["--output", "-o"], help="Folder for the results; results/READINGS if not given.")
     ] = None,
-    smooth: Annotated[bool, Parameter(negative="", help="Use what comes after each sample, too.")] = False,
     press: Annotated[float, Parameter(help="Force at which the virtual switch closes. [N]")] = 0.5,
     release: Annotated[float, Parameter(help="Force below which it opens. [N]")] = 0.3,
     json_: Json = False,
@@ -426,7 +425,7 @@ def predict(
             say("stopped.")
         return
     folder = _results(output, readings, PREDICTION)
-    result = study(calibrated, readings, smoothed=smooth, press_n=press, release_n=release)
+    result = study(calibrated, readings, press_n=press, release_n=release)
     summary, paths = prediction_summary(result), write_prediction(result, folder)
     lines = [f"{result.sizes['time']} samples; open above from {summary['open_above_n']:.2f} N"]
     if math.isfinite(summary["rms_n"]):

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from ..hemodynamics.parameters import Parameters
 from ..hemodynamics.respond import respond
 from ..hemodynamics.steady import solve_walls, steady_state, wall_pressures
-from ..hemodynamics.walls import Walls, build_walls, massless_jacobian, massless_rates
+from ..hemodynamics.stepping import step
+from ..hemodynamics.walls import Walls, build_walls
 from ..hemodynamics.zones import PAPER_ZONES, Zones
 from .protocols import CURVE_PA, FINGER_ZONES, N_PER_CM2, PHASE_S, Protocol, cycle, one_sided, press, steps
 
@@ -147,41 +148,12 @@ def _branches(course: np.ndarray) -> np.ndarray:
 def _march(
     walls: Walls, start: np.ndarray, time_s: np.ndarray, outside: np.ndarray, high: np.ndarray, low: np.ndarray
 ) -> np.ndarray:
-    """Diameters over time, (N+1, B, S, T) float, by ROS2, a Rosenbrock method of order 2 that is L-stable.
+    """Diameters over time, (N+1, B, S, T) float, in one step from each instant to the next.
 
     outside : (N+1, 1, S, T) float. Touch pressure on each wall. [Pa]
-
-    References: Verwer, Spee, Blom, Hundsdorfer 1999, SIAM J. Sci. Comput. 20:1456.
     """
-    gamma = 1.0 - np.sqrt(0.5)
-    area, stiffness, listed, closed = map(np.stack, (walls.area, walls.stiffness, walls.diameter, walls.closed))
-
-    def load(width: np.ndarray, at: int) -> np.ndarray:
-        return np.asarray(area * outside[..., at] + stiffness * (width - listed))
-
     path = [start]
-    for i, h in enumerate(np.diff(time_s)):
-        width, loads = path[-1], load(path[-1], i)
-        held = np.where(width <= closed, 0.0, 1.0)
-        pressures, _ = massless_rates(walls, width, loads, held, high, low)
-        free = np.where((held > 0.0) | (area * pressures > loads), 1.0, 0.0)
-        pressures, speeds = massless_rates(walls, width, loads, free, high, low)
-        jacobian = massless_jacobian(walls, width, free, pressures, high, low)
-        # What the touch's own change does to the speeds.
-        rise = area * (outside[..., i + 1] - outside[..., i]) / h
-        drift = gamma * h * np.array(massless_rates(walls, width, rise, free, 0.0 * high, 0.0 * low)[1])
-        k1 = _rank_one_solve(speeds + drift, jacobian, gamma * h)
-        middle = np.maximum(width + h * k1, closed)
-        _, later = massless_rates(walls, middle, load(middle, i + 1), free, high, low)
-        k2 = _rank_one_solve(later - 2.0 * k1 - drift, jacobian, gamma * h)
-        path.append(np.maximum(width + h * (1.5 * k1 + 0.5 * k2), closed))
+    for i, step_s in enumerate(np.diff(time_s)):
+        here, change = outside[..., i], outside[..., i + 1] - outside[..., i]
+        path.append(step(walls, path[-1], here, high, low, step_s=step_s, outside_change=change))
     return np.stack(path, axis=-1)
-
-
-def _rank_one_solve(rhs: np.ndarray, jacobian: tuple[Any, Any, Any], gh: float) -> np.ndarray:
-    """The x of (I - gh (diag(d) + outer(p, q))) x = rhs, by the formula of Sherman and Morrison."""
-    diagonal, left, right = map(np.array, jacobian)
-    inverse = 1.0 / (1.0 - gh * diagonal)
-    reach = (right * inverse * rhs).sum(axis=0)
-    loss = 1.0 - gh * (right * inverse * left).sum(axis=0)
-    return np.asarray(inverse * (rhs + gh * left * reach / loss))

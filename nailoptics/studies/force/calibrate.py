@@ -89,11 +89,11 @@ def calibrate_with(
     fitted = fit.solve()
     rest_v = _rest_volts(recordings)
     who = fit.person(fitted.factors_ln)
-    noise = learn_noise(who, table, fitted.gain, recordings, fitted.residual_v, rest_v)
+    noise = learn_noise(who, fitted.table, fitted.gain, recordings, fitted.residual_v, rest_v)
     subject = Subject(
         scene_digest=digest(scene),
         model=model,
-        table=table,
+        table=fitted.table,
         base=fit.base,
         factors_ln=fitted.factors_ln,
         gain=fitted.gain,

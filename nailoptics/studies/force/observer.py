@@ -129,7 +129,7 @@ class Observer:
         self.factors = slice(self.drift.stop, self.drift.stop + len(NAMES))
         self.gains = slice(self.factors.stop, self.factors.stop + readings)
         self.size, self.estimated = self.gains.stop, self.factors.start
-        self.touch, self.shown = TOUCH, [3, 4, self.factors.start + AREA]
+        self.shown = [3, 4, self.factors.start + AREA]
         self.arterial = np.zeros(self.size)
         self.arterial[self.body.start : self.body.stop : 2] = 1.0
         self._matrices: dict[float, tuple[Array, Array]] = {}
@@ -183,13 +183,11 @@ class Observer:
         volts : (R,) float; NaN where a reading has a gap. [V]
         since_s : time from the sample before it; None for the first. [s]
         """
-        self.transition = np.eye(self.size)
         if since_s is not None and since_s <= LONGEST_GAP_S:
             for _ in range(count := max(1, math.ceil(since_s / LONGEST_STEP_S - 1e-9))):
                 self._predict(since_s / count)
         elif since_s is not None:
             self.restart()
-        self.predicted_state, self.predicted_covariance = self.state, self.covariance
         there = np.isfinite(volts)
         surprise = self._update(volts, there) if there.any() else 0.0
         return Estimate(
@@ -249,7 +247,7 @@ class Observer:
             transition[WIDTHS, self.factors.start + factor] = by_factor[:, k]
         after = transition @ state
         after[WIDTHS] = widths[:, 0]
-        self.state, self.transition = after, transition @ self.transition
+        self.state = after
         self.covariance = transition @ self.covariance @ transition.T + noise
 
     def _expected(self, state: Array) -> tuple[Array, Array]:

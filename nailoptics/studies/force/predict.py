@@ -13,7 +13,6 @@ from ...scene.sensor_recordings import Recording, check_header, read_sensor_reco
 from ...variables import variable
 from .force_interval import ForceEstimate, ForceInterval
 from .observer import Estimate, Observer
-from .smoothing import smooth
 from .subject import Subject, read_subject
 
 Array = NDArray[np.float64]
@@ -29,7 +28,6 @@ def predict(
     subject: Subject | str | Path,
     readings: Recording | str | Path,
     *,
-    smoothed: bool = False,
     press_n: float = 0.5,
     release_n: float = 0.3,
 ) -> xr.Dataset:
@@ -37,7 +35,6 @@ def predict(
 
     subject : what `calibrate` found, or its file.
     readings : a recording, or its file; its force, where known, is what the result is judged by.
-    smoothed : use what comes after each sample, too; otherwise only what came before it.
     press_n, release_n : the virtual switch closes above the first force and opens below the second. [N]
 
     Returns: Dataset over time: force_n with force_low_n and force_high_n (95 %; infinite where open above), proximal
@@ -54,11 +51,7 @@ def predict(
     _check_saturation(subject, recording)
     observer = Observer(subject.calibrated, subject.noise)
     since = [None, *np.diff(recording.time_s)]
-    seen = zip(recording.volts.T, since, strict=True)
-    if smoothed:
-        estimates = smooth(observer, seen)
-    else:
-        estimates = [observer.see(volts, dt) for volts, dt in seen]
+    estimates = [observer.see(volts, dt) for volts, dt in zip(recording.volts.T, since, strict=True)]
     told = ForceInterval(observer.person, widening=subject.widening).tell(estimates)
     return _dataset(subject, recording, observer, estimates, told, press_n=press_n, release_n=release_n)
 

@@ -57,6 +57,14 @@ class ReadingTable:
         light = np.exp(value)
         return self.dark_v + light, light[:, None] * np.stack([by_first, by_second], 1) / self.most_blood
 
+    def steeper(self, by_blood: Array, rest_blood: float) -> "ReadingTable":
+        """The table whose ln volts have an additional slope (R, 2) by each zone's blood, the same at rest."""
+        changed = self.coefficients.copy()
+        changed[:, POWERS.index((1, 0))] += by_blood[:, 0] * self.most_blood
+        changed[:, POWERS.index((0, 1))] += by_blood[:, 1] * self.most_blood
+        changed[:, POWERS.index((0, 0))] -= rest_blood * by_blood.sum(1)
+        return replace(self, coefficients=changed)
+
     def _powers(self, blood: Array) -> Array:
         x = np.clip(blood / self.most_blood, 0.0, 1.0)
         ladder = x[:, None] ** np.arange(DEGREE + 1).reshape((-1,) + (1,) * (blood.ndim - 1))

@@ -1,0 +1,69 @@
+"""Recordings of a worn sensor: what is read, and one line for everything that is none."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nailoptics.errors import InputError
+from nailoptics.scene.sensor_recordings import read_sensor_recording, recording_csv
+
+GOOD = "time_s,force_n,site,a,b\n0,0,proximal,1.0,2.0\n0.01,0.1,proximal,,2.1\n0.03,0.2,even,1.2,2.2\n"
+
+
+def _read(tmp_path: Path, text: str) -> object:
+    file = tmp_path / "recording.csv"
+    file.write_text(text)
+    return read_sensor_recording(file)
+
+
+def test_a_recording_is_read_with_its_gaps_and_sites_and_written_again(tmp_path: Path) -> None:
+    file = tmp_path / "recording.csv"
+    file.write_text(GOOD)
+    found = read_sensor_recording(file)
+    assert found.names == ("a", "b")
+    np.testing.assert_array_equal(found.volts, [[1.0, np.nan, 1.2], [2.0, 2.1, 2.2]])
+    np.testing.assert_array_equal(found.site, [1.0, 1.0, np.nan])
+    file.write_text(recording_csv(found))
+    again = read_sensor_recording(file)
+    for name in ("time_s", "volts", "force_n", "site"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is empty"),
+        ("force_n,a\n1,2\n", "no column time_s"),
+        ("time_s,force_n\n0,1\n1,2\n", "has no reading"),
+        ("time_s,a,a\n0,1,2\n1,2,3\n", "is there twice"),
+        ("time_s,a\n0,1\n", "two or more are needed"),
+        ("time_s,a\n0,1\n0,2\n", "does not come after"),
+        ("time_s,a\n1,1\n0,2\n", "line 3: time_s = 0 does not come after 1"),
+        ("time_s,a\n0,x\n1,2\n", "line 2: a = 'x' is no finite number"),
+        ("time_s,a\n0,inf\n1,2\n", "line 2: a = 'inf' is no finite number"),
+        ("time_s,a\n,1\n1,2\n", "line 2: time_s = '' is no finite number"),
+        ("time_s,a\n0,\n1,\n", "column 'a' is empty"),
+        ("time_s,a\n0,1\n1,1\n2,1\n", "constant at 1 V; check its wiring"),
+        ("time_s,a\n0,31000\n1,32000\n", "looks like a converter's counts"),
+        ("time_s,force_n,a\n0,-1,1\n1,0,2\n", "line 2: force_n = -1 must lie in 0 to 100 N"),
+        ("time_s,force_n,a\n0,1000,1\n1,0,2\n", "force_n = 1000 must lie in 0 to 100 N"),
+        ("time_s,site,a\n0,left,1\n1,even,2\n", "line 2: site = 'left' is none; choose from proximal, distal, even"),
+    ],
+)
+def test_what_is_no_recording_is_said_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        _read(tmp_path, text)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_readings_of_another_board_are_named(tmp_path: Path) -> None:
+    file = tmp_path / "recording.csv"
+    file.write_text(GOOD)
+    found = read_sensor_recording(file)
+    assert found.of(("b", "a")).names == ("b", "a")
+    with pytest.raises(InputError, match="has no column 'c'"):
+        found.of(("a", "b", "c"))
+    with pytest.raises(InputError, match="column 'b' is no reading of this board"):
+        found.of(("a",))

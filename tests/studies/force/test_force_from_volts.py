@@ -1,0 +1,225 @@
+"""Force from volts: the person is found from recordings of a known force, and the force from the person's readings."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nailoptics import hemodynamics, load_scene
+from nailoptics.assets import data_dir
+from nailoptics.errors import InputError
+from nailoptics.scene.sensor_recordings import SITES, Recording, recording_csv
+from nailoptics.studies.force.calibrate import _checked, calibrate_with, calibration_summary
+from nailoptics.studies.force.person import NAMES, PRIORS, force_of, person
+from nailoptics.studies.force.predict import csv_rows, events, live, predict, prediction_summary
+from nailoptics.studies.force.reading_table import POWERS, ReadingTable
+from nailoptics.studies.force.subject import Subject, parse_subject
+
+# Four readings whose logarithm falls in a line with both zones' blood, as traced light does but for a few percent.
+SLOPES = np.array([[-16.0, -2.5], [-6.0, -1.6], [-1.9, -6.2], [-2.8, -17.0]])
+REST = 0.03
+NAMES_OF_READINGS = ("a", "b", "c", "d")
+# A person unlike the scene's, whose sensor has other gains and offsets.
+TRUTH = dict.fromkeys(NAMES, 1.0) | {"vein_stiffness": 0.8, "capillary_stiffness": 1.25, "rest_blood": 1.15}
+GAIN, OFFSET_V = np.array([0.9, 1.1, 1.05, 0.95]), np.array([2e-3, -1e-3, 0.0, 1e-3])
+VESSELS = hemodynamics.parameters("listed").replace(
+    capillary_stiffness_n_per_m=2.69e5,
+    vein_stiffness_n_per_m=2000.0,
+    capillary_damping_n_s_per_m=2170.0,
+    vein_damping_n_s_per_m=34.6,
+    vein_area_m2=1.35e-5,
+    capillary_diameter_m=4.51e-6,
+    vein_diameter_m=4.26e-5,
+    capillary_count=13700.0,
+    vein_count=15.4,
+    venule_resistance_pa_s_per_m3=3.1e11,
+)
+STEP_S = 0.02
+
+
+@pytest.fixture(scope="module")
+def table() -> ReadingTable:
+    coefficients = np.zeros((4, len(POWERS)))
+    most = 0.15
+    coefficients[:, POWERS.index((0, 0))] = np.log([0.2, 1.0, 1.0, 0.2]) - REST * SLOPES.sum(1)
+    coefficients[:, POWERS.index((1, 0))] = SLOPES[:, 0] * most
+    coefficients[:, POWERS.index((0, 1))] = SLOPES[:, 1] * most
+    return ReadingTable(
+        names=NAMES_OF_READINGS,
+        coefficients=coefficients,
+        dark_v=np.full(4, 1e-4),
+        most_blood=most,
+        slope_stderr=0.01 * np.abs(SLOPES),
+        noise_v=np.full(4, 5e-5),
+        range_v=5.0,
+    )
+
+
+def _record(table: ReadingTable, force_n: np.ndarray, site: str, *, seed: int, pulse_pa: float = 0.0) -> Recording:
+    """What the true person's sensor records: by the library's own integrator, with noise and a heartbeat."""
+    time_s = STEP_S * np.arange(force_n.size)
+    who = person(VESSELS, TRUTH, rest_blood=REST, area_cm2=1.0, share=0.5)
+    own = VESSELS.replace(**{f: getattr(VESSELS, f) * TRUTH[name] for name in NAMES for f in PRIORS[name].fields})
+    where = np.full(time_s.shape, SITES[site])
+    proximal, distal = 1e4 * who.pressures(force_n, where)
+    beat = hemodynamics.cardiac_pressure(time_s, mean_pressure_pa=own.arterial_pressure_pa, pulse_pressure_pa=pulse_pa)
+    run = hemodynamics.respond(
+        own,
+        time_s,
+        proximal_pressure_pa=proximal,
+        distal_pressure_pa=distal,
+        arterial_pressure_pa=beat,
+        start="steady",
+        rtol=1e-4,
+    )
+    blood = who.blood(run.capillary_diameter_m.values / who.rest_m[:2, None])
+    volts = OFFSET_V[:, None] + GAIN[:, None] * table.volts(blood)
+    noise = np.random.default_rng(seed).normal(size=volts.shape)
+    return Recording("made", NAMES_OF_READINGS, time_s, volts + table.noise_v[:, None] * noise, force_n, where)
+
+
+def _cycle(force_n: float) -> np.ndarray:
+    time_s = np.arange(0.0, 22.0, STEP_S)
+    return force_n * np.where(time_s < 2, 0.0, np.sin(np.pi * (time_s - 2) / 10.0) ** 2)
+
+
+def _steps() -> np.ndarray:
+    time_s = np.arange(0.0, 12.0, STEP_S)
+    on = np.where(time_s < 6, 0.6 * (1 - np.exp(-np.maximum(time_s - 2, 0) / 0.16)), 0.6 * np.exp(-(time_s - 6) / 0.12))
+    return np.where(time_s < 2, 0.0, on)
+
+
+@pytest.fixture(scope="module")
+def subject(table: ReadingTable) -> Subject:
+    scene = load_scene(data_dir("scenes") / "prototype.toml")
+    scene = scene.model_copy(
+        update={"blood": scene.blood.model_copy(update={"parameters": "listed", "rest_blood_fraction": REST})}
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("nailoptics.studies.force.calibrate.vessels", lambda _: VESSELS)
+        recordings = [
+            _record(table, _cycle(2.0), site, seed=seed, pulse_pa=500.0)
+            for seed, site in enumerate(("proximal", "distal"))
+        ]
+        result = calibrate_with(scene, table, [_checked(one, scene) for one in recordings])
+    assert calibration_summary(result)["rms_n"] < 0.2
+    return parse_subject(result.attrs["subject"])
+
+
+def test_the_person_is_found_within_the_stated_errors(subject: Subject) -> None:
+    spread = subject.stderr[: len(NAMES)]
+    off = (subject.factors_ln - np.log([TRUTH[name] for name in NAMES])) / spread
+    assert (np.abs(off) < 3.5).all(), dict(zip(NAMES, off.round(2), strict=True))
+    # The two that the recordings show best are known far better than before.
+    known = subject.factors()
+    assert known["vein_stiffness"]["informed"]
+    assert known["capillary_stiffness"]["informed"]
+    assert not known["proximal_share"]["informed"]
+
+
+@pytest.mark.parametrize("site", ["proximal", "distal"])
+def test_a_touch_that_was_not_calibrated_is_told_with_an_interval_that_covers_it(
+    subject: Subject, table: ReadingTable, site: str
+) -> None:
+    told = predict(subject, _record(table, _steps(), site, seed=8, pulse_pa=500.0))
+    summary = prediction_summary(told)
+    assert summary["rms_n"] < 0.06
+    assert summary["coverage_95"] > 0.9
+    assert summary["consistent"]
+    assert [one["kind"] for one in summary["events"]] == ["press", "release"]
+    assert all(0 <= one["latency_s"] < 0.5 for one in summary["events"])
+    held = (told.time > 4) & (told.time < 6)
+    assert abs(float(told.proximal_share.values[held.values].mean()) - SITES[site]) < 0.15
+
+
+def test_past_closure_the_interval_is_open_above(subject: Subject, table: ReadingTable) -> None:
+    told = predict(subject, _record(table, _cycle(3.0), "proximal", seed=9))
+    shut = told.known_force_n.values > 1.5 * float(told.open_above_n)
+    assert shut.sum() > 50
+    assert np.isinf(told.force_high_n.values[shut]).mean() > 0.95
+    assert (told.force_low_n.values[shut] <= told.known_force_n.values[shut]).mean() > 0.95
+
+
+@pytest.mark.parametrize(
+    ("changed", "looks_like"),
+    [
+        (lambda volts: volts + 0.05, "ambient light"),
+        (lambda volts: 0.8 * volts, "a lifted sensor or other gain"),
+        (lambda volts: volts[::-1], "another person or place, or motion"),
+    ],
+)
+def test_readings_that_do_not_fit_are_named(subject: Subject, table: ReadingTable, changed, looks_like: str) -> None:  # type: ignore[no-untyped-def]
+    recorded = _record(table, _steps(), "proximal", seed=10)
+    summary = prediction_summary(predict(subject, replace(recorded, volts=changed(recorded.volts))))
+    assert not summary["consistent"]
+    assert summary["misfit"] == looks_like
+
+
+def test_gaps_are_bridged(subject: Subject, table: ReadingTable) -> None:
+    recorded = _record(table, _steps(), "distal", seed=11)
+    whole = prediction_summary(predict(subject, recorded))
+    volts = recorded.volts.copy()
+    volts[1, 200:400] = np.nan
+    volts[:, 450:460] = np.nan
+    holed = prediction_summary(predict(subject, replace(recorded, volts=volts)))
+    assert holed["consistent"]
+    assert holed["rms_n"] < whole["rms_n"] + 0.05
+
+
+def test_lines_that_come_one_by_one_are_answered_as_a_file_is(subject: Subject, table: ReadingTable) -> None:
+    recorded = _record(table, _steps()[:150], "proximal", seed=12)
+    lines = iter(recording_csv(recorded).splitlines(keepends=True))
+    answers = live(subject, lines)
+    assert next(answers) == next(rows := csv_rows(predict(subject, recorded)))
+    # The first sample is answered before the second is read.
+    assert next(answers).split(",")[0] == "0"
+    assert len(list(lines)) == len(recorded.time_s) - 1
+    assert next(rows).split(",")[0] == "0"
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [("0.02,x,1,1,1\n", "line 3"), ("0,1,1,1,1\n", "does not come after"), ("0.02,inf,1,1,1\n", "finite volts")],
+)
+def test_a_line_that_is_none_ends_live_reading_with_one_line(subject: Subject, line: str, message: str) -> None:
+    answers = live(subject, ["time_s,a,b,c,d\n", "0,0.2,1,1,0.2\n", line])
+    next(answers), next(answers)
+    with pytest.raises(InputError, match=message):
+        next(answers)
+
+
+def test_the_virtual_switch_has_hysteresis() -> None:
+    time_s, force_n = np.arange(7.0), np.array([0, 0.6, 0.4, 0.6, 0.2, 0.4, 0.7])
+    found = events(time_s, force_n, press_n=0.5, release_n=0.3)
+    assert found == [(1.0, "press"), (4.0, "release"), (6.0, "press")]
+
+
+def test_force_and_place_follow_from_pressures_as_pressures_from_them() -> None:
+    who = person(VESSELS, {}, rest_blood=REST, area_cm2=1.3, share=0.4)
+    for site, share in ((1.0, 1.0), (0.0, 0.0), (np.nan, 0.4)):
+        pressure = who.pressures(np.array([0.7]), np.array([site]))
+        force, found = force_of(pressure, 1.3)
+        assert force[0] == pytest.approx(0.7)
+        assert found[0] == pytest.approx(share)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda r: replace(r, force_n=None), "no column force_n"),
+        (lambda r: replace(r, force_n=np.full_like(r.force_n, 0.02)), "press the finger"),
+        (lambda r: replace(r, force_n=r.force_n + 0.2), "without a touch"),
+        (lambda r: replace(r, volts=np.vstack([r.volts[:3], np.full_like(r.volts[:1], 5.0)])), "'d' is saturated"),
+    ],
+)
+def test_a_recording_that_cannot_calibrate_is_refused_in_one_line(table: ReadingTable, change, message: str) -> None:  # type: ignore[no-untyped-def]
+    scene = load_scene(data_dir("scenes") / "prototype.toml")
+    with pytest.raises(InputError) as caught:
+        _checked(change(_record(table, _steps(), "proximal", seed=1)), scene)
+    assert message in str(caught.value)
+
+
+def test_a_damaged_subject_file_is_refused(subject: Subject) -> None:
+    for text in ("", "schema_version = 1\n", 'schema_version = 2\nmodel = "network"\n', "not toml ["):
+        with pytest.raises(InputError):
+            parse_subject(text)
