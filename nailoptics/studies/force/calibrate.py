@@ -9,7 +9,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from ... import __version__
 from ...errors import InputError
 from ...light import ProgressCallback, open_light
 from ...options import Requested
@@ -115,7 +114,6 @@ def calibrate_with(
         scene=to_toml(scene),
         subject=subject_toml(subject),
         recordings=[one.name for one in recordings],
-        versions=f"nailoptics {__version__}",
         warnings=_warnings(subject),
     )
 

@@ -8,7 +8,7 @@ from scipy.stats import norm, qmc
 
 from ...hemodynamics.steady import solve_walls
 from .network import touch_on_walls
-from .observer import Estimate, pressure_of
+from .observer import PressureEstimate, pressure_of
 from .person import Person, force_of
 
 Array = NDArray[np.float64]
@@ -82,7 +82,7 @@ class ForceInterval:
         """Force from which an interval may be open above. [N]"""
         return self.area_cm2 * min(self.closure.proximal, self.closure.distal)
 
-    def tell(self, estimates: list[Estimate]) -> ForceEstimate:
+    def tell(self, estimates: list[PressureEstimate]) -> ForceEstimate:
         """The forces of some samples."""
         touch = np.array([one.touch for one in estimates])
         covariance = np.array([one.covariance for one in estimates]) * self.widening**2

@@ -92,7 +92,7 @@ class Calibrated:
 
 
 @dataclass
-class Estimate:
+class PressureEstimate:
     """What one sample told.
 
     touch : (2,) float. Coordinates of both pressures; `pressure_of` makes pressures of them. [N/cm^2]
@@ -177,7 +177,7 @@ class Observer:
         self.covariance[self.drift.start :, self.drift.start :] = self._open
         diagonal[self.drift] += self.noise.drift_per_min**2
 
-    def see(self, volts: Array, since_s: float | None) -> Estimate:
+    def see(self, volts: Array, since_s: float | None) -> PressureEstimate:
         """Take in one sample.
 
         volts : (R,) float; NaN where a reading has a gap. [V]
@@ -190,7 +190,7 @@ class Observer:
             self.restart()
         there = np.isfinite(volts)
         surprise = self._update(volts, there) if there.any() else 0.0
-        return Estimate(
+        return PressureEstimate(
             touch=self.state[TOUCH].copy(),
             covariance=self.covariance[np.ix_(self.shown, self.shown)],
             arterial_pa=float(self.arterial @ self.state),

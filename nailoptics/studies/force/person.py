@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 N_PER_CM2 = 1e4
 
 
-class Prior(NamedTuple):
+class FactorPrior(NamedTuple):
     """What is known of a factor before any recording: two of three people lie within 1 / spread and spread.
 
     fields : the constants of the network that it multiplies; none where it is not the network's.
@@ -34,15 +34,17 @@ class Prior(NamedTuple):
 # Nobody has measured the spread of the network's constants among people; the paper tunes them by hand "within an order
 # of magnitude", so that a factor 2 is taken. Blood at rest: 1-5 % of the bed.
 # The contact of a fingertip at 1 N: 0.6-1.6 cm^2.
-PRIORS: dict[str, Prior] = {
-    "vein_stiffness": Prior(2.0, ("vein_stiffness_n_per_m",), "stiffness of the vein's wall"),
-    "capillary_stiffness": Prior(2.0, ("capillary_stiffness_n_per_m",), "stiffness of the capillaries' walls"),
-    "vein_damping": Prior(2.0, ("vein_damping_n_s_per_m",), "damping of the vein's wall"),
-    "capillary_damping": Prior(2.0, ("capillary_damping_n_s_per_m",), "damping of the capillaries' walls"),
-    "feedback": Prior(1.5, ("venule_resistance_pa_s_per_m3",), "resistance of the venules over that of the arterioles"),
-    "contact_area": Prior(1.6, (), "area over which a force presses"),
-    "rest_blood": Prior(1.7, (), "blood of the bed at rest"),
-    "proximal_share": Prior(1.5, (), "proximal over distal force of an even touch"),
+PRIORS: dict[str, FactorPrior] = {
+    "vein_stiffness": FactorPrior(2.0, ("vein_stiffness_n_per_m",), "stiffness of the vein's wall"),
+    "capillary_stiffness": FactorPrior(2.0, ("capillary_stiffness_n_per_m",), "stiffness of the capillaries' walls"),
+    "vein_damping": FactorPrior(2.0, ("vein_damping_n_s_per_m",), "damping of the vein's wall"),
+    "capillary_damping": FactorPrior(2.0, ("capillary_damping_n_s_per_m",), "damping of the capillaries' walls"),
+    "feedback": FactorPrior(
+        1.5, ("venule_resistance_pa_s_per_m3",), "resistance of the venules over that of the arterioles"
+    ),
+    "contact_area": FactorPrior(1.6, (), "area over which a force presses"),
+    "rest_blood": FactorPrior(1.7, (), "blood of the bed at rest"),
+    "proximal_share": FactorPrior(1.5, (), "proximal over distal force of an even touch"),
 }
 NAMES = tuple(PRIORS)
 SPREAD_LN = np.log([prior.spread for prior in PRIORS.values()])

@@ -12,7 +12,7 @@ from ...errors import InputError
 from ...scene.sensor_recordings import Recording, check_header, read_sensor_recording
 from ...variables import variable
 from .force_interval import ForceEstimate, ForceInterval
-from .observer import Estimate, Observer
+from .observer import Observer, PressureEstimate
 from .subject import Subject, read_subject
 
 Array = NDArray[np.float64]
@@ -87,7 +87,9 @@ def _sample(line: str, places: list[int], number: int) -> tuple[float, Array]:
     return float(values[0]), values[1:]
 
 
-def _live(subject: Subject, samples: Iterable[tuple[float, Array]]) -> Iterator[tuple[float, ForceEstimate, Estimate]]:
+def _live(
+    subject: Subject, samples: Iterable[tuple[float, Array]]
+) -> Iterator[tuple[float, ForceEstimate, PressureEstimate]]:
     observer, last = Observer(subject.calibrated, subject.noise), None
     interval = ForceInterval(observer.person, widening=subject.widening)
     for time_s, volts in samples:
@@ -160,7 +162,7 @@ def _dataset(
     subject: Subject,
     recording: Recording,
     observer: Observer,
-    estimates: list[Estimate],
+    estimates: list[PressureEstimate],
     told: ForceEstimate,
     *,
     press_n: float,
@@ -219,7 +221,7 @@ def _event_variables(found: list[tuple[float, str]], true: list[tuple[float, str
 
 
 def _consistency(
-    subject: Subject, recording: Recording, observer: Observer, estimates: list[Estimate]
+    subject: Subject, recording: Recording, observer: Observer, estimates: list[PressureEstimate]
 ) -> tuple[bool, str]:
     """Whether the readings fit the subject; else in one word what it looks like."""
     outliers = float(np.mean([one.outlier for one in estimates]))
