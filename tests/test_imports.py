@@ -189,6 +189,9 @@ THEIRS = {
     "board.dxf",
     "board-bottom.csv",
     "FINGER.glb",
+    "SUBJECT.toml",
+    "READINGS.csv",
+    "FILE.csv",
     "results/prototype/report.html",
 }
 THEIRS |= {*SIMULATION, *COMPARISON, *PLACEMENT, *TRADEOFF, *PREDICTION, "table.csv", "_fig10.png"}
