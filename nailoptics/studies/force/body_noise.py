@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from ...hemodynamics.steady import solve_walls
+from ...hemodynamics.stepping import step
 from ...scene.sensor_recordings import Recording
 from .network import widths_over
 from .observer import Noise, Oscillation
@@ -23,6 +25,10 @@ HARMONICS = 3
 HEART_COHERENCE_S, BREATH_COHERENCE_S, SLOW_COHERENCE_S = 4.0, 8.0, 4.0
 # A step of arterial pressure by which its effect is found. [Pa]
 STEP_PA = 100.0
+# How finely and for how long a rhythm is followed to see how much of it the vessels pass on.
+STEPS_PER_PERIOD, PERIODS, SETTLING_S = 40, 3, 2.0
+# A rhythm that the vessels pass on less than this is not seen well enough to be scaled by it.
+LEAST_PASSED = 0.05
 # Drift is seen in means over so long. [s]
 DRIFT_S = 5.0
 # How fast touches are expected to change: a force that wanders by this in a second. A step of 1 N in 0.16 s, the
@@ -40,6 +46,25 @@ def arterial_response(person: Person, table: ReadingTable, gain: Array, recordin
     blood = person.blood(widths_over(start, recording.time_s, pressure, arterial_pa=high))
     volts = gain[:, None, None] * table.volts(blood)
     return np.asarray((volts[:, 1] - volts[:, 0]) / STEP_PA)
+
+
+def passed(person: Person, frequency_hz: float) -> float:
+    """Part of a rhythm of the arterial pressure that the vessels at rest follow, over that of a slow one. [1]
+
+    Blood of both zones together; the vessels are sluggish, so that a beat moves them less than a breath.
+    """
+    step_s = min(0.02, 1.0 / (STEPS_PER_PERIOD * frequency_hz))
+    count = max(round(PERIODS / (frequency_hz * step_s)), round(SETTLING_S / step_s))
+    last = round(1.0 / (frequency_hz * step_s))
+    width, blood = person.rest_m, []
+    for k in range(count):
+        high = person.arterial_pa + STEP_PA * np.sin(2 * np.pi * frequency_hz * (k + 0.5) * step_s)
+        width = step(person.walls, width, np.zeros(3), high, person.venous_pa, step_s=step_s)
+        blood.append(float((width[:2] / person.rest_m[:2]).sum()))
+    swing = np.ptp(blood[-last:])
+    high = person.arterial_pa + STEP_PA * np.array([-1.0, 1.0])
+    slow, _ = solve_walls(person.walls, np.zeros((3, 2)), high, np.full(2, person.venous_pa))
+    return float(swing / np.ptp((slow[:2] / person.rest_m[:2, None]).sum(0)))
 
 
 def learn_noise(
@@ -75,7 +100,10 @@ def learn_noise(
     longest = int(np.argmax(spans))
     frequency, power = spectra[longest]
     drift = float(max(np.median(drifts), 1e-4))
-    return Noise(white, drift, _rhythms(frequency, power), TOUCH_RATE)
+    slow = _rhythms(frequency, power)
+    # What was seen is what the vessels passed on.
+    rhythms = [replace(one, rms_pa=one.rms_pa / max(passed(person, one.frequency_hz), LEAST_PASSED)) for one in slow]
+    return Noise(white, drift, tuple(rhythms), TOUCH_RATE)
 
 
 def _rhythms(frequency: Array, power: Array) -> tuple[Oscillation, ...]:
