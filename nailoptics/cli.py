@@ -296,12 +296,14 @@ def check(scene: ScenePath, *, json_: Json = False) -> None:
     loaded = _scene(scene)
     report: dict[str, Any] = {"scene": scene, "valid": True}
     if loaded.finger is not None:
-        from . import hemodynamics
         from .geometry import build, check_watertight
+        from .report.scene_words import blood_words, body_words, touch_words
+        from .studies.blood_states import vessels
 
-        hemodynamics.parameters(loaded.blood.parameters)
+        vessels(loaded)
         mesh = build(loaded)
         found = check_watertight(mesh, crossings=100_000)
+        report |= {"touch": touch_words(loaded), "blood": blood_words(loaded), "body": body_words(loaded)}
         report |= {"vessels": loaded.blood.parameters, "regions": list(mesh.regions), "triangles": len(mesh.triangles)}
         report |= {**vars(found), "valid": bool(found.passed)}
     _show(report, check_lines(report), {}, json_)

@@ -94,11 +94,11 @@ def _read(transfer: Transfer, states: np.ndarray, first: np.ndarray, so2: float 
     places = (states - centre) @ directions
     spans = np.ptp(places, axis=0)
     counts = [_nodes_needed(transfer, *each, so2, few=few) for each in zip(directions.T, spans, strict=True)]
-    if not few and min(len(states), int(np.prod(counts))) > NODES_AT_ONCE:
+    if not few and min(len(states), math.prod(counts)) > NODES_AT_ONCE:
         # Half of them lie in far fewer directions: a short piece of a course is nearly straight.
         upper = places[:, 0] > places[:, 0].min() + spans[0] / 2
         return _joined([_read(transfer, states[upper == k], first, so2, electrons) for k in (False, True)], upper)
-    if len(states) <= np.prod(counts):
+    if len(states) <= math.prod(counts):
         return Course(*_sums(transfer, states, first, so2, electrons))
     box = (places.min(0), places.max(0), counts)
     nodes = _nodes(*box)

@@ -235,6 +235,11 @@ def _light_by_volpath(
     scene: Scene, states: np.ndarray, options: TraceOptions, progress: ProgressCallback | None
 ) -> DetectedLight:
     """Trace rest and one changed state per zone; between them each zone dims as in Beer-Lambert (8)."""
+    if optics.zones(scene).count > 2:
+        raise InputError(
+            f"blood: volpath tells three blood states apart, enough for two zones, and the scene has "
+            f'{optics.zones(scene).count}; take light.engine = "photons", or two zones.'
+        )
     options = replace(options, relative_error=max(options.relative_error or 0.0, VOLPATH_RELATIVE_ERROR))
     log.warning(
         "volpath traces three blood states to a relative error of %g and takes Beer-Lambert (8) between them",

@@ -9,6 +9,7 @@ import xarray as xr
 from ..scene import Scene
 from .numbers import quantity, significant
 from .readings import Reading, hold_end
+from .scene_words import blood_words, body_words
 
 
 def title(scene: Scene | None) -> str:
@@ -16,7 +17,7 @@ def title(scene: Scene | None) -> str:
     if scene is None or scene.finger is None:
         return "Fingernail sensor"
     touch, digit = scene.touch, scene.finger.digit
-    several = {"recorded": "A recorded touch", "steps": "Steps of force"}
+    several = {"recorded": "A recorded touch", "steps": "Steps of force", "cycle": "Cycles of force"}
     kind = several.get(touch.profile, f"A {touch.profile} of {touch.force_n:g} N")
     return f"{kind} on {'an' if digit == 'index' else 'a'} {digit}{'' if digit == 'thumb' else ' finger'}"
 
@@ -32,8 +33,9 @@ def sentence(scene: Scene | None, result: xr.Dataset) -> str:
     if scene is not None and scene.finger is not None:
         blood = scene.blood
         text += f"; blood {100 * blood.rest_blood_fraction:g}\u00a0% of the bed at rest, "
-        text += f"{100 * blood.so2:g}\u00a0% saturated"
-        text += f', vessels "{blood.parameters}"'
+        text += blood_words(scene)
+        if body := body_words(scene):
+            text += f"; {body}"
     return text + "."
 
 

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 SAMPLES = 500
 # Small multiples stay readable up to so many photodiodes; of more, evenly spaced ones are shown.
 PANELS = 16
+# Without blood, at rest and beyond: a nail's colours.
+BLOOD = ("#fbf6f2", "#e6a5a0", "#8e1022")
 MODELS: dict[str, tuple[str, dict[str, Any]]] = {
     "beer_lambert": ("(8) Beer–Lambert", {"color": style.INK, "lw": 1.1, "ls": (0, (5, 2.5))}),
     "taylor": ("(9) Taylor", {"color": style.INK, "lw": 1.3, "ls": (0, (1, 1.6))}),
@@ -26,10 +28,15 @@ MODELS: dict[str, tuple[str, dict[str, Any]]] = {
 
 @style.drawing()
 def touch(result: xr.Dataset) -> "Figure":
-    """The touch: force, and the pressures that it makes on the veins and on the distal capillaries."""
-    figure, (left, right) = style.panels(9.2, 2.7, 1, 2, sharex=True)
+    """The touch: force, and the pressures on the veins and on the distal capillaries; arterial pressure if it moves."""
+    beats = "arterial_pressure_pa" in result
+    figure, panels = style.panels(9.2, 2.7, 1, 2 + beats, sharex=True)
+    left, right = panels[:2]
     seen = _thin(result)
-    _line(left, seen, seen.force_n, color=style.INK)
+    _line(left, seen, seen.force_n, color=style.INK, label="normal")
+    if "shear_n" in seen:
+        _line(left, seen, seen.shear_n, color=style.VEIN, linestyle=(0, (4, 2.5)), label="shear, towards the tip")
+        _legend_below(left)
     names = (("proximal", "on the veins (proximal)", "-"), ("distal", "on the capillaries (distal)", (0, (4, 2.5))))
     for zone, (name, label, dashes) in enumerate(names):
         pressure = seen[f"{name}_pressure_pa"] / 1e3
@@ -37,32 +44,62 @@ def touch(result: xr.Dataset) -> "Figure":
     left.set(title="Force on the fingertip", ylabel="force [N]")
     right.set(title="Pressure that it makes", ylabel="pressure [kPa]")
     for axes in (left, right):
-        axes.set_ylim(0, None)
+        axes.set_ylim(min(0.0, float(result.get("shear_n", result.force_n).min())) if axes is left else 0, None)
+    if beats:
+        _line(panels[2], seen, seen.arterial_pressure_pa / 1e3, color=style.ZONES[0], lw=1.1)
+        panels[2].set(title="Arterial pressure", ylabel="pressure [kPa]")
+    for axes in panels:
         _time_axis(axes, result)
-    _legend_below(right)
+    _legend_below(right, ncols=1 if beats else 2)
     return figure
 
 
 @style.drawing()
 def vessels(result: xr.Dataset) -> "Figure":
-    """What the touch does to the blood: capillary and vein diameters, and the bed's blood fraction."""
-    figure, panels = style.panels(9.2, 2.9, 1, 3, sharex=True)
-    capillary, vein, blood = panels
+    """What the touch does to the blood: capillary and vein diameters, the bed's blood fraction, and its oxygen."""
+    figure, panels = style.panels(9.2, 2.9, 1, 3 + ("so2" in result), sharex=True)
+    capillary, vein, blood, *oxygen = panels
     seen = _thin(result)
     for i, (zone, colour) in enumerate(zip(result.zone.values, style.place_colours(result.sizes["zone"]), strict=True)):
         # Curves that lie on one another are all seen.
         look = {"color": colour, "label": style.plain(zone), "linestyle": ("-", (0, (4, 2.5)))[i % 2]}
         _line(capillary, seen, seen.capillary_diameter_m.isel(zone=i) * 1e6, **look)
         _line(blood, seen, seen.blood_fraction.isel(zone=i) * 100, **look)
+        for axes in oxygen:
+            _line(axes, seen, seen.so2.isel(zone=i) * 100, **look)
     _line(vein, seen, seen.vein_diameter_m * 1e6, color=style.VEIN)
     capillary.set(title="Capillaries", ylabel="diameter [µm]")
     vein.set(title="Vein of the pulp", ylabel="diameter [µm]")
     blood.set(title="Blood in the nail bed", ylabel="blood fraction [%]")
+    for axes in oxygen:
+        axes.set(title="Its oxygen", ylabel="saturation [%]")
     for axes in panels:
         _time_axis(axes, result)
         _not_too_close(axes)
     _legend_below(capillary)
     _legend_below(blood)
+    return figure
+
+
+@style.drawing()
+def bed(result: xr.Dataset, scene: Scene) -> "Figure":
+    """Blood of the nail bed along the nail over time, as a part of that at rest, and where the white band ends."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    assert scene.finger is not None
+    half_mm, seen = scene.finger.nail_length_mm / 2, _thin(result)
+    part = seen.blood_fraction.to_numpy() / scene.blood.rest_blood_fraction
+    figure, axes = style.panels(9.2, 2.8)
+    colours = LinearSegmentedColormap.from_list("blood", BLOOD)
+    edges_mm, most = [-half_mm, *scene.zone_edges_mm, half_mm], max(2.0, float(part.max()))
+    time_s = seen.time.to_numpy()
+    borders = np.concatenate([time_s[:1], (time_s[1:] + time_s[:-1]) / 2, time_s[-1:]])
+    image = axes.pcolormesh(borders, edges_mm, part, cmap=colours, vmin=0, vmax=most, rasterized=True)
+    _line(axes, seen, half_mm - seen.white_band_mm, color=style.DARK_INK, lw=1.2, linestyle=(0, (4, 2.5)))
+    axes.set(title="Blood along the nail", ylabel="towards the tip [mm]", ylim=(-half_mm, half_mm))
+    axes.grid(False)
+    _time_axis(axes, result)
+    figure.colorbar(image, ax=axes, label="blood, of that at rest [1]")
     return figure
 
 
@@ -197,5 +234,5 @@ def _not_too_close(axes: "Axes") -> None:
     axes.ticklabel_format(axis="y", useOffset=False)
 
 
-def _legend_below(axes: "Axes") -> None:
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=2, handlelength=1.8, columnspacing=1.2)
+def _legend_below(axes: "Axes", *, ncols: int = 2) -> None:
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=ncols, handlelength=1.8, columnspacing=1.2)

@@ -49,13 +49,21 @@ def page(result: xr.Dataset) -> str:
         facts=findings.reached(result),
         body=[
             _readings_section(result, scene, found),
-            section("The touch and the blood", touch, vessels),
+            section("The touch and the blood", touch, vessels, *_bed(result, scene)),
             _space_section(result, scene),
             _models_section(result, scene, found),
             spread_section(result),
         ],
         attributes=result.attrs,
     )
+
+
+def _bed(result: xr.Dataset, scene: Scene | None) -> list[str]:
+    """The blood along the nail, where it has more zones than a figure over time can show."""
+    if scene is None or scene.finger is None or "white_band_mm" not in result or result.sizes["time"] < 2:
+        return []
+    text = "Zones of the nail bed over time. Above the dashed line lies the white band, which lost half of its blood."
+    return [figure(simulate_figures.bed(result, scene), "bed", text)]
 
 
 def _readings_section(result: xr.Dataset, scene: Scene | None, found: list[Reading]) -> str:

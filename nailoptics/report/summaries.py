@@ -67,6 +67,7 @@ def check_lines(report: dict[str, Any]) -> list[str]:
     if "triangles" in report:
         lines[0] += f', vessels "{report["vessels"]}" are known'
         names = ", ".join(name for name in report["regions"] if name != "air")
+        lines += [f"{name}: {report[name]}" for name in ("touch", "blood", "body") if report.get(name)]
         lines += [
             f"geometry: {report['triangles']} triangles between the air and {names}",
             f"closed: {'yes' if report['valid'] else 'NO'}; of {report['crossings']} times that a random ray crossed a "

@@ -7,6 +7,7 @@ from nailoptics.errors import InputError
 from nailoptics.hemodynamics import PAPER_ZONES, zones
 from nailoptics.light.identity import light_digest
 from nailoptics.scene import parse_scene
+from nailoptics.scene.base import USUAL_DECAY_LENGTH
 from nailoptics.studies.blood_states import (
     blood_over_touch,
     capillary_zones,
@@ -136,7 +137,7 @@ def zoned(text="", zone_text="zones = 8"):
 
 def test_two_zones_are_the_papers_and_eight_are_equal_parts_of_the_nail():
     assert capillary_zones(scene_with("")) is PAPER_ZONES
-    eight, equal = capillary_zones(zoned()), zones(8, decay_length=0.15)
+    eight, equal = capillary_zones(zoned()), zones(8, decay_length=USUAL_DECAY_LENGTH)
     assert np.allclose(eight.share, equal.share, rtol=1e-12) and np.allclose(eight.reach, equal.reach, rtol=1e-12)
     assert zoned().zone_edges_mm == pytest.approx([-4.5, -3.0, -1.5, 0.0, 1.5, 3.0, 4.5])
     assert scene_with("zones = 2").zone_edges_mm == (0.0,)

@@ -1,0 +1,89 @@
+"""The shipped scenes of touches: each shows what it was written for."""
+
+import numpy as np
+import pytest
+
+import nailoptics as nail
+from nailoptics.assets import data_dir
+from nailoptics.scene import load_scene, parse_scene, to_toml
+from nailoptics.scene.sweep import load_sweep
+from nailoptics.studies.blood_states import blood_over_touch
+
+
+def scene(name):
+    return load_scene(data_dir("scenes") / f"{name}.toml")
+
+
+@pytest.mark.parametrize("kind", ["static", "dynamic"])
+@pytest.mark.parametrize(("site", "pressed", "free"), [("proximal", 0, 1), ("distal", 1, 0)])
+def test_the_papers_four_experiments_press_on_their_own_side(kind, site, pressed, free):
+    """Expected: force on the proximal pulp dams blood up, on the distal pulp it empties the distal zone."""
+    run = blood_over_touch(scene(f"{kind}_{site}"))
+    names = ["proximal_pressure_pa", "distal_pressure_pa"]
+    assert run[names[free]].max() == 0 and run[names[pressed]].max() == pytest.approx(1e4 * run.force_n.max())
+    blood = run.blood_fraction.isel(zone=pressed) / 0.03
+    assert float(blood.max()) > 1.3 if site == "proximal" else float(blood.min()) < 0.1
+
+
+def test_slow_cycles_repeat_themselves_and_show_hysteresis():
+    run = blood_over_touch(scene("static_distal"))
+    blood = run.blood_fraction.isel(zone=1)
+    second, third = (blood.sel(time=slice(20.0 * k, 20.0 * k + 19.9)).values for k in (1, 2))
+    assert third == pytest.approx(second, rel=1e-3)
+    up, down = (float(blood.sel(time=t, method="nearest")) for t in (42.0, 58.0))  # 0.4 N
+    assert down != pytest.approx(up, rel=1e-3)
+
+
+def test_the_white_band_widens_step_by_step():
+    run = blood_over_touch(scene("white_band"))
+    bands = [float(run.white_band_mm.sel(time=t, method="nearest")) for t in (0.4, 1.9, 3.4, 4.9, 6.4)]
+    assert bands[0] == 0 and np.all(np.diff(bands) > 0) and bands[-1] < 12.0
+
+
+def test_shear_widens_the_white_band_of_its_scene():
+    sheared = scene("shear")
+    still = parse_scene(to_toml(sheared).replace("shear_n = 1.0", "shear_n = 0.0"))
+    bands = [float(blood_over_touch(one).white_band_mm.sel(time=2.2, method="nearest")) for one in (still, sheared)]
+    assert bands[1] > bands[0] > 0
+
+
+def test_the_heart_beats_in_blood_and_oxygen():
+    run = blood_over_touch(scene("heartbeat"))
+    rest = run.sel(time=slice(0.0, 3.9))
+    beat = rest.blood_fraction.isel(zone=0).values
+    assert np.ptp(beat) > 0.05 * beat.mean() and np.ptp(rest.so2.isel(zone=0).values) > 0.001
+    # Some 4.5 beats, each with one steep rise.
+    steep = np.diff(rest.arterial_pressure_pa.values) > 200.0
+    assert 4 <= np.count_nonzero(steep[1:] & ~steep[:-1]) <= 5
+    pressed = run.sel(time=slice(6.0, 7.9))
+    assert pressed.so2.isel(zone=0).mean() > rest.so2.isel(zone=0).mean()
+
+
+def test_recorded_pressures_and_pulse_are_followed():
+    run = blood_over_touch(scene("recorded"))
+    assert run.distal_pressure_pa.sel(time=2.5, method="nearest") == pytest.approx(7500.0)
+    assert run.shear_n.max() == pytest.approx(0.4) and np.ptp(run.arterial_pressure_pa.values) == pytest.approx(
+        2e3, rel=0.05
+    )
+
+
+@pytest.mark.parametrize("name", ["vein_stiffness", "white_band"])
+def test_sweeps_vary_the_vessels_and_the_touch_of_a_scene_under_one_light(name):
+    from nailoptics.light.identity import light_digest
+
+    sweep = load_sweep(data_dir("scenes") / "sweeps" / f"{name}.toml")
+    assert len({light_digest(one) for one in sweep.scenes}) == 1
+    first, last = (blood_over_touch(one).blood_fraction.values for one in (sweep.scenes[0], sweep.scenes[-1]))
+    assert np.abs(first - last).max() > 0.001
+
+
+@pytest.mark.jit
+def test_the_white_band_reaches_the_light(chosen_jit):
+    """Expected: where the band lies blood no longer dims, so that the most distal reading rises with each newton."""
+    asked = scene("white_band")
+    result = nail.simulate(asked, photons=20_000, seed=1)
+    change = result.volts_change.isel(led=0, photodiode=-1)
+    at = [float(change.sel(time=t, method="nearest")) for t in (1.9, 3.4, 4.9, 6.4)]
+    assert at[-1] > 0 and np.all(np.diff(at) > 0)
+    assert [name for name in result.absorber.values if name.startswith("bed")] == [f"bed_{k + 1}" for k in range(8)]
+    assert len(result.zone) == 8 and result.zone_of_photodiode.values.max() == 5
