@@ -4,7 +4,7 @@ import csv
 from collections.abc import Callable, Mapping
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..io import make_folder, to_json, turn, write_dataset, write_text
 from ..scene import Scene, to_toml
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 SIMULATION = ("result.nc", "report.html")
 COMPARISON = ("compare.nc", "compare.html")
 PLACEMENT = ("place.nc", "ranking.csv", "place.html", "best.toml", "best.csv", "best.glb")
-TRADEOFF = ("tradeoff.json", "tradeoff.html", "tradeoff.png", "scene.toml")
+TRADEOFF = ("tradeoff.json", "tradeoff.nc", "tradeoff.html", "tradeoff.png", "scene.toml")
 
 PREDICTION = ("predict.nc", "predict.csv", "predict.html")
 
@@ -69,8 +69,7 @@ def write_placement(result: "xr.Dataset", scene: Scene, folder: Path, *, negate_
     with turn(folder):
         write_dataset(result, data)
         write_text(ranking, table.getvalue())
-        cut_off = result.attrs.get("cut_off")
-        write_text(best_scene, (f"# Cut off: {cut_off}\n" if cut_off else "") + to_toml(best))
+        write_text(best_scene, _cut_off(result.attrs) + to_toml(best))
         write_positions(positions, kicad_parts(best, scene), negate_x_on_bottom=negate_x_on_bottom)
         write_outline(folder / f"outline{like.suffix.lower()}", outline(result))
         export_mesh(build(best), mesh)
@@ -79,17 +78,23 @@ def write_placement(result: "xr.Dataset", scene: Scene, folder: Path, *, negate_
 
 
 def write_tradeoff(found: "Tradeoff", folder: Path) -> Paths:
-    """Write a tradeoff as JSON, page and picture, and the scene at the chosen level; returns report and scene."""
+    """Write a tradeoff as JSON, Dataset, page and picture, and the chosen level's scene; returns report and scene."""
     from . import tradeoff_page
     from .style import write_figure
 
-    data, page, picture, scene = (folder / name for name in TRADEOFF)
+    data, dataset, page, picture, scene = (folder / name for name in TRADEOFF)
     with turn(folder):
         write_text(data, to_json(found.as_dict()) + "\n")
+        write_dataset(found.dataset(), dataset)
         tradeoff_page.write_tradeoff(found, page)
         write_figure(tradeoff_page.draw(found), picture, dpi=120, facecolor="white")
-        write_text(scene, to_toml(found.scene))
+        write_text(scene, _cut_off(found.attributes) + to_toml(found.scene))
     return {"report": page, "scene": scene}
+
+
+def _cut_off(attributes: Mapping[Any, Any]) -> str:
+    """The first line of a scene that comes from a study which ended too early to be sure of it."""
+    return f"# Cut off: {attributes['cut_off']}\n" if attributes.get("cut_off") else ""
 
 
 def write_sweep(results: "xr.Dataset", folder: Path, *, failures: Mapping[str, str]) -> Paths:

@@ -1,55 +1,71 @@
-"""The page and the picture of a tradeoff: error of each level of model against what it costs."""
+"""The page and the picture of a tradeoff: error of every level of model against the time that its answers take."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from ..io import write_text
-from ..statistics import Z95
-from ..studies.model_error.levels import REFERENCE, STATES, TARGETS, Bias, Level
-from ..studies.model_error.tradeoff import Tradeoff
+from ..studies.model_error.answers import MORE, Answer, Bias, Effort, Judge, Level
+from ..studies.model_error.tradeoff import ERRORS, SECONDS, WORDS, Tradeoff, in_words
 from . import style
 from .html import document, escaped, figure, section, small, table
 from .numbers import significant, with_error
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FLOOR_PERCENT = 0.01
-# Marks that lie closer than so many decades have one label.
-NEAR = 0.05
+# What the axes show of the errors, and the errors at which a level's curve is computed.
+LEAST, MOST = 5e-4, 3.0
+GRID = np.geomspace(LEAST, MOST, 200)
+# Names lie so many decades apart.
+APART = 0.17
 
 
 def write_tradeoff(found: Tradeoff, path: Path) -> None:
     """Write the page, whole or not at all; raises WriteError."""
-    choice = found.choice
-    reference = next(one for one in found.levels if one.name == REFERENCE)
-    gain = reference.cpu_seconds[0] / choice.cpu_seconds[0]
-    lines = "<br>".join(escaped(line) for line in choice.lines) or "none: the scene is so already"
+    choice, what = found.chosen, WORDS[found.judge]
+    percent = f"{100 * found.tolerance:g} %"
+    kept = choice.error <= found.tolerance * (1 + 1e-9)
+    why = f"the fastest within {percent} on {what}" if kept else f"the best in that time; {percent} takes longer"
+    lines = "<br>".join(escaped(line) for line in found.lines) or escaped(choice.level.call) or "none is needed"
     cards = [
-        (choice.name, f"the cheapest level that provably keeps every reading within {100 * found.tolerance:g} %"),
-        (f"{significant(choice.cpu_seconds[0], 2)} s", "of processor time to 1 % on the worst photodiode"),
-        (f"{significant(gain, 2)} ×", "as fast as the full model"),
+        (choice.level.name, why),
+        (in_words(choice.seconds()), "of processor time to the first answer"),
+        (in_words(choice.seconds("states")), f"for {MORE} more blood states"),
+        (in_words(choice.seconds("layouts")), f"for {MORE} more layouts"),
     ]
     body = section(
-        "Error against cost",
+        "Error against time",
         figure(
             draw(found),
-            "pareto",
-            "Each level of model: error against the full model, and processor time to 1 % on the worst photodiode; "
-            "left of the reading at rest, right of its change by touch, as a part of the largest change. Marks are "
-            "means over the photodiodes with 95 % intervals; the thin line goes up to what no photodiode exceeds. "
-            "Filled: provably within the tolerance. Dashed: the Pareto front. "
-            f"Errors below {FLOOR_PERCENT:g} % are drawn there.",
+            "time",
+            f"Error of the worst photodiode, of {what}, against processor time: left to the first answer, right for "
+            f"{MORE} more states of the blood or layouts. Every level's error falls with its photons to its own bias; "
+            "dots are levels without photons. Strong lines: the least error that any level has in a time. "
+            "Left they leave out what reads a stored trace.",
         ),
-        _table(found),
-        f"<p>Scene lines that select it: <code>{lines}</code></p>",
+        _levels(found),
         small(
-            "(9) and (8) take their constants from the full trace: at rest they are right by construction, and they "
-            "cost what it costs. Memory is that of the photons kept for 1 %. A level counts as cheaper than the full "
-            "model only beyond the noise of its cost."
+            "Off by: mean over the photodiodes, weighed by the reference's errors, ± its standard error; at most: what "
+            "no photodiode's exceeds, with 95 % confidence each. The error of an answer is that bound and the standard "
+            f"error of its worst photodiode together. Times are for {percent}, or for a tenth more than a level's own "
+            "bias where that is larger. The signal is the change by touch, as a part of the largest change."
         ),
+        f"<p>What selects the chosen level: <code>{lines}</code></p>",
+        "<h3>What each level needs</h3>",
+        _needs(found),
+        "<h3>The fastest answer within an error</h3>",
+        _within(found),
+        "<h3>The best answer within a time</h3>",
+        table(
+            ["Processor time", "Level", "Error [%]"],
+            [_best_row(seconds, found.best(seconds)) for seconds in SECONDS],
+        ),
+        "<h3>The full model by its photons</h3>",
+        _efforts(found),
         "<h3>Number of batches</h3>",
         table(
             ["Photons in a batch", "Processor time per million photons [s]"],
@@ -58,8 +74,9 @@ def write_tradeoff(found: Tradeoff, path: Path) -> None:
     )
     text = document(
         kicker="speed against accuracy",
-        title=f"Within {100 * found.tolerance:g} %: {choice.name}",
-        lead=f"Every level of model on this scene, against the full one, in {found.wall_seconds:.0f} s.",
+        title=f"Within {percent}: {choice.level.name}" if kept else f"Within {in_words(found.max_seconds or 0.0)}",
+        lead=f"{found.sentence} Every level of model on this scene, against the full one, measured in "
+        f"{found.wall_seconds:.0f} s.",
         cards=cards,
         body=[body],
         attributes=found.attributes,
@@ -69,96 +86,134 @@ def write_tradeoff(found: Tradeoff, path: Path) -> None:
 
 @style.drawing()
 def draw(found: Tradeoff) -> "Figure":
-    """Error of every level against processor time to 1 %, of the reading with the Pareto front, and of the signal."""
-    from matplotlib.ticker import LogLocator
-
-    drawing, (left, right) = style.panels(11.0, 4.6, 1, 2, sharey=True, width_ratios=[1.3, 1])
-    seconds, errors = zip(*((one.cpu_seconds[0], _height(one.reading)) for one in found.front), strict=True)
-    left.step(seconds, errors, where="post", color=style.MUTED, lw=1.2, ls=(0, (4, 2)), zorder=1)
-    left.set(yscale="log", ylim=(0.6 * FLOOR_PERCENT, 200), ylabel="error [%]")
+    """Error of every level against time to the first answer, and against time for a thousand more."""
+    drawing, (left, right) = style.panels(11.0, 5.0, 1, 2, sharey=True, width_ratios=[1.25, 1])
+    left.set(yscale="log", ylim=(100 * LEAST, 100 * MOST), ylabel=f"error on {WORDS[found.judge]} [%]")
     left.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    for axes, which, title in ((left, "reading", "Reading at rest"), (right, "signal", "Signal by touch")):
-        known = _known(found, which)
-        low, high = min(one.cpu_seconds[0] for one, _ in known) / 2, max(one.cpu_seconds[0] for one, _ in known) * 2
-        # The names want room at the right.
-        axes.set(title=title, xscale="log", xlim=(low, high * (high / low) ** 0.45))
-        axes.axhline(100 * found.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)), zorder=1)
-        axes.set_xlabel("processor time to 1 % on the worst photodiode [s]")
-        axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}" if value >= 1 else f"{value:g}")
-        narrow = np.ptp(np.log10(axes.get_xlim())) < 2
-        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if narrow else (1,)))
-        axes.xaxis.set_minor_formatter("")
-        _marks(axes, known, found.chosen)
-        _labels(axes, known, found.chosen)
-    percent = f"{100 * found.tolerance:g} %"
-    where = {"transform": right.get_yaxis_transform(), "ha": "right"}
-    right.text(0.995, 112 * found.tolerance, f"tolerance {percent}", fontsize=8.5, **where)
-    words = f"Cheapest that provably keeps every reading within {percent}: {style.plain(found.chosen)}"
-    drawing.suptitle(words, x=0.01, ha="left", fontsize=10.5, fontweight="bold")
+    offered = [one for one in found.levels if not one.stored]
+    _panel(left, found, "first", offered, [("first", style.INK, "-")])
+    more: list[tuple[Effort, str, str]] = [("states", style.ZONES[0], "-"), ("layouts", style.ZONES[1], "--")]
+    _panel(right, found, "states", found.levels, more)
+    left.set(title="First answer", xlabel="processor time to the first answer [s]")
+    right.set(title=f"{MORE} more states or layouts", xlabel=f"processor time for {MORE} more [s]")
+    seconds = found.chosen.seconds()
+    left.plot(seconds, 100 * found.chosen.error, "*", ms=13, color=style.ZONES[0], zorder=5, label="chosen")
+    for axes in (left, right):
+        axes.legend(loc="lower left", frameon=True, facecolor=style.PAPER, edgecolor="none", framealpha=0.9)
+    drawing.suptitle(style.plain(found.sentence), x=0.01, ha="left", fontsize=10, fontweight="bold")
     return drawing
 
 
-def _known(found: Tradeoff, which: str) -> list[tuple[Level, Bias]]:
-    """Levels with their bias of the reading or the signal, where that and their cost are known."""
-    pairs = [(one, one.reading if which == "reading" else one.signal) for one in found.levels]
-    return [(one, b) for one, b in pairs if b and np.isfinite(b.value) and np.isfinite(one.cpu_seconds[0])]
-
-
-def _marks(axes: Any, known: list[tuple[Level, Bias]], chosen: str) -> None:
-    # What is proven lies on top of what is not.
-    for one, bias in sorted(known, key=lambda pair: (pair[0].proven, pair[0].name == chosen)):
-        height, spread, x = _height(bias), 100 * Z95 * bias.stderr, one.cpu_seconds[0]
-        colour = style.ZONES[1] if one.proven else style.ZONES[0]
-        axes.plot([x, x], [height, max(100 * bias.bound, height)], color=colour, lw=0.7, alpha=0.6)
-        axes.plot([x, x], [max(height - spread, FLOOR_PERCENT), height + spread], color=colour, lw=2.2, alpha=0.5)
-        face, size = colour if one.proven else style.PAPER, 11 if one.name == chosen else 7
-        axes.plot(x, height, "o", ms=size, color=colour, markerfacecolor=face, zorder=3)
-
-
-def _labels(axes: Any, known: list[tuple[Level, Bias]], chosen: str) -> None:
-    """Names beside the marks; those of one mark together, those of near ones one below the other."""
-    names: dict[tuple[float, float], list[str]] = {}
-    for one, bias in sorted(known, key=lambda pair: pair[0].name != chosen):
-        x, y = one.cpu_seconds[0], _height(bias)
-        near = (mark for mark in names if abs(np.log10(mark[0] / x)) < NEAR and abs(np.log10(mark[1] / y)) < NEAR)
-        names.setdefault(next(near, (x, y)), []).append(one.name)
-    order = sorted(names.items(), key=lambda item: item[0][1])
-    places = style.spread([float(np.log10(height)) for (_, height), _ in order], 0.22)
+def _panel(
+    axes: "Axes", found: Tradeoff, shown: Effort, levels: Sequence[Level], fronts: Sequence[tuple[Effort, str, str]]
+) -> None:
+    """Every level's error against what one effort costs, and the fronts of this and others."""
+    ends, marks = [], []
+    for level in levels:
+        curve = _curve(level, found.judge, shown)
+        if len(curve) and level.first.per_second:
+            axes.plot(*curve.T, color=style.MUTED, lw=0.8, alpha=0.6, zorder=1)
+            ends.append((level.name, curve[-1]))
+        elif len(curve):
+            axes.plot(*curve[-1], "o", ms=5, color=style.MUTED, markerfacecolor=style.PAPER, zorder=3)
+            marks.append((level.name, curve[-1]))
+    for effort, colour, line in fronts:
+        answers = [found.fastest(error, effort) for error in GRID]
+        points = [(a.seconds(effort), 100 * error) for a, error in zip(answers, GRID, strict=True) if a]
+        label = "the best of all" if effort == "first" else f"the best of all: {MORE} more {effort}"
+        axes.plot(*np.array(points).reshape(-1, 2).T, color=colour, lw=2.2, ls=line, zorder=2, label=label)
+    axes.axhline(100 * found.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)), zorder=1, label="tolerance")
+    axes.set_xscale("log")
     low, high = axes.get_xlim()
-    for ((seconds, height), words), place in zip(order, places, strict=True):
-        arrow = {"arrowstyle": "-", "color": style.MUTED, "lw": 0.6}
+    _names(axes, marks, x=None, room=(high / low) ** 0.02)
+    # Where the names stand there is no time.
+    axes.set_xticks([tick for tick in axes.get_xticks() if low <= tick <= high])
+    axes.set_xlim(low, high * (high / low) ** 0.4)
+    _names(axes, ends, x=high, room=(high / low) ** 0.02)
+
+
+def _curve(level: Level, judge: Judge, effort: Effort) -> np.ndarray:
+    """Seconds and error [%] of a level from few photons to many, (n, 2) float; without photons its one answer."""
+    bias = level.bias(judge)
+    if not np.isfinite(bias):
+        return np.empty((0, 2))
+    if not level.first.per_second:
+        return np.array([[level.cost(effort).at(0.0), 100 * np.clip(bias, LEAST, MOST)]])
+    # Down to where photons no longer help.
+    errors = GRID[::-1][GRID[::-1] > 1.02 * bias]
+    seconds = [level.cost(effort).at(level.photon_seconds(judge, error)) for error in errors]
+    return np.array([(s, 100 * e) for s, e in zip(seconds, errors, strict=True) if np.isfinite(s)]).reshape(-1, 2)
+
+
+def _names(axes: "Axes", places: Sequence[tuple[str, np.ndarray]], *, x: float | None, room: float) -> None:
+    """Names beside their places, or in a column at x, at least so far apart that each is read."""
+    heights = style.spread([float(np.log10(place[1])) for _, place in places], APART)
+    for (name, place), height in zip(places, heights, strict=True):
         axes.annotate(
-            style.plain("\n".join(", ".join(words[k : k + 2]) for k in range(0, len(words), 2))),
-            (seconds, height),
-            xytext=(seconds * (high / low) ** 0.025, 10**place),
+            style.plain(name),
+            tuple(place),
+            xytext=((place[0] if x is None else x) * room, 10**height),
             va="center",
             fontsize=8,
-            fontweight="bold" if chosen in words else "normal",
-            arrowprops=arrow if abs(place - np.log10(height)) > 0.1 else None,
-            bbox={"facecolor": style.PAPER, "edgecolor": "none", "alpha": 0.75, "pad": 0.6},
+            color=style.INK,
+            arrowprops={"arrowstyle": "-", "color": style.MUTED, "lw": 0.5, "alpha": 0.6},
+            bbox={"facecolor": style.PAPER, "edgecolor": "none", "alpha": 0.7, "pad": 0.4},
         )
 
 
-def _height(bias: Bias) -> float:
-    return max(100 * abs(bias.value), FLOOR_PERCENT)
-
-
 def _cells(bias: Bias | None) -> list[str]:
-    """Bias with its error, and its bound; dashes where there is none. [%]"""
+    """Bias with its error, and its bound. [%]"""
     if bias is None:
-        return ["–", "–"]
+        return ["not measured", "–"]
     return [with_error(100 * bias.value, 100 * bias.stderr, sign=True), significant(100 * bias.bound, 2)]
 
 
-def _table(found: Tradeoff) -> str:
+def _levels(found: Tradeoff) -> str:
     head = ["Level", "Reading off by<br>[%]", "at most<br>[%]", "Signal off by<br>[%]", "at most<br>[%]"]
-    head += [f"CPU to {100 * target:g} %<br>[s]" for target in TARGETS]
-    head += [f"{STATES} more<br>states [s]", "Memory<br>[MB]", "Setup<br>[s]", "Front", "Scene lines"]
+    head += ["First<br>answer", f"{MORE} more<br>states", f"{MORE} more<br>layouts", "Memory<br>[MB]"]
     rows = []
     for one in found.levels:
-        name = escaped(one.name) + (" <b>✓</b>" if one.name == found.chosen else "")
-        costs = [*one.cpu_seconds, one.reweight_seconds, one.memory_mb, one.setup_seconds]
-        shown = ["–" if cost is None else significant(cost, 2) for cost in costs]
-        lines = "<br>".join(f"<code>{escaped(line)}</code>" for line in one.lines)
-        rows.append([name, *_cells(one.reading), *_cells(one.signal), *shown, "●" if one in found.front else "", lines])
+        name = escaped(one.name) + (" <b>✓</b>" if one.name == found.chosen.level.name else "")
+        photons = one.usual_photon_seconds(found.judge, found.tolerance)
+        costs = [one.cost(effort).at(photons) for effort in get_args(Effort)]
+        shown = [in_words(cost) if np.isfinite(cost) else "–" for cost in costs]
+        memory = "–" if one.memory_mb is None or not np.isfinite(one.memory_mb) else significant(one.memory_mb, 2)
+        rows.append([name, *_cells(one.reading), *_cells(one.signal), *shown, memory])
     return table(head, rows)
+
+
+def _needs(found: Tradeoff) -> str:
+    """What must be known for each level, and what selects it."""
+    rows = []
+    for one in found.levels:
+        how = "<br>".join(f"<code>{escaped(line)}</code>" for line in one.lines or ([one.call] if one.call else []))
+        rows.append([escaped(one.name), escaped(one.beforehand) or "–", how or "the scene as it is"])
+    return table(["Level", "Must be known beside the scene", "Scene lines, or the call that gives it"], rows)
+
+
+def _within(found: Tradeoff) -> str:
+    """The fastest answers, one row per error."""
+    rows = []
+    for error in ERRORS:
+        row = [f"{100 * error:g}"]
+        for effort in get_args(Effort):
+            answer = found.fastest(error, effort)
+            row += [escaped(answer.level.name), in_words(answer.seconds(effort))] if answer else ["–", "–"]
+        rows.append(row)
+    head = ["Error<br>[%]", "First answer", "", f"{MORE} more states", "", f"{MORE} more layouts", ""]
+    return table(head, rows)
+
+
+def _best_row(seconds: float, answer: Answer | None) -> list[str]:
+    told = [escaped(answer.level.name), significant(100 * answer.error, 2)] if answer else ["–", "–"]
+    return [in_words(seconds), *told]
+
+
+def _efforts(found: Tradeoff) -> str:
+    rows = []
+    for one in found.efforts:
+        errors = [one.level.error(judge, one.photon_seconds) for judge in ("reading", "signal")]
+        shown = [significant(100 * error, 2) for error in errors]
+        rows.append([in_words(one.photon_seconds), in_words(one.seconds()), *shown, in_words(one.seconds("states"))])
+    head = ["Photons for", "First answer", "Standard error of the<br>worst reading [%]"]
+    return table([*head, "of the worst<br>signal [%]", f"{MORE} more<br>states"], rows)

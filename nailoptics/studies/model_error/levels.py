@@ -1,33 +1,46 @@
 """Levels of model of one scene, each measured against the full one: how far off it reads, and what it costs."""
 
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ... import tissue
-from ...errors import NotReachedError, as_far_as_reached
+from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...light import ProgressCallback, optics, read_rest
 from ...light import backend as backends
 from ...light.course import course, read_replicates
+from ...light.diffusion import DiffusionModel
 from ...light.tracing import INTERRUPTED, unseen
+from ...light.transfer import FEW_PHOTONS
 from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
 from ...statistics import Z95, jackknife
-from . import paired
+from . import literature, paired
+from .answers import MORE, Bias, Cost, Level
+from .literature import FORMULAS
 from .paired import PairedReadings, PairedTracer
-from .variants import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, lines_of, revised
+from .stored_map import StoredMap
+from .variants import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, revised
 
 DEFAULT_SECONDS = 120.0
-TARGETS = (0.01, 0.003, 0.001)
 REFERENCE, OWN = "full", "the scene itself"
 BATCHES = (1 << 14, 1 << 16, 1 << 18)
-# Stock Mitsuba gets this part of the time on each backend, towards this error.
-VOLPATH_SHARE, VOLPATH_ERROR = 0.15, 0.01
-# Blood states that a level is read at, to see what one more costs.
-STATES = 1000
+# Stock Mitsuba gets this part of the time on each backend, towards this error, if that is as many seconds at least.
+VOLPATH_SHARE, VOLPATH_ERROR, STOCK_SECONDS = 0.15, 0.01, 40.0
+# With a larger standard error on some photodiode it counts as not measured: its error itself is not known then.
+STOCK_ERROR = 0.25
+# Standard error for which the memory of the kept photons is told.
+KEPT_ERROR = 0.01
+# The plate of the finger whose stored trace is read for the scene's.
+THICKER = 1.1
+# What is done in less is repeated until it has taken so long, to be timed. [s]
+TIMED_SECONDS = 0.02
 PARTS = ("bone", "epidermis", "kapton")
 CHEAPER: dict[str, Changes] = {
     "matched indices": {"light": {"index_steps": False}},
@@ -37,51 +50,11 @@ CHEAPER: dict[str, Changes] = {
     "no bone either": {"light": {"left_out": list(PARTS)}},
 }
 FULL: Changes = {"light": {"engine": "auto", "index_steps": True, "similarity": False, "left_out": ()}} | PART_WIDTH
+MAP, THICKER_PLATE = "stored map, other layout", "stored trace, thicker plate"
+DIFFUSION_CALL = "nailoptics.light.diffusion.DiffusionModel(scene).readings(blood)"
+LITERATURE_CALL = "nailoptics.studies.model_error.literature.changes(scene, name, blood)"
+MAP_CALL = "nailoptics.studies.model_error.stored_map.StoredMap.of(scene, ...).read(layout)"
 STOCK: Changes = {"light": {"engine": "volpath"}}
-
-
-@dataclass(frozen=True)
-class Bias:
-    """How far a level is from the reference, as a part of it.
-
-    value, stderr : mean over all photodiodes, weighed by the reference's errors.
-    bound : what no photodiode's exceeds, with 95 % confidence each.
-    """
-
-    value: float
-    stderr: float
-    bound: float
-
-
-@dataclass(frozen=True)
-class Level:
-    """One level of model, measured.
-
-    reading : bias of the reading at rest.
-    signal : bias of the change by touch, as a part of the largest change; None where that is not traced.
-    cpu_seconds : to a relative standard error of 1 %, 0.3 % and 0.1 % of the worst reading.
-    reweight_seconds : for a thousand more blood states from what gives 1 %; None where each is traced anew.
-    memory_mb : of the photons kept for 1 %; None where none are.
-    setup_seconds : before the first photon.
-    changes : what of the scene selects it; nothing where the scene is so already.
-    proven : whether its bounds, on what it does not take from the reference, lie within the tolerance.
-    """
-
-    name: str
-    backend: str
-    changes: Changes
-    reading: Bias
-    signal: Bias | None
-    cpu_seconds: tuple[float, ...]
-    reweight_seconds: float | None
-    memory_mb: float | None
-    setup_seconds: float
-    proven: bool
-
-    @property
-    def lines(self) -> list[str]:
-        """The scene lines that select it."""
-        return lines_of(self.changes)
 
 
 @dataclass(frozen=True)
@@ -90,20 +63,21 @@ class Bench:
 
     full : the scene with everything in it, against whose readings, `base`, every level is held.
     changes : what of it makes each level that is traced with the same random numbers.
-    others : backends that the full model is traced on, too; stock : those that can run stock Mitsuba.
+    others : backends that the full model is traced on, too; stock : those that can run stock Mitsuba, each for
+        stock_seconds; 0 where that would be too few to see anything.
     """
 
     full: Scene
     changes: dict[str, Changes]
     others: Sequence[BackendName]
     stock: Sequence[BackendName]
+    stock_seconds: float
     options: TraceOptions
     tracer: PairedTracer
     base: PairedReadings
-    tolerance: float
 
     @classmethod
-    def of(cls, scene: Scene, options: TraceOptions, *, tolerance: float, progress: ProgressCallback | None) -> "Bench":
+    def of(cls, scene: Scene, options: TraceOptions, *, progress: ProgressCallback | None) -> "Bench":
         """Trace a scene's full model, on one backend that compiles kernels.
 
         Raises: InputError where there is none; NotReachedError where a photodiode saw nothing to compare levels by.
@@ -114,15 +88,18 @@ class Bench:
         changes = ({OWN: own} if own else {}) | CHEAPER
         others = [f.name for f in backends.findings() if f.usable and f.name not in (chosen.name, "scalar")]
         stock = [one.name for one in (chosen, backends.choose("scalar")) if "volpath" in one.engines]
-        walked, scenes = replace(options, backend=chosen.name), 1 + len(changes) + len(others)
+        walked, scenes = replace(options, backend=chosen.name), 3 + len(changes) + len(others)
+        stock_seconds = VOLPATH_SHARE * (options.max_seconds or 0.0)
+        if stock_seconds < STOCK_SECONDS:
+            stock_seconds = 0.0
         if options.max_seconds is not None:
-            walked = replace(walked, max_seconds=options.max_seconds * (1 - len(stock) * VOLPATH_SHARE))
-        tracer = PairedTracer(scenes, walked, progress, usual_seconds=DEFAULT_SECONDS)
+            walked = replace(walked, max_seconds=options.max_seconds - len(stock) * stock_seconds)
+        tracer = PairedTracer(scenes, walked, progress, usual_seconds=DEFAULT_SECONDS, shapes=2)
         base = tracer.trace(full)
         found = base.transfer
         for led, photodiode in np.argwhere(~(base.level > 0)):
             raise NotReachedError(unseen(found.leds[led], found.photodiodes[photodiode], found.traces[led].photons))
-        return cls(full, changes, others, stock, options, tracer, base, tolerance)
+        return cls(full, changes, others, stock, stock_seconds, options, tracer, base)
 
     def levels(self) -> Iterator[Level]:
         """Every level, as soon as it is measured."""
@@ -134,8 +111,9 @@ class Bench:
         one_led = self.full.model_copy(update={"leds": self.full.leds[:1]})
         out = {}
         for photons in BATCHES:
-            options = replace(self.tracer.options, photons=photons)
-            found = replace(self.tracer, options=options, progress=None).trace(one_led)
+            self.tracer.check_time()
+            options = replace(self.tracer.options, photons=photons, relative_error=None, max_seconds=None)
+            found = PairedTracer(1, options, None).trace(one_led)
             out[photons] = found.transfer.cpu_seconds / photons * 1e6
         return out
 
@@ -144,31 +122,73 @@ class Bench:
         """The full model, measured against itself."""
         return self.measured(REFERENCE, {}, self.base)
 
+    @cached_property
+    def states(self) -> np.ndarray:
+        """Blood from rest to the touch's largest force, (1000, zones) float."""
+        first, last = paired.end_states(self.full)
+        return np.asarray(first + np.linspace(0, 1, MORE)[:, None] * (last - first))
+
+    @cached_property
+    def largest_modulation(self) -> float:
+        """The largest change by touch of the reference's readings, as a part of them."""
+        return float(np.abs(self.base.modulation).max())
+
     def measured(self, name: str, changes: Changes, other: PairedReadings) -> Level:
         """A traced level against the reference."""
         found = paired.difference(self.base, other)
-        reading = _bias(found.ratio, found.ratio_stderr, self.base)
-        signal = _bias(np.asarray(found.swing), np.asarray(found.swing_stderr), self.base)
+        reading = self.bias(found.ratio, found.ratio_stderr)
+        signal = self.bias(np.asarray(found.swing), np.asarray(found.swing_stderr))
         if other is self.base:
-            reading, signal = replace(reading, bound=0.0), replace(signal, bound=0.0)
-        worst = float(other.relative_stderr.max())
+            reading = signal = Bias(0.0, 0.0, 0.0)
+        worst, spent = float(other.relative_stderr.max()), other.transfer.cpu_seconds
+        worst_signal = float(other.modulation_stderr.max()) / self.largest_modulation
         kept = sum(t.weight.nbytes + t.path_mm.nbytes + t.photodiode.nbytes for t in other.transfer.traces)
-        more = (worst / TARGETS[0]) ** 2
-        first, last = paired.end_states(other.transfer.scene)
-        begin = time.perf_counter()
-        course(other.transfer, first + np.linspace(0, 1, STATES)[:, None] * (last - first), electrons=True)
+        reweighting = cpu_seconds(lambda: course(other.transfer, self.states, electrons=True))
+        first = Cost(other.setup_seconds, 1.0)
         return Level(
             name=name,
             backend=other.transfer.backend,
             changes=changes,
             reading=reading,
             signal=signal,
-            cpu_seconds=_cost(other.transfer.cpu_seconds, worst),
-            reweight_seconds=more * (time.perf_counter() - begin),
-            memory_mb=kept * more / 1e6,
-            setup_seconds=other.setup_seconds,
-            proven=reading.bound <= self.tolerance,
+            first=first,
+            states=Cost(0.0, reweighting / spent),
+            layouts=Cost(MORE * first.fixed, MORE * first.per_second),
+            reading_noise=worst * math.sqrt(spent),
+            signal_noise=worst_signal * math.sqrt(spent),
+            memory_mb=kept * (worst / KEPT_ERROR) ** 2 / 1e6,
         )
+
+    def bias(self, values: np.ndarray, error: np.ndarray, *, shared: float = 0.0) -> Bias:
+        """The bias of a level from how far each of its readings is off, (led, photodiode) float, and the errors.
+
+        shared : relative error of what all of them are parts of.
+        """
+        bounds = np.abs(values) + Z95 * np.hypot(error, shared * values)
+        bound = float(np.max(np.where(np.isfinite(bounds), bounds, np.inf)))
+        mean, stderr = paired.weighted_mean(values, error, self.base)
+        return Bias(mean, float(np.hypot(stderr, shared * mean)), bound)
+
+    def reading_of(self, level: np.ndarray, relative_stderr: ArrayLike = 0.0) -> Bias:
+        """The bias of readings at rest that share no photons with the reference, and their relative errors."""
+        gain = level / self.base.level
+        return self.bias(gain - 1, gain * np.hypot(relative_stderr, self.base.relative_stderr))
+
+    def signal_of(self, modulation: np.ndarray, error: ArrayLike = 0.0) -> Bias:
+        """The bias of a signal that shares no photons with the reference, (led, photodiode) float, and its errors."""
+        unit, largest = self.largest_modulation, int(np.argmax(np.abs(self.base.modulation)))
+        noise = np.hypot(error, self.base.modulation_stderr) / unit
+        shared = float(self.base.modulation_stderr.flat[largest]) / unit
+        return self.bias((modulation - self.base.modulation) / unit, noise, shared=shared)
+
+
+def cpu_seconds(call: Callable[[], object]) -> float:
+    """Processor time of a call, repeated where it is short. [s]"""
+    begin, times = time.process_time(), 0
+    while (spent := time.process_time() - begin) < TIMED_SECONDS:
+        call()
+        times += 1
+    return spent / times
 
 
 def reference(bench: Bench) -> Iterator[Level]:
@@ -181,7 +201,7 @@ def one_wavelength(bench: Bench) -> Iterator[Level]:
     if any(led.fwhm_nm for led in bench.full.leds):
         narrow = paired.reweighted(bench.base.transfer, revised(bench.full, ONE_WAVELENGTH))
         level, full = bench.measured("one wavelength", ONE_WAVELENGTH, narrow), bench.reference
-        yield replace(level, cpu_seconds=full.cpu_seconds, memory_mb=full.memory_mb)
+        yield replace(level, first=full.first, layouts=full.layouts, memory_mb=full.memory_mb)
 
 
 def walked(bench: Bench) -> Iterator[Level]:
@@ -192,77 +212,155 @@ def walked(bench: Bench) -> Iterator[Level]:
         yield bench.measured(f"{REFERENCE}, {backend}", {}, bench.tracer.trace(bench.full, backend=backend))
 
 
-def _bias(values: np.ndarray, error: np.ndarray, base: PairedReadings) -> Bias:
-    bounds = np.abs(values) + Z95 * error
-    bound = float(np.max(np.where(np.isfinite(bounds), bounds, np.inf)))
-    return Bias(*paired.weighted_mean(values, error, base), bound)
+def stored(bench: Bench) -> Iterator[Level]:
+    """What another finger's trace or a photon map of the board answers, once it is there."""
+    plate_mm = bench.full.finger.nail_thickness_mm * THICKER if bench.full.finger else 0.0
+    thicker = bench.tracer.trace(revised(bench.full, {"finger": {"nail_thickness_mm": plate_mm}}))
+    level, rest = bench.measured(THICKER_PLATE, {}, thicker), bench.states[:1]
+    read = cpu_seconds(lambda: course(thicker.transfer, rest, electrons=True))
+    yield replace(
+        level,
+        first=Cost(read),
+        states=Cost(level.states.at(thicker.transfer.cpu_seconds)),
+        reading_noise=0.0,
+        signal_noise=0.0,
+        beforehand=f"a trace of that finger ({level.first.at(thicker.transfer.cpu_seconds):.0f} s)",
+        stored=True,
+    )
+    try:
+        yield _mapped(bench)
+    except InputError:
+        # A board with walls on several sides has no bare board.
+        return
 
 
-def _cost(cpu_seconds: float, error: float) -> tuple[float, ...]:
-    return tuple(cpu_seconds * (error / target) ** 2 for target in TARGETS)
+def _mapped(bench: Bench) -> Level:
+    """A photon map of the board without photodiodes, read where the scene has them."""
+    full, base, photons = bench.full, bench.base, bench.base.transfer.traces[0].photons
+    backend, check = bench.tracer.options.backend, bench.tracer.check_time
+    found = StoredMap.of(full, photons=photons, seed=bench.options.seed, backend=backend, check=check)
+    read = found.read(full)
+    level, more = read[:, 0, :, 0], bench.states - bench.states[0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.stack([jackknife(one) for one in read[..., 0]]) / level
+        changes = read[..., 1:] @ more[-1] / read[..., 0]
+        noise = np.stack([jackknife(one) for one in changes])
+    few = ~(relative**2 < 1 / FEW_PHOTONS)
+    each = cpu_seconds(lambda: found.read(full))
+    return Level(
+        name=MAP,
+        backend=base.transfer.backend,
+        reading=bench.reading_of(level, np.where(few, np.inf, relative)),
+        signal=bench.signal_of(changes[:, 0], np.where(few, np.inf, noise)),
+        first=Cost(each),
+        states=Cost(cpu_seconds(lambda: read[:, 0, :, 1:] @ more.T)),
+        layouts=Cost(MORE * each),
+        beforehand=f"a map of that finger, board and LED ({found.cpu_seconds:.0f} s)",
+        stored=True,
+        call=MAP_CALL,
+    )
+
+
+def diffusion(bench: Bench) -> Iterator[Level]:
+    """Layered diffusion, without a photon."""
+    model = DiffusionModel(bench.full)
+    found = model.readings(bench.states[[0, -1]])
+    first = cpu_seconds(lambda: DiffusionModel(bench.full).readings(bench.states[[0, -1]]))
+    yield Level(
+        name="layered diffusion",
+        backend="numpy",
+        reading=bench.reading_of(found[..., 0]),
+        signal=bench.signal_of(found[..., 1] / found[..., 0] - 1),
+        first=Cost(first),
+        states=Cost(cpu_seconds(lambda: model.readings(bench.states))),
+        layouts=Cost(MORE * first),
+        call=DIFFUSION_CALL,
+    )
 
 
 def formulas(bench: Bench) -> Iterator[Level]:
-    """Taylor (9) and Beer-Lambert (8) with the constants that the reference's mean paths give them.
+    """Taylor (9) and Beer-Lambert (8), with constants from literature, and with those of the reference's mean paths.
 
-    At rest a formula is the reading that gave it its constants, at what that costs; it is the signal that it may miss.
+    From literature there is no reading at rest. With traced constants it is the trace's, at what that costs; it is the
+    signal that they may miss.
     """
-    full, base = bench.full, bench.base
-    states, along = paired.end_states(full), np.linspace(0, 1, STATES)
+    full, base, ends = bench.full, bench.base, bench.states[[0, -1]]
+    for name in FORMULAS:
+        first, more = (cpu_seconds(partial(literature.changes, full, name, blood)) for blood in (ends, bench.states))
+        yield Level(
+            name=f"{name}, literature",
+            backend="numpy",
+            reading=None,
+            signal=bench.signal_of(literature.changes(full, name, ends)[..., -1]),
+            first=Cost(first),
+            states=Cost(more),
+            layouts=Cost(MORE * first),
+            beforehand="one measured reading at rest",
+            call=LITERATURE_CALL,
+        )
     depths, traced = [], []
     for i, led in enumerate(full.leds):
         wavelength, share = optics.spectrum(led)
-        mu_a = optics.absorption(full, wavelength, blood_fraction=states)
+        mu_a = optics.absorption(full, wavelength, blood_fraction=ends)
         blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, full.blood.rest_so2))
         read = read_replicates(base.transfer, i, mu_a, blood, seed=bench.options.seed)
         mean = float(np.average(blood, weights=share * wavelength))
-        depths.append(read.mean_path_mm @ ((states[1] - states[0]) * mean))
+        depths.append(read.mean_path_mm @ ((ends[1] - ends[0]) * mean))
         traced.append(read.reading[..., 1] / read.reading[..., 0] - 1)
-    for name, change in (("Taylor (9)", np.negative), ("Beer-Lambert (8)", lambda depth: np.expm1(-depth))):
-        values = (change(np.stack(depths)) - np.stack(traced)) / float(np.abs(base.modulation).max())
-        signal = _bias(values[:, 0], np.stack([jackknife(one) for one in values]), base)
-        begin = time.perf_counter()
-        change(np.outer(depths[-1], along))
-        spent = len(full.leds) * (time.perf_counter() - begin)
-        proven = signal.bound <= bench.tolerance
-        yield replace(bench.reference, name=name, signal=signal, reweight_seconds=spent, proven=proven)
+    along = np.multiply.outer(np.stack(depths)[:, 0], np.linspace(0, 1, MORE))
+    for name, change in FORMULAS.items():
+        values = (change(np.stack(depths)) - np.stack(traced)) / bench.largest_modulation
+        signal = bench.bias(values[:, 0], np.stack([jackknife(one) for one in values]))
+        spent = cpu_seconds(partial(change, along))
+        yield replace(bench.reference, name=f"{name}, traced", signal=signal, states=Cost(spent))
 
 
 def stock(bench: Bench) -> Iterator[Level]:
-    """Stock Mitsuba on every backend that can run it."""
-    seconds = VOLPATH_SHARE * (bench.options.max_seconds or DEFAULT_SECONDS)
+    """Stock Mitsuba on every backend that can run it, measured where there is time for it."""
     for backend in bench.stock:
+        seconds = bench.stock_seconds
         limits = Requested(relative_error=VOLPATH_ERROR, max_seconds=seconds, seed=bench.options.seed, backend=backend)
-        yield _stock(bench, limits)
+        level = Level(
+            name=f"stock Mitsuba, {backend}",
+            backend=backend,
+            reading=None,
+            signal=None,
+            first=Cost(0.0, 1.0),
+            states=Cost(0.0, MORE),
+            layouts=Cost(0.0, MORE),
+            reading_noise=math.inf,
+            signal_noise=math.inf,
+            changes=STOCK,
+        )
+        yield replace(level, **_stock(bench, limits)) if seconds else level
 
 
-def _stock(bench: Bench, limits: Requested) -> Level:
-    """Stock Mitsuba, which traces one wavelength, against the reference at that wavelength."""
+def _stock(bench: Bench, limits: Requested) -> dict[str, Any]:
+    """Reading and noise of stock Mitsuba, which traces one wavelength, against the reference at that wavelength."""
     narrow = paired.reweighted(bench.base.transfer, revised(bench.full, ONE_WAVELENGTH))
-    scene = revised(bench.full, STOCK)
-    begin, cpu = time.perf_counter(), time.process_time()
-    rest, unmet = as_far_as_reached(read_rest, scene, progress=bench.tracer.progress, **limits)
+    cpu = time.process_time()
+    rest, unmet = as_far_as_reached(read_rest, revised(bench.full, STOCK), progress=bench.tracer.progress, **limits)
     if unmet and str(unmet).startswith(INTERRUPTED):
         raise unmet
+    spent = time.process_time() - cpu
     rows = [(row["detected_fraction"], row["stderr"]) for row in rest.readings]
     value, stderr = np.array(rows).T.reshape(2, *narrow.level.shape)
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.where(value > 0, stderr / value, np.inf)
         ratio = value / narrow.level - 1
-        reading = _bias(ratio, paired.error_of_ratio(ratio, relative, narrow.relative_stderr), narrow)
-    return Level(
-        name=f"stock Mitsuba, {limits['backend']}",
-        backend=limits["backend"],
-        changes=STOCK,
-        reading=reading,
-        signal=None,
-        cpu_seconds=_cost(time.process_time() - cpu, float(relative.max())),
-        reweight_seconds=None,
-        memory_mb=None,
-        setup_seconds=max(time.perf_counter() - begin - rest.wall_seconds, 0.0),
-        proven=reading.bound <= bench.tolerance,
-    )
+    if not relative.max() <= STOCK_ERROR:
+        return {}
+    reading = bench.bias(ratio, paired.error_of_ratio(ratio, relative, narrow.relative_stderr))
+    return {"reading": reading, "reading_noise": float(relative.max()) * math.sqrt(spent)}
 
 
 # In the order in which they are measured.
-LEVELS: tuple[Callable[[Bench], Iterator[Level]], ...] = (reference, formulas, one_wavelength, walked, stock)
+LEVELS: tuple[Callable[[Bench], Iterator[Level]], ...] = (
+    reference,
+    formulas,
+    diffusion,
+    one_wavelength,
+    walked,
+    stored,
+    stock,
+)

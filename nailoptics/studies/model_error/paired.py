@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ... import geometry
 from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...light import ProgressCallback, TraceProgress, Transfer, optics, trace
 from ...light.records import LedTrace
@@ -35,7 +36,7 @@ class PairedReadings:
 
     parts : per LED (n, 2) float. What each kept photon adds to the reading at rest and at the touch's largest force,
         fractions of the emitted power, weighed by the photodiode's response over the LED's line.
-    setup_seconds : before the first photon.
+    setup_seconds : processor time before the first photon, as if nothing of the scene's shape were there before.
     """
 
     transfer: Transfer
@@ -67,6 +68,19 @@ class PairedReadings:
         with np.errstate(divide="ignore", invalid="ignore"):
             relative = np.sqrt(np.maximum(square - self.level**2 / photons, 0)) / self.level
             return np.where(self.level**2 >= FEW_PHOTONS * square, relative, np.inf)
+
+    @cached_property
+    def modulation_stderr(self) -> np.ndarray:
+        """Standard error of the modulation; inf where fewer than ten effective photons were seen."""
+        count, spread = len(self.transfer.photodiodes), []
+        for one, part, level, modulation in zip(
+            self.transfer.traces, self.parts, self.level, self.modulation, strict=True
+        ):
+            # The modulation is linear in what one photon more or less adds to it.
+            added = part[:, 1] - (1 + modulation[one.photodiode]) * part[:, 0]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                spread.append(np.sqrt(np.bincount(one.photodiode, added**2, minlength=count)) / level)
+        return np.where(np.isfinite(self.relative_stderr), np.stack(spread), np.inf)
 
 
 def paired_readings(transfer: Transfer, setup_seconds: float = 0.0) -> PairedReadings:
@@ -115,6 +129,7 @@ class PairedTracer:
     _opening_s: float = field(default=0.0, init=False)
     _start: float = field(default_factory=time.perf_counter, init=False)
     _photons: int | None = field(default=None, init=False)
+    _setups: dict[Scene, float] = field(default_factory=dict, init=False)
 
     @property
     def seconds_left(self) -> float:
@@ -127,11 +142,16 @@ class PairedTracer:
         scene = scene.model_copy(update={"accuracy": type(scene.accuracy)()})
         if self._photons is None:
             self._photons = self._photons_for(scene)
-        elif self.seconds_left < max(0.0, self._opening_s - OVERRUN * (self.options.max_seconds or math.inf)):
-            raise NotReachedError(self._out_of_time())
+        else:
+            self.check_time()
         found = self._traced(scene, backend, self._photons)
         self._done += 1
         return found
+
+    def check_time(self) -> None:
+        """Raise NotReachedError where what begins now would end too late."""
+        if self.seconds_left < max(0.0, self._opening_s - OVERRUN * (self.options.max_seconds or math.inf)):
+            raise NotReachedError(self._out_of_time())
 
     def _photons_for(self, scene: Scene) -> int:
         """Photons of each trace, from what is requested and what the first scene's traces take."""
@@ -160,13 +180,17 @@ class PairedTracer:
         return max(LEAST_PHOTONS, int(PILOT_PHOTONS * share / each_s))
 
     def _traced(self, scene: Scene, backend: BackendName | None, photons: int) -> PairedReadings:
-        begin, chosen, seed = time.perf_counter(), backend or self.options.backend, self.options.seed
+        cpu = time.process_time()
+        chosen, seed, shape = backend or self.options.backend, self.options.seed, geometry.shaping(scene)
         try:
             transfer = trace(scene, photons=photons, seed=seed, backend=chosen, progress=self._report_progress)
         except NotReachedError as error:
             # A part of one trace is of no use to those that are compared with it.
             raise NotReachedError(str(error)) from None
-        return paired_readings(transfer, max(time.perf_counter() - begin - transfer.wall_seconds, 0.0))
+        spent = time.process_time() - cpu - transfer.cpu_seconds
+        # What is there from an earlier trace of the shape was paid for then.
+        self._setups[shape] = max(spent, self._setups.get(shape, 0.0))
+        return paired_readings(transfer, self._setups[shape])
 
     def _out_of_time(self) -> str:
         return f"max_seconds = {self.options.max_seconds:g} ended the study after {self._done} of {self.scenes} traces"
