@@ -11,6 +11,7 @@ from ..studies.placement.result import chosen, gain, rows
 from . import place_figures as figures
 from .html import document, figure, section, small, table
 from .numbers import quantity, significant, with_error
+from .spread_section import spread_section
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -67,6 +68,7 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
             section("The ranking", _figure("ranking", figures.ranking_figure(result)), _table(ranking), checked),
             section("The best layout", *layout),
             section("Where on this board the light tells", maps),
+            spread_section(result),
         ],
         attributes=result.attrs,
     )

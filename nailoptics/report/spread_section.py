@@ -10,6 +10,8 @@ from .html import escaped, section, small, table
 from .numbers import significant, with_error
 from .tables import number
 
+KINDS = {"reading": "Reading", "change": "Change", "resolution": "Resolution"}
+
 
 def spread_summary(result: xr.Dataset) -> dict[str, Any]:
     """The priors with the largest spread that each makes, and what holds over all of them; empty without a spread."""
@@ -18,49 +20,81 @@ def spread_summary(result: xr.Dataset) -> dict[str, Any]:
     return {"unknowns": _rows(result), "conclusions": conclusions(result)}
 
 
+def _kinds(result: xr.Dataset) -> list[str]:
+    """Of which answers a result tells the spread."""
+    return [kind for kind in KINDS if f"prior_{kind}_spread" in result]
+
+
 def _rows(result: xr.Dataset) -> list[dict[str, Any]]:
-    """The priors of a simulated touch, the one that moves changes most first."""
+    """The priors, the one that makes most first, as they move the best layout or the photodiode that they move most."""
     rows = []
     for i, name in enumerate(result.prior.values):
         one = result.isel(prior=i)
         texts = ("field", "how", "source")
         row: dict[str, Any] = {"name": str(name)} | {text: str(one[f"prior_{text}"].item()) for text in texts}
         row |= {"low": float(one.prior_range[0]), "high": float(one.prior_range[1])}
-        for kind in ("reading", "change", "signal"):
-            values = one[f"prior_{kind}_spread"].values
-            worst = np.unravel_index(int(np.nan_to_num(values, nan=-1.0).argmax()), values.shape)
-            row[f"{kind}_spread"] = float(values[worst])
-            row[f"{kind}_spread_stderr"] = float(one[f"prior_{kind}_spread_stderr"].values[worst])
+        for kind in _kinds(result):
+            values, errors = (one[f"prior_{kind}_spread{end}"] for end in ("", "_stderr"))
+            if "layout" in values.dims:
+                values, errors = values.isel(layout=0), errors.isel(layout=0)
+            worst = np.unravel_index(int(np.nan_to_num(values.values, nan=-1.0).argmax()), values.shape)
+            row[f"{kind}_spread"] = float(values.values[worst])
+            row[f"{kind}_spread_stderr"] = float(errors.values[worst])
         rows.append(row)
-    return sorted(rows, key=lambda row: -np.nan_to_num(max(row["reading_spread"], row["change_spread"]), nan=-1.0))
+    return sorted(rows, key=lambda row: -max(np.nan_to_num(row[f"{kind}_spread"], nan=-1.0) for kind in _kinds(result)))
 
 
 def conclusions(result: xr.Dataset) -> list[str]:
-    """What a designer may conclude of a simulated touch, whatever the finger."""
-    rows, lines = _rows(result), []
+    """What a designer may conclude, whatever the finger."""
+    rows = _rows(result)
     traced = [row for row in rows if row["how"] != "not traced"]
-    signs, moved = result.keeps_sign.values, result.signal.values != 0
+    lines = (_of_layouts if "best_stays_best_at" in result else _of_readings)(result, traced)
+    if left := [row["name"] for row in rows if row["how"] == "not traced"]:
+        lines.append(f"Not in it, for want of traces of their own ([priors] own_traces = true): {', '.join(left)}.")
+    return lines
+
+
+def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
+    """What holds of a simulated touch."""
+    lines, signs, moved = [], result.keeps_sign.values, result.signal.values != 0
     if moved.any():
-        kept, all_ = int((signs & moved).sum()), int(moved.sum())
         lost = [
             f"{photodiode} under {led}"
             for i, led in enumerate(result.led.values)
             for j, photodiode in enumerate(result.photodiode.values)
             if moved[i, j] and not signs[i, j]
         ]
-        text = f"The sign of the change holds over all that is unknown of the finger at {kept} of {all_} readings"
+        text = "The sign of the change holds over all that is unknown of the finger at "
+        text += f"{moved.sum() - len(lost)} of {moved.sum()} readings"
         lines.append(text + (f", not at {', '.join(lost)}." if lost else "."))
     if traced:
-        words = (
-            "Over it readings spread by {} and their changes by {} (one standard deviation), most by the {} and the {}."
-        )
+        words = "Over it readings spread by {} and changes by {} (one standard deviation), most by {} and {}."
         names = [max(traced, key=lambda row: row[f"{kind}_spread"])["name"] for kind in ("reading", "change")]
         lines.append(words.format(_range(result.reading_spread), _range(result.change_spread), *names))
         lines.append("The force that a sample resolves (noise / slope) spreads as the changes do.")
-    if left := [row["name"] for row in rows if row["how"] == "not traced"]:
-        lines.append(
-            f"Not in it, because they need traces of their own ([priors] own_traces = true): {', '.join(left)}."
+    return lines
+
+
+def _of_layouts(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
+    """What holds of a ranking of layouts."""
+    nodes, stays, beaten = (int(result[name]) for name in ("nodes", "best_stays_best_at", "best_surely_beaten_at"))
+    compared = int(np.isfinite(result.resolution_spread.values).sum())
+    lines = []
+    if compared > 1 and nodes:
+        first = (
+            f"Of the {compared} foremost layouts {result.layout.values[0]} stays the best at {stays} of {nodes} values"
         )
+        lines.append(
+            f"{first} of what is unknown of the finger; another is surely better at {beaten or 'none'} of them."
+        )
+    if traced:
+        most = max(traced, key=lambda row: row["resolution_spread"])["name"]
+        n = result.resolution_at_node_n.isel(layout=0).values
+        ends = " to ".join(f"{1e3 * x:.3g}" for x in (np.nanmin(n), np.nanmax(n)))
+        text = (
+            f"Its force resolution spreads by {100 * float(result.resolution_spread[0]):.0f} % (one standard deviation)"
+        )
+        lines.append(f"{text}, from {ends} mN as one of them goes to either side of its range, most by {most}.")
     return lines
 
 
@@ -77,12 +111,13 @@ def spread_section(result: xr.Dataset) -> str:
     """The section of a page on what is unknown; empty without a spread."""
     if "prior" not in result.dims:
         return ""
-    head = ["Unknown", "95 % within", "Reading spreads<br>at most [%]", "Change spreads<br>at most [%]", "How"]
+    kinds = _kinds(result)
+    head = ["Unknown", "95 % within", *(f"{KINDS[kind]} spreads<br>at most [%]" for kind in kinds), "How"]
     lines = [
         [
             escaped(row["name"]),
             f"{significant(row['low'])} to {significant(row['high'])}",
-            *(_percent(row[f"{kind}_spread"], row[f"{kind}_spread_stderr"]) for kind in ("reading", "change")),
+            *(_percent(row[f"{kind}_spread"], row[f"{kind}_spread_stderr"]) for kind in kinds),
             row["how"],
         ]
         for row in _rows(result)
@@ -94,8 +129,9 @@ def spread_section(result: xr.Dataset) -> str:
         said,
         table(head, lines),
         small(
-            "Each spread is one standard deviation over the prior's range, at the photodiode that it moves most; all "
-            "together add in quadrature. Ranges of absorption and scattering are factors. " + escaped(sources) + "."
+            "Each spread is one standard deviation over the prior's range, at the photodiode that it moves most or of "
+            "the best layout; all together add in quadrature. Ranges of absorption and scattering are factors. "
+            f"{escaped(sources)}."
         ),
     )
 

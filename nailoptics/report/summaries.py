@@ -105,6 +105,7 @@ def placement_summary(result: "xr.Dataset") -> dict[str, Any]:
         "gain_over_paper": {"value": better[0], "stderr": better[1]} if better else None,
         "checked_resolution_n": result.attrs.get("checked_resolution_n"),
         "cut_off": result.attrs.get("cut_off"),
+        **spread_summary(result),
     } | {name: result.attrs[name] for name in kept}
 
 
@@ -112,10 +113,16 @@ def placement_lines(summary: dict[str, Any]) -> list[str]:
     """The ranking of a `placement_summary` as a table, best first."""
     lines = [
         f"{row['rank']:>3} {row['layout']:<28} {1e3 * row['force_resolution_n']:9.3f} mN "
-        f"+- {1e3 * row['force_resolution_n_stderr']:.3f}{'  tied' if row['tied'] else ''}"
+        f"+- {1e3 * row['force_resolution_n_stderr']:.3f}{_spread(row)}{'  tied' if row['tied'] else ''}"
         for row in summary["ranking"]
     ]
     if better := summary["gain_over_paper"]:
         times = f"{better['value']:.2f} +- {better['stderr']:.2f} times"
         lines.append(f"the best resolves force {times} as finely as the paper's layout")
-    return lines
+    return [*lines, *summary.get("conclusions", [])]
+
+
+def _spread(row: dict[str, Any]) -> str:
+    """How far a layout's resolution spreads over what is unknown of the finger, where that is known."""
+    spread_n = row.get("force_resolution_spread_n", math.nan)
+    return "" if math.isnan(spread_n) else f", spread {1e3 * spread_n:.3f}"

@@ -203,7 +203,7 @@ def _read(transfer: Transfer, scenes: Sequence[Scene], states: Callable[[Scene],
 
 def spread_dataset(found: ReadingSpread, scene: Scene) -> xr.Dataset:
     """A spread of readings as a Dataset over prior, led and photodiode; of priors that were not traced it is NaN."""
-    priors, pair = (*found.level.priors, *found.untraced), ("led", "photodiode")
+    pair = ("led", "photodiode")
     data: Variables = {}
     words = "over what is unknown of the finger, one standard deviation"
     for name, one, text in (
@@ -219,11 +219,18 @@ def spread_dataset(found: ReadingSpread, scene: Scene) -> xr.Dataset:
         data |= variable(f"prior_{name}_spread", ("prior", *pair), each, text, stderr=errors)
     data |= variable("signal", pair, found.signal.own[0], "change by touch as a part of the reading at the start")
     data |= variable("keeps_sign", pair, found.signal.keeps_sign, "whether the change has one sign over all priors")
+    return xr.Dataset(data).merge(prior_variables(found.level.priors, found.untraced, scene))
+
+
+def prior_variables(evaluated: Sequence[Prior], untraced: Sequence[Prior], scene: Scene) -> xr.Dataset:
+    """Priors as a Dataset: their fields, ranges and sources, and how each was evaluated."""
+    priors = (*evaluated, *untraced)
+    data: Variables = {}
     for field, text in (("field", "field of the scene"), ("source", "where its range comes from")):
         data |= variable(f"prior_{field}", "prior", [getattr(one, field) for one in priors], text)
     ends = [[one.low, one.high] for one in priors]
     data |= variable("prior_range", ("prior", "end"), ends, "ends of the range that holds with 95 %")
-    how = ["reweighted" if only_absorbs(scene, one) else "retraced" for one in found.level.priors]
-    data |= variable("prior_how", "prior", [*how, *["not traced"] * len(found.untraced)], "how it was evaluated")
+    how = ["reweighted" if only_absorbs(scene, one) else "retraced" for one in evaluated]
+    data |= variable("prior_how", "prior", [*how, *["not traced"] * len(untraced)], "how it was evaluated")
     names = ("prior", [one.name for one in priors], {"long_name": "what is unknown of the finger"})
     return xr.Dataset(data, {"prior": names})

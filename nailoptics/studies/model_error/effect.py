@@ -20,6 +20,7 @@ class Change:
 
     changes : what of the scene makes it so; nothing where no line can.
     same_photons : whether it only dims light, so that photons traced without it read it too.
+    unknown : whether it is no part but something unknown of the finger, at an end of its range.
     """
 
     name: str
@@ -27,6 +28,7 @@ class Change:
     changed_to: str
     changes: Changes = field(default_factory=dict)
     same_photons: bool = False
+    unknown: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ from ...scene.finger import BEYOND_NAIL_MM
 from . import bounds
 from .effect import Change, Effect, effect_of
 from .paired import PairedReadings, PairedTracer, check_study, difference, reweighted
+from .unknown_changes import unknown_changes
 from .variants import ONE_WAVELENGTH, PART_WIDTH, Changes, lines_of, part_width_nm, revised
 
 DEFAULT_TOLERANCE = 0.02
@@ -22,7 +23,7 @@ TOGETHER = "all that is not needed"
 
 @dataclass(frozen=True)
 class Explanation:
-    """All effects of a scene, the most moving first; what it requires; and what it took.
+    """All effects of a scene and all that is unknown of its finger, the most moving first; what it requires; its cost.
 
     together : what leaving out all that is not needed does to the readings; None where all is needed.
     required : the scene with that left out, and with what it leaves out although it matters.
@@ -42,7 +43,7 @@ class Explanation:
     @property
     def needless(self) -> list[Effect]:
         """What is modelled and surely moves no reading by more than the tolerance."""
-        return [e for e in self.effects if e.modelled and e.matters == "no" and e.changes]
+        return [e for e in self.effects if e.modelled and e.matters == "no" and e.changes and not e.unknown]
 
     @property
     def missing(self) -> list[Effect]:
@@ -70,7 +71,7 @@ class Explanation:
         lines += [f"Changes of a reading by more than {self.tolerance:.2%} matter.", head]
         for e in (*self.effects, *([self.together] if self.together else [])):
             swing = "-" if e.modulation_bound is None else _percent(e.modulation_bound)
-            known, modelled = math.isfinite(e.change), "yes" if e.modelled else "no"
+            known, modelled = math.isfinite(e.change), "unknown" if e.unknown else "yes" if e.modelled else "no"
             moved = f"{100 * e.change:+9.2f} +- {100 * e.stderr:4.2f}%" if known else "not known"
             text = f"{e.name:<26} {modelled:<8} {moved:>18} {e.photodiode if known else '':<16} "
             lines.append(f"{text}{_percent(e.bound):>11} {swing:>8}  {e.matters:<11} {e.changed_to}")
@@ -98,7 +99,7 @@ def explain(
     progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
 ) -> Explanation:
-    """Measure what every part and effect of a finger scene does to its readings.
+    """Measure what every part and effect of a finger scene, and all unknown of the finger, does to its readings.
 
     What only dims light, absorbers and line widths, is read from one trace with other weights. Everything else is
     traced with that one thing changed and the same random numbers, so that only photons that meet it make up the
@@ -116,10 +117,10 @@ def explain(
     limit = tolerance or scene.accuracy.relative_error or DEFAULT_TOLERANCE
     check_study(scene, limit if tolerance is None else tolerance, "explain", "is modelled as it is written")
     options, start = TraceOptions(**requested), time.perf_counter()
-    changes = list(_changes(scene))
+    changes = [*_changes(scene), *unknown_changes(scene)]
     # The scene itself, one with other scattering, two swapped ones, two cut short, and the one that is required.
     scenes = sum(not c.same_photons for c in changes) + 7
-    shapes = 3 + sum("board" in c.changes for c in changes)
+    shapes = 3 + sum("board" in c.changes or "bed_thickness_mm" in c.changes.get("finger", {}) for c in changes)
     tracer = PairedTracer(scenes, options, progress, shapes=shapes)
     base = tracer.trace(scene)
     effects: list[Effect] = []
@@ -132,7 +133,7 @@ def explain(
         unmet = f"{error}; {len(effects)} effects were measured before."
     effects.sort(key=lambda e: -abs(e.change) if math.isfinite(e.change) else 0.0)
     # What is not known stays as it is.
-    known = [e for e in effects if e.matters == ("no" if e.modelled else "yes")]
+    known = [e for e in effects if e.matters == ("no" if e.modelled else "yes") and not e.unknown]
     result = Explanation(
         effects=tuple(effects),
         together=together,
@@ -152,7 +153,7 @@ def _left_out_together(
     scene: Scene, base: PairedReadings, effects: list[Effect], tracer: PairedTracer, limit: float
 ) -> Effect | None:
     """What leaving out all that surely does not matter does to the readings; None where there is nothing such."""
-    left = _merged([e for e in effects if e.modelled and e.matters == "no"])
+    left = _merged([e for e in effects if e.modelled and e.matters == "no" and not e.unknown])
     if not left:
         return None
     found = difference(base, tracer.trace(revised(scene, left)))

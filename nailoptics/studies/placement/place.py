@@ -20,6 +20,7 @@ from . import boards, exchange
 from .boards import CandidateLayout
 from .fisher import operating_point
 from .inspection import inspect_layout
+from .over_unknowns import resolution_over_unknowns
 from .photon_maps import QUICK_DISTANCE_MM, FingerCondition, PhotonMapCache
 from .progress import StageProgress
 from .result import as_dataset
@@ -32,6 +33,8 @@ DEFAULT_RELATIVE_ERROR = 0.02
 BLOCKS = 32
 # The best layout is looked at closely if so much time is left. [s]
 CHECK_S = 10.0
+# Part of the time left that this takes at most; the rest is for what is unknown of the finger.
+INSPECT_SHARE = 0.7
 
 
 def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> xr.Dataset:
@@ -70,12 +73,16 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     maps = judging.maps(layouts[0].board)[0]
     left_s, inspected = limit_s - report_progress.seconds, xr.Dataset()
     if report_progress.interrupted or left_s > CHECK_S:
-        left_s = 0.0 if report_progress.interrupted else left_s
+        left_s = 0.0 if report_progress.interrupted else INSPECT_SHARE * left_s
         inspected = inspect_layout(layouts[0].scene, conditions[0], photons=maps[0].photons, max_seconds=left_s, **made)
     report_progress("check", 1.0, scores[0].relative_error)
+    over = xr.Dataset()
+    if scene.priors.spread and not report_progress.interrupted and limit_s - report_progress.seconds > CHECK_S:
+        late = partial(report_progress.is_late, 1.0)
+        over = resolution_over_unknowns(layouts, boards.fingers(scene), rules, stop=late, **made)
     made |= {"photons": judging.photons + searching.photons, "rank_by": rules.rank_by}
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
-    result = as_dataset(scene, layouts, scores, conditions, maps, searched, inspected, made)
+    result = as_dataset(scene, layouts, scores, conditions, maps, searched, inspected, made).merge(over)
     if not inspected and not unmet:
         unmet = "max_seconds ended before the best layout was looked at closely; allow more time."
     if unmet:

@@ -188,6 +188,8 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
         one = result.isel(layout=i)
         tied = bool(one.tied)
         row: dict[str, Any] = {"rank": 1 if tied else i + 1, "layout": str(layout), "origin": str(one.origin.item())}
+        if "resolution_spread" in one:
+            row["force_resolution_spread_n"] = float(one.force_resolution_n * one.resolution_spread)
         row |= {"tied": tied and int(result.tied.sum()) > 1} | {name: float(one[name]) for name in named}
         row |= {name: float(one[name].max()) for name in ("condition_number", "fixed_ratio_resolution_n")}
         for name in result.pressure.values:

@@ -1,0 +1,145 @@
+"""Whether the best layout is the best whatever the finger: force resolution of the foremost over what is unknown."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import xarray as xr
+
+from ...light.board_map import BloodPoint, BoardTracer, blood_point, readings
+from ...light.identity import light_digest
+from ...scene import FingerCase, Placement, Prior, Scene
+from ...statistics import Z95, jackknife, left_out, seed_of
+from ...variables import variable
+from ..unknowns import Spread, at_value, only_absorbs, prior_variables
+from . import boards
+from .boards import CandidateLayout
+from .fisher import OperatingPoint, force_resolution_n, operating_point, over_fingers, response, total_information
+from .photon_maps import QUICK_DISTANCE_MM
+
+# The best layouts that are read again at every node of every prior, and the photons for it, in blocks.
+FOREMOST = 3
+BLOCKS, BLOCK_PHOTONS = 12, 1 << 15
+# Stream of random numbers.
+NODES = 5
+
+
+def resolution_over_unknowns(
+    layouts: Sequence[CandidateLayout],
+    cases: Sequence[FingerCase],
+    rules: Placement,
+    *,
+    seed: int,
+    backend: str,
+    stop: Callable[[], bool],
+) -> xr.Dataset:
+    """Spread of the force resolution of the foremost layouts over the scene's priors, and which of them is best where.
+
+    layouts : best first, of one scene's priors; the paper's counts as foremost, too.
+    stop : whether there is no time for one layout more; the best alone is read in any case.
+
+    Returns: Dataset over layout, prior and node; of layouts that were not read it is NaN.
+    """
+    scene = layouts[0].board
+    priors = scene.priors.of_finger()
+    told = [one for one in priors if only_absorbs(scene, one)]
+    own = [one for one in priors if one not in told]
+    kept = (*told, *(own if scene.priors.own_traces else []))
+    changes: list[tuple[str, float] | None] = [None, *((one.field, value) for one in kept for value in one.values)]
+    read: list[np.ndarray] = []
+    chosen = [i for i, one in enumerate(layouts) if i < FOREMOST or one.name == "paper"]
+    for i in chosen:
+        if read and stop():
+            break
+        read.append(_log_resolutions(layouts[i], cases, rules, changes, seed=seed, backend=backend))
+    chosen = chosen[: len(read)]
+    # By change, all blocks and without each, and layout.
+    found = np.stack(read, -1)
+    spread = Spread(kept, found[1:].reshape(len(kept), 3, *found.shape[1:]), found[0])
+    return _dataset(spread, chosen, len(layouts), () if scene.priors.own_traces else tuple(own), scene)
+
+
+def _log_resolutions(
+    layout: CandidateLayout,
+    cases: Sequence[FingerCase],
+    rules: Placement,
+    changes: Sequence[tuple[str, float] | None],
+    *,
+    seed: int,
+    backend: str,
+) -> np.ndarray:
+    """Logarithm of a layout's score with each change of its fingers, (changes, 1 + blocks) float."""
+    tracers: dict[str, BoardTracer] = {}
+    by_case = []
+    for number, case in enumerate(cases):
+        base = boards.on_finger(layout.board, case)
+        scenes = [base if change is None else at_value(base, *change) for change in changes]
+        points = [operating_point(one, rules.force_n) for one in scenes]
+        # Scenes whose light goes the same way share a trace.
+        sharing: dict[str, list[int]] = {}
+        for k, one in enumerate(scenes):
+            light = light_digest(one)
+            sharing.setdefault(light, []).append(k)
+            if light not in tracers:
+                tracers[light] = BoardTracer(one, backend=backend, spacing_mm=QUICK_DISTANCE_MM)
+        score = np.zeros((len(changes), 1 + BLOCKS))
+        for light, members in sharing.items():
+            shared = [(scenes[k], points[k]) for k in members]
+            score[members] = _resolutions(layout, tracers[light], shared, seed=seed_of(seed, NODES, number))
+        by_case.append(score)
+    return np.log(over_fingers(np.stack(by_case), rules.rank_by))
+
+
+def _resolutions(
+    layout: CandidateLayout, tracer: BoardTracer, shared: Sequence[tuple[Scene, OperatingPoint]], *, seed: int
+) -> np.ndarray:
+    """Force resolution on fingers that share a trace, by all blocks and without each, (fingers, 1 + blocks). [N]"""
+    areas, photodiode = layout.scene.layout.photodiode_areas, layout.scene.layout.photodiodes[0].photodiode
+    read: list[list[np.ndarray]] = []
+    for i in range(len(layout.board.leds)):
+        blood: list[BloodPoint] = [
+            blood_point(scene, i, traced=tracer.scene, blood_fraction=point.blood_fraction) for scene, point in shared
+        ]
+        blocks: list[list[np.ndarray]] = [[] for _ in shared]
+        for block in range(BLOCKS):
+            # The same random numbers for all layouts and changes, so that what they have in common cancels.
+            arrivals = tracer.arrivals(i, photons=BLOCK_PHOTONS, seed=seed_of(seed, i, block))
+            for k, one in enumerate(blood):
+                blocks[k].append(readings(arrivals, one.values(arrivals), areas)[0])
+        read.append([left_out(np.stack(one)) for one in blocks])
+    out = []
+    for k, (_, point) in enumerate(shared):
+        by_led = [
+            response(values[k], led, photodiode, layout.scene.electronics, point)
+            for values, led in zip(read, layout.scene.leds, strict=True)
+        ]
+        out.append(force_resolution_n(total_information(by_led), point))
+    return np.stack(out)
+
+
+def _dataset(spread: Spread, chosen: Sequence[int], count: int, untraced: Sequence[Prior], scene: Scene) -> xr.Dataset:
+    """What was found, at the places of the layouts that were read among all."""
+
+    def placed(values: np.ndarray) -> np.ndarray:
+        out = np.full((*values.shape[:-1], count), np.nan)
+        out[..., chosen] = values
+        return out
+
+    total, error = (placed(one) for one in spread.total)
+    text = "spread of the logarithm of the force resolution over what is unknown of the finger, one standard deviation"
+    data = variable("resolution_spread", "layout", total, text, stderr=error)
+    each, errors = (placed(one) for one in spread.by_prior)
+    gap = np.full((len(untraced), count), np.nan)
+    text = "spread of the logarithm of the force resolution by one prior alone"
+    both = (np.concatenate([values, gap]) for values in (each, errors))
+    data |= variable("prior_resolution_spread", ("prior", "layout"), next(both), text, stderr=next(both))
+    nodes = np.exp(np.concatenate([placed(spread.nodes[:, :, 0]), np.full((len(untraced), 3, count), np.nan)]))
+    text = "force resolution with one prior at one of its nodes"
+    data |= variable("resolution_at_node_n", ("prior", "prior_node", "layout"), nodes, text, units="N")
+    # How much coarser than the first each other layout is, at every node.
+    apart = (spread.nodes - spread.nodes[..., :1]).reshape(-1, *spread.own.shape)
+    behind, noise = apart[:, 0], jackknife(np.moveaxis(apart, 1, 0))
+    ahead, surely = (behind >= 0).all(-1), (behind + Z95 * noise < 0).any(-1)
+    data |= variable("best_stays_best_at", (), int(ahead.sum()), "nodes at which the best layout is the best")
+    data |= variable("best_surely_beaten_at", (), int(surely.sum()), "nodes at which another one is surely better")
+    data |= variable("nodes", (), len(apart), "nodes at which the foremost layouts were compared")
+    return xr.Dataset(data).merge(prior_variables(spread.priors, untraced, scene))

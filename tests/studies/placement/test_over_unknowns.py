@@ -1,0 +1,79 @@
+"""The ranking of layouts over what is unknown of the finger."""
+
+import numpy as np
+import pytest
+
+from nailoptics import load_scene
+from nailoptics.assets import data_dir
+from nailoptics.report.spread_section import conclusions, spread_section
+from nailoptics.scene import Placement, Priors
+from nailoptics.studies.placement import boards, over_unknowns
+from nailoptics.studies.placement.over_unknowns import resolution_over_unknowns
+from nailoptics.studies.placement.photon_maps import PhotonMapCache
+from nailoptics.studies.placement.place import finger_condition
+from nailoptics.studies.placement.scores import score_layout
+from nailoptics.studies.unknowns import at_value
+
+FIELDS = ("finger.plate_absorption", "finger.bed_absorption", "finger.bed_scattering")
+
+
+@pytest.fixture(scope="module")
+def ranked(chosen_jit):
+    """Two layouts, photodiodes near the LED and far from it, and their resolution over three unknowns."""
+    scene = load_scene(data_dir("scenes") / "placement.toml")
+    known = tuple(one.field for one in scene.priors.of_finger() if one.field not in FIELDS)
+    rules = Placement(photodiodes=2, search=True)
+    scene = scene.model_copy(update={"placement": rules, "priors": Priors(known=known)})
+    base = boards.base_board(scene)
+    places = {"near": ((0.5, -1.5), (0.5, 1.5)), "far": ((2.5, -3.5), (2.5, 3.5))}
+    layouts = [
+        boards.candidate(name, boards.with_parts(base, [(-2.0, 0.0)], where, name=name), "given")
+        for name, where in places.items()
+    ]
+    cases = boards.fingers(scene)
+    found = resolution_over_unknowns(layouts, cases, rules, seed=1, backend="auto", stop=lambda: False)
+    return base, rules, layouts, cases, found.assign_coords(layout=list(places))
+
+
+def test_the_ranking_is_told_over_every_prior_that_only_absorbs(ranked):
+    *_, found = ranked
+    how = dict(zip(found.prior_field.values.tolist(), found.prior_how.values.tolist(), strict=True))
+    assert how == {FIELDS[0]: "reweighted", FIELDS[1]: "reweighted", FIELDS[2]: "not traced"}
+    assert (found.resolution_spread > 3 * found.resolution_spread_stderr).all()
+    total = np.sqrt((found.prior_resolution_spread**2).sum("prior"))
+    assert total.values == pytest.approx(found.resolution_spread.values, rel=0.05)
+    # More absorption makes resolution coarser, at every layout.
+    assert (np.diff(found.resolution_at_node_n.values[:2], axis=1) > 0).all()
+    assert int(found.nodes) == 6 and int(found.best_stays_best_at) == 6 and int(found.best_surely_beaten_at) == 0
+
+
+@pytest.mark.slow
+def test_a_node_is_what_a_placement_of_that_finger_finds(ranked):
+    """Rationale: the same layout judged on a finger that has the node's value, by photons of its own."""
+    base, rules, layouts, cases, found = ranked
+    prior = next(one for one in base.priors.of_finger() if one.field == FIELDS[0])
+    clear = at_value(base, prior.field, prior.values[0])
+    layout = boards.candidate("near", at_value(layouts[0].scene, prior.field, prior.values[0]), "given")
+    cache = PhotonMapCache([finger_condition(clear, cases[0], rules)], seed=9, stream=1, backend="auto", blocks=16)
+    cache.extend(layout.board, 1 << 19)
+    score = score_layout(layout, cache, rules.rank_by)
+    told = float(found.resolution_at_node_n[0, 0, 0])
+    # Of the 400 thousand photons behind a node its score is known about as well as this one's.
+    assert abs(np.log(told / score.score_n[0])) < 4 * np.sqrt(2) * score.relative_error
+    assert score.relative_error < 0.1
+
+
+def test_what_holds_is_said_in_words_and_on_the_page(ranked):
+    *_, found = ranked
+    lines = conclusions(found)
+    assert "near stays the best at 6 of 6 values" in lines[0] and "none of them" in lines[0]
+    assert "most by plate absorption" in lines[1] or "most by bloodless bed absorption" in lines[1]
+    assert "bed scattering" in lines[-1] and "own_traces" in lines[-1]
+    assert "What is unknown of the finger" in spread_section(found)
+
+
+def test_without_time_the_best_alone_is_read(ranked, monkeypatch):
+    base, rules, layouts, cases, _ = ranked
+    monkeypatch.setattr(over_unknowns, "BLOCK_PHOTONS", 1 << 12)
+    found = resolution_over_unknowns(layouts, cases, rules, seed=1, backend="auto", stop=lambda: True)
+    assert np.isfinite(found.resolution_spread.values).tolist() == [True, False]
