@@ -14,7 +14,7 @@ from ...statistics import Z95
 from ..ambient import SOURCES, collecting_area_mm2
 from ..comparison.compare import BLOOD_REDUCED_SCATTERING_PER_MM
 from .effect import Change, Effect, effect_of
-from .paired import Difference, PairedReadings, difference, end_states
+from .paired import UNSEEN, Difference, PairedReadings, difference, end_states
 from .variants import revised
 
 SCATTERING_FACTOR = 1.4
@@ -84,7 +84,8 @@ def ambient(scene: Scene, base: PairedReadings, swapped: PairedReadings, toleran
     per_mm2 = float(lamp.photocurrent_a_per_mm2(efficiency)[1].sum())
     escapes, led = swapped.transfer.energy()["reflected"], swapped.transfer.scene.leds[0]
     area_mm2, index = led.size_mm[0] * led.size_mm[1], index_of("epoxy", led.wavelength_nm)
-    parts = [escapes["value"], escapes["stderr"]]
+    # Of n photons one more may have left than were seen.
+    parts = [escapes["value"], math.hypot(escapes["stderr"], UNSEEN / swapped.transfer.photons)]
     current = [per_mm2 * float(collecting_area_mm2(part, area_mm2=area_mm2, n=index)) for part in parts]
     response = electronics.responsivity_a_per_w(np.array([one.wavelength_nm for one in scene.leds]), efficiency)
     full = 1e-3 * np.array([one.flux_mw for one in scene.leds]) * response
@@ -92,7 +93,11 @@ def ambient(scene: Scene, base: PairedReadings, swapped: PairedReadings, toleran
         ratio, error = (np.where(base.level > 0, x / (base.level * full[:, None]), np.inf) for x in current)
     found = Difference(ratio, np.hypot(error, ratio * base.relative_stderr))
     text = f"{lamp.name} of {lamp.lux:g} lux on all sides; a reading with the LED off takes it away"
-    return effect_of(Change("ambient light", False, text), found, base, tolerance=tolerance)
+    effect = effect_of(Change("ambient light", False, text), found, base, tolerance=tolerance)
+    # The light that leaves is one number for all photodiodes, so that its error does not shrink in their mean.
+    return replace(
+        effect, typical_stderr=math.hypot(effect.typical_stderr, effect.typical * parts[1] / (parts[0] or 1.0))
+    )
 
 
 def index_of(region: str, wavelength_nm: float) -> float:

@@ -174,10 +174,16 @@ def test_effects_that_are_retraced_have_true_errors(chosen_jit):
     others = [revised(whole(), {"light": {"left_out": ["bone"]}}), revised(whole(), {"light": {"index_steps": False}})]
     others.append(bounds.denser(whole()))
 
+    derived = []
+
     def found(photons: int, seed: int) -> np.ndarray:
         base, out = traced(whole(), photons=photons, seed=seed), []
-        for other in others:
-            d = difference(base, traced(other, photons=photons, seed=seed))
+        *_, denser = others_traced = [traced(other, photons=photons, seed=seed) for other in others]
+        swapped = traced(bounds.farthest(whole()), photons=photons, seed=seed)
+        effects = bounds.blood_scattering(whole(), base, denser, 0.02), bounds.ambient(whole(), base, swapped, 0.02)
+        derived.append([(effect.typical, effect.typical_stderr) for effect in effects])
+        for other in others_traced:
+            d = difference(base, other)
             means = [weighted_mean(*each, base) for each in ((d.ratio, d.ratio_stderr), (d.swing, d.swing_stderr))]
             each = [[d.ratio[0], d.swing[0]], [d.ratio_stderr[0], d.swing_stderr[0]]]
             out.append(np.concatenate([each, np.transpose(means)[..., None]], axis=-1))
@@ -189,6 +195,9 @@ def test_effects_that_are_retraced_have_true_errors(chosen_jit):
     photodiodes, means = np.abs(z[..., :-1]) < Z95, np.abs(z[..., -1]) < Z95
     assert (photodiodes.mean(axis=(0, 3)) > 0.87).all(), photodiodes.mean(axis=(0, 3))
     assert (means.sum(0) >= 16).all(), means.sum(0)
+    (exact, *values), (error, *errors) = np.moveaxis(derived, -1, 0)
+    held = np.abs(np.subtract(values, exact)) < Z95 * np.hypot(errors, error)
+    assert (held.sum(0) >= 16).all(), held.sum(0)
     # Errors that were far too large would say nothing.
     assert (np.sqrt((z[..., :-1] ** 2).mean(axis=(0, 3))) > 0.5).all()
 
