@@ -352,6 +352,7 @@ def test_an_interrupt_leaves_the_ranking_as_far_as_it_is(chosen_jit, scene):
     assert caught.value.result.sizes["layout"] == 3
 
 
+@pytest.mark.slow
 def test_time_that_is_over_leaves_the_layouts_that_were_traced_and_says_so(chosen_jit, scene, tmp_path, monkeypatch):
     """Every look at the clock takes a second: the given layouts' board has light by then, the paper's has not."""
     clock = itertools.count()
