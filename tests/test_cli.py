@@ -241,7 +241,8 @@ def only_json(capfd) -> dict:
 
 
 def assert_traced(found: dict, *, engine: str, name: str) -> None:
-    assert set(found) == {"readings", "energy", "photons", "engine", "backend", "cpu_seconds", "wall_seconds"}
+    known = {"readings", "energy", "photons", "engine", "backend", "cpu_seconds", "wall_seconds"}
+    assert set(found) - known == ({"absorbed"} if engine == "photons" else set()) and known <= set(found)
     assert (found["engine"], found["backend"]) == (engine, name)
     assert found["photons"] > 0 and found["cpu_seconds"] > 0 and found["wall_seconds"] > 0
     for row in found["readings"]:
@@ -359,7 +360,8 @@ def test_simulate_writes_its_two_files_and_prints_where(folder, capfd, chosen_ji
         "results/prototype/result.nc",
     }
     assert out.splitlines()[-2:] == ["results/prototype/report.html", "results/prototype/result.nc"]
-    assert sum(line.split()[:1] == ["ir"] for line in out.splitlines()) == 8
+    rows = [line for line in out.splitlines() if line.split()[:1] == ["ir"]]
+    assert len(rows) == 9 and "absorbed in " in rows[8]  # eight photodiodes, and where the light ended
     page = Path("results/prototype/report.html").read_text(encoding="utf-8")
     assert "<svg" in page or "data:image" in page
     assert not re.search(r"<(script|link|img)[^>]+(src|href)=.http", page)

@@ -17,7 +17,7 @@ FORMAT = 1
 # Older leftovers of killed writers are swept away; a writer at work is never this slow. [s]
 _LEFTOVER_S = 3600.0
 _COLUMNS = ("photodiode", "weight", "path_mm")
-_PARTS = ("reflected", "transmitted", "absorbed", "lost")
+_SUMS = ("energy", "absorbed")
 
 
 @dataclass(frozen=True)
@@ -97,17 +97,15 @@ class Folder:
         if found is None:
             return None
         header, arrays = found
-        if header["made"] != made:
+        if header["made"] != made or not all("absorbed" in piece for piece in header["pieces"]):
             return None
         pieces, end = {}, 0
         for piece in header["pieces"]:
             start, end = end, end + piece["records"]
-            pieces[piece["number"], piece["photons"]] = Batch(
-                photons=piece["photons"],
-                **{name: arrays[name][start:end] for name in _COLUMNS},
-                energy={name: (a, b) for name, (a, b) in zip(_PARTS, piece["energy"], strict=True)},
-                events=piece["events"],
-            )
+            columns: dict[str, Any] = {name: arrays[name][start:end] for name in _COLUMNS}
+            columns |= {name: {part: (a, b) for part, (a, b) in piece[name].items()} for name in _SUMS}
+            one = Batch(photons=piece["photons"], events=piece["events"], **columns)
+            pieces[piece["number"], piece["photons"]] = one
         return LedBatches(arrays["mu_a"], pieces)
 
     def write_light(self, key: str, led: int, light: LedBatches, *, made: dict[str, Any]) -> None:
@@ -117,9 +115,9 @@ class Folder:
                 "number": number,
                 "photons": photons,
                 "records": len(batch.weight),
-                "energy": [batch.energy[name] for name in _PARTS],
                 "events": batch.events,
             }
+            | {name: getattr(batch, name) for name in _SUMS}
             for (number, photons), batch in light.pieces.items()
         ]
         arrays = {name: np.concatenate([getattr(b, name) for b in light.pieces.values()]) for name in _COLUMNS}

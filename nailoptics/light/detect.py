@@ -48,12 +48,14 @@ class DetectedLight:
     mean_path, mean_path_stderr : (led, photodiode, absorber) float at rest; NaN where the engine cannot tell. [mm]
     section : regions along the finger at u = 0 and, if traced, the light's path density.
     transfer : the trace behind it; None where the engine keeps none.
+    energy : where each LED's light went, in all and, of what was absorbed, by region; nothing where that is not known.
     """
 
     over: Callable[[np.ndarray], Course]
     mean_path: np.ndarray
     mean_path_stderr: np.ndarray
     section: xr.Dataset
+    energy: xr.Dataset
     attributes: dict[str, Any]
     transfer: Transfer | None = None
 
@@ -75,8 +77,9 @@ class RestReadings:
     transfer: Transfer | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything but the transfer."""
-        return {name: value for name, value in vars(self).items() if name != "transfer"}
+        """Everything but the transfer, but of it where in the scene the absorbed light ended."""
+        found = {name: value for name, value in vars(self).items() if name != "transfer"}
+        return found if self.transfer is None else found | {"absorbed": self.transfer.absorbed()}
 
 
 def open_light(
@@ -141,7 +144,7 @@ def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None, section: xr.
     """A Transfer as the light of a finger scene.
 
     rest : the transfer's readings at rest, if they are there.
-    section : the map of the finger's section; without one it is left out.
+    section : the map of the finger's section; without one it and where the light went are left out.
     """
     rest = transfer.at() if rest is None else rest
     blind = rest.effective_photons.values < FEW_PHOTONS
@@ -159,6 +162,7 @@ def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None, section: xr.
         mean_path=rest.mean_path_mm.values,
         mean_path_stderr=rest.mean_path_mm_stderr.values,
         section=xr.Dataset() if section is None else section,
+        energy=xr.Dataset() if section is None else transfer.energy_by_led(),
         attributes=transfer.attributes()
         | {
             "cpu_seconds": transfer.cpu_seconds,
@@ -262,6 +266,7 @@ def _light_by_volpath(
         mean_path=mean_path,
         mean_path_stderr=mean_path_stderr,
         section=_section(scene, options.seed, finger),
+        energy=xr.Dataset(),
         attributes=provenance(scene, photons=sum(one.paths for one in traced), **made)
         | {
             "cpu_seconds": time.process_time() - cpu,

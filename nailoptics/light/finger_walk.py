@@ -79,6 +79,7 @@ class FingerTracer:
         """Trace some photons of one LED."""
         splitting = Splitting(self.geometry, photons)
         walked = self.walk(led, photons=photons, seed=seed, splitting=splitting)
+        energy, absorbed = walked.energy(self.regions[led].absorbing, self.regions[led].swallows)
         photodiode, score = np.array(splitting.photodiode), np.array(splitting.score)
         detected = np.flatnonzero(score)
         return Batch(
@@ -86,7 +87,8 @@ class FingerTracer:
             photodiode=photodiode[detected].astype(np.uint16),
             weight=score[detected].astype(float),
             path_mm=self.by_zone(walked.path_mm[:, detected]),
-            energy=walked.energy(),
+            energy=energy,
+            absorbed=absorbed,
             events=walked.events,
         )
 
@@ -110,7 +112,7 @@ class FingerTracer:
             count = dr.full(mi.UInt32, 1, len(which))
         emission = LAMBERTIAN if face else emission_table(self.scene.leds[led])
         emitter = Emitter(face or self.geometry.leds[led], emission)
-        ends = PhotonEnds(photons, paths=self.paths)
+        ends = PhotonEnds(photons, paths=self.paths, media=len(self.regions[led].absorbing))
         walk = _Walk(self.interfaces, self.regions[led], ZoneEdges(self.zones), emitter, ends, **to)
         return ends.evaluated(walk.run(rng, count, first))
 
@@ -177,6 +179,7 @@ class _Walk:
             casts = active & (leg.scatterings < FREE_EVENTS)
             hit, triangle = self.step_to_interface(photon, leg, medium, casts)
             events += leg.scatterings
+            region = mi.UInt32(photon.region)
             u, phi = photon.rng.next_float32(), 2 * dr.pi * photon.rng.next_float32()
             scattered = rotate_direction(photon.w, henyey_greenstein(medium.g, u), phi)
             photon.w = mi.Vector3f(dr.select(casts & ~hit, scattered, photon.w))
@@ -189,7 +192,7 @@ class _Walk:
                 self.detect(photon, self.splitting)
                 fork = self.split(photon, fork, self.splitting, active)
             if photon.outcome > 0:
-                self.ends.record(photon)
+                self.ends.record(photon, *self.tallied(region))
                 if self.splitting is None:
                     self.ends.record_path(photon)
                 else:
@@ -286,12 +289,22 @@ class _Walk:
             mirrored = dr.select(opaque, diffuse, photon.w + 2 * cos_in * normal)
             refracted = dr.normalize(eta * photon.w + (eta * cos_in - cos_out) * normal)
             photon.w = mi.Vector3f(dr.select(reflected, mirrored, refracted))
+            place, tallied = self.tallied(photon.region)
+            # Of a photon's copies the last one counts for all.
+            tallied &= photon.copies_left == 0
+            left = photon.weight * mi.Float(photon.copies) * remaining(photon.tau)
+            self.ends.absorb(photon, place, left, ~reflected, tallied)
             end = dr.gather(mi.UInt32, regions.end, there)
             photon.outcome = dr.select(opaque & ~reflected, end, photon.outcome)
             # Whoever meets a face from a region that does not touch it has slipped through an edge.
             photon.outcome = dr.select(here == photon.region, photon.outcome, mi.UInt32(LOST))
             photon.p = mi.Point3f(off_surface(photon.p, dr.select(reflected, normal, -normal)))
             photon.region = dr.select(reflected, photon.region, there)
+
+    def tallied(self, region: Any) -> tuple[Any, Any]:
+        """Where the absorption of a region is tallied, and whether it is."""
+        place = dr.gather(mi.UInt32, self.regions.tally, region)
+        return place, place < dr.width(self.regions.tally)
 
     @dr.syntax
     def detect(self, photon: FingerPhoton, splitting: Splitting) -> None:
@@ -320,7 +333,7 @@ class _Walk:
         if done & (photon.copies_left == 0):
             photon.weight, photon.copies = photon.weight * mi.Float(photon.copies), mi.UInt32(1)
         if done & (photon.copies_left > 0):
-            photon.p, photon.w, photon.region, photon.weight, photon.tau, plate, epoxy = dr.copy(fork)
+            photon.p, photon.w, photon.region, photon.weight, photon.tau, photon.entered, plate, epoxy = dr.copy(fork)
             photon.path[PLATE], photon.path[EPOXY] = plate, epoxy
             # What absorption leaves a photon knows nothing of how far it came.
             photon.absorption_optical_depth = photon.tau + absorption_depth(photon.rng.next_float32())
@@ -332,4 +345,5 @@ class _Walk:
 def _fork(photon: FingerPhoton) -> list[Any]:
     """How a photon stands where it is split: all that its copies change on their way."""
     path = photon.path
-    return dr.copy([photon.p, photon.w, photon.region, photon.weight, photon.tau, path[PLATE], path[EPOXY]])
+    moved = [photon.p, photon.w, photon.region, photon.weight, photon.tau, photon.entered]
+    return dr.copy([*moved, path[PLATE], path[EPOXY]])

@@ -24,6 +24,7 @@ from .sampling import (
     fresnel,
     henyey_greenstein,
     lanes,
+    remaining,
     rotate_direction,
     roulette,
     starts,
@@ -54,6 +55,7 @@ class LayeredTracer:
     def batch(self, led: int, *, photons: int, seed: int) -> Batch:
         """Trace some photons of one LED."""
         walked, start, shift = walk_layers(self.phantom, self.scene.leds[led], photons=photons, seed=seed)
+        energy, absorbed = walked.energy([layer.name for layer in self.phantom.layers])
         top = np.flatnonzero(walked.outcome == TOP)
         photodiode, weight, path = [], [], []
         for i, aperture in enumerate(self.apertures):
@@ -67,7 +69,8 @@ class LayeredTracer:
             photodiode=np.concatenate([np.zeros(0, np.uint16), *photodiode]),
             weight=np.concatenate([np.zeros(0), *weight]),
             path_mm=np.ascontiguousarray(np.concatenate([np.zeros((0, len(self.phantom.layers)), np.float32), *path])),
-            energy=walked.energy(),
+            energy=energy,
+            absorbed=absorbed,
             events=walked.events,
         )
 
@@ -81,7 +84,7 @@ def walk_layers(phantom: Phantom, led: Led, *, photons: int, seed: int) -> tuple
     Returns: the photons; where each entered, and its lateral displacement from there, (n, 2) float. [mm]
     """
     rng, count = lanes(photons, seed)
-    ends = PhotonEnds(photons, paths=len(phantom.layers) + 4)
+    ends = PhotonEnds(photons, paths=len(phantom.layers) + 4, media=len(phantom.layers))
     walked = ends.evaluated(_walk(_Layers(phantom, led), rng, count, ends))
     *path, u, v, x, y = walked.path_mm
     size = (0.0, 0.0) if led.pattern == "pencil" else led.size_mm
@@ -195,16 +198,16 @@ def _walk(layers: _Layers, rng: Any, count: Any, ends: PhotonEnds) -> Any:
         up, meets = _step(photon, layers, active)
         u = photon.rng.next_float32()
         cos = henyey_greenstein(dr.gather(mi.Float, layers.g, photon.layer, active), u)
-        w = mi.Vector3f(photon.w)
+        w, layer = mi.Vector3f(photon.w), mi.UInt32(photon.layer)
         photon.w = mi.Vector3f(rotate_direction(w, cos, 2 * dr.pi * photon.rng.next_float32()))
-        leaves = _meet_face(photon, w, layers, up, meets & ~photon.bounced, u)
+        leaves = _meet_face(photon, w, layers, up, meets & ~photon.bounced, u, ends)
         events += dr.select(meets, mi.UInt32(0), mi.UInt32(1))
         left = dr.select(up, mi.UInt32(TOP), mi.UInt32(BOTTOM))
         absorbed = photon.tau > photon.absorption_optical_depth
         photon.outcome = dr.select(absorbed, mi.UInt32(ABSORBED), dr.select(leaves, left, 0))
         roulette(photon, 1, 1)
         if photon.outcome > 0:
-            ends.record(photon)
+            ends.record(photon, layer, True)
             ends.record_path(photon, photon.u, photon.v, photon.x, photon.y)
             photon = _launch(layers, photon.rng, photon.index + width)
             count -= 1
@@ -234,7 +237,7 @@ def _step(photon: _LayeredPhoton, layers: _Layers, active: Any) -> tuple[Any, An
 
 
 @dr.syntax
-def _meet_face(photon: _LayeredPhoton, w: Any, layers: _Layers, up: Any, meets: Any, u: Any) -> Any:
+def _meet_face(photon: _LayeredPhoton, w: Any, layers: _Layers, up: Any, meets: Any, u: Any, ends: PhotonEnds) -> Any:
     """Reflect or refract photons that meet a face along w, u a uniform number; returns which leave the phantom."""
     leaves = mi.Bool(photon.bounced)
     if meets:
@@ -244,6 +247,7 @@ def _meet_face(photon: _LayeredPhoton, w: Any, layers: _Layers, up: Any, meets: 
         reflected = u < reflectance
         leaves = ~reflected & dr.select(up, photon.layer == 0, photon.layer == layers.count - 1)
         moves = ~reflected & ~leaves
+        ends.absorb(photon, photon.layer, photon.weight * remaining(photon.tau), moves)
         photon.w = dr.select(
             reflected,
             mi.Vector3f(w.x, w.y, -w.z),

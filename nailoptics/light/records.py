@@ -1,7 +1,7 @@
 """What one LED's photons leave behind: batches as they are walked, joined, and thinned where they are too many."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import add
 
@@ -20,7 +20,10 @@ MAX_RECORDS = 8_000_000
 
 @dataclass(frozen=True)
 class Batch:
-    """What one batch left behind: detected photons, and energy sums (weight and its square) by where it went."""
+    """What one batch left behind: detected photons, and sums of weights and their squares by where light went.
+
+    absorbed : of the light that was absorbed, how much where.
+    """
 
     photons: int
     photodiode: np.ndarray
@@ -28,6 +31,7 @@ class Batch:
     path_mm: np.ndarray
     energy: dict[str, tuple[float, float]]
     events: int
+    absorbed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,7 @@ class LedTrace:
     keep : Probability with which each detected photon was kept; those whose draw is below it were.
     rest : The state in which sums over all photons are kept when records are dropped; without one none are.
     full : These sums, once a record was dropped.
+    absorbed : as energy, of the light that was absorbed: how much where.
     """
 
     photons: int
@@ -58,6 +63,7 @@ class LedTrace:
     keep: float = 1.0
     rest: RestState | None = None
     full: Moments | None = None
+    absorbed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.draw is None:
@@ -88,13 +94,9 @@ class LedTrace:
             return moments_of(self.photons, self.photodiode, weight, self.path_mm, count)
         return moments_of_sample(self.full, self.keep, self.photodiode, weight, self.weight_at_rest, self.path_mm)
 
-    @property
-    def energy_parts(self) -> dict[str, tuple[float, float]]:
-        """Fractions of the light by where it went, each with its standard error."""
-        return {
-            name: (sums[0] / self.photons, float(stderr_of_mean(*sums, self.photons)))
-            for name, sums in self.energy.items()
-        }
+    def fractions(self, sums: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+        """Fractions of the light that it emitted, each with its standard error, from such sums."""
+        return {name: (one[0] / self.photons, float(stderr_of_mean(*one, self.photons))) for name, one in sums.items()}
 
     @property
     def weight_at_rest(self) -> np.ndarray:
@@ -131,16 +133,18 @@ def joined(traces: Sequence[LedTrace]) -> LedTrace:
     return LedTrace(
         photons=sum(trace.photons for trace in traces),
         mu_a=traces[0].mu_a,
-        energy={
-            part: (sum(t.energy[part][0] for t in traces), sum(t.energy[part][1] for t in traces))
-            for part in traces[0].energy
-        },
+        energy=_added([trace.energy for trace in traces]),
+        absorbed=_added([trace.absorbed for trace in traces]),
         seeds=tuple(seeds),
         keep=keep,
         rest=traces[0].rest,
         full=full,
         **{name: np.concatenate([getattr(trace, name) for trace in traces]) for name in COLUMNS},
     )
+
+
+def _added(sums: Sequence[Mapping[str, tuple[float, float]]]) -> dict[str, tuple[float, float]]:
+    return {name: (sum(one[name][0] for one in sums), sum(one[name][1] for one in sums)) for name in sums[0]}
 
 
 def _differ(a: RestState | None, b: RestState | None) -> bool:

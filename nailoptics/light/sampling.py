@@ -1,6 +1,8 @@
 """What both photon walks are made of, as Dr.Jit arithmetic: scattering, refraction, emission, roulette, records."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 import drjit as dr
@@ -20,8 +22,12 @@ LONG_WALK = 1 << 16
 CPU_LANES, GPU_LANES = 8192, 1 << 18
 # How a photon ends; 0 while it walks.
 TOP, BOTTOM, ABSORBED, LOST = 1, 2, 3, 4
+# Outcomes from here on name the opaque region that a photon met.
+OPAQUE = 16
 # Squared cosines of emission at equal steps of probability: linear, because a Lambertian emitter's are.
 LAMBERTIAN = np.linspace(1, 0, 257)
+# Sums of weights and of their squares, by name.
+Sums = dict[str, tuple[float, float]]
 FAR = 1e9  # mm; stands for infinity where infinity would make NaN of zero
 
 
@@ -38,9 +44,9 @@ class Photon:
     rng : The lane's random generator.
     w : Direction.
     weight : What it counts for, before absorption dims it.
-    roulette_balance : What roulette took from it less what it gave.
     tau : Optical depth of absorption so far; at `absorption_optical_depth` it ends.
     path : (t) list. Path in each medium. [mm]
+    entered : What it counted for, dimmed, when it came into the medium where it is.
     steps : Scatterings and interfaces so far.
     outcome : How it ended; 0 while it walks.
     """
@@ -49,10 +55,10 @@ class Photon:
     rng: Any
     w: Any
     weight: Any = starts(1.0)
-    roulette_balance: Any = starts(0.0)
     tau: Any = starts(0.0)
     absorption_optical_depth: Any
     path: list[Any]
+    entered: Any = starts(1.0)
     steps: Any = starts(0)
     outcome: Any = starts(0)
 
@@ -61,42 +67,70 @@ class Photon:
 class WalkedPhotons:
     """What became of each photon of a batch.
 
-    outcome : (n,) int. TOP, BOTTOM, ABSORBED, LOST, or in a finger DETECTED + i by photodiode i.
-    weight : (n,) float. Weight at the end, at the traced absorption; 0 for those that were absorbed.
-    roulette_balance : (n,) float. What roulette took from it less what it gave; even on average, it counts as lost.
+    outcome : (n,) int. TOP, BOTTOM, ABSORBED in a medium, LOST, or in a finger OPAQUE + i by region i, DETECTED + i by
+        photodiode i.
+    weight : (n,) float. Weight at the end, at the traced absorption; 0 for those that were absorbed in a medium.
+    absorbed : (media, n) float. What absorption in each medium took of it.
     path_mm : (t, n) float32. Path in each medium. [mm]
     events : Scatterings in all.
     """
 
     outcome: np.ndarray
     weight: np.ndarray
-    roulette_balance: np.ndarray
+    absorbed: np.ndarray
     path_mm: np.ndarray
     events: int
 
-    def energy(self) -> dict[str, tuple[float, float]]:
-        """Sums over photons of their parts reflected, transmitted, absorbed and lost, and of the squares of those."""
-        reflected, transmitted, lost = (np.where(self.outcome == end, self.weight, 0.0) for end in (TOP, BOTTOM, LOST))
-        lost = lost + self.roulette_balance
-        absorbed = 1 - reflected - transmitted - lost
+    def energy(self, media: Sequence[str], opaque: Mapping[int, str] = MappingProxyType({})) -> tuple[Sums, Sums]:
+        """Where the photons went, as sums over them of their parts and of the squares of those.
+
+        media, opaque : names of the media, and of the opaque regions by outcome; what has one name counts together.
+
+        Returns: reflected, transmitted, absorbed and lost; and of what was absorbed, how much where. Each part is
+        tallied by itself, and what all of them leave of the photons is lost.
+        """
+        reflected, transmitted = (np.where(self.outcome == end, self.weight, 0.0) for end in (TOP, BOTTOM))
+        names = list(dict.fromkeys(opaque.values()))
+        place = np.zeros(max([int(self.outcome.max()), *opaque]) + 1, int)
+        place[list(opaque)] = [1 + names.index(name) for name in opaque.values()]
+        met = place[self.outcome]
+        absorbed = self.absorbed.sum(0) + np.where(met > 0, self.weight, 0.0)
+        lost = 1 - reflected - transmitted - absorbed
         parts = {"reflected": reflected, "transmitted": transmitted, "absorbed": absorbed, "lost": lost}
-        return {name: (float(part.sum()), float((part**2).sum())) for name, part in parts.items()}
+        places = {}
+        for name, part in zip(media, self.absorbed, strict=True):
+            places[name] = float(part.sum()), float((part**2).sum())
+        ends = [np.bincount(met, self.weight**power, minlength=len(names) + 1)[1:] for power in (1, 2)]
+        places |= {name: (float(a), float(b)) for name, a, b in zip(names, *ends, strict=True)}
+        return {name: (float(part.sum()), float((part**2).sum())) for name, part in parts.items()}, places
 
 
 class PhotonEnds:
     """Where a kernel writes what became of each photon: `WalkedPhotons` as Dr.Jit arrays."""
 
-    def __init__(self, photons: int, *, paths: int) -> None:
-        self.outcome = dr.zeros(mi.UInt32, photons)
-        self.weight, self.roulette_balance = dr.zeros(mi.Float, photons), dr.zeros(mi.Float, photons)
+    def __init__(self, photons: int, *, paths: int, media: int) -> None:
+        self.photons, self.absorbed = dr.opaque(mi.UInt32, photons), dr.zeros(mi.Float64, media * photons)
+        self.outcome, self.weight = dr.zeros(mi.UInt32, photons), dr.zeros(mi.Float, photons)
         self.path = [dr.zeros(mi.Float, photons) for _ in range(paths)]
 
-    def record(self, photon: Photon) -> None:
-        """Write how a photon ended, and with what weight."""
-        dr.scatter(self.outcome, photon.outcome, photon.index)
+    def record(self, photon: Photon, medium: Any, tallied: Any) -> None:
+        """Write how a photon ended, and with what weight; tally, if its medium is, what absorption took there."""
         weight = dr.select(photon.outcome == ABSORBED, 0, photon.weight * remaining(photon.tau))
+        self.absorb(photon, medium, weight, True, tallied)
+        dr.scatter(self.outcome, photon.outcome, photon.index)
         dr.scatter(self.weight, weight, photon.index)
-        dr.scatter(self.roulette_balance, photon.roulette_balance, photon.index)
+
+    def absorb(self, photon: Photon, medium: Any, left: Any, leaves: Any, tallied: Any = True) -> None:
+        """Tally what absorption in a medium took of a photon that leaves it with what is left, or ends there.
+
+        One that is found absorbed leaves no medium.
+        """
+        leaves = leaves & ((photon.outcome > 0) | (photon.tau <= photon.absorption_optical_depth))
+        # In float64, so that the parts of a photon add up to all of it.
+        taken, slot = mi.Float64(photon.entered) - mi.Float64(left), medium * self.photons + photon.index
+        alone = dr.ReduceMode.NoConflicts  # no two lanes walk one photon
+        dr.scatter_reduce(dr.ReduceOp.Add, self.absorbed, taken, slot, leaves & tallied, mode=alone)
+        photon.entered = dr.select(leaves, left, photon.entered)
 
     def record_path(self, photon: Photon, *more: Any) -> None:
         """Write which way a photon came, and what else its walk adds to its paths."""
@@ -105,11 +139,12 @@ class PhotonEnds:
 
     def evaluated(self, events: Any) -> WalkedPhotons:
         """What was written, once the kernel has run; events : scatterings of each lane."""
-        dr.eval(events, self.outcome, self.weight, self.roulette_balance, self.path)
+        dr.eval(events, self.outcome, self.weight, self.absorbed, self.path)
+        outcome = np.array(self.outcome)
         return WalkedPhotons(
-            outcome=np.array(self.outcome),
+            outcome=outcome,
             weight=np.array(self.weight).astype(float),
-            roulette_balance=np.array(self.roulette_balance).astype(float),
+            absorbed=np.array(self.absorbed).reshape(-1, len(outcome)),
             path_mm=np.stack([np.array(path) for path in self.path]),
             events=int(np.array(events).sum(dtype=np.int64)),
         )
@@ -158,8 +193,9 @@ def roulette(photon: Photon, steps: Any, copies: Any) -> None:
     doubled = (photon.steps ^ before) > before
     if (photon.outcome == 0) & (photon.steps >= LONG_WALK) & doubled:
         ended = photon.rng.next_float32() < 0.5
+        # What roulette gives is no absorption.
         gain = photon.weight * copies * remaining(photon.tau)
-        photon.roulette_balance = dr.select(ended, photon.roulette_balance, photon.roulette_balance - gain)
+        photon.entered = dr.select(ended, photon.entered, photon.entered + gain)
         photon.weight = dr.select(ended, photon.weight, 2 * photon.weight)
         photon.outcome = dr.select(ended, mi.UInt32(LOST), 0)
 

@@ -15,14 +15,14 @@ from ..scene import Scene
 from ..tissue import BloodZones
 from . import optics
 from .arithmetic import clip, maximum
-from .sampling import ABSORBED, BOTTOM, FAR, Photon, emission_cosine, rotate_direction, starts
+from .sampling import BOTTOM, FAR, OPAQUE, Photon, emission_cosine, rotate_direction, starts
 
-# Outcomes from here on name the photodiode that a photon reached.
-DETECTED = 16
 # Through these light comes back from the bed to the photodiodes.
 OVER_BED = ("plate", "epoxy")
 # The number of a triangle's region below and that above share the 24 bits that a float32 holds exactly.
 REGION_BITS = 10
+# Outcomes from here on name the photodiode that a photon reached; below, the opaque region.
+DETECTED = OPAQUE + (1 << REGION_BITS)
 # Of a coordinate and of 1 mm; about sixteen times what float32 resolves, enough for a few roundings.
 SURFACE_OFFSET = 2e-6
 
@@ -74,7 +74,19 @@ class Regions:
         self.mu_a, self.mu_s, self.g, self.n = (mi.Float(a) for a in (media.mu_a, media.mu_s, media.g, media.n))
         self.opaque, self.reflectance = mi.Bool(media.opaque), mi.Float(media.reflectance)
         detectors = {face.region: DETECTED + i for i, face in enumerate(geometry.photodiodes)}
-        self.end = mi.UInt32([BOTTOM if name == "cut" else detectors.get(i, ABSORBED) for i, name in enumerate(names)])
+        ends = [BOTTOM if name == "cut" else detectors.get(i, OPAQUE + i) for i, name in enumerate(names)]
+        self.end = mi.UInt32(ends)
+        dies, there = {face.region for face in geometry.leds}, {*geometry.below.tolist(), *geometry.above.tolist()}
+        # What absorbs light as it passes, of which a tally is kept, and what swallows it, by outcome;
+        # dies and photodiodes count together.
+        absorbs = [i in there and not media.opaque[i] and media.mu_a[i] > 0 for i in range(len(names))]
+        self.absorbing = tuple(name for name, one in zip(names, absorbs, strict=True) if one)
+        self.tally = mi.UInt32(np.where(absorbs, np.cumsum(absorbs) - 1, len(names)))
+        self.swallows = {
+            end: "photodiodes" if i in detectors else "leds" if i in dies else names[i]
+            for i, end in enumerate(ends)
+            if media.opaque[i] and i in there and end != BOTTOM
+        }
         parts = {face.region for face in (*geometry.leds, *geometry.photodiodes)}
         self.on_board = mi.Bool([name in ("kapton", "silicon") or i in parts for i, name in enumerate(names)])
         self.over_bed = mi.Bool([name in OVER_BED for name in names])

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from .. import io
 from ..errors import InputError
 from ..scene import Scene, digest, parse_scene, to_toml
-from ..variables import variable
+from ..variables import Variables, variable
 from . import optics
 from .identity import light_digest
 from .moments import Moments, RestState, moments_of
@@ -140,7 +140,30 @@ class Transfer:
 
     def energy(self) -> dict[str, dict[str, float]]:
         """Where the light of all LEDs went, in equal parts, with standard errors; fractions of the power emitted."""
-        return mean_of_leds([t.energy_parts for t in self.traces])
+        return mean_of_leds([t.fractions(t.energy) for t in self.traces])
+
+    def absorbed(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Where the light of each LED that was absorbed ended, with standard errors; fractions of the LED's power."""
+        return {
+            led: {name: {"value": a, "stderr": b} for name, (a, b) in t.fractions(t.absorbed).items()}
+            for led, t in zip(self.leds, self.traces, strict=True)
+        }
+
+    def energy_by_led(self) -> xr.Dataset:
+        """Where each LED's light went, in all and, of what was absorbed, by region, as fractions of its power."""
+        data: Variables = {}
+        texts = {"energy": "light by where it went", "absorbed": "light absorbed in a region or by its surface"}
+        for name, axis in (("energy", "part"), ("absorbed", "region")):
+            each = [t.fractions(getattr(t, name)) for t in self.traces]
+            places = list(dict.fromkeys(place for one in each for place in one))
+            # A region that absorbs nothing at an LED's wavelength has no tally there.
+            value, stderr = np.array([[one.get(place, (0.0, 0.0)) for place in places] for one in each]).T.swapaxes(
+                1, 2
+            )
+            text = f"{texts[name]}, per emitted power"
+            data |= variable(f"{name}_fraction", ("led", axis), value, text, stderr=stderr)
+            data[axis] = ((axis,), np.array(places), {"long_name": f"{axis} of the light"})
+        return xr.Dataset(data, {"led": list(self.leds)})
 
     def merge(self, other: "Transfer") -> "Transfer":
         """This trace and another of the same light as one; raises InputError if they differ or share a seed."""
@@ -156,7 +179,7 @@ class Transfer:
 
     def save(self, path: str | Path) -> None:
         """Write the transfer to a NumPy archive (.npz), whole or not at all."""
-        of_led = ("photons", "energy", "seeds", "keep")
+        of_led = ("photons", "energy", "absorbed", "seeds", "keep")
         leds = [{"records": len(t.weight)} | {name: getattr(t, name) for name in of_led} for t in self.traces]
         header = self.attributes() | {name: getattr(self, name) for name in EFFORT}
         header |= {"leds": leds, "version_table": dict(self.versions)}
@@ -178,16 +201,20 @@ class Transfer:
             scene = parse_scene(header["scene"], name="the stored scene")
             traces, first = [], np.cumsum([0, *(led["records"] for led in header["leds"])])
             for i, led in enumerate(header["leds"]):
-                sums = arrays["full"][i]
+                sums, columns = arrays["full"][i], {name: arrays[name][first[i] : first[i + 1]] for name in COLUMNS}
+                energy, absorbed = (
+                    {part: (a, b) for part, (a, b) in led[name].items()} for name in ("energy", "absorbed")
+                )
                 one = LedTrace(
                     photons=led["photons"],
                     mu_a=arrays["mu_a_per_mm"][i],
-                    energy={part: (a, b) for part, (a, b) in led["energy"].items()},
+                    energy=energy,
+                    absorbed=absorbed,
                     seeds=tuple(led["seeds"]),
                     keep=led["keep"],
                     rest=rest_state(scene, i),
                     full=Moments.of_table(sums, led["photons"]) if sums.size and not np.isnan(sums).any() else None,
-                    **{name: arrays[name][first[i] : first[i + 1]] for name in COLUMNS},
+                    **columns,
                 )
                 traces.append(one)
             made = {name: header[name] for name in ("engine", "backend", *EFFORT)}

@@ -34,7 +34,22 @@ def simulation_summary(result: "xr.Dataset") -> dict[str, Any]:
         for r in photodiode_readings(result, None)
     ]
     kept = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest", "accuracy_reached")
-    return {"readings": rows} | spread_summary(result) | {name: result.attrs[name] for name in kept}
+    found = {"readings": rows, "absorbed": _absorbed(result)} | spread_summary(result)
+    return found | {name: result.attrs[name] for name in kept}
+
+
+def _absorbed(result: "xr.Dataset") -> dict[str, dict[str, dict[str, float]]]:
+    """Where each LED's absorbed light ended; nothing where that was not traced."""
+    if "absorbed_fraction" not in result:
+        return {}
+    names = {"value": "absorbed_fraction", "stderr": "absorbed_fraction_stderr"}
+    return {
+        str(led): {
+            str(region): {key: float(result[name].sel(led=led, region=region)) for key, name in names.items()}
+            for region in result.region.values
+        }
+        for led in result.led.values
+    }
 
 
 def simulation_lines(summary: dict[str, Any]) -> list[str]:
@@ -58,7 +73,7 @@ def simulation_lines(summary: dict[str, Any]) -> list[str]:
         lines.append(
             "+-: the trace's standard error; spread: one standard deviation over what is unknown of the finger"
         )
-    return [*lines, *summary.get("conclusions", [])]
+    return [*lines, *absorbed_lines(summary["absorbed"]), *summary.get("conclusions", [])]
 
 
 def check_lines(report: dict[str, Any]) -> list[str]:
@@ -87,6 +102,18 @@ def rest_lines(rest: "RestReadings") -> list[str]:
         lines.append(f"{row['led']:>10} {row['photodiode']:<16} {row['detected_fraction']:.4e} {error}")
     for part, share in (rest.energy or {}).items():
         lines.append(f"{part:>11} {share['value']:.5f} {_plus_minus(share['stderr'], '.5f')}")
+    return lines + (absorbed_lines(rest.transfer.absorbed()) if rest.transfer else [])
+
+
+def absorbed_lines(absorbed: dict[str, dict[str, dict[str, float]]]) -> list[str]:
+    """Where each LED's absorbed light ended, the largest part first, with the largest standard error."""
+    lines = []
+    for led, regions in absorbed.items():
+        parts = sorted(((part["value"], name) for name, part in regions.items() if part["value"] > 0), reverse=True)
+        if parts:
+            error = 100 * max(part["stderr"] for part in regions.values())
+            each = ", ".join(f"{name} {100 * value:.2f} %" for value, name in parts)
+            lines.append(f"{led:>10} absorbed in {each} ({_plus_minus(error, '.2f')} % or less)")
     return lines
 
 

@@ -56,7 +56,7 @@ def simulate(scene: Scene, *, progress: ProgressCallback | None = None, **reques
 def simulate_from(scene: Scene, light: DetectedLight, *, course: xr.Dataset, seed: int) -> xr.Dataset:
     """What `simulate` returns, from light that is already traced and the scene's `blood_over_touch`."""
     result = course.merge(_read_volts(scene, light, course.blood_fraction.values.T))
-    result = result.merge(_fit_reduced(result)).merge(light.section)
+    result = result.merge(_fit_reduced(result)).merge(light.section).merge(light.energy)
     for name, text in COORDINATES.items():
         result[name].attrs = {"long_name": text} | result[name].attrs
     result.attrs = light.attributes | {

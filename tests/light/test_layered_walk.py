@@ -283,6 +283,19 @@ def test_a_square_sees_what_counting_exits_in_it_gives(jit_backend, led, center)
     assert abs(batch.weight.sum() / photons - counted.mean()) < 3.5 * stderr < 0.05 * counted.mean()
 
 
+def test_each_layer_takes_what_lambert_says(jit_backend):
+    """Light that nothing scatters loses 1 - exp(-mu_a d) of itself in each layer; the parts make up all of it."""
+    first, second = layer(thickness=2.0, mu_a=0.4, mu_s=0.0), layer(thickness=3.0, mu_a=0.2, mu_s=0.0)
+    found = nail.trace(phantom(first, second, photodiodes=SQUARE), photons=1 << 18, seed=3)
+    absorbed = found.absorbed()["led"]
+    for name, exact in (("l0", 1 - np.exp(-0.8)), ("l1", np.exp(-0.8) - np.exp(-1.4))):
+        assert abs(absorbed[name]["value"] - exact) < 4 * absorbed[name]["stderr"] < 0.01 * exact
+    assert sum(one["value"] for one in absorbed.values()) == pytest.approx(
+        found.energy()["absorbed"]["value"], abs=1e-12
+    )
+    assert abs(found.energy()["lost"]["value"]) < 1e-12
+
+
 def test_averaging_over_azimuth_sharpens_a_distant_reading(jit_backend):
     scene = phantom(layer(thickness=10.0, mu_a=0.05, mu_s=10.0, g=0.9), photodiodes=SQUARE)
     seen = reading(scene, photons=1 << 17)
