@@ -161,6 +161,7 @@ def blood_point(
     traced : the scene whose light was traced, if another of the same shape and scattering.
     blood_fraction : (K,) float in 0-1; at rest if not given.
     """
+    optics.check_line(scene, led)
     source = scene.leds[led]
     wavelength, share = optics.spectrum(source)
     mu_a = optics.absorption(scene, wavelength, blood_fraction=blood_fraction)

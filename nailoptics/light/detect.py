@@ -69,6 +69,7 @@ class RestReadings:
 
     readings: list[dict[str, Any]]
     energy: dict[str, dict[str, float]] | None
+    # Seconds count everything, from the scene to its readings.
     photons: int
     engine: str
     backend: str
@@ -79,7 +80,15 @@ class RestReadings:
     def as_dict(self) -> dict[str, Any]:
         """Everything but the transfer, but of it where in the scene the absorbed light ended."""
         found = {name: value for name, value in vars(self).items() if name != "transfer"}
-        return found if self.transfer is None else found | {"absorbed": self.transfer.absorbed()}
+        if self.transfer is None:
+            return found
+        return found | {"absorbed": self.transfer.absorbed(), "note": self.note}
+
+    @property
+    def note(self) -> str:
+        """What the standard errors alone do not say; nothing where they say all."""
+        rest = None if self.transfer is None else self.transfer.at()
+        return "" if rest is None else rest.detected_fraction_stderr.attrs.get("comment", "")
 
 
 def open_light(
@@ -108,10 +117,11 @@ def read_rest(
     scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]
 ) -> RestReadings:
     """Trace a scene and read it at rest; raises NotReachedError with the RestReadings so far as result."""
+    begin = time.process_time(), time.perf_counter()
     options, engine = _options(scene, requested)
     if engine == "volpath":
-        return _rest_by_volpath(scene, options, progress)
-    return _traced(scene, _rest_of, progress, options)
+        return _rest_by_volpath(scene, options, progress, begin)
+    return _traced(scene, partial(_rest_of, begin=begin), progress, options)
 
 
 def _options(scene: Scene, requested: Requested) -> tuple[TraceOptions, str]:
@@ -284,7 +294,7 @@ def _unless_short(result: T, traced: Sequence[StateReadings]) -> T:
     return result
 
 
-def _rest_of(transfer: Transfer) -> RestReadings:
+def _rest_of(transfer: Transfer, *, begin: tuple[float, float]) -> RestReadings:
     """The readings of a trace at rest."""
     rest = transfer.at()
     few = _with_few_photons(transfer, rest, "saw too few photons to tell a standard error")
@@ -304,15 +314,16 @@ def _rest_of(transfer: Transfer) -> RestReadings:
         photons=transfer.photons,
         engine=transfer.engine,
         backend=transfer.backend,
-        cpu_seconds=transfer.cpu_seconds,
-        wall_seconds=transfer.wall_seconds,
+        cpu_seconds=time.process_time() - begin[0],
+        wall_seconds=time.perf_counter() - begin[1],
         transfer=transfer,
     )
 
 
-def _rest_by_volpath(scene: Scene, options: TraceOptions, progress: ProgressCallback | None) -> RestReadings:
+def _rest_by_volpath(
+    scene: Scene, options: TraceOptions, progress: ProgressCallback | None, begin: tuple[float, float]
+) -> RestReadings:
     """The readings of a scene at rest, traced by volpath."""
-    begin, cpu = time.perf_counter(), time.process_time()
     if scene.phantom is not None:
         read = partial(volpath.phantom_readings, scene, progress)
     else:
@@ -333,8 +344,8 @@ def _rest_by_volpath(scene: Scene, options: TraceOptions, progress: ProgressCall
         photons=sum(one.paths for one in traced),
         engine="volpath",
         backend=options.backend,
-        cpu_seconds=time.process_time() - cpu,
-        wall_seconds=time.perf_counter() - begin,
+        cpu_seconds=time.process_time() - begin[0],
+        wall_seconds=time.perf_counter() - begin[1],
     )
     return _unless_short(result, traced)
 

@@ -1,5 +1,6 @@
 """What a photon meets: the optics of every region of a scene, and how absorption follows the blood."""
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -155,14 +156,23 @@ def zone_so2(scene: Scene, blood_fraction: np.ndarray) -> np.ndarray:
 
 
 def spectrum(led: Led, points: int = 5) -> tuple[np.ndarray, np.ndarray]:
-    """The wavelengths and weights that integrate over an LED's Gaussian line (Gauss-Hermite), (q,) float each. [nm]
-
-    Nodes at which tissue has no data are left out and the rest rescaled.
-    """
+    """The wavelengths and weights that integrate over an LED's Gaussian line (Gauss-Hermite), (q,) float each. [nm]"""
     if led.fwhm_nm == 0:
         return np.array([led.wavelength_nm]), np.ones(1)
     node, weight = np.polynomial.hermite.hermgauss(points)
     wavelength = led.wavelength_nm + node * led.fwhm_nm / (2 * np.sqrt(np.log(2)))
-    low, high = tissue.WAVELENGTH_RANGE_NM
-    inside = (wavelength >= low) & (wavelength <= high)
-    return wavelength[inside], weight[inside] / weight[inside].sum()
+    return wavelength, weight / weight.sum()
+
+
+def check_line(scene: Scene, led: int) -> None:
+    """Raise InputError where an LED's line reaches beyond the wavelengths at which tissue is known."""
+    source, (low, high) = scene.leds[led], tissue.WAVELENGTH_RANGE_NM
+    wavelength, _ = spectrum(source)
+    first, last = float(wavelength.min()), float(wavelength.max())
+    if scene.finger is not None and source.fwhm_nm and (first < low or last > high):
+        width = (last - first) / 2 / source.fwhm_nm
+        most = max(min(source.wavelength_nm - low, high - source.wavelength_nm) / width, 0.0)
+        raise InputError(
+            f"leds[{led}].fwhm_nm = {source.fwhm_nm:g}: the line would be read from {first:.0f} to {last:.0f} nm, but "
+            f"tissue is known from {low:g} to {high:g} nm; give at most {math.floor(most)}, or 0 for one wavelength."
+        )

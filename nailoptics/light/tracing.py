@@ -62,7 +62,7 @@ def trace(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     Raises: InputError; NotReachedError with `.result`, the Transfer as far as it got, when the tolerance was not met
     within max_seconds or the trace was interrupted.
     """
-    options = TraceOptions(**requested)
+    begin, options = time.process_time(), TraceOptions(**requested)
     engine_class, chosen = photons_engine(scene, options.backend)
     required = accuracy(scene, options)
     engine = engine_class(scene)
@@ -86,6 +86,7 @@ def trace(scene: Scene, *, progress: ProgressCallback | None = None, **requested
         cpu_seconds=time.process_time() - cpu,
         wall_seconds=time.perf_counter() - start,
         events=events,
+        setup_seconds=cpu - begin,
     )
     if complaint:
         raise NotReachedError(complaint, result=result)

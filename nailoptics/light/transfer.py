@@ -27,8 +27,13 @@ MIN_EFFECTIVE_PHOTONS = 100.0
 FEW_PHOTONS = 10.0
 # A standard error that rests on n effective photons is itself off by 1 / (2 sqrt(n)), here a tenth.
 MIN_ERROR_PHOTONS = 25.0
+# Of a phantom's photodiodes, whose standard errors alone would not say it.
+SHARED_ERROR = (
+    "photodiodes share their error, wholly where they lie at one distance from the LED, because a phantom's light is "
+    "averaged over azimuth; the error of a difference or mean of readings does not follow from theirs"
+)
 # What a trace took, which adds up where traces are merged.
-EFFORT = ("cpu_seconds", "wall_seconds", "events")
+EFFORT = ("cpu_seconds", "wall_seconds", "events", "setup_seconds")
 
 
 class ReweightWarning(UserWarning):
@@ -43,6 +48,7 @@ def current_versions() -> dict[str, str]:
 
 def rest_state(scene: Scene, led: int) -> RestState:
     """The state in which a scene's light is read first: blood at rest, over the LED's line."""
+    optics.check_line(scene, led)
     wavelengths, share = optics.spectrum(scene.leds[led])
     return RestState(optics.absorption(scene, wavelengths), share, len(photodiode_names(scene)))
 
@@ -64,6 +70,8 @@ class Transfer:
     cpu_seconds: float = 0.0
     wall_seconds: float = 0.0
     events: int = 0
+    # Processor time before the first photon, which is no part of cpu_seconds.
+    setup_seconds: float = 0.0
 
     @cached_property
     def photodiodes(self) -> tuple[str, ...]:
@@ -115,6 +123,8 @@ class Transfer:
         each = (*pairs, "absorber")
         text = "detected fraction of the emitted power"
         data = variable("detected_fraction", pairs, fraction, text, stderr=stderr)
+        if self.scene.phantom is not None and len(self.photodiodes) > 1:
+            data["detected_fraction_stderr"][2]["comment"] = SHARED_ERROR
         data |= variable("effective_photons", pairs, effective, "effective number of detected photons")
         text = "mean path of the detected light in the absorber"
         data |= variable("mean_path_mm", each, path, text, units="mm", stderr=path_stderr)

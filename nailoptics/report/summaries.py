@@ -102,7 +102,8 @@ def rest_lines(rest: "RestReadings") -> list[str]:
         lines.append(f"{row['led']:>10} {row['photodiode']:<16} {row['detected_fraction']:.4e} {error}")
     for part, share in (rest.energy or {}).items():
         lines.append(f"{part:>11} {share['value']:.5f} {_plus_minus(share['stderr'], '.5f')}")
-    return lines + (absorbed_lines(rest.transfer.absorbed()) if rest.transfer else [])
+    lines += absorbed_lines(rest.transfer.absorbed()) if rest.transfer else []
+    return lines + ([rest.note] if rest.note else [])
 
 
 def absorbed_lines(absorbed: dict[str, dict[str, dict[str, float]]]) -> list[str]:

@@ -1,5 +1,6 @@
 """The main job: touch, blood, traced light, volts, beside the paper's reduced optics (8) and (9)."""
 
+import time
 from collections.abc import Callable
 from typing import Any, Unpack
 
@@ -38,6 +39,7 @@ def simulate(scene: Scene, *, progress: ProgressCallback | None = None, **reques
 
     Raises: InputError; NotReachedError, whose result is the Dataset as far as the accuracy went.
     """
+    cpu, begin = time.process_time(), time.perf_counter()
     options = TraceOptions(**requested)
     if scene.finger is None:
         raise InputError("simulate needs a [finger] scene; a [phantom] has no blood, use trace for its light.")
@@ -47,6 +49,7 @@ def simulate(scene: Scene, *, progress: ProgressCallback | None = None, **reques
     result = simulate_from(scene, light, course=course, seed=options.seed)
     if scene.priors.spread and light.transfer is not None:
         result = result.merge(_spread(result, light.transfer, options, progress))
+    result.attrs |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
     if unmet:
         result.attrs["cut_off"] = str(unmet)
         raise NotReachedError(str(unmet), result=result)

@@ -3,7 +3,8 @@
     python tests/benchmarks/bench_phantom.py [--backend llvm] [--seconds 6] [--rounds 3]
 
 A 10 mm slab, mu_a 0.05, mu_s 10 per mm, g 0.9, matched, a pencil beam, a 1 x 1 mm square 2 mm beside it. The figure of
-merit is 1 / (relative error^2 x CPU seconds). Rounds alternate between the two, so that a busy machine hurts both.
+merit is 1 / (relative error^2 x CPU seconds). Both average over azimuth. Rounds alternate between the two, so that a
+busy machine hurts both.
 Needs a C compiler. Exits with 1 where the ratio falls short of 4 or the two disagree.
 """
 
@@ -132,7 +133,7 @@ def main() -> int:
     print(
         f"ratio of the medians: {ratio:.1f} per CPU second, {walls['nailoptics'] / walls['plain C']:.1f} on the clock"
     )
-    print(f"(asked: {LEAST_RATIO:g} per CPU second; photons and scatterings above are per CPU second)")
+    print(f"(required: {LEAST_RATIO:g} per CPU second; photons and scatterings above are per CPU second)")
 
     agree = True
     for name, found in runs.items():

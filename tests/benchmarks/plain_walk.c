@@ -1,7 +1,8 @@
 /* A plain Monte Carlo walk through one matched slab, as MCML does it: the yardstick of bench_phantom.py.
  *
  * Pencil beam at the origin, Henyey-Greenstein scattering, weight times albedo at each scattering, Russian roulette
- * below 1e-4 with one survivor in ten (Wang, Jacques, Zheng 1995). Counts what leaves the top face through a square.
+ * below 1e-4 with one survivor in ten (Wang, Jacques, Zheng 1995). Of what leaves the top face it counts the share of
+ * azimuths at which that would be through a square beside the beam, as nailoptics does.
  *
  * Usage: plain_walk photons seed mu_a mu_s g thickness_mm centre_x_mm size_mm
  * Prints: sum of weights, sum of their squares, scatterings, CPU seconds.
@@ -21,6 +22,14 @@ static inline float uniform(void) {
     uint32_t shifted = (uint32_t)(((old >> 18u) ^ old) >> 27u), turn = (uint32_t)(old >> 59u);
     uint32_t bits = (shifted >> turn) | (shifted << ((-turn) & 31u));
     return (float)((bits >> 8) + 1) * 0x1p-24f;
+}
+
+/* The share of a circle of radius r around the beam that lies in a square beside it, centre > half. */
+static inline float share_of_circle(float r, float centre, float half) {
+    if (r <= centre - half) return 0;
+    const float outer = acosf(fminf((centre + half) / r, 1));
+    const float inner = fminf(acosf((centre - half) / r), asinf(fminf(half / r, 1)));
+    return fmaxf(inner - outer, 0) / 3.14159265f;
 }
 
 int main(int argc, char **argv) {
@@ -46,10 +55,9 @@ int main(int argc, char **argv) {
                 const float part = -z / uz;
                 x += part * ux;
                 y += part * uy;
-                if (fabsf(x - centre) < half && fabsf(y) < half) {
-                    sum += weight;
-                    square += (double)weight * weight;
-                }
+                const double counts = weight * share_of_circle(sqrtf(x * x + y * y), centre, half);
+                sum += counts;
+                square += counts * counts;
                 break;
             }
             if (below > thickness) break;

@@ -1,5 +1,7 @@
 """Either engine behind one face: which one is taken, what is read between volpath's states, and what is told."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -183,3 +185,14 @@ engine = "%s"
     for part in ("reflected", "transmitted", "absorbed"):
         stderr = np.hypot(ours.energy[part]["stderr"], other.energy[part]["stderr"])
         assert abs(ours.energy[part]["value"] - other.energy[part]["value"]) < 4 * stderr < 0.05
+
+
+@pytest.mark.jit
+def test_seconds_count_from_the_scene_on_and_apart_from_those_of_the_photons(jit_backend):
+    """Expected: processor time that the process spent, but for what its clock does not resolve."""
+    before = time.process_time()
+    found = read_rest(finger(), photons=1 << 14, seed=1)
+    spent = time.process_time() - before
+    assert found.transfer is not None
+    whole, photons, setup = found.cpu_seconds, found.transfer.cpu_seconds, found.transfer.setup_seconds
+    assert photons > 0 and setup > 0 and photons + setup <= whole <= spent and whole > 0.9 * spent

@@ -296,6 +296,16 @@ def test_each_layer_takes_what_lambert_says(jit_backend):
     assert abs(found.energy()["lost"]["value"]) < 1e-12
 
 
+def test_photodiodes_at_one_distance_share_their_error_and_say_so(jit_backend):
+    beside = SQUARE.replace("square", "beside").replace("[2.0, 0.0]", "[0.0, 2.0]")
+    slab = layer(thickness=10.0, mu_a=0.05, mu_s=10.0, g=0.9)
+    seen = reading(phantom(slab, photodiodes=SQUARE + beside), photons=1 << 16)
+    assert seen.detected_fraction[0] == pytest.approx(float(seen.detected_fraction[1]), rel=1e-6)
+    assert "share their error" in seen.detected_fraction_stderr.attrs["comment"]
+    alone = reading(phantom(slab, photodiodes=SQUARE), photons=1 << 12)
+    assert "comment" not in alone.detected_fraction_stderr.attrs
+
+
 def test_averaging_over_azimuth_sharpens_a_distant_reading(jit_backend):
     scene = phantom(layer(thickness=10.0, mu_a=0.05, mu_s=10.0, g=0.9), photodiodes=SQUARE)
     seen = reading(scene, photons=1 << 17)

@@ -5,7 +5,10 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.assets import data_dir
+from nailoptics.errors import InputError
 from nailoptics.light import optics
+from nailoptics.light.transfer import rest_state
+from nailoptics.scene import load_scene
 
 PHOTONS = 400_000
 
@@ -37,3 +40,21 @@ def test_a_line_read_from_one_trace_is_the_sum_of_narrow_band_traces(chosen_jit,
     )
     assert np.all(np.abs(values - total) < 3.5 * errors) and np.all(errors < 0.06 * total)
     assert abs(values.sum() / total.sum() - 1) < 0.015 + 3 * np.linalg.norm(errors) / total.sum()
+
+
+@pytest.mark.parametrize(("wavelength_nm", "most"), [(460.0, 8), (980.0, 16)])
+def test_a_line_beyond_the_tables_is_refused_and_the_widest_that_is_not_is_named(wavelength_nm, most):
+    """Five nodes reach 2.0202 / (2 sqrt(ln 2)) = 1.2132 widths to each side: 8 of 10 nm, 16 of 20 nm."""
+    scene = load_scene(data_dir("scenes") / "prototype.toml")
+    led = scene.leds[0].model_copy(update={"wavelength_nm": wavelength_nm, "fwhm_nm": 5000.0})
+    wide = scene.model_copy(update={"leds": (led,)})
+    with pytest.raises(
+        InputError, match=rf"leds\[0\]\.fwhm_nm = 5000: .*450 to 1000 nm; give at most {most}"
+    ) as caught:
+        rest_state(wide, 0)
+    assert "\n" not in str(caught.value)
+    for width in (float(most), 0.0):
+        narrow = wide.model_copy(update={"leds": (led.model_copy(update={"fwhm_nm": width}),)})
+        assert np.isfinite(rest_state(narrow, 0).mu_a).all()
+    with pytest.raises(InputError, match="fwhm_nm"):
+        rest_state(wide.model_copy(update={"leds": (led.model_copy(update={"fwhm_nm": most + 1.0}),)}), 0)
