@@ -538,4 +538,4 @@ def test_ctrl_c_keeps_what_was_traced(folder, chosen_jit):
         process.kill()
     assert process.returncode == 3, err
     assert "interrupted" in err.splitlines()[-1] and "Traceback" not in err
-    assert Transfer.load(Path("transfer.nc")).photons > 0 and len(out.splitlines()) == 12
+    assert Transfer.load(Path("transfer.nc")).photons > 0 and len(out.splitlines()) == 13
