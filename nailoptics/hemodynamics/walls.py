@@ -76,7 +76,7 @@ def massless_rates(
     """
     n = len(walls.venule)
     mobile, area = walls.mobile, walls.area
-    parts, ratios = [], []
+    units = []
     flow_in: Any = 0.0
     conductance: Any = 0.0
     for i in range(n):
@@ -89,16 +89,22 @@ def massless_rates(
         numerator = arteriole * high + m * load[i]
         flow_in = flow_in + ratio * numerator
         conductance = conductance + ratio * own
-        parts.append(numerator / total)
-        ratios.append(ratio)
+        units.append((arteriole, total, ratio, numerator / total))
     w2 = width[n] * width[n]
     vein = walls.flow_factor[n] * (w2 * w2)
     m = mobile[n] * free[n]
-    node = (flow_in + m * load[n] + vein * low) / (conductance + m * area[n] + vein)
-    pressures = [part + ratio * node for part, ratio in zip(parts, ratios, strict=True)]
-    pressures.append(node)
-    speeds = [free[i] * (area[i] * pressures[i] - load[i]) / walls.damping[i] for i in range(n + 1)]
-    return pressures, speeds
+    total = conductance + m * area[n] + vein
+    node = (flow_in + m * load[n] + vein * low) / total
+    pressures = [part + ratio * node for _, _, ratio, part in units]
+    # The wall's own part of A P - load is taken out beforehand: with hardly any damper it would drown the rest.
+    speeds = [
+        free[i]
+        * (a * (area[i] * high - load[i]) + walls.venule[i] * (area[i] * node - load[i]))
+        / (t * walls.damping[i])
+        for i, (a, t, _, _) in enumerate(units)
+    ]
+    net = area[n] * (flow_in + vein * low) - load[n] * (conductance + vein)
+    return [*pressures, node], [*speeds, free[n] * net / (total * walls.damping[n])]
 
 
 def massless_jacobian(
@@ -124,10 +130,11 @@ def massless_jacobian(
         own = arteriole + m_i * walls.area[i]
         total = own + walls.venule[i]
         ratio = walls.venule[i] / total
-        rise = slope * (high - pressures[i]) + m_i * walls.stiffness[i]
+        rise = slope * (high - pressures[i])
+        give = free[i] * walls.stiffness[i] / walls.damping[i]
         below += ratio * own
-        own_slopes.append(ratio * rise)
-        diagonal.append(m_i * rise / total - free[i] * walls.stiffness[i] / walls.damping[i])
+        own_slopes.append(ratio * (rise + m_i * walls.stiffness[i]))
+        diagonal.append((m_i * rise - give * (arteriole + walls.venule[i])) / total)
         left.append(m_i * ratio)
     right = [s / below for s in own_slopes]
     right.append((m * walls.stiffness[n] - vein_slope * (node - low)) / below)
