@@ -51,6 +51,8 @@ class Waveform:
     def at(self, time_s: np.ndarray, *, before_jump: bool = False) -> np.ndarray:
         """The pressure at given times; at the instant of a jump the one after it, unless that before is asked. [Pa]"""
         knots, pressures = self.time_s, self.pressure_pa
+        if knots.size == 1:
+            return np.full(np.shape(time_s), pressures[0])
         after = np.searchsorted(knots, time_s, side="left" if before_jump else "right")
         low, high = np.maximum(after - 1, 0), np.minimum(after, knots.size - 1)
         length = knots[high] - knots[low]

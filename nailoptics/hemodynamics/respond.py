@@ -12,7 +12,7 @@ from ..variables import Variable, variable
 from . import inertial, massless
 from .drive import Drive, Waveform, waveform_of
 from .parameters import Parameters
-from .steady import steady_state, touch_inputs, wall_pressures
+from .steady import solve_walls, touch_inputs, wall_pressures
 from .walls import build_walls
 from .zones import PAPER_ZONES, Zones
 
@@ -72,16 +72,6 @@ def respond(
         "venous_pressure_pa": p.venous_pressure_pa if venous_pressure_pa is None else venous_pressure_pa,
     }
     waveforms = [waveform_of(name, value, time) for name, value in (given | touches).items()]
-    high, low, *held = [waveform.at(time[:1], before_jump=True)[0] for waveform in waveforms]
-    untouched = np.zeros(zones.inputs)
-    first = steady_state(
-        p,
-        arterial_pressure_pa=high,
-        venous_pressure_pa=low,
-        zones=zones,
-        pressure_pa=held if start == "steady" else untouched,
-    )
-    begin = np.append(first.capillary_diameter_m, first.vein_diameter_m)
 
     def to_channels(rows: np.ndarray) -> np.ndarray:
         return np.vstack([rows[:2], wall_pressures(zones, rows[2:])])
@@ -89,6 +79,11 @@ def respond(
     drive = Drive(waveforms, to_channels, begin_s=time[0], end_s=time[-1])
     over_time = np.array([waveform.at(time) for waveform in waveforms])
     walls, inputs = build_walls(p, zones), to_channels(over_time)
+    first = np.array([waveform.at(time[:1], before_jump=True) for waveform in waveforms])
+    if start == "untouched":
+        first[2:] = 0.0
+    high, low, *outside = to_channels(first)
+    begin = solve_walls(walls, np.array(outside), high, low)[0][:, 0]
     if model == "massless":
         width, pressure, closed = massless.integrate(walls, drive, time, begin, inputs, rtol=rtol)
     else:

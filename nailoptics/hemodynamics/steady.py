@@ -5,16 +5,24 @@ Two nested roots, each bracketed: the pressure of the vein node, and at a given 
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import finite
+from ..checks import Array, finite
 from ..errors import InputError
 from .parameters import Parameters
 from .walls import CLOSED_FRACTION, Walls, build_walls
 from .zones import PAPER_ZONES, Zones
+
+Function = Callable[[Array], Array]
+Branch = Literal["wide", "narrow"]
+_BRANCHES: tuple[Branch, ...] = ("wide", "narrow")
+# Diameters over the listed ones that differ by less are the same. [1]
+_SAME = 1e-6
+# Where the pressure of the vein node is tried first, from P_L to P_H: crowded near both, where vessels shut. [1]
+_NODE_PARTS = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 12))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,12 +33,16 @@ class SteadyState:
     vein_diameter_m : S float. D_V + x_V. [m]
     capillary_pressure_pa : (N, *S) float. Blood pressure. [Pa]
     vein_pressure_pa : S float. Blood pressure. [Pa]
+    branch : "wide" or "narrow": which balance this is, where there are two.
+    two_branches : S bool. There are two: what unloading ends in may differ from what loading led to.
     """
 
     capillary_diameter_m: np.ndarray
     vein_diameter_m: np.ndarray
     capillary_pressure_pa: np.ndarray
     vein_pressure_pa: np.ndarray
+    branch: Branch
+    two_branches: np.ndarray
 
 
 def steady_state(
@@ -42,6 +54,7 @@ def steady_state(
     venous_pressure_pa: ArrayLike | None = None,
     zones: Zones = PAPER_ZONES,
     pressure_pa: ArrayLike | None = None,
+    branch: Branch = "wide",
 ) -> SteadyState:
     """The vessels once a touch has been held for long; arrays of pressures are broadcast and solved together.
 
@@ -50,11 +63,17 @@ def steady_state(
     zones : Units along the nail and the reach of each pressure.
     pressure_pa : (M, *S) float. All touch pressures, for zones with other than two inputs. [Pa]
 
-    Vessels close on contact at a thousandth of their listed diameter, past which nothing moves. Should a unit balance
-    at more than one diameter (strong feedback of R_A on D_C), the widest is taken: the one reached from rest.
+    branch : Which balance is returned where there are several: "wide", that of an untouched finger, whose vessels are
+        all wider than in any other, or "narrow", whose vessels are all narrower.
 
-    Raises: InputError if a pressure is not finite, or the shapes do not fit.
+    Vessels close on contact at a thousandth of their listed diameter, past which nothing moves. Strong feedback of R_A
+    on D_C makes a second balance: vessels that a touch on them has shut may stay narrow after it, and those that a shut
+    vein has filled may stay wide. `two_branches` says where.
+
+    Raises: InputError if a pressure is not finite, the shapes do not fit, or the branch is neither.
     """
+    if branch not in ("wide", "narrow"):
+        raise InputError(f"branch must be 'wide' or 'narrow', got {branch!r}.")
     p = parameters
     arterial_pressure_pa = p.arterial_pressure_pa if arterial_pressure_pa is None else arterial_pressure_pa
     venous_pressure_pa = p.venous_pressure_pa if venous_pressure_pa is None else venous_pressure_pa
@@ -64,13 +83,16 @@ def steady_state(
     shape = high.shape
     walls = build_walls(p, zones)
     outside = wall_pressures(zones, np.array([pressure.ravel() for pressure in outer]))
-    width, pressure = solve_walls(walls, outside, high.ravel(), low.ravel())
-    n = zones.count
+    solved = {name: solve_walls(walls, outside, high.ravel(), low.ravel(), branch=name) for name in _BRANCHES}
+    n, (width, pressure) = zones.count, solved[branch]
+    gap = np.abs(solved["wide"][0] - solved["narrow"][0]) / np.array(walls.diameter)[:, None]
     return SteadyState(
         capillary_diameter_m=width[:n].reshape((n, *shape)),
         vein_diameter_m=width[n].reshape(shape)[()],
         capillary_pressure_pa=pressure[:n].reshape((n, *shape)),
         vein_pressure_pa=pressure[n].reshape(shape)[()],
+        branch=branch,
+        two_branches=(gap.max(axis=0) > _SAME).reshape(shape)[()],
     )
 
 
@@ -95,53 +117,74 @@ def wall_pressures(zones: Zones, touch_pa: np.ndarray) -> np.ndarray:
 
 
 def solve_walls(
-    walls: Walls, outside: np.ndarray, high: np.ndarray, low: np.ndarray, *, tolerance: float = 1e-14
+    walls: Walls,
+    outside: np.ndarray,
+    high: np.ndarray,
+    low: np.ndarray,
+    *,
+    tolerance: float = 1e-14,
+    branch: Branch = "wide",
 ) -> tuple[np.ndarray, np.ndarray]:
     """Widths [m] and pressures [Pa], (N+1, *S), of the walls in steady states.
 
     outside : (N+1, *S) float. Touch pressure on each wall. high, low : S float. P_H and P_L. [Pa]
     tolerance : error of the vein's pressure, relative to P_H and P_L, and of the diameters. [1]
+    branch : The balance whose vessels are the widest, or the narrowest, of all.
 
     The constants of `walls` may be arrays that broadcast to S.
     """
-    n = len(walls.venule)
+    # Along the last axis several pressures of the vein node are tried together.
+    n, (outside, high, low) = len(walls.venule), (values[..., None] for values in (outside, high, low))
+    constants = (walls.diameter, walls.stiffness, walls.area, walls.flow_factor, walls.venule)
     one = np.ones((1,) * high.ndim)
     rest, stiffness, area, factor, venule = (
-        np.stack([one * value for value in values])
-        for values in (walls.diameter, walls.stiffness, walls.area, walls.flow_factor, walls.venule)
+        np.stack([one * np.asarray(value)[..., None] for value in values]) for values in constants
     )
     tension = stiffness * rest / area
     conductance = factor * rest**4
     barrier = venule / conductance[:n]
 
     def unit_opening(node: np.ndarray) -> np.ndarray:
-        return _openings(tension[:n], barrier, node - outside[:n], high - node, tolerance=tolerance)
+        return _openings(tension[:n], barrier, node - outside[:n], high - node, tolerance=tolerance, branch=branch)
 
     def vein_opening(node: np.ndarray) -> np.ndarray:
         return np.maximum(CLOSED_FRACTION, 1.0 + (node - outside[n]) / tension[n])
 
+    # The sign of P_H - P_L says which end has more outflow.
+    sign = np.where(high >= low, 1.0, -1.0)
+
     def excess_outflow(node: np.ndarray) -> np.ndarray:
         arteriole = conductance[:n] * unit_opening(node) ** 4
         inflow = ((high - node) * arteriole * venule / (arteriole + venule)).sum(axis=0)
-        return conductance[n] * vein_opening(node) ** 4 * (node - low) - inflow
+        return np.asarray(sign * (conductance[n] * vein_opening(node) ** 4 * (node - low) - inflow))
 
-    # The sign of P_H - P_L says which end has more outflow.
-    sign = np.where(high >= low, 1.0, -1.0)
+    # All balances lie between the lowest crossing of zero with narrow units and the highest with wide ones.
+    tried = np.minimum(high, low) + _NODE_PARTS * np.abs(high - low)
+    above = excess_outflow(tried) > 0.0
+    above[..., 0], above[..., -1] = False, True
+    rising = above[..., 1:] & ~above[..., :-1]
+    last = _NODE_PARTS.size - 2
+    at = np.argmax(rising, axis=-1) if branch == "narrow" else last - np.argmax(rising[..., ::-1], axis=-1)
+    bracket = [np.take_along_axis(tried, at[..., None] + side, axis=-1) for side in (0, 1)]
     scale = np.maximum(np.abs(high), np.abs(low)) + 1.0
-    node = _bracketed_root(
-        lambda x: sign * excess_outflow(x), np.minimum(high, low), np.maximum(high, low), tolerance=tolerance * scale
-    )
+    node = _bracketed_root(excess_outflow, *bracket, tolerance=tolerance * scale)
     opening = unit_opening(node)
     arteriole = conductance[:n] * opening**4
     pressure = (arteriole * high + venule * node) / (arteriole + venule)
     width = np.concatenate([opening, vein_opening(node)[None]]) * rest
-    return width, np.concatenate([pressure, node[None]])
+    return width[..., 0], np.concatenate([pressure, node[None]])[..., 0]
 
 
 def _openings(
-    tension: np.ndarray, barrier: np.ndarray, push: np.ndarray, head: np.ndarray, *, tolerance: float
+    tension: np.ndarray,
+    barrier: np.ndarray,
+    push: np.ndarray,
+    head: np.ndarray,
+    *,
+    tolerance: float,
+    branch: Branch,
 ) -> np.ndarray:
-    """The widest opening u = (D+x)/D at which a capillary wall balances, or that of contact.
+    """The widest (or narrowest) opening u = (D+x)/D at which a capillary wall balances, or that of contact.
 
     tension (u-1) = push + head u^4/(u^4 + barrier), with P_N the vein node's pressure, all arrays that broadcast:
     push : P_N - P_F. head : P_H - P_N. tension : k D/A. [Pa]
@@ -151,32 +194,54 @@ def _openings(
 
     def balance(u: np.ndarray) -> np.ndarray:
         u4 = u**4
-        return tension * (u - 1.0) - push - head * u4 / (u4 + barrier)
+        return np.asarray(tension * (u - 1.0) - push - head * u4 / (u4 + barrier))
 
     def balance_slope(u: np.ndarray) -> np.ndarray:
-        return tension - 4.0 * head * barrier * u**3 / (u**4 + barrier) ** 2
+        return np.asarray(tension - 4.0 * head * barrier * u**3 / (u**4 + barrier) ** 2)
 
     lowest = np.full(push.shape, CLOSED_FRACTION)
     bottom = np.maximum(lowest, 1.0 + (push + np.minimum(head, 0.0)) / tension)
     top = np.maximum(lowest, 1.0 + (push + np.maximum(head, 0.0)) / tension)
     # Where the feedback u^4/(u^4 + barrier) is steeper than the wall's tension there may be three roots. The widest
-    # lies right of the minimum of the balance, which lies right of the feedback's steepest point, u^4 = 3/5 barrier.
+    # lies right of the minimum of the balance, which lies right of the feedback's steepest point, u^4 = 3/5 barrier,
+    # the narrowest left of the maximum, which lies left of it.
     steepest = (0.6 * barrier) ** 0.25
-    slope = 4.0 * head * barrier * steepest**3 / (1.6 * barrier) ** 2
-    if (slope > tension).any():
+    folded = balance_slope(steepest) < 0.0
+    if folded.any():
         with np.errstate(over="ignore"):
             far = np.maximum(steepest, top) + 1.0
-            minimum = _bracketed_root(balance_slope, steepest, far, tolerance=tolerance * far)
-        folded = slope > tension
-        wide = folded & (minimum < top) & (balance(minimum) <= 0.0)
-        bottom = np.where(wide, np.maximum(bottom, minimum), bottom)
-        top = np.where(folded & ~wide, np.clip(steepest, bottom, top), top)
-    return _bracketed_root(balance, bottom, top, tolerance=tolerance * top)
+            if branch == "wide":
+                turn = _bracketed_root(balance_slope, steepest, far, tolerance=tolerance * far)
+                exists = folded & (turn < top) & (balance(turn) <= 0.0)
+                bottom = np.where(exists, np.maximum(bottom, turn), bottom)
+                top = np.where(folded & ~exists, np.clip(steepest, bottom, top), top)
+            else:
+                turn = _bracketed_root(lambda u: -balance_slope(u), 0.0 * far, steepest, tolerance=tolerance * far)
+                turn = np.maximum(turn, lowest)
+                exists = folded & (balance(turn) >= 0.0)
+                top = np.where(exists, np.clip(turn, bottom, top), top)
+                bottom = np.where(folded & ~exists, np.clip(steepest, bottom, top), bottom)
+    return _newton_root(balance, balance_slope, bottom, top, tolerance=tolerance * top)
 
 
-def _bracketed_root(
-    function: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray, *, tolerance: np.ndarray
-) -> np.ndarray:
+def _newton_root(function: Function, slope: Function, low: Array, high: Array, *, tolerance: Array) -> Array:
+    """A root of each component of a smooth function, <= 0 at low and >= 0 at high, by Newton's method kept inside.
+
+    Where the function is positive at low already, that end is returned.
+    """
+    first, x, at_low = low, high, function(low) >= 0.0
+    for _ in range(100):
+        value = function(x)
+        low, high = np.where(value <= 0.0, x, low), np.where(value > 0.0, x, high)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            newton = x - value / slope(x)
+        last, x = x, np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
+        if np.all((np.abs(x - last) <= tolerance) | at_low):
+            break
+    return np.where(at_low, first, x)
+
+
+def _bracketed_root(function: Function, low: Array, high: Array, *, tolerance: Array) -> Array:
     """A root of each component of a function that is <= 0 at low and >= 0 at high, by Chandrupatla's method.
 
     Where the function is positive at low (or negative at high) already, that end is returned.

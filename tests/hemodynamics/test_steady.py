@@ -112,12 +112,12 @@ def test_zones_with_other_inputs_take_all_pressures_together():
     assert np.array_equal(three.capillary_diameter_m, two.capillary_diameter_m)
 
 
-def unbalanced(p, touch):
+def unbalanced(p, touch, branch="wide"):
     """Largest force that would still move a free wall, over that of the arterial pressure. [1]"""
     from nailoptics.hemodynamics import PAPER_ZONES
     from nailoptics.hemodynamics.walls import build_walls, massless_rates
 
-    s = steady_state(p, proximal_pressure_pa=touch[0], distal_pressure_pa=touch[1])
+    s = steady_state(p, proximal_pressure_pa=touch[0], distal_pressure_pa=touch[1], branch=branch)
     walls = build_walls(p, PAPER_ZONES)
     width = np.vstack([s.capillary_diameter_m, s.vein_diameter_m[None]])
     area, stiffness, rest, closed, damping = (
@@ -142,4 +142,65 @@ def test_any_set_within_bounds_balances_at_any_touch(feedback):
         values = {name: float(np.exp(rng.uniform(*np.log(limits[name])))) for name in SEARCHED}
         p = parameters("listed").replace(**values)
         p = p.replace(capillary_count=p.capillary_count / feedback, capillary_stiffness_n_per_m=2e4)
-        assert unbalanced(p, rng.uniform(0.0, 2e4, (2, 50))) < 1e-6
+        touch = rng.uniform(0.0, 2e4, (2, 50))
+        assert unbalanced(p, touch) < 1e-6 and unbalanced(p, touch, "narrow") < 1e-6
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_named_sets_have_one_balance_at_any_touch(name):
+    touch = np.linspace(0.0, 4e4, 201)
+    for proximal, distal in ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0)):
+        pressures = {"proximal_pressure_pa": proximal * touch, "distal_pressure_pa": distal * touch}
+        wide, narrow = (steady_state(parameters(name), branch=branch, **pressures) for branch in ("wide", "narrow"))
+        assert not wide.two_branches.any() and (wide.branch, narrow.branch) == ("wide", "narrow")
+        assert np.allclose(wide.capillary_diameter_m, narrow.capillary_diameter_m, rtol=1e-9)
+
+
+# Found among random sets within a factor of 10 of the list: soft capillaries that a touch on them shuts, and such that
+# a shut vein fills, which then feed it.
+SHUT, FILLED = (
+    {
+        "capillary_stiffness_n_per_m": stiffness[0],
+        "vein_stiffness_n_per_m": stiffness[1],
+        "capillary_damping_n_s_per_m": damping[0],
+        "vein_damping_n_s_per_m": damping[1],
+        "capillary_area_m2": area[0],
+        "vein_area_m2": area[1],
+        "capillary_diameter_m": diameter[0],
+        "vein_diameter_m": diameter[1],
+        "capillary_count": count[0],
+        "vein_count": count[1],
+        "venule_resistance_pa_s_per_m3": venule,
+    }
+    for stiffness, damping, area, diameter, count, venule in (
+        ((8e4, 260.0), (1.2e3, 23.0), (5.2e-4, 4.8e-5), (6.9e-6, 3.4e-5), (3e5, 250.0), 5.9e10),
+        ((5e4, 3.7e3), (5.4e4, 20.0), (1.1e-4, 2e-5), (2.3e-6, 1.2e-4), (3.2e4, 410.0), 5.4e10),
+    )
+)
+
+
+@pytest.mark.parametrize("distal", [0.0, 1.0])
+def test_two_branches_are_what_slow_loading_and_unloading_follow(distal):
+    from nailoptics.hemodynamics import respond
+
+    p = parameters("listed").replace(**(SHUT if distal else FILLED))
+    time = np.linspace(0.0, 1e5, 2001)
+    touch = 2e4 * np.interp(time, [0.0, 4e4, 6e4, 1e5], [0.0, 1.0, 1.0, 0.0])
+    pressures = {"proximal_pressure_pa": (1.0 - distal) * touch, "distal_pressure_pa": distal * touch}
+    moved = respond(p, time, **pressures)["capillary_diameter_m"].values
+    wide, narrow = (steady_state(p, branch=b, **pressures).capillary_diameter_m for b in ("wide", "narrow"))
+    two = steady_state(p, **pressures).two_branches
+    up, down = two & (time < 4e4), two & (time > 6e4)
+    assert 20 < up.sum() and abs(int(up.sum()) - int(down.sum())) <= 1 and not two[900:1100].any()
+    # A touch on the capillaries shuts them, one on the vein fills them: what it led to stays.
+    before, after = (wide, narrow) if distal else (narrow, wide)
+    listed = p.capillary_diameter_m
+    for part, branch in ((up, before), (down, after), (~two, wide)):
+        # Near a fold motion takes its time, which a ramp does not leave.
+        assert np.quantile(np.abs(moved - branch)[:, part] / listed, 0.9) < 0.01
+    assert np.abs(before - after)[:, two].max() > 0.1 * listed
+
+
+def test_a_branch_has_a_name():
+    with pytest.raises(InputError, match="branch must be 'wide' or 'narrow', got 'up'"):
+        steady_state(parameters("listed"), branch="up")
