@@ -5,8 +5,9 @@ import time
 import numpy as np
 import pytest
 
+from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
-from nailoptics.light import backend, detect, optics, read_rest
+from nailoptics.light import backend, detect, open_light, optics, read_rest
 from nailoptics.light.detect import engine_for
 from nailoptics.light.records import LedTrace
 from nailoptics.light.transfer import Transfer
@@ -196,3 +197,11 @@ def test_seconds_count_from_the_scene_on_and_apart_from_those_of_the_photons(jit
     assert found.transfer is not None
     whole, photons, setup = found.cpu_seconds, found.transfer.cpu_seconds, found.transfer.setup_seconds
     assert photons > 0 and setup > 0 and photons + setup <= whole <= spent and whole > 0.9 * spent
+
+
+@pytest.mark.jit
+def test_volpath_refuses_more_zones_than_it_can_tell_apart_in_one_line(chosen_jit):
+    text = (data_dir("scenes") / "white_band.toml").read_text(encoding="utf-8")
+    scene = parse_scene(text.replace("[light]", '[light]\nengine = "volpath"'), folder=data_dir("scenes"))
+    with pytest.raises(InputError, match='enough for two zones, and the scene has 8; take light.engine = "photons"'):
+        open_light(scene, states=np.full((2, 8), 0.03), relative_error=0.5)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import nailoptics as nail
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import PAPER_ZONES, zones
 from nailoptics.light.identity import light_digest
@@ -218,4 +219,10 @@ def test_blood_that_pools_is_arterial_and_what_is_squeezed_out_leaves_the_rest_a
 def test_blood_that_cannot_be_is_refused_in_one_line(text, words):
     with pytest.raises(InputError, match=words) as caught:
         scene_with(text)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_search_for_a_layout_refuses_more_than_its_two_zones_in_one_line():
+    with pytest.raises(InputError, match="place judges layouts by two blood zones, and the scene has 8") as caught:
+        nail.place(zoned())
     assert len(str(caught.value).splitlines()) == 1

@@ -52,6 +52,11 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     """
     if scene.finger is None:
         raise InputError("place needs a [finger] scene; a phantom has no board and no force.")
+    if len(scene.zone_edges_mm) > 1:
+        raise InputError(
+            f"blood: place judges layouts by two blood zones, and the scene has {len(scene.zone_edges_mm) + 1}; "
+            "leave zones out, or give one edge."
+        )
     options, accuracy, cpu = TraceOptions(**requested), scene.accuracy, time.process_time()
     photons = options.photons or accuracy.photons
     limit_s = options.max_seconds or accuracy.max_seconds or (math.inf if photons else DEFAULT_SECONDS)
