@@ -159,8 +159,10 @@ def test_effects_that_are_read_from_one_trace_have_true_errors(chosen_jit):
     assert np.isfinite(z).all() and (each[:, :, 1] > 0).all()
     covered = (np.abs(z) < Z95).mean(axis=(0, 3, 4))
     assert (covered > 0.87).all(), covered
-    held = (np.abs(each[:, :, 0]) + Z95 * each[:, :, 1] >= np.abs(truth[:, 0])).mean(axis=(0, 3, 4))
-    assert (held > 0.85).all(), held
+    # The value of sixty times the photons is an estimate, too, with an error of its own.
+    most = np.abs(each[:, :, 0]) + Z95 * np.hypot(each[:, :, 1], truth[:, 1])
+    held = (most >= np.abs(truth[:, 0])).mean(axis=(0, 3, 4))
+    assert (held > 0.9).all(), held
     # Errors that were far too large would say nothing: those of melanin and pulp are what the values scatter by.
     assert (np.sqrt((z**2).mean(axis=(0, 3, 4)))[[0, 2]] > 0.7).all()
 
