@@ -192,6 +192,10 @@ THEIRS = {
     "SUBJECT.toml",
     "READINGS.csv",
     "FILE.csv",
+    "me.toml",
+    "proximal.csv",
+    "distal.csv",
+    "steps.csv",
     "results/prototype/report.html",
 }
 THEIRS |= {*SIMULATION, *COMPARISON, *PLACEMENT, *TRADEOFF, *PREDICTION, "table.csv", "_fig10.png"}
@@ -216,7 +220,7 @@ def prose(path: Path) -> Iterator[str]:
 def test_every_file_that_a_text_names_exists():
     shipped = {
         str(path.relative_to(ROOT))
-        for folder in ("nailoptics", "tests", "assets", "scenes", "scripts", ".github")
+        for folder in ("nailoptics", "tests", "assets", "scenes", ".github")
         for path in (ROOT / folder).rglob("*.*")
     } | {path.name for path in ROOT.glob("*.*")}
     readable = [ROOT / name for name in shipped if name.endswith((".py", ".md", ".toml", ".csv"))]

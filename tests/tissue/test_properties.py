@@ -148,7 +148,7 @@ def test_what_passes_the_nail_plate_falls_exponentially_with_its_thickness():
 
 
 def test_the_shipped_nail_plate_is_what_its_script_fits():
-    script = Path(__file__).parents[2] / "scripts/fit_nail_plate.py"
+    script = Path(__file__).parents[2] / "assets/spectra/fit_nail_plate.py"
     printed = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True).stdout.splitlines()
     shipped = asset_path("spectra/nail_plate.csv").read_text(encoding="utf-8").splitlines()
     header = [line for line in shipped if line.startswith("#")]

@@ -1,6 +1,6 @@
 """Fit the nail plate's absorption to the few facts that are known of it, and print assets/spectra/nail_plate.csv.
 
-    python scripts/fit_nail_plate.py > assets/spectra/nail_plate.csv
+    python assets/spectra/fit_nail_plate.py > assets/spectra/nail_plate.csv
 
 No table of the nail plate's optics was found, so this makes one. The facts: a healthy fingernail passes about 20 % of
 blue light and more, gradually, the longer the wavelength; UV-A hardly passes; what passes falls exponentially with
@@ -43,7 +43,7 @@ LEAST_MU_A, MOST_MU_A = 1e-4, 50.0
 # One paragraph of the table's header each.
 HEADER = (
     "FITTED, not measured: absorption and reduced scattering of the human nail plate. No published table was found. "
-    "Made by scripts/fit_nail_plate.py, which says how.",
+    "Made by assets/spectra/fit_nail_plate.py, which says how.",
     "Facts: through healthy fingernails about 20 % of the blue light passes, more at longer wavelengths, gradually, "
     "and exponentially less with thickness (400-750 nm; Effect of nail thickness on visible radiation transmittance: "
     "implications for new photodynamic therapy technologies in onychomycosis, Photochem. Photobiol. 96, 1267-1272 "
@@ -90,7 +90,7 @@ def uneven_loss(mu_a_per_mm: float, wavelength_nm: float) -> float:
 
 def water_mu_a_per_mm(wavelength_nm: float) -> float:
     """Absorption of the plate's water; none where the shipped table of water has not begun. [mm^-1]"""
-    path = Path(__file__).resolve().parents[1] / "assets/spectra/water.csv"
+    path = Path(__file__).with_name("water.csv")
     rows = csv.DictReader(line for line in path.read_text().splitlines() if not line.startswith("#"))
     wavelength, mu_a = np.array([[float(x) for x in row.values()] for row in rows]).T
     return float(WATER * np.interp(wavelength_nm, wavelength, mu_a, left=mu_a[0]))
