@@ -82,6 +82,7 @@ def test_light_of_one_path_spreads_as_the_absorption_does():
     assert (found.signal.own == 0).all() and not found.signal.keeps_sign.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("field, value", [("finger.plate_absorption", 0.5), ("finger.bed_absorption", 4.0)])
 def test_a_reread_prior_meets_a_fresh_trace_of_it(jit_backend, traced, field, value):
     changed = at_value(traced.scene, field, value)
@@ -119,6 +120,7 @@ def test_one_prior_at_a_time_adds_up_to_all_at_once(traced):
     assert found.signal.total[0][0] == pytest.approx(signal, rel=0.3)
 
 
+@pytest.mark.slow
 def test_the_standard_error_of_a_spread_is_true(traced):
     """Twenty parts of the photons, each by itself, against all of them: 95 % intervals hold what they tell."""
     light, parts = traced.traces[0], 20
@@ -160,6 +162,7 @@ def test_a_sign_holds_where_no_node_and_no_sum_of_them_turns_it():
     assert Spread((prior,), nodes, own).keeps_sign.tolist() == [[True, False, False]]
 
 
+@pytest.mark.slow
 def test_a_simulated_touch_tells_its_spread_and_is_silent_where_that_is_off(chosen_jit):
     found = simulate(
         prototype("blood.so2", ranges=(PriorRange(field="finger.plate_absorption", low=0.9, high=1.1),)),

@@ -14,6 +14,7 @@ from nailoptics.studies.placement.place import finger_condition
 from nailoptics.studies.placement.scores import score_layout
 from nailoptics.studies.unknowns import at_value
 
+pytestmark = pytest.mark.slow
 FIELDS = ("finger.plate_absorption", "finger.bed_absorption", "finger.bed_scattering")
 
 
@@ -47,7 +48,6 @@ def test_the_ranking_is_told_over_every_prior_that_only_absorbs(ranked):
     assert int(found.nodes) == 6 and int(found.best_stays_best_at) == 6 and int(found.best_surely_beaten_at) == 0
 
 
-@pytest.mark.slow
 def test_a_node_is_what_a_placement_of_that_finger_finds(ranked):
     """Rationale: the same layout judged on a finger that has the node's value, by photons of its own."""
     base, rules, layouts, cases, found = ranked
