@@ -73,7 +73,7 @@ def simulation_lines(summary: dict[str, Any]) -> list[str]:
         lines.append(
             "+-: the trace's standard error; spread: one standard deviation over what is unknown of the finger"
         )
-    return [*lines, *absorbed_lines(summary["absorbed"]), *summary.get("conclusions", [])]
+    return [*lines, *absorbed_lines(summary.get("absorbed", {})), *summary.get("conclusions", [])]
 
 
 def check_lines(report: dict[str, Any]) -> list[str]:
