@@ -303,9 +303,10 @@ def check(scene: ScenePath, *, json_: Json = False) -> None:
     if loaded.finger is not None:
         from .geometry import build, check_watertight
         from .report.scene_words import blood_words, body_words, touch_words
-        from .studies.blood_states import vessels
+        from .studies.blood_states import forces_with_two_balances_n
 
-        vessels(loaded)
+        two = forces_with_two_balances_n(loaded)
+        report["two_balances_n"] = [float(two.min()), float(two.max())] if two.size else None
         mesh = build(loaded)
         found = check_watertight(mesh, crossings=100_000)
         report |= {"touch": touch_words(loaded), "blood": blood_words(loaded), "body": body_words(loaded)}

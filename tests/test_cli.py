@@ -373,6 +373,7 @@ def test_a_shipped_scene_is_found_by_name_from_anywhere(folder, capfd):
         assert run(["check", name, "--json"]) == 0
         found = only_json(capfd)
         assert found["valid"] and found["disagreements"] == 0 and found["volume_error"] < 1e-6
+        assert found["two_balances_n"] is None
     (folder / "prototype.toml").write_text(PHANTOM)
     assert run(["check", "prototype.toml", "--json"]) == 0
     assert "regions" not in only_json(capfd)  # the user's own file comes first

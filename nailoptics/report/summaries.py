@@ -89,6 +89,12 @@ def check_lines(report: dict[str, Any]) -> list[str]:
             f"surface, it came into another region than that surface says {report['disagreements']} times; volumes by "
             f"surfaces and by cells agree within {report['volume_error']:.0e} of the whole",
         ]
+        if report.get("two_balances_n"):
+            low, high = report["two_balances_n"]
+            lines.append(
+                f"warning: between {low:g} and {high:g} N these vessels can rest in two states, so that unloading may "
+                "end elsewhere than loading began; simulate follows them, steady states are the wider of the two"
+            )
     return lines
 
 

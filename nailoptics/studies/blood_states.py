@@ -183,13 +183,28 @@ def white_band_mm(scene: Scene, blood_fraction: np.ndarray) -> np.ndarray:
 
 def steady_blood(scene: Scene, force_n: ArrayLike) -> np.ndarray:
     """Blood fractions once each of the forces has been held for long, (n, zones) float for (n,) forces. [1]"""
+    return _steady(scene, capillary_zones(scene), _held_pressures_pa(scene, force_n))
+
+
+def forces_with_two_balances_n(scene: Scene) -> np.ndarray:
+    """The forces, of 101 from 0 to the touch's largest, under which the vessels could rest in two states. [N]
+
+    There the blood depends on whether the force has grown or fallen to what it is.
+    """
+    force_n = np.linspace(0.0, largest_force_n(scene), 101)
+    rows = np.array(np.broadcast_arrays(*_held_pressures_pa(scene, force_n)))
+    state = hemodynamics.steady_state(vessels(scene), pressure_pa=rows, zones=capillary_zones(scene))
+    return force_n[state.two_branches]
+
+
+def _held_pressures_pa(scene: Scene, force_n: ArrayLike) -> list[np.ndarray]:
     rows = list(touch_pressures_pa(scene, force_n))
     shear_n = shear_course_n(scene)
     if shear_n is not None:
         forces_n = force_course(scene)[1]
         most = int(np.argmax(forces_n))
         rows.append(np.abs(shear_n[most]) / forces_n[most] * np.asarray(force_n) / _distal_area_m2(scene))
-    return _steady(scene, capillary_zones(scene), rows)
+    return rows
 
 
 def steady_blood_at(scene: Scene, *, proximal_pressure_pa: ArrayLike, distal_pressure_pa: ArrayLike) -> np.ndarray:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from nailoptics.hemodynamics import parameters, respond, steady_state, zones
+from nailoptics.hemodynamics import cardiac_pressure, parameters, respond, steady_state, zones
 
 sys.path.append(str(Path(__file__).parents[1]))
 
@@ -63,7 +63,13 @@ def measure() -> dict[str, float]:
     touch = {"proximal_pressure_pa": press, "distal_pressure_pa": press}
     many = np.random.default_rng(0).uniform(0.0, 2e4, (2, 10_000))
     two = seconds(lambda: respond(p, time_s, **touch), 15)
-    eight = seconds(lambda: respond(p, time_s, zones=zones(8), **touch), 15)
+    band = zones(8, decay_length=0.3)  # with a white band that moves
+    eight = seconds(lambda: respond(p, time_s, zones=band, **touch), 15)
+    long_s = np.arange(20_000) * 1e-3
+    noisy = 5e3 + np.random.default_rng(0).normal(0.0, 200.0, long_s.size)
+    noise = seconds(lambda: respond(p, long_s, proximal_pressure_pa=noisy, distal_pressure_pa=noisy), 1)
+    beat = cardiac_pressure(long_s)
+    pulse = seconds(lambda: respond(p, long_s, arterial_pressure_pa=beat), 1)
     static = seconds(lambda: steady_state(p, proximal_pressure_pa=many[0], distal_pressure_pa=many[1]), 3)
     radau = seconds(lambda: radau_six_states(time_s, press), 1)
     run = respond(p, time_s, **touch)
@@ -72,6 +78,8 @@ def measure() -> dict[str, float]:
         "press_two_zones_s": two,
         "press_eight_zones_s": eight,
         "eight_over_two": eight / two,
+        "noisy_samples_20000_s": noise,
+        "pulsed_samples_20000_s": pulse,
         "steady_states_10000_s": static,
         "radau_six_states_s": radau,
         "radau_over_ours": radau / two,
@@ -80,6 +88,8 @@ def measure() -> dict[str, float]:
 
 
 TARGETS = {"press_two_zones_s": 0.03, "eight_over_two": 5.0, "steady_states_10000_s": 1.0}
+# The least that counts as a replacement of the established solver.
+LEAST = {"radau_over_ours": 20.0}
 
 
 if __name__ == "__main__":
@@ -89,5 +99,7 @@ if __name__ == "__main__":
     else:
         for name, value in results.items():
             goal = f"   (target: at most {TARGETS[name]:g})" if name in TARGETS else ""
+            goal = f"   (target: at least {LEAST[name]:g})" if name in LEAST else goal
             print(f"{name:<34} {value:10.4g}{goal}")
-    sys.exit(any(results[name] > goal for name, goal in TARGETS.items()))
+    missed = [name for name, goal in TARGETS.items() if results[name] > goal]
+    sys.exit(bool(missed) or any(results[name] < goal for name, goal in LEAST.items()))

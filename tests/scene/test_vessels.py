@@ -6,8 +6,9 @@ import pytest
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import Parameters, parameters
+from nailoptics.report.summaries import check_lines
 from nailoptics.scene import Tuning, parse_scene
-from nailoptics.studies.blood_states import blood_over_touch, vessels
+from nailoptics.studies.blood_states import blood_over_touch, forces_with_two_balances_n, vessels
 
 SCENE = """
 schema_version = 1
@@ -21,6 +22,10 @@ name = "pd"
 position_mm = [0.5, 0.0]
 [blood]
 parameters = "best"
+"""
+DISTAL = """profile = "hold"
+force_n = 1.0
+proximal_share = 0.0
 """
 
 
@@ -44,6 +49,19 @@ def test_tuned_vessels_answer_a_touch_in_their_own_way():
     stiff = SCENE + "[blood.tuning]\nfactors = { vein_stiffness_n_per_m = 4.0 }"
     dammed = [blood_over_touch(parse_scene(text)).blood_fraction.isel(zone=0).max() for text in (SCENE, stiff)]
     assert dammed[1] < 0.9 * dammed[0]
+
+
+def test_forces_with_two_balances_are_told():
+    """Strong feedback on soft capillaries: few of them, with walls that give way."""
+    listed = SCENE.replace("best", "listed")
+    soft = listed + "[blood.tuning]\ncapillary_count = 1e3\ncapillary_stiffness_n_per_m = 1.5e4\n[touch]\n" + DISTAL
+    assert forces_with_two_balances_n(parse_scene(listed + "[touch]\n" + DISTAL)).size == 0
+    two = forces_with_two_balances_n(parse_scene(soft))
+    assert 0.0 < two.min() < two.max() <= 1.0
+    found = {"regions": [], "triangles": 1, "crossings": 1, "disagreements": 0, "volume_error": 0.0, "vessels": "best"}
+    report = found | {"scene": "soft", "valid": True, "two_balances_n": [two.min(), two.max()]}
+    assert f"warning: between {two.min():g} and {two.max():g} N" in check_lines(report)[-1]
+    assert len(check_lines(report)) == len(check_lines(report | {"two_balances_n": None})) + 1
 
 
 @pytest.mark.parametrize(
