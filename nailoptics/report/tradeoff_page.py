@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # What the axes show of the errors, and the errors at which a level's curve is computed.
-LEAST, MOST = 5e-4, 3.0
+LEAST, MOST = 5e-4, 10.0
 GRID = np.geomspace(LEAST, MOST, 200)
 # Names lie so many decades apart.
 APART = 0.17

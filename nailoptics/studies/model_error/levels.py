@@ -167,7 +167,10 @@ class Bench:
         bounds = np.abs(values) + Z95 * np.hypot(error, shared * values)
         bound = float(np.max(np.where(np.isfinite(bounds), bounds, np.inf)))
         mean, stderr = paired.weighted_mean(values, error, self.base)
-        return Bias(mean, float(np.hypot(stderr, shared * mean)), bound)
+        # The weights are estimates, too: of n photons a relative variance 1 / n is known to 1 / sqrt(n).
+        weight = self.base.relative_stderr**-2.0
+        drift = float(np.linalg.norm(weight / weight.sum() * (values - mean) * self.base.relative_stderr))
+        return Bias(mean, math.hypot(stderr, shared * mean, drift), bound)
 
     def reading_of(self, level: np.ndarray, relative_stderr: ArrayLike = 0.0) -> Bias:
         """The bias of readings at rest that share no photons with the reference, and their relative errors."""

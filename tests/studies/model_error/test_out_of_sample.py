@@ -7,6 +7,7 @@ from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.light.diffusion import DiffusionModel
 from nailoptics.options import TraceOptions
+from nailoptics.scene import Scene
 from nailoptics.studies.model_error import levels, paired
 from nailoptics.studies.model_error.tradeoff import Tradeoff, tradeoff
 from nailoptics.studies.model_error.variants import Changes, revised
@@ -35,10 +36,12 @@ def named(found: Tradeoff) -> dict[str, list[tuple[str, float]]]:
     return out
 
 
-def off(level: levels.Level, base: paired.PairedReadings, tracer: paired.PairedTracer) -> paired.Difference:
+def off(
+    level: levels.Level, scene: Scene, base: paired.PairedReadings, tracer: paired.PairedTracer
+) -> paired.Difference:
     """How far a level reads from the full model, with many photons of another seed."""
     if level.first.per_second:
-        return paired.difference(base, tracer.trace(revised(base.transfer.scene, level.changes or {})))
+        return paired.difference(base, tracer.trace(revised(scene, level.changes or {})))
     states = paired.end_states(base.transfer.scene)
     if level.reading is None:
         name = level.name.removesuffix(", literature")
@@ -66,7 +69,7 @@ def test_what_is_named_keeps_its_tolerance_with_other_seeds_and_ten_times_the_ph
     for chosen, uses in named(found).items():
         if chosen == levels.REFERENCE:
             continue
-        far = off(by_name[chosen], base, tracer)
+        far = off(by_name[chosen], scene, base, tracer)
         for judge, tolerance in uses:
             for what, values, errors in (
                 ("reading", far.ratio, far.ratio_stderr),
