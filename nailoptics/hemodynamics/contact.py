@@ -64,7 +64,7 @@ def side_areas_mm2(
 def creeping_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, relaxation_s: float) -> np.ndarray:
     """The pressure that a touch leaves in the pulp, which yields at once and recovers slowly, (..., T) float. [Pa]
 
-    time_s : (T,) float, increasing. [s]
+    time_s : (T,) float, not decreasing; a time that comes twice is a jump. [s]
     pressure_pa : (..., T) float. Of the touch, linear between the times. [Pa]
     relaxation_s : Time constant of the recovery; 0 is none. [s]
 
@@ -80,8 +80,10 @@ def creeping_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, relaxation_s
     left = touch.copy()
     if relaxation > 0.0:
         for i, h in enumerate(np.diff(time)):
-            lag = (touch[..., i + 1] - touch[..., i]) / h * relaxation
+            lag = (touch[..., i + 1] - touch[..., i]) * (relaxation / h if h > 0.0 else 0.0)
+            # What the touch has left behind; at a jump nothing has time to die away.
             relaxed = touch[..., i + 1] - lag + (left[..., i] - touch[..., i] + lag) * np.exp(-h / relaxation)
+            relaxed = relaxed if h > 0.0 else left[..., i]
             left[..., i + 1] = np.maximum(touch[..., i + 1], relaxed)
     return left
 

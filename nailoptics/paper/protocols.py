@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..hemodynamics.contact import creeping_pressure, pressures
 from ..hemodynamics.zones import zones
+from ..scene.base import USUAL_DECAY_LENGTH
 
 # 1 N/cm^2, the paper's unit of pressure. [Pa]
 N_PER_CM2 = 1e4
@@ -29,8 +30,8 @@ LOADING_S, UNLOADING_S = 0.16, 0.12
 CYCLE_HZ, CYCLES = 0.05, 3
 # The finger of the experiments has what the paper names as missing from its model: the white zone spreads from the tip,
 # and the distal pulp recovers with one relaxation time.
-FINGER_ZONES = zones(8, decay_length=0.5)
-RELAXATION_S = 0.22
+FINGER_ZONES = zones(8, decay_length=USUAL_DECAY_LENGTH)
+RELAXATION_S = 0.2
 # The release is a ramp this short, so that the touch is a step for every model here. [s]
 _RELEASE_S = 1e-6
 

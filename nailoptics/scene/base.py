@@ -9,7 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field
 USUAL_BLOOD_FRACTION = 0.03  # of the nail bed at rest: measured values span 0.01 to 0.05
 USUAL_SO2 = 0.97  # arterial blood of a healthy adult at sea level, whose pulse oximeter shows 95 to 99 %
 USUAL_MELANIN_FRACTION = 0.013  # the middle of the 0.9 to 1.7 % that the epidermis beside nails holds
-USUAL_DECAY_LENGTH = 0.15  # of the distal pressure, in lengths of the bed: the white band takes a part of it at 4 N
+# Of the distal pressure, in lengths of the bed: the white band takes a half of it from 1 to 4 N, and the distal reading
+# stays linear to 1 N as in the paper's Fig. 17, which a shorter one bends.
+USUAL_DECAY_LENGTH = 0.4
 USUAL_CONTACT_AREA_MM2 = 100.0  # 1 cm^2, on which 1 N presses with the paper's 1 N/cm^2
 
 

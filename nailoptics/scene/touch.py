@@ -80,6 +80,9 @@ class Touch(Table):
     """Area on which the proximal share presses; by default its part of the contact, but at least half. [mm^2]"""
     distal_area_mm2: Positive | None = None
     """Area on which the distal share presses; by default its part of the contact, but at least half. [mm^2]"""
+    distal_relaxation_s: Positive | None = None
+    """Time constant with which the distal pulp, which yields at once, recovers where the touch presses less: 0.2 makes
+    the distal reading as slow on release as the paper's. If not given it recovers at once. [s]"""
     shear_n: Annotated[float, Field(ge=-100, le=100)] | None = None
     """Longitudinal force where the force is largest, positive towards the tip; it rises and falls with the force. Of it
     the paper says only that it widens the white band: here it presses on the distal capillaries besides the force, by

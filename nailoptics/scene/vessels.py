@@ -97,7 +97,7 @@ class Blood(Table):
     """Width of the smooth passage from zone to zone; no more than a zone where zones tells their number. [mm]"""
     decay_length: Annotated[float, Field(ge=0.01, le=100)] | None = None
     """Reach of the distal pressure, in lengths of the nail: it falls off as exp(-d/decay_length) with the distance d
-    from the tip. If not given, the distal one of two zones feels it alone; with more zones 0.15."""
+    from the tip. If not given, the distal one of two zones feels it alone; with more zones 0.4."""
 
     @model_validator(mode="after")
     def _zones_are_said_once_and_apart(self) -> Self:

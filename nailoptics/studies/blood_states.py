@@ -18,6 +18,8 @@ from ..variables import Variables, variable
 WARM_UP_S = 5.0
 # Its pressure goes through so many knots in the shortest of its periods: a pulse is off by 0.4 % of its height at most.
 KNOTS_PER_PERIOD = 128
+# A relaxation goes through so many knots in its time constant: between them it is off by 5e-4 of what is left.
+KNOTS_PER_RELAXATION = 16
 
 
 def vessels(scene: Scene) -> hemodynamics.Parameters:
@@ -60,7 +62,25 @@ def pressure_course(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     recorded_pa = _recorded_pressures_pa(scene)
     rows = np.array(touch_pressures_pa(scene, force_n)) if recorded_pa is None else recorded_pa
     shear_n = shear_course_n(scene)
-    return time_s, rows if shear_n is None else np.vstack([rows, np.abs(shear_n) / _distal_area_m2(scene)])
+    if shear_n is not None:
+        rows = np.vstack([rows, np.abs(shear_n) / _distal_area_m2(scene)])
+    return _with_recovery(time_s, rows, relaxation_s=scene.touch.distal_relaxation_s)
+
+
+def _with_recovery(
+    time_s: np.ndarray, rows: np.ndarray, *, relaxation_s: float | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same course where the distal pulp, row 1, recovers slowly, at as many more times as that needs."""
+    if relaxation_s is None:
+        return time_s, rows
+    after_s = relaxation_s * np.arange(1, 10 * KNOTS_PER_RELAXATION) / KNOTS_PER_RELAXATION
+    gaps_s = np.append(np.diff(time_s), np.inf)
+    more_s = np.concatenate([t + after_s[after_s < gap] for t, gap in zip(time_s, gaps_s, strict=True)])
+    more = [hemodynamics.Waveform(time_s=time_s, pressure_pa=row).at(more_s) for row in rows]
+    order = np.argsort(np.concatenate([time_s, more_s]), kind="stable")
+    time_s, rows = np.concatenate([time_s, more_s])[order], np.hstack([rows, more])[:, order]
+    rows[1] = hemodynamics.creeping_pressure(time_s, rows[1], relaxation_s=relaxation_s)
+    return time_s, rows
 
 
 def shear_course_n(scene: Scene) -> np.ndarray | None:

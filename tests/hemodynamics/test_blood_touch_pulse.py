@@ -100,6 +100,9 @@ def test_the_pulp_yields_at_once_and_recovers_slowly_however_finely_it_is_sample
     beyond = left[1][held] - 2e3
     assert np.allclose(beyond, beyond[0] * np.exp(-(fine[held] - 1.5) / 0.5), rtol=1e-9)
     assert np.array_equal(creeping_pressure(coarse, touches[0], relaxation_s=0.0), touches[0])
+    # A jump down leaves all of the pressure at its instant, one up is followed.
+    jumps = creeping_pressure([0.0, 1.0, 1.0, 1.5, 1.5], [1e4, 1e4, 0.0, 0.0, 9e3], relaxation_s=0.5)
+    assert np.allclose(jumps, [1e4, 1e4, 1e4, 1e4 * np.exp(-1.0), 9e3], rtol=1e-12)
     with pytest.raises(InputError, match="relaxation_s"):
         creeping_pressure(coarse, touches[0], relaxation_s=-1.0)
 

@@ -70,6 +70,18 @@ def test_a_distal_cycle_leaves_the_proximal_vein_alone_and_shows_hysteresis():
     assert down < 0.97 * up
 
 
+def test_the_distal_pulp_recovers_with_its_time_constant_after_a_step():
+    text = '[touch]\nforce_n = 1.0\nsite = "distal"\ndistal_relaxation_s = 0.2\n'
+    run = blood_over_touch(scene_with(text))
+    left = run.distal_pressure_pa.sel(time=[0.3, 2.24, 2.25, 2.45, 2.65, 3.25], method="nearest").values
+    assert left == pytest.approx(1e4 * np.exp([0.0, 0.0, 0.0, -1.0, -2.0, -5.0]), rel=2e-3)
+    assert run.proximal_pressure_pa.max() == 0.0
+    # It is off unless asked for, and on the proximal side there is none.
+    assert not blood_over_touch(scene_with('[touch]\nsite = "distal"\n')).distal_pressure_pa.values[-150:].any()
+    proximal = scene_with('[touch]\nsite = "proximal"\ndistal_relaxation_s = 0.2\n')
+    assert not blood_over_touch(proximal).proximal_pressure_pa.values[-150:].any()
+
+
 def test_a_heartbeat_beats_in_the_blood_and_is_off_unless_asked_for():
     still, beating = (
         scene_with('[touch]\nprofile = "hold"\nforce_n = 0.0\n'),
