@@ -168,6 +168,8 @@ RULES = (
          lambda r: _smallest_step(-_blood(r.both[1])), low=0.0),
     Rule("11", _SMOOTH, "overshoot of the proximal reading, of its largest change",
          lambda r: _overshoot(r.both_on[0] ** 2, r.both_off[0] ** 2), high=0.05),
+    Rule("11", _SMOOTH, "overshoot of the distal reading, of its largest change",
+         lambda r: _overshoot(r.both_on[1] ** 2, r.both_off[1] ** 2), high=0.05),
     Rule("11", _DISTAL_BOTH_WAYS, "distal reading off its chord to 1 N/cm^2, of the change",
          lambda r: _off_chord(_blood(r.both[1])), high=0.1),
     Rule("11", _DISTAL_BOTH_WAYS, "distal time constants, unloading over loading, 0.5 to 1",
