@@ -199,7 +199,7 @@ def test_times_of_output_do_not_change_the_motion():
 
 
 def test_a_step_given_by_its_jump_does_not_depend_on_the_times_of_output():
-    p = parameters("best")
+    p = parameters("compromise")
     step = Waveform(time_s=[0.25, 0.25, 2.25, 2.25], pressure_pa=[0.0, 9e3, 9e3, 0.0])
     at = np.array([0.0, 0.25, 0.5, 2.25, 2.4, 4.0])
 
