@@ -17,8 +17,8 @@ from .subject import Subject, read_subject
 
 Array = NDArray[np.float64]
 
-# A recording does not fit its subject if more of its samples than this are outliers, or if its readings are on average
-# further off their predictions than this, in variances.
+# A recording does not fit its subject if more of its samples than this are outliers (the first of a sudden touch are
+# some), or if all others are on average further off their predictions than this, in variances.
 MOST_OUTLIERS, MOST_CHI2 = 0.03, 1.5
 # Patterns of a misfit are named where they explain this part of it.
 EXPLAINED = 0.8
@@ -225,7 +225,8 @@ def _consistency(
 ) -> tuple[bool, str]:
     """Whether the readings fit the subject; else in one word what it looks like."""
     outliers = float(np.mean([one.outlier for one in estimates]))
-    chi2 = sum(one.surprise for one in estimates) / max(sum(one.count for one in estimates), 1)
+    usual = [one for one in estimates if not one.outlier]
+    chi2 = sum(one.surprise for one in usual) / max(sum(one.count for one in usual), 1)
     if outliers <= MOST_OUTLIERS and chi2 <= MOST_CHI2:
         return True, ""
     return False, _pattern(subject, recording, observer)
