@@ -356,9 +356,9 @@ def figures(
 
     course = None if touch is None else [np.asarray(column) for column in read_recording(touch)]
     judged, pictures = {}, []
+    named = {name: hemodynamics.parameters(name) for name in sets or hemodynamics.NAMES}
     make_folder(output)
-    for name in sets or hemodynamics.NAMES:
-        parameters = hemodynamics.parameters(name)
+    for name, parameters in named.items():
         responses = simulate_responses(parameters)
         recorded = None if course is None else (course[0], course[1], pressed(parameters, *course))
         pictures += draw(output, responses, name=name, recorded=recorded)

@@ -62,9 +62,11 @@ def simulation_lines(summary: dict[str, Any]) -> list[str]:
         if row["saturated"]:
             line += "saturated: the converter is at its limit, these volts do not tell the light"
         else:
-            line += f"{row['volts_start_stderr']:8.4f}" + (f" {row['volts_start_spread']:8.4f}" if spread else "")
+            line += f"{row['volts_start_stderr']:8.4f}" + (
+                f" {row.get('volts_start_spread', math.nan):8.4f}" if spread else ""
+            )
             line += f" {1e3 * row['volts_change']:10.3f} {1e3 * row['volts_change_stderr']:7.3f}"
-            line += f" {1e3 * row['volts_change_spread']:8.3f}" if spread else ""
+            line += f" {1e3 * row.get('volts_change_spread', math.nan):8.3f}" if spread else ""
             line += f" {1e3 * row['volts_noise_rms']:9.4f}"
         lines.append(line)
     hold_s = summary["readings"][0]["time_of_change_s"]

@@ -74,7 +74,9 @@ class Spread:
 
     def _variance(self, prior: int) -> np.ndarray:
         """Variance that one prior makes, (1 + groups, ...) float."""
-        each = self.nodes[prior] - self.own
+        # The logarithm of a reading that saw no light is not known, whatever the prior.
+        own = np.where(np.isfinite(self.own), self.own, np.nan)
+        each = np.where(np.isfinite(self.nodes[prior]), self.nodes[prior], np.nan) - own
         weights = WEIGHTS.reshape(-1, *([1] * (each.ndim - 1)))
         return np.asarray((weights * each**2).sum(0) - (weights * each).sum(0) ** 2)
 

@@ -225,7 +225,7 @@ def test_a_failed_scene_is_recorded_stops_no_other_and_is_retried_when_asked(jit
     with pytest.raises(NotReachedError, match="2 failed") as caught:
         run_batch(sweep, tmp_path / "b", workers=1)
     assert len(caught.value.result.done) == 2 and all(
-        "by volpath" in why for why in caught.value.result.failed.values()
+        "needs the photons engine" in why for why in caught.value.result.failed.values()
     )
     records = sorted((tmp_path / "b" / "failed").iterdir())
     first = [path.read_bytes() for path in records]

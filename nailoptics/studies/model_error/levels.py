@@ -167,9 +167,11 @@ class Bench:
         bounds = np.abs(values) + Z95 * np.hypot(error, shared * values)
         bound = float(np.max(np.where(np.isfinite(bounds), bounds, np.inf)))
         mean, stderr = paired.weighted_mean(values, error, self.base)
+        if not np.isfinite(mean):
+            return Bias(mean, stderr, bound)
         # The weights are estimates, too: of n photons a relative variance 1 / n is known to 1 / sqrt(n).
-        weight = self.base.relative_stderr**-2.0
-        drift = float(np.linalg.norm(weight / weight.sum() * (values - mean) * self.base.relative_stderr))
+        relative = self.base.relative_stderr
+        drift = float(np.linalg.norm((values - mean) / relative) / (relative**-2.0).sum())
         return Bias(mean, math.hypot(stderr, shared * mean, drift), bound)
 
     def reading_of(self, level: np.ndarray, relative_stderr: ArrayLike = 0.0) -> Bias:

@@ -136,7 +136,8 @@ def test_what_is_named_is_within_the_tolerance_and_the_full_model_always_is(foun
 def test_levels_without_photons_answer_at_once_and_err_by_tens_of_percent(found):
     by_name = {one.name: one for one in found.levels}
     diffusion = by_name["layered diffusion"]
-    assert 0.05 < diffusion.bias("signal") < 0.5 and 0.1 < diffusion.bias("reading") < 0.7
+    # Of the largest signal, which is 2 % of a reading: a distal touch squeezes little blood out to 1 N.
+    assert 0.05 < diffusion.bias("signal") < 1.0 and 0.1 < diffusion.bias("reading") < 0.7
     for name in literature.FORMULAS:
         formula, traced = by_name[f"{name}, literature"], by_name[f"{name}, traced"]
         assert formula.reading is None and formula.bias("signal") > diffusion.bias("signal") > traced.bias("signal")
