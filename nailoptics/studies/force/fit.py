@@ -30,6 +30,8 @@ HUBER = 1.345
 # traced; the trace's own error comes to it. (Absorption of the nail plate alone, a factor 2 either way, moves the
 # near photodiodes' signal by -30 to +20 %.)
 OPTICS_PART = 0.3
+# Least spread of such a slope, which moves no reading: of ln volts by blood fraction.
+LEAST_SLOPE = 1e-3
 # Before any recording a gain is known to a factor of two, an offset to this part of the reading at rest.
 GAIN_SPREAD, OFFSET_PART = 0.7, 0.1
 
@@ -226,6 +228,8 @@ class Fit:
         rest, gain = OFFSET_PART * np.nanmedian(self.volts, axis=1), np.full(len(self.volts), GAIN_SPREAD)
         volts, slopes = self.table.slopes(np.full(2, self.usual["rest_blood"]))
         steeper = np.hypot(self.table.slope_stderr, OPTICS_PART * slopes / volts[:, None])
+        # The paper's optics know but one zone: what a reading does not depend on stays so.
+        steeper = np.maximum(steeper, LEAST_SLOPE)
         return np.column_stack([gain, rest, steeper, *([rest] * (count - 4))])
 
     def _finish(self, factors: Array) -> Fitted:

@@ -9,7 +9,8 @@ from nailoptics import hemodynamics, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.scene.sensor_recordings import SITES, Recording, recording_csv
-from nailoptics.studies.force.calibrate import _checked, calibrate_with, calibration_summary
+from nailoptics.studies.force.calibrate import PAPER_FACTORS, _checked, calibrate_with, calibration_summary
+from nailoptics.studies.force.fit import Fit
 from nailoptics.studies.force.person import NAMES, PRIORS, force_of, person
 from nailoptics.studies.force.predict import csv_rows, events, live, predict, prediction_summary
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
@@ -217,6 +218,23 @@ def test_a_recording_that_cannot_calibrate_is_refused_in_one_line(table: Reading
     with pytest.raises(InputError) as caught:
         _checked(change(_record(table, _steps(), "proximal", seed=1)), scene)
     assert message in str(caught.value)
+
+
+def test_readings_that_know_one_zone_alone_as_in_the_papers_optics_are_calibrated(table: ReadingTable) -> None:
+    alone = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
+    coefficients = table.coefficients.copy()
+    for zone, power in enumerate(((1, 0), (0, 1))):
+        coefficients[:, POWERS.index(power)] *= alone[:, zone]
+    own = replace(table, coefficients=coefficients, slope_stderr=np.zeros((4, 2)))
+    free = np.array([name in PAPER_FACTORS for name in NAMES])
+    recording = _record(own, _steps(), "proximal", seed=2)
+    found = Fit([recording], own, VESSELS, rest_blood=REST, area_cm2=1.0, share=0.5, free=free).solve()
+    searched = found.factors_ln != 0
+    assert (searched == free).all()
+    assert np.isfinite(found.covariance).all() and np.isfinite(found.gain).all()
+    # Offset and scale of each reading make up for most of the person that is not searched.
+    left = np.concatenate(found.residual_v, axis=1).std(1)
+    assert (left < 0.2 * np.ptp(recording.volts, axis=1)).all()
 
 
 def test_a_damaged_subject_file_is_refused(subject: Subject) -> None:
