@@ -69,8 +69,16 @@ def integrate(
             )
         samples[:, inside] = solution.y[:, : np.count_nonzero(inside)]
         state = solution.y[:, -1]
-    width = samples[:n] * rest[:, None]
-    touching = contact & (width <= closed[:, None])
+    return _read(walls, samples * np.tile(rest, 2)[:, None], inputs, contact=contact)
+
+
+def _read(
+    walls: Walls, samples: np.ndarray, inputs: np.ndarray, *, contact: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What `integrate` returns, from diameters [m] and speeds [m/s] of the walls, (2 (N+1), T) float."""
+    width, speed = np.split(samples, 2)
+    closed = np.array(walls.closed)[:, None]
+    touching = contact & (width <= closed)
     if contact:
-        width = np.maximum(width, closed[:, None])
-    return width, np.array(inertial_pressures(walls, width, samples[n:] * rest[:, None], *inputs[:2])), touching
+        width = np.maximum(width, closed)
+    return width, np.array(inertial_pressures(walls, width, speed, *inputs[:2])), touching

@@ -13,7 +13,7 @@ from . import inertial, massless
 from .drive import Drive, Waveform, waveform_of
 from .parameters import Parameters
 from .steady import solve_walls, touch_inputs, wall_pressures
-from .walls import build_walls
+from .walls import Walls, build_walls
 from .zones import PAPER_ZONES, Zones
 
 if TYPE_CHECKING:
@@ -67,11 +67,8 @@ def respond(
     time = _times(time_s)
     _check_choices(model, start, contact=contact, rtol=rtol)
     p, touches = parameters, touch_inputs(zones, proximal_pressure_pa, distal_pressure_pa, pressure_pa)
-    given = {
-        "arterial_pressure_pa": p.arterial_pressure_pa if arterial_pressure_pa is None else arterial_pressure_pa,
-        "venous_pressure_pa": p.venous_pressure_pa if venous_pressure_pa is None else venous_pressure_pa,
-    }
-    waveforms = [waveform_of(name, value, time) for name, value in (given | touches).items()]
+    given = _vessel_pressures(p, arterial_pressure_pa, venous_pressure_pa) | touches
+    waveforms = [waveform_of(name, value, time) for name, value in given.items()]
 
     def to_channels(rows: np.ndarray) -> np.ndarray:
         return np.vstack([rows[:2], wall_pressures(zones, rows[2:])])
@@ -79,18 +76,37 @@ def respond(
     drive = Drive(waveforms, to_channels, begin_s=time[0], end_s=time[-1])
     over_time = np.array([waveform.at(time) for waveform in waveforms])
     walls, inputs = build_walls(p, zones), to_channels(over_time)
-    first = np.array([waveform.at(time[:1], before_jump=True) for waveform in waveforms])
-    if start == "untouched":
-        first[2:] = 0.0
-    high, low, *outside = to_channels(first)
-    begin = solve_walls(walls, np.array(outside), high, low)[0][:, 0]
+    begin = _balance(walls, to_channels(_first_pressures(waveforms, time[:1], touched=start == "steady")))
     if model == "massless":
-        width, pressure, closed = massless.integrate(walls, drive, time, begin, inputs, rtol=rtol)
+        moved = massless.integrate(walls, drive, time, begin, inputs, rtol=rtol)
     else:
-        width, pressure, closed = inertial.integrate(walls, drive, time, begin, inputs, rtol=rtol, contact=contact)
-    variables = _state_variables(zones, width, pressure, closed) | _input_variables(zones, over_time)
-    attributes = {"model": model} | {f"parameter_{name}": value for name, value in p.as_dict().items()}
-    return _dataset(variables, zones, time, attributes)
+        moved = inertial.integrate(walls, drive, time, begin, inputs, rtol=rtol, contact=contact)
+    variables = _state_variables(zones, *moved) | _input_variables(zones, over_time)
+    return _dataset(variables, zones, time, {"model": model} | {f"parameter_{k}": v for k, v in p.as_dict().items()})
+
+
+def _vessel_pressures(
+    parameters: Parameters, arterial: ArrayLike | Waveform | None, venous: ArrayLike | Waveform | None
+) -> dict[str, ArrayLike | Waveform]:
+    """P_H and P_L by name; the parameters' where none is given. [Pa]"""
+    return {
+        "arterial_pressure_pa": parameters.arterial_pressure_pa if arterial is None else arterial,
+        "venous_pressure_pa": parameters.venous_pressure_pa if venous is None else venous,
+    }
+
+
+def _first_pressures(waveforms: list[Waveform], begin_s: np.ndarray, *, touched: bool) -> np.ndarray:
+    """P_H, P_L and the touch pressures before the start, (2 + M, 1) float; those of a touch are 0 without one. [Pa]"""
+    first = np.array([waveform.at(begin_s, before_jump=True) for waveform in waveforms])
+    if not touched:
+        first[2:] = 0.0
+    return first
+
+
+def _balance(walls: Walls, channels: np.ndarray) -> np.ndarray:
+    """Diameters at which the walls rest, (N+1,) float, under P_H, P_L and the pressure on each wall, (N+3, 1). [m]"""
+    high, low, *outside = channels
+    return np.asarray(solve_walls(walls, np.array(outside), high, low)[0][:, 0])
 
 
 def _check_choices(model: str, start: str, *, contact: bool, rtol: float) -> None:

@@ -113,32 +113,37 @@ def absorption(
     melanin = checks.fraction("melanin_fraction", melanin_fraction)
     if dermis_absorption not in get_args(DermisAbsorption):
         raise InputError(_unknown("dermis_absorption", dermis_absorption, get_args(DermisAbsorption)))
+    base = _base_per_mm(region, wavelength, melanin, dermis_absorption)
+    carries_blood = region in REST_BLOOD_FRACTION
+    slope = blood_mu_a_per_mm(wavelength, so2) if carries_blood else np.zeros_like(wavelength)
+    return Absorption(base_per_mm=_plain(base), per_blood_fraction_per_mm=_plain(slope))
+
+
+def _base_per_mm(region: Region, wavelength: Array, melanin: Array, dermis_absorption: DermisAbsorption) -> Array:
+    """Absorption of a region without blood, of the shape of the wavelengths [nm]. [mm^-1]"""
     water = tabulated("water", "mu_a_per_mm", wavelength)
     baseline = bloodless_skin_mu_a_per_mm(wavelength)
     match region:
         case "bed" if dermis_absorption == "jacques_baseline":
-            base = baseline + _BED_WATER * water
+            return baseline + _BED_WATER * water
         case "bed":
-            base = tabulated(f"dermis_{dermis_absorption}", "mu_a_per_mm", wavelength)
+            return tabulated(f"dermis_{dermis_absorption}", "mu_a_per_mm", wavelength)
         case "pulp":
             fat = tabulated("fat", "mu_a_per_mm", wavelength)
-            base = (1 - _PULP_FAT) * (baseline + _BED_WATER * water) + _PULP_FAT * fat
+            return (1 - _PULP_FAT) * (baseline + _BED_WATER * water) + _PULP_FAT * fat
         case "epidermis":
             clear = baseline + _EPIDERMIS_WATER * water
-            base = (1 - melanin) * clear + melanin * melanosome_mu_a_per_mm(wavelength)
+            return (1 - melanin) * clear + melanin * melanosome_mu_a_per_mm(wavelength)
         case "plate":
-            base = tabulated("nail_plate", "mu_a_per_mm", wavelength)
+            return tabulated("nail_plate", "mu_a_per_mm", wavelength)
         case "bone":
-            base = np.full_like(wavelength, _BONE_MU_A_PER_MM)
+            return np.full_like(wavelength, _BONE_MU_A_PER_MM)
         case "epoxy":
-            base = np.zeros_like(wavelength)
+            return np.zeros_like(wavelength)
         case "kapton":
-            base = 4 * np.pi * tabulated("kapton", "k", wavelength) / (wavelength * 1e-6)
+            return 4 * np.pi * tabulated("kapton", "k", wavelength) / (wavelength * 1e-6)
         case _:
             raise InputError(_unknown("region", region, REGIONS))
-    carries_blood = region in REST_BLOOD_FRACTION
-    slope = blood_mu_a_per_mm(wavelength, so2) if carries_blood else np.zeros_like(wavelength)
-    return Absorption(base_per_mm=_plain(base), per_blood_fraction_per_mm=_plain(slope))
 
 
 def scattering(region: Region, wavelength_nm: ArrayLike) -> tuple[Values, Values, Values]:

@@ -2,31 +2,20 @@
 
 import pytest
 from pydantic import ValidationError
+from small_finger import SMALL_FINGER
 
 from nailoptics.errors import InputError
 from nailoptics.scene import Body, Heartbeat, Vasomotion, digest, parse_scene
 from nailoptics.scene.files import to_toml
 
-SCENE = """
-schema_version = 1
-[finger]
-[[leds]]
-name = "ir"
-part = "led_800"
-position_mm = [-1.2, 0.0]
-[[photodiodes]]
-name = "pd"
-position_mm = [0.5, 0.0]
-"""
-
 
 def test_a_scene_without_a_body_has_none_and_an_empty_one_moves_nothing():
-    assert parse_scene(SCENE).body is None
-    assert not parse_scene(SCENE + "[body]\n").body.moves
+    assert parse_scene(SMALL_FINGER).body is None
+    assert not parse_scene(SMALL_FINGER + "[body]\n").body.moves
 
 
 def test_each_part_is_on_with_its_defaults_once_it_is_named():
-    body = parse_scene(SCENE + "[body.heartbeat]\n[body.breathing]\n[body.vasomotion]\n").body
+    body = parse_scene(SMALL_FINGER + "[body.heartbeat]\n[body.breathing]\n[body.vasomotion]\n").body
     assert body.moves and body.seed == 0
     assert (body.heartbeat.rate_per_min, body.heartbeat.mean_pressure_pa) == (70.0, None)
     assert body.breathing.rate_per_min == 15.0 and body.vasomotion.band_hz == (0.05, 0.15)
@@ -35,12 +24,12 @@ def test_each_part_is_on_with_its_defaults_once_it_is_named():
 def test_the_mean_pressure_is_said_once():
     twice = "[blood.tuning]\nfactors = { arterial_pressure_pa = 1.1 }\n[body.heartbeat]\nmean_pressure_pa = 1.2e4\n"
     with pytest.raises(InputError, match="both set P_H; give one of them"):
-        parse_scene(SCENE + twice)
+        parse_scene(SMALL_FINGER + twice)
 
 
 def recorded(tmp_path, text, end_s=4.0):
     (tmp_path / "pulse.csv").write_text(text)
-    return parse_scene(SCENE + f'[touch]\nduration_s = {end_s}\n[body]\nfile = "pulse.csv"\n', folder=tmp_path)
+    return parse_scene(SMALL_FINGER + f'[touch]\nduration_s = {end_s}\n[body]\nfile = "pulse.csv"\n', folder=tmp_path)
 
 
 def test_a_recorded_pressure_becomes_part_of_the_scene(tmp_path):

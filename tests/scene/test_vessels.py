@@ -3,6 +3,7 @@
 import dataclasses
 
 import pytest
+from small_finger import SMALL_FINGER_BEST
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import Parameters, parameters
@@ -10,19 +11,6 @@ from nailoptics.report.summaries import check_lines
 from nailoptics.scene import Tuning, parse_scene
 from nailoptics.studies.blood_states import blood_over_touch, forces_with_two_balances_n, vessels
 
-SCENE = """
-schema_version = 1
-[finger]
-[[leds]]
-name = "ir"
-part = "led_800"
-position_mm = [-1.2, 0.0]
-[[photodiodes]]
-name = "pd"
-position_mm = [0.5, 0.0]
-[blood]
-parameters = "best"
-"""
 DISTAL = """profile = "hold"
 force_n = 1.0
 proximal_share = 0.0
@@ -37,23 +25,25 @@ def test_values_and_factors_change_what_they_name_and_nothing_else():
     text = (
         "[blood.tuning]\nvein_stiffness_n_per_m = 4e3\nfactors = { capillary_count = 0.5, arterial_pressure_pa = 1.2 }"
     )
-    tuned, named = vessels(parse_scene(SCENE + text)), parameters("best")
+    tuned, named = vessels(parse_scene(SMALL_FINGER_BEST + text)), parameters("best")
     assert tuned == named.replace(
         vein_stiffness_n_per_m=4e3, capillary_count=0.5 * named.capillary_count, arterial_pressure_pa=1.2e4
     )
-    assert vessels(parse_scene(SCENE)) == named
+    assert vessels(parse_scene(SMALL_FINGER_BEST)) == named
 
 
 def test_tuned_vessels_answer_a_touch_in_their_own_way():
     """A vein four times as stiff closes later: less blood is dammed up."""
-    stiff = SCENE + "[blood.tuning]\nfactors = { vein_stiffness_n_per_m = 4.0 }"
-    dammed = [blood_over_touch(parse_scene(text)).blood_fraction.isel(zone=0).max() for text in (SCENE, stiff)]
+    stiff = SMALL_FINGER_BEST + "[blood.tuning]\nfactors = { vein_stiffness_n_per_m = 4.0 }"
+    dammed = [
+        blood_over_touch(parse_scene(text)).blood_fraction.isel(zone=0).max() for text in (SMALL_FINGER_BEST, stiff)
+    ]
     assert dammed[1] < 0.9 * dammed[0]
 
 
 def test_forces_with_two_balances_are_told():
     """Strong feedback on soft capillaries: few of them, with walls that give way."""
-    listed = SCENE.replace("best", "listed")
+    listed = SMALL_FINGER_BEST.replace("best", "listed")
     soft = listed + "[blood.tuning]\ncapillary_count = 1e3\ncapillary_stiffness_n_per_m = 1.5e4\n[touch]\n" + DISTAL
     assert forces_with_two_balances_n(parse_scene(listed + "[touch]\n" + DISTAL)).size == 0
     two = forces_with_two_balances_n(parse_scene(soft))
@@ -76,5 +66,5 @@ def test_forces_with_two_balances_are_told():
 )
 def test_a_tuning_that_cannot_be_is_refused_in_one_line(text, words):
     with pytest.raises(InputError, match=words) as caught:
-        parse_scene(SCENE + "[blood.tuning]\n" + text)
+        parse_scene(SMALL_FINGER_BEST + "[blood.tuning]\n" + text)
     assert len(str(caught.value).splitlines()) == 1

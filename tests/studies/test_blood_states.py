@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from small_finger import SMALL_FINGER_BEST
 
 import nailoptics as nail
 from nailoptics.errors import InputError
@@ -21,23 +22,9 @@ from nailoptics.studies.blood_states import (
     zones_of_photodiodes,
 )
 
-SCENE = """
-schema_version = 1
-[finger]
-[[leds]]
-name = "ir"
-part = "led_800"
-position_mm = [-1.2, 0.0]
-[[photodiodes]]
-name = "pd"
-position_mm = [0.5, 0.0]
-[blood]
-parameters = "best"
-"""
-
 
 def scene_with(text, folder=None):
-    return parse_scene(SCENE + text, folder=folder)
+    return parse_scene(SMALL_FINGER_BEST + text, folder=folder)
 
 
 def test_recorded_pressures_drive_the_blood_and_their_force_is_that_on_both_areas(tmp_path):
@@ -173,7 +160,11 @@ def test_photodiodes_lie_above_their_own_zones():
 name = "{name}"
 position_mm = [2.0, {v}]
 """
-    text = SCENE + "{}" + "".join(board.format(name=f"p{k}", v=v) for k, v in enumerate((-4.0, -2.0, 2.0, 4.0)))
+    text = (
+        SMALL_FINGER_BEST
+        + "{}"
+        + "".join(board.format(name=f"p{k}", v=v) for k, v in enumerate((-4.0, -2.0, 2.0, 4.0)))
+    )
     assert zones_of_photodiodes(parse_scene(text.format("zones = 8"))).tolist() == [4, 1, 2, 5, 6]
     assert zones_of_photodiodes(parse_scene(text.format(""))).tolist() == [1, 0, 0, 1, 1]
 
@@ -182,7 +173,7 @@ position_mm = [2.0, {v}]
 def test_the_white_band_widens_from_1_to_4_n_and_shear_widens_it_further(name):
     def band(force_n, extra=""):
         text = f'zones = 16\n[touch]\nprofile = "hold"\nforce_n = {force_n}\nduration_s = 0.1\n{extra}'
-        return float(blood_over_touch(parse_scene(SCENE.replace("best", name) + text)).white_band_mm[-1])
+        return float(blood_over_touch(parse_scene(SMALL_FINGER_BEST.replace("best", name) + text)).white_band_mm[-1])
 
     assert band(0.0) == 0.0 and band(1.0) < band(2.0) < band(4.0) < 12.0
     assert band(1.0) < band(1.0, "shear_n = 0.5") == band(1.0, "shear_n = -0.5") < band(1.0, "shear_n = 2.0")

@@ -220,8 +220,6 @@ def finger_scene(
 
     Dies and photodiodes look into the epoxy only; what else they touch is black.
     """
-    import trimesh
-
     names = geometry.regions
     bed_region, epoxy = names.index("bed"), names.index("epoxy")
     mu_a = media.mu_a.copy()
@@ -232,10 +230,8 @@ def finger_scene(
     for region in range(len(names)):
         made = None
         if region == bed_region:
-            touching = (geometry.below == region) | (geometry.above == region)
-            points = geometry.vertices[np.unique(geometry.triangles[touching])]
-            bounds = np.stack([points.min(axis=0) - 0.1, points.max(axis=0) + 0.1])
-            made = bed_medium(mi, bed, mu_s=float(media.mu_s[region]), g=float(media.g[region]), bounds_mm=bounds)
+            optics = {"mu_s": float(media.mu_s[region]), "g": float(media.g[region])}
+            made = bed_medium(mi, bed, bounds_mm=_bounds_mm(geometry, region), **optics)
         elif clear[region]:
             made = medium(mu_a=float(mu_a[region]), mu_s=float(media.mu_s[region]), g=float(media.g[region]))
         refs.append(f"medium_{region}" if made else None)
@@ -262,8 +258,22 @@ def finger_scene(
                 continue
             shape |= {"bsdf": bsdf} | sides(below=refs[below], above=refs[above])
         file = folder / f"{below}_{above}.ply"
-        mesh = trimesh.Trimesh(geometry.vertices, triangles, process=False)
-        mesh.remove_unreferenced_vertices()
-        mesh.export(file)
+        _write_mesh(geometry, triangles, file)
         scene[f"face_{below}_{above}"] = {"type": "ply", "filename": str(file)} | shape
     return scene
+
+
+def _bounds_mm(geometry: Geometry, region: int) -> np.ndarray:
+    """The box around a region with 0.1 mm to spare, (2, 3) float. [mm]"""
+    touching = (geometry.below == region) | (geometry.above == region)
+    points = geometry.vertices[np.unique(geometry.triangles[touching])]
+    return np.stack([points.min(axis=0) - 0.1, points.max(axis=0) + 0.1])
+
+
+def _write_mesh(geometry: Geometry, triangles: np.ndarray, file: Path) -> None:
+    """Write some of a geometry's triangles, with the vertices that they need."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(geometry.vertices, triangles, process=False)
+    mesh.remove_unreferenced_vertices()
+    mesh.export(file)
