@@ -1,6 +1,7 @@
 """The response over time to touch and pulse: inputs checked, a model chosen, results labelled."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -69,10 +70,7 @@ def respond(
     p, touches = parameters, touch_inputs(zones, proximal_pressure_pa, distal_pressure_pa, pressure_pa)
     given = _vessel_pressures(p, arterial_pressure_pa, venous_pressure_pa) | touches
     waveforms = [waveform_of(name, value, time) for name, value in given.items()]
-
-    def to_channels(rows: np.ndarray) -> np.ndarray:
-        return np.vstack([rows[:2], wall_pressures(zones, rows[2:])])
-
+    to_channels = partial(_to_channels, zones)
     drive = Drive(waveforms, to_channels, begin_s=time[0], end_s=time[-1])
     over_time = np.array([waveform.at(time) for waveform in waveforms])
     walls, inputs = build_walls(p, zones), to_channels(over_time)
@@ -93,6 +91,11 @@ def _vessel_pressures(
         "arterial_pressure_pa": parameters.arterial_pressure_pa if arterial is None else arterial,
         "venous_pressure_pa": parameters.venous_pressure_pa if venous is None else venous,
     }
+
+
+def _to_channels(zones: Zones, rows: np.ndarray) -> np.ndarray:
+    """P_H, P_L and the touch pressure on each wall, (N+3, T), from P_H, P_L and the touch pressures (2 + M, T). [Pa]"""
+    return np.vstack([rows[:2], wall_pressures(zones, rows[2:])])
 
 
 def _first_pressures(waveforms: list[Waveform], begin_s: np.ndarray, *, touched: bool) -> np.ndarray:
