@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from .recordings import RANGES
 from .text_files import read_rows
+from .touch import PRESSURES
 
 Array = NDArray[np.float64]
 
 SITES = {"proximal": 1.0, "distal": 0.0, "even": np.nan}
-PRESSURES = ("proximal_pressure_pa", "distal_pressure_pa")
-MOST_FORCE_N = 100.0
 # A converter's counts are whole numbers far above any voltage of a photodiode's stage.
 MOST_VOLTS = 50.0
 
@@ -83,11 +83,12 @@ def read_sensor_recording(path: str | Path) -> Recording:
     check_volts(volts, readings, name)
     force_n = _column(rows, columns["force_n"], "force_n", name, gaps=True) if "force_n" in columns else None
     if force_n is not None:
-        wrong = np.flatnonzero((force_n < 0) | (force_n > MOST_FORCE_N))
+        most_n = RANGES["force_n"][1]
+        wrong = np.flatnonzero((force_n < 0) | (force_n > most_n))
         if wrong.size:
             at = int(wrong[0])
             raise InputError(
-                f"{name} line {rows[at][0]}: force_n = {force_n[at]:g} must lie in 0 to {MOST_FORCE_N:g} N; "
+                f"{name} line {rows[at][0]}: force_n = {force_n[at]:g} must lie in 0 to {most_n:g} N; "
                 "check its sign and unit."
             )
     site = _sites(rows, columns["site"], name) if "site" in columns else None

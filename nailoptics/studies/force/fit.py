@@ -42,8 +42,7 @@ class Fitted:
 
     factors_ln : (P,) float. Logarithms of the factors by NAMES.
     covariance : (P + 2 R, P + 2 R) float. Of these, of the gains, and of the offsets.
-    gain, offset_v : (R,) float; drift_v_per_s : (K, R) float. Of every reading.
-    gain_stderr, offset_stderr_v : (R,) float.
+    gain, offset_v : (R,) float. Of every reading.
     table : that of the light, with the slopes by blood that the recordings ask for.
     residual_v : per recording (R, T) float at the recording's own samples; predicted_v likewise.
     chi2_per_dof : of the whitened residuals of the last round.
@@ -53,10 +52,7 @@ class Fitted:
     covariance: Array
     table: ReadingTable
     gain: Array
-    gain_stderr: Array
     offset_v: Array
-    offset_stderr_v: Array
-    drift_v_per_s: Array
     predicted_v: list[Array]
     residual_v: list[Array]
     chi2_per_dof: float
@@ -236,7 +232,6 @@ class Fit:
         model = self._columns(factors[self.free])
         residual, _ = self._linear_fit(model)
         covariance = self._joint_covariance(model)
-        stderr = np.sqrt(np.diag(covariance))[len(NAMES) :].reshape(2, -1)
         white = self._whiten(residual)[:, 0] * np.sqrt(self.memory)
         coefficients = self.gain_offset_drift
         predicted, left = [], []
@@ -247,7 +242,6 @@ class Fit:
             curve = curve + np.einsum("rc,crt->rt", coefficients[:, [0, 2, 3]], model[:, :, 0])
             predicted.append(curve)
             left.append(one.volts - curve)
-        spans = np.array([np.ptp(one.time_s) for one in self.slow])
         return Fitted(
             factors_ln=factors,
             covariance=covariance,
@@ -255,10 +249,7 @@ class Fit:
                 coefficients[:, 2:4] / coefficients[:, :1], float(self.person(factors).rest_blood)
             ),
             gain=coefficients[:, 0],
-            gain_stderr=stderr[0],
             offset_v=coefficients[:, 1],
-            offset_stderr_v=stderr[1],
-            drift_v_per_s=(coefficients[:, 4:] / spans).T,
             predicted_v=predicted,
             residual_v=left,
             chi2_per_dof=float((white**2).sum() / max(int(self.there.sum()) - len(self.free) - coefficients.size, 1)),
