@@ -1,7 +1,7 @@
 """Touch to blood: the paper's network of vessels under the nail, eq. (1)-(4), and the blood of eq. (7)."""
 
 from .blood import blood_fraction, saturation, tissue_volume_m3
-from .contact import creeping_pressure, pressures, side_areas_mm2
+from .contact import creeping_pressure, pressures, side_areas_mm2, spreading_pressure
 from .drive import Waveform
 from .parameters import NAMES, Parameters, bounds, parameters
 from .pulse import breathing_pressure, cardiac_pressure, vasomotion_pressure
@@ -26,6 +26,7 @@ __all__ = [
     "respond",
     "saturation",
     "side_areas_mm2",
+    "spreading_pressure",
     "steady_state",
     "tissue_volume_m3",
     "vasomotion_pressure",

@@ -88,6 +88,33 @@ def creeping_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, relaxation_s
     return left
 
 
+def spreading_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, part: float, time_constant_s: float) -> np.ndarray:
+    """The pressure of a touch under which the pulp spreads by and by, (..., T) float. [Pa]
+
+    time_s : (T,) float, not decreasing; a time that comes twice is a jump. [s]
+    pressure_pa : (..., T) float. Of the touch on a pulp that does not spread, linear between the times. [Pa]
+    part : Part of the pressure that is lost in the end, 0 to 1. [1]
+    time_constant_s : of its loss, and of the pulp's return once the touch is over. [s]
+
+    What is lost follows the pressure with that delay, and never exceeds it.
+
+    Raises: InputError if a value is not finite, the part is not in 0..1, or the time constant is not positive.
+    """
+    time, touch = finite("time_s", time_s), finite("pressure_pa", pressure_pa)
+    part, delay = number("part", part), number("time_constant_s", time_constant_s)
+    if not 0.0 <= part <= 1.0:
+        raise InputError(f"part must lie in 0..1, got {part:g}; 0.1 is usual.")
+    if delay <= 0.0:
+        raise InputError(f"time_constant_s must be greater than 0, got {delay:g} s.")
+    followed = np.zeros_like(touch)
+    for i, h in enumerate(np.diff(time)):
+        # Behind a line of slope s the delayed pressure lies by s times the delay; at a jump it stays.
+        lag = (touch[..., i + 1] - touch[..., i]) * (delay / h if h > 0.0 else 0.0)
+        behind = touch[..., i + 1] - lag + (followed[..., i] - touch[..., i] + lag) * np.exp(-h / delay)
+        followed[..., i + 1] = behind if h > 0.0 else followed[..., i]
+    return np.maximum(touch - part * followed, 0.0)
+
+
 def _area(name: str, value: float) -> float:
     area = number(name, value)
     if area <= 0.0:

@@ -45,17 +45,21 @@ def blood_words(scene: Scene) -> str:
 
 
 def body_words(scene: Scene) -> str:
-    """What moves the arterial pressure of a scene; empty where nothing does."""
+    """What moves readings of a scene beside the touch; empty where nothing does."""
     body = scene.body
-    if body is None or not body.moves:
+    if body is None:
         return ""
-    if body.recorded_time_s is not None:
-        return f"arterial pressure recorded in {body.file}"
     parts = []
+    if body.recorded_time_s is not None:
+        parts.append(f"arterial pressure recorded in {body.file}")
     if body.heartbeat is not None:
         parts.append(f"heartbeat, {body.heartbeat.rate_per_min:g} a minute")
     if body.breathing is not None:
         parts.append(f"breathing, {body.breathing.rate_per_min:g} a minute")
     if body.vasomotion is not None:
         parts.append("vasomotion")
+    if body.drift is not None:
+        parts.append("drift")
+    if body.motion is not None:
+        parts.append("motion of the sensor")
     return ", ".join(parts)

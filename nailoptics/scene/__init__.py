@@ -1,6 +1,6 @@
 """WHAT THE USER WROTE: frozen models of a scene, read from and written to TOML."""
 
-from .body import Body, Breathing, Heartbeat, Vasomotion
+from .body import Body, Breathing, Drift, Heartbeat, Motion, Vasomotion
 from .files import digest, json_schema, load_scene, parse_scene, to_toml
 from .finger import Finger
 from .layout import Element, Layout, Rectangle
@@ -18,6 +18,7 @@ __all__ = [
     "Body",
     "Breathing",
     "Candidate",
+    "Drift",
     "Electronics",
     "Element",
     "Finger",
@@ -28,6 +29,7 @@ __all__ = [
     "Layout",
     "Led",
     "Light",
+    "Motion",
     "Phantom",
     "Photodiode",
     "Placement",

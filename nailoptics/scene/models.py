@@ -119,7 +119,7 @@ class Scene(Table):
     touch: Touch = Touch()
     """Force over time."""
     body: Body | None = None
-    """What moves the arterial pressure; nothing if not given."""
+    """What moves readings beside the touch; nothing if not given."""
     board: Board = Board()
     """The board on the nail."""
     leds: Annotated[tuple[Led, ...], Field(min_length=1, max_length=64)]

@@ -83,6 +83,12 @@ class Touch(Table):
     distal_relaxation_s: Positive | None = None
     """Time constant with which the distal pulp, which yields at once, recovers where the touch presses less: 0.2 makes
     the distal reading as slow on release as the paper's. If not given it recovers at once. [s]"""
+    # A fingerpad that is held down pushes back less and less, within seconds (Pawluk and Howe 1999, J. Biomech. Eng.
+    # 121:605): under a constant force it spreads. By how much the contact grows is an assumption; 0.1 in 2 s is usual.
+    creep: Annotated[float, Field(ge=0, lt=1)] | None = None
+    """Part of its pressure that a touch loses in the end as the pulp spreads under it; none if not given."""
+    creep_s: Positive = 2.0
+    """Time constant of that creep, and of the pulp's return. [s]"""
     shear_n: Annotated[float, Field(ge=-100, le=100)] | None = None
     """Longitudinal force where the force is largest, positive towards the tip; it rises and falls with the force. Of it
     the paper says only that it widens the white band: here it presses on the distal capillaries besides the force, by

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from .. import hemodynamics
 from ..light import optics
-from ..scene import Body, Scene
+from ..scene import Body, Scene, Touch
 from ..scene.base import USUAL_DECAY_LENGTH
 from ..scene.touch import PRESSURES, value_at
 from ..variables import Variables, variable
@@ -64,23 +64,36 @@ def pressure_course(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     shear_n = shear_course_n(scene)
     if shear_n is not None:
         rows = np.vstack([rows, np.abs(shear_n) / _distal_area_m2(scene)])
-    return _with_recovery(time_s, rows, relaxation_s=scene.touch.distal_relaxation_s)
+    return _with_recovery(*_with_creep(time_s, rows, scene.touch), relaxation_s=scene.touch.distal_relaxation_s)
+
+
+def _with_creep(time_s: np.ndarray, rows: np.ndarray, touch: Touch) -> tuple[np.ndarray, np.ndarray]:
+    """The same course where the pulp spreads under the touch."""
+    if not touch.creep:
+        return time_s, rows
+    time_s, rows = _with_knots_after(time_s, rows, touch.creep_s)
+    return time_s, hemodynamics.spreading_pressure(time_s, rows, part=touch.creep, time_constant_s=touch.creep_s)
 
 
 def _with_recovery(
     time_s: np.ndarray, rows: np.ndarray, *, relaxation_s: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same course where the distal pulp, row 1, recovers slowly, at as many more times as that needs."""
+    """The same course where the distal pulp, row 1, recovers slowly."""
     if relaxation_s is None:
         return time_s, rows
+    time_s, rows = _with_knots_after(time_s, rows, relaxation_s)
+    rows[1] = hemodynamics.creeping_pressure(time_s, rows[1], relaxation_s=relaxation_s)
+    return time_s, rows
+
+
+def _with_knots_after(time_s: np.ndarray, rows: np.ndarray, relaxation_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """The same course at as many more times as it takes to follow what dies away after each of its own."""
     after_s = relaxation_s * np.arange(1, 10 * KNOTS_PER_RELAXATION) / KNOTS_PER_RELAXATION
     gaps_s = np.append(np.diff(time_s), np.inf)
     more_s = np.concatenate([t + after_s[after_s < gap] for t, gap in zip(time_s, gaps_s, strict=True)])
     more = [hemodynamics.Waveform(time_s=time_s, pressure_pa=row).at(more_s) for row in rows]
     order = np.argsort(np.concatenate([time_s, more_s]), kind="stable")
-    time_s, rows = np.concatenate([time_s, more_s])[order], np.hstack([rows, more])[:, order]
-    rows[1] = hemodynamics.creeping_pressure(time_s, rows[1], relaxation_s=relaxation_s)
-    return time_s, rows
+    return np.concatenate([time_s, more_s])[order], np.hstack([rows, more])[:, order]
 
 
 def shear_course_n(scene: Scene) -> np.ndarray | None:
@@ -224,7 +237,7 @@ def _held_pressures_pa(scene: Scene, force_n: ArrayLike) -> list[np.ndarray]:
         forces_n = force_course(scene)[1]
         most = int(np.argmax(forces_n))
         rows.append(np.abs(shear_n[most]) / forces_n[most] * np.asarray(force_n) / _distal_area_m2(scene))
-    return rows
+    return [(1.0 - (scene.touch.creep or 0.0)) * row for row in rows]
 
 
 def steady_blood_at(scene: Scene, *, proximal_pressure_pa: ArrayLike, distal_pressure_pa: ArrayLike) -> np.ndarray:

@@ -1,7 +1,7 @@
 """The main job: touch, blood, traced light, volts, beside the paper's reduced optics (8) and (9)."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Unpack
 
 import numpy as np
@@ -10,12 +10,14 @@ import xarray as xr
 from .. import electronics
 from ..errors import InputError, NotReachedError, as_far_as_reached
 from ..light import DetectedLight, ProgressCallback, Transfer, open_light, optics
+from ..light.tracing import accuracy
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import fit_beer_lambert, fit_taylor
 from ..scene import Scene
 from ..variables import Variables, variable
 from .blood_states import blood_over_touch, zones_of_photodiodes
 from .unknowns import spread_dataset, spread_of_readings
+from .worn_sensor import MovedLight, by_motion, moved_boards, moved_light, sensor_course
 
 COORDINATES = {
     "time": "time from the start of the simulation",
@@ -45,8 +47,13 @@ def simulate(scene: Scene, *, progress: ProgressCallback | None = None, **reques
         raise InputError("simulate needs a [finger] scene; a [phantom] has no blood, use trace for its light.")
     course = blood_over_touch(scene)
     states = course.blood_fraction.values.T
+    traces = 1 + len(moved_boards(scene))
+    if traces > 1 and (limit := accuracy(scene, options).max_seconds) is not None:
+        requested = requested | Requested(max_seconds=limit / traces)
     light, unmet = as_far_as_reached(open_light, scene, states=states, progress=progress, **requested)
-    result = simulate_from(scene, light, course=course, seed=options.seed)
+    moved, short = moved_light(scene, states=states, progress=progress, **requested)
+    unmet = unmet or short
+    result = simulate_from(scene, light, course=course, seed=options.seed, moved=moved)
     if scene.priors.spread and light.transfer is not None:
         result = result.merge(_spread(result, light.transfer, options, progress))
     result.attrs |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
@@ -56,9 +63,15 @@ def simulate(scene: Scene, *, progress: ProgressCallback | None = None, **reques
     return result
 
 
-def simulate_from(scene: Scene, light: DetectedLight, *, course: xr.Dataset, seed: int) -> xr.Dataset:
-    """What `simulate` returns, from light that is already traced and the scene's `blood_over_touch`."""
-    result = course.merge(_read_volts(scene, light, course.blood_fraction.values.T))
+def simulate_from(
+    scene: Scene, light: DetectedLight, *, course: xr.Dataset, seed: int, moved: Sequence[MovedLight] = ()
+) -> xr.Dataset:
+    """What `simulate` returns, from light that is already traced and the scene's `blood_over_touch`.
+
+    moved : the light under the sensor elsewhere, where the scene's body moves it.
+    """
+    worn = sensor_course(scene, course.time.values)
+    result = course.merge(worn).merge(_read_volts(scene, light, course.blood_fraction.values.T, worn, moved))
     result = result.merge(_fit_reduced(result)).merge(light.section).merge(light.energy)
     for name, text in COORDINATES.items():
         result[name].attrs = {"long_name": text} | result[name].attrs
@@ -91,15 +104,22 @@ def hold_end(result: xr.Dataset) -> int:
     return int(np.flatnonzero(departure >= 0.995 * departure.max())[-1])
 
 
-def _read_volts(scene: Scene, light: DetectedLight, blood: np.ndarray) -> xr.Dataset:
+def _read_volts(
+    scene: Scene, light: DetectedLight, blood: np.ndarray, worn: xr.Dataset, moved: Sequence[MovedLight]
+) -> xr.Dataset:
     """Detected fractions and volts over the course, with standard errors and noise."""
     readings, diodes = light.over(blood), [element.photodiode for element in scene.layout.photodiodes]
+    motion, about_motion = by_motion(worn, readings, moved, blood)
+    # Only the light that arrives is moved light; what an LED or amplifier makes of it comes after.
+    gain = np.ones_like(motion) * worn.get("reading_drift", xr.DataArray(1.0)).values
+    gain = gain * worn.get("led_drift", xr.DataArray([[1.0]])).values[:, None]
+    fraction, stderr = motion * readings.fraction, motion * readings.stderr
     wavelength_nm = np.array([led.wavelength_nm for led in scene.leds])
     efficiency = [diode.quantum_efficiency for diode in diodes]
     responsivity = electronics.responsivity_a_per_w(wavelength_nm[:, None], efficiency)
     read = [
         [electronics.read(one, led, diode, scene.electronics) for one, diode in zip(row, diodes, strict=True)]
-        for row, led in zip(readings.fraction, scene.leds, strict=True)
+        for row, led in zip(gain * fraction, scene.leds, strict=True)
     ]
     volts, noise, saturated = (_each(read, name) for name in ("volts", "volts_noise_rms", "saturated"))
     per_fraction = np.array(
@@ -108,9 +128,13 @@ def _read_volts(scene: Scene, light: DetectedLight, blood: np.ndarray) -> xr.Dat
     pair = ("led", "photodiode")
     over, paths = (*pair, "time"), (*pair, "absorber")
     text = "detected fraction of the emitted power"
-    data = variable("detected_fraction", over, readings.fraction, text, stderr=readings.stderr)
-    data |= variable("volts", over, volts, "photodiode voltage", units="V", stderr=readings.stderr * per_fraction)
-    text, error = "change of the voltage from the start", readings.change_stderr * per_fraction
+    data = about_motion | variable("detected_fraction", over, fraction, text, stderr=stderr)
+    per_fraction = per_fraction * gain
+    data |= variable("volts", over, volts, "photodiode voltage", units="V", stderr=stderr * per_fraction)
+    # Drift and motion scale what is read: of its error they add their own part to the change's.
+    scaled = motion * gain / (motion * gain)[..., :1] - 1
+    error = np.hypot(motion * readings.change_stderr, scaled * stderr) * per_fraction
+    text = "change of the voltage from the start"
     data |= variable("volts_change", over, volts - volts[..., :1], text, units="V", stderr=error)
     data |= variable("volts_noise_rms", over, noise, "electronic noise of one reading, rms", units="V")
     data |= variable("saturated", over, saturated, "converter at its limit")

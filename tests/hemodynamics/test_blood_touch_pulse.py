@@ -14,6 +14,7 @@ from nailoptics.hemodynamics import (
     parameters,
     pressures,
     side_areas_mm2,
+    spreading_pressure,
     steady_state,
     tissue_volume_m3,
     vasomotion_pressure,
@@ -162,3 +163,19 @@ def test_slow_waves_have_their_standard_deviation_and_stay_in_their_band():
     power = np.abs(np.fft.rfft(wave * np.hanning(time.size))) ** 2
     frequency = np.fft.rfftfreq(time.size, 0.5)
     assert power[(frequency > 0.049) & (frequency < 0.151)].sum() > 0.999 * power.sum()
+
+
+def test_a_pulp_that_spreads_takes_its_part_of_a_step_by_and_by_and_does_not_depend_on_knots():
+    """Under a step of p the pressure is p (1 - c (1 - exp(-t / tau))); after it nothing is left to press."""
+    coarse = [0.0, 1.0, 1.0, 4.0, 4.0, 9.0]
+    step = spreading_pressure(coarse, [0.0, 0.0, 1e4, 1e4, 0.0, 0.0], part=0.2, time_constant_s=2.0)
+    assert step[2] == 1e4 and step[3] == pytest.approx(1e4 * (1 - 0.2 * (1 - np.exp(-1.5))), rel=1e-12)
+    assert step[4:] == pytest.approx([0.0, 0.0])
+    fine = np.linspace(0.0, 9.0, 901)
+    ramp = [spreading_pressure(t, 1e3 * np.asarray(t), part=0.2, time_constant_s=2.0) for t in (fine[::300], fine)]
+    assert ramp[0] == pytest.approx(ramp[1][::300], rel=1e-12)
+    # A ramp is followed at its time constant's distance.
+    assert ramp[1][-1] == pytest.approx(9e3 - 0.2 * 1e3 * (9.0 - 2.0 * (1 - np.exp(-4.5))), rel=1e-12)
+    for wrong in ({"part": 1.1, "time_constant_s": 1.0}, {"part": 0.1, "time_constant_s": 0.0}):
+        with pytest.raises(InputError):
+            spreading_pressure(fine, fine, **wrong)

@@ -5,7 +5,7 @@ from pydantic import ValidationError
 from small_finger import SMALL_FINGER
 
 from nailoptics.errors import InputError
-from nailoptics.scene import Body, Heartbeat, Vasomotion, digest, parse_scene
+from nailoptics.scene import Body, Drift, Heartbeat, Motion, Vasomotion, digest, parse_scene
 from nailoptics.scene.files import to_toml
 
 
@@ -19,6 +19,15 @@ def test_each_part_is_on_with_its_defaults_once_it_is_named():
     assert body.moves and body.seed == 0
     assert (body.heartbeat.rate_per_min, body.heartbeat.mean_pressure_pa) == (70.0, None)
     assert body.breathing.rate_per_min == 15.0 and body.vasomotion.band_hz == (0.05, 0.15)
+
+
+def test_drift_and_motion_are_the_sensors_and_leave_the_pressure_alone(tmp_path):
+    scene = parse_scene(SMALL_FINGER + "[body.drift]\n[body.motion]\n")
+    assert scene.body.drift.led_per_rt_min > scene.body.drift.reading_per_rt_min > 0
+    assert scene.body.motion.lift_um == 1.0 and not scene.body.moves
+    (tmp_path / "pulse.csv").write_text("time_s,arterial_pressure_pa\n0,9e3\n4,1.1e4\n")
+    both = parse_scene(SMALL_FINGER + '[body]\nfile = "pulse.csv"\n[body.drift]\n', folder=tmp_path)
+    assert both.body.moves and both.body.drift is not None
 
 
 def test_the_mean_pressure_is_said_once():
@@ -61,6 +70,8 @@ def test_a_recorded_pressure_that_cannot_be_used_is_refused_in_one_line(tmp_path
         (lambda: Heartbeat(rate_per_min=0.0), "greater than or equal to 20"),
         (lambda: Heartbeat(rate_variability=0.5), "less than or equal to 0.2"),
         (lambda: Vasomotion(band_hz=(0.2, 0.1)), "must rise"),
+        (lambda: Drift(led_per_rt_min=-0.1), "greater than or equal to 0"),
+        (lambda: Motion(correlation_s=0.0), "greater than or equal to 0.1"),
         (
             lambda: Body(heartbeat=Heartbeat(), recorded_time_s=(0.0, 1.0), recorded_arterial_pressure_pa=(1e4, 1e4)),
             r"leave out \[body.heartbeat\]",

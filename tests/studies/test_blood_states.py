@@ -230,3 +230,11 @@ def test_a_search_for_a_layout_refuses_more_than_its_two_zones_in_one_line():
     with pytest.raises(InputError, match="place judges layouts by two blood zones, and the scene has 8") as caught:
         nail.place(zoned())
     assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_touch_under_which_the_pulp_spreads_presses_as_one_that_is_lighter_in_the_end():
+    text = '[touch]\nprofile = "hold"\nforce_n = 0.5\nsite = "proximal"\n'
+    creeping, lighter = scene_with(text + "creep = 0.2\ncreep_s = 0.5\n"), scene_with(text.replace("0.5", "0.4"))
+    assert float(blood_over_touch(creeping).proximal_pressure_pa[-1]) == pytest.approx(4e3, rel=1e-3)
+    assert float(blood_over_touch(creeping).force_n[-1]) == 0.5
+    assert steady_blood(creeping, [0.5]) == pytest.approx(steady_blood(lighter, [0.4]))

@@ -1,0 +1,153 @@
+"""How a worn sensor drifts and moves against the nail, and what that makes of its readings."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Unpack
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from ..errors import InputError, NotReachedError, as_far_as_reached
+from ..light import DetectedLight, ProgressCallback, open_light
+from ..light.course import Course
+from ..options import Requested
+from ..scene import Board, Scene
+from ..scene.body import Motion
+from ..statistics import seed_of
+from ..variables import Variables, variable
+
+Array = NDArray[np.float64]
+
+# Random walks are drawn at so many knots in a second, whatever the rate of the samples, and are linear between them.
+KNOTS_PER_S = 20.0
+# So far the sensor is moved to see what that makes of its readings: far enough to stand out from the photons' noise,
+# and little beside the 400 um of epoxy, or the 2 mm in which one blood zone passes into the next. [um]
+LIFT_UM, SLIDE_UM = 40.0, 250.0
+# Streams of the body's seed, beside those of its pressures.
+_LED_DRIFT, _READING_DRIFT, _LIFT, _SLIDE = 21, 22, 23, 24
+
+
+@dataclass(frozen=True)
+class MovedLight:
+    """The light of a scene whose sensor was lifted or slid by some distance.
+
+    motion : "lift" or "slide". distance_um : how far. [um]
+    """
+
+    motion: str
+    distance_um: float
+    light: DetectedLight
+
+
+def moved_light(
+    scene: Scene, *, states: Array, progress: ProgressCallback | None = None, **requested: Unpack[Requested]
+) -> tuple[tuple[MovedLight, ...], NotReachedError | None]:
+    """The light under the scene's sensor, lifted and slid as its body asks; nothing where it does not move.
+
+    states : (t, zones) float. The blood states that will be read.
+
+    Returns also why some of it is less accurate than requested, if it is.
+    """
+    found: list[MovedLight] = []
+    unmet: NotReachedError | None = None
+    for name, distance_um, board in moved_boards(scene):
+        moved = scene.model_copy(update={"board": board})
+        light, short = as_far_as_reached(open_light, moved, states=states, progress=progress, **requested)
+        found.append(MovedLight(name, distance_um, light))
+        unmet = unmet or short
+    return tuple(found), unmet
+
+
+def moved_boards(scene: Scene) -> list[tuple[str, float, Board]]:
+    """The boards to be traced beside the scene's own: motion, distance [um] and board."""
+    motion, board = _motion(scene), scene.board
+    u, v = board.center_mm
+    lifted = board.model_copy(update={"adhesive_um": board.adhesive_um + LIFT_UM})
+    slid = board.model_copy(update={"center_mm": (u, v + 1e-3 * SLIDE_UM)})
+    asked = (("lift", motion.lift_um, LIFT_UM, lifted), ("slide", motion.slide_um, SLIDE_UM, slid))
+    return [(name, distance_um, moved) for name, rms_um, distance_um, moved in asked if rms_um > 0]
+
+
+def sensor_course(scene: Scene, time_s: Array) -> xr.Dataset:
+    """What the body's seed makes of the sensor's drift and motion at times (t,); nothing of what the body leaves out.
+
+    Drifts are factors on readings, 1 at the first time; motions lie about 0. [um]
+    """
+    body, since_s = scene.body, time_s - time_s[0]
+    if body is None:
+        return xr.Dataset()
+    data: Variables = {}
+    leds, photodiodes = len(scene.leds), len(scene.layout.photodiode_names)
+    if body.drift is not None:
+        walk = _walks(leds, since_s, seed_of(body.seed, _LED_DRIFT)) * body.drift.led_per_rt_min
+        data |= variable("led_drift", ("led", "time"), np.exp(walk), "drift of the LED, factor on its readings")
+        walk = _walks(leds * photodiodes, since_s, seed_of(body.seed, _READING_DRIFT)) * body.drift.reading_per_rt_min
+        walk = walk.reshape(leds, photodiodes, -1)
+        text = "drift of a reading by itself, factor on it"
+        data |= variable("reading_drift", ("led", "photodiode", "time"), np.exp(walk), text)
+    motion = _motion(scene)
+    for name, rms_um, stream, text in (
+        ("lift", motion.lift_um, _LIFT, "the sensor's distance from the nail less its mean"),
+        ("slide", motion.slide_um, _SLIDE, "the sensor's place along the nail less its mean"),
+    ):
+        if rms_um > 0:
+            course = rms_um * _wandering(since_s, motion.correlation_s, seed_of(body.seed, stream))
+            data |= variable(f"sensor_{name}_um", "time", course, text, units="um")
+    return xr.Dataset(data)
+
+
+def by_motion(worn: xr.Dataset, seen: Course, moved: Sequence[MovedLight], blood: Array) -> tuple[Array, Variables]:
+    """What the sensor's motion makes of its readings: a factor on each, (led, photodiode, t), and how it comes about.
+
+    worn : the scene's `sensor_course`. seen : what is read with the sensor in its place, over blood (t, zones).
+    moved : the light under the sensor elsewhere. Between both the logarithm of a reading goes with the distance.
+
+    Raises: InputError where the sensor moves in a way that was not traced.
+    """
+    exponent = np.zeros_like(seen.fraction)
+    data: Variables = {}
+    traced = {one.motion: one for one in moved}
+    for name in ("lift", "slide"):
+        if f"sensor_{name}_um" not in worn:
+            continue
+        if name not in traced:
+            raise InputError(
+                f"body.motion.{name}_um: light under a sensor that moves is traced by simulate alone; leave it out."
+            )
+        one = traced[name]
+        there = one.light.over(blood)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            per_um = np.log(there.fraction / seen.fraction) / one.distance_um
+            stderr = np.hypot(there.stderr / there.fraction, seen.stderr / seen.fraction) / one.distance_um
+        exponent = exponent + np.where(np.isfinite(per_um), per_um, 0.0) * worn[f"sensor_{name}_um"].values
+        text = f"change of a reading at the start by a {name} of the sensor, relative"
+        over = ("led", "photodiode")
+        data |= variable(f"{name}_per_um", over, per_um[..., 0], text, units="um-1", stderr=stderr[..., 0])
+    return np.exp(exponent), data
+
+
+def _motion(scene: Scene) -> Motion:
+    still = Motion(lift_um=0.0, slide_um=0.0)
+    return still if scene.body is None or scene.body.motion is None else scene.body.motion
+
+
+def _walks(count: int, since_s: Array, seed: int) -> Array:
+    """Random walks from 0 whose standard deviation is 1 after a minute, (count, t); a longer course only adds to it."""
+    knots = int(np.ceil(since_s[-1] * KNOTS_PER_S)) + 1
+    steps = np.random.default_rng(seed).standard_normal((knots, count)) / np.sqrt(60.0 * KNOTS_PER_S)
+    walk = np.concatenate([np.zeros((1, count)), np.cumsum(steps, axis=0)])
+    at = np.arange(knots + 1) / KNOTS_PER_S
+    return np.array([np.interp(since_s, at, column) for column in walk.T])
+
+
+def _wandering(since_s: Array, correlation_s: float, seed: int) -> Array:
+    """A course of mean 0 and standard deviation 1 that forgets where it was (an Ornstein-Uhlenbeck process), (t,)."""
+    knots = int(np.ceil(since_s[-1] * KNOTS_PER_S)) + 2
+    drawn = np.random.default_rng(seed).standard_normal(knots)
+    kept = np.exp(-1.0 / (KNOTS_PER_S * correlation_s))
+    course = np.empty(knots)
+    course[0] = drawn[0]
+    for k in range(1, knots):
+        course[k] = kept * course[k - 1] + np.sqrt(1.0 - kept**2) * drawn[k]
+    return np.interp(since_s, np.arange(knots) / KNOTS_PER_S, course)

@@ -1,0 +1,79 @@
+"""Drift and motion of the worn sensor: as strong as the scene says, the same for one seed, and traced."""
+
+import numpy as np
+import pytest
+from small_finger import SMALL_FINGER
+
+from nailoptics.errors import InputError
+from nailoptics.light.course import Course
+from nailoptics.scene import Body, Drift, Motion, parse_scene
+from nailoptics.studies.simulate import simulate
+from nailoptics.studies.worn_sensor import MovedLight, by_motion, moved_boards, sensor_course
+
+
+def worn(seed=0, **parts):
+    return parse_scene(SMALL_FINGER).model_copy(update={"body": Body(seed=seed, **parts)})
+
+
+def test_a_still_body_moves_no_sensor():
+    assert not sensor_course(parse_scene(SMALL_FINGER), np.arange(3.0)).data_vars
+    assert not sensor_course(worn(), np.arange(3.0)).data_vars and moved_boards(worn()) == []
+
+
+def test_drifts_spread_as_stated_after_a_minute_and_begin_at_none():
+    drift, time_s = Drift(led_per_rt_min=0.01, reading_per_rt_min=0.002), np.array([0.0, 60.0])
+    made = [sensor_course(worn(seed, drift=drift), time_s) for seed in range(300)]
+    for name, spread in (("led_drift", 0.01), ("reading_drift", 0.002)):
+        walks = np.array([np.log(one[name].values).reshape(-1, 2)[0] for one in made])
+        assert (walks[:, 0] == 0).all()
+        # 300 of them tell a standard deviation to 4 %.
+        assert walks[:, 1].std() == pytest.approx(spread, rel=0.16) and abs(walks[:, 1].mean()) < 4 * spread / 300**0.5
+
+
+def test_motion_has_the_stated_spread_and_memory_and_does_not_depend_on_the_samples():
+    motion = Motion(lift_um=2.0, slide_um=0.0, correlation_s=1.0)
+    time_s = np.arange(0.0, 3000.0, 0.1)
+    lift = sensor_course(worn(3, motion=motion), time_s).sensor_lift_um.values
+    # 3000 memories of 1 s tell a standard deviation to 2 %, a correlation of 0.37 to 2 %.
+    assert lift.std() == pytest.approx(2.0, rel=0.08)
+    assert np.corrcoef(lift[:-10], lift[10:])[0, 1] == pytest.approx(np.exp(-1.0), abs=0.08)
+    assert np.allclose(sensor_course(worn(3, motion=motion), time_s[:50:7]).sensor_lift_um, lift[:50:7])
+    assert "sensor_slide_um" not in sensor_course(worn(3, motion=motion), time_s[:5])
+
+
+def test_readings_go_with_the_distance_as_the_moved_light_says():
+    scene, time_s = worn(1, motion=Motion(slide_um=0.0)), np.arange(4.0)
+    fraction, zero = np.array([[[1.0, 1.0, 2.0, 2.0]]]), np.zeros((1, 1, 4))
+    here = Course(fraction, 0.01 * fraction, zero, zero)
+
+    class Lifted:
+        def over(self, blood):
+            return Course(0.8 * fraction, 0.01 * fraction, zero, zero)
+
+    course = sensor_course(scene, time_s)
+    factor, data = by_motion(course, here, [MovedLight("lift", 40.0, Lifted())], np.zeros((4, 2)))
+    assert factor[0, 0] == pytest.approx(0.8 ** (course.sensor_lift_um.values / 40.0))
+    assert data["lift_per_um"][1] == pytest.approx(np.log(0.8) / 40.0)
+    assert data["lift_per_um_stderr"][1] == pytest.approx(np.hypot(0.01, 0.0125) / 40.0)
+    with pytest.raises(InputError, match="traced by simulate alone"):
+        by_motion(course, here, [], np.zeros((4, 2)))
+
+
+@pytest.mark.jit
+def test_a_worn_sensor_reads_what_its_light_its_motion_and_its_drift_make_of_it(chosen_jit):
+    touch = "[touch]\nduration_s = 1.0\nsample_rate_hz = 20.0\nstart_s = 0.2\nrelease_s = 0.8\n"
+    still = parse_scene(SMALL_FINGER + touch + "[electronics]\nfeedback_ohm = 1e5\n")
+    body = Body(seed=2, drift=Drift(led_per_rt_min=0.1), motion=Motion(lift_um=50.0, slide_um=0.0))
+    plain, moved = (
+        simulate(scene, photons=1 << 16, seed=4) for scene in (still, still.model_copy(update={"body": body}))
+    )
+    by_lift = np.exp(moved.lift_per_um.values[0, 0] * moved.sensor_lift_um.values)
+    drift = moved.led_drift.values[0] * moved.reading_drift.values[0, 0]
+    # That a lift does the same under a touch as at rest holds to a part of the lift's own effect.
+    assert moved.volts.values[0, 0] == pytest.approx(plain.volts.values[0, 0] * by_lift * drift, rel=2e-3)
+    assert not plain.saturated.any() and np.abs(moved.volts / plain.volts - 1).max() > 5e-3
+    assert np.abs(by_lift - 1).max() > 4e-3 and np.abs(drift - 1).max() > 4e-3
+    assert float(moved.lift_per_um_stderr) > 0
+    # One seed, one course.
+    again = simulate(still.model_copy(update={"body": body}), photons=1 << 16, seed=4)
+    assert np.array_equal(again.volts, moved.volts)
