@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 SIMULATION = ("result.nc", "report.html")
 COMPARISON = ("compare.nc", "compare.html")
-PLACEMENT = ("place.nc", "ranking.csv", "place.html", "best.toml", "best.csv", "best.glb")
+PLACEMENT = ("place.nc", "ranking.csv", "place.html", "best.toml", "best.csv", "best.glb", "outline.dxf")
 TRADEOFF = ("tradeoff.json", "tradeoff.nc", "tradeoff.html", "tradeoff.png", "scene.toml")
 
 PREDICTION = ("predict.nc", "predict.csv", "predict.html")
@@ -50,28 +50,27 @@ def _write(result: "xr.Dataset", folder: Path, names: tuple[str, str], write_pag
 def write_placement(result: "xr.Dataset", scene: Scene, folder: Path, *, negate_x_on_bottom: bool = False) -> Paths:
     """Write a placement, its ranking and report, and the best layout for the next program; returns report and scene.
 
-    scene : the one that was given; its outline's kind of file is that of the outline that is written.
+    scene : the one that was given.
     negate_x_on_bottom : whether X is negated in the position file for parts on the bottom side.
     """
     from ..exports.mesh_files import export_mesh
     from ..geometry import build
-    from ..scene.dxf import write_outline
+    from ..scene.outlines import write_outline
     from ..scene.positions import write_positions
     from ..studies.placement.result import chosen, kicad_parts, outline, rows
     from . import place_page
 
-    data, ranking, page, best_scene, positions, mesh = (folder / name for name in PLACEMENT)
+    data, ranking, page, best_scene, positions, mesh, outline_file = (folder / name for name in PLACEMENT)
     best, table = chosen(result), StringIO(newline="")
     lines = csv.DictWriter(table, list(rows(result)[0]))
     lines.writeheader()
     lines.writerows(rows(result))
-    like = Path((scene.placement and scene.placement.outline) or "outline.csv")
     with turn(folder):
         write_dataset(result, data)
         write_text(ranking, table.getvalue())
         write_text(best_scene, _cut_off(result.attrs) + to_toml(best))
         write_positions(positions, kicad_parts(best, scene), negate_x_on_bottom=negate_x_on_bottom)
-        write_outline(folder / f"outline{like.suffix.lower()}", outline(result))
+        write_outline(outline_file, outline(result))
         export_mesh(build(best), mesh)
         place_page.write_placement(result, page)
     return {"report": page, "scene": best_scene}

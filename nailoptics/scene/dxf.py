@@ -1,113 +1,157 @@
-"""Outlines of boards: DXF with lines, polylines and arcs, or a CSV of corners."""
+"""Drawings in DXF: their lines in millimetres, and closed lines written as a drawing."""
 
-import math
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from io import BytesIO
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
-from ..io import write_text
-from .text_files import finite_number, read_rows, read_text
+from .base import Point, Polygon
 
-ARC_STEP_DEG = 5.0  # an arc becomes a polygon of such steps
-SAME_PLACE_MM = 1e-3  # ends of lines that lie closer meet
+if TYPE_CHECKING:
+    from ezdxf.document import Drawing
+
+# How far an arc or a spline may lie from the lines that take its place.
+FLAT_MM = 0.002
+FLAT_PART = 1e-5  # of its size, where that is more: no curve becomes more than some hundred lines
+MOST_ENTITIES = 100_000
+# One drawing unit by $INSUNITS. [mm]
+UNITS_MM = {
+    0: 1.0,  # no unit: boards are drawn in millimetres
+    1: 25.4,
+    2: 304.8,
+    3: 1609344.0,
+    4: 1.0,
+    5: 10.0,
+    6: 1e3,
+    7: 1e6,
+    8: 25.4e-6,
+    9: 0.0254,
+    10: 914.4,
+    11: 1e-7,
+    12: 1e-6,
+    13: 1e-3,
+    14: 100.0,
+    15: 1e4,
+    16: 1e5,
+    17: 1e12,
+    18: 1.495978707e14,
+    19: 9.4607304725808e18,
+    20: 3.0856775814913673e19,
+    # The survey foot of 1200/3937 m, its inch, yard and mile.
+    21: 1.2e6 / 3937,
+    22: 1e5 / 3937,
+    23: 3.6e6 / 3937,
+    24: 5280 * 1.2e6 / 3937,
+}
+# Layers to which layout programs write a board's outline.
+OUTLINE_LAYERS = ("edge.cuts", "edge_cuts", "boardoutline", "board_outline", "outline", "dimension", "profile")
+# What an entity needs to be a line; ezdxf puts zeros where a file leaves it out.
+NEEDED = {
+    "LINE": ("start", "end"),
+    "ARC": ("center", "radius", "start_angle", "end_angle"),
+    "CIRCLE": ("center", "radius"),
+    "ELLIPSE": ("center", "major_axis"),
+    "LWPOLYLINE": (),
+    "POLYLINE": (),
+    "SPLINE": (),
+}
 
 
-def read_outline(path: Path) -> tuple[tuple[float, float], ...]:
-    """Corners of a board outline, in order round it, from a DXF (lines, polylines, arcs) or a CSV x_mm,y_mm. [mm]
+def dxf_lines(path: Path) -> tuple[list[Polygon], list[str]]:
+    """The lines of a drawing's model, curves as short straight ones, and what of it is no line, in words. [mm]
 
-    Raises: InputError for a file that cannot be read, or an outline that is not one closed line.
+    Where a layer has a name that layout programs give to outlines, its lines alone.
+
+    Raises: InputError for a file that is no drawing, or has no line.
     """
-    if path.suffix.lower() == ".dxf":
-        return _dxf_outline(path)
-    rows = read_rows(path, "an outline")
-    if not rows or [name.strip().lower() for name in rows[0][1][:2]] != ["x_mm", "y_mm"]:
-        raise InputError(f"{path}: is no outline; give a DXF, or a CSV whose first line is x_mm,y_mm.")
-    corners = []
-    for number, row in rows[1:]:
-        if len(row) < 2:
-            raise InputError(f"{path} line {number}: {','.join(row)!r} is not two numbers.")
-        corners.append(
-            tuple(finite_number(text, name, f"{path} line {number}") for text, name in zip(row, "xy", strict=False))
-        )
-    return _closed([(x, y) for x, y in corners], path)
+    drawing = _open(path)
+    unit_mm = UNITS_MM.get(int(drawing.header.get("$INSUNITS", 0) or 0), 1.0)
+    layers: dict[str, list[Polygon]] = {}
+    others: Counter[str] = Counter()
+    try:
+        for entity in _entities(drawing.modelspace(), path):
+            kind = entity.dxftype()
+            if not all(entity.dxf.hasattr(name) for name in NEEDED.get(kind, ())):
+                raise InputError(f"{path}: a {kind} lacks one of {', '.join(NEEDED[kind])}; export the outline again.")
+            if kind in NEEDED and (line := _flat(entity, unit_mm)):
+                layers.setdefault(str(entity.dxf.layer).lower(), []).append(line)
+            else:
+                others[kind] += 1
+    except InputError:
+        raise
+    except Exception as error:  # ezdxf raises whatever a broken drawing makes its parts raise
+        raise InputError(f"{path}: is no drawing that can be read ({type(error).__name__}); export it again.") from None
+    ignored = [f"{count} {kind}" for kind, count in sorted(others.items())]
+    for name in OUTLINE_LAYERS:
+        if name in layers and len(layers) > 1:
+            return layers[name], [*ignored, f"{sum(map(len, layers.values())) - len(layers[name])} on other layers"]
+    lines = [line for layer in layers.values() for line in layer]
+    if not lines:
+        raise InputError(f"{path}: has no line, polyline, arc or spline; export the outline (Edge.Cuts) alone.")
+    return lines, ignored
 
 
-def write_outline(path: Path, corners_mm: Sequence[tuple[float, float]]) -> None:
-    """Write an outline as a closed polyline (.dxf) or as corners (.csv)."""
-    if path.suffix.lower() == ".dxf":
-        groups = [(0, "SECTION"), (2, "HEADER"), (9, "$INSUNITS"), (70, "4"), (0, "ENDSEC"), (0, "SECTION")]
-        groups += [(2, "ENTITIES"), (0, "LWPOLYLINE"), (8, "Edge.Cuts"), (90, str(len(corners_mm))), (70, "1")]
-        for x, y in corners_mm:
-            groups += [(10, f"{x:.6f}"), (20, f"{y:.6f}")]
-        groups += [(0, "ENDSEC"), (0, "EOF")]
-        write_text(path, "".join(f"{code}\n{value}\n" for code, value in groups))
-    else:
-        write_text(path, "x_mm,y_mm\n" + "".join(f"{x:.6f},{y:.6f}\n" for x, y in corners_mm))
+def _open(path: Path) -> "Drawing":
+    try:
+        import ezdxf
+        from ezdxf import recover
+    except ImportError:
+        raise InputError(f"{path}: reading DXF needs ezdxf: pip install 'nailoptics[cad]'.") from None
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; give an outline.") from None
+    try:
+        if data.startswith(b"AutoCAD Binary DXF"):
+            return ezdxf.readfile(path)
+        return recover.read(BytesIO(data))[0]
+    except Exception as error:  # as above
+        raise InputError(f"{path}: is no DXF drawing ({type(error).__name__}); give an outline.") from None
 
 
-def _dxf_outline(path: Path) -> tuple[tuple[float, float], ...]:
-    lines = read_text(path, "an outline").splitlines()
-    groups = [(lines[i].strip(), lines[i + 1].strip()) for i in range(0, len(lines) - 1, 2)]
-    scale = 25.4 if ("70", "1") in [groups[i + 1] for i, g in enumerate(groups[:-1]) if g[1] == "$INSUNITS"] else 1.0
-    chains: list[list[tuple[float, float]]] = []
-    for kind, fields in _entities(groups):
-        values: dict[str, list[float]] = {}
-        for code, text in fields:
-            if code in ("10", "20", "11", "21", "40", "42", "50", "51", "70"):
-                values.setdefault(code, []).append(finite_number(text, f"group {code}", str(path)))
-        points = list(zip(values.get("10", []), values.get("20", []), strict=False))
-        if kind == "LINE" and points:
-            chains.append([points[0], (values["11"][0], values["21"][0])])
-        elif kind == "LWPOLYLINE" and points:
-            if any(values.get("42", [])):
-                raise InputError(f"{path}: a polyline has bulges; export arcs as ARC or as short lines.")
-            closed = int(values.get("70", [0])[0]) & 1
-            chains.append(points + points[:1] if closed else points)
-        elif kind in ("ARC", "CIRCLE") and points:
-            first, last = (values["50"][0], values["51"][0]) if kind == "ARC" else (0.0, 360.0)
-            span = (last - first) % 360 or 360.0
-            steps = math.ceil(span / ARC_STEP_DEG)
-            (x, y), r = points[0], values["40"][0]
-            angles = [math.radians(first + span * i / steps) for i in range(steps + 1)]
-            chains.append([(x + r * math.cos(a), y + r * math.sin(a)) for a in angles])
-    if not chains:
-        raise InputError(f"{path}: has no LINE, LWPOLYLINE, ARC or CIRCLE; export the outline (Edge.Cuts) alone.")
-    return _closed([(scale * x, scale * y) for x, y in _joined(chains, path)], path)
+def _entities(space: Iterable[Any], path: Path) -> Iterator[Any]:
+    """Everything that a drawing shows, blocks taken apart."""
+    stack, count = [iter(space)], 0
+    while stack:
+        entity = next(stack[-1], None)
+        if entity is None:
+            stack.pop()
+            continue
+        count += 1
+        if count > MOST_ENTITIES or len(stack) > 64:
+            raise InputError(f"{path}: draws more than {MOST_ENTITIES} things; export the outline (Edge.Cuts) alone.")
+        if entity.dxftype() == "INSERT":
+            stack.append(one for insert in entity.multi_insert() for one in insert.virtual_entities())
+        elif not entity.dxf.invisible:
+            yield entity
 
 
-def _entities(groups: list[tuple[str, str]]) -> Iterable[tuple[str, list[tuple[str, str]]]]:
-    """Kind and groups of each entity."""
-    starts = [i for i, (code, _) in enumerate(groups) if code == "0"]
-    inside = False
-    for i, end in zip(starts, [*starts[1:], len(groups)], strict=True):
-        if groups[i][1] == "SECTION":
-            inside = ("2", "ENTITIES") in groups[i + 1 : end]
-        elif groups[i][1] == "ENDSEC":
-            inside = False
-        elif inside:
-            yield groups[i][1], groups[i + 1 : end]
+def _flat(entity: Any, unit_mm: float) -> Polygon:
+    """An entity's points in millimetres; none if it is a mesh or has no length."""
+    from ezdxf.path import bbox, make_path
+
+    try:
+        path = make_path(entity)
+    except TypeError:  # a polyline that is a mesh
+        return ()
+    extent = bbox([path], fast=True)
+    if not extent.has_data:
+        return ()
+    far = max(FLAT_MM / unit_mm, FLAT_PART * extent.size.magnitude)
+    points = [(point.x * unit_mm, point.y * unit_mm) for point in path.flattening(far)]
+    return tuple(points)
 
 
-def _joined(chains: list[list[tuple[float, float]]], path: Path) -> list[tuple[float, float]]:
-    """Lines and arcs in any order and direction as one line round the board."""
-    chain, rest = list(chains[0]), chains[1:]
-    while rest:
-        ways = ((i, way) for i, other in enumerate(rest) for way in (other, other[::-1]))
-        following = next(((i, way) for i, way in ways if math.dist(chain[-1], way[0]) < SAME_PLACE_MM), None)
-        if following is None:
-            x, y = chain[-1]
-            raise InputError(f"{path}: the outline is not one closed line: nothing goes on from ({x:g}, {y:g}) mm.")
-        chain += following[1][1:]
-        del rest[following[0]]
-    if math.dist(chain[0], chain[-1]) > SAME_PLACE_MM:
-        raise InputError(f"{path}: the outline is open between its first and last point; close it.")
-    return chain
-
-
-def _closed(corners: list[tuple[float, float]], path: Path) -> tuple[tuple[float, float], ...]:
-    if len(corners) > 1 and math.dist(corners[0], corners[-1]) < SAME_PLACE_MM:
-        corners = corners[:-1]
-    area = sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(corners, corners[1:] + corners[:1], strict=True)) / 2
-    if len(corners) < 3 or abs(area) < SAME_PLACE_MM:
-        raise InputError(f"{path}: the outline has {len(corners)} corners and no area; give a closed line.")
-    return tuple(corners)
+def dxf_text(lines: Sequence[Sequence[Point]]) -> str:
+    """Closed lines as a drawing in millimetres, in the oldest form (R12), which every program reads. [mm]"""
+    groups: list[tuple[int, object]] = [(0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009")]
+    groups += [(9, "$INSUNITS"), (70, 4), (0, "ENDSEC"), (0, "SECTION"), (2, "ENTITIES")]
+    for corners in lines:
+        groups += [(0, "POLYLINE"), (8, "OUTLINE"), (66, 1), (10, 0.0), (20, 0.0), (30, 0.0), (70, 1)]
+        for x, y in corners:
+            groups += [(0, "VERTEX"), (8, "OUTLINE"), (10, f"{x:.6f}"), (20, f"{y:.6f}"), (30, 0.0)]
+        groups += [(0, "SEQEND"), (8, "OUTLINE")]
+    groups += [(0, "ENDSEC"), (0, "EOF")]
+    return "".join(f"{code:>3}\n{value}\n" for code, value in groups)

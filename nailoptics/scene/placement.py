@@ -6,8 +6,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, ValidationInfo, model_validator
 
 from .base import Fraction, Name, NonNegative, Point, Table, check_unique
-from .dxf import read_outline
 from .finger import DermisAbsorption
+from .outlines import read_outline
 from .positions import read_positions
 
 
@@ -79,6 +79,8 @@ class Placement(Table):
     """Board outline beside the scene, a DXF or a CSV with columns x_mm, y_mm; [board] if not given."""
     outline_mm: tuple[Point, ...] | None = None
     """Corners of the outline (u, v); filled from outline. [mm]"""
+    outline_holes_mm: tuple[tuple[Point, ...], ...] = ()
+    """Corners of each hole in the outline, over which no part lies; filled from outline. [mm]"""
     photodiodes: Annotated[int, Field(ge=1, le=32)] = 8
     """How many photodiodes the search places, each like the scene's first."""
     force_n: Annotated[float, Field(gt=0, le=20)] = 0.5
@@ -104,7 +106,8 @@ class Placement(Table):
         if not isinstance(data, dict) or not isinstance(data.get("outline"), str) or "outline_mm" in data:
             return data
         folder = (info.context or {}).get("folder") or Path()
-        return data | {"outline_mm": read_outline(Path(folder) / data["outline"])}
+        found = read_outline(Path(folder) / data["outline"])
+        return data | {"outline_mm": found.corners_mm, "outline_holes_mm": found.holes_mm}
 
     @model_validator(mode="after")
     def _something_to_do(self) -> Self:

@@ -1,7 +1,7 @@
 """The rules of a search: candidates and outline come from the files beside the scene."""
 
 from nailoptics.scene import load_scene
-from nailoptics.scene.dxf import write_outline
+from nailoptics.scene.outlines import Outline, write_outline
 
 # As `kicad-cli pcb export pos --format csv --units mm --side both` writes it.
 POSITIONS = """Ref,Val,Package,PosX,PosY,Rot,Side
@@ -14,7 +14,7 @@ SQUARE = [(-4.0, -5.0), (4.0, -5.0), (4.0, 5.0), (-4.0, 5.0)]
 
 def test_a_scene_takes_candidates_and_outline_from_the_files_beside_it(tmp_path):
     (tmp_path / "pos.csv").write_text(POSITIONS.replace('"LED2"', '"PD2"'))
-    write_outline(tmp_path / "board.dxf", SQUARE)
+    write_outline(tmp_path / "board.dxf", Outline(tuple(SQUARE)))
     (tmp_path / "scene.toml").write_text("""
 schema_version = 1
 [finger]

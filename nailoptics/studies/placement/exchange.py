@@ -10,6 +10,7 @@ import numpy as np
 from ...errors import InputError
 from ...scene import Placement, Scene
 from ...scene.layout import Rectangle
+from ...scene.outlines import has_room
 from . import boards
 from .boards import CandidateLayout
 from .fisher import fisher_information, force_resolution_n, over_fingers, response
@@ -271,23 +272,8 @@ def _outline(base: Scene) -> Rectangle:
 
 
 def _inside(place: tuple[float, float], size_mm: tuple[float, float], placement: Placement) -> bool:
-    """Whether a part with its distance from the edge lies within an outline that is given as a polygon."""
-    corners = placement.outline_mm
-    if corners is None:
+    """Whether a part with its distance from the edge lies within an outline of corners and off its holes."""
+    if placement.outline_mm is None:
         return True
     half_u, half_v = (s / 2 + placement.edge_mm for s in size_mm)
-    signs = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
-    return all(_within((place[0] + a * half_u, place[1] + b * half_v), corners) for a, b in signs)
-
-
-def _within(point: tuple[float, float], corners: tuple[tuple[float, float], ...]) -> bool:
-    """Whether a point lies in a polygon or on its edge (crossings of a ray along u)."""
-    (u, v), inside = point, False
-    for (a, b), (c, d) in zip(corners, corners[1:] + corners[:1], strict=True):
-        cross = (c - a) * (v - b) - (d - b) * (u - a)
-        if abs(cross) < 1e-9 * max(1.0, abs(c - a) + abs(d - b)) and min(a, c) - 1e-9 <= u <= max(a, c) + 1e-9:
-            if min(b, d) - 1e-9 <= v <= max(b, d) + 1e-9:
-                return True
-        if (b > v) != (d > v) and u < a + (v - b) * (c - a) / (d - b):
-            inside = not inside
-    return inside
+    return has_room(place, (half_u, half_v), placement.outline_mm, placement.outline_holes_mm)

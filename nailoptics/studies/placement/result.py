@@ -9,6 +9,7 @@ import xarray as xr
 from ...light.board_map import PhotonMap, map_dataset
 from ...light.transfer import provenance
 from ...scene import Scene, parse_scene, to_toml
+from ...scene.outlines import Outline
 from ...scene.positions import PlacedPart
 from ...statistics import jackknife, left_out
 from ...variables import Variables, variable
@@ -170,13 +171,13 @@ def chosen(result: xr.Dataset) -> Scene:
     return scene.model_copy(update={"accuracy": scene.accuracy.model_copy(update={"max_seconds": None})})
 
 
-def outline(result: xr.Dataset) -> list[tuple[float, float]]:
-    """Corners of the board's outline, as requested or as the best layout has it. [mm]"""
+def outline(result: xr.Dataset) -> Outline:
+    """The board's outline, as requested or as the best layout has it."""
     requested = parse_scene(str(result.attrs["scene"]), name="the scene").placement
     if requested is not None and requested.outline_mm is not None:
-        return list(requested.outline_mm)
+        return Outline(requested.outline_mm, requested.outline_holes_mm)
     r = chosen(result).layout.outline
-    return [(r.u_min, r.v_min), (r.u_max, r.v_min), (r.u_max, r.v_max), (r.u_min, r.v_max)]
+    return Outline(((r.u_min, r.v_min), (r.u_max, r.v_min), (r.u_max, r.v_max), (r.u_min, r.v_max)))
 
 
 def rows(result: xr.Dataset) -> list[dict[str, Any]]:

@@ -15,8 +15,8 @@ from nailoptics.light.board_map import Arrivals, PhotonMap
 from nailoptics.report import result_files
 from nailoptics.report.place_page import write_placement
 from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
-from nailoptics.scene.dxf import read_outline, write_outline
 from nailoptics.scene.layout import Rectangle
+from nailoptics.scene.outlines import Outline, read_outline, write_outline
 from nailoptics.scene.positions import read_positions
 from nailoptics.studies.placement import boards, exchange, fisher, photon_maps, place, result, scores
 from nailoptics.studies.placement.progress import StageProgress
@@ -308,7 +308,7 @@ def test_the_chosen_layout_comes_back_as_scene_and_as_parts(found, scene):
     parts = result.kicad_parts(near, scene)
     assert [p.ref for p in parts] == ["D1", "PD1", "PD2", "PD3", "PD4"] and parts[0].position_mm == (-3.0, 0.0)
     assert parts[1].position_mm == (-1.0, -2.0)
-    assert result.outline(found.sel(layout=["near"]))[0] == (-4.5, -4.5)
+    assert result.outline(found.sel(layout=["near"])).corners_mm[0] == (-4.5, -4.5)
     rows = result.rows(found)
     assert rows[0]["rank"] == 1 and not rows[-1]["tied"] and {row["layout"] for row in rows} == {"near", "far", "paper"}
 
@@ -413,7 +413,7 @@ def test_the_command_writes_what_other_programs_read(chosen_jit, tmp_path, capsy
         "Ref,Val,Package,PosX,PosY,Rot,Side\nD1,ir,die,3.0,0.0,0,bottom\nPD1,e,pd,1.0,-1.0,0,bottom\n"
         "PD2,e,pd,1.0,1.0,0,bottom\n"
     )
-    write_outline(tmp_path / "board.dxf", [(-4.5, -4.5), (4.5, -4.5), (4.5, 4.5), (-4.5, 4.5)])
+    write_outline(tmp_path / "board.dxf", Outline(((-4.5, -4.5), (4.5, -4.5), (4.5, 4.5), (-4.5, 4.5))))
     text = SCENE[: SCENE.index("[placement]")] + (
         '[placement]\nsearch = false\noutline = "board.dxf"\n[[placement.candidates]]\nname = "mine"\n'
         'positions = "pos.csv"\nnegate_x_on_bottom = true\n'
@@ -430,4 +430,4 @@ def test_the_command_writes_what_other_programs_read(chosen_jit, tmp_path, capsy
     areas = list(best.layout.photodiode_areas)
     back = [part for part in read_positions(out / "best.csv", negate_x_on_bottom=True) if not part.is_led]
     assert np.allclose([p.position_mm for p in back], [a.center_mm for a in areas], atol=1e-6)
-    assert len(read_outline(out / "outline.dxf")) == 4
+    assert len(read_outline(out / "outline.dxf").corners_mm) == 4

@@ -1,0 +1,120 @@
+"""Outlines: lines joined in any order, holes found, room told exactly, and refused in one line where they are wrong."""
+
+import math
+import random
+
+import pytest
+
+from nailoptics.errors import InputError
+from nailoptics.scene.outlines import Outline, area_mm2, has_room, join, read_outline, write_outline
+
+SQUARE = ((-4.0, -5.0), (4.0, -5.0), (4.0, 5.0), (-4.0, 5.0))
+HOLE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
+
+
+def sides(corners):
+    return list(zip(corners, (*corners[1:], corners[0]), strict=True))
+
+
+def ring(count, radius=4.0):
+    return tuple(
+        (radius * math.cos(math.tau * i / count), radius * math.sin(math.tau * i / count)) for i in range(count)
+    )
+
+
+@pytest.mark.parametrize("name", ["outline.csv", "outline.dxf"])
+def test_an_outline_is_read_as_it_was_written(tmp_path, name):
+    write_outline(tmp_path / name, Outline(SQUARE))
+    assert read_outline(tmp_path / name) == Outline(SQUARE)
+
+
+def test_lines_in_any_order_and_direction_are_one_outline():
+    lines = [line[::-1] if i % 2 else line for i, line in enumerate(sides(SQUARE) + sides(HOLE))]
+    random.Random(1).shuffle(lines)
+    found = join(lines, "x")
+    assert found.corners_mm == SQUARE and found.holes_mm == (HOLE,) and found.ignored == ()
+
+
+def test_ends_that_nearly_meet_are_one_place_and_doubled_lines_count_once():
+    lines = [((x + 0.003, y - 0.003), b) for (x, y), b in sides(SQUARE)] * 2
+    assert area_mm2(join(lines, "x").corners_mm) == pytest.approx(80, rel=2e-3)
+
+
+def test_where_lines_branch_the_border_goes_round_the_outside():
+    # A square with a wedge of a fillet in its corner, drawn with all three sides: the wedge is board.
+    wedge = [((4, 5), (4, 7)), ((4, 7), (2, 5))]
+    lines = [line for line in sides(SQUARE) if line != (SQUARE[2], SQUARE[3])]
+    lines += [((4.0, 5.0), (2.0, 5.0)), ((2.0, 5.0), (-4.0, 5.0)), *wedge]
+    assert area_mm2(join(lines, "x").corners_mm) == pytest.approx(80 + 2)
+
+
+def test_what_is_neither_border_nor_hole_is_counted():
+    in_hole = [(x / 4, y / 4) for x, y in HOLE]
+    beside = [(x + 9, y) for x, y in HOLE]
+    lines = [*sides(SQUARE), *sides(HOLE), *sides(in_hole), *sides(beside), ((2, 2), (3, 3)), ((2.5, 2), (3, 2.5))]
+    found = join(lines, "x", ignored=["2 TEXT"])
+    assert found.holes_mm == (HOLE,)
+    assert found.ignored == ("2 TEXT", "2 closed lines beside the largest one or in its holes", "2 open lines")
+
+
+def test_the_work_grows_with_the_lines_not_with_their_square(monkeypatch):
+    calls = []
+    distance = math.dist
+    monkeypatch.setattr(math, "dist", lambda *points: calls.append(1) or distance(*points))
+    counts = []
+    for count in (1000, 4000):
+        lines = sides(ring(count, radius=count / 10))
+        random.Random(2).shuffle(lines)
+        calls.clear()
+        assert len(join(lines, "x").corners_mm) == count
+        counts.append(len(calls))
+    assert counts[1] < 5 * counts[0] and counts[1] < 10 * 4000
+
+
+@pytest.mark.parametrize(
+    ("center", "half", "free"),
+    [
+        ((2.5, 0.0), (1.5, 5.0), True),  # touches the border on three sides, and the hole on the fourth
+        ((2.5, 0.0), (1.51, 1.0), False),
+        ((2.4, 0.0), (1.5, 1.0), False),  # 0.1 mm into the hole
+        ((0.0, 0.0), (0.5, 0.5), False),  # within the hole
+        ((0.0, 3.0), (4.0, 1.9), True),
+        ((0.0, 0.0), (3.0, 3.0), False),  # around the hole
+        ((6.0, 0.0), (1.0, 1.0), False),  # beside the board
+    ],
+)
+def test_room_within_the_border_and_off_its_holes(center, half, free):
+    assert has_room(center, half, SQUARE, [HOLE]) is free
+
+
+def test_a_slot_without_a_corner_under_a_part_is_seen():
+    slot = ((-3.0, -0.01), (3.0, -0.01), (3.0, 0.01), (-3.0, 0.01))
+    assert not has_room((0.0, 0.5), (1.0, 0.5), SQUARE, [slot]) and has_room((0.0, 0.52), (1.0, 0.5), SQUARE, [slot])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("u,v\n1,2\n", "x_mm,y_mm"), ("x_mm,y_mm\n0,0\n1,1\n2,2\n", "no area"), ("x_mm,y_mm\n0\n", "is not two numbers")],
+)
+def test_wrong_corners_are_refused_in_one_line(tmp_path, text, words):
+    (tmp_path / "o.csv").write_text(text)
+    with pytest.raises(InputError, match=words) as caught:
+        read_outline(tmp_path / "o.csv")
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ([((0, 0), (1, 0)), ((5, 5), (6, 5))], "open at"),
+        (sides(SQUARE)[:3], "open at .* 10 mm to the next end"),
+        # A closed mounting hole does not make an open border closed.
+        (sides(SQUARE)[:3] + sides(HOLE), "open at"),
+        ([((0, 0), (1e9, 0))], "check its units"),
+        ([((0, 0), (0, 0))], "no area"),
+        ([], "no area"),
+    ],
+)
+def test_lines_that_close_nothing_are_refused(lines, words):
+    with pytest.raises(InputError, match=f"^x: .*({words})"):
+        join(lines, "x")
