@@ -1,5 +1,6 @@
 """Touch to blood: the paper's network of vessels under the nail, eq. (1)-(4), and the blood of eq. (7)."""
 
+from .arterial_gain import arterial_gain_m_per_pa
 from .blood import blood_fraction, saturation, tissue_volume_m3
 from .contact import creeping_pressure, pressures, side_areas_mm2, spreading_pressure
 from .drive import Waveform
@@ -16,6 +17,7 @@ __all__ = [
     "SteadyState",
     "Waveform",
     "Zones",
+    "arterial_gain_m_per_pa",
     "blood_fraction",
     "bounds",
     "breathing_pressure",

@@ -1,16 +1,21 @@
 """The page of a placement: which layout tells force best, how sure that is, and where on the board the light tells."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import xarray as xr
 
 from ..io import write_text
+from ..scene import Scene, parse_scene
 from ..studies.ambient import SOURCES
+from ..studies.placement import boards
+from ..studies.placement.body_waves import LIFT_PER_UM
 from ..studies.placement.result import chosen, gain, rows
 from . import place_figures as figures
-from .html import document, figure, section, small, table
+from .html import document, escaped, figure, section, small, table
 from .numbers import quantity, significant, with_error
+from .scene_words import body_words
 from .spread_section import spread_section
 
 if TYPE_CHECKING:
@@ -20,8 +25,9 @@ if TYPE_CHECKING:
 NOTHING_MN = 1e3
 CAPTIONS = {
     "ranking": "Force resolution of each layout, smaller is finer, with its 95 % interval; those whose intervals "
-    "overlap that of the best are tied with it (filled). Small ticks are the single fingers. Layouts that the search "
-    "found have the place of their LED as name: led m1.25 p0 left lies at u = −1.25 mm, v = +0 mm, left of its "
+    "overlap that of the best are tied with it (filled). Small ticks are the single fingers; diamonds, where the "
+    "scene has a body, what the electronics alone would resolve. Layouts that the search found have the place of "
+    "their LED as name: led m1.25 p0 left lies at u = −1.25 mm, v = +0 mm, left of its "
     "photodiodes.",
     "board": "The board from above, rolled flat: LED, barrier and photodiodes on the nail, whose tint shows the blood "
     "below.",
@@ -32,6 +38,9 @@ CAPTIONS = {
     "area; its part that was never in the bed; the noise of one more photodiode centred there, rms in one sample "
     "(even scale); and what it would resolve by itself, were the split of the force known. Bright is fine; blank "
     "where too few photons came and, round the LED, where it would be saturated.",
+    "count": "Left: the force that the best so many photodiodes on this board resolve, through the body's noise and by "
+    "the electronics alone, with 95 % intervals; one half of the photons chose them, the other judged. Right: where "
+    "they lie, chosen for either.",
     "sensitivity": "How much the light at each place falls with blood in the proximal (left) and in the distal zone "
     "(right), relative to the light there: percent for each percent of the bed that is blood. Blank where too few "
     "photons came.",
@@ -66,6 +75,7 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
         cards=_cards(result, ranking[0]),
         body=[
             section("The ranking", _figure("ranking", figures.ranking_figure(result)), _table(ranking), checked),
+            _through_the_body(best, result),
             section("The best layout", *layout),
             section("Where on this board the light tells", maps),
             spread_section(result),
@@ -85,14 +95,18 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
     fingers = result.sizes["finger"]
     over = "" if fingers == 1 else f", {result.attrs['rank_by']} of {fingers} fingers"
     others = f"{'One' if tied == 2 else tied - 1} more cannot be told from it."
+    through = body_words(chosen(result)) if "electronics_resolution_n" in result else ""
     return (
-        f"Layout {first['layout']} resolves {force} of force in one sample (rms{over}, 95 % interval {low} to {high}), "
+        f"Layout {first['layout']} resolves {force} of force in one sample{f' through {through}' if through else ''} "
+        f"(rms{over}, 95 % interval {low} to {high}), "
         f"whatever part of it presses proximally. {'No other layout comes near.' if tied == 1 else others}"
     )
 
 
 def _cards(result: xr.Dataset, first: dict[str, Any]) -> list[tuple[str, str]]:
     cards = [(quantity(first["force_resolution_n"], "N"), "force resolved in one sample, rms")]
+    if "electronics_resolution_n" in first:
+        cards.append((quantity(first["electronics_resolution_n"], "N"), "by the noise of the electronics alone"))
     better = gain(result)
     if better and first["layout"] != "paper":
         cards.append((f"{with_error(*better)} ×", "as fine as the paper's layout"))
@@ -104,11 +118,14 @@ def _cards(result: xr.Dataset, first: dict[str, Any]) -> list[tuple[str, str]]:
 def _table(ranking: list[dict[str, Any]]) -> str:
     head = ["Layout", "Rank", "Resolves<br>[mN]", "Split known<br>[mN]", "Proximal, distal<br>pressure [Pa]"]
     head += ["Condition", "Least<br>signal / noise", "Full scale /<br>reading", "Never in<br>bed [%]"]
+    if "electronics_rank" in ranking[0]:
+        head[3:3] = ["Electronics<br>alone [mN]", "Rank<br>by it"]
     lines = [
         [
             row["layout"].replace("_", " "),
             f"{row['rank']}{' (tied)' if row['tied'] else ''}",
             with_error(1e3 * row["force_resolution_n"], 1e3 * row["force_resolution_n_stderr"]),
+            *_electronics_alone(row),
             significant(1e3 * row["fixed_ratio_resolution_n"]),
             ", ".join(significant(row[f"{name}_pressure_pa"]) for name in ("proximal", "distal")),
             *(significant(row[name]) for name in ("condition_number", "least_snr", "adc_headroom")),
@@ -116,6 +133,85 @@ def _table(ranking: list[dict[str, Any]]) -> str:
         ]
         for row in ranking[: figures.SHOWN]
     ]
+    return table(head, lines)
+
+
+def _electronics_alone(row: dict[str, Any]) -> list[str]:
+    """Two cells of the table: what a layout would resolve were the body still, and its rank by that."""
+    if "electronics_rank" not in row:
+        return []
+    each = (1e3 * row[f"electronics_resolution_n{end}"] for end in ("", "_stderr"))
+    return [with_error(*each), str(row["electronics_rank"])]
+
+
+def _through_the_body(best: Scene, result: xr.Dataset) -> str:
+    """What the body does to the resolution, and to the number and place of photodiodes; empty without a body."""
+    if "electronics_resolution_n" not in result:
+        return ""
+    bandwidth_hz, asked = result.attrs["bandwidth_hz"], parse_scene(str(result.attrs["scene"]), name="the scene")
+    sample = f"a mean over {significant(500 / bandwidth_hz)} ms (a bandwidth of {bandwidth_hz:g} Hz)"
+    feigned = ", ".join(significant(1e3 * float(one)) for one in result.feigned_force_n)
+    told = (
+        f"<p>One sample is {sample}, by itself: it has no memory of the samples before, in which "
+        f"{escaped(body_words(best))} could be followed, and waves slower than its bandwidth count in full. Through "
+        "the vessels such waves move the blood of both zones, each with the gain of its frequency. Light that sees "
+        "the blood of two zones cannot tell them from the two pressures that would move it alike: on every layout "
+        f"they feign a force of {feigned} mN rms ({escaped(', '.join(map(str, result.finger.values)))}), and no "
+        "layout resolves finer. If the split of the touch is known, most of them stands apart from it, and the layout "
+        f"counts again. {_worn(asked)}</p>"
+    )
+    if "count_resolution_n" not in result:
+        return section("Through the body's noise", told)
+    drawn = _figure("count", figures.count_figure(best, result))
+    return section("Through the body's noise", told, drawn, _counts(result))
+
+
+def _worn(scene: Scene) -> str:
+    """What the sensor's own drift and motion are taken to do; empty where it does neither."""
+    body, parts = scene.body, []
+    if body is not None and body.drift is not None:
+        since_s = boards.rules(scene).since_rest_s
+        each = (
+            100 * gain * math.sqrt(since_s / 60) for gain in (body.drift.led_per_rt_min, body.drift.reading_per_rt_min)
+        )
+        led, reading = map(significant, each)
+        parts.append(
+            f"{significant(since_s)} s after the untouched finger was read, all readings of an LED have drifted by "
+            f"{led} % together and each by {reading} % by itself; more photodiodes average the latter."
+        )
+    if body is not None and body.motion is not None:
+        percent = significant(100 * LIFT_PER_UM * body.motion.lift_um)
+        parts.append(
+            f"A lift of {body.motion.lift_um:g} µm is taken to move all readings by {percent} % together, near and far "
+            "ones alike; what a slide along the nail does is not in it."
+        )
+    return " ".join(parts)
+
+
+def _counts(result: xr.Dataset) -> str:
+    """Resolution against the number of photodiodes, chosen with the body's noise and without."""
+    head = [
+        "Photodiodes",
+        "Through the<br>body [mN]",
+        "Electronics<br>alone [mN]",
+        "Those chosen for the<br>electronics, ",
+    ]
+    head[-1] += "through<br>the body [mN]"
+    kinds = (
+        ("count_resolution_n", "body"),
+        ("count_electronics_resolution_n", "electronics"),
+        ("count_resolution_n", "electronics"),
+    )
+    lines = []
+    for count in result.photodiode_count.values:
+        at = [
+            result[f"{name}{end}"].sel(chosen_for=purpose, photodiode_count=count)
+            for name, purpose in kinds
+            for end in ("", "_stderr")
+        ]
+        values = [1e3 * float(one) for one in at]
+        if all(map(math.isfinite, values)):
+            lines.append([str(count), *(with_error(*values[i : i + 2]) for i in (0, 2, 4))])
     return table(head, lines)
 
 

@@ -149,13 +149,20 @@ def placement_lines(summary: dict[str, Any]) -> list[str]:
     """The ranking of a `placement_summary` as a table, best first."""
     lines = [
         f"{row['rank']:>3} {row['layout']:<28} {1e3 * row['force_resolution_n']:9.3f} mN "
-        f"+- {1e3 * row['force_resolution_n_stderr']:.3f}{_spread(row)}{'  tied' if row['tied'] else ''}"
+        f"+- {1e3 * row['force_resolution_n_stderr']:.3f}{_still(row)}{_spread(row)}{'  tied' if row['tied'] else ''}"
         for row in summary["ranking"]
     ]
     if better := summary["gain_over_paper"]:
         times = f"{better['value']:.2f} +- {better['stderr']:.2f} times"
         lines.append(f"the best resolves force {times} as finely as the paper's layout")
     return [*lines, *summary.get("conclusions", [])]
+
+
+def _still(row: dict[str, Any]) -> str:
+    """What a layout would resolve were the body still, and its rank by that, where the scene has a body."""
+    if "electronics_rank" not in row:
+        return ""
+    return f", electronics alone {1e3 * row['electronics_resolution_n']:.3f} mN (rank {row['electronics_rank']})"
 
 
 def _spread(row: dict[str, Any]) -> str:

@@ -85,6 +85,8 @@ class Placement(Table):
     """How many photodiodes the search places, each like the scene's first."""
     force_n: Annotated[float, Field(gt=0, le=20)] = 0.5
     """Force at which the resolution is judged. [N]"""
+    since_rest_s: Annotated[float, Field(gt=0, le=86400)] = 60.0
+    """Time since the untouched finger was read, in which readings drift as [body.drift] says. [s]"""
     rank_by: Literal["worst", "mean"] = "worst"
     """Over the fingers: the worst resolution or the mean."""
     fingers: Annotated[tuple[FingerCase, ...], Field(max_length=16)] = ()

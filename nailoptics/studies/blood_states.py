@@ -245,11 +245,30 @@ def steady_blood_at(scene: Scene, *, proximal_pressure_pa: ArrayLike, distal_pre
 
     A touch that shears is taken without its shear.
     """
+    return _steady(scene, _without_shear(scene), [proximal_pressure_pa, distal_pressure_pa])
+
+
+def blood_by_arterial_pressure(scene: Scene, frequency_hz: ArrayLike, force_n: float) -> np.ndarray:
+    """Change of the blood fraction of each zone with a small wave of P_H while a force is held, (zones, F) complex.
+
+    frequency_hz : (F,) float. [Hz]
+
+    Returns: amplitude and phase against the wave's. A touch that shears is taken without its shear. [Pa^-1]
+    """
+    parameters, cut = vessels(scene), _without_shear(scene)
+    pressure_pa = np.array(touch_pressures_pa(scene, force_n))
+    gain = hemodynamics.arterial_gain_m_per_pa(parameters, frequency_hz, pressure_pa=pressure_pa, zones=cut)
+    diameter = hemodynamics.steady_state(parameters, pressure_pa=pressure_pa[:, None], zones=cut).capillary_diameter_m
+    # Blood goes with the square of the diameter.
+    return np.asarray(2.0 * _fraction(scene, parameters, diameter) / diameter * gain)
+
+
+def _without_shear(scene: Scene) -> hemodynamics.Zones:
+    """The scene's cut of the bed for the proximal and the distal pressure alone."""
     cut = capillary_zones(scene)
-    two = hemodynamics.Zones(
+    return hemodynamics.Zones(
         share=cut.share, reach=tuple((a, b) for a, b, *_ in cut.reach), vein_reach=cut.vein_reach[:2]
     )
-    return _steady(scene, two, [proximal_pressure_pa, distal_pressure_pa])
 
 
 def _steady(scene: Scene, cut: hemodynamics.Zones, pressures_pa: Sequence[ArrayLike]) -> np.ndarray:

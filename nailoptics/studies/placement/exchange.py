@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import InputError
+from ...light.board_map import PhotonMap
 from ...scene import Placement, Scene
 from ...scene.layout import Rectangle
 from ...scene.outlines import has_room
 from . import boards
 from .boards import CandidateLayout
-from .fisher import fisher_information, force_resolution_n, over_fingers, response
+from .fisher import OperatingPoint, fisher_information, force_resolution_n, over_fingers, response
 from .photon_maps import PhotonMapCache
 from .progress import StageProgress
 
@@ -214,9 +215,9 @@ def exchange(
     """The places whose information together scores least, and the score: one after the other, then exchanged singly
     until nothing improves.
 
-    information : (fingers, m, 3) float. What a photodiode at each place tells. [Pa^-2]
+    information : (fingers, m, n) float. What a photodiode at each place tells, as `fisher_information`.
     spacing_mm : two photodiodes lie at least so far apart in u or in v.
-    score : of sums of information (fingers, ..., 3) -> (...).
+    score : of sums of information (fingers, ..., n) -> (...).
     """
 
     def best(total: np.ndarray, taken: list[int]) -> tuple[int, float]:
@@ -228,7 +229,7 @@ def exchange(
         return at, float(scores[at])
 
     chosen: list[int] = []
-    total, reached = np.zeros((len(information), 3)), np.inf
+    total, reached = np.zeros((len(information), information.shape[-1])), np.inf
     for _ in range(count):
         at, reached = best(total, chosen)
         if not np.isfinite(reached):
@@ -250,19 +251,22 @@ def exchange(
 def information_at(
     cache: PhotonMapCache, board: Scene, places: np.ndarray, size_mm: tuple[float, float], like: Scene
 ) -> np.ndarray:
-    """What one photodiode at each place tells on each finger, (fingers, m, 3) float. [Pa^-2]
+    """What one photodiode at each place tells on each finger, (fingers, m, n) float, as `fisher_information`.
 
     like : the scene whose first photodiode and electronics these are.
     """
     half = np.array(size_mm) / 2
     areas = np.stack([places - half, places + half], -1).reshape(-1, 4)
-    out = np.zeros((len(cache.conditions), len(places), 3))
-    for total, condition, by_led in zip(out, cache.conditions, cache.maps(board), strict=True):
-        for led, one in zip(board.leds, by_led, strict=True):
-            values = one.over(areas).mean(0)
-            read = response(values, led, like.photodiodes[0], like.electronics, condition.point)
-            total += fisher_information(read)
-    return out
+
+    def told(number: int, one: PhotonMap, point: OperatingPoint) -> np.ndarray:
+        led, values = board.leds[number], one.over(areas).mean(0)
+        return fisher_information(response(values, led, like.photodiodes[0], like.electronics, point, number=number))
+
+    by_finger = [
+        sum(told(number, one, condition.point) for number, one in enumerate(by_led))
+        for condition, by_led in zip(cache.conditions, cache.maps(board), strict=True)
+    ]
+    return np.stack(by_finger)
 
 
 def _outline(base: Scene) -> Rectangle:

@@ -1,4 +1,11 @@
-"""How well readings tell force: the Fisher information of the two pressures, and the force that it resolves."""
+"""How well readings tell force: the Fisher information of the two pressures, and the force that it resolves.
+
+What the body adds to all readings of a sample alike, waves of the arterial pressure and drift and motion of the
+sensor, is of a known shape and an unknown height: one more unknown beside the pressures for each of its shapes, known
+beforehand to its standard deviation. Readings so tell all unknowns together, and the body's are marginalised. For
+Gaussians this is the same as adding the shapes' outer products to the covariance of the readings, but photodiodes
+still add up one by one.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -9,6 +16,7 @@ from numpy.typing import NDArray
 from ... import electronics
 from ...scene import Electronics, Led, Photodiode, Scene
 from ..blood_states import steady_blood_at, touch_areas_mm2, touch_pressures_pa
+from .body_waves import BodyNoise, body_noise
 
 Array = NDArray[np.float64]
 
@@ -26,16 +34,21 @@ class OperatingPoint:
     blood_per_pa : (zone, pressure) float. How it changes with the proximal and distal pressure. [Pa^-1]
     force_per_pa : (2,) float. Force for each pressure: the area of either side. [N/Pa]
     pressure_per_n : (2,) float. Pressures for each newton of the scene's touch. [Pa/N]
+    body : what the body adds; None where the scene has no body, or one that is still.
     """
 
     blood_fraction: Array
     blood_per_pa: Array
     force_per_pa: Array
     pressure_per_n: Array
+    body: BodyNoise | None = None
 
 
-def operating_point(scene: Scene, force_n: float) -> OperatingPoint:
-    """The blood at a steady force, and its change with either pressure, from the scene's hemodynamics."""
+def operating_point(scene: Scene, force_n: float, *, since_rest_s: float = 60.0) -> OperatingPoint:
+    """The blood at a steady force, and its change with either pressure, from the scene's hemodynamics.
+
+    since_rest_s : time since the untouched finger was read, in which readings of a scene with a body drift. [s]
+    """
     per_n = np.array(touch_pressures_pa(scene, 1.0))
     # In columns: there, and half a step up and down in either pressure.
     step = 0.5 * STEP_PA * np.array([[0, 1, -1, 0, 0], [0, 0, 0, 1, -1]])
@@ -47,6 +60,7 @@ def operating_point(scene: Scene, force_n: float) -> OperatingPoint:
         blood_per_pa=np.stack([blood[1] - blood[2], blood[3] - blood[4]], -1) / width,
         force_per_pa=np.array(touch_areas_mm2(scene)) * 1e-6,
         pressure_per_n=per_n,
+        body=body_noise(scene, force_n, since_rest_s=since_rest_s),
     )
 
 
@@ -54,10 +68,13 @@ def operating_point(scene: Scene, force_n: float) -> OperatingPoint:
 class Response:
     """What photodiodes read and how it changes, any shape (...).
 
-    volts, noise_v2 : reading and the variance of one sample. [V], [V^2]
+    volts, noise_v2 : reading and the variance that the electronics give one sample. [V], [V^2]
     slope_v_per_pa : (..., 2) float. Change with either pressure; 0 where the converter is at its limit. [V/Pa]
     zone_v : (..., 2) float. Change with the blood of either zone. [V]
     shunted_fraction : (...) float. Part of the light that was never in the bed.
+    body_v : (..., k) float. What each of the body's k shapes adds, rms, to all readings at once; None without a body,
+        0 where the converter is at its limit. [V]
+    own_v2 : what the body adds to each reading by itself. [V^2]
     """
 
     volts: Array
@@ -65,10 +82,12 @@ class Response:
     slope_v_per_pa: Array
     zone_v: Array
     shunted_fraction: Array
+    body_v: Array | None = None
+    own_v2: Array | float = 0.0
 
     @property
     def noise_v(self) -> Array:
-        """Noise of one sample, rms. [V]"""
+        """Noise of the electronics in one sample, rms. [V]"""
         return np.sqrt(self.noise_v2)
 
 
@@ -79,43 +98,76 @@ def response(
     amplifier: Electronics,
     point: OperatingPoint,
     *,
+    number: int = 0,
     ambient_a: float | Array = 0.0,
 ) -> Response:
     """What photodiodes read of an LED, from a photon map's means per emitted photon.
 
     values : (..., 4) float. Reading, its part never in the bed, derivative by the blood of each zone.
+    number : of the LED in its scene.
     ambient_a : photocurrent by light from outside, which tells nothing. [A]
     """
     detected = np.maximum(values[..., 0], 0.0)
     read = electronics.read(detected, led, photodiode, amplifier, ambient_a=ambient_a)
-    zone = values[..., 2:] * electronics.volts_per_fraction(led, photodiode, amplifier)
+    per_fraction = electronics.volts_per_fraction(led, photodiode, amplifier)
+    zone, light_v = values[..., 2:] * per_fraction, detected * per_fraction
     with np.errstate(invalid="ignore", divide="ignore"):
         shunted = np.where(values[..., 0] > 0, values[..., 1] / values[..., 0], 0.0)
+    tells = ~read.saturated[..., None]
     return Response(
         volts=read.amplified_v,
         noise_v2=read.noise_v2,
-        slope_v_per_pa=(zone @ point.blood_per_pa) * ~read.saturated[..., None],
+        slope_v_per_pa=(zone @ point.blood_per_pa) * tells,
         zone_v=zone,
         shunted_fraction=shunted,
+        body_v=None if point.body is None else point.body.shapes_v(zone, light_v, number) * tells,
+        own_v2=0.0 if point.body is None else (point.body.reading_gain * light_v) ** 2,
     )
 
 
-def fisher_information(read: Response) -> Array:
-    """What each reading tells of the two pressures, (..., 3) float: the entries 11, 12, 22 of the matrix. [Pa^-2]"""
-    a, b = read.slope_v_per_pa[..., 0], read.slope_v_per_pa[..., 1]
-    return np.stack([a * a, a * b, b * b], -1) / read.noise_v2[..., None]
+def fisher_information(read: Response, *, electronics_alone: bool = False) -> Array:
+    """What each reading tells of the unknowns, (..., n (n + 1) / 2) float: the upper triangle of a symmetric matrix.
+
+    electronics_alone : as if the body were still.
+
+    Returns: entries 11, 12, 22 for the two pressures [Pa^-2]; of a body with k shapes n is 2 + k, row by row.
+    """
+    unknown, noise_v2 = [read.slope_v_per_pa[..., 0], read.slope_v_per_pa[..., 1]], read.noise_v2
+    if read.body_v is not None and not electronics_alone:
+        unknown += [read.body_v[..., k] for k in range(read.body_v.shape[-1])]
+        noise_v2 = noise_v2 + read.own_v2
+    return np.stack([a * b for i, a in enumerate(unknown) for b in unknown[i:]], -1) / noise_v2[..., None]
 
 
-def total_information(by_led: Iterable[Response]) -> Array:
-    """What all photodiodes tell together under all LEDs, (..., 3) float of (..., photodiodes) each. [Pa^-2]"""
-    return np.sum([fisher_information(read).sum(-2) for read in by_led], axis=0)
+def total_information(by_led: Iterable[Response], *, electronics_alone: bool = False) -> Array:
+    """What all photodiodes tell together under all LEDs, from (..., photodiodes) each; as `fisher_information`."""
+    each = [fisher_information(read, electronics_alone=electronics_alone).sum(-2) for read in by_led]
+    return np.sum(each, axis=0)
+
+
+def pressure_information(information: Array) -> Array:
+    """What readings tell of the two pressures, whatever the body does meanwhile, (..., 3) float: 11, 12, 22. [Pa^-2]
+
+    information : of all unknowns, as `fisher_information`. One after the other the body's, each of variance 1
+        beforehand, are marginalised (Schur's complement).
+    """
+    count = int((np.sqrt(8 * information.shape[-1] + 1) - 1) / 2)
+    if count == 2:
+        return information
+    rows, columns = np.triu_indices(count)
+    matrix = np.empty((*information.shape[:-1], count, count))
+    matrix[..., rows, columns] = matrix[..., columns, rows] = information
+    for last in range(count - 1, 1, -1):
+        beside, own = matrix[..., :last, last], 1.0 + matrix[..., last, last]
+        matrix = matrix[..., :last, :last] - beside[..., :, None] * beside[..., None, :] / own[..., None, None]
+    return matrix[..., [0, 0, 1], [0, 1, 1]]
 
 
 def force_resolution_n(information: Array, point: OperatingPoint) -> Array:
     """Standard deviation of the force told by one sample of all readings, whatever its split. [N]
 
-    information : (..., 3) float. Of all readings. It is a matrix J; the force w . P has the variance w^T J^-1 w
-        (Cramer-Rao), with w the area of the side for each pressure.
+    information : Of all readings, as `fisher_information`. It makes the matrix J of the two pressures; the force w . P
+        has the variance w^T J^-1 w (Cramer-Rao), with w the area of the side for each pressure.
     """
     one, both, two = _with_prior(information)
     w = point.force_per_pa
@@ -125,8 +177,19 @@ def force_resolution_n(information: Array, point: OperatingPoint) -> Array:
 
 def fixed_ratio_resolution_n(information: Array, point: OperatingPoint) -> Array:
     """The same if the touch always splits as the scene's does, so that one number is unknown. [N]"""
-    a, b = point.pressure_per_n
-    return 1 / np.sqrt(a * a * information[..., 0] + 2 * a * b * information[..., 1] + b * b * information[..., 2])
+    (a, b), one, both, two = point.pressure_per_n, *np.moveaxis(pressure_information(information), -1, 0)
+    return 1 / np.sqrt(a * a * one + 2 * a * b * both + b * b * two)
+
+
+def feigned_force_n(point: OperatingPoint) -> float:
+    """Force, rms, that waves of the arterial pressure look like where light tells the blood of both zones exactly. [N]
+
+    Their blood b is what the pressures B^-1 b would make of it: light that sees two zones cannot tell them apart, so
+    that no layout resolves finer unless the split of the touch is known. NaN where a pressure moves no blood.
+    """
+    if point.body is None or np.linalg.cond(point.blood_per_pa) > 1 / np.finfo(float).eps:
+        return 0.0 if point.body is None else float("nan")
+    return float(np.linalg.norm(point.force_per_pa @ np.linalg.solve(point.blood_per_pa, point.body.blood)))
 
 
 def pressure_resolution_pa(information: Array) -> Array:
@@ -137,8 +200,8 @@ def pressure_resolution_pa(information: Array) -> Array:
 
 def _with_prior(information: Array) -> tuple[Array, Array, Array]:
     """The entries 11, 12, 22 with what is known before any reading."""
-    prior = PRIOR_PA**-2
-    return information[..., 0] + prior, information[..., 1], information[..., 2] + prior
+    prior, (one, both, two) = PRIOR_PA**-2, np.moveaxis(pressure_information(information), -1, 0)
+    return one + prior, both, two + prior
 
 
 def condition_number(read: Response) -> float:

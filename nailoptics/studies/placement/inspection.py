@@ -56,7 +56,8 @@ class _Setup:
     def response(self, led: int, values: np.ndarray, ambient_a: Any = 0.0) -> Response:
         """What the photodiodes read of one LED, (..., photodiodes, 4) float."""
         amplifier, point = self.scene.electronics, self.condition.point
-        return response(values, self.scene.leds[led], self.photodiode, amplifier, point, ambient_a=ambient_a)
+        how = {"number": led, "ambient_a": ambient_a}
+        return response(values, self.scene.leds[led], self.photodiode, amplifier, point, **how)
 
     def force_resolution_n(self, responses: Sequence[Response]) -> np.ndarray:
         """Force resolution from what the photodiodes read of all LEDs. [N]"""

@@ -73,7 +73,7 @@ def _log_resolutions(
     for number, case in enumerate(cases):
         base = boards.on_finger(layout.board, case)
         scenes = [base if change is None else at_value(base, *change) for change in changes]
-        points = [operating_point(one, rules.force_n) for one in scenes]
+        points = [operating_point(one, rules.force_n, since_rest_s=rules.since_rest_s) for one in scenes]
         # Scenes whose light goes the same way share a trace.
         sharing: dict[str, list[int]] = {}
         for k, one in enumerate(scenes):
@@ -109,8 +109,8 @@ def _resolutions(
     out = []
     for k, (_, point) in enumerate(shared):
         by_led = [
-            response(values[k], led, photodiode, layout.scene.electronics, point)
-            for values, led in zip(read, layout.scene.leds, strict=True)
+            response(values[k], led, photodiode, layout.scene.electronics, point, number=number)
+            for number, (values, led) in enumerate(zip(read, layout.scene.leds, strict=True))
         ]
         out.append(force_resolution_n(total_information(by_led), point))
     return np.stack(out)

@@ -100,8 +100,8 @@ class PhotonMapCache:
         areas, photodiode = layout.layout.photodiode_areas, layout.layout.photodiodes[0].photodiode
         return [
             [
-                response(left_out(one.over(areas)), led, photodiode, layout.electronics, condition.point)
-                for led, one in zip(layout.leds, by_led, strict=True)
+                response(left_out(one.over(areas)), led, photodiode, layout.electronics, condition.point, number=k)
+                for k, (led, one) in enumerate(zip(layout.leds, by_led, strict=True))
             ]
             for condition, by_led in zip(self.conditions, self.maps(board), strict=True)
         ]

@@ -21,6 +21,7 @@ from .boards import CandidateLayout
 from .fisher import operating_point
 from .inspection import inspect_layout
 from .over_unknowns import resolution_over_unknowns
+from .photodiode_count import resolution_by_count
 from .photon_maps import QUICK_DISTANCE_MM, FingerCondition, PhotonMapCache
 from .progress import StageProgress
 from .result import as_dataset
@@ -82,9 +83,11 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
         inspected = inspect_layout(layouts[0].scene, conditions[0], photons=maps[0].photons, max_seconds=left_s, **made)
     report_progress("check", 1.0, scores[0].relative_error)
     over = xr.Dataset()
+    if conditions[0].point.body is not None and not report_progress.is_late(1.0):
+        over = resolution_by_count(layouts[0], judging, rules)
     if scene.priors.spread and not report_progress.interrupted and limit_s - report_progress.seconds > CHECK_S:
         late = partial(report_progress.is_late, 1.0)
-        over = resolution_over_unknowns(layouts, boards.fingers(scene), rules, stop=late, **made)
+        over = over.merge(resolution_over_unknowns(layouts, boards.fingers(scene), rules, stop=late, **made))
     made |= {"photons": judging.photons + searching.photons, "rank_by": rules.rank_by}
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
     result = as_dataset(scene, layouts, scores, conditions, maps, searched, inspected, made).merge(over)
@@ -115,7 +118,8 @@ def _candidates(
 
 def finger_condition(base: Scene, case: FingerCase, rules: Placement) -> FingerCondition:
     """A finger of the placement with the touch at which it judges."""
-    return FingerCondition(case, operating_point(boards.on_finger(base, case), rules.force_n))
+    scene = boards.on_finger(base, case)
+    return FingerCondition(case, operating_point(scene, rules.force_n, since_rest_s=rules.since_rest_s))
 
 
 def given(base: Scene, rules: Placement) -> list[CandidateLayout]:
@@ -131,7 +135,7 @@ def given(base: Scene, rules: Placement) -> list[CandidateLayout]:
 def _paper_layout(base: Scene, conditions: Sequence[FingerCondition]) -> CandidateLayout | None:
     """The paper's layout on the same finger with the same electronics; None where it does not fit every nail."""
     prototype = load_scene(data_dir("scenes") / "prototype.toml")
-    kept = ("finger", "blood", "touch", "electronics", "light")
+    kept = ("finger", "blood", "touch", "body", "electronics", "light")
     scene = prototype.model_copy(update={name: getattr(base, name) for name in kept})
     try:
         for condition in conditions:

@@ -42,6 +42,8 @@ def as_dataset(
     """
     best = layouts[0].scene
     data = _ranking(layouts, scores, conditions) | _extremes(layouts, scores) | _sites(searched)
+    if any(condition.point.body is not None for condition in conditions):
+        data |= _still(scores, conditions)
     coordinates = {
         "layout": [layout.name for layout in layouts],
         "finger": [condition.case.name for condition in conditions],
@@ -55,6 +57,7 @@ def as_dataset(
     traced = {name: attributes[name] for name in ("backend", "photons")}
     made = provenance(scene, engine="photons", seeds=str(attributes["seed"]), **traced)
     more = {"adc_range_v": best.electronics.adc_range_v, "title": "nailoptics: layouts ranked by force resolution"}
+    more |= {"bandwidth_hz": best.electronics.bandwidth_hz}
     result.attrs = made | attributes | inspected.attrs | more
     return result
 
@@ -93,6 +96,21 @@ def _ranking(
     numbers = [[max(map(fisher.condition_number, by_led)) for by_led in score.responses] for score in scores]
     text = "condition number of the matrix of readings by blood zones"
     return found | variable("condition_number", both, numbers, text)
+
+
+def _still(scores: Sequence[LayoutScore], conditions: Sequence[FingerCondition]) -> Variables:
+    """What each layout would resolve were the body still, and what the body alone takes for a force."""
+    value = np.array([score.electronics_score_n[0] for score in scores])
+    errors = value * np.array([jackknife(np.log(score.electronics_score_n)) for score in scores])
+    text = "force resolution of one sample by the noise of the electronics alone, over the fingers"
+    found = variable("electronics_resolution_n", "layout", value, text, units="N", stderr=errors)
+    each = [score.electronics_resolution_n[0] for score in scores]
+    text, over = "force resolution by the noise of the electronics alone on each finger", ("layout", "finger")
+    by_finger = [jackknife(score.electronics_resolution_n) for score in scores]
+    found |= variable("finger_electronics_resolution_n", over, each, text, units="N", stderr=by_finger)
+    feigned = [fisher.feigned_force_n(condition.point) for condition in conditions]
+    text = "force, rms, that waves of the arterial pressure feign: no layout resolves finer"
+    return found | variable("feigned_force_n", "finger", feigned, text, units="N")
 
 
 def _extremes(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore]) -> Variables:
@@ -148,8 +166,8 @@ def _photodiode_anywhere(scene: Scene, maps: Sequence[PhotonMap], point: Operati
     u, v = np.meshgrid(place_u, place_v, indexing="ij")
     areas = np.stack([u - half_u, u + half_u, v - half_v, v + half_v], -1).reshape(-1, 4)
     noise, resolution, error = [], [], []
-    for led, one in zip(scene.leds, maps, strict=True):
-        read = fisher.response(left_out(one.over(areas)), led, photodiode, scene.electronics, point)
+    for k, (led, one) in enumerate(zip(scene.leds, maps, strict=True)):
+        read = fisher.response(left_out(one.over(areas)), led, photodiode, scene.electronics, point, number=k)
         noise.append(read.noise_v[0].reshape(u.shape))
         with np.errstate(divide="ignore", invalid="ignore"):
             replicates = fisher.fixed_ratio_resolution_n(fisher.fisher_information(read), point)
@@ -189,6 +207,10 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
         one = result.isel(layout=i)
         tied = bool(one.tied)
         row: dict[str, Any] = {"rank": 1 if tied else i + 1, "layout": str(layout), "origin": str(one.origin.item())}
+        if "electronics_resolution_n" in one:
+            ahead = result.electronics_resolution_n < one.electronics_resolution_n
+            row["electronics_rank"] = 1 + int(ahead.sum())
+            row |= {name: float(one[name]) for name in ("electronics_resolution_n", "electronics_resolution_n_stderr")}
         if "resolution_spread" in one:
             row["force_resolution_spread_n"] = float(one.force_resolution_n * one.resolution_spread)
         row |= {"tied": tied and int(result.tied.sum()) > 1} | {name: float(one[name]) for name in named}

@@ -11,7 +11,14 @@ from ...scene import digest
 from ...statistics import Z95, jackknife
 from .boards import CandidateLayout
 from .exchange import SEARCH_PHOTONS
-from .fisher import Response, force_resolution_n, over_fingers, total_information
+from .fisher import (
+    Response,
+    feigned_force_n,
+    force_resolution_n,
+    over_fingers,
+    pressure_information,
+    total_information,
+)
 from .photon_maps import PhotonMapCache
 from .progress import StageProgress
 
@@ -27,22 +34,29 @@ JUDGE_SHARE = 0.85
 class LayoutScore:
     """How finely a layout resolves force: by all photons and without each block of them.
 
-    resolution_n : (1 + blocks, fingers) float. Whatever the split of the force. [N]
+    resolution_n : (1 + blocks, fingers) float. Whatever the split of the force, through the body's noise. [N]
     score_n : (1 + blocks,) float. Over the fingers. [N]
-    information_per_pa2 : (1 + blocks, fingers, 3) float. As `total_information`. [Pa^-2]
+    electronics_resolution_n, electronics_score_n : the same, were the body still. [N]
+    feigned_n : float. Force that the body feigns on every layout, over the fingers: no score is less. [N]
+    information_per_pa2 : (1 + blocks, fingers, 3) float. Of both pressures, whatever the body does. [Pa^-2]
     responses : by finger and LED, (1 + blocks, photodiodes).
     """
 
     resolution_n: np.ndarray
     score_n: np.ndarray
+    electronics_resolution_n: np.ndarray
+    electronics_score_n: np.ndarray
+    feigned_n: float
     information_per_pa2: np.ndarray
     responses: list[list[Response]]
 
     @property
     def interval_n(self) -> tuple[float, float]:
-        """95 % interval of the score, symmetric in its logarithm. [N]"""
-        spread = Z95 * self.relative_error
-        return float(self.score_n[0] * math.exp(-spread)), float(self.score_n[0] * math.exp(spread))
+        """95 % interval of the score, symmetric in the logarithm of what it is above the body's own part. [N]"""
+        above = np.sqrt(np.maximum(self.score_n**2 - self.feigned_n**2, np.finfo(float).tiny))
+        spread = Z95 * float(jackknife(np.log(above)))
+        low, high = (math.hypot(float(above[0]) * math.exp(sign * spread), self.feigned_n) for sign in (-1, 1))
+        return low, high
 
     @property
     def relative_error(self) -> float:
@@ -54,12 +68,18 @@ def score_layout(layout: CandidateLayout, cache: PhotonMapCache, rank_by: str) -
     """A layout's score from light that is traced; a further layout on a traced board costs milliseconds."""
     responses = cache.read(layout.scene, layout.board)
     information = [total_information(by_led) for by_led in responses]
+    still = [total_information(by_led, electronics_alone=True) for by_led in responses]
     points = [condition.point for condition in cache.conditions]
-    resolution = np.stack([force_resolution_n(*both) for both in zip(information, points, strict=True)])
+    resolution, electronics = (
+        np.stack([force_resolution_n(*both) for both in zip(one, points, strict=True)]) for one in (information, still)
+    )
     return LayoutScore(
         resolution_n=resolution.T,
         score_n=over_fingers(resolution, rank_by),
-        information_per_pa2=np.stack(information, 1),
+        electronics_resolution_n=electronics.T,
+        electronics_score_n=over_fingers(electronics, rank_by),
+        feigned_n=float(over_fingers(np.array([[feigned_force_n(point)] for point in points]), rank_by)[0]),
+        information_per_pa2=np.stack([pressure_information(one) for one in information], 1),
         responses=responses,
     )
 

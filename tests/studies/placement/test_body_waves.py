@@ -1,0 +1,277 @@
+"""Placement through the body's noise: known cases and limits of the arithmetic, and a placement that has a body."""
+
+import numpy as np
+import pytest
+
+from nailoptics import hemodynamics
+from nailoptics.report import summaries
+from nailoptics.report.place_page import write_placement
+from nailoptics.scene import parse_scene
+from nailoptics.studies.blood_states import blood_by_arterial_pressure, steady_blood_at, touch_pressures_pa
+from nailoptics.studies.placement import fisher, place, result
+from nailoptics.studies.placement.body_waves import BodyNoise, body_noise, pressure_lines
+
+SCENE = """
+schema_version = 1
+[finger]
+[blood]
+parameters = "best"
+[body.heartbeat]
+[body.breathing]
+[body.vasomotion]
+[board]
+size_mm = [9.0, 9.0]
+[[leds]]
+name = "ir"
+part = "led_800"
+position_mm = [-3.0, 0.0]
+[[photodiodes]]
+name = "pd"
+position_mm = [1.0, 0.0]
+size_mm = [1.0, 0.25]
+[placement]
+search = false
+photodiodes = 4
+[[placement.candidates]]
+name = "near"
+leds_mm = [[-3.0, 0.0]]
+photodiodes_mm = [[-1.0, -2.0], [-1.0, -1.0], [-1.0, 1.0], [-1.0, 2.0]]
+[[placement.candidates]]
+name = "far"
+leds_mm = [[-3.0, 0.0]]
+photodiodes_mm = [[3.0, -2.0], [3.0, -1.0], [3.0, 1.0], [3.0, 2.0]]
+"""
+BLOOD_PER_PA = np.array([[1.5e-6, -2e-7], [1.8e-6, -3e-6]])
+FORCE_PER_PA = np.full(2, 5e-5)
+
+
+def _point(blood: np.ndarray | None, *, gain: float = 0.0, reading_gain: float = 0.0) -> fisher.OperatingPoint:
+    body = None if blood is None else BodyNoise(blood=blood, led_gain=np.array([[gain]]), reading_gain=reading_gain)
+    return fisher.OperatingPoint(
+        blood_fraction=np.array([0.035, 0.025]),
+        blood_per_pa=BLOOD_PER_PA,
+        force_per_pa=FORCE_PER_PA,
+        pressure_per_n=np.full(2, 1e4),
+        body=body,
+    )
+
+
+def _read(point: fisher.OperatingPoint, *, count: int = 6, noise_v: float = 4e-5) -> fisher.Response:
+    """Photodiodes along the nail, each of which reads both zones in its own proportion."""
+    zone_v = -np.column_stack([np.linspace(1.5, 0.3, count), np.linspace(0.2, 1.4, count)])
+    light_v = 0.1 + 0.2 * np.linspace(-1.0, 1.0, count) ** 2
+    return fisher.Response(
+        volts=light_v,
+        noise_v2=np.full(count, noise_v**2),
+        slope_v_per_pa=zone_v @ point.blood_per_pa,
+        zone_v=zone_v,
+        shunted_fraction=np.zeros(count),
+        body_v=None if point.body is None else point.body.shapes_v(zone_v, light_v, 0),
+        own_v2=0.0 if point.body is None else (point.body.reading_gain * light_v) ** 2,
+    )
+
+
+def test_what_is_marginalised_is_what_a_covariance_of_the_readings_says():
+    """Rationale: J = S^T (N + W W^T)^-1 S for slopes S, the electronics' N and the body's shapes W, photodiode by
+    photodiode or inverted at once; and the spread of a least squares fit to readings with both noises.
+    """
+    point = _point(1e-4 * np.array([[7.0, 1.0], [6.0, -2.0]]), gain=2e-3, reading_gain=5e-4)
+    read = _read(point)
+    own_v2 = read.noise_v2 + read.own_v2
+    covariance = np.diag(own_v2) + read.body_v @ read.body_v.T
+    assert covariance[0, 0] > 1.5 * read.noise_v2[0]
+    exact = read.slope_v_per_pa.T @ np.linalg.solve(covariance, read.slope_v_per_pa)
+    total = fisher.fisher_information(read).sum(0)
+    assert np.allclose(fisher.pressure_information(total), exact[[0, 0, 1], [0, 1, 1]], rtol=1e-6)
+    rng = np.random.default_rng(0)
+    samples = rng.normal(size=(20_000, 6)) * np.sqrt(own_v2) + rng.normal(size=(20_000, 3)) @ read.body_v.T
+    fitted = np.linalg.solve(exact, read.slope_v_per_pa.T @ np.linalg.solve(covariance, samples.T))
+    # 20 000 samples know a standard deviation to 0.5 %; the pressures are known beforehand to 1e5 Pa.
+    assert fisher.force_resolution_n(total, point) == pytest.approx((FORCE_PER_PA @ fitted).std(), rel=0.02)
+
+
+def test_a_body_that_becomes_still_leaves_the_electronics():
+    still = _point(None)
+    alone = fisher.total_information([_read(still)])
+    assert alone.shape == (3,)
+    for strength in (1e-3, 1e-7):
+        point = _point(strength * np.array([[1.0, 0.0], [0.8, 0.1]]))
+        moving = [_read(point)]
+        assert np.array_equal(fisher.total_information(moving, electronics_alone=True), alone)
+        ratio = fisher.force_resolution_n(fisher.total_information(moving), point) / fisher.force_resolution_n(
+            alone, still
+        )
+        assert ratio > 5 if strength == 1e-3 else ratio == pytest.approx(1.0, abs=1e-4)
+
+
+def test_light_without_end_resolves_what_the_waves_feign_and_no_more():
+    """The body's part is the same for all layouts that see both zones, and adds to the electronics' in squares."""
+    point = _point(1e-4 * np.array([[7.0, 0.5], [6.0, 0.7]]))
+    feigned = fisher.feigned_force_n(point)
+    assert feigned > 1e-3
+    for count, noise_v in ((2, 1e-7), (6, 4e-5), (12, 4e-5)):
+        read = _read(point, count=count, noise_v=noise_v)
+        through, alone = (
+            fisher.force_resolution_n(fisher.total_information([read], electronics_alone=still), point)
+            for still in (False, True)
+        )
+        assert through == pytest.approx(np.hypot(alone, feigned), rel=1e-3)
+    assert fisher.feigned_force_n(_point(None)) == 0.0
+
+
+def test_a_touch_of_known_split_stands_apart_from_waves_of_one_shape():
+    """One shape and one force: two unknowns, which two zones tell; its resolution is that of the part of the touch
+    that is not along the wave, whatever the wave's height.
+    """
+    wave = np.array([[7e-2], [6e-2]])
+    point = _point(wave)
+    read = _read(point)
+    noise_v = np.sqrt(read.noise_v2[0])
+    touch, pulse = (read.zone_v @ BLOOD_PER_PA) @ point.pressure_per_n / noise_v, read.body_v[:, 0] / noise_v
+    apart = touch - pulse * (touch @ pulse) / (pulse @ pulse)
+    told = fisher.fixed_ratio_resolution_n(fisher.total_information([read]), point)
+    assert told == pytest.approx(1 / np.linalg.norm(apart), rel=1e-3)
+
+
+def test_a_gain_that_all_readings_share_leaves_their_ratios():
+    """However much an LED drifts, three readings tell two pressures by two ratios; by two readings nothing is told."""
+    point = _point(np.zeros((2, 2)), gain=1e3)
+    read = _read(point)
+    noise_v = np.sqrt(read.noise_v2[0])
+    light, slopes = read.volts / noise_v, read.slope_v_per_pa / noise_v
+    ratios = slopes - np.outer(light, light @ slopes) / (light @ light)
+    spread_pa = np.linalg.inv(ratios.T @ ratios)
+    told = fisher.force_resolution_n(fisher.total_information([read]), point)
+    assert told == pytest.approx(np.sqrt(FORCE_PER_PA @ spread_pa @ FORCE_PER_PA), rel=1e-3)
+    two = fisher.total_information([_read(point, count=2)])
+    assert fisher.force_resolution_n(two, point) > 0.5 * 1e5 * FORCE_PER_PA[0]
+
+
+def test_readings_of_two_leds_drift_apart_and_lift_together():
+    text = SCENE.replace("[placement]", '[[leds]]\nname = "second"\npart = "led_940"\n[placement]')
+    text = text.replace(
+        "[body.heartbeat]", "[body.drift]\nled_per_rt_min = 0.004\n[body.motion]\nlift_um = 1.5\n[body.heartbeat]"
+    )
+    body = body_noise(parse_scene(text), 0.5, since_rest_s=15.0)
+    gain = body.led_gain @ body.led_gain.T
+    # A quarter of a minute, of which a random walk makes half.
+    assert gain[0, 0] == pytest.approx(gain[1, 1]) == pytest.approx(0.002**2 + 0.0015**2)
+    assert gain[0, 1] == pytest.approx(0.0015**2)
+    assert body.reading_gain == pytest.approx(0.0005 / 2)
+    light_v, zone_v = np.array([0.2, 0.3]), np.ones((2, 2))
+    shapes = [body.shapes_v(zone_v, light_v, led)[:, 2:] for led in range(2)]
+    assert np.allclose(shapes[0] @ shapes[1].T, 0.0015**2 * np.outer(light_v, light_v))
+
+
+def test_the_bodys_lines_hold_the_variance_of_its_pressure():
+    """Each rhythm alone against the course that the scene would be simulated with."""
+    time_s = np.arange(0.0, 600.0, 0.02)
+    for table, course in (
+        ("[body.heartbeat]\nrate_variability = 0.0", hemodynamics.cardiac_pressure(time_s)),
+        ("[body.breathing]", hemodynamics.breathing_pressure(time_s, amplitude_pa=200.0)),
+        ("[body.vasomotion]", hemodynamics.vasomotion_pressure(time_s, amplitude_pa=600.0)),
+    ):
+        body = parse_scene(_with_body(table)).body
+        frequency_hz, variance = pressure_lines(body)
+        # Ten minutes hold whole beats and breaths, and of the slow waves 60 that beat against each other.
+        assert np.sqrt(variance.sum()) == pytest.approx(course.std(), rel=0.03)
+        assert (frequency_hz > 0.04).all()
+
+
+def _with_body(tables: str) -> str:
+    return SCENE.replace("[body.heartbeat]\n[body.breathing]\n[body.vasomotion]\n", tables + "\n")
+
+
+def test_a_wave_moves_the_blood_as_a_simulation_says():
+    """Rationale: 20 Pa of a sine through the full equations over its last period, amplitude and phase in both zones."""
+    scene = parse_scene(_with_body("").replace('"best"', '"listed"'))
+    frequency_hz, force_n = 1.2, 0.3
+    proximal, distal = touch_pressures_pa(scene, force_n)
+    parameters = hemodynamics.parameters("listed")
+    time_s = np.linspace(0.0, 6.0 / frequency_hz, 6 * 64 + 1)
+    wave = parameters.arterial_pressure_pa + 20.0 * np.sin(2 * np.pi * frequency_hz * time_s)
+    run = hemodynamics.respond(
+        parameters,
+        time_s,
+        proximal_pressure_pa=float(proximal),
+        distal_pressure_pa=float(distal),
+        arterial_pressure_pa=wave,
+        start="steady",
+        rtol=1e-8,
+    )
+    blood = hemodynamics.blood_fraction(parameters, run.capillary_diameter_m.values, rest_blood_fraction=0.03)[:, -64:]
+    turning = np.exp(-2j * np.pi * frequency_hz * time_s[-64:])
+    found = 2j * (blood * turning).mean(1) / 20.0
+    assert np.allclose(blood_by_arterial_pressure(scene, [frequency_hz], force_n)[:, 0], found, rtol=5e-3)
+
+
+def test_the_slowest_waves_move_the_blood_as_steady_states_do():
+    scene = parse_scene(_with_body(""))
+    proximal, distal = touch_pressures_pa(scene, 0.5)
+    blood = []
+    for change_pa in (-10.0, 10.0):
+        heartbeat = f"[body.heartbeat]\nmean_pressure_pa = {1e4 + change_pa}\npulse_pressure_pa = 0.0"
+        moved = parse_scene(_with_body(heartbeat))
+        parameters = hemodynamics.parameters("best").replace(arterial_pressure_pa=1e4 + change_pa)
+        state = hemodynamics.steady_state(parameters, proximal_pressure_pa=proximal, distal_pressure_pa=distal)
+        blood.append(state.capillary_diameter_m)
+        assert np.isfinite(steady_blood_at(moved, proximal_pressure_pa=[proximal], distal_pressure_pa=[distal])).all()
+    rest = hemodynamics.steady_state(hemodynamics.parameters("best")).capillary_diameter_m
+    steady = 0.03 * (blood[1] ** 2 - blood[0] ** 2) / rest**2 / 20.0
+    found = blood_by_arterial_pressure(scene, [1e-5], 0.5)[:, 0]
+    assert np.allclose(found, steady, rtol=1e-4)
+
+
+def test_waves_faster_than_the_stage_are_left_out():
+    usual = parse_scene(SCENE)
+    slow = usual.model_copy(update={"electronics": usual.electronics.model_copy(update={"bandwidth_hz": 0.2})})
+    without_beat = parse_scene(_with_body("[body.vasomotion]"))
+    found, expected = (body_noise(one, 0.5, since_rest_s=60.0) for one in (slow, without_beat))
+    assert np.allclose(found.blood @ found.blood.T, expected.blood @ expected.blood.T)
+    assert body_noise(parse_scene(_with_body("[body]")), 0.5, since_rest_s=60.0) is None
+
+
+@pytest.fixture(scope="module")
+def found(chosen_jit):
+    return place.place(parse_scene(SCENE), photons=1 << 18, seed=1)
+
+
+def test_a_placement_with_a_body_ranks_through_it_and_tells_the_electronics_beside(found):
+    rows = result.rows(found)
+    assert [row["layout"] for row in rows if row["layout"] != "paper"] == ["near", "far"]
+    feigned = float(found.feigned_force_n[0])
+    for row in rows:
+        both = np.hypot(row["electronics_resolution_n"], feigned)
+        assert row["force_resolution_n"] == pytest.approx(both, rel=0.01)
+        low, high = float(row["force_resolution_low_n"]), float(row["force_resolution_high_n"])
+        assert feigned < low < row["force_resolution_n"] < high
+        if row["layout"] == "far":
+            # Its light is known to a third: errors of squares are no longer straight.
+            continue
+        # The body's own part has no error: what is left is the electronics', as much less as it adds.
+        share = row["electronics_resolution_n"] / row["force_resolution_n"]
+        error = share * row["electronics_resolution_n_stderr"]
+        assert row["force_resolution_n_stderr"] == pytest.approx(error, rel=0.1)
+    assert sorted(row["electronics_rank"] for row in rows) == list(range(1, len(rows) + 1))
+    fresh, foretold = found.attrs["checked_resolution_n"], float(found.finger_resolution_n[0, 0])
+    assert fresh == pytest.approx(foretold, rel=0.05)
+    assert summaries.placement_lines(summaries.placement_summary(found))[0].count("mN") == 2
+
+
+def test_more_photodiodes_help_the_electronics_and_hardly_the_body(found):
+    counts = found.count_electronics_resolution_n.sel(chosen_for="electronics")
+    error = found.count_electronics_resolution_n_stderr.sel(chosen_for="electronics")
+    there = np.isfinite(counts.values)
+    assert there[:5].all()
+    assert (np.diff(counts.values[there]) < 2 * error.values[there][1:]).all()
+    assert counts.values[4] < 0.75 * counts.values[0]
+    through = found.count_resolution_n.sel(chosen_for="body").values[there]
+    assert through.min() >= float(found.feigned_force_n[0])
+    assert through[0] < 1.1 * through[4]
+
+
+def test_the_page_tells_the_bodys_part(found, tmp_path):
+    write_placement(found, tmp_path / "place.html")
+    text = (tmp_path / "place.html").read_text(encoding="utf-8")
+    assert "Through the body" in text and "Electronics<br>alone" in text and "heartbeat" in text
+    assert text.count("<svg") == 7
