@@ -1,7 +1,7 @@
 """Touch to blood: what a scene's force makes of the blood under the nail, over time or held until nothing moves."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
@@ -140,10 +140,14 @@ def arterial_waveform(scene: Scene) -> hemodynamics.Waveform | None:
     return hemodynamics.Waveform(time_s=times_s[0] + since_s, pressure_pa=pressure)
 
 
-def blood_over_touch(scene: Scene) -> xr.Dataset:
+def blood_over_touch(
+    scene: Scene, *, model: Literal["massless", "inertial"] = "massless", rtol: float = 1e-6
+) -> xr.Dataset:
     """The touch over time and what it does: force, pressures, vessel diameters, and the blood fraction by zone.
 
     The touch and the body are followed corner by corner, so that nothing depends on how often results are sampled.
+
+    model, rtol : as for `hemodynamics.respond`.
     """
     time_s, parameters = scene.touch.times_s(), vessels(scene)
     corner_s, corner_pa = pressure_course(scene)
@@ -158,6 +162,8 @@ def blood_over_touch(scene: Scene) -> xr.Dataset:
         arterial_pressure_pa=high,
         zones=capillary_zones(scene),
         start="steady",
+        model=model,
+        rtol=rtol,
     ).isel(time=slice(len(before_s), None))
     run = run[["capillary_diameter_m", "vein_diameter_m"]].drop_vars("zone_position")
     pressure_pa = np.array([row.at(time_s) for row in touch])

@@ -61,15 +61,25 @@ def calibrate(
     given = [_checked(one.of(names), scene) for one in read]
     if not given:
         raise InputError("calibrate needs at least one recording of a known force.")
+    scene, table = open_table(scene, model=model, progress=progress, **requested)
+    return calibrate_with(scene, table, given, model=model)
+
+
+def open_table(
+    scene: Scene,
+    *,
+    model: Model = "network",
+    progress: ProgressCallback | None = None,
+    **requested: Unpack[Requested],
+) -> tuple[Scene, ReadingTable]:
+    """The scene as it is fitted, and its readings over blood, traced: what calibrations of many people share."""
     # A person is the paper's network of two zones, whatever the scene has.
     two = {"zones": None, "zone_edges_mm": (0.0,), "decay_length": None}
     scene = scene.model_copy(update={"blood": scene.blood.model_copy(update=two), "body": None})
     most_blood = min(1.0, MOST_OVER_REST * scene.blood.rest_blood_fraction)
     light = open_light(scene, states=nodes_of(most_blood), progress=progress, **requested)
     table = reading_table(scene, light, most_blood)
-    if model == "paper":
-        table = paper_table(scene, table)
-    return calibrate_with(scene, table, given, model=model)
+    return scene, paper_table(scene, table) if model == "paper" else table
 
 
 def calibrate_with(

@@ -1,16 +1,37 @@
 """What a virtual person's worn sensor would record: simulated volts with noise and the converter's steps."""
 
+from typing import Literal
+
 import numpy as np
 import xarray as xr
 
 from ... import electronics
-from ...scene import Scene
+from ...light import DetectedLight
+from ...scene import Scene, Touch
 from ...scene.sensor_recordings import SITES, Recording
 from ...statistics import seed_of
+from ..blood_states import blood_over_touch
+from ..simulate import simulate_from
 from .reading_table import reading_names
 
 # Which stream of random numbers the noise takes, beside those of the light and the body.
 _NOISE = 11
+# Allowed error of a step of the vessels' equations, of a diameter. It adds up to 1e-5, below the converter's steps.
+_RTOL = 1e-3
+
+
+def record_touch(
+    scene: Scene, light: DetectedLight, touch: Touch, *, seed: int, model: Literal["massless", "inertial"] = "massless"
+) -> Recording:
+    """A recording of one more touch by a person whose light is traced: pulse, drift and noise are those of the seed.
+
+    light : what `open_light` returned for the scene, whatever its touch.
+    model : the equations of the vessels, as for `hemodynamics.respond`.
+    """
+    body = scene.body.model_copy(update={"seed": seed}) if scene.body else None
+    touched = scene.model_copy(update={"touch": touch, "body": body})
+    course = blood_over_touch(touched, model=model, rtol=_RTOL)
+    return record(touched, simulate_from(touched, light, course=course, seed=seed), seed=seed)
 
 
 def record(scene: Scene, result: xr.Dataset, *, seed: int) -> Recording:
