@@ -95,8 +95,9 @@ def light_of_person(scene: Scene, path: Path, *, photons: int = PHOTONS) -> Dete
 
 
 def _untouched(scene: Scene) -> Scene:
-    """The scene without what changes no light."""
-    return scene.model_copy(update={"touch": Touch(), "body": None})
+    """The scene without what moves its blood: it shares light with every other touch of the person."""
+    blood = scene.blood.model_copy(update={"parameters": "listed", "tuning": None, "decay_length": None})
+    return scene.model_copy(update={"touch": Touch(), "body": None, "blood": blood})
 
 
 def record_person(
