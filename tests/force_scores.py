@@ -1,11 +1,15 @@
 """Virtual people, calibrated and read: how well their force is told, for the benchmark and the tests of it."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from nailoptics import load_scene
+from nailoptics.assets import data_dir
 from nailoptics.light import DetectedLight
 from nailoptics.scene import Scene
 from nailoptics.scene.sensor_recordings import Recording
@@ -27,6 +31,27 @@ LEFT_AT_CLOSURE, MOST_SEARCHED_N = 0.05, 4.0
 PAIR_STRIDE = 4
 # An interval that covers so much covers.
 COVERED = 0.9
+
+
+def _updated(part: Any, **fields: Any) -> dict[str, Any]:
+    return {type(part).__name__.lower(): part.model_copy(update=fields)}
+
+
+PROTOTYPE = data_dir("scenes") / "prototype.toml"
+# In what people differ from the model that is fitted, and how each difference is taken away: the fields of the scene.
+DIFFERENCES: dict[str, Callable[[Scene, Scene], dict[str, Any]]] = {
+    "zones": lambda one, usual: _updated(one.blood, zones=None, decay_length=None),
+    "vessels": lambda one, usual: _updated(one.blood, tuning=None),
+    "optics": lambda one, usual: {
+        "finger": usual.finger,
+        "board": usual.board,
+        "light": usual.light,
+        "leds": usual.leds,
+    },
+    "creep": lambda one, usual: _updated(one.touch, creep=None, distal_relaxation_s=None),
+    "rhythms": lambda one, usual: _updated(one.body, heartbeat=None, breathing=None, vasomotion=None),
+    "drift": lambda one, usual: _updated(one.body, drift=None),
+}
 
 
 @dataclass(frozen=True)
@@ -73,10 +98,18 @@ class VirtualPerson:
         return float(force_n[np.flatnonzero(left > LEFT_AT_CLOSURE * left[0])[-1]])
 
 
-def virtual_person(name: str, keep: Path, model: str, photons: int = record.PHOTONS) -> VirtualPerson:
-    """A person by name, whose light is kept in a folder."""
-    scene = record.load_person(name)
-    light = record.light_of_person(scene, keep / f"{name}.transfer", photons=photons)
+def virtual_person(
+    name: str, keep: Path, model: str = "inertial", *, without: str | None = None, photons: int = record.PHOTONS
+) -> VirtualPerson:
+    """A person by name, whose light is kept in a folder.
+
+    without : one of `DIFFERENCES`, in which the person is then as the model that is fitted.
+    """
+    scene, kept = record.load_person(name), name
+    if without is not None:
+        scene = scene.model_copy(update=DIFFERENCES[without](scene, load_scene(PROTOTYPE)))
+        kept = f"{name}_{without}"
+    light = record.light_of_person(scene, keep / f"{kept}.transfer", photons=photons)
     return VirtualPerson(name, scene, light, model)
 
 

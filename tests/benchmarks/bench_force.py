@@ -1,6 +1,7 @@
 """How well force is told from volts, on eight virtual people whom no model of ours made. Run: python bench_force.py
 
     python bench_force.py [--person person_3 ...] [--keep FOLDER] [--no-pairs] [--rest-s 3600] [--massless]
+        [--without zones|vessels|optics|creep|rhythms|drift]
 
 Each person (scenes/subjects) is recorded as scenes/subjects/record.py says, calibrated on slow cycles of 0-2 N on
 either side with scenes/prototype.toml as the guess, and read under touches that no calibration has seen. Prints:
@@ -10,6 +11,7 @@ either side with scenes/prototype.toml as the guess, and read under touches that
 - their medians over the people, beside what must be reached;
 - who is read with whose calibration, and whether that is flagged or the interval covers all the same;
 - presses in an hour of rest; processor time of a calibration and of a sample.
+With --without people are as the fitted model in one thing, to see how much of the error it makes.
 Ctrl-C ends it with the table of what is done. FOLDER keeps traced light for the next run.
 """
 
@@ -32,6 +34,7 @@ from nailoptics.studies.force.subject import Subject, parse_subject
 sys.path.append(str(Path(__file__).parents[1]))
 
 from force_scores import (  # noqa: E402
+    DIFFERENCES,
     KINDS,
     PAIR_STRIDE,
     Score,
@@ -100,6 +103,7 @@ def main() -> None:
     asked.add_argument("--no-pairs", action="store_true", help="leave out who is read with whose calibration")
     asked.add_argument("--rest-s", type=float, default=3600.0, help="rest of the first person; 0 leaves it out [s]")
     asked.add_argument("--massless", action="store_true", help="people without inertia: faster, the same to 1e-5")
+    asked.add_argument("--without", choices=tuple(DIFFERENCES), help="people are as the fitted model in this")
     given = asked.parse_args()
     with tempfile.TemporaryDirectory() as passing:
         run(given, given.keep or Path(passing))
@@ -115,7 +119,8 @@ def run(given: argparse.Namespace, keep: Path) -> None:
     try:
         scene, table = open_table(nail.load_scene(data_dir("scenes") / "prototype.toml"))
         for name in given.person:
-            person = virtual_person(name, keep, "massless" if given.massless else "inertial")
+            model = "massless" if given.massless else "inertial"
+            person = virtual_person(name, keep, model, without=given.without)
             begin = time.process_time()
             recordings = [person.recording("calibration", site) for site in record.SIDES]
             made = time.process_time() - begin
