@@ -188,7 +188,7 @@ def place(
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, PLACEMENT)
     result, unmet = _watched(study, loaded, **options.fields)
-    paths = write_placement(result, loaded, folder, negate_x_on_bottom=negate_x_on_bottom)
+    paths = write_placement(result, folder, negate_x_on_bottom=negate_x_on_bottom)
     summary = placement_summary(result)
     _show(summary | {"folder": str(folder)}, placement_lines(summary), paths, json_)
     _end(unmet, folder)

@@ -8,12 +8,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from .checks import Array, fraction, not_negative
 from .errors import InputError
+from .scene.base import PHOTON_NM_PER_V
 from .scene.models import Electronics, Led, Photodiode
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 BOLTZMANN_J_PER_K = 1.380649e-23
-# Planck's constant times the speed of light over the elementary charge: a photon of 1240 nm carries 1 eV.
-PHOTON_NM_PER_V = 1239.841984
 
 
 class NoiseBudget(NamedTuple):
@@ -58,13 +57,29 @@ def responsivity_a_per_w(wavelength_nm: ArrayLike, quantum_efficiency: ArrayLike
     return np.asarray(fraction("quantum_efficiency", quantum_efficiency) * wavelength / PHOTON_NM_PER_V)
 
 
+def photodiode_responsivity_a_per_w(photodiode: Photodiode, wavelength_nm: ArrayLike) -> Array:
+    """A photodiode's photocurrent per watt of light, by its own table or its quantum efficiency. [A/W]
+
+    Raises: InputError for a wavelength that is negative or not finite.
+    """
+    if photodiode.responsivity is None:
+        return responsivity_a_per_w(wavelength_nm, photodiode.quantum_efficiency)
+    at_nm, value = np.asarray(photodiode.responsivity, float).T
+    return np.asarray(np.interp(not_negative("wavelength_nm", wavelength_nm), at_nm, value, left=0.0, right=0.0))
+
+
 def lsb_v(amplifier: Electronics) -> float:
     """The converter's step. [V]"""
     return amplifier.adc_range_v / 2.0**amplifier.adc_bits
 
 
 def noise_budget(
-    current_a: ArrayLike, amplifier: Electronics, *, dark_current_na: float = 0.1, shunt_ohm: float = 1e9
+    current_a: ArrayLike,
+    amplifier: Electronics,
+    *,
+    dark_current_na: float = 0.1,
+    shunt_ohm: float = 1e9,
+    capacitance_pf: float = 0.0,
 ) -> NoiseBudget:
     """The noise of the stage's output at a photocurrent, cause by cause.
 
@@ -73,6 +88,7 @@ def noise_budget(
     converter adds LSB^2/12.
 
     current_a : array. Photocurrent without the dark current. [A]
+    capacitance_pf : Of the photodiode, besides that of the amplifier's input. [pF]
     """
     current = not_negative("current_a", current_a)
     dark = not_negative("dark_current_na", dark_current_na) * 1e-9
@@ -80,7 +96,7 @@ def noise_budget(
         raise InputError(f"shunt_ohm = {shunt_ohm:g} must be above 0; correct it")
     bandwidth, gain2 = amplifier.bandwidth_hz, amplifier.feedback_ohm**2
     thermal_j = 4 * BOLTZMANN_J_PER_K * amplifier.temperature_k
-    charge_noise = 2 * np.pi * amplifier.capacitance_pf * 1e-12 * amplifier.noise_nv_per_rt_hz * 1e-9
+    charge_noise = 2 * np.pi * (amplifier.capacitance_pf + capacitance_pf) * 1e-12 * amplifier.noise_nv_per_rt_hz * 1e-9
     same = np.ones_like(current)
     return NoiseBudget(
         shot_v2=2 * ELEMENTARY_CHARGE_C * (current + dark) * bandwidth * gain2,
@@ -108,11 +124,12 @@ def read(
     Raises: InputError for a fraction or a current that is negative or not finite.
     """
     power_w = not_negative("detected_fraction", detected_fraction) * led.flux_mw * 1e-3
-    current = power_w * responsivity_a_per_w(led.wavelength_nm, photodiode.quantum_efficiency)
+    current = power_w * photodiode_responsivity_a_per_w(photodiode, led.wavelength_nm)
     current = current + not_negative("ambient_a", ambient_a)
-    dark_na = photodiode.dark_current_na
-    budget = noise_budget(current, amplifier, dark_current_na=dark_na, shunt_ohm=photodiode.shunt_mohm * 1e6)
-    amplified = (current + dark_na * 1e-9) * amplifier.feedback_ohm
+    dark_a = photodiode.dark_current_a(amplifier.temperature_k)
+    stage = {"dark_current_na": 1e9 * dark_a, "shunt_ohm": 1e6 * photodiode.shunt_mohm}
+    budget = noise_budget(current, amplifier, **stage, capacitance_pf=photodiode.capacitance_pf)
+    amplified = (current + dark_a) * amplifier.feedback_ohm
     return Output(
         amplified_v=np.asarray(amplified),
         volts=np.asarray(np.minimum(amplified, amplifier.adc_range_v)),
@@ -124,5 +141,5 @@ def read(
 
 def volts_per_fraction(led: Led, photodiode: Photodiode, amplifier: Electronics) -> float:
     """What all of an LED's light on one photodiode would give, by which changes and errors scale. [V]"""
-    responsivity = responsivity_a_per_w(led.wavelength_nm, photodiode.quantum_efficiency)
-    return led.flux_mw * 1e-3 * float(responsivity) * amplifier.feedback_ohm
+    responsivity = float(photodiode_responsivity_a_per_w(photodiode, led.wavelength_nm))
+    return led.flux_mw * 1e-3 * responsivity * amplifier.feedback_ohm

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..scene import Scene
-from ..scene.layout import Rectangle
+from ..scene.rectangles import Rectangle
 from .regions import AIR, BARRIER, COVER, EPOXY, KAPTON, REGIONS, SILICON
 from .surfaces import Array, FingerSurfaces
 
@@ -46,7 +46,7 @@ class BentBoard:
         named = {f"led:{r.name}": r for r in layout.leds} | {f"photodiode:{e.name}": e.area for e in layout.photodiodes}
         self.regions = (*REGIONS, *named)
         self.parts = [*enumerate(named.values(), len(REGIONS)), *((SILICON, r) for r in layout.unwired)]
-        self.rectangles = [self.rim, outline, *layout.barriers, *(r for _, r in self.parts)]
+        self.rectangles = [self.rim, outline, *layout.barriers, *(s for _, r in self.parts for s in r.strips())]
 
     def labels(self, theta: Array, v: Array) -> NDArray[np.int32]:
         """Region of the three layers above the nail, (a, n, 3), in cells with middles theta (a,) [rad], v (n,) [mm]."""
@@ -62,7 +62,10 @@ class BentBoard:
         for wall in self.layout.barriers:
             result[inside(wall), 0] = BARRIER
         for region, r in self.parts:
-            cells = inside(r)
+            cells = np.any([inside(strip) for strip in r.strips()], axis=0)
+            if r.turned_size_mm is not None:
+                # Steps of neighbours that touch may overlap by less than a strip.
+                cells &= result[..., 1] == KAPTON
             if not cells.any() or (result[cells][:, 1] != KAPTON).any():
                 raise InputError(
                     f'board: "{r.name}" is smaller than the geometry can show, or lies on another part; '

@@ -81,10 +81,10 @@ def _grid(scene: Scene, resolution: float) -> tuple[BentBoard, Grid]:
 def _face(grid: Grid, name: str, region: int) -> Face:
     """The lower face of a part in the board's film."""
     cells, nodes = grid.labels[:, :, BELOW + 1] == region, grid.nodes[:, :, BELOW + 1]
-    column, row = np.nonzero(cells.any(axis=1))[0], np.nonzero(cells.any(axis=0))[0]
-    # A column is straight along the nail, so its cells are one rectangle. Corners run along the nail first, then
-    # across, because the nail side sees the board from below.
-    first, last = row[0], row[-1] + 1
+    # A column is straight along the nail, so that cells in a row of it are one rectangle. Corners run along the nail
+    # first, then across, because the nail side sees the board from below.
+    ends = np.diff(np.pad(cells, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    (column, first), (_, last) = np.nonzero(ends > 0), np.nonzero(ends < 0)
     corners = ((column, first), (column, last), (column + 1, last), (column + 1, first))
     quads = np.stack([nodes[corner] for corner in corners], axis=1)
     cross = np.cross(quads[:, 1] - quads[:, 0], quads[:, 3] - quads[:, 0])

@@ -12,7 +12,7 @@ from .. import tissue
 from ..errors import InputError
 from ..geometry import Face
 from ..scene import Scene
-from ..scene.layout import Rectangle
+from ..scene.rectangles import Rectangle
 from ..statistics import stderr_of_mean
 from ..variables import Variables, variable
 from . import backend as backends
@@ -183,7 +183,7 @@ def readings(arrivals: Arrivals, values: np.ndarray, rectangles: Sequence[Rectan
     """
     (u, v), total, square = arrivals.place_mm.T, [], []
     for r in rectangles:
-        inside = np.flatnonzero((u >= r.u_min) & (u < r.u_max) & (v >= r.v_min) & (v < r.v_max))
+        inside = np.flatnonzero(r.holds(u, v))
         # A photon that arrives twice is one photon: its first arrival would have ended it there.
         inside = inside[np.unique(arrivals.photon[inside], return_index=True)[1]]
         total.append(values[inside].sum(0))
@@ -228,7 +228,10 @@ class PhotonMap:
             padded = np.pad(self.sums, ((0, 0), (0, 0), (1, 0), (1, 0)))
             self._table = np.ascontiguousarray(padded.cumsum(2).cumsum(3).transpose(2, 3, 1, 0))
         if not isinstance(rectangles, np.ndarray):
-            rectangles = np.array([(r.u_min, r.u_max, r.v_min, r.v_max) for r in rectangles]).reshape(-1, 4)
+            strips = [r.strips() for r in rectangles]
+            edges = [(s.u_min, s.u_max, s.v_min, s.v_max) for each in strips for s in each]
+            each = self.over(np.array(edges).reshape(-1, 4))
+            return np.add.reduceat(each, np.cumsum([0, *map(len, strips[:-1])]), axis=1) if strips else each
         low_u, high_u, low_v, high_v = rectangles.T
         corner = self._corner
         sums = corner(high_u, high_v) - corner(low_u, high_v) - corner(high_u, low_v) + corner(low_u, low_v)

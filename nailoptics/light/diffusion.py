@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 from ..checks import Array
 from ..errors import InputError
 from ..scene import Scene
-from ..scene.layout import Layout, Rectangle
+from ..scene.layout import Layout
+from ..scene.rectangles import Rectangle
 from . import optics
 
 REGIONS = ("plate", "bed", "bone", "epoxy")
@@ -267,10 +268,12 @@ class _Cells:
 
         By reciprocity, divided by the face's area, it is the irradiance of the nail by a Lambertian die there.
         """
-        left, right = face.u_min - self.u_mm[:, None], face.u_max - self.u_mm[:, None]
-        near, far = face.v_min - self.v_mm, face.v_max - self.v_mm
-        seen = _corner(right, far, height_mm) - _corner(left, far, height_mm)
-        seen += _corner(left, near, height_mm) - _corner(right, near, height_mm)
+        seen = np.zeros((len(self.u_mm), len(self.v_mm)))
+        for part in face.strips():
+            left, right = part.u_min - self.u_mm[:, None], part.u_max - self.u_mm[:, None]
+            near, far = part.v_min - self.v_mm, part.v_max - self.v_mm
+            seen += _corner(right, far, height_mm) - _corner(left, far, height_mm)
+            seen += _corner(left, near, height_mm) - _corner(right, near, height_mm)
         outline = self.layout.outline
         low_u, high_u, low_v, high_v = outline.u_min, outline.u_max, outline.v_min, outline.v_max
         # A wall from the board to the nail hides all that lies behind it.

@@ -4,6 +4,7 @@ from typing import Any
 
 from ..scene import Accuracy, Priors, Scene, digest
 from ..scene.finger import ABSORBING
+from ..scene.parts import ELECTRICAL
 
 
 def light_scene(scene: Scene) -> Scene:
@@ -19,8 +20,8 @@ def light_scene(scene: Scene) -> Scene:
     )
     photodiodes = tuple(
         p.model_copy(
-            update={"name": f"photodiode{i}", "array": None}
-            | {n: type(p).model_fields[n].default for n in ("quantum_efficiency", "dark_current_na", "shunt_mohm")}
+            update={"name": f"photodiode{i}", "part": None}
+            | {name: type(p).model_fields[name].default for name in ELECTRICAL}
         )
         for i, p in enumerate(scene.photodiodes)
     )
@@ -35,6 +36,7 @@ def light_scene(scene: Scene) -> Scene:
         "leds": leds,
         "photodiodes": photodiodes,
         "placement": None,
+        "board": scene.board.model_copy(update={"kicad": None, "positions": None, "unmapped": None}),
     }
     if scene.finger is not None:
         update["finger"] = scene.finger.with_usual(("digit", *ABSORBING))

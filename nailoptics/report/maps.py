@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from ..scene import Scene
-from ..scene.layout import Rectangle
+from ..scene.rectangles import Rectangle
 from ..tissue.blood_zones import BloodZones
 from . import style
 from .readings import coloured_along_nail, led_name

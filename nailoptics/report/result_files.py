@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..io import make_folder, to_json, turn, write_dataset, write_text
-from ..scene import Scene, to_toml
+from ..scene import to_toml
 from ..scene.sensor_recordings import Recording, recording_csv
 
 if TYPE_CHECKING:
@@ -17,7 +17,16 @@ if TYPE_CHECKING:
 
 SIMULATION = ("result.nc", "report.html")
 COMPARISON = ("compare.nc", "compare.html")
-PLACEMENT = ("place.nc", "ranking.csv", "place.html", "best.toml", "best.csv", "best.glb", "outline.dxf")
+PLACEMENT = (
+    "place.nc",
+    "ranking.csv",
+    "place.html",
+    "best.toml",
+    "best.csv",
+    "best.glb",
+    "outline.dxf",
+    "best.kicad_pcb",
+)
 TRADEOFF = ("tradeoff.json", "tradeoff.nc", "tradeoff.html", "tradeoff.png", "scene.toml")
 
 PREDICTION = ("predict.nc", "predict.csv", "predict.html")
@@ -47,30 +56,33 @@ def _write(result: "xr.Dataset", folder: Path, names: tuple[str, str], write_pag
     return {"report": page, "result": data}
 
 
-def write_placement(result: "xr.Dataset", scene: Scene, folder: Path, *, negate_x_on_bottom: bool = False) -> Paths:
+def write_placement(result: "xr.Dataset", folder: Path, *, negate_x_on_bottom: bool = False) -> Paths:
     """Write a placement, its ranking and report, and the best layout for the next program; returns report and scene.
 
-    scene : the one that was given.
     negate_x_on_bottom : whether X is negated in the position file for parts on the bottom side.
     """
     from ..exports.mesh_files import export_mesh
     from ..geometry import build
+    from ..scene.kicad import write_board
     from ..scene.outlines import write_outline
     from ..scene.positions import write_positions
     from ..studies.placement.result import chosen, kicad_parts, outline, rows
     from . import place_page
 
-    data, ranking, page, best_scene, positions, mesh, outline_file = (folder / name for name in PLACEMENT)
+    data, ranking, page, best_scene, positions, mesh, outline_file, board = (folder / name for name in PLACEMENT)
     best, table = chosen(result), StringIO(newline="")
     lines = csv.DictWriter(table, list(rows(result)[0]))
     lines.writeheader()
     lines.writerows(rows(result))
+    placed = kicad_parts(best)
+    sizes = [*(led.size_mm for led in best.leds), *(e.photodiode.size_mm for e in best.layout.photodiodes)]
     with turn(folder):
         write_dataset(result, data)
         write_text(ranking, table.getvalue())
         write_text(best_scene, _cut_off(result.attrs) + to_toml(best))
-        write_positions(positions, kicad_parts(best, scene), negate_x_on_bottom=negate_x_on_bottom)
+        write_positions(positions, placed, negate_x_on_bottom=negate_x_on_bottom)
         write_outline(outline_file, outline(result))
+        write_board(board, placed, sizes, outline(result))
         export_mesh(build(best), mesh)
         place_page.write_placement(result, page)
     return {"report": page, "scene": best_scene}

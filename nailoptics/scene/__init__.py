@@ -3,11 +3,12 @@
 from .body import Body, Breathing, Drift, Heartbeat, Motion, Vasomotion
 from .files import digest, json_schema, load_scene, parse_scene, to_toml
 from .finger import Finger
-from .layout import Element, Layout, Rectangle
+from .layout import Element, Layout
 from .models import Accuracy, Electronics, Layer, Light, Phantom, Scene
 from .parts import Board, Led, Photodiode
 from .placement import Candidate, FingerCase, Placement
 from .priors import Prior, Priors
+from .rectangles import Rectangle
 from .touch import ForceStep, Touch
 from .vessels import Blood, Tuning
 

@@ -14,6 +14,9 @@ USUAL_MELANIN_FRACTION = 0.013  # the middle of the 0.9 to 1.7 % that the epider
 USUAL_DECAY_LENGTH = 0.4
 USUAL_CONTACT_AREA_MM2 = 100.0  # 1 cm^2, on which 1 N presses with the paper's 1 N/cm^2
 
+# Planck's constant times the speed of light over the elementary charge: a photon of 1240 nm carries 1 eV.
+PHOTON_NM_PER_V = 1239.841984
+
 
 class Table(BaseModel):
     """One table of a scene file."""

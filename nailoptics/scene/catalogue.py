@@ -1,16 +1,16 @@
-"""Parts by name: LED dies and photodiode arrays from files, the user's own before the shipped ones."""
+"""Parts by name: LED dies, photodiodes and modules of both from files, the user's own before the shipped ones."""
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationError
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from ..assets import WAVELENGTH_RANGE_NM, data_dir
 from ..checks import explain
 from ..errors import InputError
-from .base import NonNegative, Positive, Size, Table
+from .base import PHOTON_NM_PER_V, Name, NonNegative, Point, Positive, Size, Table
 from .text_files import one_line, parse_toml, read_text
 
 
@@ -44,6 +44,8 @@ class LedPart(Table):
     """Radiant flux. [mW]"""
     die_size_mm: Annotated[Size, Field(serialization_alias="size_mm")] = (0.25, 0.25)
     """Size of the die across the nail (u) and along it (v). [mm]"""
+    height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
+    """How far the die stands out of the board's underside. [um]"""
     pattern: Annotated[Literal["lambertian"] | tuple[tuple[float, float], ...], BeforeValidator(_pattern)] = (
         "lambertian"
     )
@@ -58,30 +60,102 @@ class LedPart(Table):
         return fields | {"pattern": "measured", "pattern_deg": angle_deg, "pattern_relative": relative}
 
 
-class PhotodiodeArrayPart(Table):
-    """A row of equal photodiode elements along the nail (v)."""
+class PhotodiodePart(Table):
+    """A photodiode, or a row of equal elements along the nail (v)."""
 
-    kind: Literal["photodiode_array"]
-    elements: Annotated[int, Field(ge=1, le=1024)]
+    kind: Literal["photodiode", "photodiode_array"]
+    elements: Annotated[int, Field(ge=1, le=1024)] = 1
     """Number of elements."""
     element_size_mm: Annotated[Size, Field(serialization_alias="size_mm")]
-    """Size of an element across the nail (u) and along it (v). [mm]"""
-    pitch_mm: Positive
-    """From centre to centre, along v. [mm]"""
-    quantum_efficiency: Annotated[float, Field(gt=0, le=1)]
+    """Size of the sensitive area of an element across the nail (u) and along it (v). [mm]"""
+    pitch_mm: Positive | None = None
+    """From centre to centre, along v; their size if not given. [mm]"""
+    quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.85
     """Electrons per photon that arrives."""
+    responsivity: tuple[tuple[Positive, NonNegative], ...] | None = None
+    """Rows [wavelength_nm, A/W], in place of one quantum efficiency; linear between them, nothing beyond."""
     dark_current_na: NonNegative
     """Dark current of one element. [nA]"""
-    shunt_ohm: Positive
+    dark_current_doubling_k: Positive | None = None
+    """Warming that doubles the dark current, which then holds at 25 degrees Celsius; constant if not given. [K]"""
+    shunt_ohm: Positive = 1e9
     """Shunt resistance of one element. [ohm]"""
+    capacitance_pf: NonNegative = 0.0
+    """Capacitance of one element, besides that of the amplifier's input. [pF]"""
+    height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
+    """How far the sensitive face stands out of the board's underside. [um]"""
+
+    @model_validator(mode="after")
+    def _responsivity_rises(self) -> Self:
+        check_responsivity(self.responsivity)
+        return self
 
     def scene_fields(self) -> dict[str, Any]:
         """The part under the names that a photodiode has in a scene."""
-        return self.model_dump(by_alias=True, exclude={"kind", "shunt_ohm"}) | {"shunt_mohm": self.shunt_ohm / 1e6}
+        fields = self.model_dump(by_alias=True, exclude={"kind", "shunt_ohm"}, exclude_none=True)
+        return fields | {"shunt_mohm": self.shunt_ohm / 1e6}
 
 
-Part = LedPart | PhotodiodeArrayPart
-KINDS: dict[str, type[Part]] = {"led": LedPart, "photodiode_array": PhotodiodeArrayPart}
+def check_responsivity(rows: tuple[tuple[float, float], ...] | None) -> None:
+    """Raise ValueError unless rows [wavelength_nm, A/W] rise along wavelength, two or more, and stay physical."""
+    if rows is None:
+        return
+    wavelengths = [nm for nm, _ in rows]
+    if len(rows) < 2 or any(b <= a for a, b in zip(wavelengths, wavelengths[1:], strict=False)):
+        raise ValueError("responsivity needs two rows [wavelength_nm, A/W] or more, wavelengths rising")
+    for nm, value in rows:
+        if value > nm / PHOTON_NM_PER_V * (1 + 1e-9):
+            raise ValueError(
+                f"responsivity = {value:g} A/W at {nm:g} nm is more than one electron per photon, "
+                f"{nm / PHOTON_NM_PER_V:.3g} A/W; correct it"
+            )
+
+
+class ModuleLed(LedPart):
+    """An LED in a module, at its place in the package."""
+
+    kind: Literal["led"] = "led"
+    name: Name
+    """Name of the LED, after that of the module."""
+    position_mm: Point
+    """Place of the die from the middle of the package, its pins as in the footprint. [mm]"""
+
+    def scene_fields(self) -> dict[str, Any]:
+        """The part under the names that an LED has in a scene."""
+        return {name: value for name, value in super().scene_fields().items() if name not in ("name", "position_mm")}
+
+
+class ModulePhotodiode(PhotodiodePart):
+    """A photodiode in a module, at its place in the package."""
+
+    kind: Literal["photodiode"] = "photodiode"
+    name: Name
+    """Name of the photodiode, after that of the module."""
+    position_mm: Point
+    """Place of its middle from that of the package. [mm]"""
+
+    def scene_fields(self) -> dict[str, Any]:
+        """The part under the names that a photodiode has in a scene."""
+        return {name: value for name, value in super().scene_fields().items() if name not in ("name", "position_mm")}
+
+
+class ModulePart(Table):
+    """LEDs and photodiodes in one package."""
+
+    kind: Literal["module"]
+    leds: Annotated[tuple[ModuleLed, ...], Field(max_length=8)] = ()
+    """Its LEDs."""
+    photodiodes: Annotated[tuple[ModulePhotodiode, ...], Field(max_length=16)] = ()
+    """Its photodiodes."""
+
+
+Part = LedPart | PhotodiodePart | ModulePart
+KINDS: dict[str, type[Part]] = {
+    "led": LedPart,
+    "photodiode": PhotodiodePart,
+    "photodiode_array": PhotodiodePart,  # as it was called before
+    "module": ModulePart,
+}
 
 
 def load_part(name: str, beside: Path | str | None = None, *, expect: type[Part] | None = None) -> Part:
@@ -89,7 +163,7 @@ def load_part(name: str, beside: Path | str | None = None, *, expect: type[Part]
 
     name : The file's name without .toml, such as "led_800".
     beside : Folder of the user's scene; `name`.toml and parts/`name`.toml in it come first.
-    expect : `LedPart` or `PhotodiodeArrayPart`, where only that kind will do.
+    expect : `LedPart`, `PhotodiodePart` or `ModulePart`, where only that kind will do.
 
     Raises: InputError when there is no such part, when it breaks a rule, or when it is of the other kind.
     """
@@ -98,7 +172,7 @@ def load_part(name: str, beside: Path | str | None = None, *, expect: type[Part]
     tables = parse_toml(read_text(path, "a part (TOML)", shown=shown), shown)
     kind = tables.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
-        raise InputError(f'{shown}: kind must be "led" or "photodiode_array"; set it')
+        raise InputError(f'{shown}: kind must be "led", "photodiode" or "module"; set it')
     try:
         part: Part = KINDS[kind].model_validate(tables)
     except ValidationError as error:

@@ -7,51 +7,14 @@ from itertools import combinations, product
 
 from .finger import Finger
 from .parts import Board, Led, Photodiode
+from .positions import turned
+from .rectangles import Rectangle
 
 ROUNDING_MM = 1e-6  # what parts may overlap without a complaint
 BOARD_MARGIN_MM = 0.5  # from the outermost parts to the edge of a board whose size is not given
 NAIL_MARGIN_MM = 0.05  # the least from the board's edge to the nail's
 WALL_ROOM_MM = 0.02  # the least left beside a wall between LEDs and photodiodes
 LAYOUTS_KEPT = 256
-
-
-@dataclass(frozen=True)
-class Rectangle:
-    """An axis-parallel rectangle on the board, in nail coordinates (u across, v to the tip). [mm]"""
-
-    name: str
-    u_min: float
-    u_max: float
-    v_min: float
-    v_max: float
-
-    @property
-    def area_mm2(self) -> float:
-        """Area. [mm^2]"""
-        return self.size_mm[0] * self.size_mm[1]
-
-    @property
-    def size_mm(self) -> tuple[float, float]:
-        """Size along u and v. [mm]"""
-        return self.u_max - self.u_min, self.v_max - self.v_min
-
-    @property
-    def center_mm(self) -> tuple[float, float]:
-        """Centre (u, v). [mm]"""
-        return (self.u_min + self.u_max) / 2, (self.v_min + self.v_max) / 2
-
-    def overlap_mm(self, other: "Rectangle") -> float:
-        """How deep the two rectangles overlap; negative is the gap between them. [mm]"""
-        return min(
-            min(self.u_max, other.u_max) - max(self.u_min, other.u_min),
-            min(self.v_max, other.v_max) - max(self.v_min, other.v_min),
-        )
-
-    @staticmethod
-    def around(name: str, center: tuple[float, float], size: tuple[float, float]) -> "Rectangle":
-        """The rectangle of a given size around a centre. [mm]"""
-        (u, v), (du, dv) = center, size
-        return Rectangle(name, u - du / 2, u + du / 2, v - dv / 2, v + dv / 2)
 
 
 @dataclass(frozen=True)
@@ -93,7 +56,8 @@ def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tu
     """The layout of the board on a finger's nail; raises ValueError where it is impossible."""
     du, dv = board.center_mm
     dies = tuple(
-        Rectangle.around(led.name, (led.position_mm[0] + du, led.position_mm[1] + dv), led.size_mm) for led in leds
+        Rectangle.around(led.name, (led.position_mm[0] + du, led.position_mm[1] + dv), led.size_mm, led.rotation_deg)
+        for led in leds
     )
     wired, unwired = _elements(board, photodiodes)
     parts = [(f'leds "{r.name}"', r) for r in dies] + [(f'photodiode "{e.name}"', e.area) for e in wired]
@@ -101,16 +65,27 @@ def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tu
     for (name, r), (other_name, other) in combinations(parts, 2):
         if (depth_mm := r.overlap_mm(other)) > ROUNDING_MM:
             raise ValueError(f"{name}: position_mm lies {depth_mm:.3g} mm inside {other_name}; move one of them")
-    outline = _outline(board, parts)
+    outline = _outline(board, parts, finger)
     _check_nail(outline, finger)
     barriers = _barriers(board, dies, [e.area for e in wired] + unwired, outline) if board.barrier else ()
     return Layout(outline, dies, tuple(wired), tuple(unwired), barriers)
 
 
-def _outline(board: Board, parts: list[tuple[str, Rectangle]]) -> Rectangle:
-    """The board's edges: its size, or enough for its parts; every part must lie within."""
+def _outline(board: Board, parts: list[tuple[str, Rectangle]], finger: Finger) -> Rectangle:
+    """The board's edges: its size, its file's outline as far as the nail goes, or enough for its parts."""
     rectangles, margin = [r for _, r in parts], BOARD_MARGIN_MM
-    if board.size_mm is None:
+    if board.size_mm is None and board.outline_mm is not None:
+        # What reaches beyond the nail, such as the tail to a connector, ends at its edge.
+        half = [size / 2 - NAIL_MARGIN_MM for size in (finger.nail_width_mm, finger.nail_length_mm)]
+        lows, highs = zip(
+            *(
+                (max(min(x) + c, -most), min(max(x) + c, most))
+                for x, c, most in zip(zip(*board.outline_mm, strict=True), board.center_mm, half, strict=True)
+            ),
+            strict=True,
+        )
+        outline = Rectangle("board", lows[0], highs[0], lows[1], highs[1])
+    elif board.size_mm is None:
         outline = Rectangle(
             "board",
             min(r.u_min for r in rectangles) - margin,
@@ -123,7 +98,8 @@ def _outline(board: Board, parts: list[tuple[str, Rectangle]]) -> Rectangle:
     for name, r in parts:
         across = min(r.u_min - outline.u_min, outline.u_max - r.u_max)
         if min(across, r.v_min - outline.v_min, outline.v_max - r.v_max) < ROUNDING_MM:
-            raise ValueError(f"{name} reaches over the board's edge; move it or enlarge board.size_mm")
+            why = "move it or enlarge board.size_mm" if board.outline_mm is None else "move it, or the board's origin"
+            raise ValueError(f"{name} reaches over the board's edge or the nail's; {why}")
     return outline
 
 
@@ -148,8 +124,9 @@ def _elements(board: Board, photodiodes: tuple[Photodiode, ...]) -> tuple[list[E
         u, v = photodiode.position_mm
         pitch = photodiode.pitch_mm or photodiode.size_mm[1]
         for i, name in enumerate(photodiode.element_names()):
-            center = (u + du, v + dv + (i - (photodiode.elements - 1) / 2) * pitch)
-            area = Rectangle.around(name, center, photodiode.size_mm)
+            along, up = turned((0.0, (i - (photodiode.elements - 1) / 2) * pitch), photodiode.rotation_deg)
+            center = (u + du + along, v + dv + up)
+            area = Rectangle.around(name, center, photodiode.size_mm, photodiode.rotation_deg)
             if photodiode.wired is None or i in photodiode.wired:
                 wired.append(Element(area, photodiode))
             else:

@@ -3,11 +3,12 @@
 import math
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, model_validator
 
 from ..assets import WAVELENGTH_RANGE_NM
 from ..errors import InputError
 from .base import Name, NonNegative, Positive, Table, check_unique
+from .board_files import read_board_file
 from .body import Body
 from .finger import Finger
 from .layout import Layout, lay_out
@@ -148,6 +149,27 @@ class Scene(Table):
             moved["finger"] = {"bed_scattering": light["bed_scattering"]} | data["finger"]
         return data | moved
 
+    @model_validator(mode="before")
+    @classmethod
+    def _read_the_board_file(cls, data: object, info: ValidationInfo) -> object:
+        board = data.get("board") if isinstance(data, dict) else None
+        if not isinstance(data, dict) or not isinstance(board, dict) or "unmapped" in board:
+            return data
+        if not (isinstance(board.get("kicad"), str) or isinstance(board.get("positions"), str)):
+            return data
+        try:
+            found = read_board_file(board, (info.context or {}).get("folder"))
+        except InputError as error:
+            raise ValueError(f"board: {str(error).rstrip('.')}") from None
+        except ValueError as error:
+            raise ValueError(f"board: {error}") from None
+        data = data | {"placement": _with_map(data.get("placement"), board.get("parts"))}
+        filled: dict[str, object] = {"parts": None, "unmapped": found.ignored}
+        if found.outline is not None and "outline_mm" not in board:
+            filled |= {"outline_mm": found.outline.corners_mm, "outline_holes_mm": found.outline.holes_mm}
+        leds, photodiodes = ((*data.get(name, ()), *getattr(found, name)) for name in ("leds", "photodiodes"))
+        return data | {"board": board | filled, "leds": leds, "photodiodes": photodiodes}
+
     @model_validator(mode="after")
     def _finger_or_phantom(self) -> Self:
         if (self.phantom is None) == (self.finger is None):
@@ -234,3 +256,15 @@ class Scene(Table):
         if self.finger is None:
             raise InputError("a phantom has no board to lay out; give a scene with [finger].")
         return lay_out(self.finger, self.board, self.leds, self.photodiodes)
+
+
+def _with_map(placement: object, parts: object) -> object:
+    """The rules of a search in which candidates from files that say no other have the board's parts."""
+    if not isinstance(placement, dict) or not isinstance(placement.get("candidates"), tuple):
+        return placement
+
+    def lacks(one: object) -> bool:
+        return isinstance(one, dict) and bool({"positions", "kicad"} & one.keys()) and "parts" not in one
+
+    given = placement["candidates"]
+    return placement | {"candidates": tuple(one | {"parts": parts} if lacks(one) else one for one in given)}

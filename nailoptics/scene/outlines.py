@@ -67,7 +67,9 @@ def write_outline(path: Path, outline: Outline) -> None:
         write_text(path, "x_mm,y_mm\n" + "".join(f"{x:.6f},{y:.6f}\n" for x, y in outline.corners_mm))
 
 
-def join(lines: Iterable[Sequence[Point]], name: str, *, ignored: Sequence[str] = ()) -> Outline:
+def join(
+    lines: Iterable[Sequence[Point]], name: str, *, ignored: Sequence[str] = (), around: Sequence[Point] = ()
+) -> Outline:
     """The outline that a drawing's lines make, in any order and direction: the largest closed line and the holes in it.
 
     Where lines branch, the border is what can be walked round on the outside. Ends that lead nowhere, and closed lines
@@ -76,6 +78,7 @@ def join(lines: Iterable[Sequence[Point]], name: str, *, ignored: Sequence[str] 
     lines : points of each. [mm]
     name : what the message begins with.
     ignored : what of the drawing was no line.
+    around : points that the border must hold, where a drawing has several boards. [mm]
 
     Raises: InputError where nothing is closed, or an open line is larger than what is.
     """
@@ -84,9 +87,11 @@ def join(lines: Iterable[Sequence[Point]], name: str, *, ignored: Sequence[str] 
     loops = sorted(_loops(places, neighbours), key=lambda loop: -abs(area_mm2(loop)))
     loops = [loop for loop in loops if abs(area_mm2(loop)) >= LEAST_AREA_MM2]
     _check_closed(places, loose, loops, name)
-    border, elsewhere = loops[0], 0
+    border, elsewhere = next((loop for loop in loops if all(within(p, loop) for p in around)), loops[0]), 0
     holes: list[Polygon] = []
-    for loop in loops[1:]:
+    for loop in loops:
+        if loop is border:
+            continue
         if within(loop[0], border) and not any(within(loop[0], hole) for hole in holes):
             holes.append(loop)
         else:

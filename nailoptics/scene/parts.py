@@ -6,28 +6,41 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from ..errors import InputError
 from .base import Fraction, Name, NonNegative, Point, Positive, Size, Table
-from .catalogue import LedPart, PhotodiodeArrayPart, load_part
+from .catalogue import LedPart, ModulePart, PhotodiodePart, check_responsivity, load_part
 
 Wavelength = Annotated[float, Field(ge=200, le=3000)]
-PARTS: dict[str, Any] = {"part": LedPart, "array": PhotodiodeArrayPart}
-FROM_PART = {
-    "part": {"wavelength_nm", "fwhm_nm", "flux_mw", "size_mm", "pattern"},
-    "array": {"elements", "size_mm", "pitch_mm", "quantum_efficiency", "dark_current_na", "shunt_mohm"},
+Rotation = Annotated[float, Field(ge=-360, le=360)]
+# What a written scene gives of every LED and photodiode, so that it needs no part any more.
+FROM_PART: dict[Any, set[str]] = {
+    LedPart: {"wavelength_nm", "fwhm_nm", "flux_mw", "size_mm", "pattern"},
+    PhotodiodePart: {"elements", "size_mm", "quantum_efficiency", "dark_current_na", "shunt_mohm"},
 }
+# What of a photodiode makes volts of the light that arrives, and changes nothing of where it goes.
+ELECTRICAL = (
+    "quantum_efficiency",
+    "responsivity",
+    "dark_current_na",
+    "dark_current_doubling_k",
+    "shunt_mohm",
+    "capacitance_pf",
+)
+# Where a part's dark current is given. [K]
+USUAL_TEMPERATURE_K = 298.15
 
 
-def with_part(data: object, key: str, info: ValidationInfo) -> object:
+def with_part(data: object, kind: Any, info: ValidationInfo) -> object:
     """The table with the fields of its part filled in where it does not give them itself.
 
     A table that gives them all, as a written scene does, needs no part any more.
     """
-    if not isinstance(data, dict) or not isinstance(data.get(key), str) or FROM_PART[key] <= data.keys():
+    if not isinstance(data, dict) or not isinstance(data.get("part"), str) or FROM_PART[kind] <= data.keys():
         return data
     try:
-        part = load_part(data[key], beside=(info.context or {}).get("folder"), expect=PARTS[key])
+        part = load_part(data["part"], beside=(info.context or {}).get("folder"), expect=kind)
     except InputError as error:
         # As a ValueError it comes with the place in the scene that names the part.
         raise ValueError(str(error).rstrip(".")) from None
+    assert not isinstance(part, ModulePart)
     fields = part.scene_fields()
     if data.get("pattern", "measured") != "measured":
         # The part's measured table goes with the part's own pattern only.
@@ -58,11 +71,15 @@ class Led(Table):
     """Centre of the die. [mm]"""
     size_mm: Size = (0.25, 0.25)
     """Size of the die (u, v); a pencil beam has none. [mm]"""
+    rotation_deg: Rotation = 0.0
+    """How far the die is turned on the board, against the clock. [deg]"""
+    height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
+    """How far the die stands out of the board's underside. [um]"""
 
     @model_validator(mode="before")
     @classmethod
     def _fill_from_part(cls, data: object, info: ValidationInfo) -> object:
-        return with_part(data, "part", info)
+        return with_part(data, LedPart, info)
 
     @model_validator(mode="after")
     def _pattern_is_complete(self) -> Self:
@@ -84,8 +101,10 @@ class Photodiode(Table):
 
     name: Name
     """Name, unique in the scene; the elements of an array are called name.0, name.1 and so on."""
+    part: str | None = None
+    """A photodiode from assets/parts or beside the scene; fills the fields that are not given."""
     array: str | None = None
-    """A photodiode array from assets/parts or beside the scene; fills the fields that are not given."""
+    """The same under its old name, which is read as part."""
     wired: tuple[Annotated[int, Field(ge=0)], ...] | None = None
     """Which elements of the array are read, from 0 at the proximal end; all of them if not given."""
     elements: Annotated[int, Field(ge=1, le=256)] = 1
@@ -98,12 +117,27 @@ class Photodiode(Table):
     """Centre of the photodiode or array. [mm]"""
     size_mm: Size = (1.0, 1.0)
     """Size of one element (u, v). [mm]"""
+    rotation_deg: Rotation = 0.0
+    """How far it is turned on the board around its centre, an array as a whole, against the clock. [deg]"""
+    height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
+    """How far it stands out of the board's underside. [um]"""
     quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.85
     """Electrons per photon that arrives."""
+    responsivity: tuple[tuple[Positive, NonNegative], ...] | None = None
+    """Rows [wavelength_nm, A/W], in place of one quantum efficiency; linear between them, nothing beyond."""
     dark_current_na: NonNegative = 0.1
     """Dark current of one element. [nA]"""
+    dark_current_doubling_k: Positive | None = None
+    """Warming that doubles the dark current, which then holds at 25 degrees Celsius; constant if not given. [K]"""
     shunt_mohm: Positive = 1000.0
     """Shunt resistance of one element. [Mohm]"""
+    capacitance_pf: NonNegative = 0.0
+    """Capacitance of one element, besides that of the amplifier's input. [pF]"""
+
+    def dark_current_a(self, temperature_k: float) -> float:
+        """Dark current of one element at a temperature. [A]"""
+        warmer = 0.0 if self.dark_current_doubling_k is None else temperature_k - USUAL_TEMPERATURE_K
+        return 1e-9 * self.dark_current_na * 2.0 ** (warmer / (self.dark_current_doubling_k or 1.0))
 
     def element_names(self) -> tuple[str, ...]:
         """Names of the elements: its own where it is one photodiode, name.0, name.1 and so on of an array."""
@@ -112,11 +146,14 @@ class Photodiode(Table):
     @model_validator(mode="before")
     @classmethod
     def _fill_from_part(cls, data: object, info: ValidationInfo) -> object:
-        data = with_part(data, "array", info)
-        return {"name": data["array"]} | data if isinstance(data, dict) and isinstance(data.get("array"), str) else data
+        if isinstance(data, dict) and isinstance(data.get("array"), str) and data.get("part") is None:
+            data = {name: value for name, value in data.items() if name != "array"} | {"part": data["array"]}
+        data = with_part(data, PhotodiodePart, info)
+        return {"name": data["part"]} | data if isinstance(data, dict) and isinstance(data.get("part"), str) else data
 
     @model_validator(mode="after")
     def _wiring_exists(self) -> Self:
+        check_responsivity(self.responsivity)
         if self.wired == ():
             raise ValueError("wired is empty; name the elements that are read, or leave it out to read all")
         for index in self.wired or ():
@@ -124,7 +161,7 @@ class Photodiode(Table):
                 raise ValueError(f"wired names element {index}, but the array has elements 0 to {self.elements - 1}")
         if self.wired is not None and len(set(self.wired)) < len(self.wired):
             raise ValueError(f"wired names an element twice: {list(self.wired)}")
-        if self.pitch_mm is not None and self.pitch_mm < self.size_mm[1]:
+        if self.elements > 1 and self.pitch_mm is not None and self.pitch_mm < self.size_mm[1]:
             raise ValueError(f"pitch_mm = {self.pitch_mm} is less than the element's size along v, {self.size_mm[1]}")
         return self
 
@@ -136,6 +173,27 @@ class Board(Table):
     """Size of the board (u, v) around its origin; enough for its parts if not given. [mm]"""
     center_mm: Point = (0.0, 0.0)
     """Where the board's origin lies on the nail, from the nail's centre (u, v). [mm]"""
+    kicad: str | None = None
+    """A KiCad board beside the scene, whose parts and outline are taken as [board.parts] says."""
+    positions: str | None = None
+    """A position file beside the scene in place of one, of KiCad or an assembler."""
+    parts: dict[str, dict[str, Any]] | None = None
+    """What the file's references are, such as D1 = { led = "led_660" } or U2 = { photodiode = "bpw34" }."""
+    origin: Literal["auxiliary", "grid", "outline"] | Point | None = None
+    """Point of the file that is the board's origin: of drill and position files, of the grid, the outline's middle, or
+    (x, y) as the layout program shows it; the first of these that there is, the grid aside, if not given. [mm]"""
+    faces_nail: Literal["top", "bottom"] | None = None
+    """Side of the file's board that looks at the nail; that of its parts if not given."""
+    turn_deg: Rotation = 0.0
+    """How far the file's board is turned on the nail, against the clock seen from above. [deg]"""
+    negate_x_on_bottom: bool = False
+    """The position file was written with "negate bottom side X"; undo that."""
+    unmapped: tuple[str, ...] | None = None
+    """References of the file that parts does not name; filled from it."""
+    outline_mm: tuple[Point, ...] | None = None
+    """Corners of the outline, from the board's origin; filled from kicad. [mm]"""
+    outline_holes_mm: tuple[tuple[Point, ...], ...] = ()
+    """Corners of each hole in it; filled from kicad. [mm]"""
     kapton_um: Annotated[float, Field(ge=5, le=500)] = 25.0
     """Thickness of the Kapton film. [um]"""
     clear_epoxy_um: Annotated[float, Field(ge=20, le=3000)] = 400.0
@@ -152,6 +210,16 @@ class Board(Table):
     """Thickness of the opaque cover on top; 0 leaves it away, and light passes through the film. [um]"""
     opaque_reflectance: Fraction = 0.04
     """Diffuse reflectance of the opaque epoxy: barrier, rim and cover."""
+
+    @model_validator(mode="after")
+    def _parts_are_of_a_file(self) -> Self:
+        if self.parts is not None:
+            raise ValueError(
+                "parts says what a board's references are; give kicad or positions, the file that has them"
+            )
+        if self.outline_mm is not None and len(self.outline_mm) < 3:
+            raise ValueError("outline_mm needs three corners or more")
+        return self
 
     @model_validator(mode="after")
     def _cover_is_thick_or_none(self) -> Self:

@@ -1,13 +1,16 @@
 """What a search for a layout may do: candidates, outline, clearances, and the fingers it must serve."""
 
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, model_validator
 
+from ..errors import InputError
 from .base import Fraction, Name, NonNegative, Point, Table, check_unique
+from .board_files import read_board_file
 from .finger import DermisAbsorption
 from .outlines import read_outline
+from .parts import Led, Photodiode, Rotation
 from .positions import read_positions
 
 
@@ -17,7 +20,20 @@ class Candidate(Table):
     name: Name
     """Name of the layout."""
     positions: str | None = None
-    """KiCad position file beside the scene; Refs D1, LED1 and the like are LEDs, the others photodiodes."""
+    """Position file beside the scene, of KiCad or an assembler; without parts, Refs D1 or LED1 are LEDs, PD1 are
+    photodiodes, and the others are ignored."""
+    kicad: str | None = None
+    """A KiCad board beside the scene, in place of a position file."""
+    parts: dict[str, dict[str, Any]] | None = None
+    """What the file's references are, as in [board.parts], which is taken if not given."""
+    origin: Literal["auxiliary", "grid", "outline"] | Point | None = None
+    """As in [board]."""
+    faces_nail: Literal["top", "bottom"] | None = None
+    """As in [board]."""
+    turn_deg: Rotation = 0.0
+    """As in [board]. [deg]"""
+    unmapped: tuple[str, ...] | None = None
+    """References of the file that are neither LED nor photodiode; filled from it."""
     negate_x_on_bottom: bool = False
     """The position file was written with "negate bottom side X"; undo that."""
     leds_mm: tuple[Point, ...] = ()
@@ -25,29 +41,64 @@ class Candidate(Table):
     photodiodes_mm: tuple[Point, ...] = ()
     """Places of the photodiodes (u, v); filled from positions. [mm]"""
     leds_turned: tuple[bool, ...] = ()
-    """Which LEDs lie turned by 90 degrees; none if not given; filled from positions."""
+    """Which LEDs lie turned by 90 degrees; none if not given."""
     photodiodes_turned: tuple[bool, ...] = ()
-    """Which photodiodes lie turned by 90 degrees; none if not given; filled from positions."""
+    """Which photodiodes lie turned by 90 degrees; none if not given."""
+    leds_deg: tuple[Rotation, ...] = ()
+    """How far each LED is turned, in place of leds_turned; filled from positions. [deg]"""
+    photodiodes_deg: tuple[Rotation, ...] = ()
+    """How far each photodiode is turned; filled from positions. [deg]"""
+    led_refs: tuple[tuple[str, str], ...] = ()
+    """Reference and value of each LED in the file, of which one names it; filled from positions."""
+    photodiode_refs: tuple[str, ...] = ()
+    """References of the photodiodes; filled from positions."""
+    leds: tuple[Led, ...] = ()
+    """The LEDs as parts say, each with its own size; filled from the file."""
+    photodiodes: tuple[Photodiode, ...] = ()
+    """The photodiodes as parts say; filled from the file."""
 
     @model_validator(mode="before")
     @classmethod
     def _read_the_positions(cls, data: object, info: ValidationInfo) -> object:
-        if not isinstance(data, dict) or not isinstance(data.get("positions"), str) or "photodiodes_mm" in data:
+        files = {"positions", "kicad"}
+        if not isinstance(data, dict) or {"photodiodes_mm", "unmapped"} & data.keys():
             return data
-        path = Path((info.context or {}).get("folder") or Path()) / data["positions"]
-        parts = read_positions(path, negate_x_on_bottom=bool(data.get("negate_x_on_bottom", False)))
-        groups = {"leds": [p for p in parts if p.is_led], "photodiodes": [p for p in parts if not p.is_led]}
-        places = {f"{name}_mm": tuple(p.position_mm for p in group) for name, group in groups.items()}
-        return data | places | {f"{name}_turned": tuple(p.is_turned for p in group) for name, group in groups.items()}
+        if not any(isinstance(data.get(name), str) for name in files):
+            return data
+        folder = (info.context or {}).get("folder")
+        if data.get("parts") or data.get("kicad") is not None:
+            try:
+                found = read_board_file(data, folder)
+            except InputError as error:
+                raise ValueError(str(error).rstrip(".")) from None
+            filled: dict[str, object] = {"leds": found.leds, "photodiodes": found.photodiodes}
+            return data | filled | {"parts": None, "unmapped": found.ignored}
+        path, negated = Path(folder or Path()) / str(data["positions"]), bool(data.get("negate_x_on_bottom", False))
+        parts = read_positions(path, negate_x_on_bottom=negated)
+        groups = {"leds": [p for p in parts if p.is_led], "photodiodes": [p for p in parts if p.is_photodiode]}
+        filled = {f"{name}_mm": tuple(p.position_mm for p in group) for name, group in groups.items()}
+        filled |= {f"{name}_deg": tuple(p.rotation_deg % 360 for p in group) for name, group in groups.items()}
+        filled["led_refs"] = tuple((p.ref, p.value) for p in groups["leds"])
+        filled["photodiode_refs"] = tuple(p.ref for p in groups["photodiodes"])
+        return data | filled | {"unmapped": tuple(p.ref for p in parts if not (p.is_led or p.is_photodiode))}
 
     @model_validator(mode="after")
     def _has_parts(self) -> Self:
-        if not self.leds_mm or not self.photodiodes_mm:
-            raise ValueError("a candidate needs leds_mm and photodiodes_mm, or a positions file that has both")
+        if self.parts is not None:
+            raise ValueError("parts says what a file's references are; give positions or kicad, the file that has them")
+        if not (self.leds_mm or self.leds) or not (self.photodiodes_mm or self.photodiodes):
+            raise ValueError(
+                "a candidate needs leds_mm and photodiodes_mm, or a file that has both: LEDs as D1 or LED1 and "
+                "photodiodes as PD1, or any that parts names"
+            )
         for name in ("leds", "photodiodes"):
-            places, turned = getattr(self, f"{name}_mm"), getattr(self, f"{name}_turned")
-            if turned and len(turned) != len(places):
-                raise ValueError(f"{name}_turned has {len(turned)} entries for {len(places)} places; give one for each")
+            places = getattr(self, f"{name}_mm")
+            for kind in ("turned", "deg"):
+                given = getattr(self, f"{name}_{kind}")
+                if given and len(given) != len(places):
+                    raise ValueError(
+                        f"{name}_{kind} has {len(given)} entries for {len(places)} places; give one for each"
+                    )
         return self
 
 

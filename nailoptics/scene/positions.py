@@ -1,20 +1,42 @@
-"""Position files, as KiCad exports them for pick and place: Ref,Val,Package,PosX,PosY,Rot,Side."""
+"""Position files for pick and place: KiCad's CSV and .pos, and those of assemblers, as they come."""
 
+import csv
+import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import InputError
 from ..io import write_text
-from .text_files import finite_number, read_rows
+from .text_files import read_text
 
 COLUMNS = ("Ref", "Val", "Package", "PosX", "PosY", "Rot", "Side")
+# The names that layout programs and assemblers give the columns, without blanks, signs and units, the best first.
+KNOWN_AS = {
+    "Ref": ("ref", "refdes", "designator", "reference", "referencedesignator", "part", "component", "name"),
+    "Val": ("val", "value", "comment", "partnumber", "mpn"),
+    "Package": ("package", "footprint", "pattern", "case"),
+    "PosX": ("posx", "midx", "centerx", "centroidx", "xpos", "positionx", "locationx", "x"),
+    "PosY": ("posy", "midy", "centery", "centroidy", "ypos", "positiony", "locationy", "y"),
+    "Rot": ("rot", "rotation", "angle", "orientation"),
+    "Side": ("side", "layer", "boardside", "tb", "topbottom"),
+}
+NEEDED = ("Ref", "PosX", "PosY", "Rot")
+SIDES = {"top": "top", "bottom": "bottom", "t": "top", "b": "bottom", "f": "top", "front": "top", "back": "bottom"}
+SIDES |= {"toplayer": "top", "bottomlayer": "bottom", "fcu": "top", "bcu": "bottom", "bot": "bottom"}
+UNITS_MM = {"mm": 1.0, "cm": 10.0, "um": 1e-3, "mil": 0.0254, "mils": 0.0254, "in": 25.4, "inch": 25.4, "inches": 25.4}
+UNITS_MM |= {'"': 25.4, "th": 0.0254}
+LENGTH = re.compile(r"([-+]?[0-9.,]+(?:e[-+]?[0-9]+)?)\s*([a-z\"]*)", re.IGNORECASE)
+FARTHEST_MM = 1e6
 
 
 @dataclass(frozen=True)
 class PlacedPart:
-    """One line of a position file, in the file's own coordinates: x to the right, y up, seen from the top. [mm]"""
+    """A part on a board, in the file's own coordinates: x to the right, y up, seen from the top. [mm]
+
+    rotation_deg : Against the clock, seen from the top, on either side. [deg]
+    """
 
     ref: str
     value: str
@@ -29,49 +51,103 @@ class PlacedPart:
         return re.fullmatch(r"(D|LED)[0-9_.-]*", self.ref.upper()) is not None
 
     @property
-    def is_turned(self) -> bool:
-        """Whether it lies across: turned by 90 or 270 degrees, not by 0 or 180."""
-        return round(self.rotation_deg / 90) % 2 == 1
+    def is_photodiode(self) -> bool:
+        """Whether it is a photodiode, by its reference: PD1 and the like."""
+        return re.fullmatch(r"PD[0-9_.-]*", self.ref.upper()) is not None
 
 
 def read_positions(path: Path, *, negate_x_on_bottom: bool = False) -> tuple[PlacedPart, ...]:
-    """Read a KiCad position file, both sides, in the order of the file.
+    """Read a position file, both sides, in the order of the file.
+
+    Columns may be parted by commas, semicolons, tabs or, in a .pos, blanks; lengths are in the unit that stands in the
+    cell, in the column's name, or above the columns, else in millimetres.
 
     negate_x_on_bottom : the file was exported with "use negative X coordinates for footprints on bottom layer"; turn
         the sign of X back on that side.
 
     Raises: InputError with file, line and what is wrong.
     """
-    rows = read_rows(path, "a position file")
-    header = [name.strip().lower() for name in rows[0][1]] if rows else []
-    missing = [name for name in COLUMNS if name.lower() not in header]
-    if missing:
-        raise InputError(
-            f"{path}: is no position file: {', '.join(missing)} missing; its first line must be {','.join(COLUMNS)}."
-        )
-    at = {name: header.index(name.lower()) for name in COLUMNS}
+    head, rows = _table(read_text(path, "a position file", any_encoding=True), path)
+    at, unit_mm = head
     parts: list[PlacedPart] = []
-    for number, row in rows[1:]:
+    for number, row in rows:
         where = f"{path} line {number}"
-        if len(row) < len(header):
-            raise InputError(f"{where}: has {len(row)} columns, its header {len(header)}; complete it.")
-        x, y, turn = (finite_number(row[at[name]], name, where) for name in ("PosX", "PosY", "Rot"))
-        side = row[at["Side"]].strip().lower()
-        if side not in ("top", "bottom"):
-            raise InputError(f'{where}: Side = "{row[at["Side"]]}"; must be top or bottom.')
+        if len(row) <= max(at.values()):
+            raise InputError(f"{where}: has {len(row)} columns, its header more; complete it.")
+        cells = {name: row[k].strip() for name, k in at.items()}
+        x, y = (_length_mm(cells[name], name, where, unit_mm[name]) for name in ("PosX", "PosY"))
+        turn = _length_mm(cells["Rot"].rstrip("°"), "Rot", where, 1.0)
+        side = SIDES.get(re.sub(r"[^a-z]", "", cells.get("Side", "top").lower()))
+        if side is None:
+            raise InputError(f'{where}: Side = "{cells["Side"]}"; must be top or bottom.')
         if side == "bottom" and negate_x_on_bottom:
             x = -x
-        if abs(turn / 90 - round(turn / 90)) > 1e-3:
-            raise InputError(
-                f"{where}: Rot = {turn:g}; parts on the nail lie along or across it: give a multiple of 90."
-            )
-        ref = row[at["Ref"]].strip()
-        if any(part.ref == ref for part in parts):
-            raise InputError(f'{where}: Ref "{ref}" is there twice; give each part its own.')
-        parts.append(PlacedPart(ref, row[at["Val"]].strip(), row[at["Package"]].strip(), (x, y), turn, side))
+        if any(part.ref == cells["Ref"] for part in parts):
+            raise InputError(f'{where}: Ref "{cells["Ref"]}" is there twice; give each part its own.')
+        parts.append(PlacedPart(cells["Ref"], cells.get("Val", ""), cells.get("Package", ""), (x, y), turn, side))
     if not parts:
         raise InputError(f"{path}: names no part; export the positions of both sides.")
     return tuple(parts)
+
+
+def _table(text: str, path: Path) -> tuple[tuple[dict[str, int], dict[str, float]], list[tuple[int, list[str]]]]:
+    """The columns, each with its unit, and the numbered rows below them."""
+    lines, usual_mm = text.splitlines(), 1.0
+    for number, line in enumerate(lines):
+        if unit := re.search(r"unit\w*\s*(?:used)?\s*[:=]\s*\"?(\w+)", line, re.IGNORECASE):
+            usual_mm = UNITS_MM.get(unit[1].lower(), usual_mm)
+        for separator in (",", ";", "\t", " "):
+            header = _cells(line.lstrip("# ") if separator == " " else line, separator)
+            at = _columns(header)
+            if all(name in at for name in NEEDED):
+                units = {name: _unit_of(header[k]) or usual_mm for name, k in at.items()}
+                numbered = list(enumerate(lines, 1))[number + 1 :]
+                rows = [(k, row) for k, line in numbered if (row := _cells(line, separator)) and any(row)]
+                return (at, units), [(k, row) for k, row in rows if not row[0].lstrip().startswith("#")]
+    first = next((_columns(cells) for line in lines if len(cells := _cells(line, ",")) > 1), {})
+    missing = ", ".join(name for name in NEEDED if name not in first)
+    raise InputError(
+        f"{path}: is no position file: {missing} missing; its first line must be {','.join(COLUMNS)}, or as an "
+        "assembler has it (Designator, Mid X, Mid Y, Layer, Rotation)."
+    )
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    try:
+        if separator == " ":
+            return line.split()
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
+    except csv.Error:
+        return []
+
+
+def _columns(header: Sequence[str]) -> dict[str, int]:
+    """Where each column stands."""
+    plain = [re.sub(r"\(.*\)|\[.*\]", "", cell.lower()) for cell in header]
+    plain = [re.sub(r"[^a-z]|(mm|mil|inch)$", "", re.sub(r"[^a-z]", "", cell)) for cell in plain]
+    found = {name: next((plain.index(one) for one in known if one in plain), None) for name, known in KNOWN_AS.items()}
+    return {name: k for name, k in found.items() if k is not None}
+
+
+def _unit_of(title: str) -> float | None:
+    """The unit in a column's name, as in "Center-X(mm)". [mm]"""
+    unit = re.search(r"[(\[ _-](mm|cm|um|mils?|in|inch|inches)[)\]]?$", title.strip().lower())
+    return UNITS_MM[unit[1]] if unit else None
+
+
+def _length_mm(text: str, name: str, where: str, unit_mm: float) -> float:
+    """A length in millimetres, its unit in the cell or else the column's; raises InputError."""
+    match = LENGTH.fullmatch(text.strip().replace("−", "-"))
+    unit = match[2].lower() if match else ""
+    try:
+        if match is None or (unit and unit not in UNITS_MM):
+            raise ValueError
+        value = float(match[1].replace(",", ".")) * (UNITS_MM[unit] if unit else unit_mm)
+    except ValueError:
+        raise InputError(f"{where}: {name} = {text!r} is not a number.") from None
+    if not abs(value) <= FARTHEST_MM:
+        raise InputError(f"{where}: {name} = {text!r} is too far away; check its unit.")
+    return value
 
 
 def write_positions(path: Path, parts: Iterable[PlacedPart], *, negate_x_on_bottom: bool = False) -> None:
@@ -83,3 +159,15 @@ def write_positions(path: Path, parts: Iterable[PlacedPart], *, negate_x_on_bott
         numbers = ",".join(f"{value + 0.0:.6f}" for value in (x, y, part.rotation_deg))
         lines.append(f'"{part.ref}","{part.value}","{part.package}",{numbers},{part.side}')
     write_text(path, "\n".join(lines) + "\n")
+
+
+def turned(point: tuple[float, float], angle_deg: float) -> tuple[float, float]:
+    """A point turned around the origin, against the clock; exact for multiples of 90 degrees."""
+    quarters, rest = divmod(angle_deg, 90.0)
+    x, y = point
+    for _ in range(int(quarters) % 4):
+        x, y = -y, x
+    if rest:
+        cos, sin = math.cos(math.radians(rest)), math.sin(math.radians(rest))
+        x, y = cos * x - sin * y, sin * x + cos * y
+    return x, y

@@ -267,7 +267,9 @@ def _place(items: Any, step: str | int, path: str) -> int:
     """The index of an item of an array, by number or by its name."""
     if not isinstance(items, tuple):
         raise InputError(f'axis path "{path}" goes on at {step!r} where the base scene has a value; correct the path.')
-    names = [item.get("name", item.get("array")) if isinstance(item, dict) else None for item in items]
+    names = [
+        item.get("name", item.get("part", item.get("array"))) if isinstance(item, dict) else None for item in items
+    ]
     if isinstance(step, int) and step < len(items):
         return step
     if step in names:

@@ -9,20 +9,31 @@ from typing import Any
 from ..errors import InputError
 
 
-def read_text(path: Path, wanted: str, *, shown: str | None = None) -> str:
+def read_text(path: Path, wanted: str, *, shown: str | None = None, any_encoding: bool = False) -> str:
     """The text of a file, with or without a byte order mark, which some editors and spreadsheets write.
 
     wanted : what to give instead, for the message, such as "a position file".
     shown : how the message names the file; its path if not given.
+    any_encoding : whether it may be UTF-16 or Windows' own text, too, as other programs write it.
 
     Raises: InputError.
     """
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return decoded(path.read_bytes()) if any_encoding else path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InputError(f"{shown or path}: cannot be read: {error.strerror}; give {wanted}.") from None
     except UnicodeDecodeError:
         raise InputError(f"{shown or path}: is not a text file; give {wanted}.") from None
+
+
+def decoded(data: bytes) -> str:
+    """The text that bytes are, in UTF-16 if they begin so, else in UTF-8, else in Windows' own; UnicodeDecodeError."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data.decode("utf-16")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("cp1252")
 
 
 def read_rows(path: Path, wanted: str, *, shown: str | None = None) -> list[tuple[int, list[str]]]:

@@ -9,7 +9,7 @@ from .. import electronics, tissue
 from ..light import optics
 from ..light.board_map import Arrivals
 from ..light.reweight import attenuation
-from ..scene import Scene
+from ..scene import Photodiode, Scene
 
 Array = NDArray[np.float64]
 
@@ -40,14 +40,14 @@ class Ambient:
         lumens = LUMENS_PER_WATT * np.trapezoid(observer.values * planck(observer.wavelengths), observer.wavelengths)
         return planck(wavelength_nm) * self.lux / lumens
 
-    def photocurrent_a_per_mm2(self, quantum_efficiency: float) -> tuple[Array, Array]:
+    def photocurrent_a_per_mm2(self, photodiode: Photodiode) -> tuple[Array, Array]:
         """Wavelengths that silicon sees [nm], and the photocurrent of each for a square millimetre in the open.
         [A/mm^2]
 
         Steps are equal, so that the sum is the integral.
         """
         wavelength_nm = np.arange(SILICON_NM[0], SILICON_NM[1] + STEP_NM / 2, STEP_NM)
-        responsivity = electronics.responsivity_a_per_w(wavelength_nm, quantum_efficiency)
+        responsivity = electronics.photodiode_responsivity_a_per_w(photodiode, wavelength_nm)
         return wavelength_nm, 1e-6 * STEP_NM * self.irradiance(wavelength_nm) * responsivity
 
 
@@ -69,7 +69,7 @@ def collecting_area_mm2(escaping: ArrayLike, *, area_mm2: float, n: float) -> Ar
 
 
 def photocurrents_a(
-    escaped: Arrivals, scene: Scene, ambient: Ambient, *, traced_nm: float, quantum_efficiency: float, area_mm2: float
+    escaped: Arrivals, scene: Scene, ambient: Ambient, *, traced_nm: float, photodiode: Photodiode, area_mm2: float
 ) -> Array:
     """What each photon that left adds to the photocurrent by light from outside, (n,) float; its sum over the photons
     that were emitted is the photocurrent. [A]
@@ -77,7 +77,7 @@ def photocurrents_a(
     Absorption is that of every wavelength, scattering that of the one traced: at shorter ones light scatters more and
     leaks less.
     """
-    wavelength, per_mm2 = ambient.photocurrent_a_per_mm2(quantum_efficiency)
+    wavelength, per_mm2 = ambient.photocurrent_a_per_mm2(photodiode)
     inside = np.clip(wavelength, *tissue.WAVELENGTH_RANGE_NM)
     mu_a, traced = optics.absorption(scene, inside), optics.absorption(scene, traced_nm)[0]
     part = attenuation(escaped.path_mm.astype(float), mu_a - traced) @ per_mm2

@@ -115,8 +115,7 @@ def _read_volts(
     gain = gain * worn.get("led_drift", xr.DataArray([[1.0]])).values[:, None]
     fraction, stderr = motion * readings.fraction, motion * readings.stderr
     wavelength_nm = np.array([led.wavelength_nm for led in scene.leds])
-    efficiency = [diode.quantum_efficiency for diode in diodes]
-    responsivity = electronics.responsivity_a_per_w(wavelength_nm[:, None], efficiency)
+    responsivity = np.stack([electronics.photodiode_responsivity_a_per_w(one, wavelength_nm) for one in diodes], -1)
     read = [
         [electronics.read(one, led, diode, scene.electronics) for one, diode in zip(row, diodes, strict=True)]
         for row, led in zip(gain * fraction, scene.leds, strict=True)

@@ -231,3 +231,25 @@ def test_a_phantom_has_no_finger_to_build():
 def test_a_wild_resolution_is_refused(sensor):
     with pytest.raises(InputError, match="resolution = 0"):
         build(sensor(), resolution=0)
+
+
+def test_a_turned_photodiode_has_its_area_and_place_and_closes(sensor):
+    turned = {"rotation_deg": 30.0, "position_mm": [0.5, 1.0]}
+    scene = sensor(board="barrier = false", leds=((-3.5, 0.0),), elements=1, wired=[0], **turned)
+    update = {"leds": (scene.leds[0].model_copy(update={"rotation_deg": 20.0}),)}
+    layout = scene.model_copy(update=update).layout
+    geometry = build(scene.model_copy(update=update))
+    (face,), (area,) = geometry.photodiodes, layout.photodiode_areas
+    # The nail is made of flat facets, and lines nearer than 1 um are one.
+    assert face.area_mm2 == pytest.approx(0.25, rel=5e-3) and geometry.leds[0].area_mm2 == pytest.approx(
+        0.0625, rel=5e-3
+    )
+    middle = face.center_mm
+    arc_mm = geometry.board_radius_mm * np.arctan2(middle[0], middle[2] + geometry.nail_radius_mm)
+    assert (arc_mm, middle[1]) == pytest.approx(area.center_mm, abs=5e-3)
+    # Its long side points to 30 degrees: so do the second moments of its facets.
+    places = face.quads.mean(axis=1)[:, :2] - middle[:2]
+    weights = np.linalg.norm(np.cross(face.quads[:, 1] - face.quads[:, 0], face.quads[:, 3] - face.quads[:, 0]), axis=1)
+    (uu, uv), (_, vv) = np.einsum("k,ki,kj->ij", weights, places, places)
+    assert np.degrees(0.5 * np.arctan2(2 * uv, uu - vv)) == pytest.approx(30, abs=2)
+    assert check_watertight(geometry, crossings=20_000).passed

@@ -8,7 +8,7 @@ from nailoptics.errors import InputError
 from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, map_dataset, readings
 from nailoptics.light.course import course
 from nailoptics.scene import parse_scene, to_toml
-from nailoptics.scene.layout import Rectangle
+from nailoptics.scene.rectangles import Rectangle
 
 BOARD = """
 schema_version = 1

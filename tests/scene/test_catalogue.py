@@ -5,7 +5,7 @@ import pytest
 from nailoptics import scene
 from nailoptics.assets import asset_path, data_dir
 from nailoptics.errors import InputError
-from nailoptics.scene.catalogue import LedPart, PhotodiodeArrayPart, load_part
+from nailoptics.scene.catalogue import LedPart, PhotodiodePart, load_part
 
 PARTS = sorted(path.name for path in (data_dir("assets") / "parts").glob("*.toml"))
 LED = 'kind = "led"\npeak_nm = 805\nfwhm_nm = 30\nflux_mw = 2\n'
@@ -18,7 +18,7 @@ def test_a_shipped_part_loads_and_cites_its_source(name):
 
 
 def test_the_papers_parts():
-    array = load_part("pd_array_4x1", expect=PhotodiodeArrayPart)
+    array = load_part("pd_array_4x1", expect=PhotodiodePart)
     assert array.elements * array.pitch_mm == 4.0 and array.element_size_mm == (1.0, 0.25)
     leds = [load_part(f"led_{peak}", expect=LedPart) for peak in (660, 800, 940)]
     assert [(led.peak_nm, led.fwhm_nm) for led in leds] == [(660, 17), (800, 33), (940, 42)]
@@ -73,5 +73,5 @@ def test_an_unknown_part_names_the_known_ones():
         load_part("led_850")
     with pytest.raises(InputError, match="give no path"):
         load_part("../led_800")
-    with pytest.raises(InputError, match='kind "led", and "photodiode_array" is needed'):
-        load_part("led_800", expect=PhotodiodeArrayPart)
+    with pytest.raises(InputError, match='kind "led", and "photodiode" is needed'):
+        load_part("led_800", expect=PhotodiodePart)

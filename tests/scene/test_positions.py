@@ -3,7 +3,7 @@
 import pytest
 
 from nailoptics.errors import InputError
-from nailoptics.scene.positions import PlacedPart, read_positions, write_positions
+from nailoptics.scene.positions import PlacedPart, read_positions, turned, write_positions
 
 # As `kicad-cli pcb export pos --format csv --units mm --side both` writes it.
 POSITIONS = """Ref,Val,Package,PosX,PosY,Rot,Side
@@ -48,6 +48,9 @@ def test_what_is_written_is_read_back(tmp_path, negated):
         ("Ref,Val\n", "missing"),
         (POSITIONS.replace("-2.500000", "left"), "line 2: PosX"),
         (POSITIONS.replace(",top", ",edge"), "Side"),
+        (POSITIONS.replace("-2.500000", "1e9"), "too far away"),
+        (POSITIONS.replace("-2.500000", "3 furlongs"), "not a number"),
+        (POSITIONS + "D9\n", "line 5: has 1 columns"),
         (POSITIONS.replace('"LED2"', '"D1"'), "twice"),
         (POSITIONS.splitlines()[0], "no part"),
     ],
@@ -58,3 +61,45 @@ def test_a_wrong_position_file_is_refused_in_one_line(tmp_path, text, words):
     with pytest.raises(InputError, match=words) as caught:
         read_positions(path)
     assert len(str(caught.value).splitlines()) == 1 and "pos.csv" in str(caught.value)
+
+
+def test_kicads_ascii_file_is_read_in_its_unit(tmp_path):
+    path = tmp_path / "board.pos"
+    path.write_text(
+        "### Footprint positions - created on 2024-05-01 ###\n### Printed by KiCad version 8.0.1\n"
+        "## Unit = inches, Angle = deg.\n## Side : All\n"
+        "# Ref     Val     Package         PosX       PosY       Rot  Side\n"
+        "D1        IR_800  LED_die       0.1000    -0.2000   33.5000  bottom\n## End\n"
+    )
+    (part,) = read_positions(path)
+    assert part.position_mm == pytest.approx((2.54, -5.08)) and (part.rotation_deg, part.side) == (33.5, "bottom")
+
+
+@pytest.mark.parametrize(
+    ("text", "encoding"),
+    [
+        ("Designator,Mid X,Mid Y,Layer,Rotation\nD1,2.5mm,-1.25mm,Top,45\n", "utf-8"),
+        ("Designator;Mid X;Mid Y;Layer;Rotation\nD1;2,5;-1,25;T;45\n", "utf-8-sig"),
+        ("Designator\tCenter-X(mm)\tCenter-Y(mm)\tRotation\tLayer\nD1\t2.5\t-1.25\t45\tTopLayer\n", "utf-16"),
+        (
+            'Altium Designer Pick and Place Locations\n\nUnits used: mil\n\n"Designator","Comment","Layer","Footprint",'
+            '"Center-X(mil)","Center-Y(mil)","Rotation"\n"D1","10µF","TopLayer","x","98.4252","-49.2126","45"\n',
+            "cp1252",
+        ),
+        ("Part,X (in),Y (in),Angle,Side\nD1,0.0984252,-0.0492126,45,F.Cu\n", "utf-8"),
+        ('RefDes;PosX;PosY;Rot;Side\n"D1";"98.4252 mil";"-1250um";45°;top\n', "utf-8"),
+    ],
+    ids=["JLCPCB", "semicolons, decimal commas", "tabs, UTF-16", "Altium", "inches", "units in the cells"],
+)
+def test_files_of_assemblers_are_read_as_they_come(tmp_path, text, encoding):
+    path = tmp_path / "pos.csv"
+    path.write_text(text, encoding=encoding)
+    (part,) = read_positions(path)
+    assert (part.ref, part.rotation_deg, part.side) == ("D1", 45, "top")
+    assert part.position_mm == pytest.approx((2.5, -1.25), abs=1e-5)
+
+
+def test_points_turn_against_the_clock_and_exactly_by_quarters():
+    assert turned((2.0, 1.0), 90) == (-1.0, 2.0) and turned((2.0, 1.0), -90) == (1.0, -2.0)
+    assert turned((2.0, 1.0), 540) == (-2.0, -1.0)
+    assert turned((1.0, 0.0), 30) == pytest.approx((3**0.5 / 2, 0.5))

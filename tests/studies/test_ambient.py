@@ -49,7 +49,8 @@ def test_silicon_in_the_open_gives_the_short_circuit_current_of_full_sun():
     scene = scene.model_copy(update={"light": scene.light.model_copy(update={"index_steps": False})})
     absorbers = len(optics.absorbers(scene))
     all_left = Arrivals(10, np.arange(10), np.zeros((10, 2)), np.ones(10), np.zeros((10, absorbers), np.float32))
-    each = photocurrents_a(all_left, scene, SOURCES[0], traced_nm=800.0, quantum_efficiency=1.0, area_mm2=1.0)
+    perfect = scene.photodiodes[0].model_copy(update={"quantum_efficiency": 1.0})
+    each = photocurrents_a(all_left, scene, SOURCES[0], traced_nm=800.0, photodiode=perfect, area_mm2=1.0)
     assert each.sum() == pytest.approx(0.40e-3, rel=0.15)
 
 

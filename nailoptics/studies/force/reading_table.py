@@ -122,7 +122,12 @@ def reading_table(scene: Scene, light: DetectedLight, most_blood: float) -> Read
     return ReadingTable(
         names=names,
         coefficients=coefficients,
-        dark_v=np.array([diode.dark_current_na * 1e-9 * scene.electronics.feedback_ohm for _, diode in pairs]),
+        dark_v=np.array(
+            [
+                diode.dark_current_a(scene.electronics.temperature_k) * scene.electronics.feedback_ohm
+                for _, diode in pairs
+            ]
+        ),
         most_blood=most_blood,
         slope_stderr=near.change_stderr.reshape(len(names), -1)[:, 1:] / rest_fraction / step,
         noise_v=np.array([float(one.volts_noise_rms) for one in read]),

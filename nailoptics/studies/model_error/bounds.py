@@ -9,7 +9,7 @@ import numpy as np
 from ... import electronics, tissue
 from ...scene import Scene
 from ...scene.files import scene_of
-from ...scene.layout import Rectangle
+from ...scene.rectangles import Rectangle
 from ...statistics import Z95
 from ..ambient import SOURCES, collecting_area_mm2
 from ..comparison.compare import BLOOD_REDUCED_SCATTERING_PER_MM
@@ -80,14 +80,15 @@ def ambient(scene: Scene, base: PairedReadings, swapped: PairedReadings, toleran
     All of it is taken to be absorbed as the LED's light is, which is less than blood does to what is shorter.
     """
     lamp = SOURCES[-1]
-    efficiency = scene.photodiodes[0].quantum_efficiency
-    per_mm2 = float(lamp.photocurrent_a_per_mm2(efficiency)[1].sum())
+    diode = scene.photodiodes[0]
+    per_mm2 = float(lamp.photocurrent_a_per_mm2(diode)[1].sum())
     escapes, led = swapped.transfer.energy()["reflected"], swapped.transfer.scene.leds[0]
     area_mm2, index = led.size_mm[0] * led.size_mm[1], index_of("epoxy", led.wavelength_nm)
     # Of n photons one more may have left than were seen.
     parts = [escapes["value"], math.hypot(escapes["stderr"], UNSEEN / swapped.transfer.photons)]
     current = [per_mm2 * float(collecting_area_mm2(part, area_mm2=area_mm2, n=index)) for part in parts]
-    response = electronics.responsivity_a_per_w(np.array([one.wavelength_nm for one in scene.leds]), efficiency)
+    wavelength_nm = np.array([one.wavelength_nm for one in scene.leds])
+    response = electronics.photodiode_responsivity_a_per_w(diode, wavelength_nm)
     full = 1e-3 * np.array([one.flux_mw for one in scene.leds]) * response
     with np.errstate(divide="ignore"):
         ratio, error = (np.where(base.level > 0, x / (base.level * full[:, None]), np.inf) for x in current)

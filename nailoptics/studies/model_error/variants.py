@@ -4,7 +4,7 @@ from typing import Any
 
 from ...errors import InputError
 from ...scene import Led, Scene
-from ...scene.catalogue import load_part
+from ...scene.catalogue import LedPart, load_part
 from ...scene.files import scene_of
 
 # Fields by table of the scene; those of "leds" are every LED's, and None stands for what its part says.
@@ -16,7 +16,8 @@ PART_WIDTH: Changes = {"leds": {"fwhm_nm": None}}
 def part_width_nm(led: Led) -> float:
     """Line width that an LED's part has; its own if it has no part that can be found."""
     try:
-        return float(load_part(led.part).scene_fields()["fwhm_nm"]) if led.part else led.fwhm_nm
+        part = load_part(led.part, expect=LedPart) if led.part else led
+        return float(part.fwhm_nm) if isinstance(part, LedPart) else led.fwhm_nm
     except InputError:
         return led.fwhm_nm
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...errors import InputError
-from ...scene import Finger, FingerCase, Led, Photodiode, Placement, Scene
+from ...scene import Candidate, Finger, FingerCase, Led, Photodiode, Placement, Scene
 from ...scene.finger import ABSORBING, SCATTERING
 
 Places = Sequence[tuple[float, float]]
@@ -15,7 +15,7 @@ NAIL_MARGIN_MM = 0.1
 SPECK_MM = 0.05
 FAR_SIDE = {"left": (1, 0), "right": (-1, 0), "below": (0, 1), "above": (0, -1)}
 # One die in place of an array.
-SINGLE = {"array": None, "wired": None, "elements": 1, "pitch_mm": None}
+SINGLE = {"part": None, "wired": None, "elements": 1, "pitch_mm": None}
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,9 @@ def base_board(scene: Scene) -> Scene:
         us, vs = zip(*placement.outline_mm, strict=True)
         center = ((min(us) + max(us)) / 2, (min(vs) + max(vs)) / 2)
         size = (max(us) - min(us), max(vs) - min(vs))
+    elif board.size_mm is None and board.outline_mm is not None:
+        # What of the board's own file lies on the nail.
+        center, size = scene.layout.outline.center_mm, scene.layout.outline.size_mm
     elif board.size_mm is not None:
         center, size = board.center_mm, board.size_mm
     else:
@@ -84,18 +87,78 @@ def base_board(scene: Scene) -> Scene:
     return scene.model_copy(update={"board": board.model_copy(update=update), "placement": None})
 
 
+def candidate_scene(base: Scene, one: Candidate) -> Scene:
+    """A candidate's layout on the board: its own parts where it says what they are, else like the scene's.
+
+    Raises: InputError where the layout is impossible, or its LEDs are not the scene's by name.
+    """
+    wanted = [led.name for led in base.leds]
+    if not one.leds:
+        leds_deg, photodiodes_deg = (
+            getattr(one, f"{kind}_deg") or [90.0 * turned for turned in getattr(one, f"{kind}_turned")]
+            for kind in ("leds", "photodiodes")
+        )
+        order = _named_as(base, one) if one.led_refs else list(range(len(one.leds_mm)))
+        return with_parts(
+            base,
+            [one.leds_mm[i] for i in order],
+            one.photodiodes_mm,
+            name=one.name,
+            leds_deg=[leds_deg[i] for i in order] if leds_deg else (),
+            photodiodes_deg=photodiodes_deg,
+            photodiode_names=one.photodiode_refs,
+        )
+    by_name = {led.name: led for led in one.leds}
+    if set(by_name) != set(wanted):
+        raise InputError(
+            f'layout "{one.name}" places the LEDs {", ".join(by_name)}, but the scene has {", ".join(wanted)}; give '
+            'each its name in parts, as D1 = { led = "led_660", name = "red" }.'
+        )
+    (du, dv), leds = base.board.center_mm, [by_name[name] for name in wanted]
+
+    def moved(part: Led | Photodiode) -> Led | Photodiode:
+        return part.model_copy(update={"position_mm": (part.position_mm[0] - du, part.position_mm[1] - dv)})
+
+    scene = base.model_copy(update={"leds": tuple(map(moved, leds)), "photodiodes": tuple(map(moved, one.photodiodes))})
+    check(scene, one.name)
+    return scene
+
+
+def _named_as(base: Scene, one: Candidate) -> list[int]:
+    """Which of a file's LEDs is each of the scene's: by reference or value, the LED's name or part."""
+    if len(base.leds) == len(one.led_refs) == 1:
+        return [0]
+    found = []
+    for led in base.leds:
+        names = {led.name.lower(), (led.part or led.name).lower()}
+        same = [i for i, ref in enumerate(one.led_refs) if names & {word.lower() for word in ref}]
+        exact = [i for i in same if led.name.lower() in {word.lower() for word in one.led_refs[i]}] or same
+        if len(exact) != 1:
+            refs = ", ".join(f"{ref} ({value})" for ref, value in one.led_refs)
+            raise InputError(
+                f'layout "{one.name}": which of its LEDs {refs} is "{led.name}"? Name it so, or say it in parts, as '
+                f'D1 = {{ led = "PART", name = "{led.name}" }}.'
+            )
+        found.append(exact[0])
+    if len(found) < len(one.led_refs):
+        raise InputError(f'layout "{one.name}" places {len(one.led_refs)} LEDs, but the scene has {len(base.leds)}.')
+    return found
+
+
 def with_parts(
     base: Scene,
     leds_mm: Places,
     photodiodes_mm: Places,
     *,
     name: str,
-    leds_turned: Sequence[bool] = (),
-    photodiodes_turned: Sequence[bool] = (),
+    leds_deg: Sequence[float] = (),
+    photodiodes_deg: Sequence[float] = (),
+    photodiode_names: Sequence[str] = (),
 ) -> Scene:
     """The board with its LEDs and photodiodes at places on the nail; photodiodes are all like the scene's first.
 
-    leds_turned, photodiodes_turned : which of them lie turned by 90 degrees; none if not given.
+    leds_deg, photodiodes_deg : how far each of them is turned from how the scene's lies; not at all if not given. [deg]
+    photodiode_names : PD1, PD2 and so on if not given.
 
     Raises: InputError where the layout is impossible.
     """
@@ -103,19 +166,31 @@ def with_parts(
         raise InputError(f'layout "{name}" places {len(leds_mm)} LEDs, but the scene has {len(base.leds)}.')
     du, dv = base.board.center_mm
 
-    def placed(parts: Sequence[Led | Photodiode], places: Places, turned: Sequence[bool]) -> tuple[Any, ...]:
+    def placed(parts: Sequence[Led | Photodiode], places: Places, turned_deg: Sequence[float]) -> tuple[Any, ...]:
         out = []
         for i, (part, (u, v)) in enumerate(zip(parts, places, strict=True)):
-            size = part.size_mm[::-1] if turned and turned[i] else part.size_mm
-            out.append(part.model_copy(update={"position_mm": (u - du, v - dv), "size_mm": size}))
+            angle = (part.rotation_deg + (turned_deg[i] if turned_deg else 0.0)) % 360
+            out.append(part.model_copy(update={"position_mm": (u - du, v - dv), "rotation_deg": angle}))
         return tuple(out)
 
     single = base.photodiodes[0].model_copy(update=SINGLE)
-    named = [single.model_copy(update={"name": f"PD{i + 1}"}) for i in range(len(photodiodes_mm))]
-    leds, photodiodes = placed(base.leds, leds_mm, leds_turned), placed(named, photodiodes_mm, photodiodes_turned)
+    names = photodiode_names or [f"PD{i + 1}" for i in range(len(photodiodes_mm))]
+    named = [single.model_copy(update={"name": one}) for one in names]
+    leds, photodiodes = placed(base.leds, leds_mm, leds_deg), placed(named, photodiodes_mm, photodiodes_deg)
     scene = base.model_copy(update={"leds": leds, "photodiodes": photodiodes})
     check(scene, name)
     return scene
+
+
+def straight(base: Scene) -> Scene:
+    """The board whose parts, which a search puts elsewhere, lie along or across the nail, whichever is nearer."""
+
+    def turned_back(part: Led | Photodiode) -> Led | Photodiode:
+        across = round(part.rotation_deg / 90) % 2
+        return part.model_copy(update={"rotation_deg": 0.0, "size_mm": part.size_mm[:: -1 if across else 1]})
+
+    parts = {"leds": tuple(map(turned_back, base.leds)), "photodiodes": tuple(map(turned_back, base.photodiodes))}
+    return base.model_copy(update=parts)
 
 
 def check(scene: Scene, name: str) -> None:

@@ -10,8 +10,8 @@ import numpy as np
 from ...errors import InputError
 from ...light.board_map import PhotonMap
 from ...scene import Placement, Scene
-from ...scene.layout import Rectangle
 from ...scene.outlines import has_room
+from ...scene.rectangles import Rectangle
 from . import boards
 from .boards import CandidateLayout
 from .fisher import OperatingPoint, fisher_information, force_resolution_n, over_fingers, response

@@ -177,9 +177,9 @@ def _through_open_board(setup: _Setup, backend: str) -> np.ndarray:
 def _from_outside(setup: _Setup, left: Arrivals, photodiode: int) -> np.ndarray:
     """Photocurrent by light from outside and its variance, (2, sources) float. [A], [A^2]"""
     scene, area_mm2, sums = setup.scene, float(setup.areas_mm2[photodiode]), []
-    nm, efficiency = scene.leds[0].wavelength_nm, setup.photodiode.quantum_efficiency
+    nm, diode = scene.leds[0].wavelength_nm, setup.photodiode
     for source in SOURCES:
-        each = photocurrents_a(left, scene, source, traced_nm=nm, quantum_efficiency=efficiency, area_mm2=area_mm2)
+        each = photocurrents_a(left, scene, source, traced_nm=nm, photodiode=diode, area_mm2=area_mm2)
         # Most photons did not leave: each of them counts 0.
         sums.append((each.sum(), (each**2).sum() - each.sum() ** 2 / left.photons))
     return np.array(sums).T

@@ -104,8 +104,9 @@ def _candidates(
 ) -> tuple[list[CandidateLayout], list[exchange.SearchedSite]]:
     """All layouts to judge, given, searched and the paper's, and every site of the LED that the search tried."""
     layouts, paper = given(base, rules), _paper_layout(base, cache.conditions)
-    searched = exchange.search(base, rules, cache, report_progress) if rules.search else []
-    layouts += exchange.finalists(base, searched) + ([paper] if paper else [])
+    straight = boards.straight(base)
+    searched = exchange.search(straight, rules, cache, report_progress) if rules.search else []
+    layouts += exchange.finalists(straight, searched) + ([paper] if paper else [])
     if not layouts and report_progress.is_late(exchange.SEARCH_SHARE):
         raise NotReachedError("max_seconds ended the search before one place of the LED was tried; allow more time.")
     if not layouts:
@@ -126,8 +127,7 @@ def given(base: Scene, rules: Placement) -> list[CandidateLayout]:
     """The layouts that [placement] lists."""
     layouts = []
     for one in rules.candidates:
-        turned = {"leds_turned": one.leds_turned, "photodiodes_turned": one.photodiodes_turned}
-        scene = boards.with_parts(base, one.leds_mm, one.photodiodes_mm, name=one.name, **turned)
+        scene = boards.candidate_scene(base, one)
         layouts.append(boards.candidate(one.name, scene, "given"))
     return layouts
 

@@ -14,7 +14,7 @@ from ...scene.positions import PlacedPart
 from ...statistics import jackknife, left_out
 from ...variables import Variables, variable
 from . import fisher
-from .boards import CandidateLayout
+from .boards import CandidateLayout, straight
 from .exchange import SearchedSite
 from .fisher import OperatingPoint, Response
 from .photon_maps import FingerCondition
@@ -159,7 +159,7 @@ def _predicted(by_led: Sequence[Response]) -> Variables:
 
 def _photodiode_anywhere(scene: Scene, maps: Sequence[PhotonMap], point: OperatingPoint) -> xr.Dataset:
     """What one more photodiode would read by itself, wherever it lies on the board."""
-    photodiode, outline = scene.photodiodes[0], maps[0].outline
+    photodiode, outline = straight(scene).photodiodes[0], maps[0].outline
     half_u, half_v = (size / 2 for size in photodiode.size_mm)
     place_u = np.arange(outline.u_min + half_u, outline.u_max - half_u + 1e-9, PLACES_MM)
     place_v = np.arange(outline.v_min + half_v, outline.v_max - half_v + 1e-9, PLACES_MM)
@@ -233,23 +233,19 @@ def gain(result: xr.Dataset) -> tuple[float, float] | None:
     return float(ratio), float(spread)
 
 
-def kicad_parts(scene: Scene, like: Scene) -> list[PlacedPart]:
+def kicad_parts(scene: Scene) -> list[PlacedPart]:
     """A layout's LEDs and photodiodes as lines of a KiCad position file, all on the bottom, which faces the nail.
 
-    like : the scene that was given, whose parts lie as at a rotation of 0.
+    References are those of the file that the parts came from; else D1, PD1 and so on, with the part's name as value.
     """
     layout, parts = scene.layout, []
-
-    def rotation(size: tuple[float, float], usual: tuple[float, float]) -> float:
-        return 90.0 if size != usual and size == usual[::-1] else 0.0
-
-    for i, (led, usual, area) in enumerate(zip(scene.leds, like.leds, layout.leds, strict=False), start=1):
-        turn = rotation(led.size_mm, usual.size_mm)
-        parts.append(PlacedPart(f"D{i}", led.part or led.name, "LED_die", area.center_mm, turn, "bottom"))
+    known = scene.board.unmapped is not None
+    for i, (led, area) in enumerate(zip(scene.leds, layout.leds, strict=True), start=1):
+        ref, value = (led.name, led.part or led.name) if known else (f"D{i}", led.name)
+        parts.append(PlacedPart(ref, value, "LED_die", area.center_mm, led.rotation_deg % 360, "bottom"))
     for i, element in enumerate(layout.photodiodes, start=1):
-        size = element.photodiode.size_mm
-        turn = rotation(size, like.photodiodes[0].size_mm)
-        width, length = size[::-1] if turn else size
+        (width, length), turn = element.photodiode.size_mm, element.photodiode.rotation_deg % 360
+        ref = element.name if known else f"PD{i}"
         package = f"PD_{width:g}x{length:g}mm"
-        parts.append(PlacedPart(f"PD{i}", element.name, package, element.area.center_mm, turn, "bottom"))
+        parts.append(PlacedPart(ref, element.name, package, element.area.center_mm, turn, "bottom"))
     return parts

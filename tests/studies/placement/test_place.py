@@ -15,9 +15,9 @@ from nailoptics.light.board_map import Arrivals, PhotonMap
 from nailoptics.report import result_files
 from nailoptics.report.place_page import write_placement
 from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
-from nailoptics.scene.layout import Rectangle
 from nailoptics.scene.outlines import Outline, read_outline, write_outline
 from nailoptics.scene.positions import read_positions
+from nailoptics.scene.rectangles import Rectangle
 from nailoptics.studies.placement import boards, exchange, fisher, photon_maps, place, result, scores
 from nailoptics.studies.placement.progress import StageProgress
 from nailoptics.tissue import BloodZones
@@ -215,12 +215,13 @@ def test_a_turned_photodiode_lies_across_and_comes_back_turned(scene, tmp_path):
     (tmp_path / "mine.toml").write_text(asked)
     mine = load_scene(tmp_path / "mine.toml")
     layout = place.given(boards.base_board(mine), boards.rules(mine))[0].scene
-    assert [e.size_mm for e in layout.photodiodes] == [(0.25, 1.0), (1.0, 0.25)]
-    parts = result.kicad_parts(layout, mine)
-    assert [(p.package, p.rotation_deg) for p in parts[1:]] == [("PD_1x0.25mm", 90.0), ("PD_1x0.25mm", 0.0)]
+    assert [area.size_mm for area in layout.layout.photodiode_areas] == [(0.25, 1.0), (1.0, 0.25)]
+    parts = result.kicad_parts(layout)
+    assert [(p.package, p.rotation_deg) for p in parts[1:]] == [("PD_1x0.25mm", 90.0), ("PD_1x0.25mm", 180.0)]
     (tmp_path / "pos.csv").write_text(text.replace(",90,", ",45,"))
-    with pytest.raises(InputError, match="line 3: Rot = 45"):
-        load_scene(tmp_path / "mine.toml")
+    turned = place.given(boards.base_board(load_scene(tmp_path / "mine.toml")), boards.rules(mine))[0].scene
+    area = turned.layout.photodiode_areas[0]
+    assert (area.rotation_deg, area.area_mm2) == (45.0, 0.25) and area.center_mm == pytest.approx((1.0, -1.0))
 
 
 def test_a_part_beside_the_scene_goes_with_the_chosen_layout(tmp_path):
@@ -305,7 +306,7 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
 def test_the_chosen_layout_comes_back_as_scene_and_as_parts(found, scene):
     near = result.chosen(found.sel(layout=["near"]))
     assert near.placement is None and len(near.photodiodes) == 4
-    parts = result.kicad_parts(near, scene)
+    parts = result.kicad_parts(near)
     assert [p.ref for p in parts] == ["D1", "PD1", "PD2", "PD3", "PD4"] and parts[0].position_mm == (-3.0, 0.0)
     assert parts[1].position_mm == (-1.0, -2.0)
     assert result.outline(found.sel(layout=["near"])).corners_mm[0] == (-4.5, -4.5)
@@ -362,7 +363,7 @@ def test_time_that_is_over_leaves_the_layouts_that_were_traced_and_says_so(chose
     found = caught.value.result
     assert set(found.layout.values) == {"near", "far"} and found.attrs["cut_off"] == str(caught.value)
     assert "checked_fraction" not in found and found.attrs["photons"] < scores.JUDGE_PHOTONS
-    result_files.write_placement(found, scene, tmp_path)
+    result_files.write_placement(found, tmp_path)
     head = (tmp_path / "place.html").read_text(encoding="utf-8").split("</header>")[0]
     assert "max_seconds ended with 2 of 3 layouts traced" in head
     best = (tmp_path / "best.toml").read_text()
@@ -424,8 +425,7 @@ def test_the_command_writes_what_other_programs_read(chosen_jit, tmp_path, capsy
     assert run([*asked, "--negate-x-on-bottom"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert {row["layout"] for row in told["ranking"]} == {"mine", "paper"}
-    made = {path.name for path in out.iterdir()}
-    assert made == {"place.nc", "ranking.csv", "place.html", "best.toml", "best.csv", "best.glb", "outline.dxf"}
+    assert {path.name for path in out.iterdir()} == set(result_files.PLACEMENT)
     best = load_scene(out / "best.toml")
     areas = list(best.layout.photodiode_areas)
     back = [part for part in read_positions(out / "best.csv", negate_x_on_bottom=True) if not part.is_led]

@@ -1,0 +1,203 @@
+"""A designer's board file as LEDs and photodiodes on the nail: what its references are, its origin, and its side."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..assets import data_dir
+from .base import Point
+from .catalogue import ModulePart, load_part
+from .kicad import KicadBoard, read_board
+from .outlines import Outline, join
+from .positions import PlacedPart, read_positions, turned
+
+KINDS = ("led", "photodiode", "module")
+NOT_IN_SCENE = {"offset_mm", "rotation_deg"}
+SHOWN = 12  # references that a message names
+# Within this of its wavelength a shipped die is proposed for an LED.
+NEAR_NM = 15.0
+
+
+@dataclass(frozen=True)
+class OnNail:
+    """What of a board file lies on the nail, as tables of a scene.
+
+    ignored : References of the file that nothing was said of.
+    outline : In the nail's coordinates; None where the file has none.
+    """
+
+    leds: tuple[dict[str, Any], ...]
+    photodiodes: tuple[dict[str, Any], ...]
+    ignored: tuple[str, ...]
+    outline: Outline | None = None
+
+
+@dataclass(frozen=True)
+class View:
+    """How a file's coordinates become the nail's: origin, which side faces the nail, and a turn. [mm, deg]"""
+
+    origin_mm: Point = (0.0, 0.0)
+    mirrored: bool = False
+    turn_deg: float = 0.0
+
+    def place(self, point: Point) -> Point:
+        """A point seen from the board's top, as it lies on the nail. [mm]"""
+        x, y = point[0] - self.origin_mm[0], point[1] - self.origin_mm[1]
+        u, v = turned((-x if self.mirrored else x, y), self.turn_deg)
+        return round(u, 9), round(v, 9)
+
+    def angle(self, rotation_deg: float) -> float:
+        """An angle seen from the board's top, as it is on the nail. [deg]"""
+        return round(((-rotation_deg if self.mirrored else rotation_deg) + self.turn_deg) % 360, 9)
+
+
+def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNail:
+    """The parts and the outline of the file that a `[board]` or a candidate names.
+
+    table : with kicad or positions, and parts, origin, faces_nail, turn_deg, negate_x_on_bottom.
+
+    Raises: ValueError, InputError.
+    """
+    if table.get("kicad") is not None and table.get("positions") is not None:
+        raise ValueError("kicad and positions both place the parts; give one of them")
+    name = str(table.get("kicad") or table.get("positions"))
+    path = Path(folder or Path()) / name
+    uses = table.get("parts") or {}
+    board = read_board(path) if table.get("kicad") is not None else None
+    if board is None:
+        found = read_positions(path, negate_x_on_bottom=bool(table.get("negate_x_on_bottom", False)))
+    else:
+        found = board.footprints
+    if not uses:
+        raise ValueError(f"{name}: nothing says what its parts are; choose from this and add it: {proposal(found)}")
+    mapped = _mapped(found, uses, name)
+    whole, origin = _outline(board, mapped, name), table.get("origin")
+    view = View(
+        _origin(origin, board, whole, name),
+        _faces_nail(mapped, table.get("faces_nail")) == "top",
+        float(table.get("turn_deg", 0.0)),
+    )
+    tables: dict[str, list[dict[str, Any]]] = {"led": [], "photodiode": []}
+    for part in mapped:
+        for kind, one in _tables(part, dict(uses[part.ref]), view, folder):
+            tables[kind].append(one)
+    outline = None
+    if whole is not None:
+        corners, *holes = (tuple(map(view.place, line)) for line in (whole.corners_mm, *whole.holes_mm))
+        outline = Outline(corners, tuple(holes), whole.ignored)
+    ignored = tuple(part.ref for part in found if part.ref not in uses)
+    return OnNail(tuple(tables["led"]), tuple(tables["photodiode"]), ignored, outline)
+
+
+def _mapped(found: Sequence[PlacedPart], uses: Mapping[str, Any], name: str) -> list[PlacedPart]:
+    refs = [part.ref for part in found]
+    for ref, use in uses.items():
+        if not isinstance(use, Mapping) or len(set(use) & set(KINDS)) != 1:
+            raise ValueError(f'parts.{ref} must say what it is: one of led, photodiode, module = "PART"')
+        if "position_mm" in use:
+            raise ValueError(f"parts.{ref}.position_mm is the file's; give offset_mm, from there, in the part's frame")
+        if (count := refs.count(ref)) != 1:
+            known = ", ".join(sorted(set(filter(None, refs)))[:SHOWN])
+            there = f"{count} times" if count else f"not; it has {known}"
+            raise ValueError(f"parts.{ref} names a part that {name} has {there}")
+    return [part for part in found if part.ref in uses]
+
+
+def _outline(board: KicadBoard | None, mapped: Sequence[PlacedPart], name: str) -> Outline | None:
+    """The outline around the parts: a file may hold several boards."""
+    if board is None or not board.edges:
+        return None
+    return join(board.edges, name, around=[part.position_mm for part in mapped])
+
+
+def _origin(origin: Any, board: KicadBoard | None, outline: Outline | None, name: str) -> Point:
+    """The point that lies on the nail's centre, in the file's coordinates. [mm]"""
+    if not isinstance(origin, str | None):
+        x, y = origin
+        # KiCad shows y downwards.
+        return (float(x), float(y)) if board is None else (float(x), -float(y))
+    if board is None:
+        if origin is not None:
+            raise ValueError(f'origin = "{origin}" needs a KiCad board; give [x, y] as in {name}, or leave it out')
+        return 0.0, 0.0
+    named: dict[str, Point | None] = {"auxiliary": board.auxiliary_mm, "grid": board.grid_mm, "outline": None}
+    if outline is not None:
+        xs, ys = zip(*outline.corners_mm, strict=True)
+        named["outline"] = (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
+    wanted = (origin,) if origin is not None else ("auxiliary", "outline")
+    point = next((point for one in wanted if (point := named.get(one)) is not None), None)
+    if point is None:
+        raise ValueError(
+            f'{name} has no such origin; set it in KiCad, or give origin = "auxiliary", "grid", "outline" or [x, y]'
+        )
+    return point
+
+
+def _faces_nail(mapped: Sequence[PlacedPart], wanted: Any) -> str:
+    """The side of the board on which all its parts lie."""
+    for part in mapped:
+        if part.side != (wanted or mapped[0].side):
+            raise ValueError(
+                f"parts.{part.ref} lies on the {part.side}, but the {wanted or mapped[0].side} of the board faces the "
+                "nail; parts on the other side see nothing: take it out of the parts"
+            )
+    return str(wanted or mapped[0].side)
+
+
+def _tables(
+    part: PlacedPart, use: dict[str, Any], view: View, folder: str | Path | None
+) -> list[tuple[str, dict[str, Any]]]:
+    """A part, or what a module of several holds, as tables of LEDs and photodiodes."""
+    kind = next(kind for kind in KINDS if kind in use)
+    own = {name: value for name, value in use.items() if name not in (*KINDS, *NOT_IN_SCENE)}
+    offset, more_deg = tuple(use.get("offset_mm", (0.0, 0.0))), float(use.get("rotation_deg", 0.0))
+
+    def table(name: str, at: Point, fields: dict[str, Any]) -> dict[str, Any]:
+        # A footprint on the bottom is that of the library turned over around its x axis.
+        x, y = turned((at[0], -at[1] if part.side == "bottom" else at[1]), part.rotation_deg)
+        place = view.place((part.position_mm[0] + x, part.position_mm[1] + y))
+        angle = view.angle(part.rotation_deg + more_deg)
+        return {"name": name, "position_mm": place, "rotation_deg": angle} | fields
+
+    if kind == "module":
+        module = load_part(str(use[kind]), beside=folder, expect=ModulePart)
+        assert isinstance(module, ModulePart)
+        both = [("led", one) for one in module.leds] + [("photodiode", one) for one in module.photodiodes]
+        name = str(own.get("name", part.ref))
+        return [(k, table(f"{name}.{one.name}", one.position_mm, one.scene_fields())) for k, one in both]
+    if isinstance(use[kind], str):
+        own["part"] = use[kind]
+    elif use[kind] is not True:
+        raise ValueError(f"parts.{part.ref}.{kind} must be the name of a part, or true for one without")
+    return [(kind, table(str(own.pop("name", part.ref)), offset, own))]
+
+
+def proposal(found: Sequence[PlacedPart]) -> str:
+    """A map of the parts that look like LEDs and photodiodes, by library and reference, as a line of a scene file."""
+    shipped = sorted(path.stem for path in (data_dir("assets") / "parts").glob("*.toml"))
+    lines = [f"{part.ref} = {{ {use} }}" for part in found if part.ref and (use := _looks_like(part, shipped))]
+    if not lines:
+        refs = ", ".join(part.ref for part in found if part.ref)
+        return f'parts = {{ REF = {{ led = "PART" }} }}, with REF one of {refs}'
+    return f"parts = {{ {', '.join(lines)} }}"
+
+
+def _looks_like(part: PlacedPart, shipped: Sequence[str]) -> str:
+    text = f"{part.package} {part.value}".lower()
+    plain = re.sub(r"[^a-z0-9]", "", text)
+    for name in shipped:
+        if name.replace("_", "") in plain and not name.startswith(("led_", "pd_")):
+            kind = load_part(name).kind
+            return f'{"photodiode" if kind == "photodiode_array" else kind} = "{name}"'
+    ref = part.ref.upper()
+    if re.match(r"PD\d|PH\d", ref) or re.search(r"photo-?diode|vemd|temd|bpw|sfh2", text):
+        return 'photodiode = "?"' if not re.match(r"LED?\d", ref) else ""
+    if re.match(r"(LED|LD)\d", ref) or (re.match(r"D\d", ref) and "led" in text):
+        if nm := re.search(r"(\d{3,4})\s*nm", text):
+            dies = {name: int(name[4:]) for name in shipped if re.fullmatch(r"led_\d+", name)}
+            near = next((name for name, peak_nm in dies.items() if abs(peak_nm - int(nm[1])) < NEAR_NM), None)
+            return f'led = "{near}"' if near else f"led = true, wavelength_nm = {nm[1]}.0"
+        return 'led = "?"'
+    return ""

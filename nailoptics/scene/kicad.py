@@ -1,0 +1,227 @@
+"""KiCad boards, versions 5 to 9: footprints, outline and origins read; a layout written as a board."""
+
+import math
+import uuid
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+from ..io import write_text
+from .base import Point, Polygon
+from .outlines import Outline
+from .positions import PlacedPart, turned
+from .text_files import read_text
+
+EDGE = "Edge.Cuts"
+# How far an arc may lie from the lines that take its place.
+FLAT_MM = 0.002
+CURVE_POINTS = 33
+PAGE_CENTER_MM = (100.0, 100.0)
+# Of the layers that a board may have, those that a written one uses; KiCad adds the others.
+LAYERS = (
+    '(0 "F.Cu" signal) (31 "B.Cu" signal) (36 "B.SilkS" user "B.Silkscreen") (37 "F.SilkS" user "F.Silkscreen")',
+    '(44 "Edge.Cuts" user) (46 "B.CrtYd" user "B.Courtyard") (48 "B.Fab" user) (49 "F.Fab" user)',
+)
+
+
+@dataclass(frozen=True)
+class KicadBoard:
+    """What of a board file places a sensor, in its own coordinates but with y up, seen from the top. [mm]
+
+    footprints : Every part, with the name of its footprint.
+    edges : Lines of the outline, in any order.
+    auxiliary_mm, grid_mm : Origins of drill and position files, and of the grid; None where they are not set.
+    """
+
+    footprints: tuple[PlacedPart, ...]
+    edges: tuple[Polygon, ...]
+    auxiliary_mm: Point | None
+    grid_mm: Point | None
+
+
+def read_board(path: Path) -> KicadBoard:
+    """Read a board; raises InputError where it is none, or sexpdata is missing."""
+    try:
+        import sexpdata
+    except ImportError:
+        raise InputError(f"{path}: reading KiCad boards needs sexpdata: pip install 'nailoptics[cad]'.") from None
+    text = read_text(path, "a KiCad board (.kicad_pcb)")
+    try:
+        (tree,) = sexpdata.parse(text, nil=None, true=None, line_comment="\0")
+        if _word(tree[0]) != "kicad_pcb":
+            raise ValueError
+        return _board(_plain(tree))
+    except Exception as error:  # whatever a file that is none makes the parser and what reads its tree raise
+        why = "" if type(error) is ValueError else f" ({type(error).__name__})"
+        raise InputError(f"{path}: is no KiCad board that can be read{why}; save it with KiCad 5 or newer.") from None
+
+
+def _word(item: Any) -> str:
+    return str(item.value()) if hasattr(item, "value") else str(item)
+
+
+def _plain(tree: Any) -> Any:
+    """The tree with texts for symbols; numbers stay."""
+    if isinstance(tree, list):
+        return [_plain(item) for item in tree]
+    return tree if isinstance(tree, int | float) else _word(tree)
+
+
+def _all(tree: Sequence[Any], *names: str) -> Iterator[list[Any]]:
+    return (item for item in tree if isinstance(item, list) and item and item[0] in names)
+
+
+def _numbers(tree: Sequence[Any], name: str) -> list[float]:
+    """The numbers of an item such as (at 1 2 90); empty where there is none."""
+    item = next(_all(tree, name), [])
+    return [float(x) for x in item[1:] if isinstance(x, int | float)]
+
+
+def _point(tree: Sequence[Any], name: str) -> Point:
+    x, y = _numbers(tree, name)[:2]
+    return x, -y
+
+
+def _board(tree: list[Any]) -> KicadBoard:
+    footprints, edges = [], [line for item in tree if (line := _edge(item, "gr_"))]
+    for item in _all(tree, "module", "footprint"):
+        place = _numbers(item, "at")
+        x, y, angle = (*place, 0.0)[:3]
+        texts = {str(t[1]).lower(): str(t[2]) for t in _all(item, "fp_text", "property") if len(t) > 2}
+        side = "bottom" if next(_all(item, "layer"), ["", "F.Cu"])[1] == "B.Cu" else "top"
+        part = PlacedPart(texts.get("reference", ""), texts.get("value", ""), str(item[1]), (x, -y), angle, side)
+        footprints.append(part)
+        for line in filter(None, (_edge(one, "fp_") for one in item)):
+            moved = (turned(point, angle) for point in line)
+            edges.append(tuple((a + x, b - y) for a, b in moved))
+    setup = next(_all(tree, "setup"), [])
+    origins = {name: _numbers(setup, name) for name in ("aux_axis_origin", "grid_origin")}
+    # KiCad writes an origin that nobody set as 0 0, the corner of the page, or not at all.
+    auxiliary, grid = ((o[0], -o[1]) if len(o) == 2 and any(o) else None for o in origins.values())
+    return KicadBoard(tuple(footprints), tuple(edges), auxiliary, grid)
+
+
+def _edge(item: Any, kind: str) -> Polygon:
+    """The line that an item draws on the outline's layer; none if it draws elsewhere."""
+    if not isinstance(item, list) or not item or not str(item[0]).startswith(kind):
+        return ()
+    if next(_all(item, "layer"), ["", ""])[1] != EDGE:
+        return ()
+    shape = str(item[0]).removeprefix(kind)
+    if shape == "line":
+        return _point(item, "start"), _point(item, "end")
+    if shape == "rect":
+        (a, b), (c, d) = _point(item, "start"), _point(item, "end")
+        return (a, b), (c, b), (c, d), (a, d), (a, b)
+    if shape == "circle":
+        center, through = _point(item, "center"), _point(item, "end")
+        return _arc(center, through, math.tau)
+    if shape == "arc":
+        if angle := _numbers(item, "angle"):  # KiCad 5: start is the centre, and the angle follows the clock
+            return _arc(_point(item, "start"), _point(item, "end"), -math.radians(angle[0]))
+        return _arc_through(*(_point(item, name) for name in ("start", "mid", "end")))
+    if shape in ("poly", "curve"):
+        line: list[Point] = []
+        for one in next(_all(item, "pts"))[1:]:
+            if one[0] == "arc":
+                line += _arc_through(*(_point(one, name) for name in ("start", "mid", "end")))
+            else:
+                line.append((float(one[1]), -float(one[2])))
+        return _bezier(line) if shape == "curve" else (*line, line[0])
+    return ()
+
+
+def _arc(center: Point, start: Point, sweep_rad: float) -> Polygon:
+    """An arc as short lines, its ends exact as far as arithmetic goes."""
+    radius = math.dist(center, start)
+    step = 2 * math.acos(max(0.0, 1 - FLAT_MM / radius)) if radius > FLAT_MM else math.tau / 4
+    count = min(max(2, math.ceil(abs(sweep_rad) / step)), 1000)
+    first = math.atan2(start[1] - center[1], start[0] - center[0])
+    angles = (first + sweep_rad * i / count for i in range(1, count + 1))
+    return (start, *((center[0] + radius * math.cos(a), center[1] + radius * math.sin(a)) for a in angles))
+
+
+def _arc_through(start: Point, middle: Point, end: Point) -> Polygon:
+    """The arc through three points; a straight line where they lie on one."""
+    (ax, ay), (bx, by), (cx, cy) = start, middle, end
+    twice = 2 * (ax * (by - cy) + bx * (cy - ay) + cx * (ay - by))
+    if abs(twice) < 1e-9:
+        return start, middle, end
+    a, b, c = (x * x + y * y for x, y in (start, middle, end))
+    center = (
+        (a * (by - cy) + b * (cy - ay) + c * (ay - by)) / twice,
+        (a * (cx - bx) + b * (ax - cx) + c * (bx - ax)) / twice,
+    )
+    first, last = (math.atan2(p[1] - center[1], p[0] - center[0]) for p in (start, end))
+    sweep = (last - first) % math.tau
+    line = _arc(center, start, sweep if twice > 0 else sweep - math.tau)
+    return (*line[:-1], end)
+
+
+def _bezier(handles: Sequence[Point]) -> Polygon:
+    a, b, c, d = handles
+    shares = [i / (CURVE_POINTS - 1) for i in range(CURVE_POINTS)]
+    weights = [((1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t * t * (1 - t), t**3) for t in shares]
+    return tuple(
+        (
+            sum(w * p[0] for w, p in zip(row, (a, b, c, d), strict=True)),
+            sum(w * p[1] for w, p in zip(row, (a, b, c, d), strict=True)),
+        )
+        for row in weights
+    )
+
+
+def write_board(path: Path, parts: Sequence[PlacedPart], sizes_mm: Sequence[Point], outline: Outline) -> None:
+    """Write a layout as a board of KiCad 6, which newer ones open: outline and footprints, each with its die drawn.
+
+    The origin of drill and position files is the layout's.
+
+    sizes_mm : Size of each part's die at a rotation of 0. [mm]
+
+    Raises: WriteError.
+    """
+    ox, oy = PAGE_CENTER_MM
+
+    def place(point: Point) -> str:
+        return f"{point[0] + ox:.6f} {oy - point[1]:.6f}"
+
+    lines = ['(kicad_pcb (version 20211014) (generator "nailoptics")', "  (general (thickness 0.1))", '  (paper "A4")']
+    lines += ["  (layers", *(f"    {row}" for row in LAYERS), "  )"]
+    lines += [f"  (setup (pad_to_mask_clearance 0) (aux_axis_origin {ox:g} {oy:g}))", '  (net 0 "")']
+    for part, size in zip(parts, sizes_mm, strict=True):
+        lines += _footprint(part, size, place(part.position_mm))
+    for polygon in (outline.corners_mm, *outline.holes_mm):
+        for k, (a, b) in enumerate(zip(polygon, (*polygon[1:], polygon[0]), strict=True)):
+            lines.append(
+                f'  (gr_line (start {place(a)}) (end {place(b)}) (layer "{EDGE}") (width 0.05) {_stamp(a, k)})'
+            )
+    write_text(path, "\n".join([*lines, ")"]) + "\n")
+
+
+def _footprint(part: PlacedPart, size_mm: Point, place: str) -> list[str]:
+    side, half = ("B" if part.side == "bottom" else "F"), (size_mm[0] / 2, size_mm[1] / 2)
+    mirror = " (justify mirror)" if side == "B" else ""
+    font = f"(effects (font (size 0.3 0.3) (thickness 0.05)){mirror})"
+    angle = f"{part.rotation_deg:g}"
+    lines = [f'  (footprint "nailoptics:{_quoted(part.package)}" (layer "{side}.Cu") {_stamp(part.ref)}']
+    lines.append(f"    (at {place} {angle}) (attr smd)")
+    for kind, text in (("reference", part.ref), ("value", part.value)):
+        where = f'(at 0 0 {angle}) (layer "{side}.Fab")'
+        lines.append(f'    (fp_text {kind} "{_quoted(text)}" {where} {font} {_stamp(part.ref, kind)})')
+    corners = f"(start {-half[0]:g} {-half[1]:g}) (end {half[0]:g} {half[1]:g})"
+    for layer in ("Fab", "CrtYd"):
+        lines.append(
+            f'    (fp_rect {corners} (layer "{side}.{layer}") (width 0.02) (fill none) {_stamp(part.ref, layer)})'
+        )
+    return [*lines, "  )"]
+
+
+def _quoted(text: str) -> str:
+    return text.replace("\\", "\\\\").replace('"', '\\"')
+
+
+def _stamp(*of: object) -> str:
+    """An identifier that is the same whenever the same thing is written."""
+    return f"(tstamp {uuid.uuid5(uuid.NAMESPACE_URL, repr(of))})"

@@ -1,0 +1,123 @@
+"""Rectangles on the flat board: the faces of dies, walls and outlines, along its axes or turned."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .base import Point
+from .positions import turned
+
+# A turned rectangle is cut into strips along the board's axes on lines of this spacing, the same for all, so that
+# neighbours that touch share their steps. Light changes over a multiple of it, the depth of the epoxy.
+STRIP_MM = 0.08
+NEARLY_STRAIGHT_DEG = 1e-6
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """A rectangle on the board, in nail coordinates (u across, v to the tip). [mm]
+
+    u_min, u_max, v_min, v_max : Its bounds; its edges where it is not turned.
+    rotation_deg : How far it is turned, against the clock; 0 to 90. [deg]
+    turned_size_mm : Its own size along u and v before it is turned; None if it is not.
+    """
+
+    name: str
+    u_min: float
+    u_max: float
+    v_min: float
+    v_max: float
+    rotation_deg: float = 0.0
+    turned_size_mm: Point | None = None
+
+    @property
+    def area_mm2(self) -> float:
+        """Area. [mm^2]"""
+        return self.size_mm[0] * self.size_mm[1]
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Size along u and v, before it is turned. [mm]"""
+        return self.turned_size_mm or (self.u_max - self.u_min, self.v_max - self.v_min)
+
+    @property
+    def center_mm(self) -> tuple[float, float]:
+        """Centre (u, v). [mm]"""
+        return (self.u_min + self.u_max) / 2, (self.v_min + self.v_max) / 2
+
+    @cached_property
+    def corners_mm(self) -> tuple[Point, Point, Point, Point]:
+        """Its corners against the clock. [mm]"""
+        (u, v), (du, dv) = self.center_mm, self.size_mm
+        one, two, three, four = (
+            turned((a * du / 2, b * dv / 2), self.rotation_deg) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        )
+        return tuple((u + a, v + b) for a, b in (one, two, three, four))  # type: ignore[return-value]
+
+    def overlap_mm(self, other: "Rectangle") -> float:
+        """How deep the two rectangles overlap; negative is the gap between them along an edge of either. [mm]"""
+        depths = []
+        for angle in {self.rotation_deg, other.rotation_deg}:
+            here, there = (np.array([turned(corner, -angle) for corner in one.corners_mm]) for one in (self, other))
+            depths += list(np.minimum(here.max(0), there.max(0)) - np.maximum(here.min(0), there.min(0)))
+        return float(min(depths))
+
+    def holds(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which of the points lie in it; of its edges the lower ones belong to it."""
+        if self.turned_size_mm is None:
+            return (u >= self.u_min) & (u < self.u_max) & (v >= self.v_min) & (v < self.v_max)
+        (mu, mv), (du, dv) = self.center_mm, self.turned_size_mm
+        cos, sin = math.cos(math.radians(self.rotation_deg)), math.sin(math.radians(self.rotation_deg))
+        along, across = cos * (u - mu) + sin * (v - mv), cos * (v - mv) - sin * (u - mu)
+        return (along >= -du / 2) & (along < du / 2) & (across >= -dv / 2) & (across < dv / 2)
+
+    def strips(self) -> tuple["Rectangle", ...]:
+        """Rectangles along the axes that have its area and its moments in u, strip by strip; itself if not turned."""
+        if self.turned_size_mm is None:
+            return (self,)
+        lines = STRIP_MM * np.arange(math.floor(self.v_min / STRIP_MM), math.ceil(self.v_max / STRIP_MM) + 1)
+        lines = np.clip(lines, self.v_min, self.v_max)
+        found = []
+        for low, high in zip(lines, lines[1:], strict=False):
+            piece = _between(_between(self.corners_mm, float(low), 1), -float(high), -1)
+            if high > low and (area := _area(piece)) > 0:
+                middle, half = _center_u(piece, area), area / (high - low) / 2
+                found.append(Rectangle(self.name, middle - half, middle + half, float(low), float(high)))
+        return tuple(found)
+
+    @staticmethod
+    def around(name: str, center: Point, size: Point, rotation_deg: float = 0.0) -> "Rectangle":
+        """The rectangle of a given size around a centre, turned against the clock. [mm, deg]"""
+        (u, v), (du, dv), angle = center, size, rotation_deg % 180
+        if 90 - NEARLY_STRAIGHT_DEG <= angle < 180 - NEARLY_STRAIGHT_DEG:
+            du, dv, angle = dv, du, angle - 90
+        if not NEARLY_STRAIGHT_DEG < angle < 90 - NEARLY_STRAIGHT_DEG:
+            return Rectangle(name, u - du / 2, u + du / 2, v - dv / 2, v + dv / 2)
+        cos, sin = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+        half_u, half_v = (cos * du + sin * dv) / 2, (sin * du + cos * dv) / 2
+        return Rectangle(name, u - half_u, u + half_u, v - half_v, v + half_v, angle, (du, dv))
+
+
+def _between(corners: Sequence[Point], low: float, sign: int) -> list[Point]:
+    """What of a convex polygon has sign times v of at least low."""
+    kept: list[Point] = []
+    for (a, b), (c, d) in zip(corners, (*corners[1:], *corners[:1]), strict=True):
+        if sign * b >= low:
+            kept.append((a, b))
+        if (sign * b >= low) != (sign * d >= low):
+            share = (sign * low - b) / (d - b)
+            kept.append((a + share * (c - a), sign * low))
+    return kept
+
+
+def _area(corners: Sequence[Point]) -> float:
+    return sum(a * d - c * b for (a, b), (c, d) in zip(corners, (*corners[1:], *corners[:1]), strict=True)) / 2
+
+
+def _center_u(corners: Sequence[Point], area: float) -> float:
+    sides = zip(corners, (*corners[1:], *corners[:1]), strict=True)
+    return sum((a + c) * (a * d - c * b) for (a, b), (c, d) in sides) / (6 * area)

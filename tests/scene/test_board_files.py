@@ -1,0 +1,135 @@
+"""A designer's own board in a scene: mapped parts at their places, nothing guessed, and one line where it is wrong."""
+
+import pytest
+
+from nailoptics.errors import InputError
+from nailoptics.scene import digest, load_scene, parse_scene, to_toml
+
+BOARD = """(kicad_pcb (version 20171130)
+  (setup (aux_axis_origin 100 100))
+  (module LED_SMD:LED_0603 (layer {side}) (at 97 99 {turn}) (fp_text reference D1) (fp_text value 660nm))
+  (module Osram:SFH2430 (layer {side}) (at 101 101 30) (fp_text reference PD1) (fp_text value x))
+  (module R_0402 (layer F.Cu) (at 101 104) (fp_text reference R1) (fp_text value 1k))
+  (gr_rect (start 96 96) (end 104 105) (layer Edge.Cuts))
+)
+"""
+SCENE = """
+schema_version = 1
+[finger]
+[board]
+kicad = "x.kicad_pcb"
+barrier = false
+{more}
+[board.parts]
+D1 = {{ led = "led_660" }}
+PD1 = {{ photodiode = "pd_array_4x1", elements = 1, size_mm = [1.0, 0.5] }}
+"""
+
+
+def write(tmp_path, *, more="", side="B.Cu", turn=90, scene=SCENE):
+    (tmp_path / "x.kicad_pcb").write_text(BOARD.format(side=side, turn=turn))
+    (tmp_path / "mine.toml").write_text(scene.format(more=more))
+    return tmp_path / "mine.toml"
+
+
+def test_mapped_parts_lie_where_the_file_has_them_and_others_are_named(tmp_path):
+    scene = load_scene(write(tmp_path))
+    (led,), (diode,) = scene.leds, scene.photodiodes
+    assert (led.name, led.wavelength_nm, led.position_mm, led.rotation_deg) == ("D1", 660, (-3.0, 1.0), 90)
+    assert (diode.name, diode.size_mm, diode.position_mm, diode.rotation_deg) == ("PD1", (1.0, 0.5), (1.0, -1.0), 30)
+    assert scene.board.unmapped == ("R1",) and scene.board.parts is None
+    # y points down in KiCad and to the tip on the nail.
+    assert set(scene.board.outline_mm) == {(-4, -5), (4, -5), (4, 4), (-4, 4)}
+    outline = scene.layout.outline
+    assert (outline.u_min, outline.u_max, outline.v_min, outline.v_max) == (-4, 4, -5, 4)
+
+
+def test_a_scene_from_a_board_is_complete_without_it(tmp_path):
+    scene = load_scene(write(tmp_path))
+    assert parse_scene(to_toml(scene)) == scene and digest(parse_scene(to_toml(scene))) == digest(scene)
+
+
+@pytest.mark.parametrize(
+    ("more", "side", "places"),
+    [
+        ("origin = [97.0, 99.0]", "B.Cu", [(0, 0, 90), (4, -2, 30)]),
+        ('origin = "outline"', "B.Cu", [(-3, 1.5, 90), (1, -0.5, 30)]),
+        ("turn_deg = 90", "B.Cu", [(-1, -3, 180), (1, 1, 120)]),
+        # The top faces the nail: seen from above, the board is mirrored.
+        ("", "F.Cu", [(3, 1, 270), (-1, -1, 330)]),
+        ('faces_nail = "bottom"', "B.Cu", [(-3, 1, 90), (1, -1, 30)]),
+    ],
+)
+def test_origin_side_and_turn_place_the_board_on_the_nail(tmp_path, more, side, places):
+    scene = load_scene(write(tmp_path, more=more, side=side))
+    found = [(*part.position_mm, part.rotation_deg) for part in (*scene.leds, *scene.photodiodes)]
+    assert found == [pytest.approx(one) for one in places]
+
+
+def test_parts_on_the_scene_and_those_of_the_file_go_together(tmp_path):
+    more = '[[leds]]\nname = "ir"\npart = "led_940"\nposition_mm = [-3.0, -2.0]\n[board.nothing]\n'
+    path = write(tmp_path)
+    path.write_text(path.read_text() + more.replace("[board.nothing]\n", ""))
+    assert [led.name for led in load_scene(path).leds] == ["ir", "D1"]
+
+
+def test_a_part_may_sit_beside_the_middle_of_its_footprint(tmp_path):
+    path = write(tmp_path)
+    path.write_text(path.read_text().replace('"led_660"', '"led_660", offset_mm = [0.5, 0.2]'))
+    # Turned by 90 degrees, on the bottom: x of the footprint points to the tip, its y, turned over, to the right.
+    assert load_scene(path).leds[0].position_mm == pytest.approx((-3.0 + 0.2, 1.0 + 0.5))
+
+
+def test_position_files_serve_as_boards(tmp_path):
+    path = write(tmp_path)
+    text = "Designator,Mid X,Mid Y,Layer,Rotation\nD1,-3mm,1mm,Bottom,90\nPD1,1mm,-1mm,Bottom,30\nC1,9,9,Top,0\n"
+    (tmp_path / "pos.csv").write_text(text)
+    board = load_scene(path)
+    path.write_text(path.read_text().replace('kicad = "x.kicad_pcb"', 'positions = "pos.csv"'))
+    scene = load_scene(path)
+    assert (scene.leds, scene.photodiodes) == (board.leds, board.photodiodes) and scene.board.unmapped == ("C1",)
+
+
+def test_candidates_are_files_with_their_own_parts_matched_by_name(tmp_path):
+    path = write(tmp_path)
+    (tmp_path / "pos.csv").write_text(
+        "Ref,Val,Package,PosX,PosY,Rot,Side\nC7,,,0,0,0,bottom\nPD1,,,2,0,0,bottom\nD1,,,-2,0,0,bottom\n"
+    )
+    more = '[placement]\nsearch = false\n[[placement.candidates]]\nname = "mine"\npositions = "pos.csv"\n'
+    path.write_text(path.read_text() + more)
+    (one,) = load_scene(path).placement.candidates
+    assert (one.leds[0].name, one.photodiodes[0].size_mm, one.unmapped) == ("D1", (1.0, 0.5), ("C7",))
+    assert parse_scene(to_toml(load_scene(path))).placement.candidates[0] == one
+
+
+def test_where_nothing_is_mapped_a_map_is_proposed(tmp_path):
+    with pytest.raises(InputError) as caught:
+        load_scene(write(tmp_path, scene=SCENE[: SCENE.index("[board.parts]")]))
+    line = str(caught.value)
+    assert 'parts = { D1 = { led = "led_660" }, PD1 = { photodiode = "?" } }' in line and "\n" not in line
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("D1 =", "D7 =", "parts.D7 names a part that x.kicad_pcb has not; it has D1, PD1, R1"),
+        ('led = "led_660"', "colour = 3", "parts.D1 must say what it is: one of led, photodiode, module"),
+        ('led = "led_660"', 'led = "led_661"', 'part "led_661" is unknown'),
+        ('led = "led_660"', 'led = "led_660", position_mm = [1.0, 2.0]', "parts.D1.position_mm is the file's"),
+        ("elements = 1", "elements = -1", r"photodiodes\[0\].elements = -1"),
+        ("barrier = false", 'barrier = false\norigin = "grid"', "x.kicad_pcb has no such origin"),
+        ("barrier = false", 'barrier = false\nfaces_nail = "top"', "parts.D1 lies on the bottom, but the top"),
+        ("barrier = false", "barrier = false\norigin = [0.0, 0.0]", "reaches over the board's edge or the nail's"),
+        ("x.kicad_pcb", "y.kicad_pcb", "y.kicad_pcb: cannot be read"),
+        ("x.kicad_pcb", "mine.toml", "mine.toml: is no KiCad board"),
+        ('kicad = "x.kicad_pcb"', "", "parts says what a board's references are"),
+        ('kicad = "x.kicad_pcb"', 'kicad = "x.kicad_pcb"\npositions = "x.csv"', "give one of them"),
+        ("barrier = false", "barrier = false\nclear_epoxy_mu = 3", "board.clear_epoxy_mu is not a known field"),
+    ],
+)
+def test_a_wrong_board_is_refused_in_one_line(tmp_path, old, new, words):
+    path = write(tmp_path)
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(InputError, match=words) as caught:
+        load_scene(path)
+    assert "mine.toml: " in str(caught.value) and "\n" not in str(caught.value)
