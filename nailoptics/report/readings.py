@@ -26,6 +26,9 @@ class Reading:
     noise_rms_v: float
     change_v: float
     change_stderr_v: float
+    peak_v: float
+    peak_stderr_v: float
+    peak_s: float
     force_change_n: float
     saturated: bool
     rest_spread: float = math.nan
@@ -70,6 +73,8 @@ def _ratio(value: float, by: float) -> float:
 def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> list[Reading]:
     """Every LED and photodiode, LED by LED, photodiodes from proximal to distal."""
     rest, held = result.isel(time=0), result.isel(time=hold_end(result))
+    largest = abs(result.volts_change).argmax("time")
+    peak = result.isel(time=largest)
     told = {"rest_spread": "reading_spread", "change_spread": "change_spread"}
     spreads = {name: result[told[name]].values for name in told if told[name] in result}
     found = []
@@ -90,6 +95,9 @@ def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> list[Reading
                 noise_rms_v=float(held.volts_noise_rms[i, j]),
                 change_v=float(held.volts_change[i, j]),
                 change_stderr_v=float(held.volts_change_stderr[i, j]),
+                peak_v=float(peak.volts_change[i, j]),
+                peak_stderr_v=float(peak.volts_change_stderr[i, j]),
+                peak_s=float(result.time[largest[i, j]]),
                 force_change_n=float(held.force_n - rest.force_n),
                 saturated=bool(result.saturated[i, j].any()),
                 **{name: float(values[i, j]) for name, values in spreads.items()},

@@ -7,7 +7,7 @@ import xarray as xr
 
 from ..scene import Scene
 from . import style
-from .numbers import prefix, quantity, with_error
+from .numbers import prefix, significant, with_error
 from .readings import coloured_along_nail, hold_end, led_name, order_along_nail
 
 if TYPE_CHECKING:
@@ -132,7 +132,8 @@ def draw_change(axes: "Axes", result: xr.Dataset, scene: Scene | None, *, led: i
     seen = _thin(result)
     axes.axhline(0, color=style.MUTED, lw=0.8)
     for colour, j in photodiodes:
-        moved = "saturated" if result.saturated[led, j].any() else quantity(float(change[led, j, hold]), "V", sign=True)
+        moved = f"{significant(float(change[led, j, hold]) / scale, 3, sign=True)} {letter}V"
+        moved = "saturated" if result.saturated[led, j].any() else moved
         label = f"{result.photodiode.values[j]}  {moved}"
         _line(axes, seen, seen.volts_change[led, j] / scale, color=colour, label=style.plain(label))
     axes.axvline(hold_s, color=style.MUTED, lw=0.8, ls=(0, (2, 2)))

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def simulation_summary(result: "xr.Dataset") -> dict[str, Any]:
-    """Volts at the start, their change from there to the end of the hold, and their noise, reading by reading."""
+    """Volts at the start, their change from there to the end of the hold, the largest one, and their noise."""
     rows = [
         {
             "led": r.led,
@@ -22,6 +22,9 @@ def simulation_summary(result: "xr.Dataset") -> dict[str, Any]:
             "volts_start_stderr": r.rest_stderr_v,
             "volts_change": r.change_v,
             "volts_change_stderr": r.change_stderr_v,
+            "volts_change_peak": r.peak_v,
+            "volts_change_peak_stderr": r.peak_stderr_v,
+            "time_of_peak_s": r.peak_s,
             "volts_noise_rms": r.noise_rms_v,
             "time_of_change_s": float(result.time[hold_end(result)]),
             "saturated": r.saturated,
@@ -56,7 +59,7 @@ def simulation_lines(summary: dict[str, Any]) -> list[str]:
     """The readings of a `simulation_summary` as a table."""
     spread = f" {'spread':>8}" if any("volts_start_spread" in row for row in summary["readings"]) else ""
     head = f"{'LED':>10} {'photodiode':<14} {'start V':>9} {'+-':>8}{spread} {'change mV':>10} {'+-':>7}{spread}"
-    lines = [f"{head} {'noise mV':>9}"]
+    lines = [f"{head} {'peak mV':>9} {'noise mV':>9}"]
     for row in summary["readings"]:
         line = f"{row['led']:>10} {row['photodiode']:<14} {row['volts_start']:9.4f} "
         if row["saturated"]:
@@ -67,10 +70,12 @@ def simulation_lines(summary: dict[str, Any]) -> list[str]:
             )
             line += f" {1e3 * row['volts_change']:10.3f} {1e3 * row['volts_change_stderr']:7.3f}"
             line += f" {1e3 * row.get('volts_change_spread', math.nan):8.3f}" if spread else ""
-            line += f" {1e3 * row['volts_noise_rms']:9.4f}"
+            line += f" {1e3 * row['volts_change_peak']:9.3f} {1e3 * row['volts_noise_rms']:9.4f}"
         lines.append(line)
     hold_s = summary["readings"][0]["time_of_change_s"]
-    lines.append(f"start: the first sample; change: from there to the end of the hold, at {hold_s:.3g} s")
+    lines.append(
+        f"start: the first sample; change: from there to the end of the hold, at {hold_s:.3g} s; peak: the largest one"
+    )
     if spread:
         lines.append(
             "+-: the trace's standard error; spread: one standard deviation over what is unknown of the finger"

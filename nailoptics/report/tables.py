@@ -26,10 +26,11 @@ def number(value: float, text: str) -> str:
 def readings_table(found: Sequence[Reading], hold_s: float) -> str:
     """The readings of every photodiode, LED by LED."""
     volts, letter = prefix(max((abs(r.rest_v) for r in found), default=0.0))
-    change, change_letter = prefix(max((abs(r.change_v) for r in found), default=0.0))
+    change, change_letter = prefix(max((abs(r.peak_v) for r in found), default=0.0))
     noise, noise_letter = prefix(max((r.noise_rms_v for r in found), default=0.0))
     head = ["Photodiode", "Blood<br>zone", "Away from<br>LED [mm]", f"At rest<br>[{letter}V]"]
     head += [f"Change at<br>{significant(hold_s)} s [{change_letter}V]", "Change<br>[%]", "Sure by<br>[σ]"]
+    head += [f"Largest<br>change [{change_letter}V]"]
     spread = any(math.isfinite(r.rest_spread) for r in found)
     head += ["At rest<br>spreads [%]", "Change<br>spreads [%]"] if spread else []
     head += [f"Noise,<br>rms [{noise_letter}V]", "Signal<br>to noise", "Resolves<br>[mN]"]
@@ -38,7 +39,7 @@ def readings_table(found: Sequence[Reading], hold_s: float) -> str:
         distance = number(r.distance_mm, significant(r.distance_mm, 3))
         if r.saturated:
             at_limit = number(r.rest_v, significant(r.rest_v / volts))
-            rows.append([name + SATURATED, escaped(r.zone), distance, at_limit, *["–"] * 6])
+            rows.append([name + SATURATED, escaped(r.zone), distance, at_limit, *["–"] * (len(head) - 4)])
             continue
         cells = [
             distance,
@@ -46,6 +47,7 @@ def readings_table(found: Sequence[Reading], hold_s: float) -> str:
             number(r.change_v, with_error(r.change_v / change, r.change_stderr_v / change, sign=True)),
             number(r.change_percent, significant(r.change_percent, 3, sign=True)),
             number(r.sigmas, significant(r.sigmas, 2)),
+            number(r.peak_v, significant(r.peak_v / change, 3, sign=True)),
             *(number(x, significant(100 * x, 2)) for x in (r.rest_spread, r.change_spread) if spread),
             number(r.noise_rms_v, significant(r.noise_rms_v / noise)),
             number(r.signal_to_noise, significant(r.signal_to_noise, 3)),

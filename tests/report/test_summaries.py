@@ -12,10 +12,13 @@ def test_the_terminal_and_the_page_have_one_definition_of_a_change(make):
     result.volts_change[..., -1] = 1.0
     rows = simulation_summary(result)["readings"]
     assert [row["volts_change"] for row in rows] == [r.change_v for r in photodiode_readings(result, None)]
+    assert {row["volts_change_peak"] for row in rows} == {1.0}
+    assert {row["time_of_peak_s"] for row in rows} == {float(result.time[-1])}
     hold = hold_end(result)
     assert {row["time_of_change_s"] for row in rows} == {float(result.time[hold])}
     assert result.force_n[hold] == 1 and result.force_n[hold + 1] == 0
     assert f"to the end of the hold, at {float(result.time[hold]):.3g} s" in simulation_lines({"readings": rows})[-1]
+    assert "1000.000" in simulation_lines({"readings": rows})[1]
 
 
 def test_saturated_readings_are_marked(make):

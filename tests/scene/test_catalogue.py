@@ -4,8 +4,9 @@ import pytest
 
 from nailoptics import scene
 from nailoptics.assets import asset_path, data_dir
+from nailoptics.electronics import photodiode_responsivity_a_per_w
 from nailoptics.errors import InputError
-from nailoptics.scene.catalogue import LedPart, PhotodiodePart, load_part
+from nailoptics.scene.catalogue import LedPart, ModulePart, PhotodiodePart, load_part
 
 PARTS = sorted(path.name for path in (data_dir("assets") / "parts").glob("*.toml"))
 LED = 'kind = "led"\npeak_nm = 805\nfwhm_nm = 30\nflux_mw = 2\n'
@@ -69,9 +70,66 @@ def test_a_part_that_breaks_a_rule_is_refused_in_one_line(tmp_path, text, words)
 
 
 def test_an_unknown_part_names_the_known_ones():
-    with pytest.raises(InputError, match="choose one of led_660, led_800, led_940, pd_array_4x1"):
+    with pytest.raises(InputError, match="choose one of .*bpw34, .*led_660, led_800, led_940, .*pd_array_4x1"):
         load_part("led_850")
     with pytest.raises(InputError, match="give no path"):
         load_part("../led_800")
     with pytest.raises(InputError, match='kind "led", and "photodiode" is needed'):
         load_part("led_800", expect=PhotodiodePart)
+
+
+def test_parts_of_the_old_kind_and_scenes_with_the_old_key_are_read(tmp_path):
+    rows = (
+        "elements = 4\nelement_size_mm = [1.0, 0.25]\npitch_mm = 0.3\nquantum_efficiency = 0.8\ndark_current_na = 0.2\n"
+    )
+    (tmp_path / "row.toml").write_text('kind = "photodiode_array"\nshunt_ohm = 1e8\n' + rows)
+    old, new = (
+        scene.Photodiode.model_validate({key: "row", "position_mm": (0.0, 0.0)}, context={"folder": tmp_path})
+        for key in ("array", "part")
+    )
+    assert old == new and (new.name, new.part, new.array, new.pitch_mm, new.shunt_mohm) == (
+        "row",
+        "row",
+        None,
+        0.3,
+        100,
+    )
+
+
+def test_real_parts_have_what_their_data_sheets_say():
+    bpw34, bp104 = (
+        scene.Photodiode.model_validate({"part": n, "position_mm": (0.0, 0.0)}) for n in ("bpw34", "bp104fs")
+    )
+    # 50 uA at 1 mW/cm2 of 950 nm on 7.5 mm2.
+    area = bpw34.size_mm[0] * bpw34.size_mm[1]
+    current_ua = 10 * area * photodiode_responsivity_a_per_w(bpw34, 950.0)
+    assert area == pytest.approx(7.5, abs=0.02) and current_ua == pytest.approx(50, rel=0.01)
+    # 34 uA on 4.84 mm2, and nothing of red light through its filter.
+    assert 48.4 * photodiode_responsivity_a_per_w(bp104, 950.0) == pytest.approx(34, rel=0.01)
+    assert photodiode_responsivity_a_per_w(bp104, [660.0, 865.0, 1200.0]).tolist() == pytest.approx([0, 0.385, 0])
+    assert bpw34.dark_current_a(298.15) == 2e-9 and bpw34.dark_current_a(318.15) == pytest.approx(8e-9)
+    assert scene.Photodiode(name="a", position_mm=(0.0, 0.0)).dark_current_a(400.0) == pytest.approx(1e-10)
+
+
+def test_a_module_is_a_package_of_leds_and_photodiodes():
+    module = load_part("max30101", expect=ModulePart)
+    assert [led.name for led in module.leds] == ["red", "ir", "green"]
+    assert all(
+        abs(one.position_mm[0]) < 1.65 and abs(one.position_mm[1]) < 2.8 for one in (*module.leds, *module.photodiodes)
+    )
+    assert module.leds[0].scene_fields()["wavelength_nm"] == 660
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ("[[600.0, 0.4]]", "two rows"),
+        ("[[600.0, 0.4], [500.0, 0.3]]", "wavelengths rising"),
+        ("[[600.0, 0.4], [800.0, 0.7]]", "0.7 A/W at 800 nm is more than one electron per photon"),
+    ],
+)
+def test_an_impossible_responsivity_is_refused(tmp_path, rows, words):
+    text = f'kind = "photodiode"\nelement_size_mm = [1.0, 1.0]\ndark_current_na = 1\nresponsivity = {rows}\n'
+    (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises(InputError, match=words):
+        load_part("mine", tmp_path)
