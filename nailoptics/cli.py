@@ -294,24 +294,34 @@ def tradeoff(
 
 
 @app.command
-def check(scene: ScenePath, *, json_: Json = False) -> None:
-    """Check a scene file: fields, parts, layout, hemodynamic set and, for a finger, the geometry."""
+def check(
+    scene: ScenePath,
+    *,
+    verbose: Annotated[
+        bool, Parameter(name=["--verbose", "-v"], negative="", help="Test the geometry with random rays, too.")
+    ] = False,
+    json_: Json = False,
+) -> None:
+    """Check a scene: what was read, what is lit, distances, what is ignored, and what any command would refuse."""
+    from .report.scene_words import blood_words, body_words, touch_words
     from .report.summaries import check_lines
+    from .studies.scene_check import check_scene
 
     loaded = _scene(scene)
-    report: dict[str, Any] = {"scene": scene, "valid": True}
-    if loaded.finger is not None:
-        from .geometry import build, check_watertight
-        from .report.scene_words import blood_words, body_words, touch_words
-        from .studies.blood_states import forces_with_two_balances_n
+    try:
+        report: dict[str, Any] = {"scene": scene, "valid": True, **check_scene(loaded)}
+        if loaded.finger is not None:
+            from .geometry import build, check_watertight
 
-        two = forces_with_two_balances_n(loaded)
-        report["two_balances_n"] = [float(two.min()), float(two.max())] if two.size else None
-        mesh = build(loaded)
-        found = check_watertight(mesh, crossings=100_000)
-        report |= {"touch": touch_words(loaded), "blood": blood_words(loaded), "body": body_words(loaded)}
-        report |= {"vessels": loaded.blood.parameters, "regions": list(mesh.regions), "triangles": len(mesh.triangles)}
-        report |= {**vars(found), "valid": bool(found.passed)}
+            mesh = build(loaded)
+            report |= {"touch": touch_words(loaded), "blood": blood_words(loaded), "body": body_words(loaded)}
+            report |= {"vessels": loaded.blood.parameters, "regions": list(mesh.regions)}
+            report["triangles"] = len(mesh.triangles)
+            if verbose:
+                found = check_watertight(mesh, crossings=100_000)
+                report |= {**vars(found), "valid": bool(found.passed)}
+    except InputError as error:
+        raise InputError(f"{scene}: {error}") from None
     _show(report, check_lines(report), {}, json_)
     if not report["valid"]:
         raise NailopticsError(f"{scene}: its geometry leaks; please report the scene.")

@@ -85,24 +85,44 @@ def simulation_lines(summary: dict[str, Any]) -> list[str]:
 
 def check_lines(report: dict[str, Any]) -> list[str]:
     """What `check` found out about a scene, for people."""
-    lines = [f"{report['scene']}: fields, parts and layout are valid"]
-    if "triangles" in report:
-        lines[0] += f', vessels "{report["vessels"]}" are known'
+    lines = [f"{report['scene']}: nothing in it would be refused"]
+    lines += [_led_line(led) for led in report.get("leds", ())]
+    if "photodiodes" in report:
+        u, v = report["board_mm"]
+        of = f", and {report['not_wired']} that are not wired" if report["not_wired"] else ""
+        lines.append(f"photodiodes: {len(report['photodiodes'])}{of}, on a board of {u:.3g} x {v:.3g} mm")
+        lines += ["  LED to photodiode, distance, reading at rest by layered diffusion (within 40 %):"]
+        lines += [
+            f"  {one['led']:>10} to {one['photodiode']:<16} {one['distance_mm']:5.2f} mm {one['volts']:8.4f} V"
+            for one in report["pairs"]
+        ]
+    for one in report.get("candidates", ()):
+        lines.append(f"layout {one['name']}: {one['leds']} LEDs, {one['photodiodes']} photodiodes")
+    lines += [f"{name}: {report[name]}" for name in ("touch", "blood", "body") if report.get(name)]
+    for file, refs in report.get("ignored", {}).items():
+        lines.append(f"ignored: {len(refs)} parts of {file} ({', '.join(refs[:8])}{', ...' if len(refs) > 8 else ''})")
+    if "crossings" in report:
         names = ", ".join(name for name in report["regions"] if name != "air")
-        lines += [f"{name}: {report[name]}" for name in ("touch", "blood", "body") if report.get(name)]
         lines += [
             f"geometry: {report['triangles']} triangles between the air and {names}",
             f"closed: {'yes' if report['valid'] else 'NO'}; of {report['crossings']} times that a random ray crossed a "
             f"surface, it came into another region than that surface says {report['disagreements']} times; volumes by "
             f"surfaces and by cells agree within {report['volume_error']:.0e} of the whole",
         ]
-        if report.get("two_balances_n"):
-            low, high = report["two_balances_n"]
-            lines.append(
-                f"warning: between {low:g} and {high:g} N these vessels can rest in two states, so that unloading may "
-                "end elsewhere than loading began; simulate follows them, steady states are the wider of the two"
-            )
+    lines += [f"warning: {line}" for line in report.get("warnings", ())]
+    if report.get("two_balances_n"):
+        low, high = report["two_balances_n"]
+        lines.append(
+            f"warning: between {low:g} and {high:g} N these vessels can rest in two states, so that unloading may "
+            "end elsewhere than loading began; simulate follows them, steady states are the wider of the two"
+        )
     return lines
+
+
+def _led_line(led: dict[str, Any]) -> str:
+    part = f" ({led['part']})" if "part" in led else ""
+    (u, v), width = led["position_mm"], f", {led['fwhm_nm']:g} nm wide" if led["fwhm_nm"] else ""
+    return f"LED {led['name']}{part}: {led['wavelength_nm']:g} nm{width}, {led['flux_mw']:g} mW, at ({u:g}, {v:g}) mm"
 
 
 def rest_lines(rest: "RestReadings") -> list[str]:

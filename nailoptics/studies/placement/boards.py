@@ -182,6 +182,14 @@ def with_parts(
     return scene
 
 
+def check_search(base: Scene, placement: Placement) -> None:
+    """Raise InputError where a search cannot place what the scene has."""
+    if placement.search and len(base.leds) != 1:
+        raise InputError(
+            f"placement.search places one LED, the scene has {len(base.leds)}; set search = false and give candidates."
+        )
+
+
 def straight(base: Scene) -> Scene:
     """The board whose parts, which a search puts elsewhere, lie along or across the nail, whichever is nearer."""
 

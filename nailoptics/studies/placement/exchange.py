@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...errors import InputError
 from ...light.board_map import PhotonMap
 from ...scene import Placement, Scene
 from ...scene.outlines import has_room
@@ -63,10 +62,7 @@ def search(
 
     Raises: InputError unless the scene has one LED.
     """
-    if len(base.leds) != 1:
-        raise InputError(
-            f"placement.search places one LED, the scene has {len(base.leds)}; set search = false and give candidates."
-        )
+    boards.check_search(base, placement)
 
     def score(information: np.ndarray) -> np.ndarray:
         each = [force_resolution_n(*both) for both in zip(information, points, strict=True)]

@@ -1,0 +1,108 @@
+"""What a scene asks for, in numbers, and everything in it that a command would refuse; no light is traced."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from .. import electronics
+from ..errors import InputError
+from ..light import optics
+from ..light.diffusion import DiffusionModel
+from ..scene import Scene
+from .blood_states import blood_over_touch, forces_with_two_balances_n
+from .placement import boards
+
+# Layered diffusion tells a reading within about 40 %: from this part of the range on it may be full.
+MAY_BE_FULL = 0.6
+
+
+def check_scene(scene: Scene) -> dict[str, Any]:
+    """What a scene reads, lights and ignores, and what may not be as its author wants it.
+
+    Returns: leds, photodiodes, pairs (distances between them and readings as layered diffusion foretells them),
+        candidates, ignored references of files, and warnings in words.
+
+    Raises: InputError for what simulate, trace, compare or place would refuse, with the field of the scene.
+    """
+    for led in range(len(scene.leds)):
+        optics.check_line(scene, led)
+    report: dict[str, Any] = {"leds": [_led(led) for led in scene.leds], "warnings": []}
+    if scene.finger is None:
+        return report
+    layout = scene.layout
+    report["photodiodes"] = [
+        {"name": e.name, "position_mm": list(e.area.center_mm), "size_mm": list(e.area.size_mm)}
+        | ({"part": e.photodiode.part} if e.photodiode.part else {})
+        for e in layout.photodiodes
+    ]
+    report["not_wired"] = len(layout.unwired)
+    report["board_mm"] = list(layout.outline.size_mm)
+    if scene.board.unmapped is not None:
+        file = scene.board.kicad or scene.board.positions
+        report["ignored"] = {str(file): list(scene.board.unmapped)}
+    report["warnings"] += _beyond_the_nail(scene)
+    course = blood_over_touch(scene)
+    report["pairs"], full = _pairs(scene, course.blood_fraction.values.T)
+    report["warnings"] += full
+    two = forces_with_two_balances_n(scene)
+    report["two_balances_n"] = [float(two.min()), float(two.max())] if two.size else None
+    if scene.placement is not None:
+        report["candidates"] = _candidates(scene)
+        ignored = {c.positions or c.kicad: list(c.unmapped) for c in scene.placement.candidates if c.unmapped}
+        report["ignored"] = report.get("ignored", {}) | ignored
+    return report
+
+
+def _led(led: Any) -> dict[str, Any]:
+    kept = ("name", "part", "wavelength_nm", "fwhm_nm", "flux_mw", "position_mm", "rotation_deg")
+    return {name: value for name, value in led.model_dump(mode="json", exclude_none=True).items() if name in kept}
+
+
+def _beyond_the_nail(scene: Scene) -> list[str]:
+    """What of a board file's outline the model leaves out."""
+    corners = scene.board.outline_mm
+    if corners is None or scene.board.size_mm is not None:
+        return []
+    outline, center = scene.layout.outline, scene.board.center_mm
+    low = np.min(corners, axis=0) + center - (outline.u_min, outline.v_min)
+    high = np.max(corners, axis=0) + center - (outline.u_max, outline.v_max)
+    reach_mm = float(max(*-low, *high))
+    if reach_mm < 1e-6:
+        return []
+    return [f"board: its outline reaches {reach_mm:.2g} mm beyond the nail, where the model of the light ends it"]
+
+
+def _pairs(scene: Scene, blood_fraction: np.ndarray) -> tuple[list[dict[str, Any]], list[str]]:
+    """Every LED with every photodiode: their distance, and the reading at rest and at most as diffusion tells it."""
+    layout, pairs, full = scene.layout, [], []
+    fractions = DiffusionModel(scene).readings(np.maximum(blood_fraction, 0.0))
+    for led, die, rows in zip(scene.leds, layout.leds, fractions, strict=True):
+        for element, row in zip(layout.photodiodes, rows, strict=True):
+            read = electronics.read(row, led, element.photodiode, scene.electronics)
+            most_v = float(read.amplified_v.max())
+            pair = {"led": led.name, "photodiode": element.name}
+            pair |= {"distance_mm": math.dist(die.center_mm, element.area.center_mm), "volts": float(read.volts[0])}
+            pairs.append(pair | {"may_be_saturated": most_v > MAY_BE_FULL * scene.electronics.adc_range_v})
+            if pairs[-1]["may_be_saturated"]:
+                full.append(f"{element.name} under {led.name} ({most_v:.2g} V)")
+    if not full:
+        return pairs, []
+    shown = ", ".join(full[:4]) + (f" and {len(full) - 4} more" if len(full) > 4 else "")
+    return pairs, [
+        f"may be saturated, of {scene.electronics.adc_range_v:g} V: {shown}; lower leds.flux_mw or "
+        "electronics.feedback_ohm"
+    ]
+
+
+def _candidates(scene: Scene) -> list[dict[str, Any]]:
+    """The layouts that a search would rank; raises InputError for what it would refuse."""
+    base, rules, found = boards.base_board(scene), boards.rules(scene), []
+    boards.check_search(base, rules)
+    for i, one in enumerate(rules.candidates):
+        try:
+            layout = boards.candidate(one.name, boards.candidate_scene(base, one), "given").scene.layout
+        except InputError as error:
+            raise InputError(f"placement.candidates[{i}]: {error}") from None
+        found.append({"name": one.name, "leds": len(layout.leds), "photodiodes": len(layout.photodiodes)})
+    return found

@@ -1,0 +1,99 @@
+"""What check says of a scene: it foretells readings, names what is ignored, and refuses what later commands refuse."""
+
+import pytest
+
+from nailoptics.assets import data_dir
+from nailoptics.cli import run
+from nailoptics.errors import InputError
+from nailoptics.scene import load_scene, parse_scene
+from nailoptics.studies.scene_check import check_scene
+
+SCENE = """
+schema_version = 1
+[finger]
+[board]
+barrier = false
+[[leds]]
+name = "ir"
+part = "led_800"
+position_mm = [-3.0, 0.0]
+[[leds]]
+name = "red"
+part = "led_660"
+position_mm = [-3.0, 1.0]
+[[photodiodes]]
+name = "pd"
+position_mm = [1.0, 0.0]
+size_mm = [1.0, 0.25]
+[placement]
+search = false
+[[placement.candidates]]
+name = "mine"
+positions = "pos.csv"
+"""
+POSITIONS = (
+    "Ref,Val,Package,PosX,PosY,Rot,Side\nD1,red,,-3,0,0,top\nD2,led_800,,3,0,45,top\nPD1,,,0,2,0,top\nC1,,,0,0,0,top\n"
+)
+
+
+def scene(tmp_path, *, positions=POSITIONS, text=SCENE):
+    (tmp_path / "pos.csv").write_text(positions)
+    (tmp_path / "mine.toml").write_text(text)
+    return tmp_path / "mine.toml"
+
+
+def test_it_tells_distances_candidates_and_what_is_ignored(tmp_path):
+    found = check_scene(load_scene(scene(tmp_path)))
+    assert [(p["led"], p["distance_mm"]) for p in found["pairs"]] == [("ir", 4.0), ("red", pytest.approx(17**0.5))]
+    assert found["candidates"] == [{"name": "mine", "leds": 2, "photodiodes": 1}]
+    assert found["ignored"] == {"pos.csv": ["C1"]} and found["warnings"] == []
+    assert [led["name"] for led in found["leds"]] == ["ir", "red"]
+
+
+def test_it_warns_of_readings_that_may_be_saturated():
+    prototype = load_scene(data_dir("scenes") / "prototype.toml")
+    bright = prototype.model_copy(
+        update={"leds": tuple(led.model_copy(update={"flux_mw": 20 * led.flux_mw}) for led in prototype.leds)}
+    )
+    assert check_scene(prototype)["warnings"] == []
+    (line,) = check_scene(bright)["warnings"]
+    assert line.startswith("may be saturated, of 5 V: ") and "proximal.12 under ir (" in line and "leds.flux_mw" in line
+
+
+def test_a_phantom_is_checked_without_a_finger():
+    found = check_scene(load_scene(data_dir("scenes") / "phantom.toml"))
+    assert found["leds"] and "pairs" not in found
+
+
+@pytest.mark.parametrize(
+    ("positions", "text", "words"),
+    [
+        (POSITIONS.replace("red", "green"), SCENE, r'candidates\[0\]: layout "mine": which of its LEDs .* is "red"'),
+        (POSITIONS.replace("PD1,,,0,2", "PD1,,,-3,0"), SCENE, r'candidates\[0\]: layout "mine".*photodiode "PD1"'),
+        (
+            POSITIONS,
+            SCENE.replace("search = false", "search = true"),
+            "placement.search places one LED, the scene has 2",
+        ),
+        (POSITIONS, SCENE.replace('part = "led_800"', 'part = "led_800"\nfwhm_nm = 300.0'), r"leds\[0\].fwhm_nm = 300"),
+    ],
+)
+def test_it_refuses_what_a_later_command_would(tmp_path, capfd, positions, text, words):
+    path = scene(tmp_path, positions=positions, text=text)
+    with pytest.raises(InputError, match=words):
+        check_scene(load_scene(path))
+    assert run(["check", str(path)]) == 2
+    out, err = capfd.readouterr()
+    assert out == "" and len(err.splitlines()) == 1 and str(path) in err
+
+
+def test_a_scene_from_a_board_that_is_larger_than_the_nail_says_so(tmp_path):
+    found = check_scene(
+        parse_scene(
+            SCENE.split("[placement]")[0].replace(
+                "barrier = false",
+                "barrier = false\noutline_mm = [[-4.0, -5.0], [4.0, -5.0], [4.0, 30.0], [-4.0, 30.0]]",
+            )
+        )
+    )
+    assert any("beyond the nail" in line for line in found["warnings"])
