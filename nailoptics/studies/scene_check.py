@@ -81,7 +81,7 @@ def _pairs(scene: Scene, blood_fraction: np.ndarray) -> tuple[list[dict[str, Any
         for element, row in zip(layout.photodiodes, rows, strict=True):
             read = electronics.read(row, led, element.photodiode, scene.electronics)
             most_v = float(read.amplified_v.max())
-            pair = {"led": led.name, "photodiode": element.name}
+            pair: dict[str, Any] = {"led": led.name, "photodiode": element.name}
             pair |= {"distance_mm": math.dist(die.center_mm, element.area.center_mm), "volts": float(read.volts[0])}
             pairs.append(pair | {"may_be_saturated": most_v > MAY_BE_FULL * scene.electronics.adc_range_v})
             if pairs[-1]["may_be_saturated"]:

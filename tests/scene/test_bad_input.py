@@ -231,7 +231,7 @@ def test_what_is_missing_is_named():
 def test_a_missing_or_wrong_part_is_named_with_those_there_are(tmp_path):
     line = complaint(in_led('part = "led_801"'), tmp_path)
     assert "leds[0]" in line and '"led_801" is unknown' in line and "led_660, led_800" in line and str(tmp_path) in line
-    assert 'has kind "photodiode_array"' in complaint(in_led('part = "pd_array_4x1"'))
+    assert 'has kind "photodiode"' in complaint(in_led('part = "pd_array_4x1"'))
     assert "no path" in complaint(in_led('part = "../led_800"'))
     (tmp_path / "mine.toml").write_text('kind = "led"\npeak_nm = 8000.0\nfwhm_nm = 30\nflux_mw = 2')
     line = complaint(in_led('part = "mine"'), tmp_path)
