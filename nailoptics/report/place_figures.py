@@ -40,12 +40,13 @@ def ranking_figure(result: xr.Dataset) -> "Figure":
     if "electronics_resolution_n" in result:
         still = 1e3 * result.electronics_resolution_n.values[:count]
         axes.plot(still, range(count), "D", mfc="none", mec=style.MUTED, ms=4.5, label="electronics alone")
-        axes.legend(loc="upper right")
+        style.legend_above(figure, axes, ncols=1)
     axes.set_yticks(range(count), [style.plain(name).replace("_", " ") for name in result.layout.values[:count]])
     axes.set(ylim=(count - 0.5, -0.5), xlabel="force resolution [mN]")
     finest = float(result.get("electronics_resolution_n", result.force_resolution_n).min())
     if float(result.force_resolution_high_n[:count].max()) > 8 * finest:
         axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
     else:
         axes.set_xlim(left=0)
     return figure

@@ -1,0 +1,56 @@
+"""A worn sensor whose light is a formula: recordings of the prototype's readings in a second, without a trace."""
+
+import numpy as np
+
+from nailoptics import load_scene
+from nailoptics.assets import data_dir
+from nailoptics.hemodynamics import parameters
+from nailoptics.scene import Scene
+from nailoptics.scene.sensor_recordings import SITES, Recording
+from nailoptics.studies.force.network import widths_over
+from nailoptics.studies.force.person import person
+from nailoptics.studies.force.reading_table import POWERS, ReadingTable, reading_names
+
+STEP_S = 0.02
+MOST_BLOOD = 0.15
+
+
+def scene() -> Scene:
+    """The prototype, whose readings these are."""
+    return load_scene(data_dir("scenes") / "prototype.toml")
+
+
+def table() -> ReadingTable:
+    """The logarithm of each reading falls in a line with the blood of both zones, most with that below it."""
+    names = reading_names(scene())
+    near = np.linspace(0.9, 0.1, len(names))
+    slopes = -16.0 * np.stack([near, 1.0 - near], 1)
+    coefficients = np.zeros((len(names), len(POWERS)))
+    coefficients[:, POWERS.index((0, 0))] = np.log(0.5) - 0.03 * slopes.sum(1)
+    coefficients[:, POWERS.index((1, 0))] = slopes[:, 0] * MOST_BLOOD
+    coefficients[:, POWERS.index((0, 1))] = slopes[:, 1] * MOST_BLOOD
+    return ReadingTable(
+        names=names,
+        coefficients=coefficients,
+        dark_v=np.full(len(names), 1e-4),
+        most_blood=MOST_BLOOD,
+        slope_stderr=0.01 * np.abs(slopes),
+        noise_v=np.full(len(names), 5e-5),
+        range_v=5.0,
+    )
+
+
+def cycle(most_n: float, *, lasting_s: float = 8.0) -> np.ndarray:
+    """Two seconds of rest, and a slow touch. [N]"""
+    time_s = np.arange(0.0, lasting_s, STEP_S)
+    return most_n * np.where(time_s < 2, 0.0, np.sin(np.pi * (time_s - 2) / (lasting_s - 2)) ** 2)
+
+
+def record(force_n: np.ndarray, site: str, *, seed: int) -> Recording:
+    """What the sensor records of a force that begins untouched, with noise."""
+    own, light = scene(), table()
+    time_s, where = STEP_S * np.arange(force_n.size), np.full(force_n.shape, SITES[site])
+    who = person(parameters(own.blood.parameters), {}, rest_blood=0.03, area_cm2=1.0, share=0.5)
+    volts = light.volts(who.blood(widths_over(who, time_s, who.pressures(force_n, where))))
+    noise = np.random.default_rng(seed).normal(size=volts.shape)
+    return Recording("made", light.names, time_s, volts + light.noise_v[:, None] * noise, force_n, where)

@@ -1,0 +1,54 @@
+"""What a placement promises, an estimator keeps: force from volts against the bound by which layouts are ranked."""
+
+from dataclasses import replace
+
+import made_sensor
+import numpy as np
+import pytest
+
+from nailoptics.hemodynamics import parameters
+from nailoptics.studies.force.calibrate import calibrate_with
+from nailoptics.studies.force.predict import predict
+from nailoptics.studies.force.subject import Subject, parse_subject
+from nailoptics.studies.placement import fisher
+
+
+@pytest.fixture(scope="module")
+def known() -> Subject:
+    """A subject whose sensor and vessels are known exactly, whose body is still, and whose readings do not drift."""
+    recording = made_sensor.record(made_sensor.cycle(1.5, lasting_s=5.0), "proximal", seed=1)
+    result = calibrate_with(made_sensor.scene(), made_sensor.table(), [recording])
+    found, light = parse_subject(result.attrs["subject"]), made_sensor.table()
+    return replace(
+        found,
+        table=light,
+        base=parameters(made_sensor.scene().blood.parameters),
+        factors_ln=np.zeros_like(found.factors_ln),
+        gain=np.ones_like(found.gain),
+        offset_v=np.zeros_like(found.gain),
+        covariance=1e-14 * np.eye(len(found.covariance)),
+        widening=1.0,
+        noise=replace(found.noise, reading_v=light.noise_v, drift_per_min=1e-9, rhythms=()),
+    )
+
+
+@pytest.mark.parametrize(("site", "share"), [("proximal", 1.0), ("distal", 0.0)])
+def test_a_held_touch_is_told_as_finely_as_placement_promises(known: Subject, site: str, share: float) -> None:
+    """Rationale: matched model and electronic noise alone. Expected: rms within 1.3 times the Cramer-Rao bound of one
+    sample, whatever the split; less than it only by what the filter remembers of the samples before.
+    """
+    force_n, light, scene = 0.5, made_sensor.table(), made_sensor.scene()
+    touch = scene.touch.model_copy(update={"proximal_share": share, "contact_area_mm2": 100.0})
+    point = fisher.operating_point(scene.model_copy(update={"touch": touch, "body": None}), force_n)
+    volts, by_blood = light.slopes(point.blood_fraction)
+    read = fisher.Response(volts, light.noise_v**2, by_blood @ point.blood_per_pa, by_blood, np.zeros(len(volts)))
+    # Of a touch on one side, force is the pressure there on the whole contact.
+    side = replace(point, force_per_pa=1e-4 * np.array([share, 1.0 - share]))
+    bound_n = float(fisher.force_resolution_n(fisher.total_information([read]), side))
+    time_s = made_sensor.STEP_S * np.arange(500)
+    held = force_n * np.where(time_s < 1, 0.0, 1 - np.exp(-np.maximum(time_s - 1, 0) / 0.3))
+    told = predict(known, made_sensor.record(held, site, seed=5))
+    # 250 samples know an rms to 5 %.
+    rms_n = float(np.sqrt(np.mean((told.force_n.values - held)[time_s >= 5] ** 2)))
+    assert 0.7 * bound_n < rms_n < 1.3 * bound_n
+    assert bound_n < 1e-3
