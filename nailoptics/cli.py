@@ -4,7 +4,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -14,7 +14,7 @@ from . import __version__
 from .errors import InputError, NailopticsError, NotReachedError, as_far_as_reached
 from .io import check_writable, make_folder, write_text
 from .options import TraceOptions
-from .terminal import batch_progress, plain_messages, print_json, say, silence_stdout, trace_progress
+from .terminal import batch_progress, plain_messages, print_json, say, silence_stdout, text_lines, trace_progress
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -416,7 +416,10 @@ def calibrate(
 @app.command
 def predict(
     subject: Annotated[Path, Parameter(help="Subject file that calibrate wrote.")],
-    readings: Annotated[str, Parameter(help="Recording (CSV), or - for lines that come one by one on stdin.")],
+    readings: Annotated[
+        str,
+        Parameter(help="Recording (CSV), or - for lines that come one by one on stdin.", allow_leading_hyphen=True),
+    ],
     *,
     output: Annotated[
         Path | None, Parameter(name=["--output", "-o"], help="Folder for the results; results/READINGS if not given.")
@@ -427,20 +430,23 @@ def predict(
 ) -> None:
     """Tell force over time, with its 95 % interval, from a calibrated person's readings.
 
-    Writes predict.csv, predict.nc and predict.html; with - each line is answered at once on stdout.
+    Writes predict.csv, predict.nc, predict.html and predict.png; with - each line is answered at once on stdout.
     """
     from .report.result_files import PREDICTION, write_prediction
-    from .studies.force.predict import live, prediction_summary
+    from .studies.force.live import live
     from .studies.force.predict import predict as study
+    from .studies.force.predict import prediction_summary
     from .studies.force.subject import read_subject
 
+    if readings.startswith("-") and readings != "-":
+        raise InputError(f"Unknown option: {readings} (nailoptics predict --help shows what is known)")
     calibrated = read_subject(subject)
     if readings == "-":
-        try:
-            for line in live(calibrated, sys.stdin):
+        if json_ or output is not None:
+            raise InputError("predict -: answers line by line on stdout; leave out --json and -o, or give a recording.")
+        with suppress(KeyboardInterrupt):
+            for line in live(calibrated, text_lines(sys.stdin)):
                 print(line, flush=True)
-        except KeyboardInterrupt:
-            say("stopped.")
         return
     folder = _results(output, readings, PREDICTION)
     result = study(calibrated, readings, press_n=press, release_n=release)
@@ -448,6 +454,8 @@ def predict(
     lines = [f"{result.sizes['time']} samples; open above from {summary['open_above_n']:.2f} N"]
     if math.isfinite(summary["rms_n"]):
         lines.append(f"rms {1e3 * summary['rms_n']:.0f} mN, {summary['coverage_95']:.0%} inside their 95 % interval")
+    for line in summary["warnings"]:
+        say(line)
     if not summary["consistent"]:
         say(f"the readings do not fit this subject: {summary['misfit']}.")
     _show(summary, lines, paths, json_)

@@ -9,8 +9,10 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from io import TextIOWrapper
+from typing import TYPE_CHECKING, Any, TextIO
 
+from .errors import InputError
 from .io import to_json
 
 if TYPE_CHECKING:
@@ -30,6 +32,18 @@ def silence_stdout() -> None:
     """Nothing more can be written there, and Python must not try when it ends."""
     with suppress(OSError, ValueError, AttributeError):  # no real file, as under a test
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def text_lines(stream: TextIO | None) -> Iterator[str]:
+    """The lines of a stream as they come, whatever bytes they hold; raises InputError where it cannot be read."""
+    if stream is None:
+        raise InputError("stdin is closed; pipe a recording into it.")
+    if isinstance(stream, TextIOWrapper):
+        stream.reconfigure(encoding="utf-8", errors="replace")
+    try:
+        yield from stream
+    except OSError as error:
+        raise InputError(f"stdin: cannot be read: {error.strerror}; pipe a recording into it.") from None
 
 
 @contextmanager

@@ -34,12 +34,28 @@ def fit(result: xr.Dataset) -> "Figure":
         for row, (name, colour) in enumerate(zip(readings, style.place_colours(len(readings)), strict=True)):
             panel, recorded = axes[row, column], part.volts.values[row]
             start = np.nanmedian(recorded[: max(3, len(recorded) // 50)])
-            panel.plot(part.time_s, 1e3 * (recorded - start), color=colour, linewidth=0.8, label="recorded")
+            panel.plot(part.time_s, 1e3 * (recorded - start), color=colour, linewidth=3.0, alpha=0.55, label="recorded")
             fitted = 1e3 * (part.volts_fitted.values[row] - start)
-            panel.plot(part.time_s, fitted, color=style.INK, linewidth=1.0, label="fitted")
+            panel.plot(part.time_s, fitted, color=style.INK, linewidth=0.8, label="fitted")
             style.remark(panel, style.plain(name))
         axes[-1, column].set_xlabel("time [s]")
     axes[len(readings) // 2, 0].set_ylabel("change of the reading [mV]")
+    return figure
+
+
+@style.drawing()
+def left_over(result: xr.Dataset) -> "Figure":
+    """What the fit leaves of every reading, all in one panel for each recording."""
+    recordings = np.unique(result.recording.values)
+    figure, axes = style.panels(7.2, 2.4, 1, len(recordings), sharey=True, squeeze=False)
+    colours = style.place_colours(result.sizes["reading"])
+    for panel, which in zip(axes[0], recordings, strict=True):
+        part = result.isel(sample=np.flatnonzero(result.recording.values == which))
+        part = part.isel(sample=_thinned(part.sizes["sample"]))
+        for k, colour in enumerate(colours):
+            panel.plot(part.time_s, 1e3 * (part.volts - part.volts_fitted).values[k], color=colour, linewidth=0.7)
+        panel.set_xlabel("time [s]")
+    axes[0, 0].set_ylabel("recorded less fitted [mV]")
     return figure
 
 
@@ -77,8 +93,10 @@ def share(result: xr.Dataset) -> "Figure":
     place.plot(part.time, told, color=style.ZONES[0])
     place.set_ylim(-0.05, 1.05)
     place.set_title("Proximal share of the force; blank where it cannot be told")
-    body.plot(part.time, 1e-3 * part.arterial_change_pa, color=style.VEIN)
-    body.set_title("Arterial pressure less its mean [kPa]")
+    body.plot(part.time, part.arterial_change_pa, color=style.VEIN)
+    # A body that is still is no noise to look into.
+    body.set_ylim(min(body.get_ylim()[0], -10.0), max(body.get_ylim()[1], 10.0))
+    body.set_title("Arterial pressure less its mean [Pa]")
     fits.plot(part.time, part.surprise, color=style.MUTED, linewidth=0.6)
     outlier = part.outlier.values.astype(bool)
     fits.plot(part.time[outlier], part.surprise[outlier], ".", color=style.ZONES[0], markersize=3)

@@ -7,9 +7,20 @@ import numpy as np
 import xarray as xr
 
 from ..io import write_text
+from ..scene import parse_scene
 from . import force_figures
 from .html import document, escaped, figure, section, small, table
 from .numbers import significant, with_error
+
+FORCE = (
+    "Force told from the readings, with its 95 % interval. Where the vessels are shut a harder touch reads the same: "
+    "the interval is open above, which the bar at the top shows."
+)
+SHARE = (
+    "Top: how much of the force presses proximally, with its 95 % interval; where that spans everything, the place "
+    "cannot be told. Middle: the heartbeat and slower waves that the filter follows beside the touch. Bottom: how far "
+    "each sample lies from its prediction; about as much as there are readings is usual."
+)
 
 
 def write_calibration_page(result: xr.Dataset, summary: dict[str, Any], path: Path) -> None:
@@ -32,6 +43,8 @@ def write_calibration_page(result: xr.Dataset, summary: dict[str, Any], path: Pa
         ]
         for name, one in summary["parameters"].items()
     ]
+    limit_v = parse_scene(str(result.attrs["scene"]), name="the scene").electronics.adc_range_v
+    most = f"Largest, of {limit_v:g} V [V]"
     rows = [
         [
             escaped(name),
@@ -39,10 +52,17 @@ def write_calibration_page(result: xr.Dataset, summary: dict[str, Any], path: Pa
             with_error(1e3 * one["offset_v"], 1e3 * one["offset_stderr_v"]),
             significant(1e3 * one["residual_rms_v"], 2),
             significant(1e6 * one["noise_v"], 2),
+            significant(float(np.nanmax(result.volts.sel(reading=name))), 3),
         ]
         for name, one in summary["readings"].items()
     ]
-    caption = "Each reading less its start: recorded (coloured) and fitted (dark), a column for each recording."
+    caption = (
+        "Each reading less its start: recorded (wide, coloured) and fitted (thin, dark), a column for each recording."
+    )
+    rest = (
+        "What the fit leaves of each reading, coloured from proximal (warm) to distal (cool). Noise and heartbeat are "
+    )
+    rest += "meant to stay; what follows the touch is what the model misses, and intervals are as much wider."
     text = document(
         kicker="calibration",
         title="A person's sensor, calibrated",
@@ -51,17 +71,23 @@ def write_calibration_page(result: xr.Dataset, summary: dict[str, Any], path: Pa
         warnings=summary["warnings"],
         cards=cards,
         body=[
-            section("Recorded and fitted", figure(force_figures.fit(result), "fit", caption)),
+            section(
+                "Recorded and fitted",
+                figure(force_figures.fit(result), "fit", caption),
+                figure(force_figures.left_over(result), "left", rest),
+            ),
             section(
                 "The person",
                 table(["Factor on the scene's", "Value", "Before", "Known", "What it is"], factors),
                 small(
-                    "A factor that the recording does not inform keeps its prior; its error is carried into intervals."
+                    "Known by the recording is a factor whose spread fell to less than 0.7 of what it was before; any "
+                    "other keeps its prior, and its error is carried into intervals."
                 ),
             ),
             section(
                 "The readings",
-                table(["Reading", "Gain", "Offset [mV]", "Left over, rms [mV]", "Noise, rms [µV]"], rows),
+                table(["Reading", "Gain", "Offset [mV]", "Left over, rms [mV]", "Noise, rms [µV]", most], rows),
+                small("Gain and offset are over what the scene's own light and electronics would read."),
             ),
         ],
         attributes=result.attrs,
@@ -74,7 +100,7 @@ def write_prediction_page(result: xr.Dataset, summary: dict[str, Any], path: Pat
 
     summary : what `prediction_summary` says of the result.
     """
-    warnings = []
+    warnings = list(summary["warnings"])
     if not summary["consistent"]:
         warnings.append(
             f"These readings do not fit the subject: {summary['misfit']}. The force may be wrong; calibrate again."
@@ -93,8 +119,8 @@ def write_prediction_page(result: xr.Dataset, summary: dict[str, Any], path: Pat
         for one in summary["events"]
     ]
     body = [
-        section("Force", figure(force_figures.force(result), "force", "Force over time with its 95 % interval.")),
-        section("Place, body and fit", figure(force_figures.share(result), "share", "What else the readings tell.")),
+        section("Force", figure(force_figures.force(result), "force", FORCE), _methods(summary)),
+        section("Place, body and fit", figure(force_figures.share(result), "share", SHARE)),
         section("The virtual switch", table(["Event", "At [s]", "After the known force [ms]"], rows)) if rows else "",
     ]
     text = document(
@@ -104,6 +130,17 @@ def write_prediction_page(result: xr.Dataset, summary: dict[str, Any], path: Pat
         warnings=warnings,
         cards=cards,
         body=body,
-        attributes=result.attrs,
+        attributes=result.attrs | {"digest": result.attrs["scene_digest"]},
     )
     write_text(path, text)
+
+
+def _methods(summary: dict[str, Any]) -> str:
+    """Errors of the force by the filter and by regressions on the same calibration; empty where no force is known."""
+    if not np.isfinite(summary["rms_n"]):
+        return ""
+    named = {"linear": "linear regression", "components": "principal component regression"}
+    errors = {"filter on the vessels": summary["rms_n"]}
+    errors |= {named[name]: error for name, error in summary["baseline_rms_n"].items()}
+    rows = [[name, significant(1e3 * error, 2)] for name, error in errors.items()]
+    return table(["Force by", "Error, rms [mN]"], rows)

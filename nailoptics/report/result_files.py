@@ -29,7 +29,7 @@ PLACEMENT = (
 )
 TRADEOFF = ("tradeoff.json", "tradeoff.nc", "tradeoff.html", "tradeoff.png", "scene.toml")
 
-PREDICTION = ("predict.nc", "predict.csv", "predict.html")
+PREDICTION = ("predict.nc", "predict.csv", "predict.html", "predict.png")
 
 Paths = dict[str, Path]
 
@@ -139,13 +139,16 @@ def write_calibration(result: "xr.Dataset", subject: Path) -> Paths:
 
 
 def write_prediction(result: "xr.Dataset", folder: Path) -> Paths:
-    """Write a prediction as NetCDF, CSV and page; returns their paths."""
+    """Write a prediction as NetCDF, CSV, page and picture; returns the paths of the first three."""
     from ..studies.force.predict import csv_rows, prediction_summary
+    from .force_figures import force
     from .force_pages import write_prediction_page
+    from .style import write_figure
 
-    data, rows, page = (folder / name for name in PREDICTION)
+    data, rows, page, picture = (folder / name for name in PREDICTION)
     with turn(folder):
         write_dataset(result, data)
         write_text(rows, "".join(f"{row}\n" for row in csv_rows(result)))
         write_prediction_page(result, prediction_summary(result), page)
+        write_figure(force(result), picture, dpi=120, facecolor="white")
     return {"report": page, "result": data, "csv": rows}

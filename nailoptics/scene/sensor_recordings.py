@@ -19,6 +19,12 @@ Array = NDArray[np.float64]
 SITES = {"proximal": 1.0, "distal": 0.0, "even": np.nan}
 # A converter's counts are whole numbers far above any voltage of a photodiode's stage.
 MOST_VOLTS = 50.0
+# A converter that reads so much of its range is taken to be at its limit: its last codes are not told apart.
+SATURATED = 0.998
+# Samples of a touch lie so far apart, usually: what is outside is no time in seconds. [s]
+LEAST_STEP_S, MOST_STEP_S = 1e-5, 5.0
+# Clocks count from some date; beyond this, steps of milliseconds are lost in their digits. [s]
+MOST_TIME_S = 1e10
 
 
 @dataclass(frozen=True)
@@ -40,19 +46,10 @@ class Recording:
     site: Array | None
 
     def of(self, names: Sequence[str]) -> "Recording":
-        """The same with these readings, in this order; raises InputError unless it has just these."""
-        missing, unknown = [n for n in names if n not in self.names], [n for n in self.names if n not in names]
-        if missing:
-            raise InputError(
-                f"{self.name}: has no column {missing[0]!r}; this board's readings are {', '.join(names)}; "
-                "take the recording's own board."
-            )
-        if unknown:
-            raise InputError(
-                f"{self.name}: column {unknown[0]!r} is no reading of this board ({', '.join(names)}); "
-                "rename it or leave it out."
-            )
+        """The same with these readings, in this order; raises InputError unless it has just these, in volts."""
+        check_known(self.names, names, self.name)
         order = [self.names.index(name) for name in names]
+        check_volts(self.volts, self.names, self.name)
         return Recording(self.name, tuple(names), self.time_s, self.volts[order], self.force_n, self.site)
 
 
@@ -65,22 +62,35 @@ def read_sensor_recording(path: str | Path) -> Recording:
     lines = read_rows(path, "a recording: a CSV with columns time_s, force_n and one for each reading in volts")
     if not lines:
         raise InputError(f"{path}: is empty; give a CSV with time_s, force_n and the readings in volts.")
-    header, rows = [cell.strip() for cell in lines[0][1]], lines[1:]
-    name = str(path)
+    header, rows, name = [cell.strip() for cell in lines[0][1]], lines[1:], str(path)
+    # Spreadsheets end lines with commas.
+    while header and not header[-1]:
+        header.pop()
     check_header(header, name)
+    for line, row in rows:
+        if any(cell.strip() for cell in row[len(header) :]):
+            raise InputError(
+                f"{name} line {line}: has {len(row)} cells for {len(header)} columns; "
+                "write numbers with a decimal point."
+            )
     columns = {title: k for k, title in enumerate(header)}
     time_s = _column(rows, columns["time_s"], "time_s", name, gaps=False)
     if len(time_s) < 2:
-        raise InputError(f"{name}: has {len(time_s)} sample; two or more are needed.")
+        raise InputError(f"{name}: has {len(time_s)} sample{'' if len(time_s) else 's'}; two or more are needed.")
     backwards = np.flatnonzero(np.diff(time_s) <= 0)
     if backwards.size:
         at = int(backwards[0]) + 1
         raise InputError(
             f"{name} line {rows[at][0]}: time_s = {time_s[at]:g} does not come after {time_s[at - 1]:g}; sort the rows."
         )
+    step_s = float(np.median(np.diff(time_s)))
+    if not LEAST_STEP_S <= step_s <= MOST_STEP_S or np.abs(time_s).max() > MOST_TIME_S:
+        raise InputError(
+            f"{name}: time_s reaches {np.abs(time_s).max():g} in steps of {step_s:g}; give it in seconds, "
+            f"{LEAST_STEP_S:g} to {MOST_STEP_S:g} from sample to sample."
+        )
     readings = reading_columns(header)
     volts = np.array([_column(rows, columns[title], title, name, gaps=True) for title in readings])
-    check_volts(volts, readings, name)
     force_n = _column(rows, columns["force_n"], "force_n", name, gaps=True) if "force_n" in columns else None
     if force_n is not None:
         most_n = RANGES["force_n"][1]
@@ -101,14 +111,37 @@ def reading_columns(header: Sequence[str]) -> tuple[str, ...]:
 
 
 def check_header(header: Sequence[str], name: str) -> None:
-    """Raise InputError unless there is time, at least one reading, and no title twice."""
+    """Raise InputError unless there is time, at least one reading, no column without a title, and no title twice."""
+    if not any(header):
+        raise InputError(f"{name}: is empty; give a CSV with time_s and the readings in volts.")
+    if "\ufffd" in "".join(header):
+        raise InputError(f"{name}: is no text; give a CSV with time_s and the readings in volts.")
+    if len(header) == 1 and ";" in header[0]:
+        raise InputError(f"{name}: has semicolons between columns; write commas, and numbers with a decimal point.")
     if "time_s" not in header:
         raise InputError(f"{name}: has no column time_s (it has {', '.join(header)[:80]}); add the times in seconds.")
+    if "" in header:
+        raise InputError(f"{name}: column {header.index('') + 1} has no title; name it or leave it out.")
     twice = next((title for title in header if header.count(title) > 1), None)
     if twice is not None:
         raise InputError(f"{name}: column {twice!r} is there twice; rename one.")
     if not reading_columns(header):
         raise InputError(f"{name}: has no reading; add a column of volts for each photodiode.")
+
+
+def check_known(found: Sequence[str], names: Sequence[str], label: str) -> None:
+    """Raise InputError unless the readings that were found are just those of a board."""
+    missing, unknown = [n for n in names if n not in found], [n for n in found if n not in names]
+    if missing:
+        raise InputError(
+            f"{label}: has no column {missing[0]!r}; this board's readings are {', '.join(names)}; "
+            "take the recording's own board."
+        )
+    if unknown:
+        raise InputError(
+            f"{label}: column {unknown[0]!r} is no reading of this board ({', '.join(names)}); "
+            "rename it or leave it out."
+        )
 
 
 def check_volts(volts: Array, names: Sequence[str], label: str) -> None:

@@ -14,7 +14,8 @@ GOOD = "time_s,force_n,site,a,b\n0,0,proximal,1.0,2.0\n0.01,0.1,proximal,,2.1\n0
 def _read(tmp_path: Path, text: str) -> object:
     file = tmp_path / "recording.csv"
     file.write_text(text)
-    return read_sensor_recording(file)
+    found = read_sensor_recording(file)
+    return found.of(found.names)
 
 
 def test_a_recording_is_read_with_its_gaps_and_sites_and_written_again(tmp_path: Path) -> None:
@@ -48,6 +49,12 @@ def test_a_recording_is_read_with_its_gaps_and_sites_and_written_again(tmp_path:
         ("time_s,a\n0,31000\n1,32000\n", "looks like a converter's counts"),
         ("time_s,force_n,a\n0,-1,1\n1,0,2\n", "line 2: force_n = -1 must lie in 0 to 100 N"),
         ("time_s,force_n,a\n0,1000,1\n1,0,2\n", "force_n = 1000 must lie in 0 to 100 N"),
+        ("time_s;a\n0;1\n1;2\n", "has semicolons between columns"),
+        ("time_s,a\n0,0,1\n1,0,2\n", "line 2: has 3 cells for 2 columns; write numbers with a decimal point"),
+        ("time_s,,a\n0,1,2\n1,2,3\n", "column 2 has no title"),
+        ("time_s,a\n0,1\n20,2\n40,1\n", "in steps of 20; give it in seconds"),
+        ("time_s,a\n0,1\n1e-9,2\n", "in steps of 1e-09; give it in seconds"),
+        ("time_s,a\n1e12,1\n1.000000000001e12,2\n", "time_s reaches 1e+12"),
         ("time_s,site,a\n0,left,1\n1,even,2\n", "line 2: site = 'left' is none; choose from proximal, distal, even"),
     ],
 )
@@ -67,3 +74,24 @@ def test_readings_of_another_board_are_named(tmp_path: Path) -> None:
         found.of(("a", "b", "c"))
     with pytest.raises(InputError, match="column 'b' is no reading of this board"):
         found.of(("a",))
+
+
+def test_what_spreadsheets_add_is_no_fault(tmp_path: Path) -> None:
+    """A byte order mark, commas at the end of each line, quotes, Windows' line ends and comments."""
+    plain = read_sensor_recording(_written(tmp_path, GOOD))
+    adorned = "# made today\n" + GOOD.replace("\n", ",,\n").replace("time_s", '"time_s"').replace("\n", "\r\n")
+    found = read_sensor_recording(_written(tmp_path, "\ufeff" + adorned))
+    assert found.names == plain.names
+    np.testing.assert_array_equal(found.volts, plain.volts)
+
+
+def _written(tmp_path: Path, text: str) -> Path:
+    file = tmp_path / "recording.csv"
+    file.write_text(text, encoding="utf-8", newline="")
+    return file
+
+
+def test_an_unknown_column_is_named_before_what_it_holds(tmp_path: Path) -> None:
+    text = "time_s,a,room\n0,1.0,21\n0.1,1.1,21\n0.2,1.0,21\n"
+    with pytest.raises(InputError, match="column 'room' is no reading of this board"):
+        read_sensor_recording(_written(tmp_path, text)).of(("a",))

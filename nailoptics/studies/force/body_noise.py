@@ -127,6 +127,7 @@ def _rhythms(frequency: Array, power: Array) -> tuple[Oscillation, ...]:
 
 def _white(residual: Array) -> Array:
     """White noise of each row, rms: from third differences, which take out what moves slowly."""
-    third = np.diff(residual, n=3, axis=1)
     # Robust: the median of |x| of a Gaussian is 0.6745 of its standard deviation; third differences have 20 variances.
-    return np.asarray(np.nanmedian(np.abs(third), axis=1) / 0.6745 / np.sqrt(20.0))
+    # Across a gap they are those of the samples beside it.
+    third = [np.median(np.abs(np.diff(row[np.isfinite(row)], n=3))) for row in residual]
+    return np.array(third) / 0.6745 / np.sqrt(20.0)

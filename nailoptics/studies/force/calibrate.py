@@ -10,10 +10,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ...errors import InputError
+from ...hemodynamics import steady_state
 from ...light import ProgressCallback, open_light
 from ...options import Requested
 from ...scene import Scene, digest, to_toml
-from ...scene.sensor_recordings import Recording, read_sensor_recording
+from ...scene.sensor_recordings import SATURATED, SITES, Recording, read_sensor_recording
 from ...variables import variable
 from ..blood_states import vessels
 from .baselines import Regression, component_regression, linear_regression
@@ -21,7 +22,7 @@ from .body_noise import learn_noise
 from .fit import Fit, Fitted
 from .force_interval import ForceInterval, closure_of
 from .observer import Observer
-from .person import NAMES
+from .person import NAMES, PRIORS
 from .reading_table import ReadingTable, nodes_of, paper_table, reading_names, reading_table
 from .subject import Model, Subject, parse_subject, subject_toml
 
@@ -31,6 +32,12 @@ Array = NDArray[np.float64]
 MOST_OVER_REST = 5.0
 # Recordings must begin or pause untouched, at less than this force, for so long in all. [N, s]
 REST_FORCE_N, REST_S = 0.05, 1.0
+# And they must press so hard at least and at most. [N]
+LEAST_TOUCH_N, MOST_TOUCH_N = 0.2, 20.0
+# Samples that lie further apart do not show how the vessels move; a longer pause is a recording's end. [s]
+LONGEST_STEP_S, LONGEST_PAUSE_S = 0.5, 60.0
+# A reading must be there in so many samples at rest, and in this part of all.
+LEAST_AT_REST, LEAST_SEEN = 10, 0.1
 # Part of the samples of the calibration's touches that intervals must cover.
 COVERED = 0.95
 # What the paper tunes by hand beside offset and scale: time constants.
@@ -117,6 +124,12 @@ def calibrate_with(
         baselines=_baselines(recordings),
         **usual,
     )
+    try:
+        subject.check()
+    except ValueError as error:
+        raise InputError(
+            f"{recordings[0].name}: is no recording of this scene's board ({error}); check units, columns and scene."
+        ) from None
     subject = _judged(subject, recordings)
     return _dataset(recordings, fitted).assign_attrs(
         title="nailoptics: a person's sensor, calibrated",
@@ -152,11 +165,30 @@ def _warnings(subject: Subject) -> list[str]:
             found.append(f"no {side} touch was recorded: what is told of one rests on priors.")
         elif most < 0.8 * reach:
             found.append(f"{side} touches reach {most:.2g} N, the vessels close at {reach:.2g} N: record harder ones.")
+    for side, forces_n in _two_balances_n(subject).items():
+        found.append(
+            f"{side} touches of {forces_n.min():.2g} to {forces_n.max():.2g} N could hold the vessels in two states: "
+            "the same force may read differently as it grows and as it falls."
+        )
     if subject.widening > 2:
         found.append(
             f"intervals had to be made {subject.widening:.1f} times as wide to cover the calibration's own touches: "
             "the model misses something."
         )
+    return found
+
+
+def _two_balances_n(subject: Subject) -> dict[str, Array]:
+    """Forces at which the person's vessels could rest in two states, by the sites of touches that reach them."""
+    factors = dict(zip(NAMES, np.exp(subject.factors_ln), strict=True))
+    own = {field: getattr(subject.base, field) * factors[name] for name in NAMES for field in PRIORS[name].fields}
+    found = {}
+    for side, most_n in subject.most_force_n.items():
+        forces_n = np.linspace(0.0, most_n, 101)
+        proximal, distal = 1e4 * subject.person().pressures(forces_n, np.full(101, SITES[side]))
+        state = steady_state(subject.base.replace(**own), proximal_pressure_pa=proximal, distal_pressure_pa=distal)
+        if state.two_branches.any():
+            found[side] = forces_n[state.two_branches]
     return found
 
 
@@ -192,13 +224,12 @@ def _checked(recording: Recording, scene: Scene) -> Recording:
         raise InputError(f"{name} line {line}: force_n is empty; calibrating needs it in every row.")
     if np.ptp(recording.force_n) == 0:
         raise InputError(f"{name}: force_n is constant at {recording.force_n[0]:g} N; press the finger.")
-    limit = scene.electronics.adc_range_v
-    for title, volts in zip(recording.names, recording.volts, strict=True):
-        at_limit = int(np.sum(volts >= limit))
-        if at_limit > 0.01 * len(volts):
-            raise InputError(
-                f"{name}: column {title!r} is saturated ({limit:g} V) in {at_limit} samples; lower the LED's power."
-            )
+    most_n = float(recording.force_n.max())
+    if not LEAST_TOUCH_N <= most_n <= MOST_TOUCH_N:
+        raise InputError(
+            f"{name}: force_n reaches {most_n:.3g} N; press up to 1 N or more, {MOST_TOUCH_N:g} N at most, "
+            "and give it in newtons."
+        )
     untouched = recording.force_n < REST_FORCE_N
     rest_s = float(np.diff(recording.time_s)[untouched[1:]].sum())
     if rest_s < REST_S:
@@ -206,11 +237,50 @@ def _checked(recording: Recording, scene: Scene) -> Recording:
             f"{name}: the finger rests (force_n below {REST_FORCE_N:g} N) for {rest_s:.2g} s; "
             f"record at least {REST_S:g} s without a touch."
         )
+    _check_times(recording)
+    _check_readings(recording, untouched, scene.electronics.adc_range_v)
     if recording.site is None:
         share = scene.touch.proximal_share
         site = {1.0: 1.0, 0.0: 0.0}.get(share, np.nan)
         return replace(recording, site=np.full(recording.time_s.shape, site))
     return recording
+
+
+def _check_times(recording: Recording) -> None:
+    """Raise InputError where samples lie too far apart, or are too few at an even rate."""
+    name, steps_s = recording.name, np.diff(recording.time_s)
+    usual_s, longest = float(np.median(steps_s)), int(np.argmax(steps_s))
+    if usual_s > LONGEST_STEP_S:
+        raise InputError(
+            f"{name}: samples lie {usual_s:.2g} s apart; record at {1 / LONGEST_STEP_S:g} Hz or faster, "
+            "with time_s in seconds."
+        )
+    if steps_s[longest] > LONGEST_PAUSE_S:
+        raise InputError(
+            f"{name}: nothing was recorded for {steps_s[longest]:.3g} s after time_s = {recording.time_s[longest]:g}; "
+            "split the recording there."
+        )
+    if usual_s * len(steps_s) < 0.5 * steps_s.sum():
+        raise InputError(
+            f"{name}: {len(steps_s) + 1} samples, mostly {usual_s:.2g} s apart, span {steps_s.sum():.3g} s; "
+            "record at an even rate (empty cells are gaps)."
+        )
+
+
+def _check_readings(recording: Recording, untouched: NDArray[np.bool_], limit_v: float) -> None:
+    """Raise InputError for a reading that is at its converter's limit, or hardly there."""
+    name = recording.name
+    for title, volts in zip(recording.names, recording.volts, strict=True):
+        at_limit, seen = int(np.sum(volts >= SATURATED * limit_v)), np.isfinite(volts)
+        if at_limit > 0.01 * len(volts):
+            raise InputError(
+                f"{name}: column {title!r} is saturated ({limit_v:g} V) in {at_limit} samples; lower the LED's power."
+            )
+        if seen.mean() < LEAST_SEEN or seen[untouched].sum() < LEAST_AT_REST:
+            raise InputError(
+                f"{name}: column {title!r} has {int(seen.sum())} of {len(volts)} samples, "
+                f"{int(seen[untouched].sum())} of them without a touch; record it throughout."
+            )
 
 
 def _rest_volts(recordings: Sequence[Recording]) -> Array:

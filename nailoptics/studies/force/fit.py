@@ -268,7 +268,9 @@ def _averaged(recording: Recording) -> Recording:
 
     def mean(values: Array) -> Array:
         blocks = values[..., : count * group].reshape(*values.shape[:-1], count, group)
-        return np.asarray(blocks.mean(-1))
+        there = np.isfinite(blocks)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.where(there, blocks, 0.0).sum(-1) / there.sum(-1))
 
     site = None if recording.site is None else recording.site[: count * group : group]
     return Recording(

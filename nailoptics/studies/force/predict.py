@@ -1,6 +1,7 @@
 """Tell force over time from a calibrated person's readings, with intervals, events, and what does not fit."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ...errors import InputError
-from ...scene.sensor_recordings import Recording, check_header, read_sensor_recording
+from ...scene.sensor_recordings import SATURATED, Recording, read_sensor_recording
 from ...variables import variable
 from .force_interval import ForceEstimate, ForceInterval
 from .observer import Observer, PressureEstimate
@@ -43,61 +44,17 @@ def predict(
 
     Raises: InputError for readings of another board, or thresholds out of order.
     """
-    if not 0 < release_n < press_n:
+    if not 0 < release_n < press_n < np.inf:
         raise InputError(f"release = {release_n:g} N must lie above 0 and below press = {press_n:g} N.")
     subject = subject if isinstance(subject, Subject) else read_subject(subject)
     recording = readings if isinstance(readings, Recording) else read_sensor_recording(readings)
-    recording = recording.of(subject.table.names)
-    _check_saturation(subject, recording)
+    recording, warnings = _without_saturated(subject, recording.of(subject.table.names))
     observer = Observer(subject.calibrated, subject.noise)
     since = [None, *np.diff(recording.time_s)]
     estimates = [observer.see(volts, dt) for volts, dt in zip(recording.volts.T, since, strict=True)]
     told = ForceInterval(observer.person, widening=subject.widening).tell(estimates)
-    return _dataset(subject, recording, observer, estimates, told, press_n=press_n, release_n=release_n)
-
-
-def live(subject: Subject, lines: Iterable[str]) -> Iterator[str]:
-    """The lines of predict.csv for lines of a recording that come one by one: each is answered before the next is read.
-
-    Raises: InputError for a header that lacks a reading, or a line that is none.
-    """
-    names, given = subject.table.names, iter(lines)
-    header = [cell.strip() for cell in next(given, "").split(",")]
-    check_header(header, "stdin")
-    missing = [name for name in names if name not in header]
-    if missing:
-        raise InputError(f"stdin: has no column {missing[0]!r}; this subject's readings are {', '.join(names)}.")
-    places = [header.index(name) for name in ("time_s", *names)]
-    yield ",".join(CSV_COLUMNS)
-    samples = (_sample(line, places, number) for number, line in enumerate(given, start=2) if line.strip())
-    for time_s, told, estimate in _live(subject, samples):
-        share = (told.share[0], told.share_low[0], told.share_high[0])
-        yield csv_row(time_s, told.force_n[0], told.low_n[0], told.high_n[0], *share, estimate.outlier)
-
-
-def _sample(line: str, places: list[int], number: int) -> tuple[float, Array]:
-    """Time and volts of a line; empty cells are gaps."""
-    cells = line.split(",")
-    try:
-        values = np.array([float(cells[place].strip() or "nan") for place in places])
-    except (ValueError, IndexError):
-        raise InputError(f"stdin line {number}: {line.strip()[:60]!r} holds no number where one belongs.") from None
-    if not np.isfinite(values[0]) or np.isinf(values).any():
-        raise InputError(f"stdin line {number}: {line.strip()[:60]!r} needs a time and finite volts.")
-    return float(values[0]), values[1:]
-
-
-def _live(
-    subject: Subject, samples: Iterable[tuple[float, Array]]
-) -> Iterator[tuple[float, ForceEstimate, PressureEstimate]]:
-    observer, last = Observer(subject.calibrated, subject.noise), None
-    interval = ForceInterval(observer.person, widening=subject.widening)
-    for time_s, volts in samples:
-        if last is not None and time_s <= last:
-            raise InputError(f"time_s = {time_s:g} does not come after {last:g}; times must rise.")
-        estimate = observer.see(volts, None if last is None else time_s - last)
-        last = time_s
-        yield time_s, interval.tell([estimate]), estimate
+    result = _dataset(subject, recording, observer, estimates, told, press_n=press_n, release_n=release_n)
+    return result.assign_attrs(warnings=warnings)
 
 
 def events(time_s: Array, force_n: Array, *, press_n: float, release_n: float) -> list[tuple[float, str]]:
@@ -148,6 +105,7 @@ def prediction_summary(result: xr.Dataset) -> dict[str, Any]:
     names = ("rms_n", "coverage_95", "chi2_per_dof", "open_above_n", "outliers", "misfit")
     return {name: result.attrs[name] for name in names} | {
         "consistent": bool(result.attrs["consistent"]),
+        "warnings": list(result.attrs["warnings"]),
         "baseline_rms_n": {name: result.attrs[f"rms_{name}_n"] for name in ("linear", "components")},
         "events": [
             {"time_s": float(time), "kind": str(kind), "latency_s": float(latency)}
@@ -243,10 +201,17 @@ def _pattern(subject: Subject, recording: Recording, observer: Observer) -> str:
     return "another person or place, or motion"
 
 
-def _check_saturation(subject: Subject, recording: Recording) -> None:
-    for name, volts in zip(recording.names, recording.volts, strict=True):
-        if np.nanmin(volts) >= subject.table.range_v:
+def _without_saturated(subject: Subject, recording: Recording) -> tuple[Recording, list[str]]:
+    """The recording with gaps where a converter was at its limit and told nothing, and what there is to say of it."""
+    saturated = recording.volts >= SATURATED * subject.table.range_v
+    found = []
+    for name, volts, full in zip(recording.names, recording.volts, saturated, strict=True):
+        seen = int(np.isfinite(volts).sum())
+        if full.sum() == seen:
             raise InputError(f"{recording.name}: column {name!r} is saturated throughout; lower the LED's power.")
+        if full.any():
+            found.append(f"{name} is saturated in {int(full.sum())} of {seen} samples, which count as gaps.")
+    return replace(recording, volts=np.where(saturated, np.nan, recording.volts)), found
 
 
 def _rms(off: Array) -> float:

@@ -1,15 +1,17 @@
 """A calibrated person as a file: everything that telling force from volts takes, readable, in TOML."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import hemodynamics
 from ...errors import InputError
 from ...hemodynamics.parameters import Parameters
+from ...scene.sensor_recordings import MOST_VOLTS
 from ...scene.text_files import parse_toml, read_text
 from .baselines import Regression
 from .observer import Calibrated, Noise, Oscillation
@@ -19,6 +21,10 @@ from .reading_table import POWERS, ReadingTable
 Array = NDArray[np.float64]
 
 SCHEMA_VERSION = 1
+# No calibration finds more: factors on the scene's constants, and gains of readings.
+MOST_FACTOR, MOST_GAIN = 100.0, 1e4
+# Nor regressions: newtons for each volt.
+MOST_WEIGHT = 1e9
 Model = Literal["network", "paper"]
 
 
@@ -59,6 +65,59 @@ class Subject:
         """The person, or those of other factors (P, *S)."""
         factors = dict(zip(NAMES, np.exp(self.factors_ln if factors_ln is None else factors_ln), strict=True))
         return person(self.base, factors, rest_blood=self.rest_blood, area_cm2=self.area_cm2, share=self.share)
+
+    def check(self) -> None:
+        """Raise ValueError unless the numbers fit together and are such as a calibration finds."""
+        count, table = len(self.table.names), self.table
+        within = {
+            "model": (self.model in get_args(Model), True, True),
+            "factors": (np.abs(self.factors_ln), 0.0, np.log(MOST_FACTOR)),
+            "gain": (np.abs(self.gain), 1 / MOST_GAIN, MOST_GAIN),
+            "offset_v": (np.abs(self.offset_v), 0.0, MOST_VOLTS),
+            "noise_v": (self.noise.reading_v, 1e-12, MOST_VOLTS),
+            "light.noise_v": (table.noise_v, 1e-12, MOST_VOLTS),
+            "light.dark_v": (table.dark_v, 0.0, MOST_VOLTS),
+            "light.range_v": (table.range_v, 1e-3, MOST_VOLTS),
+            "light.slope_stderr": (table.slope_stderr, 0.0, MOST_GAIN),
+            "light.ln_volts": (np.abs(table.coefficients), 0.0, MOST_GAIN),
+            "light.most_blood_fraction": (table.most_blood, 1e-6, 1.0),
+            "rest_blood_fraction": (self.rest_blood, 1e-6, 1.0),
+            "contact_area_cm2": (self.area_cm2, 1e-3, 1e3),
+            "proximal_share": (self.share, 0.0, 1.0),
+            "widening": (self.widening, 1e-3, MOST_GAIN),
+            "drift_per_min": (self.noise.drift_per_min, 0.0, 1.0),
+            "touch_rate_n_per_cm2_rt_s": (self.noise.touch_rate, 1e-6, MOST_GAIN),
+        }
+        for name, one in self.baselines.items():
+            numbers = np.abs([one.intercept_n, *one.weights_n_per_v.ravel()])
+            within[f"baselines.{name}"] = (numbers, 0.0, MOST_WEIGHT)
+        for name, (values, least, most) in within.items():
+            if not np.all((np.asarray(values) >= least) & (np.asarray(values) <= most)):
+                raise ValueError(f"{name} lies outside {least:g} to {most:g}")
+        usual = hemodynamics.parameters("listed").as_dict()
+        for name, value in self.base.as_dict().items():
+            # A gauge pressure may be 0, or below.
+            most = MOST_GAIN * max(abs(usual[name]), 1.0 if name == "venous_pressure_pa" else 0.0)
+            least = 0.0 if "mass" in name else abs(usual[name]) / MOST_GAIN
+            if not least <= abs(value) <= most:
+                raise ValueError(f"scene.vessels.{name} = {value}")
+        for one in self.noise.rhythms:
+            if not (0 < one.frequency_hz < 100 and 0 < one.coherence_s < 1e6 and 0 <= one.rms_pa < 1e5):
+                raise ValueError(f"rhythm {one}")
+        shapes = {
+            "ln_volts": (table.coefficients, (count, len(POWERS))),
+            "slope_stderr": (table.slope_stderr, (count, 2)),
+            "dark_v": (table.dark_v, (count,)),
+            "light.noise_v": (table.noise_v, (count,)),
+        } | {name: (one.weights_n_per_v, (count,)) for name, one in self.baselines.items()}
+        for name, (values, shape) in shapes.items():
+            if values.shape != shape:
+                raise ValueError(f"{name} has shape {values.shape}, not {shape}")
+        largest = np.abs(self.covariance).max()
+        if not np.allclose(self.covariance, self.covariance.T, rtol=1e-6, atol=1e-9 * largest):
+            raise ValueError("covariance is not symmetric")
+        if largest > MOST_GAIN**2 or np.linalg.eigvalsh(self.covariance).min() < -1e-9 * largest:
+            raise ValueError("covariance is none")
 
     @property
     def calibrated(self) -> Calibrated:
@@ -162,9 +221,28 @@ def parse_subject(text: str, *, name: str = "subject") -> Subject:
     try:
         if found["schema_version"] != SCHEMA_VERSION:
             raise InputError(f"{name}: schema_version = {found['schema_version']} is unknown; calibrate again.")
-        return _subject(found)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        for place, value in _numbers(found):
+            if not np.isfinite(value) and place != "quality.rms_n":
+                raise ValueError(f"{place} = {value}")
+        subject = _subject(found)
+        subject.check()
+        return subject
+    except (KeyError, TypeError, ValueError, AttributeError, InputError, OverflowError) as error:
+        if isinstance(error, InputError) and str(error).startswith(name):
+            raise
         raise InputError(f"{name}: is no whole subject file ({error!r:.80}); calibrate again.") from None
+
+
+def _numbers(found: Any, place: str = "") -> Iterator[tuple[str, float]]:
+    """Every number of some tables with its place in them."""
+    if isinstance(found, dict):
+        for key, value in found.items():
+            yield from _numbers(value, f"{place}.{key}".lstrip("."))
+    elif isinstance(found, list | tuple):
+        for value in found:
+            yield from _numbers(value, place)
+    elif isinstance(found, int | float):
+        yield place, float(found)
 
 
 def _subject(found: dict[str, Any]) -> Subject:
@@ -174,7 +252,7 @@ def _subject(found: dict[str, Any]) -> Subject:
         raise ValueError("another version's factors or powers")
 
     def each(field: str) -> Array:
-        return np.array([readings[name][field] for name in names])
+        return np.array([readings[name][field] for name in names], dtype=float)
 
     size = len(NAMES) + 2 * len(names)
     covariance = np.array(found["covariance"], dtype=float)
@@ -182,34 +260,37 @@ def _subject(found: dict[str, Any]) -> Subject:
         raise ValueError(f"covariance of shape {covariance.shape}")
     table = ReadingTable(
         names=names,
-        coefficients=np.array([light["ln_volts"][name] for name in names]),
-        dark_v=np.array(light["dark_v"]),
-        most_blood=light["most_blood_fraction"],
-        slope_stderr=np.array(light["slope_stderr"]),
-        noise_v=np.array(light["noise_v"]),
-        range_v=light["range_v"],
+        coefficients=np.array([light["ln_volts"][name] for name in names], dtype=float),
+        dark_v=np.array(light["dark_v"], dtype=float),
+        most_blood=float(light["most_blood_fraction"]),
+        slope_stderr=np.array(light["slope_stderr"], dtype=float),
+        noise_v=np.array(light["noise_v"], dtype=float),
+        range_v=float(light["range_v"]),
     )
+    factors = np.array([found["factors"][name]["value"] for name in NAMES], dtype=float)
+    if not (factors > 0).all():
+        raise ValueError("a factor that is not above 0")
     rhythms = tuple(Oscillation(**one) for one in noise["rhythms"])
     return Subject(
         scene_digest=found["scene_digest"],
         model=found["model"],
         table=table,
         base=Parameters(**scene["vessels"]),
-        rest_blood=scene["rest_blood_fraction"],
-        area_cm2=scene["contact_area_cm2"],
-        share=scene["proximal_share"],
-        factors_ln=np.log([found["factors"][name]["value"] for name in NAMES]),
+        rest_blood=float(scene["rest_blood_fraction"]),
+        area_cm2=float(scene["contact_area_cm2"]),
+        share=float(scene["proximal_share"]),
+        factors_ln=np.log(factors),
         gain=each("gain"),
         offset_v=each("offset_v"),
         covariance=covariance,
         residual_rms_v=each("residual_rms_v"),
-        noise=Noise(each("noise_v"), noise["drift_per_min"], rhythms, noise["touch_rate_n_per_cm2_rt_s"]),
-        widening=quality["widening"],
+        noise=Noise(each("noise_v"), float(noise["drift_per_min"]), rhythms, float(noise["touch_rate_n_per_cm2_rt_s"])),
+        widening=float(quality["widening"]),
         most_force_n=dict(quality["most_force_n"]),
-        chi2_per_dof=quality["chi2_per_dof"],
-        rms_n=quality["rms_n"],
+        chi2_per_dof=float(quality["chi2_per_dof"]),
+        rms_n=float(quality["rms_n"]),
         baselines={
-            name: Regression(one["intercept_n"], np.array(one["weights_n_per_v"]))
-            for name, one in found["baselines"].items()
+            name: Regression(float(one["intercept_n"]), np.array(one["weights_n_per_v"], dtype=float))
+            for name, one in ((name, found["baselines"][name]) for name in ("linear", "components"))
         },
     )

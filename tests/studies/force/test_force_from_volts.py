@@ -11,8 +11,9 @@ from nailoptics.errors import InputError
 from nailoptics.scene.sensor_recordings import SITES, Recording, recording_csv
 from nailoptics.studies.force.calibrate import PAPER_FACTORS, _checked, calibrate_with, calibration_summary
 from nailoptics.studies.force.fit import Fit
+from nailoptics.studies.force.live import live
 from nailoptics.studies.force.person import NAMES, PRIORS, force_of, person
-from nailoptics.studies.force.predict import csv_rows, events, live, predict, prediction_summary
+from nailoptics.studies.force.predict import csv_rows, events, predict, prediction_summary
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
 from nailoptics.studies.force.subject import Subject, parse_subject
 

@@ -1,0 +1,141 @@
+"""Force line by line, as a sensor that is piped in: however its lines come, and however it ends."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import made_sensor
+import pytest
+
+from nailoptics.errors import InputError
+from nailoptics.scene.sensor_recordings import recording_csv
+from nailoptics.studies.force.calibrate import calibrate_with
+from nailoptics.studies.force.live import live
+from nailoptics.studies.force.predict import csv_rows, predict
+from nailoptics.studies.force.subject import Subject, parse_subject
+
+NAMES = made_sensor.table().names
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("live")
+    recording = made_sensor.record(made_sensor.cycle(1.5, lasting_s=5.0), "proximal", seed=1)
+    result = calibrate_with(made_sensor.scene(), made_sensor.table(), [recording])
+    (folder / "me.toml").write_text(result.attrs["subject"])
+    touch = made_sensor.record(made_sensor.cycle(0.6, lasting_s=4.0), "proximal", seed=3)
+    (folder / "touch.csv").write_text(recording_csv(touch))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def subject(folder: Path) -> Subject:
+    return parse_subject((folder / "me.toml").read_text())
+
+
+@pytest.fixture(scope="module")
+def lines(folder: Path) -> list[str]:
+    return (folder / "touch.csv").read_text().splitlines(keepends=True)[:12]
+
+
+def test_lines_are_answered_as_a_file_is_and_one_by_one(subject: Subject, folder: Path, lines: list[str]) -> None:
+    (folder / "part.csv").write_text("".join(lines))
+    given = iter(lines)
+    answers = live(subject, given)
+    told = [next(answers), next(answers)]
+    # The first sample is answered before the second is read.
+    assert len(list(given)) == len(lines) - 2
+    assert [*told, *list(live(subject, lines))[2:]] == list(csv_rows(predict(subject, folder / "part.csv")))
+
+
+def test_what_senders_add_is_no_fault(subject: Subject, lines: list[str]) -> None:
+    plain = list(live(subject, lines))
+    windows = [
+        "\ufeff" + lines[0].replace("\n", "\r\n"),
+        "# hello\r\n",
+        "\r\n",
+        *(x.replace("\n", "\r\n") for x in lines[1:]),
+    ]
+    assert list(live(subject, windows)) == plain
+    assert list(live(subject, [lines[0].replace("time_s", '"time_s"'), *lines[1:]])) == plain
+    # A last line without its end is a sample where it is whole, and none where it is not.
+    assert list(live(subject, [*lines[:-1], lines[-1].rstrip("\n")])) == plain
+    assert list(live(subject, [*lines[:-1], lines[-1][:20]])) == plain[:-1]
+
+
+def test_what_a_converter_at_its_limit_reads_is_a_gap(subject: Subject, lines: list[str]) -> None:
+    def with_first(cell: str) -> list[str]:
+        rows = [line.split(",") for line in lines]
+        at = rows[0].index(NAMES[0])
+        return [",".join([*row[:at], cell, *row[at + 1 :]]) if k > 3 else ",".join(row) for k, row in enumerate(rows)]
+
+    assert list(live(subject, with_first("5"))) == list(live(subject, with_first("")))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda lines: [], "stdin: is empty"),
+        (lambda lines: ["\ufffd\ufffd\x01"], "stdin: is no text"),
+        (lambda lines: [lines[0].replace(NAMES[0], "other"), *lines[1:]], f"has no column '{NAMES[0]}'"),
+        (lambda lines: [lines[0].replace("\n", ",room\n"), *lines[1:]], "column 'room' is no reading of this board"),
+        (lambda lines: [lines[0].replace("time_s", "t"), *lines[1:]], "no column time_s"),
+        (lambda lines: [*lines[:4], "0.5,x\n"], "stdin line 5: '0.5,x' holds no number where one belongs"),
+        (lambda lines: [*lines[:4], lines[4].replace("0.", "nan", 1)], "stdin line 5"),
+        (lambda lines: [*lines[:4], lines[2]], "time_s = 0.02 does not come after 0.04; times must rise"),
+        (lambda lines: [*lines[:4], _cells(lines[4], "inf")], "needs a time and finite volts"),
+        (lambda lines: [*lines[:4], _cells(lines[4], "nan")], "an empty cell is a gap"),
+        (lambda lines: [*lines[:4], _cells(lines[4], "31000")], "looks like a converter's counts"),
+    ],
+)
+def test_a_line_that_is_none_ends_it_with_one_line(subject: Subject, lines: list[str], change, message: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(InputError) as caught:
+        list(live(subject, change(lines)))
+    assert message in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def _cells(line: str, last: str) -> str:
+    return ",".join([*line.rstrip("\n").split(",")[:-1], last]) + "\n"
+
+
+def _started(folder: Path) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "nailoptics", "predict", str(folder / "me.toml"), "-"]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe)
+
+
+def test_ctrl_c_ends_a_running_command_cleanly(folder: Path, lines: list[str]) -> None:
+    with _started(folder) as running:
+        assert running.stdin is not None and running.stdout is not None and running.stderr is not None
+        running.stdin.write("".join(lines[:3]).encode())
+        running.stdin.flush()
+        assert [running.stdout.readline().split(b",")[0] for _ in range(3)] == [b"time_s", b"0", b"0.02"]
+        running.send_signal(signal.SIGINT)
+        assert running.wait(60) == 0
+        assert running.stdout.read() == running.stderr.read() == b""
+
+
+def test_a_closed_pipe_and_bytes_that_are_no_text_end_it_cleanly(folder: Path, lines: list[str]) -> None:
+    with _started(folder) as running:
+        assert running.stdin is not None and running.stdout is not None and running.stderr is not None
+        running.stdin.write(lines[0].encode())
+        running.stdin.flush()
+        assert running.stdout.readline().startswith(b"time_s")
+        # As `| head -1` does; what comes then cannot be answered any more.
+        running.stdout.close()
+        running.stdin.write("".join(lines[1:]).encode())
+        running.stdin.close()
+        assert running.wait(60) == 0
+        assert running.stderr.read() == b""
+    done = subprocess.run(
+        [sys.executable, "-m", "nailoptics", "predict", str(folder / "me.toml"), "-"],
+        input=b"\xff\xfe\x00\n",
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == 2 and done.stdout == b""
+    assert done.stderr.decode().splitlines() == [
+        "nailoptics: stdin: is no text; give a CSV with time_s and the readings in volts."
+    ]
