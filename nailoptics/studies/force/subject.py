@@ -88,8 +88,8 @@ class Subject:
             "drift_per_min": (self.noise.drift_per_min, 0.0, 1.0),
             "touch_rate_n_per_cm2_rt_s": (self.noise.touch_rate, 1e-6, MOST_GAIN),
         }
-        for name, one in self.baselines.items():
-            numbers = np.abs([one.intercept_n, *one.weights_n_per_v.ravel()])
+        for name, regression in self.baselines.items():
+            numbers = np.abs([regression.intercept_n, *regression.weights_n_per_v.ravel()])
             within[f"baselines.{name}"] = (numbers, 0.0, MOST_WEIGHT)
         for name, (values, least, most) in within.items():
             if not np.all((np.asarray(values) >= least) & (np.asarray(values) <= most)):
