@@ -11,6 +11,7 @@ from .surfaces import Array, FingerSurfaces
 
 RIM_MM = 0.15  # width of the opaque epoxy around the board
 EDGE_MM = 0.01  # the rim ends this far before the nail's edges
+FACE_MM = 0.01  # of a part that stands out of the board, so much is the face; the walls above are silicon
 
 
 class BentBoard:
@@ -21,9 +22,10 @@ class BentBoard:
 
     layout : The flat board.
     radius_mm : Radius of the underside. [mm]
-    heights_mm : (3,) float. Heights of underside, film and cover above the nail. [mm]
+    heights_mm : (n + 3,) float. Heights above the nail: faces of parts that stand out of the underside, the underside,
+        film and cover. [mm]
     rim : The outline with the rim of opaque epoxy around it, as far as the nail carries it.
-    parts : Region and rectangle of each part in the film: LEDs, photodiodes, unwired elements.
+    parts : Region, rectangle and height below the underside of each part: LEDs, photodiodes, unwired elements.
     regions : Names of all regions.
     rectangles : Everything on the board that begins or ends somewhere.
     """
@@ -32,7 +34,13 @@ class BentBoard:
         board, layout = scene.board, scene.layout
         self.scene, self.layout = scene, layout
         height_mm = (board.clear_epoxy_um + board.adhesive_um) * 1e-3  # below the underside
-        self.heights_mm = height_mm + np.array([0.0, board.kapton_um, board.kapton_um + board.cover_um]) * 1e-3
+        stands_out = [*(led.height_um for led in scene.leds), *(e.photodiode.height_um for e in layout.photodiodes)]
+        stands_out += [layout.unwired_height_um] * len(layout.unwired)
+        # Depths below the underside where a part's face or the walls above it begin, the deepest first.
+        depths = {round(1e-3 * h - less, 3) for h in stands_out if h for less in (0.0, FACE_MM)}
+        self.depths_mm = sorted((depth for depth in depths if depth > 0), reverse=True)
+        above = np.array([0.0, board.kapton_um, board.kapton_um + board.cover_um]) * 1e-3
+        self.heights_mm = height_mm + np.concatenate([-np.array(self.depths_mm), above])
         self.radius_mm = surfaces.finger.nail_radius_mm + height_mm
         outline, v_end = layout.outline, surfaces.nail_end - EDGE_MM
         u_end = surfaces.nail_half_angle * self.radius_mm - EDGE_MM
@@ -45,31 +53,37 @@ class BentBoard:
         )
         named = {f"led:{r.name}": r for r in layout.leds} | {f"photodiode:{e.name}": e.area for e in layout.photodiodes}
         self.regions = (*REGIONS, *named)
-        self.parts = [*enumerate(named.values(), len(REGIONS)), *((SILICON, r) for r in layout.unwired)]
-        self.rectangles = [self.rim, outline, *layout.barriers, *(s for _, r in self.parts for s in r.strips())]
+        regions = [*range(len(REGIONS), len(self.regions)), *[SILICON] * len(layout.unwired)]
+        each = zip(regions, [*named.values(), *layout.unwired], stands_out, strict=True)
+        self.parts = [(region, r, round(1e-3 * height, 3)) for region, r, height in each]
+        self.rectangles = [self.rim, outline, *layout.barriers, *(s for _, r, _ in self.parts for s in r.strips())]
 
     def labels(self, theta: Array, v: Array) -> NDArray[np.int32]:
-        """Region of the three layers above the nail, (a, n, 3), in cells with middles theta (a,) [rad], v (n,) [mm]."""
-        result = np.full((len(theta), len(v), 3), AIR, np.int32)
+        """Region of the layers above the nail, (a, n, k), in cells with middles theta (a,) [rad], v (n,) [mm]."""
+        film = len(self.depths_mm) + 1  # below it lies the epoxy, above it the cover
+        result = np.full((len(theta), len(v), film + 2), AIR, np.int32)
 
         def inside(r: Rectangle) -> NDArray[np.bool_]:
             u = theta * self.radius_mm
             return ((u > r.u_min) & (u < r.u_max))[:, None] & ((v > r.v_min) & (v < r.v_max))
 
         top = COVER if self.scene.board.cover_um else AIR
-        result[inside(self.rim)] = COVER, COVER, top
-        result[inside(self.layout.outline)] = EPOXY, KAPTON, top
+        result[inside(self.rim)] = [COVER] * (film + 1) + [top]
+        result[inside(self.layout.outline)] = [EPOXY] * film + [KAPTON, top]
         for wall in self.layout.barriers:
-            result[inside(wall), 0] = BARRIER
-        for region, r in self.parts:
+            result[inside(wall), :film] = BARRIER
+        for region, r, height_mm in self.parts:
             cells = np.any([inside(strip) for strip in r.strips()], axis=0)
             if r.turned_size_mm is not None:
                 # Steps of neighbours that touch may overlap by less than a strip.
-                cells &= result[..., 1] == KAPTON
-            if not cells.any() or (result[cells][:, 1] != KAPTON).any():
+                cells &= result[..., film] == KAPTON
+            if not cells.any() or (result[cells][:, film] != KAPTON).any():
                 raise InputError(
                     f'board: "{r.name}" is smaller than the geometry can show, or lies on another part; '
                     "make it larger than 1 um and move it."
                 )
-            result[cells, 1] = region
+            result[cells, film] = SILICON if height_mm else region
+            for k, (below, above) in enumerate(zip(self.depths_mm, [*self.depths_mm, 0.0][1:], strict=True), start=1):
+                if below <= height_mm:
+                    result[cells, k] = region if above >= height_mm - FACE_MM - 1e-9 else SILICON
         return result

@@ -10,7 +10,7 @@ from ..scene.finger import ABSORBING, SCATTERING
 from .board import BentBoard
 from .grid import Grid
 from .model import Face, Geometry
-from .nodes import BELOW, Nodes
+from .nodes import Nodes
 from .regions import SILICON
 from .surfaces import FingerSurfaces
 
@@ -35,7 +35,7 @@ def build(scene: Scene, *, resolution: float = 1.0) -> Geometry:
         raise InputError(f"resolution = {resolution:g}: must be between 0.1 and 10.")
     board, grid = _grid(scene, resolution)
     vertices, triangles, below, above = grid.interfaces()
-    faces = [_face(grid, r.name, region) for region, r in board.parts if region != SILICON]
+    faces = [_face(grid, r.name, region) for region, r, _ in board.parts if region != SILICON]
     geometry = Geometry(
         vertices=vertices,
         triangles=triangles,
@@ -79,8 +79,9 @@ def _grid(scene: Scene, resolution: float) -> tuple[BentBoard, Grid]:
 
 
 def _face(grid: Grid, name: str, region: int) -> Face:
-    """The lower face of a part in the board's film."""
-    cells, nodes = grid.labels[:, :, BELOW + 1] == region, grid.nodes[:, :, BELOW + 1]
+    """The lower face of a part, in the board's film or below it."""
+    layer = int(np.nonzero((grid.labels == region).any(axis=(0, 1)))[0][0])
+    cells, nodes = grid.labels[:, :, layer] == region, grid.nodes[:, :, layer]
     # A column is straight along the nail, so that cells in a row of it are one rectangle. Corners run along the nail
     # first, then across, because the nail side sees the board from below.
     ends = np.diff(np.pad(cells, ((0, 0), (1, 1))).astype(np.int8), axis=1)

@@ -30,7 +30,7 @@ class Nodes:
 
     The first `len(theta)` columns cross the nail, at angles theta around the nail's axis; the others go on around the
     finger. Layers from the inside: the central line, the bone's surface, three depths below the skin (the bed's lower
-    face, and the plate's and the epidermis's in their order), the skin or the nail's face, and three above the nail.
+    face, and the plate's and the epidermis's in their order), the skin or the nail's face, and those above the nail.
     """
 
     surfaces: FingerSurfaces
@@ -100,7 +100,7 @@ class Nodes:
         return np.array([max(TIP_ORDER * middle, deepest), middle, first])
 
     def positions(self) -> Array:
-        """Nodes, (a, n + 1, 9, 3) float. [mm]"""
+        """Nodes, (a, n + 1, 6 + k, 3) float, k layers of them above the nail. [mm]"""
         surfaces, y = self.surfaces, self.y
         center = np.array([0.0, surfaces.center_z])
         straight = y <= surfaces.nail_end
@@ -161,19 +161,19 @@ class Nodes:
         return np.where((bone == length)[..., None], center + bed, center + bed * part[..., None])
 
     def _above(self, surface: Array) -> Array:
-        """Three layers above the nail, (a, n + 1, 3, 2); elsewhere they lie on the skin and hold no cells."""
+        """The layers above the nail, (a, n + 1, k, 2); elsewhere they lie on the skin and hold no cells."""
         radius = self.surfaces.finger.nail_radius_mm
-        above = np.repeat(surface[:, :, None], 3, axis=2)
+        above = np.repeat(surface[:, :, None], len(self.board.heights_mm), axis=2)
         on_nail = np.abs(self.y) <= self.surfaces.nail_end
         shells = (radius + self.board.heights_mm)[:, None] * _direction(self.theta)[:, None] - [0.0, radius]
         above[: len(self.theta), on_nail] = shells[:, None]
         return above
 
     def labels(self) -> NDArray[np.int32]:
-        """Region of each cell, (a, n, 8) int."""
+        """Region of each cell, (a, n, 5 + k) int, k of them above the nail."""
         surfaces, y = self.surfaces, (self.y[1:] + self.y[:-1]) / 2
         plate_is_second = self._depths[2]
-        labels = np.full((len(self.phi), len(y), BELOW + 3), AIR, np.int32)
+        labels = np.full((len(self.phi), len(y), BELOW + len(self.board.heights_mm)), AIR, np.int32)
         labels[:, :, :BELOW] = PULP
         labels[:, y < surfaces.bone_end, 0] = BONE
         labels[:, :, [4] if plate_is_second else [3, 4]] = EPIDERMIS

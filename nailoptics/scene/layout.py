@@ -14,6 +14,7 @@ ROUNDING_MM = 1e-6  # what parts may overlap without a complaint
 BOARD_MARGIN_MM = 0.5  # from the outermost parts to the edge of a board whose size is not given
 NAIL_MARGIN_MM = 0.05  # the least from the board's edge to the nail's
 WALL_ROOM_MM = 0.02  # the least left beside a wall between LEDs and photodiodes
+LEAST_EPOXY_UM = 20.0  # what is left between a part and the adhesive
 LAYOUTS_KEPT = 256
 
 
@@ -38,6 +39,7 @@ class Layout:
     leds: tuple[Rectangle, ...]
     photodiodes: tuple[Element, ...]
     unwired: tuple[Rectangle, ...]
+    unwired_height_um: float
     barriers: tuple[Rectangle, ...]
 
     @property
@@ -60,6 +62,7 @@ def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tu
         for led in leds
     )
     wired, unwired = _elements(board, photodiodes)
+    _check_heights(board, leds, photodiodes)
     parts = [(f'leds "{r.name}"', r) for r in dies] + [(f'photodiode "{e.name}"', e.area) for e in wired]
     parts += [(f'photodiode element "{r.name}"', r) for r in unwired]
     for (name, r), (other_name, other) in combinations(parts, 2):
@@ -68,7 +71,19 @@ def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tu
     outline = _outline(board, parts, finger)
     _check_nail(outline, finger)
     barriers = _barriers(board, dies, [e.area for e in wired] + unwired, outline) if board.barrier else ()
-    return Layout(outline, dies, tuple(wired), tuple(unwired), barriers)
+    # What is not wired stands in the way like what is; the highest stands for all.
+    height_um = max((p.height_um for p in photodiodes if p.wired is not None), default=0.0)
+    return Layout(outline, dies, tuple(wired), tuple(unwired), height_um, barriers)
+
+
+def _check_heights(board: Board, leds: tuple[Led, ...], photodiodes: tuple[Photodiode, ...]) -> None:
+    for what, parts in (("leds", leds), ("photodiodes", photodiodes)):
+        for part in parts:
+            if part.height_um > board.clear_epoxy_um - LEAST_EPOXY_UM:
+                raise ValueError(
+                    f'{what} "{part.name}": height_um = {part.height_um:g} leaves less than {LEAST_EPOXY_UM:g} um of '
+                    f"the clear epoxy, which is {board.clear_epoxy_um:g} um deep; make clear_epoxy_um more"
+                )
 
 
 def _outline(board: Board, parts: list[tuple[str, Rectangle]], finger: Finger) -> Rectangle:

@@ -253,3 +253,27 @@ def test_a_turned_photodiode_has_its_area_and_place_and_closes(sensor):
     (uu, uv), (_, vv) = np.einsum("k,ki,kj->ij", weights, places, places)
     assert np.degrees(0.5 * np.arctan2(2 * uv, uu - vv)) == pytest.approx(30, abs=2)
     assert check_watertight(geometry, crossings=20_000).passed
+
+
+def test_dies_that_stand_out_have_their_faces_there_and_walls_of_silicon(sensor):
+    flush = sensor(leds=((-1.2, 0.0),))
+    update = {
+        "leds": tuple(led.model_copy(update={"height_um": 100.0}) for led in flush.leds),
+        "photodiodes": tuple(p.model_copy(update={"height_um": 250.0}) for p in flush.photodiodes),
+    }
+    raised = build(flush.model_copy(update=update))
+    flush = build(flush)
+    radius = raised.board_radius_mm
+    for faces, height_mm in ((raised.leds, 0.1), (raised.photodiodes, 0.25)):
+        for face in faces:
+            x, _, z = face.center_mm
+            # The middle of 1 mm of a cylinder's arc lies 1 / (24 * 9) mm inside it, and facets 2 um.
+            assert np.hypot(x, z + raised.nail_radius_mm) == pytest.approx(radius - height_mm, abs=7e-3)
+    # 250 um nearer to the axis an arc is as much shorter, and so is the face.
+    ratio = raised.photodiodes[0].area_mm2 / flush.photodiodes[0].area_mm2
+    assert ratio == pytest.approx(1 - 0.25 / radius, rel=2e-3)
+    more = {name: raised.volumes_mm3()[name] - volume for name, volume in flush.volumes_mm3().items()}
+    # 32 elements, wired or not, and an LED displace the epoxy; of each wired one the face is no silicon.
+    assert more["epoxy"] == pytest.approx(-(32 * 0.25 * 0.25 + 0.0625 * 0.1), rel=0.03)
+    assert more["silicon"] > 0.8 * -more["epoxy"]
+    assert check_watertight(raised, crossings=20_000).passed

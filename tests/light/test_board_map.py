@@ -188,3 +188,23 @@ def test_a_map_without_a_jit_backend_is_refused_in_one_line(scene):
     with pytest.raises(InputError) as caught:
         BoardTracer(scene, backend="scalar")
     assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_turned_photodiode_reads_what_the_map_tells_of_its_true_rectangle(scene, arrivals, chosen_jit):
+    """In the geometry it is cut into strips; of the map's photons those count that came within its own edges."""
+    turned = {"position_mm": (0.3, -0.5), "size_mm": (1.6, 0.6), "rotation_deg": 35.0}
+    one = scene.model_copy(update={"photodiodes": (scene.photodiodes[0].model_copy(update=turned),)})
+    (area,) = one.layout.photodiode_areas
+    mean, error = together(arrivals, blood_point(scene, 0), [area])
+    seen = course(nail.trace(one, photons=4 << 18, seed=21), np.array([[0.03, 0.03]]), electrons=True)
+    expected, spread = seen.fraction[0, 0, 0], seen.stderr[0, 0, 0]
+    assert abs(mean[0, 0] - expected) < 4 * np.hypot(error[0, 0], spread)
+    assert np.hypot(error[0, 0], spread) < 0.04 * expected
+    # Straight, it would read otherwise by far more than that.
+    straight, _ = together(arrivals, blood_point(scene, 0), [Rectangle.around("straight", area.center_mm, (1.6, 0.6))])
+    across, _ = together(arrivals, blood_point(scene, 0), [Rectangle.around("across", area.center_mm, (0.6, 1.6))])
+    assert abs(straight[0, 0] - across[0, 0]) > 0.05 * expected
+    point, summed = blood_point(scene, 0), PhotonMap(scene.layout.outline, values=4)
+    for some in arrivals:
+        summed.add(some, point.values(some))
+    assert summed.over([area]).mean(0)[0, 0] == pytest.approx(mean[0, 0], rel=0.03)

@@ -43,3 +43,9 @@ def test_impossible_copies_and_phantoms_have_none(scene):
         _ = scene.model_copy(update={"board": wide}).layout
     with pytest.raises(InputError, match="phantom has no board"):
         _ = load_scene(data_dir("scenes") / "phantom.toml").layout
+
+
+def test_a_die_as_high_as_the_epoxy_is_refused(scene):
+    high = tuple(led.model_copy(update={"height_um": 390.0}) for led in scene.leds)
+    with pytest.raises(ValueError, match='leds "ir": height_um = 390 leaves less than 20 um of the clear epoxy'):
+        _ = scene.model_copy(update={"leds": high}).layout

@@ -11,13 +11,15 @@ from ...light import ProgressCallback
 from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...scene.finger import BEYOND_NAIL_MM
+from ...scene.layout import LEAST_EPOXY_UM
 from . import bounds
 from .effect import Change, Effect, effect_of
 from .paired import PairedReadings, PairedTracer, check_study, difference, reweighted
 from .unknown_changes import unknown_changes
-from .variants import ONE_WAVELENGTH, PART_WIDTH, Changes, lines_of, part_width_nm, revised
+from .variants import EACH, ONE_WAVELENGTH, PART_WIDTH, Changes, lines_of, part_width_nm, revised
 
 DEFAULT_TOLERANCE = 0.02
+DIE_UM = 150.0  # dies of LEDs and photodiodes are 100 to 250 um thick
 TOGETHER = "all that is not needed"
 
 
@@ -120,7 +122,10 @@ def explain(
     changes = [*_changes(scene), *unknown_changes(scene)]
     # The scene itself, one with other scattering, two swapped ones, two cut short, and the one that is required.
     scenes = sum(not c.same_photons for c in changes) + 7
-    shapes = 3 + sum("board" in c.changes or "bed_thickness_mm" in c.changes.get("finger", {}) for c in changes)
+    reshaping = {("finger", "bed_thickness_mm"), ("leds", "height_um")}
+    shapes = 3 + sum(
+        "board" in c.changes or any(name in c.changes.get(table, {}) for table, name in reshaping) for c in changes
+    )
     tracer = PairedTracer(scenes, options, progress, shapes=shapes)
     base = tracer.trace(scene)
     effects: list[Effect] = []
@@ -231,6 +236,11 @@ def _changes(scene: Scene) -> Iterator[Change]:
         yield Change("opaque epoxy's reflection", True, "black", {"board": {"opaque_reflectance": 0.0}})
     if board.barrier:
         yield Change("barrier", True, "clear epoxy in its place", {"board": {"barrier": False}})
+    stand_out = any(led.height_um for led in scene.leds) or any(p.height_um for p in scene.photodiodes)
+    height_um = 0.0 if stand_out else min(DIE_UM, board.clear_epoxy_um - LEAST_EPOXY_UM)
+    text = "flush with the board's underside" if stand_out else f"standing out of it by {height_um:g} um"
+    if stand_out or height_um:
+        yield Change("height of dies", stand_out, text, {table: {"height_um": height_um} for table in EACH})
     if not board.cover_um:
         cover = type(board).model_fields["cover_um"].default
         yield Change("cover and decorative nail", False, "opaque cover", {"board": {"cover_um": cover}})

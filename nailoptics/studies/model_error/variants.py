@@ -7,8 +7,9 @@ from ...scene import Led, Scene
 from ...scene.catalogue import LedPart, load_part
 from ...scene.files import scene_of
 
-# Fields by table of the scene; those of "leds" are every LED's, and None stands for what its part says.
+# Fields by table of the scene; those of "leds" and "photodiodes" are every one's, None stands for what its part says.
 Changes = dict[str, dict[str, Any]]
+EACH = ("leds", "photodiodes")
 ONE_WAVELENGTH: Changes = {"leds": {"fwhm_nm": 0.0}}
 PART_WIDTH: Changes = {"leds": {"fwhm_nm": None}}
 
@@ -26,13 +27,13 @@ def revised(scene: Scene, changes: Changes) -> Scene:
     """The scene with some fields of some of its tables changed; raises InputError where that makes no scene."""
     tables = scene.model_dump()
     for table, fields in changes.items():
-        if table != "leds":
+        if table not in EACH:
             tables[table] |= {name: tuple(v) if isinstance(v, list) else v for name, v in fields.items()}
-        elif fields == PART_WIDTH["leds"]:
-            widths = [{"fwhm_nm": part_width_nm(led)} for led in scene.leds]
-            tables[table] = tuple(led | width for led, width in zip(tables[table], widths, strict=True))
-        else:
-            tables[table] = tuple(led | fields for led in tables[table])
+            continue
+        changed = [{name: value for name, value in fields.items() if value is not None}] * len(tables[table])
+        if PART_WIDTH["leds"].items() <= fields.items():
+            changed = [one | {"fwhm_nm": part_width_nm(led)} for one, led in zip(changed, scene.leds, strict=True)]
+        tables[table] = tuple(one | other for one, other in zip(tables[table], changed, strict=True))
     return scene_of(tables)
 
 
@@ -53,7 +54,7 @@ def lines_of(changes: Changes) -> list[str]:
     lines = []
     for table, fields in changes.items():
         for name, value in fields.items():
-            place = f"[[{table}]]" if table == "leds" else f"[{table}]"
+            place = f"[[{table}]]" if table in EACH else f"[{table}]"
             text = f"without {name}" if value is None else " ".join(tomli_w.dumps({name: value}).split())
             lines.append(f"{place} {text}".replace("[ ", "[").replace(", ]", "]"))
     return lines
