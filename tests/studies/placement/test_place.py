@@ -219,7 +219,8 @@ def test_a_turned_photodiode_lies_across_and_comes_back_turned(scene, tmp_path):
     parts = result.kicad_parts(layout)
     assert [(p.package, p.rotation_deg) for p in parts[1:]] == [("PD_1x0.25mm", 90.0), ("PD_1x0.25mm", 180.0)]
     (tmp_path / "pos.csv").write_text(text.replace(",90,", ",45,"))
-    turned = place.given(boards.base_board(load_scene(tmp_path / "mine.toml")), boards.rules(mine))[0].scene
+    mine = load_scene(tmp_path / "mine.toml")
+    turned = place.given(boards.base_board(mine), boards.rules(mine))[0].scene
     area = turned.layout.photodiode_areas[0]
     assert (area.rotation_deg, area.area_mm2) == (45.0, 0.25) and area.center_mm == pytest.approx((1.0, -1.0))
 
