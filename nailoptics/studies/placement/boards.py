@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...errors import InputError
-from ...scene import Candidate, Finger, FingerCase, Led, Photodiode, Placement, Scene
+from ...scene import Board, Candidate, Finger, FingerCase, Led, Photodiode, Placement, Scene
+from ...scene.base import Point
 from ...scene.finger import ABSORBING, SCATTERING
 
 Places = Sequence[tuple[float, float]]
@@ -34,8 +35,14 @@ def candidate(name: str, scene: Scene, origin: str) -> CandidateLayout:
 
 
 def rules(scene: Scene) -> Placement:
-    """The scene's [placement], or the usual rules."""
-    return scene.placement or Placement()
+    """The scene's [placement], or the usual rules; where they give no outline, that of the board's own file."""
+    placement, (du, dv) = scene.placement or Placement(), scene.board.center_mm
+    if placement.outline_mm is not None or scene.board.outline_mm is None:
+        return placement
+    corners, *holes = (
+        tuple((x + du, y + dv) for x, y in line) for line in (scene.board.outline_mm, *scene.board.outline_holes_mm)
+    )
+    return placement.model_copy(update={"outline_mm": corners, "outline_holes_mm": tuple(holes)})
 
 
 def fingers(scene: Scene) -> tuple[FingerCase, ...]:
@@ -68,8 +75,9 @@ def base_board(scene: Scene) -> Scene:
     The outline is that of [placement], else of [board], else the smallest of the fingers' nails.
     """
     placement, board = rules(scene), scene.board
-    if placement.outline_mm is not None:
-        us, vs = zip(*placement.outline_mm, strict=True)
+    own = scene.placement.outline_mm if scene.placement else None
+    if own is not None:
+        us, vs = zip(*own, strict=True)
         center = ((min(us) + max(us)) / 2, (min(vs) + max(vs)) / 2)
         size = (max(us) - min(us), max(vs) - min(vs))
     elif board.size_mm is None and board.outline_mm is not None:
@@ -81,10 +89,20 @@ def base_board(scene: Scene) -> Scene:
         nails = [on_finger(scene, case).finger for case in fingers(scene)]
         widths, lengths = zip(*((n.nail_width_mm, n.nail_length_mm) for n in nails if n), strict=True)
         center, size = (0.0, 0.0), (min(widths) - 2 * NAIL_MARGIN_MM, min(lengths) - 2 * NAIL_MARGIN_MM)
-    update: dict[str, object] = {"size_mm": size, "center_mm": center}
+    update = _around(board, center, size)
     if board.barrier and board.barrier_gap_mm is None:
         update["barrier_gap_mm"] = placement.bond_wire_mm
     return scene.model_copy(update={"board": board.model_copy(update=update), "placement": None})
+
+
+def _around(board: Board, center_mm: Point, size_mm: Point) -> dict[str, object]:
+    """What puts a board's origin in the middle of its edges, its file's outline staying where it is."""
+    update: dict[str, object] = {"center_mm": center_mm, "size_mm": size_mm}
+    if board.outline_mm is None:
+        return update
+    du, dv = board.center_mm[0] - center_mm[0], board.center_mm[1] - center_mm[1]
+    corners, *holes = (tuple((x + du, y + dv) for x, y in line) for line in (board.outline_mm, *board.outline_holes_mm))
+    return update | {"outline_mm": corners, "outline_holes_mm": tuple(holes)}
 
 
 def candidate_scene(base: Scene, one: Candidate) -> Scene:
@@ -213,7 +231,7 @@ def explicit(scene: Scene, name: str) -> Scene:
     """The same layout with outline and wall spelled out, so that they stay when its photodiodes are taken away."""
     layout = scene.layout
     (u, v), (du, dv) = layout.outline.center_mm, scene.board.center_mm
-    update: dict[str, object] = {"center_mm": (u, v), "size_mm": layout.outline.size_mm}
+    update = _around(scene.board, (u, v), layout.outline.size_mm)
     if len(layout.barriers) > 1:
         raise InputError(f'layout "{name}": has walls on several sides; place takes boards with one wall or none.')
     for wall in layout.barriers:

@@ -14,7 +14,7 @@ from ...scene.positions import PlacedPart
 from ...statistics import jackknife, left_out
 from ...variables import Variables, variable
 from . import fisher
-from .boards import CandidateLayout, straight
+from .boards import CandidateLayout, rules, straight
 from .exchange import SearchedSite
 from .fisher import OperatingPoint, Response
 from .photon_maps import FingerCondition
@@ -191,8 +191,8 @@ def chosen(result: xr.Dataset) -> Scene:
 
 def outline(result: xr.Dataset) -> Outline:
     """The board's outline, as requested or as the best layout has it."""
-    requested = parse_scene(str(result.attrs["scene"]), name="the scene").placement
-    if requested is not None and requested.outline_mm is not None:
+    requested = rules(parse_scene(str(result.attrs["scene"]), name="the scene"))
+    if requested.outline_mm is not None:
         return Outline(requested.outline_mm, requested.outline_holes_mm)
     r = chosen(result).layout.outline
     return Outline(((r.u_min, r.v_min), (r.u_max, r.v_min), (r.u_max, r.v_max), (r.u_min, r.v_max)))
