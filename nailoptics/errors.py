@@ -3,6 +3,9 @@
 from collections.abc import Callable
 from typing import Any
 
+# Of one message; the middle of longer ones is left out.
+MOST_CHARACTERS = 1000
+
 
 class NailopticsError(Exception):
     """An error whose message is one clear line for the user."""
@@ -14,6 +17,11 @@ class InputError(NailopticsError):
     """The user's input is at fault: which field, which rule, which value, what to do."""
 
     exit_code = 2
+
+    def __init__(self, message: str) -> None:
+        # What files hold comes into messages, line breaks and endless names too.
+        line = " ".join(message.splitlines())
+        super().__init__(line if len(line) <= MOST_CHARACTERS else f"{line[:600]} ... {line[-300:]}")
 
 
 class NotReachedError(NailopticsError):

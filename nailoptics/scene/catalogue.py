@@ -11,7 +11,7 @@ from ..assets import WAVELENGTH_RANGE_NM, data_dir
 from ..checks import explain
 from ..errors import InputError
 from .base import PHOTON_NM_PER_V, Name, NonNegative, Point, Positive, Size, Table
-from .text_files import one_line, parse_toml, read_text
+from .text_files import is_there, one_line, parse_toml, read_text, short
 
 
 def _pattern(value: object) -> object:
@@ -185,12 +185,14 @@ def load_part(name: str, beside: Path | str | None = None, *, expect: type[Part]
 
 def _find_part(name: str, beside: Path | None) -> Path:
     if not re.fullmatch(r"\w[\w.-]*", name):
-        raise InputError(f'part "{name}" is not a name of letters, digits, "_", "-" and "."; give no path and no .toml')
+        raise InputError(
+            f'part "{short(name)}" is not a name of letters, digits, "_", "-" and "."; give no path and no .toml'
+        )
     shipped = data_dir("assets") / "parts"
     folders = [] if beside is None else [beside, beside / "parts"]
     for folder in (*folders, shipped):
-        if (path := folder / f"{name}.toml").is_file():
+        if is_there(path := folder / f"{name}.toml"):
             return path
     known = ", ".join(sorted(path.stem for path in shipped.glob("*.toml")))
-    own = "" if beside is None else f", or put your own {name}.toml into {beside}"
-    raise InputError(f'part "{name}" is unknown; choose one of {known}{own}')
+    own = "" if beside is None else f", or put your own {short(name)}.toml into {beside}"
+    raise InputError(f'part "{short(name)}" is unknown; choose one of {known}{own}')

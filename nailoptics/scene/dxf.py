@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
 from .base import Point, Polygon
+from .text_files import read_bytes
 
 if TYPE_CHECKING:
     from ezdxf.document import Drawing
@@ -99,10 +100,7 @@ def _open(path: Path) -> "Drawing":
         from ezdxf import recover
     except ImportError:
         raise InputError(f"{path}: reading DXF needs ezdxf: pip install 'nailoptics[cad]'.") from None
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}; give an outline.") from None
+    data = read_bytes(path, "an outline")
     try:
         if data.startswith(b"AutoCAD Binary DXF"):
             return ezdxf.readfile(path)

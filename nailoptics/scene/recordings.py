@@ -36,7 +36,7 @@ def read_columns(path: Path, name: str, known: Sequence[str], *, either: Sequenc
     header = [cell.strip() for cell in lines[0][1]] if lines else []
     if "time_s" not in header or not any(set(names) <= set(header) for names in either):
         others = "".join(f", or time_s and {' and '.join(names)}" for names in either[1:])
-        raise InputError(f"{shown} needs a header with {wanted}{others}, has {','.join(header) or 'nothing'!r}.")
+        raise InputError(f"{shown} needs a header with {wanted}{others}; write one, or give another file.")
     found = ["time_s", *(name for name in known if name in header)]
     places, rows = [header.index(name) for name in found], []
     for number, row in lines[1:]:

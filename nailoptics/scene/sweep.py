@@ -16,7 +16,7 @@ from ..errors import InputError
 from .base import Table
 from .files import load_scene, scene_of, schema_of
 from .models import Scene
-from .text_files import parse_toml, read_text
+from .text_files import is_there, one_line, parse_toml, read_text, short
 
 MAX_SCENES = 1_000_000
 # Names that the results themselves use.
@@ -76,7 +76,8 @@ class AxisTable(Table):
     def spaced_values(self) -> tuple[Any, ...]:
         """The values of an axis of a product or zip."""
         if self.linspace is not None:
-            return tuple(np.linspace(*self.linspace).tolist())
+            with np.errstate(all="ignore"):  # what overflows is no value of any field, which says so
+                return tuple(np.linspace(*self.linspace).tolist())
         return tuple(np.geomspace(*self.logspace).tolist()) if self.logspace is not None else self.values or ()
 
     def sampled_values(self, quantiles: np.ndarray) -> tuple[Any, ...]:
@@ -183,7 +184,7 @@ def load_sweep(path: str | Path) -> Sweep:
         return _build(SweepFile.model_validate(tables), path)
     except (ValidationError, InputError) as error:
         text = explain(error, SweepFile) if isinstance(error, ValidationError) else str(error)
-        raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+        raise InputError(one_line(text if text.startswith(str(path)) else f"{path}: {text}")) from None
 
 
 def sweep_json_schema() -> dict[str, Any]:
@@ -224,9 +225,9 @@ def _base(base: Any, path: Path) -> tuple[str, dict[str, Any], Path]:
     if isinstance(base, dict):
         return "base", base, path.parent
     file = path.parent / base
-    if not file.exists() and Path(base).parent == Path():
+    if not is_there(file) and Path(base).parent == Path():
         shipped = data_dir("scenes") / (base if base.endswith(".toml") else f"{base}.toml")
-        file = shipped if shipped.exists() else file
+        file = shipped if is_there(shipped) else file
     load_scene(file)  # a fault of the base is reported as its own, before any axis touches it
     return base, parse_toml(read_text(file, "the path of a scene file (TOML)"), str(file)), file.parent
 
@@ -248,7 +249,7 @@ def _scene(name: str, tables: dict[str, Any], folder: Path, axes: tuple[Axis, ..
     at = []
     for axis, value in zip(axes, values, strict=True):
         tables = _with(tables, _steps(axis.path), value, axis.path)
-        at.append(f"{axis.path} = {value}")
+        at.append(f"{axis.path} = {short(str(value))}")
     return scene_of(tables, folder=folder, name=f"{name} with {', '.join(at)}" if at else name)
 
 
@@ -274,5 +275,6 @@ def _place(items: Any, step: str | int, path: str) -> int:
         return step
     if step in names:
         return names.index(step)
-    known = f"0 to {len(items) - 1}" + (f" or {', '.join(n for n in names if n)}" if any(names) else "")
-    raise InputError(f'axis path "{path}": there is no item {step} here; known: {known}.')
+    told = [name for name in names if isinstance(name, str)]
+    known = f"0 to {len(items) - 1}" + (f" or {', '.join(told)}" if told else "")
+    raise InputError(short(f'axis path "{path}": there is no item {step} here; known: {known}', 300) + ".")

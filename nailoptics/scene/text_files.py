@@ -2,11 +2,19 @@
 
 import csv
 import math
+import stat
 import tomllib
 from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
+
+# A recording of a million samples has a tenth of it. [bytes]
+MOST_BYTES = 500e6
+# Tables and arrays in each other; a scene has five.
+MOST_DEPTH = 30
+# Of a whole number; Python writes none that is much longer.
+MOST_BITS = 8192
 
 
 def read_text(path: Path, wanted: str, *, shown: str | None = None, any_encoding: bool = False) -> str:
@@ -18,12 +26,13 @@ def read_text(path: Path, wanted: str, *, shown: str | None = None, any_encoding
 
     Raises: InputError.
     """
+    name = shown or str(path)
     try:
-        return decoded(path.read_bytes()) if any_encoding else path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{shown or path}: cannot be read: {error.strerror}; give {wanted}.") from None
+        data = read_bytes(path, wanted, shown=shown)
+        text = decoded(data) if any_encoding else data.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError(f"{shown or path}: is not a text file; give {wanted}.") from None
+        raise InputError(f"{name}: is not a text file; give {wanted}.") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def decoded(data: bytes) -> str:
@@ -36,31 +45,60 @@ def decoded(data: bytes) -> str:
         return data.decode("cp1252")
 
 
+def read_bytes(path: Path, wanted: str, *, shown: str | None = None) -> bytes:
+    """All that is in an ordinary file of bounded size; arguments as for `read_text`. Raises: InputError."""
+    name = shown or str(path)
+    try:
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
+            # A pipe would be waited for without end.
+            raise InputError(f"{name}: is no ordinary file; give {wanted}.")
+        if found.st_size > MOST_BYTES:
+            raise InputError(f"{name}: has {found.st_size / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:g}; shorten it.")
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{short(name)}: cannot be read: {error.strerror}; give {wanted}.") from None
+    except ValueError:  # a path with a character that none may have
+        raise InputError(f"{short(repr(name))}: is no path; give {wanted}.") from None
+
+
+def is_there(path: Path) -> bool:
+    """Whether there is such a file; not where the path cannot be one, because a name is too long or holds no text."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def read_rows(path: Path, wanted: str, *, shown: str | None = None) -> list[tuple[int, list[str]]]:
     """Rows of a CSV with their line numbers, without empty lines and comments; raises InputError as `read_text`."""
     reader = csv.reader(read_text(path, wanted, shown=shown).splitlines())
     try:
         numbered = [(reader.line_num, row) for row in reader]
-    except csv.Error:
-        raise InputError(f"{shown or path}: is not a text file; give {wanted}.") from None
+    except csv.Error as error:
+        raise InputError(f"{shown or path} line {reader.line_num}: is no line of a table ({error}).") from None
     return [(n, row) for n, row in numbered if any(cell.strip() for cell in row) and row[0].lstrip()[:1] != "#"]
 
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
     """TOML's tables, with tuples for its arrays, which is what frozen models hold; raises InputError."""
     try:
-        return {key: frozen(value) for key, value in tomllib.loads(text).items()}
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(one_line(f"{name}: is not valid TOML: {error}.")) from None
+        return {key: frozen(value, 1) for key, value in tomllib.loads(text).items()}
+    except ValueError as error:  # of TOML, or a number of too many digits
+        raise InputError(short(one_line(f"{name}: is not valid TOML: {error}"), 300) + ".") from None
     except RecursionError:
         raise InputError(f"{name}: is not valid TOML: its tables or arrays are nested too deep.") from None
 
 
-def frozen(data: Any) -> Any:
-    """The same tables with tuples for lists."""
+def frozen(data: Any, depth: int = 0) -> Any:
+    """The same tables with tuples for lists; raises ValueError or RecursionError for what no scene needs."""
+    if depth > MOST_DEPTH:
+        raise RecursionError
     if isinstance(data, dict):
-        return {key: frozen(value) for key, value in data.items()}
-    return tuple(frozen(item) for item in data) if isinstance(data, list) else data
+        return {key: frozen(value, depth + 1) for key, value in data.items()}
+    if isinstance(data, int) and data.bit_length() > MOST_BITS:
+        raise ValueError("it holds a number of thousands of digits")
+    return tuple(frozen(item, depth + 1) for item in data) if isinstance(data, list) else data
 
 
 def finite_number(text: str, name: str, where: str) -> float:
@@ -72,6 +110,11 @@ def finite_number(text: str, name: str, where: str) -> float:
     if not math.isfinite(value):
         raise InputError(f"{where}: {name} = {text!r} is not a number.")
     return value
+
+
+def short(text: str, most: int = 120) -> str:
+    """A text, or its beginning where it is too long for a message."""
+    return text if len(text) <= most else text[: most - 3] + "..."
 
 
 def one_line(text: str) -> str:

@@ -50,7 +50,7 @@ def test_a_recorded_pressure_becomes_part_of_the_scene(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("time_s,force_n\n0,1\n4,1\n", "needs a header with time_s and arterial_pressure_pa, has 'time_s,force_n'"),
+        ("time_s,force_n\n0,1\n4,1\n", "needs a header with time_s and arterial_pressure_pa; write one"),
         (
             "time_s,arterial_pressure_pa\n0,75\n4,7e4\n",
             "must lie in -10000 to 60000 Pa, found 70000",

@@ -100,7 +100,10 @@ def test_a_recording_may_hold_pressures_and_shear(tmp_path):
         ("time_s,force_n\n0,0\n1,inf\n", "not finite"),
         ("time_s,force_n\n0,0\n1,-0.5\n", "0 to 100 N, found -0.5"),
         ("time_s,force_n\n0,0\n1,1000\n", "0 to 100 N, found 1000"),
-        ("time_s,distal_pressure_pa\n0,0\n1,1\n", "or time_s and proximal_pressure_pa and distal_pressure_pa, has"),
+        (
+            "time_s,distal_pressure_pa\n0,0\n1,1\n",
+            "proximal_pressure_pa and distal_pressure_pa; write one",
+        ),
         ("time_s,force_n,shear_n\n0,0,0\n1,1,200\n", "shear_n must lie in -100 to 100 N, found 200"),
         ("time_s,force_n,shear_n\n0,0,0\n1,1,x\n", "line 3: '1,1,x' is not three numbers"),
         (b"\xff\xfe\x00\x01", "not a text file"),

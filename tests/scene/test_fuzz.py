@@ -1,0 +1,251 @@
+"""Whatever a file holds, reading it ends with what was read or with one line that says what is wrong."""
+
+import os
+import tomllib
+from datetime import date
+from pathlib import Path
+
+import pytest
+import tomli_w
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from nailoptics.assets import data_dir
+from nailoptics.errors import InputError
+from nailoptics.scene import load_scene
+from nailoptics.scene.catalogue import load_part
+from nailoptics.scene.outlines import read_outline
+from nailoptics.scene.positions import COLUMNS, read_positions
+from nailoptics.scene.sweep import load_sweep
+from nailoptics.scene.touch import read_touch
+
+fuzz = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+PROTOTYPE = tomllib.loads((data_dir("scenes") / "prototype.toml").read_text())
+
+
+def one_line_or_nothing(read, *arguments) -> str:
+    """What the user reads, having checked that it is nothing but one line of bounded length."""
+    try:
+        read(*arguments)
+    except InputError as error:
+        line = str(error)
+        assert error.exit_code == 2 and len(line.splitlines()) == 1 and len(line) < 2000, line
+        return line
+    return ""
+
+
+numbers = st.one_of(
+    st.floats(), st.integers(-(2**63), 2**63 - 1), st.sampled_from([0, -1, 1e308, 5e-324, 10**300, 1e9])
+)
+texts = st.one_of(
+    st.text(st.characters(exclude_categories=["Cs"]), max_size=12),
+    st.sampled_from(["", "x" * 5000, "../../etc/passwd", "a\0b", "led_800", "prototype", "=1+1", "inf", "nan"]),
+)
+leaves = st.one_of(numbers, texts, st.booleans(), st.dates(date(1, 1, 1)))
+values = st.recursive(
+    leaves, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(texts, inner, max_size=3), max_leaves=8
+)
+
+
+def places(tables, path=()):
+    """Where a table or array holds something."""
+    items = tables.items() if isinstance(tables, dict) else enumerate(tables)
+    for key, item in items:
+        yield (*path, key)
+        if isinstance(item, dict | list):
+            yield from places(item, (*path, key))
+
+
+def changed(tables, path, value):
+    """A copy with a value at a place."""
+    copy = dict(tables) if isinstance(tables, dict) else list(tables)
+    key, *rest = path
+    copy[key] = changed(copy[key], rest, value) if rest else value
+    return copy
+
+
+def toml(tables) -> bytes:
+    try:
+        return tomli_w.dumps(tables).encode()
+    except (TypeError, ValueError):  # what TOML cannot say
+        return b"schema_version = 1"
+
+
+@fuzz
+@given(st.data())
+def test_a_scene_with_anything_anywhere(tmp_path_factory, data):
+    path = tmp_path_factory.mktemp("fuzz") / "scene.toml"
+    tables = PROTOTYPE
+    for _ in range(data.draw(st.integers(1, 3))):
+        tables = changed(tables, data.draw(st.sampled_from(sorted(places(tables), key=str))), data.draw(values))
+    extra = data.draw(
+        st.dictionaries(st.sampled_from(["placement", "touch", "body", "priors", "phantom", "blood"]), values)
+    )
+    path.write_bytes(toml(tables | extra))
+    one_line_or_nothing(load_scene, path)
+
+
+AXIS = st.dictionaries(
+    st.sampled_from(["path", "name", "values", "linspace", "logspace", "range"]),
+    st.one_of(
+        values,
+        st.sampled_from(["blood.so2", "leds[0].flux_mw", "leds[7]", "leds.ir.part", "finger", "a..b", "touch.file"]),
+        st.lists(numbers, min_size=2, max_size=3),
+        st.tuples(numbers, numbers, st.integers(1, 4)).map(list),
+    ),
+)
+
+
+@fuzz
+@given(
+    st.dictionaries(st.sampled_from(["base", "scenes", "combine", "samples", "seed", "schema_version"]), values),
+    st.lists(AXIS, max_size=3),
+    st.booleans(),
+)
+def test_a_sweep_of_anything(tmp_path_factory, tables, axes, usual):
+    path = tmp_path_factory.mktemp("fuzz") / "sweep.toml"
+    samples = tables.get("samples")
+    if isinstance(samples, int) and samples > 4:  # a million scenes take minutes, rightly
+        tables["samples"] = 4
+    path.write_bytes(toml(({"schema_version": 1, "base": "prototype"} if usual else {}) | tables | {"axes": axes}))
+    one_line_or_nothing(load_sweep, path)
+
+
+@fuzz
+@given(st.dictionaries(texts | st.sampled_from(["kind", "peak_nm", "elements", "pattern", "pitch_mm"]), values))
+def test_a_part_of_anything(tmp_path_factory, tables):
+    folder = tmp_path_factory.mktemp("fuzz")
+    (folder / "mine.toml").write_bytes(toml(tables))
+    one_line_or_nothing(load_part, "mine", folder)
+
+
+@fuzz
+@given(texts)
+def test_a_part_of_any_name(tmp_path_factory, name):
+    one_line_or_nothing(load_part, name, tmp_path_factory.mktemp("fuzz"))
+
+
+cells = st.one_of(st.floats().map(str), texts, st.sampled_from(["0", "1", "90", "top", "bottom", "PD1", "D1"]))
+rows = st.lists(st.lists(cells, max_size=8).map(",".join), max_size=6).map("\n".join)
+
+
+@fuzz
+@given(st.sampled_from(["", ",".join(COLUMNS) + "\n"]), rows)
+def test_positions_of_anything(tmp_path_factory, head, body):
+    path = tmp_path_factory.mktemp("fuzz") / "positions.csv"
+    path.write_text(head + body, encoding="utf-8")
+    one_line_or_nothing(read_positions, path)
+
+
+@fuzz
+@given(st.sampled_from(["", "x_mm,y_mm\n"]), rows)
+def test_an_outline_of_anything(tmp_path_factory, head, body):
+    path = tmp_path_factory.mktemp("fuzz") / "outline.csv"
+    path.write_text(head + body, encoding="utf-8")
+    one_line_or_nothing(read_outline, path)
+
+
+@fuzz
+@given(st.sampled_from(["", "time_s,force_n\n", "time_s,proximal_pressure_pa,distal_pressure_pa\n"]), rows)
+def test_a_recorded_touch_of_anything(tmp_path_factory, head, body):
+    path = tmp_path_factory.mktemp("fuzz") / "touch.csv"
+    path.write_text(head + body, encoding="utf-8")
+    one_line_or_nothing(read_touch, path)
+
+
+groups = st.tuples(
+    st.sampled_from(["0", "10", "20", "11", "21", "40", "42", "50", "51", "70", "8"]) | texts,
+    st.sampled_from(["LINE", "ARC", "CIRCLE", "LWPOLYLINE", "0", "1", "-1", "1e300", "nan"]) | texts,
+)
+
+
+@fuzz
+@given(st.lists(groups, max_size=30), st.booleans())
+def test_a_dxf_of_anything(tmp_path_factory, drawn, inside):
+    path = tmp_path_factory.mktemp("fuzz") / "outline.dxf"
+    body = [("0", "SECTION"), ("2", "ENTITIES")] * inside + drawn
+    path.write_text("".join(f"{code}\n{value}\n" for code, value in body), encoding="utf-8")
+    one_line_or_nothing(read_outline, path)
+
+
+@fuzz
+@given(st.binary(max_size=200))
+def test_bytes_that_are_no_file_of_ours(tmp_path_factory, data):
+    folder = tmp_path_factory.mktemp("fuzz")
+    for name, read in (("a.toml", load_scene), ("b.toml", load_sweep), ("c.dxf", read_outline), ("d.csv", read_touch)):
+        (folder / name).write_bytes(data)
+        one_line_or_nothing(read, folder / name)
+
+
+def dxf(*entities: tuple[str, ...]) -> str:
+    body = "".join(f"{line}\n" for entity in entities for line in entity)
+    return f"0\nSECTION\n2\nENTITIES\n{body}0\nENDSEC\n0\nEOF\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (dxf(("0", "LINE", "10", "0", "20", "0")), "a LINE lacks one of start, end"),
+        (dxf(("0", "ARC", "10", "0", "20", "0")), "a ARC lacks one of"),
+        (dxf(("0", "CIRCLE", "10", "0")), "a CIRCLE lacks one of"),
+        ("", "no DXF|no line"),
+    ],
+    ids=["line", "arc", "circle", "empty"],
+)
+def test_what_a_dxf_lacks_is_told(tmp_path, text, words):
+    (tmp_path / "o.dxf").write_text(text)
+    with pytest.raises(InputError, match=words):
+        read_outline(tmp_path / "o.dxf")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a = " + "9" * 5000, "not valid TOML"),
+        ("a = 0x" + "f" * 5000, "thousands of digits"),
+        ("a = " + "[" * 400 + "]" * 400, "nested too deep"),
+        ("a = " + "[" * 9000 + "]" * 9000, "nested too deep"),
+        ("[" + ".".join("a" * 200) + "]", "nested too deep"),
+        ('schema_version = 1\n[finger]\n[[leds]]\nname = "ir"\npart = "' + "x" * 5000 + '"', "is unknown"),
+    ],
+    ids=["digits", "hexadecimal", "deep", "deeper", "tables", "name"],
+)
+def test_toml_beyond_all_bounds_is_told(tmp_path, text, words):
+    (tmp_path / "s.toml").write_text(text)
+    assert words in one_line_or_nothing(load_scene, tmp_path / "s.toml")
+
+
+def test_names_that_are_no_names_are_told(tmp_path):
+    sweep = 'schema_version = 1\nbase = "prototype"\n[[axes]]\npath = "leds.x.flux_mw"\nvalues = [1.0]\n'
+    base = tomllib.loads(sweep) | {"base": PROTOTYPE | {"leds": [{"name": ["a", "list"]}, {"name": "ir"}]}}
+    (tmp_path / "s.toml").write_bytes(toml(base))
+    assert "there is no item x here; known: 0 to 1 or ir" in one_line_or_nothing(load_sweep, tmp_path / "s.toml")
+    (tmp_path / "t.toml").write_text(sweep.replace("prototype", "x" * 5000))
+    assert "cannot be read" in one_line_or_nothing(load_sweep, tmp_path / "t.toml")
+
+
+def test_a_cell_over_128_kb_is_told(tmp_path):
+    (tmp_path / "t.csv").write_text("time_s,force_n\n0," + "1" * 140_000 + "\n")
+    for read in (read_touch, read_outline, read_positions):
+        assert one_line_or_nothing(read, tmp_path / "t.csv")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
+@pytest.mark.parametrize("name", ["outline.dxf", "outline.csv"])
+def test_a_pipe_is_no_file_and_nobody_waits_for_it(tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    assert "no ordinary file" in one_line_or_nothing(read_outline, tmp_path / name)
+    assert "no ordinary file" in one_line_or_nothing(load_scene, tmp_path / name)
+
+
+def test_a_file_beyond_all_bounds_is_not_read(tmp_path):
+    with open(tmp_path / "s.toml", "wb") as file:
+        file.truncate(600_000_000)
+    assert "600 MB" in one_line_or_nothing(load_scene, tmp_path / "s.toml")
+
+
+def test_no_message_quotes_a_foreign_file(tmp_path):
+    (tmp_path / "secret").write_text("root:x:0:0:hidden\n")
+    scene = 'schema_version = 1\n[finger]\n[touch]\nprofile = "recorded"\nfile = "secret"\n'
+    (tmp_path / "s.toml").write_text(scene)
+    assert "hidden" not in one_line_or_nothing(load_scene, Path(tmp_path / "s.toml"))
