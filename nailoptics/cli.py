@@ -53,8 +53,8 @@ def run(arguments: list[str]) -> int:
             line, code = f"{error} (nailoptics --help shows what is known)", 2
         except NailopticsError as error:
             line, code = str(error), error.exit_code
-        except KeyboardInterrupt:
-            line, code = "interrupted; nothing was finished.", 130
+        except KeyboardInterrupt as error:
+            line, code = str(error) or "interrupted; no result was written.", 130
         except BrokenPipeError:
             silence_stdout()
             return 0
@@ -225,9 +225,12 @@ def batch(
     if output is None:
         raise InputError("batch needs -o DIR, a folder for its results.")
     how = {"workers": workers, "scheduler": scheduler, "shard": shard, "retry_failed": retry_failed}
-    outcome, unmet = _watched(batches.run_batch, planned, output, shown=batch_progress, **how, **options.fields)
+    unmet = None
     try:
+        outcome, unmet = _watched(batches.run_batch, planned, output, shown=batch_progress, **how, **options.fields)
         paths = write_sweep(batches.open_results(output), output, failures=outcome.failed)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"interrupted; what is done is kept in {output}, run again to go on.") from None
     except InputError as error:  # a full disk ended the batch, too, which said so
         raise unmet or error from None
     there = f"{len(outcome.done)} scenes done, {len(outcome.kept)} were there before; {outcome.lights} traces for all"
@@ -470,6 +473,33 @@ def schema(
     from .scene.sweep import sweep_json_schema
 
     print_json(sweep_json_schema() if of == "sweep" else scene.json_schema())
+
+
+@app.command(name="store")
+def show_store(
+    *,
+    list_: Annotated[
+        bool, Parameter(name="--list", negative="", help="List what is there, longest unused first.")
+    ] = False,
+    clear: Annotated[bool, Parameter(negative="", help="Remove all of it.")] = False,
+    json_: Json = False,
+) -> None:
+    """Show where the light that was traced is kept, and how much; NAILOPTICS_STORE names another folder, or off."""
+    from .light.store import VARIABLE, LightStore, entries, remove
+
+    store = LightStore.of_user()
+    if store is None:
+        raise InputError(f"{VARIABLE} = off: no light is kept; unset it, or set it to a folder.")
+    found = entries(store)
+    if clear:
+        for folder in store.folders():
+            remove(folder)
+    size = sum(entry.bytes for entry in found)
+    summary = {"folder": str(store.root), "lights": len(found), "bytes": size, "most_bytes": int(store.most_bytes)}
+    shown = [vars(entry) for entry in found] if list_ else []
+    line = f"{store.root}: {len(found)} lights, {size / 1e6:.1f} MB of at most {store.most_bytes / 1e6:.0f}"
+    lines = [*(found if list_ else []), line + (", removed" if clear else "")]
+    _show(summary | ({"entries": shown} if list_ else {}) | {"cleared": clear}, lines, {}, json_)
 
 
 @app.command

@@ -3,10 +3,13 @@
 import contextlib
 import errno
 import json
+import math
 import os
 import secrets
+import struct
 import zlib
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +29,10 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 # The end of an archive, its checksum in hexadecimal.
 _CHECKSUM = 8
 _NUMBERS = "biuf"
+# What a spreadsheet takes for the beginning of a formula.
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+# What a member of an archive begins with, and the flag of one whose size is told after it.
+_MEMBER, _SIZE_FOLLOWS = b"PK\x03\x04", 8
 
 
 class CorruptError(Exception):
@@ -148,6 +155,11 @@ def write_dataset(dataset: "xr.Dataset", path: Path) -> None:
     write_bytes(path, data)
 
 
+def plain_cell(value: Any) -> Any:
+    """A cell of a table for spreadsheets: a text that one would run as a formula stays text, behind an apostrophe."""
+    return f"'{value}" if isinstance(value, str) and value[:1] in _FORMULA else value
+
+
 def to_json(value: Any) -> str:
     """A value as JSON text; what is NaN or infinite, and so unknown to JSON, becomes null."""
     plain = json.loads(json.dumps(value, default=float), parse_constant=lambda name: None)
@@ -178,16 +190,58 @@ def unpack(data: bytes | memoryview, *, arrays: bool = True) -> tuple[dict[str, 
 
     arrays : whether they are wanted; the header alone takes a tenth of the time.
     """
-    import numpy as np
-
+    data = memoryview(data)
     if f"{zlib.crc32(data[:-_CHECKSUM]):0{_CHECKSUM}x}".encode() != data[-_CHECKSUM:]:
         raise CorruptError("its checksum does not hold")
     try:
-        with np.load(BytesIO(data)) as stored:
-            found = {name: stored[name] for name in (stored.files if arrays else ["header"])}
-        return json.loads(found.pop("header").tobytes()), found
+        found = {}
+        for name, array in _members(data):
+            found[name] = array
+            if not arrays and name == "header":
+                break
+        header = json.loads(found.pop("header").tobytes())
     except Exception as error:  # what is no archive of ours fails in many ways
         raise CorruptError(f"it is no archive of numbers ({error})") from None
+    if not isinstance(header, dict):
+        raise CorruptError("its header is no table")
+    return header, found
+
+
+def _members(data: memoryview) -> "Iterator[tuple[str, np.ndarray]]":
+    """The arrays of an archive that `pack` wrote, one after the other.
+
+    Ten times as fast as `numpy.load`, which looks every member up and parses its description anew.
+    """
+    import numpy as np
+
+    at = 0
+    while data[at : at + 4] == _MEMBER:
+        flags, method = struct.unpack_from("<HH", data, at + 6)
+        name, extra = struct.unpack_from("<HH", data, at + 26)
+        if method or flags & _SIZE_FOLLOWS:
+            raise ValueError("it is compressed")
+        first = at + 30 + name + extra
+        (length,) = struct.unpack_from("<H", data, first + 8)
+        body = first + 10 + length
+        dtype, shape, fortran = _described(bytes(data[first:body]))
+        array = np.frombuffer(data, dtype, math.prod(shape), body)
+        array = array.reshape(shape[::-1]).T.copy("F") if fortran else array.reshape(shape).copy()
+        yield str(data[at + 30 : at + 30 + name], "utf-8").removesuffix(".npy"), array
+        at = body + array.nbytes
+
+
+@lru_cache(maxsize=4096)
+def _described(head: bytes) -> "tuple[np.dtype[Any], tuple[int, ...], bool]":
+    """Type, shape and whether columns come first, of an array's description; many files share theirs."""
+    from numpy.lib import format as npy
+
+    file = BytesIO(head)
+    if npy.read_magic(file) != (1, 0):
+        raise ValueError("it is described in another version")
+    shape, fortran, dtype = npy.read_array_header_1_0(file)
+    if dtype.kind not in _NUMBERS:
+        raise ValueError(f"it holds {dtype}, which is no number")
+    return dtype, shape, fortran
 
 
 def _refused(path: Path, error: OSError, *, size: int = 0) -> WriteError:

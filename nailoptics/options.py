@@ -21,6 +21,7 @@ class Requested(TypedDict, total=False):
     relative_error: float | None
     max_seconds: float | None
     photons: int | None
+    store: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +42,8 @@ class TraceOptions:
     """Wall time after which tracing ends with what there is. [s]"""
     photons: int | None = None
     """Photons per LED, in place of a tolerance."""
+    store: bool = True
+    """Keep what is traced on disk, and take what was traced before: same seed, same bits."""
 
     def __post_init__(self) -> None:
         checks.seed(self.seed)

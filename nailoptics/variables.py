@@ -1,8 +1,11 @@
 """Variables of a Dataset under the CF conventions: dimensions, values, units, a name in words, and a standard error."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Variable = tuple[tuple[str, ...], np.ndarray, dict[str, str]]
 Variables = dict[str, Variable]
@@ -24,3 +27,30 @@ def variable(
         name: (dims, np.asarray(values), attributes | {"ancillary_variables": f"{name}_stderr"}),
         f"{name}_stderr": (dims, np.asarray(stderr), beside),
     }
+
+
+def to_record(dataset: "xr.Dataset") -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """A dataset as a header for JSON and arrays of numbers."""
+    variables, arrays = {}, {}
+    for name, one in dataset.variables.items():
+        entry: dict[str, Any] = {"dims": one.dims, "attrs": one.attrs, "coord": name in dataset.coords}
+        if one.dtype.kind in "biuf":
+            arrays[str(name)] = one.values
+        else:
+            entry["text"] = [str(item) for item in one.values.ravel()]
+            entry["shape"] = one.shape
+        variables[str(name)] = entry
+    kept = {k: v for k, v in dataset.attrs.items() if k not in ("scene", "cpu_seconds", "wall_seconds", "reused")}
+    return {"variables": variables, "attrs": kept}, arrays
+
+
+def from_record(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> "xr.Dataset":
+    """The dataset that `to_record` took apart."""
+    import xarray as xr
+
+    data: dict[str, Any] = {}
+    coords: dict[str, Any] = {}
+    for name, entry in header["variables"].items():
+        values = arrays[name] if name in arrays else np.array(entry["text"], dtype=str).reshape(entry["shape"])
+        (coords if entry["coord"] else data)[name] = (tuple(entry["dims"]), values, entry["attrs"])
+    return xr.Dataset(data, coords=coords, attrs=header["attrs"])

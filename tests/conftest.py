@@ -2,13 +2,23 @@
 
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from nailoptics.errors import InputError
 from nailoptics.light import backend
 
+# No test reads or writes the user's store; those that test one have their own.
+os.environ["NAILOPTICS_STORE"] = "off"
 IN_CI = os.environ.get("CI", "").lower() in ("true", "1")
+
+
+@pytest.fixture
+def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A store of traced light for this test alone, and for the processes that it starts."""
+    monkeypatch.setenv("NAILOPTICS_STORE", str(tmp_path / "store"))
+    return tmp_path / "store"
 
 
 @pytest.fixture(scope="session")

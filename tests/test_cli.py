@@ -241,7 +241,7 @@ def only_json(capfd) -> dict:
 
 
 def assert_traced(found: dict, *, engine: str, name: str) -> None:
-    known = {"readings", "energy", "photons", "engine", "backend", "cpu_seconds", "wall_seconds"}
+    known = {"readings", "energy", "photons", "engine", "backend", "cpu_seconds", "wall_seconds", "reused"}
     assert set(found) - known == ({"absorbed", "note"} if engine == "photons" else set()) and known <= set(found)
     assert (found["engine"], found["backend"]) == (engine, name)
     assert found["photons"] > 0 and found["cpu_seconds"] > 0 and found["wall_seconds"] > 0

@@ -198,7 +198,7 @@ def test_objects_are_neither_written_nor_read():
         io.pack({}, {"a": np.array([object()])})
     foreign = BytesIO()
     np.savez(foreign, header=np.frombuffer(b"{}", np.uint8), a=np.array([object()]))
-    with pytest.raises(io.CorruptError, match="pickle"):
+    with pytest.raises(io.CorruptError, match="object, which is no number"):
         io.unpack(signed(foreign.getvalue()))
     for data in (b"", b"nailoptics-record 1 ", b"\x89HDF\r\n\x1a\n", b"12345678"):
         with pytest.raises(io.CorruptError):

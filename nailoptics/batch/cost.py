@@ -15,6 +15,7 @@ from ..light.tracing import photons_engine
 from ..options import Requested, TraceOptions
 from ..scene import Scene
 from ..scene.sweep import Sweep
+from ..variables import to_record
 from . import reading
 from .plan import plan
 from .status import duration_text
@@ -78,7 +79,7 @@ def _cost(scene: Scene, settings: Settings) -> tuple[float, float, float, float]
             floor = VOLPATH_RELATIVE_ERROR if scene.finger is not None else 0.0
             error = min(reading.relative_error(dataset), 1.0)  # a photodiode may have seen nothing yet
             more = max((error / max(required.relative_error or floor, floor)) ** 2, 1.0)
-        size = len(pack(*reading.to_record(dataset)))
+        size = len(pack(*to_record(dataset)))
         return (time.process_time() - begin) * more, 0.0, 0.0, float(size)
     engine_class, _ = photons_engine(scene, settings.options.backend)
     full: int = engine_class.batch_photons
@@ -94,11 +95,11 @@ def _cost(scene: Scene, settings: Settings) -> tuple[float, float, float, float]
     if required.photons is None and required.relative_error is not None and math.isfinite(error):
         times = max((error / required.relative_error) ** 2, 1.0)
     kept = sum(t.weight.nbytes + t.path_mm.nbytes + t.photodiode.nbytes for t in transfer.traces)
-    return opening + times * (spent - opening), read_s, times * kept, float(len(pack(*reading.to_record(dataset))))
+    return opening + times * (spent - opening), read_s, times * kept, float(len(pack(*to_record(dataset))))
 
 
 def _traced(scene: Scene, settings: Settings, *, photons: int) -> tuple[float, Transfer]:
     """Processor seconds of a trace from the scene on, and what it traced."""
     begin = time.process_time()
-    transfer = trace(scene, photons=photons, seed=1, backend=settings.options.backend)
+    transfer = trace(scene, photons=photons, seed=1, backend=settings.options.backend, store=False)
     return time.process_time() - begin, transfer

@@ -1,7 +1,9 @@
 """A batch folder: where plan, traced light, results and failures lie, and who works on what."""
 
+import errno
 import json
-import time
+import math
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,14 +12,28 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..io import CorruptError, check_writable, claimed, make_folder, pack, unpack, write_bytes
-from ..light.records import Batch, LedBatches
+from ..io import CorruptError, check_writable, claimed, make_folder, unpack, write_bytes
+from ..light.store import LightStore, sweep_leftovers
 
-FORMAT = 1
-# Older leftovers of killed writers are swept away; a writer at work is never this slow. [s]
-_LEFTOVER_S = 3600.0
-_COLUMNS = ("photodiode", "weight", "path_mm")
-_SUMS = ("energy", "absorbed")
+FORMAT = 2
+# What a plan holds, each of its type.
+_PLAN: dict[str, type | tuple[type, ...]] = {
+    "sweep": str,
+    "dims": dict,
+    "axes": list,
+    "made": dict,
+    "scenes": list,
+    "asked": list,
+    "lights": int,
+}
+# What makes a result's header.
+_RESULT = {"digest", "made", "variables", "attrs", "photons_per_led", "relative_error", "reached"}
+# Trouble of the disk, which is not that of one file.
+STORAGE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.ESTALE}
+
+
+class ForeignError(CorruptError):
+    """A result is whole, but of another run: another seed, backend or version made it."""
 
 
 @dataclass(frozen=True)
@@ -31,13 +47,7 @@ class Folder:
         for name in ("results", "light", "failed"):
             make_folder(self.root / name)
             check_writable(self.root / name)
-        old = time.time() - _LEFTOVER_S
-        try:
-            for part in self.root.glob("*/.*.part"):
-                if part.stat().st_mtime < old:
-                    part.unlink(missing_ok=True)
-        except OSError:
-            pass  # another run swept first, or they are another user's
+        sweep_leftovers(self.root)
 
     def result(self, digest: str) -> Path:
         """The result of one scene."""
@@ -47,9 +57,9 @@ class Folder:
         """Why a scene failed."""
         return self.root / "failed" / f"{digest}.json"
 
-    def light(self, key: str, led: int) -> Path:
-        """The traced light of one LED."""
-        return self.root / "light" / f"{key}-{led}.dat"
+    def store(self, tell: Callable[[Path, Exception], None]) -> LightStore:
+        """The traced light; tell is called with a file of it that is not what was written, and why."""
+        return LightStore(self.root / "light", tell=tell)
 
     def read_plan(self) -> dict[str, Any]:
         """The plan of the last run; raises InputError where there is none."""
@@ -57,25 +67,45 @@ class Folder:
         try:
             plan = json.loads(path.read_text(encoding="utf-8"))
             if plan["format"] != FORMAT:
-                raise InputError(f"{path}: format {plan['format']} is not known here; use a newer nailoptics.")
+                raise InputError(
+                    f"{path}: has format {plan['format']}, and {FORMAT} is known here: another nailoptics wrote it; "
+                    "use that one, or another folder."
+                )
+            _check_plan(plan)
             return plan
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             raise InputError(
                 f"{self.root}: is not a batch folder (it has no plan.json); give the folder of a batch."
             ) from None
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{path}: cannot be read ({error}); run the batch again to write it anew.") from None
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+            why = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+            raise InputError(f"{path}: cannot be read ({why}); run the batch again to write it anew.") from None
 
     def write_plan(self, plan: dict[str, Any]) -> None:
         """Write the plan, whole or not at all."""
         write_bytes(self.root / "plan.json", json.dumps({"format": FORMAT} | plan).encode(), flush=True)
 
-    def read_result(self, digest: str, *, arrays: bool = True) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
-        """A scene's result or its header alone, or None; raises CorruptError where it is not what was written."""
+    def read_result(
+        self, digest: str, *, made: dict[str, Any], arrays: bool = True
+    ) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
+        """A scene's result or its header alone, or None; raises CorruptError where it is not what was written.
+
+        made : with which seed, backend and versions it must have been made; else ForeignError.
+        """
         found = _read(self.result(digest), arrays=arrays)
-        if found is not None and found[0].get("digest") != digest:
+        if found is None:
+            return None
+        if not found[0].keys() >= _RESULT:
+            raise CorruptError("it is no result")
+        if found[0]["digest"] != digest:
             raise CorruptError("it belongs to another scene")
+        if found[0]["made"] != made:
+            raise ForeignError("it was made with another seed, backend or version")
         return found
+
+    def gone(self) -> bool:
+        """Whether somebody removed the folder, or the plan in it, since the run began."""
+        return not (self.root / "plan.json").exists()
 
     def why_failed(self, digest: str) -> str:
         """Why a scene failed, in one line."""
@@ -88,41 +118,6 @@ class Folder:
         """Record why a scene failed."""
         write_bytes(self.failure(digest), json.dumps(failure).encode(), flush=True)
 
-    def read_light(self, key: str, led: int, *, made: dict[str, Any]) -> LedBatches | None:
-        """The batches that are traced, or None; raises CorruptError where they are not what was written.
-
-        made : how the light must have been made.
-        """
-        found = _read(self.light(key, led))
-        if found is None:
-            return None
-        header, arrays = found
-        if header["made"] != made or not all("absorbed" in piece for piece in header["pieces"]):
-            return None
-        pieces, end = {}, 0
-        for piece in header["pieces"]:
-            start, end = end, end + piece["records"]
-            columns: dict[str, Any] = {name: arrays[name][start:end] for name in _COLUMNS}
-            columns |= {name: {part: (a, b) for part, (a, b) in piece[name].items()} for name in _SUMS}
-            one = Batch(photons=piece["photons"], events=piece["events"], **columns)
-            pieces[piece["number"], piece["photons"]] = one
-        return LedBatches(arrays["mu_a"], pieces)
-
-    def write_light(self, key: str, led: int, light: LedBatches, *, made: dict[str, Any]) -> None:
-        """Write the batches that are traced; losing them costs time only."""
-        pieces = [
-            {
-                "number": number,
-                "photons": photons,
-                "records": len(batch.weight),
-                "events": batch.events,
-            }
-            | {name: getattr(batch, name) for name in _SUMS}
-            for (number, photons), batch in light.pieces.items()
-        ]
-        arrays = {name: np.concatenate([getattr(b, name) for b in light.pieces.values()]) for name in _COLUMNS}
-        write_bytes(self.light(key, led), pack({"made": made, "pieces": pieces}, arrays | {"mu_a": light.mu_a}))
-
     def claimed(self, digest: str) -> AbstractContextManager[bool]:
         """Whether this process is the only one that works on what has this digest."""
         return claimed(self.root / ".claims", int(digest[:15], 16))
@@ -134,3 +129,27 @@ def _read(path: Path, *, arrays: bool = True) -> tuple[dict[str, Any], dict[str,
         return unpack(path.read_bytes(), arrays=arrays)
     except FileNotFoundError:
         return None
+    except OSError as error:
+        if error.errno in STORAGE:
+            raise
+        raise CorruptError(f"it cannot be read: {error.strerror}") from None
+
+
+def _check_plan(plan: dict[str, Any]) -> None:
+    """Raise KeyError or ValueError where a plan is not whole."""
+    for name, kind in _PLAN.items():
+        if not isinstance(plan[name], kind):
+            raise ValueError(f"its {name} is no {kind}")
+    sizes = list(plan["dims"].values())
+    if not all(isinstance(size, int) and size > 0 for size in sizes):
+        raise ValueError("its dims are no sizes")
+    if not math.prod(sizes) == len(plan["scenes"]) == len(plan["asked"]):
+        raise ValueError("its scenes do not fill its dims")
+    if not all(isinstance(one, str) and one.isalnum() for one in plan["scenes"]):
+        raise ValueError("its scenes are no digests")
+    for axis in plan["axes"]:
+        if not isinstance(axis["values"], list) or len(axis["values"]) not in sizes:
+            raise ValueError(f"its axis {axis['name']} fits no dimension")
+        axis["path"]
+    for name in ("seed", "backend", "versions"):
+        plan["made"][name]

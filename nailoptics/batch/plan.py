@@ -53,13 +53,15 @@ class Todo:
 
     jobs : one per light, each with all its scenes.
     kept : digests that are done as required. failed : those that failed before, which stay so.
-    corrupt : results that are not what was written, and will be made again.
+    corrupt, foreign : results that are not what was written, or that another seed, backend or version made; both will
+        be made again.
     """
 
     jobs: list[Job]
     kept: list[str]
     failed: list[str]
     corrupt: list[str]
+    foreign: list[str]
 
 
 def left(planned: list[Planned], folder: Folder, settings: Settings, *, retry_failed: bool) -> Todo:
@@ -67,17 +69,18 @@ def left(planned: list[Planned], folder: Folder, settings: Settings, *, retry_fa
     groups: dict[str, dict[str, Scene]] = {}
     kept: list[str] = []
     failed: list[str] = []
-    corrupt: list[str] = []
+    again: dict[str, list[str]] = {"corrupt": [], "foreign": []}
     for p in {p.digest: p for p in planned}.values():
-        stands = standing(folder, p.digest, settings.required(p.scene))
+        stands = standing(folder, p.digest, settings.required(p.scene), settings.made())
         if stands == "done":
             kept.append(p.digest)
         elif stands == "failed" and not retry_failed:
             failed.append(p.digest)
         else:
             groups.setdefault(p.key, {})[p.digest] = p.scene
-            corrupt += [p.digest] if stands == "corrupt" else []
-    return Todo([Job(key, tuple(scenes.items())) for key, scenes in groups.items()], kept, failed, corrupt)
+            if stands in again:
+                again[stands].append(p.digest)
+    return Todo([Job(key, tuple(scenes.items())) for key, scenes in groups.items()], kept, failed, **again)
 
 
 def first_of(job: Job) -> Job:
@@ -96,22 +99,40 @@ def as_json(sweep: Sweep, planned: list[Planned], settings: Settings) -> dict[st
         "sweep": sweep.name,
         "dims": sweep.dims,
         "axes": [{"name": a.name, "path": a.path, "values": a.values} for a in sweep.axes],
-        **{name: getattr(settings.options, name) for name in ("seed", "backend", "photons", "relative_error")},
+        "made": settings.made(),
+        **{name: getattr(settings.options, name) for name in ("photons", "relative_error")},
         "scenes": [p.digest for p in planned],
         "asked": [settings.required(p.scene).model_dump(exclude_none=True) for p in planned],
         "lights": len({p.key for p in planned}),
     }
 
 
-def check_same(folder: Folder, settings: Settings) -> None:
-    """Raise InputError where the folder holds results of another seed or backend."""
+def check_same(folder: Folder, planned: list[Planned], settings: Settings) -> str:
+    """Raise InputError where the folder was begun with another sweep, seed, backend or version.
+
+    A sweep may grow: one that holds all scenes that were planned before goes on in their folder.
+
+    Returns: what is wrong with the plan that lies there, and so will be written anew; empty if nothing is.
+    """
     try:
         old = folder.read_plan()
-    except InputError:
-        return  # there is none, or it is written anew
+    except InputError as error:
+        return str(error) if not folder.gone() else ""
+    wanted = settings.made()
     for name in ("seed", "backend"):
-        if old.get(name) != (mine := getattr(settings.options, name)):
+        if old["made"][name] != (mine := wanted[name]):
             raise InputError(
-                f"{folder.root}: was begun with {name} {old.get(name)}, and {mine} is requested; "
-                f"use --{name} {old.get(name)} or another folder."
+                f"{folder.root}: was begun with {name} {old['made'][name]}, and {mine} is requested; "
+                f"use --{name} {old['made'][name]} or another folder."
             )
+    if old["made"] != wanted:
+        begun, here = ({**one["versions"]} for one in (old["made"], wanted))
+        moved = [f"{name} {begun.get(name)} and is {now} here" for name, now in here.items() if begun.get(name) != now]
+        raise InputError(f"{folder.root}: was begun with {', '.join(moved)}; use that version, or another folder.")
+    others = len(set(old["scenes"]) - {p.digest for p in planned})
+    if others:
+        raise InputError(
+            f'{folder.root}: holds the sweep "{old["sweep"]}", and {others} of its {len(old["scenes"])} scenes are not '
+            "in this one; use another folder."
+        )
+    return ""

@@ -1,7 +1,6 @@
 """What a batch keeps of a scene: its readings as a dataset, and that dataset as a record."""
 
 import math
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -100,28 +99,3 @@ def by_volpath(scene: Scene, options: TraceOptions) -> tuple[xr.Dataset, int, bo
         attrs={"engine": "volpath", "backend": rest.backend},
     )
     return dataset, rest.photons, not unmet
-
-
-def to_record(dataset: xr.Dataset) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """A dataset as a header for JSON and arrays of numbers."""
-    variables, arrays = {}, {}
-    for name, one in dataset.variables.items():
-        entry: dict[str, Any] = {"dims": one.dims, "attrs": one.attrs, "coord": name in dataset.coords}
-        if one.dtype.kind in "biuf":
-            arrays[str(name)] = one.values
-        else:
-            entry["text"] = [str(item) for item in one.values.ravel()]
-            entry["shape"] = one.shape
-        variables[str(name)] = entry
-    kept = {k: v for k, v in dataset.attrs.items() if k not in ("scene", "cpu_seconds", "wall_seconds")}
-    return {"variables": variables, "attrs": kept}, arrays
-
-
-def from_record(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> xr.Dataset:
-    """The dataset that `to_record` took apart."""
-    data: dict[str, Any] = {}
-    coords: dict[str, Any] = {}
-    for name, entry in header["variables"].items():
-        values = arrays[name] if name in arrays else np.array(entry["text"], dtype=str).reshape(entry["shape"])
-        (coords if entry["coord"] else data)[name] = (tuple(entry["dims"]), values, entry["attrs"])
-    return xr.Dataset(data, coords=coords, attrs=header["attrs"])

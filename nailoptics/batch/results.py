@@ -1,5 +1,7 @@
 """The results of a batch as one dataset over the sweep's axes, and as a table."""
 
+import logging
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -7,17 +9,36 @@ import numpy as np
 import xarray as xr
 
 from ..errors import InputError
-from ..io import CorruptError, write_text
-from . import reading
-from .folder import Folder
+from ..io import CorruptError, plain_cell, write_text
+from .folder import Folder, ForeignError
 
-DONE, MISSING, FAILED, CORRUPT = "done", "missing", "failed", "corrupt"
+log = logging.getLogger(__name__)
+
+DONE, MISSING, FAILED, CORRUPT, FOREIGN = "done", "missing", "failed", "corrupt", "foreign"
+# A variable of one scene: dimensions, values, attributes.
+Stored = tuple[tuple[str, ...], np.ndarray, dict[str, Any]]
+# What a result's header says of it, in the table: its name there, units, text.
+_TOLD = (
+    ("relative_error", "relative_error", "largest relative error"),
+    ("photons", "photons_per_led", "photons per LED"),
+    ("reached", "reached", "as accurate as requested"),
+)
+
+
+@dataclass(frozen=True)
+class _Result:
+    """One scene's result, taken apart: a dataset of its own for each would take most of the time."""
+
+    data: dict[str, Stored]
+    coords: dict[str, Stored]
+    attrs: dict[str, Any]
 
 
 def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
     """All results of a batch as one dataset, with the sweep's axes as its first dimensions and as coordinates.
 
-    Scenes that are missing or failed are NaN (numbers), False or empty text; `state` says which.
+    Scenes without a result of this batch are NaN (numbers), False or empty text; `state` says why: missing, failed,
+    corrupt, or foreign, which is another seed's, backend's or version's.
 
     course : also what runs over time (volts, blood, force), for which the scenes must share their times.
 
@@ -26,67 +47,94 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
     place = Folder(Path(folder))
     plan = place.read_plan()
     dims, shape = tuple(plan["dims"]), tuple(plan["dims"].values())
-    names = [axis["name"] for axis in plan["axes"]]
-    states, found = [], []
+    names = {axis["name"] for axis in plan["axes"]}
+    states: list[str] = []
+    found: list[_Result | None] = []
     for digest in plan["scenes"]:
-        one, state = None, FAILED if place.failure(digest).exists() else MISSING
+        one, state = None, DONE
         try:
-            if stored := place.read_result(digest):
-                one, state = _one(*stored, course), DONE
-                # An axis may be called as a result is: leds.ir.wavelength_nm.
-                one = one.rename({name: f"{name}_result" for name in names if name in one.data_vars})
-        except CorruptError:
-            state = CORRUPT
+            stored = place.read_result(digest, made=plan["made"])
+            if stored:
+                one = _result(*stored, names, course)
+            else:
+                state = FAILED if place.failure(digest).exists() else MISSING
+        except ForeignError:
+            state = FOREIGN
+        except (CorruptError, KeyError, TypeError, ValueError):
+            state = FAILED if place.failure(digest).exists() else CORRUPT
         states.append(state)
         found.append(one)
+    for state, why in ((CORRUPT, "damaged"), (FOREIGN, "another seed's, backend's or version's")):
+        if count := states.count(state):
+            log.warning("%s: %d results are %s and left out; run the batch again", place.root, count, why)
     dataset = _stacked(found, dims, shape)
-    dataset["state"] = (dims, np.array(states).reshape(shape), {"long_name": "done, missing, failed or corrupt"})
+    text = "done, missing, failed, corrupt or foreign"
+    dataset["state"] = (dims, np.array(states).reshape(shape), {"long_name": text})
     dataset["digest"] = (dims, np.array(plan["scenes"]).reshape(shape), {"long_name": "digest of the scene"})
     dataset = dataset.assign_coords(_coordinates(plan))
     dataset.attrs |= {"title": f"nailoptics: batch {plan['sweep']}", "Conventions": "CF-1.11"}
-    dataset.attrs |= {name: plan[name] for name in ("seed", "backend")}
+    dataset.attrs |= {name: plan["made"][name] for name in ("seed", "backend")}
     return dataset
 
 
-def _one(header: dict[str, Any], arrays: dict[str, np.ndarray], course: bool) -> xr.Dataset:
-    one = reading.from_record(header, arrays)
-    if not course:
-        one = one.drop_dims("time", errors="ignore").drop_vars("time", errors="ignore")
-    error = header["relative_error"]
-    return one.assign(
-        relative_error=((), np.nan if error is None else error, {"units": "1", "long_name": "largest relative error"}),
-        photons=((), float(header["photons_per_led"]), {"units": "1", "long_name": "photons per LED"}),
-        reached=((), bool(header["reached"]), {"units": "1", "long_name": "as accurate as requested"}),
-    )
+def _result(header: dict[str, Any], arrays: dict[str, np.ndarray], axes: set[str], course: bool) -> _Result:
+    """A scene's result without what runs over time, unless that is wanted.
+
+    axes : names of the sweep's axes; a result that is called as one of them is renamed: leds.ir.wavelength_nm.
+    """
+    data: dict[str, Stored] = {}
+    coords: dict[str, Stored] = {}
+    for name, entry in header["variables"].items():
+        dims = tuple(entry["dims"])
+        if not course and "time" in dims:
+            continue
+        values = arrays[name] if name in arrays else np.array(entry["text"], dtype=str).reshape(entry["shape"])
+        if values.ndim != len(dims):
+            raise ValueError(f"{name} does not fill its dimensions")
+        if entry["coord"]:
+            coords[name] = dims, values, entry["attrs"]
+        else:
+            data[f"{name}_result" if name in axes else name] = dims, values, entry["attrs"]
+    told = dict(header) | {"photons_per_led": float(header["photons_per_led"]), "reached": bool(header["reached"])}
+    told["relative_error"] = np.nan if header["relative_error"] is None else float(header["relative_error"])
+    for name, key, text in _TOLD:
+        label = f"{name}_result" if name in axes else name
+        data[label] = (), np.asarray(told[key]), {"units": "1", "long_name": text}
+    return _Result(data, coords, header["attrs"])
 
 
-def _stacked(found: list[xr.Dataset | None], dims: tuple[str, ...], shape: tuple[int, ...]) -> xr.Dataset:
+def _stacked(found: list[_Result | None], dims: tuple[str, ...], shape: tuple[int, ...]) -> xr.Dataset:
     """One array per variable over all scenes; what a scene lacks is filled."""
     present = [one for one in found if one is not None]
     if not present:
         return xr.Dataset()
     first = present[0]
     for one in present[1:]:
-        for name, coord in first.coords.items():
-            if name not in one.coords or not np.array_equal(one.coords[name].values, coord.values):
-                raise InputError(
-                    f'the scenes of this batch differ in their "{name}", so they are no one dataset; '
-                    + ("leave course out." if name == "time" else "sweep scenes with the same names.")
-                )
+        _check_same_coordinates(first, one)
     data = {}
-    for name, variable in first.data_vars.items():
+    for name, (own, values, attrs) in first.data.items():
         # A type that can say that nothing is there.
-        number = np.result_type(variable.dtype, np.float32) if variable.dtype.kind not in "bU" else None
-        empty, holding = {"b": (False, bool), "U": ("", object)}.get(variable.dtype.kind, (np.nan, number))
-        full = np.full((len(found), *variable.shape), empty, holding)
+        number = np.result_type(values.dtype, np.float32) if values.dtype.kind not in "bU" else None
+        empty, holding = {"b": (False, bool), "U": ("", object)}.get(values.dtype.kind, (np.nan, number))
+        full = np.full((len(found), *values.shape), empty, holding)
         for i, item in enumerate(found):
-            if item is not None and name in item:
-                full[i] = item[name].values
-        values = full.astype(str) if full.dtype.kind == "O" else full
-        data[name] = ((*dims, *variable.dims), values.reshape(*shape, *variable.shape), variable.attrs)
-    coords = {name: (c.dims, c.values, c.attrs) for name, c in first.coords.items()}
+            if item is not None and name in item.data:
+                full[i] = item.data[name][1]
+        whole = full.astype(str) if full.dtype.kind == "O" else full
+        data[name] = ((*dims, *own), whole.reshape(*shape, *values.shape), attrs)
     kept = {k: v for k, v in first.attrs.items() if k in ("engine", "versions")}
-    return xr.Dataset(data, coords=coords, attrs=kept)
+    return xr.Dataset(data, coords=first.coords, attrs=kept)
+
+
+def _check_same_coordinates(first: _Result, one: _Result) -> None:
+    """Raise InputError where two scenes do not fit one dataset."""
+    for name, (_, values, _) in first.coords.items():
+        other = one.coords[name][1] if name in one.coords else None
+        if other is None or other.shape != values.shape or not (other == values).all():
+            raise InputError(
+                f'the scenes of this batch differ in their "{name}", so they are no one dataset; '
+                + ("leave course out." if name == "time" else "sweep scenes with the same names.")
+            )
 
 
 def _coordinates(plan: dict[str, Any]) -> dict[str, Any]:
@@ -110,5 +158,8 @@ def write_table(results: xr.Dataset, path: str | Path) -> Path:
         for name in ("mean_path_mm", "mean_path_mm_stderr"):
             results = results.assign({f"{name}_{item}": results[name].sel(absorber=item, drop=True)})
             kept.append(f"{name}_{item}")
-    write_text(Path(path), results[kept].to_dataframe().to_csv())
+    table = results[kept].to_dataframe().reset_index()
+    texts = [name for name in table if table[name].dtype.kind not in "biuf"]
+    table[texts] = table[texts].map(plain_cell)
+    write_text(Path(path), table.rename(columns=plain_cell).to_csv(index=False))
     return Path(path)

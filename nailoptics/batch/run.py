@@ -15,7 +15,7 @@ from ..scene.sweep import Sweep
 from . import plan as plans
 from .executors import ClusterSlots, LocalSlots, Slots, single_threaded_blas
 from .folder import Folder
-from .work import Job, JobReport, Settings, cores, work
+from .work import GONE, Job, JobReport, Settings, cores, standing, work
 
 log = logging.getLogger(__name__)
 
@@ -87,24 +87,42 @@ def run_batch(
     settings = Settings.of(Path(folder), TraceOptions(**requested))
     place, part = Folder(settings.folder), plans.parse_shard(shard)
     planned = plans.plan(sweep, settings)
-    plans.check_same(place, settings)
+    damage = plans.check_same(place, planned, settings)
     place.make()
     place.write_plan(plans.as_json(sweep, planned, settings))
     mine = plans.of_shard(planned, part)
     todo = plans.left(mine, place, settings, retry_failed=retry_failed)
     failed = {digest: place.why_failed(digest) for digest in todo.failed}
     total, lights = len({p.digest for p in mine}), len({p.key for p in mine})
-    outcome = Outcome(total, lights, kept=todo.kept, failed=failed, corrupt=list(todo.corrupt))
+    outcome = Outcome(total, lights, kept=todo.kept, failed=failed, corrupt=todo.corrupt + todo.foreign)
     driver = _Driver(settings, todo.jobs, outcome, begin, progress)
+    if damage:
+        driver.show(f"plan.json was damaged and is written anew: {damage}")
     for digest in todo.corrupt:
-        driver.show(f"result {digest[:12]} is damaged or another version's (checksum); made again")
+        driver.show(f"result {digest[:12]} is damaged (checksum, name or content); made again")
+    for digest in todo.foreign:
+        driver.show(f"result {digest[:12]} is another seed's, backend's or version's; made again")
     if todo.jobs:
         with single_threaded_blas():
             workers = workers or (1 if settings.options.backend == "cuda" else cores())
             threads = threads or max(1, cores() // workers)
             driver.run(ClusterSlots(scheduler) if scheduler is not None else LocalSlots(workers, threads))
+        if driver.trouble and not place.gone():
+            _recount(outcome, driver.left, mine, place, settings)
+        elif place.gone():
+            outcome.done, outcome.kept = [], []
+            driver.trouble = GONE
     outcome.seconds = time.time() - begin
     return _judged(outcome, driver.trouble)
+
+
+def _recount(outcome: Outcome, left: set[str], planned: list[plans.Planned], place: Folder, settings: Settings) -> None:
+    """Count what workers did whose reports did not come any more."""
+    for p in planned:
+        if p.digest in left and standing(place, p.digest, settings.required(p.scene), settings.made()) == "done":
+            left.discard(p.digest)
+            outcome.done.append(p.digest)
+    outcome.unfinished = len(left)
 
 
 def _judged(outcome: Outcome, trouble: str) -> Outcome:
@@ -213,7 +231,7 @@ class _Driver:
             self.asleep.append((time.time() + _BUSY_WAIT_S, job))
             return
         if report.storage:
-            self._no_room(report.storage)
+            self.trouble = report.storage
             return
         self.reported += len(report.done) + len(report.unmet) + len(report.failed)
         self.outcome.done += report.done
@@ -222,7 +240,7 @@ class _Driver:
         self.outcome.corrupt += report.corrupt
         self.left -= {*report.done, *report.unmet, *report.failed}
         for name in report.corrupt:
-            self.show(f"light {name[:12]} is damaged or another version's (checksum); traced again")
+            self.show(f"light {name[:12]} is damaged or another's (checksum, name); traced again")
         for digest, why in report.failed.items():
             self.show(f"scene {digest[:12]} failed: {why}")
         # The others can read the light now.
@@ -272,14 +290,11 @@ class _Driver:
             try:
                 Folder(self.settings.folder).write_failure(digest, {"error": why, "time": time.time()})
             except WriteError as error:
-                self._no_room(str(error))
+                self.trouble = f"the folder takes no more: {str(error).rstrip('.')}"
                 return
             self.outcome.failed[digest] = why
             self.left.discard(digest)
             self.show(f"scene {digest[:12]} failed: {why}")
-
-    def _no_room(self, why: str) -> None:
-        self.trouble = f"the folder takes no more: {why.rstrip('.')}"
 
     def _lost(self, error: BaseException) -> None:
         log.debug("scheduler lost: %r", error)

@@ -5,6 +5,7 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..errors import InputError
 from ..scene import Accuracy
 from .folder import Folder
 from .work import standing
@@ -25,6 +26,7 @@ class Status:
     done: int
     below: int
     corrupt: int
+    foreign: int
     failed: dict[str, str]
     seconds_left: float | None
     last_result_s_ago: float | None
@@ -39,7 +41,11 @@ class Status:
         if self.below:
             lines.append(f"{self.below} of those left are there, but less accurate than requested")
         if self.corrupt:
-            lines.append(f"{self.corrupt} results are damaged or another version's; the next run makes them again")
+            lines.append(f"{self.corrupt} results are damaged; the next run makes them again")
+        if self.foreign:
+            lines.append(
+                f"{self.foreign} results are another seed's, backend's or version's; the next run makes them again"
+            )
         if self.left:
             pace = "no new result in the last ten minutes"
             if self.seconds_left is not None:
@@ -60,8 +66,13 @@ def status(folder: str | Path) -> Status:
     """How far a batch is; raises InputError where the folder holds none."""
     place = Folder(Path(folder))
     plan = place.read_plan()
-    required = {digest: Accuracy(**wanted) for digest, wanted in zip(plan["scenes"], plan["asked"], strict=True)}
-    stands = {digest: standing(place, digest, wanted) for digest, wanted in required.items()}
+    try:
+        asked = zip(plan["scenes"], plan["asked"], strict=True)
+        required = {digest: Accuracy(**wanted) for digest, wanted in asked}
+    except (TypeError, ValueError):
+        why = "plan.json asks for no accuracy; run the batch again to write it anew"
+        raise InputError(f"{place.root}: {why}.") from None
+    stands = {digest: standing(place, digest, wanted, plan["made"]) for digest, wanted in required.items()}
     count, now = Counter(stands.values()), time.time()
     times = [place.result(digest).stat().st_mtime for digest, how in stands.items() if how == "done"]
     failed = {digest: place.why_failed(digest) for digest, how in stands.items() if how == "failed"}
@@ -71,7 +82,7 @@ def status(folder: str | Path) -> Status:
     return Status(
         total=len(required),
         lights=plan["lights"],
-        **{how: count[how] for how in ("done", "below", "corrupt")},
+        **{how: count[how] for how in ("done", "below", "corrupt", "foreign")},
         failed=failed,
         seconds_left=0.0 if not left else (left / pace if pace else None),
         last_result_s_ago=now - max(times) if times else None,

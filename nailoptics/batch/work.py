@@ -1,6 +1,5 @@
 """What a worker does with a job: light that is missing is traced, then every scene of the job is read from it."""
 
-import errno
 import math
 import multiprocessing
 import os
@@ -10,28 +9,28 @@ import time
 import traceback
 import warnings
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-from ..errors import NailopticsError, NotReachedError, WriteError
+from ..errors import InputError, NailopticsError, NotReachedError, WriteError
 from ..io import CorruptError, pack, write_bytes
 from ..light import ReweightWarning, Transfer
 from ..light import backend as backends
-from ..light.identity import light_scene
 from ..light.records import LedBatches
-from ..light.tracing import StoppingRule, accuracy, extend, photons_engine
+from ..light.store import LightStore
+from ..light.tracing import LightEngine, StoppingRule, accuracy, extend, led_sources, photons_engine
 from ..light.transfer import current_versions
 from ..options import BackendName, TraceOptions
 from ..scene import Accuracy, Scene, to_toml
+from ..variables import to_record
 from . import reading
-from .folder import Folder
+from .folder import STORAGE, Folder, ForeignError
 
 # Mitsuba's variant is one per process, and so is a claim: a worker with several threads still does one job at a time.
 _one_job = threading.Lock()
-_STORAGE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.ESTALE}
+GONE = "the folder was removed during the run, and what was in it; run again to begin anew"
 
 
 @dataclass(frozen=True)
@@ -63,14 +62,13 @@ class Settings:
             required = required.model_copy(update={"max_seconds": min(left, required.max_seconds or left)})
         return replace(self.options, **required.model_dump())
 
+    def made(self) -> dict[str, Any]:
+        """What decides a scene's result beside the scene and how accurate it is to be."""
+        return {"seed": self.options.seed, "backend": self.options.backend, "versions": current_versions()}
+
     def is_late(self) -> bool:
         """Whether the run's time is over."""
         return self.deadline is not None and time.time() >= self.deadline
-
-    def made(self) -> dict[str, Any]:
-        """What stored light must have been made with."""
-        shared = {"seed": self.options.seed, "backend": self.options.backend}
-        return shared | {"engine": "photons", "versions": current_versions()}
 
 
 @dataclass(frozen=True)
@@ -127,28 +125,33 @@ def work(job: Job, settings: Settings, sharers: int = 0) -> JobReport:
 
     sharers : workers among which this machine's cores are to be divided, if that has not been done.
     """
-    report = JobReport()
+    report, folder = JobReport(), Folder(settings.folder)
     with _one_job:
         if sharers:
             backends.set_threads(max(1, cores() // sharers))
         try:
-            with Folder(settings.folder).claimed(job.claim) as mine:
-                if mine:
+            with folder.claimed(job.claim) as mine:
+                if folder.gone():
+                    report.storage = GONE
+                elif mine:
                     _do(job, settings, report)
                 else:
                     report.busy = True
         except (OSError, WriteError) as error:
+            if folder.gone():
+                report.storage = GONE
+                return report
             if not _is_storage(error):
                 raise
-            report.storage = (
-                f"{error.strerror or error}; make room and run again" if isinstance(error, OSError) else str(error)
-            )
+            why = f"{error.strerror or error}; make room and run again" if isinstance(error, OSError) else str(error)
+            report.storage = f"the folder takes no more: {why.rstrip('.')}"
     return report
 
 
 def _do(job: Job, settings: Settings, report: JobReport) -> None:
     folder = Folder(settings.folder)
-    todo = [one for one in job.scenes if standing(folder, one[0], settings.required(one[1])) != "done"]
+    made = settings.made()
+    todo = [one for one in job.scenes if standing(folder, one[0], settings.required(one[1]), made) != "done"]
     report.done += [digest for digest, _ in job.scenes if digest not in dict(todo)]
     if not todo:
         return
@@ -171,8 +174,10 @@ def _do(job: Job, settings: Settings, report: JobReport) -> None:
             header, arrays = _result(scene, light, settings)
             if header is None:  # too late for it
                 continue
+            if folder.result(digest).is_dir():
+                raise InputError(f"{folder.result(digest)}: is a folder where a result is to be written; remove it")
             folder.result(digest).parent.mkdir(exist_ok=True)
-            write_bytes(folder.result(digest), pack({"digest": digest} | header, arrays), flush=True)
+            write_bytes(folder.result(digest), pack({"digest": digest, "made": made} | header, arrays), flush=True)
             folder.failure(digest).unlink(missing_ok=True)
             (report.done if header["reached"] else report.unmet).append(digest)
         except Exception as error:
@@ -183,7 +188,7 @@ def _do(job: Job, settings: Settings, report: JobReport) -> None:
 
 def _is_storage(error: Exception) -> bool:
     """Whether the disk is at fault, which is nobody's among the scenes: it ends the batch."""
-    return isinstance(error, WriteError) or (isinstance(error, OSError) and error.errno in _STORAGE)
+    return isinstance(error, WriteError) or (isinstance(error, OSError) and error.errno in STORAGE)
 
 
 def _failed(folder: Folder, digest: str, error: Exception, report: JobReport) -> None:
@@ -212,12 +217,14 @@ def meets(header: dict[str, Any], required: Accuracy) -> bool:
     return True
 
 
-def standing(folder: Folder, digest: str, required: Accuracy) -> str:
-    """How a scene stands: done, below what is required, corrupt, failed or missing."""
+def standing(folder: Folder, digest: str, required: Accuracy, made: dict[str, Any]) -> str:
+    """How a scene stands: done, below what is required, foreign, corrupt, failed or missing."""
     try:
-        found = folder.read_result(digest, arrays=False)
+        found = folder.read_result(digest, made=made, arrays=False)
+    except ForeignError:
+        return "foreign"
     except CorruptError:
-        return "corrupt"
+        return "failed" if folder.failure(digest).exists() else "corrupt"
     if found is not None and meets(found[0], required):
         return "done"
     if folder.failure(digest).exists():
@@ -230,34 +237,24 @@ class _Light:
 
     def __init__(self, job: Job, scenes: list[Scene], settings: Settings, report: JobReport) -> None:
         self.settings = settings
-        folder, first = Folder(settings.folder), scenes[0]
-        (engine_class, _), made = photons_engine(first, settings.options.backend), settings.made()
-        full: int = engine_class.batch_photons
-        opened: list[Any] = []
-
-        def engine() -> Any:
-            if not opened:
-                opened.append(engine_class(light_scene(first)))
-            return opened[0]
-
+        first, asked = scenes[0], settings.options
+        engine_class, _ = photons_engine(first, asked.backend)
+        engine = LightEngine(first, engine_class)
+        # What single commands traced is taken, too.
+        stores = [
+            Folder(settings.folder).store(lambda path, why: report.corrupt.append(path.parent.name)),
+            LightStore.of_user() if asked.store else None,
+        ]
         self.leds: list[LedBatches] = []
         self.rules: list[dict[Any, StoppingRule]] = []
-        for led in range(len(first.leds)):
-            have = None
-            try:
-                have = folder.read_light(job.key, led, made=made)
-            except CorruptError:
-                report.corrupt.append(folder.light(job.key, led).name)
-            mu_a = have.mu_a if have else engine().mu_a(led)
+        for led, source in enumerate(led_sources(first, engine, stores, seed=asked.seed, backend=asked.backend)):
             # Scenes that differ only in what comes after the light need the same of it.
             rules: dict[Any, StoppingRule] = {}
             for scene in (*scenes, *job.also):
                 need = self._need(scene, led)
                 if need not in rules:
-                    rules[need] = StoppingRule(scene, led, settings.required(scene), mu_a, full=full)
-            seed, save = settings.options.seed, partial(folder.write_light, job.key, led, made=made)
-            stop, every = settings.is_late, list(rules.values())
-            self.leds.append(extend(engine, led, have, every, seed=seed, stop=stop, save=save))
+                    rules[need] = StoppingRule(scene, led, settings.required(scene), source.mu_a, full=engine.full)
+            self.leds.append(extend(source, list(rules.values()), stop=settings.is_late))
             self.rules.append(rules)
 
     def _need(self, scene: Scene, led: int) -> Any:
@@ -308,7 +305,7 @@ def _result(
             dataset = reading.of_transfer(transfer, seed=settings.options.seed)
             worst = reading.relative_error(dataset) if error is None else error
             photons = min(t.photons for t in transfer.traces)
-    header, arrays = reading.to_record(dataset)
+    header, arrays = to_record(dataset)
     return {
         **header,
         **own,

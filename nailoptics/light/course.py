@@ -285,7 +285,6 @@ def read_replicates(
     weight = np.zeros((count, GROUPS, len(mu_a)))
     path = np.zeros((count, GROUPS, len(zones)))
     groups = np.random.default_rng(seed).integers(GROUPS, size=len(trace.weight))
-    numbers = np.arange(GROUPS)[:, None]
     for j in range(count):
         mine = np.flatnonzero(trace.photodiode == j)
         for start in range(0, len(mine), GROUP_CHUNK):
@@ -296,9 +295,13 @@ def read_replicates(
                 seen = part * attenuation(lengths, mu_a[:, q] - trace.mu_a) * trace.weight[chunk, None]
                 own += seen
                 slope += seen[:, 0] * blood_per_mm[q] / mean
-            picks = (groups[chunk] == numbers).astype(float)
-            weight[j] += picks @ own
-            path[j] += picks @ (slope[:, None] * lengths[:, zones])
+            weight[j] += _by_group(groups[chunk], own)
+            path[j] += _by_group(groups[chunk], slope[:, None] * lengths[:, zones])
     total, by_path = (left_out(np.moveaxis(sums, 1, 0) * (GROUPS / trace.photons)) for sums in (weight, path))
     with np.errstate(invalid="ignore", divide="ignore"):
         return Replicates(reading=total, mean_path_mm=by_path / total[:, :, :1])
+
+
+def _by_group(groups: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Sums of values (n, k) over each group, (GROUPS, k) float."""
+    return np.stack([np.bincount(groups, column, minlength=GROUPS) for column in values.T], -1)

@@ -17,10 +17,12 @@ from ..errors import InputError, NotReachedError
 from ..geometry import Geometry
 from ..options import Requested, TraceOptions
 from ..scene import Led, Scene
-from ..variables import variable
+from ..variables import from_record, to_record, variable
 from . import backend as backends
 from . import optics
 from .course import Course, course
+from .identity import led_digest, light_scene
+from .store import LightStore, made_of
 from .tracing import ProgressCallback, accuracy, trace
 from .transfer import FEW_PHOTONS, Transfer, mean_of_leds, photodiode_names, provenance
 from .volpath import led_readings as volpath
@@ -75,6 +77,8 @@ class RestReadings:
     backend: str
     cpu_seconds: float
     wall_seconds: float
+    # Whether all photons came from the store.
+    reused: bool = False
     transfer: Transfer | None = None
 
     def as_dict(self) -> dict[str, Any]:
@@ -108,7 +112,7 @@ def open_light(
         rest = transfer.at()
         unknown = "saw no light or too few photons, so that nothing is known of their standard errors"
         _with_few_photons(transfer, rest, unknown)
-        return light_of(transfer, rest=rest, section=_section(scene, options.seed))
+        return light_of(transfer, rest=rest, section=_stored_section(scene, options))
 
     return _traced(scene, read, progress, options)
 
@@ -178,6 +182,7 @@ def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None, section: xr.
             "cpu_seconds": transfer.cpu_seconds,
             "wall_seconds": transfer.wall_seconds,
             "accuracy_reached": _reached(relative),
+            "reused": int(transfer.reused),
         },
         transfer=transfer,
     )
@@ -211,6 +216,25 @@ def _reached(relative: np.ndarray) -> str:
     return f"relative standard error of every reading at rest at most {worst:.2g}"
 
 
+def _stored_section(scene: Scene, options: TraceOptions) -> xr.Dataset:
+    """The longitudinal section with the light as it goes through usual blood, from the store if it is there."""
+    usual = light_scene(scene)
+    lit = scene.model_copy(update={"blood": usual.blood, "finger": usual.finger})
+    store = LightStore.of_user() if options.store else None
+    if store is None:
+        return _section(lit, options.seed)
+    made = made_of(scene, 0, seed=options.seed, backend=options.backend, what="section")
+    made |= {"leds": [led_digest(scene, led) for led in range(len(scene.leds))]}
+    made |= {"names": [*(led.name for led in scene.leds), *photodiode_names(scene)]}
+    stored = store.light(made)
+    if found := stored.read("section"):
+        return from_record(*found)
+    section = _section(lit, options.seed)
+    stored.write("section", *to_record(section))
+    store.close()
+    return section
+
+
 def _section(scene: Scene, seed: int, finger: Geometry | None = None) -> xr.Dataset:
     """The longitudinal section at u = 0: regions and each LED's path density, which is traced.
 
@@ -238,7 +262,7 @@ def _section(scene: Scene, seed: int, finger: Geometry | None = None) -> xr.Data
             section = Section(y, z)
             tracer.walk(led, photons=SECTION_PHOTONS, seed=seed, section=section)
             density.append(section.density(SECTION_PHOTONS))
-        text = "path density of an LED's light, summed over the finger's width, per emitted photon"
+        text = "path density of an LED's light in usual blood, summed over the finger's width, per emitted photon"
         data |= variable("path_density", ("led", *plane), density, text, units="mm-1")
     data |= variable("section_y", "section_y", y, "along the nail, towards the tip", units="mm")
     data |= variable("section_z", "section_z", z, "out of the nail, from the plate's face", units="mm")
@@ -316,6 +340,7 @@ def _rest_of(transfer: Transfer, *, begin: tuple[float, float]) -> RestReadings:
         backend=transfer.backend,
         cpu_seconds=time.process_time() - begin[0],
         wall_seconds=time.perf_counter() - begin[1],
+        reused=transfer.reused,
         transfer=transfer,
     )
 

@@ -41,11 +41,27 @@ def light_scene(scene: Scene) -> Scene:
     if scene.finger is not None:
         update["finger"] = scene.finger.with_usual(("digit", *ABSORBING))
     if scene.phantom is not None:
-        layers = tuple(layer.model_copy(update={"name": f"layer{i}"}) for i, layer in enumerate(scene.phantom.layers))
+        named = enumerate(scene.phantom.layers)
+        layers = tuple(layer.model_copy(update={"name": usual_layer_name(i)}) for i, layer in named)
         update["phantom"] = scene.phantom.model_copy(update={"layers": layers})
     return scene.model_copy(update=update)
+
+
+def usual_layer_name(layer: int) -> str:
+    """What the light calls a phantom's layer, whatever its scene does."""
+    return f"layer{layer}"
 
 
 def light_digest(scene: Scene) -> str:
     """Digest of what decides where light goes, (64) hexadecimal characters; scenes with the same one share a trace."""
     return digest(light_scene(scene))
+
+
+def led_digest(scene: Scene, led: int) -> str:
+    """Digest of what decides where the light of one LED goes: of the others only their dies, in a finger."""
+    light = light_scene(scene)
+    if scene.phantom is not None:
+        return digest(light.model_copy(update={"leds": (light.leds[led],)}))
+    unlit = {"wavelength_nm": 800.0, "pattern": "lambertian", "pattern_deg": None, "pattern_relative": None}
+    dies = (one if i == led else one.model_copy(update=unlit) for i, one in enumerate(light.leds))
+    return digest(light.model_copy(update={"leds": tuple(dies)}))

@@ -13,10 +13,13 @@ from .. import checks
 from ..errors import InputError, NotReachedError
 from ..options import Requested, TraceOptions
 from ..scene import Accuracy, Scene
-from ..statistics import seed_of, stderr_of_mean
+from ..statistics import stderr_of_mean
 from . import backend as backends
+from . import optics
+from .identity import light_scene
 from .records import Batch, LedBatches, LedRecords
 from .reweight import transmission
+from .store import LedSource, LightStore, made_of
 from .transfer import MIN_EFFECTIVE_PHOTONS, Transfer, photodiode_names, rest_state
 
 DEFAULT_PHOTONS = 1_000_000
@@ -26,8 +29,6 @@ INTERRUPTED = "interrupted"
 # Errors are checked after so many batches, each time a quarter more: seldom enough that stopping hardly favours luck.
 # The numbers are fixed, so that a trace that is continued stops where one that was never interrupted stops.
 CHECK_GROWTH = 1.25
-# What a killed process can lose of a long trace. [s]
-SAVE_EVERY_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -65,28 +66,32 @@ def trace(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     begin, options = time.process_time(), TraceOptions(**requested)
     engine_class, chosen = photons_engine(scene, options.backend)
     required = accuracy(scene, options)
-    engine = engine_class(scene)
+    engine, store = LightEngine(scene, engine_class), LightStore.of_user() if options.store else None
+    sources = led_sources(scene, engine, [store], seed=options.seed, backend=chosen.name)
     start, cpu = time.perf_counter(), time.process_time()
     traces, events, complaint = [], 0, None
-    for led in range(len(scene.leds)):
-        rule = StoppingRule(scene, led, required, engine.mu_a(led), full=engine.batch_photons)
-        rule.seconds = share_of_time(required.max_seconds, start, len(scene.leds) - led)
-        found = LedRecords(engine.mu_a(led), rule.rest, seed=options.seed, led=led)
-        why = _trace_led(engine, rule, found, progress)
+    for led, source in enumerate(sources):
+        rule = StoppingRule(scene, led, required, source.mu_a, full=engine.full)
+        rule.seconds = share_of_time(required.max_seconds, start + engine.wall_seconds, len(scene.leds) - led)
+        found = LedRecords(source.mu_a, rule.rest, seed=options.seed, led=led)
+        why = _trace_led(source, rule, found, progress)
         complaint = complaint or why
         if why and why.startswith(INTERRUPTED):
             # What is there is of use only with something from every LED: one batch each, then the end.
-            required = Accuracy(photons=engine.batch_photons)
+            required = Accuracy(photons=engine.full)
         events += found.events
         traces.append(found.trace())
+    if store is not None:
+        store.close()
     result = Transfer(
         scene,
         tuple(traces),
         chosen.name,
-        cpu_seconds=time.process_time() - cpu,
-        wall_seconds=time.perf_counter() - start,
+        cpu_seconds=time.process_time() - cpu - engine.cpu_seconds,
+        wall_seconds=time.perf_counter() - start - engine.wall_seconds,
         events=events,
-        setup_seconds=cpu - begin,
+        setup_seconds=cpu - begin + engine.cpu_seconds,
+        reused_photons=sum(source.reused for source in sources),
     )
     if complaint:
         raise NotReachedError(complaint, result=result)
@@ -106,6 +111,41 @@ def photons_engine(scene: Scene, backend: str) -> tuple[Any, backends.Backend]:
     from .finger_walk import FingerTracer
 
     return FingerTracer, chosen
+
+
+class LightEngine:
+    """The engine of a scene's light, opened when the first photon is to be walked; scenes of one light share it.
+
+    full : photons of a full batch.
+    cpu_seconds, wall_seconds : what opening it took. [s]
+    """
+
+    def __init__(self, scene: Scene, engine_class: Any) -> None:
+        self.scene, self.engine_class = light_scene(scene), engine_class
+        self.full: int = engine_class.batch_photons
+        self.cpu_seconds = self.wall_seconds = 0.0
+        self._opened: Any = None
+
+    def __call__(self) -> Any:
+        """The engine itself."""
+        if self._opened is None:
+            begin, cpu = time.perf_counter(), time.process_time()
+            self._opened = self.engine_class(self.scene)
+            self.wall_seconds, self.cpu_seconds = time.perf_counter() - begin, time.process_time() - cpu
+        return self._opened
+
+
+def led_sources(
+    scene: Scene, engine: LightEngine, stores: Sequence[LightStore | None], *, seed: int, backend: str
+) -> list[LedSource]:
+    """Where the batches of each LED of a scene come from; new ones go to the first store."""
+    found, layers = [], [layer.name for layer in scene.phantom.layers] if scene.phantom else []
+    for led, source in enumerate(scene.leds):
+        mu_a = optics.absorption(engine.scene, source.wavelength_nm)[0]
+        made = made_of(scene, led, seed=seed, backend=backend)
+        stored = [store.light(made) for store in stores if store is not None]
+        found.append(LedSource(engine, led, mu_a, seed=seed, stored=stored, layers=layers))
+    return found
 
 
 def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
@@ -263,47 +303,29 @@ def _take_batches(
                     report(time.perf_counter() - begin)
 
 
-def extend(
-    engine: Callable[[], Any],
-    led: int,
-    have: LedBatches | None,
-    rules: Sequence[StoppingRule],
-    *,
-    seed: int,
-    stop: Callable[[], bool],
-    save: Callable[[LedBatches], None],
-) -> LedBatches:
-    """Continue the stored batches of one LED until every rule is met or out of time, or `stop` says so.
+def extend(source: LedSource, rules: Sequence[StoppingRule], *, stop: Callable[[], bool]) -> LedBatches:
+    """The batches of one LED, stored and new ones, until every rule is met or out of time, or `stop` says so.
 
-    engine : makes the engine; called only if something has to be traced.
     rules : as for `_take_batches`.
-    save : called every now and then, and at the end, if there is anything new.
     """
-    pieces = dict(have.pieces) if have else {}
-    batches = LedBatches(have.mu_a if have else engine().mu_a(led), pieces)
-    saved, unsaved = time.perf_counter(), False
+    pieces: dict[tuple[int, int], Batch] = {}
 
     def batch_of(number: int, photons: int) -> Batch:
-        nonlocal saved, unsaved
         if (number, photons) not in pieces:
-            pieces[number, photons] = engine().batch(led, photons=photons, seed=seed_of(seed, led, number))
-            unsaved = True
-            if time.perf_counter() - saved > SAVE_EVERY_S:
-                save(batches)
-                saved, unsaved = time.perf_counter(), False
+            pieces[number, photons] = source.batch(number, photons)
         return pieces[number, photons]
 
-    _take_batches(rules, batch_of, has=lambda number, photons: (number, photons) in pieces, stop=stop)
-    if unsaved:
-        save(batches)
-    return batches
+    _take_batches(rules, batch_of, has=source.has, stop=stop)
+    return LedBatches(source.mu_a, pieces)
 
 
-def _trace_led(engine: Any, rule: StoppingRule, found: LedRecords, progress: ProgressCallback | None) -> str | None:
-    """Trace one LED into its records; says why they fall short of what is required, if they do."""
+def _trace_led(
+    source: LedSource, rule: StoppingRule, found: LedRecords, progress: ProgressCallback | None
+) -> str | None:
+    """Take one LED's light into its records; says why they fall short of what is required, if they do."""
 
-    def traced(number: int, photons: int) -> Batch:
-        batch: Batch = engine.batch(found.led, photons=photons, seed=seed_of(found.seed, found.led, number))
+    def taken(number: int, photons: int) -> Batch:
+        batch = source.batch(number, photons)
         found.add(number, batch)
         return batch
 
@@ -312,7 +334,7 @@ def _trace_led(engine: Any, rule: StoppingRule, found: LedRecords, progress: Pro
             progress(rule.progress(seconds))
 
     try:
-        _take_batches([rule], traced, report=report)
+        _take_batches([rule], taken, has=source.has, report=report)
     except KeyboardInterrupt:
         if not rule.photons:
             raise

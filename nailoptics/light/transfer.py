@@ -72,6 +72,8 @@ class Transfer:
     events: int = 0
     # Processor time before the first photon, which is no part of cpu_seconds.
     setup_seconds: float = 0.0
+    # Photons that were taken from the store, of all.
+    reused_photons: int = 0
 
     @cached_property
     def photodiodes(self) -> tuple[str, ...]:
@@ -92,6 +94,11 @@ class Transfer:
     def photons(self) -> int:
         """Photons emitted, all LEDs together."""
         return sum(trace.photons for trace in self.traces)
+
+    @property
+    def reused(self) -> bool:
+        """Whether all photons came from the store."""
+        return self.reused_photons == self.photons
 
     def at(
         self,
@@ -184,7 +191,7 @@ class Transfer:
         return replace(
             self,
             traces=tuple(joined(pair) for pair in zip(self.traces, other.traces, strict=True)),
-            **{name: getattr(self, name) + getattr(other, name) for name in EFFORT},
+            **{name: getattr(self, name) + getattr(other, name) for name in (*EFFORT, "reused_photons")},
         )
 
     def save(self, path: str | Path) -> None:

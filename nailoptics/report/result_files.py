@@ -6,7 +6,7 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..io import make_folder, to_json, turn, write_dataset, write_text
+from ..io import make_folder, plain_cell, to_json, turn, write_dataset, write_text
 from ..scene import to_toml
 from ..scene.sensor_recordings import Recording, recording_csv
 
@@ -73,7 +73,7 @@ def write_placement(result: "xr.Dataset", folder: Path, *, negate_x_on_bottom: b
     best, table = chosen(result), StringIO(newline="")
     lines = csv.DictWriter(table, list(rows(result)[0]))
     lines.writeheader()
-    lines.writerows(rows(result))
+    lines.writerows({name: plain_cell(cell) for name, cell in row.items()} for row in rows(result))
     placed = kicad_parts(best)
     sizes = [*(led.size_mm for led in best.leds), *(e.photodiode.size_mm for e in best.layout.photodiodes)]
     with turn(folder):

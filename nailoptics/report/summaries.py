@@ -38,6 +38,8 @@ def simulation_summary(result: "xr.Dataset") -> dict[str, Any]:
     ]
     kept = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest", "accuracy_reached")
     found = {"readings": rows, "absorbed": _absorbed(result)} | spread_summary(result)
+    # volpath keeps no light.
+    found["reused"] = bool(result.attrs.get("reused", 0))
     return found | {name: result.attrs[name] for name in kept}
 
 

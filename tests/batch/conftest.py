@@ -53,10 +53,11 @@ def phantoms(
 
 @dataclass(frozen=True)
 class Calm:
-    """A sweep, its file, and what one undisturbed worker makes of it."""
+    """A sweep, its file, and the folder that one undisturbed worker makes of it, with all results byte by byte."""
 
     sweep: Sweep
     file: Path
+    folder: Path
     bits: dict[str, bytes]
 
 
@@ -66,7 +67,7 @@ def calm(chosen_jit, tmp_path_factory) -> Calm:
     folder = tmp_path_factory.mktemp("calm")
     sweep = phantoms(folder, 30)
     run_batch(sweep, folder / "b", workers=1, threads=2)
-    return Calm(sweep, folder / "slabs30.toml", bits(folder / "b"))
+    return Calm(sweep, folder / "slabs30.toml", folder / "b", bits(folder / "b"))
 
 
 FAILING = PHANTOM.replace(

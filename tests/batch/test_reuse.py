@@ -6,6 +6,7 @@ import pytest
 import nailoptics as nail
 from nailoptics.light import tracing
 from nailoptics.light.identity import light_digest, light_scene
+from nailoptics.light.store import LedSource, LightStore, made_of
 from nailoptics.light.tracing import StoppingRule, check_schedule, extend, photons_engine
 from nailoptics.light.transfer import Transfer, rest_state
 from nailoptics.scene import Accuracy, load_scene, parse_scene
@@ -56,7 +57,7 @@ def test_what_changes_the_light_changes_its_digest():
     assert len({light_digest(s) for s in [scene, *other]}) == 1 + len(other)
 
 
-def grown(scene, *, asked, have=None, seed=0):
+def grown(scene, *, asked, stored=(), seed=0):
     kind, _ = photons_engine(scene, "auto")
     traced: list[int] = []
 
@@ -67,15 +68,8 @@ def grown(scene, *, asked, have=None, seed=0):
 
     engine = Counting(light_scene(scene))
     rule = StoppingRule(scene, 0, asked, engine.mu_a(0), full=kind.batch_photons)
-    batches = extend(
-        lambda: engine,
-        0,
-        have,
-        [rule],
-        seed=seed,
-        stop=lambda: False,
-        save=lambda _: None,
-    )
+    source = LedSource(lambda: engine, 0, engine.mu_a(0), seed=seed, stored=stored)
+    batches = extend(source, [rule], stop=lambda: False)
     sizes, met = rule.settled(batches.pieces)
     assert met
     return batches, sizes, traced
@@ -122,8 +116,9 @@ def test_another_state_read_from_the_shared_trace_meets_its_own_trace(jit_backen
 @pytest.mark.jit
 def test_a_tighter_error_goes_on_from_what_is_there_and_ends_where_a_fresh_trace_ends(jit_backend, tmp_path):
     scene = phantoms(tmp_path, 2).scenes[0]
-    coarse, coarse_sizes, _ = grown(scene, asked=Accuracy(relative_error=0.004))
-    fine, fine_sizes, more = grown(scene, asked=Accuracy(relative_error=0.0015), have=coarse)
+    stored = [LightStore(tmp_path / "store").light(made_of(scene, 0, seed=0, backend=jit_backend.name))]
+    coarse, coarse_sizes, _ = grown(scene, asked=Accuracy(relative_error=0.004), stored=stored)
+    fine, fine_sizes, more = grown(scene, asked=Accuracy(relative_error=0.0015), stored=stored)
     fresh, fresh_sizes, every = grown(scene, asked=Accuracy(relative_error=0.0015))
     assert len(coarse_sizes) < len(fine_sizes) == len(fresh_sizes)
     assert len(more) == len(fine_sizes) - len(coarse.pieces) and len(every) == len(fresh_sizes)
@@ -155,9 +150,10 @@ def test_a_photodiode_that_no_light_reaches_ends_the_trace_with_a_word(jit_backe
         for asked in (Accuracy(relative_error=0.01), Accuracy(photons=1 << 22))
     )
     engine = kind(light_scene(scene))
-    options = {"seed": 0, "stop": lambda: False, "save": lambda _: None}
-    batches = extend(lambda: engine, 0, None, [far], **options)
+    stored = [LightStore(tmp_path / "store").light(made_of(scene, 0, seed=0, backend=jit_backend.name))]
+    source = LedSource(lambda: engine, 0, mu_a, seed=0, stored=stored)
+    batches = extend(source, [far], stop=lambda: False)
     assert sum(size for _, size in batches.pieces) < 2_000_000 and 'none reached photodiode "p"' in far.unseen
     again = StoppingRule(scene, 0, Accuracy(relative_error=0.01), mu_a, full=kind.batch_photons)
-    assert len(extend(lambda: engine, 0, batches, [again, more], **options).pieces) == 8
+    assert len(extend(source, [again, more], stop=lambda: False).pieces) == 8
     assert again.unseen == far.unseen and not more.unseen

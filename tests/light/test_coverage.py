@@ -14,6 +14,7 @@ from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_p
 from nailoptics.light.course import course, read_replicates
 from nailoptics.light.finger_walk import FingerTracer
 from nailoptics.light.records import Batch, LedTrace, joined
+from nailoptics.light.store import LedSource
 from nailoptics.light.tracing import StoppingRule, extend
 from nailoptics.scene import Accuracy, Scene, parse_scene
 from nailoptics.statistics import jackknife, left_out, stderr_of_mean
@@ -220,7 +221,7 @@ def stopped(seed: int, target: float) -> tuple[float, float]:
     """Relative departure from the truth, and relative standard error, of a run that stops at a tolerance."""
     urn = Urn()
     rule = StoppingRule(urn.scene, 0, Accuracy(relative_error=target), urn.mu_a(0), full=urn.batch_photons)
-    batches = extend(lambda: urn, 0, None, [rule], seed=seed, stop=lambda: False, save=lambda _: None)
+    batches = extend(LedSource(lambda: urn, 0, urn.mu_a(0), seed=seed), [rule], stop=lambda: False)
     sizes, met = rule.settled(batches.pieces)
     assert met
     trace = batches.trace(sizes, seed=seed, led=0, rest=rule.rest)

@@ -84,7 +84,7 @@ def _share(scene: Scene, options: TraceOptions, deadline: float, scenes: int) ->
     if math.isinf(deadline):
         return options, 0.0
     begin = time.perf_counter()
-    trace(scene, photons=OPENING_PHOTONS, seed=options.seed, backend=options.backend)
+    trace(scene, photons=OPENING_PHOTONS, seed=options.seed, backend=options.backend, store=False)
     now = time.perf_counter()
     # The scene's own geometry is there now; those with other scattering have theirs to make.
     left = (deadline - now) / scenes - 2 * (now - begin)
@@ -158,7 +158,8 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
     }
     coords |= {"model": list(MODELS), "way": list(WAYS), "part": list(PARTS), "within": list(TOLERANCES)}
     seconds = {"cpu_seconds": transfer.cpu_seconds, "wall_seconds": transfer.wall_seconds}
-    return xr.Dataset(data, coords=coords, attrs=transfer.attributes() | seconds)
+    attributes = transfer.attributes() | seconds | {"reused": int(transfer.reused)}
+    return xr.Dataset(data, coords=coords, attrs=attributes)
 
 
 _PAIR, _CURVE, _LIMIT = ("photodiode",), ("photodiode", "point"), ("photodiode", "way", "model", "within")

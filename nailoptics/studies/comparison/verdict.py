@@ -80,7 +80,8 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
     places = np.ndindex(*(result.sizes[name] for name in _PAIRS))
     rows = [_row(result.isel(dict(zip(_PAIRS, at, strict=True)))) for at in places]
     kept = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest")
-    return {"comparisons": rows, "claim": claim(result)} | {name: result.attrs[name] for name in kept}
+    reused = bool(result.attrs.get("reused", 0))
+    return {"comparisons": rows, "claim": claim(result), "reused": reused} | {name: result.attrs[name] for name in kept}
 
 
 _PAIRS = ("sweep", "led", "photodiode")

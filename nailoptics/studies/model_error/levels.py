@@ -88,7 +88,8 @@ class Bench:
         changes = ({OWN: own} if own else {}) | CHEAPER
         others = [f.name for f in backends.findings() if f.usable and f.name not in (chosen.name, "scalar")]
         stock = [one.name for one in (chosen, backends.choose("scalar")) if "volpath" in one.engines]
-        walked, scenes = replace(options, backend=chosen.name), 3 + len(changes) + len(others)
+        # Each level's time is that of tracing it.
+        walked, scenes = replace(options, backend=chosen.name, store=False), 3 + len(changes) + len(others)
         stock_seconds = VOLPATH_SHARE * (options.max_seconds or 0.0)
         if stock_seconds < STOCK_SECONDS:
             stock_seconds = 0.0

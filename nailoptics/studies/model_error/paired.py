@@ -14,7 +14,7 @@ from ...light.records import LedTrace
 from ...light.reweight import transmissions
 from ...light.tracing import INTERRUPTED
 from ...light.transfer import FEW_PHOTONS
-from ...options import BackendName, TraceOptions
+from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
 from ..blood_states import largest_force_n, steady_blood
 
@@ -168,22 +168,23 @@ class PairedTracer:
             return max(led.photons for led in pilot.traces)
         # The first trace compiles; what a photon costs is what it costs from then on.
         begin = time.perf_counter()
-        self._traced(scene, None, LEAST_PHOTONS)
+        self._traced(scene, None, LEAST_PHOTONS, store=False)
         self._opening_s = time.perf_counter() - begin
         if self.seconds_left < 0:
             return LEAST_PHOTONS
         begin = time.perf_counter()
-        self._traced(scene, None, PILOT_PHOTONS)
+        self._traced(scene, None, PILOT_PHOTONS, store=False)
         each_s = time.perf_counter() - begin
         left = (options.max_seconds or self.usual_seconds) - (time.perf_counter() - self._start)
         share = (PLANNED_SHARE * left - self.shapes * self._opening_s) / self.scenes
         return max(LEAST_PHOTONS, int(PILOT_PHOTONS * share / each_s))
 
-    def _traced(self, scene: Scene, backend: BackendName | None, photons: int) -> PairedReadings:
-        cpu = time.process_time()
-        chosen, seed, shape = backend or self.options.backend, self.options.seed, geometry.shaping(scene)
+    def _traced(self, scene: Scene, backend: BackendName | None, photons: int, *, store: bool = True) -> PairedReadings:
+        cpu, shape = time.process_time(), geometry.shaping(scene)
+        chosen, seed, store = backend or self.options.backend, self.options.seed, store and self.options.store
         try:
-            transfer = trace(scene, photons=photons, seed=seed, backend=chosen, progress=self._report_progress)
+            how: Requested = {"photons": photons, "seed": seed, "backend": chosen, "store": store}
+            transfer = trace(scene, progress=self._report_progress, **how)
         except NotReachedError as error:
             # A part of one trace is of no use to those that are compared with it.
             raise NotReachedError(str(error)) from None

@@ -1,0 +1,331 @@
+"""What was traced is kept on disk: a folder for each light, named by the digest of all that decides its bits."""
+
+import hashlib
+import json
+import logging
+import math
+import os
+import re
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import io
+from ..assets import data_dir
+from ..errors import InputError, WriteError
+from ..scene import Scene
+from ..statistics import seed_of
+from .identity import led_digest, usual_layer_name
+from .records import Batch
+from .transfer import current_versions
+
+log = logging.getLogger(__name__)
+
+# Where the user's store lies, or "off" for none.
+VARIABLE = "NAILOPTICS_STORE"
+# The user's store takes at most so much, and of what is free on its disk at most this part. [bytes]
+MOST_BYTES = 2e9
+MOST_OF_FREE = 0.25
+# Older leftovers of killed writers are swept away; a writer at work is never this slow. [s]
+LEFTOVER_S = 3600.0
+# What decides a photon's way beside the scene, so that no other program's light passes for this one's.
+_ROOMS = ("light", "geometry", "tissue", "scene")
+_KEY = 32
+_COLUMNS = ("photodiode", "weight", "path_mm")
+_SUMS = ("energy", "absorbed")
+
+
+@cache
+def program_digest() -> str:
+    """Digest of the code and the spectra that decide a photon's way; versions alone miss changes between releases."""
+    package, found = Path(__file__).parents[1], hashlib.sha256()
+    code = [path for room in _ROOMS for path in package.glob(f"{room}/**/*.py")]
+    for path in (package / "statistics.py", *sorted(code), *sorted((data_dir("assets") / "spectra").glob("*.csv"))):
+        found.update(path.read_bytes())
+    return found.hexdigest()[:_KEY]
+
+
+def made_of(scene: Scene, led: int, *, seed: int, backend: str, what: str = "photons") -> dict[str, Any]:
+    """All that decides the bits of one LED's light, plain enough for JSON."""
+    return {
+        "what": what,
+        "light": led_digest(scene, led),
+        "led": led,
+        "wavelength_nm": scene.leds[led].wavelength_nm,
+        "seed": seed,
+        "backend": backend,
+        "versions": current_versions(),
+        "program": program_digest(),
+    }
+
+
+class LightStore:
+    """A folder of traced light, safe for many processes at once; whatever is there is whole, and is data only."""
+
+    def __init__(
+        self,
+        root: Path,
+        *,
+        most_bytes: float = math.inf,
+        optional: bool = False,
+        tell: Callable[[Path, Exception], None] | None = None,
+    ) -> None:
+        """most_bytes : what is oldest in use gives way to keep the store below it. [bytes]
+
+        optional : whether light is traced all the same where nothing can be written.
+        tell : called with a file that is not what was written, and why.
+        """
+        self.root, self.most_bytes, self.optional, self._tell = root, most_bytes, optional, tell
+        self.closed = False
+        self._unchecked = self._written = 0
+
+    @classmethod
+    def of_user(cls) -> "LightStore | None":
+        """The store that all commands of a user share; None where it is off."""
+        root = user_folder()
+        return None if root is None else cls(root, most_bytes=_most_bytes(root), optional=True)
+
+    def light(self, made: Mapping[str, Any]) -> "StoredLight":
+        """What is stored of one light; `made` is all that decides it."""
+        text = json.dumps(made, sort_keys=True, separators=(",", ":"))
+        return StoredLight(self, self.root / hashlib.sha256(text.encode()).hexdigest()[:_KEY], dict(made))
+
+    def damaged(self, path: Path, why: Exception) -> None:
+        """Tell of a file that is not what was written."""
+        if self._tell is not None:
+            self._tell(path, why)
+        else:
+            log.warning("%s: is not what was stored there (%s); traced again", path, why)
+
+    def write(self, path: Path, data: memoryview) -> None:
+        """Write a file of the store; where it is optional, the first refusal ends storing with a word."""
+        if self.closed or path.is_dir():
+            return
+        try:
+            io.make_folder(path.parent)
+            io.write_bytes(path, data)
+        except WriteError as error:
+            if not self.optional:
+                raise
+            self.closed = True
+            log.warning("what is traced is not kept: %s", error)
+            return
+        self._unchecked += len(data)
+        self._written += len(data)
+        # One command must not push out all others' light and then its own.
+        self.closed = self._written > self.most_bytes / 2
+        if self._unchecked > self.most_bytes / 8:
+            self.trim()
+
+    def folders(self) -> Iterator[Path]:
+        """The folders of lights; nothing else that may lie there."""
+        try:
+            yield from (path for path in sorted(self.root.iterdir()) if re.fullmatch(f"[0-9a-f]{{{_KEY}}}", path.name))
+        except FileNotFoundError:
+            return
+        except OSError as error:
+            raise InputError(
+                f"{self.root}: is no store of light ({error.strerror}); set {VARIABLE} to another."
+            ) from None
+
+    def trim(self) -> None:
+        """Let the lights go that were not used for longest, until the rest is within bounds."""
+        self._unchecked = 0
+        if math.isinf(self.most_bytes):
+            return
+        with suppress(OSError, InputError):  # another process trims, too
+            aged = sorted((folder.stat().st_mtime, folder, _size(folder)) for folder in self.folders())
+            total = sum(size for _, _, size in aged)
+            for _, folder, size in aged:
+                if total <= self.most_bytes:
+                    break
+                remove(folder)
+                total -= size
+
+    def close(self) -> None:
+        """Keep the bound, if anything was written."""
+        if self._unchecked:
+            self.trim()
+
+
+@dataclass(frozen=True)
+class StoredLight:
+    """What is stored of one light: files of which each knows its light and its name."""
+
+    store: LightStore
+    folder: Path
+    made: dict[str, Any]
+
+    def path(self, name: str) -> Path:
+        """The file of this name."""
+        return self.folder / f"{name}.dat"
+
+    def read(self, name: str) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
+        """Header and arrays of a name, or None; what is not what was written there is told, and None."""
+        path = self.path(name)
+        try:
+            header, arrays = io.unpack(path.read_bytes())
+            if (header.get("made"), header.get("name")) != (self.made, name):
+                raise io.CorruptError("it is another light's")
+            with suppress(OSError):  # another user's
+                os.utime(self.folder)
+            return header["about"], arrays
+        except FileNotFoundError:
+            return None
+        except (OSError, io.CorruptError, KeyError, AttributeError) as error:
+            self.store.damaged(path, error)
+            return None
+
+    def write(self, name: str, about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
+        """Write header and arrays under a name."""
+        self.store.write(self.path(name), io.pack({"made": self.made, "name": name, "about": about}, arrays))
+
+
+class LedSource:
+    """The batches of one LED by number and photons: those that are stored, and new ones, which are stored as they come.
+
+    mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
+    reused, traced : photons that were taken from the store, and that were traced.
+    """
+
+    def __init__(
+        self,
+        engine: Callable[[], Any],
+        led: int,
+        mu_a: np.ndarray,
+        *,
+        seed: int,
+        stored: Sequence[StoredLight] = (),
+        layers: Sequence[str] = (),
+    ) -> None:
+        """engine : makes the engine; called only if something has to be traced.
+
+        stored : where batches may lie; new ones go to the first.
+        layers : names of a phantom's layers, which its light does not know.
+        """
+        self.engine, self.led, self.mu_a, self.seed, self.stored = engine, led, mu_a, seed, stored
+        self.names = {usual_layer_name(i): name for i, name in enumerate(layers)}
+        self.reused = self.traced = 0
+
+    def has(self, number: int, photons: int) -> bool:
+        """Whether a batch is stored."""
+        return any(one.path(f"{number}-{photons}").exists() for one in self.stored)
+
+    def batch(self, number: int, photons: int) -> Batch:
+        """The batch of a number and its photons; both, with the light and the seed, determine its bits."""
+        name = f"{number}-{photons}"
+        if found := next((read for one in self.stored if (read := one.read(name))), None):
+            about, arrays = found
+            self.reused += photons
+            columns: dict[str, Any] = {column: arrays[column] for column in _COLUMNS}
+            columns |= {one: {part: (a, b) for part, (a, b) in about[one].items()} for one in _SUMS}
+            batch = Batch(photons=photons, events=about["events"], **columns)
+        else:
+            batch = self.engine().batch(self.led, photons=photons, seed=seed_of(self.seed, self.led, number))
+            self.traced += photons
+            if self.stored:
+                about = {"events": batch.events} | {one: getattr(batch, one) for one in _SUMS}
+                self.stored[0].write(name, about, {column: getattr(batch, column) for column in _COLUMNS})
+        absorbed = {self.names.get(place, place): sums for place, sums in batch.absorbed.items()}
+        return replace(batch, absorbed=absorbed)
+
+
+@dataclass(frozen=True)
+class StoredEntry:
+    """One light of the store, for people."""
+
+    key: str
+    what: str
+    wavelength_nm: float
+    seed: int
+    backend: str
+    version: str
+    photons: int
+    bytes: int
+    used_s_ago: float
+
+    def __str__(self) -> str:
+        kind = f"{self.photons:.3g} photons" if self.what == "photons" else self.what
+        days = self.used_s_ago / 86400
+        ago = f"{days:.0f} days" if days >= 2 else f"{self.used_s_ago / 3600:.1f} h"
+        return (
+            f"{self.key[:12]}  {self.wavelength_nm:g} nm  {kind}  {self.bytes / 1e6:.2f} MB  seed {self.seed}  "
+            f"{self.backend}  nailoptics {self.version}  used {ago} ago"
+        )
+
+
+def entries(store: LightStore) -> list[StoredEntry]:
+    """What the store holds, the longest unused first; what cannot be read is left out."""
+    found, now = [], time.time()
+    for folder in store.folders():
+        with suppress(OSError, io.CorruptError, KeyError, TypeError, ValueError, StopIteration):
+            first = next(folder.glob("*.dat"))
+            made = io.unpack(first.read_bytes(), arrays=False)[0]["made"]
+            sizes = [path.stem.partition("-")[2] for path in folder.glob("*.dat")]
+            photons = sum(int(size) for size in sizes if size.isdigit())
+            own = {name: made[name] for name in ("what", "wavelength_nm", "seed", "backend")}
+            found.append(
+                StoredEntry(
+                    key=folder.name,
+                    **own,
+                    version=made["versions"]["nailoptics"],
+                    photons=photons,
+                    bytes=_size(folder),
+                    used_s_ago=now - folder.stat().st_mtime,
+                )
+            )
+    return sorted(found, key=lambda entry: -entry.used_s_ago)
+
+
+def remove(folder: Path) -> None:
+    """Remove the files of one light, and the folder if nothing else lies in it."""
+    for path in (*folder.glob("*.dat"), *folder.glob(".nailoptics-*.part")):
+        with suppress(OSError):
+            path.unlink()
+    with suppress(OSError):
+        folder.rmdir()
+
+
+def sweep_leftovers(root: Path) -> None:
+    """Remove what writers that were killed left in a folder and those below it."""
+    old = time.time() - LEFTOVER_S
+    with suppress(OSError):  # another run swept first, or they are another user's
+        for part in root.rglob(".nailoptics-*.part"):
+            if part.stat().st_mtime < old:
+                part.unlink(missing_ok=True)
+
+
+def user_folder() -> Path | None:
+    """Where the user's store lies; None where it is off."""
+    if given := os.environ.get(VARIABLE):
+        return None if given.lower() == "off" else Path(given)
+    try:
+        home = Path.home()
+    except RuntimeError:  # nobody's
+        return None
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local") / "nailoptics" / "light"
+    if sys.platform == "darwin":
+        return home / "Library" / "Caches" / "nailoptics" / "light"
+    return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "nailoptics" / "light"
+
+
+def _most_bytes(root: Path) -> float:
+    """The user's bound, less where the disk is nearly full."""
+    there = next((path for path in (root, *root.parents) if path.exists()), None)
+    with suppress(OSError):
+        if there is not None:
+            return min(MOST_BYTES, MOST_OF_FREE * shutil.disk_usage(there).free)
+    return MOST_BYTES
+
+
+def _size(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.glob("*.dat"))

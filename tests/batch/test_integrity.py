@@ -1,0 +1,194 @@
+"""Every file of a batch knows whose it is: what does not fit is refused or told, and never served for another."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nailoptics as nail
+from nailoptics.batch import Sweep, run_batch, status
+from nailoptics.cli import run
+from nailoptics.errors import InputError, NotReachedError
+from nailoptics.io import pack, unpack
+
+from .conftest import Calm, bits, phantoms
+
+pytestmark = pytest.mark.jit
+
+
+@pytest.fixture
+def used(calm: Calm, tmp_path: Path) -> Path:
+    """A folder of thirty scenes that are done."""
+    return Path(shutil.copytree(calm.folder, tmp_path / "used"))
+
+
+@pytest.fixture(scope="module")
+def other_seed(calm: Calm, tmp_path_factory) -> dict[str, bytes]:
+    """The same scenes, traced with seed 1."""
+    folder = tmp_path_factory.mktemp("other")
+    run_batch(calm.sweep, folder, workers=1, seed=1)
+    return bits(folder)
+
+
+def results_of(folder: Path) -> list[Path]:
+    return sorted((folder / "results").iterdir())
+
+
+def rewritten(path: Path, **header) -> None:
+    """A result of which some of the header is another's, its checksum right."""
+    old, arrays = unpack(path.read_bytes())
+    path.write_bytes(pack(old | header, arrays))
+
+
+def again(calm: Calm, folder: Path, **options):
+    said: list[str] = []
+    outcome = run_batch(calm.sweep, folder, workers=1, progress=lambda p: p.news and said.append(p.news), **options)
+    return outcome, said
+
+
+def test_results_of_another_seed_backend_or_version_are_told_and_made_again(calm, used, caplog):
+    made = unpack(results_of(used)[0].read_bytes())[0]["made"]
+    for path, other in zip(
+        results_of(used),
+        ({"seed": 7}, {"backend": "cuda"}, {"versions": made["versions"] | {"nailoptics": "0.0.1"}}),
+        strict=False,
+    ):
+        rewritten(path, made=made | other)
+    assert (status(used).foreign, status(used).done) == (3, 27) and "another seed's" in str(status(used))
+    opened = nail.open_results(used)
+    assert sorted(opened.state.values)[-3:] == ["foreign"] * 3 and "3 results" in caplog.text
+    assert np.isnan(opened.detected_fraction_rest[opened.state == "foreign"]).all()
+    outcome, said = again(calm, used)
+    assert (len(outcome.done), len(outcome.kept)) == (3, 27) and sum("another seed's" in line for line in said) == 3
+    assert bits(used) == calm.bits
+
+
+@pytest.mark.parametrize("damage", ["lost", "cut", "incomplete", "folder"])
+def test_without_its_plan_a_folder_serves_no_other_seeds_results(calm, used, damage, other_seed):
+    plan = used / "plan.json"
+    whole = json.loads(plan.read_text())
+    plan.unlink()
+    if damage == "cut":
+        plan.write_text('{"format": 2, "swe')
+    elif damage == "incomplete":
+        plan.write_text(json.dumps({name: value for name, value in whole.items() if name != "dims"}))
+    elif damage == "folder":
+        plan.mkdir()
+    for question in (status, nail.open_results):
+        with pytest.raises(InputError, match=r"plan\.json") as caught:
+            question(used)
+        assert len(str(caught.value).splitlines()) == 1
+    if damage == "folder":
+        with pytest.raises(InputError, match="folder"):
+            again(calm, used)
+        return
+    outcome, said = again(calm, used, seed=1)
+    assert (len(outcome.done), len(outcome.kept), len(outcome.corrupt)) == (30, 0, 30)
+    assert any("written anew" in line for line in said) == (damage != "lost")
+    assert bits(used) == other_seed
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"dims": {"x": 7}},
+        {"scenes": "abc"},
+        {"made": {}},
+        {"axes": [{"name": "x"}]},
+        {"asked": [{"photons": "many"}] * 30},
+    ],
+    ids=str,
+)
+def test_a_plan_that_is_json_but_no_plan_is_told(used, change):
+    plan = used / "plan.json"
+    plan.write_text(json.dumps(json.loads(plan.read_text()) | change))
+    with pytest.raises(InputError, match=r"plan\.json"):
+        status(used)
+
+
+def test_a_light_under_another_name_is_not_served(calm, used):
+    folders = sorted((used / "light").iterdir())
+    for folder in folders[1:4]:
+        [mine], [other] = folder.iterdir(), folders[0].iterdir()
+        shutil.copy(other, mine)
+    for path in results_of(used):
+        path.unlink()
+    outcome, said = again(calm, used)
+    assert bits(used) == calm.bits
+    assert len(outcome.corrupt) == 3 and sum("another's" in line for line in said) == 3
+
+
+def test_a_result_under_another_name_a_folder_a_loop_and_an_empty_header_are_told_and_the_rest_goes_on(calm, used):
+    paths = results_of(used)
+    shutil.copy(paths[0], paths[1])
+    for path in paths[2:4]:
+        path.unlink()
+    paths[2].mkdir()
+    paths[3].symlink_to(paths[3])
+    paths[4].write_bytes(pack({}, {}))
+    assert (status(used).corrupt, status(used).done) == (4, 26)
+    states = nail.open_results(used).state.values
+    assert sorted(states) == ["corrupt"] * 4 + ["done"] * 26
+    with pytest.raises(NotReachedError, match="29 of 30 scenes are done; 1 failed") as caught:
+        again(calm, used)
+    [why] = caught.value.result.failed.values()
+    assert paths[2].name in why and "is a folder" in why
+    assert {name: one for name, one in bits_of_files(used).items()} == {
+        name: one for name, one in calm.bits.items() if name != paths[2].name
+    }
+    assert list(status(used).failed) == [paths[2].stem]
+
+
+def bits_of_files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in results_of(folder) if path.is_file()}
+
+
+def test_another_sweep_is_refused_and_one_that_grew_goes_on(calm, used, tmp_path):
+    other = phantoms(tmp_path, 4, low=5.0, high=6.0)
+    with pytest.raises(InputError, match="30 of its 30 scenes are not"):
+        run_batch(other, used, workers=1)
+    [axis] = calm.sweep.axes
+    values = [*axis.values, 9.0]
+    grown = phantoms(tmp_path, 2, low=values[0], high=9.0)
+    longer = Sweep(
+        calm.sweep.name,
+        (type(axis)(axis.name, axis.path, values),),
+        {"thickness_mm": 31},
+        (*calm.sweep.scenes, grown.scenes[1]),
+    )
+    outcome = run_batch(longer, used, workers=1)
+    assert (len(outcome.done), len(outcome.kept)) == (1, 30)
+    with pytest.raises(InputError, match="1 of its 31 scenes are not"):
+        again(calm, used)
+
+
+def test_another_version_is_refused(calm, used):
+    plan = json.loads((used / "plan.json").read_text())
+    plan["made"]["versions"]["nailoptics"] = "0.0.1"
+    (used / "plan.json").write_text(json.dumps(plan))
+    with pytest.raises(InputError, match=r"nailoptics 0\.0\.1 and is .* here"):
+        again(calm, used)
+
+
+def test_a_folder_that_is_removed_during_a_run_is_said_to_be(calm, tmp_path):
+    folder = tmp_path / "b"
+
+    def remove(p) -> None:
+        if p.done >= 5 and folder.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+
+    with pytest.raises(NotReachedError, match="0 of 30 scenes are done; the folder was removed during the run"):
+        run_batch(calm.sweep, folder, workers=1, progress=remove)
+
+
+def test_a_second_interrupt_says_where_what_is_done_lies(calm, used, monkeypatch, capsys):
+    """The second one comes while the page is written."""
+
+    def interrupted(*arguments, **more):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("nailoptics.report.result_files.write_sweep", interrupted)
+    assert run(["batch", str(calm.file), "-o", str(used), "--workers", "1"]) == 130
+    assert f"what is done is kept in {used}" in capsys.readouterr().err

@@ -1,0 +1,236 @@
+"""What was traced is kept: the bits of a fresh trace, bounded, safe among rivals, and no other light served for it."""
+
+import json
+import multiprocessing
+import os
+import shutil
+
+import numpy as np
+import pytest
+
+import nailoptics as nail
+from nailoptics.io import pack
+from nailoptics.light import store as light_store
+from nailoptics.light.layered_walk import LayeredTracer
+from nailoptics.light.store import LightStore, StoredEntry, entries, made_of, user_folder
+from nailoptics.scene import Scene, parse_scene
+
+SLAB = """
+schema_version = 1
+[phantom]
+[[phantom.layers]]
+name = "{layer}"
+thickness_mm = 10.0
+mu_a_per_mm = 0.05
+mu_s_per_mm = 5.0
+g = 0.8
+[[leds]]
+name = "one"
+wavelength_nm = 800.0
+pattern = "pencil"
+flux_mw = {flux}
+[[leds]]
+name = "two"
+wavelength_nm = 800.0
+pattern = "pencil"
+position_mm = [{x}, 0.0]
+[[photodiodes]]
+name = "square"
+aperture = true
+position_mm = [2.0, 0.0]
+"""
+PHOTONS = 1 << 14
+
+
+def slab(*, layer: str = "slab", flux: float = 1.0, x: float = 0.5) -> Scene:
+    return parse_scene(SLAB.format(layer=layer, flux=flux, x=x))
+
+
+def same_bits(one, other) -> bool:
+    columns = ("photodiode", "weight", "path_mm", "draw")
+    pairs = zip(one.traces, other.traces, strict=True)
+    return all(
+        a.seeds == b.seeds
+        and a.energy == b.energy
+        and a.absorbed == b.absorbed
+        and all(np.array_equal(getattr(a, name), getattr(b, name)) for name in columns)
+        for a, b in pairs
+    )
+
+
+@pytest.fixture
+def small_batches(jit_backend, monkeypatch):
+    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 12)
+
+
+@pytest.mark.jit
+def test_a_second_trace_walks_nothing_and_has_the_bits_of_a_fresh_one(small_batches, store, monkeypatch):
+    first = nail.trace(slab(), photons=PHOTONS, seed=3)
+    fresh = nail.trace(slab(layer="other", flux=9.0), photons=PHOTONS, seed=3, store=False)
+    assert first.reused_photons == fresh.reused_photons == 0
+    monkeypatch.setattr(LayeredTracer, "batch", None)
+    again = nail.trace(slab(layer="other", flux=9.0), photons=PHOTONS, seed=3)
+    assert again.reused_photons == again.photons == 2 * PHOTONS
+    assert same_bits(again, fresh) and {*again.absorbed()["one"]} >= {"other"}
+    assert np.array_equal(again.at().detected_fraction, fresh.at().detected_fraction)
+
+
+@pytest.mark.jit
+def test_a_tighter_error_goes_on_and_another_seed_or_place_traces_anew(small_batches, store):
+    coarse = nail.trace(slab(), relative_error=0.02, seed=1)
+    fine = nail.trace(slab(), relative_error=0.008, seed=1)
+    assert fine.reused_photons == coarse.photons < fine.photons
+    assert same_bits(fine, nail.trace(slab(), relative_error=0.008, seed=1, store=False))
+    assert nail.trace(slab(), photons=PHOTONS, seed=2).reused_photons == 0
+    # Of two LEDs only the one that moved.
+    moved = nail.trace(slab(x=-1.0), photons=PHOTONS, seed=1)
+    assert moved.reused_photons == PHOTONS
+    assert same_bits(moved, nail.trace(slab(x=-1.0), photons=PHOTONS, seed=1, store=False))
+
+
+@pytest.mark.jit
+def test_without_a_store_nothing_is_written(jit_backend, store):
+    nail.trace(slab(), photons=100, store=False)
+    assert not store.exists()
+
+
+@pytest.mark.jit
+def test_damaged_and_foreign_files_are_named_and_traced_again(small_batches, store, caplog):
+    fresh = nail.trace(slab(), photons=PHOTONS, seed=3)
+    other = nail.trace(slab(), photons=PHOTONS, seed=4)
+    kept = {path.parent for path in store.glob("*/*.dat")}
+    seed = {json.loads(one)["seed"]: folder for folder in kept for one in [_made(folder)]}
+    files = sorted(seed[3].glob("*.dat"))
+    files[0].write_bytes(files[0].read_bytes()[:-9] + b"123456789")
+    files[1].write_bytes(b"")
+    shutil.copy(sorted(seed[4].glob("*.dat"))[2], files[2])
+    files[3].unlink()
+    files[3].mkdir()
+    assert not same_bits(fresh, other)
+    again = nail.trace(slab(), photons=PHOTONS, seed=3)
+    assert same_bits(again, fresh) and again.reused_photons == PHOTONS
+    said = [record.getMessage() for record in caplog.records]
+    assert all(any(str(file) in line for line in said) for file in files), said
+    assert any("another light's" in line for line in said) and any("checksum" in line for line in said)
+    # The file that is a folder stays one; the others are whole again.
+    caplog.clear()
+    nail.trace(slab(), photons=PHOTONS, seed=3)
+    assert [str(files[3]) in record.getMessage() for record in caplog.records] == [True]
+
+
+def _made(folder) -> str:
+    from nailoptics.io import unpack
+
+    header, _ = unpack(next(folder.glob("*.dat")).read_bytes())
+    return json.dumps(header["made"])
+
+
+def test_every_choice_that_decides_bits_has_a_light_of_its_own(tmp_path, monkeypatch):
+    store, scene = LightStore(tmp_path), slab()
+    made = made_of(scene, 0, seed=1, backend="llvm")
+    others = [
+        made_of(scene, 0, seed=2, backend="llvm"),
+        made_of(scene, 0, seed=1, backend="cuda"),
+        made_of(scene, 1, seed=1, backend="llvm"),
+        made_of(slab(x=0.7), 1, seed=1, backend="llvm"),
+        made | {"versions": made["versions"] | {"nailoptics": "0.0"}},
+        made | {"program": "another"},
+    ]
+    assert len({store.light(one).folder for one in (made, *others)}) == 7
+    for same in (slab(layer="x"), slab(flux=4.0), slab(x=0.7)):
+        assert store.light(made_of(same, 0, seed=1, backend="llvm")).folder == store.light(made).folder
+
+
+def test_what_was_not_used_for_longest_goes_first_and_foreign_files_stay(tmp_path):
+    store = LightStore(tmp_path)
+    (tmp_path / "notes.txt").write_text("mine")
+    lights = [store.light({"light": i}) for i in range(5)]
+    for i, light in enumerate(lights):
+        light.write("0-1", {"a": 1}, {"x": np.zeros(50)})
+        os.utime(light.folder, (1000 + i, 1000 + i))
+    lights[0].read("0-1")
+    LightStore(tmp_path, most_bytes=2500, optional=True).trim()
+    left = [light.folder.exists() for light in lights]
+    assert left[0] and left[4] and not left[1] and sum(left) < 5
+    assert sum(path.stat().st_size for path in tmp_path.glob("*/*.dat")) <= 2500
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_no_command_pushes_its_own_light_out(tmp_path):
+    light = LightStore(tmp_path, most_bytes=20_000, optional=True).light({"light": 1})
+    for number in range(100):
+        light.write(f"{number}-1", {}, {"x": np.zeros(100)})
+    assert light.path("0-1").exists() and light.path("5-1").exists() and not light.path("99-1").exists()
+
+
+def test_a_store_that_cannot_be_written_stops_no_trace_and_says_so_once(tmp_path, caplog):
+    (tmp_path / "store").write_text("a file")
+    light = LightStore(tmp_path / "store", optional=True).light({"light": 1})
+    for _ in range(3):
+        light.write("0-1", {}, {"x": np.zeros(3)})
+    assert len(caplog.records) == 1 and "not kept" in caplog.records[0].getMessage()
+
+
+def test_entries_say_what_there_is(tmp_path):
+    store = LightStore(tmp_path)
+    light = store.light(made_of(slab(), 0, seed=7, backend="llvm"))
+    for number in range(3):
+        light.write(f"{number}-4096", {}, {"x": np.zeros(3)})
+    (tmp_path / ("0" * 32)).mkdir()
+    (tmp_path / ("1" * 32)).mkdir()
+    (tmp_path / ("1" * 32) / "0-1.dat").write_bytes(pack({"other": 1}, {}))
+    [entry] = entries(store)
+    assert isinstance(entry, StoredEntry) and (entry.photons, entry.seed, entry.wavelength_nm) == (3 * 4096, 7, 800.0)
+    assert "1.23e+04 photons" in str(entry) and entry.key == light.folder.name
+
+
+def _trace(results) -> None:
+    transfer = nail.trace(slab(), photons=1 << 16, seed=5)
+    results.put((transfer.traces[0].weight.tobytes(), transfer.reused_photons))
+
+
+@pytest.mark.jit
+def test_processes_at_once_share_a_store_and_all_have_the_same_bits(jit_backend, store):
+    context = multiprocessing.get_context("spawn")
+    results = context.Queue()
+    rivals = [context.Process(target=_trace, args=(results,)) for _ in range(3)]
+    for rival in rivals:
+        rival.start()
+    bits = {results.get(timeout=120)[0] for _ in rivals}
+    for rival in rivals:
+        rival.join()
+    assert bits == {nail.trace(slab(), photons=1 << 16, seed=5).traces[0].weight.tobytes()}
+    assert not list(store.rglob("*.part"))
+
+
+def test_where_the_store_lies(monkeypatch, tmp_path):
+    monkeypatch.setenv("NAILOPTICS_STORE", "off")
+    assert user_folder() is None and LightStore.of_user() is None
+    monkeypatch.delenv("NAILOPTICS_STORE")
+    monkeypatch.setattr(light_store.sys, "platform", "linux")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert user_folder() == tmp_path / "nailoptics" / "light"
+
+
+@pytest.mark.jit
+def test_the_store_from_the_command_line(jit_backend, store, tmp_path, capsys):
+    from nailoptics.cli import run
+
+    scene = tmp_path / "slab.toml"
+    scene.write_text(SLAB.format(layer="slab", flux=1.0, x=0.5))
+    reused = []
+    for more in (["--photons", "500"], ["--photons", "500"], ["--photons", "500", "--no-store"]):
+        assert run(["trace", str(scene), "--json", *more]) == 0
+        reused.append(json.loads(capsys.readouterr().out)["reused"])
+    assert reused == [False, True, False]
+    assert run(["store", "--list", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["lights"], [entry["photons"] for entry in told["entries"]]) == (2, [500, 500])
+    assert run(["store"]) == 0 and "2 lights" in capsys.readouterr().out
+    assert run(["store", "--clear"]) == 0 and not list(store.iterdir())
+
+
+def test_a_store_that_is_off_says_so(capsys):
+    from nailoptics.cli import run
+
+    assert run(["store"]) == 2 and "NAILOPTICS_STORE" in capsys.readouterr().err

@@ -1,0 +1,62 @@
+"""The page and the table of a sweep: names that attack a browser or a spreadsheet are text."""
+
+import csv
+from html.parser import HTMLParser
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from nailoptics.batch import write_table
+from nailoptics.report.sweep_page import write_sweep_page
+
+HOSTILE = ["<script>alert(1)</script>$a_b^{c$ & <b>", '"><img src=x onerror=y>', "</title><svg onload=z>"]
+FORMULAS = ["=cmd|' /C calc'!A0", "+1+1", "-2+3", "@SUM(A1)", "\t=1", "plain"]
+
+
+class Tags(HTMLParser):
+    """Every tag of a page, and every attribute that runs something."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.found: set[str] = set()
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found |= {tag, *(name for name, _ in attrs if name.startswith("on"))}
+
+
+def results(names: list[str], *, axis: str = "base") -> xr.Dataset:
+    """What `open_results` returns of a sweep over texts."""
+    shape, dims = (len(names), 1, 1), (axis, "led", "photodiode")
+    about = {"long_name": f"voltage {names[0]}", "units": "V"}
+    return xr.Dataset(
+        {
+            "volts_start": (dims, np.arange(1.0, len(names) + 1).reshape(shape), about),
+            "volts_start_stderr": (dims, np.full(shape, 0.1), about),
+            "state": ((axis,), np.array([names[0]] + ["done"] * (len(names) - 1))),
+        },
+        coords={axis: (axis, names, {"long_name": names[0]}), "led": [names[0]], "photodiode": [names[-1]]},
+        attrs={"title": f"nailoptics: batch {names[0]}", "seed": 1, "versions": names[0], "backend": names[1]},
+    )
+
+
+def test_names_failures_and_titles_are_text_on_the_page(tmp_path: Path):
+    write_sweep_page(results(HOSTILE), tmp_path / "p.html", failures=dict(zip(HOSTILE, HOSTILE, strict=True)))
+    text = (tmp_path / "p.html").read_text()
+    assert not Tags(text).found & {"script", "img", "b>", "onerror", "onload"}
+    assert "&lt;script&gt;alert(1)" in text and "&quot;&gt;&lt;img" in text
+
+
+@pytest.mark.parametrize("axis", ["base", "=1+1"])
+def test_no_cell_of_the_table_is_a_formula(tmp_path: Path, axis):
+    write_table(results(FORMULAS, axis=axis), tmp_path / "t.csv")
+    head, *rows = csv.reader(StringIO((tmp_path / "t.csv").read_text(), newline=""))
+    cells = [cell for row in rows for cell in row]
+    assert len(rows) == len(FORMULAS) and not any(cell[:1] in ("=", "+", "@", "\t") for cell in [*head, *cells])
+    assert [row[0].removeprefix("'") for row in rows] == FORMULAS
+    # Numbers stay numbers.
+    column = head.index("volts_start")
+    assert [float(row[column]) for row in rows] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
