@@ -156,9 +156,8 @@ def _through_the_body(best: Scene, result: xr.Dataset) -> str:
         f"{escaped(body_words(best))} could be followed, and waves slower than its bandwidth count in full. Through "
         "the vessels such waves move the blood of both zones, each with the gain of its frequency. Light that sees "
         "the blood of two zones cannot tell them from the two pressures that would move it alike: on every layout "
-        f"they feign a force of {feigned} mN rms, and no "
-        "layout resolves finer. If the split of the touch is known, most of them stands apart from it, and the layout "
-        f"counts again. {_worn(asked)}</p>"
+        f"they feign a force of {feigned} mN rms, and no layout resolves finer. What drift and lift add depends on the "
+        f"layout; if the split of the touch is known, most of the waves stand apart from it, too. {_worn(asked)}</p>"
     )
     told += small(
         "nailoptics predict has that memory. Where its model fits and the electronics are the only noise, the force "
