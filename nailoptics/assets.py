@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from .errors import InputError
 
-WAVELENGTH_RANGE_NM = (450.0, 1000.0)
+WAVELENGTH_RANGE_NM = (400.0, 1000.0)
 """The wavelengths that every shipped spectrum covers. [nm]"""
 
 _PACKAGE = Path(__file__).resolve().parent

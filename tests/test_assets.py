@@ -13,12 +13,12 @@ SPECTRA = sorted(path.name for path in (data_dir("assets") / "spectra").glob("*.
 
 
 @pytest.mark.parametrize("name", SPECTRA)
-def test_a_spectrum_covers_450_to_1000_nm_and_cites_its_source(name):
+def test_a_spectrum_covers_400_to_1000_nm_and_cites_its_source(name):
     header = [line for line in asset_path(f"spectra/{name}").read_text().splitlines() if line.startswith("#")]
     assert "Source:" in "".join(header) or "FITTED" in header[0]
     assert any(char.isdigit() for char in "".join(header))
     wavelength_nm = read_table(f"spectra/{name}")["wavelength_nm"]
-    assert wavelength_nm[0] <= 450 and wavelength_nm[-1] >= 1000 and (np.diff(wavelength_nm) > 0).all()
+    assert wavelength_nm[0] <= 400 and wavelength_nm[-1] >= 1000 and (np.diff(wavelength_nm) > 0).all()
     assert all(np.isfinite(column).all() for column in read_table(f"spectra/{name}").values())
 
 

@@ -1,4 +1,4 @@
-"""mu_a, mu_s, g and n of every region between the board and the bone, at any wavelength from 450 to 1000 nm."""
+"""mu_a, mu_s, g and n of every region between the board and the bone, at any wavelength from 400 to 1000 nm."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args

@@ -1,4 +1,4 @@
-"""Absorption of the pure chromophores, from the shipped tables, at any wavelength from 450 to 1000 nm."""
+"""Absorption of the pure chromophores, from the shipped tables, at any wavelength from 400 to 1000 nm."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

@@ -232,7 +232,7 @@ def test_a_bed_of_pure_blood_read_from_a_trace_at_rest_is_that_of_a_fresh_trace(
 
 
 @jit
-@pytest.mark.parametrize("wavelength_nm", [450.0, 1000.0])
+@pytest.mark.parametrize("wavelength_nm", [400.0, 1000.0])
 def test_the_ends_of_the_spectrum_are_traced(jit_backend, wavelength_nm):
     scene = prototype_with()
     leds = tuple(led.model_copy(update={"wavelength_nm": wavelength_nm}) for led in scene.leds)

@@ -42,14 +42,14 @@ def test_a_line_read_from_one_trace_is_the_sum_of_narrow_band_traces(chosen_jit,
     assert abs(values.sum() / total.sum() - 1) < 0.015 + 3 * np.linalg.norm(errors) / total.sum()
 
 
-@pytest.mark.parametrize(("wavelength_nm", "most"), [(460.0, 8), (980.0, 16)])
+@pytest.mark.parametrize(("wavelength_nm", "most"), [(410.0, 8), (980.0, 16)])
 def test_a_line_beyond_the_tables_is_refused_and_the_widest_that_is_not_is_named(wavelength_nm, most):
     """Five nodes reach 2.0202 / (2 sqrt(ln 2)) = 1.2132 widths to each side: 8 of 10 nm, 16 of 20 nm."""
     scene = load_scene(data_dir("scenes") / "prototype.toml")
     led = scene.leds[0].model_copy(update={"wavelength_nm": wavelength_nm, "fwhm_nm": 5000.0})
     wide = scene.model_copy(update={"leds": (led,)})
     with pytest.raises(
-        InputError, match=rf"leds\[0\]\.fwhm_nm = 5000: .*450 to 1000 nm; give at most {most}"
+        InputError, match=rf"leds\[0\]\.fwhm_nm = 5000: .*400 to 1000 nm; give at most {most}"
     ) as caught:
         rest_state(wide, 0)
     assert "\n" not in str(caught.value)

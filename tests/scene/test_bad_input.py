@@ -176,13 +176,13 @@ def test_a_barrier_without_room_is_refused_with_the_way_out():
     assert line.startswith("bad.toml: board.barrier: LED ") and "barrier = false" in line
 
 
-@pytest.mark.parametrize("wavelength", ["449.9", "1000.1", "300.5"])
+@pytest.mark.parametrize("wavelength", ["399.9", "1000.1", "300.5"])
 def test_a_wavelength_without_tissue_data_is_refused(wavelength):
     line = complaint(in_led(f"wavelength_nm = {wavelength}"))
-    assert f"leds[0].wavelength_nm = {wavelength}" in line and "450 to 1000 nm" in line
+    assert f"leds[0].wavelength_nm = {wavelength}" in line and "400 to 1000 nm" in line
 
 
-@pytest.mark.parametrize("wavelength", [450.0, 1000.0])
+@pytest.mark.parametrize("wavelength", [400.0, 1000.0])
 def test_wavelengths_at_the_ends_of_the_data_are_good(wavelength):
     assert parse_scene(in_led(f"wavelength_nm = {wavelength}")).leds[0].wavelength_nm == wavelength
 
