@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from .batch import open_results
     from .light import Transfer, trace
     from .scene import Scene, load_scene, parse_scene, to_toml
+    from .studies.colour.nail_colour import colour
     from .studies.comparison.compare import compare
     from .studies.force.calibrate import calibrate
     from .studies.force.predict import predict
@@ -26,6 +27,7 @@ _HOMES = {
     "Scene": ".scene",
     "Transfer": ".light",
     "calibrate": ".studies.force.calibrate",
+    "colour": ".studies.colour.nail_colour",
     "compare": ".studies.comparison.compare",
     "explain": ".studies.model_error.explain",
     "load_scene": ".scene",
@@ -59,6 +61,7 @@ __all__ = [
     "Scene",
     "Transfer",
     "calibrate",
+    "colour",
     "compare",
     "explain",
     "hemodynamics",

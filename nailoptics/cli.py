@@ -122,6 +122,48 @@ def trace(scene: ScenePath, *, output: File = None, json_: Json = False, options
 
 
 @app.command
+def colour(
+    scene: ScenePath,
+    *,
+    output: Folder = None,
+    force: Annotated[
+        tuple[float, ...], Parameter(negative="", help="Held forces, the first to compare with. May be repeated. [N]")
+    ] = (0.0, 0.3, 1.0, 2.0, 4.0),
+    illuminant: Annotated[
+        Literal["D65", "A", "LED-B3"], Parameter(help="Daylight, an incandescent lamp, or a white LED.")
+    ] = "D65",
+    observer: Annotated[Literal["2", "10"], Parameter(help="Field of the standard observer, in degrees.")] = "2",
+    light: Annotated[Literal["sky", "lamp"], Parameter(help="From all sides, or at 45 degrees all round.")] = "sky",
+    gloss: Annotated[bool, Parameter(help="Count what the surface mirrors, too.")] = False,
+    photograph: Annotated[
+        bool, Parameter(help="Render the finger at rest and pressed, which takes half a minute.")
+    ] = True,
+    tolerance: Annotated[float, Parameter(help="Standard error of every place's colour (CIEDE2000).")] = 0.3,
+    json_: Json = False,
+    options: Options = USUAL,
+) -> None:
+    """Trace the colour of the bare nail and the skin around it under force, as in the paper's Fig. 2.
+
+    Writes colour.nc, colour.html, the strip of nails, photographs at rest and pressed, and a press as an animation.
+    """
+    from .report.result_files import COLOUR, write_colour
+    from .studies.colour.nail_colour import colour as study
+    from .studies.colour.nail_colour import colour_lines, colour_summary
+    from .studies.colour.pictures import photographs
+
+    loaded, _ = _load(scene, options)
+    folder = _results(output, scene, COLOUR)
+    look: dict[str, Any] = {"illuminant": illuminant, "observer": observer, "lit_by": light, "gloss": gloss}
+    result, unmet = _watched(study, loaded, forces_n=force, tolerance=tolerance, **look, **options.fields)
+    pictures = photographs(loaded, result, backend=options.backend) if photograph else []
+    assert loaded.finger is not None
+    paths = write_colour(result, folder, photographs=pictures, width_mm=loaded.finger.nail_width_mm)
+    summary = colour_summary(result)
+    _show(summary, colour_lines(summary), paths, json_)
+    _end(unmet, folder)
+
+
+@app.command
 def compare(
     scene: ScenePath,
     *,

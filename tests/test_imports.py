@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from nailoptics.report.result_files import COMPARISON, PLACEMENT, PREDICTION, SIMULATION, TRADEOFF
+from nailoptics.report.result_files import COLOUR, COMPARISON, PLACEMENT, PREDICTION, SIMULATION, TRADEOFF
 
 PACKAGE = Path(__file__).parents[1] / "nailoptics"
 # Rooms in one entry do not import each other.
@@ -198,7 +198,7 @@ THEIRS = {
     "steps.csv",
     "results/prototype/report.html",
 }
-THEIRS |= {*SIMULATION, *COMPARISON, *PLACEMENT, *TRADEOFF, *PREDICTION, "table.csv", "_fig10.png"}
+THEIRS |= {*COLOUR, *SIMULATION, *COMPARISON, *PLACEMENT, *TRADEOFF, *PREDICTION, "table.csv", "_fig10.png"}
 
 
 def prose(path: Path) -> Iterator[str]:

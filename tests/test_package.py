@@ -18,7 +18,7 @@ from nailoptics import assets
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 # Packages whose distribution has another name.
-DISTRIBUTION = {"colour": "colour-science", "dask": "distributed"}
+DISTRIBUTION = {"PIL": "pillow", "colour": "colour-science", "dask": "distributed"}
 
 
 def distributions(requirements: list[str]) -> set[str]:

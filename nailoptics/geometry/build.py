@@ -10,8 +10,8 @@ from ..scene.finger import ABSORBING, SCATTERING
 from .board import BentBoard
 from .grid import Grid
 from .model import Face, Geometry
-from .nodes import Nodes
-from .regions import SILICON
+from .nodes import BELOW, Nodes
+from .regions import AIR, SILICON
 from .surfaces import FingerSurfaces
 
 log = logging.getLogger(__name__)
@@ -21,9 +21,10 @@ FOLDS_RAD = (0.28, 0.6, 1.2)  # over which the skin beside the nail leaves its c
 BUILT_FROM = ("finger", "board", "leds", "photodiodes")
 
 
-def build(scene: Scene, *, resolution: float = 1.0) -> Geometry:
+def build(scene: Scene, *, resolution: float = 1.0, board: bool = True) -> Geometry:
     """Build the finger of a scene and the board on its nail.
 
+    board : Without it the nail is bare, and the geometry has no LEDs and no photodiodes.
     resolution : Divides the size of the cells; the nail's facets lie within 2 um / resolution^2 of its cylinder, but
         an LED die is always flat.
 
@@ -33,19 +34,21 @@ def build(scene: Scene, *, resolution: float = 1.0) -> Geometry:
         raise InputError("geometry: a phantom has no finger to build; give a scene with [finger].")
     if not 0.1 <= resolution <= 10:
         raise InputError(f"resolution = {resolution:g}: must be between 0.1 and 10.")
-    board, grid = _grid(scene, resolution)
+    bent, grid = _grid(scene, resolution)
+    faces = [_face(grid, r.name, region) for region, r, _ in bent.parts if region != SILICON] if board else []
+    if not board:
+        grid.labels[:, :, BELOW:] = AIR
     vertices, triangles, below, above = grid.interfaces()
-    faces = [_face(grid, r.name, region) for region, r, _ in board.parts if region != SILICON]
     geometry = Geometry(
         vertices=vertices,
         triangles=triangles,
         below=below,
         above=above,
-        regions=board.regions,
+        regions=bent.regions,
         leds=tuple(faces[: len(scene.leds)]),
         photodiodes=tuple(faces[len(scene.leds) :]),
         nail_radius_mm=scene.finger.nail_radius_mm,
-        board_radius_mm=board.radius_mm,
+        board_radius_mm=bent.radius_mm,
         grid=grid,
     )
     log.info("geometry: %d triangles between %d regions", len(triangles), len(geometry.regions))

@@ -66,7 +66,10 @@ class FingerTracer:
         self.geometry, distances = _built(finger_geometry.shaping(scene), spacing_mm)
         self.photodiodes = tuple(face.name for face in self.geometry.photodiodes)
         self.interfaces = Interfaces(self.geometry, distances)
-        self.regions = [Regions(scene, self.geometry, led.wavelength_nm) for led in scene.leds]
+        self.regions = [
+            Regions(self.geometry, optics.finger_media(scene, self.geometry.regions, led.wavelength_nm))
+            for led in scene.leds
+        ]
         self.zones = optics.zones(scene)
         # The bed's path counts whole, and what of it lies beyond each edge of the zones.
         self.paths = len(optics.TISSUES) + len(self.zones.edges_mm)
@@ -111,12 +114,13 @@ class FingerTracer:
             rng.state, rng.inc = (dr.gather(mi.UInt64, a, first % dr.width(a)) for a in states)
             count = dr.full(mi.UInt32, 1, len(which))
         emission = LAMBERTIAN if face else emission_table(self.scene.leds[led])
-        emitter = Emitter(face or self.geometry.leds[led], emission)
+        emitter = Emitter(face or self.geometry.leds[led], emission, self.regions[led].epoxy)
         ends = PhotonEnds(photons, paths=self.paths, media=len(self.regions[led].absorbing))
-        walk = _Walk(self.interfaces, self.regions[led], ZoneEdges(self.zones), emitter, ends, **to)
+        walk = FingerWalk(self.interfaces, self.regions[led], ZoneEdges(self.zones), emitter, ends, **to)
         return ends.evaluated(walk.run(rng, count, first))
 
-    def by_zone(self, paths: np.ndarray) -> np.ndarray:
+    @staticmethod
+    def by_zone(paths: np.ndarray) -> np.ndarray:
         """Paths (t, n) in the order of the absorbers, (n, r): the bed's divided among its zones."""
         count = len(optics.TISSUES)
         beyond = [paths[BED], *paths[count:], np.zeros_like(paths[BED])]
@@ -140,9 +144,10 @@ class _Leg:
     scatterings: Any
 
 
-class _Walk:
-    """The walk of one LED's light: what it reads, what tallies it, and what happens to a photon, step by step.
+class FingerWalk:
+    """The walk of one source's light: what it reads, what tallies it, and what happens to a photon, step by step.
 
+    emitter : What `emit(rng, index)` gives each photon, its place and direction, and the `region` that it starts in.
     section, board : Tally all photons on their way.
     splitting : Splits photons near the photodiodes, and takes their scores; without it each counts for itself.
     """
@@ -152,7 +157,7 @@ class _Walk:
         interfaces: Interfaces,
         regions: Regions,
         zones: ZoneEdges,
-        emitter: Emitter,
+        emitter: Any,
         ends: PhotonEnds,
         *,
         section: Section | SensitivityTally | None = None,
@@ -182,7 +187,9 @@ class _Walk:
             region = mi.UInt32(photon.region)
             u, phi = photon.rng.next_float32(), 2 * dr.pi * photon.rng.next_float32()
             scattered = rotate_direction(photon.w, henyey_greenstein(medium.g, u), phi)
-            photon.w = mi.Vector3f(dr.select(casts & ~hit, scattered, photon.w))
+            # Whoever left keeps the way in which it did.
+            scatters = casts & ~hit & (photon.outcome == 0)
+            photon.w = mi.Vector3f(dr.select(scatters, scattered, photon.w))
             self.meet_interface(photon, hit, triangle, u, phi)
             absorbed = photon.tau > photon.absorption_optical_depth
             photon.outcome = dr.select(absorbed, mi.UInt32(ABSORBED), photon.outcome)
@@ -207,13 +214,13 @@ class _Walk:
     def launch(self, rng: Any, lane: Any, index: Any) -> FingerPhoton:
         """A new photon on the emitter."""
         rng.state = state_of(lane, index)
-        p, w = self.emitter.emit(rng)
+        p, w = self.emitter.emit(rng, index)
         return FingerPhoton(
             index=index,
             rng=rng,
             p=p,
             w=w,
-            region=mi.UInt32(self.regions.epoxy),
+            region=mi.UInt32(self.emitter.region),
             absorption_optical_depth=absorption_depth(rng.next_float32()),
             path=[mi.Float(0) for _ in self.ends.path],
         )

@@ -11,7 +11,6 @@ import mitsuba as mi
 import numpy as np
 
 from ..geometry import DistanceGrid, Face, Geometry
-from ..scene import Scene
 from ..tissue import BloodZones
 from . import optics
 from .arithmetic import clip, maximum
@@ -66,11 +65,10 @@ class Medium(NamedTuple):
 
 
 class Regions:
-    """Optics of each region at rest and at one wavelength, and what becomes of a photon that enters it."""
+    """Optics of each region of a geometry, and what becomes of a photon that enters it."""
 
-    def __init__(self, scene: Scene, geometry: Geometry, wavelength_nm: float) -> None:
+    def __init__(self, geometry: Geometry, media: optics.Media) -> None:
         names = geometry.regions
-        media = optics.finger_media(scene, names, wavelength_nm)
         self.mu_a, self.mu_s, self.g, self.n = (mi.Float(a) for a in (media.mu_a, media.mu_s, media.g, media.n))
         self.opaque, self.reflectance = mi.Bool(media.opaque), mi.Float(media.reflectance)
         detectors = {face.region: DETECTED + i for i, face in enumerate(geometry.photodiodes)}
@@ -143,9 +141,10 @@ class Interfaces:
 
 
 class Emitter:
-    """The facets of a die or of a photodiode that shines, and its `emission_table`."""
+    """The facets of a die or of a photodiode that shines into a region, and its `emission_table`."""
 
-    def __init__(self, face: Face, emission: np.ndarray) -> None:
+    def __init__(self, face: Face, emission: np.ndarray, region: Any) -> None:
+        self.region = region
         quads = np.asarray(face.quads)
         area = np.linalg.norm(np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]), axis=1) / 2
         self.cumulative_area = mi.Float(np.cumsum(area) / area.sum())
@@ -153,8 +152,8 @@ class Emitter:
         self.normal = mi.Float(np.asarray(face.normal, np.float32).ravel())
         self.emission = mi.Float(emission)
 
-    def emit(self, rng: Any) -> tuple[Any, Any]:
-        """Place and direction of a new photon."""
+    def emit(self, rng: Any, index: Any) -> tuple[Any, Any]:
+        """Place and direction of a new photon, whichever of the batch it is."""
         pick, facet = rng.next_float32(), mi.UInt32(0)
         for i in range(dr.width(self.cumulative_area) - 1):
             facet += dr.select(pick >= dr.gather(mi.Float, self.cumulative_area, i), mi.UInt32(1), mi.UInt32(0))

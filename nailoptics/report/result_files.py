@@ -1,17 +1,19 @@
 """The files that a study leaves in its folder: those of two results never mix."""
 
 import csv
-from collections.abc import Callable, Mapping
-from io import StringIO
+from collections.abc import Callable, Mapping, Sequence
+from io import BytesIO, StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..io import make_folder, plain_cell, to_json, turn, write_dataset, write_text
+from ..io import make_folder, plain_cell, to_json, turn, write_bytes, write_dataset, write_text
 from ..scene import to_toml
 from ..scene.sensor_recordings import Recording, recording_csv
 
 if TYPE_CHECKING:
+    import numpy as np
     import xarray as xr
+    from numpy.typing import NDArray
 
     from ..studies.model_error.tradeoff import Tradeoff
 
@@ -29,6 +31,7 @@ PLACEMENT = (
 )
 TRADEOFF = ("tradeoff.json", "tradeoff.nc", "tradeoff.html", "tradeoff.png", "scene.toml")
 
+COLOUR = ("colour.nc", "colour.html", "strip.png", "rest.png", "pressed.png", "press.gif")
 PREDICTION = ("predict.nc", "predict.csv", "predict.html", "predict.png")
 
 Paths = dict[str, Path]
@@ -101,6 +104,40 @@ def write_tradeoff(found: "Tradeoff", folder: Path) -> Paths:
         write_figure(tradeoff_page.draw(found), picture, dpi=120, facecolor="white")
         write_text(scene, _cut_off(found.attributes) + to_toml(found.scene))
     return {"report": page, "scene": scene}
+
+
+def write_colour(
+    result: "xr.Dataset", folder: Path, *, photographs: "Sequence[NDArray[np.uint8]]", width_mm: float
+) -> Paths:
+    """Write a nail's colours, their page, strip, photographs at rest and pressed, and the press; returns their paths.
+
+    width_mm : of the nail.
+    """
+    from . import colour_figures
+    from .colour_page import write_colour_page
+    from .style import write_figure
+
+    data, page, strip, rest, pressed, press = (folder / name for name in COLOUR)
+    pictures = [png(one) for one in photographs]
+    moving = colour_figures.animation(result, width_mm=width_mm) if "press_lab" in result else None
+    with turn(folder):
+        write_dataset(result, data)
+        write_colour_page(result, pictures, moving, page)
+        write_figure(colour_figures.strip(result, width_mm=width_mm), strip, dpi=150, facecolor="white")
+        for path, picture in zip((rest, pressed), pictures, strict=False):
+            write_bytes(path, picture)
+        if moving:
+            write_bytes(press, moving)
+    return {"report": page, "result": data}
+
+
+def png(picture: "NDArray[np.uint8]") -> bytes:
+    """A picture (height, width, 3) as a PNG file."""
+    from PIL import Image
+
+    data = BytesIO()
+    Image.fromarray(picture).save(data, format="PNG")
+    return data.getvalue()
 
 
 def _cut_off(attributes: Mapping[Any, Any]) -> str:

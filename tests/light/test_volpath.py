@@ -107,7 +107,7 @@ def test_three_blood_states_in_one_heterogeneous_medium_meet_adding_doubling(eng
     iadpython = pytest.importorskip("iadpython")
     states, mu_s, g = np.array([0.05, 0.1, 0.2]), 12.0, 0.8
     exact = [iadpython.Sample(a=mu_s / (m + mu_s), b=m + mu_s, g=g, n=1.4, quad_pts=20).rt()[0] for m in states]
-    with integrate._mitsuba(engine) as mi:
+    with integrate.stock_mitsuba(engine) as mi:
         scene = slab(mu_a=0.05, mu_s=mu_s, g=g, n=1.4)
         made = mitsuba_scene.phantom_scene(mi, scene.phantom, scene.leds[0], [Window((0.0, 0.0), EVERYTHING)])
         bed = BedAbsorption(np.array([-80.0, 0.0, 80.0]), np.repeat(states[:, None], 3, axis=1))

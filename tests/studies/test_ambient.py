@@ -77,7 +77,7 @@ def test_a_sky_of_the_other_engine_brings_what_reciprocity_foretells(jit_backend
     low, high = np.asarray(shape.bounds_mm)[:, 1]
     v = np.linspace(low - 0.2, high + 0.2, 101)
     bed = mitsuba_scene.BedAbsorption(v, np.full((1, len(v)), found.mu_a[shape.regions.index("bed")]))
-    with integrate._mitsuba(backend.choose("auto", volpath=True)) as mi, tempfile.TemporaryDirectory() as folder:
+    with integrate.stock_mitsuba(backend.choose("auto", volpath=True)) as mi, tempfile.TemporaryDirectory() as folder:
         sensor = shape.photodiodes[0].region
         made = mitsuba_scene.finger_scene(mi, shape, found, bed, sensor=sensor, emitters={}, folder=Path(folder))
         made["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}

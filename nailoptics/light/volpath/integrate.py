@@ -34,7 +34,7 @@ SEEDS = 1 << 32
 
 
 @contextmanager
-def _mitsuba(backend: Backend | None) -> Iterator[Any]:
+def stock_mitsuba(backend: Backend | None) -> Iterator[Any]:
     """Mitsuba in the variant that this engine needs; the one that was set before returns afterwards."""
     backend = backend or choose(volpath=True)
     if "volpath" not in backend.engines:
@@ -82,7 +82,7 @@ def phantom_fractions(
     scale = np.array([1.0 if window.top else (phantom.n_below / phantom.n_above) ** 2 for window in windows])
     # A beam reads the radiance that leaves along it; a die reads irradiance, pi times as much.
     scale /= 1.0 if source.pattern == "pencil" else math.pi
-    with _mitsuba(backend) as mi:
+    with stock_mitsuba(backend) as mi:
         loaded = mi.load_dict(phantom_scene(mi, phantom, source, windows), optimize=False)
         colours = np.stack([_render(mi, loaded, paths=paths_per_batch, seed=seed_of(seed, k)) for k in range(batches)])
     return np.asarray(colours[:, : len(windows)] * scale)
@@ -116,7 +116,7 @@ class FingerPaths:
         if len(photodiodes) == 1:
             colours = dict.fromkeys(colours, [1.0, 1.0, 1.0])
         self._backend = backend or choose(volpath=True)
-        with _mitsuba(self._backend) as mi, tempfile.TemporaryDirectory(prefix="nailoptics-") as folder:
+        with stock_mitsuba(self._backend) as mi, tempfile.TemporaryDirectory(prefix="nailoptics-") as folder:
             made = finger_scene(mi, geometry, media, bed, sensor=die.region, emitters=colours, folder=Path(folder))
             self._scene = mi.load_dict(made, optimize=False)
 
@@ -125,7 +125,7 @@ class FingerPaths:
 
         Cannot be interrupted where kernels are compiled: ask `paths_for` how many paths a second or two can hold.
         """
-        with _mitsuba(self._backend) as mi:
+        with stock_mitsuba(self._backend) as mi:
             # Irradiance E under radiance 1 gives a throughput E A; a Lambertian die of radiance 1 emits pi A.
             return _render(mi, self._scene, paths=paths, seed=seed)[: self.channels] / math.pi
 

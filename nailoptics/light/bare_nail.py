@@ -1,0 +1,183 @@
+"""What places on a bare nail and the skin around it send back, by light that walks from the eye: reciprocity.
+
+Where light from all the sky falls on a finger, the part of it that a place sends into the eye is the part of a ray from
+the eye to that place that comes back anywhere: every photon counts (Helmholtz; CIE 15, geometries d:0 and 0:d).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import geometry as finger_geometry
+from ..geometry import DistanceGrid, Geometry
+from ..scene import Light, Scene
+from ..statistics import seed_of
+from . import optics
+from .finger_walk import FingerTracer, FingerWalk
+from .sampling import TOP, Photon, PhotonEnds, lanes
+from .surroundings import Interfaces, Regions, ZoneEdges
+
+# Photons walked at once.
+BATCH = 1 << 18
+# Rays start so far above the highest place of the finger. [mm]
+ABOVE_MM = 0.5
+# Most scatterings happen so near to where light enters; beyond, every step casts a ray, which is only slower. [mm]
+ASIDE_MM, BELOW_MM = 3.0, 6.0
+# So much finger is there behind the nail: with less, skin there would lose red light through the end. [mm]
+BEHIND_MM = 10.0
+SPACING_MM = 0.1
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A rectangle of the finger, seen from above, and how many rays go to it for each that goes to others.
+
+    center_mm, size_mm : across and along the nail, from its centre, towards the tip positive. [mm]
+    """
+
+    center_mm: tuple[float, float]
+    size_mm: tuple[float, float]
+    share: int = 1
+
+
+@dataclass(frozen=True)
+class ReflectedLight:
+    """The rays of one wavelength that came back, and where absorption has dimmed them.
+
+    rays : (patches,) int. Rays that went to each patch.
+    patch : (n,) int. Which patch each ray that came back had gone to.
+    group : (n,) int in 0 to `GROUPS` - 1. To which group of independent rays it belongs.
+    weight : (n,) float. What it counts for, of 1.
+    path_mm : (n, r) float32. Its path in each absorber. [mm]
+    mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
+    cosine : (n,) float32. Of the angle between the vertical and the way in which it left.
+    gloss : (n,) bool. Whether it never entered the finger.
+    """
+
+    rays: np.ndarray
+    patch: np.ndarray
+    group: np.ndarray
+    weight: np.ndarray
+    path_mm: np.ndarray
+    mu_a: np.ndarray
+    cosine: np.ndarray
+    gloss: np.ndarray
+
+    def with_more(self, other: "ReflectedLight") -> "ReflectedLight":
+        """These rays and others of the same wavelength, patches and absorption as one."""
+        fields = ("patch", "group", "weight", "path_mm", "cosine", "gloss")
+        joined = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in fields}
+        return replace(self, rays=self.rays + other.rays, **joined)
+
+
+class BareNail:
+    """The finger of a scene without its board, and rays from above into it."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = as_seen(scene)
+        self.geometry, distances = _built(finger_geometry.shaping(self.scene))
+        self.interfaces, self.zones = Interfaces(self.geometry, distances), optics.zones(scene)
+        self.paths = len(optics.TISSUES) + len(self.zones.edges_mm)
+
+    def reflect(
+        self,
+        wavelength_nm: float,
+        patches: Sequence[Patch],
+        *,
+        palest_per_mm: np.ndarray,
+        photons: int,
+        seed: int,
+        groups: int,
+    ) -> ReflectedLight:
+        """Send rays of one wavelength to the patches.
+
+        palest_per_mm : (r,) float. Absorption to trace, the least that will be read. [mm^-1]
+        photons : Rays in all; rounded up, so that each patch has its share in every group.
+        """
+        media = optics.finger_media(self.scene, self.geometry.regions, wavelength_nm)
+        absorbers = [absorber.region for absorber in optics.absorbing(self.scene)]
+        palest = dict(zip(absorbers, palest_per_mm, strict=True))
+        mu_a = np.array([palest.get(name, 0.0) for name in self.geometry.regions])
+        regions = Regions(self.geometry, replace(media, mu_a=mu_a))
+        table = np.repeat(np.arange(len(patches)), [patch.share for patch in patches])
+        cycle = len(table) * groups
+        beam = _Beam(patches, table, float(self.geometry.bounds_mm[1, 2]) + ABOVE_MM, regions.air)
+        batch = max(BATCH // cycle, 1) * cycle
+        parts = []
+        for number in range(-(-photons // batch)):
+            count = min(batch, -(-(photons - number * batch) // cycle) * cycle)
+            parts.append(self._batch(regions, beam, count, seed_of(seed, number)))
+        index, weight, path, cosine = (np.concatenate([part[i] for part in parts]) for i in range(4))
+        total = sum(part[4] for part in parts)
+        return ReflectedLight(
+            rays=np.bincount(table, minlength=len(patches)) * (total // len(table)),
+            patch=table[index % len(table)].astype(np.uint16),
+            group=(index // len(table) % groups).astype(np.uint8),
+            weight=weight,
+            path_mm=path,
+            mu_a=np.asarray(palest_per_mm, float),
+            cosine=cosine,
+            gloss=np.asarray(path.max(1) == 0),
+        )
+
+    def _batch(self, regions: Regions, beam: "_Beam", count: int, seed: int) -> tuple[np.ndarray, ...]:
+        """Index, weight, paths and cosine of the rays that came back, and how many were sent."""
+        ends = _Exits(count, paths=self.paths, media=len(regions.absorbing))
+        walk = FingerWalk(self.interfaces, regions, ZoneEdges(self.zones), beam, ends)
+        rng, each = lanes(count, seed)
+        walked = ends.evaluated(walk.run(rng, each, dr.arange(mi.UInt32, dr.width(each))))
+        back = np.flatnonzero(walked.outcome == TOP)
+        path = FingerTracer.by_zone(walked.path_mm[:, back])
+        return back, walked.weight[back], path, np.array(ends.cosine)[back], np.array(count)
+
+
+class _Exits(PhotonEnds):
+    """Photon ends that keep the way in which each left, too."""
+
+    def __init__(self, photons: int, *, paths: int, media: int) -> None:
+        super().__init__(photons, paths=paths, media=media)
+        self.cosine = dr.zeros(mi.Float, photons)
+
+    def record_path(self, photon: Photon, *more: Any) -> None:
+        super().record_path(photon, *more)
+        dr.scatter(self.cosine, photon.w.z, photon.index)
+
+
+class _Beam:
+    """Parallel rays from above onto patches, to each in its turn."""
+
+    def __init__(self, patches: Sequence[Patch], table: np.ndarray, height_mm: float, air: Any) -> None:
+        corner = np.array([patch.center_mm for patch in patches]) - 0.5 * np.array([p.size_mm for p in patches])
+        self.rectangle = mi.Float(np.hstack([corner, [patch.size_mm for patch in patches]])[table].ravel())
+        self.count, self.height, self.region = dr.opaque(mi.UInt32, len(table)), dr.opaque(mi.Float, height_mm), air
+
+    def emit(self, rng: Any, index: Any) -> tuple[Any, Any]:
+        """Place and direction of a new photon, whichever of the batch it is."""
+        box = dr.gather(mi.Vector4f, self.rectangle, index % self.count)
+        x, y = dr.fma(rng.next_float32(), box.z, box.x), dr.fma(rng.next_float32(), box.w, box.y)
+        return mi.Point3f(x, y, self.height), mi.Vector3f(0, 0, -1)
+
+
+def as_seen(scene: Scene) -> Scene:
+    """A finger scene with what an eye sees: all of its skin, and enough of it behind the nail."""
+    assert scene.finger is not None
+    # Skin is seen through its epidermis, whatever an infrared reading may leave out.
+    light = Light(index_steps=scene.light.index_steps)
+    length_mm = max(scene.finger.length_mm, scene.finger.nail_length_mm + BEHIND_MM)
+    return scene.model_copy(update={"light": light, "finger": scene.finger.model_copy(update={"length_mm": length_mm})})
+
+
+@lru_cache(maxsize=2)
+def _built(scene: Scene) -> tuple[Geometry, DistanceGrid]:
+    """The geometry without a board, and distances to its interfaces under the nail and around it."""
+    assert scene.finger is not None
+    geometry = finger_geometry.build(scene, board=False)
+    low, high = (np.array(corner) for corner in geometry.bounds_mm)
+    low[1] = max(low[1], -scene.finger.nail_length_mm / 2 - ASIDE_MM)
+    low[2] = max(low[2], -BELOW_MM)
+    return geometry, finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high]), spacing_mm=SPACING_MM)

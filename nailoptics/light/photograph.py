@@ -1,0 +1,139 @@
+"""A photograph of the bare finger: its mesh in the traced colours, with the gloss of nail and skin, by stock Mitsuba.
+
+It is a picture, not a measurement: gloss, lamp and camera are chosen to look like a finger on a desk, and there is no
+hair and no texture.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import geometry as finger_geometry
+from ..scene import Scene
+from .backend import choose
+from .bare_nail import as_seen
+from .volpath.integrate import stock_mitsuba
+
+Array = NDArray[np.float64]
+
+# The camera stands before the tip and above, the window beside it. [mm]
+CAMERA_MM, TARGET_MM = (-12.0, 38.0, 58.0), (0.0, -0.5, -4.0)
+FIELD_OF_VIEW_DEG = 25.0
+WINDOW_MM, WINDOW_SIZE_MM = (-45.0, 10.0, 55.0), 30.0
+# How rough the surfaces are: a nail mirrors, skin shines.
+ROUGHNESS = {"nail": 0.18, "skin": 0.42}
+SKY, WINDOW = 0.75, 6.0
+DESK = 0.55
+
+
+def photograph(
+    scene: Scene,
+    tile_mm: Array,
+    on_nail: NDArray[np.bool_],
+    colours: Array,
+    *,
+    size: tuple[int, int] = (800, 600),
+    samples: int = 48,
+    backend: str = "auto",
+) -> list[NDArray[np.uint8]]:
+    """Pictures of a scene's finger without its board, one for each set of colours, each (height, width, 3).
+
+    tile_mm : (t, 2) float. Middles of the tiles over one half of the finger, across and along. [mm]
+    on_nail : (t,) bool. Which of them lie on the nail.
+    colours : (pictures, t, 3) float in 0-1. Linear red, green and blue of each tile, as a diffuse albedo.
+    """
+    seen = as_seen(scene)
+    mesh = finger_geometry.build(seen, board=False, resolution=2.0)
+    names = np.array(mesh.regions)
+    outer = (mesh.below == 0) | (mesh.above == 0)
+    inside = names[np.where(mesh.below == 0, mesh.above, mesh.below)]
+    parts = {"nail": outer & (inside == "plate"), "skin": outer & (inside != "plate") & (inside != "cut")}
+    with stock_mitsuba(choose(backend, volpath=True)) as mi:
+        return [
+            _render(mi, [_part(mi, mesh, parts[k], k, tile_mm, on_nail, one) for k in parts], size, samples)
+            for one in colours
+        ]
+
+
+def _part(
+    mi: Any, mesh: Any, chosen: Array, kind: str, tile_mm: Array, on_nail: NDArray[np.bool_], colours: Array
+) -> Any:
+    """Nail or skin as a smooth mesh that carries its colour."""
+    from scipy.interpolate import RBFInterpolator
+
+    triangles = mesh.triangles[chosen]
+    # Normals point out of the finger.
+    inward = mesh.below[chosen] == 0
+    triangles[inward] = triangles[inward][:, ::-1]
+    used, flat = np.unique(triangles, return_inverse=True)
+    points = mesh.vertices[used]
+    own = on_nail if kind == "nail" else ~on_nail
+    places = tile_mm[own]
+    # A smooth surface through the tiles, which have noise; beyond them the colour of the nearest.
+    at = np.clip(np.stack([np.abs(points[:, 0]), points[:, 1]], -1), places.min(0), places.max(0))
+    smooth = RBFInterpolator(places, colours[own], neighbors=min(24, len(places)), smoothing=2.0, kernel="linear")
+    colour = np.clip(smooth(at), 0.0, 1.0)
+    shape = mi.Mesh(kind, len(points), len(triangles), has_vertex_normals=True, props=_surface(mi, kind))
+    shape.add_attribute("vertex_color", 3, colour.astype(np.float32).ravel())
+    params = mi.traverse(shape)
+    params["vertex_positions"] = points.astype(np.float32).ravel()
+    params["faces"] = flat.reshape(-1, 3).astype(np.uint32).ravel()
+    params["vertex_normals"] = _normals(points, flat.reshape(-1, 3)).astype(np.float32).ravel()
+    params.update()
+    return shape
+
+
+def _surface(mi: Any, kind: str) -> Any:
+    props = mi.Properties()
+    props["bsdf"] = mi.load_dict(
+        {
+            "type": "principled",
+            "base_color": {"type": "mesh_attribute", "name": "vertex_color"},
+            "roughness": ROUGHNESS[kind],
+            "specular": 0.5,
+        }
+    )
+    return props
+
+
+def _normals(points: Array, triangles: np.ndarray) -> Array:
+    """Normals of the vertices, those of the triangles around them by area."""
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    own, normals = np.cross(b - a, c - a), np.zeros_like(points)
+    for i in range(3):
+        np.add.at(normals, triangles[:, i], own)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
+
+
+def _render(mi: Any, shapes: list[Any], size: tuple[int, int], samples: int) -> NDArray[np.uint8]:
+    look = mi.ScalarTransform4f().look_at
+    tall = mi.ScalarTransform4f()
+    window = look(origin=WINDOW_MM, target=TARGET_MM, up=(0, 0, 1)) @ tall.scale(WINDOW_SIZE_MM / 2)
+    lowest = min(float(np.array(mi.traverse(shape)["vertex_positions"])[2::3].min()) for shape in shapes)
+    desk = tall.translate((0, 0, lowest)) @ tall.scale(400)
+    picture = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 6},
+        "sky": {"type": "constant", "radiance": {"type": "rgb", "value": SKY}},
+        "window": {
+            "type": "rectangle",
+            "to_world": window,
+            "light": {"type": "area", "radiance": {"type": "rgb", "value": WINDOW}},
+        },
+        "desk": {
+            "type": "rectangle",
+            "to_world": desk,
+            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": DESK}},
+        },
+        "camera": {
+            "type": "perspective",
+            "fov": FIELD_OF_VIEW_DEG,
+            "to_world": look(origin=CAMERA_MM, target=TARGET_MM, up=(0, 0, 1)),
+            "film": {"type": "hdrfilm", "width": size[0], "height": size[1], "pixel_format": "rgb"},
+            "sampler": {"type": "multijitter", "sample_count": samples},
+        },
+    } | {f"part{i}": shape for i, shape in enumerate(shapes)}
+    scene = mi.load_dict(picture, optimize=False)
+    image = np.array(mi.render(scene, spp=samples, seed=1))
+    return np.array(mi.Bitmap(image).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, srgb_gamma=True))

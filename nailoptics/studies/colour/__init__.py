@@ -1,0 +1,1 @@
+"""The colour of a nail and the skin around it under force."""

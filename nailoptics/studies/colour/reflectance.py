@@ -1,0 +1,156 @@
+"""Reflectance of places on a nail at any blood state, from rays of a few wavelengths that are read at all of them.
+
+Scattering changes slowly with wavelength and absorption does not: so rays are walked at a few nodes, each is dimmed by
+the absorption of every wavelength, and between the nodes of scattering reflectance is interpolated.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...light import optics
+from ...light.bare_nail import BareNail, Patch, ReflectedLight
+from ...light.reweight import attenuation
+from ...scene import Scene
+from ...statistics import left_out
+from .colorimetry import WAVELENGTHS_NM
+
+Array = NDArray[np.float64]
+LightFrom = Literal["sky", "lamp"]
+
+# Groups of independent rays, from which standard errors are made.
+GROUPS = 32
+# Chebyshev nodes in the logarithm of the wavelength.
+NODES = 4
+# A lamp's light leaves, read backwards, within 5 degrees of 45 degrees all round (CIE 15, 45a:0).
+LAMP_COSINES = (np.cos(np.radians(50.0)), np.cos(np.radians(40.0)))
+# Records that are read at once.
+CHUNK = 8192
+
+
+def nodes_nm(count: int = NODES) -> Array:
+    """The wavelengths at which rays are walked. [nm]"""
+    low, high = np.log(WAVELENGTHS_NM[[0, -1]])
+    at = np.cos((2 * np.arange(count) + 1) * np.pi / (2 * count))[::-1]
+    return np.asarray(np.exp((low + high) / 2 + (high - low) / 2 * at))
+
+
+def interpolation(nodes: Array, wavelength_nm: Array) -> Array:
+    """Weight of each node at each wavelength, (nodes, q) float: Lagrange's, in the logarithm of the wavelength."""
+    at, x = np.log(nodes), np.log(wavelength_nm)
+    weights = np.ones((len(at), len(x)))
+    for k, own in enumerate(at):
+        for other in np.delete(at, k):
+            weights[k] *= (x - other) / (own - other)
+    return weights
+
+
+@dataclass(frozen=True)
+class ColourRays:
+    """Rays of all nodes, from which the reflectance of every patch can be read.
+
+    scene : whose finger they were walked in.
+    light : rays of each node.
+    """
+
+    scene: Scene
+    patches: tuple[Patch, ...]
+    light: tuple[ReflectedLight, ...]
+
+    @property
+    def photons(self) -> int:
+        """Rays of all nodes together."""
+        return int(sum(one.rays.sum() for one in self.light))
+
+    def with_more(self, other: "ColourRays") -> "ColourRays":
+        """These rays and others of the same finger as one."""
+        return replace(self, light=tuple(a.with_more(b) for a, b in zip(self.light, other.light, strict=True)))
+
+    def reflectance(
+        self,
+        states: Array,
+        *,
+        lit_by: LightFrom,
+        gloss: bool,
+        scene: Scene | None = None,
+        patches: Sequence[int] | None = None,
+    ) -> Array:
+        """Reflectance factor, of all rays and without each group of them, (1 + GROUPS, patches, states, q) float.
+
+        states : (s, zones) float. Blood in each zone of the bed. [1]
+        gloss : whether what the surface mirrors counts.
+        scene : whose absorption it is; that of the traced scene if not given.
+        patches : which patches are read; all if not given.
+        """
+        absorbing = self.scene if scene is None else scene
+        mu_a = optics.absorption(absorbing, WAVELENGTHS_NM, blood_fraction=states)
+        weights = interpolation(nodes_nm(len(self.light)), WAVELENGTHS_NM)
+        wanted = np.arange(len(self.patches)) if patches is None else np.asarray(patches)
+        sums = [_sums(_seen(one, lit_by, gloss), mu_a, wanted) for one in self.light]
+        return left_out(sum(one * weight for one, weight in zip(sums, weights, strict=True)))
+
+
+def _seen(light: ReflectedLight, lit_by: LightFrom, gloss: bool) -> ReflectedLight:
+    """The rays that go back to where light comes from, in proportion to those from a white surface."""
+    weight = np.where(light.gloss, 1.0 if gloss else 0.0, 1.0) * light.weight
+    if lit_by == "lamp":
+        low, high = LAMP_COSINES
+        weight *= ((light.cosine > low) & (light.cosine < high)) / (high**2 - low**2)
+    return replace(light, weight=weight)
+
+
+def _sums(light: ReflectedLight, mu_a: Array, patches: np.ndarray) -> Array:
+    """Means over the rays of each group, (GROUPS, patches, states, q) float.
+
+    mu_a : (states, q, r) float. [mm^-1]
+    """
+    place = np.full(len(light.rays), -1)
+    place[patches] = np.arange(len(patches))
+    cell = light.group.astype(int) * len(patches) + place[light.patch]
+    chosen = (place[light.patch] >= 0) & (light.weight > 0)
+    order = np.flatnonzero(chosen)[np.argsort(cell[chosen], kind="stable")]
+    # float32 halves the time of the exponentials; sums are taken in float64.
+    change = (mu_a - light.mu_a).reshape(-1, mu_a.shape[-1]).astype(np.float32)
+    sums = np.zeros((GROUPS * len(patches), len(change)))
+    for start in range(0, len(order), CHUNK):
+        rows = order[start : start + CHUNK]
+        back = light.weight[rows, None].astype(np.float32) * attenuation(light.path_mm[rows], change)
+        cells, first = np.unique(cell[rows], return_index=True)
+        sums[cells] += np.add.reduceat(back, first, axis=0, dtype=float)
+    means = sums.reshape(GROUPS, len(patches), -1) * (GROUPS / light.rays[patches])[:, None]
+    return means.reshape(GROUPS, len(patches), *mu_a.shape[:2])
+
+
+def walk_colour(
+    nail: BareNail,
+    patches: Sequence[Patch],
+    *,
+    photons: int,
+    seed: int,
+    progress: Callable[[int], None] = lambda photons: None,
+) -> ColourRays:
+    """Walk rays of every node to the patches.
+
+    photons : Rays of all nodes together.
+    progress : called after each node with its rays.
+    """
+    none = np.zeros(optics.zones(nail.scene).count)
+    palest = optics.absorption(nail.scene, WAVELENGTHS_NM, blood_fraction=none).min(0)
+    found = []
+    for wavelength_nm in nodes_nm():
+        # All nodes take the same random numbers, so that their errors hardly change the hue.
+        found.append(
+            nail.reflect(
+                float(wavelength_nm),
+                patches,
+                palest_per_mm=palest,
+                photons=photons // NODES,
+                seed=seed,
+                groups=GROUPS,
+            )
+        )
+        progress(int(found[-1].rays.sum()))
+    return ColourRays(nail.scene, tuple(patches), tuple(found))

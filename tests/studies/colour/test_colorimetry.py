@@ -1,0 +1,75 @@
+"""Reflectance to colour, against what the CIE says of white, grey and black."""
+
+import numpy as np
+import pytest
+
+from nailoptics.errors import InputError
+from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
+from nailoptics.studies.colour.nail_colour import refill_s, stderr_of_colour, white_band_mm
+from nailoptics.studies.colour.reflectance import interpolation, nodes_nm
+
+
+@pytest.mark.parametrize("illuminant", ["D65", "A", "LED-B3"])
+@pytest.mark.parametrize("observer", ["2", "10"])
+def test_white_grey_and_black_have_their_exact_colours(illuminant, observer):
+    viewer = Viewer(illuminant, observer)
+    flat = np.ones(len(WAVELENGTHS_NM))
+    assert viewer.lab(flat) == pytest.approx([100, 0, 0], abs=1e-9)
+    assert viewer.lab(0 * flat) == pytest.approx([0, 0, 0], abs=1e-9)
+    # L* = 116 Y^(1/3) - 16.
+    assert viewer.lab(0.2 * flat) == pytest.approx([116 * 0.2 ** (1 / 3) - 16, 0, 0], abs=1e-9)
+    assert viewer.srgb(flat) == pytest.approx([1, 1, 1], abs=2e-3)
+
+
+def test_daylights_white_is_the_tabulated_one():
+    # CIE 015:2018, 2 degrees: X 95.04, Z 108.88 for Y = 100; cut at 400 nm, blue loses 0.2.
+    assert 100 * Viewer("D65").white == pytest.approx([95.04, 100, 108.88], abs=0.25)
+
+
+def test_red_and_green_differ_as_the_eye_sees_them():
+    red = np.where(WAVELENGTHS_NM > 600, 0.8, 0.1)
+    green = np.where((WAVELENGTHS_NM > 500) & (WAVELENGTHS_NM < 580), 0.8, 0.1)
+    lab = Viewer().lab(np.stack([red, green]))
+    assert lab[0, 1] > 40 and lab[1, 1] < -40
+    assert delta_e_2000(lab[0], lab[0]) == pytest.approx(0) and delta_e_2000(lab[0], lab[1]) > 50
+
+
+def test_an_unknown_light_is_refused_in_one_line():
+    with pytest.raises(InputError, match='illuminant = "moon" is unknown; choose one of D65, A, LED-B3'):
+        Viewer("moon")
+
+
+def test_between_the_nodes_a_cubic_in_the_logarithm_is_exact():
+    weights, x = interpolation(nodes_nm(), WAVELENGTHS_NM), np.log(WAVELENGTHS_NM / 550)
+    assert weights.sum(0) == pytest.approx(np.ones(len(x)), abs=1e-9)
+    cubic = np.polynomial.Polynomial([0.3, -0.2, 0.5, 0.7])
+    assert cubic(np.log(nodes_nm() / 550)) @ weights == pytest.approx(cubic(x), abs=1e-9)
+
+
+def test_the_error_of_a_colour_is_that_of_its_replicates():
+    """Of Gaussian scatter in L* at 50, where CIEDE2000 counts a step of L* as about 1."""
+    scatter = np.random.default_rng(1).normal(0, 0.3, (32, 400))
+    groups = 50 + scatter * np.sqrt(32)
+    every = np.concatenate([groups.mean(0)[None], (groups.sum(0) - groups) / 31])
+    lab = np.stack([every, np.full_like(every, 10.0), np.full_like(every, 5.0)], -1)
+    assert np.sqrt((stderr_of_colour(lab) ** 2).mean()) == pytest.approx(0.3, rel=0.05)
+
+
+def test_a_white_band_ends_where_half_of_the_redness_is_gone():
+    v_mm, tip_mm = np.arange(-5.5, 6), 6.0
+    rest, pale = np.full(12, 8.0), np.full(12, -2.0)
+    # Pale from 2.5 mm on, as red as ever before 1.5 mm: half-way at 2.
+    pressed = np.where(v_mm > 2, -2.0, 8.0)
+    redness = np.stack([rest, pressed, pale], -1)
+    assert white_band_mm(v_mm, redness, pale, tip_mm=tip_mm) == pytest.approx([0.0, 4.0, 11.5])
+
+
+def test_refill_is_the_time_until_no_eye_sees_a_difference():
+    time_s = np.linspace(0, 8, 801)
+    # Lightness falls back exponentially in 0.5 s after the release at 3.5 s, from 4 above rest.
+    away = np.where(time_s < 3.5, 4.0, 4.0 * np.exp(-(time_s - 3.5) / 0.5))
+    away[0] = 0.0
+    lab = np.stack([np.stack([50 + away, 0 * away, 0 * away], -1), np.full((801, 3), 50.0)])
+    found = refill_s(time_s, lab)
+    # CIEDE2000 weighs L* near 50 by about 1.
+    assert found[0] == pytest.approx(0.5 * np.log(4), abs=0.03) and np.isnan(found[1])

@@ -1,0 +1,147 @@
+"""The traced colour of a nail: true errors, the order of the paper's Fig. 2, what blood and melanin do, the files."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+from small_finger import SMALL_FINGER_BEST
+
+import nailoptics as nail
+from nailoptics.cli import run
+from nailoptics.errors import InputError
+from nailoptics.light import optics
+from nailoptics.light.bare_nail import BareNail, Patch
+from nailoptics.scene import load_scene, parse_scene
+from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
+from nailoptics.studies.colour.nail_colour import colour, colour_summary
+from nailoptics.studies.colour.reflectance import GROUPS, walk_colour
+
+PATCHES = (Patch((0.0, 0.0), (4.0, 8.0)), Patch((0.0, -7.5), (4.0, 1.5)))
+LOOK = {"lit_by": "sky", "gloss": False}
+# A nail plate as moist as on a living finger: the bed is seen through it.
+SCENE = parse_scene(SMALL_FINGER_BEST.replace("[finger]", "[finger]\nplate_scattering = 0.3"))
+
+
+def walked(seed, photons=40_000):
+    return walk_colour(BareNail(SCENE), PATCHES, photons=photons, seed=seed)
+
+
+@pytest.fixture(scope="module")
+def rays(chosen_jit):
+    nail.light.backend.activate(chosen_jit)
+    return walked(1, 240_000)
+
+
+def test_reflectance_at_a_wavelength_between_the_nodes_is_that_of_a_fresh_trace(rays, jit_backend):
+    """Rays of four wavelengths, dimmed and interpolated, against rays of this one with its own scattering."""
+    rest = np.full((1, 2), 0.03)
+    read = rays.reflectance(rest, **LOOK)
+    for wavelength_nm in (450.0, 545.0, 680.0):
+        bare = BareNail(SCENE)
+        at_rest = optics.absorption(bare.scene, wavelength_nm)[0]
+        own = bare.reflect(wavelength_nm, PATCHES, palest_per_mm=at_rest, photons=60_000, seed=9, groups=GROUPS)
+        cell = own.group.astype(int) * len(PATCHES) + own.patch
+        sums = np.bincount(cell, own.weight * ~own.gloss, GROUPS * len(PATCHES)).reshape(GROUPS, -1)
+        fresh = sums * GROUPS / own.rays
+        at = int(np.flatnonzero(WAVELENGTHS_NM == wavelength_nm)[0])
+        here = read[:, :, 0, at]
+        error = np.hypot(fresh.std(0, ddof=1) / np.sqrt(GROUPS), nail.statistics.jackknife(here))
+        assert np.all(np.abs(here[0] - fresh.mean(0)) < 3.5 * error), wavelength_nm
+        assert np.all(error < 0.02 * here[0])
+
+
+def test_blood_reddens_along_one_line_and_melanin_darkens_skin_along_another(rays):
+    viewer = Viewer()
+    lab = viewer.lab(rays.reflectance([[0.02, 0.02], [0.04, 0.04]], **LOOK)[0])
+    step = lab[0, 1] - lab[0, 0]
+    # Takiwaki 1998: haemoglobin -0.74, melanin about -2.8.
+    assert step[1] > 1 and -1.0 < step[0] / step[1] < -0.5
+    finger = rays.scene.finger
+    dark = rays.scene.model_copy(update={"finger": finger.model_copy(update={"melanin_fraction": 0.03})})
+    tanned = viewer.lab(rays.reflectance([[0.03, 0.03]], scene=dark, **LOOK)[0])[1, 0]
+    fair = viewer.lab(rays.reflectance([[0.03, 0.03]], **LOOK)[0])[1, 0]
+    assert tanned[0] < fair[0] - 2
+
+
+def test_a_finger_that_absorbs_nothing_sends_back_almost_all_light(jit_backend):
+    bare = BareNail(SCENE)
+    none = np.full(len(optics.absorbers(SCENE)), 1e-7)
+    found = bare.reflect(700.0, PATCHES[:1], palest_per_mm=none, photons=4_000, seed=3, groups=GROUPS)
+    # What does not come back has left by the cut end; nothing is gained or lost on the way.
+    assert found.weight == pytest.approx(np.ones(len(found.weight)), abs=1e-3)
+    assert 0.75 < len(found.weight) / found.rays.sum() <= 1
+    # Gloss at normal incidence on n = 1.5, a little more where the nail curves away.
+    assert found.gloss.sum() / found.rays.sum() == pytest.approx(0.041, abs=0.012)
+
+
+def test_a_colours_standard_error_is_true(jit_backend):
+    found = [walked(seed, 8_000).reflectance([[0.03, 0.03], [0.05, 0.02]], **LOOK) for seed in range(20)]
+    viewer = Viewer()
+    lab = np.array([viewer.lab(one)[0] for one in found])
+    error = np.array([nail.statistics.jackknife(viewer.lab(one)) for one in found])
+    ratio = lab.std(0, ddof=1) / np.sqrt((error**2).mean(0))
+    # Of 20 repeats a standard deviation is known to 16 %.
+    assert np.all(np.abs(np.log(ratio)) < 0.55) and abs(np.log(ratio).mean()) < 0.25
+    change = np.array([viewer.lab(one)[:, :, 1] - viewer.lab(one)[:, :, 0] for one in found])
+    errors = np.array([nail.statistics.jackknife(one) for one in change])
+    assert abs(np.log(change[:, 0].std(0, ddof=1) / np.sqrt((errors**2).mean(0))).mean()) < 0.35
+
+
+def test_the_nail_reddens_and_then_whitens_from_the_tip_as_in_the_paper(jit_backend):
+    scene = load_scene("scenes/nail_colour.toml")
+    found = colour(scene, photons=60_000, seed=2)
+    band = found.white_band_mm.values
+    assert band[0] == 0 and (np.diff(band[2:]) > 0.5).all() and band[-1] < scene.finger.nail_length_mm
+    redness = found.lab.values[2:6, :, 1].mean(0)
+    # Redder from 0.3 N on, no more beyond 1 N.
+    assert redness[1] > redness[0] + 0.2 and redness[2] > redness[1] and abs(redness[3] - redness[2]) < 1.0
+    errors = found.delta_e_2000_stderr.values
+    # Changes come from the same rays, so they are far sharper than the colours themselves.
+    assert errors[1:-1, 2].max() < 0.5 * found.colour_stderr.values.max()
+    assert (found.refill_s.values[-3:-1] < 2).all()
+    told = json.loads(json.dumps(colour_summary(found)))
+    assert told["illuminant"] == "D65" and len(told["states"]) == 5 and len(told["lab_stderr"]) == 3
+    place = told["states"][0]["places"][5]
+    assert {"v_mm", "lab", "srgb", "delta_e_2000"} <= set(place) and place["delta_e_2000"] == 0
+
+
+def test_a_lamp_at_45_degrees_sees_nearly_the_same_colour(rays):
+    viewer, rest = Viewer(), [[0.03, 0.03]]
+    sky = viewer.lab(rays.reflectance(rest, **LOOK))
+    lamp = viewer.lab(rays.reflectance(rest, lit_by="lamp", gloss=False))
+    assert delta_e_2000(sky[0], lamp[0]).max() < 4
+    # Gloss makes everything lighter and paler.
+    glossy = viewer.lab(rays.reflectance(rest, lit_by="sky", gloss=True))
+    assert (glossy[0, :, 0, 0] > sky[0, :, 0, 0] + 1).all()
+
+
+def test_the_command_writes_its_files_and_json(jit_backend, tmp_path, capsys):
+    path = tmp_path / "finger.toml"
+    path.write_text(SMALL_FINGER_BEST)
+    arguments = ["colour", str(path), "-o", str(tmp_path / "out"), "--photons", "8000", "--no-photograph", "--json"]
+    assert run([*arguments, "--force", "0", "--force", "1"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [state["force_n"] for state in told["states"]] == [0, 1]
+    written = {one.name for one in (tmp_path / "out").iterdir()}
+    assert written == {"colour.nc", "colour.html", "strip.png", "press.gif"}
+    assert xr.load_dataset(tmp_path / "out" / "colour.nc").attrs["illuminant"] == "D65"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"forces_n": (-1.0,)}, "forces = .*between 0 and 100 N"),
+        ({"forces_n": ()}, "give 1 to 20 forces"),
+        ({"tolerance": 0.0}, "tolerance = 0.0; must be"),
+        ({"relative_error": 0.1}, "no relative_error; give tolerance"),
+    ],
+)
+def test_impossible_requests_are_refused_in_one_line(change, words):
+    with pytest.raises(InputError, match=words):
+        colour(SCENE, **change)
+
+
+def test_a_phantom_has_no_nail():
+    with pytest.raises(InputError, match="has no nail"):
+        colour(load_scene("scenes/phantom.toml"))
