@@ -17,6 +17,8 @@ from nailoptics import assets
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+# What only some users need, each an extra of its own.
+OPTIONAL = [one for name in ("cluster", "cad") for one in PROJECT["project"]["optional-dependencies"][name]]
 # Packages whose distribution has another name.
 DISTRIBUTION = {"PIL": "pillow", "colour": "colour-science", "dask": "distributed"}
 
@@ -153,7 +155,7 @@ def test_the_readme_of_the_package_is_there():
 def test_every_package_that_the_code_imports_is_required():
     needed = {DISTRIBUTION.get(name, name) for name in third_party((ROOT / "nailoptics").rglob("*.py"))}
     declared = distributions(PROJECT["project"]["dependencies"])
-    optional = distributions(PROJECT["project"]["optional-dependencies"]["cluster"])
+    optional = distributions(OPTIONAL)
     assert {name.replace("_", "-") for name in needed} <= declared | optional
 
 
@@ -162,15 +164,14 @@ def test_every_package_that_is_required_is_imported():
     # xarray imports h5netcdf by its name, and that h5py, which it does not require.
     assert 'engine="h5netcdf"' in (ROOT / "nailoptics/io.py").read_text(encoding="utf-8")
     used |= {"h5netcdf", "h5py"}
-    optional = PROJECT["project"]["optional-dependencies"]["cluster"]
-    declared = distributions(PROJECT["project"]["dependencies"] + optional)
+    declared = distributions(PROJECT["project"]["dependencies"] + OPTIONAL)
     assert declared - {name.replace("_", "-") for name in used} == set()
 
 
 def test_every_package_that_the_tests_import_is_in_the_test_extra():
     needed = {DISTRIBUTION.get(name, name) for name in third_party((ROOT / "tests").rglob("*.py"))}
     extras = PROJECT["project"]["optional-dependencies"]
-    known = distributions(PROJECT["project"]["dependencies"] + extras["test"])
+    known = distributions(PROJECT["project"]["dependencies"] + OPTIONAL + extras["test"])
     local = {path.stem for path in (ROOT / "tests").rglob("*.py")} | {"tests"}
     assert {name.replace("_", "-") for name in needed - local} <= known
 
