@@ -1,5 +1,6 @@
 """What moves a person's readings beside the touch, learned from what a fit leaves over."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -10,6 +11,7 @@ from scipy import signal
 from ...hemodynamics.steady import solve_walls
 from ...hemodynamics.stepping import step
 from ...scene.sensor_recordings import Recording
+from .heartbeat import Beat
 from .network import widths_over
 from .observer import Noise, Oscillation
 from .person import Person
@@ -19,18 +21,29 @@ Array = NDArray[np.float64]
 
 # Bands of the body's rhythms: heartbeat and breathing of a resting adult, slow waves of the vessels' tone. [Hz]
 HEART_HZ, BREATH_HZ, SLOW_HZ = (0.7, 3.0), (0.15, 0.5), (0.03, 0.15)
-# Harmonics of the beat that carry a pulse's shape.
-HARMONICS = 3
-# How long rhythms keep their phase: beats scatter by some 5 %, breaths by 10 %, slow waves come and go. [s]
-HEART_COHERENCE_S, BREATH_COHERENCE_S, SLOW_COHERENCE_S = 4.0, 8.0, 4.0
+# Harmonics of the beat that carry a pulse's shape; a beat weaker than this is none. [Pa]
+HARMONICS, LEAST_BEAT_PA = 5, 20.0
+# Half the width of the band in which a harmonic lies, of the beat's rate; rates that are tried; part of them by which
+# intervals scatter; by how much the heights of beats vary, of themselves.
+BEAT_BAND, RATES_TRIED, BEAT_SCATTER, HEIGHT_SPREAD = 0.35, 200, 0.08, 0.1
+# How long rhythms keep their phase: breaths scatter by some 10 %, slow waves come and go. [s]
+BREATH_COHERENCE_S, SLOW_COHERENCE_S = 8.0, 4.0
+# The highest part of a spectrum, where all is noise of the readings.
+NOISE_FROM = 0.75
 # A step of arterial pressure by which its effect is found. [Pa]
 STEP_PA = 100.0
 # How finely and for how long a rhythm is followed to see how much of it the vessels pass on.
 STEPS_PER_PERIOD, PERIODS, SETTLING_S = 40, 3, 2.0
 # A rhythm that the vessels pass on less than this is not seen well enough to be scaled by it.
 LEAST_PASSED = 0.05
-# Drift is seen in means over so long. [s]
-DRIFT_S = 5.0
+# A finger rests below this force. Drift is seen from one rest to a later one: touches leave the model's own misfit. [N]
+REST_FORCE_N = 0.05
+# Drift in a minute of a reading and of an LED where a recording has one rest only, and the least that is believed.
+USUAL_DRIFT, USUAL_LED_DRIFT, LEAST_DRIFT = 1e-3, 2e-3, 1e-4
+# The misfit of a held touch is taken for a polynomial of this degree in the force.
+MISFIT_DEGREE = 4
+# Spectra are of windows as long as two of the slowest waves. [s]
+WINDOW_S = 40.0
 # How fast touches are expected to change: a force that wanders by this in a second. A step of 1 N in 0.16 s, the
 # fastest of the paper's subjects, is then 8 standard deviations of what 0.16 s bring, which a filter still follows.
 # [N/cm^2 / sqrt(s)]
@@ -80,43 +93,85 @@ def learn_noise(
     rest_v : (R,) float. Readings at rest. [V]
     """
     white = np.maximum(np.median([_white(one) for one in residual_v], axis=0), gain * table.noise_v)
-    spectra, drifts, spans = [], [], []
+    leds = table.same_led() * rest_v[:, None]
+    spectra, own2, led2, spans = [], [], [], []
     for recording, residual in zip(recordings, residual_v, strict=True):
-        time = recording.time_s
-        response, step = arterial_response(person, table, gain, recording), float(np.median(np.diff(time)))
-        filled = np.where(np.isfinite(residual), residual, 0.0)
-        weight = response / (white**2 + (1e-3 * rest_v) ** 2)[:, None]
-        strength = (weight * response).sum(0)
-        # Where a touch has all but shut the vessels the arterial pressure is not seen.
-        seen = strength > 0.01 * strength.max()
-        pressure = np.where(seen, (weight * filled).sum(0) / np.where(seen, strength, 1.0), 0.0)
-        window = min(len(time), round(40.0 / step))
+        response = arterial_response(person, table, gain, recording)
+        step = float(np.median(np.diff(recording.time_s)))
+        pressure, light, left = _parted(response, leds, residual, white**2 + (1e-3 * rest_v) ** 2)
+        # What follows the force is the model's misfit, not the body's.
+        force_n = np.asarray(recording.force_n)
+        pressure -= np.polynomial.Polynomial.fit(force_n, pressure, MISFIT_DEGREE)(force_n)
+        window = min(len(pressure), round(WINDOW_S / step))
         spectra.append(signal.welch(pressure, fs=1.0 / step, nperseg=window, detrend="constant"))
-        spans.append(len(time))
-        left = (filled - response * pressure) / rest_v[:, None]
-        group = max(1, min(len(time) // 2, round(DRIFT_S / step)))
-        blocks = left[:, : len(time) // group * group].reshape(len(left), -1, group).mean(-1)
-        drifts.append(np.sqrt(np.mean(np.diff(blocks, axis=1) ** 2) * 60.0 / DRIFT_S))
-    longest = int(np.argmax(spans))
-    frequency, power = spectra[longest]
-    drift = float(max(np.median(drifts), 1e-4))
-    slow = _rhythms(frequency, power)
-    # What was seen is what the vessels passed on.
-    rhythms = [replace(one, rms_pa=one.rms_pa / max(passed(person, one.frequency_hz), LEAST_PASSED)) for one in slow]
-    return Noise(white, drift, tuple(rhythms), TOUCH_RATE)
+        spans.append(len(pressure))
+        # A reading's own drift lies where neither pressure nor LED took it along.
+        seen = len(left) / max(len(left) - 1 - leds.shape[1], 1)
+        untouched = force_n < REST_FORCE_N
+        own2 += [seen * one for one in _walk2(left / rest_v[:, None], recording.time_s, untouched)]
+        led2 += _walk2(light, recording.time_s, untouched)
+    frequency = spectra[int(np.argmax(spans))][0]
+    power = np.mean([np.interp(frequency, *one) for one in spectra], axis=0)
+    power = np.maximum(power - np.median(power[frequency > NOISE_FROM * frequency[-1]]), 0.0)
+    drift, led_drift = (
+        max(float(np.sqrt(np.mean(one))), LEAST_DRIFT) if one else usual
+        for one, usual in ((own2, USUAL_DRIFT), (led2, USUAL_LED_DRIFT))
+    )
+    slow = [
+        # What was seen is what the vessels passed on.
+        replace(one, rms_pa=one.rms_pa / max(passed(person, one.frequency_hz), LEAST_PASSED))
+        for one in _rhythms(frequency, power)
+    ]
+    return Noise(white, drift, led_drift, _beat(person, frequency, power), tuple(slow), TOUCH_RATE)
+
+
+def _parted(response: Array, leds: Array, residual: Array, noise_v2: Array) -> tuple[Array, Array, Array]:
+    """Residuals (R, T) as the arterial pressure (T,) [Pa], the light of each LED (L, T) [1], and what is left (R, T).
+
+    response : (R, T) float, of every reading to the pressure. leds : (R, L) float, to the light. noise_v2 : (R,) float.
+    """
+    filled = np.where(np.isfinite(residual), residual, 0.0)
+    design = np.concatenate([response.T[:, :, None], np.broadcast_to(leds, (response.shape[1], *leds.shape))], axis=2)
+    weighted = design / noise_v2[:, None]
+    normal = np.einsum("trp,trq->tpq", weighted, design)
+    strength = normal[:, 0, 0]
+    # Where a touch has all but shut the vessels the arterial pressure is not seen: there it is taken for none.
+    normal[:, 0, 0] += np.where(strength > 0.01 * strength.max(), 1e-9, 1e9) * strength.max()
+    found = np.linalg.solve(normal, np.einsum("trp,rt->tp", weighted, filled)[..., None])[..., 0]
+    return found[:, 0], found[:, 1:].T, filled - np.einsum("trp,tp->rt", design, found)
+
+
+def _walk2(drifting: Array, time_s: Array, untouched: NDArray[np.bool_]) -> list[float]:
+    """Variances that random walks (N, T) gain in a minute, from each rest to the next."""
+    ends = np.flatnonzero(np.diff(np.r_[False, untouched, False]))
+    rests = [slice(start, stop) for start, stop in ends.reshape(-1, 2) if stop - start > 1]
+    means = [(time_s[rest].mean(), drifting[:, rest].mean(1)) for rest in rests]
+    return [
+        float(np.mean((later - before) ** 2) * 60.0 / (end - start))
+        for (start, before), (end, later) in itertools.pairwise(means)
+    ]
+
+
+def _beat(person: Person, frequency: Array, power: Array) -> Beat | None:
+    """The heart's beat in a spectrum of the arterial pressure [Pa^2/Hz]: the rate whose harmonics hold the most."""
+
+    def rms_pa(middle: float, half: float) -> float:
+        return float(np.sqrt(np.trapezoid(power * (np.abs(frequency - middle) < half), frequency)))
+
+    rates = np.linspace(*HEART_HZ, RATES_TRIED)
+    held = [sum(rms_pa(k * rate, BEAT_SCATTER * rate) ** 2 for k in (1, 2)) for rate in rates]
+    rate = float(rates[int(np.argmax(held))])
+    orders = [k for k in range(1, HARMONICS + 1) if (k + BEAT_BAND) * rate < NOISE_FROM * frequency[-1]]
+    seen = [rms_pa(k * rate, BEAT_BAND * rate) for k in orders]
+    if not orders or np.hypot.reduce(seen) < LEAST_BEAT_PA:
+        return None
+    rms = [one / max(passed(person, k * rate), LEAST_PASSED) for k, one in zip(orders, seen, strict=True)]
+    return Beat(rate, tuple(max(one, 0.01 * max(rms)) for one in rms), HEIGHT_SPREAD)
 
 
 def _rhythms(frequency: Array, power: Array) -> tuple[Oscillation, ...]:
-    """Oscillators with the power of each band of a spectrum of the arterial pressure [Pa^2/Hz]."""
-    width = frequency[1] - frequency[0]
-    inside = (frequency > HEART_HZ[0]) & (frequency < HEART_HZ[1])
-    rhythms = []
-    if inside.any():
-        beat = float(frequency[inside][np.argmax(power[inside])])
-        for k in range(1, HARMONICS + 1):
-            near = (frequency > (k - 0.35) * beat) & (frequency < (k + 0.35) * beat)
-            rms = float(np.sqrt(power[near].sum() * width))
-            rhythms.append(Oscillation(k * beat, HEART_COHERENCE_S / k, rms))
+    """Oscillators with the power of the breath's and the slow band of a spectrum of the arterial pressure [Pa^2/Hz]."""
+    width, rhythms = frequency[1] - frequency[0], []
     for band, coherence_s in ((BREATH_HZ, BREATH_COHERENCE_S), (SLOW_HZ, SLOW_COHERENCE_S)):
         near = (frequency >= band[0]) & (frequency < band[1])
         if near.any() and power[near].sum() > 0:

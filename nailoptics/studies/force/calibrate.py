@@ -19,10 +19,12 @@ from ...variables import variable
 from ..blood_states import vessels
 from .baselines import Regression, component_regression, linear_regression
 from .body_noise import learn_noise
+from .correction import Correction, learn_correction, no_correction
 from .fit import Fit, Fitted
-from .force_interval import ForceInterval, closure_of
-from .observer import Observer
-from .person import NAMES, PRIORS
+from .force_interval import ForceInterval
+from .network import closure_of
+from .observer import Observer, PressureEstimate, pressure_of
+from .person import NAMES, PRIORS, USUAL_DISTAL_REACH, Person
 from .reading_table import ReadingTable, nodes_of, paper_table, reading_names, reading_table
 from .subject import Model, Subject, parse_subject, subject_toml
 
@@ -38,8 +40,9 @@ LEAST_TOUCH_N, MOST_TOUCH_N = 0.2, 20.0
 LONGEST_STEP_S, LONGEST_PAUSE_S = 0.5, 60.0
 # A reading must be there in so many samples at rest, and in this part of all.
 LEAST_AT_REST, LEAST_SEEN = 10, 0.1
-# Part of the samples of the calibration's touches that intervals must cover.
-COVERED = 0.95
+# Part of the samples of the calibration's touches that intervals must cover; by how much they are then made wider for
+# touches that were not seen, and no narrower than this part of the filter's own.
+COVERED, UNSEEN, NARROWEST = 0.95, 1.15, 0.5
 # What the paper tunes by hand beside offset and scale: time constants.
 PAPER_FACTORS = ("vein_damping", "capillary_damping")
 
@@ -100,6 +103,8 @@ def calibrate_with(
         "rest_blood": scene.blood.rest_blood_fraction,
         "area_cm2": scene.touch.contact_area_mm2 / 100.0,
         "share": scene.touch.proximal_share,
+        # The paper's two zones do not share the distal pressure.
+        "distal_reach": USUAL_DISTAL_REACH if model == "network" else 0.0,
     }
     fit = Fit(recordings, table, vessels(scene), free=free, **usual)
     fitted = fit.solve()
@@ -117,6 +122,7 @@ def calibrate_with(
         covariance=fitted.covariance,
         residual_rms_v=np.sqrt(np.nanmean(np.concatenate(fitted.residual_v, axis=1) ** 2, axis=1)),
         noise=noise,
+        correction=no_correction(),
         widening=1.0,
         most_force_n=_most_force(recordings),
         chi2_per_dof=fitted.chi2_per_dof,
@@ -158,9 +164,11 @@ def _warnings(subject: Subject) -> list[str]:
     """What a user should know of a calibration before trusting it."""
     found = []
     closure = closure_of(subject.person())
-    for side, shut in (("proximal", closure.proximal), ("distal", closure.distal)):
+    who = subject.person()
+    distal_cm2, proximal_cm2 = float(who.area_cm2), float(who.area_cm2 * who.proximal_area)
+    for side, shut, area_cm2 in (("proximal", closure.proximal, proximal_cm2), ("distal", closure.distal, distal_cm2)):
         most = subject.most_force_n.get(side, subject.most_force_n.get("even", 0.0))
-        reach = shut * float(subject.person().area_cm2)
+        reach = shut * area_cm2
         if most == 0:
             found.append(f"no {side} touch was recorded: what is told of one rests on priors.")
         elif most < 0.8 * reach:
@@ -193,25 +201,41 @@ def _two_balances_n(subject: Subject) -> dict[str, Array]:
 
 
 def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
-    """The subject with the error of the force told from the calibration's own readings, and intervals that cover it."""
-    off, spread = [], []
-    interval = ForceInterval(subject.person(), widening=1.0)
+    """The subject with what its own readings teach: a correction, the force's error, intervals that cover it."""
+    seen = []
     for one in recordings:
         observer = Observer(subject.calibrated, subject.noise)
         since = [None, *np.diff(one.time_s)]
-        told = interval.tell([observer.see(volts, dt) for volts, dt in zip(one.volts.T, since, strict=True)])
-        assert one.force_n is not None
-        judged = np.isfinite(told.high_n) & np.isfinite(one.force_n)
-        off.append((told.force_n - one.force_n)[judged])
-        half = np.where(off[-1] < 0, (told.high_n - told.force_n)[judged], (told.force_n - told.low_n)[judged])
-        spread.append(half)
-    error, half = np.concatenate(off), np.concatenate(spread)
-    if not error.size:
+        seen.append([observer.see(volts, dt) for volts, dt in zip(one.volts.T, since, strict=True)])
+    subject = replace(subject, correction=_correction(subject.person(), recordings, seen))
+    interval = ForceInterval(subject.person(), widening=1.0, correction=subject.correction)
+    error, ratio = [], []
+    for one, estimates in zip(recordings, seen, strict=True):
+        told, force = interval.tell(estimates), np.asarray(one.force_n)
+        judged = np.isfinite(told.high_n) & np.isfinite(force)
+        off = (told.force_n - force)[judged]
+        half = np.where(off < 0, (told.high_n - told.force_n)[judged], (told.force_n - told.low_n)[judged])
+        error.append(off)
+        ratio.append(np.abs(off)[half > 0] / half[half > 0])
+    if not (everything := np.concatenate(error)).size:
         return subject
-    touched = half > 0
-    ratio = np.abs(error[touched]) / half[touched]
-    widening = max(1.0, float(np.quantile(ratio, COVERED))) if ratio.size else 1.0
-    return replace(subject, rms_n=float(np.sqrt(np.mean(error**2))), widening=widening)
+    ratios = np.concatenate(ratio)
+    widening = max(NARROWEST, UNSEEN * float(np.quantile(ratios, COVERED))) if ratios.size else 1.0
+    return replace(subject, rms_n=float(np.sqrt(np.mean(everything**2))), widening=widening)
+
+
+def _correction(who: Person, recordings: Sequence[Recording], seen: Sequence[Sequence[PressureEstimate]]) -> Correction:
+    """The curve by which the pressures that were told of one-sided touches become those that pressed."""
+    sides = []
+    for side, site in enumerate((1.0, 0.0)):
+        time_s, told, pressed = [np.empty(0)], [np.empty(0)], [np.empty(0)]
+        for one, estimates in zip(recordings, seen, strict=True):
+            at = np.asarray(one.site) == site
+            time_s.append(one.time_s[at])
+            told.append(pressure_of(np.array([estimate.touch[side] for estimate in estimates]))[at])
+            pressed.append(who.pressures(np.asarray(one.force_n), np.asarray(one.site))[side][at])
+        sides.append((np.concatenate(time_s), np.concatenate(told), np.concatenate(pressed)))
+    return learn_correction(closure_of(who), sides)
 
 
 def _checked(recording: Recording, scene: Scene) -> Recording:

@@ -9,19 +9,27 @@ from scipy.optimize import least_squares
 
 from ...hemodynamics.parameters import Parameters
 from ...scene.sensor_recordings import Recording
-from .network import widths_over
+from .network import LONGEST_STEP_S, widths_over
 from .person import NAMES, SPREAD_LN, Person, person
 from .reading_table import ReadingTable
 
 Array = NDArray[np.float64]
 
 # The fit needs no more samples than the touch has detail: recordings are averaged to these rates, the first where the
-# force changes by more than FAST_N_PER_S. [Hz]
-FAST_RATE_HZ, SLOW_RATE_HZ, FAST_N_PER_S = 50.0, 20.0, 1.0
+# force changes by more than FAST_N_PER_S. The mean over a second leaves little of the heart's beat. [Hz]
+FAST_RATE_HZ, SLOW_RATE_HZ, FAST_N_PER_S = 50.0, 1.0, 1.0
+# However short a recording is, so many samples of it are left.
+LEAST_SAMPLES = 60
+# Samples further apart than a step of the network are walked in so many.
+STEPS_BETWEEN = 4
+# Nobody lies further from the scene's guess than this, in spreads of the priors: the table of light ends there, too.
+FARTHEST_SPREADS = 2.0
+# Where the search begins, but for ones: closure lies at half and at twice the force of the scene's guess.
+STARTS: tuple[dict[str, float], ...] = ({}, {"contact_area": 0.5}, {"contact_area": 2.0})
 # Step of the derivatives by the logarithm of a factor.
 STEP_LN = 0.02
 # Rounds in which the residuals' covariance, their memory and the samples' weights are taken from the round before.
-ROUNDS, MOST_EVALUATIONS = 3, 10
+ROUNDS, FIRST_EVALUATIONS, MOST_EVALUATIONS = 2, 6, 10
 # At first residuals are held to this part of a reading's swing.
 FIRST_MISFIT = 0.05
 # Samples this many standard deviations off begin to count less (Huber's weight for 95 % efficiency).
@@ -61,7 +69,7 @@ class Fitted:
 class Fit:
     """Recordings of a known force beside what a person's sensor would read.
 
-    base, rest_blood, area_cm2, share : the scene's person, whom the factors change.
+    base, rest_blood, area_cm2, share, distal_reach : the scene's person, whom the factors change.
     free : (P,) bool. Which factors are searched; the others stay 1.
     """
 
@@ -74,10 +82,11 @@ class Fit:
         rest_blood: float,
         area_cm2: float,
         share: float,
+        distal_reach: float = 0.0,
         free: NDArray[np.bool_],
     ) -> None:
         self.recordings, self.table, self.base = list(recordings), table, base
-        self.usual = {"rest_blood": rest_blood, "area_cm2": area_cm2, "share": share}
+        self.usual = {"rest_blood": rest_blood, "area_cm2": area_cm2, "share": share, "distal_reach": distal_reach}
         self.free = np.flatnonzero(free)
         self.slow = [_averaged(one) for one in self.recordings]
         self.volts = np.concatenate([one.volts for one in self.slow], axis=1)
@@ -98,7 +107,8 @@ class Fit:
         for one in recordings:
             assert one.force_n is not None and one.site is not None
             pressure = who.pressures(one.force_n, one.site)
-            width = widths_over(who, one.time_s, pressure)
+            sample_s = float(np.median(np.diff(one.time_s)))
+            width = widths_over(who, one.time_s, pressure, longest_step_s=max(LONGEST_STEP_S, sample_s / STEPS_BETWEEN))
             rest = np.asarray(who.rest_blood)[..., None]
             blood = rest * width[:2] ** 2
             volts = self.table.volts(blood)
@@ -106,21 +116,33 @@ class Fit:
         return out
 
     def solve(self) -> Fitted:
-        """Search the factors."""
-        factors = np.zeros(len(NAMES))
+        """Search the factors, from the best of several starts."""
+        found = [self._search(self._start(one), FIRST_EVALUATIONS) for one in STARTS]
+        free_ln = min(found, key=lambda one: one[1])[0]
         for _ in range(ROUNDS):
-            found = least_squares(
-                self._residual,
-                factors[self.free],
-                jac=self._jacobian,
-                method="trf",
-                max_nfev=MOST_EVALUATIONS,
-                xtol=1e-3,
-                ftol=1e-4,
-            )
-            factors[self.free] = found.x
-            self._learn(self._linear_fit(self._columns(found.x))[0][:, 0])
+            self._learn(self._linear_fit(self._columns(free_ln))[0][:, 0])
+            free_ln, _ = self._search(free_ln, MOST_EVALUATIONS)
+        self._learn(self._linear_fit(self._columns(free_ln))[0][:, 0])
+        factors = np.zeros(len(NAMES))
+        factors[self.free] = free_ln
         return self._finish(factors)
+
+    def _start(self, named: dict[str, float]) -> Array:
+        return np.log([named.get(NAMES[k], 1.0) for k in self.free])
+
+    def _search(self, start_ln: Array, evaluations: int) -> tuple[Array, float]:
+        """The free factors' logarithms that fit best from a start, and half their sum of squares."""
+        most = FARTHEST_SPREADS * SPREAD_LN[self.free]
+        found = least_squares(
+            self._residual,
+            start_ln,
+            jac=self._jacobian,
+            bounds=(-most, most),
+            max_nfev=evaluations,
+            xtol=1e-3,
+            ftol=1e-4,
+        )
+        return np.asarray(found.x), float(found.cost)
 
     def _columns(self, free_ln: Array) -> Array:
         """What `model` gives, (3, R, 1 + P, T), at the factors and with each free one a step larger."""
@@ -162,10 +184,12 @@ class Fit:
         return np.asarray(residual), np.moveaxis(beside, 1, -1).reshape(-1, found.shape[1])
 
     def _whiten(self, residual: Array) -> Array:
-        """Residuals (R, S, T) as independent numbers of variance 1, (R * T, S)."""
-        root = np.linalg.cholesky(self.covariance)
-        white = np.linalg.solve(root, residual.reshape(len(residual), -1)).reshape(residual.shape)
-        white = white * np.sqrt(self.weight / self.memory)
+        """Residuals (R, S, T) over what is left of each reading, (R * T, S).
+
+        Readings count each by itself: a person who differs from the model by more than by factors leaves alike
+        residuals in all of them, and weights by their covariance would take for noise what the touch does.
+        """
+        white = residual / np.sqrt(np.diag(self.covariance))[:, None, None] * np.sqrt(self.weight / self.memory)
         return np.asarray(np.moveaxis(white, 1, -1).reshape(-1, residual.shape[1]))
 
     def _evaluate(self, free_ln: Array) -> tuple[Array, Array]:
@@ -190,7 +214,7 @@ class Fit:
         samples = residual.shape[1]
         weighted = residual * np.sqrt(self.weight)
         self.covariance = weighted @ weighted.T / samples + np.diag(self.table.noise_v**2)
-        white = np.linalg.solve(np.linalg.cholesky(self.covariance), residual)
+        white = residual / np.sqrt(np.diag(self.covariance))[:, None]
         far = np.sqrt((white**2).mean(0))
         self.weight = np.minimum(1.0, HUBER / np.maximum(far, 1e-12))
         # Samples that hang together count as one: the integrated autocorrelation, up to where it first vanishes.
@@ -213,6 +237,12 @@ class Fit:
         free, count = len(self.free), design.shape[-1]
         spread = np.concatenate([SPREAD_LN[self.free], self._spread(count).ravel()])
         inverse = np.linalg.inv(curvature + np.diag(1 / spread**2))
+        # Residuals hang together from reading to reading: the sandwich of Huber and White.
+        deviation = np.sqrt(np.diag(self.covariance))
+        alike = np.tensordot(
+            self.covariance / np.outer(deviation, deviation), slopes.reshape(readings, -1, slopes.shape[1]), axes=1
+        )
+        inverse = inverse @ (slopes.T @ alike.reshape(slopes.shape) + np.diag(1 / spread**2)) @ inverse
         kept = np.r_[:free, free + count * np.arange(readings), free + 1 + count * np.arange(readings)]
         out = np.diag(np.concatenate([SPREAD_LN**2, np.zeros(2 * readings)]))
         place = np.r_[self.free, len(NAMES) : len(NAMES) + 2 * readings]
@@ -261,7 +291,8 @@ def _averaged(recording: Recording) -> Recording:
     assert recording.force_n is not None
     rise = np.nanmax(np.abs(np.diff(recording.force_n) / np.diff(recording.time_s)), initial=0.0)
     rate = FAST_RATE_HZ if rise > FAST_N_PER_S else SLOW_RATE_HZ
-    group = max(1, round(1.0 / (rate * float(np.median(np.diff(recording.time_s))))))
+    longest = len(recording.time_s) // LEAST_SAMPLES
+    group = max(1, min(longest, round(1.0 / (rate * float(np.median(np.diff(recording.time_s)))))))
     count = len(recording.time_s) // group
     if group == 1:
         return recording

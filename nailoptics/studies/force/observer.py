@@ -2,7 +2,7 @@
 
 Its state is what the network needs (three diameters), what drives it (both touch pressures, the body's arterial
 pressure) and the slow drift of each reading. Pressures are random walks that stay at 0 or above; the arterial pressure
-is a sum of damped oscillators: heartbeat, breathing, vasomotion. What the calibration left open of the person and of
+is a heartbeat and damped oscillators: breathing, vasomotion. What the calibration left open of the person and of
 the gains is carried along, not estimated (Schmidt 1966): it widens the intervals, and no reading narrows it again.
 """
 
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from ...hemodynamics.stepping import step
-from .network import LONGEST_STEP_S, touch_on_walls
+from .heartbeat import Beat
+from .network import LONGEST_STEP_S, closure_of, touch_on_walls
 from .person import NAMES, PRIORS, Person
 from .reading_table import ReadingTable
 
@@ -24,6 +25,8 @@ Array = NDArray[np.float64]
 
 # Below this a pressure bends smoothly to 0, so that the filter always has a slope to follow. [N/cm^2]
 SOFTNESS = 0.02
+# Past closure nothing tells one touch from another: the filter stays at this part of it, from where it finds back.
+PAST_CLOSURE = 1.2
 # The lowest coordinate: further below 0 a pressure would have no slope left to come back by. [N/cm^2]
 LOWEST = -0.03
 # Steps by which the network's slopes are found: of widths over rest, of pressures in N/cm^2, of P_H in Pa.
@@ -33,6 +36,9 @@ SMALLEST_STEP, ARTERIAL_STEP_PA = np.array([1e-4, 1e-4, 1e-4, 0.02, 0.02]), 200.
 WALL_NOISE = 1e-4
 # At most so many linearisations of one sample; a coordinate moves no further than this in one of them.
 ITERATIONS, FARTHEST = 5, 0.3
+# A sample that less than one in a hundred is as far from its prediction as may be a sudden touch, by so much from the
+# sample before it. [N/cm^2]
+SUDDEN, JUMP = 0.99, 0.2
 # A sample that less than one in a thousand is as far from its prediction as counts as an outlier.
 OUTLIER = 0.999
 # Gaps longer than this are no part of a recording any more: the filter starts anew after them. [s]
@@ -40,9 +46,9 @@ LONGEST_GAP_S = 5.0
 
 WIDTHS, TOUCH, FIRST_BODY = slice(0, 3), slice(3, 5), 5
 # Factors that change the network itself, whose effect on its walls is found by steps of this in their logarithm.
-ON_WALLS = tuple(NAMES.index(name) for name in NAMES if PRIORS[name].fields)
+ON_WALLS = tuple(NAMES.index(name) for name in NAMES if PRIORS[name].fields or name == "distal_reach")
 FACTOR_STEP_LN = 0.05
-AREA = NAMES.index("contact_area")
+AREAS = [NAMES.index("contact_area"), NAMES.index("proximal_area")]
 
 
 @dataclass(frozen=True)
@@ -63,12 +69,16 @@ class Noise:
 
     reading_v : (R,) float. White noise of each reading, rms. [V]
     drift_per_min : float. Random walk of each reading in a minute, of its volts. [1]
-    rhythms : of the arterial pressure.
+    led_drift_per_min : float. That of all readings of an LED together.
+    beat : the heart's; None where none was seen.
+    rhythms : of the arterial pressure, beside the beat.
     touch_rate : float. Random walk of each touch pressure. [N/cm^2 / sqrt(s)]
     """
 
     reading_v: Array
     drift_per_min: float
+    led_drift_per_min: float
+    beat: Beat | None
     rhythms: tuple[Oscillation, ...]
     touch_rate: float
 
@@ -96,7 +106,7 @@ class PressureEstimate:
     """What one sample told.
 
     touch : (2,) float. Coordinates of both pressures; `pressure_of` makes pressures of them. [N/cm^2]
-    covariance : (3, 3) float. Of these and of the logarithm of the contact's area.
+    covariance : (4, 4) float. Of these and of the logarithms of the contact's areas.
     arterial_pa : float. By how much P_H is off its mean. [Pa]
     surprise : float. Squared distance of the readings from their prediction, in its covariance.
     count : int. Readings that the sample has.
@@ -122,18 +132,24 @@ class Observer:
     def __init__(self, calibrated: Calibrated, noise: Noise) -> None:
         self.table, self.noise = calibrated.table, noise
         self.gain, self.offset_v = calibrated.gain, calibrated.offset_v
-        readings, body = len(self.gain), 2 * len(noise.rhythms)
-        self.body = slice(FIRST_BODY, FIRST_BODY + body)
+        readings, beat = len(self.gain), noise.beat.size if noise.beat else 0
+        self.beat = slice(FIRST_BODY, FIRST_BODY + beat)
+        self.body = slice(self.beat.stop, self.beat.stop + 2 * len(noise.rhythms))
         self.drift = slice(self.body.stop, self.body.stop + readings)
         # What is carried along: the factors of the person, and the gains.
         self.factors = slice(self.drift.stop, self.drift.stop + len(NAMES))
         self.gains = slice(self.factors.stop, self.factors.stop + readings)
         self.size, self.estimated = self.gains.stop, self.factors.start
-        self.shown = [3, 4, self.factors.start + AREA]
+        self.shown = [3, 4, *(self.factors.start + area for area in AREAS)]
+        led = self.table.same_led()
+        self._drift = noise.drift_per_min**2 * np.eye(readings) + noise.led_drift_per_min**2 * led @ led.T
         self.arterial = np.zeros(self.size)
+        self.arterial[self.beat.start + 1 : self.beat.stop : 2] = 1.0
         self.arterial[self.body.start : self.body.stop : 2] = 1.0
         self._matrices: dict[float, tuple[Array, Array]] = {}
         self.person = calibrated.make(calibrated.factors_ln)
+        closure = closure_of(self.person)
+        self._highest = PAST_CLOSURE * np.array([closure.proximal, closure.distal])
         rest_blood = self.person.blood(np.ones(2))
         self._table_rest_v, by_blood = self.table.slopes(rest_blood)
         self._rest_by_blood = self.gain * (by_blood @ rest_blood)
@@ -145,7 +161,7 @@ class Observer:
             columns[factor, 13 + 2 * k] += FACTOR_STEP_LN
             columns[factor, 14 + 2 * k] -= FACTOR_STEP_LN
         many = calibrated.make(columns)
-        self._walls, self._rest = many.walls, many.rest_m
+        self._walls, self._rest, self._reach = many.walls, many.rest_m, many.distal_reach
         self._closed = np.stack(
             np.broadcast_arrays(*(np.asarray(one, dtype=float) for one in many.walls.closed), many.rest_m[0])[:3]
         )
@@ -173,9 +189,11 @@ class Observer:
         diagonal = np.einsum("ii->i", self.covariance)
         diagonal[WIDTHS] = 1e-2**2
         diagonal[TOUCH] = 0.1**2
+        if self.noise.beat:
+            diagonal[self.beat] = self.noise.beat.start()
         diagonal[self.body] = np.repeat([one.rms_pa**2 for one in self.noise.rhythms], 2)
         self.covariance[self.drift.start :, self.drift.start :] = self._open
-        diagonal[self.drift] += self.noise.drift_per_min**2
+        self.covariance[self.drift, self.drift] += self._drift
 
     def see(self, volts: Array, since_s: float | None) -> PressureEstimate:
         """Take in one sample.
@@ -183,12 +201,17 @@ class Observer:
         volts : (R,) float; NaN where a reading has a gap. [V]
         since_s : time from the sample before it; None for the first. [s]
         """
+        there = np.isfinite(volts)
         if since_s is not None and since_s <= LONGEST_GAP_S:
-            for _ in range(count := max(1, math.ceil(since_s / LONGEST_STEP_S - 1e-9))):
-                self._predict(since_s / count)
+            before = self.state, self.covariance
+            self._go_on(since_s)
+            if there.any() and self._surprise(volts, there) > _limit(int(there.sum()), SUDDEN):
+                self.state, self.covariance = before[0], before[1].copy()
+                self.covariance[3, 3] += JUMP**2
+                self.covariance[4, 4] += JUMP**2
+                self._go_on(since_s)
         elif since_s is not None:
             self.restart()
-        there = np.isfinite(volts)
         surprise = self._update(volts, there) if there.any() else 0.0
         return PressureEstimate(
             touch=self.state[TOUCH].copy(),
@@ -196,8 +219,20 @@ class Observer:
             arterial_pa=float(self.arterial @ self.state),
             surprise=surprise,
             count=int(there.sum()),
-            outlier=surprise > _limit(int(there.sum())),
+            outlier=surprise > _limit(int(there.sum()), OUTLIER),
         )
+
+    def _go_on(self, since_s: float) -> None:
+        """Predict the next sample."""
+        for _ in range(count := max(1, math.ceil(since_s / LONGEST_STEP_S - 1e-9))):
+            self._predict(since_s / count)
+
+    def _surprise(self, volts: Array, there: NDArray[np.bool_]) -> float:
+        """Squared distance of the readings that are there from their prediction, in its covariance."""
+        expected, slopes = self._expected(self.state)
+        off, slopes = (volts - expected)[there], slopes[there]
+        spread = slopes @ self.covariance @ slopes.T + np.diag(self.noise.reading_v[there] ** 2)
+        return float(off @ np.linalg.solve(spread, off))
 
     def _linear_part(self, step_s: float) -> tuple[Array, Array]:
         """Transition and noise of all that is linear, over a step."""
@@ -205,16 +240,17 @@ class Observer:
             transition, noise = np.eye(self.size), np.zeros(self.size)
             noise[WIDTHS] = WALL_NOISE**2
             noise[TOUCH] = self.noise.touch_rate**2 * step_s
-            noise[self.drift] = self.noise.drift_per_min**2 * step_s / 60.0
             for k, rhythm in enumerate(self.noise.rhythms):
                 at = slice(self.body.start + 2 * k, self.body.start + 2 * k + 2)
                 angle, kept = 2 * np.pi * rhythm.frequency_hz * step_s, np.exp(-step_s / rhythm.coherence_s)
                 turned = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
                 transition[at, at] = kept * np.array(turned)
                 noise[at] = (1 - kept**2) * rhythm.rms_pa**2
+            whole = np.diag(noise)
+            whole[self.drift, self.drift] = self._drift * step_s / 60.0
             if len(self._matrices) > 64:
                 self._matrices.clear()
-            self._matrices[step_s] = transition, np.diag(noise)
+            self._matrices[step_s] = transition, whole
         transition, noise_matrix = self._matrices[step_s]
         return transition.copy(), noise_matrix
 
@@ -233,7 +269,7 @@ class Observer:
             step(
                 self._walls,
                 np.maximum(around[WIDTHS] * self._rest, self._closed),
-                touch_on_walls(pressure_of(around[TOUCH])),
+                touch_on_walls(pressure_of(around[TOUCH]), self._reach),
                 highs,
                 self.person.venous_pa,
                 step_s=step_s,
@@ -247,6 +283,10 @@ class Observer:
             transition[WIDTHS, self.factors.start + factor] = by_factor[:, k]
         after = transition @ state
         after[WIDTHS] = widths[:, 0]
+        if self.noise.beat:
+            after[self.beat], transition[self.beat, self.beat], grown = self.noise.beat.go_on(state[self.beat], step_s)
+            noise = noise.copy()
+            noise[self.beat, self.beat] = grown
         self.state = after
         self.covariance = transition @ self.covariance @ transition.T + noise
 
@@ -273,7 +313,7 @@ class Observer:
             if iteration == 0:
                 surprise = float(off @ np.linalg.solve(spread + own, off))
                 # A sample that cannot be so far off counts for less.
-                own = own * max(1.0, surprise / _limit(len(off)))
+                own = own * max(1.0, surprise / _limit(len(off), OUTLIER))
             weight = np.linalg.solve(spread + own, slopes @ covariance).T
             # What is carried along is not corrected.
             weight[self.estimated :] = 0.0
@@ -284,13 +324,13 @@ class Observer:
                 break
         self.state = state.copy()
         self.state[WIDTHS] = np.maximum(state[WIDTHS], 1e-3)
-        self.state[TOUCH] = np.maximum(state[TOUCH], LOWEST)
+        self.state[TOUCH] = np.clip(state[TOUCH], LOWEST, self._highest)
         kept = np.eye(self.size) - weight @ slopes
         self.covariance = kept @ covariance @ kept.T + weight @ own @ weight.T
         return surprise
 
 
 @lru_cache
-def _limit(readings: int) -> float:
-    """Squared distance that a sample of so many readings exceeds once in a thousand times."""
-    return float(stats.chi2.ppf(OUTLIER, max(readings, 1)))
+def _limit(readings: int, part: float) -> float:
+    """Squared distance that this part of samples of so many readings keep to."""
+    return float(stats.chi2.ppf(part, max(readings, 1)))

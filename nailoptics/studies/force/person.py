@@ -16,6 +16,9 @@ from ...hemodynamics.zones import PAPER_ZONES
 
 Array = NDArray[np.float64]
 
+# The pressure in the pulp falls off from the tip, by a factor e in a third to a half of the nail bed: of a distal
+# pressure on half of the bed this part acts on the other half.
+USUAL_DISTAL_REACH = 0.25
 # 1 N/cm^2, the paper's unit of pressure. [Pa]
 N_PER_CM2 = 1e4
 
@@ -43,6 +46,8 @@ PRIORS: dict[str, FactorPrior] = {
         1.5, ("venule_resistance_pa_s_per_m3",), "resistance of the venules over that of the arterioles"
     ),
     "contact_area": FactorPrior(1.6, (), "area over which a force presses"),
+    "proximal_area": FactorPrior(1.6, (), "area of a proximal touch over that of a distal one"),
+    "distal_reach": FactorPrior(3.0, (), "part of a distal pressure that acts on the proximal capillaries"),
     "rest_blood": FactorPrior(1.7, (), "blood of the bed at rest"),
     "proximal_share": FactorPrior(1.5, (), "proximal over distal force of an even touch"),
 }
@@ -57,7 +62,9 @@ class Person:
     walls : constants of the two zones' network.
     rest_m : (3, *S) float. Diameters of the untouched finger. [m]
     rest_blood : S float. Blood fraction of the bed at rest.
-    area_cm2 : S float. Area over which a one-sided touch presses. [cm^2]
+    area_cm2 : S float. Area over which a distal touch presses. [cm^2]
+    proximal_area : S float. That of a proximal touch over it.
+    distal_reach : S float. Part of P_F2 that acts on the proximal capillaries, too.
     share : S float. Part of an even touch's force that presses proximally.
     arterial_pa, venous_pa : P_H and P_L at rest. [Pa]
     """
@@ -66,6 +73,8 @@ class Person:
     rest_m: Array
     rest_blood: Array
     area_cm2: Array
+    proximal_area: Array
+    distal_reach: Array
     share: Array
     arterial_pa: float
     venous_pa: float
@@ -82,11 +91,13 @@ class Person:
         share = np.where(np.isnan(site), np.asarray(self.share)[..., None], site)
         even = force_n / np.asarray(self.area_cm2)[..., None]
         # A side that bears more than half of the force has as much more of the contact's area.
-        return np.stack([even * share / np.maximum(share, 0.5), even * (1 - share) / np.maximum(1 - share, 0.5)])
+        proximal = even * share / np.maximum(share, 0.5) / np.asarray(self.proximal_area)[..., None]
+        return np.stack([proximal, even * (1 - share) / np.maximum(1 - share, 0.5)])
 
 
-def force_of(pressure: Array, area_cm2: float) -> tuple[Array, Array]:
+def force_of(pressure: Array, area_cm2: Array | float, proximal_area: Array | float) -> tuple[Array, Array]:
     """Force [N] and proximal share from both pressures (2, *S) in N/cm^2, the inverse of `Person.pressures`."""
+    pressure = np.stack([pressure[0] * proximal_area, pressure[1]])
     larger = pressure.max(0)
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.where(larger > 0, pressure.min(0) / larger, 1.0)
@@ -95,11 +106,18 @@ def force_of(pressure: Array, area_cm2: float) -> tuple[Array, Array]:
 
 
 def person(
-    base: Parameters, factors: Mapping[str, Array | float], *, rest_blood: float, area_cm2: float, share: float
+    base: Parameters,
+    factors: Mapping[str, Array | float],
+    *,
+    rest_blood: float,
+    area_cm2: float,
+    share: float,
+    distal_reach: float = 0.0,
 ) -> Person:
     """A person whose constants are a scene's times factors; arrays of factors make many people.
 
     base : the scene's constants. rest_blood, area_cm2, share : of the scene.
+    distal_reach : part of a distal pressure on the proximal capillaries; 0 in the paper's two zones.
     factors : by NAMES; 1 where one is missing.
     """
     scaled = {name: np.asarray(value, dtype=float) for name, value in base.as_dict().items()}
@@ -120,6 +138,8 @@ def person(
         rest_m=rest_m,
         rest_blood=np.asarray(rest_blood * np.asarray(factors.get("rest_blood", 1.0))),
         area_cm2=np.asarray(area_cm2 * np.asarray(factors.get("contact_area", 1.0))),
+        proximal_area=np.asarray(factors.get("proximal_area", 1.0), dtype=float),
+        distal_reach=np.asarray(distal_reach * np.asarray(factors.get("distal_reach", 1.0))),
         share=np.asarray(odds / (1.0 + odds)) if share not in (0.0, 1.0) else np.asarray(share),
         arterial_pa=base.arterial_pressure_pa,
         venous_pa=base.venous_pressure_pa,

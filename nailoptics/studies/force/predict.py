@@ -52,7 +52,7 @@ def predict(
     observer = Observer(subject.calibrated, subject.noise)
     since = [None, *np.diff(recording.time_s)]
     estimates = [observer.see(volts, dt) for volts, dt in zip(recording.volts.T, since, strict=True)]
-    told = ForceInterval(observer.person, widening=subject.widening).tell(estimates)
+    told = ForceInterval(observer.person, widening=subject.widening, correction=subject.correction).tell(estimates)
     result = _dataset(subject, recording, observer, estimates, told, press_n=press_n, release_n=release_n)
     return result.assign_attrs(warnings=warnings)
 
@@ -150,7 +150,7 @@ def _dataset(
     found = events(time_s, told.force_n, press_n=press_n, release_n=release_n)
     true = events(time_s, np.nan_to_num(known), press_n=press_n, release_n=release_n)
     data |= _event_variables(found, true if recording.force_n is not None else None)
-    interval = ForceInterval(observer.person, widening=subject.widening)
+    interval = ForceInterval(observer.person, widening=subject.widening, correction=subject.correction)
     consistent, misfit = _consistency(subject, recording, observer, estimates)
     inside = (known >= told.low_n) & (known <= told.high_n)
     judged = np.isfinite(known)

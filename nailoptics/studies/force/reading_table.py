@@ -65,6 +65,11 @@ class ReadingTable:
         changed[:, POWERS.index((0, 0))] -= rest_blood * by_blood.sum(1)
         return replace(self, coefficients=changed)
 
+    def same_led(self) -> Array:
+        """Which LED each reading is of, (R, L) float: 1 or 0."""
+        leds = [name.rpartition(":")[0] for name in self.names]
+        return np.array([[float(led == one) for one in dict.fromkeys(leds)] for led in leds])
+
     def _powers(self, blood: Array) -> Array:
         x = np.clip(blood / self.most_blood, 0.0, 1.0)
         ladder = x[:, None] ** np.arange(DEGREE + 1).reshape((-1,) + (1,) * (blood.ndim - 1))

@@ -14,6 +14,8 @@ from ...hemodynamics.parameters import Parameters
 from ...scene.sensor_recordings import MOST_VOLTS
 from ...scene.text_files import parse_toml, read_text
 from .baselines import Regression
+from .correction import Correction
+from .heartbeat import Beat
 from .observer import Calibrated, Noise, Oscillation
 from .person import NAMES, PRIORS, SPREAD_LN, Person, person
 from .reading_table import POWERS, ReadingTable
@@ -33,11 +35,12 @@ class Subject:
     """A person's calibrated sensor, R readings.
 
     scene_digest : of the scene whose board and finger it was calibrated for.
-    base, rest_blood, area_cm2, share : the scene's vessels and touch, which the factors change.
+    base, rest_blood, area_cm2, share, distal_reach : the scene's vessels and touch, which the factors change.
     factors_ln : (P,) float. Logarithms of the factors by NAMES.
     gain, offset_v, residual_rms_v : (R,) float.
     covariance : (P + 2 R, P + 2 R) float. Of factors, gains and offsets.
-    widening : float. By how much intervals are wider than the filter's own, so that they cover what calibration saw.
+    correction : of the pressures that the observer tells.
+    widening : float. How wide intervals are over the filter's own, so that they cover what calibration saw.
     most_force_n : the largest calibrated force by site.
     chi2_per_dof, rms_n : of the fit's whitened residuals, and of the force told from the calibration's own readings.
     """
@@ -49,12 +52,14 @@ class Subject:
     rest_blood: float
     area_cm2: float
     share: float
+    distal_reach: float
     factors_ln: Array
     gain: Array
     offset_v: Array
     covariance: Array
     residual_rms_v: Array
     noise: Noise
+    correction: Correction
     widening: float
     most_force_n: dict[str, float]
     chi2_per_dof: float
@@ -64,7 +69,14 @@ class Subject:
     def person(self, factors_ln: Array | None = None) -> Person:
         """The person, or those of other factors (P, *S)."""
         factors = dict(zip(NAMES, np.exp(self.factors_ln if factors_ln is None else factors_ln), strict=True))
-        return person(self.base, factors, rest_blood=self.rest_blood, area_cm2=self.area_cm2, share=self.share)
+        return person(
+            self.base,
+            factors,
+            rest_blood=self.rest_blood,
+            area_cm2=self.area_cm2,
+            share=self.share,
+            distal_reach=self.distal_reach,
+        )
 
     def check(self) -> None:
         """Raise ValueError unless the numbers fit together and are such as a calibration finds."""
@@ -85,9 +97,17 @@ class Subject:
             "contact_area_cm2": (self.area_cm2, 1e-3, 1e3),
             "proximal_share": (self.share, 0.0, 1.0),
             "widening": (self.widening, 1e-3, MOST_GAIN),
+            "distal_reach": (self.distal_reach, 0.0, 1.0),
             "drift_per_min": (self.noise.drift_per_min, 0.0, 1.0),
+            "led_drift_per_min": (self.noise.led_drift_per_min, 0.0, 1.0),
+            "correction": (np.stack([self.correction.told, self.correction.pressed]), 0.0, MOST_GAIN),
+            "correction, rising": (np.diff(self.correction.told), 1e-6, MOST_GAIN),
             "touch_rate_n_per_cm2_rt_s": (self.noise.touch_rate, 1e-6, MOST_GAIN),
         }
+        if beat := self.noise.beat:
+            within["beat.rate_hz"] = (beat.rate_hz, 0.1, 10.0)
+            within["beat.rms_pa"] = (np.array(beat.rms_pa), 1e-3, 1e5)
+            within["beat.spread"] = (beat.spread, 1e-3, 1.0)
         for name, regression in self.baselines.items():
             numbers = np.abs([regression.intercept_n, *regression.weights_n_per_v.ravel()])
             within[f"baselines.{name}"] = (numbers, 0.0, MOST_WEIGHT)
@@ -182,8 +202,16 @@ def subject_toml(subject: Subject) -> str:
                 "readings": subject.readings(),
                 "noise": {
                     "drift_per_min": subject.noise.drift_per_min,
+                    "led_drift_per_min": subject.noise.led_drift_per_min,
                     "touch_rate_n_per_cm2_rt_s": subject.noise.touch_rate,
+                    "beat": vars(subject.noise.beat) if subject.noise.beat else {},
                     "rhythms": [vars(one) for one in subject.noise.rhythms],
+                },
+                "correction": {
+                    side: {"told_n_per_cm2": told.tolist(), "pressed_n_per_cm2": pressed.tolist()}
+                    for side, told, pressed in zip(
+                        ("proximal", "distal"), subject.correction.told, subject.correction.pressed, strict=True
+                    )
                 },
                 "baselines": {
                     name: {"intercept_n": one.intercept_n, "weights_n_per_v": one.weights_n_per_v.tolist()}
@@ -193,6 +221,7 @@ def subject_toml(subject: Subject) -> str:
                     "rest_blood_fraction": subject.rest_blood,
                     "contact_area_cm2": subject.area_cm2,
                     "proximal_share": subject.share,
+                    "distal_reach": subject.distal_reach,
                     "vessels": subject.base.as_dict(),
                 },
                 "light": {
@@ -270,7 +299,6 @@ def _subject(found: dict[str, Any]) -> Subject:
     factors = np.array([found["factors"][name]["value"] for name in NAMES], dtype=float)
     if not (factors > 0).all():
         raise ValueError("a factor that is not above 0")
-    rhythms = tuple(Oscillation(**one) for one in noise["rhythms"])
     return Subject(
         scene_digest=found["scene_digest"],
         model=found["model"],
@@ -279,12 +307,14 @@ def _subject(found: dict[str, Any]) -> Subject:
         rest_blood=float(scene["rest_blood_fraction"]),
         area_cm2=float(scene["contact_area_cm2"]),
         share=float(scene["proximal_share"]),
+        distal_reach=float(scene["distal_reach"]),
         factors_ln=np.log(factors),
         gain=each("gain"),
         offset_v=each("offset_v"),
         covariance=covariance,
         residual_rms_v=each("residual_rms_v"),
-        noise=Noise(each("noise_v"), float(noise["drift_per_min"]), rhythms, float(noise["touch_rate_n_per_cm2_rt_s"])),
+        noise=_noise(noise, each("noise_v")),
+        correction=_correction(found["correction"]),
         widening=float(quality["widening"]),
         most_force_n=dict(quality["most_force_n"]),
         chi2_per_dof=float(quality["chi2_per_dof"]),
@@ -294,3 +324,26 @@ def _subject(found: dict[str, Any]) -> Subject:
             for name, one in ((name, found["baselines"][name]) for name in ("linear", "components"))
         },
     )
+
+
+def _beat(found: dict[str, Any]) -> Beat:
+    return Beat(float(found["rate_hz"]), tuple(map(float, found["rms_pa"])), float(found["spread"]))
+
+
+def _noise(found: dict[str, Any], reading_v: Array) -> Noise:
+    return Noise(
+        reading_v=reading_v,
+        drift_per_min=float(found["drift_per_min"]),
+        led_drift_per_min=float(found["led_drift_per_min"]),
+        beat=_beat(found["beat"]) if found["beat"] else None,
+        rhythms=tuple(Oscillation(**one) for one in found["rhythms"]),
+        touch_rate=float(found["touch_rate_n_per_cm2_rt_s"]),
+    )
+
+
+def _correction(found: dict[str, dict[str, list[float]]]) -> Correction:
+    sides = [found[side] for side in ("proximal", "distal")]
+    told, pressed = (
+        np.array([side[name] for side in sides], dtype=float) for name in ("told_n_per_cm2", "pressed_n_per_cm2")
+    )
+    return Correction(told, pressed)

@@ -8,6 +8,7 @@ import pytest
 
 from nailoptics.hemodynamics import parameters
 from nailoptics.studies.force.calibrate import calibrate_with
+from nailoptics.studies.force.correction import no_correction
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject, parse_subject
 from nailoptics.studies.placement import fisher
@@ -27,8 +28,12 @@ def known() -> Subject:
         gain=np.ones_like(found.gain),
         offset_v=np.zeros_like(found.gain),
         covariance=1e-14 * np.eye(len(found.covariance)),
+        distal_reach=0.0,
         widening=1.0,
-        noise=replace(found.noise, reading_v=light.noise_v, drift_per_min=1e-9, rhythms=()),
+        correction=no_correction(),
+        noise=replace(
+            found.noise, reading_v=light.noise_v, drift_per_min=1e-9, led_drift_per_min=1e-9, beat=None, rhythms=()
+        ),
     )
 
 

@@ -1,0 +1,44 @@
+"""What is learned of a body from residuals: drift of readings apart from that of their LED, the rate of the heart."""
+
+import numpy as np
+import pytest
+
+from nailoptics import hemodynamics
+from nailoptics.studies.force.body_noise import _beat, _parted, _walk2
+from nailoptics.studies.force.person import person
+
+STEP_S = 0.02
+
+
+def test_pressure_light_and_own_drift_are_told_apart() -> None:
+    rng, count = np.random.default_rng(1), int(600 / STEP_S)
+    response = np.array([3.0, 2.0, 1.0, 0.5, 0.5, 1.0, 2.0, 3.0])[:, None] * 1e-6 * np.ones(count)
+    leds = np.ones((8, 1))
+    walk = np.sqrt(STEP_S / 60.0)
+    light = 2e-3 * walk * np.cumsum(rng.normal(size=count))
+    own = 5e-4 * walk * np.cumsum(rng.normal(size=(8, count)), axis=1)
+    pressure = 600.0 * np.sin(2 * np.pi * 1.1 * STEP_S * np.arange(count))
+    found, led, left = _parted(response, leds, response * pressure + leds * light + own, np.full(8, 1e-6))
+    assert np.std(found - pressure - (found - pressure).mean()) < 1500.0
+    time_s = STEP_S * np.arange(count)
+    rests = np.mod(time_s, 10.0) < 1.0
+    assert np.sqrt(np.mean(_walk2(led, time_s, rests))) == pytest.approx(2e-3, rel=0.3)
+    assert np.sqrt(8 / 6 * np.mean(_walk2(left, time_s, rests))) == pytest.approx(5e-4, rel=0.3)
+
+
+@pytest.mark.parametrize("rate_per_min", [55.0, 72.0, 110.0])
+def test_the_rate_of_the_heart_is_found(rate_per_min: float) -> None:
+    time_s = np.arange(0.0, 60.0, STEP_S)
+    pressure = hemodynamics.cardiac_pressure(
+        time_s, pulse_pressure_pa=2e3, rate_per_min=rate_per_min, rate_variability=0.05, seed=4
+    )
+    pressure += hemodynamics.vasomotion_pressure(time_s, amplitude_pa=600.0, seed=4)
+    frequency = np.fft.rfftfreq(time_s.size, STEP_S)
+    power = 2 * STEP_S / time_s.size * np.abs(np.fft.rfft(pressure - pressure.mean())) ** 2
+    who = person(hemodynamics.parameters("best"), {}, rest_blood=0.03, area_cm2=1.0, share=0.5)
+    beat = _beat(who, frequency, power)
+    assert beat is not None
+    assert beat.rate_hz == pytest.approx(rate_per_min / 60.0, rel=0.06)
+    # A pulse of 2 kPa from top to bottom.
+    assert 400.0 < np.hypot.reduce(beat.rms_pa) < 1000.0
+    assert _beat(who, frequency, 1e-6 * power) is None
