@@ -52,10 +52,9 @@ def level_holding(part: float, density: np.ndarray) -> float | None:
 
 def draw_rectangle(axes: "Axes", r: Rectangle, *, turned: bool = False, **look: Any) -> None:
     """Draw a rectangle of the board with the tip upwards, or turned to the right."""
-    from matplotlib.patches import Rectangle as Patch
+    from matplotlib.patches import Polygon
 
-    low, size = (r.u_min, r.v_min), (r.u_max - r.u_min, r.v_max - r.v_min)
-    axes.add_patch(Patch(low[::-1], *size[::-1], **look) if turned else Patch(low, *size, **look))
+    axes.add_patch(Polygon([corner[::-1] if turned else corner for corner in r.corners_mm], closed=True, **look))
 
 
 @style.drawing()

@@ -64,7 +64,9 @@ def test_the_page_holds_every_reading_with_the_numbers_of_the_result(make, leds)
     change = result.volts.values[..., hold] - result.volts.values[..., 0]
     for (texts, values), (i, j) in zip(rows, np.ndindex(leds, 8), strict=True):
         assert texts[0] == result.photodiode.values[j]
-        distance, rest, moved, percent, sigmas, noise, ratio, resolved = values
+        distance, rest, moved, percent, sigmas, largest, noise, ratio, resolved = values
+        swings = result.volts_change.values[i, j]
+        assert largest == swings[abs(swings).argmax()]
         assert rest == result.volts.values[i, j, 0] and moved == change[i, j]
         assert percent == pytest.approx(100 * moved / rest)
         assert sigmas == pytest.approx(50) and noise == 2.2e-5  # the error is made 2 % of the change
@@ -158,7 +160,7 @@ def test_a_saturated_reading_is_no_finding_and_has_no_numbers_but_its_limit(make
     assert f"largest fall: {name}," not in text and f"largest rise: {name}," not in text
     tables = Page(text).tables
     (row,) = [row for row in tables["readings"] if row[0][0] == name]
-    assert "saturated" in row[0] and row[0].count("–") == 6 and len(row[1]) == 2
+    assert "saturated" in row[0] and row[0].count("–") == 7 and len(row[1]) == 2
     (row,) = [row for row in tables["fits"] if row[0][0] == name]
     assert "saturated" in row[0] and not row[1]
 
