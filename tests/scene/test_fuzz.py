@@ -14,6 +14,7 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.scene import load_scene
 from nailoptics.scene.catalogue import load_part
+from nailoptics.scene.kicad import read_board
 from nailoptics.scene.outlines import read_outline
 from nailoptics.scene.positions import COLUMNS, read_positions
 from nailoptics.scene.sweep import load_sweep
@@ -249,3 +250,32 @@ def test_no_message_quotes_a_foreign_file(tmp_path):
     scene = 'schema_version = 1\n[finger]\n[touch]\nprofile = "recorded"\nfile = "secret"\n'
     (tmp_path / "s.toml").write_text(scene)
     assert "hidden" not in one_line_or_nothing(load_scene, Path(tmp_path / "s.toml"))
+
+
+atoms = st.one_of(
+    st.sampled_from(
+        ["0", "1", "1e300", "-1", "nan", '"D1"', '"Edge.Cuts"', "at", "layer", "start", "end", "mid", "pts"]
+    ),
+    texts.map(lambda text: '"' + text.replace('"', "") + '"'),
+)
+trees = st.recursive(
+    atoms, lambda inner: st.lists(inner, max_size=4).map(lambda parts: f"({' '.join(parts)})"), max_leaves=15
+)
+heads = st.sampled_from(
+    ["footprint", "gr_line", "gr_arc", "gr_circle", "gr_rect", "gr_poly", "gr_curve", "property", "at"]
+)
+
+
+@fuzz
+@given(st.lists(st.tuples(heads, st.lists(trees, max_size=5)), max_size=5), st.sampled_from(["", ")", "(", '"']))
+def test_a_board_of_anything(tmp_path_factory, items, more):
+    path = tmp_path_factory.mktemp("fuzz") / "board.kicad_pcb"
+    body = "\n".join(f"({head} {' '.join(parts)})" for head, parts in items)
+    path.write_text(f"(kicad_pcb (version 20240108)\n{body}){more}", encoding="utf-8")
+    one_line_or_nothing(read_board, path)
+
+
+@pytest.mark.parametrize("text", ["", "(", "(" * 5000 + ")" * 5000, "(kicad_pcb " + "(a " * 900 + ")" * 901, "\0"])
+def test_a_board_beyond_all_bounds_is_told(tmp_path, text):
+    (tmp_path / "b.kicad_pcb").write_text(text)
+    one_line_or_nothing(read_board, tmp_path / "b.kicad_pcb")
