@@ -1,17 +1,12 @@
 """Virtual people: recorded as said, alike for one seed, and told by a model that is not theirs."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
-import xarray as xr
+from untraced_light import untraced
 
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
-from nailoptics.light import optics
-from nailoptics.light.course import Course
-from nailoptics.scene import Scene
 from nailoptics.studies.force.virtual_people import (
     CALIBRATION_N,
     EDGE_S,
@@ -23,29 +18,6 @@ from nailoptics.studies.force.virtual_people import (
     record_person,
     touch_of,
 )
-
-# How strongly the logarithm of a reading falls with the blood of the two halves of the bed: as traced light has it for
-# readings near the LED and far from it.
-SLOPES = np.array([[-16, -2.5], [-9, -2], [-5, -2], [-3, -3], [-3, -3], [-2, -5], [-2, -9], [-2.5, -16.0]])
-LEVEL = np.array([0.2, 0.5, 1.0, 2.0, 2.0, 1.0, 0.5, 0.2]) * 1e-3
-
-
-def untraced(scene: Scene) -> SimpleNamespace:
-    """Light that dims as Beer and Lambert have it, in place of a trace."""
-    zones = len(scene.zone_edges_mm) + 1
-    slopes = np.repeat(SLOPES / (zones / 2), zones // 2, axis=1)
-
-    def over(blood: np.ndarray) -> Course:
-        change = slopes @ (blood - scene.blood.rest_blood_fraction).T
-        fraction = (LEVEL[:, None] * np.exp(change))[None]
-        zero = np.zeros_like(fraction)
-        return Course(fraction, zero, fraction - fraction[..., :1], zero)
-
-    paths = np.zeros((1, len(SLOPES), len(optics.absorbers(scene))))
-    empty = xr.Dataset()
-    return SimpleNamespace(
-        over=over, mean_path=paths, mean_path_stderr=paths, section=empty, energy=empty, attributes={}, transfer=None
-    )
 
 
 def test_eight_people_differ_in_all_that_the_papers_did():

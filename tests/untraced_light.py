@@ -1,0 +1,53 @@
+"""Light of a finger in a formula, in place of a trace: for tests of what is made of volts."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import xarray as xr
+
+from nailoptics import electronics
+from nailoptics.light import optics
+from nailoptics.light.course import Course
+from nailoptics.scene import Scene
+from nailoptics.studies.force.reading_table import POWERS, ReadingTable
+
+# How strongly the logarithm of a reading falls with the blood of the two halves of the bed, as traced light has it for
+# readings along the nail, and what part of the LED's light each of them gets.
+SLOPES = np.array([[-16, -2.5], [-9, -2], [-5, -2], [-3, -3], [-3, -3], [-2, -5], [-2, -9], [-2.5, -16.0]])
+LEVEL = np.array([0.2, 0.5, 1.0, 1.5, 1.5, 1.0, 0.5, 0.2]) * 1e-3
+MOST_BLOOD = 0.15
+
+
+def untraced(scene: Scene) -> SimpleNamespace:
+    """Light that dims as Beer and Lambert have it, in place of a trace."""
+    zones = len(scene.zone_edges_mm) + 1
+    slopes = np.repeat(SLOPES / (zones / 2), zones // 2, axis=1)
+
+    def over(blood: np.ndarray) -> Course:
+        fraction = (LEVEL[:, None] * np.exp(slopes @ (blood - scene.blood.rest_blood_fraction).T))[None]
+        zero = np.zeros_like(fraction)
+        return Course(fraction, zero, fraction - fraction[..., :1], zero)
+
+    paths = np.zeros((1, len(SLOPES), len(optics.absorbers(scene))))
+    return SimpleNamespace(
+        over=over, mean_path=paths, mean_path_stderr=paths, section=xr.Dataset(), energy=xr.Dataset(), attributes={}
+    )
+
+
+def untraced_table(scene: Scene) -> ReadingTable:
+    """The same light as a fit takes it, on the scene's board."""
+    led, diode = scene.leds[0], scene.layout.photodiodes[0].photodiode
+    level_v = LEVEL * electronics.volts_per_fraction(led, diode, scene.electronics)
+    coefficients = np.zeros((len(LEVEL), len(POWERS)))
+    coefficients[:, POWERS.index((0, 0))] = np.log(level_v) - scene.blood.rest_blood_fraction * SLOPES.sum(1)
+    coefficients[:, POWERS.index((1, 0))] = SLOPES[:, 0] * MOST_BLOOD
+    coefficients[:, POWERS.index((0, 1))] = SLOPES[:, 1] * MOST_BLOOD
+    return ReadingTable(
+        names=scene.layout.photodiode_names,
+        coefficients=coefficients,
+        dark_v=np.full(len(LEVEL), 1e-4),
+        most_blood=MOST_BLOOD,
+        slope_stderr=0.01 * np.abs(SLOPES),
+        noise_v=np.full(len(LEVEL), 1e-4),
+        range_v=scene.electronics.adc_range_v,
+    )
