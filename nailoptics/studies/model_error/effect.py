@@ -20,7 +20,7 @@ class Change:
 
     changes : what of the scene makes it so; nothing where no line can.
     same_photons : whether it only dims light, so that photons traced without it read it too.
-    unknown : whether it is no part but something unknown of the finger, at an end of its range.
+    unknown : whether it is no part but something unknown of the finger, at an end of its range, or of the sensor.
     """
 
     name: str

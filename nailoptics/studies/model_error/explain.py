@@ -238,9 +238,11 @@ def _changes(scene: Scene) -> Iterator[Change]:
         yield Change("barrier", True, "clear epoxy in its place", {"board": {"barrier": False}})
     stand_out = any(led.height_um for led in scene.leds) or any(p.height_um for p in scene.photodiodes)
     height_um = 0.0 if stand_out else min(DIE_UM, board.clear_epoxy_um - LEAST_EPOXY_UM)
-    text = "flush with the board's underside" if stand_out else f"standing out of it by {height_um:g} um"
+    text = "flush with the board's underside" if stand_out else f"standing {height_um:g} um out of the board"
     if stand_out or height_um:
-        yield Change("height of dies", stand_out, text, {table: {"height_um": height_um} for table in EACH})
+        # A scene that says nothing of it leaves it unknown: what it requires is not to be guessed.
+        changes: Changes = {table: {"height_um": height_um} for table in EACH}
+        yield Change("height of dies", True, text, changes, unknown=not stand_out)
     if not board.cover_um:
         cover = type(board).model_fields["cover_um"].default
         yield Change("cover and decorative nail", False, "opaque cover", {"board": {"cover_um": cover}})

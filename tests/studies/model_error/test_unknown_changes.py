@@ -38,7 +38,8 @@ def test_unknowns_are_ranked_beside_parts_and_are_never_left_out(chosen_jit, sce
     assert not {effect.name for effect in found.needless + found.missing} & {plate.name, scatters.name}
     assert found.required.finger == scene.finger and found.required.blood == scene.blood
     shown = str(found).splitlines()
-    assert sum("unknown" in line.split("  ")[-1] or " unknown " in line for line in shown) == len(fields)
+    assert sum("unknown" in line.split("  ")[-1] or " unknown " in line for line in shown) == len(fields) + 1
+    assert by_name["height of dies"].unknown and by_name["height of dies"].how == "retraced"
     rows = {row["name"]: row for row in found.as_dict()["effects"]}
     assert rows[plate.name]["unknown"] is True and rows["bone"]["unknown"] is False
     order = [effect.name for effect in found.effects]
