@@ -74,7 +74,7 @@ def trace(scene: Scene, *, progress: ProgressCallback | None = None, **requested
         rule = StoppingRule(scene, led, required, source.mu_a, full=engine.full)
         rule.seconds = share_of_time(required.max_seconds, start + engine.wall_seconds, len(scene.leds) - led)
         found = LedRecords(source.mu_a, rule.rest, seed=options.seed, led=led)
-        why = _trace_led(source, rule, found, progress)
+        why = _trace_led(source, rule, found, progress, lambda: engine.wall_seconds)
         complaint = complaint or why
         if why and why.startswith(INTERRUPTED):
             # What is there is of use only with something from every LED: one batch each, then the end.
@@ -272,6 +272,7 @@ def _take_batches(
     has: Callable[[int, int], bool] = lambda number, photons: False,
     stop: Callable[[], bool] = lambda: False,
     report: Callable[[float], None] = lambda seconds: None,
+    opening: Callable[[], float] = lambda: 0.0,
 ) -> None:
     """Take the batches of one LED, those that are there and new ones, until every rule is met or out of time.
 
@@ -280,27 +281,32 @@ def _take_batches(
     has : whether it is stored; what is stored is taken even when time is over.
     stop : whether nothing more is to be traced.
     report : called after every batch with the seconds spent.
+    opening : what opening the engine has taken so far, which is no part of the time for tracing. [s]
     """
-    begin, number = time.perf_counter(), 0
+    begin, number = time.perf_counter() - opening(), 0
+
+    def seconds() -> float:
+        return time.perf_counter() - opening() - begin
+
     while waiting := [rule for rule in rules if rule.wants(number)]:
         full = waiting[0].full
-        late = number > 0 and time.perf_counter() - begin >= max(rule.seconds for rule in waiting)
+        late = number > 0 and seconds() >= max(rule.seconds for rule in waiting)
         if not has(number, full) and (late or stop()):
             return
         batch = batch_of(number, full)
         for rule in rules:
             rule.add(batch)
         number += 1
-        report(time.perf_counter() - begin)
+        report(seconds())
     for rule in rules:
         sizes = rule.sizes()
         if sizes and sizes[-1] != rule.full and not stop():
-            late = number > 0 and time.perf_counter() - begin >= rule.seconds
+            late = number > 0 and seconds() >= rule.seconds
             if not late or has(len(sizes) - 1, sizes[-1]):
                 batch = batch_of(len(sizes) - 1, sizes[-1])
                 if len(rules) == 1:
                     rule.add(batch)
-                    report(time.perf_counter() - begin)
+                    report(seconds())
 
 
 def extend(source: LedSource, rules: Sequence[StoppingRule], *, stop: Callable[[], bool]) -> LedBatches:
@@ -320,7 +326,11 @@ def extend(source: LedSource, rules: Sequence[StoppingRule], *, stop: Callable[[
 
 
 def _trace_led(
-    source: LedSource, rule: StoppingRule, found: LedRecords, progress: ProgressCallback | None
+    source: LedSource,
+    rule: StoppingRule,
+    found: LedRecords,
+    progress: ProgressCallback | None,
+    opening: Callable[[], float],
 ) -> str | None:
     """Take one LED's light into its records; says why they fall short of what is required, if they do."""
 
@@ -334,7 +344,7 @@ def _trace_led(
             progress(rule.progress(seconds))
 
     try:
-        _take_batches([rule], taken, has=source.has, report=report)
+        _take_batches([rule], taken, has=source.has, report=report, opening=opening)
     except KeyboardInterrupt:
         if not rule.photons:
             raise

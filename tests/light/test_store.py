@@ -4,6 +4,7 @@ import json
 import multiprocessing
 import os
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import pytest
 import nailoptics as nail
 from nailoptics.io import pack
 from nailoptics.light import store as light_store
+from nailoptics.light import tracing
 from nailoptics.light.layered_walk import LayeredTracer
 from nailoptics.light.store import LightStore, StoredEntry, entries, made_of, user_folder
 from nailoptics.scene import Scene, parse_scene
@@ -86,6 +88,29 @@ def test_a_tighter_error_goes_on_and_another_seed_or_place_traces_anew(small_bat
     moved = nail.trace(slab(x=-1.0), photons=PHOTONS, seed=1)
     assert moved.reused_photons == PHOTONS
     assert same_bits(moved, nail.trace(slab(x=-1.0), photons=PHOTONS, seed=1, store=False))
+
+
+@pytest.mark.jit
+def test_opening_the_engine_is_no_part_of_the_time_for_tracing(small_batches, monkeypatch):
+    """The clock goes on by a minute while the engine opens, and by a second with every batch."""
+    now = [0.0]
+    opened, batch = LayeredTracer.__init__, LayeredTracer.batch
+
+    def slowly(self, scene):
+        now[0] += 60.0
+        opened(self, scene)
+
+    def second(self, led, **more):
+        now[0] += 1.0
+        return batch(self, led, **more)
+
+    monkeypatch.setattr(LayeredTracer, "__init__", slowly)
+    monkeypatch.setattr(LayeredTracer, "batch", second)
+    clock = SimpleNamespace(perf_counter=lambda: now[0], process_time=lambda: now[0])
+    monkeypatch.setattr(tracing, "time", clock)
+    transfer = nail.trace(slab(), max_seconds=10.0, store=False)
+    assert [trace.photons for trace in transfer.traces] == [5 << 12, 5 << 12]
+    assert (transfer.setup_seconds, transfer.cpu_seconds, transfer.wall_seconds) == (60.0, 10.0, 10.0)
 
 
 @pytest.mark.jit
