@@ -1,11 +1,12 @@
 """SHAPE: fingertip, nail, bone and board of a scene as watertight interfaces that know both sides."""
 
 from .build import build, shaping
-from .distance import DistanceGrid, distance_grid
+from .distance import SPACING_MM, DistanceGrid, distance_grid
 from .model import Face, Geometry
 from .watertight import check_watertight
 
 __all__ = [
+    "SPACING_MM",
     "DistanceGrid",
     "Face",
     "Geometry",

@@ -5,7 +5,7 @@ import logging
 import numpy as np
 
 from ..errors import InputError
-from ..scene import Scene
+from ..scene import Photodiode, Scene
 from ..scene.finger import ABSORBING, SCATTERING
 from .board import BentBoard
 from .grid import Grid
@@ -17,8 +17,14 @@ from .surfaces import FingerSurfaces
 log = logging.getLogger(__name__)
 
 FOLDS_RAD = (0.28, 0.6, 1.2)  # over which the skin beside the nail leaves its cylinder; the steepest that fits is built
-# What of a scene a geometry is built from.
+# What of a scene a geometry is built from, and what of its parts is not.
 BUILT_FROM = ("finger", "board", "leds", "photodiodes")
+LED_LIGHT = {"part": None, "wavelength_nm": 800.0, "fwhm_nm": 0.0, "flux_mw": 1.0} | {
+    "pattern": "lambertian",
+    "pattern_deg": None,
+    "pattern_relative": None,
+}
+READ_OUT = ("quantum_efficiency", "dark_current_na", "shunt_mohm")
 
 
 def build(scene: Scene, *, resolution: float = 1.0, board: bool = True) -> Geometry:
@@ -61,6 +67,10 @@ def shaping(scene: Scene) -> Scene:
     usual: dict[str, object] = {name: f.default for name, f in others.items() if not f.is_required()}
     if scene.finger is not None:
         usual["finger"] = scene.finger.with_usual((*ABSORBING, *SCATTERING))
+    usual["board"] = scene.board.model_copy(update={"opaque_reflectance": 0.0})
+    usual["leds"] = tuple(led.model_copy(update=LED_LIGHT) for led in scene.leds)
+    read_out = {name: Photodiode.model_fields[name].default for name in READ_OUT}
+    usual["photodiodes"] = tuple(one.model_copy(update=read_out) for one in scene.photodiodes)
     return scene.model_copy(update=usual)
 
 

@@ -10,6 +10,9 @@ from .cast import Array, cast
 from .model import Geometry
 from .regions import AIR
 
+# Edge of the cells. Those of 0.1 mm take 1.8 s more of processor time to make, and a walk among them takes 6 % less,
+# which pays after four million photons.
+SPACING_MM = 0.15
 FINE = 0.4  # covering radius of the fine samples, in spacings
 COARSE = 1.5
 SLACK = 0.02  # relative; lets the search for the nearest sample stop early
@@ -39,7 +42,7 @@ class DistanceGrid:
 
 
 def distance_grid(
-    geometry: Geometry, *, spacing_mm: float = 0.1, bounds_mm: Array | None = None, cap_mm: float = 0.75
+    geometry: Geometry, *, spacing_mm: float = SPACING_MM, bounds_mm: Array | None = None, cap_mm: float = 0.75
 ) -> DistanceGrid:
     """Lower bounds on the distance to the nearest interface.
 

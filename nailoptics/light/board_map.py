@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from .. import tissue
 from ..errors import InputError
-from ..geometry import Face
+from ..geometry import SPACING_MM, Face
 from ..scene import Scene
 from ..scene.rectangles import Rectangle
 from ..statistics import stderr_of_mean
@@ -47,7 +47,7 @@ class Arrivals:
 class BoardTracer:
     """Traces a finger scene's LEDs onto its board, whatever its photodiodes."""
 
-    def __init__(self, scene: Scene, *, backend: str = "auto", spacing_mm: float = 0.1) -> None:
+    def __init__(self, scene: Scene, *, backend: str = "auto", spacing_mm: float = SPACING_MM) -> None:
         """spacing_mm : cells of the distances that the walk asks for; wider ones are made sooner and walk slower."""
         if scene.finger is None:
             raise InputError("a photon map needs a [finger] scene; a phantom has no board, give it apertures.")

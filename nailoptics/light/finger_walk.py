@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from .. import geometry as finger_geometry
-from ..geometry import DistanceGrid, Face, Geometry
+from ..geometry import SPACING_MM, DistanceGrid, Face, Geometry
 from ..scene import Scene
 from . import optics
 from .records import Batch
@@ -60,7 +60,7 @@ class FingerTracer:
 
     batch_photons = 1 << 18
 
-    def __init__(self, scene: Scene, *, spacing_mm: float = 0.1) -> None:
+    def __init__(self, scene: Scene, *, spacing_mm: float = SPACING_MM) -> None:
         """spacing_mm : Cells of the distances; wider ones are made sooner and let light skip less. [mm]"""
         self.scene = scene
         self.geometry, distances = _built(finger_geometry.shaping(scene), spacing_mm)

@@ -207,10 +207,20 @@ def test_scenes_that_differ_in_optics_have_their_geometry_in_common():
     light = scene.light.model_copy(update={"index_steps": False, "left_out": ("bone",)})
     finger = scene.finger.model_copy(update={"bed_scattering": 2.0, "plate_absorption": 0.5, "dermis": "shimojo"})
     blood = scene.blood.model_copy(update={"zone_edges_mm": (1.0,), "rest_blood_fraction": 0.1})
-    other = scene.model_copy(update={"light": light, "blood": blood, "finger": finger})
+    leds = [led.model_copy(update={"part": None, "wavelength_nm": 660.0, "fwhm_nm": 20.0}) for led in scene.leds]
+    photodiodes = [one.model_copy(update={"quantum_efficiency": 0.5}) for one in scene.photodiodes]
+    parts = {"leds": tuple(leds), "photodiodes": tuple(photodiodes)}
+    parts["board"] = scene.board.model_copy(update={"opaque_reflectance": 0.5})
+    other = scene.model_copy(update={"light": light, "blood": blood, "finger": finger} | parts)
     one, two = (geometry.build(s) for s in (scene, other))
     assert np.array_equal(one.vertices, two.vertices) and np.array_equal(one.triangles, two.triangles)
     assert one.regions == two.regions
     kept = geometry.shaping(other)
     assert kept == geometry.shaping(scene) and kept.blood == type(blood)() and kept.light == type(light)()
-    assert all(getattr(kept, name) == getattr(scene, name) for name in ("finger", "board", "leds", "photodiodes"))
+    assert kept.finger == scene.finger
+    for change in ({"name": "x"}, {"position_mm": (-1.3, 0.0)}, {"size_mm": (0.2, 0.2)}):
+        moved = scene.model_copy(update={"leds": (scene.leds[0].model_copy(update=change),)})
+        assert geometry.shaping(moved) != kept
+    assert geometry.shaping(scene.model_copy(update={"photodiodes": scene.photodiodes[:1]})) != kept
+    bare = scene.board.model_copy(update={"cover_um": 0.0})
+    assert geometry.shaping(scene.model_copy(update={"board": bare})) != kept

@@ -4,8 +4,9 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, Unpack
+from typing import Any, Unpack
 
+from ... import geometry
 from ...errors import NotReachedError
 from ...light import ProgressCallback
 from ...options import Requested, TraceOptions
@@ -120,13 +121,10 @@ def explain(
     check_study(scene, limit if tolerance is None else tolerance, "explain", "is modelled as it is written")
     options, start = TraceOptions(**requested), time.perf_counter()
     changes = [*_changes(scene), *unknown_changes(scene)]
-    # The scene itself, one with other scattering, two swapped ones, two cut short, and the one that is required.
-    scenes = sum(not c.same_photons for c in changes) + 7
-    reshaping = {("finger", "bed_thickness_mm"), ("leds", "height_um")}
-    shapes = 3 + sum(
-        "board" in c.changes or any(name in c.changes.get(table, {}) for table, name in reshaping) for c in changes
-    )
-    tracer = PairedTracer(scenes, options, progress, shapes=shapes)
+    # One more with what is not needed left out, for which the scene's own geometry is made again.
+    planned = list(_to_trace(scene, changes))
+    shapes = len({geometry.shaping(one) for one in planned})
+    tracer = PairedTracer(len(planned) + 1, options, progress, shapes=shapes)
     base = tracer.trace(scene)
     effects: list[Effect] = []
     together, unmet = None, tracer.shortfall
@@ -181,30 +179,60 @@ def _merged(effects: list[Effect]) -> Changes:
     return {table: fields for table, fields in out.items() if fields}
 
 
+def _to_trace(scene: Scene, changes: list[Change]) -> Iterator[Scene]:
+    """Every scene that the effects of these changes are measured with."""
+    yield scene
+    yield from (revised(scene, change.changes) for change in changes if not change.same_photons)
+    yield from (make(scene) for make in (bounds.denser, bounds.farthest, bounds.most_proximal))
+    if (short := _shortened(scene)) is not None:
+        short = revised(scene, short.changes)
+        yield from (short, bounds.most_proximal(short))
+
+
+def _shortened(scene: Scene) -> Change | None:
+    """The finger cut as near to the nail as it may be; None where it is that short."""
+    finger = scene.finger
+    assert finger is not None
+    shortest = finger.nail_length_mm + BEYOND_NAIL_MM
+    if finger.length_mm <= shortest:
+        return None
+    return Change(f"finger past {shortest:g} mm", True, "cut there", {"finger": {"length_mm": shortest}})
+
+
 def _effects(
     scene: Scene, base: PairedReadings, changes: list[Change], tracer: PairedTracer, limit: float
 ) -> Iterator[Effect]:
-    """Every effect as soon as it is measured; those that cost nothing first."""
-    finger = scene.finger
-    assert finger is not None
+    """Every effect as soon as it is measured; those that cost nothing first, then those of the scene's geometry."""
+    own = geometry.shaping(scene)
+    others = [c for c in changes if geometry.shaping(revised(scene, c.changes)) != own]
     yield bounds.from_deep(base)
     if scene.board.cover_um:
         yield bounds.nothing("decorative nail", "it lies on the opaque cover, which no light leaves", limit)
-    for change in sorted(changes, key=lambda c: not c.same_photons):
-        other = revised(scene, change.changes)
-        found = difference(base, reweighted(base.transfer, other) if change.same_photons else tracer.trace(other))
-        how: Literal["reweighted", "retraced"] = "reweighted" if change.same_photons else "retraced"
-        yield effect_of(change, found, base, tolerance=limit, how=how)
+    for change in changes:
+        if change.same_photons:
+            found = difference(base, reweighted(base.transfer, revised(scene, change.changes)))
+            yield effect_of(change, found, base, tolerance=limit, how="reweighted")
+    for change in changes:
+        if not change.same_photons and change not in others:
+            yield _retraced(change, scene, base, tracer, limit)
     yield bounds.blood_scattering(scene, base, tracer.trace(bounds.denser(scene)), limit)
+    for change in others:
+        yield _retraced(change, scene, base, tracer, limit)
     yield bounds.ambient(scene, base, tracer.trace(bounds.farthest(scene)), limit)
-    length, shortest = finger.length_mm, finger.nail_length_mm + BEYOND_NAIL_MM
     back = tracer.trace(bounds.most_proximal(scene))
-    yield bounds.returning(Change(f"finger past {length:g} mm", False, "finger without an end"), base, base, back)
-    if length > shortest:
-        change = Change(f"finger past {shortest:g} mm", True, "cut there", {"finger": {"length_mm": shortest}})
-        short = revised(scene, change.changes)
+    assert scene.finger is not None
+    change = Change(f"finger past {scene.finger.length_mm:g} mm", False, "finger without an end")
+    yield bounds.returning(change, base, base, back)
+    if (shortened := _shortened(scene)) is not None:
+        short = revised(scene, shortened.changes)
         cut, back = (tracer.trace(one) for one in (short, bounds.most_proximal(short)))
-        yield bounds.returning(change, base, cut, back)
+        yield bounds.returning(shortened, base, cut, back)
+
+
+def _retraced(change: Change, scene: Scene, base: PairedReadings, tracer: PairedTracer, limit: float) -> Effect:
+    """What a change does, by a trace with it."""
+    found = difference(base, tracer.trace(revised(scene, change.changes)))
+    return effect_of(change, found, base, tolerance=limit, how="retraced")
 
 
 def _changes(scene: Scene) -> Iterator[Change]:

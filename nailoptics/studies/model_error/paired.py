@@ -12,7 +12,7 @@ from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...light import ProgressCallback, TraceProgress, Transfer, optics, trace
 from ...light.records import LedTrace
 from ...light.reweight import transmissions
-from ...light.tracing import INTERRUPTED
+from ...light.tracing import INTERRUPTED, photons_engine
 from ...light.transfer import FEW_PHOTONS
 from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
@@ -116,7 +116,7 @@ class PairedTracer:
     options : photons for each LED of every scene; or relative_error for the first scene, whose photons all others get;
         or the photons follow from the time. After max_seconds no trace begins, and one that runs ends.
     usual_seconds : for all traces together where nothing is requested.
-    shapes : how many of the scenes have a geometry of their own, which takes time to build.
+    shapes : how many of the scenes have to build a geometry that those before them have not, the first one aside.
     """
 
     scenes: int
@@ -166,10 +166,9 @@ class PairedTracer:
             if self.shortfall and self.shortfall.startswith(INTERRUPTED):
                 raise NotReachedError(self.shortfall)
             return max(led.photons for led in pilot.traces)
-        # The first trace compiles; what a photon costs is what it costs from then on.
-        begin = time.perf_counter()
+        # The first trace loads the engine and compiles; what a photon costs is what it costs from then on.
+        photons_engine(scene, options.backend)
         self._traced(scene, None, LEAST_PHOTONS, store=False)
-        self._opening_s = time.perf_counter() - begin
         if self.seconds_left < 0:
             return LEAST_PHOTONS
         begin = time.perf_counter()
@@ -180,7 +179,7 @@ class PairedTracer:
         return max(LEAST_PHOTONS, int(PILOT_PHOTONS * share / each_s))
 
     def _traced(self, scene: Scene, backend: BackendName | None, photons: int, *, store: bool = True) -> PairedReadings:
-        cpu, shape = time.process_time(), geometry.shaping(scene)
+        cpu, begin, shape = time.process_time(), time.perf_counter(), geometry.shaping(scene)
         chosen, seed, store = backend or self.options.backend, self.options.seed, store and self.options.store
         try:
             how: Requested = {"photons": photons, "seed": seed, "backend": chosen, "store": store}
@@ -189,6 +188,7 @@ class PairedTracer:
             # A part of one trace is of no use to those that are compared with it.
             raise NotReachedError(str(error)) from None
         spent = time.process_time() - cpu - transfer.cpu_seconds
+        self._opening_s = max(self._opening_s, time.perf_counter() - begin - transfer.wall_seconds)
         # What is there from an earlier trace of the shape was paid for then.
         self._setups[shape] = max(spent, self._setups.get(shape, 0.0))
         return paired_readings(transfer, self._setups[shape])
