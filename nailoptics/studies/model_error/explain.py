@@ -184,8 +184,8 @@ def _to_trace(scene: Scene, changes: list[Change]) -> Iterator[Scene]:
     yield scene
     yield from (revised(scene, change.changes) for change in changes if not change.same_photons)
     yield from (make(scene) for make in (bounds.denser, bounds.farthest, bounds.most_proximal))
-    if (short := _shortened(scene)) is not None:
-        short = revised(scene, short.changes)
+    if (shortened := _shortened(scene)) is not None:
+        short = revised(scene, shortened.changes)
         yield from (short, bounds.most_proximal(short))
 
 

@@ -75,7 +75,7 @@ def search(
     available = max(SEARCH_SHARE * report_progress.limit_s - start, 1e-9)
     while waiting and step >= placement.led_step_mm / 4:
         for i, site in enumerate(waiting):
-            if report_progress.interrupted and found or report_progress.is_late(SEARCH_SHARE):
+            if report_progress.is_over(SEARCH_SHARE):
                 why = "was interrupted" if report_progress.interrupted else "ran out of time"
                 log.warning("the search for LED places %s after %d of them", why, len(found))
                 return list(found.values())

@@ -3,7 +3,7 @@ other places of the LED would read, and what light from outside does."""
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,6 +33,10 @@ COVERS = ("covered", "uncovered")
 FORWARD, BACK, OPEN_BOARD = 2, 3, 4
 
 
+class _Stopped(Exception):
+    """There was no time to finish."""
+
+
 @dataclass(frozen=True)
 class _Setup:
     """One layout on one finger with what traces and reads it."""
@@ -42,6 +46,12 @@ class _Setup:
     tracer: BoardTracer
     points: tuple[BloodPoint, ...]
     seed: int
+    stop: Callable[[], bool]
+
+    def check(self) -> None:
+        """Raise `_Stopped` where there is no time for one batch more."""
+        if self.stop():
+            raise _Stopped
 
     @property
     def photodiode(self) -> Photodiode:
@@ -65,24 +75,35 @@ class _Setup:
 
 
 def inspect_layout(
-    best: Scene, condition: FingerCondition, *, photons: int, seed: int, backend: str, max_seconds: float
+    best: Scene,
+    condition: FingerCondition,
+    *,
+    photons: int,
+    seed: int,
+    backend: str,
+    max_seconds: float,
+    stop: Callable[[], bool] = lambda: False,
 ) -> xr.Dataset:
     """Everything about a layout on one finger that the map of its bare board does not tell.
 
     photons : from each LED in the fresh trace, unless time runs out; some are traced in any case.
     max_seconds : half of it for the fresh trace, the rest for light the other way. [s]
+    stop : whether there is no time at all for one batch more; then nothing is told, and the Dataset is empty.
     """
     begin = time.perf_counter()
     scene = boards.on_finger(best, condition.case)
     tracer = BoardTracer(scene, backend=backend)
     blood = condition.point.blood_fraction
     points = tuple(blood_point(scene, led, blood_fraction=blood) for led in range(len(scene.leds)))
-    setup = _Setup(scene, condition, tracer, points, seed)
+    setup = _Setup(scene, condition, tracer, points, seed, stop)
     batches = max(LEAST_BATCHES, photons // tracer.batch_photons)
     # Where time is short, the batches that must be are small ones.
     each = tracer.batch_photons if max_seconds > LEAST_BATCHES * SHORT_S else tracer.batch_photons // 8
-    values, found = _fresh_trace(setup, batches, each, begin + max_seconds / 2)
-    found |= _back(setup, max(1, batches // BATCHES_PER_ROUND), begin + max_seconds, values, backend)
+    try:
+        values, found = _fresh_trace(setup, batches, each, begin + max_seconds / 2)
+        found |= _back(setup, max(1, batches // BATCHES_PER_ROUND), begin + max_seconds, values, backend)
+    except _Stopped:
+        return xr.Dataset()
     resolution = setup.force_resolution_n([setup.response(i, each) for i, each in enumerate(values)])
     error = resolution[0] * jackknife(np.log(resolution))
     attributes = {"checked_resolution_n": float(resolution[0]), "checked_resolution_n_stderr": float(error)}
@@ -103,6 +124,7 @@ def _fresh_trace(setup: _Setup, batches: int, photons: int, deadline: float) -> 
     total, square = (np.zeros((len(setup.points), len(setup.areas_mm2), *cells.shape)) for _ in range(2))
     while count < LEAST_BATCHES or (count < batches and time.perf_counter() < deadline):
         for i, point in enumerate(setup.points):
+            setup.check()
             seed = seed_of(setup.seed, FORWARD, i, count)
             means, sensitivity = tracer.detected(i, point, photons=photons, seed=seed, cells=cells)
             blocks[i].append(means)
@@ -141,6 +163,7 @@ def _back(setup: _Setup, rounds: int, deadline: float, values: list[np.ndarray],
     while done == 0 or (done < rounds and time.perf_counter() < deadline):
         for j in photodiodes:
             for i, point in enumerate(setup.points):
+                setup.check()
                 seed = seed_of(setup.seed, BACK, i, j, done)
                 arrived, left = setup.tracer.back(j, i, photons=BACK_PHOTONS, seed=seed)
                 each = point.values(arrived)
@@ -163,10 +186,12 @@ def _back(setup: _Setup, rounds: int, deadline: float, values: list[np.ndarray],
 def _through_open_board(setup: _Setup, backend: str) -> np.ndarray:
     """Photocurrent by light from outside on a board without a cover and its standard error, (2, sources, photodiodes)
     float. [A]"""
+    setup.check()
     board = setup.scene.board.model_copy(update={"cover_um": 0.0})
     tracer = BoardTracer(setup.scene.model_copy(update={"board": board}), backend=backend, spacing_mm=OPEN_DISTANCE_MM)
     found = []
     for j in range(len(setup.areas_mm2)):
+        setup.check()
         # So much light comes through an open board that one round tells it.
         _, left = tracer.back(j, 0, photons=BACK_PHOTONS, seed=seed_of(setup.seed, OPEN_BOARD, j))
         current, variance = _from_outside(setup, left, j)

@@ -35,9 +35,9 @@ def resolution_over_unknowns(
     """Spread of the force resolution of the foremost layouts over the scene's priors, and which of them is best where.
 
     layouts : best first, of one scene's priors; the paper's counts as foremost, too.
-    stop : whether there is no time for one layout more; the best alone is read in any case.
+    stop : whether there is no time for one batch more.
 
-    Returns: Dataset over layout, prior and node; of layouts that were not read it is NaN.
+    Returns: Dataset over layout, prior and node; NaN of layouts that were not read, and empty where none was.
     """
     scene = layouts[0].board
     priors = scene.priors.of_finger()
@@ -48,9 +48,12 @@ def resolution_over_unknowns(
     read: list[np.ndarray] = []
     chosen = [i for i, one in enumerate(layouts) if i < FOREMOST or one.name == "paper"]
     for i in chosen:
-        if read and stop():
+        one = _log_resolutions(layouts[i], cases, rules, changes, seed=seed, backend=backend, stop=stop)
+        if one is None:
             break
-        read.append(_log_resolutions(layouts[i], cases, rules, changes, seed=seed, backend=backend))
+        read.append(one)
+    if not read:
+        return xr.Dataset()
     chosen = chosen[: len(read)]
     # By change, all blocks and without each, and layout.
     found = np.stack(read, -1)
@@ -66,8 +69,9 @@ def _log_resolutions(
     *,
     seed: int,
     backend: str,
-) -> np.ndarray:
-    """Logarithm of a layout's score with each change of its fingers, (changes, 1 + blocks) float."""
+    stop: Callable[[], bool],
+) -> np.ndarray | None:
+    """Logarithm of a layout's score with each change of its fingers, (changes, 1 + blocks) float; None if stopped."""
     tracers: dict[str, BoardTracer] = {}
     by_case = []
     for number, case in enumerate(cases):
@@ -80,19 +84,30 @@ def _log_resolutions(
             light = light_digest(one)
             sharing.setdefault(light, []).append(k)
             if light not in tracers:
+                if stop():
+                    return None
                 tracers[light] = BoardTracer(one, backend=backend, spacing_mm=QUICK_DISTANCE_MM)
         score = np.zeros((len(changes), 1 + BLOCKS))
         for light, members in sharing.items():
             shared = [(scenes[k], points[k]) for k in members]
-            score[members] = _resolutions(layout, tracers[light], shared, seed=seed_of(seed, NODES, number))
+            found = _resolutions(layout, tracers[light], shared, seed=seed_of(seed, NODES, number), stop=stop)
+            if found is None:
+                return None
+            score[members] = found
         by_case.append(score)
     return np.log(over_fingers(np.stack(by_case), rules.rank_by))
 
 
 def _resolutions(
-    layout: CandidateLayout, tracer: BoardTracer, shared: Sequence[tuple[Scene, OperatingPoint]], *, seed: int
-) -> np.ndarray:
-    """Force resolution on fingers that share a trace, by all blocks and without each, (fingers, 1 + blocks). [N]"""
+    layout: CandidateLayout,
+    tracer: BoardTracer,
+    shared: Sequence[tuple[Scene, OperatingPoint]],
+    *,
+    seed: int,
+    stop: Callable[[], bool],
+) -> np.ndarray | None:
+    """Force resolution on fingers that share a trace, by all blocks and without each, (fingers, 1 + blocks); None if
+    stopped. [N]"""
     areas, photodiode = layout.scene.layout.photodiode_areas, layout.scene.layout.photodiodes[0].photodiode
     read: list[list[np.ndarray]] = []
     for i in range(len(layout.board.leds)):
@@ -101,6 +116,8 @@ def _resolutions(
         ]
         blocks: list[list[np.ndarray]] = [[] for _ in shared]
         for block in range(BLOCKS):
+            if stop():
+                return None
             # The same random numbers for all layouts and changes, so that what they have in common cancels.
             arrivals = tracer.arrivals(i, photons=BLOCK_PHOTONS, seed=seed_of(seed, i, block))
             for k, one in enumerate(blood):

@@ -51,6 +51,11 @@ class PhotonMapCache:
         maps = self._maps.get(digest(board))
         return maps is not None and all(one.photons for by_led in maps for one in by_led)
 
+    @property
+    def has_traced(self) -> bool:
+        """Whether there is light of every LED on every finger of some board."""
+        return any(all(one.photons for by_led in maps for one in by_led) for maps in self._maps.values())
+
     def extend(self, board: Scene, photons: int) -> None:
         """Trace so many photons more, per LED and finger, of a bare board; fewer where it has to stop."""
         key = digest(board)

@@ -66,10 +66,10 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     conditions = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
     made: dict[str, Any] = {"seed": options.seed, "backend": backends.choose(options.backend).name}
     searching = PhotonMapCache(conditions, **made, stream=0, blocks=1, distance_mm=QUICK_DISTANCE_MM)
-    searching.stop = partial(report_progress.is_late, exchange.SEARCH_SHARE)
+    searching.stop = partial(report_progress.is_over, exchange.SEARCH_SHARE)
     judging = PhotonMapCache(conditions, **made, stream=1, blocks=BLOCKS)
-    judging.stop = partial(report_progress.is_late, JUDGE_SHARE)
     layouts, searched = _candidates(base, rules, searching, report_progress)
+    judging.stop = partial(_judged_enough, judging, bool(searched), report_progress)
     wanted = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
     layouts, scores, unmet = score_layouts(
         layouts, judging, rank_by=rules.rank_by, photons=photons, relative_error=wanted, report_progress=report_progress
@@ -77,22 +77,22 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     order = np.argsort([score.score_n[0] for score in scores], kind="stable")
     layouts, scores = [layouts[i] for i in order], [scores[i] for i in order]
     maps = judging.maps(layouts[0].board)[0]
-    left_s, inspected = limit_s - report_progress.seconds, xr.Dataset()
-    if report_progress.interrupted or left_s > CHECK_S:
-        left_s = 0.0 if report_progress.interrupted else INSPECT_SHARE * left_s
-        inspected = inspect_layout(layouts[0].scene, conditions[0], photons=maps[0].photons, max_seconds=left_s, **made)
+    closer = made | {"stop": partial(report_progress.is_over, 1.0)}
+    inspected, over = xr.Dataset(), xr.Dataset()
+    if (left_s := report_progress.seconds_left) > CHECK_S:
+        limits: dict[str, Any] = {"photons": maps[0].photons, "max_seconds": INSPECT_SHARE * left_s}
+        inspected = inspect_layout(layouts[0].scene, conditions[0], **limits, **closer)
     report_progress("check", 1.0, scores[0].relative_error)
-    over = xr.Dataset()
     if conditions[0].point.body is not None and not report_progress.is_late(1.0):
         over = resolution_by_count(layouts[0], judging, rules)
-    if scene.priors.spread and not report_progress.interrupted and limit_s - report_progress.seconds > CHECK_S:
-        late = partial(report_progress.is_late, 1.0)
-        over = over.merge(resolution_over_unknowns(layouts, boards.fingers(scene), rules, stop=late, **made))
+    if scene.priors.spread and report_progress.seconds_left > CHECK_S:
+        over = over.merge(resolution_over_unknowns(layouts, boards.fingers(scene), rules, **closer))
     made |= {"photons": judging.photons + searching.photons, "rank_by": rules.rank_by}
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
     result = as_dataset(scene, layouts, scores, conditions, maps, searched, inspected, made).merge(over)
-    if not inspected and not unmet:
-        unmet = "max_seconds ended before the best layout was looked at closely; allow more time."
+    spread = "resolution_spread" in over or not scene.priors.spread
+    for known, what in ((inspected, "looked at closely"), (spread, "judged on other fingers")):
+        unmet = unmet or (None if known else f"{report_progress.why} before the best layout was {what}.")
     if unmet:
         result.attrs["cut_off"] = unmet
         raise NotReachedError(unmet, result=result)
@@ -106,15 +106,25 @@ def _candidates(
     layouts, paper = given(base, rules), _paper_layout(base, cache.conditions)
     straight = boards.straight(base)
     searched = exchange.search(straight, rules, cache, report_progress) if rules.search else []
-    layouts += exchange.finalists(straight, searched) + ([paper] if paper else [])
-    if not layouts and report_progress.is_late(exchange.SEARCH_SHARE):
-        raise NotReachedError("max_seconds ended the search before one place of the LED was tried; allow more time.")
+    # The search's best is judged even where time is over.
+    layouts = exchange.finalists(straight, searched) + layouts + ([paper] if paper else [])
+    if not layouts and report_progress.is_over(exchange.SEARCH_SHARE):
+        raise NotReachedError(f"{report_progress.why} before one place of the LED was tried; allow more time.")
     if not layouts:
         raise InputError(
             f"placement: {rules.photodiodes} photodiodes of {base.photodiodes[0].size_mm} mm find no room; "
             "make the board larger, or ask for fewer."
         )
     return layouts, searched
+
+
+def _judged_enough(cache: PhotonMapCache, found: bool, report_progress: StageProgress) -> bool:
+    """Whether judging ends: time is over, or the user has interrupted.
+
+    found : whether a search found a layout; that one is judged in any case, and so is one where the user interrupts.
+    """
+    over = report_progress.is_over(JUDGE_SHARE)
+    return over and (cache.has_traced or not (found or report_progress.interrupted))
 
 
 def finger_condition(base: Scene, case: FingerCase, rules: Placement) -> FingerCondition:

@@ -108,7 +108,7 @@ def score_layouts(
     complete = _extend(layouts, cache, set(traced), first, traced, report_progress)
     every, layouts = len(layouts), [layout for layout in layouts if cache.is_traced(layout.board)]
     if not layouts:
-        raise NotReachedError("max_seconds ended before one layout was traced on every finger; allow more time.")
+        raise NotReachedError(f"{report_progress.why} before one layout was traced on every finger; allow more time.")
     while True:
         scores = [score_layout(layout, cache, rank_by) for layout in layouts]
         by_name = {layout.name: score for layout, score in zip(layouts, scores, strict=True)}
@@ -119,7 +119,7 @@ def score_layouts(
         report_progress("judge", done, worst, relative_error)
         left = f"{len(errors)} layouts tied at relative error {worst:.3g}, {relative_error:g} requested"
         if report_progress.interrupted:
-            return layouts, scores, f"interrupted: {left}."
+            return layouts, scores, f"interrupted: {len(layouts)} of {every} layouts traced, {left}."
         if not complete or len(layouts) < every:
             return layouts, scores, f"max_seconds ended with {len(layouts)} of {every} layouts traced, {left}."
         if photons or len(errors) == 1 or worst <= relative_error:

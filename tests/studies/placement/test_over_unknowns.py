@@ -1,5 +1,7 @@
 """The ranking of layouts over what is unknown of the finger."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -72,8 +74,16 @@ def test_what_holds_is_said_in_words_and_on_the_page(ranked):
     assert "What is unknown of the finger" in spread_section(found)
 
 
-def test_without_time_the_best_alone_is_read(ranked, monkeypatch):
+def test_without_time_only_what_was_read_whole_is_told(ranked, monkeypatch):
+    """Expected: two fingers of one digit have a tracer and twelve batches each; the second layout is not begun."""
     base, rules, layouts, cases, _ = ranked
     monkeypatch.setattr(over_unknowns, "BLOCK_PHOTONS", 1 << 12)
-    found = resolution_over_unknowns(layouts, cases, rules, seed=1, backend="auto", stop=lambda: True)
+    looks = itertools.count()
+    one_layout = 1 + 2 * over_unknowns.BLOCKS
+    found = resolution_over_unknowns(
+        layouts, cases, rules, seed=1, backend="auto", stop=lambda: next(looks) >= one_layout
+    )
     assert np.isfinite(found.resolution_spread.values).tolist() == [True, False]
+    asked = next(looks)
+    assert asked == one_layout + 1
+    assert not resolution_over_unknowns(layouts, cases, rules, seed=1, backend="auto", stop=lambda: True)

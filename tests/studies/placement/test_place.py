@@ -18,7 +18,7 @@ from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
 from nailoptics.scene.outlines import Outline, read_outline, write_outline
 from nailoptics.scene.positions import read_positions
 from nailoptics.scene.rectangles import Rectangle
-from nailoptics.studies.placement import boards, exchange, fisher, photon_maps, place, result, scores
+from nailoptics.studies.placement import boards, exchange, fisher, inspection, photon_maps, place, result, scores
 from nailoptics.studies.placement.progress import StageProgress
 from nailoptics.tissue import BloodZones
 
@@ -349,9 +349,44 @@ def test_an_interrupt_leaves_the_ranking_as_far_as_it_is(chosen_jit, scene):
         if progress.led == "judge":
             raise KeyboardInterrupt
 
-    with pytest.raises(NotReachedError, match="^interrupted: ") as caught:
+    with pytest.raises(NotReachedError, match="^interrupted: 3 of 3 layouts traced") as caught:
         place.place(scene, relative_error=1e-4, progress=interrupting)
-    assert caught.value.result.sizes["layout"] == 3
+    assert caught.value.result.sizes["layout"] == 3 and "checked_fraction" not in caught.value.result
+
+
+@pytest.mark.slow
+def test_an_interrupt_of_the_search_leaves_its_best_after_one_batch_more(chosen_jit):
+    """Expected: no site of the LED is begun after Ctrl-C, and the best so far is judged by one batch of its own."""
+    asked = parse_scene(SCENE[: SCENE.index("[placement]")] + "[placement]\nphotodiodes = 2\n")
+    reports = []
+
+    def interrupting(progress):
+        reports.append(progress)
+        raise KeyboardInterrupt
+
+    with pytest.raises(NotReachedError, match="^interrupted: 1 of .* layouts traced") as caught:
+        place.place(asked, progress=interrupting)
+    found = caught.value.result
+    assert len(reports) == 1 and found.sizes["led_site"] == 1 and found.sizes["layout"] == 1
+    assert str(found.origin.values[0]) == "searched" and found.attrs["photons"] == 2 * (1 << 18)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stage", ["fresh", "back"])
+def test_a_look_at_the_best_layout_ends_within_a_batch(chosen_jit, scene, monkeypatch, stage):
+    """Expected: no batch begins once there is no time, and the half that was traced is not told."""
+    layout = place.given(boards.base_board(scene), boards.rules(scene))[0]
+    condition = place.finger_condition(layout.scene, FingerCase(name="one"), boards.rules(scene))
+    looks, batches = itertools.count(), []
+    for name in ("detected", "back"):
+        traced = getattr(inspection.BoardTracer, name)
+        monkeypatch.setattr(
+            inspection.BoardTracer, name, lambda *at, _traced=traced, **how: batches.append(1) or _traced(*at, **how)
+        )
+    last = 3 if stage == "fresh" else inspection.LEAST_BATCHES + 2
+    limits = {"photons": 1 << 15, "max_seconds": 1.0, "stop": lambda: next(looks) >= last}
+    assert not inspection.inspect_layout(layout.scene, condition, seed=0, backend="auto", **limits)
+    assert len(batches) <= last
 
 
 @pytest.mark.slow
