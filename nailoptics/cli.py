@@ -200,7 +200,7 @@ def compare(
     result, unmet = _watched(study, loaded, over=over, wavelengths_nm=wavelength_nm, **options.fields)
     paths = write_comparison(result, folder)
     judged = verdict(result, 0.05 if require is None else require, model=model)
-    _show(summary(result) | {"verdict": vars(judged)}, [judged], paths, json_)
+    _show(summary(result) | {"verdict": vars(judged)}, [*_ended_early(unmet), judged], paths, json_)
     if require is not None and judged.outcome == "missed":
         raise NailopticsError(f"{judged}")
     _end(unmet, folder)
@@ -232,7 +232,7 @@ def place(
     result, unmet = _watched(study, loaded, **options.fields)
     paths = write_placement(result, folder, negate_x_on_bottom=negate_x_on_bottom)
     summary = placement_summary(result)
-    _show(summary | {"folder": str(folder)}, placement_lines(summary), paths, json_)
+    _show(summary | {"folder": str(folder)}, [*_ended_early(unmet), *placement_lines(summary)], paths, json_)
     _end(unmet, folder)
 
 
@@ -639,6 +639,11 @@ def _show(summary: Mapping[str, Any], text: Iterable[object], paths: Mapping[str
 def _cut_off(unmet: NotReachedError | None) -> str:
     """The first line of a scene file that a study ended too early to be sure of."""
     return f"# Cut off: {unmet}\n" if unmet else ""
+
+
+def _ended_early(unmet: NotReachedError | None) -> list[str]:
+    """The first line on the terminal where what was requested was not reached."""
+    return [f"Cut off: {unmet}"] if unmet else []
 
 
 def _end(unmet: NotReachedError | None, where: Path | None = None) -> None:

@@ -66,11 +66,7 @@ def write_tradeoff(found: Tradeoff, path: Path) -> None:
         ),
         "<h3>The full model by its photons</h3>",
         _efforts(found),
-        "<h3>Number of batches</h3>",
-        table(
-            ["Photons in a batch", "Processor time per million photons [s]"],
-            [[f"{photons:,}", significant(seconds, 3)] for photons, seconds in found.batches.items()],
-        ),
+        _batches(found),
     )
     text = document(
         kicker="speed against accuracy",
@@ -98,8 +94,8 @@ def draw(found: Tradeoff) -> "Figure":
     right.set(title=f"{MORE} more states or layouts", xlabel=f"processor time for {MORE} more [s]")
     seconds = found.chosen.seconds()
     left.plot(seconds, 100 * found.chosen.error, "*", ms=13, color=style.ZONES[0], zorder=5, label="chosen")
-    for axes in (left, right):
-        axes.legend(loc="lower left", frameon=True, facecolor=style.PAPER, edgecolor="none", framealpha=0.9)
+    for axes, corner in ((left, "lower left"), (right, "upper right")):
+        axes.legend(loc=corner, frameon=True, facecolor=style.PAPER, edgecolor="none", framealpha=0.9)
     drawing.suptitle(style.plain(found.sentence), x=0.01, ha="left", fontsize=10, fontweight="bold")
     return drawing
 
@@ -147,8 +143,10 @@ def _curve(level: Level, judge: Judge, effort: Effort) -> np.ndarray:
 
 def _names(axes: "Axes", places: Sequence[tuple[str, np.ndarray]], *, x: float | None, room: float) -> None:
     """Names beside their places, or in a column at x, at least so far apart that each is read."""
-    heights = style.spread([float(np.log10(place[1])) for _, place in places], APART)
-    for (name, place), height in zip(places, heights, strict=True):
+    heights = np.array(style.spread([float(np.log10(place[1])) for _, place in places], APART))
+    heights = np.maximum(heights, np.log10(100 * LEAST) + APART / 2)
+    # Beside its place a name would lie on the line that goes on from there.
+    for (name, place), height in zip(places, heights + (APART / 2 if x is None else 0.0), strict=True):
         axes.annotate(
             style.plain(name),
             tuple(place),
@@ -166,6 +164,13 @@ def _cells(bias: Bias | None) -> list[str]:
     if bias is None:
         return ["not measured", "–"]
     return [with_error(100 * bias.value, 100 * bias.stderr, sign=True), significant(100 * bias.bound, 2)]
+
+
+def _batches(found: Tradeoff) -> str:
+    """What batches of several sizes cost, if that was measured."""
+    head = ["Photons in a batch", "Processor time per million photons [s]"]
+    rows = [[f"{photons:,}", significant(seconds, 3)] for photons, seconds in found.batches.items()]
+    return "<h3>Number of batches</h3>" + table(head, rows) if rows else ""
 
 
 def _levels(found: Tradeoff) -> str:
@@ -188,7 +193,8 @@ def _needs(found: Tradeoff) -> str:
     for one in found.levels:
         how = "<br>".join(f"<code>{escaped(line)}</code>" for line in one.lines or ([one.call] if one.call else []))
         rows.append([escaped(one.name), escaped(one.beforehand) or "–", how or "the scene as it is"])
-    return table(["Level", "Must be known beside the scene", "Scene lines, or the call that gives it"], rows)
+    head = ["Level", "Must be known beside the scene", "Scene lines, or the call that gives it"]
+    return table(head, rows, kind="words")
 
 
 def _within(found: Tradeoff) -> str:

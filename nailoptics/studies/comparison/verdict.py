@@ -6,6 +6,8 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 
+from ...statistics import Z95
+
 # A verdict is given with this probability.
 SURE = 0.95
 
@@ -16,6 +18,7 @@ class Verdict:
 
     sure : probability with which it does so, or does not, by the traces' noise; readings : how many were judged.
     worst_error, worst_stderr : of the reading that is furthest off, in parts of its swing.
+    worst_low, worst_high : what the largest error of all readings lies between, 95 % sure.
     """
 
     outcome: Literal["met", "missed", "undecided"]
@@ -23,6 +26,8 @@ class Verdict:
     tolerance: float
     worst_error: float
     worst_stderr: float
+    worst_low: float
+    worst_high: float
     led: str
     photodiode: str
     sweep: str
@@ -30,7 +35,7 @@ class Verdict:
     readings: int
 
     def __str__(self) -> str:
-        found = f"{self.worst_error:.2%} +- {self.worst_stderr:.2%} of the swing"
+        found = f"{self.worst_error:.2%} of the swing ({self.worst_low:.2%} to {self.worst_high:.2%}, 95 % sure)"
         where = f"LED {self.led}, photodiode {self.photodiode}, over {self.sweep}"
         name = {"taylor": "Taylor (9)", "beer_lambert": "Beer-Lambert (8)"}[self.model]
         words = {
@@ -61,12 +66,15 @@ def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> V
     if missed >= SURE:
         outcome = "missed"
     i, j = np.unravel_index(int(np.argmin(below)), error.shape)
+    low, high = _worst(error, stderr)
     return Verdict(
         outcome=outcome,
         model=model,
         tolerance=tolerance,
         worst_error=float(error[i, j]),
         worst_stderr=float(stderr[i, j]),
+        worst_low=low,
+        worst_high=high,
         led=str(result.led.values[i]),
         photodiode=str(result.photodiode.values[j]),
         sweep=sweep,
@@ -75,13 +83,26 @@ def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> V
     )
 
 
+def _worst(error: np.ndarray, stderr: np.ndarray) -> tuple[float, float]:
+    """Between what the largest of some errors lies, which are 0 or more; nothing is known where one is not.
+
+    Of many readings one lies above the largest error by chance, so that the lower end has Bonferroni's correction.
+    """
+    from scipy.special import ndtri
+
+    low, high = error - float(ndtri(1 - (1 - SURE) / 2 / error.size)) * stderr, error + Z95 * stderr
+    known = np.isfinite(low)
+    return float(np.max(low, where=known, initial=0.0)), float(np.max(high)) if known.all() else float("inf")
+
+
 def summary(result: xr.Dataset) -> dict[str, Any]:
     """The comparison in plain numbers, ready for JSON: readings by sweep, LED and photodiode, and the paper's claim."""
     places = np.ndindex(*(result.sizes[name] for name in _PAIRS))
     rows = [_row(result.isel(dict(zip(_PAIRS, at, strict=True)))) for at in places]
     kept = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest")
-    reused = bool(result.attrs.get("reused", 0))
-    return {"comparisons": rows, "claim": claim(result), "reused": reused} | {name: result.attrs[name] for name in kept}
+    found = {"comparisons": rows, "claim": claim(result), "cut_off": result.attrs.get("cut_off")}
+    found |= {"reused": bool(result.attrs.get("reused", 0))}
+    return found | {name: result.attrs[name] for name in kept}
 
 
 _PAIRS = ("sweep", "led", "photodiode")

@@ -116,6 +116,11 @@ class Level:
                 needed = max(needed, noise**2 / left if left > 0 else math.inf)
         return needed
 
+    def seconds_within(self, judge: Judge, error: float) -> float:
+        """What the first answer of no more than an error costs; inf where the level never gives one. [s]"""
+        photons = self.photon_seconds(judge, error)
+        return self.first.at(photons) if math.isfinite(photons) else math.inf
+
     def usual_photon_seconds(self, judge: Judge, tolerance: float) -> float:
         """Seconds of photons for a tolerance, or for a tenth more than its bias where that is larger."""
         if not self.first.per_second:

@@ -88,8 +88,9 @@ class Tradeoff:
         for error in SPOKEN:
             found = self.fastest(error)
             how = f"{in_words(found.seconds())} ({found.level.name})" if found else "no level"
-            parts.append(f"for {100 * error:g} %{'' if parts else f' on {WORDS[self.judge]}'}, {how}")
-        return f"{'; '.join(parts)}.".capitalize()
+            start = "for" if parts else "For"
+            parts.append(f"{start} {100 * error:g} %{'' if parts else f' on {WORDS[self.judge]}'}, {how}")
+        return f"{'; '.join(parts)}."
 
     @property
     def lines(self) -> list[str]:
@@ -275,11 +276,11 @@ def _chosen(
             return level
         return replace(level, changes=changes_between(scene, revised(bench.full, level.changes)))
 
-    def cost(level: Level) -> float:
-        return level.first.at(level.photon_seconds(judge, tolerance))
-
     # The full model first among those that cost the same.
-    order = sorted(measured, key=lambda level: (cost(level), level.first.fixed, level.name != REFERENCE))
+    def place(level: Level) -> tuple[float, float, bool]:
+        return level.seconds_within(judge, tolerance), level.first.fixed, level.name != REFERENCE
+
+    order = sorted(measured, key=place)
     levels = {level.name: lines_for(level) for level in order}
     return Tradeoff(
         levels=tuple(levels.values()),

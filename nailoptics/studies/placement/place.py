@@ -145,7 +145,7 @@ def given(base: Scene, rules: Placement) -> list[CandidateLayout]:
 def _paper_layout(base: Scene, conditions: Sequence[FingerCondition]) -> CandidateLayout | None:
     """The paper's layout on the same finger with the same electronics; None where it does not fit every nail."""
     prototype = load_scene(data_dir("scenes") / "prototype.toml")
-    kept = ("finger", "blood", "touch", "body", "electronics", "light")
+    kept = ("finger", "blood", "touch", "body", "electronics", "light", "priors")
     scene = prototype.model_copy(update={name: getattr(base, name) for name in kept})
     try:
         for condition in conditions:

@@ -44,6 +44,9 @@ def test_what_a_level_does_not_tell_it_cannot_answer():
     assert FORMULA.error("signal", 0.0) == 0.3
     for judge in ("reading", "both"):
         assert FORMULA.error(judge, 0.0) == math.inf and FORMULA.photon_seconds(judge, 0.9) == math.inf
+        assert FORMULA.seconds_within(judge, 0.9) == math.inf
+    assert FORMULA.seconds_within("signal", 0.31) == 1e-5 and FORMULA.seconds_within("signal", 0.29) == math.inf
+    assert FULL.seconds_within("reading", 0.02) == pytest.approx(27.0)
 
 
 def test_the_fastest_within_an_error():

@@ -68,6 +68,8 @@ def test_a_stored_trace_is_nobody_s_first_answer():
 def test_the_sentence_names_a_time_for_each_error():
     what = "reading and signal, 2.2 s (full); for 5 %, 6 s (full); for 1 %, 1.7 min (full); for 0.1 %, 2.8 h (full)."
     assert made(DIFFUSION).sentence == f"For 20 % on {what}"
+    named = made(level("no Kapton", 0.15, reading_noise=0.01, signal_noise=0.01))
+    assert named.sentence.startswith("For 20 % on reading and signal, 2 s (no Kapton); for 5 %, 6 s (full)")
     assert [in_words(s) for s in (3e-6, 0.0123, 1.0, 80.0, 95.0, 4000.0, 36000.0)] == [
         "3 us",
         "12 ms",
@@ -101,6 +103,7 @@ def test_the_picture_names_every_level_and_the_page_says_what_each_needs(tmp_pat
     tradeoff_page.write_tradeoff(found, tmp_path / "tradeoff.html")
     page = (tmp_path / "tradeoff.html").read_text(encoding="utf-8")
     assert found.sentence in page and "model(scene)" in page and "relative_error = 0.02" in page
+    assert found.sentence in str(found) and "Number of batches" in page
 
 
 @pytest.fixture(scope="module")

@@ -1,15 +1,15 @@
 """Placement: the merit's arithmetic, a planted best layout is found, and the ranking is what fresh light confirms."""
 
-import itertools
 import json
 import time
 
 import numpy as np
 import pytest
 import xarray as xr
+from two_layouts import SCENE
 
 from nailoptics.cli import run
-from nailoptics.errors import InputError, NotReachedError
+from nailoptics.errors import InputError
 from nailoptics.io import write_dataset
 from nailoptics.light.board_map import Arrivals, PhotonMap
 from nailoptics.report import result_files
@@ -18,37 +18,10 @@ from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
 from nailoptics.scene.outlines import Outline, read_outline, write_outline
 from nailoptics.scene.positions import read_positions
 from nailoptics.scene.rectangles import Rectangle
-from nailoptics.studies.placement import boards, exchange, fisher, inspection, photon_maps, place, result, scores
+from nailoptics.studies.placement import boards, exchange, fisher, photon_maps, place, result, scores
 from nailoptics.studies.placement.progress import StageProgress
 from nailoptics.tissue import BloodZones
 
-SCENE = """
-schema_version = 1
-[finger]
-[blood]
-parameters = "best"
-[board]
-size_mm = [9.0, 9.0]
-[[leds]]
-name = "ir"
-part = "led_800"
-position_mm = [-3.0, 0.0]
-[[photodiodes]]
-name = "pd"
-position_mm = [1.0, 0.0]
-size_mm = [1.0, 0.25]
-[placement]
-search = false
-photodiodes = 4
-[[placement.candidates]]
-name = "near"
-leds_mm = [[-3.0, 0.0]]
-photodiodes_mm = [[-1.0, -2.0], [-1.0, -1.0], [-1.0, 1.0], [-1.0, 2.0]]
-[[placement.candidates]]
-name = "far"
-leds_mm = [[-3.0, 0.0]]
-photodiodes_mm = [[3.0, -2.0], [3.0, -1.0], [3.0, 1.0], [3.0, 2.0]]
-"""
 AT = fisher.OperatingPoint(
     blood_fraction=np.array([0.03, 0.03]),
     blood_per_pa=np.array([[1e-6, 0.0], [0.0, -1e-6]]),
@@ -225,6 +198,15 @@ def test_a_turned_photodiode_lies_across_and_comes_back_turned(scene, tmp_path):
     assert (area.rotation_deg, area.area_mm2) == (45.0, 0.25) and area.center_mm == pytest.approx((1.0, -1.0))
 
 
+def test_the_papers_layout_has_the_unknowns_of_the_scene(scene):
+    known = tuple(one.field for one in scene.priors.of_finger())[1:]
+    asked = scene.model_copy(update={"priors": scene.priors.model_copy(update={"known": known})})
+    base, rules = boards.base_board(asked), boards.rules(asked)
+    conditions = [place.finger_condition(base, FingerCase(name="one"), rules)]
+    paper = place._paper_layout(base, conditions)
+    assert paper.scene.priors == paper.board.priors == asked.priors
+
+
 def test_a_part_beside_the_scene_goes_with_the_chosen_layout(tmp_path):
     """Layouts carry all that a part says, and so can be opened where the part is not."""
     (tmp_path / "mine.toml").write_text(SCENE.replace('part = "led_800"', 'part = "own"'))
@@ -339,77 +321,6 @@ def test_the_page_stands_alone_and_the_result_is_kept(found, tmp_path):
     write_dataset(found, tmp_path / "place.nc")
     with xr.open_dataset(tmp_path / "place.nc") as kept:
         assert result.rows(kept) == result.rows(found)
-
-
-@pytest.mark.slow
-def test_an_interrupt_leaves_the_ranking_as_far_as_it_is(chosen_jit, scene):
-    """Ctrl-C comes out of the progress callback; what is traced by then is judged, looked at and told."""
-
-    def interrupting(progress):
-        if progress.led == "judge":
-            raise KeyboardInterrupt
-
-    with pytest.raises(NotReachedError, match="^interrupted: 3 of 3 layouts traced") as caught:
-        place.place(scene, relative_error=1e-4, progress=interrupting)
-    assert caught.value.result.sizes["layout"] == 3 and "checked_fraction" not in caught.value.result
-
-
-@pytest.mark.slow
-def test_an_interrupt_of_the_search_leaves_its_best_after_one_batch_more(chosen_jit):
-    """Expected: no site of the LED is begun after Ctrl-C, and the best so far is judged by one batch of its own."""
-    asked = parse_scene(SCENE[: SCENE.index("[placement]")] + "[placement]\nphotodiodes = 2\n")
-    reports = []
-
-    def interrupting(progress):
-        reports.append(progress)
-        raise KeyboardInterrupt
-
-    with pytest.raises(NotReachedError, match="^interrupted: 1 of .* layouts traced") as caught:
-        place.place(asked, progress=interrupting)
-    found = caught.value.result
-    assert len(reports) == 1 and found.sizes["led_site"] == 1 and found.sizes["layout"] == 1
-    assert str(found.origin.values[0]) == "searched" and found.attrs["photons"] == 2 * (1 << 18)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("stage", ["fresh", "back"])
-def test_a_look_at_the_best_layout_ends_within_a_batch(chosen_jit, scene, monkeypatch, stage):
-    """Expected: no batch begins once there is no time, and the half that was traced is not told."""
-    layout = place.given(boards.base_board(scene), boards.rules(scene))[0]
-    condition = place.finger_condition(layout.scene, FingerCase(name="one"), boards.rules(scene))
-    looks, batches = itertools.count(), []
-    for name in ("detected", "back"):
-        traced = getattr(inspection.BoardTracer, name)
-        monkeypatch.setattr(
-            inspection.BoardTracer, name, lambda *at, _traced=traced, **how: batches.append(1) or _traced(*at, **how)
-        )
-    last = 3 if stage == "fresh" else inspection.LEAST_BATCHES + 2
-    limits = {"photons": 1 << 15, "max_seconds": 1.0, "stop": lambda: next(looks) >= last}
-    assert not inspection.inspect_layout(layout.scene, condition, seed=0, backend="auto", **limits)
-    assert len(batches) <= last
-
-
-@pytest.mark.slow
-def test_time_that_is_over_leaves_the_layouts_that_were_traced_and_says_so(chosen_jit, scene, tmp_path, monkeypatch):
-    """Every look at the clock takes a second: the given layouts' board has light by then, the paper's has not."""
-    clock = itertools.count()
-    monkeypatch.setattr(StageProgress, "seconds", property(lambda _: next(clock)))
-    with pytest.raises(NotReachedError, match="^max_seconds ended with 2 of 3 layouts traced") as caught:
-        place.place(scene, max_seconds=5)
-    found = caught.value.result
-    assert set(found.layout.values) == {"near", "far"} and found.attrs["cut_off"] == str(caught.value)
-    assert "checked_fraction" not in found and found.attrs["photons"] < scores.JUDGE_PHOTONS
-    result_files.write_placement(found, tmp_path)
-    head = (tmp_path / "place.html").read_text(encoding="utf-8").split("</header>")[0]
-    assert "max_seconds ended with 2 of 3 layouts traced" in head
-    best = (tmp_path / "best.toml").read_text()
-    assert best.startswith("# Cut off: max_seconds ended") and "max_seconds =" not in best
-
-
-def test_no_time_at_all_is_one_line(chosen_jit, scene):
-    with pytest.raises(NotReachedError, match="before one layout was traced") as caught:
-        place.place(scene, max_seconds=1e-9)
-    assert caught.value.result is None
 
 
 @pytest.mark.slow

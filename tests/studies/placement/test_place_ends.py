@@ -1,0 +1,88 @@
+"""A placement that is interrupted or out of time: it ends within a batch, and what it has by then is told."""
+
+import itertools
+
+import pytest
+from two_layouts import SCENE
+
+from nailoptics.errors import NotReachedError
+from nailoptics.report import result_files
+from nailoptics.scene import FingerCase, Scene, parse_scene
+from nailoptics.studies.placement import boards, inspection, place, scores
+from nailoptics.studies.placement.progress import StageProgress
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return parse_scene(SCENE)
+
+
+@pytest.mark.slow
+def test_an_interrupt_leaves_the_ranking_as_far_as_it_is(chosen_jit, scene):
+    """Ctrl-C comes out of the progress callback; what is traced by then is judged, looked at and told."""
+
+    def interrupting(progress):
+        if progress.led == "judge":
+            raise KeyboardInterrupt
+
+    with pytest.raises(NotReachedError, match="^interrupted: 3 of 3 layouts traced") as caught:
+        place.place(scene, relative_error=1e-4, progress=interrupting)
+    assert caught.value.result.sizes["layout"] == 3 and "checked_fraction" not in caught.value.result
+
+
+@pytest.mark.slow
+def test_an_interrupt_of_the_search_leaves_its_best_after_one_batch_more(chosen_jit):
+    """Expected: no site of the LED is begun after Ctrl-C, and the best so far is judged by one batch of its own."""
+    asked = parse_scene(SCENE[: SCENE.index("[placement]")] + "[placement]\nphotodiodes = 2\n")
+    reports = []
+
+    def interrupting(progress):
+        reports.append(progress)
+        raise KeyboardInterrupt
+
+    with pytest.raises(NotReachedError, match="^interrupted: 1 of .* layouts traced") as caught:
+        place.place(asked, progress=interrupting)
+    found = caught.value.result
+    assert len(reports) == 1 and found.sizes["led_site"] == 1 and found.sizes["layout"] == 1
+    assert str(found.origin.values[0]) == "searched" and found.attrs["photons"] == 2 * (1 << 18)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stage", ["fresh", "back"])
+def test_a_look_at_the_best_layout_ends_within_a_batch(chosen_jit, scene, monkeypatch, stage):
+    """Expected: no batch begins once there is no time, and the half that was traced is not told."""
+    layout = place.given(boards.base_board(scene), boards.rules(scene))[0]
+    condition = place.finger_condition(layout.scene, FingerCase(name="one"), boards.rules(scene))
+    looks, batches = itertools.count(), []
+    for name in ("detected", "back"):
+        traced = getattr(inspection.BoardTracer, name)
+        monkeypatch.setattr(
+            inspection.BoardTracer, name, lambda *at, _traced=traced, **how: batches.append(1) or _traced(*at, **how)
+        )
+    last = 3 if stage == "fresh" else inspection.LEAST_BATCHES + 2
+    limits = {"photons": 1 << 15, "max_seconds": 1.0, "stop": lambda: next(looks) >= last}
+    assert not inspection.inspect_layout(layout.scene, condition, seed=0, backend="auto", **limits)
+    assert len(batches) <= last
+
+
+@pytest.mark.slow
+def test_time_that_is_over_leaves_the_layouts_that_were_traced_and_says_so(chosen_jit, scene, tmp_path, monkeypatch):
+    """Every look at the clock takes a second: the given layouts' board has light by then, the paper's has not."""
+    clock = itertools.count()
+    monkeypatch.setattr(StageProgress, "seconds", property(lambda _: next(clock)))
+    with pytest.raises(NotReachedError, match="^max_seconds ended with 2 of 3 layouts traced") as caught:
+        place.place(scene, max_seconds=5)
+    found = caught.value.result
+    assert set(found.layout.values) == {"near", "far"} and found.attrs["cut_off"] == str(caught.value)
+    assert "checked_fraction" not in found and found.attrs["photons"] < scores.JUDGE_PHOTONS
+    result_files.write_placement(found, tmp_path)
+    head = (tmp_path / "place.html").read_text(encoding="utf-8").split("</header>")[0]
+    assert "max_seconds ended with 2 of 3 layouts traced" in head
+    best = (tmp_path / "best.toml").read_text()
+    assert best.startswith("# Cut off: max_seconds ended") and "max_seconds =" not in best
+
+
+def test_no_time_at_all_is_one_line(chosen_jit, scene):
+    with pytest.raises(NotReachedError, match="before one layout was traced") as caught:
+        place.place(scene, max_seconds=1e-9)
+    assert caught.value.result is None
