@@ -55,10 +55,10 @@ def range_errors(result: xr.Dataset, *, led: int) -> "Figure":
                 low, high = (np.clip(error + k * Z95 * stderr, _FLOOR, _CEILING) for k in (-1, 1))
                 axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
                 axes.plot(x, np.clip(error, _FLOOR, None), color=colour, label=style.plain(one.photodiode.values[j]))
-            right = axes.get_yaxis_transform()
+            left = axes.get_yaxis_transform()
             for tolerance in (1, 5):
                 axes.axhline(tolerance, color=style.INK, lw=0.9, ls=(0, (4, 2)))
-                axes.text(0.995, tolerance * 1.08, f"{tolerance} %", transform=right, ha="right", fontsize=8)
+                axes.text(0.005, tolerance * 1.08, f"{tolerance} %", transform=left, ha="left", fontsize=8)
             axes.set(yscale="log", ylim=(_FLOOR, _CEILING), xlim=(x[0], x[-1]))
             axes.set_yticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
             axes.set_xlabel(f"range from {x[0]:g} to this {X_LABELS[sweep]}")

@@ -113,7 +113,7 @@ def _limits(result: xr.Dataset, led: int) -> str:
         "Numbers in brackets are 95 % intervals; “all” means the whole sweep. αD² is that of all the blood in the bed, "
         f"over {escaped(result.sweep.values[-1])}."
     )
-    return table(head, rows) + small(note)
+    return table(head, rows, kind="dense") + small(note)
 
 
 def _interval(one: xr.Dataset, name: str, by: float) -> str:

@@ -94,8 +94,9 @@ def draw(found: Tradeoff) -> "Figure":
     right.set(title=f"{MORE} more states or layouts", xlabel=f"processor time for {MORE} more [s]")
     seconds = found.chosen.seconds()
     left.plot(seconds, 100 * found.chosen.error, "*", ms=13, color=style.ZONES[0], zorder=5, label="chosen")
-    for axes, corner in ((left, "lower left"), (right, "upper right")):
-        axes.legend(loc=corner, frameon=True, facecolor=style.PAPER, edgecolor="none", framealpha=0.9)
+    left.legend(loc="lower left", frameon=True, facecolor=style.PAPER, edgecolor="none", framealpha=0.9)
+    # No corner of the right panel is free on every scene.
+    right.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, columnspacing=1.2, handlelength=1.6)
     drawing.suptitle(style.plain(found.sentence), x=0.01, ha="left", fontsize=10, fontweight="bold")
     return drawing
 
@@ -116,7 +117,7 @@ def _panel(
     for effort, colour, line in fronts:
         answers = [found.fastest(error, effort) for error in GRID]
         points = [(a.seconds(effort), 100 * error) for a, error in zip(answers, GRID, strict=True) if a]
-        label = "the best of all" if effort == "first" else f"the best of all: {MORE} more {effort}"
+        label = "the best of all" if effort == "first" else f"the best of all, {effort}"
         axes.plot(*np.array(points).reshape(-1, 2).T, color=colour, lw=2.2, ls=line, zorder=2, label=label)
     axes.axhline(100 * found.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)), zorder=1, label="tolerance")
     axes.set_xscale("log")

@@ -43,7 +43,8 @@ class Verdict:
             "missed": "misses",
             "undecided": "cannot be told to meet or to miss (trace more photons)",
         }
-        sure = f"{100 * self.sure:.3g} % sure over {self.readings} readings"
+        percent = "over 99.9" if self.sure > 0.999 else f"{100 * self.sure:.3g}"
+        sure = f"{percent} % sure over {self.readings} readings"
         return f"{name} {words[self.outcome]} {self.tolerance:.2%} ({sure}): at worst {found}, {where}."
 
 

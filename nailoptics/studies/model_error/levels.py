@@ -134,6 +134,12 @@ class Bench:
         """The largest change by touch of the reference's readings, as a part of them."""
         return float(np.abs(self.base.modulation).max())
 
+    @cached_property
+    def error_of_largest(self) -> float:
+        """Relative standard error of that, which all signals share that are told as parts of it."""
+        largest = int(np.argmax(np.abs(self.base.modulation)))
+        return float(self.base.modulation_stderr.flat[largest]) / self.largest_modulation
+
     def measured(self, name: str, changes: Changes, other: PairedReadings) -> Level:
         """A traced level against the reference."""
         found = paired.difference(self.base, other)
@@ -182,10 +188,9 @@ class Bench:
 
     def signal_of(self, modulation: np.ndarray, error: ArrayLike = 0.0) -> Bias:
         """The bias of a signal that shares no photons with the reference, (led, photodiode) float, and its errors."""
-        unit, largest = self.largest_modulation, int(np.argmax(np.abs(self.base.modulation)))
+        unit = self.largest_modulation
         noise = np.hypot(error, self.base.modulation_stderr) / unit
-        shared = float(self.base.modulation_stderr.flat[largest]) / unit
-        return self.bias((modulation - self.base.modulation) / unit, noise, shared=shared)
+        return self.bias((modulation - self.base.modulation) / unit, noise, shared=self.error_of_largest)
 
 
 def cpu_seconds(call: Callable[[], object]) -> float:
@@ -316,7 +321,8 @@ def formulas(bench: Bench) -> Iterator[Level]:
     along = np.multiply.outer(np.stack(depths)[:, 0], np.linspace(0, 1, MORE))
     for name, change in FORMULAS.items():
         values = (change(np.stack(depths)) - np.stack(traced)) / bench.largest_modulation
-        signal = bench.bias(values[:, 0], np.stack([jackknife(one) for one in values]))
+        error = np.stack([jackknife(one) for one in values])
+        signal = bench.bias(values[:, 0], error, shared=bench.error_of_largest)
         spent = cpu_seconds(partial(change, along))
         yield replace(bench.reference, name=f"{name}, traced", signal=signal, states=Cost(spent))
 
