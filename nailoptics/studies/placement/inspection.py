@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, PhotonMap, blood_point, readings
+from ...light.transfer import FEW_PHOTONS
 from ...scene import Photodiode, Scene
 from ...statistics import Z95, jackknife, left_out, seed_of, stderr_of_mean
 from ...variables import Variables, variable
@@ -242,7 +243,10 @@ def _led_places(setup: _Setup, maps: list[list[PhotonMap]], mean: np.ndarray, er
         # From (photodiodes, values, blocks, u, v) to (blocks, u, v, photodiodes, values).
         each = left_out(np.moveaxis(each, (2, 0, 1), (0, -2, -1)))
         fraction.append(np.moveaxis(each[..., 0], -1, 1))
-        resolution.append(setup.force_resolution_n([setup.response(i, each)]))
+        # Where no light comes only what was known before is told, the same by every group of photons.
+        all_light = each[..., 0].sum(-1)
+        seen = jackknife(all_light) ** 2 < all_light[0] ** 2 / FEW_PHOTONS
+        resolution.append(np.where(seen, setup.force_resolution_n([setup.response(i, each)]), np.nan))
     text = "part of the light of an LED at this place on each photodiode, by reciprocity"
     value, errors = [f[0] for f in fraction], [jackknife(f) for f in fraction]
     found |= variable("led_place_fraction", (*pair, *places), value, text, stderr=errors)
