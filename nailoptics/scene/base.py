@@ -28,9 +28,11 @@ class Table(BaseModel):
 
 def check_unique(names: Sequence[str], what: str) -> None:
     """Raise ValueError where a name is used twice."""
+    seen: set[str] = set()
     for name in names:
-        if names.count(name) > 1:
+        if name in seen:
             raise ValueError(f'{what}: the name "{name}" is used twice; give each its own')
+        seen.add(name)
 
 
 Positive = Annotated[float, Field(gt=0)]
