@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from .studies.force.predict import predict
     from .studies.model_error.explain import explain
     from .studies.model_error.tradeoff import tradeoff
+    from .studies.oximetry.oxygen import oximeter
     from .studies.placement.place import place
     from .studies.simulate import simulate
 
@@ -32,6 +33,7 @@ _HOMES = {
     "explain": ".studies.model_error.explain",
     "load_scene": ".scene",
     "open_results": ".batch",
+    "oximeter": ".studies.oximetry.oxygen",
     "parse_scene": ".scene",
     "predict": ".studies.force.predict",
     "place": ".studies.placement.place",
@@ -67,6 +69,7 @@ __all__ = [
     "hemodynamics",
     "load_scene",
     "open_results",
+    "oximeter",
     "parse_scene",
     "place",
     "predict",

@@ -400,13 +400,14 @@ def figures(
     ] = None,
     json_: Json = False,
 ) -> None:
-    """Draw the paper's Figs. 10-12 and 15-18 from parameter sets, and judge its claims."""
+    """Draw the paper's Fig. 4, and Figs. 10-12 and 15-18 from parameter sets, and judge its claims."""
     import numpy as np
 
     from . import hemodynamics
     from .paper.claims_table import as_rows, as_text, judge
     from .paper.responses import pressed, simulate_responses
     from .report.blood_figures import draw
+    from .report.haemoglobin_figure import draw_haemoglobins
     from .scene.touch import read_recording
 
     course = None if touch is None else [np.asarray(column) for column in read_recording(touch)]
@@ -418,6 +419,7 @@ def figures(
         recorded = None if course is None else (course[0], course[1], pressed(parameters, *course))
         pictures += draw(output, responses, name=name, recorded=recorded)
         judged[name] = judge(responses)
+    pictures.append(draw_haemoglobins(output))
     _show({"claims": as_rows(judged), "pictures": list(map(str, pictures))}, [as_text(judged), *pictures], {}, json_)
 
 
@@ -504,6 +506,53 @@ def predict(
     if not summary["consistent"]:
         say(f"the readings do not fit this subject: {summary['misfit']}.")
     _show(summary, lines, paths, json_)
+
+
+@app.command
+def oximeter(
+    scene: ScenePath,
+    *,
+    output: Folder = None,
+    readings: Annotated[
+        Path | None, Parameter(help="A recording (CSV): tell its oxygen over time, by the scene's curve.")
+    ] = None,
+    recording: Annotated[
+        Path | None, Parameter(help="Write what the oximeter would record, noise included, to this CSV file, too.")
+    ] = None,
+    json_: Json = False,
+    options: Options = USUAL,
+) -> None:
+    """Simulate a pulse oximeter: R against saturation, SpO2 with its error, what disturbs it; or read a recording.
+
+    The relative error that is requested is that of R on the best photodiode. Writes oximeter.nc, oximeter.html and
+    oximeter.png, and of a recording oxygen.nc, oxygen.csv and oxygen.html. A recording has time_s and columns
+    LED:PHOTODIODE, or time_s, slot and a column for each photodiode, in volts.
+    """
+    from .report.result_files import OXIMETER, OXYGEN, write_oximeter_recording, write_oximeter_result, write_oxygen
+    from .report.summaries import oximeter_lines, oxygen_lines
+    from .studies.oximetry.oxygen import oximeter as study
+    from .studies.oximetry.oxygen import summary
+    from .studies.oximetry.read_recording import read_for, read_oxygen, simulated
+    from .studies.oximetry.spo2_over_time import recording_summary
+
+    loaded, _ = _load(scene, options)
+    given = None if readings is None else read_for(loaded, readings)
+    folder = _results(output, scene, OXIMETER if given is None else (*OXIMETER, *OXYGEN))
+    _check_file(recording)
+    result, unmet = _watched(study, loaded, **options.fields)
+    for line in result.attrs["warnings"]:
+        say(line)
+    found, paths = summary(result), write_oximeter_result(result, folder)
+    lines = oximeter_lines(found)
+    if recording is not None:
+        made = simulated(loaded, result, seed=options.seed)
+        paths |= write_oximeter_recording(made, (str(result.led.values[0]), str(result.led.values[1])), recording)
+    if given is not None:
+        told = read_oxygen(loaded, result, given)
+        found |= {"recording": recording_summary(told)}
+        lines, paths = oxygen_lines(found["recording"]), paths | write_oxygen(told, folder)
+    _show(found, lines, paths, json_)
+    _end(unmet, folder)
 
 
 @app.command

@@ -13,7 +13,16 @@ from pathlib import Path
 
 import pytest
 
-from nailoptics.report.result_files import COLOUR, COMPARISON, PLACEMENT, PREDICTION, SIMULATION, TRADEOFF
+from nailoptics.report.result_files import (
+    COLOUR,
+    COMPARISON,
+    OXIMETER,
+    OXYGEN,
+    PLACEMENT,
+    PREDICTION,
+    SIMULATION,
+    TRADEOFF,
+)
 
 PACKAGE = Path(__file__).parents[1] / "nailoptics"
 # Rooms in one entry do not import each other.
@@ -196,9 +205,21 @@ THEIRS = {
     "proximal.csv",
     "distal.csv",
     "steps.csv",
+    "worn.csv",
     "results/prototype/report.html",
 }
-THEIRS |= {*COLOUR, *SIMULATION, *COMPARISON, *PLACEMENT, *TRADEOFF, *PREDICTION, "table.csv", "_fig10.png"}
+THEIRS |= {
+    *COLOUR,
+    *SIMULATION,
+    *COMPARISON,
+    *PLACEMENT,
+    *TRADEOFF,
+    *PREDICTION,
+    *OXIMETER,
+    *OXYGEN,
+    "table.csv",
+    "_fig10.png",
+}
 
 
 def prose(path: Path) -> Iterator[str]:

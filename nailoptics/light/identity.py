@@ -29,6 +29,7 @@ def light_scene(scene: Scene) -> Scene:
         "blood": blood,
         "touch": type(scene.touch)(),
         "body": None,
+        "oximeter": None,
         "priors": Priors(),
         "electronics": type(scene.electronics)(),
         "accuracy": Accuracy(),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ..io import make_folder, plain_cell, to_json, turn, write_bytes, write_dataset, write_text
 from ..scene import to_toml
 from ..scene.sensor_recordings import Recording, recording_csv
+from ..scene.slot_recordings import OximeterRecording, oximeter_csv
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,6 +34,8 @@ TRADEOFF = ("tradeoff.json", "tradeoff.nc", "tradeoff.html", "tradeoff.png", "sc
 
 COLOUR = ("colour.nc", "colour.html", "strip.png", "rest.png", "pressed.png", "press.gif")
 PREDICTION = ("predict.nc", "predict.csv", "predict.html", "predict.png")
+OXIMETER = ("oximeter.nc", "oximeter.html", "oximeter.png")
+OXYGEN = ("oxygen.nc", "oxygen.csv", "oxygen.html")
 
 Paths = dict[str, Path]
 
@@ -188,4 +191,38 @@ def write_prediction(result: "xr.Dataset", folder: Path) -> Paths:
         write_text(rows, "".join(f"{row}\n" for row in csv_rows(result)))
         write_prediction_page(result, prediction_summary(result), page)
         write_figure(force(result), picture, dpi=120, facecolor="white")
+    return {"report": page, "result": data, "csv": rows}
+
+
+def write_oximeter_result(result: "xr.Dataset", folder: Path) -> Paths:
+    """Write an oximeter, its page and a picture; returns the paths of page and dataset."""
+    from .oximeter_figures import overview
+    from .oximeter_page import write_oximeter
+    from .style import write_figure
+
+    data, page, picture = (folder / name for name in OXIMETER)
+    with turn(folder):
+        write_dataset(result, data)
+        write_oximeter(result, page)
+        write_figure(overview(result), picture, dpi=110, facecolor="white")
+    return {"report": page, "result": data}
+
+
+def write_oximeter_recording(recording: OximeterRecording, leds: tuple[str, str], path: Path) -> Paths:
+    """Write an oximeter's recording as a CSV; returns its path."""
+    make_folder(path.parent)
+    write_text(path, oximeter_csv(recording, leds))
+    return {"recording_file": path}
+
+
+def write_oxygen(result: "xr.Dataset", folder: Path) -> Paths:
+    """Write what a recording of an oximeter tells as NetCDF, CSV and page; returns their paths."""
+    from ..studies.oximetry.spo2_over_time import recording_summary, spo2_rows
+    from .oximeter_page import write_oxygen_recording
+
+    data, rows, page = (folder / name for name in OXYGEN)
+    with turn(folder):
+        write_dataset(result, data)
+        write_text(rows, "".join(f"{row}\n" for row in spo2_rows(result)))
+        write_oxygen_recording(result, recording_summary(result), page)
     return {"report": page, "result": data, "csv": rows}

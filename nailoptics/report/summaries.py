@@ -121,6 +121,40 @@ def check_lines(report: dict[str, Any]) -> list[str]:
     return lines
 
 
+def oximeter_lines(summary: dict[str, Any]) -> list[str]:
+    """An oximeter's calibration and its error, photodiode by photodiode."""
+    lines = [
+        f"{'photodiode':<14} {'SpO2 in percent':<20} {'R at rest':>9} {'+-':>7} {'path ratio':>10} {'error, 8 s':>10}"
+    ]
+    for name, one in summary["readings"].items():
+        fit, rest = one["fit"], one["ratio_at_rest"]
+        line = f"{fit['intercept']:.1f} - {-fit['slope']:.1f} R"
+        lines.append(
+            f"{name:<14} {line:<20} {rest['value']:9.4f} {rest['stderr']:7.4f} {one['path_ratio']:10.3f} "
+            f"{one['spo2_stderr']:8.2f} %"
+        )
+    best = summary["readings"][summary["best"]]
+    index = ", ".join(f"{led} {100 * value:.3f} %" for led, value in best["perfusion_index"].items())
+    lines.append(f"best photodiode: {summary['best']}; perfusion index {index}")
+    for name, one in best["disturbances"].items():
+        worst = max(one["spo2_off"], key=abs)
+        lines.append(f"  {name} from {one['values'][0]:g} to {one['values'][-1]:g}: off by at most {worst:+.2f} %")
+    return lines
+
+
+def oxygen_lines(summary: dict[str, Any]) -> list[str]:
+    """What a recording of an oximeter tells, photodiode by photodiode."""
+    lines = []
+    for name, one in summary["readings"].items():
+        told = "SpO2 unknown"
+        if one["spo2"] is not None:
+            told = f"SpO2 {one['spo2']:.1f} % ({one['spo2_low']:.1f} to {one['spo2_high']:.1f})"
+        rate = "rate unknown" if one["rate_per_min"] is None else f"{one['rate_per_min']:.1f} beats a minute"
+        moved = f"moved in {100 * one['motion']:.0f} % of the time"
+        lines.append(f"{name:<14} {told}, {rate}, {moved}{', best' if name == summary['best'] else ''}")
+    return lines
+
+
 def _led_line(led: dict[str, Any]) -> str:
     part = f" ({led['part']})" if "part" in led else ""
     (u, v), width = led["position_mm"], f", {led['fwhm_nm']:g} nm wide" if led["fwhm_nm"] else ""
@@ -176,7 +210,8 @@ def placement_lines(summary: dict[str, Any]) -> list[str]:
     """The ranking of a `placement_summary` as a table, best first."""
     lines = [
         f"{row['rank']:>3} {row['layout']:<28} {1e3 * row['force_resolution_n']:9.3f} mN "
-        f"+- {1e3 * row['force_resolution_n_stderr']:.3f}{_still(row)}{_spread(row)}{'  tied' if row['tied'] else ''}"
+        f"+- {1e3 * row['force_resolution_n_stderr']:.3f}{_still(row)}{_spread(row)}"
+        f"{'  tied' if row['tied'] else ''}"
         for row in summary["ranking"]
     ]
     if better := summary["gain_over_paper"]:

@@ -5,6 +5,7 @@ from .files import digest, json_schema, load_scene, parse_scene, to_toml
 from .finger import Finger
 from .layout import Element, Layout
 from .models import Accuracy, Electronics, Layer, Light, Phantom, Scene
+from .oximeter import Oximeter, Slot
 from .parts import Board, Led, Photodiode
 from .placement import Candidate, FingerCase, Placement
 from .priors import Prior, Priors
@@ -31,6 +32,7 @@ __all__ = [
     "Led",
     "Light",
     "Motion",
+    "Oximeter",
     "Phantom",
     "Photodiode",
     "Placement",
@@ -38,6 +40,7 @@ __all__ = [
     "Priors",
     "Rectangle",
     "Scene",
+    "Slot",
     "Touch",
     "Tuning",
     "Vasomotion",

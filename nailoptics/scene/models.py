@@ -12,6 +12,7 @@ from .board_files import read_board_file
 from .body import Body
 from .finger import Finger
 from .layout import Layout, lay_out
+from .oximeter import DARK, Oximeter, two_leds
 from .parts import Board, Led, Photodiode
 from .placement import Placement
 from .priors import Priors
@@ -129,6 +130,8 @@ class Scene(Table):
     """The photodiodes."""
     electronics: Electronics = Electronics()
     """Amplifier and converter."""
+    oximeter: Oximeter | None = None
+    """Which LED is lit when, for the oxygen saturation."""
     light: Light = Light()
     """How the light is traced."""
     accuracy: Accuracy = Accuracy()
@@ -217,6 +220,19 @@ class Scene(Table):
                     f"body.file reaches from {recorded[0]:g} to {recorded[-1]:g} s, but the touch from {times[0]:g} to "
                     f"{times[-1]:g} s; record longer, or shorten the touch"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _slots_light_two_leds(self) -> Self:
+        if self.oximeter is None:
+            return self
+        if self.phantom is not None:
+            raise ValueError("oximeter needs a [finger], whose blood beats; a [phantom] has none")
+        for i, slot in enumerate(self.oximeter.slots or ()):
+            known = [led.name for led in self.leds] + [DARK]
+            if slot.light not in known:
+                raise ValueError(f'oximeter.slots[{i}].light = "{slot.light}" is none; choose from {", ".join(known)}')
+        two_leds(self.leds, self.oximeter.slots)
         return self
 
     @model_validator(mode="after")

@@ -11,6 +11,7 @@ from ..light import optics
 from ..light.diffusion import DiffusionModel
 from ..scene import Scene
 from .blood_states import blood_over_touch, forces_with_two_balances_n
+from .oximetry.path_balance import warnings_without_light
 from .placement import boards
 
 # Layered diffusion tells a reading within about 40 %: from this part of the range on it may be full.
@@ -44,7 +45,7 @@ def check_scene(scene: Scene) -> dict[str, Any]:
     report["warnings"] += _beyond_the_nail(scene)
     course = blood_over_touch(scene)
     report["pairs"], full = _pairs(scene, course.blood_fraction.values.T)
-    report["warnings"] += full
+    report["warnings"] += full + warnings_without_light(scene)
     two = forces_with_two_balances_n(scene)
     report["two_balances_n"] = [float(two.min()), float(two.max())] if two.size else None
     if scene.placement is not None:

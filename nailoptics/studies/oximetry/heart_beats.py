@@ -1,0 +1,154 @@
+"""The heart's beats in a pulse waveform: where they are, how fast, and where the finger moved."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...errors import InputError
+
+Array = NDArray[np.float64]
+Marks = NDArray[np.bool_]
+
+# What a heart can do. [1/min]
+SLOWEST, FASTEST = 30.0, 240.0
+LEAST_BEATS = 3
+# A pulse's shape lies in this band, its lower end below the slowest rate. [Hz]
+BAND_HZ = (0.4, 8.0)
+# Of the whole recording: the rate repeats itself at least so well there.
+LEAST_REPEAT = 0.15
+# A recording is searched for its rate in parts of about so long. [s]
+PART_S = 8.0
+# A beat whose height is more than this many times the usual one, or less than its inverse, is no usual one.
+MOST_HEIGHT = 2.0
+
+
+@dataclass(frozen=True)
+class Beats:
+    """Beats of a recording.
+
+    peak_s : (n,) float. When the blood is at its most. [s]
+    rate_per_min : over all of it, from the median interval of beats that follow each other.
+    usual : (n,) bool. Whether a beat has about the height and interval of the others.
+    """
+
+    peak_s: Array
+    rate_per_min: float
+    usual: Marks
+
+    def rate_at(self, time_s: float, within_s: float) -> float:
+        """Rate in a window around a time, from the median of its usual intervals; NaN without two. [1/min]"""
+        near = np.abs(self.peak_s - time_s) <= within_s / 2
+        return _rate(self.peak_s, self.usual & near)
+
+
+def find_beats(time_s: ArrayLike, signal: ArrayLike, name: str = "the recording") -> Beats:
+    """Find the beats of a pulse waveform that rises with the blood, as a plethysmogram does.
+
+    time_s, signal : (T,) float, evenly sampled or nearly; any unit. NaN in gaps.
+
+    Raises: InputError where there are fewer than three beats, or nothing that repeats itself like a heart.
+    """
+    even_s, values, rate_hz = resampled(np.asarray(time_s, float), np.asarray(signal, float), name)
+    wave = band(values, rate_hz)
+    expected_hz = _usual_rate_hz(wave, rate_hz, name)
+    peaks, heights = _peaks(wave, rate_hz, expected_hz)
+    if len(peaks) < LEAST_BEATS:
+        raise InputError(f"{name}: holds {len(peaks)} beats; at least {LEAST_BEATS} are needed, record longer.")
+    peak_s = even_s[0] + _summits(wave, peaks) / rate_hz
+    usual = _usual(peak_s, heights)
+    return Beats(peak_s, _rate(peak_s, usual), usual)
+
+
+def resampled(time_s: Array, signal: Array, name: str) -> tuple[Array, Array, float]:
+    """Evenly spaced times and values over a recording, and their rate [Hz]; gaps are bridged."""
+    there = np.isfinite(signal)
+    length_s, least_s = float(time_s[-1] - time_s[0]), LEAST_BEATS * 60.0 / FASTEST
+    if there.sum() < 8 or length_s < least_s:
+        raise InputError(f"{name}: lasts {length_s:.3g} s; three beats are needed, record some seconds.")
+    rate_hz = 1.0 / float(np.median(np.diff(time_s)))
+    if rate_hz < 2 * FASTEST / 60.0:
+        raise InputError(f"{name}: has {rate_hz:.3g} samples in a second; give 20 or more to see a pulse.")
+    even_s = time_s[0] + np.arange(int(length_s * rate_hz + 1e-6) + 1) / rate_hz
+    return even_s, np.interp(even_s, time_s[there], signal[there]), rate_hz
+
+
+def band(values: Array, rate_hz: float, low_hz: float = BAND_HZ[0], high_hz: float = BAND_HZ[1]) -> Array:
+    """The part of evenly sampled values, along the last axis, that lies in a band, without delay."""
+    from scipy import signal
+
+    high = min(high_hz, 0.45 * rate_hz)
+    filtered = signal.butter(2, (low_hz, high), btype="bandpass", fs=rate_hz, output="sos")
+    pad = min(values.shape[-1] - 1, int(3 * rate_hz / low_hz))
+    return np.asarray(signal.sosfiltfilt(filtered, values, axis=-1, padtype="odd", padlen=pad))
+
+
+def _usual_rate_hz(wave: Array, rate_hz: float, name: str) -> float:
+    """The lag at which the waveform is most like itself, as a rate. [Hz]
+
+    Parts of the recording count alike, so that motion in one of them does not decide.
+    """
+    parts = np.array_split(wave, max(1, int(len(wave) / (PART_S * rate_hz))))
+    longest = min(int(np.ceil(60 * rate_hz / SLOWEST)), min(len(part) for part in parts) // 2)
+    lags = np.arange(int(60 * rate_hz / FASTEST), longest)
+    if not len(lags):
+        raise InputError(f"{name}: is too short for three beats; record longer.")
+    like = np.median([_likeness(part, longest) for part in parts], axis=0)
+    inner = [k for k in lags if 0 < k < len(like) - 1 and like[k] >= like[k - 1] and like[k] >= like[k + 1]]
+    best = max(inner, key=lambda k: like[k], default=int(lags[np.argmax(like[lags])]))
+    # Two beats are as like two beats: the first lag that is nearly as good is one beat.
+    first = next((k for k in inner if like[k] > 0.7 * like[best]), best)
+    if like[first] < LEAST_REPEAT and len(wave) < LEAST_BEATS * 60 * rate_hz / SLOWEST:
+        raise InputError(f"{name}: no three beats are seen in {len(wave) / rate_hz:.3g} s; record longer.")
+    if like[first] < LEAST_REPEAT:
+        raise InputError(f"{name}: nothing in it repeats itself like a heart; check the finger and the light.")
+    return float(rate_hz / first)
+
+
+def _likeness(wave: Array, longest: int) -> Array:
+    """Correlation of a waveform with itself at lags up to the longest, 1 at lag 0, (longest + 1,) float."""
+    held = wave - wave.mean()
+    spectrum = np.fft.rfft(held, 2 * len(held))
+    product = np.fft.irfft(np.abs(spectrum) ** 2)[: longest + 1]
+    return np.asarray(
+        product / max(product[0], np.finfo(float).tiny) * len(held) / (len(held) - np.arange(longest + 1))
+    )
+
+
+def _peaks(wave: Array, rate_hz: float, expected_hz: float) -> tuple[NDArray[np.intp], Array]:
+    """Places of the beats' peaks and their heights over the lowest since the one before."""
+    from scipy import signal
+
+    apart = max(int(0.55 * rate_hz / expected_hz), 1)
+    usual = float(np.median([np.ptp(part) for part in np.array_split(wave, max(1, int(len(wave) / (2 * apart))))]))
+    peaks, found = signal.find_peaks(wave, distance=apart, prominence=0.3 * usual)
+    return peaks, np.asarray(found["prominences"], float)
+
+
+def _summits(wave: Array, peaks: NDArray[np.intp]) -> Array:
+    """Peaks between samples, by a parabola through three."""
+    before, at, after = wave[peaks - 1], wave[peaks], wave[np.minimum(peaks + 1, len(wave) - 1)]
+    bend = before - 2 * at + after
+    step = np.divide(0.5 * (before - after), bend, out=np.zeros_like(at), where=bend < 0)
+    return np.asarray(peaks + np.clip(step, -0.5, 0.5))
+
+
+def _usual(peak_s: Array, heights: Array) -> Marks:
+    height = heights / np.median(heights)
+    interval = np.diff(peak_s)
+    middle = float(np.median(interval))
+    even = np.abs(interval - middle) < 0.35 * middle
+    return np.asarray(
+        (height < MOST_HEIGHT) & (height > 1 / MOST_HEIGHT) & (np.append(even, True) | np.insert(even, 0, True))
+    )
+
+
+def _rate(peak_s: Array, usual: Marks) -> float:
+    """Beats in a minute from intervals between usual beats that follow each other. [1/min]"""
+    both = usual[1:] & usual[:-1]
+    intervals = np.diff(peak_s)[both]
+    if len(intervals) == 0:
+        return float("nan")
+    # One that was missed makes an interval of two.
+    middle = np.median(intervals)
+    return float(60.0 / intervals[np.abs(intervals - middle) < 0.35 * middle].mean())

@@ -1,0 +1,62 @@
+"""Lines between the ratio of ratios and saturation, and the warning where paths are too unequal for a textbook's."""
+
+import numpy as np
+
+from nailoptics import load_scene
+from nailoptics.assets import data_dir
+from nailoptics.scene import Scene
+from nailoptics.studies.oximetry.calibration_line import calibrate_curve, evaluate, saturation_of
+from nailoptics.studies.oximetry.path_balance import misread, path_warnings, warnings_without_light
+
+SO2 = np.linspace(0.7, 1.0, 31)
+
+
+def test_a_line_is_found_with_the_error_of_its_noise():
+    """Expected: of 40 replicates without a group each, the slope's error is that of many repeats."""
+    rng, slopes, told = np.random.default_rng(4), [], []
+    for _ in range(200):
+        scale = 1 + 0.02 * np.sqrt(40) * rng.standard_normal(40)
+        each = np.concatenate([[scale.mean()], (scale.sum() - scale) / 39])
+        ratio = each[:, None, None] * ((110 - 100 * SO2) / 25)[None, None]
+        found = calibrate_curve(SO2, ratio)
+        slopes.append(found.linear[0, 1])
+        told.append(found.linear_stderr[0, 1])
+    assert abs(np.mean(slopes) + 25) < 0.15
+    assert abs(np.mean(told) / np.std(slopes) - 1) < 0.15
+    assert found.linear_miss[0] < 1e-9 and found.quadratic_miss[0] < 1e-9
+
+
+def test_a_curve_is_read_backwards_and_goes_on_beyond_its_ends():
+    curve = 1.1 - SO2 + 0.2 * (SO2 - 0.8) ** 2
+    assert np.allclose(saturation_of(curve, SO2, curve), SO2)
+    beyond = saturation_of([curve[0] + 0.1, curve[-1] - 0.1], SO2, curve)
+    assert beyond[0] < SO2[0] and beyond[1] > SO2[-1]
+    assert evaluate((110.0, -25.0), 0.52) == 97.0
+
+
+def test_what_both_lines_miss_is_the_nearer_ones_error():
+    assert abs(misread(np.array([0.52]), 0.97)[0]) < 1e-9
+    assert abs(misread(np.array([0.419]), 0.97)[0]) < 0.1
+    assert misread(np.array([0.18]), 0.97)[0] > 7.0
+
+
+def along_the_nail(scene: Scene) -> Scene:
+    """The scene with its dies 1 mm apart along the nail, beside the photodiodes."""
+    places = ((-1.2, -0.5), (-1.2, 0.5))
+    leds = tuple(led.model_copy(update={"position_mm": p}) for led, p in zip(scene.leds, places, strict=True))
+    diode = scene.photodiodes[0].model_copy(update={"position_mm": (0.0, -2.0), "wired": (6, 10)})
+    return scene.model_copy(update={"leds": leds, "photodiodes": (diode,)})
+
+
+def test_check_warns_of_dies_along_the_nail_and_says_what_would_mend_it():
+    scene = load_scene(data_dir("scenes") / "pulse_oximeter.toml")
+    assert warnings_without_light(scene) == []
+    told = warnings_without_light(along_the_nail(scene))
+    assert told and all("axis" in line and "photodiode" in line and "\n" not in line for line in told)
+    assert warnings_without_light(scene.model_copy(update={"oximeter": None})) == []
+
+
+def test_a_photodiode_as_far_from_both_is_told_to_move_or_to_be_calibrated():
+    scene = load_scene(data_dir("scenes") / "pulse_oximeter.toml")
+    told = path_warnings(scene, np.array([0.30, 0.45, 0.50]), np.array([0.9, 1.3, 1.45]))
+    assert len(told) == 1 and '"axis.1"' in told[0] and "fit of this scene" in told[0]

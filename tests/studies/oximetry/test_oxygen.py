@@ -1,0 +1,177 @@
+"""The oximeter from light to SpO2: R against independent traces, its line, its error, and the answer as JSON."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nailoptics import load_scene, trace
+from nailoptics.assets import data_dir
+from nailoptics.errors import InputError
+from nailoptics.io import to_json, write_dataset
+from nailoptics.light import Transfer
+from nailoptics.options import TraceOptions
+from nailoptics.report.oximeter_page import page_of_oximeter
+from nailoptics.scene import Scene
+from nailoptics.studies.oximetry import oxygen
+from nailoptics.studies.oximetry.beating_blood import BloodBeat, beat_at
+from nailoptics.studies.oximetry.oxygen import oximeter, oximeter_from, summary
+from nailoptics.studies.oximetry.pulsation import (
+    SaturationCurve,
+    estimate,
+    read_pulsations,
+    read_states,
+    with_saturation,
+)
+from nailoptics.studies.oximetry.read_recording import read_oxygen, simulated
+
+pytestmark = pytest.mark.jit
+SEED = 11
+
+
+def shipped() -> Scene:
+    return load_scene(data_dir("scenes") / "pulse_oximeter.toml")
+
+
+@pytest.fixture(scope="module")
+def light(chosen_jit) -> Transfer:
+    """The shipped scene's light, 262144 photons for each LED."""
+    return trace(shipped(), photons=1 << 18, seed=SEED)
+
+
+@pytest.fixture(scope="module")
+def found(light):
+    result = oximeter_from(light, beat_at(shipped(), 0.0), nails={}, options=TraceOptions(seed=SEED))
+    result.attrs |= {"cpu_seconds": 0.0, "wall_seconds": 0.0}
+    return result
+
+
+def test_the_shipped_oximeter_is_one(found, tmp_path):
+    """Rationale: measured on fingers, a slope lies at -28 to -40, an intercept at 108 to 114 and R(0.97) at 0.36 to
+    0.52. Expected: these on the best photodiode within three standard errors of so few photons, R that falls with
+    saturation on all of them, and all that the JSON promises."""
+    told = summary(found)
+    best = told["readings"][told["best"]]
+    fit, rest = best["fit"], best["ratio_at_rest"]
+    assert -40 - 3 * fit["slope_stderr"] < fit["slope"] < -28 + 3 * fit["slope_stderr"]
+    assert 108 < fit["intercept"] < 114
+    assert 0.36 - 3 * rest["stderr"] < rest["value"] < 0.52 + 3 * rest["stderr"]
+    assert rest["stderr"] < 0.08 * rest["value"]
+    for one in told["readings"].values():
+        assert np.all(np.diff(one["ratio"]) < 0) and np.all(np.array(one["ratio_stderr"]) > 0)
+        assert set(one["perfusion_index"]) == {"red", "infrared"} and one["so2"][0] == 0.5
+        assert 0.9 < one["path_ratio"] < 1.8 and one["spo2_stderr_beat"] >= one["spo2_stderr"] > 0
+        assert not one["saturated"] and one["melanin_bound"] < 1.0
+        assert {"touch_force_n", "rest_blood_fraction", "sunlight_lux"} <= set(one["disturbances"])
+    assert "null" not in to_json(told)
+    write_dataset(found, tmp_path / "oximeter.nc")
+    page = page_of_oximeter(found)
+    assert page.count("<figure") == 4 and "textbook" in page and "epidermis" in page
+
+
+def test_more_blood_dims_infrared_more_and_light_falls_as_the_pulse_arrives(found):
+    index = found.perfusion_index
+    assert np.all(index.sel(led="infrared") > index.sel(led="red"))
+    # Far photodiodes see deeper, where the blood is.
+    assert np.all(np.diff(index.values, axis=-1) > 0)
+    least = found.volts_pulse.argmin("beat_time")
+    assert np.all(abs(least - least[0, 0]) <= 1)
+
+
+def test_a_hundred_saturations_come_from_one_trace_and_agree_with_those_read_one_by_one(light):
+    beat = beat_at(shipped(), 0.0)
+    curve = SaturationCurve(light, (0, 1), beat, seed=3)
+    many = curve.at(np.linspace(0.5, 1.0, 100)).ratio
+    for k in (0, 37, 99):
+        one = read_pulsations(light, (0, 1), [(np.linspace(0.5, 1.0, 100)[k], beat)], seed=3).ratio
+        assert np.allclose(many[..., k], one[..., 0], rtol=1e-6)
+    with pytest.raises(InputError, match="so2"):
+        curve.at(0.4)
+
+
+def test_the_error_of_r_is_that_of_other_seeds(light):
+    """Expected: R of eight traces scatters as their errors say, within a factor of 2."""
+    beat, values, errors = beat_at(shipped(), 0.0), [], []
+    for seed in range(8):
+        other = trace(shipped(), photons=1 << 15, seed=100 + seed)
+        value, error = estimate(read_pulsations(other, (0, 1), [(0.97, beat)], seed=1).ratio[..., 0])
+        values.append(value[0])
+        errors.append(error[0])
+    assert 0.5 < np.std(values, ddof=1) / np.mean(errors) < 2.0
+
+
+@pytest.mark.slow
+def test_r_is_that_of_fresh_traces_with_less_and_more_blood(chosen_jit):
+    """Rationale: one trace tells R at any saturation by reweighting; a finite difference of two fresh traces, each of
+    its own blood at a saturation of 0.6 and of its own random numbers, knows nothing of that. The blood goes from 1 to
+    15 %, as independent traces cannot tell a pulse's. Expected: agreement within three standard errors, which are below
+    8 % of R on the farthest photodiode."""
+    scene, so2, low, high = shipped(), 0.6, 0.01, 0.15
+    blood = scene.blood.model_copy(update={"so2": so2, "venous_so2": None})
+    middle = scene.model_copy(update={"blood": blood})
+    ours = trace(middle, photons=1 << 20, seed=1)
+    beat = BloodBeat(np.arange(2.0), np.array([[low, high]] * 2))
+    reads = []
+    for k, rest in enumerate((low, high)):
+        own = middle.model_copy(update={"blood": blood.model_copy(update={"rest_blood_fraction": rest})})
+        reads.append(trace(own, photons=1 << 20, seed=50 + k).at())
+    value = [read.detected_fraction.values for read in reads]
+    relative = [read.detected_fraction_stderr.values / read.detected_fraction.values for read in reads]
+    change = np.log(value[0] / value[1])
+    error = np.hypot(*relative)
+    fresh = change[0] / change[1]
+    fresh_error = fresh * np.hypot(*(error / change))
+    both = np.stack([read_states(ours, led, [(so2, beat.resting, beat.pulse)], seed=1) for led in (0, 1)], 1)
+    logs = np.log(both[..., 0] / both[..., 1])
+    told, told_error = estimate(logs[:, 0] / logs[:, 1])
+    assert np.all(abs(told - fresh) < 3 * np.hypot(told_error, fresh_error))
+    assert np.hypot(told_error, fresh_error)[-1] < 0.08 * fresh[-1]
+
+
+def test_a_recording_of_the_scene_tells_its_saturation_back(light, found):
+    """Expected: at saturations that the calibration has not seen, within four standard errors, until the touch after
+    20 s, which is marked."""
+    for so2 in (0.80, 0.93):
+        scene = with_saturation(shipped(), so2)
+        other = oximeter_from(
+            replace(light, scene=scene), beat_at(scene, 0.0), nails={}, options=TraceOptions(seed=SEED)
+        )
+        told = read_oxygen(shipped(), found, simulated(scene, other, seed=4)).sel(photodiode=found.attrs["best"])
+        still = told.sel(time=slice(0.0, 15.0))
+        assert np.all(abs(still.spo2 - 100 * so2) < 4 * still.spo2_stderr)
+        assert np.all(abs(still.rate_per_min - 70.0) < 6.0)
+        assert float(still.motion.max()) < 0.03 and float(told.sel(time=slice(18.0, 25.0)).motion.max()) > 0.05
+
+
+def test_the_error_of_r_is_what_stops_the_trace(chosen_jit, monkeypatch):
+    monkeypatch.setattr(oxygen, "NAILS_MM", ())
+    loose = oximeter(shipped(), relative_error=0.15, seed=2)
+    best = loose.sel(photodiode=loose.attrs["best"])
+    assert float(loose.ratio_at_rest_stderr.min()) > 0
+    assert float((loose.ratio_at_rest_stderr / loose.ratio_at_rest).min()) <= 0.15
+    assert loose.attrs["warnings"] == [] or float(best.ratio_at_rest) > 0
+
+
+def test_two_dies_along_the_nail_are_warned_of(light):
+    """Rationale: dies 1 mm apart along the nail see other beds. Expected: a warning that names the photodiode and what
+    would mend it."""
+    scene = shipped()
+    places = ((-1.2, -0.5), (-1.2, 0.5))
+    leds = tuple(led.model_copy(update={"position_mm": p}) for led, p in zip(scene.leds, places, strict=True))
+    diode = scene.photodiodes[0].model_copy(update={"position_mm": (0.0, -2.0), "wired": (6, 10)})
+    along = scene.model_copy(update={"leds": leds, "photodiodes": (diode,)})
+    result = oximeter_from(
+        trace(along, photons=1 << 17, seed=1), beat_at(along, 0.0), nails={}, options=TraceOptions(seed=1)
+    )
+    told = " ".join(result.attrs["warnings"])
+    assert '"axis.6"' in told and "on the axis between two dies side by side" in told
+    assert float(result.path_ratio.min()) < 0.8
+
+
+def test_no_light_is_traced_for_what_is_no_oximeter(monkeypatch):
+    monkeypatch.setattr("nailoptics.studies.oximetry.oxygen.trace_for_ratio", None)
+    with pytest.raises(InputError, match="heartbeat"):
+        oximeter(shipped().model_copy(update={"body": None}))
+    one = shipped().model_copy(update={"oximeter": None, "leds": shipped().leds[:1]})
+    with pytest.raises(InputError, match="two LEDs"):
+        oximeter(one)
