@@ -10,7 +10,7 @@ from ..assets import data_dir
 from .base import Point
 from .catalogue import ModulePart, load_part
 from .kicad import KicadBoard, read_board
-from .outlines import Outline, join
+from .outlines import FARTHEST_MM, Outline, join
 from .positions import PlacedPart, read_positions, turned
 
 KINDS = ("led", "photodiode", "module")
@@ -62,6 +62,7 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     """
     if table.get("kicad") is not None and table.get("positions") is not None:
         raise ValueError("kicad and positions both place the parts; give one of them")
+    _check_kinds(table)
     name = str(table.get("kicad") or table.get("positions"))
     path = Path(folder or Path()) / name
     uses = table.get("parts") or {}
@@ -89,6 +90,31 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
         outline = Outline(corners, tuple(holes), whole.ignored)
     ignored = tuple(part.ref for part in found if part.ref not in uses)
     return OnNail(tuple(tables["led"]), tuple(tables["photodiode"]), ignored, outline)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and abs(value) <= FARTHEST_MM
+
+
+def _is_point(value: object) -> bool:
+    return isinstance(value, tuple) and len(value) == 2 and all(map(_is_number, value))
+
+
+def _check_kinds(table: Mapping[str, Any]) -> None:
+    """Raise ValueError where a field is not of the kind that is read here, before the scene's model sees it."""
+    origin, turn, parts = table.get("origin"), table.get("turn_deg", 0.0), table.get("parts")
+    if origin is not None and not isinstance(origin, str) and not _is_point(origin):
+        raise ValueError('origin must be "auxiliary", "grid", "outline" or [x, y]')
+    if not _is_number(turn):
+        raise ValueError("turn_deg must be a number")
+    if parts is not None and not isinstance(parts, Mapping):
+        raise ValueError('parts must be a table such as { D1 = { led = "led_660" } }')
+    for ref, use in (parts or {}).items():
+        if isinstance(use, Mapping):
+            if not _is_point(use.get("offset_mm", (0.0, 0.0))):
+                raise ValueError(f"parts.{ref}.offset_mm must be [x, y]")
+            if not _is_number(use.get("rotation_deg", 0.0)):
+                raise ValueError(f"parts.{ref}.rotation_deg must be a number")
 
 
 def _mapped(found: Sequence[PlacedPart], uses: Mapping[str, Any], name: str) -> list[PlacedPart]:

@@ -160,6 +160,8 @@ class Scene(Table):
             return data
         if not (isinstance(board.get("kicad"), str) or isinstance(board.get("positions"), str)):
             return data
+        if not all(isinstance(data.get(name, ()), tuple) for name in ("leds", "photodiodes")):
+            return data
         try:
             found = read_board_file(board, (info.context or {}).get("folder"))
         except InputError as error:
