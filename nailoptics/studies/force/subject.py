@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 SCHEMA_VERSION = 1
 # No calibration finds more: factors on the scene's constants, and gains of readings.
 MOST_FACTOR, MOST_GAIN = 100.0, 1e4
+# Correlations of a calibration are known to rounding but for this.
+ROUNDING = 1e-3
 # Nor regressions: newtons for each volt.
 MOST_WEIGHT = 1e9
 Model = Literal["network", "paper"]
@@ -133,11 +135,16 @@ class Subject:
         for name, (values, shape) in shapes.items():
             if values.shape != shape:
                 raise ValueError(f"{name} has shape {values.shape}, not {shape}")
-        largest = np.abs(self.covariance).max()
-        if not np.allclose(self.covariance, self.covariance.T, rtol=1e-6, atol=1e-9 * largest):
+        variance = np.diag(self.covariance)
+        if not ((variance >= 0) & (variance <= MOST_GAIN**2)).all():
+            raise ValueError("covariance holds a variance that is none")
+        scale = np.sqrt(np.where(variance > 0, variance, 1.0))
+        correlation = self.covariance / np.outer(scale, scale)
+        # A covariance is the inverse of a matrix whose numbers differ by many orders: it is symmetric but for rounding.
+        if np.abs(correlation - correlation.T).max() > ROUNDING:
             raise ValueError("covariance is not symmetric")
-        if largest > MOST_GAIN**2 or np.linalg.eigvalsh(self.covariance).min() < -1e-9 * largest:
-            raise ValueError("covariance is none")
+        if np.linalg.eigvalsh(0.5 * (correlation + correlation.T)).min() < -ROUNDING:
+            raise ValueError("covariance has a direction of negative variance")
 
     @property
     def calibrated(self) -> Calibrated:
