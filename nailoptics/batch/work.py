@@ -276,7 +276,8 @@ class _Light:
                 return None
             reached &= met
             errors.append(rule.errors[len(sizes) - 1] if sizes[-1] == rule.full else None)
-            traces.append(batches.trace(sizes, seed=settings.options.seed, led=led, rest=rule.rest))
+            factors = rule.factors if met else None
+            traces.append(batches.trace(sizes, seed=settings.options.seed, led=led, rest=rule.rest, factors=factors))
         worst = None if None in errors else max(error for error in errors if error is not None)
         return Transfer(scene, tuple(traces), settings.options.backend), reached, worst
 

@@ -77,11 +77,21 @@ class LedTrace:
         return replace(self, **records, rest=None, full=None)
 
     def kept(self, keep: float) -> "LedTrace":
-        """The records that a lower probability keeps, and sums over all photons at rest."""
+        """The records that a probability as low or lower keeps, and sums over all photons at rest."""
+        if keep == self.keep:
+            return self
         thin = self.only(self.draw < keep)
         # Probabilities are powers of two, so that weights lose no bits.
         weight = thin.weight * (self.keep / keep)
         return replace(thin, weight=weight, keep=keep, rest=self.rest, full=self._sums_at_rest())
+
+    def times(self, factor: float) -> "LedTrace":
+        """The trace where every photon's weight is multiplied by a factor."""
+        if factor == 1:
+            return self
+        full = None if self.full is None else self.full.times(factor)
+        energy, absorbed = _times(self.energy, factor), _times(self.absorbed, factor)
+        return replace(self, weight=self.weight * factor, full=full, energy=energy, absorbed=absorbed)
 
     def moments(self, mu_a: np.ndarray, share: np.ndarray, *, count: int) -> Moments:
         """Sums over the photons of `count` photodiodes at a state.
@@ -121,11 +131,7 @@ def joined(traces: Sequence[LedTrace]) -> LedTrace:
         raise InputError("these traces were made at different absorption; trace both at the same blood state.")
     if any(_differ(trace.rest, traces[0].rest) for trace in traces):
         raise InputError("these traces are of scenes that differ at rest; merge traces of one scene.")
-    # One probability for all: had records of earlier batches another, few of them would carry most of a reading.
-    keep = min(trace.keep for trace in traces)
-    while sum(np.count_nonzero(trace.draw < keep) for trace in traces) > MAX_RECORDS:
-        keep /= 2
-    full = None
+    keep, full = _common_keep(traces), None
     if keep < 1:
         traces = [trace.kept(keep) for trace in traces]
         sums = [trace.full for trace in traces if trace.full is not None]
@@ -143,8 +149,22 @@ def joined(traces: Sequence[LedTrace]) -> LedTrace:
     )
 
 
+def _common_keep(traces: Sequence[LedTrace]) -> float:
+    """The probability with which photons of all traces are kept, low enough that there are not too many."""
+    # One probability for all: had records of earlier batches another, few of them would carry most of a reading.
+    keep = min(trace.keep for trace in traces)
+    if sum(len(trace.weight) for trace in traces) > MAX_RECORDS:
+        while sum(np.count_nonzero(trace.draw < keep) for trace in traces) > MAX_RECORDS:
+            keep /= 2
+    return keep
+
+
 def _added(sums: Sequence[Mapping[str, tuple[float, float]]]) -> dict[str, tuple[float, float]]:
     return {name: (sum(one[name][0] for one in sums), sum(one[name][1] for one in sums)) for name in sums[0]}
+
+
+def _times(sums: Mapping[str, tuple[float, float]], factor: float) -> dict[str, tuple[float, float]]:
+    return {name: (total * factor, square * factor**2) for name, (total, square) in sums.items()}
 
 
 def _differ(a: RestState | None, b: RestState | None) -> bool:
@@ -164,12 +184,17 @@ class LedBatches:
     mu_a: np.ndarray
     pieces: Mapping[tuple[int, int], Batch]
 
-    def trace(self, sizes: Sequence[int], *, seed: int, led: int, rest: RestState) -> LedTrace:
-        """The batches of these sizes as one trace, exact at rest however many records it keeps."""
+    def trace(
+        self, sizes: Sequence[int], *, seed: int, led: int, rest: RestState, factors: np.ndarray | None = None
+    ) -> LedTrace:
+        """The batches of these sizes as one trace, exact at rest however many records it keeps.
+
+        factors : (batches,) float. What the weights in each are multiplied by, if by anything.
+        """
         found = LedRecords(self.mu_a, rest, seed=seed, led=led)
         for number, size in enumerate(sizes):
             found.add(number, self.pieces[number, size])
-        return found.trace()
+        return found.trace(factors)
 
 
 class LedRecords:
@@ -177,19 +202,20 @@ class LedRecords:
 
     def __init__(self, mu_a: np.ndarray, rest: RestState | None, *, seed: int, led: int) -> None:
         self.mu_a, self.rest, self.seed, self.led, self.events = mu_a, rest, seed, led, 0
-        self._whole: LedTrace | None = None
-        self._loose: list[LedTrace] = []
+        self._batches: list[LedTrace] = []
+        self._keep = 1.0
 
     def add(self, number: int, batch: Batch) -> None:
         """Add the batch of a number, which with the seed decided its random numbers."""
         self.events += batch.events
         kept = {name: value for name, value in vars(batch).items() if name != "events"}
         seeds = (seed_of(self.seed, self.led, number),)
-        self._loose.append(LedTrace(**kept, mu_a=self.mu_a, seeds=seeds, rest=self.rest))
-        if sum(len(trace.weight) for trace in self._loose) > MAX_RECORDS:
-            self.trace()
+        self._batches.append(LedTrace(**kept, mu_a=self.mu_a, seeds=seeds, rest=self.rest).kept(self._keep))
+        keep = _common_keep(self._batches)
+        if keep < self._keep:
+            self._keep, self._batches = keep, [trace.kept(keep) for trace in self._batches]
 
-    def trace(self) -> LedTrace:
-        """All batches so far as one."""
-        self._whole, self._loose = joined([*([self._whole] if self._whole else []), *self._loose]), []
-        return self._whole
+    def trace(self, factors: np.ndarray | None = None) -> LedTrace:
+        """All batches so far as one, the weights in each multiplied by a factor if any are given, (batches,) float."""
+        factors = np.ones(len(self._batches)) if factors is None else factors
+        return joined([trace.times(float(factor)) for trace, factor in zip(self._batches, factors, strict=True)])

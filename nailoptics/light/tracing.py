@@ -21,6 +21,7 @@ from .records import Batch, LedBatches, LedRecords
 from .reweight import transmission
 from .store import LedSource, LightStore, made_of
 from .transfer import MIN_EFFECTIVE_PHOTONS, Transfer, photodiode_names, rest_state
+from .unbiased_stop import batch_factors
 
 DEFAULT_PHOTONS = 1_000_000
 # A photodiode that none of so many photons reached is taken for unseen, unless a time limit says otherwise.
@@ -29,6 +30,8 @@ INTERRUPTED = "interrupted"
 # Errors are checked after so many batches, each time a quarter more: seldom enough that stopping hardly favours luck.
 # The numbers are fixed, so that a trace that is continued stops where one that was never interrupted stops.
 CHECK_GROWTH = 1.25
+# Below this relative error luck moves a trace that stops by it by a hundredth of its error or so.
+LUCKY_ABOVE = 0.02
 
 
 @dataclass(frozen=True)
@@ -80,7 +83,7 @@ def trace(scene: Scene, *, progress: ProgressCallback | None = None, **requested
             # What is there is of use only with something from every LED: one batch each, then the end.
             required = Accuracy(photons=engine.full)
         events += found.events
-        traces.append(found.trace())
+        traces.append(found.trace(rule.factors))
     if store is not None:
         store.close()
     result = Transfer(
@@ -195,12 +198,16 @@ class StoppingRule:
         # For this LED. [s]
         self.seconds = required.max_seconds / len(scene.leds) if required.max_seconds else math.inf
         self.rest, self._mu_a = rest_state(scene, led), mu_a
-        self._weight, self._square = np.zeros(len(self.photodiodes)), np.zeros(len(self.photodiodes))
+        # Of each batch, and of all: weights and their squares by photodiode.
+        self._sums: list[np.ndarray] = []
+        self._total = np.zeros((2, len(self.photodiodes)))
         self.photons = 0
         self.errors: list[float] = []
         # Why no number of photons will do.
         self.unseen = ""
         self._batches: int | None = None
+        # What the weights in each batch are multiplied by, (batches,) float, if it stopped at the tolerance.
+        self.factors: np.ndarray | None = None
 
     @property
     def error(self) -> float:
@@ -210,16 +217,29 @@ class StoppingRule:
     def add(self, batch: Batch) -> None:
         """Take in the next batch."""
         weight = batch.weight * transmission(batch.path_mm, self.rest.mu_a - self._mu_a, self.rest.share)
-        self._weight += np.bincount(batch.photodiode, weight, minlength=len(self._weight))
-        self._square += np.bincount(batch.photodiode, weight**2, minlength=len(self._weight))
+        count = len(self.photodiodes)
+        self._sums.append(np.stack([np.bincount(batch.photodiode, weight**k, minlength=count) for k in (1, 2)]))
+        self._total += self._sums[-1]
         self.photons += batch.photons
-        self.errors.append(_largest_error(self._weight, self._square, self.photons))
-        target = self.required.relative_error
-        if self._batches is None and target is not None and self.error <= target and check_schedule(len(self.errors)):
-            self._batches = len(self.errors)
+        self.errors.append(float(_largest_error(self._total, self.photons)))
+        target = None if self.required.photons is not None else self.required.relative_error
+        due = self._batches is None and check_schedule(len(self.errors))
+        if due and target is not None and self.error <= target:
+            # The error that stays is that of what will be read; it may be a little above what the rule asks for.
+            self._batches, (self.factors, self.errors[-1]) = len(self.errors), self._weighed_batches()
         endless = self.required.photons is None and math.isinf(self.seconds)
-        if endless and not self.unseen and self.photons >= UNSEEN_PHOTONS and not self._weight.all():
-            self.unseen = unseen(self.name, self.photodiodes[int(np.argmin(self._weight))], self.photons)
+        if endless and not self.unseen and self.photons >= UNSEEN_PHOTONS and not self._total[0].all():
+            self.unseen = unseen(self.name, self.photodiodes[int(np.argmin(self._total[0]))], self.photons)
+
+    def _weighed_batches(self) -> tuple[np.ndarray, float]:
+        """What each batch counts for now that the trace stops, (batches,) float, and the largest error that is left."""
+        count, target = len(self.errors), self.required.relative_error or 0.0
+        if self.error <= LUCKY_ABOVE:
+            return np.ones(count), self.error
+        sums, checks = np.stack(self._sums), [number for number in range(1, count) if check_schedule(number)]
+        factors = batch_factors(sums, lambda total, n: _largest_error(total, n * self.full) <= target, checks)
+        weighed = np.stack([factors @ sums[:, 0], factors**2 @ sums[:, 1]])
+        return factors, float(_largest_error(weighed, self.photons, least=0.0))
 
     def sizes(self) -> list[int] | None:
         """Photons of the batches that meet the rule; None while that is not known."""
@@ -246,7 +266,7 @@ class StoppingRule:
         target, photons = self.required.relative_error, self.required.photons
         if self.unseen:
             return self.unseen
-        if photons is None and target is None or (target and self.error <= target):
+        if photons is None and target is None or self._batches or (target and self.error <= target):
             return None
         if photons is not None and self.photons >= photons:
             return None
@@ -365,10 +385,14 @@ def unseen(led: str, photodiode: str, photons: int) -> str:
     )
 
 
-def _largest_error(weight: np.ndarray, square: np.ndarray, photons: int) -> float:
-    """Largest relative standard error; inf as long as a photodiode has too few photons for one."""
-    if not len(weight):
-        return 0.0
-    if np.any(weight**2 < MIN_EFFECTIVE_PHOTONS * square) or np.any(square == 0):
-        return math.inf
-    return float(np.max(stderr_of_mean(weight, square, photons) / (weight / photons)))
+def _largest_error(sums: np.ndarray, photons: int, *, least: float = MIN_EFFECTIVE_PHOTONS) -> np.ndarray:
+    """Largest relative standard error, (...) float; inf as long as a photodiode has too few photons for one.
+
+    sums : (..., 2, photodiodes) float. Of weights and of their squares.
+    least : effective photons that are enough.
+    """
+    weight, square = sums[..., 0, :], sums[..., 1, :]
+    few = (weight**2 < least * square) | (square == 0)
+    mean = np.divide(weight, photons, out=np.ones_like(weight), where=~few)
+    error = np.where(few, math.inf, stderr_of_mean(weight, square, photons) / mean)
+    return error.max(-1, initial=0.0)

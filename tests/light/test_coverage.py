@@ -224,7 +224,7 @@ def stopped(seed: int, target: float) -> tuple[float, float]:
     batches = extend(LedSource(lambda: urn, 0, urn.mu_a(0), seed=seed), [rule], stop=lambda: False)
     sizes, met = rule.settled(batches.pieces)
     assert met
-    trace = batches.trace(sizes, seed=seed, led=0, rest=rule.rest)
+    trace = batches.trace(sizes, seed=seed, led=0, rest=rule.rest, factors=rule.factors)
     total = trace.weight.sum()
     error = stderr_of_mean(total, (trace.weight**2).sum(), trace.photons) * trace.photons / total
     return float(total / trace.photons / Urn.truth - 1), float(error)
