@@ -95,7 +95,7 @@ def simulate(
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, SIMULATION)
     _check_file(recording)
-    result, unmet = _watched(study, loaded, **options.fields)
+    result, unmet = _watched(study, loaded, picture=True, **options.fields)
     paths = write_simulation(result, folder)
     if recording is not None:
         paths |= write_recording(record(loaded, result, seed=options.seed), recording)

@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from .cast import cast
 from .grid import Array, Grid, Indices
 from .locate import Locator
 
@@ -78,6 +79,19 @@ class Geometry:
         Returns: (k,) int; a point on an interface gets either side.
         """
         return self._locator.region_at(points)
+
+    def section(self, y_mm: Array, z_mm: Array) -> Indices:
+        """Region on the lengthwise section at x = 0, (y, z) int, from the triangles above and below each point.
+
+        y_mm, z_mm : places along the axes, rising. [mm]
+        """
+        found = cast(self.vertices, self.triangles, np.column_stack([np.zeros_like(y_mm), y_mm]))
+        below, above = self.below[found.triangle], self.above[found.triangle]
+        # What the region's number grows by at each crossing, from the air below the finger on.
+        step = np.where(found.forward, above - below, below - above)
+        steps = np.zeros((len(y_mm), len(z_mm) + 1), np.int32)
+        np.add.at(steps, (found.ray, np.searchsorted(z_mm, found.z)), step)
+        return np.cumsum(steps, axis=1, dtype=np.int32)[:, :-1]
 
     def volumes_mm3(self) -> dict[str, float]:
         """Volume of each region but air, from its faces by the divergence theorem. [mm^3]"""

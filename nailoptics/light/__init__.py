@@ -1,6 +1,6 @@
 """MEDIA AND SHAPE TO DETECTED LIGHT: the only room that imports Mitsuba, and only when light is traced."""
 
-from .detect import DetectedLight, RestReadings, open_light, read_rest
+from .detect import DetectedLight, RestReadings, open_light, read_rest, section
 from .tracing import ProgressCallback, TraceProgress, trace
 from .transfer import ReweightWarning, Transfer
 
@@ -13,5 +13,6 @@ __all__ = [
     "Transfer",
     "open_light",
     "read_rest",
+    "section",
     "trace",
 ]

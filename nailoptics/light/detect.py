@@ -48,16 +48,12 @@ class DetectedLight:
 
     over : reads a course of blood states, (t, zones) float -> Course.
     mean_path, mean_path_stderr : (led, photodiode, absorber) float at rest; NaN where the engine cannot tell. [mm]
-    section : regions along the finger at u = 0 and, if traced, the light's path density.
     transfer : the trace behind it; None where the engine keeps none.
-    energy : where each LED's light went, in all and, of what was absorbed, by region; nothing where that is not known.
     """
 
     over: Callable[[np.ndarray], Course]
     mean_path: np.ndarray
     mean_path_stderr: np.ndarray
-    section: xr.Dataset
-    energy: xr.Dataset
     attributes: dict[str, Any]
     transfer: Transfer | None = None
 
@@ -112,7 +108,7 @@ def open_light(
         rest = transfer.at()
         unknown = "saw no light or too few photons, so that nothing is known of their standard errors"
         _with_few_photons(transfer, rest, unknown)
-        return light_of(transfer, rest=rest, section=_stored_section(scene, options))
+        return light_of(transfer, rest=rest)
 
     return _traced(scene, read, progress, options)
 
@@ -154,12 +150,8 @@ def engine_for(scene: Scene, chosen: backends.Backend) -> str:
     return "volpath" if scene.light.engine == "volpath" or not chosen.jit else "photons"
 
 
-def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None, section: xr.Dataset | None = None) -> DetectedLight:
-    """A Transfer as the light of a finger scene.
-
-    rest : the transfer's readings at rest, if they are there.
-    section : the map of the finger's section; without one it and where the light went are left out.
-    """
+def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None) -> DetectedLight:
+    """A Transfer as the light of a finger scene; rest is the transfer's readings at rest, if they are there."""
     rest = transfer.at() if rest is None else rest
     blind = rest.effective_photons.values < FEW_PHOTONS
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -175,8 +167,6 @@ def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None, section: xr.
         over=over,
         mean_path=rest.mean_path_mm.values,
         mean_path_stderr=rest.mean_path_mm_stderr.values,
-        section=xr.Dataset() if section is None else section,
-        energy=xr.Dataset() if section is None else transfer.energy_by_led(),
         attributes=transfer.attributes()
         | {
             "cpu_seconds": transfer.cpu_seconds,
@@ -216,8 +206,16 @@ def _reached(relative: np.ndarray) -> str:
     return f"relative standard error of every reading at rest at most {worst:.2g}"
 
 
-def _stored_section(scene: Scene, options: TraceOptions) -> xr.Dataset:
-    """The longitudinal section with the light as it goes through usual blood, from the store if it is there."""
+def section(scene: Scene, light: DetectedLight, options: TraceOptions) -> xr.Dataset:
+    """The picture of the finger cut lengthwise at u = 0: regions and, by the photons engine, each LED's path density.
+
+    The light is shown as it goes through usual blood, from the store if it is there.
+
+    light : that of the scene.
+    """
+    if light.transfer is None:
+        return _section(scene, options.seed, geometry.build(scene))
+    options = replace(options, backend=light.transfer.backend)
     usual = light_scene(scene)
     lit = scene.model_copy(update={"blood": usual.blood, "finger": usual.finger})
     store = LightStore.of_user() if options.store else None
@@ -229,10 +227,10 @@ def _stored_section(scene: Scene, options: TraceOptions) -> xr.Dataset:
     stored = store.light(made)
     if found := stored.read("section"):
         return from_record(*found)
-    section = _section(lit, options.seed)
-    stored.write("section", *to_record(section))
+    traced = _section(lit, options.seed)
+    stored.write("section", *to_record(traced))
     store.close()
-    return section
+    return traced
 
 
 def _section(scene: Scene, seed: int, finger: Geometry | None = None) -> xr.Dataset:
@@ -250,12 +248,9 @@ def _section(scene: Scene, seed: int, finger: Geometry | None = None) -> xr.Data
     low, high = np.asarray(finger.bounds_mm)
     y = np.arange(max(low[1], SECTION_FROM_Y_MM), high[1] + AIR_BEYOND_TIP_MM, SECTION_MM)
     z = np.arange(max(low[2], SECTION_FROM_Z_MM), high[2] + AIR_ABOVE_BOARD_MM, SECTION_MM)
-    grid = np.stack(np.meshgrid(0.0, y, z, indexing="ij"), -1).reshape(-1, 3)
     plane = ("section_y", "section_z")
     about = {"long_name": "region along the section at u = 0", "regions": json.dumps(finger.regions)}
-    data: dict[str, Any] = {
-        "section_region": (plane, finger.region_at(grid).reshape(len(y), len(z)).astype(np.int16), about)
-    }
+    data: dict[str, Any] = {"section_region": (plane, finger.section(y, z).astype(np.int16), about)}
     if tracer:
         density = []
         for led in range(len(scene.leds)):
@@ -299,8 +294,6 @@ def _light_by_volpath(
         over=lambda blood: volpath.between(rest, relative, ratio, ratio_stderr, corners, np.asarray(blood, float)),
         mean_path=mean_path,
         mean_path_stderr=mean_path_stderr,
-        section=_section(scene, options.seed, finger),
-        energy=xr.Dataset(),
         attributes=provenance(scene, photons=sum(one.paths for one in traced), **made)
         | {
             "cpu_seconds": time.process_time() - cpu,

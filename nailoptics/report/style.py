@@ -131,10 +131,12 @@ def to_svg(figure: "Figure", *, name: str, description: str) -> str:
     import html
 
     import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-    buffer = StringIO()
+    buffer, metadata = StringIO(), dict.fromkeys(("Date", "Creator", "Format", "Type"))
     with drawing(), matplotlib.rc_context({"svg.hashsalt": name}):
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+        # What savefig does, without drawing all of it once before for a size that the figure has.
+        FigureCanvasSVG(figure).print_svg(buffer, metadata=metadata)
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>\s*|<!--.*?-->\s*", "", text, flags=re.DOTALL)

@@ -9,7 +9,7 @@ import xarray as xr
 
 from .. import electronics
 from ..errors import InputError, NotReachedError, as_far_as_reached
-from ..light import DetectedLight, ProgressCallback, Transfer, open_light, optics
+from ..light import DetectedLight, ProgressCallback, Transfer, open_light, optics, section
 from ..light.tracing import accuracy
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import fit_beer_lambert, fit_taylor
@@ -32,12 +32,16 @@ REDUCED_OPTICS: tuple[tuple[str, str, Callable[..., Any], dict[str, str]], ...] 
 )
 
 
-def simulate(scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> xr.Dataset:
+def simulate(
+    scene: Scene, *, picture: bool = False, progress: ProgressCallback | None = None, **requested: Unpack[Requested]
+) -> xr.Dataset:
     """Simulate a touch on a finger scene, from force to the volts of every photodiode.
 
+    picture : whether to trace the light's paths through the finger, too, which the report shows.
+
     Returns: Dataset over led, photodiode, zone and time with the force, pressures, vessel diameters, blood, detected
-    fraction and volts, each estimate with its standard error, the fits of (8) and (9), the traced section, and how far
-    readings and their largest change spread over what is unknown of the finger.
+    fraction and volts, each estimate with its standard error, the fits of (8) and (9), where the light ended, and how
+    far readings and their largest change spread over what is unknown of the finger.
 
     Raises: InputError; NotReachedError, whose result is the Dataset as far as the accuracy went.
     """
@@ -54,6 +58,10 @@ def simulate(scene: Scene, *, progress: ProgressCallback | None = None, **reques
     moved, short = moved_light(scene, states=states, progress=progress, **requested)
     unmet = unmet or short
     result = simulate_from(scene, light, course=course, seed=options.seed, moved=moved)
+    if light.transfer is not None:
+        result = result.merge(light.transfer.energy_by_led())
+    if picture:
+        result = result.merge(section(scene, light, options))
     if scene.priors.spread and light.transfer is not None:
         result = result.merge(_spread(result, light.transfer, options, progress))
     result.attrs |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
@@ -72,7 +80,7 @@ def simulate_from(
     """
     worn = sensor_course(scene, course.time.values)
     result = course.merge(worn).merge(_read_volts(scene, light, course.blood_fraction.values.T, worn, moved))
-    result = result.merge(_fit_reduced(result)).merge(light.section).merge(light.energy)
+    result = result.merge(_fit_reduced(result))
     for name, text in COORDINATES.items():
         result[name].attrs = {"long_name": text} | result[name].attrs
     result.attrs = light.attributes | {

@@ -277,3 +277,12 @@ def test_dies_that_stand_out_have_their_faces_there_and_walls_of_silicon(sensor)
     assert more["epoxy"] == pytest.approx(-(32 * 0.25 * 0.25 + 0.0625 * 0.1), rel=0.03)
     assert more["silicon"] > 0.8 * -more["epoxy"]
     assert check_watertight(raised, crossings=20_000).passed
+
+
+def test_the_section_from_the_triangles_is_that_of_the_cells(geometry):
+    """Two ways that share no arithmetic; the points lie on no interface."""
+    y, z = np.arange(-13.9, geometry.bounds_mm[1, 1] + 0.5, 0.0873), np.arange(-8.9, 1.5, 0.0617)
+    points = np.stack(np.meshgrid(0.0, y, z, indexing="ij"), -1).reshape(-1, 3)
+    section = geometry.section(y, z)
+    assert (section.ravel() == geometry.region_at(points)).all()
+    assert len(np.unique(section)) > 5

@@ -24,13 +24,10 @@ def prototype(**touch) -> Scene:
 def pressed(chosen_jit) -> dict[str, xr.Dataset]:
     """The prototype as shipped, and with the force on one side only; a million photons each."""
     shares = {"as shipped": {}, "proximal": {"proximal_share": 1.0}, "distal": {"proximal_share": 0.0}}
-    return {name: simulate(prototype(**touch), photons=1 << 20, seed=1) for name, touch in shares.items()}
-
-
-@pytest.fixture
-def quick_section(chosen_jit, monkeypatch) -> None:
-    """Few photons for the picture of the light's paths, which these tests do not look at."""
-    monkeypatch.setattr(detect, "SECTION_PHOTONS", 1 << 12)
+    return {
+        name: simulate(prototype(**touch), photons=1 << 20, seed=1, picture=name == "as shipped")
+        for name, touch in shares.items()
+    }
 
 
 def largest_change(result: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
@@ -133,14 +130,14 @@ def test_a_result_survives_its_file(pressed, tmp_path):
 
 
 @pytest.mark.jit
-def test_the_same_seed_gives_the_same_bits_and_another_one_others(quick_section):
+def test_the_same_seed_gives_the_same_bits_and_another_one_others(chosen_jit):
     first, second, other = (simulate(prototype(), photons=1 << 17, seed=seed) for seed in (5, 5, 6))
     xr.testing.assert_identical(first.drop_attrs(), second.drop_attrs())
     assert not np.array_equal(first.volts, other.volts)
 
 
 @pytest.mark.jit
-def test_too_little_time_gives_what_was_reached(quick_section):
+def test_too_little_time_gives_what_was_reached(chosen_jit):
     with pytest.raises(NotReachedError, match="max_seconds") as caught:
         simulate(prototype(), relative_error=0.002, max_seconds=0.3, seed=2)
     result = caught.value.result
@@ -150,7 +147,7 @@ def test_too_little_time_gives_what_was_reached(quick_section):
 
 
 @pytest.mark.jit
-def test_an_interrupt_after_a_batch_keeps_the_batch(quick_section):
+def test_an_interrupt_after_a_batch_keeps_the_batch(chosen_jit):
     heard = []
 
     def stop(progress):
@@ -164,8 +161,9 @@ def test_an_interrupt_after_a_batch_keeps_the_batch(quick_section):
 
 
 @pytest.mark.jit
-def test_without_a_touch_nothing_changes(quick_section):
+def test_without_a_touch_nothing_changes(chosen_jit):
     result = simulate(prototype(force_n=0.0), photons=1 << 17, seed=1)
+    assert "path_density" not in result and "section_region" not in result
     assert abs(result.volts_change.values).max() < 1e-9
     assert_well_described(result)
 
