@@ -16,6 +16,9 @@ SATURATED = ' <span class="bad">saturated</span>'
 # Less alpha D^2 than this over the whole touch: (8) is as straight in D^2 as (9), and its constants are not known.
 STRAIGHT = 0.01
 
+# A mean path below this is as good as none.
+LEAST_PATH_MM = 1e-3
+
 
 def number(value: float, text: str) -> str:
     """A number for people with its exact value for machines."""
@@ -58,19 +61,23 @@ def readings_table(found: Sequence[Reading], hold_s: float) -> str:
 
 
 def path_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
-    """Mean path of the detected light in every absorber at rest; empty where the engine cannot tell."""
+    """Mean path of the detected light at rest in every absorber that it passes; empty where the engine cannot tell."""
     mean, stderr = result.mean_path_mm, result.mean_path_mm_stderr
     if not np.isfinite(mean).any():
         return ""
-    names = {bed_zone_name(k): f"bed,<br>{escaped(zone)}" for k, zone in enumerate(result.zone.values)}
-    head = ["Photodiode", *(f"{names.get(str(a), escaped(a))} [mm]" for a in result.absorber.values)]
+    passed = (mean + 2 * stderr >= LEAST_PATH_MM).any(("led", "photodiode"))
+    mean, stderr = mean.sel(absorber=passed), stderr.sel(absorber=passed)
+    names = {bed_zone_name(k): f"bed, {escaped(zone)}" for k, zone in enumerate(result.zone.values)}
+    head = ["Photodiode", *(f"{names.get(str(a), escaped(a))}<br>[mm]" for a in mean.absorber.values)]
     rows = []
     for r, name in zip(found, _names(found), strict=True):
         here = {"led": r.led_index, "photodiode": r.photodiode_index}
         cells = [name]
         for value, error in zip(mean.isel(here).values.tolist(), stderr.isel(here).values.tolist(), strict=True):
             # A path that is nothing beside a finger is not shown in powers of ten.
-            cells.append(number(value, "< 0.001" if 0 <= value + 2 * error < 1e-3 else with_error(value, error)))
+            cells.append(
+                number(value, "< 0.001" if 0 <= value + 2 * error < LEAST_PATH_MM else with_error(value, error))
+            )
         rows.append(cells)
     return table(head, rows, kind="paths", groups=_groups(found))
 

@@ -141,9 +141,12 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
                 words = f"{end} end of the 95 % interval: {text}"
                 data |= variable(f"{name}_{end}", dims, gathered[f"{name}_{end}"], words, units=units)
     settings, text = [s.setting for s in sweeps], "what is swept: force in N, blood fraction, or saturation"
-    data |= variable("setting", ("sweep", "point"), settings, text, units="as setting_units says")
+    data |= variable("setting", ("sweep", "point"), settings, text)
     of_sweeps = np.array(["N" if s.over == "force" else "1" for s in sweeps])
     data["setting_units"] = (("sweep",), of_sweeps, {"long_name": "units of what is swept, and of its limits"})
+    for name in ("setting", *(name for name in data if name in _OF_SETTING)):
+        del data[name][2]["units"]
+        data[name][2].update(_units_of_sweeps(of_sweeps))
     blood, text = [s.blood.T for s in sweeps], "blood fraction of the nail bed"
     data |= variable("blood_fraction", ("sweep", "zone", "point"), blood, text)
     data |= variable("zone_of_photodiode", "photodiode", zone, "blood zone above which it lies, 0 proximal")
@@ -175,12 +178,22 @@ _VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "bed_alpha_d2": (_CURVE, "1", "alpha D^2 of all the blood in the bed, zone by zone"),
     "path_mm": (_PAIR, "mm", "mean path in the photodiode's own zone where the sweep starts"),
     "path_fitted_mm": (_PAIR, "mm", "mean path there that the (8) fitted over the sweep has in its place"),
-    "limit": (_LIMIT, "as setting_units says", "setting up to which the model holds"),
+    "limit": (_LIMIT, "1", "setting up to which the model holds"),
     "limit_ends": (_LIMIT, "1", "whether it fails within the sweep at all"),
     "limit_blood_fraction": (_LIMIT, "1", "blood fraction of the photodiode's own zone there"),
     "limit_alpha_d2": (_LIMIT, "1", "alpha D^2 of the photodiode's own zone there"),
     "limit_bed_alpha_d2": (_LIMIT, "1", "alpha D^2 of all the blood in the bed there"),
 }
+
+
+_OF_SETTING = ("limit", "limit_low", "limit_high")
+
+
+def _units_of_sweeps(units: np.ndarray) -> dict[str, str]:
+    """CF's attribute for what has a unit in each sweep; where they differ, which no unit can say, where to look."""
+    if len(set(units)) == 1:
+        return {"units": str(units[0])}
+    return {"ancillary_variables": "setting_units", "comment": "each sweep in the unit that setting_units has for it"}
 
 
 def _led_errors(
