@@ -82,7 +82,19 @@ class RestReadings:
         found = {name: value for name, value in vars(self).items() if name != "transfer"}
         if self.transfer is None:
             return found
-        return found | {"absorbed": self.transfer.absorbed(), "note": self.note}
+        return found | {"absorbed": self.transfer.absorbed(), "note": self.note} | self._correlation
+
+    @property
+    def _correlation(self) -> dict[str, Any]:
+        """Correlation of the errors of an LED's readings, by photodiodes, where a phantom makes them share it."""
+        if not self.note or self.transfer is None:
+            return {}
+        names = self.transfer.photodiodes
+        by_led = {
+            led: {name: dict(zip(names, row, strict=True)) for name, row in zip(names, rows, strict=True)}
+            for led, rows in zip(self.transfer.leds, self.transfer.error_correlation().tolist(), strict=True)
+        }
+        return {"error_correlation": by_led}
 
     @property
     def note(self) -> str:

@@ -1,6 +1,8 @@
 """The photon walk through a phantom: exact planes, laterally infinite, no mesh."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import drjit as dr
@@ -57,13 +59,14 @@ class LayeredTracer:
         walked, start, shift = walk_layers(self.phantom, self.scene.leds[led], photons=photons, seed=seed)
         energy, absorbed = walked.energy([layer.name for layer in self.phantom.layers])
         top = np.flatnonzero(walked.outcome == TOP)
-        photodiode, weight, path = [], [], []
+        photodiode, weight, path, photon = [], [], [], []
         for i, aperture in enumerate(self.apertures):
             share = arc_share(shift[top], start[top], aperture)
             seen = np.flatnonzero(share)
             photodiode.append(np.full(len(seen), i, np.uint16))
             weight.append(share[seen] * walked.weight[top[seen]])
             path.append(walked.path_mm[:, top[seen]].T)
+            photon.append(seen)
         return Batch(
             photons=photons,
             photodiode=np.concatenate([np.zeros(0, np.uint16), *photodiode]),
@@ -72,7 +75,22 @@ class LayeredTracer:
             energy=energy,
             absorbed=absorbed,
             events=walked.events,
+            pairs=pair_sums(photon, weight),
         )
+
+
+def pair_sums(photon: Sequence[np.ndarray], weight: Sequence[np.ndarray]) -> dict[str, tuple[float, float]]:
+    """Sums over photons of the product of their weights in two photodiodes, and of its square, by "i j".
+
+    photon, weight : of each photodiode, the photons that count in it, (n,) int rising, and their weights, (n,) float.
+    """
+    found = {}
+    for (i, one), (j, other) in combinations(enumerate(photon), 2):
+        both, here, there = np.intersect1d(one, other, assume_unique=True, return_indices=True)
+        if len(both):
+            product = weight[i][here] * weight[j][there]
+            found[f"{i} {j}"] = float(product.sum()), float((product**2).sum())
+    return found
 
 
 def walk_layers(phantom: Phantom, led: Led, *, photons: int, seed: int) -> tuple[WalkedPhotons, np.ndarray, np.ndarray]:

@@ -14,6 +14,8 @@ from .reweight import transmission
 
 # What is kept of each detected photon.
 COLUMNS = ("photodiode", "weight", "path_mm", "draw")
+# Sums over all photons, of weights and of their squares, by name.
+SUMS = ("energy", "absorbed", "pairs")
 # Photons kept per LED; of more, each is kept with one probability, and sums over all of them at rest.
 MAX_RECORDS = 8_000_000
 
@@ -23,6 +25,8 @@ class Batch:
     """What one batch left behind: detected photons, and sums of weights and their squares by where light went.
 
     absorbed : of the light that was absorbed, how much where.
+    pairs : by two photodiodes, "i j" with i < j: sum over photons of the product of their weights in both, and of its
+        square; those that no photon reaches both of are left out.
     """
 
     photons: int
@@ -32,6 +36,7 @@ class Batch:
     energy: dict[str, tuple[float, float]]
     events: int
     absorbed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    pairs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -50,6 +55,7 @@ class LedTrace:
     rest : The state in which sums over all photons are kept when records are dropped; without one none are.
     full : These sums, once a record was dropped.
     absorbed : as energy, of the light that was absorbed: how much where.
+    pairs : as of a batch, in the state for which the weights hold.
     """
 
     photons: int
@@ -64,6 +70,7 @@ class LedTrace:
     rest: RestState | None = None
     full: Moments | None = None
     absorbed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    pairs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.draw is None:
@@ -91,7 +98,8 @@ class LedTrace:
             return self
         full = None if self.full is None else self.full.times(factor)
         energy, absorbed = _times(self.energy, factor), _times(self.absorbed, factor)
-        return replace(self, weight=self.weight * factor, full=full, energy=energy, absorbed=absorbed)
+        sums = {"energy": energy, "absorbed": absorbed, "pairs": _times(self.pairs, factor**2)}
+        return replace(self, weight=self.weight * factor, full=full, **sums)  # type: ignore[arg-type]
 
     def moments(self, mu_a: np.ndarray, share: np.ndarray, *, count: int) -> Moments:
         """Sums over the photons of `count` photodiodes at a state.
@@ -141,6 +149,7 @@ def joined(traces: Sequence[LedTrace]) -> LedTrace:
         mu_a=traces[0].mu_a,
         energy=_added([trace.energy for trace in traces]),
         absorbed=_added([trace.absorbed for trace in traces]),
+        pairs=_added([trace.pairs for trace in traces]),
         seeds=tuple(seeds),
         keep=keep,
         rest=traces[0].rest,
@@ -160,7 +169,8 @@ def _common_keep(traces: Sequence[LedTrace]) -> float:
 
 
 def _added(sums: Sequence[Mapping[str, tuple[float, float]]]) -> dict[str, tuple[float, float]]:
-    return {name: (sum(one[name][0] for one in sums), sum(one[name][1] for one in sums)) for name in sums[0]}
+    names, none = dict.fromkeys(name for one in sums for name in one), (0.0, 0.0)
+    return {name: (sum(s.get(name, none)[0] for s in sums), sum(s.get(name, none)[1] for s in sums)) for name in names}
 
 
 def _times(sums: Mapping[str, tuple[float, float]], factor: float) -> dict[str, tuple[float, float]]:

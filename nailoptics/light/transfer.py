@@ -19,7 +19,7 @@ from ..variables import Variables, variable
 from . import optics
 from .identity import light_digest
 from .moments import Moments, RestState, moments_of
-from .records import COLUMNS, LedTrace, joined
+from .records import COLUMNS, SUMS, LedTrace, joined
 
 # A reading that rests on fewer effective photons than this has no trustworthy standard error.
 MIN_EFFECTIVE_PHOTONS = 100.0
@@ -30,7 +30,7 @@ MIN_ERROR_PHOTONS = 25.0
 # Of a phantom's photodiodes, whose standard errors alone would not say it.
 SHARED_ERROR = (
     "photodiodes share their error, wholly where they lie at one distance from the LED, because a phantom's light is "
-    "averaged over azimuth; the error of a difference or mean of readings does not follow from theirs"
+    "averaged over azimuth; the error of a difference or mean of readings follows with error_correlation"
 )
 # What a trace took, which adds up where traces are merged.
 EFFORT = ("cpu_seconds", "wall_seconds", "events", "setup_seconds")
@@ -132,6 +132,8 @@ class Transfer:
         data = variable("detected_fraction", pairs, fraction, text, stderr=stderr)
         if self.scene.phantom is not None and len(self.photodiodes) > 1:
             data["detected_fraction_stderr"][2]["comment"] = SHARED_ERROR
+            text = "correlation of the errors of two readings, at the absorption that was traced"
+            data |= variable("error_correlation", (*pairs, "other_photodiode"), self.error_correlation(), text)
         data |= variable("effective_photons", pairs, effective, "effective number of detected photons")
         text = "mean path of the detected light in the absorber"
         data |= variable("mean_path_mm", each, path, text, units="mm", stderr=path_stderr)
@@ -140,7 +142,28 @@ class Transfer:
         wavelength = [led.wavelength_nm for led in self.scene.leds]
         data |= variable("wavelength_nm", "led", wavelength, "peak wavelength", units="nm")
         names = {"led": list(self.leds), "photodiode": list(self.photodiodes), "absorber": list(self.absorbers)}
+        if "error_correlation" in data:
+            names["other_photodiode"] = list(self.photodiodes)
         return xr.Dataset(data, names, self.attributes())
+
+    def error_correlation(self) -> np.ndarray:
+        """Correlation of the errors of every two readings of an LED, as traced, (led, photodiode, photodiode) float.
+
+        It hardly depends on the state that is read. Of a finger's readings it is nearly 0, since a photon counts for
+        one photodiode alone. NaN where a photodiode saw nothing.
+        """
+        found = []
+        for trace, traced in zip(self.traces, self._traced, strict=True):
+            products = np.diag(traced.square)
+            for pair, (total, _) in trace.pairs.items():
+                i, j = map(int, pair.split())
+                products[i, j] = products[j, i] = total
+            mean, count = traced.fraction, trace.photons
+            covariance = (products / count - np.outer(mean, mean)) / max(count - 1, 1)
+            error = np.sqrt(np.diag(covariance))
+            with np.errstate(invalid="ignore", divide="ignore"):
+                found.append(np.clip(covariance / np.outer(error, error), -1.0, 1.0))
+        return np.array(found)
 
     def moments_at(
         self, blood_fraction: ArrayLike | None, so2: float | None, mu_a_per_mm: Mapping[str, float] | None = None
@@ -196,7 +219,7 @@ class Transfer:
 
     def save(self, path: str | Path) -> None:
         """Write the transfer to a NumPy archive (.npz), whole or not at all."""
-        of_led = ("photons", "energy", "absorbed", "seeds", "keep")
+        of_led = ("photons", *SUMS, "seeds", "keep")
         leds = [{"records": len(t.weight)} | {name: getattr(t, name) for name in of_led} for t in self.traces]
         header = self.attributes() | {name: getattr(self, name) for name in EFFORT}
         header |= {"leds": leds, "version_table": dict(self.versions)}
@@ -219,19 +242,17 @@ class Transfer:
             traces, first = [], np.cumsum([0, *(led["records"] for led in header["leds"])])
             for i, led in enumerate(header["leds"]):
                 sums, columns = arrays["full"][i], {name: arrays[name][first[i] : first[i + 1]] for name in COLUMNS}
-                energy, absorbed = (
-                    {part: (a, b) for part, (a, b) in led[name].items()} for name in ("energy", "absorbed")
-                )
+                made_of: dict[str, Any] = {
+                    name: {part: (a, b) for part, (a, b) in led[name].items()} for name in SUMS
+                } | columns
                 one = LedTrace(
                     photons=led["photons"],
                     mu_a=arrays["mu_a_per_mm"][i],
-                    energy=energy,
-                    absorbed=absorbed,
                     seeds=tuple(led["seeds"]),
                     keep=led["keep"],
                     rest=rest_state(scene, i),
                     full=Moments.of_table(sums, led["photons"]) if sums.size and not np.isnan(sums).any() else None,
-                    **columns,
+                    **made_of,
                 )
                 traces.append(one)
             made = {name: header[name] for name in ("engine", "backend", *EFFORT)}
