@@ -24,7 +24,7 @@ from ..errors import InputError, WriteError
 from ..scene import Scene
 from ..statistics import seed_of
 from .identity import led_digest, usual_layer_name
-from .records import Batch
+from .records import SUMS, Batch
 from .transfer import current_versions
 
 log = logging.getLogger(__name__)
@@ -40,7 +40,6 @@ LEFTOVER_S = 3600.0
 _ROOMS = ("light", "geometry", "tissue", "scene")
 _KEY = 32
 _COLUMNS = ("photodiode", "weight", "path_mm")
-_SUMS = ("energy", "absorbed")
 
 
 @cache
@@ -222,17 +221,18 @@ class LedSource:
     def batch(self, number: int, photons: int) -> Batch:
         """The batch of a number and its photons; both, with the light and the seed, determine its bits."""
         name = f"{number}-{photons}"
-        if found := next((read for one in self.stored if (read := one.read(name))), None):
-            about, arrays = found
+        found = (read for one in self.stored if (read := one.read(name)) and read[0].keys() >= set(SUMS))
+        if whole := next(found, None):
+            about, arrays = whole
             self.reused += photons
             columns: dict[str, Any] = {column: arrays[column] for column in _COLUMNS}
-            columns |= {one: {part: (a, b) for part, (a, b) in about[one].items()} for one in _SUMS}
+            columns |= {one: {part: (a, b) for part, (a, b) in about[one].items()} for one in SUMS}
             batch = Batch(photons=photons, events=about["events"], **columns)
         else:
             batch = self.engine().batch(self.led, photons=photons, seed=seed_of(self.seed, self.led, number))
             self.traced += photons
             if self.stored:
-                about = {"events": batch.events} | {one: getattr(batch, one) for one in _SUMS}
+                about = {"events": batch.events} | {one: getattr(batch, one) for one in SUMS}
                 self.stored[0].write(name, about, {column: getattr(batch, column) for column in _COLUMNS})
         absorbed = {self.names.get(place, place): sums for place, sums in batch.absorbed.items()}
         return replace(batch, absorbed=absorbed)
