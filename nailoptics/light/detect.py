@@ -227,7 +227,7 @@ def section(scene: Scene, light: DetectedLight, options: TraceOptions) -> xr.Dat
     """
     if light.transfer is None:
         return _section(scene, options.seed, geometry.build(scene))
-    options = replace(options, backend=light.transfer.backend)
+    options = replace(options, backend=backends.choose(options.backend).name)
     usual = light_scene(scene)
     lit = scene.model_copy(update={"blood": usual.blood, "finger": usual.finger})
     store = LightStore.of_user() if options.store else None
