@@ -3,7 +3,6 @@
 from types import SimpleNamespace
 
 import numpy as np
-import xarray as xr
 
 from nailoptics import electronics
 from nailoptics.light import optics
@@ -29,9 +28,7 @@ def untraced(scene: Scene) -> SimpleNamespace:
         return Course(fraction, zero, fraction - fraction[..., :1], zero)
 
     paths = np.zeros((1, len(SLOPES), len(optics.absorbers(scene))))
-    return SimpleNamespace(
-        over=over, mean_path=paths, mean_path_stderr=paths, section=xr.Dataset(), energy=xr.Dataset(), attributes={}
-    )
+    return SimpleNamespace(over=over, mean_path=paths, mean_path_stderr=paths, attributes={})
 
 
 def untraced_table(scene: Scene) -> ReadingTable:
