@@ -93,14 +93,23 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
     first, tied = ranking[0], sum(row["rank"] == 1 for row in ranking)
     force, low, high = (quantity(first[f"force_resolution_{end}n"], "N") for end in ("", "low_", "high_"))
     fingers = result.sizes["finger"]
-    over = "" if fingers == 1 else f", {result.attrs['rank_by']} of {fingers} fingers"
+    over = "" if fingers == 1 else f", {'mean' if result.attrs['rank_by'] == 'mean' else 'worst'} of {fingers} fingers"
     others = f"{'One' if tied == 2 else tied - 1} more cannot be told from it."
     through = body_words(chosen(result)) if "electronics_resolution_n" in result else ""
     return (
         f"Layout {first['layout']} resolves {force} of force in one sample{f' through {through}' if through else ''} "
         f"(rms{over}, 95 % interval {low} to {high}), "
-        f"whatever part of it presses proximally. {'No other layout comes near.' if tied == 1 else others}"
+        f"whatever part of it presses proximally. {_oxygen(first)}"
+        f"{'No other layout comes near.' if tied == 1 else others}"
     )
+
+
+def _oxygen(first: dict[str, Any]) -> str:
+    """What the best layout knows of oxygen, where that ranks; empty elsewhere."""
+    if "spo2_error_percent" not in first:
+        return ""
+    error = with_error(first["spo2_error_percent"], first["spo2_error_percent_stderr"])
+    return f"It is ranked by what it tells of oxygen: SpO2 within {error} % over 8 s, by the electronics' noise. "
 
 
 def _cards(result: xr.Dataset, first: dict[str, Any]) -> list[tuple[str, str]]:

@@ -210,7 +210,7 @@ def placement_lines(summary: dict[str, Any]) -> list[str]:
     """The ranking of a `placement_summary` as a table, best first."""
     lines = [
         f"{row['rank']:>3} {row['layout']:<28} {1e3 * row['force_resolution_n']:9.3f} mN "
-        f"+- {1e3 * row['force_resolution_n_stderr']:.3f}{_still(row)}{_spread(row)}"
+        f"+- {1e3 * row['force_resolution_n_stderr']:.3f}{_still(row)}{_spread(row)}{_oxygen(row)}"
         f"{'  tied' if row['tied'] else ''}"
         for row in summary["ranking"]
     ]
@@ -225,6 +225,13 @@ def _still(row: dict[str, Any]) -> str:
     if "electronics_rank" not in row:
         return ""
     return f", electronics alone {1e3 * row['electronics_resolution_n']:.3f} mN (rank {row['electronics_rank']})"
+
+
+def _oxygen(row: dict[str, Any]) -> str:
+    """The error of SpO2, where that ranks layouts."""
+    if "spo2_error_percent" not in row:
+        return ""
+    return f", SpO2 {row['spo2_error_percent']:.3f} % +- {row['spo2_error_percent_stderr']:.3f}"
 
 
 def _spread(row: dict[str, Any]) -> str:

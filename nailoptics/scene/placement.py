@@ -13,6 +13,9 @@ from .outlines import read_outline
 from .parts import Led, Photodiode, Rotation
 from .positions import read_positions
 
+# What ranks by the saturation.
+OXYGEN = ("oxygen", "oxygen_and_force")
+
 
 class Candidate(Table):
     """One layout: places of the LEDs and photodiodes on the flat board, from the nail's centre."""
@@ -138,8 +141,10 @@ class Placement(Table):
     """Force at which the resolution is judged. [N]"""
     since_rest_s: Annotated[float, Field(gt=0, le=86400)] = 60.0
     """Time since the untouched finger was read, in which readings drift as [body.drift] says. [s]"""
-    rank_by: Literal["worst", "mean"] = "worst"
-    """Over the fingers: the worst resolution or the mean."""
+    rank_by: Literal["worst", "mean", "oxygen", "oxygen_and_force"] = "worst"
+    """The worst force resolution over the fingers, or the mean; oxygen: the error of SpO2 of two LEDs on the worst
+    finger, with a heart that beats; oxygen_and_force: its product with the worst force resolution. The search for
+    layouts looks for force in any case."""
     fingers: Annotated[tuple[FingerCase, ...], Field(max_length=16)] = ()
     """Fingers that the layout must serve; the scene's own if none is given."""
     edge_mm: NonNegative = 0.3

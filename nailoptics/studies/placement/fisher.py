@@ -215,4 +215,4 @@ def condition_number(read: Response) -> float:
 
 def over_fingers(resolution_n: Array, rank_by: str) -> Array:
     """One force resolution for all fingers, along the first axis: the worst or the mean. [N]"""
-    return resolution_n.max(0) if rank_by == "worst" else resolution_n.mean(0)
+    return resolution_n.mean(0) if rank_by == "mean" else resolution_n.max(0)

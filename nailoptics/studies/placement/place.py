@@ -16,11 +16,13 @@ from ...light import ProgressCallback
 from ...light import backend as backends
 from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, load_scene
+from ...scene.placement import OXYGEN
 from . import boards, exchange
 from .boards import CandidateLayout
 from .fisher import operating_point
 from .inspection import inspect_layout
 from .over_unknowns import resolution_over_unknowns
+from .oxygen_rank import oxygen_rule
 from .photodiode_count import resolution_by_count
 from .photon_maps import QUICK_DISTANCE_MM, FingerCondition, PhotonMapCache
 from .progress import StageProgress
@@ -63,6 +65,8 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     limit_s = options.max_seconds or accuracy.max_seconds or (math.inf if photons else DEFAULT_SECONDS)
     report_progress = StageProgress(progress, limit_s)
     rules, base = boards.rules(scene), boards.base_board(scene)
+    by_oxygen = rules.rank_by in OXYGEN
+    oxygen = oxygen_rule(base, boards.fingers(scene), rules.force_n) if by_oxygen else None
     conditions = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
     made: dict[str, Any] = {"seed": options.seed, "backend": backends.choose(options.backend).name}
     searching = PhotonMapCache(conditions, **made, stream=0, blocks=1, distance_mm=QUICK_DISTANCE_MM)
@@ -71,10 +75,9 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     layouts, searched = _candidates(base, rules, searching, report_progress)
     judging.stop = partial(_judged_enough, judging, bool(searched), report_progress)
     wanted = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
-    layouts, scores, unmet = score_layouts(
-        layouts, judging, rank_by=rules.rank_by, photons=photons, relative_error=wanted, report_progress=report_progress
-    )
-    order = np.argsort([score.score_n[0] for score in scores], kind="stable")
+    how: dict[str, Any] = {"rank_by": rules.rank_by, "relative_error": wanted, "report_progress": report_progress}
+    layouts, scores, unmet = score_layouts(layouts, judging, photons=photons, oxygen=oxygen, **how)
+    order = np.argsort([score.ranked[0] for score in scores], kind="stable")
     layouts, scores = [layouts[i] for i in order], [scores[i] for i in order]
     maps = judging.maps(layouts[0].board)[0]
     closer = made | {"stop": partial(report_progress.is_over, 1.0)}
@@ -103,7 +106,9 @@ def _candidates(
     base: Scene, rules: Placement, cache: PhotonMapCache, report_progress: StageProgress
 ) -> tuple[list[CandidateLayout], list[exchange.SearchedSite]]:
     """All layouts to judge, given, searched and the paper's, and every site of the LED that the search tried."""
-    layouts, paper = given(base, rules), _paper_layout(base, cache.conditions)
+    # The paper's layout has one LED, which tells no oxygen.
+    layouts = given(base, rules)
+    paper = None if rules.rank_by in OXYGEN else _paper_layout(base, cache.conditions)
     straight = boards.straight(base)
     searched = exchange.search(straight, rules, cache, report_progress) if rules.search else []
     # The search's best is judged even where time is over.

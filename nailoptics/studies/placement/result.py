@@ -73,12 +73,18 @@ def _ranking(
         return np.array([getattr(score, field)[0] for score in scores])
 
     low, high = np.array([score.interval_n for score in scores]).T
-    value, error = of_all_photons("score_n"), [score.relative_error for score in scores]
+    value = of_all_photons("score_n")
+    error = np.array([jackknife(np.log(score.score_n)) for score in scores])
     text = "force resolution of one sample, rms, whatever the split of the force, over the fingers"
     found = variable("force_resolution_n", one, value, text, units="N", stderr=value * error)
     found |= variable("force_resolution_low_n", one, low, "lower end of its 95 % interval", units="N")
     found |= variable("force_resolution_high_n", one, high, "upper end of its 95 % interval", units="N")
-    found |= variable("tied", one, low <= high[0], "whether its interval overlaps that of the best")
+    tied = np.array([score.ranked_interval[0] <= scores[0].ranked_interval[1] for score in scores])
+    found |= variable("tied", one, tied, "whether its interval overlaps that of the best")
+    if all(score.spo2_percent is not None for score in scores):
+        told, text = of_all_photons("spo2_percent"), "standard error of SpO2 over 8 s, electronics alone, worst finger"
+        errors = [jackknife(score.spo2_percent) for score in scores if score.spo2_percent is not None]
+        found |= variable("spo2_error_percent", one, told, text, units="percent", stderr=errors)
     origin, scenes = [layout.origin for layout in layouts], [to_toml(layout.scene) for layout in layouts]
     found["origin"] = (one, np.array(origin), {"long_name": "given, searched or the paper's"})
     found["scene"] = (one, np.array(scenes), {"long_name": "the layout as a scene"})
@@ -211,6 +217,8 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
             ahead = result.electronics_resolution_n < one.electronics_resolution_n
             row["electronics_rank"] = 1 + int(ahead.sum())
             row |= {name: float(one[name]) for name in ("electronics_resolution_n", "electronics_resolution_n_stderr")}
+        if "spo2_error_percent" in one:
+            row |= {name: float(one[name]) for name in ("spo2_error_percent", "spo2_error_percent_stderr")}
         if "resolution_spread" in one:
             row["force_resolution_spread_n"] = float(one.force_resolution_n * one.resolution_spread)
         row |= {"tied": tied and int(result.tied.sum()) > 1} | {name: float(one[name]) for name in named}

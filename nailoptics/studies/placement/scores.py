@@ -19,6 +19,7 @@ from .fisher import (
     pressure_information,
     total_information,
 )
+from .oxygen_rank import OxygenRule
 from .photon_maps import PhotonMapCache
 from .progress import StageProgress
 
@@ -40,6 +41,9 @@ class LayoutScore:
     feigned_n : float. Force that the body feigns on every layout, over the fingers: no score is less. [N]
     information_per_pa2 : (1 + blocks, fingers, 3) float. Of both pressures, whatever the body does. [Pa^-2]
     responses : by finger and LED, (1 + blocks, photodiodes).
+    spo2_percent : (1 + blocks,) float. Standard error of SpO2 over 8 s on the worst finger; None where force alone
+        ranks. [percent]
+    with_force : whether force ranks beside it: then layouts rank by the product of both.
     """
 
     resolution_n: np.ndarray
@@ -49,6 +53,23 @@ class LayoutScore:
     feigned_n: float
     information_per_pa2: np.ndarray
     responses: list[list[Response]]
+    spo2_percent: np.ndarray | None = None
+    with_force: bool = False
+
+    @property
+    def ranked(self) -> np.ndarray:
+        """What layouts are ranked by, less is better, (1 + blocks,) float."""
+        if self.spo2_percent is None:
+            return self.score_n
+        return self.spo2_percent * self.score_n if self.with_force else self.spo2_percent
+
+    @property
+    def ranked_interval(self) -> tuple[float, float]:
+        """Its 95 % interval."""
+        if self.spo2_percent is None:
+            return self.interval_n
+        best, spread = float(self.ranked[0]), Z95 * self.relative_error
+        return best * math.exp(-spread), best * math.exp(spread)
 
     @property
     def interval_n(self) -> tuple[float, float]:
@@ -60,12 +81,17 @@ class LayoutScore:
 
     @property
     def relative_error(self) -> float:
-        """Relative standard error of the score."""
-        return float(jackknife(np.log(self.score_n)))
+        """Relative standard error of what layouts are ranked by."""
+        return float(jackknife(np.log(self.ranked)))
 
 
-def score_layout(layout: CandidateLayout, cache: PhotonMapCache, rank_by: str) -> LayoutScore:
-    """A layout's score from light that is traced; a further layout on a traced board costs milliseconds."""
+def score_layout(
+    layout: CandidateLayout, cache: PhotonMapCache, rank_by: str, oxygen: OxygenRule | None = None
+) -> LayoutScore:
+    """A layout's score from light that is traced; a further layout on a traced board costs milliseconds.
+
+    oxygen : what SpO2 is judged by, if it ranks.
+    """
     responses = cache.read(layout.scene, layout.board)
     information = [total_information(by_led) for by_led in responses]
     still = [total_information(by_led, electronics_alone=True) for by_led in responses]
@@ -81,6 +107,8 @@ def score_layout(layout: CandidateLayout, cache: PhotonMapCache, rank_by: str) -
         feigned_n=float(over_fingers(np.array([[feigned_force_n(point)] for point in points]), rank_by)[0]),
         information_per_pa2=np.stack([pressure_information(one) for one in information], 1),
         responses=responses,
+        spo2_percent=None if oxygen is None else oxygen.error_percent(responses),
+        with_force=rank_by == "oxygen_and_force",
     )
 
 
@@ -92,11 +120,13 @@ def score_layouts(
     photons: int | None,
     relative_error: float,
     report_progress: StageProgress,
+    oxygen: OxygenRule | None = None,
 ) -> tuple[list[CandidateLayout], list[LayoutScore], str | None]:
     """Trace until the best is told from all others, more photons where that is undecided.
 
     photons : per layout, LED and finger, in place of a tolerance.
     relative_error : of the scores of those tied with the best, at which tracing ends as well.
+    oxygen : as for `score_layout`.
 
     Returns: the layouts that were traced on every finger, their scores, and why the best was not told, if so.
 
@@ -110,10 +140,10 @@ def score_layouts(
     if not layouts:
         raise NotReachedError(f"{report_progress.why} before one layout was traced on every finger; allow more time.")
     while True:
-        scores = [score_layout(layout, cache, rank_by) for layout in layouts]
+        scores = [score_layout(layout, cache, rank_by, oxygen) for layout in layouts]
         by_name = {layout.name: score for layout, score in zip(layouts, scores, strict=True)}
-        highest = min(scores, key=lambda score: float(score.score_n[0])).interval_n[1]
-        errors = {name: score.relative_error for name, score in by_name.items() if score.interval_n[0] <= highest}
+        highest = min(scores, key=lambda score: float(score.ranked[0])).ranked_interval[1]
+        errors = {name: score.relative_error for name, score in by_name.items() if score.ranked_interval[0] <= highest}
         worst = max(errors.values())
         done = min(1.0, (relative_error / worst) ** 2) if len(errors) > 1 else 1.0
         report_progress("judge", done, worst, relative_error)

@@ -1,0 +1,81 @@
+"""Layouts ranked by what they tell of oxygen: against an oximeter's own error, and in a placement."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from nailoptics import load_scene, place
+from nailoptics.assets import data_dir
+from nailoptics.errors import InputError, as_far_as_reached
+from nailoptics.scene import Candidate, FingerCase, Placement, Priors, Scene
+from nailoptics.studies.oximetry.slots import ratio_stderr
+from nailoptics.studies.placement.fisher import Response
+from nailoptics.studies.placement.oxygen_rank import oxygen_rule
+
+
+def shipped() -> Scene:
+    return load_scene(data_dir("scenes") / "pulse_oximeter.toml")
+
+
+def response(volts, noise_v2, zone_v) -> Response:
+    volts = np.asarray(volts, float)
+    return Response(
+        volts=volts,
+        noise_v2=np.full(volts.shape, noise_v2),
+        slope_v_per_pa=np.ones((*volts.shape, 2)),
+        zone_v=np.asarray(zone_v, float),
+        shunted_fraction=np.zeros(volts.shape),
+    )
+
+
+def test_the_error_is_that_of_the_ratio_of_ratios_in_saturation():
+    """Expected: the error of R by `ratio_stderr`, through the slope of ln R, as made by hand for one photodiode; two
+    alike are better by the root of 2, and one without light tells nothing."""
+    scene = shipped()
+    rule = oxygen_rule(scene, [FingerCase(name="one")], 0.3)
+    volts, noise, zone = (1.0, 2.0), 1e-8, np.array([[[-0.5, 0.0]], [[-3.0, 0.0]]])
+    by_led = [response([v], noise, z) for v, z in zip(volts, zone, strict=True)]
+    told = rule.error_percent([by_led])
+    index = np.array([abs(zone[k, 0] @ rule.pulse[0, k]) / volts[k] for k in (0, 1)])
+    ratio = index[0] / index[1]
+    error = ratio_stderr(
+        np.array(ratio), index, np.array(volts), np.full(2, noise), shape_rms=rule.shape_rms[0], frames=rule.frames
+    )
+    assert told == pytest.approx(float(error) / ratio / rule.log_ratio_per_percent, rel=1e-9)
+    twice = [response([v, v], noise, np.vstack([z, z])) for v, z in zip(volts, zone, strict=True)]
+    assert rule.error_percent([twice]) == pytest.approx(told / np.sqrt(2))
+    blind = [response([v, 0.0], noise, np.vstack([z, 0 * z])) for v, z in zip(volts, zone, strict=True)]
+    assert rule.error_percent([blind]) == pytest.approx(told)
+    # By hand from 0.171 and 1.728, 0.650 and 0.371 per mm of blood with and without oxygen, at 97 %.
+    assert rule.log_ratio_per_percent == pytest.approx(0.01557 / 0.2177 + 0.0028 / 0.6416, rel=0.05)
+
+
+def test_one_led_or_a_still_heart_ranks_no_oxygen():
+    scene, case = shipped(), [FingerCase(name="one")]
+    with pytest.raises(InputError, match="two LEDs"):
+        oxygen_rule(scene.model_copy(update={"oximeter": None, "leds": scene.leds[:1]}), case, 0.3)
+    with pytest.raises(InputError, match="heartbeat"):
+        oxygen_rule(scene.model_copy(update={"body": None}), case, 0.3)
+
+
+@pytest.mark.jit
+def test_a_placement_ranks_given_layouts_by_oxygen(chosen_jit, monkeypatch):
+    """Rationale: near photodiodes get much light, far ones a larger pulse. Expected: the order of both layouts is that
+    of their own errors, which the ranking carries with standard errors."""
+    scene = shipped()
+    near, far = (
+        Candidate(name=name, leds_mm=((-0.2, -1.5), (0.2, -1.5)), photodiodes_mm=((0.0, v),))
+        for name, v in (("near", -0.2), ("far", 2.5))
+    )
+    rules = Placement(photodiodes=1, force_n=0.3, rank_by="oxygen", search=False, candidates=(near, far))
+    diode = scene.photodiodes[0].model_copy(
+        update={"part": None, "elements": 1, "wired": None, "pitch_mm": None, "position_mm": (0.0, 0.0)}
+    )
+    asked = scene.model_copy(update={"placement": rules, "photodiodes": (diode,), "priors": Priors(spread=False)})
+    # The closer look at the best, which is of force, takes minutes.
+    for name in ("inspect_layout", "resolution_by_count"):
+        monkeypatch.setattr(f"nailoptics.studies.placement.place.{name}", lambda *_, **__: xr.Dataset())
+    result, _ = as_far_as_reached(place, asked, photons=1 << 16, seed=3)
+    error, stderr = result.spo2_error_percent.values, result.spo2_error_percent_stderr.values
+    assert list(result.layout.values) == ["near", "far"] and error[0] < error[1]
+    assert np.all(stderr > 0) and np.all(stderr < 0.5 * error)
