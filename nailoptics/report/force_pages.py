@@ -33,36 +33,13 @@ def write_calibration_page(result: xr.Dataset, summary: dict[str, Any], path: Pa
         (significant(summary["chi2_per_dof"], 2), "squared residuals over what their own scatter explains"),
         (f"× {significant(summary['widening'], 2)}", "width of intervals over the filter's own, to cover 95 % here"),
     ]
-    factors = [
-        [
-            escaped(name.replace("_", " ")),
-            with_error(one["value"], one["stderr"]),
-            escaped(one["prior"]),
-            "by the recording" if one["informed"] else "by the prior alone",
-            escaped(one["what"]),
-        ]
-        for name, one in summary["parameters"].items()
-    ]
-    limit_v = parse_scene(str(result.attrs["scene"]), name="the scene").electronics.adc_range_v
-    most = f"Largest, of {limit_v:g} V [V]"
-    rows = [
-        [
-            escaped(name),
-            with_error(one["gain"], one["gain_stderr"]),
-            with_error(1e3 * one["offset_v"], 1e3 * one["offset_stderr_v"]),
-            significant(1e3 * one["residual_rms_v"], 2),
-            significant(1e6 * one["noise_v"], 2),
-            significant(float(np.nanmax(result.volts.sel(reading=name))), 3),
-        ]
-        for name, one in summary["readings"].items()
-    ]
     caption = (
         "Each reading less its start: recorded (wide, coloured) and fitted (thin, dark), a column for each recording."
     )
     rest = (
         "What the fit leaves of each reading, coloured from proximal (warm) to distal (cool). Noise and heartbeat are "
+        "meant to stay; what follows the touch is what the model misses, and intervals are as much wider."
     )
-    rest += "meant to stay; what follows the touch is what the model misses, and intervals are as much wider."
     text = document(
         kicker="calibration",
         title="A person's sensor, calibrated",
@@ -78,7 +55,7 @@ def write_calibration_page(result: xr.Dataset, summary: dict[str, Any], path: Pa
             ),
             section(
                 "The person",
-                table(["Factor on the scene's", "Value", "Before", "Known", "What it is"], factors),
+                _factors_table(summary),
                 small(
                     "Known by the recording is a factor whose spread fell to less than 0.7 of what it was before; any "
                     "other keeps its prior, and its error is carried into intervals."
@@ -86,13 +63,46 @@ def write_calibration_page(result: xr.Dataset, summary: dict[str, Any], path: Pa
             ),
             section(
                 "The readings",
-                table(["Reading", "Gain", "Offset [mV]", "Left over, rms [mV]", "Noise, rms [µV]", most], rows),
+                _readings_table(result, summary),
                 small("Gain and offset are over what the scene's own light and electronics would read."),
             ),
         ],
         attributes=result.attrs,
     )
     write_text(path, text)
+
+
+def _factors_table(summary: dict[str, Any]) -> str:
+    """What the recordings say of the person, beside what was known before."""
+    factors = [
+        [
+            escaped(name.replace("_", " ")),
+            with_error(one["value"], one["stderr"]),
+            escaped(one["prior"]),
+            "by the recording" if one["informed"] else "by the prior alone",
+            escaped(one["what"]),
+        ]
+        for name, one in summary["parameters"].items()
+    ]
+    return table(["Factor on the scene's", "Value", "Before", "Known", "What it is"], factors)
+
+
+def _readings_table(result: xr.Dataset, summary: dict[str, Any]) -> str:
+    """Gain, offset, noise and headroom of each reading."""
+    limit_v = parse_scene(str(result.attrs["scene"]), name="the scene").electronics.adc_range_v
+    most = f"Largest, of {limit_v:g} V [V]"
+    rows = [
+        [
+            escaped(name),
+            with_error(one["gain"], one["gain_stderr"]),
+            with_error(1e3 * one["offset_v"], 1e3 * one["offset_stderr_v"]),
+            significant(1e3 * one["residual_rms_v"], 2),
+            significant(1e6 * one["noise_v"], 2),
+            significant(float(np.nanmax(result.volts.sel(reading=name))), 3),
+        ]
+        for name, one in summary["readings"].items()
+    ]
+    return table(["Reading", "Gain", "Offset [mV]", "Left over, rms [mV]", "Noise, rms [µV]", most], rows)
 
 
 def write_prediction_page(result: xr.Dataset, summary: dict[str, Any], path: Path) -> None:

@@ -82,8 +82,26 @@ class Subject:
 
     def check(self) -> None:
         """Raise ValueError unless the numbers fit together and are such as a calibration finds."""
-        count, table = len(self.table.names), self.table
-        within = {
+        for name, (values, least, most) in self._ranges().items():
+            if not np.all((np.asarray(values) >= least) & (np.asarray(values) <= most)):
+                raise ValueError(f"{name} lies outside {least:g} to {most:g}")
+        usual = hemodynamics.parameters("listed").as_dict()
+        for name, value in self.base.as_dict().items():
+            # A gauge pressure may be 0, or below.
+            most = MOST_GAIN * max(abs(usual[name]), 1.0 if name == "venous_pressure_pa" else 0.0)
+            least = 0.0 if "mass" in name else abs(usual[name]) / MOST_GAIN
+            if not least <= abs(value) <= most:
+                raise ValueError(f"scene.vessels.{name} = {value}")
+        for one in self.noise.rhythms:
+            if not (0 < one.frequency_hz < 100 and 0 < one.coherence_s < 1e6 and 0 <= one.rms_pa < 1e5):
+                raise ValueError(f"rhythm {one}")
+        self._check_shapes()
+        self._check_covariance()
+
+    def _ranges(self) -> dict[str, tuple[Any, float, float]]:
+        """Numbers by name, each with the least and the most that it can be."""
+        table = self.table
+        within: dict[str, tuple[Any, float, float]] = {
             "model": (self.model in get_args(Model), True, True),
             "factors": (np.abs(self.factors_ln), 0.0, np.log(MOST_FACTOR)),
             "gain": (np.abs(self.gain), 1 / MOST_GAIN, MOST_GAIN),
@@ -113,19 +131,11 @@ class Subject:
         for name, regression in self.baselines.items():
             numbers = np.abs([regression.intercept_n, *regression.weights_n_per_v.ravel()])
             within[f"baselines.{name}"] = (numbers, 0.0, MOST_WEIGHT)
-        for name, (values, least, most) in within.items():
-            if not np.all((np.asarray(values) >= least) & (np.asarray(values) <= most)):
-                raise ValueError(f"{name} lies outside {least:g} to {most:g}")
-        usual = hemodynamics.parameters("listed").as_dict()
-        for name, value in self.base.as_dict().items():
-            # A gauge pressure may be 0, or below.
-            most = MOST_GAIN * max(abs(usual[name]), 1.0 if name == "venous_pressure_pa" else 0.0)
-            least = 0.0 if "mass" in name else abs(usual[name]) / MOST_GAIN
-            if not least <= abs(value) <= most:
-                raise ValueError(f"scene.vessels.{name} = {value}")
-        for one in self.noise.rhythms:
-            if not (0 < one.frequency_hz < 100 and 0 < one.coherence_s < 1e6 and 0 <= one.rms_pa < 1e5):
-                raise ValueError(f"rhythm {one}")
+        return within
+
+    def _check_shapes(self) -> None:
+        """Raise ValueError where an array does not have one entry for each reading."""
+        count, table = len(self.table.names), self.table
         shapes = {
             "ln_volts": (table.coefficients, (count, len(POWERS))),
             "slope_stderr": (table.slope_stderr, (count, 2)),
@@ -135,6 +145,9 @@ class Subject:
         for name, (values, shape) in shapes.items():
             if values.shape != shape:
                 raise ValueError(f"{name} has shape {values.shape}, not {shape}")
+
+    def _check_covariance(self) -> None:
+        """Raise ValueError unless the covariance is one."""
         variance = np.diag(self.covariance)
         if not ((variance >= 0) & (variance <= MOST_GAIN**2)).all():
             raise ValueError("covariance holds a variance that is none")
