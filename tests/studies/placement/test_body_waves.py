@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from two_layouts import SCENE as TWO_LAYOUTS
 
 from nailoptics import hemodynamics
 from nailoptics.report import summaries
@@ -14,36 +15,7 @@ from nailoptics.studies.blood_states import blood_by_arterial_pressure, steady_b
 from nailoptics.studies.placement import fisher, place, result, scores
 from nailoptics.studies.placement.body_waves import BodyNoise, body_noise, pressure_lines
 
-SCENE = """
-schema_version = 1
-[finger]
-[blood]
-parameters = "best"
-[body.heartbeat]
-[body.breathing]
-[body.vasomotion]
-[board]
-size_mm = [9.0, 9.0]
-[[leds]]
-name = "ir"
-part = "led_800"
-position_mm = [-3.0, 0.0]
-[[photodiodes]]
-name = "pd"
-position_mm = [1.0, 0.0]
-size_mm = [1.0, 0.25]
-[placement]
-search = false
-photodiodes = 4
-[[placement.candidates]]
-name = "near"
-leds_mm = [[-3.0, 0.0]]
-photodiodes_mm = [[-1.0, -2.0], [-1.0, -1.0], [-1.0, 1.0], [-1.0, 2.0]]
-[[placement.candidates]]
-name = "far"
-leds_mm = [[-3.0, 0.0]]
-photodiodes_mm = [[3.0, -2.0], [3.0, -1.0], [3.0, 1.0], [3.0, 2.0]]
-"""
+SCENE = TWO_LAYOUTS.replace("[board]", "[body.heartbeat]\n[body.breathing]\n[body.vasomotion]\n[board]")
 BLOOD_PER_PA = np.array([[1.5e-6, -2e-7], [1.8e-6, -3e-6]])
 FORCE_PER_PA = np.full(2, 5e-5)
 
