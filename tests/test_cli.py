@@ -327,7 +327,7 @@ def test_a_photodiode_that_saw_nothing_is_told_as_such(folder, capfd, chosen_jit
     out, err = capfd.readouterr()
     rows = json.loads(out)["readings"]
     assert any(row["volts_start_stderr"] is None for row in rows) and "saw no light" in err
-    assert run(["trace", "prototype", "--photons", "1000", "--json"]) == 0
+    assert run(["trace", "prototype", "--photons", "300", "--json"]) == 0
     assert any(0 < row.get("upper_limit_95", 0) <= 1 for row in only_json(capfd)["readings"])
 
 

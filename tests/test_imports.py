@@ -202,6 +202,7 @@ THEIRS = {
     "READINGS.csv",
     "FILE.csv",
     "me.toml",
+    "out/predict.png",
     "proximal.csv",
     "distal.csv",
     "steps.csv",

@@ -91,7 +91,7 @@ path = "blood.so2"
 values = [0.75, 0.97]
 [[axes]]
 path = "electronics.feedback_ohm"
-values = [1e6, 2e6]
+values = [2e5, 4e5]
 [[axes]]
 path = "accuracy.photons"
 values = [8000]

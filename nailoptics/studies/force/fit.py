@@ -34,6 +34,8 @@ ROUNDS, FIRST_EVALUATIONS, MOST_EVALUATIONS = 2, 6, 10
 FIRST_MISFIT = 0.05
 # Samples this many standard deviations off begin to count less (Huber's weight for 95 % efficiency).
 HUBER = 1.345
+# Standard errors are made of what was left over in so many blocks of time.
+BLOCKS = 24
 # The optics of nail and skin leave open how strongly a reading falls with the blood of a zone, by this part of what is
 # traced; the trace's own error comes to it. (Absorption of the nail plate alone, a factor 2 either way, moves the
 # near photodiodes' signal by -30 to +20 %.)
@@ -224,8 +226,11 @@ class Fit:
         end = int(np.argmax(lagged < 0)) or samples
         self.memory = float(max(1.0, 1.0 + 2.0 * lagged[1:end].sum()))
 
-    def _joint_covariance(self, model: Array) -> Array:
-        """Covariance of all factors, gains and offsets together, from the model's columns (3, R, 1 + P, T)."""
+    def _joint_covariance(self, model: Array, white: Array) -> Array:
+        """Covariance of all factors, gains and offsets together.
+
+        model : (3, R, 1 + P, T) float. The model's columns. white : (R * T,) float. Whitened residuals.
+        """
         readings, coefficients = len(self.gain_offset_drift), self.gain_offset_drift
         moved = coefficients[:, 0][:, None, None] * (model[0, :, 1:] - model[0, :, :1]) / STEP_LN
         design = self._design(model[:, :, :1], self.slow)[:, 0]
@@ -242,7 +247,11 @@ class Fit:
         alike = np.tensordot(
             self.covariance / np.outer(deviation, deviation), slopes.reshape(readings, -1, slopes.shape[1]), axes=1
         )
-        inverse = inverse @ (slopes.T @ alike.reshape(slopes.shape) + np.diag(1 / spread**2)) @ inverse
+        # They hang together over time, too, and more where the model misses: blocks of time, each as it fell out.
+        pull = (slopes * white[:, None]).reshape(readings, -1, slopes.shape[1]).sum(0)
+        blocks = np.add.reduceat(pull, np.arange(0, len(pull), max(1, len(pull) // BLOCKS)), axis=0)
+        middle = slopes.T @ alike.reshape(slopes.shape) + blocks.T @ blocks
+        inverse = inverse @ (middle + np.diag(1 / spread**2)) @ inverse
         kept = np.r_[:free, free + count * np.arange(readings), free + 1 + count * np.arange(readings)]
         out = np.diag(np.concatenate([SPREAD_LN**2, np.zeros(2 * readings)]))
         place = np.r_[self.free, len(NAMES) : len(NAMES) + 2 * readings]
@@ -261,8 +270,9 @@ class Fit:
     def _finish(self, factors: Array) -> Fitted:
         model = self._columns(factors[self.free])
         residual, _ = self._linear_fit(model)
-        covariance = self._joint_covariance(model)
-        white = self._whiten(residual)[:, 0] * np.sqrt(self.memory)
+        white = self._whiten(residual)[:, 0]
+        covariance = self._joint_covariance(model, white)
+        white = white * np.sqrt(self.memory)
         coefficients = self.gain_offset_drift
         predicted, left = [], []
         full = self.model(factors[:, None], self.recordings)
