@@ -26,6 +26,8 @@ SHORT_S = 10.0
 # Photons from each photodiode in one round of traces the other way, and how many batches of the fresh trace go with it.
 BACK_PHOTONS = 1 << 16
 BATCHES_PER_ROUND = 2
+# A resolution that is not finer than this part of what is known before any reading tells nothing of a place.
+KNOWN_BEFORE = 0.5
 LED_SPACING_MM = 0.4
 OPEN_DISTANCE_MM = 0.2
 BLOCKS = 16
@@ -243,10 +245,12 @@ def _led_places(setup: _Setup, maps: list[list[PhotonMap]], mean: np.ndarray, er
         # From (photodiodes, values, blocks, u, v) to (blocks, u, v, photodiodes, values).
         each = left_out(np.moveaxis(each, (2, 0, 1), (0, -2, -1)))
         fraction.append(np.moveaxis(each[..., 0], -1, 1))
-        # Where no light comes only what was known before is told, the same by every group of photons.
+        # Where hardly any light comes only what was known before is told, the same by every group of photons.
         all_light = each[..., 0].sum(-1)
         seen = jackknife(all_light) ** 2 < all_light[0] ** 2 / FEW_PHOTONS
-        resolution.append(np.where(seen, setup.force_resolution_n([setup.response(i, each)]), np.nan))
+        told = setup.force_resolution_n([setup.response(i, each)])
+        unread = setup.force_resolution_n([setup.response(i, np.zeros_like(each))])
+        resolution.append(np.where(seen & (told[0] < KNOWN_BEFORE * unread[0]), told, np.nan))
     text = "part of the light of an LED at this place on each photodiode, by reciprocity"
     value, errors = [f[0] for f in fraction], [jackknife(f) for f in fraction]
     found |= variable("led_place_fraction", (*pair, *places), value, text, stderr=errors)
