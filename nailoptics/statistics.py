@@ -17,6 +17,21 @@ def stderr_of_mean(total: ArrayLike, square: ArrayLike, count: int) -> Array:
     return np.asarray(np.sqrt(np.maximum(np.asarray(square) / count - mean**2, 0) / (count - 1)))
 
 
+def farther_end(value: ArrayLike, stderr: ArrayLike, skew: ArrayLike = 0.0) -> Array:
+    """What the distance of a sum from 0 does not exceed with 95 % confidence, however few terms make it up.
+
+    Where a sum of few large terms came out too small, so did its error; a term of the skewness makes up for both.
+
+    skew : third central moment of the value over its variance; 1 of a count.
+
+    References: Johnson 1978, J. Am. Stat. Assoc. 73, 536; Hall 1992, J. R. Stat. Soc. B 54, 221.
+    """
+    value, half = np.asarray(value), Z95 * np.asarray(stderr)
+    shift = (2 * Z95**2 + 1) / 6 * np.asarray(skew)
+    ends = value + half + np.maximum(shift, 0), value - half + np.minimum(shift, 0)
+    return np.asarray(np.maximum(np.abs(ends[0]), np.abs(ends[1])))
+
+
 def left_out(groups: Array) -> Array:
     """Means over all groups, and over all but each: (1 + n, ...) float of (n, ...) sums scaled as means."""
     total = groups.sum(0)

@@ -33,13 +33,13 @@ def blood_scattering(scene: Scene, base: PairedReadings, denser: PairedReadings,
     both = difference(base, denser)
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = np.log1p(both.ratio) / np.log(SCATTERING_FACTOR)
-        error = both.ratio_stderr / (1 + both.ratio) / np.log(SCATTERING_FACTOR)
+        each = 1 / (1 + both.ratio) / np.log(SCATTERING_FACTOR)
     moved = np.abs(np.diff(end_states(scene), axis=0)).max()
     bed = [tissue.optical_properties("bed", led.wavelength_nm) for led in scene.leds]
     reduced = np.array([float(b.mu_s_per_mm) * (1 - float(b.g)) for b in bed])[:, None]
     more = moved * BLOOD_REDUCED_SCATTERING_PER_MM / reduced
     text = f"bed's mu_s' follows the blood ({float(more.max()):.1%} of it)"
-    found = Difference(slope * more, error * more)
+    found = Difference(slope * more, both.ratio_stderr * each * more, ratio_skew=both.ratio_skew * each * more)
     return effect_of(Change("blood's own scattering", False, text), found, base, tolerance=tolerance)
 
 

@@ -5,7 +5,6 @@ from typing import Literal
 
 import numpy as np
 
-from ...statistics import Z95
 from .paired import Difference, PairedReadings, weighted_mean
 from .variants import Changes, lines_of
 
@@ -77,12 +76,12 @@ def effect_of(
     known = np.isfinite(ratio) & np.isfinite(error)
     # Where nothing was seen, anything may be.
     ratio, error = np.where(known, ratio, np.nan), np.where(known, error, np.nan)
-    bounds = np.where(known, np.abs(ratio) + Z95 * error, np.inf)
+    bounds = np.where(known, found.ratio_bound, np.inf)
     # What is known best, not what is noisiest, says by how much readings move at least.
     sure = np.where(known, np.abs(ratio) - SURE * error, -np.inf)
     best = i, j = np.unravel_index(int(np.argmax(sure)), sure.shape)
     mean, spread = weighted_mean(ratio, error, base)
-    swing = np.abs(found.swing) + Z95 * found.swing_stderr
+    swing = found.swing_bound
     return Effect(
         **vars(change),
         how=how,

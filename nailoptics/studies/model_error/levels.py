@@ -20,7 +20,7 @@ from ...light.tracing import INTERRUPTED, unseen
 from ...light.transfer import FEW_PHOTONS
 from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
-from ...statistics import Z95, jackknife
+from ...statistics import farther_end, jackknife
 from . import literature, paired
 from .answers import MORE, Bias, Cost, Level
 from .literature import FORMULAS
@@ -143,8 +143,8 @@ class Bench:
     def measured(self, name: str, changes: Changes, other: PairedReadings) -> Level:
         """A traced level against the reference."""
         found = paired.difference(self.base, other)
-        reading = self.bias(found.ratio, found.ratio_stderr)
-        signal = self.bias(np.asarray(found.swing), np.asarray(found.swing_stderr))
+        reading = self.bias(found.ratio, found.ratio_stderr, skew=found.ratio_skew)
+        signal = self.bias(np.asarray(found.swing), np.asarray(found.swing_stderr), skew=found.swing_skew)
         if other is self.base:
             reading = signal = Bias(0.0, 0.0, 0.0)
         worst, spent = float(other.relative_stderr.max()), other.transfer.cpu_seconds
@@ -166,12 +166,13 @@ class Bench:
             memory_mb=kept * (worst / KEPT_ERROR) ** 2 / 1e6,
         )
 
-    def bias(self, values: np.ndarray, error: np.ndarray, *, shared: float = 0.0) -> Bias:
+    def bias(self, values: np.ndarray, error: np.ndarray, *, shared: float = 0.0, skew: ArrayLike = 0.0) -> Bias:
         """The bias of a level from how far each of its readings is off, (led, photodiode) float, and the errors.
 
         shared : relative error of what all of them are parts of.
+        skew : of each, its third moment over its variance.
         """
-        bounds = np.abs(values) + Z95 * np.hypot(error, shared * values)
+        bounds = farther_end(values, np.hypot(error, shared * values), skew)
         bound = float(np.max(np.where(np.isfinite(bounds), bounds, np.inf)))
         mean, stderr = paired.weighted_mean(values, error, self.base)
         if not np.isfinite(mean):

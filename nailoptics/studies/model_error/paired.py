@@ -16,6 +16,7 @@ from ...light.tracing import INTERRUPTED, photons_engine
 from ...light.transfer import FEW_PHOTONS
 from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
+from ...statistics import farther_end
 from ..blood_states import largest_force_n, steady_blood
 
 PILOT_PHOTONS = 1 << 17
@@ -213,12 +214,25 @@ class Difference:
     ratio, ratio_stderr : relative change of the reading at rest.
     swing, swing_stderr : change of the modulation, as a part of the largest modulation; NaN where only the readings at
         rest are known.
+    ratio_skew, swing_skew : third moment of either over its variance: as much as a single photon may carry of it.
     """
 
     ratio: np.ndarray
     ratio_stderr: np.ndarray
     swing: np.ndarray | float = math.nan
     swing_stderr: np.ndarray | float = math.nan
+    ratio_skew: np.ndarray | float = 0.0
+    swing_skew: np.ndarray | float = 0.0
+
+    @property
+    def ratio_bound(self) -> np.ndarray:
+        """What the reading's relative change does not exceed, with 95 % confidence each."""
+        return farther_end(self.ratio, self.ratio_stderr, self.ratio_skew)
+
+    @property
+    def swing_bound(self) -> np.ndarray:
+        """The same of the modulation's change."""
+        return farther_end(self.swing, self.swing_stderr, self.swing_skew)
 
 
 def difference(base: PairedReadings, other: PairedReadings) -> Difference:
@@ -227,19 +241,21 @@ def difference(base: PairedReadings, other: PairedReadings) -> Difference:
     To the sums over the photons comes a term for photons that were not seen: where few carry the difference, one more
     like them, and where none does, one that the difference takes away whole.
     """
-    seen = [np.isfinite(one.relative_stderr) for one in (base, other)]
+    seen = np.isfinite(base.relative_stderr) & np.isfinite(other.relative_stderr)
     unit = np.nanmax(np.abs(base.modulation)) if np.isfinite(base.modulation).any() else np.nan
     found = np.array([_by_photodiode(base, other, led) for led in range(len(base.parts))])
-    ratio, ratio_stderr, swing, swing_stderr, modulation_stderr = np.moveaxis(found, 1, 0)
+    ratio, ratio_stderr, ratio_skew, swing, swing_stderr, swing_skew = np.moveaxis(found, 1, 0)
     with np.errstate(invalid="ignore"):
-        ratio_stderr = np.where(seen[0] & seen[1], ratio_stderr, np.inf)
-        unit_stderr = modulation_stderr.flat[np.nanargmax(np.abs(base.modulation))] if np.isfinite(unit) else np.nan
-        swing_stderr = np.where(seen[0] & seen[1], np.hypot(swing_stderr, swing * unit_stderr / unit), np.inf)
-    return Difference(ratio, ratio_stderr, swing / unit, swing_stderr / unit)
+        ratio_stderr = np.where(seen, ratio_stderr, np.inf)
+        largest = np.nanargmax(np.abs(base.modulation)) if np.isfinite(unit) else 0
+        swing_stderr = np.where(
+            seen, np.hypot(swing_stderr, swing * base.modulation_stderr.flat[largest] / unit), np.inf
+        )
+    return Difference(ratio, ratio_stderr, swing / unit, swing_stderr / unit, ratio_skew, swing_skew / unit)
 
 
 def _by_photodiode(base: PairedReadings, other: PairedReadings, led: int) -> np.ndarray:
-    """Relative change and change of the modulation with their errors, and the modulation's error, (5, photodiode)."""
+    """Relative change, and change of the modulation, each with its error and skew, (6, photodiode)."""
     photodiode, a, b = _side_by_side(base, other, led)
 
     def total(values: np.ndarray) -> np.ndarray:
@@ -252,17 +268,37 @@ def _by_photodiode(base: PairedReadings, other: PairedReadings, led: int) -> np.
         moved = (b[:, 0] - gain[photodiode] * a[:, 0]) / level_a[photodiode]
         own = (a[:, 1] - swing_a[photodiode] * a[:, 0]) / level_a[photodiode]
         swung = (b[:, 1] - swing_b[photodiode] * b[:, 0]) / level_b[photodiode] - own
-        ratio_stderr, swing_stderr, own_stderr = (np.sqrt(total(each**2)) for each in (moved, swung, own))
         step, square_a, square_b = np.abs(b[:, 0] - a[:, 0]), total(a[:, 0] ** 2), total(b[:, 0] ** 2)
-        carried = np.abs(swung) * (step > 0)
-        carriers = np.nan_to_num(total(step) ** 2 / total(step**2))
-        whole = np.maximum(square_a / level_a, square_b / level_b) / (1 + carriers) / level_a
+        carried, met = np.abs(swung) * (step > 0), np.maximum(a[:, 0], b[:, 0]) * (step > 0)
+        carriers, taken = (np.nan_to_num(x) for x in (total(step) ** 2 / total(step**2), total(step) / total(met)))
+        whole = np.maximum(square_a / level_a, square_b / level_b) * _part_of_next(carriers, taken) / level_a
         # By as much do single photons differ in their modulation.
-        scatter = own_stderr * level_a / np.sqrt(square_a)
+        scatter = np.sqrt(total(own**2)) * level_a / np.sqrt(square_a)
         unseen = np.fmax(whole, total(step**2) / total(step) / level_a)
         unseen_swing = np.fmax(whole * scatter, total(carried**2) / total(carried))
-        errors = np.hypot(ratio_stderr, UNSEEN * unseen), np.hypot(swing_stderr, UNSEEN * unseen_swing)
-        return np.stack([gain - 1, errors[0], swing_b - swing_a, errors[1], own_stderr])
+        out = []
+        for value, each, one_more in ((gain - 1, moved, unseen), (swing_b - swing_a, swung, unseen_swing)):
+            square = total(each**2)
+            out += [value, np.sqrt(square + (UNSEEN * one_more) ** 2), np.nan_to_num(total(each**3) / square)]
+        return np.stack(out)
+
+
+def _part_of_next(carriers: np.ndarray, taken: np.ndarray) -> np.ndarray:
+    """The part of one more photon that a difference is likely to take away.
+
+    Optical depths of paths fall off exponentially. After so many of mean depth t, the next is deeper than T with the
+    probability (1 + T / sum t)^-carriers; this is its mean, what is deeper than 1 taken for 1: 1 where no photon
+    carried the difference, t where many did.
+
+    carriers : effective number of the photons that carry the difference.
+    taken : the part of them that it takes away.
+    """
+    total = np.maximum(carriers * taken, 1e-300)
+    # At a power of one the integral is a logarithm, which is as near as rounding allows.
+    power = np.where(np.abs(1 - carriers) < 1e-6, 1e-6, 1 - carriers)
+    with np.errstate(over="ignore", invalid="ignore"):
+        mean = total / power * np.expm1(power * np.log1p(1 / total))
+    return np.asarray(np.where(carriers * taken > 0, np.minimum(mean, 1), 1.0))
 
 
 def _side_by_side(base: PairedReadings, other: PairedReadings, led: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
