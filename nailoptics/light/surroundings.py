@@ -19,7 +19,7 @@ from .sampling import BOTTOM, FAR, OPAQUE, Photon, emission_cosine, rotate_direc
 # Through these light comes back from the bed to the photodiodes.
 OVER_BED = ("plate", "epoxy")
 # The number of a triangle's region below and that above share the 24 bits that a float32 holds exactly.
-REGION_BITS = 10
+REGION_BITS = 11
 # Outcomes from here on name the photodiode that a photon reached; below, the opaque region.
 DETECTED = OPAQUE + (1 << REGION_BITS)
 # Of a coordinate and of 1 mm; about sixteen times what float32 resolves, enough for a few roundings.

@@ -26,6 +26,10 @@ class Table(BaseModel):
     )
 
 
+# Elements of all photodiodes of a scene, read or not.
+MOST_PHOTODIODES = 1024
+
+
 def check_unique(names: Sequence[str], what: str) -> None:
     """Raise ValueError where a name is used twice."""
     seen: set[str] = set()

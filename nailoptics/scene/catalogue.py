@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from ..assets import WAVELENGTH_RANGE_NM, data_dir
 from ..checks import explain
 from ..errors import InputError
-from .base import PHOTON_NM_PER_V, Name, NonNegative, Point, Positive, Size, Table
+from .base import MOST_PHOTODIODES, PHOTON_NM_PER_V, Name, NonNegative, Point, Positive, Size, Table
 from .text_files import is_there, one_line, parse_toml, read_text, short
 
 
@@ -64,7 +64,7 @@ class PhotodiodePart(Table):
     """A photodiode, or a row of equal elements along the nail (v)."""
 
     kind: Literal["photodiode", "photodiode_array"]
-    elements: Annotated[int, Field(ge=1, le=1024)] = 1
+    elements: Annotated[int, Field(ge=1, le=MOST_PHOTODIODES)] = 1
     """Number of elements."""
     element_size_mm: Annotated[Size, Field(serialization_alias="size_mm")]
     """Size of the sensitive area of an element across the nail (u) and along it (v). [mm]"""

@@ -7,7 +7,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from ..assets import WAVELENGTH_RANGE_NM
 from ..errors import InputError
-from .base import Name, NonNegative, Positive, Table, check_unique
+from .base import MOST_PHOTODIODES, Name, NonNegative, Positive, Table, check_unique
 from .board_files import read_board_file
 from .body import Body
 from .finger import Finger
@@ -126,7 +126,7 @@ class Scene(Table):
     """The board on the nail."""
     leds: Annotated[tuple[Led, ...], Field(min_length=1, max_length=64)]
     """The LEDs, lit in turn."""
-    photodiodes: Annotated[tuple[Photodiode, ...], Field(max_length=256)] = ()
+    photodiodes: Annotated[tuple[Photodiode, ...], Field(max_length=MOST_PHOTODIODES)] = ()
     """The photodiodes."""
     electronics: Electronics = Electronics()
     """Amplifier and converter."""
@@ -180,7 +180,10 @@ class Scene(Table):
         if (self.phantom is None) == (self.finger is None):
             raise ValueError("a scene has either [finger] or [phantom]; give exactly one of them")
         check_unique([led.name for led in self.leds], "leds")
-        check_unique([name for p in self.photodiodes for name in p.element_names()], "photodiodes")
+        elements = [name for p in self.photodiodes for name in p.element_names()]
+        check_unique(elements, "photodiodes")
+        if len(elements) > MOST_PHOTODIODES:
+            raise ValueError(f"photodiodes: have {len(elements)} elements; at most {MOST_PHOTODIODES}, leave some out")
         for i, led in enumerate(self.leds):
             if self.finger is not None and led.pattern == "pencil":
                 raise ValueError(

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationInfo, model_validator
 
 from ..errors import InputError
-from .base import Fraction, Name, NonNegative, Point, Positive, Size, Table
+from .base import MOST_PHOTODIODES, Fraction, Name, NonNegative, Point, Positive, Size, Table
 from .catalogue import LedPart, ModulePart, PhotodiodePart, check_responsivity, load_part
 
 Wavelength = Annotated[float, Field(ge=200, le=3000)]
@@ -107,7 +107,7 @@ class Photodiode(Table):
     """The same under its old name, which is read as part."""
     wired: tuple[Annotated[int, Field(ge=0)], ...] | None = None
     """Which elements of the array are read, from 0 at the proximal end; all of them if not given."""
-    elements: Annotated[int, Field(ge=1, le=256)] = 1
+    elements: Annotated[int, Field(ge=1, le=MOST_PHOTODIODES)] = 1
     """Number of elements in a row along v."""
     pitch_mm: Positive | None = None
     """Distance from element to element; their size along v if not given. [mm]"""

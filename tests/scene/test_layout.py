@@ -6,7 +6,7 @@ import pytest
 
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
-from nailoptics.scene import load_scene
+from nailoptics.scene import load_scene, parse_scene
 
 
 @pytest.fixture
@@ -49,3 +49,30 @@ def test_a_die_as_high_as_the_epoxy_is_refused(scene):
     high = tuple(led.model_copy(update={"height_um": 390.0}) for led in scene.leds)
     with pytest.raises(ValueError, match='leds "ir": height_um = 390 leaves less than 20 um of the clear epoxy'):
         _ = scene.model_copy(update={"leds": high}).layout
+
+
+MANY = """schema_version = 1
+[finger]
+[board]
+barrier = false
+[[leds]]
+name = "ir"
+part = "led_800"
+position_mm = [-4.0, 0.0]
+""" + "".join(
+    f'[[photodiodes]]\nname = "p{i}"\nposition_mm = [{-3.4 + 0.2 * i:.2f}, 0.0]\nelements = 32\nsize_mm = [0.15, 0.2]\n'
+    "pitch_mm = 0.25\n"
+    for i in range(32)
+)
+
+
+def test_a_thousand_photodiodes_and_no_more():
+    scene = parse_scene(MANY)
+    assert len(scene.layout.photodiodes) == 1024
+    one_more = MANY + '[[photodiodes]]\nname = "last"\nposition_mm = [4.2, 0.0]\nsize_mm = [0.15, 0.2]\n'
+    with pytest.raises(InputError, match="have 1025 elements; at most 1024"):
+        parse_scene(one_more)
+    # Of so many, the first two that overlap are named.
+    moved = MANY.replace("position_mm = [2.60, 0.0]", "position_mm = [2.50, 0.1]")
+    with pytest.raises(InputError, match=r'photodiode "p29\.0": position_mm lies .* mm inside photodiode "p30\.0"'):
+        parse_scene(moved)
