@@ -1,25 +1,30 @@
 """Virtual people, calibrated and read: how well their force is told, for the benchmark and the tests of it."""
 
+import hashlib
+import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
+from nailoptics.io import write_text
 from nailoptics.light import DetectedLight
-from nailoptics.scene import Scene
-from nailoptics.scene.sensor_recordings import Recording
+from nailoptics.scene import Scene, digest
+from nailoptics.scene.sensor_recordings import Recording, read_sensor_recording, recording_csv
+from nailoptics.studies import force
 from nailoptics.studies.blood_states import steady_blood
 from nailoptics.studies.force import virtual_people as record
 from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.observer import Observer
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.reading_table import ReadingTable
-from nailoptics.studies.force.subject import Subject, parse_subject
+from nailoptics.studies.force.subject import Model, Subject
 from nailoptics.studies.force.virtual_recording import record_touch
 
 KINDS = ("slow", "steps")
@@ -27,10 +32,10 @@ KINDS = ("slow", "steps")
 MOST_N = 1.0
 # A reading past which less than this part of its change is left is past closure; looked for up to MOST_SEARCHED_N.
 LEFT_AT_CLOSURE, MOST_SEARCHED_N = 0.05, 4.0
-# Of pairs of people every so-manieth sample is read.
-PAIR_STRIDE = 4
 # An interval that covers so much covers.
 COVERED = 0.9
+# Rest is recorded with so many samples a second; pairs of people are read with no more. [Hz]
+REST_RATE_HZ, PAIR_RATE_HZ = 10.0, 25.0
 
 
 def _updated(part: Any, **fields: Any) -> dict[str, Any]:
@@ -49,6 +54,9 @@ DIFFERENCES: dict[str, Callable[[Scene, Scene], dict[str, Any]]] = {
         "leds": usual.leds,
     },
     "creep": lambda one, usual: _updated(one.touch, creep=None, distal_relaxation_s=None),
+    "heartbeat": lambda one, usual: _updated(one.body, heartbeat=None),
+    "breathing": lambda one, usual: _updated(one.body, breathing=None),
+    "vasomotion": lambda one, usual: _updated(one.body, vasomotion=None),
     "rhythms": lambda one, usual: _updated(one.body, heartbeat=None, breathing=None, vasomotion=None),
     "drift": lambda one, usual: _updated(one.body, drift=None),
 }
@@ -61,6 +69,7 @@ class Score:
     rms_n, linear_n, components_n : of the filter and of the regressions. [N]
     covered : part of samples below closure that the interval covers.
     open_above : part of samples above closure whose interval is open; NaN where there are none.
+    consistent : whether the readings were found to fit the person's own calibration.
     """
 
     person: str
@@ -71,25 +80,37 @@ class Score:
     components_n: float
     covered: float
     open_above: float
-
-    @property
-    def row(self) -> tuple[float, ...]:
-        return self.rms_n, self.linear_n, self.components_n, self.covered, self.open_above
+    consistent: bool
 
 
 @dataclass(frozen=True)
 class VirtualPerson:
-    """One person with the light that is traced under the nail, and what is recorded so far."""
+    """One person, with a folder where traced light and recordings are kept."""
 
     name: str
     scene: Scene
-    light: DetectedLight
-    model: str
+    folder: Path
+    model: Literal["massless", "inertial"] = "inertial"
+    rate_hz: float = record.SAMPLE_RATE_HZ
+    photons: int = record.PHOTONS
 
-    def recording(self, kind: str, site: str, *, seed: int = 0) -> Recording:
-        return record.record_person(self.scene, self.light, kind, site, seed=seed, model=self.model)
+    @cached_property
+    def light(self) -> DetectedLight:
+        """The light under the nail, traced unless it was before."""
+        return record.light_of_person(self.scene, self.folder / f"{self.name}.transfer", photons=self.photons)
 
-    def closure_n(self, site: str) -> float:
+    def recording(self, kind: str, site: record.Site, *, seed: int = 0) -> Recording:
+        """What the sensor reads under some touches, made unless it was before."""
+        # A person who was changed is recorded anew.
+        made_of = f"{digest(self.scene)} {self.photons} {self.model}"
+        own = hashlib.sha256(made_of.encode()).hexdigest()[:8]
+        path = self.folder / f"{self.name}_{kind}_{site}_{seed}_{self.rate_hz:g}hz_{own}.csv"
+        if not path.exists():
+            options: dict[str, Any] = {"seed": seed, "model": self.model, "rate_hz": self.rate_hz}
+            write_text(path, recording_csv(record.record_person(self.scene, self.light, kind, site, **options)))
+        return read_sensor_recording(path)
+
+    def closure_n(self, site: record.Site) -> float:
         """The force past which readings stay as they are, were it held. [N]"""
         force_n = np.linspace(0.0, MOST_SEARCHED_N, 201)
         touched = self.scene.model_copy(update={"touch": record.touch_of(self.scene, record.TOUCHES["slow"], site)})
@@ -98,28 +119,26 @@ class VirtualPerson:
         return float(force_n[np.flatnonzero(left > LEFT_AT_CLOSURE * left[0])[-1]])
 
 
-def virtual_person(
-    name: str, keep: Path, model: str = "inertial", *, without: str | None = None, photons: int = record.PHOTONS
-) -> VirtualPerson:
-    """A person by name, whose light is kept in a folder.
+def virtual_person(name: str, folder: Path, *, without: str | None = None, **options: Any) -> VirtualPerson:
+    """A person by name.
 
     without : one of `DIFFERENCES`, in which the person is then as the model that is fitted.
+    options : further fields of `VirtualPerson`.
     """
-    scene, kept = record.load_person(name), name
+    scene, own = record.load_person(name), name
     if without is not None:
         scene = scene.model_copy(update=DIFFERENCES[without](scene, load_scene(PROTOTYPE)))
-        kept = f"{name}_{without}"
-    light = record.light_of_person(scene, keep / f"{kept}.transfer", photons=photons)
-    return VirtualPerson(name, scene, light, model)
+        own = f"{name}_without_{without}"
+    return VirtualPerson(own, scene, folder, **options)
 
 
-def calibrated(person: VirtualPerson, scene: Scene, table: ReadingTable) -> Subject:
-    """A person's sensor, calibrated on slow cycles on either side."""
+def calibrated(person: VirtualPerson, scene: Scene, table: ReadingTable, model: Model = "network") -> str:
+    """The file of a person's sensor, calibrated on slow cycles on either side."""
     recordings = [person.recording("calibration", site) for site in record.SIDES]
-    return parse_subject(calibrate_with(scene, table, recordings).attrs["subject"])
+    return str(calibrate_with(scene, table, recordings, model=model).attrs["subject"])
 
 
-def score(subject: Subject, person: VirtualPerson, kind: str, site: str) -> Score:
+def score(subject: Subject, person: VirtualPerson, kind: str, site: record.Site) -> Score:
     """How well touches are told that the calibration has not seen."""
     recording = person.recording(kind, site, seed=1)
     told = predict(subject, recording)
@@ -130,30 +149,43 @@ def score(subject: Subject, person: VirtualPerson, kind: str, site: str) -> Scor
     below, above = asked & (force_n < closure_n), force_n > closure_n
     inside = (told.force_low_n.values <= force_n) & (force_n <= told.force_high_n.values)
     is_open = np.isinf(told.force_high_n.values)
-    names = ("force_n", "force_linear_n", "force_components_n")
-    errors = [np.sqrt(np.nanmean((told[name].values - force_n)[asked] ** 2)) for name in names]
-    covered = float(inside[below].mean())
-    return Score(person.name, site, kind, *errors, covered, float(is_open[above].mean()) if above.any() else np.nan)
+    rms_n, linear_n, components_n = (
+        float(np.sqrt(np.nanmean((told[name].values - force_n)[asked] ** 2)))
+        for name in ("force_n", "force_linear_n", "force_components_n")
+    )
+    return Score(
+        person.name,
+        site,
+        kind,
+        rms_n,
+        linear_n,
+        components_n,
+        covered=float(inside[below].mean()),
+        open_above=float(is_open[above].mean()) if above.any() else float("nan"),
+        consistent=bool(told.attrs["consistent"]),
+    )
 
 
 def pair(subject: Subject, recording: Recording) -> str:
     """How a recording fares with a calibration: flagged, covers, or is told wrongly and with confidence."""
-    told = predict(subject, recording)
+    told = predict(subject, thinned(recording, PAIR_RATE_HZ))
     if not told.attrs["consistent"]:
         return "flagged"
     return "covers" if told.attrs["coverage_95"] >= COVERED else "WRONG"
 
 
-def thinned(recording: Recording, stride: int) -> Recording:
-    """Every so-manieth sample of a recording."""
+def thinned(recording: Recording, rate_hz: float) -> Recording:
+    """Every so-manieth sample of a recording, so that no more than so many are left in a second."""
+    stride = max(1, round(1.0 / (rate_hz * float(np.median(np.diff(recording.time_s))))))
     take = slice(None, None, stride)
     force_n, site = (None if one is None else one[take] for one in (recording.force_n, recording.site))
     return replace(recording, time_s=recording.time_s[take], volts=recording.volts[:, take], force_n=force_n, site=site)
 
 
 def presses_at_rest(subject: Subject, person: VirtualPerson, rest_s: float) -> int:
-    """Presses that the virtual switch tells while nobody touches, from ten samples a second."""
-    untouched = record.touch_of(person.scene, (np.array([0.0, rest_s]), np.zeros(2)), "proximal", rate_hz=10.0)
+    """Presses that the virtual switch tells while nobody touches."""
+    corners = (np.array([0.0, rest_s]), np.zeros(2))
+    untouched = record.touch_of(person.scene, corners, "proximal", rate_hz=REST_RATE_HZ)
     still = record_touch(person.scene, person.light, untouched, seed=77)
     return sum(str(kind) == "press" for kind in predict(subject, still).event_kind.values)
 
@@ -166,3 +198,18 @@ def seconds_per_sample(subject: Subject, recording: Recording) -> float:
         observer.see(volts, 0.01 if k else None)
         spent.append(time.process_time() - begin)
     return float(np.median(spent))
+
+
+def code_of_force() -> str:
+    """A few characters that change with the code that tells force: what other code found is found again."""
+    sources = sorted(Path(force.__file__).parent.glob("*.py"))
+    made = b"".join(path.read_bytes() for path in [*sources, Path(__file__)])
+    return hashlib.sha256(made).hexdigest()[:8]
+
+
+def kept(path: Path, find: Callable[[], Any]) -> Any:
+    """What a file holds in JSON, found and written unless it is there."""
+    if not path.exists():
+        found = find()
+        write_text(path, json.dumps(asdict(found) if isinstance(found, Score) else found))
+    return json.loads(path.read_text(encoding="utf-8"))

@@ -1,152 +1,237 @@
 """How well force is told from volts, on eight virtual people whom no model of ours made. Run: python bench_force.py
 
-    python bench_force.py [--person person_3 ...] [--keep FOLDER] [--no-pairs] [--rest-s 3600] [--massless]
-        [--without zones|vessels|optics|creep|rhythms|drift]
+    python bench_force.py --keep FOLDER [--people person_3 ...] [--part record|touches|paper|pairs|rest ...] [--rate 25]
+        [--rest-s 3600] [--massless] [--without zones|vessels|optics|creep|heartbeat|breathing|vasomotion|rhythms|drift]
 
 Each person (scenes/subjects) is recorded as scenes/subjects/record.py says, calibrated on slow cycles of 0-2 N on
-either side with scenes/prototype.toml as the guess, and read under touches that no calibration has seen. Prints:
-- for every person, side and kind of touch (slow cycles of 0.4 and 1 N; steps of 0.15-1 N that rise in 0.16 s): the rms
-  error of the filter and of both regressions, the part of samples below closure that the 95 % interval covers, and of
-  a slow cycle to 2 N the part of samples above closure whose interval is open;
-- their medians over the people, beside what must be reached;
-- who is read with whose calibration, and whether that is flagged or the interval covers all the same;
-- presses in an hour of rest; processor time of a calibration and of a sample.
+either side with scenes/prototype.toml as the guess, and read under touches that no calibration has seen. Parts:
+- record: recordings alone, which every other part makes when it needs them;
+- touches: for every person, side and kind of touch (slow cycles of 0.4 and 1 N; steps of 0.15-1 N that rise in
+  0.16 s) the rms error of the filter and of both regressions, by what factor the better of them is worse, the part of
+  samples below closure that the 95 % interval covers, and of a slow cycle to 2 N the part of samples above closure
+  whose interval is open; the medians over the people, beside what must be reached;
+- paper: a column more, the rms of the paper's own calibration (offset, scale and time constants);
+- pairs: who is read with whose calibration, and whether that is flagged or the interval covers all the same;
+- rest: presses of the virtual switch in an hour of rest of every person, with pulse and drift;
+- processor time of a calibration and of a sample.
 With --without people are as the fitted model in one thing, to see how much of the error it makes.
-Ctrl-C ends it with the table of what is done. FOLDER keeps traced light for the next run.
+FOLDER keeps traced light, recordings and whatever was found: the same command goes on where it ended (Ctrl-C prints the
+table of what is done). What other code has found is found again, from the same recordings.
 """
 
 import argparse
 import sys
 import tempfile
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-import nailoptics as nail
-from nailoptics.assets import data_dir
-from nailoptics.scene.sensor_recordings import Recording
+from nailoptics import load_scene
+from nailoptics.scene import Scene
 from nailoptics.studies.force import virtual_people as record
-from nailoptics.studies.force.calibrate import calibrate_with, open_table
-from nailoptics.studies.force.subject import Subject, parse_subject
+from nailoptics.studies.force.calibrate import open_table
+from nailoptics.studies.force.reading_table import ReadingTable
+from nailoptics.studies.force.subject import Model, Subject, parse_subject
 
 sys.path.append(str(Path(__file__).parents[1]))
 
 from force_scores import (  # noqa: E402
     DIFFERENCES,
     KINDS,
-    PAIR_STRIDE,
+    PROTOTYPE,
     Score,
+    VirtualPerson,
+    calibrated,
+    code_of_force,
+    kept,
     pair,
     presses_at_rest,
     score,
     seconds_per_sample,
-    thinned,
     virtual_person,
 )
 
-# What must be reached, by column.
-GOALS = {
-    "rms": "at most 0.05",
-    "linear": "steps 1.5 rms, slow 1 rms or more",
-    "components": "the same",
-    "covered": "0.90 to 0.98",
-    "open": "0.95",
-}
-
-
+PARTS = ("record", "touches", "paper", "pairs", "rest")
+# What must be reached by the medians.
+GOALS = (
+    "rms at most 0.05",
+    "factor on steps at least 1.5, on slow touches 1",
+    "covered 0.90 to 0.98",
+    "open 0.95",
+)
 HEADER = (
-    f"{'person':<10} {'side':<9} {'kind':<6} {'rms':>7} {'linear':>7} {'components':>10} {'covered':>8} {'open':>6}"
+    f"{'person':<10} {'side':<9} {'kind':<6} {'rms':>7} {'paper':>7} {'linear':>7} {'components':>10} {'factor':>7} "
+    f"{'covered':>8} {'open':>6}"
 )
 
 
-def line(who: str, site: str, kind: str, row: Iterable[float]) -> str:
-    rms, linear, components, covered, is_open = row
+def row(one: Score, paper: Score | None) -> tuple[float, ...]:
+    """The numbers of one line of the table."""
+    factor = min(one.linear_n, one.components_n) / one.rms_n
+    paper_n = paper.rms_n if paper else float("nan")
+    return one.rms_n, paper_n, one.linear_n, one.components_n, factor, one.covered, one.open_above
+
+
+def line(who: str, site: str, kind: str, numbers: Iterable[float]) -> str:
+    """One line of the table."""
+    rms, paper, linear, components, factor, covered, is_open = numbers
     return (
-        f"{who:<10} {site:<9} {kind:<6} {rms:7.3f} {linear:7.3f} {components:10.3f} {covered:8.3f} {is_open:6.2f}"
+        f"{who:<10} {site:<9} {kind:<6} {rms:7.3f} {paper:7.3f} {linear:7.3f} {components:10.3f} {factor:7.2f} "
+        f"{covered:8.3f} {is_open:6.2f}"
     ).replace("nan", "  -")
 
 
-def medians(scores: list[Score]) -> list[str]:
-    """The table's last lines: medians over people."""
-    out = []
-    for site in record.SIDES:
-        for kind in KINDS:
-            rows = np.array([one.row for one in scores if (one.site, one.kind) == (site, kind)])
-            if len(rows):
-                seen = [column[np.isfinite(column)] for column in rows.T]
-                out.append(line("median", site, kind, [np.median(c) if c.size else np.nan for c in seen]))
-    return out
+class Bench:
+    """What is found of some people, each thing once; a folder keeps it for the next run."""
 
+    def __init__(self, given: argparse.Namespace, folder: Path) -> None:
+        model = "massless" if given.massless else "inertial"
+        options: dict[str, Any] = {"without": given.without, "model": model, "rate_hz": given.rate}
+        self.people = {name: virtual_person(name, folder, **options) for name in given.people}
+        self.found = folder / f"found_{code_of_force()}_{model}_{given.rate:g}hz"
+        self.found.mkdir(parents=True, exist_ok=True)
+        self.scores: dict[tuple[str, str, str, str], Score] = {}
+        self.begun = time.monotonic()
 
-def pairs_table(subjects: dict[str, Subject], steps: dict[str, Recording]) -> list[str]:
-    """Every person read with every other's calibration."""
-    out, good, count = [], 0, 0
-    for owner, subject in subjects.items():
-        found = [pair(subject, thinned(one, PAIR_STRIDE)) for one in steps.values()]
-        others = [what for what, name in zip(found, steps, strict=True) if name != owner]
-        good, count = good + sum(what != "WRONG" for what in others), count + len(others)
-        out.append(f"{owner:<10} " + " ".join(f"{what:<8}" for what in found))
-        print(out[-1], flush=True)
-    if count:
-        print(
-            f"flagged or covered in {good} of {count} pairs ({good / count:.0%}; at least 90 % are asked)", flush=True
-        )
-    return out
+    def say(self, text: str) -> None:
+        """Tell on stderr how far it is."""
+        print(f"{time.monotonic() - self.begun:6.0f} s  {text}", file=sys.stderr, flush=True)
+
+    @cached_property
+    def network(self) -> tuple[Scene, ReadingTable]:
+        return open_table(load_scene(PROTOTYPE))
+
+    @cached_property
+    def paper(self) -> tuple[Scene, ReadingTable]:
+        return open_table(load_scene(PROTOTYPE), model="paper")
+
+    def subject(self, name: str, model: Model) -> tuple[Subject, float]:
+        """A person's calibration, and the processor time that it took. [s]"""
+        person = self.people[name]
+
+        def find() -> dict[str, Any]:
+            for site in record.SIDES:
+                person.recording("calibration", site)
+            begin = time.process_time()
+            light = self.network if model == "network" else self.paper
+            text = calibrated(person, *light, model)
+            return {"subject": text, "cpu_s": time.process_time() - begin}
+
+        found = kept(self.found / f"{person.name}_{model}_subject.json", find)
+        return parse_subject(found["subject"]), found["cpu_s"]
+
+    def record(self) -> None:
+        """Record everybody."""
+        for name, person in self.people.items():
+            for site in record.SIDES:
+                for kind in record.TOUCHES:
+                    person.recording(kind, site, seed=0 if kind == "calibration" else 1)
+                    self.say(f"{name} {site:<9} {kind} recorded")
+
+    def touches(self, model: Model) -> None:
+        """Score every person's touches."""
+        for name, person in self.people.items():
+            for site in record.SIDES:
+                for kind in KINDS:
+
+                    def find(kind: str = kind, site: record.Site = site, name: str = name) -> Score:
+                        return score(self.subject(name, model)[0], self.people[name], kind, site)
+
+                    path = self.found / f"{person.name}_{model}_{site}_{kind}.json"
+                    one = Score(**kept(path, find))
+                    self.scores[name, site, kind, model] = one
+                    self.say(f"{name} {model:<8} {site:<9} {kind:<6} rms {one.rms_n:.3f} N")
+
+    def table(self) -> Iterator[str]:
+        """Lines of what is scored, and medians over people."""
+        yield HEADER
+        rows: dict[tuple[str, str], list[tuple[float, ...]]] = {}
+        for (name, site, kind, model), one in self.scores.items():
+            if model == "network":
+                numbers = row(one, self.scores.get((name, site, kind, "paper")))
+                rows.setdefault((site, kind), []).append(numbers)
+                yield line(name, site, kind, numbers) + ("" if one.consistent else "  flagged")
+        for (site, kind), several in rows.items():
+            seen = [column[np.isfinite(column)] for column in np.array(several).T]
+            yield line("median", site, kind, [np.median(one) if one.size else np.nan for one in seen])
+        yield "asked of medians: " + "; ".join(GOALS)
+
+    def costs(self) -> Iterator[str]:
+        """What every calibration found and took."""
+        for name, person in self.people.items():
+            subject, cpu_s = self.subject(name, "network")
+            per_sample_s = seconds_per_sample(subject, person.recording("steps", "proximal", seed=1))
+            yield (
+                f"{name}: calibrated in {cpu_s:.0f} s of processor time, rms {subject.rms_n:.3f} N, intervals widened "
+                f"{subject.widening:.2f} times; {1e3 * per_sample_s:.2f} ms a sample"
+            )
+
+    def pairs(self) -> Iterator[str]:
+        """Every person read with every other's calibration."""
+        good, count = 0, 0
+        yield "read with the calibration of (line) steps of (column)"
+        yield " " * 11 + " ".join(f"{name:<8}" for name in self.people)
+        for owner, own in self.people.items():
+            cells = []
+            for name, other in self.people.items():
+
+                def find(owner: str = owner, other: VirtualPerson = other) -> str:
+                    return pair(self.subject(owner, "network")[0], other.recording("steps", "proximal", seed=1))
+
+                cells.append(kept(self.found / f"{own.name}_reads_{other.name}.json", find))
+                self.say(f"{name} read with the calibration of {owner}: {cells[-1]}")
+                good, count = good + (name != owner and cells[-1] != "WRONG"), count + (name != owner)
+            yield f"{owner:<10} " + " ".join(f"{what:<8}" for what in cells)
+        if count:
+            yield f"flagged or covered in {good} of {count} pairs ({good / count:.0%}; at least 90 % are asked)"
+
+    def rest(self, rest_s: float) -> Iterator[str]:
+        """Presses in some time of rest."""
+        for name, person in self.people.items():
+
+            def find(name: str = name, person: VirtualPerson = person) -> int:
+                return presses_at_rest(self.subject(name, "network")[0], person, rest_s)
+
+            count = kept(self.found / f"{person.name}_rest_{rest_s:g}s.json", find)
+            yield f"{name}: {count} presses in {rest_s:g} s of rest"
 
 
 def main() -> None:
     asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    asked.add_argument("--person", nargs="*", default=record.people(), choices=record.people())
-    asked.add_argument("--keep", type=Path, help="folder for traced light; forgotten at the end if not given")
-    asked.add_argument("--no-pairs", action="store_true", help="leave out who is read with whose calibration")
-    asked.add_argument("--rest-s", type=float, default=3600.0, help="rest of the first person; 0 leaves it out [s]")
-    asked.add_argument("--massless", action="store_true", help="people without inertia: faster, the same to 1e-5")
+    asked.add_argument("--people", nargs="*", default=record.people(), choices=record.people())
+    asked.add_argument("--part", nargs="*", default=PARTS, choices=PARTS, help="what to find; all if not given")
+    asked.add_argument("--keep", type=Path, help="folder for whatever is found; forgotten at the end if not given")
+    asked.add_argument("--rate", type=float, default=record.SAMPLE_RATE_HZ, help="of all recordings of touches [Hz]")
+    asked.add_argument("--rest-s", type=float, default=3600.0, help="how long people rest [s]")
+    asked.add_argument("--massless", action="store_true", help="people without inertia: faster, the same to 1e-3")
     asked.add_argument("--without", choices=tuple(DIFFERENCES), help="people are as the fitted model in this")
     given = asked.parse_args()
     with tempfile.TemporaryDirectory() as passing:
-        run(given, given.keep or Path(passing))
+        with suppress(KeyboardInterrupt):
+            run(given, Bench(given, given.keep or Path(passing)))
 
 
-def run(given: argparse.Namespace, keep: Path) -> None:
-    keep.mkdir(parents=True, exist_ok=True)
-    scores: list[Score] = []
-    subjects: dict[str, Subject] = {}
-    steps: dict[str, Recording] = {}
-    first = None
-    print(HEADER, flush=True)
+def run(given: argparse.Namespace, bench: Bench) -> None:
+    """Print all parts that are asked for, as they are found."""
     try:
-        scene, table = open_table(nail.load_scene(data_dir("scenes") / "prototype.toml"))
-        for name in given.person:
-            model = "massless" if given.massless else "inertial"
-            person = virtual_person(name, keep, model, without=given.without)
-            begin = time.process_time()
-            recordings = [person.recording("calibration", site) for site in record.SIDES]
-            made = time.process_time() - begin
-            subject = parse_subject(calibrate_with(scene, table, recordings).attrs["subject"])
-            spent = time.process_time() - begin - made
-            for site in record.SIDES:
-                for kind in KINDS:
-                    scores.append(score(subject, person, kind, site))
-                    print(line(name, site, kind, scores[-1].row), flush=True)
-            subjects[name], steps[name] = subject, person.recording("steps", "proximal", seed=1)
-            per_sample = 1e3 * seconds_per_sample(subject, steps[name])
-            first = first or person
-            print(
-                f"{name}: calibrated in {spent:.0f} s of processor time, rms {subject.rms_n:.3f} N, intervals widened "
-                f"{subject.widening:.2f} times; {per_sample:.2f} ms a sample",
-                flush=True,
-            )
-        if not given.no_pairs:
-            pairs_table(subjects, steps)
-        if given.rest_s and first is not None:
-            count = presses_at_rest(subjects[first.name], first, given.rest_s)
-            print(f"{first.name}: {count} presses in {given.rest_s:g} s of rest", flush=True)
-    except KeyboardInterrupt:
-        print("interrupted; what is done:", flush=True)
-    print("\n".join([HEADER, *medians(scores)]))
-    print("asked: " + "; ".join(f"{name} {goal}" for name, goal in GOALS.items()))
+        if "record" in given.part:
+            bench.record()
+        if "touches" in given.part:
+            bench.touches("network")
+        if "paper" in given.part:
+            bench.touches("paper")
+    finally:
+        print("\n".join(bench.table()), flush=True)
+    lines = {"touches": bench.costs, "pairs": bench.pairs, "rest": lambda: bench.rest(given.rest_s)}
+    for part, find in lines.items():
+        if part in given.part:
+            for text in find():
+                print(text, flush=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Virtual people and what their sensors record under touches of known force: scenes/subjects, played by a protocol."""
 
 import zlib
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -86,9 +87,11 @@ def touch_of(scene: Scene, corners: Corners, site: Site, rate_hz: float = SAMPLE
 def light_of_person(scene: Scene, path: Path, *, photons: int = PHOTONS) -> DetectedLight:
     """A person's light, traced unless it was before; kept at a path."""
     if path.exists():
-        kept = Transfer.load(path)
-        if digest(_untouched(kept.scene)) == digest(_untouched(scene)) and kept.photons >= photons:
-            return light_of(replace(kept, scene=scene))
+        # What another version kept is traced again.
+        with suppress(InputError):
+            kept = Transfer.load(path)
+            if digest(_untouched(kept.scene)) == digest(_untouched(scene)) and kept.photons >= photons:
+                return light_of(replace(kept, scene=scene))
     traced = trace(scene, photons=photons, seed=LIGHT_SEED)
     traced.save(path)
     return light_of(traced)
@@ -108,14 +111,16 @@ def record_person(
     *,
     seed: int = 0,
     model: Literal["massless", "inertial"] = "inertial",
+    rate_hz: float = SAMPLE_RATE_HZ,
 ) -> Recording:
     """What a person's sensor reads under one of `TOUCHES` on one side.
 
     light : the person's, of `light_of_person`.
+    rate_hz : samples in a second.
     model : the equations of the vessels; both agree within 1e-5 of a reading, and the massless are ten times as fast.
     """
     if kind not in TOUCHES:
         raise InputError(f'kind = "{kind}" is no touch; choose from {", ".join(TOUCHES)}.')
     # Another heartbeat, drift and noise for every person and recording.
     own = zlib.crc32(f"{scene.body.seed if scene.body else 0} {kind} {site} {seed}".encode())
-    return record_touch(scene, light, touch_of(scene, TOUCHES[kind], site), seed=own, model=model)
+    return record_touch(scene, light, touch_of(scene, TOUCHES[kind], site, rate_hz), seed=own, model=model)
