@@ -28,8 +28,10 @@ def farther_end(value: ArrayLike, stderr: ArrayLike, skew: ArrayLike = 0.0) -> A
     """
     value, half = np.asarray(value), Z95 * np.asarray(stderr)
     shift = (2 * Z95**2 + 1) / 6 * np.asarray(skew)
-    ends = value + half + np.maximum(shift, 0), value - half + np.minimum(shift, 0)
-    return np.asarray(np.maximum(np.abs(ends[0]), np.abs(ends[1])))
+    # Where nothing is known, value and error may both be infinite.
+    with np.errstate(invalid="ignore"):
+        ends = value + half + np.maximum(shift, 0), value - half + np.minimum(shift, 0)
+        return np.asarray(np.maximum(np.abs(ends[0]), np.abs(ends[1])))
 
 
 def left_out(groups: Array) -> Array:

@@ -39,7 +39,8 @@ def blood_scattering(scene: Scene, base: PairedReadings, denser: PairedReadings,
     reduced = np.array([float(b.mu_s_per_mm) * (1 - float(b.g)) for b in bed])[:, None]
     more = moved * BLOOD_REDUCED_SCATTERING_PER_MM / reduced
     text = f"bed's mu_s' follows the blood ({float(more.max()):.1%} of it)"
-    found = Difference(slope * more, both.ratio_stderr * each * more, ratio_skew=both.ratio_skew * each * more)
+    with np.errstate(invalid="ignore"):
+        found = Difference(slope * more, both.ratio_stderr * each * more, ratio_skew=both.ratio_skew * each * more)
     return effect_of(Change("blood's own scattering", False, text), found, base, tolerance=tolerance)
 
 

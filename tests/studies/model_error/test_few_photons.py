@@ -63,6 +63,7 @@ def test_the_bound_of_a_count_is_the_exact_one():
     assert np.abs(farther_end(counts, np.hypot(np.sqrt(counts), UNSEEN), 1.0) - exact).max() < 0.52
     assert farther_end(0, UNSEEN) == pytest.approx(-np.log(0.05), abs=0.01)
     # It is the same on either side of 0.
+    assert np.isnan(farther_end(np.inf, np.inf)) and np.isinf(farther_end(1.0, np.inf))
     assert farther_end(-10.0, 3.0, -1.0) == farther_end(10.0, 3.0, 1.0) > farther_end(10.0, 3.0, -1.0)
 
 
