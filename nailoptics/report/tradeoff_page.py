@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from ..io import write_text
-from ..studies.model_error.answers import MORE, Answer, Bias, Effort, Judge, Level
-from ..studies.model_error.tradeoff import ERRORS, SECONDS, WORDS, Tradeoff, in_words
+from ..studies.model_error.answers import MORE, Answer, Bias, Effort, Judge, Level, in_words
+from ..studies.model_error.tradeoff import ERRORS, SECONDS, WORDS, Tradeoff
 from . import style
 from .html import document, escaped, figure, section, small, table
 from .numbers import significant, with_error
@@ -54,6 +54,7 @@ def write_tradeoff(found: Tradeoff, path: Path) -> None:
             f"error of its worst photodiode together. Times are for {percent}, or for a tenth more than a level's own "
             "bias where that is larger. The signal is the change by touch, as a part of the largest change."
         ),
+        small(" ".join(f"{escaped(one.name)}: {escaped(one.remark)}." for one in found.levels if one.remark)),
         f"<p>What selects the chosen level: <code>{lines}</code></p>",
         "<h3>What each level needs</h3>",
         _needs(found),

@@ -57,14 +57,19 @@ def finger_readings(
     options: TraceOptions,
 ) -> StateReadings:
     """Read one LED of a finger in up to three blood states, (states, zones) float."""
-    wavelength_nm, zones = scene.leds[led].wavelength_nm, optics.zones(scene)
-    mu_a = optics.absorption(scene, wavelength_nm, blood_fraction=blood)[:, 0]
+    media = optics.finger_media(scene, finger.regions, scene.leds[led].wavelength_nm)
+    bed = bed_absorption(scene, finger, blood, led)
+    return finger_states(scene, finger, media, bed, led=led, options=options, progress=progress)
+
+
+def bed_absorption(scene: Scene, finger: Geometry, blood: np.ndarray, led: int) -> BedAbsorption:
+    """Absorption of the bed along the nail at an LED's wavelength, in each blood state, (states, zones) float."""
+    zones = optics.zones(scene)
+    mu_a = optics.absorption(scene, scene.leds[led].wavelength_nm, blood_fraction=blood)[:, 0]
     low, high = np.asarray(finger.bounds_mm)[:, 1]
     places = 1 + round((high - low) / (zones.width_mm / PLACES_PER_STEP))
     v = np.linspace(low - BEYOND_MM, high + BEYOND_MM, places)
-    bed = BedAbsorption(v, mu_a[:, list(optics.bed_columns(scene))] @ zones.weights(v).T)
-    media = optics.finger_media(scene, finger.regions, wavelength_nm)
-    return finger_states(scene, finger, media, bed, led=led, options=options, progress=progress)
+    return BedAbsorption(v, mu_a[:, list(optics.bed_columns(scene))] @ zones.weights(v).T)
 
 
 def phantom_readings(scene: Scene, progress: ProgressCallback | None, led: int, options: TraceOptions) -> StateReadings:

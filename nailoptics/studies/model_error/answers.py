@@ -58,6 +58,7 @@ class Level:
     first, states, layouts : what the first answer costs from the scene on, and 1000 more blood states or layouts.
     memory_mb : of the photons kept for a standard error of 1 %; None where none are.
     beforehand : what must be known beside the scene's media and shape; empty where nothing must.
+    remark : what the numbers do not say; empty where they say all.
     stored : whether that is a trace, so that the level is nobody's first answer.
     changes : what of the scene selects it; nothing where the scene is so already.
     call : what gives it where no line of a scene does.
@@ -74,6 +75,7 @@ class Level:
     signal_noise: float = 0.0
     memory_mb: float | None = None
     beforehand: str = ""
+    remark: str = ""
     stored: bool = False
     changes: Changes | None = None
     call: str = ""
@@ -182,3 +184,10 @@ def best(levels: Iterable[Level], seconds: float, judge: Judge) -> Answer | None
         if left >= 0 and math.isfinite(error := one.error(judge, photons)):
             found.append(Answer(one, photons, error))
     return min(found, key=lambda answer: answer.error, default=None)
+
+
+def in_words(seconds: float) -> str:
+    """A time in the unit that suits it."""
+    units = (("h", 3600.0, 5400.0), ("min", 60.0, 90.0), ("s", 1.0, 1.0), ("ms", 1e-3, 1e-3), ("us", 1e-6, 0.0))
+    name, size = next((unit, size) for unit, size, least in units if seconds >= least)
+    return f"{seconds / size:.{0 if seconds >= 100 * size else 2}{'f' if seconds >= 100 * size else 'g'}} {name}"

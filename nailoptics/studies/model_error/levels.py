@@ -11,30 +11,33 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ... import tissue
-from ...errors import InputError, NotReachedError, as_far_as_reached
-from ...light import ProgressCallback, optics, read_rest
+from ...errors import InputError, NotReachedError
+from ...light import ProgressCallback, optics
 from ...light import backend as backends
 from ...light.course import course, read_replicates
 from ...light.diffusion import DiffusionModel
-from ...light.tracing import INTERRUPTED, unseen
+from ...light.tracing import unseen
 from ...light.transfer import FEW_PHOTONS
-from ...options import BackendName, Requested, TraceOptions
+from ...options import BackendName, TraceOptions
 from ...scene import Scene
 from ...statistics import farther_end, jackknife
 from . import literature, paired
-from .answers import MORE, Bias, Cost, Level
+from .answers import MORE, Bias, Cost, Level, in_words
 from .literature import FORMULAS
 from .paired import PairedReadings, PairedTracer
+from .stock import StockPass
 from .stored_map import StoredMap
 from .variants import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, revised
 
 DEFAULT_SECONDS = 120.0
 REFERENCE, OWN = "full", "the scene itself"
 BATCHES = (1 << 14, 1 << 16, 1 << 18)
-# Stock Mitsuba gets this part of the time on each backend, towards this error, if that is as many seconds at least.
-VOLPATH_SHARE, VOLPATH_ERROR, STOCK_SECONDS = 0.15, 0.01, 40.0
-# With a larger standard error on some photodiode it counts as not measured: its error itself is not known then.
-STOCK_ERROR = 0.25
+# Stock Mitsuba gets this part of the time on each backend, if that is as many seconds at least.
+STOCK_SHARE, STOCK_SECONDS = 0.08, 6.0
+# Of fewer effective paths on all photodiodes its noise is not known, and it counts as not measured.
+STOCK_PATHS = 30
+# What is said to be needed is so many times that, for what else a command does.
+ROOM = 1.2
 # Standard error for which the memory of the kept photons is told.
 KEPT_ERROR = 0.01
 # The plate of the finger whose stored trace is read for the scene's.
@@ -90,12 +93,12 @@ class Bench:
         stock = [one.name for one in (chosen, backends.choose("scalar")) if "volpath" in one.engines]
         # Each level's time is that of tracing it.
         walked, scenes = replace(options, backend=chosen.name, store=False), 3 + len(changes) + len(others)
-        stock_seconds = VOLPATH_SHARE * (options.max_seconds or 0.0)
+        usual = None if options.photons or options.relative_error else DEFAULT_SECONDS
+        stock_seconds = STOCK_SHARE * (options.max_seconds or usual or 0.0)
         if stock_seconds < STOCK_SECONDS:
             stock_seconds = 0.0
-        if options.max_seconds is not None:
-            walked = replace(walked, max_seconds=options.max_seconds - len(stock) * stock_seconds)
         tracer = PairedTracer(scenes, walked, progress, usual_seconds=DEFAULT_SECONDS, shapes=2)
+        tracer.reserved_s = len(stock) * stock_seconds
         base = tracer.trace(full)
         found = base.transfer
         for led, photodiode in np.argwhere(~(base.level > 0)):
@@ -331,8 +334,7 @@ def formulas(bench: Bench) -> Iterator[Level]:
 def stock(bench: Bench) -> Iterator[Level]:
     """Stock Mitsuba on every backend that can run it, measured where there is time for it."""
     for backend in bench.stock:
-        seconds = bench.stock_seconds
-        limits = Requested(relative_error=VOLPATH_ERROR, max_seconds=seconds, seed=bench.options.seed, backend=backend)
+        bench.tracer.reserved_s -= bench.stock_seconds
         level = Level(
             name=f"stock Mitsuba, {backend}",
             backend=backend,
@@ -343,28 +345,34 @@ def stock(bench: Bench) -> Iterator[Level]:
             layouts=Cost(0.0, MORE),
             reading_noise=math.inf,
             signal_noise=math.inf,
+            remark=f"not measured: takes --max-seconds {ROOM * STOCK_SECONDS / STOCK_SHARE:.0f} or more",
             changes=STOCK,
         )
-        yield replace(level, **_stock(bench, limits)) if seconds else level
+        yield replace(level, **_stock(bench, backend)) if bench.stock_seconds else level
 
 
-def _stock(bench: Bench, limits: Requested) -> dict[str, Any]:
+def _stock(bench: Bench, backend: BackendName) -> dict[str, Any]:
     """Reading and noise of stock Mitsuba, which traces one wavelength, against the reference at that wavelength."""
     narrow = paired.reweighted(bench.base.transfer, revised(bench.full, ONE_WAVELENGTH))
-    cpu = time.process_time()
-    rest, unmet = as_far_as_reached(read_rest, revised(bench.full, STOCK), progress=bench.tracer.progress, **limits)
-    if unmet and str(unmet).startswith(INTERRUPTED):
-        raise unmet
-    spent = time.process_time() - cpu
-    rows = [(row["detected_fraction"], row["stderr"]) for row in rest.readings]
-    value, stderr = np.array(rows).T.reshape(2, *narrow.level.shape)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        relative = np.where(value > 0, stderr / value, np.inf)
-        ratio = value / narrow.level - 1
-    if not relative.max() <= STOCK_ERROR:
-        return {}
-    reading = bench.bias(ratio, paired.error_of_ratio(ratio, relative, narrow.relative_stderr))
-    return {"reading": reading, "reading_noise": float(relative.max()) * math.sqrt(spent)}
+    seconds, check = bench.stock_seconds, bench.tracer.check_time
+    scene, seed = revised(bench.full, STOCK), bench.options.seed
+    try:
+        found = StockPass.of(scene, backend=backend, seconds=seconds, seed=seed, check=check)
+    except InputError as error:
+        return {"remark": f"not measured: {error}"}
+    if found.effective_paths < STOCK_PATHS:
+        longer = ROOM * seconds / STOCK_SHARE * STOCK_PATHS / max(found.effective_paths, 1.0)
+        why = f"not measured: {found.effective_paths:.0f} effective paths in {found.path_seconds:.0f} s, "
+        return {"remark": why + f"{STOCK_PATHS} are needed; takes about --max-seconds {longer:.0f}"}
+    relative = found.relative_stderr(narrow.level)
+    ratio, worst = found.level / narrow.level - 1, float(relative.max())
+    noise = worst * math.sqrt(found.path_seconds)
+    reading = bench.bias(ratio, np.hypot(relative, (1 + ratio) * narrow.relative_stderr))
+    until = in_words(found.setup_seconds + (noise / KEPT_ERROR) ** 2)
+    remark = f"{KEPT_ERROR:.0%} on every reading would take {until}: as the root of the time, from {worst:.0%} after "
+    first = Cost(found.setup_seconds, 1.0)
+    fields: dict[str, Any] = {"reading": reading, "reading_noise": noise, "first": first}
+    return fields | {"remark": f"{remark}{in_words(found.path_seconds)}, one wavelength"}
 
 
 # In the order in which they are measured.

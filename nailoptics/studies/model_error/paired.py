@@ -118,6 +118,7 @@ class PairedTracer:
         or the photons follow from the time. After max_seconds no trace begins, and one that runs ends.
     usual_seconds : for all traces together where nothing is requested.
     shapes : how many of the scenes have to build a geometry that those before them have not, the first one aside.
+    reserved_s : seconds before max_seconds at which the traces end, for what comes after them.
     """
 
     scenes: int
@@ -125,6 +126,7 @@ class PairedTracer:
     progress: ProgressCallback | None
     usual_seconds: float = 90.0
     shapes: int = 0
+    reserved_s: float = 0.0
     shortfall: str | None = field(default=None, init=False)
     _done: int = field(default=0, init=False)
     _opening_s: float = field(default=0.0, init=False)
@@ -134,8 +136,8 @@ class PairedTracer:
 
     @property
     def seconds_left(self) -> float:
-        """Time until the end that was requested. [s]"""
-        return (self.options.max_seconds or math.inf) - (time.perf_counter() - self._start)
+        """Time until the traces are to end. [s]"""
+        return (self.options.max_seconds or math.inf) - self.reserved_s - (time.perf_counter() - self._start)
 
     def trace(self, scene: Scene, *, backend: BackendName | None = None) -> PairedReadings:
         """Trace and read a scene; raises NotReachedError if interrupted or out of time."""
@@ -160,7 +162,7 @@ class PairedTracer:
         if options.photons is not None and options.max_seconds is None:
             return options.photons
         if options.relative_error is not None or options.photons is not None:
-            share = None if options.max_seconds is None else options.max_seconds / (self.scenes + 1)
+            share = None if options.max_seconds is None else self.seconds_left / (self.scenes + 1)
             fields = replace(options, max_seconds=share).fields
             pilot, unmet = as_far_as_reached(trace, scene, progress=self.progress, **fields)
             self.shortfall = str(unmet) if unmet else None
@@ -175,7 +177,7 @@ class PairedTracer:
         begin = time.perf_counter()
         self._traced(scene, None, PILOT_PHOTONS, store=False)
         each_s = time.perf_counter() - begin
-        left = (options.max_seconds or self.usual_seconds) - (time.perf_counter() - self._start)
+        left = (options.max_seconds or self.usual_seconds) - self.reserved_s - (time.perf_counter() - self._start)
         share = (PLANNED_SHARE * left - self.shapes * self._opening_s) / self.scenes
         return max(LEAST_PHOTONS, int(PILOT_PHOTONS * share / each_s))
 
@@ -195,7 +197,7 @@ class PairedTracer:
         return paired_readings(transfer, self._setups[shape])
 
     def _out_of_time(self) -> str:
-        return f"max_seconds = {self.options.max_seconds:g} ended the study after {self._done} of {self.scenes} traces"
+        return f"max_seconds ended the study after {self._done} of {self.scenes} traces"
 
     def _report_progress(self, p: TraceProgress) -> None:
         if self._done and p.fraction_done < 1 and self.seconds_left < 0:

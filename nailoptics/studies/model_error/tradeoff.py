@@ -13,7 +13,7 @@ from ...light.tracing import INTERRUPTED
 from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...variables import Variables, variable
-from .answers import COST_NOISE, MORE, Answer, Effort, Judge, Level, best, fastest
+from .answers import COST_NOISE, MORE, Answer, Effort, Judge, Level, best, fastest, in_words
 from .levels import OWN, REFERENCE, Bench
 from .paired import check_study
 from .variants import changes_between, revised
@@ -170,7 +170,7 @@ class Tradeoff:
             shown = [in_words(c) if np.isfinite(c) else "-" for c in costs]
             lines.append(
                 f"{one.name:<26} {_percents(one.reading)} {_percents(one.signal)} "
-                f"{shown[0]:>13} {shown[1]:>12} {shown[2]:>13}  {one.beforehand}"
+                f"{shown[0]:>13} {shown[1]:>12} {shown[2]:>13}  {one.beforehand or one.remark}"
             )
         percent, what = f"{self.tolerance:.2%}", WORDS[self.judge]
         answer = f"{self.chosen.level.name}, {in_words(self.chosen.seconds())} of processor time"
@@ -191,13 +191,6 @@ class Tradeoff:
         return "\n".join(lines)
 
 
-def in_words(seconds: float) -> str:
-    """A time in the unit that suits it."""
-    units = (("h", 3600.0, 5400.0), ("min", 60.0, 90.0), ("s", 1.0, 1.0), ("ms", 1e-3, 1e-3), ("us", 1e-6, 0.0))
-    name, size = next((unit, size) for unit, size, least in units if seconds >= least)
-    return f"{seconds / size:.{0 if seconds >= 100 * size else 2}{'f' if seconds >= 100 * size else 'g'}} {name}"
-
-
 def _percents(bias: Any) -> str:
     if bias is None:
         return f"{'not measured':>18} {'':>8}"
@@ -210,6 +203,7 @@ def tradeoff(
     *,
     tolerance: float = DEFAULT_TOLERANCE,
     judge: Judge = "both",
+    answer_seconds: float | None = None,
     progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
 ) -> Tradeoff:
@@ -223,8 +217,9 @@ def tradeoff(
         largest change), or of both.
     photons : of each LED in each trace; or
     relative_error : of the full model's trace, all others having as many photons; or
-    max_seconds : for all levels together, about; 120 if nothing else is requested. The answer that is chosen costs no
-        more either: where none keeps the tolerance in that time it is the best one within it.
+    max_seconds : for all levels together, about; 120 if nothing else is requested.
+    answer_seconds : processor time that the answer which is chosen may cost; max_seconds if not given. Where none keeps
+        the tolerance in that time it is the best one within it.
 
     Raises: InputError; NotReachedError, whose result is the Tradeoff as far as it was made, if interrupted.
     """
@@ -241,7 +236,9 @@ def tradeoff(
         batches = bench.batches()
     except (NotReachedError, KeyboardInterrupt) as error:
         unmet = f"{str(error).rstrip('.') or INTERRUPTED}; {len(measured)} levels were measured before."
-    result = _chosen(scene, bench, measured, tolerance, judge, options.max_seconds, time.perf_counter() - start)
+    result = _chosen(
+        scene, bench, measured, tolerance, judge, answer_seconds or options.max_seconds, time.perf_counter() - start
+    )
     result = replace(result, batches=batches)
     if unmet:
         result = replace(result, attributes=result.attributes | {"cut_off": unmet})

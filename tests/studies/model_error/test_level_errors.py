@@ -9,6 +9,11 @@ import pytest
 import nailoptics as nail
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
+from nailoptics.geometry import build
+from nailoptics.light import optics
+from nailoptics.light.backend import choose
+from nailoptics.light.volpath.integrate import FingerPaths
+from nailoptics.light.volpath.led_readings import bed_absorption
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene
 from nailoptics.statistics import Z95, jackknife
@@ -25,8 +30,9 @@ from nailoptics.studies.model_error.levels import (
     one_wavelength,
 )
 from nailoptics.studies.model_error.paired import PairedReadings, PairedTracer, paired_readings
+from nailoptics.studies.model_error.stock import StockPass
 from nailoptics.studies.model_error.stored_map import StoredMap
-from nailoptics.studies.model_error.variants import revised
+from nailoptics.studies.model_error.variants import ONE_WAVELENGTH, revised
 
 PHOTONS, SEEDS = 40_000, range(24)
 NEAR = {"proximal": (10, 12), "distal": (3, 5)}
@@ -117,6 +123,36 @@ def test_errors_of_what_walked_levels_are_off_by(traced, scene, name):
         found.append({name: bench.measured(name, {}, walked)})
     for which in ("reading", "signal"):
         assert_pull_of_one(found, name, which)
+
+
+def test_a_photodiode_that_saw_too_little_has_the_noise_of_the_others():
+    """Rationale: paths weigh alike, so that a variance is in proportion to its reading. Expected: where few came, the
+    relative error that so many paths have at what is expected there; where many did, its own."""
+    expected = np.array([[4e-3, 1e-3, 1e-4, 1e-4]])
+    stderr = np.sqrt(expected * 1e-5) * [[1.0, 1.0, 3.0, 0.0]]
+    one = StockPass(expected * [[1.1, 0.9, 2.0, 0.0]], stderr, 1.0, 2.0)
+    found, own = one.relative_stderr(expected)[0], stderr[0, :2] / one.level[0, :2]
+    assert np.allclose(found[:2], own) and np.isfinite(found).all()
+    shared = (stderr**2).sum() / expected.sum()
+    assert np.allclose(found[2:], np.sqrt(shared / 1e-4)) and one.effective_paths > 1 / own[0] ** 2
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_errors_of_stock_mitsuba(chosen_jit, scene):
+    """Expected: of three photodiodes near the LED, a pull of 1 within the 45 % that 24 seeds allow, and a mean that is
+    the trace's at that wavelength within four errors of both."""
+    finger, narrow = build(scene), revised(scene, ONE_WAVELENGTH)
+    rest = np.full((1, optics.zones(scene).count), scene.blood.rest_blood_fraction)
+    media = optics.finger_media(scene, finger.regions, scene.leds[0].wavelength_nm)
+    bed = bed_absorption(scene, finger, rest, 0)
+    paths = FingerPaths(finger, media, bed=bed, led=0, photodiodes=(2, 3, 4), backend=choose("scalar", volpath=True))
+    value, stderr = np.moveaxis([paths.spread(paths=4096, seed=seed) for seed in SEEDS], 1, 0)
+    assert 0.55 < pull(value, stderr) < 1.45, pull(value, stderr)
+    trace = paired_readings(nail.trace(narrow, photons=400_000, seed=3))
+    ratio = value.mean(0) / trace.level[0, 2:5]
+    error = np.hypot(np.sqrt((stderr**2).sum(0)) / len(stderr) / value.mean(0), trace.relative_stderr[0, 2:5])
+    assert (np.abs(ratio - 1) < 4 * error).all() and (error < 0.15).all(), (ratio, error)
 
 
 @pytest.mark.slow

@@ -14,10 +14,10 @@ from nailoptics.report import tradeoff_page
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.statistics import jackknife
 from nailoptics.studies.model_error import levels, literature, paired
-from nailoptics.studies.model_error.answers import Answer, Bias, Cost, Level
+from nailoptics.studies.model_error.answers import Answer, Bias, Cost, Level, in_words
 from nailoptics.studies.model_error.levels import MAP, OWN, REFERENCE, THICKER_PLATE
 from nailoptics.studies.model_error.stored_map import StoredMap
-from nailoptics.studies.model_error.tradeoff import Tradeoff, in_words, tradeoff
+from nailoptics.studies.model_error.tradeoff import Tradeoff, tradeoff
 from nailoptics.studies.model_error.variants import changes_between, lines_of
 
 
