@@ -12,9 +12,18 @@ from cyclopts import App, CycloptsError, Parameter
 
 from . import __version__
 from .errors import InputError, NailopticsError, NotReachedError, as_far_as_reached
-from .io import check_writable, make_folder, write_text
+from .io import check_writable, make_folder
 from .options import TraceOptions
-from .terminal import batch_progress, plain_messages, print_json, say, silence_stdout, text_lines, trace_progress
+from .terminal import (
+    CommandTime,
+    batch_progress,
+    plain_messages,
+    print_json,
+    say,
+    silence_stdout,
+    text_lines,
+    trace_progress,
+)
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -30,6 +39,7 @@ ScenePath = Annotated[str, Parameter(help="A scene file (TOML), or the name of a
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print one JSON object on stdout, nothing else.")]
 Options = Annotated[TraceOptions, Parameter(name="*")]
 USUAL = TraceOptions()
+command_time = CommandTime()
 Folder = Annotated[
     Path | None, Parameter(name=["--output", "-o"], help="Folder for the results; results/SCENE if not given.")
 ]
@@ -43,6 +53,7 @@ def main() -> None:
 
 def run(arguments: list[str]) -> int:
     """Run one command and return its exit code; errors are one line on stderr."""
+    command_time.begin()
     with plain_messages():
         try:
             app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
@@ -189,7 +200,7 @@ def compare(
 
     Writes compare.nc and compare.html.
     """
-    from .report.result_files import COMPARISON, write_comparison
+    from .report.result_files import COMPARISON, COMPARISON_CPU_S, write_comparison
     from .studies.comparison.compare import compare as study
     from .studies.comparison.verdict import summary, verdict
 
@@ -197,7 +208,8 @@ def compare(
     if require is not None and not 0 < require < math.inf:
         raise InputError(f"--require {require:g} must be a part of the swing above 0, such as 0.05.")
     folder = _results(output, scene, COMPARISON)
-    result, unmet = _watched(study, loaded, over=over, wavelengths_nm=wavelength_nm, **options.fields)
+    limited = command_time.left(options, pages_cpu_s=COMPARISON_CPU_S)
+    result, unmet = _watched(study, loaded, over=over, wavelengths_nm=wavelength_nm, **limited.fields)
     paths = write_comparison(result, folder)
     judged = verdict(result, 0.05 if require is None else require, model=model)
     _show(summary(result) | {"verdict": vars(judged)}, [*_ended_early(unmet), judged], paths, json_)
@@ -223,13 +235,13 @@ def place(
 
     Writes place.nc, ranking.csv, place.html, and the best layout as best.toml, best.csv (KiCad), outline and best.glb.
     """
-    from .report.result_files import PLACEMENT, write_placement
+    from .report.result_files import PLACEMENT, PLACEMENT_CPU_S, write_placement
     from .report.summaries import placement_lines, placement_summary
     from .studies.placement.place import place as study
 
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, PLACEMENT)
-    result, unmet = _watched(study, loaded, **options.fields)
+    result, unmet = _watched(study, loaded, **command_time.left(options, pages_cpu_s=PLACEMENT_CPU_S).fields)
     paths = write_placement(result, folder, negate_x_on_bottom=negate_x_on_bottom)
     summary = placement_summary(result)
     _show(summary | {"folder": str(folder)}, [*_ended_early(unmet), *placement_lines(summary)], paths, json_)
@@ -286,7 +298,9 @@ def explain(
     *,
     output: Annotated[
         Path | None,
-        Parameter(name=["--output", "-o"], help="Write the scene with only what it requires to this TOML file."),
+        Parameter(
+            name=["--output", "-o"], help="TOML file for the scene with only what it requires; a page beside it."
+        ),
     ] = None,
     tolerance: Annotated[
         float | None, Parameter(help="Relative change of a reading that matters; the scene's error if not given.")
@@ -295,16 +309,17 @@ def explain(
     options: Options = USUAL,
 ) -> None:
     """Explain what a scene models and what it leaves out, and measure how far each of these moves the readings."""
-    from .scene import to_toml
+    from .report.result_files import EXPLANATION_CPU_S, write_explanation
     from .studies.model_error.explain import explain as study
 
+    if output is not None and output.suffix != ".toml":
+        raise InputError(f"{output}: a scene file ends in .toml; rename it.")
     loaded, _ = _load(scene, options)
-    _check_file(output)
-    found, unmet = _watched(study, loaded, tolerance=tolerance, **options.fields)
-    paths = {"scene": output} if output else {}
-    for path in paths.values():
-        make_folder(path.parent)
-        write_text(path, _cut_off(unmet) + to_toml(found.required))
+    if output is not None:
+        check_writable(output.parent, output.name, output.with_suffix(".html").name)
+    limited = command_time.left(options, pages_cpu_s=EXPLANATION_CPU_S if output else 0.0)
+    found, unmet = _watched(study, loaded, tolerance=tolerance, **limited.fields)
+    paths = write_explanation(found, output) if output else {}
     _show({"scene": None} | found.as_dict(), [found], paths, json_)
     _end(unmet)
 
@@ -327,12 +342,14 @@ def tradeoff(
     tolerance in that time, the best one within it. Writes tradeoff.json, tradeoff.nc and tradeoff.html, tradeoff.png
     for a README, and scene.toml: the scene at the level that is named.
     """
-    from .report.result_files import TRADEOFF, write_tradeoff
+    from .report.result_files import TRADEOFF, TRADEOFF_CPU_S, write_tradeoff
     from .studies.model_error.tradeoff import tradeoff as study
 
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, TRADEOFF)
-    found, unmet = _watched(study, loaded, tolerance=tolerance, judge=judge, **options.fields)
+    limited = command_time.left(options, pages_cpu_s=TRADEOFF_CPU_S).fields
+    how: dict[str, Any] = {"tolerance": tolerance, "judge": judge, "answer_seconds": options.max_seconds}
+    found, unmet = _watched(study, loaded, **how, **limited)
     paths = write_tradeoff(found, folder)
     _show(found.as_dict(), [found], paths, json_)
     _end(unmet, folder)
@@ -683,11 +700,6 @@ def _show(summary: Mapping[str, Any], text: Iterable[object], paths: Mapping[str
         print_json({**summary, **{name: str(path) for name, path in paths.items()}})
     else:
         print(*text, *paths.values(), sep="\n")
-
-
-def _cut_off(unmet: NotReachedError | None) -> str:
-    """The first line of a scene file that a study ended too early to be sure of."""
-    return f"# Cut off: {unmet}\n" if unmet else ""
 
 
 def _ended_early(unmet: NotReachedError | None) -> list[str]:

@@ -1,19 +1,21 @@
-"""The terminal around a command: messages, progress, Ctrl-C, JSON."""
+"""The terminal around a command: messages, progress, Ctrl-C, JSON, and the time that is left for its study."""
 
 import logging
 import math
 import os
 import signal
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import TextIOWrapper
 from typing import TYPE_CHECKING, Any, TextIO
 
 from .errors import InputError
 from .io import to_json
+from .options import TraceOptions
 
 if TYPE_CHECKING:
     from .batch import BatchProgress
@@ -21,6 +23,32 @@ if TYPE_CHECKING:
 
 # Time between two lines of progress in a log. [s]
 LOG_EVERY_S = 10.0
+# Of a command's time its study gets this part at least, however long the rest of it takes.
+STUDY_SHARE = 0.5
+
+
+class CommandTime:
+    """What a command has taken since it began, so that its time limit holds for all of it, not for its study alone."""
+
+    def __init__(self) -> None:
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin anew."""
+        self._wall, self._cpu = time.perf_counter(), time.process_time()
+
+    def left(self, options: TraceOptions, *, pages_cpu_s: float) -> TraceOptions:
+        """The options with what is left of max_seconds once the pages are written, which is done after the study.
+
+        pages_cpu_s : processor time that the pages take. On a busy machine that is as much longer as what the command
+            has done so far has been.
+        """
+        if options.max_seconds is None:
+            return options
+        wall, cpu = time.perf_counter() - self._wall, time.process_time() - self._cpu
+        pages_s = pages_cpu_s * max(1.0, wall / max(cpu, 1e-3))
+        least = STUDY_SHARE * options.max_seconds
+        return replace(options, max_seconds=max(least, options.max_seconds - wall - pages_s))
 
 
 def say(line: str) -> None:

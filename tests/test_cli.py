@@ -8,12 +8,15 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import nailoptics
+from nailoptics import terminal
 from nailoptics.cli import run
 from nailoptics.light import Transfer, backend
+from nailoptics.options import TraceOptions
 
 ROOT = Path(nailoptics.__file__).parents[1]
 PROTOTYPE = (ROOT / "scenes/prototype.toml").read_text(encoding="utf-8")
@@ -540,3 +543,18 @@ def test_ctrl_c_keeps_what_was_traced(folder, chosen_jit):
     assert process.returncode == 3, err
     assert "interrupted" in err.splitlines()[-1] and "Traceback" not in err
     assert Transfer.load(Path("transfer.nc")).photons > 0 and len(out.splitlines()) == 13
+
+
+def test_a_time_limit_is_that_of_the_whole_command(monkeypatch):
+    """Expected: its study gets what starting has left, less the pages, which take as much longer than their processor
+    time as starting did; and half of the limit however long they take."""
+    clock = SimpleNamespace(perf_counter=lambda: 0.0, process_time=lambda: 0.0)
+    monkeypatch.setattr(terminal, "time", clock)
+    command = terminal.CommandTime()
+    clock.perf_counter, clock.process_time = lambda: 6.0, lambda: 2.0
+    asked = TraceOptions(max_seconds=30.0, seed=3)
+    assert command.left(asked, pages_cpu_s=3.0) == TraceOptions(max_seconds=30.0 - 6.0 - 3 * 3.0, seed=3)
+    assert command.left(TraceOptions(max_seconds=5.0), pages_cpu_s=3.0).max_seconds == 2.5
+    assert command.left(TraceOptions(photons=7), pages_cpu_s=3.0) == TraceOptions(photons=7)
+    command.begin()
+    assert command.left(asked, pages_cpu_s=2.0).max_seconds == 28.0

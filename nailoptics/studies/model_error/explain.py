@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Unpack
 
 from ... import geometry
@@ -31,7 +31,7 @@ class Explanation:
     together : what leaving out all that is not needed does to the readings; None where all is needed.
     required : the scene with that left out, and with what it leaves out although it matters.
     photons : of each LED in each trace.
-    cut_off : why it ended before all was measured, if it did.
+    attributes : what makes it again, and `cut_off`, why it ended before all was measured, if it did.
     """
 
     effects: tuple[Effect, ...]
@@ -41,12 +41,22 @@ class Explanation:
     photons: int
     backend: str
     wall_seconds: float
-    cut_off: str | None = None
+    attributes: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def cut_off(self) -> str | None:
+        """Why it ended before all was measured, if it did."""
+        return self.attributes.get("cut_off")
 
     @property
     def needless(self) -> list[Effect]:
         """What is modelled and surely moves no reading by more than the tolerance."""
         return [e for e in self.effects if e.modelled and e.matters == "no" and e.changes and not e.unknown]
+
+    @property
+    def without_needless(self) -> Changes:
+        """What leaves all of that out at once."""
+        return _merged(self.needless)
 
     @property
     def missing(self) -> list[Effect]:
@@ -80,7 +90,7 @@ class Explanation:
             lines.append(f"{text}{_percent(e.bound):>11} {swing:>8}  {e.matters:<11} {e.changed_to}")
         if self.needless:
             lines.append("Not needed each by itself; these scene lines leave all of it out:")
-            lines += [*(f"  {line}" for line in lines_of(_merged(self.needless)))]
+            lines += [*(f"  {line}" for line in lines_of(self.without_needless))]
             if self.together:
                 moved = f"moves a reading by at most {_percent(self.together.bound)}"
                 lines.append(f"Leaving all of these out at once {moved}, all photodiodes, 95 % sure.")
@@ -145,7 +155,7 @@ def explain(
         photons=base.transfer.traces[0].photons,
         backend=base.transfer.backend,
         wall_seconds=time.perf_counter() - start,
-        cut_off=unmet,
+        attributes=base.transfer.attributes() | ({"cut_off": unmet} if unmet else {}),
     )
     if unmet:
         raise NotReachedError(unmet, result=result)

@@ -1,19 +1,23 @@
-"""What tradeoff names as the fastest within a tolerance keeps it out of sample, on scenes that differ."""
+"""What tradeoff says keeps a tolerance does so out of sample, on scenes that differ."""
 
 import numpy as np
 import pytest
 
+import nailoptics as nail
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.light.diffusion import DiffusionModel
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene
 from nailoptics.studies.model_error import levels, paired
+from nailoptics.studies.model_error.answers import fastest
 from nailoptics.studies.model_error.tradeoff import Tradeoff, tradeoff
 from nailoptics.studies.model_error.variants import Changes, revised
 
 pytestmark = [pytest.mark.slow, pytest.mark.jit]
-PHOTONS, TOLERANCES, JUDGES = 60_000, (0.5, 0.1, 0.02), ("reading", "signal", "both")
+PHOTONS, JUDGES = 120_000, ("reading", "signal", "both")
+# Of the levels that are named at any of these, and of all that are proven at what a designer asks for.
+TOLERANCES, ASKED = (0.5, 0.2, 0.1, 0.05, 0.02), (0.05, 0.02)
 SCENES: dict[str, tuple[str, Changes]] = {
     "prototype": ("prototype", {}),
     "oximeter": ("pulse_oximeter", {}),
@@ -25,15 +29,20 @@ SCENES: dict[str, tuple[str, Changes]] = {
 }
 
 
-def named(found: Tradeoff) -> dict[str, list[tuple[str, float]]]:
-    """Levels that are named, with what they are named for: what counts and the tolerance."""
-    out: dict[str, list[tuple[str, float]]] = {}
+def kept(found: Tradeoff) -> dict[str, list[tuple[str, float]]]:
+    """Levels of which something is said that photons could refute: what counts, and the tolerance that they keep."""
+    out: dict[str, set[tuple[str, float]]] = {}
     for judge in JUDGES:
         for tolerance in TOLERANCES:
             answer = found.fastest(tolerance, judge=judge)
             assert answer is not None
-            out.setdefault(answer.level.name, []).append((judge, tolerance))
-    return out
+            out.setdefault(answer.level.name, set()).add((judge, tolerance))
+            if tolerance in ASKED:
+                for level in found.levels:
+                    if not level.stored and level.bias(judge) <= tolerance:
+                        out.setdefault(level.name, set()).add((judge, tolerance))
+    # Its bias against itself is 0, and constants of its own paths come with it.
+    return {name: sorted(uses) for name, uses in out.items() if name != levels.REFERENCE and "traced" not in name}
 
 
 def off(
@@ -54,24 +63,31 @@ def off(
     return paired.Difference(ratio, (1 + ratio) * base.relative_stderr, swing, noise)
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_what_is_named_keeps_its_tolerance_with_other_seeds_and_ten_times_the_photons(chosen_jit, monkeypatch, name):
-    """Rationale: the bias of a level is bounded with few photons; the bound must hold for photons it has not seen.
-    Expected: no photodiode's bias exceeds the tolerance by more than three standard errors, which are smaller."""
-    # What is no first answer is not named.
-    named_levels = tuple(one for one in levels.LEVELS if one not in (levels.stored, levels.stock))
-    monkeypatch.setattr(levels, "LEVELS", named_levels)
-    monkeypatch.setattr(levels.Bench, "batches", lambda *_: {})
-    file, changes = SCENES[name]
+@pytest.fixture(scope="module", params=SCENES)
+def studied(chosen_jit, request) -> tuple[str, Scene, Tradeoff]:
+    """A scene and its tradeoff, without what is no first answer."""
+    patch = pytest.MonkeyPatch()
+    patch.setattr(levels, "LEVELS", tuple(one for one in levels.LEVELS if one not in (levels.stored, levels.stock)))
+    patch.setattr(levels.Bench, "batches", lambda *_: {})
+    file, changes = SCENES[request.param]
     scene = revised(load_scene(data_dir("scenes") / f"{file}.toml"), changes)
-    found = tradeoff(scene, photons=PHOTONS, seed=1)
+    try:
+        return request.param, scene, tradeoff(scene, photons=PHOTONS, seed=1)
+    finally:
+        patch.undo()
+
+
+def test_what_keeps_a_tolerance_does_so_with_other_seeds_and_ten_times_the_photons(studied):
+    """Rationale: the bias of a level is bounded with few photons; the bound must hold for photons it has not seen.
+    Expected: no photodiode's bias exceeds the tolerance by more than three standard errors, which are smaller; and a
+    reading of the full model to the error that was named for 5 and 2 %, of another seed, is off by no more."""
+    name, scene, found = studied
     tracer = paired.PairedTracer(9, TraceOptions(photons=10 * PHOTONS, seed=1001), None)
     base = tracer.trace(revised(scene, levels.FULL))
-    by_name = {one.name: one for one in found.levels}
-    for chosen, uses in named(found).items():
-        if chosen == levels.REFERENCE:
-            continue
-        far = off(by_name[chosen], scene, base, tracer)
+    by_name, told = {one.name: one for one in found.levels}, kept(found)
+    assert told
+    for level, uses in told.items():
+        far = off(by_name[level], scene, base, tracer)
         for judge, tolerance in uses:
             for what, values, errors in (
                 ("reading", far.ratio, far.ratio_stderr),
@@ -79,5 +95,14 @@ def test_what_is_named_keeps_its_tolerance_with_other_seeds_and_ten_times_the_ph
             ):
                 if judge in (what, "both"):
                     worst, error = np.abs(values).max(), np.max(errors)
-                    print(f"{name}: {chosen}, {what} within {tolerance:g}: {worst:.2%} +- {error:.2%}")
+                    print(f"{name}: {level}, {what} within {tolerance:g}: {worst:.2%} +- {error:.2%}")
                     assert (np.abs(values) - 3 * errors <= tolerance).all() and error < tolerance
+    for tolerance in ASKED:
+        answer = fastest([found.reference], tolerance, "both")
+        assert answer is not None
+        full = revised(scene, levels.FULL).model_copy(update={"accuracy": type(scene.accuracy)()})
+        one = paired.paired_readings(nail.trace(full, relative_error=answer.relative_error, seed=2002))
+        away = one.level / base.level - 1
+        print(f"{name}: full to {answer.relative_error:.2%} for {tolerance:g}: rms {np.sqrt(np.mean(away**2)):.2%}")
+        assert (np.abs(away) <= 3.5 * np.hypot(tolerance, base.relative_stderr)).all()
+        assert np.sqrt(np.mean(away**2)) < 1.25 * tolerance

@@ -1,0 +1,66 @@
+"""The page of an explanation: the worst photodiode with its error first, and what to leave out."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nailoptics import load_scene
+from nailoptics.assets import data_dir
+from nailoptics.report import explain_page
+from nailoptics.report.result_files import write_explanation
+from nailoptics.studies.model_error import bounds
+from nailoptics.studies.model_error.effect import Effect
+from nailoptics.studies.model_error.explain import TOGETHER, Explanation
+
+
+def effect(name: str, change: float, stderr: float, **fields: Any) -> Effect:
+    values: dict[str, Any] = {"change": change, "stderr": stderr, "bound": abs(change) + 3 * stderr}
+    values |= {"modelled": True, "photodiode": "ir proximal.6", "modulation_bound": 0.1}
+    return replace(bounds.nothing(name, "other", 0.02), **(values | fields))
+
+
+@pytest.fixture
+def found() -> Explanation:
+    bone = effect("bone", 0.004, 0.001, changes={"light": {"left_out": ["bone"]}})
+    effects = (
+        effect("plate <absorption>", -0.62, 0.01, unknown=True),
+        effect("barrier", 0.5, 0.02),
+        effect("cover", -0.2, 0.01, modelled=False),
+        effect("index steps", 0.03, 0.02),
+        bone,
+        effect("ambient light", np.nan, np.inf, bound=np.inf, modelled=False),
+    )
+    together, scene = replace(bone, name=TOGETHER, bound=0.007), load_scene(data_dir("scenes") / "prototype.toml")
+    return Explanation(effects, together, scene, 0.02, 1000, "llvm", 1.0)
+
+
+def test_the_page_begins_with_the_largest_effect_and_its_error(found, tmp_path):
+    paths = write_explanation(found, tmp_path / "required.toml")
+    page = paths["report"].read_text(encoding="utf-8")
+    head, body = page.split("</header>")
+    assert "<h1>plate &lt;absorption&gt; moves ir proximal.6 by −62.0 ± 1.0\u00a0%</h1>" in head
+    assert "−62.0 ± 1.0 %" in head and "+50.0 ± 2.0 %" in head and "−20.0 ± 1.0 %" in head and "0.70 %" in head
+    assert "[light] left_out = [&quot;bone&quot;]" in body and "moves no reading by more than 0.70 %" in body
+    assert "though it matters: cover." in body and "whether these matter: index steps, ambient light" in body
+    assert "not known" in body and "pooled" not in page
+    assert load_scene(paths["scene"]) == found.required
+
+
+def test_the_picture_names_every_effect_that_is_known(found):
+    axes = explain_page.draw(found).axes[0]
+    names = [text.get_text() for text in axes.get_yticklabels()]
+    assert names == [one.name for one in found.effects if np.isfinite(one.change)]
+    dots = sorted(
+        float(line.get_xdata()[0]) for line in axes.lines if line.get_marker() == "o" and len(line.get_xdata())
+    )
+    assert np.allclose(dots, [0.4, 3, 20, 50, 62])
+
+
+def test_what_ended_too_early_says_so_first(found, tmp_path):
+    cut = replace(found, attributes={"cut_off": "max_seconds ended the study"}, effects=(), together=None)
+    paths = write_explanation(cut, tmp_path / "required.toml")
+    assert paths["scene"].read_text(encoding="utf-8").startswith("# Cut off: max_seconds ended the study\n")
+    page = paths["report"].read_text(encoding="utf-8")
+    assert "Cut off: max_seconds ended the study" in page.split("</header>")[0] and "Too few photons" in page
