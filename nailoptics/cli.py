@@ -12,7 +12,7 @@ from cyclopts import App, CycloptsError, Parameter
 
 from . import __version__
 from .errors import InputError, NailopticsError, NotReachedError, as_far_as_reached
-from .io import check_writable, make_folder
+from .io import check_writable, leave_dask_out, make_folder
 from .options import TraceOptions
 from .terminal import (
     CommandTime,
@@ -48,6 +48,7 @@ File = Annotated[Path | None, Parameter(name=["--output", "-o"], help="File to w
 
 def main() -> None:
     """Run the command line; ends the process with 0 done, 2 the user's input, 3 not reached, 1 our fault."""
+    leave_dask_out()
     sys.exit(run(sys.argv[1:]))
 
 

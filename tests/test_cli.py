@@ -203,6 +203,26 @@ def test_help_and_version_are_quick_and_on_stdout(folder):
     assert spawn("--version").stdout.strip() == nailoptics.__version__
 
 
+def test_a_command_loads_nothing_that_it_has_no_use_for(folder):
+    """Rationale: imports were a third of what a short command costs. Expected: no Dask where no cluster is asked for,
+    no Mitsuba and no scipy.spatial where no light is traced; and whoever asks for a cluster gets Dask all the same."""
+    code = """if True:
+        import sys
+        from nailoptics.cli import main
+        from nailoptics.io import let_dask_in
+        sys.argv[1:] = ["check", "prototype"]
+        try:
+            main()
+        except SystemExit as ended:
+            assert ended.code == 0
+        print("loaded", *({"dask.array", "distributed", "mitsuba", "scipy.spatial"} & set(sys.modules)))
+        let_dask_in()
+        import distributed
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0 and done.stdout.splitlines()[-1] == "loaded", done.stdout + done.stderr
+
+
 def test_a_reader_that_goes_away_is_no_error(folder):
     """`nailoptics schema | head -c 1`: no traceback, no complaint when Python ends."""
     reading, writing = os.pipe()

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 
 from ..errors import InputError, NailopticsError
+from ..io import let_dask_in
 from .work import prepare
 
 # Read by NumPy's BLAS when a worker imports it; one thread each, so that sums are the same on every machine.
@@ -88,6 +89,7 @@ class ClusterSlots(Slots):
     own_process = False
 
     def __init__(self, address: str) -> None:
+        let_dask_in()
         try:
             from distributed import Client
         except ImportError:

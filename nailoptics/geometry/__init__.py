@@ -3,6 +3,7 @@
 from .build import build, shaping
 from .distance import SPACING_MM, DistanceGrid, distance_grid
 from .model import Face, Geometry
+from .regions import region_names
 from .watertight import check_watertight
 
 __all__ = [
@@ -13,5 +14,6 @@ __all__ = [
     "build",
     "check_watertight",
     "distance_grid",
+    "region_names",
     "shaping",
 ]

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..scene import Scene
 from ..scene.rectangles import Rectangle
-from .regions import AIR, BARRIER, COVER, EPOXY, KAPTON, REGIONS, SILICON
+from .regions import AIR, BARRIER, COVER, EPOXY, KAPTON, REGIONS, SILICON, region_names
 from .surfaces import Array, FingerSurfaces
 
 RIM_MM = 0.15  # width of the opaque epoxy around the board
@@ -51,10 +51,9 @@ class BentBoard:
             max(outline.v_min - RIM_MM, -v_end),
             min(outline.v_max + RIM_MM, v_end),
         )
-        named = {f"led:{r.name}": r for r in layout.leds} | {f"photodiode:{e.name}": e.area for e in layout.photodiodes}
-        self.regions = (*REGIONS, *named)
+        self.regions = region_names(layout)
         regions = [*range(len(REGIONS), len(self.regions)), *[SILICON] * len(layout.unwired)]
-        each = zip(regions, [*named.values(), *layout.unwired], stands_out, strict=True)
+        each = zip(regions, [*layout.leds, *layout.photodiode_areas, *layout.unwired], stands_out, strict=True)
         self.parts = [(region, r, round(1e-3 * height, 3)) for region, r, height in each]
         self.rectangles = [self.rim, outline, *layout.barriers, *(s for _, r, _ in self.parts for s in r.strips())]
 

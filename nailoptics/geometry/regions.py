@@ -1,5 +1,7 @@
 """Names of the regions of a finger with its board, in the order of their indices."""
 
+from ..scene.layout import Layout
+
 REGIONS = (
     "air",
     "plate",
@@ -29,3 +31,9 @@ cut : a slice beyond the proximal end of the modelled finger, to tell light that
 silicon : photodiode elements that are not wired.
 """
 AIR, PLATE, BED, BONE, PULP, EPIDERMIS, EPOXY, BARRIER, KAPTON, COVER, CUT, SILICON = range(len(REGIONS))
+
+
+def region_names(layout: Layout) -> tuple[str, ...]:
+    """Names of all regions of a finger with a board of this layout; their order is that of the geometry's indices."""
+    leds = (f"led:{die.name}" for die in layout.leds)
+    return (*REGIONS, *leds, *(f"photodiode:{name}" for name in layout.photodiode_names))

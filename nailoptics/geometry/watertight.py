@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from .cast import Array, Crossings, cast
 from .model import Geometry
@@ -41,6 +40,8 @@ def check_watertight(geometry: Geometry, *, crossings: int = 1_000_000, seed: in
 
     crossings : How many crossings to check, at least.
     """
+    from scipy.spatial.transform import Rotation
+
     random = np.random.default_rng(seed)
     seen = disagreements = 0
     middle = geometry.bounds_mm.mean(axis=0)

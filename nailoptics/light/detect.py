@@ -33,7 +33,7 @@ T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 SECTION_MM = 0.05
-SECTION_PHOTONS = 1 << 17
+SECTION_PHOTONS = 1 << 15
 # The picture ends behind the nail's root and below the finger's middle, where little light comes. [mm]
 SECTION_FROM_Y_MM, SECTION_FROM_Z_MM = -14.0, -9.0
 # Air that it shows in front of the fingertip and above the board. [mm]
@@ -227,19 +227,22 @@ def section(scene: Scene, light: DetectedLight, options: TraceOptions) -> xr.Dat
     """
     if light.transfer is None:
         return _section(scene, options.seed, geometry.build(scene))
-    options = replace(options, backend=backends.choose(options.backend).name)
-    usual = light_scene(scene)
-    lit = scene.model_copy(update={"blood": usual.blood, "finger": usual.finger})
+    found = _stored_section(scene, replace(options, backend=backends.choose(options.backend).name))
+    # Its light knows no names.
+    found.section_region.attrs["regions"] = json.dumps(geometry.region_names(scene.layout))
+    return found
+
+
+def _stored_section(scene: Scene, options: TraceOptions) -> xr.Dataset:
+    """The section with the light of a scene, from the store if it is there."""
     store = LightStore.of_user() if options.store else None
     if store is None:
-        return _section(lit, options.seed)
+        return _section(light_scene(scene), options.seed)
     made = made_of(scene, 0, seed=options.seed, backend=options.backend, what="section")
-    made |= {"leds": [led_digest(scene, led) for led in range(len(scene.leds))]}
-    made |= {"names": [*(led.name for led in scene.leds), *photodiode_names(scene)]}
-    stored = store.light(made)
+    stored = store.light(made | {"leds": [led_digest(scene, led) for led in range(len(scene.leds))]})
     if found := stored.read("section"):
         return from_record(*found)
-    traced = _section(lit, options.seed)
+    traced = _section(light_scene(scene), options.seed)
     stored.write("section", *to_record(traced))
     store.close()
     return traced

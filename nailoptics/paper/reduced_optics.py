@@ -12,6 +12,7 @@ from ..errors import InputError
 
 # alpha D_ref^2 between these: below, (8) is a straight line in D^2 to 1e-5 of its slope; above, light is all gone.
 _CURVATURE_RANGE = (1e-4, 50.0)
+_CURVATURE_STEP = 1e-9  # of its logarithm, to which it is searched; rounding of the residual hides less
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,19 +219,19 @@ def _bend_slope(curvature: float, shift: Array) -> Array:
 
 def _best_curvature(data: "_Data", shift: Array) -> float:
     """The relative curvature with the least squared residual; value and slope follow from it linearly."""
-    from scipy.optimize import minimize_scalar
 
     def cost(log_curvature: float) -> float:
         design = _line_design(float(np.exp(log_curvature)), shift)
         return float(np.sum(np.square((data.volts - design @ data.solve(design)) * data.root_weight)))
 
-    # The cost can have a flat start and one valley; a coarse scan finds the valley, a bounded search its bottom.
+    # The cost can have a flat start and one valley; a coarse scan finds the valley, halved steps its bottom.
     grid = np.log(np.geomspace(*_CURVATURE_RANGE, 41))
-    costs = [cost(x) for x in grid]
-    best = int(np.argmin(costs))
-    low, high = grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)]
-    found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-10})
-    return float(np.exp(found.x if found.fun <= costs[best] else grid[best]))
+    step, (least, best) = grid[1] - grid[0], min((cost(x), float(x)) for x in grid)
+    while step > _CURVATURE_STEP:
+        step /= 2
+        nearer = [float(np.clip(x, grid[0], grid[-1])) for x in (best - step, best + step)]
+        least, best = min((least, best), *((cost(x), x) for x in nearer))
+    return float(np.exp(best))
 
 
 @dataclass(frozen=True)

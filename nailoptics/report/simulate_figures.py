@@ -165,11 +165,12 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
         order = [order[k] for k in np.linspace(0, len(order) - 1, PANELS).round().astype(int)]
     rows, columns = -(-len(order) // 2), min(len(order), 2)
     ratios = [2.2, 1] * rows
-    height_in = 0.45 + 2.15 * rows
-    figure, grid = style.panels(9.2, height_in, 2 * rows, columns, sharex=True, squeeze=False, height_ratios=ratios)
+    height_in, how = 0.8 + 2.2 * rows, {"sharex": True, "squeeze": False, "height_ratios": ratios}
+    room = style.Room(left=0.85, top=0.55, across=0.85, down=0.25)
+    figure, grid = style.panels(9.2, height_in, 2 * rows, columns, room_in=room, **how)
     missed_v = [np.abs(result[f"volts_{name}"] - result.volts)[led, order].max() for name in MODELS]
     missed_scale, missed_letter = prefix(max(*map(float, missed_v), float(result.volts_noise_rms[led].max())))
-    seen, rest = _thin(result).isel(led=led), result.isel(led=led, time=0)
+    seen, rest = _thin(result, SAMPLES // columns).isel(led=led), result.isel(led=led, time=0)
     for k, (j, colour) in enumerate(zip(order, style.place_colours(len(order)), strict=True)):
         column, row = divmod(k, rows)
         main, below = grid[2 * row : 2 * row + 2, column]
@@ -206,10 +207,10 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
     return figure
 
 
-def _thin(result: xr.Dataset) -> xr.Dataset:
-    """At most SAMPLES times, the first and the last among them."""
+def _thin(result: xr.Dataset, samples: int = SAMPLES) -> xr.Dataset:
+    """At most so many times, the first and the last among them."""
     count = result.sizes["time"]
-    return result.isel(time=np.unique(np.linspace(0, count - 1, min(count, SAMPLES)).round().astype(int)))
+    return result.isel(time=np.unique(np.linspace(0, count - 1, min(count, samples)).round().astype(int)))
 
 
 def _line(axes: "Axes", over: xr.Dataset, values: object, **look: Any) -> None:
