@@ -3,10 +3,11 @@
 from .build import build, shaping
 from .distance import SPACING_MM, DistanceGrid, distance_grid
 from .model import Face, Geometry
-from .regions import region_names
+from .regions import AROUND, region_names
 from .watertight import check_watertight
 
 __all__ = [
+    "AROUND",
     "SPACING_MM",
     "DistanceGrid",
     "Face",

@@ -1,17 +1,18 @@
 """From a scene to its geometry."""
 
 import logging
+from collections.abc import Collection
 
 import numpy as np
 
 from ..errors import InputError
-from ..scene import Photodiode, Scene
+from ..scene import Light, Photodiode, Scene
 from ..scene.finger import ABSORBING, SCATTERING
 from .board import BentBoard
 from .grid import Grid
 from .model import Face, Geometry
 from .nodes import BELOW, Nodes
-from .regions import AIR, SILICON
+from .regions import AIR, AROUND, REGIONS, SILICON
 from .surfaces import FingerSurfaces
 
 log = logging.getLogger(__name__)
@@ -28,7 +29,7 @@ READ_OUT = ("quantum_efficiency", "dark_current_na", "shunt_mohm")
 
 
 def build(scene: Scene, *, resolution: float = 1.0, board: bool = True) -> Geometry:
-    """Build the finger of a scene and the board on its nail.
+    """Build the finger of a scene and the board on its nail, without the parts that the scene's light leaves out.
 
     board : Without it the nail is bare, and the geometry has no LEDs and no photodiodes.
     resolution : Divides the size of the cells; the nail's facets lie within 2 um / resolution^2 of its cylinder, but
@@ -44,6 +45,8 @@ def build(scene: Scene, *, resolution: float = 1.0, board: bool = True) -> Geome
     faces = [_face(grid, r.name, region) for region, r, _ in bent.parts if region != SILICON] if board else []
     if not board:
         grid.labels[:, :, BELOW:] = AIR
+    for part in scene.light.left_out:
+        grid.labels[grid.labels == REGIONS.index(part)] = REGIONS.index(AROUND[part])
     vertices, triangles, below, above = grid.interfaces()
     geometry = Geometry(
         vertices=vertices,
@@ -61,12 +64,16 @@ def build(scene: Scene, *, resolution: float = 1.0, board: bool = True) -> Geome
     return geometry
 
 
-def shaping(scene: Scene) -> Scene:
-    """A scene with everything at its default that its geometry is not built from; equal for all of one geometry."""
+def shaping(scene: Scene, *, kept: Collection[str] = ()) -> Scene:
+    """A scene with everything at its default that its geometry is not built from; equal for all of one geometry.
+
+    kept : Parts that the geometry has even where the scene leaves them out.
+    """
     others = {name: field for name, field in Scene.model_fields.items() if name not in BUILT_FROM}
     usual: dict[str, object] = {name: f.default for name, f in others.items() if not f.is_required()}
     if scene.finger is not None:
         usual["finger"] = scene.finger.with_usual((*ABSORBING, *SCATTERING))
+    usual["light"] = Light(left_out=tuple(part for part in AROUND if part in {*scene.light.left_out} - {*kept}))
     usual["board"] = scene.board.model_copy(update={"opaque_reflectance": 0.0})
     usual["leds"] = tuple(led.model_copy(update=LED_LIGHT) for led in scene.leds)
     read_out = {name: Photodiode.model_fields[name].default for name in READ_OUT}

@@ -63,6 +63,9 @@ def distance_grid(
     grid = DistanceGrid(result, low, spacing_mm, cap_mm)
     cells = np.argwhere(_inside(geometry, grid))
     corners = geometry.vertices[geometry.triangles]
+    # What lies farther from the cells than distances are told is nearest to none of them.
+    reach = 2 * cap_mm + COARSE * spacing_mm
+    corners = corners[((corners.max(axis=1) > low - reach) & (corners.min(axis=1) < high + reach)).all(axis=1)]
 
     def tree(radius: float) -> cKDTree:
         # A tree whose nodes are not shrunk to their points answers ten times faster here.

@@ -30,6 +30,8 @@ cut : a slice beyond the proximal end of the modelled finger, to tell light that
     leaves to the air.
 silicon : photodiode elements that are not wired.
 """
+AROUND = {"bone": "pulp", "epidermis": "pulp", "kapton": "epoxy"}
+"""The region around each part that a scene may leave out, which takes its place."""
 AIR, PLATE, BED, BONE, PULP, EPIDERMIS, EPOXY, BARRIER, KAPTON, COVER, CUT, SILICON = range(len(REGIONS))
 
 

@@ -55,7 +55,8 @@ class BoardTracer:
         from .finger_walk import FingerTracer
 
         self.scene = scene
-        self.tracer = FingerTracer(scene, spacing_mm=spacing_mm)
+        # Light arrives on the film between the parts, whatever becomes of it there.
+        self.tracer = FingerTracer(scene, spacing_mm=spacing_mm, kept=("kapton",))
         self.batch_photons = self.tracer.batch_photons
 
     def arrivals(self, led: int, *, photons: int, seed: int) -> Arrivals:

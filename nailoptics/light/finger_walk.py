@@ -1,5 +1,6 @@
 """The photon walk through a finger: scattering between interfaces, and rays only where one may be met."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -60,10 +61,13 @@ class FingerTracer:
 
     batch_photons = 1 << 18
 
-    def __init__(self, scene: Scene, *, spacing_mm: float = SPACING_MM) -> None:
-        """spacing_mm : Cells of the distances; wider ones are made sooner and let light skip less. [mm]"""
+    def __init__(self, scene: Scene, *, spacing_mm: float = SPACING_MM, kept: Collection[str] = ()) -> None:
+        """spacing_mm : Cells of the distances; wider ones are made sooner and let light skip less. [mm]
+
+        kept : Parts whose faces are there even where the scene leaves them out; light passes these as it came.
+        """
         self.scene = scene
-        self.geometry, distances = _built(finger_geometry.shaping(scene), spacing_mm)
+        self.geometry, distances = _built(finger_geometry.shaping(scene, kept=kept), spacing_mm)
         self.photodiodes = tuple(face.name for face in self.geometry.photodiodes)
         self.interfaces = Interfaces(self.geometry, distances)
         self.regions = [

@@ -9,12 +9,11 @@ from numpy.typing import ArrayLike
 
 from .. import checks, hemodynamics, tissue
 from ..errors import InputError
+from ..geometry import AROUND
 from ..scene import Led, Scene
 
 # Regions of a finger's geometry that light scatters in or passes; all others are opaque, but for the air.
 TISSUES: tuple[str, ...] = tissue.REGIONS
-# The region around a part, whose optics it takes where the scene leaves it out.
-AROUND = {"bone": "pulp", "epidermis": "pulp", "kapton": "epoxy"}
 # These opaque regions reflect as the board's field says; all others swallow light.
 REFLECTING = ("barrier", "cover")
 

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Collection, Container, Sequence
 from dataclasses import dataclass
 from typing import Any, Unpack
 
@@ -57,9 +57,17 @@ class TraceProgress:
 ProgressCallback = Callable[[TraceProgress], None]
 
 
-def trace(scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> Transfer:
+def trace(
+    scene: Scene,
+    *,
+    kept: Collection[str] = (),
+    progress: ProgressCallback | None = None,
+    **requested: Unpack[Requested],
+) -> Transfer:
     """Trace the light of every LED once; the result can be read at any blood state.
 
+    kept : parts whose faces are there even where the scene leaves them out. So photons that never meet them go the same
+        way, number by number, as in a scene that has them, which walks on other faces would not.
     requested : fields of `TraceOptions`; a million photons where neither they nor the scene say how far.
     progress : called after every batch.
 
@@ -69,7 +77,7 @@ def trace(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     begin, options = time.process_time(), TraceOptions(**requested)
     engine_class, chosen = photons_engine(scene, options.backend)
     required = accuracy(scene, options)
-    engine, store = LightEngine(scene, engine_class), LightStore.of_user() if options.store else None
+    engine, store = LightEngine(scene, engine_class, kept=kept), LightStore.of_user() if options.store else None
     sources = led_sources(scene, engine, [store], seed=options.seed, backend=chosen.name)
     start, cpu = time.perf_counter(), time.process_time()
     traces, events, complaint = [], 0, None
@@ -119,12 +127,14 @@ def photons_engine(scene: Scene, backend: str) -> tuple[Any, backends.Backend]:
 class LightEngine:
     """The engine of a scene's light, opened when the first photon is to be walked; scenes of one light share it.
 
+    kept : the parts that it has although the scene leaves them out.
     full : photons of a full batch.
     cpu_seconds, wall_seconds : what opening it took. [s]
     """
 
-    def __init__(self, scene: Scene, engine_class: Any) -> None:
+    def __init__(self, scene: Scene, engine_class: Any, *, kept: Collection[str] = ()) -> None:
         self.scene, self.engine_class = light_scene(scene), engine_class
+        self.kept = sorted({*kept} & {*scene.light.left_out})
         self.full: int = engine_class.batch_photons
         self.cpu_seconds = self.wall_seconds = 0.0
         self._opened: Any = None
@@ -133,7 +143,7 @@ class LightEngine:
         """The engine itself."""
         if self._opened is None:
             begin, cpu = time.perf_counter(), time.process_time()
-            self._opened = self.engine_class(self.scene)
+            self._opened = self.engine_class(self.scene, **({"kept": self.kept} if self.kept else {}))
             self.wall_seconds, self.cpu_seconds = time.perf_counter() - begin, time.process_time() - cpu
         return self._opened
 
@@ -145,7 +155,7 @@ def led_sources(
     found, layers = [], [layer.name for layer in scene.phantom.layers] if scene.phantom else []
     for led, source in enumerate(scene.leds):
         mu_a = optics.absorption(engine.scene, source.wavelength_nm)[0]
-        made = made_of(scene, led, seed=seed, backend=backend)
+        made = made_of(scene, led, seed=seed, backend=backend) | ({"kept": engine.kept} if engine.kept else {})
         stored = [store.light(made) for store in stores if store is not None]
         found.append(LedSource(engine, led, mu_a, seed=seed, stored=stored, layers=layers))
     return found

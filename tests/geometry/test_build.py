@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from nailoptics.errors import InputError
-from nailoptics.geometry import build, check_watertight
+from nailoptics.geometry import AROUND, build, check_watertight
 from nailoptics.scene import parse_scene
 
 DIGITS = ("thumb", "index", "middle", "ring", "little")
@@ -43,6 +43,24 @@ def test_every_digit_builds_quickly_and_partitions_space(sensor, digit):
     report = check_watertight(geometry, crossings=20_000, seed=1)
     assert report.disagreements == 0 and report.crossings >= 20_000
     assert report.volume_error < 1e-12
+
+
+@pytest.mark.parametrize("left_out", [("epidermis",), ("kapton",), ("bone",), ("epidermis", "kapton", "bone")])
+def test_what_a_scene_leaves_out_has_no_faces_and_its_place_is_that_of_what_is_around_it(sensor, left_out):
+    scene = sensor()
+    whole, without = build(scene), build(scene.model_copy(update={"light": scene.light.__class__(left_out=left_out)}))
+    volumes, rest = whole.volumes_mm3(), without.volumes_mm3()
+    for part in left_out:
+        assert volumes[part] > 0.1 and rest[part] == 0
+        assert without.regions.index(part) not in {*without.below.tolist(), *without.above.tolist()}
+    for around in set(AROUND.values()):
+        taken = [volumes[part] for part in left_out if AROUND[part] == around]
+        assert rest[around] == pytest.approx(volumes[around] + sum(taken), rel=1e-9)
+    others = volumes.keys() - {*AROUND, *AROUND.values()}
+    assert all(rest[name] == pytest.approx(volumes[name], rel=1e-9) for name in others)
+    assert len(without.triangles) < len(whole.triangles)
+    report = check_watertight(without, crossings=20_000, seed=1)
+    assert report.disagreements == 0 and report.volume_error < 1e-12
 
 
 def test_regions_lie_where_anatomy_has_them(geometry):

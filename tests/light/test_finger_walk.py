@@ -111,6 +111,26 @@ def test_every_photon_is_accounted_for(jit_backend, index_steps):
 
 
 @pytest.mark.jit
+def test_parts_left_out_read_the_same_with_faces_that_light_passes_and_without_any(jit_backend):
+    """Rationale: `explain` keeps the faces of what is left out, so that two scenes share photons; nobody else does.
+    Expected: independent traces of both agree at every photodiode, and know their sum to 2 %."""
+    scene, photons = prototype(), 1 << 18
+    scene = scene.model_copy(update={"light": scene.light.model_copy(update={"left_out": tuple(geometry.AROUND)})})
+    found = []
+    for seed, kept in enumerate((tuple(geometry.AROUND), ())):
+        tracer = FingerTracer(scene, kept=kept)
+        batch = tracer.batch(0, photons=photons, seed=seed)
+        met = {*tracer.geometry.below.tolist(), *tracer.geometry.above.tolist()}
+        assert all((tracer.geometry.regions.index(part) in met) == bool(kept) for part in geometry.AROUND)
+        assert batch.path_mm[:, optics.absorbers(scene).index("bone")].any() == bool(kept)
+        sums = [np.bincount(batch.photodiode, batch.weight**k, minlength=8) / photons for k in (1, 2)]
+        found.append((sums[0], (sums[1] - sums[0] ** 2) / photons))
+    (with_faces, variance), (without, other) = found
+    assert ((with_faces - without) ** 2 / (variance + other)).sum() < 26.1  # 8 readings: one time in a thousand
+    assert np.sqrt((variance + other).sum()) < 0.02 * without.sum()
+
+
+@pytest.mark.jit
 def test_where_light_ends_is_tallied_region_by_region_and_a_region_left_out_is_missed(jit_backend, monkeypatch):
     """Rationale: what is absorbed is not what is left, so that the balance can fail.
     Expected: each photon's parts make up all of it, and without the tally of the plate its share is lost."""
@@ -204,7 +224,7 @@ def test_the_sections_path_density_adds_up_to_the_paths_of_all_light(jit_backend
 def test_scenes_that_differ_in_optics_have_their_geometry_in_common():
     """Expected: what the cache of geometries leaves aside changes no triangle; what a finger is built from stays."""
     scene = prototype()
-    light = scene.light.model_copy(update={"index_steps": False, "left_out": ("bone",)})
+    light = scene.light.model_copy(update={"index_steps": False})
     finger = scene.finger.model_copy(update={"bed_scattering": 2.0, "plate_absorption": 0.5, "dermis": "shimojo"})
     blood = scene.blood.model_copy(update={"zone_edges_mm": (1.0,), "rest_blood_fraction": 0.1})
     leds = [led.model_copy(update={"part": None, "wavelength_nm": 660.0, "fwhm_nm": 20.0}) for led in scene.leds]
@@ -216,7 +236,11 @@ def test_scenes_that_differ_in_optics_have_their_geometry_in_common():
     assert np.array_equal(one.vertices, two.vertices) and np.array_equal(one.triangles, two.triangles)
     assert one.regions == two.regions
     kept = geometry.shaping(other)
-    assert kept == geometry.shaping(scene) and kept.blood == type(blood)() and kept.light == type(light)()
+    assert (
+        kept == geometry.shaping(scene)
+        and kept.blood == type(blood)()
+        and kept.light == type(light)(left_out=scene.light.left_out)
+    )
     assert kept.finger == scene.finger
     for change in ({"name": "x"}, {"position_mm": (-1.3, 0.0)}, {"size_mm": (0.2, 0.2)}):
         moved = scene.model_copy(update={"leds": (scene.leds[0].model_copy(update=change),)})

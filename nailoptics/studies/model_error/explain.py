@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Unpack
 
-from ... import geometry
 from ...errors import NotReachedError
 from ...light import ProgressCallback
 from ...options import Requested, TraceOptions
@@ -15,7 +14,7 @@ from ...scene.finger import BEYOND_NAIL_MM
 from ...scene.layout import LEAST_EPOXY_UM
 from . import bounds
 from .effect import Change, Effect, effect_of
-from .paired import PairedReadings, PairedTracer, check_study, difference, reweighted
+from .paired import PairedReadings, PairedTracer, check_study, difference, reweighted, shape_of
 from .unknown_changes import unknown_changes
 from .variants import EACH, ONE_WAVELENGTH, PART_WIDTH, Changes, lines_of, part_width_nm, revised
 
@@ -133,7 +132,7 @@ def explain(
     changes = [*_changes(scene), *unknown_changes(scene)]
     # One more with what is not needed left out, for which the scene's own geometry is made again.
     planned = list(_to_trace(scene, changes))
-    shapes = len({geometry.shaping(one) for one in planned})
+    shapes = len({shape_of(one) for one in planned})
     tracer = PairedTracer(len(planned) + 1, options, progress, shapes=shapes)
     base = tracer.trace(scene)
     effects: list[Effect] = []
@@ -213,8 +212,8 @@ def _effects(
     scene: Scene, base: PairedReadings, changes: list[Change], tracer: PairedTracer, limit: float
 ) -> Iterator[Effect]:
     """Every effect as soon as it is measured; those that cost nothing first, then those of the scene's geometry."""
-    own = geometry.shaping(scene)
-    others = [c for c in changes if geometry.shaping(revised(scene, c.changes)) != own]
+    own = shape_of(scene)
+    others = [c for c in changes if shape_of(revised(scene, c.changes)) != own]
     yield bounds.from_deep(base)
     if scene.board.cover_um:
         yield bounds.nothing("decorative nail", "it lies on the opaque cover, which no light leaves", limit)

@@ -109,6 +109,11 @@ def end_states(scene: Scene) -> np.ndarray:
     return steady_blood(scene, [0.0, largest_force_n(scene)])
 
 
+def shape_of(scene: Scene) -> Scene:
+    """What a scene's geometry is built from when it is traced in a pair: with all parts, so that paths are shared."""
+    return geometry.shaping(scene, kept=geometry.AROUND)
+
+
 @dataclass
 class PairedTracer:
     """Traces several scenes with one seed and as many photons each, so that what they share cancels in a difference.
@@ -164,7 +169,7 @@ class PairedTracer:
         if options.relative_error is not None or options.photons is not None:
             share = None if options.max_seconds is None else self.seconds_left / (self.scenes + 1)
             fields = replace(options, max_seconds=share).fields
-            pilot, unmet = as_far_as_reached(trace, scene, progress=self.progress, **fields)
+            pilot, unmet = as_far_as_reached(trace, scene, kept=geometry.AROUND, progress=self.progress, **fields)
             self.shortfall = str(unmet) if unmet else None
             if self.shortfall and self.shortfall.startswith(INTERRUPTED):
                 raise NotReachedError(self.shortfall)
@@ -182,11 +187,11 @@ class PairedTracer:
         return max(LEAST_PHOTONS, int(PILOT_PHOTONS * share / each_s))
 
     def _traced(self, scene: Scene, backend: BackendName | None, photons: int, *, store: bool = True) -> PairedReadings:
-        cpu, begin, shape = time.process_time(), time.perf_counter(), geometry.shaping(scene)
+        cpu, begin, shape = time.process_time(), time.perf_counter(), shape_of(scene)
         chosen, seed, store = backend or self.options.backend, self.options.seed, store and self.options.store
         try:
             how: Requested = {"photons": photons, "seed": seed, "backend": chosen, "store": store}
-            transfer = trace(scene, progress=self._report_progress, **how)
+            transfer = trace(scene, kept=geometry.AROUND, progress=self._report_progress, **how)
         except NotReachedError as error:
             # A part of one trace is of no use to those that are compared with it.
             raise NotReachedError(str(error)) from None

@@ -7,6 +7,7 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.assets import data_dir
+from nailoptics.geometry import AROUND
 from nailoptics.scene import Scene, load_scene
 from nailoptics.studies.model_error.paired import difference, paired_readings, shared_photons
 
@@ -20,12 +21,12 @@ def prototype(*left_out: str) -> Scene:
 
 @pytest.fixture(scope="module")
 def whole(chosen_jit):
-    return nail.trace(prototype(), photons=60_000, seed=7)
+    return nail.trace(prototype(), kept=AROUND, photons=60_000, seed=7)
 
 
 @pytest.fixture(scope="module")
 def boneless(chosen_jit):
-    return nail.trace(prototype("bone"), photons=60_000, seed=7)
+    return nail.trace(prototype("bone"), kept=AROUND, photons=60_000, seed=7)
 
 
 def test_photons_that_never_meet_the_bone_are_the_same_without_it(whole, boneless):
@@ -52,7 +53,9 @@ def test_the_difference_of_traces_with_common_photons_is_that_of_independent_one
     """Expected: over several seeds, paired differences and independent ones agree within their errors."""
     paired, other = [], []
     for seed in range(20, 24):
-        with_bone, without = (nail.trace(prototype(*parts), photons=50_000, seed=seed) for parts in ((), ("bone",)))
+        with_bone, without = (
+            nail.trace(prototype(*parts), kept=AROUND, photons=50_000, seed=seed) for parts in ((), ("bone",))
+        )
         alone = nail.trace(prototype("bone"), photons=50_000, seed=seed + 100)
         one = with_bone.at().detected_fraction.sum()
         paired.append(float(without.at().detected_fraction.sum() / one - 1))
