@@ -45,7 +45,8 @@ def range_errors(result: xr.Dataset, *, led: int) -> "Figure":
     """The error of fitted (9) and (8) over each range from the sweep's start with 95 % intervals, beside 1 and 5 %."""
     places, sweeps = order(result), [str(s) for s in result.sweep.values]
     height_in = 0.9 + 3.0 * len(sweeps)
-    figure, grid = style.panels(9.6, height_in, len(sweeps), 2, sharey=True, sharex="row", squeeze=False)
+    room, how = style.Room(left=0.65, top=0.6, across=0.2, down=0.65), {"sharey": True, "sharex": "row"}
+    figure, grid = style.panels(9.6, height_in, len(sweeps), 2, room_in=room, squeeze=False, **how)
     for row, sweep in zip(grid, sweeps, strict=True):
         for axes, (model, formula) in zip(row, FORMULAS.items(), strict=True):
             one = result.sel(sweep=sweep, way="fitted", model=model).isel(led=led)
@@ -166,7 +167,8 @@ def changes(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
         ("predicted_both", "beer_lambert", style.VEIN, (0, (6, 2)), "(8), no fit, both zones"),
         ("fitted", "taylor", style.INK, (0, (4, 2)), "(9) fitted"),
     )
-    figure, grid = style.panels(9.6, 0.6 + 2.0 * rows, rows, columns, sharex=True, squeeze=False)
+    room = style.Room(left=0.65, top=0.6, across=0.45, down=0.3)
+    figure, grid = style.panels(9.6, 0.6 + 2.0 * rows, rows, columns, room_in=room, sharex=True, squeeze=False)
     for axes, j, colour in zip(grid.flat, places, style.place_colours(len(places)), strict=False):
         traced = one.reading.values[j]
         axes.plot(x, 100 * (traced / traced[0] - 1), color=colour, lw=3, alpha=0.8, label="traced")

@@ -102,7 +102,7 @@ def test_what_keeps_a_tolerance_does_so_with_other_seeds_and_ten_times_the_photo
         assert answer is not None
         full = revised(scene, levels.FULL).model_copy(update={"accuracy": type(scene.accuracy)()})
         one = paired.paired_readings(nail.trace(full, relative_error=answer.relative_error, seed=2002))
-        away = one.level / base.level - 1
-        print(f"{name}: full to {answer.relative_error:.2%} for {tolerance:g}: rms {np.sqrt(np.mean(away**2)):.2%}")
-        assert (np.abs(away) <= 3.5 * np.hypot(tolerance, base.relative_stderr)).all()
-        assert np.sqrt(np.mean(away**2)) < 1.25 * tolerance
+        # The photons that it is held against have errors, too.
+        away = (one.level / base.level - 1) / np.hypot(tolerance, base.relative_stderr)
+        print(f"{name}: full to {answer.relative_error:.2%} for {tolerance:g}: off by {np.abs(away).max():.2f} of that")
+        assert np.abs(away).max() < 3.5 and np.sqrt(np.mean(away**2)) < 1.5
