@@ -2,7 +2,7 @@
 
 import pytest
 from pydantic import ValidationError
-from small_finger import SMALL_FINGER
+from small_scenes import SMALL_FINGER
 
 from nailoptics.errors import InputError
 from nailoptics.scene import Body, Drift, Heartbeat, Motion, Vasomotion, digest, parse_scene

@@ -3,7 +3,7 @@
 import dataclasses
 
 import pytest
-from small_finger import SMALL_FINGER_BEST
+from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import Parameters, parameters

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small_finger import SMALL_FINGER_BEST
+from small_scenes import SMALL_FINGER_BEST
 
 import nailoptics as nail
 from nailoptics.errors import InputError

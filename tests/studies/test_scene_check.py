@@ -1,6 +1,7 @@
 """What check says of a scene: it foretells readings, names what is ignored, and refuses what later commands refuse."""
 
 import pytest
+from small_scenes import PLACEMENT
 
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
@@ -8,29 +9,12 @@ from nailoptics.errors import InputError
 from nailoptics.scene import load_scene, parse_scene
 from nailoptics.studies.scene_check import check_scene
 
-SCENE = """
-schema_version = 1
-[finger]
-[board]
-barrier = false
-[[leds]]
-name = "ir"
-part = "led_800"
-position_mm = [-3.0, 0.0]
-[[leds]]
-name = "red"
-part = "led_660"
-position_mm = [-3.0, 1.0]
-[[photodiodes]]
-name = "pd"
-position_mm = [1.0, 0.0]
-size_mm = [1.0, 0.25]
-[placement]
-search = false
-[[placement.candidates]]
-name = "mine"
-positions = "pos.csv"
-"""
+# Two LEDs on a board as large as the nail, without a barrier, and a layout in a file.
+SCENE = (
+    PLACEMENT.replace("size_mm = [9.0, 9.0]", "barrier = false")
+    .replace("[[photodiodes]]", '[[leds]]\nname = "red"\npart = "led_660"\nposition_mm = [-3.0, 1.0]\n[[photodiodes]]')
+    .replace("photodiodes = 4\n", '[[placement.candidates]]\nname = "mine"\npositions = "pos.csv"\n')
+)
 POSITIONS = (
     "Ref,Val,Package,PosX,PosY,Rot,Side\nD1,red,,-3,0,0,top\nD2,led_800,,3,0,45,top\nPD1,,,0,2,0,top\nC1,,,0,0,0,top\n"
 )

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small_finger import SMALL_FINGER
+from small_scenes import SMALL_FINGER
 
 from nailoptics.errors import InputError
 from nailoptics.light.course import Course

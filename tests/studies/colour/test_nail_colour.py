@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
-from small_finger import SMALL_FINGER_BEST
+from small_scenes import SMALL_FINGER_BEST
 
 import nailoptics as nail
 from nailoptics.cli import run

@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 
 import pytest
-from small_finger import SMALL_FINGER_BEST
+from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.cli import run
 from nailoptics.studies.force.predict import CSV_COLUMNS

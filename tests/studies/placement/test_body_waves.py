@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from two_layouts import SCENE as TWO_LAYOUTS
+from small_scenes import TWO_LAYOUTS
 
 from nailoptics import hemodynamics
 from nailoptics.report import summaries
@@ -235,8 +235,9 @@ def test_intervals_through_the_body_hold_the_truth_as_often_as_they_say():
 
 
 @pytest.fixture(scope="module")
-def found(chosen_jit):
-    return place.place(parse_scene(SCENE), photons=1 << 18, seed=1)
+def found(chosen_jit, fewer_photons):
+    with fewer_photons():
+        return place.place(parse_scene(SCENE), photons=1 << 18, seed=1)
 
 
 def test_a_placement_with_a_body_ranks_through_it_and_tells_the_electronics_beside(found):

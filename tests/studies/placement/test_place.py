@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 import xarray as xr
-from two_layouts import SCENE
+from small_scenes import TWO_LAYOUTS as SCENE
 
 from nailoptics.cli import run
 from nailoptics.errors import InputError
@@ -41,8 +41,9 @@ def scene():
 
 
 @pytest.fixture(scope="module")
-def found(chosen_jit, scene):
-    return place.place(scene, photons=1 << 18, seed=1)
+def found(chosen_jit, fewer_photons, scene):
+    with fewer_photons():
+        return place.place(scene, photons=1 << 18, seed=1)
 
 
 def test_resolution_is_the_error_of_a_least_squares_fit():

@@ -3,7 +3,7 @@
 import itertools
 
 import pytest
-from two_layouts import SCENE
+from small_scenes import TWO_LAYOUTS as SCENE
 
 from nailoptics.errors import NotReachedError
 from nailoptics.report import result_files

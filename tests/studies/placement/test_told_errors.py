@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 import xarray as xr
+from small_scenes import PLACEMENT
 
 from nailoptics.light import finger_walk
 from nailoptics.light.finger_walk import FingerTracer
@@ -14,24 +15,8 @@ from nailoptics.studies.placement.place import place
 from nailoptics.studies.placement.result import gain
 
 pytestmark = [pytest.mark.slow, pytest.mark.jit]
-SCENE = """
-schema_version = 1
-[finger]
-[blood]
-parameters = "best"
-[board]
-size_mm = [9.0, 9.0]
-[[leds]]
-name = "ir"
-part = "led_800"
-position_mm = [-3.0, 0.0]
-[[photodiodes]]
-name = "pd"
-position_mm = [1.0, 0.0]
-size_mm = [1.0, 0.5]
-[placement]
-search = false
-photodiodes = 6
+SCENE = PLACEMENT.replace("size_mm = [1.0, 0.25]", "size_mm = [1.0, 0.5]").replace("photodiodes = 4", "photodiodes = 6")
+SCENE += """
 [[placement.candidates]]
 name = "near"
 leds_mm = [[-2.5, 0.0]]
