@@ -131,7 +131,7 @@ def _table(ranking: list[dict[str, Any]]) -> str:
         head[3:3] = ["Electronics<br>alone [mN]", "Rank<br>by it"]
     lines = [
         [
-            row["layout"].replace("_", " "),
+            escaped(row["layout"].replace("_", " ")),
             f"{row['rank']}{' (tied)' if row['tied'] else ''}",
             with_error(1e3 * row["force_resolution_n"], 1e3 * row["force_resolution_n_stderr"]),
             *_electronics_alone(row),
@@ -249,7 +249,7 @@ def _photodiodes(result: xr.Dataset) -> str:
             return with_error(*(scale * float(one[f"{name}{end}"].isel(at)) for end in ("", "_stderr")))
 
         volts, noise_v = float(one.predicted_volts), float(one.predicted_noise_v)
-        line = [str(name), known("predicted_volts"), significant(result.attrs["adc_range_v"] / volts)]
+        line = [escaped(name), known("predicted_volts"), significant(result.attrs["adc_range_v"] / volts)]
         line += [significant(1e6 * noise_v), significant(volts / noise_v), known("predicted_shunted_fraction", 100)]
         # A hundredth of the bed's volume, in millivolts.
         line += [known("predicted_zone_v", 10, blood_zone=zone) for zone in range(2)]
