@@ -133,7 +133,7 @@ def read(
     return Output(
         amplified_v=np.asarray(amplified),
         volts=np.asarray(np.minimum(amplified, amplifier.adc_range_v)),
-        noise_v2=np.asarray(np.sum(np.stack(budget), axis=0)),
+        noise_v2=np.asarray(sum(budget)),
         # The last code begins one step below the range: from there on the converter cannot tell more light.
         saturated=np.asarray(amplified >= amplifier.adc_range_v - lsb_v(amplifier)),
     )

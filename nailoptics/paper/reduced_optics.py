@@ -1,7 +1,7 @@
 """The paper's reduced optics, Beer-Lambert (8) and Taylor (9), and the fit of their constants to readings."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from ..errors import InputError
 # alpha D_ref^2 between these: below, (8) is a straight line in D^2 to 1e-5 of its slope; above, light is all gone.
 _CURVATURE_RANGE = (1e-4, 50.0)
 _CURVATURE_STEP = 1e-9  # of its logarithm, to which it is searched; rounding of the residual hides less
+# More readings than this are fitted as their means in so many narrow ranges of D^2: within one the curve is straight.
+_MOST_READINGS, _RANGES = 20_000, 4096
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,9 +96,13 @@ def fit_taylor(diameter_m: ArrayLike, volts: ArrayLike, stderr_v: ArrayLike | No
     value, slope = data.solve(design)
     # From value and slope at the centre of the data to value and slope at D = 0.
     jacobian = np.array([[1.0, centre], [0.0, 1.0 / data.scale_m2]])
-    covariance = _carried(data.covariance(design, data.volts - design @ [value, slope]), jacobian)
+
+    def line(x: Array) -> Array:
+        return np.asarray(value - slope * (x - centre))
+
+    covariance = _carried(data.covariance(design, line), jacobian)
     return TaylorFit(
-        **data.residuals(lambda x: value - slope * (x - centre)),
+        **data.residuals(line),
         covariance=covariance,
         note="" if np.isfinite(covariance).all() else "as many constants as readings: their errors are not known",
         v0_v=value + slope * centre,
@@ -180,7 +186,7 @@ def _curve_covariance(data: "_Data", curve: _Curve) -> Array:
     alpha = [0.0, 0.0, 1.0 / data.scale_m2]
     shift = data.x - centre
     full = np.column_stack([_line_design(curvature, shift), -slope * _bend_slope(curvature, shift)])
-    return _carried(data.covariance(full, data.volts - curve.at(data.x)), np.array([v0, v1, alpha]))
+    return _carried(data.covariance(full, curve.at), np.array([v0, v1, alpha]))
 
 
 def _out_of_range(data: "_Data", curve: _Curve) -> str:
@@ -236,13 +242,17 @@ def _best_curvature(data: "_Data", shift: Array) -> float:
 
 @dataclass(frozen=True)
 class _Data:
-    """Readings in the scaled variable x = D^2 / largest D^2, with their weights."""
+    """Readings in the scaled variable x = D^2 / largest D^2, with their weights; means of many, if there are very many.
+
+    every : x and volts of each single reading.
+    """
 
     x: Array
     volts: Array
     root_weight: Array
     scale_m2: float
     absolute: bool
+    every: tuple[Array, Array]
 
     @classmethod
     def checked(cls, diameter_m: ArrayLike, volts: ArrayLike, stderr_v: ArrayLike | None) -> "_Data":
@@ -257,7 +267,20 @@ class _Data:
             raise InputError("stderr_v must be above 0 (or 0 for all readings, which then weigh alike)")
         scale_m2 = float(np.square(diameter.max())) or 1.0
         root_weight = 1.0 / error if absolute else np.ones_like(reading)
-        return cls(np.square(diameter) / scale_m2, reading, root_weight, scale_m2, absolute)
+        x = np.square(diameter) / scale_m2
+        single = cls(x, reading, root_weight, scale_m2, absolute, (x, reading))
+        return single.in_ranges() if x.size > _MOST_READINGS else single
+
+    def in_ranges(self) -> "_Data":
+        """The means of these readings in narrow ranges of x, each of which weighs as all of them do."""
+        low, span = self.x.min(), np.ptp(self.x)
+        where = np.minimum((self.x - low) * (_RANGES / (span or 1.0)), _RANGES - 1).astype(np.intp)
+        weight = self.root_weight**2
+        total = np.bincount(where, weight, _RANGES)
+        means = np.stack([np.bincount(where, weight * values, _RANGES) for values in (self.x, self.volts)])
+        means = means / np.where(total > 0, total, 1.0)
+        x, volts = means[:, total > 0]
+        return replace(self, x=x, volts=volts, root_weight=np.sqrt(total[total > 0]))
 
     def distinct(self) -> int:
         """The number of diameters that differ by more than rounding."""
@@ -269,19 +292,23 @@ class _Data:
     def constant(self, constants: int) -> dict[str, Any]:
         """What a fit of so many constants says where only the mean of the readings is known."""
         mean = float(np.average(self.volts, weights=self.root_weight**2))
+
+        def level(x: Array) -> Array:
+            return np.full_like(x, mean)
+
         covariance = np.diag(np.full(constants, np.inf))
-        covariance[0, 0] = self.covariance(np.ones((self.x.size, 1)), self.volts - mean)[0, 0]
-        return self.residuals(lambda x: np.full_like(x, mean)) | {"covariance": covariance, "v0_v": mean}
+        covariance[0, 0] = self.covariance(np.ones((self.x.size, 1)), level)[0, 0]
+        return self.residuals(level) | {"covariance": covariance, "v0_v": mean}
 
     def solve(self, design: Array) -> list[float]:
         weighted = design * self.root_weight[:, None]
         solution, *_ = np.linalg.lstsq(weighted, self.volts * self.root_weight, rcond=None)
         return [float(constant) for constant in solution]
 
-    def covariance(self, design: Array, residual: Array) -> Array:
+    def covariance(self, design: Array, model: Callable[[Array], Array]) -> Array:
         """The covariance of linear constants: from the stated errors, else from the scatter about the fit."""
         count = design.shape[1]
-        free, unknown = self.x.size - count, np.full((count, count), np.inf)
+        free, unknown = self.every[0].size - count, np.full((count, count), np.inf)
         # Columns differ by orders of magnitude; at equal length their cross product keeps its digits.
         weighted = design * self.root_weight[:, None]
         length = np.linalg.norm(weighted, axis=0)
@@ -291,9 +318,14 @@ class _Data:
         if singular.size < count or singular[-1] < 1e-14 * singular[0]:
             return unknown
         covariance = (axes.T / singular**2) @ axes / np.outer(length, length)
-        return np.asarray(covariance if self.absolute else covariance * np.sum(residual**2) / free)
+        return np.asarray(covariance if self.absolute else covariance * np.sum(self.missed_by(model) ** 2) / free)
+
+    def missed_by(self, model: Callable[[Array], Array]) -> Array:
+        """What a curve misses of every single reading. [V]"""
+        x, volts = self.every
+        return np.asarray(volts - model(x))
 
     def residuals(self, model: Callable[[Array], Array]) -> dict[str, Any]:
-        residual = self.volts - model(self.x)
+        residual = self.missed_by(model)
         rms_v = float(np.sqrt(np.mean(residual**2)))
         return {"residual_rms_v": rms_v, "residual_max_v": float(np.abs(residual).max())}

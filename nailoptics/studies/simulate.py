@@ -118,17 +118,20 @@ def _read_volts(
     """Detected fractions and volts over the course, with standard errors and noise."""
     readings, diodes = light.over(blood), [element.photodiode for element in scene.layout.photodiodes]
     motion, about_motion = by_motion(worn, readings, moved, blood)
-    # Only the light that arrives is moved light; what an LED or amplifier makes of it comes after.
-    gain = np.ones_like(motion) * worn.get("reading_drift", xr.DataArray(1.0)).values
+    # Only the light that arrives is moved light; what an LED or amplifier makes of it comes after. Of a million samples
+    # each array is large: what is 1 everywhere stays one number.
+    gain = worn.get("reading_drift", xr.DataArray([[[1.0]]])).values
     gain = gain * worn.get("led_drift", xr.DataArray([[1.0]])).values[:, None]
     fraction, stderr = motion * readings.fraction, motion * readings.stderr
+    change_stderr = readings.change_stderr
+    del readings
     wavelength_nm = np.array([led.wavelength_nm for led in scene.leds])
     responsivity = np.stack([electronics.photodiode_responsivity_a_per_w(one, wavelength_nm) for one in diodes], -1)
-    read = [
-        [electronics.read(one, led, diode, scene.electronics) for one, diode in zip(row, diodes, strict=True)]
-        for row, led in zip(gain * fraction, scene.leds, strict=True)
-    ]
-    volts, noise, saturated = (_each(read, name) for name in ("volts", "volts_noise_rms", "saturated"))
+    volts, noise, saturated = np.empty_like(fraction), np.empty_like(fraction), np.empty(fraction.shape, bool)
+    gains = np.broadcast_to(gain, fraction.shape)
+    for i, j in np.ndindex(*fraction.shape[:2]):
+        read = electronics.read(gains[i, j] * fraction[i, j], scene.leds[i], diodes[j], scene.electronics)
+        volts[i, j], noise[i, j], saturated[i, j] = read.volts, read.volts_noise_rms, read.saturated
     per_fraction = np.array(
         [[[electronics.volts_per_fraction(led, diode, scene.electronics)] for diode in diodes] for led in scene.leds]
     )
@@ -140,7 +143,7 @@ def _read_volts(
     data |= variable("volts", over, volts, "photodiode voltage", units="V", stderr=stderr * per_fraction)
     # Drift and motion scale what is read: of its error they add their own part to the change's.
     scaled = motion * gain / (motion * gain)[..., :1] - 1
-    error = np.hypot(motion * readings.change_stderr, scaled * stderr) * per_fraction
+    error = np.hypot(motion * change_stderr, scaled * stderr) * per_fraction
     text = "change of the voltage from the start"
     data |= variable("volts_change", over, volts - volts[..., :1], text, units="V", stderr=error)
     data |= variable("volts_noise_rms", over, noise, "electronic noise of one reading, rms", units="V")
@@ -163,7 +166,9 @@ def _fit_reduced(result: xr.Dataset) -> xr.Dataset:
     data: Variables = {}
     for model, name, fit, units in REDUCED_OPTICS:
         fits = [[fit(*one) for one in zip(diameter_m, volts, strict=True)] for volts in result.volts.values]
-        curves = [[found.predict(d) for found, d in zip(row, diameter_m, strict=True)] for row in fits]
+        curves = np.empty_like(result.volts.values)
+        for i, j in np.ndindex(*curves.shape[:2]):
+            curves[i, j] = fits[i][j].predict(diameter_m[j])
         data |= variable(f"volts_{model}", (*pair, "time"), curves, f"{name}, fitted", units="V")
         errors = _each(fits, "stderr")
         for k, (field, unit) in enumerate(units.items()):

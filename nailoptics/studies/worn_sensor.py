@@ -98,14 +98,16 @@ def sensor_course(scene: Scene, time_s: Array) -> xr.Dataset:
 
 
 def by_motion(worn: xr.Dataset, seen: Course, moved: Sequence[MovedLight], blood: Array) -> tuple[Array, Variables]:
-    """What the sensor's motion makes of its readings: a factor on each, (led, photodiode, t), and how it comes about.
+    """What the sensor's motion makes of its readings: a factor on each, and how it comes about.
 
     worn : the scene's `sensor_course`. seen : what is read with the sensor in its place, over blood (t, zones).
     moved : the light under the sensor elsewhere. Between both the logarithm of a reading goes with the distance.
 
+    Returns: the factor, (led, photodiode, t) or, where nothing moves, (1, 1, 1) float.
+
     Raises: InputError where the sensor moves in a way that was not traced.
     """
-    exponent = np.zeros_like(seen.fraction)
+    exponent = np.zeros((1, 1, 1))
     data: Variables = {}
     traced = {one.motion: one for one in moved}
     for name in ("lift", "slide"):

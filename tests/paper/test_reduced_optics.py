@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nailoptics.errors import InputError
+from nailoptics.paper import reduced_optics
 from nailoptics.paper.reduced_optics import beer_lambert, fit_beer_lambert, fit_taylor, taylor
 
 DIAMETER_M = np.linspace(8e-6, 11e-6, 50)
@@ -154,3 +155,18 @@ def test_any_readings_give_finite_predictions_and_no_warning(diameter_um, seed, 
 def test_impossible_readings_are_refused(fit, diameter_m, volts, stderr_v, word):
     with pytest.raises(InputError, match=word):
         fit(diameter_m, volts, stderr_v)
+
+
+@pytest.mark.parametrize("stated", [False, True])
+@pytest.mark.parametrize("fit", [fit_beer_lambert, fit_taylor])
+def test_very_many_readings_are_fitted_as_their_means_in_narrow_ranges(fit, stated, monkeypatch):
+    """Expected: constants and errors of 60 000 readings, that drift and scatter, as from each of them by itself."""
+    rng, time = np.random.default_rng(2), np.linspace(0.0, 1.0, 60_000)
+    diameter_m = 7e-6 + 2e-6 * np.sin(9 * time) * np.exp(-time)
+    volts = 0.3 + 0.2 * np.exp(-1.2e10 * diameter_m**2) + 1e-5 * rng.normal(size=time.size) + 2e-4 * time
+    stderr_v = 1e-5 * (1 + time) if stated else None
+    found = fit(diameter_m, volts, stderr_v)
+    monkeypatch.setattr(reduced_optics, "_MOST_READINGS", time.size)
+    one_by_one = fit(diameter_m, volts, stderr_v)
+    for name, value in vars(one_by_one).items():
+        assert getattr(found, name) == (value if name == "note" else pytest.approx(value, rel=1e-6)), name
