@@ -277,10 +277,10 @@ class _Data:
         where = np.minimum((self.x - low) * (_RANGES / (span or 1.0)), _RANGES - 1).astype(np.intp)
         weight = self.root_weight**2
         total = np.bincount(where, weight, _RANGES)
-        means = np.stack([np.bincount(where, weight * values, _RANGES) for values in (self.x, self.volts)])
-        means = means / np.where(total > 0, total, 1.0)
-        x, volts = means[:, total > 0]
-        return replace(self, x=x, volts=volts, root_weight=np.sqrt(total[total > 0]))
+        sums = np.stack([np.bincount(where, weight * values, _RANGES) for values in (self.x, self.volts)])
+        there = total > 0
+        x, volts = sums[:, there] / total[there]
+        return replace(self, x=x, volts=volts, root_weight=np.sqrt(total[there]))
 
     def distinct(self) -> int:
         """The number of diameters that differ by more than rounding."""
