@@ -24,8 +24,8 @@ GRID = np.geomspace(LEAST, MOST, 200)
 APART = 0.17
 
 
-def write_tradeoff(found: Tradeoff, path: Path) -> None:
-    """Write the page, whole or not at all; raises WriteError."""
+def write_tradeoff(found: Tradeoff, drawing: "Figure", path: Path) -> None:
+    """Write the page around what `draw` drew, whole or not at all; raises WriteError."""
     choice, what = found.chosen, WORDS[found.judge]
     percent = f"{100 * found.tolerance:g} %"
     kept = choice.error <= found.tolerance * (1 + 1e-9)
@@ -40,7 +40,7 @@ def write_tradeoff(found: Tradeoff, path: Path) -> None:
     body = section(
         "Error against time",
         figure(
-            draw(found),
+            drawing,
             "time",
             f"Error of the worst photodiode, of {what}, against processor time: left to the first answer, right for "
             f"{MORE} more states of the blood or layouts. Every level's error falls with its photons to its own bias; "

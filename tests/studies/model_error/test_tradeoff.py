@@ -100,7 +100,7 @@ def test_the_picture_names_every_level_and_the_page_says_what_each_needs(tmp_pat
     left, right = tradeoff_page.draw(found).axes
     assert sorted(t.get_text() for t in left.texts) == ["biased", "diffusion", REFERENCE]
     assert sorted(t.get_text() for t in right.texts) == ["biased", "diffusion", REFERENCE, "stored"]
-    tradeoff_page.write_tradeoff(found, tmp_path / "tradeoff.html")
+    tradeoff_page.write_tradeoff(found, tradeoff_page.draw(found), tmp_path / "tradeoff.html")
     page = (tmp_path / "tradeoff.html").read_text(encoding="utf-8")
     assert found.sentence in page and "model(scene)" in page and "relative_error = 0.02" in page
     assert found.sentence in str(found) and "Number of batches" in page
