@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from nailoptics.errors import InputError
-from nailoptics.report import write_report
+from nailoptics.report import style, write_report
 from nailoptics.report.simulate_page import page
 
 VOID = {"meta", "br"}
@@ -51,12 +51,18 @@ class Page(HTMLParser):
             self.rows[-1][0].append(data.strip())
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Figures are made, but not drawn: for pages of which tables and sentences are read."""
+    monkeypatch.setattr(style, "to_svg", lambda figure, **_: "<svg></svg>")
+
+
 def body_rows(table):
     return [row for row in table[1:] if row[1]]
 
 
 @pytest.mark.parametrize("leds", [1, 2])
-def test_the_page_holds_every_reading_with_the_numbers_of_the_result(make, leds):
+def test_the_page_holds_every_reading_with_the_numbers_of_the_result(undrawn, make, leds):
     result = make(leds=leds)
     rows = body_rows(Page(page(result)).tables["readings"])
     assert len(rows) == 8 * leds
@@ -78,7 +84,7 @@ def test_the_page_holds_every_reading_with_the_numbers_of_the_result(make, leds)
     assert len(shown) == 2 and re.fullmatch(r"−?[\d.]+ ± [\d.]+", shown[0])
 
 
-def test_the_fits_and_paths_are_those_of_the_result(make):
+def test_the_fits_and_paths_are_those_of_the_result(undrawn, make):
     result = make(leds=2, section=False)
     tables = Page(page(result)).tables
     for (_, values), (i, j) in zip(body_rows(tables["paths"]), np.ndindex(2, 8), strict=True):
@@ -118,7 +124,7 @@ def test_names_and_notes_are_text_wherever_they_are_shown(make, hostile):
     "left_out",
     [["path_density"], ["path_density", "section_region"]],
 )
-def test_what_was_not_computed_is_left_out(make, left_out):
+def test_what_was_not_computed_is_left_out(undrawn, make, left_out):
     text = page(make().drop_vars(left_out))
     assert len(body_rows(Page(text).tables["readings"])) == 8
     assert ("was not computed" in text) == ("section_region" in left_out)
@@ -140,14 +146,14 @@ def test_readings_that_are_nothing_at_all(make):
     assert "paths" not in parsed.tables and len(parsed.tables["readings"]) == 9
 
 
-def test_saturation_is_said_at_the_top(make):
+def test_saturation_is_said_at_the_top(undrawn, make):
     result = make(section=False)
     result.saturated[0, 2, 5] = True
     text = page(result)
     assert text.index("at its limit: proximal.12 under ir") < text.index("<h2>")
 
 
-def test_a_saturated_reading_is_no_finding_and_has_no_numbers_but_its_limit(make):
+def test_a_saturated_reading_is_no_finding_and_has_no_numbers_but_its_limit(undrawn, make):
     result = make(section=False)
     largest = int(abs(result.volts_change.values[0]).max(axis=-1).argmax())
     name = str(result.photodiode.values[largest])
@@ -165,7 +171,7 @@ def test_a_saturated_reading_is_no_finding_and_has_no_numbers_but_its_limit(make
     assert "saturated" in row[0] and not row[1]
 
 
-def test_a_fit_that_is_straight_is_shown_as_straight(make):
+def test_a_fit_that_is_straight_is_shown_as_straight(undrawn, make):
     result = make(section=False)
     largest_m2 = float(result.capillary_diameter_m.max()) ** 2
     result["beer_lambert_alpha_per_m2"][0, 3] = 1e-4 / largest_m2
@@ -177,13 +183,13 @@ def test_a_fit_that_is_straight_is_shown_as_straight(make):
     assert not any("79000" in text or "?" in text for text in texts[1:4])
 
 
-def test_a_result_that_was_cut_off_says_so_in_its_first_lines(make):
+def test_a_result_that_was_cut_off_says_so_in_its_first_lines(undrawn, make):
     assert "Cut off" not in page(make(section=False))
     text = page(make(section=False).assign_attrs(cut_off="7 % instead of 1 % after 3 s."))
     assert text.index("Cut off: 7 % instead of 1 % after 3 s.") < text.index("<h2>")
 
 
-def test_signs_are_judged_by_where_a_zone_lies_whatever_its_name(make):
+def test_signs_are_judged_by_where_a_zone_lies_whatever_its_name(undrawn, make):
     result = make(section=False).assign_coords(zone=["zone_1", "zone_2"])
     result["white_band_mm"] = ("time", np.where(result.force_n > 0, 2.34, 0.0))
     text = page(result)
@@ -208,7 +214,7 @@ def test_where_the_light_ends_is_shown_where_it_is_known(make):
     assert "barrier, opaque epoxy" in ends and ">bone<" not in ends
 
 
-def test_a_scene_that_cannot_be_read_costs_the_drawing_of_the_board_only(make, caplog):
+def test_a_scene_that_cannot_be_read_costs_the_drawing_of_the_board_only(undrawn, make, caplog):
     result = make(section=False).assign_attrs(scene="not [a scene")
     parsed = Page(page(result))
     assert len(parsed.tables["readings"]) == 9 and "cannot be read" in caplog.text
