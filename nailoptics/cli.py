@@ -250,6 +250,35 @@ def place(
 
 
 @app.command
+def explore(
+    scene: ScenePath,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Page to write.")] = Path("explore.html"),
+    json_: Json = False,
+    options: Options = USUAL,
+) -> None:
+    """Make a page on which LEDs and photodiodes are dragged and every reading follows, from light traced once.
+
+    It is one file, which any browser opens from disk. Photons are those of each of the scene's wavelengths.
+    """
+    from .report.explore_page import write_exploration
+    from .studies.exploration.explore import explore as study
+
+    if output.suffix != ".html":
+        raise InputError(f"{output}: a page ends in .html; rename it.")
+    loaded, _ = _load(scene, options)
+    _check_file(output)
+    found, unmet = _watched(study, loaded, **options.fields)
+    make_folder(output.parent)
+    write_exploration(found, output)
+    told = {name: found.attributes[name] for name in ("photons", "cpu_seconds", "wall_seconds")}
+    size = output.stat().st_size
+    line = f"{found.attributes['photons']} photons at {len(found.colours)} wavelengths, {size / 1e6:.1f} MB"
+    _show(told | {"bytes": size}, [line], {"page": output}, json_)
+    _end(unmet, output)
+
+
+@app.command
 def batch(
     sweep: Annotated[Path, Parameter(help="A sweep file (TOML); with --status, the folder of a batch.")],
     *,

@@ -1,8 +1,10 @@
 """What all tests share: the backends that trace light, and no skips in CI."""
 
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,6 +13,8 @@ from nailoptics.light import backend
 
 # No test reads or writes the user's store; those that test one have their own.
 os.environ["NAILOPTICS_STORE"] = "off"
+# Names of browsers that can show pages; NAILOPTICS_BROWSER may give the path of another.
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
 IN_CI = os.environ.get("CI", "").lower() in ("true", "1")
 
 
@@ -50,6 +54,21 @@ def jit_backend(chosen_jit: backend.Backend) -> backend.Backend:
     """The fastest backend that compiles kernels, active; without one the test is skipped, with the reason."""
     backend.activate(chosen_jit)
     return chosen_jit
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A browser for tests of pages; without one the test is skipped, with the reason."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is missing: pip install playwright")
+    with playwright.sync_playwright() as driver:
+        own = driver.chromium.executable_path
+        known = [os.environ.get("NAILOPTICS_BROWSER"), *map(shutil.which, BROWSERS), own]
+        path = next((one for one in known if one and Path(one).exists()), None)
+        if path is None:
+            pytest.skip("no Chromium was found; install one, or name it in NAILOPTICS_BROWSER")
+        started = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield started
+        started.close()
 
 
 def _refuse_skip(report: pytest.TestReport | pytest.CollectReport) -> None:

@@ -208,6 +208,7 @@ THEIRS = {
     "steps.csv",
     "worn.csv",
     "results/prototype/report.html",
+    "explore.html",
 }
 THEIRS |= {
     *COLOUR,

@@ -1,6 +1,6 @@
 """SHAPE: fingertip, nail, bone and board of a scene as watertight interfaces that know both sides."""
 
-from .build import build, shaping
+from .build import build, shaping, underside
 from .distance import SPACING_MM, DistanceGrid, distance_grid
 from .model import Face, Geometry
 from .regions import AROUND, region_names
@@ -17,4 +17,5 @@ __all__ = [
     "distance_grid",
     "region_names",
     "shaping",
+    "underside",
 ]

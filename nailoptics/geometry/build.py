@@ -4,6 +4,7 @@ import logging
 from collections.abc import Collection
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..scene import Light, Photodiode, Scene
@@ -12,7 +13,7 @@ from .board import BentBoard
 from .grid import Grid
 from .model import Face, Geometry
 from .nodes import BELOW, Nodes
-from .regions import AIR, AROUND, REGIONS, SILICON
+from .regions import AIR, AROUND, EPOXY, KAPTON, REGIONS, SILICON
 from .surfaces import FingerSurfaces
 
 log = logging.getLogger(__name__)
@@ -64,6 +65,13 @@ def build(scene: Scene, *, resolution: float = 1.0, board: bool = True) -> Geome
     return geometry
 
 
+def underside(geometry: Geometry) -> Face:
+    """The bare underside of the board as one face: where epoxy lies below the film, and no part and no wall."""
+    film = int(np.nonzero((geometry.grid.labels == KAPTON).any(axis=(0, 1)))[0][0])
+    bare = (geometry.grid.labels[:, :, film] == KAPTON) & (geometry.grid.labels[:, :, film - 1] == EPOXY)
+    return _face_of(geometry.grid, "underside", KAPTON, bare, film)
+
+
 def shaping(scene: Scene, *, kept: Collection[str] = ()) -> Scene:
     """A scene with everything at its default that its geometry is not built from; equal for all of one geometry.
 
@@ -101,7 +109,12 @@ def _grid(scene: Scene, resolution: float) -> tuple[BentBoard, Grid]:
 def _face(grid: Grid, name: str, region: int) -> Face:
     """The lower face of a part, in the board's film or below it."""
     layer = int(np.nonzero((grid.labels == region).any(axis=(0, 1)))[0][0])
-    cells, nodes = grid.labels[:, :, layer] == region, grid.nodes[:, :, layer]
+    return _face_of(grid, name, region, grid.labels[:, :, layer] == region, layer)
+
+
+def _face_of(grid: Grid, name: str, region: int, cells: NDArray[np.bool_], layer: int) -> Face:
+    """The lower face of some cells of a layer."""
+    nodes = grid.nodes[:, :, layer]
     # A column is straight along the nail, so that cells in a row of it are one rectangle. Corners run along the nail
     # first, then across, because the nail side sees the board from below.
     ends = np.diff(np.pad(cells, ((0, 0), (1, 1))).astype(np.int8), axis=1)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from .. import tissue
 from ..errors import InputError
-from ..geometry import SPACING_MM, Face
+from ..geometry import SPACING_MM, Face, underside
 from ..scene import Scene
 from ..scene.rectangles import Rectangle
 from ..statistics import stderr_of_mean
@@ -72,6 +72,28 @@ class BoardTracer:
         Returns: light that arrives on the board, and light that leaves into the air; that has no place (nan).
         """
         return self._onto_board(led, self.tracer.geometry.photodiodes[photodiode], photons, seed)
+
+    def everywhere(self, led: int, *, photons: int, seed: int) -> tuple[np.ndarray, Arrivals, Arrivals]:
+        """Trace light of one LED's wavelength, Lambertian, from places spread evenly over the bare underside.
+
+        Returns: where each photon starts, (photons, 2) float [mm]; light that arrives on the board, and light that
+        leaves into the air.
+        """
+        face = underside(self.tracer.geometry)
+        return self.tracer.starts(face, photons=photons, seed=seed), *self._onto_board(led, face, photons, seed)
+
+    def fluence(self, led: int, radius_mm: np.ndarray, depth_mm: np.ndarray, *, photons: int, seed: int) -> np.ndarray:
+        """How an LED's light spreads below it: its fluence rate per emitted power on rings around it, by depth below
+        the nail plate's outer face, (radius, depth) float. [mm^-2]
+
+        radius_mm, depth_mm : edges, evenly spaced. [mm]
+        """
+        from .tallies.fluence import FluenceTally
+
+        backends.activate(self.backend)
+        tally = FluenceTally(self.tracer.geometry, self.scene.layout.leds[led].center_mm, radius_mm, depth_mm)
+        self.tracer.walk(led, photons=photons, seed=seed, section=tally)
+        return tally.density(photons)
 
     def _onto_board(self, led: int, face: Face | None, photons: int, seed: int) -> tuple[Arrivals, Arrivals]:
         from .sampling import TOP

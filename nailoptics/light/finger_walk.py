@@ -34,6 +34,7 @@ from .sampling import (
 from .splitting import COPIES, Splitting
 from .surroundings import DETECTED, Emitter, FingerPhoton, Interfaces, Medium, Regions, ZoneEdges, off_surface
 from .tallies.board_tally import BoardTally
+from .tallies.fluence import FluenceTally
 from .tallies.section import Section
 from .tallies.sensitivity import SensitivityTally
 
@@ -123,6 +124,16 @@ class FingerTracer:
         walk = FingerWalk(self.interfaces, self.regions[led], ZoneEdges(self.zones), emitter, ends, **to)
         return ends.evaluated(walk.run(rng, count, first))
 
+    def starts(self, face: Face, *, photons: int, seed: int) -> np.ndarray:
+        """Where on the flat board the photons start that `walk` sends from a face of it, (photons, 2) float. [mm]"""
+        (rng, _), index = lanes(photons, seed), dr.arange(mi.UInt32, photons)
+        lane, own = index % dr.width(rng.state), mi.PCG32(size=photons)  # type: ignore[operator]
+        own.inc = dr.gather(mi.UInt64, rng.inc, lane) if dr.width(rng.inc) > 1 else rng.inc
+        own.state = state_of(dr.gather(mi.UInt64, rng.state, lane), index)
+        p, _ = Emitter(face, LAMBERTIAN, mi.UInt32(0)).emit(own, index)
+        u = self.geometry.board_radius_mm * np.arctan2(np.array(p.x), np.array(p.z) + self.geometry.nail_radius_mm)
+        return np.stack([u, np.array(p.y)], -1).astype(float)
+
     @staticmethod
     def by_zone(paths: np.ndarray) -> np.ndarray:
         """Paths (t, n) in the order of the absorbers, (n, r): the bed's divided among its zones."""
@@ -164,7 +175,7 @@ class FingerWalk:
         emitter: Any,
         ends: PhotonEnds,
         *,
-        section: Section | SensitivityTally | None = None,
+        section: Section | SensitivityTally | FluenceTally | None = None,
         board: BoardTally | None = None,
         splitting: Splitting | None = None,
     ) -> None:

@@ -1,0 +1,441 @@
+// The page of `nailoptics explore`: any layout from tables that Python traced, at once.
+// Three parts: the light between two places and what it tells (physics), the layout that is shown (state), the page.
+"use strict";
+
+const tables = JSON.parse(document.getElementById("tables").textContent);
+
+// ---------------------------------------------------------------------------------------------------- physics
+
+/** Half-precision numbers in base64, as Python packed them. */
+function unpackHalf(text) {
+  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  const words = new Uint16Array(bytes.buffer);
+  return Float32Array.from(words, (word) => {
+    const exponent = (word >> 10) & 31, fraction = word & 1023, sign = word >> 15 ? -1 : 1;
+    return exponent ? sign * 2 ** (exponent - 15) * (1 + fraction / 1024) : sign * 2 ** -24 * fraction;
+  });
+}
+
+const colours = tables.colours.map((colour) => ({
+  ...colour,
+  coefficients: unpackHalf(colour.coefficients),
+  direct: unpackHalf(colour.direct),
+  blocks: unpackHalf(colour.blocks),
+  fluence: unpackHalf(colour.logFluence),
+}));
+const basis = tables.basis;
+const monomialCount = tables.polynomial.exponents.length;
+const blockCount = tables.blocks;
+const fineSize = basis.fine.reduce((n, axis) => n * axis.length, 1);
+const size = fineSize + basis.coarse.reduce((n, axis) => n * axis.length, 1);
+// Nodes and weights of Gauss quadrature on -1 to 1, by how many there are.
+const GAUSS = tables.gauss;
+
+/** Index of the node before x and the part of the way to the next; what lies outside counts as on the edge. */
+function lineNode(axis, x) {
+  let low = 0, high = axis.length - 1;
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (axis[middle] <= x) low = middle; else high = middle;
+  }
+  return [low, Math.min(1, Math.max(0, (x - axis[low]) / (axis[low + 1] - axis[low])))];
+}
+
+/** Add the product of the hats around a point of several coordinates to sums, the last counting fastest. */
+function addHats(axes, point, weight, sums, offset) {
+  const nodes = axes.map((axis, k) => lineNode(axis, point[k]));
+  for (let corner = 0; corner < 1 << axes.length; corner++) {
+    let index = 0, product = weight;
+    for (let k = 0; k < axes.length; k++) {
+      const up = (corner >> k) & 1;
+      index = index * axes[k].length + nodes[k][0] + up;
+      product *= up ? nodes[k][1] : 1 - nodes[k][1];
+    }
+    if (product !== 0) sums[offset + index] += product;
+  }
+}
+
+/** g: how light falls with the distance between two places. [mm] */
+function radial(distance) {
+  const { logMm, logValue, nearestMm } = tables.radial;
+  const at = Math.log(Math.max(distance, nearestMm / 2));
+  const [i, part] = lineNode(logMm, at);
+  return Math.exp(logValue[i] + part * (logValue[i + 1] - logValue[i]));
+}
+
+/** Gauss points of a turned rectangle: [u, v, part of its area]. */
+function points(rectangle, spacingMm) {
+  const { u, v, width, length, turn } = rectangle, cos = Math.cos(turn), sin = Math.sin(turn), found = [];
+  const rule = (extent) => GAUSS[Math.min(GAUSS.length - 1, Math.max(1, Math.ceil(extent / spacingMm)))];
+  for (const [a, wa] of rule(width)) {
+    for (const [b, wb] of rule(length)) {
+      const x = (a * width) / 2, y = (b * length) / 2;
+      found.push([u + cos * x - sin * y, v + sin * x + cos * y, (wa * wb) / 4]);
+    }
+  }
+  return found;
+}
+
+/**
+ * What a photodiode's element reads of an LED: coefficients over blood and saturation, its direct part, and by groups
+ * of photons the reading and its change with the blood of either zone at rest. Parts of the LED's light.
+ */
+function readPair(led, element, colour) {
+  const sums = new Float64Array(size), a = basis.across, b = 1 - a;
+  const area = element.width * element.length, onLed = points(led, 0.25), onElement = points(element, 0.25);
+  for (const x of onLed) {
+    for (const y of onElement) {
+      const weight = x[2] * y[2] * area * radial(Math.hypot(x[0] - y[0], x[1] - y[1]));
+      addHats(basis.fine, [x[a], y[a], Math.abs(x[b] - y[b])], weight, sums, 0);
+      addHats(basis.coarse, [x[a], x[b], y[a], y[b]], weight, sums, fineSize);
+    }
+  }
+  const coefficients = new Float64Array(monomialCount), blocks = new Float64Array(3 * blockCount);
+  let direct = 0;
+  for (let k = 0; k < size; k++) {
+    if (sums[k] === 0) continue;
+    const part = sums[k] * colour.scale;
+    for (let m = 0; m < monomialCount; m++) coefficients[m] += part * colour.coefficients[k * monomialCount + m];
+    for (let m = 0; m < 3 * blockCount; m++) blocks[m] += part * colour.blocks[k * 3 * blockCount + m];
+    direct += part * colour.direct[k];
+  }
+  return { coefficients, blocks, direct };
+}
+
+/** Each monomial at a state [blood, blood, saturation], or its derivative by the blood of a zone. */
+function monomials(state, zone = null) {
+  const { exponents, bloodFraction, so2 } = tables.polynomial, bounds = [bloodFraction, bloodFraction, so2];
+  const scaled = state.map((x, k) => (2 * (x - bounds[k][0])) / (bounds[k][1] - bounds[k][0]) - 1);
+  return exponents.map((powers) => powers.reduce((product, power, k) => {
+    if (k !== zone) return product * scaled[k] ** power;
+    return power ? (product * power * scaled[k] ** (power - 1) * 2) / (bounds[k][1] - bounds[k][0]) : 0;
+  }, 1));
+}
+
+const dot = (one, other) => one.reduce((sum, x, k) => sum + x * other[k], 0);
+
+/** Rows of a table over force at one force, linear between: any shape of numbers below the first axis. */
+function atForce(rows, force) {
+  const [i, part] = lineNode(tables.touch.forceN, force);
+  const mix = (one, other) => (Array.isArray(one) ? one.map((x, k) => mix(x, other[k])) : one + part * (other - one));
+  return mix(rows[i], rows[i + 1]);
+}
+
+/** Blood of both zones and its saturation under a held force. */
+function stateAt(force, rest, so2) {
+  const [low, high] = tables.polynomial.bloodFraction;
+  return [...atForce(tables.touch.blood, force).map((x) => Math.min(high, Math.max(low, x * rest))), so2];
+}
+
+/** Noise variance of one sample at a photocurrent, the stage's mean output and whether the converter is at its limit. */
+function stage(kind, current) {
+  const volts = (current + kind.darkA) * tables.stage.feedbackOhm;
+  return {
+    volts: Math.min(volts, tables.stage.rangeV),
+    amplified: volts,
+    noiseV2: kind.fixedNoiseV2 + kind.noiseV2PerA * current,
+    saturated: volts >= tables.stage.rangeV - tables.stage.lsbV,
+  };
+}
+
+/**
+ * The force that one sample of all readings resolves, whatever its split. [N]
+ * readings : [{led, light, zone: [V, V], noiseV2, saturated}], light and zone in volts.
+ * point : blood per Pa (zone, pressure), waves' covariance of the blood; null where the body is left out.
+ */
+function forceResolution(readings, point, ledCount) {
+  const touch = tables.touch, body = point.body, extra = body ? 2 + ledCount + 1 : 0, n = 2 + extra;
+  const total = Array.from({ length: n }, () => new Float64Array(n)), waves = body ? root2(point.waves) : null;
+  for (const one of readings) {
+    if (one.saturated) continue;
+    const unknown = new Float64Array(n), [p, d] = one.zone;
+    for (const k of [0, 1]) unknown[k] = p * point.bloodPerPa[0][k] + d * point.bloodPerPa[1][k];
+    let noise = one.noiseV2;
+    if (body) {
+      for (const k of [0, 1]) unknown[2 + k] = p * waves[0][k] + d * waves[1][k];
+      unknown[4 + one.led] = touch.ledDrift * one.light;
+      unknown[n - 1] = touch.lift * one.light;
+      noise += (touch.readingDrift * one.light) ** 2;
+    }
+    for (let i = 0; i < n; i++) for (let j = 0; j < n; j++) total[i][j] += (unknown[i] * unknown[j]) / noise;
+  }
+  // What the body does is known beforehand to its variance, 1, and so marginalised, one shape after the other.
+  for (let last = n - 1; last > 1; last--) {
+    const own = 1 + total[last][last];
+    for (let i = 0; i < last; i++) {
+      for (let j = 0; j < last; j++) total[i][j] -= (total[i][last] * total[last][j]) / own;
+    }
+  }
+  const prior = touch.priorPa ** -2, one = total[0][0] + prior, two = total[1][1] + prior, both = total[0][1];
+  const [a, b] = touch.forcePerPa;
+  return Math.sqrt((a * a * two - 2 * a * b * both + b * b * one) / (one * two - both * both));
+}
+
+/** Columns whose outer products add up to a covariance of two. */
+function root2([[aa, ab], [, bb]]) {
+  const a = Math.sqrt(Math.max(aa, 0)), b = a > 0 ? ab / a : 0;
+  return [[a, 0], [b, Math.sqrt(Math.max(bb - b * b, 0))]];
+}
+
+/** Standard error of what was made without each group of photons. */
+function jackknife(values) {
+  const n = values.length, mean = values.reduce((sum, x) => sum + x, 0) / n;
+  return Math.sqrt(((n - 1) / n) * values.reduce((sum, x) => sum + (x - mean) ** 2, 0));
+}
+
+/** Photocurrent by light from outside on an element. [A] */
+function ambientCurrent(element, source) {
+  if (source === null) return 0;
+  const { nodesU, nodesV, aPerMm2 } = tables.ambient;
+  const [i, a] = lineNode(nodesU, element.u), [j, b] = lineNode(nodesV, element.v), table = aPerMm2[source];
+  const mean = (1 - a) * ((1 - b) * table[i][j] + b * table[i][j + 1]) + a * ((1 - b) * table[i + 1][j] + b * table[i + 1][j + 1]);
+  return mean * element.width * element.length;
+}
+
+/** The elements that are read of a photodiode, or all of an array: rectangles with names. */
+function elementsOf(pd, wiredOnly = true) {
+  const turn = (pd.turn * Math.PI) / 180, pitch = pd.pitch || pd.length, found = [];
+  for (let i = 0; i < pd.elements; i++) {
+    if (wiredOnly && pd.wired && !pd.wired.includes(i)) continue;
+    const along = (i - (pd.elements - 1) / 2) * pitch;
+    found.push({
+      name: pd.elements === 1 ? pd.name : `${pd.name}.${i}`, u: pd.u - Math.sin(turn) * along, v: pd.v + Math.cos(turn) * along,
+      width: pd.width, length: pd.length, turn, kind: pd.kind, of: pd,
+    });
+  }
+  return found;
+}
+
+function dieOf(led) {
+  const kind = tables.ledKinds[led.kind];
+  return { name: led.name, u: led.u, v: led.v, width: kind.widthMm, length: kind.lengthMm, turn: (led.turn * Math.PI) / 180 };
+}
+
+/** Everything that a layout reads under a force: one row for each LED and element, and the force that they resolve. */
+function evaluate(layout, cache = new Map()) {
+  const rest = stateAt(0, layout.rest, layout.so2), state = stateAt(layout.force, layout.rest, layout.so2);
+  const known = { rest: monomials(rest), state: monomials(state), slope: [monomials(state, 0), monomials(state, 1)] };
+  const rows = [], elements = layout.photodiodes.flatMap((pd) => elementsOf(pd));
+  layout.leds.forEach((led, number) => {
+    const kind = tables.ledKinds[led.kind], die = dieOf(led);
+    for (const element of elements) {
+      const key = JSON.stringify([kind.colour, die.u, die.v, die.turn, die.width, die.length, element.u, element.v,
+        element.turn, element.width, element.length]);
+      if (!cache.has(key)) cache.set(key, readPair(die, element, colours[kind.colour]));
+      rows.push(readRow(cache.get(key), known, led, number, element, layout, state, rest));
+    }
+  });
+  if (cache.size > 4000) cache.clear();
+  return { rows, state, rest, ...resolve(rows, layout.force, layout.rest, layout.leds.length) };
+}
+
+function readRow(pair, known, led, number, element, layout, state, rest) {
+  const diode = tables.photodiodeKinds[element.kind], kind = tables.ledKinds[led.kind];
+  const gain = kind.fluxMw * 1e-3 * diode.responsivity[led.kind] * tables.stage.feedbackOhm;
+  const atRest = dot(known.rest, pair.coefficients), now = dot(known.state, pair.coefficients);
+  const slope = known.slope.map((row) => dot(row, pair.coefficients));
+  const groups = [0, 1, 2].map((q) => Array.from({ length: blockCount }, (_, k) => pair.blocks[3 * k + q]));
+  const means = groups.map((values) => values.reduce((sum, x) => sum + x, 0) / blockCount);
+  // Without each group, as parts of the whole.
+  const without = groups.map((values, q) => values.map((x) => (means[q] ? (blockCount * means[q] - x) / (blockCount - 1) / means[q] : 1)));
+  const counted = jackknife(without[0]), few = !(atRest > 0 && now > 0) || counted > tables.fewRelative;
+  const moved = state.slice(0, 2).map((x, k) => x - rest[k]);
+  const linear = without[1].map((_, k) => moved[0] * means[1] * without[1][k] + moved[1] * means[2] * without[2][k]);
+  const meanLinear = moved[0] * means[1] + moved[1] * means[2];
+  const changeRelative = meanLinear ? jackknife(linear) / Math.abs(meanLinear) : 0;
+  const light = Math.max(now, 0), ambient = ambientCurrent(element, layout.ambient);
+  const read = stage(diode, (light * gain) / tables.stage.feedbackOhm + ambient);
+  const change = (now - atRest) * gain;
+  return {
+    led: number, element, few, fraction: now, fractionRest: atRest, gain, ambientA: ambient, ...read,
+    fractionError: now * Math.hypot(counted, tables.kernelError),
+    restError: atRest * Math.hypot(counted, tables.kernelError),
+    voltsError: gain * now * Math.hypot(counted, tables.kernelError),
+    change, changeError: Math.abs(change) * Math.hypot(changeRelative, tables.kernelError),
+    directShare: atRest > 0 ? Math.max(0, pair.direct / atRest) : 0,
+    light: light * gain, zone: slope.map((x) => x * gain), without, pair,
+  };
+}
+
+/** The force that all rows resolve, through the body and by the electronics alone, each with its standard error. [N] */
+function resolve(rows, force, rest, ledCount) {
+  const told = rows.filter((row) => !row.few), touch = tables.touch;
+  const scaled = (values) => values.map((row) => row.map((x) => x * rest));
+  const bloodPerPa = scaled(atForce(touch.bloodPerPa, force));
+  const waves = atForce(touch.waves, force).map((row) => row.map((x) => x * rest * rest));
+  const found = {};
+  for (const [name, body] of [["throughBody", touch.hasBody], ["electronics", false]]) {
+    const point = { bloodPerPa, waves, body };
+    const value = forceResolution(told, point, ledCount);
+    const left = Array.from({ length: blockCount }, (_, k) => Math.log(forceResolution(told.map((row) => ({
+      ...row, light: row.light * row.without[0][k], zone: row.zone.map((x, q) => x * row.without[q + 1][k]),
+    })), point, ledCount)));
+    found[name] = { value, error: value * Math.hypot(jackknife(left), tables.kernelError) };
+  }
+  return found;
+}
+
+/** What a layout must not do, in words: overlaps, edges, the wall. Nothing where it can be built. */
+function problems(layout) {
+  const [uMin, uMax, vMin, vMax] = tables.board.outline, found = [];
+  const parts = [...layout.leds.map(dieOf), ...layout.photodiodes.flatMap((pd) => elementsOf(pd, false))];
+  for (const part of parts) {
+    if (corners(part).some(([u, v]) => u <= uMin || u >= uMax || v <= vMin || v >= vMax)) found.push(`${part.name} reaches over the board's edge`);
+  }
+  for (let i = 0; i < parts.length; i++) for (let j = 0; j < i; j++) if (overlap(parts[i], parts[j])) found.push(`${parts[j].name} and ${parts[i].name} overlap`);
+  const names = [...layout.leds, ...layout.photodiodes].map((part) => part.name);
+  if (new Set(names).size < names.length) found.push("two parts have one name");
+  if (!layout.leds.length) found.push("there is no LED");
+  if (!layout.photodiodes.length) found.push("there is no photodiode");
+  if (tables.board.wall && layout.leds.length && layout.photodiodes.length) found.push(...wallProblems(layout));
+  return [...new Set(found)];
+}
+
+function box(parts) {
+  const all = parts.flatMap(corners), us = all.map((p) => p[0]), vs = all.map((p) => p[1]);
+  return { uMin: Math.min(...us), uMax: Math.max(...us), vMin: Math.min(...vs), vMax: Math.max(...vs) };
+}
+
+/** Free width between each LED and the photodiodes on their four sides, as a scene's layout takes it. */
+function gapsOf(led, diodes) {
+  const die = box([dieOf(led)]);
+  return { left: diodes.uMin - die.uMax, right: die.uMin - diodes.uMax, below: diodes.vMin - die.vMax, above: die.vMin - diodes.vMax };
+}
+
+function wallProblems(layout) {
+  const wall = tables.board.wall, diodes = box(layout.photodiodes.flatMap((pd) => elementsOf(pd, false))), found = [];
+  const face = { left: wall.uMin, right: wall.uMax, below: wall.vMin, above: wall.vMax }[wall.side];
+  for (const led of layout.leds) {
+    const die = box([dieOf(led)]), gaps = gapsOf(led, diodes);
+    const toWall = { left: face - die.uMax, right: die.uMin - face, below: face - die.vMax, above: die.vMin - face }[wall.side];
+    if (toWall < 0.02) found.push(`${led.name} is on the wall or behind it`);
+    else if (Object.keys(gaps).some((side) => gaps[side] > gaps[wall.side] + 1e-9)) {
+      found.push(`${led.name} lies ${Object.keys(gaps).sort((a, b) => gaps[b] - gaps[a])[0]} all photodiodes, where a scene would put its wall`);
+    }
+  }
+  const beyond = { left: diodes.uMin - wall.uMax, right: wall.uMin - diodes.uMax, below: diodes.vMin - wall.vMax, above: wall.vMin - diodes.vMax }[wall.side];
+  if (beyond < 0.02) found.push("a photodiode is on the wall or before it");
+  return found;
+}
+
+function corners({ u, v, width, length, turn }) {
+  const cos = Math.cos(turn), sin = Math.sin(turn);
+  return [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([a, b]) => {
+    const x = (a * width) / 2, y = (b * length) / 2;
+    return [u + cos * x - sin * y, v + sin * x + cos * y];
+  });
+}
+
+/** Whether two turned rectangles overlap: none of their sides' directions parts them. */
+function overlap(one, other) {
+  const a = corners(one), b = corners(other);
+  for (const turn of [one.turn, one.turn + Math.PI / 2, other.turn, other.turn + Math.PI / 2]) {
+    const along = ([u, v]) => u * Math.cos(turn) + v * Math.sin(turn), pa = a.map(along), pb = b.map(along);
+    if (Math.max(...pa) <= Math.min(...pb) + 1e-6 || Math.max(...pb) <= Math.min(...pa) + 1e-6) return false;
+  }
+  return true;
+}
+
+/** Fluence rate around a source: by distance and depth, as a logarithm, linear between the middles of cells. */
+function logFluence(colour, radius, depth) {
+  const { ringMm, stepMm, rings, depths } = tables.fluence;
+  const at = (x, step, n) => { const y = Math.min(n - 1.001, Math.max(0, x / step - 0.5)), i = Math.floor(y); return [i, y - i]; };
+  const [i, a] = at(radius, ringMm, rings), [j, b] = at(depth, stepMm, depths), f = colour.fluence;
+  return (1 - a) * ((1 - b) * f[i * depths + j] + b * f[i * depths + j + 1]) + a * ((1 - b) * f[(i + 1) * depths + j] + b * f[(i + 1) * depths + j + 1]);
+}
+
+// ---------------------------------------------------------------------------------------------------- the layout
+
+/** A layout as plain data, short enough for a link. */
+function packed(layout) {
+  const short = (x) => Math.round(x * 1e4) / 1e4;
+  return [1, layout.leds.map((p) => [p.name, p.kind, short(p.u), short(p.v), short(p.turn)]),
+    layout.photodiodes.map((p) => [p.name, p.kind, short(p.u), short(p.v), short(p.turn), p.width, p.length, p.elements, p.pitch, p.wired]),
+    layout.force, layout.rest, layout.so2, layout.ambient];
+}
+
+function unpacked([, leds, photodiodes, force, rest, so2, ambient]) {
+  return {
+    leds: leds.map(([name, kind, u, v, turn]) => ({ name, kind, u, v, turn })),
+    photodiodes: photodiodes.map(([name, kind, u, v, turn, width, length, elements, pitch, wired]) =>
+      ({ name, kind, u, v, turn, width, length, elements, pitch, wired })),
+    force, rest, so2, ambient,
+  };
+}
+
+const toLink = (layout) => btoa(unescape(encodeURIComponent(JSON.stringify(packed(layout))))).replace(/\+/g, "-").replace(/\//g, "_").replace(/=+$/, "");
+
+function fromLink(text) {
+  const layout = unpacked(JSON.parse(decodeURIComponent(escape(atob(text.replace(/-/g, "+").replace(/_/g, "/"))))));
+  const known = layout.leds.every((p) => tables.ledKinds[p.kind]) && layout.photodiodes.every((p) => tables.photodiodeKinds[p.kind]);
+  if (!known || ![layout.force, layout.rest, layout.so2].every(Number.isFinite)) throw new Error("this link is of another page");
+  return layout;
+}
+
+/** The layout as the tables of a scene, ready for TOML. */
+function toScene(layout) {
+  const scene = structuredClone(tables.scene), [cu, cv] = tables.board.center, round = (x) => Math.round(x * 1e6) / 1e6;
+  scene.leds = layout.leds.map((led) => ({
+    ...structuredClone(tables.ledKinds[led.kind].fields), name: led.name,
+    position_mm: [round(led.u - cu), round(led.v - cv)], rotation_deg: led.turn,
+  }));
+  scene.photodiodes = layout.photodiodes.map((pd) => {
+    const fields = { ...structuredClone(tables.photodiodeKinds[pd.kind].fields), name: pd.name, elements: pd.elements };
+    fields.position_mm = [round(pd.u - cu), round(pd.v - cv)];
+    fields.size_mm = [pd.width, pd.length];
+    fields.rotation_deg = pd.turn;
+    delete fields.wired;
+    delete fields.pitch_mm;
+    if (pd.wired) fields.wired = pd.wired;
+    if (pd.pitch) fields.pitch_mm = pd.pitch;
+    return fields;
+  });
+  const wall = tables.board.wall;
+  if (wall) {
+    const face = { left: wall.uMin, right: wall.uMax, below: wall.vMin, above: wall.vMax }[wall.side];
+    const gaps = layout.leds.map((led) => {
+      const die = box([dieOf(led)]);
+      return { left: face - die.uMax, right: die.uMin - face, below: face - die.vMax, above: die.vMin - face }[wall.side];
+    });
+    scene.board.barrier_gap_mm = round(Math.min(...gaps));
+  }
+  scene.blood.rest_blood_fraction = layout.rest;
+  if (scene.blood.venous_so2 !== undefined) scene.blood.venous_so2 = round(Math.max(0, layout.so2 - (scene.blood.so2 - scene.blood.venous_so2)));
+  scene.blood.so2 = layout.so2;
+  if (scene.touch.force_n !== undefined && layout.force > 0) scene.touch.force_n = layout.force;
+  const names = new Set([...layout.leds.map((led) => led.name), "dark"]);
+  if (scene.oximeter && (scene.oximeter.slots || []).some((slot) => !names.has(slot.light))) delete scene.oximeter;
+  return scene;
+}
+
+/** A dropped scene's parts on this page's board; whatever else it says stays as it is here. */
+function fromScene(scene, before) {
+  const [cu, cv] = (scene.board && scene.board.center_mm) || [0, 0];
+  const place = (part) => { const [u, v] = part.position_mm || [0, 0]; return { u: u + cu, v: v + cv, turn: part.rotation_deg || 0 }; };
+  const leds = (scene.leds || []).map((led) => {
+    let kind = tables.ledKinds.findIndex((one) => one.fields.part && one.fields.part === led.part && led.wavelength_nm === undefined);
+    if (kind < 0) kind = tables.ledKinds.findIndex((one) => Math.abs(one.fields.wavelength_nm - led.wavelength_nm) < tables.sameNm);
+    if (kind < 0) throw new Error(`LED ${led.name}: ${led.wavelength_nm || led.part} is no wavelength of this page; make a page of that scene.`);
+    return { name: led.name, kind, ...place(led) };
+  });
+  const photodiodes = (scene.photodiodes || []).map((pd) => {
+    const part = pd.part || pd.array, kind = Math.max(0, tables.photodiodeKinds.findIndex((one) => one.fields.part && one.fields.part === part));
+    const usual = tables.photodiodeKinds[kind].fields, [width, length] = pd.size_mm || usual.size_mm;
+    return {
+      name: pd.name || part, kind, ...place(pd), width, length, elements: pd.elements || (part ? usual.elements : 1),
+      pitch: pd.pitch_mm || (part ? usual.pitch_mm : null) || null, wired: pd.wired || null,
+    };
+  });
+  if (!leds.length || !photodiodes.length) throw new Error("this scene has no LEDs or no photodiodes.");
+  const blood = scene.blood || {}, touch = scene.touch || {};
+  return { ...before, leds, photodiodes, rest: blood.rest_blood_fraction ?? before.rest, so2: blood.so2 ?? before.so2, force: touch.force_n ?? before.force };
+}
+
+/** The layout as a position file in KiCad's form, all on the bottom, which faces the nail. */
+function toPositions(layout) {
+  const lines = ["Ref,Val,Package,PosX,PosY,Rot,Side"], number = (x) => (x + 0).toFixed(6), turn = (deg) => ((deg % 360) + 360) % 360;
+  layout.leds.forEach((led, i) => lines.push(`"D${i + 1}","${led.name}","LED_die",${number(led.u)},${number(led.v)},${number(turn(led.turn))},bottom`));
+  layout.photodiodes.flatMap((pd) => elementsOf(pd)).forEach((element, i) => lines.push(
+    `"PD${i + 1}","${element.name}","PD_${element.width}x${element.length}mm",${number(element.u)},${number(element.v)},${number(turn(element.of.turn))},bottom`));
+  return lines.join("\n") + "\n";
+}

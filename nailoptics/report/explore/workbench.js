@@ -1,0 +1,528 @@
+// The workbench: what is shown of a layout, and what a hand does to it.
+
+const $ = (id) => document.getElementById(id);
+const workbench = { layout: null, chosen: { part: null, row: 0 }, past: [], future: [], result: null, milliseconds: 0 };
+const caches = new Map();
+
+// ---- words and numbers
+
+/** A value with its standard error in one unit, to two digits of the error. */
+function withError(value, error, unit, factor = 1) {
+  const x = value * factor, e = error * factor;
+  if (!Number.isFinite(x) || !Number.isFinite(e)) return `– ${unit}`;
+  const digits = e > 0 ? Math.min(6, Math.max(0, 1 - Math.floor(Math.log10(e)))) : 3;
+  return `${x.toFixed(digits).replace("-", "−")} ± ${e.toFixed(digits)} ${unit}`.trim();
+}
+
+/** A value and its standard error in the same unit, each by itself. */
+function both(value, error, unit) {
+  const [factor, prefix] = prefixOf(value), words = withError(value, error, "", factor).split(" ± ");
+  return [`${words[0]} ${prefix}${unit}`, words[1] ? `± ${words[1]}` : ""];
+}
+
+function prefixOf(value) {
+  return [[1, ""], [1e3, "m"], [1e6, "µ"], [1e9, "n"], [1e12, "p"]].find(([f]) => Math.abs(value) * f >= 1) || [1, ""];
+}
+
+function say(text) { $("message").textContent = text; }
+
+function element(name, attributes = {}, ...children) {
+  const svg = ["g", "rect", "line", "text", "path", "clipPath"].includes(name);
+  const made = svg ? document.createElementNS("http://www.w3.org/2000/svg", name) : document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.append(...children);
+  return made;
+}
+
+// ---- state
+
+function copy(layout) { return structuredClone(layout); }
+
+/** Keep the layout as it was before a change, for undo, and the address up to date. */
+function remember(before) {
+  workbench.past.push(before);
+  if (workbench.past.length > 200) workbench.past.shift();
+  workbench.future = [];
+  history.replaceState(null, "", `#${toLink(workbench.layout)}`);
+}
+
+function change(edit) {
+  const before = copy(workbench.layout);
+  edit(workbench.layout);
+  remember(before);
+  draw();
+}
+
+function step(from, to) {
+  if (!from.length) return;
+  to.push(copy(workbench.layout));
+  workbench.layout = from.pop();
+  history.replaceState(null, "", `#${toLink(workbench.layout)}`);
+  draw();
+}
+
+const allParts = () => [...workbench.layout.leds.map((part) => ["led", part]), ...workbench.layout.photodiodes.map((part) => ["diode", part])];
+const chosenPart = () => allParts().find(([, part]) => part.name === workbench.chosen.part) || null;
+
+// ---- the board
+
+function drawBoard() {
+  const svg = $("board"), [width, length] = tables.board.nailMm, { layout } = workbench, margin = 0.9;
+  svg.setAttribute("viewBox", `${-width / 2 - margin} ${-length / 2 - margin} ${width + 2 * margin} ${length + 2 * margin + 0.7}`);
+  const focused = document.activeElement && document.activeElement.dataset ? document.activeElement.dataset.name : null;
+  svg.replaceChildren();
+  // v points to the tip, which is up; a picture's y points down.
+  const edge = -tables.board.zoneEdgeMm, round = 0.4;
+  const outline = `M${-width / 2} ${length / 2} V${-length / 2 + round} Q${-width / 2} ${-length / 2} ${-width / 2 + round} ${-length / 2} H${width / 2 - round} Q${width / 2} ${-length / 2} ${width / 2} ${-length / 2 + round} V${length / 2} Z`;
+  svg.append(element("path", { class: "nail", d: outline }));
+  const blood = atForce(tables.touch.blood, layout.force);
+  svg.append(element("clipPath", { id: "nail-shape" }, element("path", { d: outline })));
+  const clip = element("g", { "clip-path": "url(#nail-shape)" });
+  [[blood[0], edge, length / 2], [blood[1], -length / 2, edge]].forEach(([part, top, bottom]) => clip.append(element("rect", {
+    class: "zone", x: -width / 2, y: top, width, height: bottom - top, opacity: Math.min(0.8, 0.34 * part) })));
+  svg.append(clip);
+  const [uMin, uMax, vMin, vMax] = tables.board.outline, wall = tables.board.wall;
+  svg.append(element("rect", { class: "outline", x: uMin, y: -vMax, width: uMax - uMin, height: vMax - vMin }));
+  if (wall) svg.append(element("rect", { class: "wall", x: wall.uMin, y: -wall.vMax, width: wall.uMax - wall.uMin, height: wall.vMax - wall.vMin }));
+  const row = workbench.result && workbench.result.rows[workbench.chosen.row];
+  if (row) {
+    const led = layout.leds[row.led];
+    svg.append(element("line", { class: "pair", x1: led.u, y1: -led.v, x2: row.element.u, y2: -row.element.v }));
+  }
+  for (const [kind, part] of allParts()) svg.append(drawPart(kind, part, row));
+  svg.append(element("line", { class: "scale-line", x1: -1, x2: 1, y1: length / 2 + 0.75, y2: length / 2 + 0.75 }));
+  const words = [["tip", -length / 2 - 0.3], ["2 mm", length / 2 + 1.25]];
+  for (const [text, y] of words) svg.append(element("text", { class: "scale", x: 0, y }, text));
+  if (focused) { const again = [...svg.querySelectorAll(".part")].find((one) => one.dataset.name === focused); if (again) again.focus({ preventScroll: true }); }
+}
+
+function drawPart(kind, part, row) {
+  const selected = part.name === workbench.chosen.part ? " selected" : "", reach = 0.35;
+  const group = element("g", { class: `part ${kind}${selected}`, tabindex: 0, role: "button", "data-name": part.name, "data-kind": kind,
+    "aria-label": `${kind === "led" ? "LED" : "photodiode"} ${part.name} at ${part.u.toFixed(2)}, ${part.v.toFixed(2)} mm` });
+  const turned = (shape, { u, v, turn }) => { shape.setAttribute("transform", `translate(${u} ${-v}) rotate(${(-turn * 180) / Math.PI})`); return shape; };
+  const rectangle = (name, { width, length }, more = 0) => element("rect", { class: name, x: -width / 2 - more, y: -length / 2 - more, width: width + 2 * more, height: length + 2 * more, rx: more ? 0.15 : 0 });
+  if (kind === "led") {
+    const die = dieOf(part), far = Math.max(die.width, die.length) / 2;
+    for (let i = 0; i < 8; i++) {
+      const angle = (i * Math.PI) / 4, [c, s] = [Math.cos(angle), Math.sin(angle)];
+      group.append(element("line", { class: "ray", x1: part.u + c * (far + 0.12), y1: -part.v + s * (far + 0.12), x2: part.u + c * (far + 0.28), y2: -part.v + s * (far + 0.28) }));
+    }
+    group.append(turned(rectangle("die", die), die), turned(rectangle("grip", die, reach), die));
+    group.append(element("text", { x: part.u, y: -part.v - far - 0.42 }, part.name));
+    return group;
+  }
+  const all = elementsOf(part, false), read = new Set(elementsOf(part).map((one) => one.name));
+  for (const one of all) {
+    const picked = row && row.element.name === one.name ? " picked" : "";
+    group.append(turned(rectangle(read.has(one.name) ? `die${picked}` : "unread", one), one));
+  }
+  const pitch = part.pitch || part.length, whole = { width: part.width, length: (part.elements - 1) * pitch + part.length };
+  const at = { u: part.u, v: part.v, turn: (part.turn * Math.PI) / 180 };
+  group.append(turned(rectangle("grip", whole, Math.max(0.08, reach - Math.min(whole.width, whole.length) / 2)), at));
+  const edge = box(all);
+  // Beside it, where there is more room to the board's edge.
+  const right = edge.uMax < tables.board.nailMm[0] / 2 - 2;
+  group.append(element("text", { x: right ? edge.uMax + 0.2 : edge.uMin - 0.2, y: -part.v + 0.14, style: `text-anchor: ${right ? "start" : "end"}` }, part.name));
+  return group;
+}
+
+// ---- numbers beside it
+
+function drawCards() {
+  const { result, layout } = workbench, row = result.rows[workbench.chosen.row], cards = [];
+  // What is known before any reading, half of which at least a layout must beat to tell anything.
+  const unread = tables.touch.priorPa * Math.hypot(...tables.touch.forcePerPa);
+  const resolution = (found) => (found.value > 0.5 * unread ? ["Nothing", ""] : both(found.value, found.error, "N"));
+  const [value, error] = resolution(tables.touch.hasBody ? result.throughBody : result.electronics);
+  cards.push([value, error, tables.touch.hasBody ? "force resolved in one sample, through the body's noise" : "force resolved in one sample, by the electronics' noise"]);
+  if (tables.touch.hasBody) cards.push([...resolution(result.electronics), "by the electronics alone"]);
+  if (row) {
+    const name = `${layout.leds[row.led].name} on ${row.element.name}`;
+    if (row.few) cards.push(["Not enough photons here", "", name]);
+    else {
+      cards.push([...(row.saturated ? ["Saturated", ""] : both(row.volts, row.voltsError, "V")), `${name}, now`]);
+      cards.push([...both(row.change, row.changeError, "V"), `${name}, change under ${+layout.force.toFixed(3)} N`]);
+      cards.push([`${(100 * row.directShare).toFixed(0)} %`, "", "of that light never saw the bed"]);
+    }
+  }
+  $("cards").replaceChildren(...cards.map(([number, small, words]) => {
+    const item = element("li", /\d/.test(number) ? {} : { class: "weak" }), big = element("b", {}, number);
+    if (small) big.append(" ", element("small", {}, small));
+    item.append(big, element("span", {}, words));
+    return item;
+  }));
+}
+
+function drawReadings() {
+  const { result, layout } = workbench;
+  const head = ["Pair", "Distance [mm]", "Detected at rest", "Now [V]", "Change [mV]", "Noise [mV]", "Change / noise", "Never in the bed", "Outside [V]", ""];
+  const lines = result.rows.map((row, i) => {
+    const led = layout.leds[row.led], apart = Math.hypot(led.u - row.element.u, led.v - row.element.v), noise = Math.sqrt(row.noiseV2);
+    const scientific = (x) => x.toExponential(2).replace("e-", "·10⁻").replace(/⁻(\d+)/, (_, n) => `⁻${[...n].map((d) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[d]).join("")}`);
+    const cells = row.few ? ["", "", "", "", "", "", "", "not enough photons here"] : [
+      `${scientific(row.fractionRest)} ± ${((100 * row.restError) / row.fractionRest).toFixed(1)} %`, withError(row.volts, row.voltsError, ""), withError(row.change, row.changeError, "", 1e3),
+      (1e3 * noise).toPrecision(2), (Math.abs(row.change) / noise).toFixed(0), `${(100 * row.directShare).toFixed(0)} %`,
+      row.ambientA ? (row.ambientA * tables.stage.feedbackOhm).toPrecision(2) : "0", row.saturated ? "saturated" : ""];
+    const line = element("tr", { tabindex: 0, class: i === workbench.chosen.row ? "chosen" : "" }, element("th", { scope: "row" }, `${led.name} → ${row.element.name}`));
+    line.append(element("td", {}, apart.toFixed(2)), ...cells.map((text, k) => element("td", k === cells.length - 1 && text ? { class: "bad" } : {}, text)));
+    const choose = () => { workbench.chosen.row = i; workbench.chosen.part = row.element.of.name; draw(); };
+    line.addEventListener("click", choose);
+    line.addEventListener("keydown", (event) => { if (event.key === "Enter") choose(); });
+    return line;
+  });
+  const row = element("tr");
+  row.append(...head.map((text) => element("th", {}, text)));
+  const body = element("tbody");
+  body.append(...lines);
+  $("readings").replaceChildren(element("thead", {}, row), body);
+}
+
+// ---- the section: the fluence of the LED times that of a photodiode that shines, which is where absorption counts
+
+const SCALE = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
+
+/** Paint where absorption takes from a pair's reading, three decades of it, on cells of three pixels. */
+function paintLight(context, colour, apart, { left, right, deep, x, y }) {
+  const columns = Math.max(2, Math.round((x(right) - x(left)) / 3)), rows = Math.max(2, Math.round((y(deep) - y(0)) / 3));
+  const small = new OffscreenCanvas(columns, rows), picture = new ImageData(columns, rows), values = new Float64Array(columns * rows);
+  let most = -Infinity;
+  for (let j = 0; j < rows; j++) {
+    const depth = ((j + 0.5) / rows) * deep;
+    for (let i = 0; i < columns; i++) {
+      const s = left + ((i + 0.5) / columns) * (right - left), value = logFluence(colour, Math.abs(s), depth) + logFluence(colour, Math.abs(s - apart), depth);
+      values[j * columns + i] = value;
+      if (depth > tables.board.plateMm) most = Math.max(most, value);
+    }
+  }
+  values.forEach((value, n) => {
+    const t = Math.min(0.9999, Math.max(0, 1 + (value - most) / Math.log(1e3))) * (SCALE.length - 1), k = Math.floor(t);
+    for (const c of [0, 1, 2]) picture.data[4 * n + c] = SCALE[k][c] + (t - k) * (SCALE[k + 1][c] - SCALE[k][c]);
+    picture.data[4 * n + 3] = 255;
+  });
+  small.getContext("2d").putImageData(picture, 0, 0);
+  context.drawImage(small, x(left), y(0), x(right) - x(left), y(deep) - y(0));
+}
+
+function drawSection() {
+  const canvas = $("section"), context = canvas.getContext("2d"), row = workbench.result.rows[workbench.chosen.row];
+  const style = getComputedStyle(document.documentElement), ink = style.getPropertyValue("--ink"), paper = style.getPropertyValue("--panel");
+  context.fillStyle = paper;
+  context.fillRect(0, 0, canvas.width, canvas.height);
+  if (!row) return;
+  const led = workbench.layout.leds[row.led], apart = Math.hypot(led.u - row.element.u, led.v - row.element.v);
+  const { board, fluence } = tables, deep = fluence.depths * fluence.stepMm, top = board.epoxyMm + 0.6;
+  const perMm = Math.min(canvas.height / (deep + top), canvas.width / (apart + 2)), span = canvas.width / perMm;
+  const left = (apart - span) / 2, right = left + span, x = (s) => (s - left) * perMm, y = (depth) => (depth + top) * perMm;
+  paintLight(context, colours[tables.ledKinds[led.kind].colour], apart, { left, right, deep, x, y });
+  context.strokeStyle = "#ffffffb0";
+  context.lineWidth = 1.5;
+  context.font = "15px system-ui, sans-serif";
+  for (const [depth, name] of [[board.plateMm, "plate"], [board.plateMm + board.bedMm, "bed"]]) {
+    context.beginPath();
+    context.moveTo(x(left), y(depth));
+    context.lineTo(x(right), y(depth));
+    context.stroke();
+    context.fillStyle = "#ffffffd0";
+    context.fillText(name, x(left) + 6, y(depth) - 6);
+  }
+  context.fillStyle = ink;
+  context.fillText("epoxy", x(left) + 6, y(-board.epoxyMm / 2) + 5);
+  const drawDie = (s, width, variable, text) => {
+    context.fillStyle = style.getPropertyValue(variable);
+    context.fillRect(x(s - width / 2), y(-board.epoxyMm) - 6, width * perMm, 8);
+    context.textAlign = "center";
+    context.fillText(text, x(s), y(-board.epoxyMm) - 12);
+    context.textAlign = "left";
+  };
+  drawDie(0, 0.25, "--led", led.name);
+  drawDie(apart, Math.min(row.element.width, row.element.length), "--diode", row.element.name);
+  $("section-words").textContent = `Through ${led.name} and ${row.element.name}, ${apart.toFixed(2)} mm apart: where absorption takes from this reading, over three decades (the product of how light spreads from both, as in the middle of a board without a wall).`;
+}
+
+// ---- over force
+
+const plots = {};
+
+function plotOptions(series, logarithmic, label) {
+  const style = getComputedStyle(document.documentElement), ink = style.getPropertyValue("--ink"), grid = style.getPropertyValue("--grid");
+  const axis = { stroke: ink, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid }, font: "12px system-ui, sans-serif" };
+  return {
+    width: 440, height: 260, legend: { show: series.length > 2 && !series.some((one) => one.hidden) }, cursor: { drag: { x: false, y: false } },
+    scales: { x: { time: false }, y: logarithmic ? { distr: 3 } : {} },
+    axes: [{ ...axis, label: "Force [N]" }, { ...axis, label, size: 62 }],
+    series: [{ label: "Force [N]" }, ...series],
+    hooks: { draw: [(u) => {
+      const at = u.valToPos(workbench.layout.force, "x", true);
+      u.ctx.save();
+      u.ctx.strokeStyle = style.getPropertyValue("--muted");
+      u.ctx.setLineDash([4, 4]);
+      u.ctx.beginPath();
+      u.ctx.moveTo(at, u.bbox.top);
+      u.ctx.lineTo(at, u.bbox.top + u.bbox.height);
+      u.ctx.stroke();
+      u.ctx.restore();
+    }] },
+  };
+}
+
+function setPlot(id, data, series, logarithmic, label, bands) {
+  const host = $(id);
+  if (!plots[id]) {
+    const options = plotOptions(series, logarithmic, label);
+    if (bands) options.bands = bands;
+    options.width = Math.max(260, host.clientWidth);
+    plots[id] = new uPlot(options, data, host);
+    new ResizeObserver(() => plots[id].setSize({ width: Math.max(260, host.clientWidth), height: 260 })).observe(host);
+  } else plots[id].setData(data);
+}
+
+function drawPlots() {
+  const { layout, result } = workbench, forces = tables.touch.forceN, row = result.rows[workbench.chosen.row];
+  const style = getComputedStyle(document.documentElement), read = (name) => style.getPropertyValue(name).trim();
+  if (row) {
+    const relative = row.changeError / Math.max(Math.abs(row.change), 1e-30);
+    const values = forces.map((force) => 1e3 * row.gain * (dot(monomials(stateAt(force, layout.rest, layout.so2)), row.pair.coefficients) - row.fractionRest));
+    const error = Number.isFinite(relative) && row.change ? relative : tables.kernelError;
+    $("change-title").textContent = `Change of ${layout.leds[row.led].name} on ${row.element.name}`;
+    setPlot("change-plot", [forces, values, values.map((x) => x - 2 * error * Math.abs(x)), values.map((x) => x + 2 * error * Math.abs(x))], [
+      { label: "change", stroke: read("--chosen"), width: 2, hidden: true, points: { show: false } },
+      { label: "low", stroke: "transparent", hidden: true, points: { show: false } }, { label: "high", stroke: "transparent", hidden: true, points: { show: false } },
+    ], false, "Change [mV]", [{ series: [3, 2], fill: `${read("--chosen")}33` }]);
+  }
+  const rows = result.rows.filter((one) => !one.few), told = { body: [], electronics: [] };
+  for (const force of forces) {
+    const state = stateAt(force, layout.rest, layout.so2), slopes = [monomials(state, 0), monomials(state, 1)], now = monomials(state);
+    const there = rows.map((one) => {
+      const light = Math.max(dot(now, one.pair.coefficients), 0) * one.gain;
+      const read = stage(tables.photodiodeKinds[one.element.kind], light / tables.stage.feedbackOhm + one.ambientA);
+      return { led: one.led, light, zone: slopes.map((slope) => dot(slope, one.pair.coefficients) * one.gain), ...read };
+    });
+    const scaled = atForce(tables.touch.bloodPerPa, force).map((x) => x.map((y) => y * layout.rest));
+    const waves = atForce(tables.touch.waves, force).map((x) => x.map((y) => y * layout.rest ** 2));
+    for (const [name, body] of [["body", tables.touch.hasBody], ["electronics", false]]) {
+      const value = 1e3 * forceResolution(there, { bloodPerPa: scaled, waves, body }, layout.leds.length);
+      told[name].push(value < 5e4 ? value : null);
+    }
+  }
+  const lines = [{ label: "electronics alone", stroke: read("--diode"), width: 2, dash: tables.touch.hasBody ? [6, 4] : [], points: { show: false } }], data = [forces, told.electronics];
+  if (tables.touch.hasBody) { lines.unshift({ label: "through the body", stroke: read("--led"), width: 2, points: { show: false } }); data.splice(1, 0, told.body); }
+  setPlot("resolution-plot", data, lines, true, "Resolution [mN]");
+}
+
+// ---- controls
+
+function drawProperties() {
+  const host = $("properties"), found = chosenPart();
+  if (host.contains(document.activeElement) && document.activeElement.matches("input, select") && host.dataset.name === (found ? found[1].name : "")) {
+    for (const input of host.querySelectorAll("input[data-key]")) if (input !== document.activeElement) input.value = +found[1][input.dataset.key].toFixed(4);
+    return;
+  }
+  host.replaceChildren();
+  host.dataset.name = found ? found[1].name : "";
+  if (!found) { host.append(element("span", { class: "small" }, "Choose a part to change it.")); return; }
+  const [kind, part] = found, edit = (key, value) => change((layout) => {
+    const target = [...layout.leds, ...layout.photodiodes].find((one) => one.name === part.name);
+    target[key] = value;
+    if (key === "elements") target.wired = null;
+  });
+  const number = (key, text, step, unit, least = -1e3) => {
+    const input = element("input", { type: "number", step, "data-key": key, value: +(+part[key]).toFixed(4), "aria-label": text });
+    input.addEventListener("change", () => { const x = Number(input.value); if (Number.isFinite(x) && x >= least && input.value !== "") edit(key, key === "elements" ? Math.round(x) : x); });
+    const label = element("label", {}, text);
+    label.append(input, unit);
+    return label;
+  };
+  host.append(element("strong", {}, `${kind === "led" ? "LED" : "Photodiode"} ${part.name}`));
+  const kinds = kind === "led" ? tables.ledKinds : tables.photodiodeKinds;
+  const select = element("select", { id: "kind", "aria-label": kind === "led" ? "Wavelength" : "Part" });
+  kinds.forEach((one, i) => select.append(element("option", i === part.kind ? { value: i, selected: "" } : { value: i }, one.title)));
+  select.addEventListener("change", () => edit("kind", Number(select.value)));
+  host.append(select, number("u", "u", 0.05, "mm"), number("v", "v", 0.05, "mm"), number("turn", "turn", 15, "°"));
+  if (kind === "diode") host.append(number("width", "width", 0.05, "mm", 0.05), number("length", "length", 0.05, "mm", 0.05), number("elements", "elements", 1, "", 1));
+  const remove = element("button", { type: "button", id: "remove" }, "Remove");
+  remove.addEventListener("click", removeChosen);
+  host.append(remove);
+}
+
+function removeChosen() {
+  const found = chosenPart();
+  if (!found) return;
+  change((layout) => {
+    layout.leds = layout.leds.filter((part) => part.name !== found[1].name);
+    layout.photodiodes = layout.photodiodes.filter((part) => part.name !== found[1].name);
+  });
+}
+
+function addPart(kind) {
+  change((layout) => {
+    const list = kind === "led" ? layout.leds : layout.photodiodes, like = list[list.length - 1], names = new Set(allParts().map(([, part]) => part.name));
+    let n = 1;
+    const stem = kind === "led" ? "led" : "pd";
+    while (names.has(`${stem}${n}`)) n += 1;
+    const usual = kind === "led" ? { kind: 0, turn: 0 } : { kind: 0, turn: 0, width: 1, length: 1, elements: 1, pitch: null, wired: null };
+    const made = { ...usual, ...(like ? copy(like) : { u: 0, v: 0 }), name: `${stem}${n}` };
+    if (kind === "diode") { made.elements = 1; made.wired = null; made.pitch = null; }
+    const [uMin, uMax, vMin, vMax] = tables.board.outline, tried = [];
+    // The free place that is nearest to the part that it is like.
+    for (let u = uMin + 0.6; u < uMax - 0.5; u += 0.25) for (let v = vMin + 0.6; v < vMax - 0.5; v += 0.25) tried.push([Math.hypot(u - made.u, v - made.v), u, v]);
+    tried.sort((a, b) => a[0] - b[0]);
+    const free = tried.find(([, u, v]) => { made.u = +u.toFixed(3); made.v = +v.toFixed(3); return !problems({ ...layout, [kind === "led" ? "leds" : "photodiodes"]: [...list, made] }).some((text) => text.includes(made.name) || text.includes("wall")); });
+    list.push(made);
+    workbench.chosen.part = made.name;
+    if (!free) say("There is no free place left for it.");
+  });
+}
+
+function slider(id, range, factor, step, read, write) {
+  const bar = $(id), number = $(`${id}-number`);
+  for (const input of [bar, number]) { input.min = (range[0] * factor).toFixed(4); input.max = (range[1] * factor).toFixed(4); }
+  bar.step = step;
+  let before = null;
+  const set = (value) => { workbench.layout[write] = Math.min(range[1], Math.max(range[0], value / factor)); };
+  bar.addEventListener("input", () => { before = before || copy(workbench.layout); set(Number(bar.value)); draw(); });
+  bar.addEventListener("change", () => { if (before) remember(before); before = null; draw(); });
+  number.addEventListener("change", () => { if (number.value !== "" && Number.isFinite(Number(number.value))) change(() => set(Number(number.value))); else draw(); });
+  return () => {
+    const value = read() * factor;
+    if (document.activeElement !== bar) bar.value = value;
+    if (document.activeElement !== number || Number(number.value) !== value) number.value = +value.toFixed(3);
+  };
+}
+
+const sliders = [];
+
+function listen() {
+  const reach = tables.touch.forceN[tables.touch.forceN.length - 1];
+  sliders.push(slider("force", [0, reach], 1, 0.01, () => workbench.layout.force, "force"));
+  sliders.push(slider("rest", tables.restRange, 100, 0.01, () => workbench.layout.rest, "rest"));
+  sliders.push(slider("so2", tables.polynomial.so2, 100, 0.1, () => workbench.layout.so2, "so2"));
+  if (tables.restRange[0] === tables.restRange[1]) $("rest").closest("label").hidden = true;
+  $("ambient").append(element("option", { value: "" }, "none"), ...tables.ambient.names.map((name, i) => element("option", { value: i }, `${name}${tables.board.covered ? ", through the finger" : ""}`)));
+  $("ambient").addEventListener("change", () => change((layout) => { layout.ambient = $("ambient").value === "" ? null : Number($("ambient").value); }));
+  $("undo").addEventListener("click", () => step(workbench.past, workbench.future));
+  $("redo").addEventListener("click", () => step(workbench.future, workbench.past));
+  $("reset").addEventListener("click", () => change((layout) => Object.assign(layout, copy(tables.layout))));
+  $("add-led").addEventListener("click", () => addPart("led"));
+  $("add-photodiode").addEventListener("click", () => addPart("diode"));
+  $("save-scene").addEventListener("click", () => save("explored.toml", smolToml.stringify(toScene(workbench.layout)), "application/toml"));
+  $("save-positions").addEventListener("click", () => save("explored.csv", toPositions(workbench.layout), "text/csv"));
+  $("copy-link").addEventListener("click", () => {
+    const done = () => say("The link is on the clipboard."), shown = () => say(location.href);
+    if (navigator.clipboard) navigator.clipboard.writeText(location.href).then(done, shown); else shown();
+  });
+  $("open").addEventListener("change", () => { if ($("open").files[0]) openFile($("open").files[0]); });
+  document.addEventListener("dragover", (event) => { event.preventDefault(); document.body.classList.add("dropping"); });
+  document.addEventListener("dragleave", () => document.body.classList.remove("dropping"));
+  document.addEventListener("drop", (event) => { event.preventDefault(); document.body.classList.remove("dropping"); if (event.dataTransfer.files[0]) openFile(event.dataTransfer.files[0]); });
+  window.addEventListener("hashchange", () => { try { const found = fromLink(location.hash.slice(1)); change((layout) => Object.assign(layout, found)); } catch { say("That link is of another page."); } });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { for (const id of Object.keys(plots)) { plots[id].destroy(); delete plots[id]; } draw(); });
+  listenToKeys();
+  listenToDrags();
+}
+
+function listenToKeys() {
+  document.addEventListener("keydown", (event) => {
+    if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z" && !event.target.matches("input")) {
+      event.preventDefault();
+      if (event.shiftKey) step(workbench.future, workbench.past); else step(workbench.past, workbench.future);
+    }
+  });
+  $("board").addEventListener("focusin", (event) => { const part = event.target.closest(".part"); if (part && workbench.chosen.part !== part.dataset.name) choosePart(part.dataset.name); });
+  $("board").addEventListener("keydown", (event) => {
+    const found = chosenPart(), far = event.shiftKey ? 0.5 : 0.05;
+    const moves = { ArrowLeft: [-far, 0], ArrowRight: [far, 0], ArrowUp: [0, far], ArrowDown: [0, -far] };
+    if (!found) return;
+    const named = (layout) => [...layout.leds, ...layout.photodiodes].find((part) => part.name === found[1].name);
+    if (moves[event.key]) change((layout) => { const part = named(layout); part.u = +(part.u + moves[event.key][0]).toFixed(4); part.v = +(part.v + moves[event.key][1]).toFixed(4); });
+    else if (event.key.toLowerCase() === "r") change((layout) => { const part = named(layout); part.turn = (part.turn + 15) % 180; });
+    else if (event.key === "Delete" || event.key === "Backspace") removeChosen();
+    else return;
+    event.preventDefault();
+  });
+}
+
+function choosePart(name) {
+  workbench.chosen.part = name;
+  const rows = workbench.result.rows, row = rows[workbench.chosen.row], led = workbench.layout.leds.findIndex((part) => part.name === name);
+  const own = (one) => (led >= 0 ? one.led === led : one.element.of.name === name);
+  if (!row || !own(row)) {
+    const same = rows.findIndex((one) => own(one) && (led >= 0 ? row && one.element.name === row.element.name : row && one.led === row.led));
+    workbench.chosen.row = Math.max(0, same >= 0 ? same : rows.findIndex(own));
+  }
+  draw();
+}
+
+function listenToDrags() {
+  let before = null, at = null, waiting = false;
+  const perPixel = () => { const matrix = $("board").getScreenCTM(); return 1 / matrix.a; };
+  interact("#board .part").draggable({
+    listeners: {
+      start(event) { before = copy(workbench.layout); choosePart(event.target.dataset.name); const part = chosenPart()[1]; at = [part.u, part.v]; },
+      move(event) {
+        at = [at[0] + event.dx * perPixel(), at[1] - event.dy * perPixel()];
+        const part = chosenPart()[1], [uMin, uMax, vMin, vMax] = tables.board.outline;
+        // Hundredths of a millimetre are what a layout program shows.
+        part.u = Math.round(100 * Math.min(uMax, Math.max(uMin, at[0]))) / 100;
+        part.v = Math.round(100 * Math.min(vMax, Math.max(vMin, at[1]))) / 100;
+        if (!waiting) { waiting = true; requestAnimationFrame(() => { waiting = false; draw(); }); }
+      },
+      end() { remember(before); draw(); },
+    },
+  }).styleCursor(false);
+  interact("#board .part").on("tap", (event) => choosePart(event.currentTarget.dataset.name));
+}
+
+function save(name, text, type) {
+  const link = element("a", { href: URL.createObjectURL(new Blob([text], { type })), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  say(`${name} is saved.`);
+}
+
+async function openFile(file) {
+  try {
+    const found = fromScene(smolToml.parse(await file.text()), workbench.layout);
+    change((layout) => Object.assign(layout, found));
+    say(`${file.name}: its parts lie on this page's board; finger, vessels and board stay as they are here.`);
+  } catch (error) { say(`${file.name}: ${error.message}`); }
+}
+
+function drawFixed() {
+  const { board } = tables, lines = [
+    `The board's outline, ${(board.outline[1] - board.outline[0]).toFixed(1)} by ${(board.outline[3] - board.outline[2]).toFixed(1)} mm, its ${board.covered ? "cover" : "film without a cover"}, epoxy and the finger are held fixed.`,
+    board.wall ? `The wall stays where the scene has it: LEDs move ${{ left: "left of", right: "right of", below: "below", above: "above" }[board.wall.side]} it, photodiodes on its other side.` : "The board has no wall.",
+    "Blood is that of a touch that is held; how fast it comes there is not modelled here, simulate tells.",
+    tables.touch.hasBody ? "Force resolution goes through the body's noise of the scene, as place computes it, and beside it through that of the electronics alone." : "The scene has no body: force resolution is by the noise of the electronics alone.",
+    `Readings are off by ${100 * tables.kernelError} % (rms) beyond their photons, by what lies between the table's nodes and the few percent that photodiodes swallow and a bare board sends back; that is in their errors.`,
+    "Parts that stand out of the board's underside are taken for flush with it. Light from outside is that of the scene's own photodiode and cover.",
+  ];
+  $("fixed").replaceChildren(...lines.map((text) => element("li", {}, text)));
+}
+
+function draw() {
+  const begin = performance.now(), found = problems(workbench.layout);
+  workbench.result = evaluate(workbench.layout, caches);
+  workbench.chosen.row = Math.min(workbench.chosen.row, Math.max(0, workbench.result.rows.length - 1));
+  $("problem").hidden = !found.length;
+  $("problem").textContent = found.length ? `This cannot be built: ${found.slice(0, 3).join("; ")}.` : "";
+  $("workbench").classList.toggle("broken", found.length > 0);
+  for (const id of ["save-scene", "save-positions"]) $(id).disabled = found.length > 0;
+  $("undo").disabled = !workbench.past.length;
+  $("redo").disabled = !workbench.future.length;
+  for (const update of sliders) update();
+  $("ambient").value = workbench.layout.ambient === null ? "" : workbench.layout.ambient;
+  drawBoard();
+  drawCards();
+  drawProperties();
+  drawReadings();
+  drawSection();
+  drawPlots();
+  workbench.milliseconds = performance.now() - begin;
+}
+
+workbench.layout = copy(tables.layout);
+if (location.hash.length > 1) { try { workbench.layout = fromLink(location.hash.slice(1)); } catch { say("The link is of another page; the scene's own layout is shown."); } }
+listen();
+drawFixed();
+draw();

@@ -1,0 +1,287 @@
+"""The page on which LEDs and photodiodes are dragged: tables, style, libraries and code in one file."""
+
+import base64
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import electronics
+from ..io import write_text
+from ..light.pair_kernel import NEAREST_MM
+from ..light.transfer import FEW_PHOTONS
+from ..scene import Led, Photodiode, Scene
+from ..scene.rectangles import Rectangle
+from ..studies.ambient import SOURCES
+from ..studies.exploration.explore import (
+    BLOCKS,
+    BLOOD_RANGE,
+    KERNEL_ERROR,
+    SAME_NM,
+    Exploration,
+    fluence_edges,
+)
+from .html import document, escaped, section
+
+# What of a part is its place in a layout, and not the part.
+PLACED = {"name", "position_mm", "rotation_deg", "wired"}
+# Rules of Gauss quadrature up to so many points.
+MOST_POINTS = 6
+# The smallest current at which the slope of the noise's variance is taken. [A]
+TEST_CURRENT_A = 1e-6
+LIBRARIES = (
+    ("uPlot", "uPlot.iife.min.js", "https://github.com/leeoniya/uPlot"),
+    ("interact.js", "interact.min.js", "https://github.com/taye/interact.js"),
+    ("smol-toml", "smol-toml.cjs", "https://github.com/squirrelchat/smol-toml"),
+)
+
+
+def write_exploration(found: Exploration, path: Path) -> None:
+    """Write the page of what `explore` returns, whole or not at all; raises WriteError."""
+    write_text(Path(path), page(found))
+
+
+def page(found: Exploration) -> str:
+    """The page as text."""
+    tables = json.dumps(_tables(found), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    style = f"<style>{_text('vendor', 'uPlot.min.css')}{_text('explore.css')}</style>"
+    libraries = [f"<script>{_library(name, file)}</script>" for name, file, _ in LIBRARIES]
+    scripts = [
+        f'<script type="application/json" id="tables">{tables}</script>',
+        *libraries,
+        f"<script>{_text('explore.js')}\n{_text('workbench.js')}</script>",
+    ]
+    return document(
+        kicker="explore",
+        title="Drag LEDs and photodiodes on the nail",
+        lead="Every reading follows at once, from light that was traced all over the board.",
+        body=[style, _text("workbench.html"), _licences(), *scripts],
+        attributes=found.attributes,
+    )
+
+
+def _text(*name: str) -> str:
+    return resources.files(__package__).joinpath("explore", *name).read_text(encoding="utf-8")
+
+
+def _library(name: str, file: str) -> str:
+    """A library as a script; one that is a CommonJS module becomes a global of its file's name."""
+    code = _text("vendor", file)
+    if not file.endswith(".cjs"):
+        return code
+    opening, closing = "const smolToml = (() => { const module = { exports: {} }, exports = module.exports;", "})();"
+    return f"{opening}\n{code}\nreturn module.exports; {closing}"
+
+
+def _licences() -> str:
+    lines = []
+    for name, _, address in LIBRARIES:
+        licence = _text("vendor", f"{name.removesuffix('.js')}.LICENSE")
+        lines.append(f"<h3>{name}</h3><p class='small'>{address}</p><pre>{escaped(licence)}</pre>")
+    opening = "<details><summary>Licences of the libraries in this page</summary>"
+    return section(
+        "Made with",
+        "<p>uPlot draws, interact.js drags, smol-toml reads and writes scenes.</p>",
+        opening,
+        *lines,
+        "</details>",
+    )
+
+
+def _half(values: np.ndarray) -> str:
+    """Numbers in half precision, as base64."""
+    return base64.b64encode(np.ascontiguousarray(values, "<f2").tobytes()).decode()
+
+
+def _tables(found: Exploration) -> dict[str, Any]:
+    scene, basis, polynomial = found.scene, found.basis, found.polynomial
+    fine, coarse = ([axis.tolist() for axis in axes] for axes in basis.axes)
+    rings, depths = fluence_edges(scene)
+    leds, diodes = _led_kinds(found), _photodiode_kinds(scene)
+    nodes_u, nodes_v = found.ambient_nodes
+    return {
+        "scene": json.loads(json.dumps(scene.model_dump(mode="json", exclude_none=True, exclude={"placement"}))),
+        "basis": {"across": basis.across, "fine": fine, "coarse": coarse},
+        "radial": {
+            "logMm": found.radial.log_mm.tolist(),
+            "logValue": found.radial.log_value.tolist(),
+            "nearestMm": NEAREST_MM,
+        },
+        "gauss": [_rule(n) for n in range(MOST_POINTS + 1)],
+        "polynomial": {
+            "exponents": polynomial.exponents,
+            "bloodFraction": polynomial.blood_fraction,
+            "so2": polynomial.so2,
+        },
+        "blocks": BLOCKS,
+        "kernelError": KERNEL_ERROR,
+        "fewRelative": FEW_PHOTONS**-0.5,
+        "sameNm": SAME_NM,
+        "restRange": [
+            (x if scene.blood.venous_so2 is None else 1.0) * scene.blood.rest_blood_fraction for x in BLOOD_RANGE
+        ],
+        "colours": [_colour(one) for one in found.colours],
+        "ledKinds": leds,
+        "photodiodeKinds": [_readout(one, leds, scene) for one in diodes],
+        "stage": {
+            "feedbackOhm": scene.electronics.feedback_ohm,
+            "rangeV": scene.electronics.adc_range_v,
+            "lsbV": electronics.lsb_v(scene.electronics),
+        },
+        "touch": _touch(found.touch),
+        "board": _board(scene),
+        "layout": _layout(scene, diodes, leds),
+        "ambient": {
+            "names": [f"{source.name}, {source.lux:g} lux" for source in SOURCES],
+            "nodesU": nodes_u.tolist(),
+            "nodesV": nodes_v.tolist(),
+            "aPerMm2": found.ambient_a_per_mm2.tolist(),
+        },
+        "fluence": {
+            "ringMm": float(rings[1]),
+            "stepMm": float(depths[1]),
+            "rings": len(rings) - 1,
+            "depths": len(depths) - 1,
+        },
+    }
+
+
+def _rule(points: int) -> list[list[float]]:
+    """Nodes and weights of Gauss quadrature on -1 to 1."""
+    return [] if points == 0 else np.stack(np.polynomial.legendre.leggauss(points), -1).tolist()
+
+
+def _colour(one: Any) -> dict[str, Any]:
+    # Half precision reaches from 6e-5 to 6e4.
+    scale = float(np.sqrt(np.mean(one.coefficients[:, 0] ** 2)))
+    fluence = np.log(np.maximum(one.fluence, one.fluence[one.fluence > 0].min()))
+    return {
+        "nm": one.led.wavelength_nm,
+        "photons": one.photons,
+        "scale": scale,
+        "coefficients": _half(one.coefficients / scale),
+        "direct": _half(one.direct / scale),
+        "blocks": _half(one.blocks.transpose(1, 0, 2) / scale),
+        "logFluence": _half(fluence),
+    }
+
+
+def _led_kinds(found: Exploration) -> list[dict[str, Any]]:
+    """Every LED that can be chosen: the scene's own, by all but their places, then the further wavelengths."""
+    number = {(one.led.wavelength_nm, one.led.fwhm_nm): i for i, one in enumerate(found.colours)}
+    kinds: list[dict[str, Any]] = []
+    for led in (*found.scene.leds, *(one.led for one in found.colours)):
+        fields = led.model_dump(mode="json", exclude_none=True, exclude=PLACED)
+        colour = number[led.wavelength_nm, led.fwhm_nm]
+        if all(kind["fields"] != fields for kind in kinds) and not (
+            led not in found.scene.leds and any(kind["colour"] == colour for kind in kinds)
+        ):
+            width, length = led.size_mm
+            size = {"widthMm": width, "lengthMm": length, "fluxMw": led.flux_mw}
+            title = f"{led.wavelength_nm:g} nm" + (f", {led.part}" if led.part else "")
+            kinds.append({"title": title, "colour": colour, "fields": fields, **size})
+    return kinds
+
+
+def _photodiode_kinds(scene: Scene) -> list[Photodiode]:
+    """The scene's photodiodes without those that differ in their places alone."""
+    kinds: dict[str, Photodiode] = {}
+    for one in scene.photodiodes:
+        kinds.setdefault(one.model_dump_json(exclude=PLACED), one)
+    return list(kinds.values())
+
+
+def _readout(one: Photodiode, leds: list[dict[str, Any]], scene: Scene) -> dict[str, Any]:
+    """What makes volts and noise of a photodiode's light: the variance is linear in the current."""
+    stage, dark_a = scene.electronics, one.dark_current_a(scene.electronics.temperature_k)
+    wavelengths = [kind["fields"]["wavelength_nm"] for kind in leds]
+    noise_v2 = [
+        float(
+            sum(
+                electronics.noise_budget(
+                    current,
+                    stage,
+                    dark_current_na=1e9 * dark_a,
+                    shunt_ohm=1e6 * one.shunt_mohm,
+                    capacitance_pf=one.capacitance_pf,
+                )
+            )
+        )
+        for current in (0.0, TEST_CURRENT_A)
+    ]
+    return {
+        "title": one.part or one.name,
+        "fields": one.model_dump(mode="json", exclude_none=True, exclude=PLACED),
+        "responsivity": electronics.photodiode_responsivity_a_per_w(one, wavelengths).tolist(),
+        "darkA": dark_a,
+        "fixedNoiseV2": noise_v2[0],
+        "noiseV2PerA": (noise_v2[1] - noise_v2[0]) / TEST_CURRENT_A,
+    }
+
+
+def _touch(table: dict[str, Any]) -> dict[str, Any]:
+    names = {
+        "force_n": "forceN",
+        "blood": "blood",
+        "blood_per_pa": "bloodPerPa",
+        "waves": "waves",
+        "force_per_pa": "forcePerPa",
+        "pressure_per_n": "pressurePerN",
+        "prior_pa": "priorPa",
+        "has_body": "hasBody",
+        "led_drift": "ledDrift",
+        "reading_drift": "readingDrift",
+        "lift": "lift",
+    }
+    return {names[key]: value.tolist() if isinstance(value, np.ndarray) else value for key, value in table.items()}
+
+
+def _board(scene: Scene) -> dict[str, Any]:
+    finger, layout, board = scene.finger, scene.layout, scene.board
+    assert finger is not None
+    walls = [{"side": wall.name, **_edges(wall)} for wall in layout.barriers]
+    return {
+        "outline": list(_edges(layout.outline).values()),
+        "wall": walls[0] if walls else None,
+        "center": list(board.center_mm),
+        "nailMm": [finger.nail_width_mm, finger.nail_length_mm],
+        "zoneEdgeMm": scene.zone_edges_mm[0],
+        "epoxyMm": 1e-3 * (board.clear_epoxy_um + board.adhesive_um),
+        "plateMm": finger.nail_thickness_mm,
+        "bedMm": finger.bed_thickness_mm,
+        "covered": board.cover_um > 0,
+    }
+
+
+def _edges(r: Rectangle) -> dict[str, float]:
+    return {"uMin": r.u_min, "uMax": r.u_max, "vMin": r.v_min, "vMax": r.v_max}
+
+
+def _layout(scene: Scene, diodes: list[Photodiode], leds: list[dict[str, Any]]) -> dict[str, Any]:
+    """The scene's own layout, from the nail's centre."""
+    du, dv = scene.board.center_mm
+
+    def placed(part: Led | Photodiode) -> dict[str, Any]:
+        u, v = part.position_mm
+        return {"name": part.name, "u": u + du, "v": v + dv, "turn": part.rotation_deg}
+
+    dumps = [one.model_dump_json(exclude=PLACED) for one in diodes]
+    fields = [kind["fields"] for kind in leds]
+    return {
+        "leds": [
+            placed(one) | {"kind": fields.index(one.model_dump(mode="json", exclude_none=True, exclude=PLACED))}
+            for one in scene.leds
+        ],
+        "photodiodes": [
+            placed(one)
+            | {"kind": dumps.index(one.model_dump_json(exclude=PLACED)), "width": one.size_mm[0]}
+            | {"length": one.size_mm[1], "elements": one.elements, "pitch": one.pitch_mm, "wired": one.wired}
+            for one in scene.photodiodes
+        ],
+        "force": scene.touch.force_n if getattr(scene.touch, "force_n", None) else 1.0,
+        "rest": scene.blood.rest_blood_fraction,
+        "so2": scene.blood.so2,
+        "ambient": None,
+    }

@@ -1,0 +1,1 @@
+"""Tables from which a page shows any layout at once."""

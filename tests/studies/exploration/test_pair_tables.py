@@ -1,0 +1,102 @@
+"""The kernel between places of a board: exact where light is of its form, and its errors are true."""
+
+import numpy as np
+import pytest
+
+from nailoptics.assets import data_dir
+from nailoptics.errors import InputError
+from nailoptics.light.pair_kernel import PairProjection, RadialFunction, pair_basis
+from nailoptics.scene import Scene, load_scene
+from nailoptics.scene.rectangles import Rectangle
+from nailoptics.studies.exploration.blood_polynomial import BloodPolynomial
+from nailoptics.studies.exploration.explore import explore, explored_board
+
+BOARD = Rectangle("board", -4.0, 4.0, -5.0, 5.0)
+WALL = Rectangle("left", -0.9, -0.7, -5.0, 5.0)
+RADIAL = RadialFunction(np.log([0.2, 20.0]), np.log([3.0, 0.03]))
+
+
+def scene() -> Scene:
+    return load_scene(data_dir("scenes") / "prototype.toml")
+
+
+@pytest.mark.parametrize("wall", [None, WALL, Rectangle("above", -4.0, 4.0, 1.0, 1.2)], ids=["open", "left", "above"])
+def test_a_kernel_of_its_form_is_found_from_photons_drawn_from_it(wall):
+    """Photons at pairs of places at random, each with the kernel's weight there."""
+    basis, rng = pair_basis(BOARD, wall), np.random.default_rng(0)
+    x, y, volume = basis.places(rng.random((200_000, 4)))
+
+    def truth(x, y):
+        return RADIAL(x, y) * (1.5 + 0.1 * x[:, 0] + 0.1 * y[:, 0] + 0.05 * np.abs(x[:, 1] - y[:, 1]))
+
+    # Each photon counts for both ways: half of those that go one way alone, so that these weigh twice.
+    forth = 1.0 if basis.one_side else 2.0
+    sums = basis.sums(x, y, (forth * volume * truth(x, y))[:, None])
+    kernel = PairProjection(basis, RADIAL).solve(sums)[:, 0]
+    x, y, _ = basis.places(rng.random((2000, 4)))
+    at, value = basis.at(x, y)
+    found = RADIAL(x, y) * (value * kernel[at]).sum(1)
+    # The photons' places are random, so that their number at each pair of nodes is; their weights are exact.
+    assert np.sqrt(np.mean((found / truth(x, y) - 1) ** 2)) < 0.1
+    assert np.mean(found / truth(x, y)) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("name", ["left", "right", "below", "above"])
+def test_photons_through_a_wall_are_turned_to_go_from_leds_to_photodiodes(name):
+    along = name in ("below", "above")
+    wall = Rectangle(name, *((-4.0, 4.0, 1.0, 1.2) if along else (-0.9, -0.7, -5.0, 5.0)))
+    basis, rng = pair_basis(BOARD, wall), np.random.default_rng(0)
+    starts, arrivals = rng.uniform([-4, -5], [4, 5], (2, 1000, 2))
+    axis, middle = (1, 1.1) if along else (0, -0.8)
+    low = name in ("left", "below")
+    went, x, y = basis.between(starts, arrivals)
+    assert (went == ((starts[:, axis] < middle) != (arrivals[:, axis] < middle))).all()
+    assert ((x[:, axis] < middle) == low).all()
+    assert ((y[:, axis] > middle) == low).all()
+
+
+def test_a_polynomial_in_blood_and_saturation_follows_attenuation():
+    polynomial, rng = BloodPolynomial((0.0, 0.09), (0.7, 1.0)), np.random.default_rng(0)
+
+    def reading(states):
+        # At 660 nm, where oxygen matters most: 6 mm of path in the bed.
+        per_blood = 0.16 + 1.4 * (1 - states[:, 2])
+        return np.exp(-per_blood * (4.0 * states[:, 0] + 2.0 * states[:, 1])) * (1 - 0.2 * (1 - states[:, 2]))
+
+    coefficients = polynomial.coefficients @ reading(polynomial.states)
+    states = rng.uniform([0, 0, 0.7], [0.09, 0.09, 1.0], (1000, 3))
+    assert polynomial.monomials(states) @ coefficients == pytest.approx(reading(states), rel=5e-4)
+
+
+def test_the_board_that_is_explored_keeps_the_parts_and_the_wall():
+    given, explored = scene(), explored_board(scene())
+    assert explored.layout.leds[0].center_mm == pytest.approx(given.layout.leds[0].center_mm)
+    assert explored.layout.photodiode_names == given.layout.photodiode_names
+    assert explored.layout.barriers[0].u_min == pytest.approx(given.layout.barriers[0].u_min)
+    assert explored.layout.outline.area_mm2 > given.layout.outline.area_mm2
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"blood": scene().blood.model_copy(update={"zones": 4})}, "two blood zones"),
+        (
+            {
+                "leds": (
+                    scene()
+                    .leds[0]
+                    .model_copy(
+                        update={"pattern": "measured", "pattern_deg": (0.0, 90.0), "pattern_relative": (1.0, 0.0)}
+                    ),
+                )
+            },
+            "Lambertian",
+        ),
+    ],
+    ids=["zones", "pattern"],
+)
+def test_what_it_cannot_show_is_refused_in_a_line(change, what):
+    with pytest.raises(InputError, match=what):
+        explore(scene().model_copy(update=change))
+    with pytest.raises(InputError, match="photons or max_seconds"):
+        explore(scene(), relative_error=0.01)

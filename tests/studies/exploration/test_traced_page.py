@@ -1,0 +1,47 @@
+"""What the page shows of traced light is what `simulate` makes of the scene that it exports."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nailoptics as nail
+from nailoptics.assets import data_dir
+from nailoptics.light.transfer import FEW_PHOTONS
+from nailoptics.report.explore_page import page
+from nailoptics.scene.files import parse_scene
+from nailoptics.studies.exploration import explore as study
+
+EXPLORED, SIMULATED = 1_200_000, 600_000
+
+
+def test_readings_and_their_change_are_those_of_the_exported_scene(
+    jit_backend: Any,
+    browser: Any,
+    tmp_path: Any,
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """An LED moved by 0.6 mm: each reading within 2 standard errors of both, but for one in twenty or so."""
+    monkeypatch.setattr(study, "FURTHER_LEDS", ())
+    scene = nail.load_scene(data_dir("scenes") / "prototype.toml")
+    path = tmp_path / "explore.html"
+    path.write_text(page(study.explore(scene, photons=EXPLORED, seed=3)), encoding="utf-8")
+    shown = browser.new_page()
+    shown.goto(path.as_uri())
+    shown.evaluate("change((layout) => { layout.leds[0].u -= 0.2; layout.leds[0].v += 0.6; layout.force = 0.8; })")
+    told = shown.evaluate("JSON.parse(JSON.stringify(workbench.result.rows))")
+    exported = parse_scene(shown.evaluate("smolToml.stringify(toScene(workbench.layout))"), name="exported")
+    result = nail.simulate(exported, photons=SIMULATED, seed=7)
+    held = int(np.flatnonzero(result.force_n.values >= 0.8 - 1e-9)[-1])
+    rest, rest_error = (result[name].values[0, :, 0] for name in ("detected_fraction", "detected_fraction_stderr"))
+    change, change_error = (1e3 * result[name].values[0, :, held] for name in ("volts_change", "volts_change_stderr"))
+    assert [row["element"]["name"] for row in told] == list(result.photodiode.values)
+    pulls = []
+    for i, row in enumerate(told):
+        assert not row["few"]
+        assert row["restError"] < FEW_PHOTONS**-0.5 * row["fractionRest"]
+        pulls.append((row["fractionRest"] - rest[i]) / np.hypot(row["restError"], rest_error[i]))
+        pulls.append((1e3 * row["change"] - change[i]) / np.hypot(1e3 * row["changeError"], change_error[i]))
+    assert np.mean(np.abs(pulls) < 2) > 0.85
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.5
+    shown.close()
