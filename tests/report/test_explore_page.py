@@ -50,6 +50,11 @@ def shown(browser: Any, file: Path) -> Iterator[Any]:
     context.close()
 
 
+def test_the_page_is_one_file_of_at_most_five_megabytes(file: Path):
+    """That it asks for no other file is seen whenever it is shown."""
+    assert file.stat().st_size < 5e6
+
+
 def rows(shown: Any) -> list[dict[str, Any]]:
     return shown.evaluate("JSON.parse(JSON.stringify(workbench.result.rows))")
 
