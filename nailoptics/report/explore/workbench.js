@@ -3,6 +3,8 @@
 const $ = (id) => document.getElementById(id);
 const workbench = { layout: null, chosen: { part: null, row: 0 }, past: [], future: [], result: null, milliseconds: 0 };
 const caches = new Map();
+// A layout that resolves no less than half of what is known before any reading tells nothing. [N]
+const NOTHING_N = 0.5 * tables.touch.priorPa * Math.hypot(...tables.touch.forcePerPa);
 
 // ---- words and numbers
 
@@ -131,9 +133,7 @@ function drawPart(kind, part, row) {
 
 function drawCards() {
   const { result, layout } = workbench, row = result.rows[workbench.chosen.row], cards = [];
-  // What is known before any reading, half of which at least a layout must beat to tell anything.
-  const unread = tables.touch.priorPa * Math.hypot(...tables.touch.forcePerPa);
-  const resolution = (found) => (found.value > 0.5 * unread ? ["Nothing", ""] : both(found.value, found.error, "N"));
+  const resolution = (found) => (found.value > NOTHING_N ? ["Nothing", ""] : both(found.value, found.error, "N"));
   const [value, error] = resolution(tables.touch.hasBody ? result.throughBody : result.electronics);
   cards.push([value, error, tables.touch.hasBody ? "force resolved in one sample, through the body's noise" : "force resolved in one sample, by the electronics' noise"]);
   if (tables.touch.hasBody) cards.push([...resolution(result.electronics), "by the electronics alone"]);
@@ -301,8 +301,8 @@ function drawPlots() {
     const scaled = atForce(tables.touch.bloodPerPa, force).map((x) => x.map((y) => y * layout.rest));
     const waves = atForce(tables.touch.waves, force).map((x) => x.map((y) => y * layout.rest ** 2));
     for (const [name, body] of [["body", tables.touch.hasBody], ["electronics", false]]) {
-      const value = 1e3 * forceResolution(there, { bloodPerPa: scaled, waves, body }, layout.leds.length);
-      told[name].push(value < 5e4 ? value : null);
+      const value = forceResolution(there, { bloodPerPa: scaled, waves, body }, layout.leds.length);
+      told[name].push(value < NOTHING_N ? 1e3 * value : null);
     }
   }
   const lines = [{ label: "electronics alone", stroke: read("--diode"), width: 2, dash: tables.touch.hasBody ? [6, 4] : [], points: { show: false } }], data = [forces, told.electronics];
@@ -489,11 +489,12 @@ async function openFile(file) {
 }
 
 function drawFixed() {
-  const { board } = tables, lines = [
+  const { board } = tables, quietest = 1e3 * Math.sqrt(Math.min(...tables.photodiodeKinds.map((kind) => kind.fixedNoiseV2))), lines = [
     `The board's outline, ${(board.outline[1] - board.outline[0]).toFixed(1)} by ${(board.outline[3] - board.outline[2]).toFixed(1)} mm, its ${board.covered ? "cover" : "film without a cover"}, epoxy and the finger are held fixed.`,
     board.wall ? `The wall stays where the scene has it: LEDs move ${{ left: "left of", right: "right of", below: "below", above: "above" }[board.wall.side]} it, photodiodes on its other side.` : "The board has no wall.",
     "Blood is that of a touch that is held; how fast it comes there is not modelled here, simulate tells.",
     tables.touch.hasBody ? "Force resolution goes through the body's noise of the scene, as place computes it, and beside it through that of the electronics alone." : "The scene has no body: force resolution is by the noise of the electronics alone.",
+    `One sample's noise is that of stage and converter, ${quietest.toPrecision(2)} mV in the dark, and the shot noise of its light; light from outside adds its own.`,
     `Readings are off by ${100 * tables.kernelError} % (rms) beyond their photons, by what lies between the table's nodes and the few percent that photodiodes swallow and a bare board sends back; that is in their errors.`,
     "Parts that stand out of the board's underside are taken for flush with it. Light from outside is that of the scene's own photodiode and cover.",
   ];
