@@ -47,4 +47,4 @@ class BloodPolynomial:
     @property
     def coefficients(self) -> Array:
         """What makes the coefficients from values in all states, (monomials, states) float: least squares."""
-        return np.linalg.pinv(self.monomials(self.states))
+        return np.asarray(np.linalg.pinv(self.monomials(self.states)), float)

@@ -301,7 +301,7 @@ class _Sums:
                 np.add.at(total[k], (i[:, :, None], j[:, None, :]), weight / emitted)
         mass = [_hat_products(axis) for axis in axes]
         current = np.einsum("ai,bj,sij->sab", np.linalg.inv(mass[0]), np.linalg.inv(mass[1]), total)
-        return axes, np.maximum(current, 0.0)
+        return (axes[0], axes[1]), np.maximum(current, 0.0)
 
 
 def _hat_products(axis: Array) -> Array:
