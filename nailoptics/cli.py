@@ -139,24 +139,33 @@ def colour(
     *,
     output: Folder = None,
     force: Annotated[
-        tuple[float, ...], Parameter(negative="", help="Held forces, the first to compare with. May be repeated. [N]")
-    ] = (0.0, 0.3, 1.0, 2.0, 4.0),
+        tuple[float, ...] | None,
+        Parameter(negative="", help="Held forces, the first to compare with. May be repeated. [N]"),
+    ] = None,
     illuminant: Annotated[
-        Literal["D65", "A", "LED-B3"], Parameter(help="Daylight, an incandescent lamp, or a white LED.")
-    ] = "D65",
-    observer: Annotated[Literal["2", "10"], Parameter(help="Field of the standard observer, in degrees.")] = "2",
-    light: Annotated[Literal["sky", "lamp"], Parameter(help="From all sides, or at 45 degrees all round.")] = "sky",
-    gloss: Annotated[bool, Parameter(help="Count what the surface mirrors, too.")] = False,
+        Literal["D65", "A", "LED-B3"] | None, Parameter(help="Daylight, an incandescent lamp, or a white LED.")
+    ] = None,
+    observer: Annotated[
+        Literal["2", "10"] | None, Parameter(help="Field of the standard observer, in degrees.")
+    ] = None,
+    light: Annotated[
+        Literal["sky", "lamp"] | None, Parameter(help="From all sides, or at 45 degrees all round.")
+    ] = None,
+    gloss: Annotated[bool | None, Parameter(help="Count what the surface mirrors, too.")] = None,
     photograph: Annotated[
         bool, Parameter(help="Render the finger at rest and pressed, which takes half a minute.")
     ] = True,
-    tolerance: Annotated[float, Parameter(help="Standard error of every place's colour (CIEDE2000).")] = 0.3,
+    tolerance: Annotated[float | None, Parameter(help="Standard error of every place's colour (CIEDE2000).")] = None,
+    change_tolerance: Annotated[
+        float | None, Parameter(help="Standard error of every change by force (CIEDE2000).")
+    ] = None,
     json_: Json = False,
     options: Options = USUAL,
 ) -> None:
     """Trace the colour of the bare nail and the skin around it under force, as in the paper's Fig. 2.
 
-    Writes colour.nc, colour.html, the strip of nails, photographs at rest and pressed, and a press as an animation.
+    What is not given, the scene's [colour] says. Writes colour.nc, colour.html, the strip of nails, photographs at
+    rest and pressed, and a press as an animation.
     """
     from .report.result_files import COLOUR, write_colour
     from .studies.colour.nail_colour import colour as study
@@ -165,9 +174,11 @@ def colour(
 
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, COLOUR)
-    look: dict[str, Any] = {"illuminant": illuminant, "observer": observer, "lit_by": light, "gloss": gloss}
-    result, unmet = _watched(study, loaded, forces_n=force, tolerance=tolerance, **look, **options.fields)
-    pictures = photographs(loaded, result, backend=options.backend) if photograph else []
+    view: dict[str, Any] = {"illuminant": illuminant, "observer": observer, "lit_by": light, "gloss": gloss}
+    view |= {"forces_n": force, "tolerance": tolerance, "change_tolerance": change_tolerance}
+    result, unmet = _watched(study, loaded, **view, **options.fields)
+    shown = photograph and result.sizes["tile"] > 0
+    pictures = photographs(loaded, result, backend=options.backend) if shown else []
     assert loaded.finger is not None
     paths = write_colour(result, folder, photographs=pictures, width_mm=loaded.finger.nail_width_mm)
     summary = colour_summary(result)
@@ -445,15 +456,17 @@ def figures(
     touch: Annotated[
         Path | None, Parameter(help="Recorded touch for Figs. 16, 18, a CSV with time_s, force_n; else the subjects'.")
     ] = None,
+    colour: Annotated[bool, Parameter(help="Trace Fig. 2, the nail under force, which takes some seconds.")] = True,
     json_: Json = False,
 ) -> None:
-    """Draw the paper's Fig. 4, and Figs. 10-12 and 15-18 from parameter sets, and judge its claims."""
+    """Draw the paper's Figs. 2 and 4, and Figs. 10-12 and 15-18 from parameter sets, and judge its claims."""
     import numpy as np
 
     from . import hemodynamics
     from .paper.claims_table import as_rows, as_text, judge
     from .paper.responses import pressed, simulate_responses
     from .report.blood_figures import draw
+    from .report.colour_figures import draw_fig2
     from .report.haemoglobin_figure import draw_haemoglobins
     from .scene.touch import read_recording
 
@@ -467,6 +480,13 @@ def figures(
         pictures += draw(output, responses, name=name, recorded=recorded)
         judged[name] = judge(responses)
     pictures.append(draw_haemoglobins(output))
+    if colour:
+        from .light import backend as backends
+
+        if backends.choose("auto").jit:
+            pictures.append(draw_fig2(_scene("nail_colour"), output))
+        else:
+            say("Fig. 2 is left out: it needs a backend that compiles kernels (nailoptics doctor).")
     _show({"claims": as_rows(judged), "pictures": list(map(str, pictures))}, [as_text(judged), *pictures], {}, json_)
 
 

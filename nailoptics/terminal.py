@@ -106,9 +106,11 @@ def trace_progress() -> "Iterator[Callable[[TraceProgress], None]]":
     with _display() as show, _interrupts() as interrupted:
 
         def report_progress(p: "TraceProgress") -> None:
-            error = f"error {p.relative_error:.2%}" if p.relative_error < 1 else "error not known yet"
-            target = f" ({p.target:.2%} requested)" if p.target else ""
-            show(_State(f"LED {p.led}", error + target, p.fraction_done, p.seconds, p.seconds_left))
+            form, name = ("{:.2g} " + p.unit, p.led) if p.unit else ("{:.2%}", f"LED {p.led}")
+            known = p.relative_error < (math.inf if p.unit else 1)
+            error = f"error {form.format(p.relative_error)}" if known else "error not known yet"
+            target = f" ({form.format(p.target)} requested)" if p.target else ""
+            show(_State(name, error + target, p.fraction_done, p.seconds, p.seconds_left))
             if interrupted():
                 raise KeyboardInterrupt
 

@@ -432,7 +432,7 @@ def test_schema_and_doctor_print_json(folder, capfd):
 
 
 def test_figures_draws_a_set_and_judges_it(folder, capfd):
-    assert run(["figures", "-o", "pictures", "--set", "best", "--json"]) == 0
+    assert run(["figures", "-o", "pictures", "--set", "best", "--no-colour", "--json"]) == 0
     found = only_json(capfd)
     assert found["claims"] and all((folder / picture).stat().st_size > 10_000 for picture in found["pictures"])
     assert {row["sets"]["best"]["met"] for row in found["claims"]} <= {True, False}

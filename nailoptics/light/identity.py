@@ -30,6 +30,7 @@ def light_scene(scene: Scene) -> Scene:
         "touch": type(scene.touch)(),
         "body": None,
         "oximeter": None,
+        "colour": type(scene.colour)(),
         "priors": Priors(),
         "electronics": type(scene.electronics)(),
         "accuracy": Accuracy(),

@@ -10,21 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import geometry as finger_geometry
+from ..errors import InputError
 from ..scene import Scene
 from .backend import choose
 from .bare_nail import as_seen
 from .volpath.integrate import stock_mitsuba
 
 Array = NDArray[np.float64]
+Point = tuple[float, float, float]
 
-# The camera stands before the tip and above, the window beside it. [mm]
-CAMERA_MM, TARGET_MM = (-12.0, 38.0, 58.0), (0.0, -0.5, -4.0)
-FIELD_OF_VIEW_DEG = 25.0
-WINDOW_MM, WINDOW_SIZE_MM = (-45.0, 10.0, 55.0), 30.0
+# The camera looks there; the window is where the nail mirrors it into a camera before the tip and above. [mm]
+TARGET_MM = (0.0, 1.0, -4.0)
+FIELD_OF_VIEW_DEG = 22.0
+WINDOW_MM, WINDOW_SIZE_MM = (48.0, -30.0, 62.0), 26.0
 # How rough the surfaces are: a nail mirrors, skin shines.
-ROUGHNESS = {"nail": 0.18, "skin": 0.42}
-SKY, WINDOW = 0.75, 6.0
-DESK = 0.55
+ROUGHNESS = {"nail": 0.22, "skin": 0.5}
+SKY, WINDOW = 0.95, 5.0
+DESK = 0.75
 
 
 def photograph(
@@ -45,13 +47,17 @@ def photograph(
     """
     seen = as_seen(scene)
     mesh = finger_geometry.build(seen, board=False, resolution=2.0)
+    camera_mm = scene.colour.camera_mm
+    if mesh.regions[int(mesh.region_at(np.array([camera_mm]))[0])] != "air":
+        place = ", ".join(f"{value:g}" for value in camera_mm)
+        raise InputError(f"colour.camera_mm = [{place}]: lies inside the finger; put it above, such as [-12, 38, 58].")
     names = np.array(mesh.regions)
     outer = (mesh.below == 0) | (mesh.above == 0)
     inside = names[np.where(mesh.below == 0, mesh.above, mesh.below)]
     parts = {"nail": outer & (inside == "plate"), "skin": outer & (inside != "plate") & (inside != "cut")}
     with stock_mitsuba(choose(backend, volpath=True)) as mi:
         return [
-            _render(mi, [_part(mi, mesh, parts[k], k, tile_mm, on_nail, one) for k in parts], size, samples)
+            _render(mi, [_part(mi, mesh, parts[k], k, tile_mm, on_nail, one) for k in parts], size, samples, camera_mm)
             for one in colours
         ]
 
@@ -106,7 +112,7 @@ def _normals(points: Array, triangles: np.ndarray) -> Array:
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
 
 
-def _render(mi: Any, shapes: list[Any], size: tuple[int, int], samples: int) -> NDArray[np.uint8]:
+def _render(mi: Any, shapes: list[Any], size: tuple[int, int], samples: int, camera_mm: Point) -> NDArray[np.uint8]:
     look = mi.ScalarTransform4f().look_at
     tall = mi.ScalarTransform4f()
     window = look(origin=WINDOW_MM, target=TARGET_MM, up=(0, 0, 1)) @ tall.scale(WINDOW_SIZE_MM / 2)
@@ -129,7 +135,7 @@ def _render(mi: Any, shapes: list[Any], size: tuple[int, int], samples: int) -> 
         "camera": {
             "type": "perspective",
             "fov": FIELD_OF_VIEW_DEG,
-            "to_world": look(origin=CAMERA_MM, target=TARGET_MM, up=(0, 0, 1)),
+            "to_world": look(origin=camera_mm, target=TARGET_MM, up=(0, 0, 1)),
             "film": {"type": "hdrfilm", "width": size[0], "height": size[1], "pixel_format": "rgb"},
             "sampler": {"type": "multijitter", "sample_count": samples},
         },

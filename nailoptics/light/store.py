@@ -54,11 +54,19 @@ def program_digest() -> str:
 
 def made_of(scene: Scene, led: int, *, seed: int, backend: str, what: str = "photons") -> dict[str, Any]:
     """All that decides the bits of one LED's light, plain enough for JSON."""
+    wavelength_nm = scene.leds[led].wavelength_nm
+    return made_by(what, led_digest(scene, led), wavelength_nm, seed=seed, backend=backend) | {"led": led}
+
+
+def made_by(what: str, light: str, wavelength_nm: float, *, seed: int, backend: str) -> dict[str, Any]:
+    """All that decides the bits of some light, plain enough for JSON.
+
+    light : digest of what decides its ways.
+    """
     return {
         "what": what,
-        "light": led_digest(scene, led),
-        "led": led,
-        "wavelength_nm": scene.leds[led].wavelength_nm,
+        "light": light,
+        "wavelength_nm": wavelength_nm,
         "seed": seed,
         "backend": backend,
         "versions": current_versions(),

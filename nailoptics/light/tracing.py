@@ -38,7 +38,8 @@ LUCKY_ABOVE = 0.02
 class TraceProgress:
     """How far a trace is.
 
-    relative_error is the largest over the LED's photodiodes, inf while one of them has seen nothing.
+    relative_error is the largest over the LED's photodiodes, inf while one of them has seen nothing; with a unit, it is
+    an error in that unit.
     """
 
     led: str
@@ -47,6 +48,7 @@ class TraceProgress:
     target: float | None
     fraction_done: float
     seconds: float
+    unit: str = ""
 
     @property
     def seconds_left(self) -> float:

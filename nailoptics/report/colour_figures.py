@@ -1,11 +1,14 @@
 """Figures of a nail's colour: the strip of the paper's Fig. 2, Lab along the nail and over force, a press over time."""
 
 from io import BytesIO
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
+from ..scene import Scene
+from ..studies.colour.measured_colours import MEASURED
 from . import style
 
 if TYPE_CHECKING:
@@ -14,6 +17,8 @@ if TYPE_CHECKING:
 # The animation of a press: frames a second, and its size. [px]
 FRAMES_PER_S = 8
 FRAME_PX = (300, 420)
+# Rays for Fig. 2 of `nailoptics figures`: enough for the eye.
+FIG2_PHOTONS = 240_000
 
 
 def _nail(result: xr.Dataset) -> slice:
@@ -21,42 +26,89 @@ def _nail(result: xr.Dataset) -> slice:
     return slice(1, result.sizes["place"] - 1)
 
 
-def _nail_shape(panel: Any, colours: np.ndarray, v_mm: np.ndarray, *, width_mm: float, skin: np.ndarray) -> None:
-    """A nail in its colours along its length, the tip upwards, on skin."""
-    from matplotlib.patches import Ellipse, FancyBboxPatch
+def _outline(width: float, low: float, high: float, power: float) -> np.ndarray:
+    """A rounded rectangle about the vertical axis, (n, 2) float: |x|^power + |y|^power = 1, stretched."""
+    angle = np.linspace(0, 2 * np.pi, 181)
+    x, y = (np.sign(f(angle)) * np.abs(f(angle)) ** (2 / power) for f in (np.cos, np.sin))
+    return np.column_stack([x * width / 2, (low + high) / 2 + y * (high - low) / 2])
 
-    low, high = v_mm[0], v_mm[-1]
-    margin, half = 0.16 * width_mm, width_mm / 2
-    at = np.linspace(low, high, 200)
-    fine = np.stack([np.interp(at, v_mm, colours[:, k]) for k in range(3)], -1)
-    finger = FancyBboxPatch(
-        (-half - margin, low - 1.5 * margin),
-        width_mm + 2 * margin,
-        high - low + 3.2 * margin,
-        boxstyle=f"round,pad=0,rounding_size={0.45 * width_mm}",
-        facecolor=skin,
-        edgecolor="none",
-    )
-    panel.add_patch(finger)
-    image = panel.imshow(fine[:, None], origin="lower", extent=(-half, half, low, high), aspect="equal", zorder=2)
-    middle, tall = (low + high) / 2, 1.12 * (high - low)
-    image.set_clip_path(Ellipse((0, middle), 1.13 * width_mm, tall, transform=panel.transData))
-    panel.set_xlim(-half - 1.6 * margin, half + 1.6 * margin)
-    panel.set_ylim(low - 2.2 * margin, high + 2.4 * margin)
+
+def _nail_shape(panel: Any, colours: np.ndarray, v_mm: np.ndarray, *, width_mm: float, skin: np.ndarray) -> None:
+    """A nail in its colours along its length, the tip upwards, on the skin around it.
+
+    skin : (2, 3) float. Its colour behind the nail and before it.
+    """
+    from matplotlib.patches import Polygon
+
+    pitch = v_mm[1] - v_mm[0]
+    low, high = v_mm[0] - pitch / 2, v_mm[-1] + pitch / 2
+    margin = 0.2 * width_mm
+    at = np.linspace(0, 1, 200)
+    for outline, ends, layer in (
+        (_outline(width_mm + 2 * margin, low - 5 * margin, high + 1.3 * margin, 3.2), skin, 1),
+        (_outline(width_mm, low, high, 4.5), colours, 2),
+    ):
+        from_mm, to_mm = outline[:, 1].min(), outline[:, 1].max()
+        # Skin changes along the nail, and is the same beyond it.
+        know = np.linspace(low, high, len(ends)) if layer == 1 else v_mm
+        fine = np.stack([np.interp(from_mm + at * (to_mm - from_mm), know, ends[:, k]) for k in range(3)], -1)
+        half = np.abs(outline[:, 0]).max()
+        extent = (-half, half, from_mm, to_mm)
+        image = panel.imshow(fine[:, None], origin="lower", extent=extent, aspect="equal", zorder=layer)
+        image.set_interpolation("bilinear")
+        image.set_clip_path(Polygon(outline, transform=panel.transData))
+    panel.set_xlim(-width_mm / 2 - 1.3 * margin, width_mm / 2 + 1.3 * margin)
+    panel.set_ylim(low - 1.2 * margin, high + 2.2 * margin)
     panel.set_axis_off()
+
+
+LAMPS = {"D65": "daylight D65", "A": "incandescent light A", "LED-B3": "white LED-B3"}
+
+
+def seen_by(result: xr.Dataset) -> str:
+    """By which light and observer the colours are seen, in words."""
+    lit = {"sky": "from all sides", "lamp": "at 45° all round"}[result.attrs["lit_by"]]
+    gloss = "included" if result.attrs["gloss"] else "excluded"
+    lamp = LAMPS[result.attrs["illuminant"]]
+    return f"{lamp} {lit}, {result.attrs['observer']}° observer at 0°, gloss {gloss}; shown as sRGB"
+
+
+def draw_strip(panels: Any, result: xr.Dataset, *, width_mm: float) -> None:
+    """Draw the nail under each force into as many panels, all to one scale."""
+    forces, nail = result.force_n.values, _nail(result)
+    for s, panel in enumerate(panels):
+        colours, skin = result.srgb.values[nail, s], result.srgb.values[[0, -1], s]
+        _nail_shape(panel, colours, result.v_mm.values[nail], width_mm=width_mm, skin=skin)
+        band = float(result.white_band_mm[s])
+        panel.set_title(f"{forces[s]:g} N", loc="center", fontsize=8.5)
+        if band > 0:
+            panel.text(0.5, 1.0, f"band {band:.1f} mm", transform=panel.transAxes, ha="center", va="top", fontsize=7)
+    first = panels[0]
+    bottom = first.get_ylim()[0] + 0.6
+    first.plot([-2.5, 2.5], [bottom, bottom], color="white", linewidth=2, zorder=3, solid_capstyle="butt")
+    first.text(0.0, bottom + 0.3, "5 mm", color="white", ha="center", va="bottom", fontsize=7, zorder=3)
 
 
 @style.drawing()
 def strip(result: xr.Dataset, *, width_mm: float) -> "Figure":
-    """The nail under each force, in its colours."""
-    forces, nail = result.force_n.values, _nail(result)
-    figure, axes = style.panels(1.45 * len(forces), 1.9, 1, len(forces), squeeze=False)
-    for s, panel in enumerate(axes[0]):
-        colours = result.srgb.values[nail, s]
-        skin = result.srgb.values[[0, -1], s].mean(0)
-        _nail_shape(panel, colours, result.v_mm.values[nail], width_mm=width_mm, skin=skin)
-        panel.set_title(f"{forces[s]:g} N", loc="center")
+    """The nail under each force, in its colours, to scale."""
+    count = result.sizes["state"]
+    figure, axes = style.panels(max(1.35 * count, 5.6), 2.1, 1, count, squeeze=False)
+    draw_strip(axes[0], result, width_mm=width_mm)
+    figure.supxlabel(f"Traced; {seen_by(result)}", fontsize=7, color=style.MUTED)
     return figure
+
+
+def draw_fig2(scene: Scene, directory: Path) -> Path:
+    """Trace the nail of a scene roughly and draw the paper's Fig. 2 into a folder: nail_fig2.png; returns its path."""
+    from ..studies.colour.nail_colour import colour
+
+    assert scene.finger is not None
+    quick = scene.model_copy(update={"priors": scene.priors.model_copy(update={"spread": False})})
+    path = directory / "nail_fig2.png"
+    drawn = strip(colour(quick, photons=FIG2_PHOTONS), width_mm=scene.finger.nail_width_mm)
+    style.write_figure(drawn, path, dpi=140, facecolor="white")
+    return path
 
 
 @style.drawing()
@@ -103,7 +155,7 @@ def over_force(result: xr.Dataset) -> "Figure":
 
 @style.drawing()
 def press(result: xr.Dataset) -> "Figure":
-    """Redness over time while a touch presses and lets go."""
+    """Redness over time while a touch presses and lets go, with 95 % intervals of the colours at its moments."""
     figure, (force, red) = style.panels(7.2, 3.6, 2, sharex=True, height_ratios=[1, 2.4])
     force.plot(result.time, result.press_force_n, color=style.INK)
     force.set_title("Force [N]")
@@ -113,6 +165,31 @@ def press(result: xr.Dataset) -> "Figure":
     red.set_title("Redness a* less that at rest")
     style.remark(red, "warm: proximal; cool: distal")
     red.set_xlabel("time [s]")
+    return figure
+
+
+@style.drawing()
+def ranges(result: xr.Dataset) -> "Figure":
+    """Colours of nail and skin at rest, how far they spread over what is unknown, and what was measured on people."""
+    from ..statistics import Z95
+
+    figure, axes = style.panels(7.2, 3.0, 1, 2)
+    middle = result.sizes["place"] // 2
+    for panel, k, name in zip(axes, (0, 2), ("L*", "b*"), strict=True):
+        for site, p, colour in (("nail", middle, style.ZONES[0]), ("skin", 0, style.ZONES[1])):
+            x, y = float(result.lab[p, 0, 1]), float(result.lab[p, 0, k])
+            spread = Z95 * result.lab_spread.sel(site=site).values
+            panel.errorbar(x, y, spread[k], spread[1], color=colour, marker="o", label=f"{site}, 95 % over priors")
+        for one in MEASURED:
+            mean, sd = one.lab, one.sd
+            look = {"color": style.MUTED, "marker": "s", "markersize": 4, "linestyle": "none"}
+            if sd is None:
+                panel.plot([row[1] for row in mean], [row[k] for row in mean], **look, label=one.name)
+            else:
+                panel.errorbar(mean[0][1], mean[0][k], Z95 * sd[k], Z95 * sd[1], **look, label=one.name)
+        panel.set_xlabel("redness a*")
+        panel.set_title(f"{'lightness' if k == 0 else 'yellowness'} {name}")
+    style.legend_above(figure, axes[0], ncols=2)
     return figure
 
 
@@ -126,7 +203,7 @@ def animation(result: xr.Dataset, *, width_mm: float) -> bytes:
         for t in range(result.sizes["time"]):
             figure, panel = style.panels(FRAME_PX[0] / 100, FRAME_PX[1] / 100)
             figure.set_facecolor("white")
-            skin = result.press_srgb.values[[0, -1], t].mean(0)
+            skin = result.press_srgb.values[[0, -1], t]
             colours = result.press_srgb.values[nail, t]
             _nail_shape(panel, colours, result.v_mm.values[nail], width_mm=width_mm, skin=skin)
             panel.set_title(f"{float(result.time[t]):.1f} s    {float(result.press_force_n[t]):.1f} N", loc="center")

@@ -8,6 +8,7 @@ import xarray as xr
 
 from ..io import write_text
 from ..scene import parse_scene
+from ..studies.colour.measured_colours import MEASURED
 from . import colour_figures
 from .html import document, escaped, figure, section, small, table
 from .numbers import significant, with_error
@@ -49,7 +50,6 @@ def write_colour_page(result: xr.Dataset, photographs: list[bytes], press: bytes
         _image(data, "png", words) for data, words in zip(photographs, ("At rest.", f"{most:g} N."), strict=False)
     )
     moving = _image(press, "gif", f"A press of {most:g} N and its release.") if press else ""
-    light = {"sky": "light from all sides", "lamp": "a lamp at 45° all round"}[result.attrs["lit_by"]]
     body = [
         section("The nail under force", shown),
         section("As a photograph", f"<div class='scroll'>{photos}</div>", small(escaped(A_PICTURE))) if photos else "",
@@ -62,6 +62,8 @@ def write_colour_page(result: xr.Dataset, photographs: list[bytes], press: bytes
         )
         if "press_lab" in result
         else "",
+        _beat(result),
+        _unknowns(result),
         section(
             "Colours at rest",
             table(["Place", "L*", "a*", "b*", f"Difference at {result.force_n.values[-1]:g} N, CIEDE2000"], rows),
@@ -70,13 +72,43 @@ def write_colour_page(result: xr.Dataset, photographs: list[bytes], press: bytes
     text = document(
         kicker="colour",
         title="The colour of the nail under force",
-        lead=f"Illuminant {result.attrs['illuminant']}, {result.attrs['observer']}° observer, {light}, seen from "
-        f"above, gloss {'included' if result.attrs['gloss'] else 'excluded'}; the nail is bare, without its board.",
+        lead=f"Seen by {colour_figures.seen_by(result)}; the nail is bare, without its board.",
         cards=cards,
         body=body,
         attributes=result.attrs,
     )
     write_text(path, text)
+
+
+def _beat(result: xr.Dataset) -> str:
+    """How far a heart that beats moves the colour."""
+    if "beat_delta_e_2000" not in result:
+        return ""
+    most = result.isel(place=int(np.argmax(result.beat_delta_e_2000.values)))
+    moved = with_error(float(most.beat_delta_e_2000), float(most.beat_delta_e_2000_stderr))
+    text = (
+        f"A beat of the scene's heart moves the colour by {moved} CIEDE2000 at most, {float(most.v_mm):+.1f} mm along."
+    )
+    return section("A beat", f"<p>{escaped(text)}</p>")
+
+
+def _unknowns(result: xr.Dataset) -> str:
+    """What is unknown of the finger, and what was measured on people."""
+    if "lab_spread" not in result:
+        return ""
+    rows = []
+    order = np.argsort(-result.prior_lab_spread.sel(site="nail").values.max(1))
+    for i in order:
+        one = result.isel(prior=int(i))
+        low, high = one.prior_range.values
+        values, errors = (one[f"prior_lab_spread{end}"].sel(site="nail").values for end in ("", "_stderr"))
+        shown = [with_error(float(v), float(e)) for v, e in zip(values, errors, strict=True)]
+        rows.append([escaped(str(one.prior.item())), f"{low:g} to {high:g}", *shown])
+    sources = "; ".join(f"{one.name}: {one.source}" for one in MEASURED)
+    text = f"Squares are skin of people: {sources}. Of nails no table of L*a*b* was found."
+    drawn = figure(colour_figures.ranges(result), "ranges", "At rest; bars: 95 % of fingers, of people.")
+    names = ["Prior", "Range", "L*", "a*", "b*"]
+    return section("What is unknown of the finger", drawn, table(names, rows), small(escaped(text)))
 
 
 def _image(data: bytes, kind: str, caption: str) -> str:

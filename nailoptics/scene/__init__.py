@@ -12,6 +12,7 @@ from .priors import Prior, Priors
 from .rectangles import Rectangle
 from .touch import ForceStep, Touch
 from .vessels import Blood, Tuning
+from .viewing import Viewing
 
 __all__ = [
     "Accuracy",
@@ -44,6 +45,7 @@ __all__ = [
     "Touch",
     "Tuning",
     "Vasomotion",
+    "Viewing",
     "digest",
     "json_schema",
     "load_scene",

@@ -18,6 +18,7 @@ from .placement import Placement
 from .priors import Priors
 from .touch import Touch
 from .vessels import Blood
+from .viewing import Viewing
 
 
 class Layer(Table):
@@ -132,6 +133,8 @@ class Scene(Table):
     """Amplifier and converter."""
     oximeter: Oximeter | None = None
     """Which LED is lit when, for the oxygen saturation."""
+    colour: Viewing = Viewing()
+    """How the colour of the bare nail is seen."""
     light: Light = Light()
     """How the light is traced."""
     accuracy: Accuracy = Accuracy()

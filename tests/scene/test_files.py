@@ -175,7 +175,7 @@ def test_shipped_scenes_name_and_meet_the_schema(path):
     validator.check_schema(json_schema())
     data = tomllib.loads(text)
     assert [error.message for error in validator.iter_errors(data)] == []
-    data["colour"] = "red"
+    data["hue"] = "red"
     data["leds"][0]["flux_mw"] = -1.0
     data["leds"][0].pop("name")
     assert len(list(validator.iter_errors(data))) == 3

@@ -2,16 +2,15 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
+from ...scene.viewing import Illuminant, Observer
 
 Array = NDArray[np.float64]
-Illuminant = Literal["D65", "A", "LED-B3"]
-Observer = Literal["2", "10"]
 
 OBSERVERS = {"2": "CIE 1931 2 Degree Standard Observer", "10": "CIE 1964 10 Degree Standard Observer"}
 # The wavelengths at which reflectance is taken. At 5 nm haemoglobin's bands are resolved; the eye sees little beyond

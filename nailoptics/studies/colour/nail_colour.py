@@ -3,64 +3,48 @@
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
+from ...checks import explain
 from ...errors import InputError, NotReachedError
 from ...light import ProgressCallback, backend
-from ...light.bare_nail import BareNail, Patch
+from ...light.bare_nail import BareNail
+from ...light.store import LightStore
 from ...light.transfer import provenance
 from ...options import Requested, TraceOptions
-from ...scene import Scene, Touch
-from ...statistics import jackknife, seed_of
+from ...scene import Scene, Viewing
+from ...scene.viewing import Illuminant, LightFrom, Observer
+from ...statistics import jackknife
 from ...variables import variable
-from ..blood_states import blood_over_touch, steady_blood
+from ..blood_states import steady_blood
 from ..placement.progress import StageProgress
-from .colorimetry import WAVELENGTHS_NM, Illuminant, Observer, Viewer, delta_e_2000
-from .reflectance import ColourRays, LightFrom, walk_colour
+from .colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
+from .colour_spread import spread_of_colours
+from .enough_rays import TILE_MM, Places, look_of, places_of, stderr_of_colour, walk_until_known
+from .press import beat, press_and_release
+from .reflectance import ColourRays
+from .stock_colour import StockSight
 
 Array = NDArray[np.float64]
-
-FORCES_N = (0.0, 0.3, 1.0, 2.0, 4.0)
-# Standard error of a place's colour. [CIEDE2000]
-TOLERANCE = 0.3
-# Rays of all nodes from which the number that is needed is learned.
-PILOT = 120_000
-# Colours are told along the middle of the nail, so far across, every millimetre, and on skin behind and before it. [mm]
-ACROSS_MM, SPACING_MM, SKIN_MM = 2.0, 1.0, 1.0
-# The photograph is coloured by tiles of this size over one half of the finger, each with fewer rays than a place. [mm]
-TILE_MM, PLACE_SHARE = 1.5, 12
-# The press that is followed over time: force on, held, off. [s]
-ON_S, OFF_S, END_S, STEPS = 0.5, 3.5, 8.0, 31
-# The smallest difference that an eye sees side by side. [CIEDE2000]
-JUST_SEEN = 1.0
-
-
-@dataclass(frozen=True)
-class _Places:
-    """Where colours are told: along the middle of the nail, and tiles for the photograph."""
-
-    patches: tuple[Patch, ...]
-    along: int
-
-    @property
-    def v_mm(self) -> Array:
-        return np.array([patch.center_mm[1] for patch in self.patches[: self.along]])
 
 
 def colour(
     scene: Scene,
     *,
-    forces_n: Sequence[float] = FORCES_N,
-    illuminant: Illuminant = "D65",
-    observer: Observer = "2",
-    lit_by: LightFrom = "sky",
-    gloss: bool = False,
-    tolerance: float = TOLERANCE,
+    forces_n: Sequence[float] | None = None,
+    illuminant: Illuminant | None = None,
+    observer: Observer | None = None,
+    lit_by: LightFrom | None = None,
+    gloss: bool | None = None,
+    tolerance: float | None = None,
+    change_tolerance: float | None = None,
+    stores: Sequence[LightStore] | None = None,
     progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
 ) -> xr.Dataset:
@@ -70,34 +54,45 @@ def colour(
     illuminant : D65 (daylight), A (incandescent) or LED-B3 (white LED); observer : 2 or 10 degrees.
     lit_by : sky, from all sides; or lamp, at 45 degrees all round. The eye looks down from above.
     gloss : whether what the surface mirrors is part of the colour.
-    tolerance : standard error that every place's colour must reach. [CIEDE2000]
+    tolerance, change_tolerance : standard errors that every place's colour must reach, and every change. [CIEDE2000]
+        What is not given of all these the scene's [colour] says.
+    stores : where rays are looked for and, in the first, kept; that of the user if not given.
     requested : as for `trace`, but relative_error; photons are rays of all wavelengths together.
 
     Returns: Dataset over state (force), place, band (L*, a*, b*) and wavelength: reflectance, Lab, sRGB, difference to
-    the first state, width of the white band, each with its standard error; the press over time with the time that the
-    colour takes to return; tiles for the photograph.
+    the first state, width of the white band, each with its standard error; how far colours spread over what is unknown
+    of the finger; the press over time with the time that the colour takes to return; a beat of a scene with a heart;
+    tiles for the photograph.
 
     Raises: InputError; NotReachedError, whose result is the Dataset so far, when time ends first.
     """
-    options, viewer = TraceOptions(**requested), Viewer(illuminant, observer)
-    forces = _checked(scene, forces_n, tolerance, options)
+    options = TraceOptions(**requested)
+    if options.photons is None and options.max_seconds is None:
+        options = replace(options, photons=scene.accuracy.photons, max_seconds=scene.accuracy.max_seconds)
+    asked = dict(forces_n=forces_n, illuminant=illuminant, observer=observer, lit_by=lit_by, gloss=gloss)
+    viewing = _viewing(scene, options, **asked, tolerance=tolerance, change_tolerance=change_tolerance)
+    viewer = Viewer(viewing.illuminant, viewing.observer)
     cpu, begin = time.process_time(), time.perf_counter()
-    chosen = backend.activate_jit(options.backend, "colour")
-    stage = StageProgress(progress, options.max_seconds or math.inf)
-    nail, places = BareNail(scene), _places(scene)
-    states = steady_blood(scene, forces)
-    look: dict[str, Any] = {"lit_by": lit_by, "gloss": gloss}
-    rays, unmet = _walk(nail, places, states[:1], viewer, look, tolerance, options, stage)
-    result = _dataset(scene, rays, places, forces, states, viewer, look)
-    result = result.merge(_press(scene, rays, places, forces, viewer, look))
-    made: dict[str, Any] = {"engine": "photons", "backend": chosen.name, "seeds": str(options.seed)}
-    result.attrs = provenance(scene, photons=rays.photons, **made) | {
+    chosen = backend.choose(options.backend)
+    stage = StageProgress(progress, options.max_seconds or math.inf, unit="CIEDE2000")
+    if stores is None:
+        own = LightStore.of_user() if options.store else None
+        stores = [own] if own else []
+    states = steady_blood(scene, viewing.forces_n)
+    if chosen.jit:
+        result, photons, unmet = _traced(scene, states, viewer, viewing, options, stage, chosen, stores)
+    else:
+        result, photons, unmet = _seen(scene, states, viewer, viewing, options, stage)
+    for store in stores:
+        store.close()
+    engine = "photons" if chosen.jit else "volpath"
+    made: dict[str, Any] = {"engine": engine, "backend": chosen.name, "seeds": str(options.seed)}
+    shown = viewing.model_dump(include={"illuminant", "observer", "lit_by", "tolerance", "change_tolerance"})
+    result.attrs = provenance(scene, photons=photons, **made) | {
         "title": "nailoptics: colour of the nail under force",
         "seed": options.seed,
-        "illuminant": illuminant,
-        "observer": observer,
-        "lit_by": lit_by,
-        "gloss": int(gloss),
+        **shown,
+        "gloss": int(viewing.gloss),
         "tile_size_mm": TILE_MM,
         "cpu_seconds": time.process_time() - cpu,
         "wall_seconds": time.perf_counter() - begin,
@@ -109,77 +104,55 @@ def colour(
     return result
 
 
-def _checked(scene: Scene, forces_n: Sequence[float], tolerance: float, options: TraceOptions) -> Array:
-    if scene.finger is None:
-        raise InputError("colour needs a [finger] scene; a [phantom] has no nail.")
-    forces = np.asarray(forces_n, float)
-    if forces.ndim != 1 or not 1 <= len(forces) <= 20 or not ((forces >= 0) & (forces <= 100)).all():
-        raise InputError(f"forces = {list(forces_n)}: give 1 to 20 forces between 0 and 100 N.")
-    if not (math.isfinite(tolerance) and tolerance > 0):
-        raise InputError(f"tolerance = {tolerance!r}; must be a difference of colour above 0, such as {TOLERANCE:g}.")
-    if options.relative_error is not None:
-        raise InputError("colour has no relative_error; give tolerance, a difference of colour (CIEDE2000).")
-    return forces
-
-
-def _places(scene: Scene) -> _Places:
-    """Places along the middle of the finger, and tiles over its half."""
-    assert scene.finger is not None
-    half = scene.finger.nail_length_mm / 2
-    count = max(round(2 * half / SPACING_MM), 2)
-    pitch = 2 * half / count
-    on_nail = -half + pitch * (np.arange(count) + 0.5)
-    v_mm = [-half - 1.5 * SKIN_MM, *on_nail, half + 1.2 * SKIN_MM]
-    along = [Patch((0.0, float(v)), (ACROSS_MM, min(pitch, SKIN_MM)), PLACE_SHARE) for v in v_mm]
-    tiles = []
-    for v in np.arange(-half - 2.5 * TILE_MM, half + 3 * TILE_MM, TILE_MM):
-        for u in np.arange(TILE_MM / 2, scene.finger.width_mm / 2 - TILE_MM / 2, TILE_MM):
-            tiles.append(Patch((float(u), float(v)), (TILE_MM, TILE_MM)))
-    return _Places((*along, *tiles), len(along))
-
-
-def _walk(
-    nail: BareNail,
-    places: _Places,
+def _traced(
+    scene: Scene,
     states: Array,
     viewer: Viewer,
-    look: dict[str, Any],
-    tolerance: float,
+    viewing: Viewing,
     options: TraceOptions,
     stage: StageProgress,
-) -> tuple[ColourRays, str]:
-    """Rays until every place's colour is as sure as is asked, and why they fall short, if they do."""
-    wanted = options.photons or PILOT
-    done, number, rays, error = 0, 0, None, math.inf
-    while True:
-        count = min(wanted - done, 10 * PILOT)
-
-        def report(photons: int, base: int = done, goal: int = wanted, known: float = error) -> None:
-            stage("colour", (base + photons) / goal, known, tolerance)
-
-        more = walk_colour(nail, places.patches, photons=count, seed=seed_of(options.seed, number), progress=report)
-        rays = more if rays is None else rays.with_more(more)
-        done, number = rays.photons, number + 1
-        lab = viewer.lab(rays.reflectance(states, **look, patches=range(places.along)))
-        error = float(stderr_of_colour(lab).max())
-        if stage.interrupted:
-            return rays, f"interrupted at a standard error of {error:.2g} (CIEDE2000), {tolerance:g} requested."
-        if options.photons is not None and done >= options.photons or options.photons is None and error <= tolerance:
-            return rays, ""
-        if stage.is_late(1.0):
-            return rays, f"max_seconds ended the rays at a standard error of {error:.2g}, {tolerance:g} requested."
-        if options.photons is None:
-            # A tenth more than follows from the error so far, so that few need a third round.
-            wanted = done + max(PILOT // 4, int(done * (1.1 * (error / tolerance) ** 2 - 1)))
+    chosen: backend.Backend,
+    stores: Sequence[LightStore],
+) -> tuple[xr.Dataset, int, str]:
+    """Colours by rays, all of them; how many rays, and why they fall short, if they do."""
+    backend.activate(chosen)
+    nail, places = BareNail(scene, backend=chosen.name, stores=stores), places_of(scene)
+    rays, unmet = walk_until_known(nail, places, states, viewer, viewing, options, stage)
+    result = _dataset(scene, rays, places, states, viewer, viewing)
+    result = result.merge(press_and_release(scene, rays, places, viewer, viewing))
+    result = result.merge(beat(scene, rays, places, viewer, viewing))
+    if scene.priors.spread and not unmet:
+        result = result.merge(spread_of_colours(nail, rays, places, viewer, viewing, seed=options.seed))
+    return result, rays.photons, unmet
 
 
-def stderr_of_colour(lab: Array) -> Array:
-    """Standard error of colours as a difference of colour, from them and from each without one group, (...) float.
+def _seen(
+    scene: Scene, states: Array, viewer: Viewer, viewing: Viewing, options: TraceOptions, stage: StageProgress
+) -> tuple[xr.Dataset, int, str]:
+    """The same by stock Mitsuba, under each force alone: neither a press nor tiles for a photograph."""
+    everywhere = places_of(scene)
+    places = Places(everywhere.patches[: everywhere.along])
+    sight = StockSight(scene, places, viewing, options, stage, backend.choose(options.backend, volpath=True))
+    result = _dataset(scene, sight, places, states, viewer, viewing)
+    error = float(result.colour_stderr.max())
+    if options.photons is None and error > viewing.tolerance:
+        return result, sight.photons, f"a standard error of {error:.2g} (CIEDE2000), {viewing.tolerance:g} requested."
+    return result, sight.photons, ""
 
-    lab : (1 + groups, ..., 3) float.
-    """
-    away = delta_e_2000(lab[1:], lab[:1])
-    return np.asarray(np.sqrt((len(away) - 1) / len(away) * (away**2).sum(0)))
+
+def _viewing(scene: Scene, options: TraceOptions, **given: Any) -> Viewing:
+    """How the nail is looked at: as the scene says, but for what is given; raises InputError."""
+    if scene.finger is None:
+        raise InputError("colour needs a [finger] scene; a [phantom] has no nail.")
+    if options.relative_error is not None:
+        raise InputError("colour has no relative_error; give tolerance, a difference of colour (CIEDE2000).")
+    given = {name: value for name, value in given.items() if value is not None}
+    if "forces_n" in given:
+        given["forces_n"] = tuple(float(force) for force in given["forces_n"])
+    try:
+        return Viewing.model_validate(scene.colour.model_dump() | given)
+    except ValidationError as error:
+        raise InputError(explain(error, Viewing)) from None
 
 
 def white_band_mm(v_mm: Array, redness: Array, pale: Array, *, tip_mm: float) -> Array:
@@ -204,17 +177,16 @@ def white_band_mm(v_mm: Array, redness: Array, pale: Array, *, tip_mm: float) ->
 
 def _dataset(
     scene: Scene,
-    rays: ColourRays,
-    places: _Places,
-    forces: Array,
+    rays: ColourRays | StockSight,
+    places: Places,
     states: Array,
     viewer: Viewer,
-    look: dict[str, Any],
+    viewing: Viewing,
 ) -> xr.Dataset:
     """Colours in every state, with standard errors."""
     assert scene.finger is not None
     none = np.zeros((1, states.shape[1]))
-    read = rays.reflectance(np.vstack([states, none]), **look)
+    read = rays.reflectance(np.vstack([states, none]), **look_of(viewing))
     lab = viewer.lab(read)
     middle, pale, tiles = lab[:, : places.along, :-1], lab[:, : places.along, -1], read[0, places.along :, :-1]
     change = delta_e_2000(middle, middle[:, :, :1])
@@ -235,62 +207,13 @@ def _dataset(
     data |= variable("white_band_mm", "state", band[0], text, units="mm", stderr=jackknife(band))
     data |= variable("blood_fraction", ("zone", "state"), states.T, "blood fraction of the nail bed")
     data |= variable("tile_srgb", ("tile", "state", "channel"), viewer.srgb(tiles), "colour on a screen, of a tile")
-    centers = np.array([patch.center_mm for patch in places.patches[places.along :]])
+    centers = np.array([patch.center_mm for patch in places.patches[places.along :]]).reshape(-1, 2)
     data |= variable("tile_mm", ("tile", "axis"), centers, "middle of a tile, across and along", units="mm")
-    coordinates = variable("force_n", "state", forces, "force, held", units="N")
+    coordinates = variable("force_n", "state", np.array(viewing.forces_n), "force, held", units="N")
     coordinates |= variable("v_mm", "place", places.v_mm, "place along the nail, towards the tip", units="mm")
     coordinates |= variable("wavelength", "wavelength", WAVELENGTHS_NM, "wavelength", units="nm")
     names = {"band": ["L*", "a*", "b*"], "channel": ["red", "green", "blue"], "axis": ["u", "v"]}
     return xr.Dataset(data, coordinates | names)
-
-
-def _press(
-    scene: Scene, rays: ColourRays, places: _Places, forces: Array, viewer: Viewer, look: dict[str, Any]
-) -> xr.Dataset:
-    """The largest of the forces pressed and released: colours over time, and how long they take to return."""
-    most = float(forces.max())
-    if most == 0:
-        return xr.Dataset()
-    usual: dict[str, Any] = {
-        "profile": "step",
-        "force_n": most,
-        "start_s": ON_S,
-        "release_s": OFF_S,
-        "duration_s": END_S,
-    }
-    kept = ("contact_area_mm2", "site", "proximal_share", "proximal_area_mm2", "distal_area_mm2", "distal_relaxation_s")
-    usual |= {name: getattr(scene.touch, name) for name in kept} | {"sample_rate_hz": (STEPS - 1) / END_S * 8}
-    course = blood_over_touch(scene.model_copy(update={"touch": Touch(**usual)}))
-    seen = course.isel(time=slice(None, None, 8))
-    read = rays.reflectance(seen.blood_fraction.values.T, **look, patches=range(places.along))
-    lab = viewer.lab(read[0])
-    data = variable("press_lab", ("place", "time", "band"), lab, "L*a*b* over a press")
-    data |= variable(
-        "press_srgb", ("place", "time", "channel"), viewer.srgb(read[0]), "colour on a screen, over a press"
-    )
-    data |= variable("press_force_n", "time", seen.force_n.values, "force of the press", units="N")
-    text = "time after release from which on the colour is that of the finger at rest, as far as an eye sees"
-    data |= variable("refill_s", "place", refill_s(seen.time.values, lab), text, units="s")
-    return xr.Dataset(data, variable("time", "time", seen.time.values, "time", units="s"))
-
-
-def refill_s(time_s: Array, lab: Array) -> Array:
-    """Time after release from which on each place differs less from its rest than an eye sees, (places,) float. [s]
-
-    lab : (places, times, 3) float. The first is at rest. Linear between samples; NaN where a press is not seen at all,
-    infinite where the colour has not returned in the end.
-    """
-    away = delta_e_2000(lab, lab[:, :1])
-    found = np.full(len(lab), np.nan)
-    for k, row in enumerate(away):
-        seen = np.flatnonzero(row > JUST_SEEN)
-        if len(seen) and seen[-1] == len(row) - 1:
-            found[k] = np.inf
-        elif len(seen):
-            i = seen[-1]
-            step = (row[i] - JUST_SEEN) / (row[i] - row[i + 1]) * (time_s[i + 1] - time_s[i])
-            found[k] = max(time_s[i] + step - OFF_S, 0.0)
-    return found
 
 
 def colour_summary(result: xr.Dataset) -> dict[str, Any]:
@@ -311,17 +234,26 @@ def colour_summary(result: xr.Dataset) -> dict[str, Any]:
         ]
         band = {"white_band_mm": float(one.white_band_mm), "white_band_stderr_mm": float(one.white_band_mm_stderr)}
         states.append({"force_n": float(force_n), "places": places, **band})
-    refill = result.refill_s.values if "refill_s" in result else np.array([np.nan])
-    slowest = float(np.nanmax(refill)) if np.isfinite(refill).any() or np.isinf(refill).any() else None
-    return {
+    found: dict[str, Any] = {
         "illuminant": result.attrs["illuminant"],
         "observer": result.attrs["observer"],
         "states": states,
         "lab_stderr": result.lab_stderr.max(("place", "state")).values.tolist(),
         "colour_stderr": float(result.colour_stderr.max()),
-        "refill_s": slowest,
-        **{name: result.attrs[name] for name in ("photons", "backend", "cpu_seconds", "wall_seconds")},
+        "change_stderr": float(result.delta_e_2000_stderr.max()),
     }
+    found["refill_s"] = found["refill_stderr_s"] = None
+    if "refill_s" in result and not np.isnan(result.refill_s).all():
+        slowest = result.isel(place=int(np.nanargmax(result.refill_s)))
+        found |= {"refill_s": float(slowest.refill_s), "refill_stderr_s": float(slowest.refill_s_stderr)}
+    if "beat_delta_e_2000" in result:
+        moved = result.isel(place=int(np.argmax(result.beat_delta_e_2000.values)))
+        found["beat_delta_e_2000"] = float(moved.beat_delta_e_2000)
+        found["beat_delta_e_2000_stderr"] = float(moved.beat_delta_e_2000_stderr)
+    if "lab_spread" in result:
+        spread = result.lab_spread.transpose("site", "band").values.tolist()
+        found["lab_spread"] = dict(zip(result.site.values.tolist(), spread, strict=True))
+    return found | {name: result.attrs[name] for name in ("photons", "backend", "cpu_seconds", "wall_seconds")}
 
 
 def colour_lines(summary: dict[str, Any]) -> list[str]:
@@ -332,5 +264,11 @@ def colour_lines(summary: dict[str, Any]) -> list[str]:
         lab = "  ".join(f"{value:5.1f}" for value in middle["lab"])
         most = max(place["delta_e_2000"] for place in state["places"])
         lines.append(f"{state['force_n']:<9g}  {lab}  {most:<18.1f}  {state['white_band_mm']:.1f}")
-    lines.append(f"standard error of a place's colour at most {summary['colour_stderr']:.2g} (CIEDE2000)")
+    errors = summary["colour_stderr"], summary["change_stderr"]
+    lines.append("standard error of a place's colour at most {:.2g}, of a change {:.2g} (CIEDE2000)".format(*errors))
+    if summary["refill_s"] is not None:
+        lines.append(f"colour is back {summary['refill_s']:.2f} +- {summary['refill_stderr_s']:.2f} s after release")
+    if "lab_spread" in summary:
+        each = "  ".join(f"{value:.1f}" for value in summary["lab_spread"]["nail"])
+        lines.append(f"what is unknown of the finger spreads L*, a*, b* of the nail by {each} (standard deviations)")
     return lines

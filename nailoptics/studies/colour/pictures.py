@@ -1,5 +1,7 @@
 """Photographs of the finger at rest and pressed, in the colours that were traced."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -12,8 +14,14 @@ from .colorimetry import linear
 MISSED = 0.02
 
 
-def photographs(scene: Scene, result: xr.Dataset, *, backend: str = "auto") -> list[NDArray[np.uint8]]:
-    """The finger in the first and in the last state, (height, width, 3) each; one if there is only one state.
+def photographs(
+    scene: Scene,
+    result: xr.Dataset,
+    *,
+    states: Sequence[int] = (0, -1),
+    backend: str = "auto",
+) -> list[NDArray[np.uint8]]:
+    """The finger in some states, (height, width, 3) each; in the first and the last if not given, once if they are one.
 
     result : what `colour` returned for the scene.
     """
@@ -27,5 +35,6 @@ def photographs(scene: Scene, result: xr.Dataset, *, backend: str = "auto") -> l
     inner = np.abs(tiles) - 0.5 * result.attrs["tile_size_mm"]
     off_nail = (inner[:, 0] >= edge) | (inner[:, 1] >= scene.finger.nail_length_mm / 2)
     kept = hit & (on_nail | off_nail)
-    states = [0, -1] if result.sizes["state"] > 1 else [0]
-    return photograph(scene, tiles[kept], on_nail[kept], colours[kept][:, states].swapaxes(0, 1), backend=backend)
+    chosen = list(dict.fromkeys(state % result.sizes["state"] for state in states))
+    shown = colours[kept][:, chosen].swapaxes(0, 1)
+    return photograph(scene, tiles[kept], on_nail[kept], shown, size=scene.colour.photograph_px, backend=backend)

@@ -9,8 +9,9 @@ from ...light import ProgressCallback, TraceProgress
 class StageProgress:
     """Reports the stages of a placement to a callback; knows whether time ran out or the user interrupted."""
 
-    def __init__(self, callback: ProgressCallback | None, limit_s: float = math.inf) -> None:
-        self.callback, self.limit_s, self.begin = callback, limit_s, time.perf_counter()
+    def __init__(self, callback: ProgressCallback | None, limit_s: float = math.inf, *, unit: str = "") -> None:
+        """unit : of the errors; relative ones have none."""
+        self.callback, self.limit_s, self.unit, self.begin = callback, limit_s, unit, time.perf_counter()
         self.interrupted = False
         self._last: tuple[str, float, float, float | None] | None = None
 
@@ -19,7 +20,7 @@ class StageProgress:
         self._last = (stage, done, error, target)
         if self.callback and not self.interrupted:
             try:
-                self.callback(TraceProgress(stage, 0, error, target, min(1.0, done), self.seconds))
+                self.callback(TraceProgress(stage, 0, error, target, min(1.0, done), self.seconds, self.unit))
             except KeyboardInterrupt:
                 self.interrupted = True
 

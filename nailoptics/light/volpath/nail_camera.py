@@ -1,0 +1,87 @@
+"""Stock Mitsuba's view of a bare nail from above, under an even sky: what checks the rays, and does without a JIT."""
+
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ... import geometry as finger_geometry
+from ...scene import Scene
+from ...statistics import seed_of
+from .. import optics
+from ..backend import Backend
+from ..bare_nail import Patch
+from .integrate import SEEDS, stock_mitsuba
+from .mitsuba_scene import FILM, RGB_FILM, BedAbsorption, finger_scene
+
+# Cameras look from so far above the nail, and the bed's absorption is given on so many places. [mm, 1]
+ABOVE_MM, BED_PLACES = 2.0, 201
+# Of a film that absorbs what enters the finger, only what the surface mirrors is left. [mm^-1]
+OPAQUE_PER_MM = 1e3
+
+
+class NailCamera:
+    """Reflectance factors of patches of a bare nail by volpath, in up to three blood states at once.
+
+    scene : with what an eye sees (`bare_nail.as_seen`).
+    groups : of independent paths, by whose spread errors are known; FILM^2 is a multiple of it.
+    """
+
+    def __init__(self, scene: Scene, patches: Sequence[Patch], *, groups: int, backend: Backend) -> None:
+        self.scene, self.patches, self.groups, self.backend = scene, tuple(patches), groups, backend
+        self.mesh = finger_geometry.build(scene, board=False)
+        self.seconds_per_path = 0.0
+
+    def see(self, wavelength_nm: float, states: NDArray[np.float64], *, spp: int, seed: int) -> NDArray[np.float64]:
+        """What each patch sends back, gloss included, (groups, patches, states) float.
+
+        states : (s, zones) float, up to three. Blood in each zone of the bed. [1]
+        """
+        media = optics.finger_media(self.scene, self.mesh.regions, wavelength_nm)
+        mu_a = optics.absorption(self.scene, wavelength_nm, blood_fraction=states)[:, 0]
+        zones = optics.zones(self.scene)
+        low, high = np.asarray(self.mesh.bounds_mm)[:, 1]
+        v_mm = np.linspace(low - 0.2, high + 0.2, BED_PLACES)
+        bed = BedAbsorption(v_mm, mu_a[:, list(optics.bed_columns(self.scene))] @ zones.weights(v_mm).T)
+        return self._render(media, bed, spp=spp, seed=seed)[..., : len(states)]
+
+    def mirror(self, *, spp: int, seed: int) -> NDArray[np.float64]:
+        """What the surface of each patch mirrors, (groups, patches) float."""
+        media = optics.finger_media(self.scene, self.mesh.regions, 550.0)
+        dark = np.full_like(media.mu_a, OPAQUE_PER_MM) * (media.n > 1)
+        low, high = np.asarray(self.mesh.bounds_mm)[:, 1]
+        bed = BedAbsorption(np.linspace(low - 0.2, high + 0.2, 2), np.full((1, 2), OPAQUE_PER_MM))
+        black = optics.Media(media.opaque, media.reflectance, dark, np.zeros_like(dark), media.g, media.n)
+        return self._render(black, bed, spp=spp, seed=seed)[..., 0]
+
+    def _render(self, media: optics.Media, bed: BedAbsorption, *, spp: int, seed: int) -> NDArray[np.float64]:
+        """Radiance of each patch over that of the sky, in three colours, (groups, patches, 3) float."""
+        begin, found = time.perf_counter(), []
+        with stock_mitsuba(self.backend) as mi, tempfile.TemporaryDirectory(prefix="nailoptics-") as folder:
+            made = finger_scene(mi, self.mesh, media, bed, sensor=-1, emitters={}, folder=Path(folder))
+            made["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": 1.0}}
+            made |= {f"camera_{i}": _camera(mi, patch) for i, patch in enumerate(self.patches)}
+            loaded = mi.load_dict(made, optimize=False)
+            for i in range(len(self.patches)):
+                image = mi.render(loaded, sensor=i, spp=spp, seed=seed_of(seed, i) % SEEDS)
+                found.append(np.array(image, dtype=float).reshape(-1, 3))
+        self.seconds_per_path = (time.perf_counter() - begin) / (len(found) * spp * FILM**2)
+        # Pixels of a group lie all over the patch, so that groups differ by chance alone.
+        pixels = np.random.default_rng(0).permutation(FILM**2).reshape(self.groups, -1)
+        return np.stack(found)[:, pixels].mean(2).swapaxes(0, 1)
+
+
+def _camera(mi: Any, patch: Patch) -> dict[str, Any]:
+    """A camera that sees a patch from above."""
+    (u, v), (wide, tall) = patch.center_mm, patch.size_mm
+    look = mi.ScalarTransform4f().look_at(origin=[u, v, ABOVE_MM], target=[u, v, 0.0], up=[0, 1, 0])
+    return {
+        "type": "orthographic",
+        "near_clip": 1e-3,
+        "to_world": look @ mi.ScalarTransform4f().scale([wide / 2, tall / 2, 1]),
+        "film": RGB_FILM,
+    }

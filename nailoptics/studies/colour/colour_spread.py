@@ -1,0 +1,67 @@
+"""How far the colour of a finger at rest spreads over what is unknown of its nail, its bed and its skin."""
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from ...light.bare_nail import BareNail
+from ...scene import Prior, Scene, Viewing
+from ...statistics import seed_of
+from ...variables import variable
+from ..blood_states import steady_blood
+from ..unknowns import Spread, at_value, only_absorbs
+from .colorimetry import Viewer
+from .enough_rays import Places, look_of
+from .reflectance import ColourRays, walk_colour
+
+Array = NDArray[np.float64]
+
+# Rays of all nodes for each value of what needs rays of its own, such as scattering.
+OWN_PHOTONS = 24_000
+_SPREAD = 61
+
+
+def spread_of_colours(
+    nail: BareNail, rays: ColourRays, places: Places, viewer: Viewer, viewing: Viewing, *, seed: int
+) -> xr.Dataset:
+    """Standard deviation of L*, a* and b* over each prior of the scene, and over all together.
+
+    On the middle of the nail and on the skin behind it, at the first of the forces. What only absorbs is reread from
+    the rays; what scatters is walked anew, with the same random numbers at each of its values. The thickness of the bed
+    is left out.
+    """
+    scene, sites = nail.scene, (places.along // 2, 0)
+    priors = [prior for prior in scene.priors.of_finger() if prior.field != "finger.bed_thickness_mm"]
+    told = [prior for prior in priors if only_absorbs(scene, prior)]
+    own = [prior for prior in priors if prior not in told]
+
+    def lab(light: ColourRays, one: Scene, chosen: tuple[int, ...]) -> Array:
+        states = steady_blood(one, viewing.forces_n[:1])
+        read = light.reflectance(states, **look_of(viewing), scene=one, patches=chosen)
+        return np.asarray(viewer.lab(read)[:, :, 0])
+
+    def walked(prior: Prior, value: float) -> Array:
+        one = at_value(scene, prior.field, value)
+        other = BareNail(one, backend=nail.backend, stores=nail.stores)
+        patches = [places.patches[site] for site in sites]
+        light = walk_colour(other, patches, photons=OWN_PHOTONS, seed=seed_of(seed, _SPREAD))
+        return lab(light, one, (0, 1))
+
+    base = lab(rays, scene, sites)
+    nodes = [[lab(rays, at_value(scene, p.field, value), sites) for value in p.values] for p in told]
+    nodes += [[walked(p, value) for value in p.values] for p in own]
+    found = Spread((*told, *own), np.array(nodes).reshape(len(priors), 3, *base.shape), base)
+    total, error = found.total
+    each, errors = found.by_prior
+    over = ("site", "band")
+    text = "spread of L*a*b* at the first force over what is unknown of the finger, one standard deviation"
+    data = variable("lab_spread", over, total, text, stderr=error)
+    text = "spread of L*a*b* by one prior alone"
+    data |= variable("prior_lab_spread", ("prior", *over), each, text, stderr=errors)
+    middle = np.array([[node[0] for node in values] for values in nodes])
+    text = "L*a*b* at the low, middle and high node of a prior"
+    data |= variable("prior_lab", ("prior", "node", *over), middle, text)
+    ends = [[p.low, p.high] for p in (*told, *own)]
+    data |= variable("prior_range", ("prior", "end"), ends, "ends of the range that holds with 95 %")
+    names = {"prior": [p.name for p in (*told, *own)], "site": ["nail", "skin"], "node": ["low", "middle", "high"]}
+    return xr.Dataset(data, names)
