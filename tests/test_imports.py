@@ -220,7 +220,9 @@ THEIRS |= {
     *OXIMETER,
     *OXYGEN,
     "table.csv",
+    "contact_sheet.png",
     "_fig10.png",
+    "nail_fig2.png",
 }
 
 

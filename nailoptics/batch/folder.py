@@ -3,7 +3,6 @@
 import errno
 import json
 import math
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +12,13 @@ import numpy as np
 
 from ..errors import InputError
 from ..io import CorruptError, check_writable, claimed, make_folder, unpack, write_bytes
-from ..light.store import LightStore, sweep_leftovers
+from ..light.store import sweep_leftovers
 
-FORMAT = 2
+FORMAT = 3
 # What a plan holds, each of its type.
 _PLAN: dict[str, type | tuple[type, ...]] = {
     "sweep": str,
+    "study": str,
     "dims": dict,
     "axes": list,
     "made": dict,
@@ -57,9 +57,10 @@ class Folder:
         """Why a scene failed."""
         return self.root / "failed" / f"{digest}.json"
 
-    def store(self, tell: Callable[[Path, Exception], None]) -> LightStore:
-        """The traced light; tell is called with a file of it that is not what was written, and why."""
-        return LightStore(self.root / "light", tell=tell)
+    @property
+    def light(self) -> Path:
+        """Where the traced light lies."""
+        return self.root / "light"
 
     def read_plan(self) -> dict[str, Any]:
         """The plan of the last run; raises InputError where there is none."""

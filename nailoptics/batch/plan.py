@@ -1,5 +1,6 @@
 """Which scenes of a sweep are still to do, grouped so that scenes with the same light are traced once."""
 
+import hashlib
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,6 +9,7 @@ from ..light.identity import light_digest
 from ..scene import Scene, digest
 from ..scene.sweep import Sweep
 from .folder import Folder
+from .study_runs import STUDIES
 from .work import Job, Settings, reads_transfer, standing
 
 # Scenes read from one light by one worker before others may help.
@@ -25,10 +27,16 @@ class Planned:
 
 def plan(sweep: Sweep, settings: Settings) -> list[Planned]:
     """Digest and light of every scene, in the sweep's order."""
-    return [
-        Planned(digest(scene), light_digest(scene) if reads_transfer(scene, settings) else digest(scene), scene)
-        for scene in sweep.scenes
-    ]
+    return [_planned(scene, settings) for scene in sweep.scenes]
+
+
+def _planned(scene: Scene, settings: Settings) -> Planned:
+    own, study = digest(scene), settings.study
+    if study != "simulate":
+        # Another study of the same scene is another result.
+        own = hashlib.sha256(f"{study} {own}".encode()).hexdigest()
+    by_volpath = study not in STUDIES and not reads_transfer(scene, settings)
+    return Planned(own, own if by_volpath else f"{light_digest(scene)}{study if study in STUDIES else ''}", scene)
 
 
 def parse_shard(text: str | None) -> tuple[int, int]:
@@ -99,6 +107,7 @@ def as_json(sweep: Sweep, planned: list[Planned], settings: Settings) -> dict[st
         "sweep": sweep.name,
         "dims": sweep.dims,
         "axes": [{"name": a.name, "path": a.path, "values": a.values} for a in sweep.axes],
+        "study": settings.study,
         "made": settings.made(),
         **{name: getattr(settings.options, name) for name in ("photons", "relative_error")},
         "scenes": [p.digest for p in planned],

@@ -11,14 +11,17 @@ from ..light.detect import light_of
 from ..light.transfer import photodiode_names
 from ..options import TraceOptions
 from ..scene import Scene
+from ..scene.sweep import StudyName
 from ..variables import Variable, variable
 
 PAIR = ("led", "photodiode")
 
 
-def of_transfer(transfer: Transfer, *, seed: int) -> xr.Dataset:
-    """The readings of a phantom at rest, or the simulated touch of a finger."""
-    return _at_rest(transfer) if transfer.scene.phantom is not None else _simulate(transfer, seed)
+def of_transfer(transfer: Transfer, study: StudyName, *, seed: int) -> xr.Dataset:
+    """The simulated touch of a finger; of a phantom, or where light alone is asked for, the readings at rest."""
+    if study == "trace" or transfer.scene.phantom is not None:
+        return _at_rest(transfer)
+    return _simulate(transfer, seed)
 
 
 def relative_error(dataset: xr.Dataset) -> float:
@@ -76,9 +79,9 @@ def _summarised(result: xr.Dataset) -> xr.Dataset:
     )
 
 
-def by_volpath(scene: Scene, options: TraceOptions) -> tuple[xr.Dataset, int, bool]:
+def by_volpath(scene: Scene, options: TraceOptions, study: StudyName) -> tuple[xr.Dataset, int, bool]:
     """The same from volpath, which traces every scene anew: the dataset, its photons, and whether it is accurate."""
-    if scene.finger is not None:
+    if study == "simulate" and scene.finger is not None:
         from ..studies.simulate import simulate
 
         result, unmet = as_far_as_reached(simulate, scene, **options.fields)

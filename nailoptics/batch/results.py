@@ -11,6 +11,7 @@ import xarray as xr
 from ..errors import InputError
 from ..io import CorruptError, plain_cell, write_text
 from .folder import Folder, ForeignError
+from .study_runs import STUDIES
 
 log = logging.getLogger(__name__)
 
@@ -37,8 +38,8 @@ class _Result:
 def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
     """All results of a batch as one dataset, with the sweep's axes as its first dimensions and as coordinates.
 
-    Scenes without a result of this batch are NaN (numbers), False or empty text; `state` says why: missing, failed,
-    corrupt, or foreign, which is another seed's, backend's or version's.
+    Scenes without a result of this batch are NaN (numbers), False, empty text or black (photographs); `state` says why:
+    missing, failed, corrupt, or foreign, which is another seed's, backend's or version's.
 
     course : also what runs over time (volts, blood, force), for which the scenes must share their times.
 
@@ -73,7 +74,7 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
     dataset["digest"] = (dims, np.array(plan["scenes"]).reshape(shape), {"long_name": "digest of the scene"})
     dataset = dataset.assign_coords(_coordinates(plan))
     dataset.attrs |= {"title": f"nailoptics: batch {plan['sweep']}", "Conventions": "CF-1.11"}
-    dataset.attrs |= {name: plan["made"][name] for name in ("seed", "backend")}
+    dataset.attrs |= {name: plan["made"][name] for name in ("seed", "backend")} | {"study": plan["study"]}
     return dataset
 
 
@@ -115,10 +116,16 @@ def _stacked(found: list[_Result | None], dims: tuple[str, ...], shape: tuple[in
     for name, (own, values, attrs) in first.data.items():
         # A type that can say that nothing is there.
         number = np.result_type(values.dtype, np.float32) if values.dtype.kind not in "bU" else None
-        empty, holding = {"b": (False, bool), "U": ("", object)}.get(values.dtype.kind, (np.nan, number))
+        kinds: dict[str, tuple[Any, Any]] = {"b": (False, bool), "U": ("", object), "u": (0, values.dtype)}
+        empty, holding = kinds.get(values.dtype.kind, (np.nan, number))
         full = np.full((len(found), *values.shape), empty, holding)
         for i, item in enumerate(found):
             if item is not None and name in item.data:
+                if item.data[name][1].shape != values.shape:
+                    raise InputError(
+                        f'the scenes of this batch differ in the shape of their "{name}", so they are no one dataset; '
+                        "sweep scenes with as many of each."
+                    )
                 full[i] = item.data[name][1]
         whole = full.astype(str) if full.dtype.kind == "O" else full
         data[name] = ((*dims, *own), whole.reshape(*shape, *values.shape), attrs)
@@ -152,13 +159,17 @@ def _coordinates(plan: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_table(results: xr.Dataset, path: str | Path) -> Path:
-    """Write what `open_results` returns as CSV: a row per scene, LED and photodiode, a column per quantity."""
-    kept = [n for n, v in results.data_vars.items() if not {"absorber", "part", "zone", "time"} & set(v.dims)]
-    for item in results.absorber.values if "mean_path_mm" in results else ():
-        for name in ("mean_path_mm", "mean_path_mm_stderr"):
-            results = results.assign({f"{name}_{item}": results[name].sel(absorber=item, drop=True)})
-            kept.append(f"{name}_{item}")
-    table = results[kept].to_dataframe().reset_index()
+    """Write what `open_results` returns as CSV: a column per quantity, and a row per scene and what its study is over.
+
+    That is each LED and photodiode; for colours, each force and place.
+    """
+    for dim in ("absorber", "band"):
+        for name in [str(n) for n, v in results.data_vars.items() if dim in v.dims] if dim in results.coords else ():
+            apart = {f"{name}_{item}": results[name].sel({dim: item}, drop=True) for item in results[dim].values}
+            results = results.drop_vars(name).assign(apart)
+    study = STUDIES.get(results.attrs.get("study", ""))
+    rows = {*results.state.dims, *(study.rows if study else ("led", "photodiode"))}
+    table = results[[n for n, v in results.data_vars.items() if set(v.dims) <= rows]].to_dataframe().reset_index()
     texts = [name for name in table if table[name].dtype.kind not in "biuf"]
     table[texts] = table[texts].map(plain_cell)
     write_text(Path(path), table.rename(columns=plain_cell).to_csv(index=False))

@@ -84,7 +84,7 @@ def run_batch(
     if workers is not None and scheduler is not None:
         raise InputError("--workers and --scheduler exclude each other; a scheduler has its own workers.")
     begin = time.time()
-    settings = Settings.of(Path(folder), TraceOptions(**requested))
+    settings = Settings.of(Path(folder), TraceOptions(**requested), sweep.study)
     place, part = Folder(settings.folder), plans.parse_shard(shard)
     planned = plans.plan(sweep, settings)
     damage = plans.check_same(place, planned, settings)

@@ -8,6 +8,7 @@ import threading
 import time
 import traceback
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
@@ -24,9 +25,11 @@ from ..light.tracing import LightEngine, StoppingRule, accuracy, extend, led_sou
 from ..light.transfer import current_versions
 from ..options import BackendName, TraceOptions
 from ..scene import Accuracy, Scene, to_toml
+from ..scene.sweep import StudyName
 from ..variables import to_record
 from . import reading
 from .folder import STORAGE, Folder, ForeignError
+from .study_runs import STUDIES
 
 # Mitsuba's variant is one per process, and so is a claim: a worker with several threads still does one job at a time.
 _one_job = threading.Lock()
@@ -38,18 +41,22 @@ class Settings:
     """What all jobs of a batch share.
 
     options : of every scene; the time that a run may take is in deadline, in seconds since the epoch.
+    study : what is done with every scene.
     """
 
     folder: Path
     options: TraceOptions
     deadline: float | None = None
+    study: StudyName = "simulate"
 
     @classmethod
-    def of(cls, folder: Path, options: TraceOptions) -> "Settings":
+    def of(cls, folder: Path, options: TraceOptions, study: StudyName = "simulate") -> "Settings":
         """The settings of a run that begins now, with the backend that this machine offers."""
         deadline = None if options.max_seconds is None else time.time() + options.max_seconds
         chosen = cast(BackendName, backends.choose(options.backend).name)
-        return cls(folder.resolve(), replace(options, backend=chosen, max_seconds=None), deadline)
+        if study == "colour" and options.relative_error is not None:
+            raise InputError("a sweep of colours has no --relative-error; give colour.tolerance in its base scene.")
+        return cls(folder.resolve(), replace(options, backend=chosen, max_seconds=None), deadline, study)
 
     def required(self, scene: Scene) -> Accuracy:
         """What a scene's light must reach."""
@@ -62,9 +69,21 @@ class Settings:
             required = required.model_copy(update={"max_seconds": min(left, required.max_seconds or left)})
         return replace(self.options, **required.model_dump())
 
+    def alone(self, scene: Scene) -> TraceOptions:
+        """The options of a study that traces its own light: as requested or as the scene says, and no more."""
+        asked = self.options
+        given = asked.photons is not None or asked.relative_error is not None
+        own = Accuracy(photons=asked.photons, relative_error=asked.relative_error) if given else scene.accuracy
+        return self.in_time(own)
+
     def made(self) -> dict[str, Any]:
         """What decides a scene's result beside the scene and how accurate it is to be."""
         return {"seed": self.options.seed, "backend": self.options.backend, "versions": current_versions()}
+
+    def stores(self, tell: Callable[[Path, Exception], None] | None = None) -> list[LightStore]:
+        """Where light is kept, first that of the batch; what single commands traced is taken, too."""
+        user = LightStore.of_user() if self.options.store else None
+        return [LightStore(Folder(self.folder).light, tell=tell), *([user] if user else [])]
 
     def is_late(self) -> bool:
         """Whether the run's time is over."""
@@ -201,8 +220,9 @@ def _failed(folder: Folder, digest: str, error: Exception, report: JobReport) ->
 
 
 def reads_transfer(scene: Scene, settings: Settings) -> bool:
-    """Whether a scene is read from stored light; volpath traces every scene anew."""
-    return scene.light.engine != "volpath" and settings.options.backend != "scalar"
+    """Whether a scene is read from light that the batch stores; volpath and some studies trace their own."""
+    by_walk = scene.light.engine != "volpath" and settings.options.backend != "scalar"
+    return by_walk and settings.study not in STUDIES
 
 
 def meets(header: dict[str, Any], required: Accuracy) -> bool:
@@ -240,11 +260,7 @@ class _Light:
         first, asked = scenes[0], settings.options
         engine_class, _ = photons_engine(first, asked.backend)
         engine = LightEngine(first, engine_class)
-        # What single commands traced is taken, too.
-        stores = [
-            Folder(settings.folder).store(lambda path, why: report.corrupt.append(path.parent.name)),
-            LightStore.of_user() if asked.store else None,
-        ]
+        stores = settings.stores(lambda path, why: report.corrupt.append(path.parent.name))
         self.leds: list[LedBatches] = []
         self.rules: list[dict[Any, StoppingRule]] = []
         for led, source in enumerate(led_sources(first, engine, stores, seed=asked.seed, backend=asked.backend)):
@@ -292,18 +308,22 @@ def _result(
         if light is None:
             required = settings.required(scene)
             limited = settings.in_time(required)
-            dataset, photons, reached = reading.by_volpath(scene, limited)
-            timed = required.photons is None and required.relative_error is None
+            if study := STUDIES.get(settings.study):
+                dataset, photons, reached = study.run(scene, settings.alone(scene), settings.stores())
+                timed, worst = False, math.inf
+            else:
+                dataset, photons, reached = reading.by_volpath(scene, limited, settings.study)
+                timed = required.photons is None and required.relative_error is None
+                worst = reading.relative_error(dataset)
             if limited.max_seconds != required.max_seconds and settings.is_late() and (timed or not reached):
                 return None, {}
             own = {"asked": required.model_dump(exclude_none=True)}
-            worst = reading.relative_error(dataset)
         else:
             found = light.transfer(scene)
             if found is None:
                 return None, {}
             transfer, reached, error = found
-            dataset = reading.of_transfer(transfer, seed=settings.options.seed)
+            dataset = reading.of_transfer(transfer, settings.study, seed=settings.options.seed)
             worst = reading.relative_error(dataset) if error is None else error
             photons = min(t.photons for t in transfer.traces)
     header, arrays = to_record(dataset)

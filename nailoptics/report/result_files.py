@@ -173,7 +173,14 @@ def write_sweep(results: "xr.Dataset", folder: Path, *, failures: Mapping[str, s
     table, page = folder / "table.csv", folder / "report.html"
     write_table(results, table)
     write_sweep_page(results, page, failures=failures)
-    return {"report": page, "table": table}
+    if "photograph" not in results:
+        return {"report": page, "table": table}
+    from .contact_sheet import contact_sheet
+    from .style import write_figure
+
+    sheet = folder / "contact_sheet.png"
+    write_figure(contact_sheet(results), sheet, dpi=200, facecolor="white")
+    return {"report": page, "table": table, "contact_sheet": sheet}
 
 
 def write_recording(recording: Recording, path: Path) -> Paths:

@@ -9,6 +9,8 @@ import xarray as xr
 
 from ..io import write_text
 from . import style
+from .colour_page import A_PICTURE
+from .contact_sheet import MOST_SCENES, contact_sheet
 from .html import document, escaped, figure, section, small, table
 from .numbers import prefix, significant
 
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
 
 # Axes after which no more figures are drawn, and lines in one of them.
 FIGURES, LINES = 6, 12
-_QUANTITIES = ("volts_change_peak", "volts_start", "detected_fraction_rest")
+_QUANTITIES = ("volts_change_peak", "volts_start", "detected_fraction_rest", "ratio")
 
 
 def write_sweep_page(results: xr.Dataset, path: Path, *, failures: Mapping[str, str]) -> None:
@@ -33,10 +35,19 @@ def write_sweep_page(results: xr.Dataset, path: Path, *, failures: Mapping[str, 
         kicker="sweep",
         title=str(results.attrs["title"]).removeprefix("nailoptics: "),
         lead=f"{counts.sum()} scenes: {', '.join(f'{n} {s}' for s, n in zip(states, counts, strict=True))}.",
-        body=[section("The axes", _axes_table(results)), _figures(results), failed],
+        body=[section("The axes", _axes_table(results)), _photographs(results), _figures(results), failed],
         attributes=results.attrs,
     )
     write_text(path, text)
+
+
+def _photographs(results: xr.Dataset) -> str:
+    """The contact sheet of a sweep of colours."""
+    if "photograph" not in results:
+        return ""
+    scenes = results.state.size
+    caption = f"The first {min(scenes, MOST_SCENES)} of {scenes} scenes. {A_PICTURE}"
+    return section("Photographs", figure(contact_sheet(results), "sheet", caption))
 
 
 def axes_of(results: xr.Dataset) -> list[str]:

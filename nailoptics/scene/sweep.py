@@ -19,10 +19,15 @@ from .models import Scene
 from .text_files import is_there, one_line, parse_toml, read_text, short
 
 MAX_SCENES = 1_000_000
-# Names that the results themselves use.
+# Names that the results themselves use: of every study, and of some.
 _TAKEN = {"led", "photodiode", "absorber", "zone", "time", "scene", "sample", "part", "state", "digest"}
+_TAKEN_BY = {
+    "colour": {"force", "place", "band", "channel", "wavelength", "row", "column", "prior", "site", "node", "end"},
+    "oximeter": {"cause"},
+}
 _GIVEN = ("values", "linspace", "logspace", "range")
 
+StudyName = Literal["simulate", "trace", "oximeter", "colour"]
 Count = Annotated[int, Field(ge=1, le=MAX_SCENES)]
 Spaced = tuple[float, float, Count]
 
@@ -94,6 +99,8 @@ class SweepFile(Table):
 
     schema_version: Literal[1]
     """Version of this format."""
+    study: StudyName = "simulate"
+    """What is done with every scene: touch to volts, light alone, a pulse oximeter, or colours and photographs."""
     base: str | dict[str, Any] | None = None
     """The scene that every axis changes: a scene file, a shipped scene's name, or a table."""
     scenes: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
@@ -120,7 +127,7 @@ class SweepFile(Table):
             raise ValueError("a sweep has either base (a scene file or table) or scenes (a list of files); give one")
         if self.base is not None and not self.axes:
             raise ValueError("axes: a sweep over one base scene needs at least one [[axes]] table")
-        taken = set(_TAKEN)
+        taken = _TAKEN | _TAKEN_BY.get(self.study, set())
         for i, axis in enumerate(self.axes):
             if axis.axis_name in taken:
                 raise ValueError(f'axes[{i}]: the name "{axis.axis_name}" is taken; give the axis another name = "..."')
@@ -171,6 +178,7 @@ class Sweep:
     axes: tuple[Axis, ...]
     dims: dict[str, int]
     scenes: tuple[Scene, ...]
+    study: StudyName = "simulate"
 
 
 def load_sweep(path: str | Path) -> Sweep:
@@ -206,7 +214,7 @@ def _build(file: SweepFile, path: Path) -> Sweep:
     scenes = tuple(_scene(*base, axes, values) for base in bases for values in given)
     if file.scenes is not None:
         axes = (Axis("scene", "", tuple(Path(name).stem for name in file.scenes)), *axes)
-    return Sweep(path.stem, axes, dims, scenes)
+    return Sweep(path.stem, axes, dims, scenes, file.study)
 
 
 def _axes(file: SweepFile) -> tuple[Axis, ...]:
