@@ -144,12 +144,12 @@ def over_force(result: xr.Dataset) -> "Figure":
     for p, colour in zip(nail, style.place_colours(len(nail)), strict=True):
         error = Z95 * result.delta_e_2000_stderr[p]
         change.errorbar(result.force_n, result.delta_e_2000[p], error, color=colour, linewidth=1.0)
-    change.set_title("Difference to rest, CIEDE2000; warm: proximal")
+    change.set_title("Difference to rest, CIEDE2000")
     error = Z95 * result.white_band_mm_stderr
     band.errorbar(result.force_n, result.white_band_mm, error, color=style.INK, marker="o", markersize=3)
     band.set_title("White band [mm]")
-    for panel in (change, band):
-        panel.set_xlabel("force [N]")
+    change.set_xlabel("force [N]; warm: proximal, cool: distal")
+    band.set_xlabel("force [N]")
     return figure
 
 

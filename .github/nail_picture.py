@@ -1,0 +1,43 @@
+"""Make the README's first picture: the finger at rest and pressed, the nail under force, and what the board reads.
+
+    python .github/nail_picture.py COLOUR_FOLDER result.nc .github/nail_colour.png
+
+COLOUR_FOLDER is what `nailoptics colour nail_colour` wrote, result.nc what `nailoptics simulate prototype` wrote.
+"""
+
+import sys
+from pathlib import Path
+
+import xarray as xr
+from matplotlib.figure import Figure
+from PIL import Image
+
+from nailoptics.report import colour_figures, simulate_figures, style
+from nailoptics.scene import parse_scene
+
+
+def nail_picture(folder: Path, readings: xr.Dataset, path: Path) -> None:
+    """Write one wide picture; the suffix of path says which kind."""
+    colours = xr.load_dataset(folder / "colour.nc", engine="h5netcdf")
+    finger = parse_scene(str(colours.attrs["scene"])).finger
+    assert finger is not None
+    with style.drawing():
+        figure = Figure(figsize=(12.0, 4.9), layout="constrained", facecolor="white")
+        left, right = figure.subfigures(1, 2, width_ratios=[6.6, 5.4])
+        above, below = left.subfigures(2, 1, height_ratios=[2.75, 2.15])
+        for panel, name in zip(above.subplots(1, 2), ("rest", "pressed"), strict=True):
+            panel.imshow(Image.open(folder / f"{name}.png"))
+            panel.set_axis_off()
+            force = float(colours.force_n[0 if name == "rest" else -1])
+            panel.set_title("At rest" if name == "rest" else f"Pressed by {force:g} N", loc="center")
+        panels = below.subplots(1, colours.sizes["state"])
+        colour_figures.draw_strip(panels, colours, width_mm=finger.nail_width_mm)
+        below.supxlabel(f"Traced; {colour_figures.seen_by(colours)}", fontsize=7, color=style.MUTED)
+        axes = right.subplots()
+        simulate_figures.draw_change(axes, readings, parse_scene(str(readings.attrs["scene"])), led=0)
+        axes.set_title("What the board's photodiodes read while the finger presses")
+        style.write_figure(figure, path, dpi=110, facecolor="white")
+
+
+if __name__ == "__main__":
+    nail_picture(Path(sys.argv[1]), xr.load_dataset(sys.argv[2], engine="h5netcdf"), Path(sys.argv[3]))
