@@ -540,6 +540,7 @@ def predict(
     ] = None,
     press: Annotated[float, Parameter(help="Force at which the virtual switch closes. [N]")] = 0.5,
     release: Annotated[float, Parameter(help="Force below which it opens. [N]")] = 0.3,
+    smooth: Annotated[bool, Parameter(help="Use the samples after each as well, not only those before it.")] = False,
     json_: Json = False,
 ) -> None:
     """Tell force over time, with its 95 % interval, from a calibrated person's readings.
@@ -556,14 +557,16 @@ def predict(
         raise InputError(f"Unknown option: {readings} (nailoptics predict --help shows what is known)")
     calibrated = read_subject(subject)
     if readings == "-":
-        if json_ or output is not None:
-            raise InputError("predict -: answers line by line on stdout; leave out --json and -o, or give a recording.")
+        if json_ or smooth or output is not None:
+            raise InputError(
+                "predict -: answers line by line on stdout; leave out --json and -o, and --smooth, or give a recording."
+            )
         with suppress(KeyboardInterrupt):
             for line in live(calibrated, text_lines(sys.stdin)):
                 print(line, flush=True)
         return
     folder = _results(output, readings, PREDICTION)
-    result = study(calibrated, readings, press_n=press, release_n=release)
+    result = study(calibrated, readings, press_n=press, release_n=release, smooth=smooth)
     summary, paths = prediction_summary(result), write_prediction(result, folder)
     lines = [f"{result.sizes['time']} samples; open above from {summary['open_above_n']:.2f} N"]
     if math.isfinite(summary["rms_n"]):

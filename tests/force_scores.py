@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
@@ -138,14 +139,18 @@ def calibrated(person: VirtualPerson, scene: Scene, table: ReadingTable, model: 
     return str(calibrate_with(scene, table, recordings, model=model).attrs["subject"])
 
 
+def asked_of(kind: str, time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which samples of some touches are judged: the last of the slow cycles goes beyond what is asked."""
+    last = record.REST_S + record.PERIOD_S * np.flatnonzero(np.array(record.SLOW_N) > MOST_N)[0]
+    return np.asarray(time_s < last) if kind == "slow" else np.ones(time_s.shape, bool)
+
+
 def score(subject: Subject, person: VirtualPerson, kind: str, site: record.Site) -> Score:
     """How well touches are told that the calibration has not seen."""
     recording = person.recording(kind, site, seed=1)
     told = predict(subject, recording)
     force_n, closure_n = told.known_force_n.values, person.closure_n(site)
-    # The last of the slow cycles goes beyond the touches that are judged.
-    last = record.REST_S + record.PERIOD_S * np.flatnonzero(np.array(record.SLOW_N) > MOST_N)[0]
-    asked = told.time.values < last if kind == "slow" else np.ones(force_n.shape, bool)
+    asked = asked_of(kind, told.time.values)
     below, above = asked & (force_n < closure_n), force_n > closure_n
     inside = (told.force_low_n.values <= force_n) & (force_n <= told.force_high_n.values)
     is_open = np.isinf(told.force_high_n.values)

@@ -16,8 +16,15 @@ MOST_BLOOD = 0.15
 
 
 def scene() -> Scene:
-    """The prototype, whose readings these are."""
-    return load_scene(data_dir("scenes") / "prototype.toml")
+    """The prototype, whose readings these are, on a finger that does not give way."""
+    return on_rigid_pulp(load_scene(data_dir("scenes") / "prototype.toml"))
+
+
+def on_rigid_pulp(scene: Scene) -> Scene:
+    """The scene with a pulp that neither spreads nor takes time to recover."""
+    return scene.model_copy(
+        update={"touch": scene.touch.model_copy(update={"creep": 0.0, "distal_relaxation_s": 1e-3})}
+    )
 
 
 def table() -> ReadingTable:

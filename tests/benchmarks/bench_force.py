@@ -1,7 +1,8 @@
 """How well force is told from volts, on eight virtual people whom no model of ours made. Run: python bench_force.py
 
-    python bench_force.py --keep FOLDER [--people person_3 ...] [--part record|touches|paper|pairs|rest ...] [--rate 25]
-        [--rest-s 3600] [--massless] [--without zones|vessels|optics|creep|heartbeat|breathing|vasomotion|rhythms|drift]
+    python bench_force.py --keep FOLDER [--people person_3 ...] [--part record|touches|paper|floor|pairs|rest ...]
+        [--rate 25] [--rest-s 3600] [--massless]
+        [--without zones|vessels|optics|creep|heartbeat|breathing|vasomotion|rhythms|drift]
 
 Each person (scenes/subjects) is recorded as scenes/subjects/record.py says, calibrated on slow cycles of 0-2 N on
 either side with scenes/prototype.toml as the guess, and read under touches that no calibration has seen. Parts:
@@ -11,6 +12,8 @@ either side with scenes/prototype.toml as the guess, and read under touches that
   samples below closure that the 95 % interval covers, and of a slow cycle to 2 N the part of samples above closure
   whose interval is open; the medians over the people, beside what must be reached;
 - paper: a column more, the rms of the paper's own calibration (offset, scale and time constants);
+- floor: the rms of the same filter where nothing but the body's own noise is left: people who are what was calibrated,
+  all of them known exactly, told from the samples before each and from all;
 - pairs: who is read with whose calibration, and whether that is flagged or the interval covers all the same;
 - rest: presses of the virtual switch in an hour of rest of every person, with pulse and drift;
 - processor time of a calibration and of a sample.
@@ -25,7 +28,7 @@ import tempfile
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +43,7 @@ from nailoptics.studies.force.subject import Model, Subject, parse_subject
 
 sys.path.append(str(Path(__file__).parents[1]))
 
+from force_floor import floor_n  # noqa: E402
 from force_scores import (  # noqa: E402
     DIFFERENCES,
     KINDS,
@@ -56,7 +60,7 @@ from force_scores import (  # noqa: E402
     virtual_person,
 )
 
-PARTS = ("record", "touches", "paper", "pairs", "rest")
+PARTS = ("record", "touches", "paper", "floor", "pairs", "rest")
 # What must be reached by the medians.
 GOALS = (
     "rms at most 0.05",
@@ -171,6 +175,19 @@ class Bench:
                 f"{subject.widening:.2f} times; {1e3 * per_sample_s:.2f} ms a sample"
             )
 
+    def floor(self) -> Iterator[str]:
+        """How well each person's touches could be told were everything known, and medians over people."""
+        yield f"{'person':<10} {'side':<9} {'kind':<6} {'floor':>7} {'smooth':>7}  [N]"
+        for site in record.SIDES:
+            for kind in KINDS:
+                rows = []
+                for name, person in self.people.items():
+                    subject, path = self.subject(name, "network")[0], f"{person.name}_floor_{site}_{kind}.json"
+                    rows.append(kept(self.found / path, partial(floor_n, subject, person, kind, site)))
+                    yield f"{name:<10} {site:<9} {kind:<6} {rows[-1][0]:7.3f} {rows[-1][1]:7.3f}"
+                causal_n, smooth_n = np.median(rows, axis=0)
+                yield f"{'median':<10} {site:<9} {kind:<6} {causal_n:7.3f} {smooth_n:7.3f}"
+
     def pairs(self) -> Iterator[str]:
         """Every person read with every other's calibration."""
         good, count = 0, 0
@@ -227,7 +244,12 @@ def run(given: argparse.Namespace, bench: Bench) -> None:
             bench.touches("paper")
     finally:
         print("\n".join(bench.table()), flush=True)
-    lines = {"touches": bench.costs, "pairs": bench.pairs, "rest": lambda: bench.rest(given.rest_s)}
+    lines = {
+        "touches": bench.costs,
+        "floor": bench.floor,
+        "pairs": bench.pairs,
+        "rest": lambda: bench.rest(given.rest_s),
+    }
     for part, find in lines.items():
         if part in given.part:
             for text in find():

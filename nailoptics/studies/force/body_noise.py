@@ -56,7 +56,7 @@ def arterial_response(person: Person, table: ReadingTable, gain: Array, recordin
     high = person.arterial_pa + STEP_PA * np.array([-0.5, 0.5])
     pressure = np.repeat(person.pressures(recording.force_n, recording.site)[:, None], 2, axis=1)
     start = replace(person, rest_m=np.repeat(person.rest_m[:, None], 2, axis=1))
-    blood = person.blood(widths_over(start, recording.time_s, pressure, arterial_pa=high))
+    blood = person.blood(widths_over(start, recording.time_s, pressure, arterial_pa=high[:, None]))
     volts = gain[:, None, None] * table.volts(blood)
     return np.asarray((volts[:, 1] - volts[:, 0]) / STEP_PA)
 

@@ -13,7 +13,7 @@ from ...errors import InputError
 from ...hemodynamics import steady_state
 from ...light import ProgressCallback, open_light
 from ...options import Requested
-from ...scene import Scene, digest, to_toml
+from ...scene import Scene, Touch, digest, to_toml
 from ...scene.sensor_recordings import SATURATED, SITES, Recording, read_sensor_recording
 from ...variables import variable
 from ..blood_states import vessels
@@ -24,7 +24,8 @@ from .fit import Fit, Fitted
 from .force_interval import ForceInterval
 from .network import closure_of
 from .observer import Observer, PressureEstimate, pressure_of
-from .person import NAMES, PRIORS, USUAL_DISTAL_REACH, Person
+from .person import NAMES, PRIORS, RIGID_PULP, USUAL_DISTAL_REACH, USUAL_PULP, Person
+from .pulp import Pulp
 from .reading_table import ReadingTable, nodes_of, paper_table, reading_names, reading_table
 from .subject import Model, Subject, parse_subject, subject_toml
 
@@ -106,7 +107,8 @@ def calibrate_with(
         # The paper's two zones do not share the distal pressure.
         "distal_reach": USUAL_DISTAL_REACH if model == "network" else 0.0,
     }
-    fit = Fit(recordings, table, vessels(scene), free=free, **usual)
+    pulp = _pulp(scene.touch, model)
+    fit = Fit(recordings, table, vessels(scene), free=free, pulp=pulp, **usual)
     fitted = fit.solve()
     rest_v = _rest_volts(recordings)
     who = fit.person(fitted.factors_ln)
@@ -128,6 +130,7 @@ def calibrate_with(
         chi2_per_dof=fitted.chi2_per_dof,
         rms_n=float("nan"),
         baselines=_baselines(recordings),
+        pulp=pulp,
         **usual,
     )
     try:
@@ -144,6 +147,18 @@ def calibrate_with(
         subject=subject_toml(subject),
         recordings=[one.name for one in recordings],
         warnings=_warnings(subject),
+    )
+
+
+def _pulp(touch: Touch, model: Model) -> Pulp:
+    """What the scene states of the pulp, else what is usual; the paper's model has none."""
+    if model == "paper":
+        return RIGID_PULP
+    creep, recovery_s = touch.creep, touch.distal_relaxation_s
+    return Pulp(
+        creep=USUAL_PULP.creep if creep is None else creep,
+        creep_s=touch.creep_s,
+        recovery_s=USUAL_PULP.recovery_s if recovery_s is None else recovery_s,
     )
 
 
@@ -208,11 +223,12 @@ def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
         since = [None, *np.diff(one.time_s)]
         seen.append([observer.see(volts, dt) for volts, dt in zip(one.volts.T, since, strict=True)])
     subject = replace(subject, correction=_correction(subject.person(), recordings, seen))
-    interval = ForceInterval(subject.person(), widening=1.0, correction=subject.correction)
+    interval = ForceInterval(subject)
     error, ratio = [], []
     for one, estimates in zip(recordings, seen, strict=True):
         told, force = interval.tell(estimates), np.asarray(one.force_n)
-        judged = np.isfinite(told.high_n) & np.isfinite(force)
+        # At rest an interval ends at 0, wherever the estimate lies: that says nothing of its width.
+        judged = np.isfinite(told.high_n) & (force >= REST_FORCE_N)
         off = (told.force_n - force)[judged]
         half = np.where(off < 0, (told.high_n - told.force_n)[judged], (told.force_n - told.low_n)[judged])
         error.append(off)

@@ -10,7 +10,8 @@ from scipy.optimize import least_squares
 from ...hemodynamics.parameters import Parameters
 from ...scene.sensor_recordings import Recording
 from .network import LONGEST_STEP_S, widths_over
-from .person import NAMES, SPREAD_LN, Person, person
+from .person import NAMES, RIGID_PULP, SPREAD_LN, Person, person
+from .pulp import Pulp
 from .reading_table import ReadingTable
 
 Array = NDArray[np.float64]
@@ -85,10 +86,12 @@ class Fit:
         area_cm2: float,
         share: float,
         distal_reach: float = 0.0,
+        pulp: Pulp = RIGID_PULP,
         free: NDArray[np.bool_],
     ) -> None:
         self.recordings, self.table, self.base = list(recordings), table, base
         self.usual = {"rest_blood": rest_blood, "area_cm2": area_cm2, "share": share, "distal_reach": distal_reach}
+        self.pulp = pulp
         self.free = np.flatnonzero(free)
         self.slow = [_averaged(one) for one in self.recordings]
         self.volts = np.concatenate([one.volts for one in self.slow], axis=1)
@@ -100,7 +103,7 @@ class Fit:
 
     def person(self, factors_ln: Array) -> Person:
         """The person of some factors (P, *S)."""
-        return person(self.base, dict(zip(NAMES, np.exp(factors_ln), strict=True)), **self.usual)
+        return person(self.base, dict(zip(NAMES, np.exp(factors_ln), strict=True)), **self.usual, pulp=self.pulp)
 
     def model(self, factors_ln: Array, recordings: Sequence[Recording]) -> list[Array]:
         """Volts before gain and offset, and what a steeper slope by either zone's blood adds, (3, R, *S, T) each."""

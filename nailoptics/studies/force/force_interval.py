@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
-from .correction import Correction
 from .network import closure_of
 from .observer import PressureEstimate, pressure_of
-from .person import Person, force_of
+from .open_error import OpenError
+from .person import force_of
+from .subject import Subject
 
 Array = NDArray[np.float64]
 
@@ -44,22 +45,26 @@ class ForceEstimate:
 class ForceInterval:
     """Makes forces of estimates, for one sample or many."""
 
-    def __init__(self, person: Person, *, widening: float, correction: Correction) -> None:
+    def __init__(self, subject: Subject) -> None:
+        person = subject.person()
         self.areas_cm2 = float(person.area_cm2) * np.array([float(person.proximal_area), 1.0])
-        self.person, self.widening, self.correction = person, widening, correction
+        self.person, self.widening, self.correction = person, subject.widening, subject.correction
         closure = closure_of(person)
-        self._shut = correction.of(np.array([[closure.proximal], [closure.distal]]))
+        self._shut = self.correction.of(np.array([[closure.proximal], [closure.distal]]))
+        self._open = OpenError(subject.calibrated, subject.noise)
         self._points = norm.ppf(qmc.Sobol(4, scramble=True, seed=0).random(POINTS)).T
 
     @property
-    def open_above_n(self) -> float:
-        """Force from which an interval may be open above. [N]"""
-        return float((self.areas_cm2 * self._shut[:, 0]).min())
+    def open_above_n(self) -> dict[str, float]:
+        """Force of a touch on either side from which its interval may be open above. [N]"""
+        return dict(zip(("proximal", "distal"), (self.areas_cm2 * self._shut[:, 0]).tolist(), strict=True))
 
     def tell(self, estimates: list[PressureEstimate]) -> ForceEstimate:
         """The forces of some samples."""
         touch = np.array([one.touch for one in estimates])
-        covariance = np.array([one.covariance for one in estimates]) * self.widening**2
+        covariance = self._open.covariance(pressure_of(touch.T))
+        covariance[:, :2, :2] += np.array([one.covariance for one in estimates])
+        covariance *= self.widening**2
         values, vectors = np.linalg.eigh(covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
         cloud = np.einsum("tij,jp->itp", root, self._points)

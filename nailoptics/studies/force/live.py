@@ -79,7 +79,7 @@ def _told(
     subject: Subject, samples: Iterable[tuple[float, Array]]
 ) -> Iterator[tuple[float, ForceEstimate, PressureEstimate]]:
     observer, last = Observer(subject.calibrated, subject.noise), None
-    interval = ForceInterval(observer.person, widening=subject.widening, correction=subject.correction)
+    interval = ForceInterval(subject)
     for time_s, volts in samples:
         if last is not None and time_s <= last:
             raise InputError(f"{NAME}: time_s = {time_s:g} does not come after {last:g}; times must rise.")

@@ -46,13 +46,12 @@ def widths_over(
     """Diameters over those at rest, (3, *S, T) float, of walls that are in balance with the first pressures' absence.
 
     pressure : (2, *S, T) float. P_F1 and P_F2, linear between samples. [N/cm^2]
-    arterial_pa : (*S,) float. P_H all the time, in place of the person's. [Pa]
+    arterial_pa : (*S, T) float, or (*S, 1) where it stays. P_H in place of the person's. [Pa]
     longest_step_s : samples further apart are walked in several steps. [s]
     """
-    outside, high = (
-        touch_on_walls(pressure, np.asarray(person.distal_reach)[..., None]),
-        person.arterial_pa if arterial_pa is None else arterial_pa,
-    )
+    outside = touch_on_walls(person.pulp.course(time_s, pressure), np.asarray(person.distal_reach)[..., None])
+    mean_pa = np.full(person.rest_m.shape[1:] + (1,), person.arterial_pa)
+    high = np.broadcast_to(mean_pa if arterial_pa is None else arterial_pa, mean_pa.shape[:-1] + time_s.shape)
     width, out = person.rest_m, np.empty(person.rest_m.shape + time_s.shape)
     out[..., 0] = width
     for k, sample_s in enumerate(np.diff(time_s)):
@@ -63,7 +62,7 @@ def widths_over(
                 person.walls,
                 width,
                 outside[..., k] + i * change,
-                high,
+                high[..., k],
                 person.venous_pa,
                 step_s=sample_s / count,
                 outside_change=change,

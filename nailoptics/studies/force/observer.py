@@ -1,9 +1,10 @@
 """An iterated extended Kalman filter on a person's network: from volts to the touch pressures that move the vessels.
 
-Its state is what the network needs (three diameters), what drives it (both touch pressures, the body's arterial
-pressure) and the slow drift of each reading. Pressures are random walks that stay at 0 or above; the arterial pressure
-is a heartbeat and damped oscillators: breathing, vasomotion. What the calibration left open of the person and of
-the gains is carried along, not estimated (Schmidt 1966): it widens the intervals, and no reading narrows it again.
+Its state is what the network needs (three diameters), what drives it (both touch pressures, what is left of the distal
+one in the pulp, the body's arterial pressure) and the slow drift of each reading. Touch pressures are random walks that
+stay at 0 or above and move or step: each sample is read in both ways, and these are weighed by how well they foretold
+it (Blom and Bar-Shalom 1988, with one Gaussian between samples). The arterial pressure is a heartbeat and damped
+oscillators: breathing, vasomotion.
 """
 
 import math
@@ -18,37 +19,39 @@ from scipy import stats
 from ...hemodynamics.stepping import step
 from .heartbeat import Beat
 from .network import LONGEST_STEP_S, closure_of, touch_on_walls
-from .person import NAMES, PRIORS, Person
+from .person import NAMES, Person
 from .reading_table import ReadingTable
 
 Array = NDArray[np.float64]
 
 # Below this a pressure bends smoothly to 0, so that the filter always has a slope to follow. [N/cm^2]
-SOFTNESS = 0.02
+SOFTNESS = 0.002
 # Past closure nothing tells one touch from another: the filter stays at this part of it, from where it finds back.
 PAST_CLOSURE = 1.2
 # The lowest coordinate: further below 0 a pressure would have no slope left to come back by. [N/cm^2]
-LOWEST = -0.03
+LOWEST = -0.01
 # Steps by which the network's slopes are found: of widths over rest, of pressures in N/cm^2, of P_H in Pa.
-LARGEST_STEP = np.array([0.05, 0.05, 0.05, 0.1, 0.1])
-SMALLEST_STEP, ARTERIAL_STEP_PA = np.array([1e-4, 1e-4, 1e-4, 0.02, 0.02]), 200.0
+LARGEST_STEP = np.array([0.05, 0.05, 0.05, 0.1, 0.1, 0.1])
+SMALLEST_STEP, ARTERIAL_STEP_PA = np.array([1e-4, 1e-4, 1e-4, 0.02, 0.02, 0.02]), 200.0
 # What the walls do beyond the model, per sample, of their widths at rest: keeps the filter from being sure of them.
 WALL_NOISE = 1e-4
+# What the distal pulp does beyond the model. [N/cm^2 / sqrt(s)]
+PULP_NOISE = 0.05
 # At most so many linearisations of one sample; a coordinate moves no further than this in one of them.
 ITERATIONS, FARTHEST = 5, 0.3
-# A sample that less than one in a hundred is as far from its prediction as may be a sudden touch, by so much from the
-# sample before it. [N/cm^2]
-SUDDEN, JUMP = 0.99, 0.2
+# Touches move or step: random walks of these times the usual rate, each for so long on average. [s]
+RATES, LASTING_S = np.array([1.0, 10.0]), np.array([2.0, 0.1])
+# A finger rests as often as it touches, with pressures of this range on either side: what is not told from rest is
+# most likely rest, and a second of it tells where zero is to this. [N/cm^2, N/cm^2 sqrt(s)]
+TOUCHES_REACH, ZERO = 0.5, 0.02
 # A sample that less than one in a thousand is as far from its prediction as counts as an outlier.
 OUTLIER = 0.999
 # Gaps longer than this are no part of a recording any more: the filter starts anew after them. [s]
 LONGEST_GAP_S = 5.0
 
-WIDTHS, TOUCH, FIRST_BODY = slice(0, 3), slice(3, 5), 5
-# Factors that change the network itself, whose effect on its walls is found by steps of this in their logarithm.
-ON_WALLS = tuple(NAMES.index(name) for name in NAMES if PRIORS[name].fields or name == "distal_reach")
-FACTOR_STEP_LN = 0.05
-AREAS = [NAMES.index("contact_area"), NAMES.index("proximal_area")]
+WIDTHS, TOUCH, LEFT, FIRST_BODY = slice(0, 3), slice(3, 5), 5, 6
+# These act on the walls, each with the columns of a step up and a step down; two more are of the arterial pressure.
+ACTING = FIRST_BODY
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,7 @@ class PressureEstimate:
     """What one sample told.
 
     touch : (2,) float. Coordinates of both pressures; `pressure_of` makes pressures of them. [N/cm^2]
-    covariance : (4, 4) float. Of these and of the logarithms of the contact's areas.
+    covariance : (2, 2) float. Of these, were the person known exactly.
     arterial_pa : float. By how much P_H is off its mean. [Pa]
     surprise : float. Squared distance of the readings from their prediction, in its covariance.
     count : int. Readings that the sample has.
@@ -126,6 +129,25 @@ def pressure_of(coordinate: Array) -> Array:
     return SOFTNESS * np.logaddexp(0.0, coordinate / SOFTNESS)
 
 
+def going_on(since_s: float) -> Array:
+    """Probabilities (M, M) with which a touch that moves in one way moves in each a while later."""
+    stay = np.exp(-since_s / LASTING_S)
+    leave = (1.0 - stay) / (len(RATES) - 1)
+    return np.asarray(np.diag(stay - leave) + leave[:, None])
+
+
+def within(state: Array, covariance: Array, touches: tuple[Array, Array]) -> Array:
+    """The likeliest state whose touch lies in a range, if the given one's does not."""
+    bounded = np.clip(state[TOUCH], *touches)
+    off = np.flatnonzero(bounded != state[TOUCH])
+    if not off.size:
+        return state.copy()
+    place = off + TOUCH.start
+    return state + covariance[:, place] @ np.linalg.solve(
+        covariance[np.ix_(place, place)], (bounded - state[TOUCH])[off]
+    )
+
+
 class Observer:
     """Tells the touch from readings, one sample after the other; holds no more than its state."""
 
@@ -136,11 +158,7 @@ class Observer:
         self.beat = slice(FIRST_BODY, FIRST_BODY + beat)
         self.body = slice(self.beat.stop, self.beat.stop + 2 * len(noise.rhythms))
         self.drift = slice(self.body.stop, self.body.stop + readings)
-        # What is carried along: the factors of the person, and the gains.
-        self.factors = slice(self.drift.stop, self.drift.stop + len(NAMES))
-        self.gains = slice(self.factors.stop, self.factors.stop + readings)
-        self.size, self.estimated = self.gains.stop, self.factors.start
-        self.shown = [3, 4, *(self.factors.start + area for area in AREAS)]
+        self.size = self.drift.stop
         led = self.table.same_led()
         self._drift = noise.drift_per_min**2 * np.eye(readings) + noise.led_drift_per_min**2 * led @ led.T
         self.arterial = np.zeros(self.size)
@@ -149,37 +167,31 @@ class Observer:
         self._matrices: dict[float, tuple[Array, Array]] = {}
         self.person = calibrated.make(calibrated.factors_ln)
         closure = closure_of(self.person)
-        self._highest = PAST_CLOSURE * np.array([closure.proximal, closure.distal])
-        rest_blood = self.person.blood(np.ones(2))
-        self._table_rest_v, by_blood = self.table.slopes(rest_blood)
-        self._rest_by_blood = self.gain * (by_blood @ rest_blood)
-        self.rest_volts = self.gain * self._table_rest_v
-        self._open = self._open_covariance(calibrated.covariance)
+        highest = PAST_CLOSURE * np.array([closure.proximal, closure.distal])
+        # The least and the largest coordinates that pressures take.
+        self.touches = np.full(2, LOWEST), highest
+        rest_v, _ = self.table.slopes(self.person.blood(np.ones(2)))
+        self.rest_volts = self.gain * rest_v
+        self._level = self._open_at_rest(calibrated.covariance)
         # One network for each of the steps by which `_predict` finds its slopes.
-        columns = np.repeat(calibrated.factors_ln[:, None], 13 + 2 * len(ON_WALLS), axis=1)
-        for k, factor in enumerate(ON_WALLS):
-            columns[factor, 13 + 2 * k] += FACTOR_STEP_LN
-            columns[factor, 14 + 2 * k] -= FACTOR_STEP_LN
-        many = calibrated.make(columns)
+        many = calibrated.make(np.repeat(calibrated.factors_ln[:, None], 3 + 2 * ACTING, axis=1))
         self._walls, self._rest, self._reach = many.walls, many.rest_m, many.distal_reach
         self._closed = np.stack(
             np.broadcast_arrays(*(np.asarray(one, dtype=float) for one in many.walls.closed), many.rest_m[0])[:3]
         )
         self.restart()
 
-    def _open_covariance(self, covariance: Array) -> Array:
-        """The calibration's covariance of the drifts, factors and gains.
-
-        Drifts begin as what is open of the readings at rest. These are well known, unlike gains and offsets, whose
-        errors all but cancel there: an offset that is estimated beside a gain that is not would run away.
-        """
+    def _open_at_rest(self, covariance: Array) -> Array:
+        """Covariance of the readings at rest, over themselves, that the calibration's covariance leaves open."""
         count, factors = len(self.gain), len(NAMES)
-        level = np.zeros((count, len(covariance)))
-        level[:, factors + count :] = np.eye(count)
-        level[:, factors : factors + count] = np.diag(self._table_rest_v)
-        level[:, NAMES.index("rest_blood")] = self._rest_by_blood
-        take = np.vstack([level / self.rest_volts[:, None], np.eye(factors + count, len(covariance))])
-        return take @ covariance @ take.T
+        blood = self.person.blood(np.ones(2))
+        volts, by_blood = self.table.slopes(blood)
+        by = np.zeros((count, len(covariance)))
+        by[:, factors + count :] = np.eye(count)
+        by[:, factors : factors + count] = np.diag(volts)
+        by[:, NAMES.index("rest_blood")] = self.gain * (by_blood @ blood)
+        by /= self.rest_volts[:, None]
+        return by @ covariance @ by.T
 
     def restart(self) -> None:
         """Forget everything: an untouched finger, as far as is known."""
@@ -189,11 +201,14 @@ class Observer:
         diagonal = np.einsum("ii->i", self.covariance)
         diagonal[WIDTHS] = 1e-2**2
         diagonal[TOUCH] = 0.1**2
+        diagonal[LEFT] = 0.1**2
         if self.noise.beat:
             diagonal[self.beat] = self.noise.beat.start()
         diagonal[self.body] = np.repeat([one.rms_pa**2 for one in self.noise.rhythms], 2)
-        self.covariance[self.drift.start :, self.drift.start :] = self._open
-        self.covariance[self.drift, self.drift] += self._drift
+        self.covariance[self.drift, self.drift] = self._level + self._drift
+        self.followed = np.zeros(2)
+        self.ways = np.full(len(RATES), 1.0 / len(RATES))
+        self.each = np.repeat(self.covariance[None], len(RATES), axis=0)
 
     def see(self, volts: Array, since_s: float | None) -> PressureEstimate:
         """Take in one sample.
@@ -201,45 +216,41 @@ class Observer:
         volts : (R,) float; NaN where a reading has a gap. [V]
         since_s : time from the sample before it; None for the first. [s]
         """
-        there = np.isfinite(volts)
-        if since_s is not None and since_s <= LONGEST_GAP_S:
-            before = self.state, self.covariance
-            self._go_on(since_s)
-            if there.any() and self._surprise(volts, there) > _limit(int(there.sum()), SUDDEN):
-                self.state, self.covariance = before[0], before[1].copy()
-                self.covariance[3, 3] += JUMP**2
-                self.covariance[4, 4] += JUMP**2
-                self._go_on(since_s)
-        elif since_s is not None:
+        if since_s is not None:
+            self.foresee(since_s)
+        return self.take_in(volts, since_s)
+
+    def foresee(self, since_s: float) -> Array | None:
+        """Predict the next sample; returns the slopes of its state by that before, or None where it began anew."""
+        if since_s > LONGEST_GAP_S:
             self.restart()
-        surprise = self._update(volts, there) if there.any() else 0.0
+            return None
+        self.ways = self.ways @ going_on(since_s)
+        self.each, slopes = np.repeat(self.covariance[None], len(RATES), axis=0), np.eye(self.size)
+        for _ in range(count := max(1, math.ceil(since_s / LONGEST_STEP_S - 1e-9))):
+            slopes = self._predict(since_s / count) @ slopes
+        return slopes
+
+    def take_in(self, volts: Array, since_s: float | None) -> PressureEstimate:
+        """Correct what was predicted by a sample (R,), so long after the one before it."""
+        there = np.isfinite(volts)
+        surprise = self._update(volts, there)
+        self._find_zero(min(since_s or 0.0, LONGEST_GAP_S))
         return PressureEstimate(
-            touch=self.state[TOUCH].copy(),
-            covariance=self.covariance[np.ix_(self.shown, self.shown)],
+            touch=self.told(self.state),
+            covariance=self.covariance[TOUCH, TOUCH].copy(),
             arterial_pa=float(self.arterial @ self.state),
             surprise=surprise,
             count=int(there.sum()),
             outlier=surprise > _limit(int(there.sum()), OUTLIER),
         )
 
-    def _go_on(self, since_s: float) -> None:
-        """Predict the next sample."""
-        for _ in range(count := max(1, math.ceil(since_s / LONGEST_STEP_S - 1e-9))):
-            self._predict(since_s / count)
-
-    def _surprise(self, volts: Array, there: NDArray[np.bool_]) -> float:
-        """Squared distance of the readings that are there from their prediction, in its covariance."""
-        expected, slopes = self._expected(self.state)
-        off, slopes = (volts - expected)[there], slopes[there]
-        spread = slopes @ self.covariance @ slopes.T + np.diag(self.noise.reading_v[there] ** 2)
-        return float(off @ np.linalg.solve(spread, off))
-
     def _linear_part(self, step_s: float) -> tuple[Array, Array]:
         """Transition and noise of all that is linear, over a step."""
         if step_s not in self._matrices:
             transition, noise = np.eye(self.size), np.zeros(self.size)
             noise[WIDTHS] = WALL_NOISE**2
-            noise[TOUCH] = self.noise.touch_rate**2 * step_s
+            noise[LEFT] = PULP_NOISE**2 * step_s
             for k, rhythm in enumerate(self.noise.rhythms):
                 at = slice(self.body.start + 2 * k, self.body.start + 2 * k + 2)
                 angle, kept = 2 * np.pi * rhythm.frequency_hz * step_s, np.exp(-step_s / rhythm.coherence_s)
@@ -254,41 +265,48 @@ class Observer:
         transition, noise_matrix = self._matrices[step_s]
         return transition.copy(), noise_matrix
 
-    def _predict(self, step_s: float) -> None:
-        """Go on by one step."""
+    def _predict(self, step_s: float) -> Array:
+        """Go on by one step; returns its slopes."""
         state, (transition, noise) = self.state, self._linear_part(step_s)
-        high = self.person.arterial_pa + self.arterial @ state
-        reach = np.clip(np.sqrt(np.diag(self.covariance)[:5]), SMALLEST_STEP, LARGEST_STEP)
-        count = self._rest.shape[1]
-        around = np.repeat(state[:5, None], count, axis=1)
-        around[range(5), range(1, 6)] += reach
-        around[range(5), range(6, 11)] -= reach
+        pulp, high = self.person.pulp, self.person.arterial_pa + self.arterial @ state
+        spread = np.sqrt(np.einsum("m,mii->i", self.ways, self.each)[:ACTING])
+        reach = np.clip(spread, SMALLEST_STEP, LARGEST_STEP)
+        count, first = self._rest.shape[1], 1 + 2 * ACTING
+        around = np.repeat(state[:ACTING, None], count, axis=1)
+        around[range(ACTING), range(1, 1 + ACTING)] += reach
+        around[range(ACTING), range(1 + ACTING, first)] -= reach
         highs = np.full(count, high)
-        highs[11:13] += ARTERIAL_STEP_PA * np.array([1.0, -1.0])
+        highs[first : first + 2] += ARTERIAL_STEP_PA * np.array([1.0, -1.0])
+        touch = pulp.spread(pressure_of(around[TOUCH]), self.followed)
+        touch[1] = pulp.recover(around[LEFT], touch[1], step_s)
         widths = (
             step(
                 self._walls,
                 np.maximum(around[WIDTHS] * self._rest, self._closed),
-                touch_on_walls(pressure_of(around[TOUCH]), self._reach),
+                touch_on_walls(touch, self._reach),
                 highs,
                 self.person.venous_pa,
                 step_s=step_s,
             )
             / self._rest
         )
-        transition[WIDTHS, :5] = (widths[:, 1:6] - widths[:, 6:11]) / (2 * reach)
-        transition[WIDTHS] += np.outer((widths[:, 11] - widths[:, 12]) / (2 * ARTERIAL_STEP_PA), self.arterial)
-        by_factor = (widths[:, 13::2] - widths[:, 14::2]) / (2 * FACTOR_STEP_LN)
-        for k, factor in enumerate(ON_WALLS):
-            transition[WIDTHS, self.factors.start + factor] = by_factor[:, k]
+        moved = np.vstack([widths, touch[1]])
+        driven = [0, 1, 2, LEFT]
+        transition[driven, :ACTING] = (moved[:, 1 : 1 + ACTING] - moved[:, 1 + ACTING : first]) / (2 * reach)
+        transition[WIDTHS] += np.outer(
+            (widths[:, first] - widths[:, first + 1]) / (2 * ARTERIAL_STEP_PA), self.arterial
+        )
         after = transition @ state
-        after[WIDTHS] = widths[:, 0]
+        after[driven] = moved[:, 0]
         if self.noise.beat:
             after[self.beat], transition[self.beat, self.beat], grown = self.noise.beat.go_on(state[self.beat], step_s)
             noise = noise.copy()
             noise[self.beat, self.beat] = grown
-        self.state = after
-        self.covariance = transition @ self.covariance @ transition.T + noise
+        self.state, self.followed = after, pulp.follow(self.followed, pressure_of(state[TOUCH]), step_s)
+        each = self.each.copy()
+        each[:, [3, 4], [3, 4]] += (step_s * (self.noise.touch_rate * RATES) ** 2)[:, None]
+        self.each = transition @ each @ transition.T + noise
+        return transition
 
     def _expected(self, state: Array) -> tuple[Array, Array]:
         """Volts of every reading and their slopes (R, size)."""
@@ -298,36 +316,71 @@ class Observer:
         slopes, each = np.zeros((len(volts), self.size)), np.arange(len(volts))
         slopes[:, :2] = self.gain[:, None] * by_blood * (2 * blood / width)
         slopes[each, self.drift.start + each] = self.rest_volts
-        slopes[:, self.factors.start + NAMES.index("rest_blood")] = self.gain * (by_blood @ blood) - self._rest_by_blood
-        slopes[each, self.gains.start + each] = volts - self._table_rest_v
         return self.offset_v + self.gain * volts + self.rest_volts * state[self.drift], slopes
 
     def _update(self, volts: Array, there: NDArray[np.bool_]) -> float:
         """Correct the state by the readings that are there; returns how far off they were."""
-        before, covariance = self.state, self.covariance
-        own, state, surprise = np.diag(self.noise.reading_v[there] ** 2), before, 0.0
+        before, state, each = self.state, self.state, self.each
+        own, surprise = np.diag(self.noise.reading_v[there] ** 2), 0.0
+        ways = self.ways
         for iteration in range(ITERATIONS):
             expected, slopes = self._expected(state)
             off, slopes = (volts - expected)[there], slopes[there]
-            spread = slopes @ covariance @ slopes.T
+            seen = slopes @ each
+            spread = seen @ slopes.T
             if iteration == 0:
-                surprise = float(off @ np.linalg.solve(spread + own, off))
+                far, likely = _fit_of(off, spread + own)
+                ways = _weighed(ways, likely)
+                surprise = float(ways @ far)
                 # A sample that cannot be so far off counts for less.
                 own = own * max(1.0, surprise / _limit(len(off), OUTLIER))
-            weight = np.linalg.solve(spread + own, slopes @ covariance).T
-            # What is carried along is not corrected.
-            weight[self.estimated :] = 0.0
-            moved = before + weight @ (off - slopes @ (before - state)) - state
-            moved[:5] = np.clip(moved[:5], -FARTHEST, FARTHEST)
+            spread = spread + own
+            weight = np.moveaxis(np.linalg.solve(spread, seen), 1, 2)
+            moves = weight @ (off - slopes @ (before - state))
+            moved = before + ways @ moves - state
+            moved[:ACTING] = np.clip(moved[:ACTING], -FARTHEST, FARTHEST)
             state = state + moved
-            if np.abs(moved[:5]).max() < 1e-3:
+            if np.abs(moved[:ACTING]).max() < 1e-3:
                 break
-        self.state = state.copy()
-        self.state[WIDTHS] = np.maximum(state[WIDTHS], 1e-3)
-        self.state[TOUCH] = np.clip(state[TOUCH], LOWEST, self._highest)
-        kept = np.eye(self.size) - weight @ slopes
-        self.covariance = kept @ covariance @ kept.T + weight @ own @ weight.T
+        left = np.eye(self.size) - weight @ slopes
+        kept = left @ each @ np.moveaxis(left, 1, 2) + weight @ own @ np.moveaxis(weight, 1, 2)
+        apart = moves - ways @ moves
+        self.ways, self.state = ways, state.copy()
+        self.covariance = np.einsum("m,mij->ij", ways, kept) + (ways * apart.T) @ apart
+        self.state = within(self.state, self.covariance, self.touches)
+        self.state[WIDTHS] = np.maximum(self.state[WIDTHS], 1e-3)
+        self.state[LEFT] = np.clip(self.state[LEFT], 0.0, self.touches[1][1])
         return surprise
+
+    def told(self, state: Array) -> Array:
+        """Coordinates of the touch, where vessels feel it; of less than what the pulp has yet to give back: none."""
+        lost = np.maximum(self.person.pulp.creep * self.followed, 1e-9)
+        return np.asarray(state[TOUCH] - lost * np.clip(2.0 - state[TOUCH] / lost, 0.0, 1.0))
+
+    def _find_zero(self, since_s: float) -> None:
+        """Learn from rest where zero is, as scales do, by as much as this is likely to be rest."""
+        touch, known = self.state[TOUCH], self.covariance[TOUCH, TOUCH]
+        far = touch @ np.linalg.solve(known, touch)
+        density = np.exp(-0.5 * far) / (2 * np.pi * np.sqrt(np.linalg.det(known)))
+        odds = TOUCHES_REACH**2 * density
+        information = odds / (1.0 + odds) * since_s / ZERO**2
+        across = self.covariance[:, TOUCH] * information
+        weight = across @ np.linalg.inv(np.eye(2) + known * information)
+        self.state = self.state - weight @ touch
+        self.covariance = self.covariance - weight @ self.covariance[TOUCH]
+
+
+def _fit_of(off: Array, spread: Array) -> tuple[Array, Array]:
+    """Squared distances (M,) of a sample off by (r,) in covariances (M, r, r), and its log-likelihoods."""
+    root = np.linalg.cholesky(spread)
+    far = (np.linalg.solve(root, np.broadcast_to(off[:, None], (len(root), len(off), 1))) ** 2).sum((1, 2))
+    return far, -0.5 * far - np.log(np.einsum("mii->mi", root)).sum(1)
+
+
+def _weighed(ways: Array, likely: Array) -> Array:
+    """Probabilities (M,) after a sample of some likelihoods, given as logarithms."""
+    after = ways * np.exp(likely - likely.max())
+    return np.asarray(after / after.sum())
 
 
 @lru_cache

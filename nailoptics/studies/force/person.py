@@ -13,12 +13,17 @@ from ...hemodynamics.parameters import Parameters
 from ...hemodynamics.steady import solve_walls
 from ...hemodynamics.walls import Walls, build_walls
 from ...hemodynamics.zones import PAPER_ZONES
+from .pulp import Pulp
 
 Array = NDArray[np.float64]
 
 # The pressure in the pulp falls off from the tip, by a factor e in a third to a half of the nail bed: of a distal
 # pressure on half of the bed this part acts on the other half.
 USUAL_DISTAL_REACH = 0.25
+# A fingerpad that is held down pushes back less and less, by a tenth within some 2 s (Pawluk and Howe 1999, J. Biomech.
+# Eng. 121:605), and the distal reading returns more slowly than the touch is released (the paper's Fig. 12).
+USUAL_PULP = Pulp(creep=0.1, creep_s=2.0, recovery_s=0.15)
+RIGID_PULP = Pulp(creep=0.0, creep_s=2.0, recovery_s=0.0)
 # 1 N/cm^2, the paper's unit of pressure. [Pa]
 N_PER_CM2 = 1e4
 
@@ -67,6 +72,7 @@ class Person:
     distal_reach : S float. Part of P_F2 that acts on the proximal capillaries, too.
     share : S float. Part of an even touch's force that presses proximally.
     arterial_pa, venous_pa : P_H and P_L at rest. [Pa]
+    pulp : what lies between the touch and the vessels.
     """
 
     walls: Walls
@@ -78,6 +84,7 @@ class Person:
     share: Array
     arterial_pa: float
     venous_pa: float
+    pulp: Pulp
 
     def blood(self, width: Array) -> Array:
         """Blood fraction of both zones, (2, *S), from diameters over those at rest."""
@@ -113,11 +120,13 @@ def person(
     area_cm2: float,
     share: float,
     distal_reach: float = 0.0,
+    pulp: Pulp = RIGID_PULP,
 ) -> Person:
     """A person whose constants are a scene's times factors; arrays of factors make many people.
 
     base : the scene's constants. rest_blood, area_cm2, share : of the scene.
     distal_reach : part of a distal pressure on the proximal capillaries; 0 in the paper's two zones.
+    pulp : what lies between the touch and the vessels; nothing if not given.
     factors : by NAMES; 1 where one is missing.
     """
     scaled = {name: np.asarray(value, dtype=float) for name, value in base.as_dict().items()}
@@ -143,4 +152,5 @@ def person(
         share=np.asarray(odds / (1.0 + odds)) if share not in (0.0, 1.0) else np.asarray(share),
         arterial_pa=base.arterial_pressure_pa,
         venous_pa=base.venous_pressure_pa,
+        pulp=pulp,
     )

@@ -14,13 +14,17 @@ from ...scene.sensor_recordings import SATURATED, Recording, read_sensor_recordi
 from ...variables import variable
 from .force_interval import ForceEstimate, ForceInterval
 from .observer import Observer, PressureEstimate
+from .smoother import smoothed_estimates
 from .subject import Subject, read_subject
 
 Array = NDArray[np.float64]
 
-# A recording does not fit its subject if more of its samples than this are outliers (the first of a sudden touch are
-# some), or if all others are on average further off their predictions than this, in variances.
+# A recording does not fit its subject if more of its samples than this are outliers, or if all others are on average
+# further off their predictions than this, in variances.
 MOST_OUTLIERS, MOST_CHI2 = 0.03, 1.5
+# Outliers count where force has hardly changed for a while: no person's vessels follow a sudden touch quite as the
+# model's do. [N, s]
+STILL_N, SETTLING_S = 0.1, 0.5
 # Patterns of a misfit are named where they explain this part of it.
 EXPLAINED = 0.8
 
@@ -31,12 +35,14 @@ def predict(
     *,
     press_n: float = 0.5,
     release_n: float = 0.3,
+    smooth: bool = False,
 ) -> xr.Dataset:
     """Force over time from readings.
 
     subject : what `calibrate` found, or its file.
     readings : a recording, or its file; its force, where known, is what the result is judged by.
     press_n, release_n : the virtual switch closes above the first force and opens below the second. [N]
+    smooth : use the samples after each as well, not only those before it.
 
     Returns: Dataset over time: force_n with force_low_n and force_high_n (95 %; infinite where open above), proximal
     share and pressures with theirs, arterial pressure, surprise and outlier of each sample, the regressions'
@@ -50,11 +56,16 @@ def predict(
     recording = readings if isinstance(readings, Recording) else read_sensor_recording(readings)
     recording, warnings = _without_saturated(subject, recording.of(subject.table.names))
     observer = Observer(subject.calibrated, subject.noise)
-    since = [None, *np.diff(recording.time_s)]
-    estimates = [observer.see(volts, dt) for volts, dt in zip(recording.volts.T, since, strict=True)]
-    told = ForceInterval(observer.person, widening=subject.widening, correction=subject.correction).tell(estimates)
+    samples = zip(recording.volts.T, [None, *np.diff(recording.time_s)], strict=True)
+    if smooth:
+        estimates = smoothed_estimates(observer, samples)
+    else:
+        estimates = [observer.see(volts, since_s) for volts, since_s in samples]
+    interval = ForceInterval(subject)
+    told, above_n = interval.tell(estimates), interval.open_above_n
     result = _dataset(subject, recording, observer, estimates, told, press_n=press_n, release_n=release_n)
-    return result.assign_attrs(warnings=warnings)
+    by_side = {f"open_above_{side}_n": force_n for side, force_n in above_n.items()}
+    return result.assign_attrs(by_side, open_above_n=min(above_n.values()), warnings=warnings)
 
 
 def events(time_s: Array, force_n: Array, *, press_n: float, release_n: float) -> list[tuple[float, str]]:
@@ -104,6 +115,7 @@ def prediction_summary(result: xr.Dataset) -> dict[str, Any]:
     """What a prediction's result says in few numbers, ready for JSON."""
     names = ("rms_n", "coverage_95", "chi2_per_dof", "open_above_n", "outliers", "misfit")
     return {name: result.attrs[name] for name in names} | {
+        "open_above_by_side_n": {side: float(result.attrs[f"open_above_{side}_n"]) for side in ("proximal", "distal")},
         "consistent": bool(result.attrs["consistent"]),
         "warnings": list(result.attrs["warnings"]),
         "baseline_rms_n": {name: result.attrs[f"rms_{name}_n"] for name in ("linear", "components")},
@@ -150,15 +162,13 @@ def _dataset(
     found = events(time_s, told.force_n, press_n=press_n, release_n=release_n)
     true = events(time_s, np.nan_to_num(known), press_n=press_n, release_n=release_n)
     data |= _event_variables(found, true if recording.force_n is not None else None)
-    interval = ForceInterval(observer.person, widening=subject.widening, correction=subject.correction)
-    consistent, misfit = _consistency(subject, recording, observer, estimates)
+    consistent, misfit = _consistency(subject, recording, observer, estimates, told.force_n)
     inside = (known >= told.low_n) & (known <= told.high_n)
     judged = np.isfinite(known)
     attributes = {
         "rms_n": _rms(told.force_n - known),
         "coverage_95": float(inside[judged].mean()) if judged.any() else float("nan"),
         "chi2_per_dof": float(surprise.sum() / max(sum(one.count for one in estimates), 1)),
-        "open_above_n": interval.open_above_n,
         "outliers": float(outlier.mean()),
         "consistent": int(consistent),
         "misfit": misfit,
@@ -179,10 +189,13 @@ def _event_variables(found: list[tuple[float, str]], true: list[tuple[float, str
 
 
 def _consistency(
-    subject: Subject, recording: Recording, observer: Observer, estimates: list[PressureEstimate]
+    subject: Subject, recording: Recording, observer: Observer, estimates: list[PressureEstimate], force_n: Array
 ) -> tuple[bool, str]:
     """Whether the readings fit the subject; else in one word what it looks like."""
-    outliers = float(np.mean([one.outlier for one in estimates]))
+    outlier = np.array([one.outlier for one in estimates])
+    before_n = np.interp(recording.time_s - SETTLING_S, recording.time_s, force_n)
+    still = np.abs(force_n - before_n) < STILL_N
+    outliers = float(outlier[still].mean()) if still.any() else 1.0
     usual = [one for one in estimates if not one.outlier]
     chi2 = sum(one.surprise for one in usual) / max(sum(one.count for one in usual), 1)
     if outliers <= MOST_OUTLIERS and chi2 <= MOST_CHI2:

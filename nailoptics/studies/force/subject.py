@@ -18,11 +18,12 @@ from .correction import Correction
 from .heartbeat import Beat
 from .observer import Calibrated, Noise, Oscillation
 from .person import NAMES, PRIORS, SPREAD_LN, Person, person
+from .pulp import Pulp
 from .reading_table import POWERS, ReadingTable
 
 Array = NDArray[np.float64]
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 # No calibration finds more: factors on the scene's constants, and gains of readings.
 MOST_FACTOR, MOST_GAIN = 100.0, 1e4
 # Correlations of a calibration are known to rounding but for this.
@@ -38,6 +39,7 @@ class Subject:
 
     scene_digest : of the scene whose board and finger it was calibrated for.
     base, rest_blood, area_cm2, share, distal_reach : the scene's vessels and touch, which the factors change.
+    pulp : what lies between touch and vessels.
     factors_ln : (P,) float. Logarithms of the factors by NAMES.
     gain, offset_v, residual_rms_v : (R,) float.
     covariance : (P + 2 R, P + 2 R) float. Of factors, gains and offsets.
@@ -55,6 +57,7 @@ class Subject:
     area_cm2: float
     share: float
     distal_reach: float
+    pulp: Pulp
     factors_ln: Array
     gain: Array
     offset_v: Array
@@ -78,6 +81,7 @@ class Subject:
             area_cm2=self.area_cm2,
             share=self.share,
             distal_reach=self.distal_reach,
+            pulp=self.pulp,
         )
 
     def check(self) -> None:
@@ -118,6 +122,9 @@ class Subject:
             "proximal_share": (self.share, 0.0, 1.0),
             "widening": (self.widening, 1e-3, MOST_GAIN),
             "distal_reach": (self.distal_reach, 0.0, 1.0),
+            "creep": (self.pulp.creep, 0.0, 1.0),
+            "creep_s": (self.pulp.creep_s, 1e-3, MOST_GAIN),
+            "recovery_s": (self.pulp.recovery_s, 0.0, MOST_GAIN),
             "drift_per_min": (self.noise.drift_per_min, 0.0, 1.0),
             "led_drift_per_min": (self.noise.led_drift_per_min, 0.0, 1.0),
             "correction": (np.stack([self.correction.told, self.correction.pressed]), 0.0, MOST_GAIN),
@@ -242,6 +249,7 @@ def subject_toml(subject: Subject) -> str:
                     "contact_area_cm2": subject.area_cm2,
                     "proximal_share": subject.share,
                     "distal_reach": subject.distal_reach,
+                    "pulp": vars(subject.pulp),
                     "vessels": subject.base.as_dict(),
                 },
                 "light": {
@@ -328,6 +336,7 @@ def _subject(found: dict[str, Any]) -> Subject:
         area_cm2=float(scene["contact_area_cm2"]),
         share=float(scene["proximal_share"]),
         distal_reach=float(scene["distal_reach"]),
+        pulp=Pulp(**scene["pulp"]),
         factors_ln=np.log(factors),
         gain=each("gain"),
         offset_v=each("offset_v"),

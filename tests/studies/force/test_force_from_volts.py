@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_sensor import on_rigid_pulp
 
 from nailoptics import hemodynamics, load_scene
 from nailoptics.assets import data_dir
@@ -93,7 +94,7 @@ def _steps() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def subject(table: ReadingTable) -> Subject:
-    scene = load_scene(data_dir("scenes") / "prototype.toml")
+    scene = on_rigid_pulp(load_scene(data_dir("scenes") / "prototype.toml"))
     scene = scene.model_copy(
         update={"blood": scene.blood.model_copy(update={"parameters": "listed", "rest_blood_fraction": REST})}
     )

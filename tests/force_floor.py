@@ -1,0 +1,89 @@
+"""How well force could be told if nothing were unknown: people who are the fitted model itself, with their own bodies.
+
+What is left is the body's own noise: heartbeat, breathing, vasomotion and drift move the readings as touches do.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from force_scores import VirtualPerson, asked_of
+
+from nailoptics.hemodynamics import cardiac_pressure
+from nailoptics.scene import Scene
+from nailoptics.scene.body import Heartbeat
+from nailoptics.scene.sensor_recordings import Recording
+from nailoptics.studies.blood_states import arterial_waveform
+from nailoptics.studies.force.body_noise import HARMONICS, HEIGHT_SPREAD
+from nailoptics.studies.force.correction import no_correction
+from nailoptics.studies.force.heartbeat import Beat
+from nailoptics.studies.force.network import widths_over
+from nailoptics.studies.force.observer import Oscillation
+from nailoptics.studies.force.predict import predict
+from nailoptics.studies.force.subject import Subject
+from nailoptics.studies.force.virtual_people import TOUCHES, Site, touch_of
+from nailoptics.studies.worn_sensor import sensor_course
+
+# The slow waves of a body fill the band about their middle: so long they keep their phase. [s]
+SLOW_COHERENCE_S, BREATH_COHERENCE_S = 4.0, 30.0
+
+
+def exactly_known(subject: Subject, scene: Scene) -> Subject:
+    """The subject as if calibration had left nothing open, with the noise of a scene's body."""
+    body, noise = scene.body, subject.noise
+    assert body is not None
+    slow, breath, drift = body.vasomotion, body.breathing, body.drift
+    rhythms = []
+    if slow is not None:
+        rhythms.append(Oscillation(sum(slow.band_hz) / 2, SLOW_COHERENCE_S, slow.amplitude_pa))
+    if breath is not None:
+        rms_pa = breath.amplitude_pa / np.sqrt(2)
+        rhythms.append(Oscillation(breath.rate_per_min / 60.0, BREATH_COHERENCE_S, rms_pa))
+    own = replace(
+        noise,
+        rhythms=tuple(rhythms),
+        beat=None if body.heartbeat is None else _beat(body.heartbeat),
+        drift_per_min=drift.reading_per_rt_min if drift else 1e-6,
+        led_drift_per_min=drift.led_per_rt_min if drift else 1e-6,
+    )
+    nothing = np.zeros_like(subject.covariance)
+    return replace(subject, noise=own, covariance=nothing, correction=no_correction(), widening=1.0)
+
+
+def _beat(heart: Heartbeat) -> Beat:
+    """What the observer knows of a heart that beats evenly."""
+    rate_hz = heart.rate_per_min / 60.0
+    course = cardiac_pressure(
+        np.arange(256) / (256 * rate_hz), pulse_pressure_pa=heart.pulse_pressure_pa, rate_per_min=heart.rate_per_min
+    )
+    rms_pa = np.abs(np.fft.rfft(course))[1 : 1 + HARMONICS] / 256 * np.sqrt(2)
+    return Beat(rate_hz, tuple(rms_pa.tolist()), HEIGHT_SPREAD)
+
+
+def modelled(subject: Subject, scene: Scene, touch: Recording, *, seed: int) -> Recording:
+    """What the subject's sensor would read under a recording's touch, were the model the truth.
+
+    scene : whose touch has the recording's times, and whose body moves the readings.
+    """
+    assert touch.force_n is not None and touch.site is not None and scene.body is not None
+    body = scene.model_copy(update={"body": scene.body.model_copy(update={"seed": seed})})
+    who, time_s = subject.person(), touch.time_s
+    high = arterial_waveform(body)
+    arterial_pa = who.arterial_pa + (0.0 if high is None else high.at(time_s) - high.at(time_s).mean())
+    pressure = who.pressures(touch.force_n, touch.site)
+    blood = who.blood(widths_over(who, time_s, pressure, arterial_pa=np.broadcast_to(arterial_pa, time_s.shape)))
+    volts = subject.offset_v[:, None] + subject.gain[:, None] * subject.table.volts(blood)
+    worn = sensor_course(body, time_s)
+    if "led_drift" in worn:
+        volts = volts * (worn.led_drift.values[:, None] * worn.reading_drift.values).reshape(volts.shape)
+    noise = np.random.default_rng(seed).normal(size=volts.shape)
+    return replace(touch, volts=volts + subject.noise.reading_v[:, None] * noise)
+
+
+def floor_n(subject: Subject, person: VirtualPerson, kind: str, site: Site, *, seed: int = 3) -> list[float]:
+    """Rms error of some touches told from the samples before each, and from all, with everything known. [N]"""
+    touch = person.recording(kind, site, seed=1)
+    played = touch_of(person.scene, TOUCHES[kind], site, person.rate_hz)
+    recording = modelled(subject, person.scene.model_copy(update={"touch": played}), touch, seed=seed)
+    known, asked = exactly_known(subject, person.scene), asked_of(kind, touch.time_s)
+    found = [predict(known, recording, smooth=smooth) for smooth in (False, True)]
+    return [float(np.sqrt(np.mean((one.force_n - one.known_force_n).values[asked] ** 2))) for one in found]
