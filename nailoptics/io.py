@@ -146,6 +146,18 @@ def claimed(file: Path, number: int) -> Iterator[bool]:
         yield True
 
 
+def cache_folder() -> Path:
+    """Where this system keeps a user's files that a program can make again, in a folder of this package's own.
+
+    Raises: RuntimeError for a user without a home.
+    """
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "nailoptics"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "nailoptics"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "nailoptics"
+
+
 def write_dataset(dataset: "xr.Dataset", path: Path) -> None:
     """Write a dataset to NetCDF, and make its folder; raises WriteError.
 

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import InputError, WriteError
-from ..io import make_folder, write_text
+from ..io import cache_folder, make_folder, write_text
 
 log = logging.getLogger(__name__)
 
@@ -303,7 +303,7 @@ def _last_line(text: str) -> str:
 
 def _cache_file() -> Path:
     """The file of answers; raises RuntimeError for a user without a home."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "nailoptics" / "backends.json"
+    return cache_folder() / "backends.json"
 
 
 def _read_cache() -> dict[str, Any]:

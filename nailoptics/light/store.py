@@ -7,7 +7,6 @@ import math
 import os
 import re
 import shutil
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -316,14 +315,9 @@ def user_folder() -> Path | None:
     if given := os.environ.get(VARIABLE):
         return None if given.lower() == "off" else Path(given)
     try:
-        home = Path.home()
-    except RuntimeError:  # nobody's
+        return io.cache_folder() / "light"
+    except RuntimeError:
         return None
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local") / "nailoptics" / "light"
-    if sys.platform == "darwin":
-        return home / "Library" / "Caches" / "nailoptics" / "light"
-    return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "nailoptics" / "light"
 
 
 def _most_bytes(root: Path) -> float:

@@ -4,14 +4,15 @@ import json
 import multiprocessing
 import os
 import shutil
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import nailoptics as nail
+from nailoptics import io
 from nailoptics.io import pack
-from nailoptics.light import store as light_store
 from nailoptics.light import tracing
 from nailoptics.light.layered_walk import LayeredTracer
 from nailoptics.light.store import LightStore, StoredEntry, entries, made_of, user_folder
@@ -232,9 +233,20 @@ def test_where_the_store_lies(monkeypatch, tmp_path):
     monkeypatch.setenv("NAILOPTICS_STORE", "off")
     assert user_folder() is None and LightStore.of_user() is None
     monkeypatch.delenv("NAILOPTICS_STORE")
-    monkeypatch.setattr(light_store.sys, "platform", "linux")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert user_folder() == tmp_path / "nailoptics" / "light"
+    for platform, variable, below in (
+        ("linux", "XDG_CACHE_HOME", "nailoptics/light"),
+        ("win32", "LOCALAPPDATA", "nailoptics/light"),
+        ("darwin", "HOME", "Library/Caches/nailoptics/light"),
+    ):
+        monkeypatch.setattr(io.sys, "platform", platform)
+        monkeypatch.setenv(variable, str(tmp_path / platform))
+        assert user_folder() == tmp_path / platform / below
+
+    def nobodys() -> Path:
+        raise RuntimeError("no home")
+
+    monkeypatch.setattr(io.Path, "home", nobodys)
+    assert user_folder() is None
 
 
 @pytest.mark.jit
