@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 SAMPLES = 500
 # Small multiples stay readable up to so many photodiodes; of more, evenly spaced ones are shown.
 PANELS = 16
+WITH_LEGENDS_BELOW = style.Room(left=0.65, bottom=0.8, across=0.75)
 # Without blood, at rest and beyond: a nail's colours.
 BLOOD = ("#fbf6f2", "#e6a5a0", "#8e1022")
 MODELS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -30,7 +31,7 @@ MODELS: dict[str, tuple[str, dict[str, Any]]] = {
 def touch(result: xr.Dataset) -> "Figure":
     """The touch: force, and the pressures on the veins and on the distal capillaries; arterial pressure if it moves."""
     beats = "arterial_pressure_pa" in result
-    figure, panels = style.panels(9.2, 2.7, 1, 2 + beats, sharex=True)
+    figure, panels = style.panels(9.2, 2.7, 1, 2 + beats, room_in=WITH_LEGENDS_BELOW, sharex=True)
     left, right = panels[:2]
     seen = _thin(result)
     _line(left, seen, seen.force_n, color=style.INK, label="normal")
@@ -57,7 +58,9 @@ def touch(result: xr.Dataset) -> "Figure":
 @style.drawing()
 def vessels(result: xr.Dataset) -> "Figure":
     """What the touch does to the blood: capillary and vein diameters, the bed's blood fraction, and its oxygen."""
-    figure, panels = style.panels(9.2, 2.9, 1, 3 + ("so2" in result), sharex=True)
+    # A legend of many zones takes more room.
+    room = WITH_LEGENDS_BELOW if result.sizes["zone"] <= 2 else None
+    figure, panels = style.panels(9.2, 2.9, 1, 3 + ("so2" in result), room_in=room, sharex=True)
     capillary, vein, blood, *oxygen = panels
     seen = _thin(result)
     for i, (zone, colour) in enumerate(zip(result.zone.values, style.place_colours(result.sizes["zone"]), strict=True)):
