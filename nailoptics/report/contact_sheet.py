@@ -28,6 +28,9 @@ def contact_sheet(results: xr.Dataset) -> "Figure":
     tall = WIDTH * high / wide
     size = (WORDS + WIDTH * forces, 0.35 + tall * len(rows))
     figure, panels = style.panels(*size, len(rows), forces, squeeze=False)
+    axes = [
+        name for name in results.coords if set(results[name].dims) & set(dims) and np.unique(results[name]).size > 1
+    ]
     for index, row in zip(rows, panels, strict=True):
         one = results.isel(dict(zip(dims, index, strict=True)))
         for k, panel in enumerate(row):
@@ -35,9 +38,7 @@ def contact_sheet(results: xr.Dataset) -> "Figure":
             if one.state.item() == "done":
                 panel.imshow(one.photograph.values[k])
                 panel.set_title(f"{float(one.force_n[k]):g} N", loc="center", fontsize=7, pad=2)
-        words = [
-            f"{name} = {_short(one[name].item())}" for name in results.coords if set(results[name].dims) & set(dims)
-        ]
+        words = [f"{name} = {_short(one[name].item())}" for name in axes]
         if one.state.item() != "done":
             words.append(str(one.state.item()))
         row[0].text(-0.05, 0.5, style.plain("\n".join(words)), transform=row[0].transAxes, ha="right", va="center")
