@@ -3,7 +3,7 @@
 What a photodiode reads of an LED is a function of both their places, of their sizes and turns, of the wavelength, the
 blood of two zones and its saturation: some ten numbers. It factors. The light between two places is a smooth kernel
 (`light.pair_kernel`) of some 1200 coefficients for each wavelength; integrals over die and photodiode are sums over a
-few Gauss points of each; and every coefficient is a polynomial of 32 terms in blood and saturation
+few Gauss points of each; and every coefficient is a polynomial of 31 terms in blood and saturation
 (`blood_polynomial`). In half precision that is 0.1 MB for a wavelength, and as much again for the groups of photons
 that tell the standard errors. The page so sums 2500 products for a pair of LED and photodiode: microseconds.
 
