@@ -367,7 +367,7 @@ def _stock(bench: Bench, backend: BackendName) -> dict[str, Any]:
     relative = found.relative_stderr(narrow.level)
     ratio, worst = found.level / narrow.level - 1, float(relative.max())
     noise = worst * math.sqrt(found.path_seconds)
-    reading = bench.bias(ratio, np.hypot(relative, (1 + ratio) * narrow.relative_stderr))
+    reading = bench.bias(ratio, paired.error_of_ratio(ratio, relative, narrow.relative_stderr))
     until = in_words(found.setup_seconds + (noise / KEPT_ERROR) ** 2)
     remark = f"{KEPT_ERROR:.0%} on every reading would take {until}: as the root of the time, from {worst:.0%} after "
     first = Cost(found.setup_seconds, 1.0)
