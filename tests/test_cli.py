@@ -312,11 +312,11 @@ def test_both_backends_print_the_same_light_of_a_phantom(folder, capfd, chosen_j
 
 @pytest.mark.jit
 def test_trace_of_a_finger_prints_the_agreed_json_and_keeps_the_transfer(folder, capfd, chosen_jit):
-    options = ["--photons", "500000", "--seed", "3", "--json"]
+    options = ["--photons", "100000", "--seed", "3", "--json"]
     assert run(["trace", "prototype", *options, "-o", "deep/transfer.nc"]) == 0
     found = only_json(capfd)
     assert_traced(found, engine="photons", name=chosen_jit.name)
-    assert len(found["readings"]) == 8 and found["photons"] == 500_000
+    assert len(found["readings"]) == 8 and found["photons"] == 100_000
     assert {"plate", "bed_1", "bed_2", "epoxy"} <= set(found["readings"][0]["mean_path_mm"])
     assert contents(folder).keys() == {"deep", "deep/transfer.nc"}
     again = Transfer.load(Path("deep/transfer.nc")).at()
@@ -374,7 +374,7 @@ def test_the_error_of_a_few_photons_is_not_told(folder, capfd, chosen_jit):
 
 @pytest.mark.jit
 def test_simulate_writes_its_two_files_and_prints_where(folder, capfd, chosen_jit):
-    assert run(["simulate", "prototype", "--photons", "300000"]) == 0
+    assert run(["simulate", "prototype", "--photons", "100000"]) == 0
     out, err = capfd.readouterr()
     assert contents(folder).keys() == {
         "results",

@@ -21,13 +21,15 @@ def prototype(**touch) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def pressed(chosen_jit) -> dict[str, xr.Dataset]:
-    """The prototype as shipped, and with the force on one side only; a million photons each."""
+def pressed(chosen_jit, tmp_path_factory) -> dict[str, xr.Dataset]:
+    """The prototype as shipped, and with the force on one side only; a million photons, the same for all three."""
     shares = {"as shipped": {}, "proximal": {"proximal_share": 1.0}, "distal": {"proximal_share": 0.0}}
-    return {
-        name: simulate(prototype(**touch), photons=1 << 20, seed=1, picture=name == "as shipped")
-        for name, touch in shares.items()
-    }
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("NAILOPTICS_STORE", str(tmp_path_factory.mktemp("store")))
+        return {
+            name: simulate(prototype(**touch), photons=1 << 20, seed=1, picture=name == "as shipped")
+            for name, touch in shares.items()
+        }
 
 
 def largest_change(result: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
