@@ -10,7 +10,7 @@ from nailoptics.light import optics
 from nailoptics.light.transfer import rest_state
 from nailoptics.scene import load_scene
 
-PHOTONS = 400_000
+PHOTONS = 150_000
 
 
 @pytest.mark.jit

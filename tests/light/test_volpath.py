@@ -212,6 +212,12 @@ def finger():
     return prepare(FINGER)
 
 
+@pytest.fixture(scope="module")
+def by_scalar(finger):
+    """Eight batches of that finger's reading in three states by the scalar backend, (8, 3) float."""
+    return read(finger, backend.choose("scalar"), seed=2, batches=8)
+
+
 def prepare(text):
     scene = parse_scene(text)
     shape = geometry.build(scene)
@@ -237,21 +243,18 @@ def read(finger, engine, *, seed, batches, keep=slice(None), optics=None):
 
 
 @pytest.mark.jit
-def test_a_finger_reads_the_same_with_either_backend(finger, jit_backend):
-    (one, one_error), (two, two_error) = (
-        statistics(read(finger, engine, seed=seed, batches=8))
-        for seed, engine in ((1, jit_backend), (2, backend.choose("scalar")))
-    )
+def test_a_finger_reads_the_same_with_either_backend(finger, by_scalar, jit_backend):
+    one, one_error = statistics(read(finger, jit_backend, seed=1, batches=8))
+    two, two_error = statistics(by_scalar)
     assert np.all(abs(one - two) < 4 * np.hypot(one_error, two_error))
     assert np.all(np.hypot(one_error, two_error) < 0.2 * one)
 
 
-def test_more_blood_dims_the_reading_and_states_share_their_noise(finger):
-    batches = read(finger, backend.choose("scalar"), seed=3, batches=8)
-    assert batches.shape == (8, 3)
-    mean, stderr = statistics(batches)
+def test_more_blood_dims_the_reading_and_states_share_their_noise(by_scalar):
+    assert by_scalar.shape == (8, 3)
+    mean, stderr = statistics(by_scalar)
     for a, b in ((0, 1), (1, 2)):
-        change, error = statistics(batches[:, b] - batches[:, a])
+        change, error = statistics(by_scalar[:, b] - by_scalar[:, a])
         assert change < -4 * error
         assert error < 0.3 * stderr[a]
 
@@ -288,7 +291,7 @@ size_mm = [1.0, 1.0]
         integrate.FingerPaths(shape, media, bed=bed, led=0, photodiodes=(0, 1), backend=scalar)
 
 
-def test_states_of_every_photodiode_within_a_time_or_a_tolerance(finger, monkeypatch):
+def test_states_of_every_photodiode_within_a_time_or_a_tolerance(finger, by_scalar, monkeypatch):
     scene, shape, media, bed = finger
     monkeypatch.setattr(states, "BATCH_SECONDS", 0.2)
     heard = []
@@ -297,7 +300,7 @@ def test_states_of_every_photodiode_within_a_time_or_a_tolerance(finger, monkeyp
     assert result.fell_short is None and result.fraction.shape == result.ratio_stderr.shape == (1, 3)
     assert np.all(result.fraction_stderr < 0.3 * result.fraction)
     assert np.all(result.ratio[:, 0] == 1) and np.all(result.ratio_stderr[:, 0] < 1e-12)
-    other, other_error = states.ratio_to_first(read(finger, backend.choose("scalar"), seed=9, batches=8))
+    other, other_error = states.ratio_to_first(by_scalar)
     assert np.all(abs(result.ratio[0] - other)[1:] < 4 * np.hypot(result.ratio_stderr[0], other_error)[1:])
     assert np.all(result.ratio_stderr < 0.03)
     assert heard[-1].relative_error <= 0.25 and len(heard) >= result.batches
