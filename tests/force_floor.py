@@ -46,7 +46,7 @@ def exactly_known(subject: Subject, scene: Scene) -> Subject:
         led_drift_per_min=drift.led_per_rt_min if drift else 1e-6,
     )
     nothing = np.zeros_like(subject.covariance)
-    return replace(subject, noise=own, covariance=nothing, correction=no_correction(), widening=1.0)
+    return replace(subject, noise=own, covariance=nothing, correction=no_correction(), widening=1.0, scatter=1.0)
 
 
 def _beat(heart: Heartbeat) -> Beat:

@@ -48,7 +48,8 @@ class ForceInterval:
     def __init__(self, subject: Subject) -> None:
         person = subject.person()
         self.areas_cm2 = float(person.area_cm2) * np.array([float(person.proximal_area), 1.0])
-        self.person, self.widening, self.correction = person, subject.widening, subject.correction
+        self.person, self.correction = person, subject.correction
+        self.widening, self.scatter = subject.widening, subject.scatter
         closure = closure_of(person)
         self._shut = self.correction.of(np.array([[closure.proximal], [closure.distal]]))
         self._open = OpenError(subject.calibrated, subject.noise)
@@ -62,9 +63,9 @@ class ForceInterval:
     def tell(self, estimates: list[PressureEstimate]) -> ForceEstimate:
         """The forces of some samples."""
         touch = np.array([one.touch for one in estimates])
-        covariance = self._open.covariance(pressure_of(touch.T))
-        covariance[:, :2, :2] += np.array([one.covariance for one in estimates])
-        covariance *= self.widening**2
+        covariance = self._open.covariance(pressure_of(touch.T)) * self.widening**2
+        known = np.array([one.covariance for one in estimates])
+        covariance[:, :2, :2] += known * max(self.widening, self.scatter) ** 2
         values, vectors = np.linalg.eigh(covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
         cloud = np.einsum("tij,jp->itp", root, self._points)

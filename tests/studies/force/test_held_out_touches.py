@@ -32,8 +32,8 @@ def subject() -> Subject:
 def test_steps_of_a_person_whom_the_model_does_not_know_are_told_better_than_by_regression(subject, side):
     told = predict(subject, recording(TOUCHES["steps"], side, 7))
     inside = (told.force_low_n <= told.known_force_n) & (told.known_force_n <= told.force_high_n)
-    # Measured: 0.15 N on the proximal and 0.12 N on the distal side, 2.1 and 1.6 times as good as linear regression;
-    # 99 and 93 % covered. What is asked of the median of eight, 0.05 N, is not reached.
-    assert told.attrs["rms_n"] < 0.2
-    assert 1.4 * told.attrs["rms_n"] < told.attrs["rms_linear_n"]
+    # Measured: 0.08 N on the proximal and 0.09 N on the distal side, 4.0 and 2.2 times as good as linear regression;
+    # 92 and 94 % covered. What is asked of the median of eight, 0.05 N, is not reached.
+    assert told.attrs["rms_n"] < 0.12
+    assert 1.8 * told.attrs["rms_n"] < told.attrs["rms_linear_n"]
     assert float(inside.mean()) > 0.85
