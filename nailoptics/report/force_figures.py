@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
+from ..statistics import Z95
 from . import style
 
 if TYPE_CHECKING:
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
 POINTS = 1500
 # How far above the largest known force an interval that is open above is drawn.
 ROOM_ABOVE = 1.25
+# Profiles side by side, and up to which deviance they are drawn: a parabola's at three standard errors, and room.
+PROFILES_PER_ROW, MOST_DEVIANCE = 4, 10.0
 
 
 def _thinned(count: int) -> slice:
@@ -56,6 +59,27 @@ def left_over(result: xr.Dataset) -> "Figure":
             panel.plot(part.time_s, 1e3 * (part.volts - part.volts_fitted).values[k], color=colour, linewidth=0.7)
         panel.set_xlabel("time [s]")
     axes[0, 0].set_ylabel("recorded less fitted [mV]")
+    return figure
+
+
+@style.drawing()
+def profiles(result: xr.Dataset) -> "Figure":
+    """Profile likelihoods of the factors in which the fit is not quadratic, a panel each."""
+    names = list(result.attrs["bent_factors"])
+    columns = min(len(names), PROFILES_PER_ROW)
+    rows = -(-len(names) // columns)
+    figure, axes = style.panels(7.2, 1.9 * rows + 0.3, rows, columns, squeeze=False)
+    for panel, name in zip(axes.flat, names, strict=False):
+        one = result.sel(factor=name)
+        panel.plot(one.profile_factor, one.profile_quadratic, color=style.MUTED, linewidth=1.0)
+        panel.plot(one.profile_factor, one.profile_deviance, ".-", color=style.ZONES[1])
+        panel.axhline(Z95**2, color=style.INK, linewidth=0.7)
+        panel.set_ylim(0.0, MOST_DEVIANCE)
+        panel.set_title(style.plain(name.replace("_", " ")))
+        panel.set_xlabel("factor on the scene's")
+    for panel in axes.flat[len(names) :]:
+        panel.set_axis_off()
+    axes[0, 0].set_ylabel("squared residuals")
     return figure
 
 

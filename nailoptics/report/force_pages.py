@@ -16,6 +16,10 @@ FORCE = (
     "Force told from the readings, with its 95 % interval. Where the vessels are shut a harder touch reads the same: "
     "the interval is open above, which the bar at the top shows."
 )
+PROFILES = (
+    "Squared residuals beyond those of the best fit while one factor is held and all others follow (coloured), and "
+    "what they were, were the fit quadratic (grey); between the crossings with the line lie 95 %."
+)
 SHARE = (
     "Top: how much of the force presses proximally, with its 95 % interval; where that spans everything, the place "
     "cannot be told. Middle: the heartbeat and slower waves that the filter follows beside the touch. Bottom: how far "
@@ -56,6 +60,7 @@ def write_calibration_page(result: xr.Dataset, summary: dict[str, Any], path: Pa
             section(
                 "The person",
                 _factors_table(summary),
+                *_profiles(result),
                 small(
                     "Known by the recording is a factor whose spread fell to less than 0.7 of what it was before; any "
                     "other keeps its prior, and its error is carried into intervals."
@@ -70,6 +75,19 @@ def write_calibration_page(result: xr.Dataset, summary: dict[str, Any], path: Pa
         attributes=result.attrs,
     )
     write_text(path, text)
+
+
+def _profiles(result: xr.Dataset) -> list[str]:
+    """Where the fit is not quadratic in a factor: the factor's profile likelihood."""
+    bent = [name.replace("_", " ") for name in result.attrs["bent_factors"]]
+    if not bent:
+        return [small("In every factor the fit is quadratic to a quarter of a standard error: its error is symmetric.")]
+    return [
+        small(
+            f"The fit is not quadratic in {escaped(', '.join(bent))}: there the curve, not the error, tells the range."
+        ),
+        figure(force_figures.profiles(result), "profiles", PROFILES),
+    ]
 
 
 def _factors_table(summary: dict[str, Any]) -> str:

@@ -25,6 +25,7 @@ from .force_interval import ForceInterval
 from .network import closure_of
 from .observer import Observer, PressureEstimate, pressure_of
 from .person import NAMES, PRIORS, RIGID_PULP, USUAL_DISTAL_REACH, USUAL_PULP, Person
+from .profile_likelihood import Profile, profile_of
 from .pulp import Pulp
 from .reading_table import ReadingTable, nodes_of, paper_table, reading_names, reading_table
 from .subject import Model, Subject, parse_subject, subject_toml
@@ -113,6 +114,7 @@ def calibrate_with(
     pulp = _pulp(scene.touch, model)
     fit = Fit(recordings, table, vessels(scene), free=free, pulp=pulp, **usual)
     fitted = fit.solve()
+    profile = profile_of(fit, fitted.factors_ln[fit.free])
     rest_v = _rest_volts(recordings)
     who = fit.person(fitted.factors_ln)
     noise = learn_noise(who, fitted.table, fitted.gain, recordings, fitted.residual_v, rest_v)
@@ -144,11 +146,12 @@ def calibrate_with(
             f"{recordings[0].name}: is no recording of this scene's board ({error}); check units, columns and scene."
         ) from None
     subject = _judged(subject, recordings)
-    return _dataset(recordings, fitted).assign_attrs(
+    return _dataset(recordings, fitted, profile).assign_attrs(
         title="nailoptics: a person's sensor, calibrated",
         digest=subject.scene_digest,
         scene=to_toml(scene),
         subject=subject_toml(subject),
+        bent_factors=list(profile.bent),
         recordings=[one.name for one in recordings],
         warnings=_warnings(subject),
     )
@@ -169,9 +172,10 @@ def _pulp(touch: Touch, model: Model) -> Pulp:
 def calibration_summary(result: xr.Dataset) -> dict[str, Any]:
     """What a calibration says in few numbers, ready for JSON."""
     subject = parse_subject(result.attrs["subject"])
+    bent = set(result.attrs["bent_factors"])
     return {
         "readings": subject.readings(),
-        "parameters": subject.factors(),
+        "parameters": {name: one | {"quadratic": name not in bent} for name, one in subject.factors().items()},
         "chi2_per_dof": subject.chi2_per_dof,
         "rms_n": subject.rms_n,
         "widening": subject.widening,
@@ -352,8 +356,8 @@ def _baselines(recordings: Sequence[Recording]) -> dict[str, Regression]:
     return {name: fit(volts[:, whole], force[whole]) for name, fit in found.items()}
 
 
-def _dataset(recordings: Sequence[Recording], fitted: Fitted) -> xr.Dataset:
-    """The recordings beside what was fitted, one after the other."""
+def _dataset(recordings: Sequence[Recording], fitted: Fitted, profile: Profile) -> xr.Dataset:
+    """The recordings beside what was fitted, one after the other, and the factors' profile likelihoods."""
     which = np.concatenate([np.full(len(one.time_s), k) for k, one in enumerate(recordings)])
     force = np.concatenate([np.asarray(one.force_n) for one in recordings])
     site = np.concatenate([np.asarray(one.site) for one in recordings])
@@ -365,4 +369,10 @@ def _dataset(recordings: Sequence[Recording], fitted: Fitted) -> xr.Dataset:
     volts = np.concatenate([one.volts for one in recordings], axis=1)
     data |= variable("volts", over, volts, "recorded voltage", units="V")
     data |= variable("volts_fitted", over, np.concatenate(fitted.predicted_v, axis=1), "fitted voltage", units="V")
-    return xr.Dataset(data, {"reading": list(recordings[0].names)})
+    along = ("factor", "place")
+    text = "factor held there, all others fitted"
+    data |= variable("profile_factor", along, np.exp(profile.factors_ln), text)
+    data |= variable("profile_deviance", along, profile.deviance, "squared residuals beyond those of the best fit")
+    text = "the same were the fit quadratic"
+    data |= variable("profile_quadratic", along, profile.offset**2, text)
+    return xr.Dataset(data, {"reading": list(recordings[0].names), "factor": list(profile.names)})

@@ -197,15 +197,30 @@ class Fit:
         white = residual / np.sqrt(np.diag(self.covariance))[:, None, None] * np.sqrt(self.weight / self.memory)
         return np.asarray(np.moveaxis(white, 1, -1).reshape(-1, residual.shape[1]))
 
+    def residuals(self, free_ln: Array) -> tuple[Array, Array]:
+        """Whitened residuals with the priors' below (M, N), and their derivatives (M, N, P), of N people side by side.
+
+        free_ln : (P, N) float. Logarithms of the free factors.
+        """
+        count, people = free_ln.shape
+        moved = np.zeros((len(NAMES), people, 1 + count))
+        moved[self.free] = free_ln[..., None]
+        for k, factor in enumerate(self.free):
+            moved[factor, :, 1 + k] += STEP_LN
+        columns = np.concatenate(self.model(moved.reshape(len(NAMES), -1), self.slow), axis=-1)
+        residual, linear = self._linear_fit(columns)
+        white = np.concatenate([self._whiten(residual), linear]).reshape(-1, people, 1 + count)
+        spread = SPREAD_LN[self.free]
+        priors = np.repeat(np.diag(1 / spread)[:, None], people, axis=1)
+        own = np.concatenate([white[..., 0], free_ln / spread[:, None]])
+        return own, np.concatenate([(white[..., 1:] - white[..., :1]) / STEP_LN, priors])
+
     def _evaluate(self, free_ln: Array) -> tuple[Array, Array]:
-        """Whitened residuals with the priors' below, and their derivatives; kept, as both are asked for in turn."""
+        """Residuals and derivatives of one person; kept, as both are asked for in turn."""
         key = free_ln.tobytes()
         if getattr(self, "_key", None) != (key, self.memory, self.covariance[0, 0]):
-            residual, linear = self._linear_fit(self._columns(free_ln))
-            white = np.concatenate([self._whiten(residual), linear])
-            own = np.concatenate([white[:, 0], free_ln / SPREAD_LN[self.free]])
-            slopes = np.concatenate([(white[:, 1:] - white[:, :1]) / STEP_LN, np.diag(1 / SPREAD_LN[self.free])])
-            self._key, self._kept = (key, self.memory, self.covariance[0, 0]), (own, slopes)
+            own, slopes = self.residuals(free_ln[:, None])
+            self._key, self._kept = (key, self.memory, self.covariance[0, 0]), (own[:, 0], slopes[:, 0])
         return self._kept
 
     def _residual(self, free_ln: Array) -> Array:

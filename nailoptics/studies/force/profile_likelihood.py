@@ -1,0 +1,78 @@
+"""How much worse recordings fit as one factor of a person is moved away and all others follow: profile likelihoods."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .fit import FARTHEST_SPREADS, Fit
+from .person import NAMES, SPREAD_LN
+
+Array = NDArray[np.float64]
+
+# Factors are moved by so many of the spreads that the curvature at the best fit gives them.
+OFFSETS = np.array([-3.0, -2.25, -1.5, -0.75, 0.75, 1.5, 2.25, 3.0])
+# Gauss-Newton steps in which all other factors follow.
+ROUNDS = 2
+# A profile is bent if, where a parabola leaves 95 %, the root of its deviance is off the parabola's by this part.
+JUDGED_TO, BENT = 2.25, 0.25
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Profile likelihoods of P free factors at N places each.
+
+    names : (P,) str. Of the factors.
+    factors_ln : (P, N) float. Logarithms to which each factor was moved, rising.
+    deviance : (P, N) float. Squares of the whitened residuals and priors beyond those of the best fit.
+    offset : (P, N) float. How far it was moved, in spreads; a parabola's deviance is the square of it.
+    """
+
+    names: tuple[str, ...]
+    factors_ln: Array
+    deviance: Array
+    offset: Array
+
+    @property
+    def bent(self) -> tuple[str, ...]:
+        """Factors whose errors are not those of a parabola."""
+        found = []
+        for name, deviance, offset in zip(self.names, self.deviance, self.offset, strict=True):
+            judged = (np.abs(offset) > 0.1) & (np.abs(offset) <= JUDGED_TO)
+            root = np.sqrt(np.maximum(deviance[judged], 0.0))
+            if (np.abs(root / np.abs(offset[judged]) - 1.0) > BENT).any():
+                found.append(name)
+        return tuple(found)
+
+
+def profile_of(fit: Fit, free_ln: Array) -> Profile:
+    """The profiles about the best fit of some free factors' logarithms (P,)."""
+    own, slopes = fit.residuals(free_ln[:, None])
+    least = float((own**2).sum())
+    covariance = np.linalg.inv(slopes[:, 0].T @ slopes[:, 0])
+    spread = np.sqrt(np.diag(covariance))
+    most = FARTHEST_SPREADS * SPREAD_LN[fit.free][:, None]
+    places, deviances = [], []
+    for k in range(len(free_ln)):
+        # A parabola's valley is where the others begin.
+        start = np.clip(free_ln[:, None] + covariance[:, k : k + 1] / spread[k] * OFFSETS, -most, most)
+        places.append(start[k])
+        deviances.append(_least_along(fit, start, k, most) - least)
+    factors_ln = np.array(places)
+    names = tuple(NAMES[factor] for factor in fit.free)
+    return Profile(names, factors_ln, np.array(deviances), (factors_ln - free_ln[:, None]) / spread[:, None])
+
+
+def _least_along(fit: Fit, start: Array, held: int, most: Array) -> Array:
+    """The least sums of squares (N,) with one factor held at its starts (P, N) and the others free within limits."""
+    moved, others = start.copy(), np.delete(np.arange(len(start)), held)
+    own, slopes = fit.residuals(moved)
+    least = (own**2).sum(0)
+    for _ in range(ROUNDS):
+        down = slopes[..., others]
+        normal = np.einsum("mnp,mnq->npq", down, down)
+        step = np.linalg.solve(normal, np.einsum("mnp,mn->np", down, own)[..., None])[..., 0]
+        moved[others] = np.clip(moved[others] - step.T, -most[others], most[others])
+        own, slopes = fit.residuals(moved)
+        least = np.minimum(least, (own**2).sum(0))
+    return np.asarray(least)

@@ -1,0 +1,57 @@
+"""Profile likelihoods of a person's factors: what others leave when they follow, and where no parabola describes it."""
+
+import made_sensor
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from nailoptics.report import force_figures
+from nailoptics.studies.blood_states import vessels
+from nailoptics.studies.force.calibrate import _dataset
+from nailoptics.studies.force.fit import Fit
+from nailoptics.studies.force.person import NAMES
+from nailoptics.studies.force.profile_likelihood import OFFSETS, Profile, profile_of
+
+FREE = ("vein_stiffness", "capillary_stiffness", "contact_area", "rest_blood")
+
+
+@pytest.fixture(scope="module")
+def fit() -> Fit:
+    scene = made_sensor.scene()
+    recordings = [made_sensor.record(made_sensor.cycle(1.5), site, seed=k) for k, site in enumerate(("distal",))]
+    free = np.array([name in FREE for name in NAMES])
+    fit = Fit(recordings, made_sensor.table(), vessels(scene), free=free, rest_blood=0.03, area_cm2=1.0, share=0.5)
+    return fit
+
+
+def test_all_other_factors_follow_the_one_that_is_held(fit: Fit) -> None:
+    fitted = fit.solve()
+    best = fitted.factors_ln[fit.free]
+    profile = profile_of(fit, best)
+    assert profile.names == FREE and profile.deviance.shape == (len(FREE), OFFSETS.size)
+    # Nothing fits better than the best fit, but for what its search leaves undone.
+    assert profile.deviance.min() > -0.05
+    assert (np.diff(profile.factors_ln, axis=1) >= 0).all()
+    # The same, searched by another program from the best fit itself.
+    least = float((fit.residuals(best[:, None])[0] ** 2).sum())
+    for held, place in ((1, 2), (2, 5)):
+        others = np.delete(np.arange(len(FREE)), held)
+
+        def whole(some: np.ndarray, held: int = held, place: int = place, others: np.ndarray = others) -> np.ndarray:
+            moved = np.empty((len(FREE), 1))
+            moved[held], moved[others, 0] = profile.factors_ln[held, place], some
+            return fit.residuals(moved)[0][:, 0]
+
+        found = 2.0 * least_squares(whole, best[others]).cost - least
+        assert profile.deviance[held, place] == pytest.approx(found, rel=0.05, abs=0.02)
+    drawn = _dataset(fit.recordings, fitted, profile).assign_attrs(bent_factors=[FREE[0], FREE[2]])
+    assert len([axes for axes in force_figures.profiles(drawn).axes if axes.get_title(loc="left")]) == 2
+
+
+@pytest.mark.parametrize(
+    ("deviance", "bent"),
+    [(OFFSETS**2, ()), ((1 + 0.2 * OFFSETS / 3) * OFFSETS**2, ()), (np.exp(0.4 * OFFSETS) * OFFSETS**2, ("one",))],
+    ids=["parabola", "hardly bent", "steeper one way"],
+)
+def test_a_profile_is_bent_where_its_error_is_not_a_parabolas(deviance: np.ndarray, bent: tuple[str, ...]) -> None:
+    assert Profile(("one",), OFFSETS[None], deviance[None], OFFSETS[None]).bent == bent
