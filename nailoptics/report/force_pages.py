@@ -96,13 +96,13 @@ def _factors_table(summary: dict[str, Any]) -> str:
         [
             escaped(name.replace("_", " ")),
             with_error(one["value"], one["stderr"]),
-            escaped(one["prior"]),
-            "by the recording" if one["informed"] else "by the prior alone",
+            escaped(one["prior"].removeprefix("lognormal about 1, ")),
+            "recording" if one["informed"] else "prior",
             escaped(one["what"]),
         ]
         for name, one in summary["parameters"].items()
     ]
-    return table(["Factor on the scene's", "Value", "Before", "Known", "What it is"], factors)
+    return table(["Factor on the scene's", "Value", "Before, about 1", "Known by", "What it is"], factors)
 
 
 def _readings_table(result: xr.Dataset, summary: dict[str, Any]) -> str:

@@ -11,7 +11,7 @@ from .person import NAMES, SPREAD_LN
 Array = NDArray[np.float64]
 
 # Factors are moved by so many of the spreads that the curvature at the best fit gives them.
-OFFSETS = np.array([-3.0, -2.25, -1.5, -0.75, 0.75, 1.5, 2.25, 3.0])
+OFFSETS = np.array([-3.0, -2.25, -1.5, -0.75, 0.0, 0.75, 1.5, 2.25, 3.0])
 # Gauss-Newton steps in which all other factors follow.
 ROUNDS = 2
 # A profile is bent if, where a parabola leaves 95 %, the root of its deviance is off the parabola's by this part.
@@ -24,7 +24,8 @@ class Profile:
 
     names : (P,) str. Of the factors.
     factors_ln : (P, N) float. Logarithms to which each factor was moved, rising.
-    deviance : (P, N) float. Squares of the whitened residuals and priors beyond those of the best fit.
+    deviance : (P, N) float. Squares of the whitened residuals and priors beyond those of the best fit; NaN where the
+        factor is at the limit of its search.
     offset : (P, N) float. How far it was moved, in spreads; a parabola's deviance is the square of it.
     """
 
@@ -38,7 +39,7 @@ class Profile:
         """Factors whose errors are not those of a parabola."""
         found = []
         for name, deviance, offset in zip(self.names, self.deviance, self.offset, strict=True):
-            judged = (np.abs(offset) > 0.1) & (np.abs(offset) <= JUDGED_TO)
+            judged = (np.abs(offset) > 0.1) & (np.abs(offset) <= JUDGED_TO) & np.isfinite(deviance)
             root = np.sqrt(np.maximum(deviance[judged], 0.0))
             if (np.abs(root / np.abs(offset[judged]) - 1.0) > BENT).any():
                 found.append(name)
@@ -55,9 +56,11 @@ def profile_of(fit: Fit, free_ln: Array) -> Profile:
     places, deviances = [], []
     for k in range(len(free_ln)):
         # A parabola's valley is where the others begin.
-        start = np.clip(free_ln[:, None] + covariance[:, k : k + 1] / spread[k] * OFFSETS, -most, most)
+        valley = free_ln[:, None] + covariance[:, k : k + 1] / spread[k] * OFFSETS
+        start = np.clip(valley, -most, most)
         places.append(start[k])
-        deviances.append(_least_along(fit, start, k, most) - least)
+        deviance = _least_along(fit, start, k, most) - least
+        deviances.append(np.where(start[k] == valley[k], deviance, np.nan))
     factors_ln = np.array(places)
     names = tuple(NAMES[factor] for factor in fit.free)
     return Profile(names, factors_ln, np.array(deviances), (factors_ln - free_ln[:, None]) / spread[:, None])

@@ -30,11 +30,11 @@ def test_all_other_factors_follow_the_one_that_is_held(fit: Fit) -> None:
     profile = profile_of(fit, best)
     assert profile.names == FREE and profile.deviance.shape == (len(FREE), OFFSETS.size)
     # Nothing fits better than the best fit, but for what its search leaves undone.
-    assert profile.deviance.min() > -0.05
+    assert np.nanmin(profile.deviance) > -0.05
     assert (np.diff(profile.factors_ln, axis=1) >= 0).all()
     # The same, searched by another program from the best fit itself.
     least = float((fit.residuals(best[:, None])[0] ** 2).sum())
-    for held, place in ((1, 2), (2, 5)):
+    for held, place in ((1, 2), (2, 6)):
         others = np.delete(np.arange(len(FREE)), held)
 
         def whole(some: np.ndarray, held: int = held, place: int = place, others: np.ndarray = others) -> np.ndarray:
