@@ -156,7 +156,10 @@ def check_volts(volts: Array, names: Sequence[str], label: str) -> None:
                 "convert it to volts."
             )
         if seen.size > 2 and np.ptp(seen) == 0:
-            raise InputError(f"{label}: column {title!r} is constant at {seen[0]:g} V; check its wiring.")
+            raise InputError(
+                f"{label}: column {title!r} is constant at {seen[0]:g} V; check its wiring, "
+                "or lower the LED's power if the converter ends there."
+            )
 
 
 def _column(rows: list[tuple[int, list[str]]], at: int, title: str, name: str, *, gaps: bool) -> Array:
