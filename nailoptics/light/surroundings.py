@@ -22,6 +22,8 @@ OVER_BED = ("plate", "epoxy")
 REGION_BITS = 11
 # Outcomes from here on name the photodiode that a photon reached; below, the opaque region.
 DETECTED = OPAQUE + (1 << REGION_BITS)
+# A distance takes a byte: so many steps are the most that is told.
+MOST_STEPS = 255
 # Of a coordinate and of 1 mm; about sixteen times what float32 resolves, enough for a few roundings.
 SURFACE_OFFSET = 2e-6
 
@@ -110,7 +112,8 @@ class Interfaces:
     def __init__(self, geometry: Geometry, distances: DistanceGrid) -> None:
         self.scene = _mesh_scene(geometry)
         self.triangles = _triangle_table(geometry)
-        self.distance = mi.Float(np.ascontiguousarray(distances.distance_mm.transpose(2, 1, 0), np.float32).ravel())
+        self.step = dr.opaque(mi.Float, distances.cap_mm / MOST_STEPS)
+        self.distance = mi.UInt32(_packed(distances))
         self.count = [dr.opaque(mi.UInt32, int(n)) for n in distances.distance_mm.shape]
         self.origin = [dr.opaque(mi.Float, float(x)) for x in distances.origin_mm]
         self.spacing = dr.opaque(mi.Float, float(distances.spacing_mm))
@@ -126,7 +129,9 @@ class Interfaces:
             cell.append(mi.UInt32(index))
             off += dr.square(place - mi.Float(index) - 0.5)
         at = cell[0] + self.count[0] * (cell[1] + self.count[1] * cell[2])
-        return maximum(dr.gather(mi.Float, self.distance, at, inside) - dr.sqrt(off) * self.spacing, 0)
+        word = dr.gather(mi.UInt32, self.distance, at >> 2, inside)
+        steps = (word >> ((at & 3) << 3)) & MOST_STEPS
+        return maximum(mi.Float(mi.Int32(steps)) * self.step - dr.sqrt(off) * self.spacing, 0)
 
     def first_hit(self, p: Any, w: Any, step: Any, active: Any) -> Any:
         """The first triangle within a step from p along w, if any."""
@@ -182,6 +187,12 @@ class ZoneEdges:
 def off_surface(p: Any, normal: Any) -> Any:
     """A point moved off a face by a little more than float32 resolves there."""
     return p + normal * (SURFACE_OFFSET * (1 + maximum(maximum(dr.abs(p.x), dr.abs(p.y)), dr.abs(p.z))))
+
+
+def _packed(distances: DistanceGrid) -> np.ndarray:
+    """Distances in steps, rounded down, four cells to a number, so that more of them stay near the processor."""
+    steps = np.floor(distances.distance_mm.transpose(2, 1, 0).ravel() * (MOST_STEPS / distances.cap_mm))
+    return np.pad(steps.astype(np.uint8), (0, -len(steps) % 4)).view("<u4").astype(np.uint32)
 
 
 def _mesh_scene(geometry: Geometry) -> Any:
