@@ -48,6 +48,8 @@ TOUCHES_REACH, ZERO = 0.5, 0.02
 OUTLIER = 0.999
 # Gaps longer than this are no part of a recording any more: the filter starts anew after them. [s]
 LONGEST_GAP_S = 5.0
+# Widths over rest that are known no better than this are those of a filter that ran away: it starts anew, too.
+RUN_AWAY = 1.0
 
 WIDTHS, TOUCH, LEFT, FIRST_BODY = slice(0, 3), slice(3, 5), 5, 6
 # These act on the walls, each with the columns of a step up and a step down; two more are of the arterial pressure.
@@ -227,8 +229,14 @@ class Observer:
             return None
         self.ways = self.ways @ going_on(since_s)
         self.each, slopes = np.repeat(self.covariance[None], len(RATES), axis=0), np.eye(self.size)
-        for _ in range(count := max(1, math.ceil(since_s / LONGEST_STEP_S - 1e-9))):
-            slopes = self._predict(since_s / count) @ slopes
+        with np.errstate(over="ignore", invalid="ignore"):
+            for _ in range(count := max(1, math.ceil(since_s / LONGEST_STEP_S - 1e-9))):
+                slopes = self._predict(since_s / count) @ slopes
+        # Another person's readings can drive a filter out of all bounds: it then knows nothing.
+        variance = np.einsum("mii->mi", self.each)
+        if not (np.isfinite(variance).all() and (variance[:, WIDTHS] < RUN_AWAY**2).all()):
+            self.restart()
+            return None
         return slopes
 
     def take_in(self, volts: Array, since_s: float | None) -> PressureEstimate:
