@@ -13,7 +13,8 @@ from nailoptics.light import backend
 
 # No test reads or writes the user's store; those that test one have their own.
 os.environ["NAILOPTICS_STORE"] = "off"
-# Names of browsers that can show pages; NAILOPTICS_BROWSER may give the path of another.
+# Names of browsers that can show pages; NAILOPTICS_BROWSER may give the path of another, or none: then tests that need
+# one are left out.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
 IN_CI = os.environ.get("CI", "").lower() in ("true", "1")
 
@@ -69,6 +70,13 @@ def browser() -> Iterator[Any]:
         started = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
         yield started
         started.close()
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if os.environ.get("NAILOPTICS_BROWSER") == "none":
+        left_out = [item for item in items if "browser" in getattr(item, "fixturenames", ())]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in left_out]
 
 
 def _refuse_skip(report: pytest.TestReport | pytest.CollectReport) -> None:
