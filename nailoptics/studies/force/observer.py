@@ -48,8 +48,9 @@ TOUCHES_REACH, ZERO = 0.5, 0.02
 OUTLIER = 0.999
 # Gaps longer than this are no part of a recording any more: the filter starts anew after them. [s]
 LONGEST_GAP_S = 5.0
-# Widths over rest that are known no better than this are those of a filter that ran away: it starts anew, too.
-RUN_AWAY = 1.0
+# Widths over rest that are known no better than this are those of a filter that ran away: it starts anew, too. A soft
+# vein past closure is known to no more than 2, and must not be taken for one: to start anew is to take it for rest.
+RUN_AWAY = 5.0
 
 WIDTHS, TOUCH, LEFT, FIRST_BODY = slice(0, 3), slice(3, 5), 5, 6
 # These act on the walls, each with the columns of a step up and a step down; two more are of the arterial pressure.

@@ -13,6 +13,7 @@ from nailoptics.scene.sensor_recordings import SITES, Recording, recording_csv
 from nailoptics.studies.force.calibrate import PAPER_FACTORS, _checked, calibrate_with, calibration_summary
 from nailoptics.studies.force.fit import Fit
 from nailoptics.studies.force.live import live
+from nailoptics.studies.force.observer import RUN_AWAY, WIDTHS, Observer
 from nailoptics.studies.force.person import NAMES, PRIORS, force_of, person
 from nailoptics.studies.force.predict import csv_rows, events, predict, prediction_summary
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
@@ -167,6 +168,26 @@ def test_readings_that_do_not_fit_are_named(subject: Subject, table: ReadingTabl
     summary = prediction_summary(predict(subject, replace(recorded, volts=changed(recorded.volts))))
     assert not summary["consistent"]
     assert summary["misfit"] == looks_like
+
+
+def test_a_filter_that_ran_away_starts_anew_and_its_readings_are_flagged(subject: Subject, table: ReadingTable) -> None:
+    recorded = _record(table, _steps(), "proximal", seed=13)
+    fresh, observer = (Observer(subject.calibrated, subject.noise) for _ in range(2))
+    for volts in recorded.volts.T[:150]:
+        observer.see(volts, STEP_S)
+    # Past closure a soft vein is hardly known: the filter goes on nonetheless.
+    observer.covariance[2, 2] = 2.0**2
+    assert observer.foresee(STEP_S) is not None
+    assert (observer.state[WIDTHS] != 1.0).all()
+    observer.covariance[WIDTHS, WIDTHS] = (100 * RUN_AWAY) ** 2
+    assert observer.foresee(STEP_S) is None
+    np.testing.assert_array_equal(observer.state, fresh.state)
+    np.testing.assert_array_equal(observer.covariance, fresh.covariance)
+    # Readings that no finger gives are answered to the end.
+    wild = recorded.volts * np.random.default_rng(0).choice([0.01, 0.3, 1.0, 3.0], recorded.volts.shape)
+    told = predict(subject, replace(recorded, volts=wild))
+    assert np.isfinite(told.force_n.values).all()
+    assert not told.attrs["consistent"]
 
 
 def test_gaps_are_bridged(subject: Subject, table: ReadingTable) -> None:
