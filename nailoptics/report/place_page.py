@@ -11,7 +11,7 @@ from ..scene import Scene, parse_scene
 from ..studies.ambient import SOURCES
 from ..studies.placement import boards
 from ..studies.placement.body_waves import LIFT_PER_UM
-from ..studies.placement.result import chosen, gain, rows
+from ..studies.placement.result import chosen, gain, rough_words, rows
 from . import place_figures as figures
 from .html import document, escaped, figure, section, small, table
 from .numbers import quantity, significant, with_error
@@ -74,7 +74,13 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
         lead=_lead(result, ranking),
         cards=_cards(result, ranking[0]),
         body=[
-            section("The ranking", _figure("ranking", figures.ranking_figure(result)), _table(ranking), checked),
+            section(
+                "The ranking",
+                _figure("ranking", figures.ranking_figure(result)),
+                _table(ranking),
+                _rough(ranking),
+                checked,
+            ),
             _through_the_body(best, result),
             section("The best layout", *layout),
             section("Where on this board the light tells", maps),
@@ -143,6 +149,11 @@ def _table(ranking: list[dict[str, Any]]) -> str:
         for row in ranking[: figures.SHOWN]
     ]
     return table(head, lines)
+
+
+def _rough(ranking: list[dict[str, Any]]) -> str:
+    """Which layouts the photons were too few for; empty if for none."""
+    return small(escaped(words)) if (words := rough_words(ranking)) else ""
 
 
 def _electronics_alone(row: dict[str, Any]) -> list[str]:

@@ -208,6 +208,8 @@ def placement_summary(result: "xr.Dataset") -> dict[str, Any]:
 
 def placement_lines(summary: dict[str, Any]) -> list[str]:
     """The ranking of a `placement_summary` as a table, best first."""
+    from ..studies.placement.result import rough_words
+
     lines = [
         f"{row['rank']:>3} {row['layout']:<28} {1e3 * row['force_resolution_n']:9.3f} mN "
         f"+- {1e3 * row['force_resolution_n_stderr']:.3f}{_still(row)}{_spread(row)}{_oxygen(row)}"
@@ -217,6 +219,8 @@ def placement_lines(summary: dict[str, Any]) -> list[str]:
     if better := summary["gain_over_paper"]:
         times = f"{better['value']:.2f} +- {better['stderr']:.2f} times"
         lines.append(f"the best resolves force {times} as finely as the paper's layout")
+    if rough := rough_words(summary["ranking"]):
+        lines.append(rough)
     return [*lines, *summary.get("conclusions", [])]
 
 

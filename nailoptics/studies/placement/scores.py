@@ -73,16 +73,43 @@ class LayoutScore:
 
     @property
     def interval_n(self) -> tuple[float, float]:
-        """95 % interval of the score, symmetric in the logarithm of what it is above the body's own part. [N]"""
-        above = np.sqrt(np.maximum(self.score_n**2 - self.feigned_n**2, np.finfo(float).tiny))
-        spread = Z95 * float(jackknife(np.log(above)))
-        low, high = (math.hypot(float(above[0]) * math.exp(sign * spread), self.feigned_n) for sign in (-1, 1))
-        return low, high
+        """95 % interval of the score. [N]"""
+        return resolution_interval_n(self.score_n, self.feigned_n)
+
+    @property
+    def electronics_interval_n(self) -> tuple[float, float]:
+        """95 % interval of the score, were the body still. [N]"""
+        return resolution_interval_n(self.electronics_score_n)
 
     @property
     def relative_error(self) -> float:
         """Relative standard error of what layouts are ranked by."""
         return float(jackknife(np.log(self.ranked)))
+
+
+def resolution_stderr_n(resolution_n: np.ndarray, feigned_n: float | np.ndarray = 0.0) -> np.ndarray:
+    """Standard error of resolutions by all photons and without each block of them, (1 + blocks, ...) float. [N]
+
+    feigned_n : what of them is the body's own and has no error. [N]
+
+    It is the error of the logarithm of the rest, to first order. A resolution is the root of an inverse sum of squares,
+    to which the photons' noise adds: where it comes out small, so does its error, and only their ratio is the scatter.
+    """
+    above = _above(resolution_n, feigned_n)
+    return np.asarray(above[0] ** 2 / resolution_n[0] * jackknife(np.log(above)))
+
+
+def resolution_interval_n(resolution_n: np.ndarray, feigned_n: float = 0.0) -> tuple[float, float]:
+    """95 % interval of one resolution, symmetric in the logarithm of what it is above the body's own part. [N]"""
+    above = _above(resolution_n, feigned_n)
+    spread = Z95 * float(jackknife(np.log(above)))
+    low, high = (math.hypot(float(above[0]) * math.exp(sign * spread), feigned_n) for sign in (-1, 1))
+    return low, high
+
+
+def _above(resolution_n: np.ndarray, feigned_n: float | np.ndarray) -> np.ndarray:
+    """The part of resolutions that adds in squares to what the body feigns; all of them where that is not known. [N]"""
+    return np.asarray(np.sqrt(np.maximum(resolution_n**2 - np.nan_to_num(feigned_n) ** 2, np.finfo(float).tiny)))
 
 
 def score_layout(

@@ -249,9 +249,6 @@ def test_a_placement_with_a_body_ranks_through_it_and_tells_the_electronics_besi
         assert row["force_resolution_n"] == pytest.approx(both, rel=0.01)
         low, high = float(row["force_resolution_low_n"]), float(row["force_resolution_high_n"])
         assert feigned < low < row["force_resolution_n"] < high
-        if row["layout"] == "far":
-            # Its light is known to a third: errors of squares are no longer straight.
-            continue
         # The body's own part has no error: what is left is the electronics', as much less as it adds.
         share = row["electronics_resolution_n"] / row["force_resolution_n"]
         error = share * row["electronics_resolution_n_stderr"]
@@ -260,6 +257,8 @@ def test_a_placement_with_a_body_ranks_through_it_and_tells_the_electronics_besi
     fresh, foretold = found.attrs["checked_resolution_n"], float(found.finger_resolution_n[0, 0])
     assert fresh == pytest.approx(foretold, rel=0.05)
     assert summaries.placement_lines(summaries.placement_summary(found))[0].count("mN") == 2
+    assert [row["layout"] for row in rows if row["roughly_known"]] == ["far"]
+    assert any("Roughly known" in line for line in summaries.placement_lines(summaries.placement_summary(found)))
 
 
 def test_more_photodiodes_help_the_electronics_and_hardly_the_body(found):
