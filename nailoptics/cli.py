@@ -459,10 +459,10 @@ def figures(
     touch: Annotated[
         Path | None, Parameter(help="Recorded touch for Figs. 16, 18, a CSV with time_s, force_n; else the subjects'.")
     ] = None,
-    colour: Annotated[bool, Parameter(help="Trace Fig. 2, the nail under force, which takes some seconds.")] = True,
+    colour: Annotated[bool, Parameter(help="Trace Fig. 2, the nail under force, some seconds a set.")] = True,
     json_: Json = False,
 ) -> None:
-    """Draw the paper's Figs. 2 and 4, and Figs. 10-12 and 15-18 from parameter sets, and judge its claims."""
+    """Draw the paper's Fig. 4, and Figs. 2, 10-12 and 15-18 from parameter sets, and judge its claims."""
     import numpy as np
 
     from . import hemodynamics
@@ -487,7 +487,7 @@ def figures(
         from .light import backend as backends
 
         if backends.choose("auto").jit:
-            pictures.append(draw_fig2(_scene("nail_colour"), output))
+            pictures += [draw_fig2(_scene("nail_colour"), output, name=name) for name in named]
         else:
             say("Fig. 2 is left out: it needs a backend that compiles kernels (nailoptics doctor).")
     _show({"claims": as_rows(judged), "pictures": list(map(str, pictures))}, [as_text(judged), *pictures], {}, json_)

@@ -222,7 +222,7 @@ THEIRS |= {
     "table.csv",
     "contact_sheet.png",
     "_fig10.png",
-    "nail_fig2.png",
+    "hemodynamics_NAME_fig2.png",
 }
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 FRAMES_PER_S = 8
 FRAME_PX = (300, 420)
 # Rays for Fig. 2 of `nailoptics figures`: enough for the eye.
-FIG2_PHOTONS = 240_000
+FIG2_PHOTONS = 480_000
 
 
 def _nail(result: xr.Dataset) -> slice:
@@ -99,13 +99,20 @@ def strip(result: xr.Dataset, *, width_mm: float) -> "Figure":
     return figure
 
 
-def draw_fig2(scene: Scene, directory: Path) -> Path:
-    """Trace the nail of a scene roughly and draw the paper's Fig. 2 into a folder: nail_fig2.png; returns its path."""
+def draw_fig2(scene: Scene, directory: Path, *, name: str) -> Path:
+    """Trace a nail roughly and draw the paper's Fig. 2 into a folder: hemodynamics_NAME_fig2.png; returns its path.
+
+    name : the set of vessels that the scene's nail gets. All sets share their rays.
+    """
     from ..studies.colour.nail_colour import colour
 
     assert scene.finger is not None
-    quick = scene.model_copy(update={"priors": scene.priors.model_copy(update={"spread": False})})
-    path = directory / "nail_fig2.png"
+    update = {
+        "blood": scene.blood.model_copy(update={"parameters": name}),
+        "priors": scene.priors.model_copy(update={"spread": False}),
+    }
+    quick = scene.model_copy(update=update)
+    path = directory / f"hemodynamics_{name}_fig2.png"
     drawn = strip(colour(quick, photons=FIG2_PHOTONS), width_mm=scene.finger.nail_width_mm)
     style.write_figure(drawn, path, dpi=140, facecolor="white")
     return path
