@@ -23,8 +23,10 @@ FAST_RATE_HZ, SLOW_RATE_HZ, FAST_N_PER_S = 50.0, 1.0, 1.0
 LEAST_SAMPLES = 60
 # Samples further apart than a step of the network are walked in so many.
 STEPS_BETWEEN = 4
-# Nobody lies further from the scene's guess than this, in spreads of the priors: the table of light ends there, too.
-FARTHEST_SPREADS = 2.0
+# Nobody lies further from the scene's guess than this, in spreads of the priors. A distal pressure that falls off
+# within the zone acts as one over a larger area, up to three times the contact's. The table of light ends at two
+# spreads of the blood at rest.
+FARTHEST_SPREADS = np.where(np.array(NAMES) == "rest_blood", 2.0, 3.0)
 # Where the search begins, but for ones: closure lies at half and at twice the force of the scene's guess.
 STARTS: tuple[dict[str, float], ...] = ({}, {"contact_area": 0.5}, {"contact_area": 2.0})
 # Step of the derivatives by the logarithm of a factor.
@@ -137,7 +139,7 @@ class Fit:
 
     def _search(self, start_ln: Array, evaluations: int) -> tuple[Array, float]:
         """The free factors' logarithms that fit best from a start, and half their sum of squares."""
-        most = FARTHEST_SPREADS * SPREAD_LN[self.free]
+        most = (FARTHEST_SPREADS * SPREAD_LN)[self.free]
         found = least_squares(
             self._residual,
             start_ln,

@@ -52,7 +52,7 @@ def profile_of(fit: Fit, free_ln: Array) -> Profile:
     least = float((own**2).sum())
     covariance = np.linalg.inv(slopes[:, 0].T @ slopes[:, 0])
     spread = np.sqrt(np.diag(covariance))
-    most = FARTHEST_SPREADS * SPREAD_LN[fit.free][:, None]
+    most = (FARTHEST_SPREADS * SPREAD_LN)[fit.free][:, None]
     places, deviances = [], []
     for k in range(len(free_ln)):
         # A parabola's valley is where the others begin.

@@ -271,6 +271,13 @@ def test_readings_that_know_one_zone_alone_as_in_the_papers_optics_are_calibrate
     assert (left < 0.2 * np.ptp(recording.volts, axis=1)).all()
 
 
+def test_a_contact_three_times_that_of_the_scene_is_found(table: ReadingTable) -> None:
+    recordings = [_record(table, _cycle(2.0), site, seed=seed) for seed, site in enumerate(("proximal", "distal"))]
+    free = np.array([name not in ("proximal_share", "distal_reach") for name in NAMES])
+    found = Fit(recordings, table, VESSELS, rest_blood=REST, area_cm2=0.33, share=0.5, free=free).solve()
+    assert np.exp(found.factors_ln[NAMES.index("contact_area")]) == pytest.approx(1.0 / 0.33, rel=0.1)
+
+
 def test_a_damaged_subject_file_is_refused(subject: Subject) -> None:
     for text in ("", "schema_version = 1\n", 'schema_version = 2\nmodel = "network"\n', "not toml ["):
         with pytest.raises(InputError):
