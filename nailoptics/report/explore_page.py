@@ -18,6 +18,7 @@ from ..studies.ambient import SOURCES
 from ..studies.exploration.explore import (
     BLOCKS,
     BLOOD_RANGE,
+    KERNEL_CHANGE_ERROR,
     KERNEL_ERROR,
     SAME_NM,
     Exploration,
@@ -117,6 +118,7 @@ def _tables(found: Exploration) -> dict[str, Any]:
         },
         "blocks": BLOCKS,
         "kernelError": KERNEL_ERROR,
+        "kernelChangeError": KERNEL_CHANGE_ERROR,
         "fewRelative": FEW_PHOTONS**-0.5,
         "sameNm": SAME_NM,
         "restRange": [

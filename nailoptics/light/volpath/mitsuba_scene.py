@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
-from ...geometry import Geometry
+from ...geometry import Face, Geometry
 from ...scene import Led, Phantom
 from ..optics import Media
 
@@ -218,7 +218,8 @@ def finger_scene(
 
     emitters : Colours (3,) by region.
 
-    Dies and photodiodes look into the epoxy only; what else they touch is black.
+    Dies and photodiodes look into the epoxy with their lower faces only; their sides, and what else they touch, are
+    black.
     """
     names = geometry.regions
     bed_region, epoxy = names.index("bed"), names.index("epoxy")
@@ -226,6 +227,8 @@ def finger_scene(
     mu_a[bed_region] = np.min(bed.mu_a_per_mm)
     clear = ~media.opaque
     scene: dict[str, Any] = {"type": "scene", "integrator": integrator(mu_a=mu_a[clear], mu_s=media.mu_s[clear])}
+    parts = (*geometry.leds, *geometry.photodiodes)
+    looking = {face.region: face for face in parts if face.region == sensor or face.region in emitters}
     refs: list[str | None] = []
     for region in range(len(names)):
         made = None
@@ -247,11 +250,16 @@ def finger_scene(
         if media.opaque[below]:
             grey = {"type": "rgb", "value": float(media.reflectance[below])}
             shape |= {"bsdf": {"type": "diffuse", "reflectance": grey}} | sides(below=None, above=refs[above])
-            if above == epoxy and below == sensor:
+            if above == epoxy and below in looking:
                 inside = {"medium": {"type": "ref", "id": refs[epoxy]}} if refs[epoxy] else {}
-                shape["sensor"] = {"type": "irradiancemeter", "film": RGB_FILM} | inside
-            if above == epoxy and below in emitters:
-                shape["emitter"] = emitter(emitters[below])
+                meter = {"sensor": {"type": "irradiancemeter", "film": RGB_FILM} | inside}
+                looks = _looks(geometry, triangles, looking[below])
+                _write_mesh(geometry, triangles[looks], folder / f"{below}.ply")
+                scene[f"face_{below}"] = {"type": "ply", "filename": str(folder / f"{below}.ply")} | shape
+                scene[f"face_{below}"] |= meter if below == sensor else {"emitter": emitter(emitters[below])}
+                triangles = triangles[~looks]
+                if not len(triangles):
+                    continue
         else:
             bsdf = boundary(n_below=float(media.n[below]), n_above=float(media.n[above]))
             if bsdf["type"] == "null" and refs[below] is refs[above] is None:
@@ -268,6 +276,14 @@ def _bounds_mm(geometry: Geometry, region: int) -> np.ndarray:
     touching = (geometry.below == region) | (geometry.above == region)
     points = geometry.vertices[np.unique(geometry.triangles[touching])]
     return np.stack([points.min(axis=0) - 0.1, points.max(axis=0) + 0.1])
+
+
+def _looks(geometry: Geometry, triangles: np.ndarray, face: Face) -> NDArray[np.bool_]:
+    """Which triangles of a part belong to the face that looks at the nail, not to the sides, (n,) bool."""
+    corners = geometry.vertices[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.asarray((normal @ face.normal.T).max(axis=1) > 0.5)
 
 
 def _write_mesh(geometry: Geometry, triangles: np.ndarray, file: Path) -> None:

@@ -251,7 +251,7 @@ function readRow(pair, known, led, number, element, layout, state, rest) {
     fractionError: now * Math.hypot(counted, tables.kernelError),
     restError: atRest * Math.hypot(counted, tables.kernelError),
     voltsError: gain * now * Math.hypot(counted, tables.kernelError),
-    change, changeError: Math.abs(change) * Math.hypot(changeRelative, tables.kernelError),
+    change, changeError: Math.abs(change) * Math.hypot(changeRelative, tables.kernelChangeError),
     directShare: atRest > 0 ? Math.max(0, pair.direct / atRest) : 0,
     light: light * gain, zone: slope.map((x) => x * gain), without, pair,
   };
@@ -270,7 +270,7 @@ function resolve(rows, force, rest, ledCount) {
     const left = Array.from({ length: blockCount }, (_, k) => Math.log(forceResolution(told.map((row) => ({
       ...row, light: row.light * row.without[0][k], zone: row.zone.map((x, q) => x * row.without[q + 1][k]),
     })), point, ledCount)));
-    found[name] = { value, error: value * Math.hypot(jackknife(left), tables.kernelError) };
+    found[name] = { value, error: value * Math.hypot(jackknife(left), tables.kernelChangeError) };
   }
   return found;
 }

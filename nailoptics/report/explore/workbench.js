@@ -283,7 +283,7 @@ function drawPlots() {
   if (row) {
     const relative = row.changeError / Math.max(Math.abs(row.change), 1e-30);
     const values = forces.map((force) => 1e3 * row.gain * (dot(monomials(stateAt(force, layout.rest, layout.so2)), row.pair.coefficients) - row.fractionRest));
-    const error = Number.isFinite(relative) && row.change ? relative : tables.kernelError;
+    const error = Number.isFinite(relative) && row.change ? relative : tables.kernelChangeError;
     $("change-title").textContent = `Change of ${layout.leds[row.led].name} on ${row.element.name}`;
     setPlot("change-plot", [forces, values, values.map((x) => x - 2 * error * Math.abs(x)), values.map((x) => x + 2 * error * Math.abs(x))], [
       { label: "change", stroke: read("--chosen"), width: 2, hidden: true, points: { show: false } },
@@ -495,7 +495,7 @@ function drawFixed() {
     "Blood is that of a touch that is held; how fast it comes there is not modelled here, simulate tells.",
     tables.touch.hasBody ? "Force resolution goes through the body's noise of the scene, as place computes it, and beside it through that of the electronics alone." : "The scene has no body: force resolution is by the noise of the electronics alone.",
     `One sample's noise is that of stage and converter, ${quietest.toPrecision(2)} mV in the dark, and the shot noise of its light; light from outside adds its own.`,
-    `Readings are off by ${100 * tables.kernelError} % (rms) beyond their photons, by what lies between the table's nodes and the few percent that photodiodes swallow and a bare board sends back; that is in their errors.`,
+    `Readings are off by ${100 * tables.kernelError} % (rms), their changes and the force resolved by ${100 * tables.kernelChangeError} %, beyond their photons, by what lies between the table's nodes and the few percent that photodiodes swallow and a bare board sends back; that is in their errors.`,
     "Parts that stand out of the board's underside are taken for flush with it. Light from outside is that of the scene's own photodiode and cover.",
   ];
   $("fixed").replaceChildren(...lines.map((text) => element("li", {}, text)));

@@ -15,7 +15,8 @@ to 2 to 5 % by its photons, and farther ones less well, after 130 s for three wa
 
 What it holds fixed: the outline, the wall, the cover, epoxy and finger; that LEDs are Lambertian and faces flush with
 the board's underside. What it leaves out: that a photodiode swallows the few percent that the bare board would send
-back, and what lies between the nodes of the kernel; `KERNEL_ERROR` stands for both.
+back, and what lies between the nodes of the kernel; `KERNEL_ERROR` stands for both in readings, `KERNEL_CHANGE_ERROR`
+in their change and in the force that they resolve.
 """
 
 import math
@@ -56,6 +57,9 @@ AMBIENT_BATCHES = 12
 # Relative error of readings by the kernel's nodes and the bare board, rms: what is left on the prototype's board of 16
 # readings of two layouts beside traces of their own, once the errors of both by their photons are taken off.
 KERNEL_ERROR = 0.03
+# Of their change under a touch, rms, in the same way: 16 readings of two kernels of 4.8 million photons each, beside
+# traces of their own. A kernel of place alone knows little of where along the nail the two zones of blood meet.
+KERNEL_CHANGE_ERROR = 0.25
 # The blood at rest can be chosen from half to twice the scene's, the saturation down to here.
 BLOOD_RANGE, LEAST_SO2 = (0.5, 2.0), 0.7
 FLUENCE_PHOTONS, RING_MM, DEPTH_STEP_MM, FLUENCE_RADIUS_MM, BELOW_BED_MM = 1 << 16, 0.2, 0.1, 10.0, 2.0
