@@ -3,6 +3,7 @@
 import logging
 import math
 import os
+import select
 import signal
 import sys
 import time
@@ -10,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from io import TextIOWrapper
+from io import BufferedReader, RawIOBase, TextIOWrapper
 from typing import TYPE_CHECKING, Any, TextIO
 
 from .errors import InputError
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 LOG_EVERY_S = 10.0
 # Of a command's time its study gets this part at least, however long the rest of it takes.
 STUDY_SHARE = 0.5
+# A wait for input is broken off so often to look for a Ctrl-C. [s]
+WAIT_S = 0.5
 
 
 class CommandTime:
@@ -67,11 +70,27 @@ def text_lines(stream: TextIO | None) -> Iterator[str]:
     if stream is None:
         raise InputError("stdin is closed; pipe a recording into it.")
     if isinstance(stream, TextIOWrapper):
-        stream.reconfigure(encoding="utf-8", errors="replace")
+        whole = stream.buffer if sys.platform == "win32" else BufferedReader(_Waiting(stream.fileno()))
+        stream = TextIOWrapper(whole, encoding="utf-8", errors="replace")
     try:
         yield from stream
     except OSError as error:
         raise InputError(f"stdin: cannot be read: {error.strerror}; pipe a recording into it.") from None
+
+
+class _Waiting(RawIOBase):
+    """Bytes as they come, waited for in short turns: an interrupt that comes just before a wait is seen after it."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        while not select.select([self._descriptor], [], [], WAIT_S)[0]:
+            pass
+        return os.readv(self._descriptor, [buffer])
 
 
 @contextmanager

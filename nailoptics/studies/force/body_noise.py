@@ -32,6 +32,9 @@ BREATH_COHERENCE_S, SLOW_COHERENCE_S = 8.0, 4.0
 NOISE_FROM = 0.75
 # A step of arterial pressure by which its effect is found. [Pa]
 STEP_PA = 100.0
+# How far the arterial pressure and an LED's light wander at most, rms: where readings do not part them, a little of
+# both is likelier than much of both, one against the other. [Pa, 1]
+PRESSURE_SPREAD_PA, LIGHT_SPREAD = 3000.0, 0.03
 # How finely and for how long a rhythm is followed to see how much of it the vessels pass on.
 STEPS_PER_PERIOD, PERIODS, SETTLING_S = 40, 3, 2.0
 # A rhythm that the vessels pass on less than this is not seen well enough to be scaled by it.
@@ -136,7 +139,9 @@ def _parted(response: Array, leds: Array, residual: Array, noise_v2: Array) -> t
     normal = np.einsum("trp,trq->tpq", weighted, design)
     strength = normal[:, 0, 0]
     # Where a touch has all but shut the vessels the arterial pressure is not seen: there it is taken for none.
-    normal[:, 0, 0] += np.where(strength > 0.01 * strength.max(), 1e-9, 1e9) * strength.max()
+    normal[:, 0, 0] += np.where(strength > 0.01 * strength.max(), PRESSURE_SPREAD_PA**-2, 1e9 * strength.max())
+    light = np.arange(1, design.shape[2])
+    normal[:, light, light] += LIGHT_SPREAD**-2
     found = np.linalg.solve(normal, np.einsum("trp,rt->tp", weighted, filled)[..., None])[..., 0]
     return found[:, 0], found[:, 1:].T, filled - np.einsum("trp,tp->rt", design, found)
 

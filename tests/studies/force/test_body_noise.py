@@ -26,6 +26,16 @@ def test_pressure_light_and_own_drift_are_told_apart() -> None:
     assert np.sqrt(8 / 6 * np.mean(_walk2(left, time_s, rests))) == pytest.approx(5e-4, rel=0.3)
 
 
+def test_what_readings_do_not_part_is_not_taken_for_much_of_both() -> None:
+    rng, count = np.random.default_rng(2), 500
+    leds = np.ones((8, 1))
+    # The pressure moves all readings nearly alike, as the light does; what is left of a fit is 1 % of each reading.
+    response = 1e-6 * (1.0 + 1e-4 * np.linspace(-1, 1, 8))[:, None] * np.ones(count)
+    residual = 0.01 * np.linspace(-1, 1, 8)[:, None] * rng.choice([-1.0, 1.0], count)
+    pressure, light, _ = _parted(response, leds, residual, np.full(8, 1e-6))
+    assert np.std(pressure) < 3000.0 and np.std(light) < 0.03
+
+
 @pytest.mark.parametrize("rate_per_min", [55.0, 72.0, 110.0])
 def test_the_rate_of_the_heart_is_found(rate_per_min: float) -> None:
     time_s = np.arange(0.0, 60.0, STEP_S)
