@@ -13,7 +13,7 @@ from ..io import pack
 from ..light import Transfer, trace
 from ..light.detect import VOLPATH_RELATIVE_ERROR
 from ..light.store import LightStore
-from ..light.tracing import photons_engine
+from ..light.tracing import batch_photons
 from ..options import Requested, TraceOptions
 from ..scene import Scene
 from ..scene.sweep import Sweep
@@ -88,9 +88,7 @@ def _cost(scene: Scene, settings: Settings) -> tuple[float, float, float, float]
             more = max((error / max(required.relative_error or floor, floor)) ** 2, 1.0)
         size = len(pack(*to_record(dataset)))
         return (time.process_time() - begin) * more, 0.0, 0.0, float(size)
-    engine_class, _ = photons_engine(scene, settings.options.backend)
-    full: int = engine_class.batch_photons
-    required, seed = settings.required(scene), settings.options.seed
+    full, required, seed = batch_photons(scene), settings.required(scene), settings.options.seed
     _traced(scene, settings, photons=1024)  # compiles
     opening, _ = _traced(scene, settings, photons=1024)
     spent, transfer = _traced(scene, settings, photons=full)

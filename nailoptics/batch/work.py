@@ -21,7 +21,7 @@ from ..light import ReweightWarning, Transfer
 from ..light import backend as backends
 from ..light.records import LedBatches
 from ..light.store import LightStore
-from ..light.tracing import LightEngine, StoppingRule, accuracy, extend, led_sources, photons_engine
+from ..light.tracing import PHOTONS_ENGINE, LightEngine, StoppingRule, accuracy, extend, led_sources
 from ..light.transfer import current_versions
 from ..options import BackendName, TraceOptions
 from ..scene import Accuracy, Scene, to_toml
@@ -258,8 +258,7 @@ class _Light:
     def __init__(self, job: Job, scenes: list[Scene], settings: Settings, report: JobReport) -> None:
         self.settings = settings
         first, asked = scenes[0], settings.options
-        engine_class, _ = photons_engine(first, asked.backend)
-        engine = LightEngine(first, engine_class)
+        engine = LightEngine(first, backends.choose_jit(asked.backend, PHOTONS_ENGINE))
         stores = settings.stores(lambda path, why: report.corrupt.append(path.parent.name))
         self.leds: list[LedBatches] = []
         self.rules: list[dict[Any, StoppingRule]] = []

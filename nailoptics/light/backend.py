@@ -150,11 +150,17 @@ def activate(backend: Backend, variants: Mapping[Name, str] = VARIANTS) -> Any:
     return mi
 
 
-def activate_jit(requested: str, what: str) -> Backend:
-    """The backend requested, active from now on; raises InputError where it compiles no kernels, which `what` needs."""
+def choose_jit(requested: str, what: str) -> Backend:
+    """The backend requested; raises InputError where it compiles no kernels, which `what` needs."""
     chosen = choose(requested)
     if not chosen.jit:
         raise InputError(f"{what} needs a JIT backend, and scalar is none: {chosen.advice or 'choose auto'}")
+    return chosen
+
+
+def activate_jit(requested: str, what: str) -> Backend:
+    """The backend requested, active from now on; raises InputError where it compiles no kernels, which `what` needs."""
+    chosen = choose_jit(requested, what)
     activate(chosen)
     return chosen
 

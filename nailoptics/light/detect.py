@@ -226,7 +226,7 @@ def section(scene: Scene, light: DetectedLight, options: TraceOptions) -> xr.Dat
     light : that of the scene.
     """
     if light.transfer is None:
-        return _section(scene, options.seed, geometry.build(scene))
+        return _section(scene, options, geometry.build(scene))
     found = _stored_section(scene, replace(options, backend=backends.choose(options.backend).name))
     # Its light knows no names.
     found.section_region.attrs["regions"] = json.dumps(geometry.region_names(scene.layout))
@@ -237,24 +237,26 @@ def _stored_section(scene: Scene, options: TraceOptions) -> xr.Dataset:
     """The section with the light of a scene, from the store if it is there."""
     store = LightStore.of_user() if options.store else None
     if store is None:
-        return _section(light_scene(scene), options.seed)
+        return _section(light_scene(scene), options)
     made = made_of(scene, 0, seed=options.seed, backend=options.backend, what="section")
     stored = store.light(made | {"leds": [led_digest(scene, led) for led in range(len(scene.leds))]})
     if found := stored.read("section"):
         return from_record(*found)
-    traced = _section(light_scene(scene), options.seed)
+    traced = _section(light_scene(scene), options)
     stored.write("section", *to_record(traced))
     store.close()
     return traced
 
 
-def _section(scene: Scene, seed: int, finger: Geometry | None = None) -> xr.Dataset:
+def _section(scene: Scene, options: TraceOptions, finger: Geometry | None = None) -> xr.Dataset:
     """The longitudinal section at u = 0: regions and each LED's path density, which is traced.
 
     finger : what is shown without light.
     """
     tracer = None
     if finger is None:
+        # Light from the store needed no Mitsuba so far.
+        backends.activate_jit(options.backend, "the picture of the light")
         from .finger_walk import FingerTracer
         from .tallies.section import Section
 
@@ -270,7 +272,7 @@ def _section(scene: Scene, seed: int, finger: Geometry | None = None) -> xr.Data
         density = []
         for led in range(len(scene.leds)):
             section = Section(y, z)
-            tracer.walk(led, photons=SECTION_PHOTONS, seed=seed, section=section)
+            tracer.walk(led, photons=SECTION_PHOTONS, seed=options.seed, section=section)
             density.append(section.density(SECTION_PHOTONS))
         text = "path density of an LED's light in usual blood, summed over the finger's width, per emitted photon"
         data |= variable("path_density", ("led", *plane), density, text, units="mm-1")

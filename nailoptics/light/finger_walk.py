@@ -13,7 +13,7 @@ from .. import geometry as finger_geometry
 from ..geometry import SPACING_MM, DistanceGrid, Face, Geometry
 from ..scene import Scene
 from . import optics
-from .records import Batch
+from .records import FINGER_BATCH_PHOTONS, Batch
 from .sampling import (
     ABSORBED,
     LAMBERTIAN,
@@ -60,7 +60,7 @@ def _built(scene: Scene, spacing_mm: float) -> tuple[Geometry, DistanceGrid]:
 class FingerTracer:
     """The photons engine for a finger scene: walks the photons of its LEDs until each has ended."""
 
-    batch_photons = 1 << 18
+    batch_photons = FINGER_BATCH_PHOTONS
 
     def __init__(self, scene: Scene, *, spacing_mm: float = SPACING_MM, kept: Collection[str] = ()) -> None:
         """spacing_mm : Cells of the distances; wider ones are made sooner and let light skip less. [mm]

@@ -39,8 +39,6 @@ TINY = 1e-12
 class LayeredTracer:
     """The photons engine for a phantom scene: walks the photons of its LEDs until each has ended."""
 
-    batch_photons = 1 << 19
-
     def __init__(self, scene: Scene) -> None:
         assert scene.phantom is not None
         self.scene, self.phantom = scene, scene.phantom

@@ -16,6 +16,8 @@ from .reweight import transmission
 COLUMNS = ("photodiode", "weight", "path_mm", "draw")
 # Sums over all photons, of weights and of their squares, by name.
 SUMS = ("energy", "absorbed", "pairs")
+# Photons of a full batch: enough to keep a processor's lanes busy.
+FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS = 1 << 18, 1 << 19
 # Photons kept per LED; of more, each is kept with one probability, and sums over all of them at rest.
 MAX_RECORDS = 8_000_000
 

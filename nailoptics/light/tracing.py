@@ -17,7 +17,7 @@ from ..statistics import stderr_of_mean
 from . import backend as backends
 from . import optics
 from .identity import light_scene
-from .records import Batch, LedBatches, LedRecords
+from .records import FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS, Batch, LedBatches, LedRecords
 from .reweight import transmission
 from .store import LedSource, LightStore, made_of
 from .transfer import MIN_EFFECTIVE_PHOTONS, Transfer, photodiode_names, rest_state
@@ -27,6 +27,7 @@ DEFAULT_PHOTONS = 1_000_000
 # A photodiode that none of so many photons reached is taken for unseen, unless a time limit says otherwise.
 UNSEEN_PHOTONS = 100_000_000
 INTERRUPTED = "interrupted"
+PHOTONS_ENGINE = "the photons engine"
 # Errors are checked after so many batches, each time a quarter more: seldom enough that stopping hardly favours luck.
 # The numbers are fixed, so that a trace that is continued stops where one that was never interrupted stops.
 CHECK_GROWTH = 1.25
@@ -77,9 +78,9 @@ def trace(
     within max_seconds or the trace was interrupted.
     """
     begin, options = time.process_time(), TraceOptions(**requested)
-    engine_class, chosen = photons_engine(scene, options.backend)
+    chosen = backends.choose_jit(options.backend, PHOTONS_ENGINE)
     required = accuracy(scene, options)
-    engine, store = LightEngine(scene, engine_class, kept=kept), LightStore.of_user() if options.store else None
+    engine, store = LightEngine(scene, chosen, kept=kept), LightStore.of_user() if options.store else None
     sources = led_sources(scene, engine, [store], seed=options.seed, backend=chosen.name)
     start, cpu = time.perf_counter(), time.process_time()
     traces, events, complaint = [], 0, None
@@ -111,33 +112,40 @@ def trace(
     return result
 
 
-def photons_engine(scene: Scene, backend: str) -> tuple[Any, backends.Backend]:
-    """The class of the photons engine for a scene, and its backend, which is active from then on.
+def photons_engine(scene: Scene, backend: str) -> Any:
+    """The class of the photons engine for a scene, whose backend is active from then on.
 
     Raises: InputError where the backend compiles no kernels.
     """
-    chosen = backends.activate_jit(backend, "the photons engine")
+    backends.activate_jit(backend, PHOTONS_ENGINE)
     if scene.phantom is not None:
         from .layered_walk import LayeredTracer
 
-        return LayeredTracer, chosen
+        return LayeredTracer
     from .finger_walk import FingerTracer
 
-    return FingerTracer, chosen
+    return FingerTracer
+
+
+def batch_photons(scene: Scene) -> int:
+    """Photons of a full batch of a scene's light."""
+    return FINGER_BATCH_PHOTONS if scene.phantom is None else PHANTOM_BATCH_PHOTONS
 
 
 class LightEngine:
     """The engine of a scene's light, opened when the first photon is to be walked; scenes of one light share it.
+
+    Until then Mitsuba is not even imported: light that is stored needs none.
 
     kept : the parts that it has although the scene leaves them out.
     full : photons of a full batch.
     cpu_seconds, wall_seconds : what opening it took. [s]
     """
 
-    def __init__(self, scene: Scene, engine_class: Any, *, kept: Collection[str] = ()) -> None:
-        self.scene, self.engine_class = light_scene(scene), engine_class
+    def __init__(self, scene: Scene, backend: backends.Backend, *, kept: Collection[str] = ()) -> None:
+        self.scene, self.backend = light_scene(scene), backend
         self.kept = sorted({*kept} & {*scene.light.left_out})
-        self.full: int = engine_class.batch_photons
+        self.full = batch_photons(scene)
         self.cpu_seconds = self.wall_seconds = 0.0
         self._opened: Any = None
 
@@ -145,7 +153,8 @@ class LightEngine:
         """The engine itself."""
         if self._opened is None:
             begin, cpu = time.perf_counter(), time.process_time()
-            self._opened = self.engine_class(self.scene, **({"kept": self.kept} if self.kept else {}))
+            engine_class = photons_engine(self.scene, self.backend.name)
+            self._opened = engine_class(self.scene, **({"kept": self.kept} if self.kept else {}))
             self.wall_seconds, self.cpu_seconds = time.perf_counter() - begin, time.process_time() - cpu
         return self._opened
 

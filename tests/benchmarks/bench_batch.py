@@ -62,7 +62,7 @@ def overhead_and_memory(folder: Path, count: int) -> dict[str, object]:
     place = Folder(settings.folder)
     place.make()
     jobs = left(plan(sweep, settings), place, settings, retry_failed=False).jobs
-    kind, _ = photons_engine(sweep.scenes[0], name)
+    kind = photons_engine(sweep.scenes[0], name)
     backend.set_threads(1)
     work(jobs[0], settings)  # compiles
     trace_s, work_s, memory_mb = 0.0, 0.0, []

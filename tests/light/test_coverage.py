@@ -9,7 +9,7 @@ import pytest
 
 import nailoptics as nail
 from nailoptics import tissue
-from nailoptics.light import Transfer, optics, read_rest
+from nailoptics.light import Transfer, optics, read_rest, tracing
 from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
 from nailoptics.light.course import course, read_replicates
 from nailoptics.light.finger_walk import FingerTracer
@@ -181,9 +181,7 @@ def test_intervals_of_each_engine_on_a_phantom(jit_backend, engine):
 @pytest.mark.slow
 def test_intervals_of_a_trace_that_stopped_at_a_tolerance(jit_backend, monkeypatch):
     """Paths and a reread state of a trace that stopped by its reading, beside the reading."""
-    from nailoptics.light.layered_walk import LayeredTracer
-
-    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 11)
+    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 11)
     scene = parse_scene(SLAB.format(u=2.0))
 
     def estimates(transfer: Transfer) -> Estimates:

@@ -63,7 +63,7 @@ def same_bits(one, other) -> bool:
 
 @pytest.fixture
 def small_batches(jit_backend, monkeypatch):
-    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 12)
+    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 12)
 
 
 @pytest.mark.jit

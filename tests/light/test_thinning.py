@@ -9,9 +9,8 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.errors import NotReachedError
-from nailoptics.light import Transfer, optics, records
+from nailoptics.light import Transfer, optics, records, tracing
 from nailoptics.light.course import course
-from nailoptics.light.layered_walk import LayeredTracer
 from nailoptics.light.records import LedTrace, joined
 from nailoptics.light.transfer import rest_state
 from nailoptics.scene import Scene, parse_scene
@@ -235,7 +234,7 @@ def test_the_error_that_stops_a_trace_is_the_one_that_is_read(jit_backend, monke
     """With a broad line, too, over which the state at rest is not the traced one."""
     limited(monkeypatch, 300)
     scene, target = (phantom(), 0.01) if which == "phantom" else (parse_scene(FINGER.format(fwhm=50.0)), 0.016)
-    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 12)
+    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     told = []
     traced = nail.trace(scene, relative_error=target, seed=2, progress=told.append)
     seen = traced.at().squeeze()
@@ -247,7 +246,7 @@ def test_the_error_that_stops_a_trace_is_the_one_that_is_read(jit_backend, monke
 @pytest.mark.jit
 def test_a_trace_out_of_time_tells_the_error_that_is_read(jit_backend, monkeypatch):
     limited(monkeypatch, 300)
-    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 12)
+    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     told = []
     with pytest.raises(NotReachedError, match="max_seconds") as caught:
         nail.trace(phantom(), relative_error=1e-5, max_seconds=0.5, progress=told.append)
@@ -279,7 +278,7 @@ def plate_errors(traced: Transfer) -> list[float]:
 def test_a_clear_plate_far_past_the_limit(jit_backend, monkeypatch):
     """Expected: errors as small as the photons allow, and intervals that hold the plate's exact reflectance."""
     limited(monkeypatch, 1000)
-    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 12)
+    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     scene = phantom(mu_a=0.0, mu_s=0.0, n=4.0, size=1000.0)
     z = []
     for seed in range(40):

@@ -50,7 +50,7 @@ def error_of(transfer) -> float:
 
 @pytest.mark.parametrize("target", [0.02, 0.003])
 def test_the_tolerance_is_met_and_not_far_overdone(jit_backend, monkeypatch, target):
-    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 14)
+    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 14)
     transfer = nail.trace(slab(leds=2), relative_error=target, seed=4)
     seen = transfer.at()
     errors = (seen.detected_fraction_stderr / seen.detected_fraction).values
@@ -62,7 +62,7 @@ def test_the_tolerance_is_met_and_not_far_overdone(jit_backend, monkeypatch, tar
 def test_stopping_at_a_tolerance_hardly_favours_luck(jit_backend, monkeypatch):
     """Rationale: a rule that stops when the error looks small enough prefers runs that err low.
     Expected: 100 traces to a coarse tolerance agree on average with one of many photons."""
-    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 11)
+    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 11)
     scene = slab()
     truth = nail.trace(scene, photons=1 << 20, seed=999).at().squeeze()
     runs = [nail.trace(scene, relative_error=0.05, seed=seed).at().squeeze() for seed in range(100)]
@@ -72,7 +72,7 @@ def test_stopping_at_a_tolerance_hardly_favours_luck(jit_backend, monkeypatch):
 
 @pytest.mark.parametrize("photons", [1, 2, 255, 8191, 8193, 50_001])
 def test_the_number_of_photons_is_exact(jit_backend, monkeypatch, photons):
-    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 14)
+    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 14)
     transfer = nail.trace(slab(leds=2), photons=photons)
     assert [trace.photons for trace in transfer.traces] == [photons, photons] and transfer.photons == 2 * photons
     assert sum(part["value"] for part in transfer.energy().values()) == pytest.approx(1, abs=1e-9)
@@ -81,14 +81,14 @@ def test_the_number_of_photons_is_exact(jit_backend, monkeypatch, photons):
 
 def test_the_same_seed_in_other_batches_is_the_same_light(jit_backend, monkeypatch):
     whole = nail.trace(slab(), photons=1 << 17, seed=1).at().squeeze()
-    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 12)
+    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     parts = nail.trace(slab(), photons=1 << 17, seed=1).at().squeeze()
     spread = np.hypot(whole.detected_fraction_stderr, parts.detected_fraction_stderr)
     assert abs(whole.detected_fraction - parts.detected_fraction) < 3.5 * spread
 
 
 def test_time_alone_ends_a_trace_without_complaint(jit_backend, monkeypatch):
-    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 14)
+    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 14)
     clock = itertools.count(0.0, 0.01)
     seconds = SimpleNamespace(perf_counter=lambda: next(clock), process_time=time.process_time)
     monkeypatch.setattr(tracing, "time", seconds)
@@ -99,7 +99,7 @@ def test_time_alone_ends_a_trace_without_complaint(jit_backend, monkeypatch):
 
 
 def test_a_tolerance_out_of_reach_saves_what_was_reached(jit_backend, monkeypatch):
-    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 14)
+    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 14)
     with pytest.raises(NotReachedError, match=r"max_seconds.*1e-06 requested") as caught:
         nail.trace(slab(leds=2), relative_error=1e-6, max_seconds=0.4)
     error = caught.value
@@ -109,14 +109,14 @@ def test_a_tolerance_out_of_reach_saves_what_was_reached(jit_backend, monkeypatc
 
 
 def test_photons_out_of_reach_say_how_many_there_were(jit_backend, monkeypatch):
-    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 14)
+    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 14)
     with pytest.raises(NotReachedError, match="photons") as caught:
         nail.trace(slab(), photons=10**10, max_seconds=0.2)
     assert 0 < caught.value.result.photons < 10**10
 
 
 def test_a_photodiode_that_sees_nothing_does_not_pass_for_exact(jit_backend, monkeypatch):
-    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 12)
+    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     with pytest.raises(NotReachedError, match="relative error inf"):
         nail.trace(slab(square=500.0), relative_error=0.5, max_seconds=0.3)
 
@@ -130,7 +130,7 @@ def test_an_interrupt_keeps_what_was_traced(jit_backend, monkeypatch):
             raise KeyboardInterrupt
         return batch(self, led, **more)
 
-    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 12)
+    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     monkeypatch.setattr(LayeredTracer, "batch", interrupted)
     with pytest.raises(NotReachedError, match="interrupted") as caught:
         nail.trace(slab(), photons=1 << 16)
@@ -138,7 +138,7 @@ def test_an_interrupt_keeps_what_was_traced(jit_backend, monkeypatch):
 
 
 def test_progress_is_told_after_every_batch(jit_backend, monkeypatch):
-    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 13)
+    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 13)
     told: list[TraceProgress] = []
     nail.trace(slab(leds=2), photons=5 << 13, progress=told.append)
     assert [p.led for p in told] == 5 * ["beam0"] + 5 * ["beam1"]
@@ -151,7 +151,7 @@ def test_progress_is_told_after_every_batch(jit_backend, monkeypatch):
 
 
 def test_progress_towards_a_tolerance_ends_at_one(jit_backend, monkeypatch):
-    monkeypatch.setattr(LayeredTracer, "batch_photons", 1 << 12)
+    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     told: list[TraceProgress] = []
     nail.trace(slab(), relative_error=0.01, progress=told.append)
     assert told[-1].fraction_done == 1 and told[-1].relative_error <= 0.01 == told[-1].target

@@ -1,5 +1,10 @@
 """The main job, from touch to volts: its signs, its dataset, its seeds, and what is kept when it is cut short."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -21,11 +26,17 @@ def prototype(**touch) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def pressed(chosen_jit, tmp_path_factory) -> dict[str, xr.Dataset]:
+def own_store(tmp_path_factory) -> Path:
+    """The store of all light in this file."""
+    return tmp_path_factory.mktemp("store")
+
+
+@pytest.fixture(scope="module")
+def pressed(chosen_jit, own_store) -> dict[str, xr.Dataset]:
     """The prototype as shipped, and with the force on one side only; a million photons, the same for all three."""
     shares = {"as shipped": {}, "proximal": {"proximal_share": 1.0}, "distal": {"proximal_share": 0.0}}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("NAILOPTICS_STORE", str(tmp_path_factory.mktemp("store")))
+        patch.setenv("NAILOPTICS_STORE", str(own_store))
         return {
             name: simulate(prototype(**touch), photons=1 << 20, seed=1, picture=name == "as shipped")
             for name, touch in shares.items()
@@ -94,6 +105,34 @@ def assert_well_described(result: xr.Dataset) -> None:
         assert package in attrs["versions"]
     scene = parse_scene(attrs["scene"])
     assert digest(scene) == attrs["digest"]
+
+
+@pytest.mark.jit
+def test_stored_light_needs_no_mitsuba_until_a_part_of_it_is_gone(pressed, own_store, tmp_path):
+    """Rationale: loading Mitsuba and its kernels is most of what a second run would cost. Expected: with other blood
+    and touch, photons and picture both come from the store; where the picture is gone, it alone is traced."""
+    code = """if True:
+        import sys
+        from pathlib import Path
+        from nailoptics import load_scene, simulate
+        scene = load_scene(sys.argv[1])
+        def changed(part, **values):
+            return scene.model_copy(update={part: getattr(scene, part).model_copy(update=values)})
+        for other in (changed("blood", rest_blood_fraction=0.035), changed("touch", force_n=2.0)):
+            simulate(other, photons=1 << 20, seed=1, picture=True)
+        assert not {"mitsuba", "drjit"} & set(sys.modules)
+        for file in Path(sys.argv[2]).glob("*/section.dat"):
+            file.unlink()
+        result = simulate(scene, photons=1 << 20, seed=1, picture=True)
+        assert "mitsuba" in sys.modules and result.attrs["reused"]
+        result.path_density.to_netcdf(sys.argv[3])
+    """
+    files = [str(file) for file in (data_dir("scenes") / "prototype.toml", own_store, tmp_path / "section.nc")]
+    environment = os.environ | {"NAILOPTICS_STORE": str(own_store), "PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run([sys.executable, "-c", code, *files], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    with xr.open_dataarray(files[-1]) as again:
+        assert np.array_equal(again, pressed["as shipped"].path_density)
 
 
 @pytest.mark.jit
