@@ -41,6 +41,8 @@ Json = Annotated[bool, Parameter(name="--json", negative="", help="Print one JSO
 Options = Annotated[TraceOptions, Parameter(name="*")]
 USUAL = TraceOptions()
 command_time = CommandTime()
+# Processor time before the first photon: imports of the engine, a finger's geometry, kernels. [s]
+FINGER_OPENING_CPU_S, PHANTOM_OPENING_CPU_S = 1.4, 0.5
 Folder = Annotated[
     Path | None, Parameter(name=["--output", "-o"], help="Folder for the results; results/SCENE if not given.")
 ]
@@ -102,7 +104,7 @@ def simulate(
 
     Writes result.nc and report.html.
     """
-    from .report.result_files import SIMULATION, write_recording, write_simulation
+    from .report.result_files import SIMULATION, SIMULATION_CPU_S, write_recording, write_simulation
     from .report.summaries import simulation_lines, simulation_summary
     from .studies.force.virtual_recording import record
     from .studies.simulate import simulate as study
@@ -110,12 +112,13 @@ def simulate(
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, SIMULATION)
     _check_file(recording)
-    result, unmet = _watched(study, loaded, picture=True, **options.fields)
+    limited = _tracing_time(options, loaded, pages_cpu_s=SIMULATION_CPU_S)
+    result, unmet = _watched(study, loaded, picture=True, **limited.fields)
     paths = write_simulation(result, folder)
     if recording is not None:
         paths |= write_recording(record(loaded, result, seed=options.seed), recording)
     summary = simulation_summary(result)
-    _show(summary, simulation_lines(summary), paths, json_)
+    _show(summary, simulation_lines(summary), paths, json_, unmet)
     _end(unmet, folder)
 
 
@@ -129,10 +132,10 @@ def trace(scene: ScenePath, *, output: File = None, json_: Json = False, options
     if output is not None and engine == "volpath":
         raise InputError(f"{output}: volpath traces readings, not a transfer that could be saved; leave -o out.")
     _check_file(output)
-    rest, unmet = _watched(read_rest, loaded, **options.fields)
+    rest, unmet = _watched(read_rest, loaded, **_tracing_time(options, loaded).fields)
     if output is not None and rest.transfer is not None:
         rest.transfer.save(output)
-    _show(rest.as_dict(), rest_lines(rest), {}, json_)
+    _show(rest.as_dict(), rest_lines(rest), {}, json_, unmet)
     _end(unmet, output)
 
 
@@ -227,7 +230,7 @@ def compare(
     result, unmet = _watched(study, loaded, over=over, wavelengths_nm=wavelength_nm, **limited.fields)
     paths = write_comparison(result, folder)
     judged = verdict(result, 0.05 if require is None else require, model=model)
-    _show(summary(result) | {"verdict": vars(judged)}, [*_ended_early(unmet), judged], paths, json_)
+    _show(summary(result) | {"verdict": vars(judged)}, [judged], paths, json_, unmet)
     if require is not None and judged.outcome == "missed":
         raise NailopticsError(f"{judged}")
     _end(unmet, folder)
@@ -259,7 +262,7 @@ def place(
     result, unmet = _watched(study, loaded, **command_time.left(options, pages_cpu_s=PLACEMENT_CPU_S).fields)
     paths = write_placement(result, folder, negate_x_on_bottom=negate_x_on_bottom)
     summary = placement_summary(result)
-    _show(summary | {"folder": str(folder)}, [*_ended_early(unmet), *placement_lines(summary)], paths, json_)
+    _show(summary | {"folder": str(folder)}, placement_lines(summary), paths, json_, unmet)
     _end(unmet, folder)
 
 
@@ -750,17 +753,25 @@ def _watched(
         return as_far_as_reached(study, *arguments, progress=progress, **options)
 
 
-def _show(summary: Mapping[str, Any], text: Iterable[object], paths: Mapping[str, Path], as_json: bool) -> None:
-    """Print a result and where it lies: one JSON object, or lines of text."""
+def _tracing_time(options: TraceOptions, scene: "Scene", *, pages_cpu_s: float = 0.0) -> TraceOptions:
+    """The options with what is left of max_seconds for tracing, which counts from the first photon on."""
+    opening_cpu_s = PHANTOM_OPENING_CPU_S if scene.phantom else FINGER_OPENING_CPU_S
+    return command_time.left(options, pages_cpu_s=opening_cpu_s + pages_cpu_s)
+
+
+def _show(
+    summary: Mapping[str, Any],
+    text: Iterable[object],
+    paths: Mapping[str, Path],
+    as_json: bool,
+    unmet: NotReachedError | None = None,
+) -> None:
+    """Print a result and where it lies: one JSON object, or lines of text; first why it ended early, if it did."""
     if as_json:
-        print_json({**summary, **{name: str(path) for name, path in paths.items()}})
+        cut_off = {"cut_off": str(unmet)} if unmet else {}
+        print_json({**summary, **cut_off, **{name: str(path) for name, path in paths.items()}})
     else:
-        print(*text, *paths.values(), sep="\n")
-
-
-def _ended_early(unmet: NotReachedError | None) -> list[str]:
-    """The first line on the terminal where what was requested was not reached."""
-    return [f"Cut off: {unmet}"] if unmet else []
+        print(*([f"Cut off: {unmet}"] if unmet else []), *text, *paths.values(), sep="\n")
 
 
 def _end(unmet: NotReachedError | None, where: Path | None = None) -> None:

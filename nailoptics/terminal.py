@@ -43,8 +43,8 @@ class CommandTime:
     def left(self, options: TraceOptions, *, pages_cpu_s: float) -> TraceOptions:
         """The options with what is left of max_seconds once the pages are written, which is done after the study.
 
-        pages_cpu_s : processor time that the pages take. On a busy machine that is as much longer as what the command
-            has done so far has been.
+        pages_cpu_s : processor time of the pages, and of what else the study's time leaves out. On a busy machine that
+            takes as much longer as what the command has done so far has.
         """
         if options.max_seconds is None:
             return options

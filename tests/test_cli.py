@@ -332,6 +332,7 @@ def test_what_was_reached_in_max_seconds_is_saved_and_the_exit_code_is_3(folder,
     assert json.loads(out)["photons"] > 0
     last = err.splitlines()[-1]
     assert "max_seconds" in last and "0.001 requested" in last and "transfer.nc" in last and "Traceback" not in err
+    assert json.loads(out)["cut_off"] in last
     assert Transfer.load(Path("transfer.nc")).photons == json.loads(out)["photons"]
 
 

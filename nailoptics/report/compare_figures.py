@@ -62,6 +62,7 @@ def range_errors(result: xr.Dataset, *, led: int) -> "Figure":
                 axes.text(0.005, tolerance * 1.08, f"{tolerance} %", transform=left, ha="left", fontsize=8)
             axes.set(yscale="log", ylim=(_FLOOR, _CEILING), xlim=(x[0], x[-1]))
             axes.set_yticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
+            axes.minorticks_off()
             axes.set_xlabel(f"range from {x[0]:g} to this {X_LABELS[sweep]}")
             axes.set_title(f"{formula}, fitted, over {sweep}")
         row[0].set_ylabel("largest error [% of swing]")
@@ -84,6 +85,7 @@ def error_parts(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
                 here = one.sel(part=part).isel(photodiode=j, point=at)
                 _dot(axes, here, row + 0.17 * (k - 1.5), labelled=row == 0)
         axes.set(title=WAY_TITLES[str(way)], xscale="log", xlabel="error of (9) [% of swing], without its sign")
+        axes.minorticks_off()
         for tolerance in (1, 5):
             axes.axvline(tolerance, color=style.INK, lw=0.8, ls=(0, (4, 2)))
     first = panels[0, 0]

@@ -21,6 +21,8 @@ from ..blood_states import largest_force_n, steady_blood
 
 PILOT_PHOTONS = 1 << 17
 LEAST_PHOTONS = 1 << 14
+# Part of the time that is left which goes to learning what a photon costs, where so many photons would take longer.
+PILOT_SHARE = 0.03
 # Of the time that is left after the first traces, so much is planned; the rest is for what the plan does not know.
 PLANNED_SHARE = 0.85
 # By this part of the time it may take longer.
@@ -144,6 +146,12 @@ class PairedTracer:
         """Time until the traces are to end. [s]"""
         return (self.options.max_seconds or math.inf) - self.reserved_s - (time.perf_counter() - self._start)
 
+    @property
+    def _planned_seconds(self) -> float:
+        """The same where a limit is given, else what is left of the usual time. [s]"""
+        limit_s = self.options.max_seconds or self.usual_seconds
+        return limit_s - self.reserved_s - (time.perf_counter() - self._start)
+
     def trace(self, scene: Scene, *, backend: BackendName | None = None) -> PairedReadings:
         """Trace and read a scene; raises NotReachedError if interrupted or out of time."""
         # A tolerance in the scene would set each trace's own number of photons.
@@ -176,15 +184,15 @@ class PairedTracer:
             return max(led.photons for led in pilot.traces)
         # The first trace loads the engine and compiles; what a photon costs is what it costs from then on.
         photons_engine(scene, options.backend)
-        self._traced(scene, None, LEAST_PHOTONS, store=False)
+        first_s = self._traced(scene, None, LEAST_PHOTONS, store=False).transfer.wall_seconds
         if self.seconds_left < 0:
             return LEAST_PHOTONS
-        begin = time.perf_counter()
-        self._traced(scene, None, PILOT_PHOTONS, store=False)
-        each_s = time.perf_counter() - begin
-        left = (options.max_seconds or self.usual_seconds) - self.reserved_s - (time.perf_counter() - self._start)
-        share = (PLANNED_SHARE * left - self.shapes * self._opening_s) / self.scenes
-        return max(LEAST_PHOTONS, int(PILOT_PHOTONS * share / each_s))
+        affordable = PILOT_SHARE * self._planned_seconds / max(first_s, 1e-9) * LEAST_PHOTONS
+        pilot, begin = int(min(max(affordable, 2 * LEAST_PHOTONS), PILOT_PHOTONS)), time.perf_counter()
+        self._traced(scene, None, pilot, store=False)
+        each_s = (time.perf_counter() - begin) / pilot
+        share = (PLANNED_SHARE * self._planned_seconds - self.shapes * self._opening_s) / self.scenes
+        return max(LEAST_PHOTONS, int(share / each_s))
 
     def _traced(self, scene: Scene, backend: BackendName | None, photons: int, *, store: bool = True) -> PairedReadings:
         cpu, begin, shape = time.process_time(), time.perf_counter(), shape_of(scene)
