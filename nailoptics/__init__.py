@@ -8,6 +8,8 @@ from .errors import InputError, NailopticsError, NotReachedError
 if TYPE_CHECKING:
     from . import hemodynamics, scene, tissue
     from .batch import open_results
+    from .exports.formats import export
+    from .exports.other_program import compare_with
     from .light import Transfer, trace
     from .scene import Scene, load_scene, parse_scene, to_toml
     from .studies.colour.nail_colour import colour
@@ -30,7 +32,9 @@ _HOMES = {
     "calibrate": ".studies.force.calibrate",
     "colour": ".studies.colour.nail_colour",
     "compare": ".studies.comparison.compare",
+    "compare_with": ".exports.other_program",
     "explain": ".studies.model_error.explain",
+    "export": ".exports.formats",
     "load_scene": ".scene",
     "open_results": ".batch",
     "oximeter": ".studies.oximetry.oxygen",
@@ -65,7 +69,9 @@ __all__ = [
     "calibrate",
     "colour",
     "compare",
+    "compare_with",
     "explain",
+    "export",
     "hemodynamics",
     "load_scene",
     "open_results",

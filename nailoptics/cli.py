@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, CycloptsError, Parameter
 
 from . import __version__
-from .errors import InputError, NailopticsError, NotReachedError, as_far_as_reached
+from .errors import InputError, NailopticsError, NotReachedError, WriteError, as_far_as_reached
 from .io import check_writable, leave_dask_out, make_folder
 from .options import TraceOptions
 from .terminal import (
@@ -437,19 +437,47 @@ def check(
 
 
 @app.command
-def export(scene: ScenePath, *, output: Annotated[Path, Parameter(name=["--output", "-o"])]) -> None:
-    """Write the finger and the board as a mesh: .glb with one named part per region, or .ply."""
-    from .exports.mesh_files import export_mesh
-    from .geometry import build
+def export(
+    scene: ScenePath,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="File, or folder where a format needs several.")],
+    format_: Annotated[
+        Literal["glb", "ply", "mmc"] | None,
+        Parameter(name="--format", help="What to write; the ending of a file's name tells it, too."),
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Write the finger and the board for another program: a mesh (glb, ply), or what MMC needs to trace it.
 
-    loaded = _scene(scene)
-    if loaded.finger is None:
-        raise InputError(f"{scene}: a phantom has no mesh to export; give a [finger] scene.")
-    _check_file(output)
-    mesh = build(loaded)
-    make_folder(output.parent)
-    export_mesh(mesh, output)
-    print(output)
+    A folder holds a README with what of the scene does not carry over.
+    """
+    from .exports.formats import export as write
+
+    try:
+        paths = write(_scene(scene), output, format=format_)
+    except WriteError:
+        raise
+    except InputError as error:
+        raise InputError(f"{scene}: {error}") from None
+    _show({}, [], paths, json_)
+
+
+@app.command
+def compare_with(
+    file: Annotated[Path, Parameter(help="What the runner of an export wrote, such as detected.npz.")],
+    *,
+    json_: Json = False,
+    options: Options = USUAL,
+) -> None:
+    """Set what another program detected of an exported scene beside our own trace of it, with chi^2.
+
+    Readings, their change with the blood and mean paths, each with its standard error and how many of these apart.
+    """
+    from .exports.other_program import compare_with as study
+
+    found, unmet = _watched(study, file, **options.fields)
+    _show(found.as_dict(), found.lines(), {}, json_)
+    _end(unmet)
 
 
 @app.command

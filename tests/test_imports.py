@@ -209,6 +209,9 @@ THEIRS = {
     "worn.csv",
     "results/prototype/report.html",
     "explore.html",
+    "1_NAME.json",
+    "FILE.npz",
+    "detected.npz",
 }
 THEIRS |= {
     *COLOUR,

@@ -1,1 +1,1 @@
-"""Finger and board for other programs."""
+"""SCENES FOR OTHER PROGRAMS: meshes, and what they need to trace the same light; and their answers beside ours."""

@@ -1,0 +1,78 @@
+"""Export a scene: the one table of formats that other programs read."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+from ..errors import InputError
+from ..io import check_writable, make_folder
+from ..scene import Scene
+
+FormatName = Literal["glb", "ply", "mmc"]
+
+
+@dataclass(frozen=True)
+class Format:
+    """How a scene is written for other programs.
+
+    what : in a few words.
+    write : writes a scene to a path and returns the files by what they are.
+    folder : whether the path is a folder.
+    """
+
+    what: str
+    write: Callable[[Scene, Path], dict[str, Path]]
+    folder: bool = True
+
+
+def _mesh(scene: Scene, path: Path) -> dict[str, Path]:
+    from ..geometry import build
+    from .carried import checked_finger
+    from .mesh_files import export_mesh
+
+    mesh = build(checked_finger(scene))
+    make_folder(path.parent)
+    return {"mesh": export_mesh(mesh, path)}
+
+
+def _mmc(scene: Scene, path: Path) -> dict[str, Path]:
+    from .mmc import write_mmc
+
+    return write_mmc(scene, path)
+
+
+FORMATS: dict[FormatName, Format] = {
+    "glb": Format("a mesh with one named part per region, for viewers and CAD", _mesh, folder=False),
+    "ply": Format("a mesh of the interfaces, with the regions on both sides of each face", _mesh, folder=False),
+    "mmc": Format("tetrahedra, media, source and detectors for MMC and pmmc", _mmc),
+}
+"""Formats by name, as `nailoptics export --format` knows them."""
+
+
+def export(scene: Scene, path: str | Path, *, format: FormatName | None = None) -> dict[str, Path]:
+    """Write a finger scene for another program.
+
+    path : a file for glb and ply, else a folder, which is made.
+    format : name of one of `FORMATS`; if not given, the ending of the path tells it.
+
+    Returns: what was written, by what it is.
+
+    Raises: InputError for a phantom or an unknown format; WriteError where nothing can be written.
+    """
+    path = Path(path)
+    ending = path.suffix.lower().removeprefix(".")
+    known = ", ".join(get_args(FormatName))
+    if format is None and ending not in FORMATS:
+        files = " or ".join(f".{name}" for name, one in FORMATS.items() if not one.folder)
+        raise InputError(f"{path}: its ending names no format; end a file in {files}, or give format, one of {known}.")
+    name = ending if format is None else format
+    if name not in FORMATS:
+        raise InputError(f'format = "{name}" is none; choose from {known}.')
+    chosen = FORMATS[name]
+    if not chosen.folder and ending != name:
+        raise InputError(f"{path}: a file in the format {name} ends in .{name}; rename it.")
+    if chosen.folder and path.exists() and not path.is_dir():
+        raise InputError(f"{path}: is a file where format {name} makes a folder; choose another name.")
+    check_writable(path if chosen.folder else path.parent, *([] if chosen.folder else [path.name]))
+    return chosen.write(scene, path)

@@ -1,0 +1,171 @@
+"""A finger for MMC, the mesh Monte Carlo: sessions with tetrahedra, media, source and detectors, and a runner."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..geometry import Face, Geometry, build
+from ..geometry.grid import Array
+from ..io import make_folder, write_text
+from ..light import optics
+from ..scene import Scene, to_toml
+from .carried import (
+    USUAL_PHOTONS,
+    Lost,
+    absorber_of,
+    as_seen,
+    checked_finger,
+    epoxy_index,
+    lost_everywhere,
+    lost_reflection,
+    lost_refraction,
+    media_table,
+    page,
+)
+from .tetrahedra import TetMesh, tetrahedra
+
+# Cones that stand for a die: each is another run, which takes 0.3 s before its first photon.
+CONES = 64
+# Steps of the lattice across the die and along it, per step of the angle: odd, as the cones are a power of two.
+LATTICE = (19, 41)
+# Sources start so far below their die, so that they surely lie in the epoxy; MMC counts in float32. [mm]
+BELOW_DIE_MM = 1e-4
+# Detectors reach so much beyond the corners of their photodiode; what they catch beside it is sorted out.
+MARGIN = 1.01
+# Light that has wandered for so long has been absorbed. [s]
+LONGEST_S = 1e-7
+
+
+def write_mmc(scene: Scene, folder: Path) -> dict[str, Path]:
+    """Write a session for each LED, a runner and a README to a folder; returns their paths by what they are."""
+    seen = as_seen(checked_finger(scene), reflecting=False)
+    geometry = build(seen)
+    mesh = tetrahedra(geometry)
+    make_folder(folder)
+    paths = {"readme": folder / "README.md", "run": folder / "run_pmmc.py", "scene": folder / "scene.toml"}
+    for i, led in enumerate(seen.leds):
+        paths[f"led_{i + 1}"] = folder / f"{i + 1}_{led.name}.json"
+        write_text(paths[f"led_{i + 1}"], json.dumps(session(seen, geometry, mesh, i), separators=(",", ":")))
+    write_text(paths["run"], Path(__file__).with_name("run_pmmc.py").read_text(encoding="utf-8"))
+    write_text(paths["scene"], to_toml(seen))
+    write_text(paths["readme"], _readme(scene, geometry, mesh, [path.name for path in paths.values()][3:]))
+    return paths
+
+
+def session(scene: Scene, geometry: Geometry, mesh: TetMesh, led: int) -> dict[str, Any]:
+    """A session of MMC for one LED, as JSON; its first source is one cone, all of them stand under "nailoptics"."""
+    die, wavelength = geometry.leds[led], scene.leds[led].wavelength_nm
+    label = absorber_of(scene, geometry, mesh.corners_mm.mean(axis=1), mesh.region)
+    # Tetrahedra of medium 0 end photons. They have the epoxy's index, so that nothing is reflected where they meet it;
+    # outside the mesh lies air.
+    media = [[0.0, 0.0, 1.0, epoxy_index(scene, geometry, wavelength)], *media_table(scene, geometry, led).tolist()]
+    places, angles = cones(die, CONES)
+    sources = [{"position_mm": p, "half_angle_rad": a} for p, a in zip(places.tolist(), angles.tolist(), strict=True)]
+    normal = die.normal.mean(axis=0)
+    elements = np.column_stack([mesh.tetrahedra + 1, label])
+    return {
+        "Session": {"ID": f"{led + 1}_{scene.leds[led].name}", "Photons": USUAL_PHOTONS, "RNGSeed": 1}
+        | {"DoMismatch": 1, "DoPartialPath": 1, "DoSaveExit": 1, "DoSaveVolume": 0},
+        "Forward": {"T0": 0.0, "T1": LONGEST_S, "Dt": LONGEST_S, "N0": 1.0},
+        "Optode": {
+            "Source": {"Type": "cone", "Pos": places[0].tolist(), "Dir": (normal / np.linalg.norm(normal)).tolist()}
+            | {"Param1": [float(angles[0]), 0.0, 0.0, 0.0]},
+            "Detector": [_sphere(face) for face in geometry.photodiodes],
+        },
+        "Domain": {"Media": [dict(zip(("mua", "mus", "g", "n"), row, strict=True)) for row in media]},
+        "Mesh": {
+            "MeshID": f"{led + 1}_{scene.leds[led].name}",
+            "InitElem": int(_containing(mesh, geometry, places[:1])[0]) + 1,
+            "LengthUnit": 1.0,
+            "MeshNode": np.round(mesh.nodes, 7).tolist(),
+            "MeshElem": elements.tolist(),
+        },
+        "nailoptics": {
+            "led": led,
+            "wavelength_nm": wavelength,
+            "sources": sources,
+            "absorbers": list(optics.absorbers(scene)),
+            "photodiodes": [face.name for face in geometry.photodiodes],
+            "photodiode_elements": [
+                (np.flatnonzero(mesh.region == f.region) + 1).tolist() for f in geometry.photodiodes
+            ],
+            "regions": list(geometry.regions),
+            "region_of_element": mesh.region.tolist(),
+            "scene": to_toml(scene),
+        },
+    }
+
+
+def cones(die: Face, count: int) -> tuple[Array, Array]:
+    """Cones of light that together are a Lambertian die: where each starts, (count, 3) [mm], and its half angle [rad].
+
+    A Lambertian emitter is a mixture of cones of equal brightness inside, whose 1 - cos of the half angle is the
+    square root of a number spread evenly over 0-1. Of finitely many, each takes the middle of its step; angles and
+    places, which fill the die, lie on a lattice, so that no place goes with wide cones more than another.
+    """
+    step = np.arange(count)
+    u, v = ((step * factor % count + 0.5) / count for factor in LATTICE)
+    quads = die.quads
+    area = np.linalg.norm(np.cross(quads[:, 1] - quads[:, 0], quads[:, 3] - quads[:, 0]), axis=1)
+    share = area / area.sum()
+    ends = np.cumsum(share)
+    facet = np.minimum(np.searchsorted(ends, u, side="right"), len(quads) - 1)
+    u, v = ((u - (ends - share)[facet]) / share[facet])[:, None], v[:, None]
+    a, b, c, d = quads[facet].swapaxes(0, 1)
+    places = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c) + BELOW_DIE_MM * die.normal[facet]
+    return places, np.arccos(1 - np.sqrt((step + 0.5) / count))
+
+
+def _sphere(face: Face) -> dict[str, Any]:
+    """The sphere around all corners of a face, out to where light may leave into its sides."""
+    middle = face.center_mm
+    reach = np.linalg.norm(face.quads.reshape(-1, 3) - middle, axis=1).max()
+    return {"Pos": middle.tolist(), "R": float(MARGIN * reach + math.sqrt(face.area_mm2) / 10)}
+
+
+def _containing(mesh: TetMesh, geometry: Geometry, places: Array) -> np.ndarray:
+    """The tetrahedron of epoxy that each place lies in, (n,) int."""
+    own = np.flatnonzero(mesh.region == geometry.regions.index("epoxy"))
+    corners = mesh.corners_mm[own]
+    inverse = np.linalg.inv((corners[:, 1:] - corners[:, :1]).swapaxes(1, 2))
+    share = np.einsum("tij,ptj->pti", inverse, places[:, None] - corners[:, 0])
+    margin = np.minimum(share.min(-1), 1 - share.sum(-1))
+    return np.asarray(own[margin.argmax(-1)])
+
+
+def _lost(scene: Scene, geometry: Geometry) -> list[Lost]:
+    there = f"{CONES} cones from {CONES} places of the die, of equal weight: the nearest to it that MMC has"
+    return [
+        Lost("emission of the LEDs", "Lambertian, from the whole die", there),
+        *lost_everywhere(scene),
+        *lost_reflection(scene),
+        *lost_refraction(scene, geometry),
+    ]
+
+
+def _readme(scene: Scene, geometry: Geometry, mesh: TetMesh, sessions: list[str]) -> str:
+    media = ", ".join(f"{i} {name}" for i, name in enumerate(("opaque", *optics.absorbers(scene))))
+    text = [
+        f"A fingertip with its sensor for MMC and pmmc (mcx.space): {len(mesh.tetrahedra)} tetrahedra, "
+        f"{len(mesh.nodes)} nodes. Millimetres; x across the nail, y to the tip, z out of the nail, from its middle.",
+        "",
+        *(f"- `{name}`: a session of one LED, mesh included; coefficients in 1/mm" for name in sessions),
+        "- `run_pmmc.py`: runs a session in pmmc, and its function `config` gives the keyword arguments of `pmmc.run`",
+        "- `scene.toml`: the scene as MMC gets it, for nailoptics",
+        "",
+        f"Media: {media}. Photons end in opaque tetrahedra; those of a photodiode are listed under "
+        "`nailoptics.photodiode_elements`, from 1 on. What lies outside the mesh is air.",
+        "",
+        "```",
+        f"python run_pmmc.py {sessions[0]} --photons {USUAL_PHOTONS} --seed 1 -o detected.npz",
+        "nailoptics compare-with detected.npz        # its readings beside ours, with chi^2",
+        f"mmc -f {sessions[0]}                        # the first of the cones alone",
+        "```",
+        "",
+        "pmmc looks for an OpenCL device even where it computes on the processor, and fails with `Unknown` where there "
+        "is none: install PoCL (Debian, Ubuntu: apt install pocl-opencl-icd).",
+    ]
+    return page("For MMC", text, _lost(scene, geometry))

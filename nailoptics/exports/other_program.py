@@ -1,0 +1,223 @@
+"""What another program detected of an exported scene, beside what the walk of photons reads of it."""
+
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Unpack
+
+import numpy as np
+
+from .. import light
+from ..errors import InputError, as_far_as_reached
+from ..light import ProgressCallback, optics
+from ..light.moments import Moments, moments_of
+from ..light.records import LedTrace
+from ..light.reweight import transmission
+from ..options import Requested
+from ..scene import Scene, parse_scene
+
+# What an export's runner writes.
+FIELDS = ("photodiode", "path_mm", "photons", "led", "seed", "program", "scene")
+# Blood in all zones, of that at rest, to which readings are read over: from 3 % to 2 and 5 %.
+BLOOD_FACTORS = (2 / 3, 5 / 3)
+# Readings of fewer photons by either program have no error that could be held against anything.
+LEAST_PHOTONS = 10
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One quantity by both programs, each with its standard error."""
+
+    ours: float
+    ours_stderr: float
+    theirs: float
+    theirs_stderr: float
+
+    @property
+    def deviations(self) -> float:
+        """Difference in its standard errors, theirs less ours."""
+        return (self.theirs - self.ours) / float(np.hypot(self.ours_stderr, self.theirs_stderr))
+
+    @property
+    def ratio(self) -> tuple[float, float]:
+        """Ours over theirs, and its standard error."""
+        ratio = self.ours / self.theirs
+        return ratio, abs(ratio) * float(np.hypot(self.ours_stderr / self.ours, self.theirs_stderr / self.theirs))
+
+    def as_dict(self) -> dict[str, float]:
+        """All four numbers and the difference, by name."""
+        return {**vars(self), "deviations": self.deviations}
+
+
+@dataclass(frozen=True)
+class ProgramComparison:
+    """Readings of two programs of one LED's light.
+
+    program : The other one.
+    readings : Detected fraction by photodiode.
+    unread : Photodiodes that too few photons of either program reached.
+    total : Sum of the readings.
+    changes : Relative change of that sum, by the blood fraction of all zones that it is read over to.
+    paths_mm : Mean path of all detected light in each absorber that it met. [mm]
+    """
+
+    program: str
+    led: str
+    photons: int
+    their_photons: int
+    readings: dict[str, Pair]
+    unread: tuple[str, ...]
+    total: Pair
+    changes: dict[float, Pair]
+    paths_mm: dict[str, Pair]
+
+    @property
+    def chi2(self) -> float:
+        """Sum of the squared differences of the readings in their standard errors, one degree of freedom each."""
+        return sum(pair.deviations**2 for pair in self.readings.values())
+
+    @property
+    def p_value(self) -> float:
+        """Probability of such a chi^2 or a larger one where both programs are right."""
+        from scipy.special import gammaincc
+
+        return float(gammaincc(len(self.readings) / 2, self.chi2 / 2))
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it for JSON."""
+        ratio, stderr = self.total.ratio
+        out: dict[str, Any] = {"program": self.program, "led": self.led, "photons": self.photons}
+        out |= {"their_photons": self.their_photons, "chi2": self.chi2, "degrees_of_freedom": len(self.readings)}
+        out |= {"p_value": self.p_value, "ratio_of_sums": ratio, "ratio_of_sums_stderr": stderr}
+        out |= {"readings": {name: pair.as_dict() for name, pair in self.readings.items()}, "unread": self.unread}
+        out |= {"total": self.total.as_dict(), "paths_mm": {name: p.as_dict() for name, p in self.paths_mm.items()}}
+        return out | {"changes": [{"blood_fraction": f, **pair.as_dict()} for f, pair in self.changes.items()]}
+
+    def lines(self) -> list[str]:
+        """All of it as a table for the terminal."""
+        rows = [f"{'':<24}{'nailoptics':>22}{self.program:>22}  apart"]
+        named = [*self.readings.items(), ("sum", self.total)]
+        named += [(f"change to {f:.2g} blood", pair) for f, pair in self.changes.items()]
+        named += [(f"path in {name} [mm]", pair) for name, pair in self.paths_mm.items()]
+        for name, p in named:
+            ours, theirs = f"{p.ours:.4g} +- {p.ours_stderr:.1g}", f"{p.theirs:.4g} +- {p.theirs_stderr:.1g}"
+            rows.append(f"{name:<24}{ours:>22}{theirs:>22}  {p.deviations:+.1f}")
+        ratio, stderr = self.total.ratio
+        rows.append(f"ratio of sums {ratio:.4f} +- {stderr:.4f}")
+        rows.append(f"chi^2 {self.chi2:.1f} of {len(self.readings)} readings, p = {self.p_value:.2g}")
+        if self.unread:
+            rows.append(f"reached by too few photons to be held: {', '.join(self.unread)}")
+        return rows
+
+
+@dataclass(frozen=True)
+class OtherDetection:
+    """What another program detected of one LED of a scene.
+
+    trace : Photons with their paths; the weights hold without absorption.
+    """
+
+    program: str
+    scene: Scene
+    led: int
+    trace: LedTrace
+
+
+def compare_with(
+    path: str | Path, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]
+) -> ProgramComparison:
+    """Set what another program detected of an exported scene beside our own trace of that scene.
+
+    path : the file that an export's runner wrote.
+    requested : how our light is traced, fields of `TraceOptions`.
+
+    Raises: InputError for another file; NotReachedError, with the comparison so far as result, where ours falls short.
+    """
+    theirs = read_detected(Path(path))
+    transfer, unmet = as_far_as_reached(light.trace, theirs.scene, progress=progress, **requested)
+    found = compared(transfer.traces[theirs.led], theirs)
+    if unmet:
+        unmet.result = found
+        raise unmet
+    return found
+
+
+def read_detected(path: Path) -> OtherDetection:
+    """Read the file that an export's runner wrote; raises InputError for another one."""
+    try:
+        with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as file:
+            found = {name: file[name] for name in FIELDS}
+        which, paths = found["photodiode"].astype(np.int64), found["path_mm"].astype(np.float32)
+        photons, led, seed = (int(found[name]) for name in ("photons", "led", "seed"))
+    except Exception as error:  # what is no archive of arrays fails in many ways
+        raise InputError(f"{path}: is not what an export's runner writes ({error}); give its detected.npz.") from None
+    scene = parse_scene(str(found["scene"]), name=f"{path}: its scene")
+    if scene.finger is None or not 0 <= led < len(scene.leds):
+        raise InputError(f"{path}: its scene has no finger, or no LED {led + 1}; export the scene again.")
+    photodiodes, absorbers = len(scene.layout.photodiode_names), len(optics.absorbers(scene))
+    if which.ndim != 1 or paths.shape != (len(which), absorbers):
+        why = f"path_mm has shape {paths.shape} for {which.size} photons and {absorbers} absorbers"
+    elif len(which) and not (0 <= which.min() and which.max() < photodiodes):
+        why = f"photodiode goes from {which.min()} to {which.max()}, but the scene has {photodiodes}"
+    elif not (np.isfinite(paths).all() and (paths >= 0).all()):
+        why = "path_mm must be finite and not negative"
+    elif photons < max(2, len(which)):
+        why = f"photons = {photons}, fewer than the {len(which)} that were detected"
+    else:
+        trace = LedTrace(photons, np.zeros(absorbers), which, np.ones(len(which)), paths, {}, (seed,))
+        return OtherDetection(str(found["program"]), scene, led, trace)
+    raise InputError(f"{path}: {why}; run the export again.")
+
+
+def compared(ours: LedTrace, theirs: OtherDetection) -> ProgramComparison:
+    """Readings, their sum, its change with the blood and mean paths of one LED's light by two programs."""
+    scene, both = theirs.scene, (ours, theirs.trace)
+    wavelength, names = scene.leds[theirs.led].wavelength_nm, scene.layout.photodiode_names
+    weights = [_weights(trace, optics.absorption(scene, wavelength)) for trace in both]
+    each = [_sums(trace, trace.photodiode, w, len(names)) for trace, w in zip(both, weights, strict=True)]
+    total = [_sums(trace, np.zeros(len(w), int), w, 1) for trace, w in zip(both, weights, strict=True)]
+    read = [i for i in range(len(names)) if all(m.effective_photons[i] >= LEAST_PHOTONS for m in each)]
+    if not read:
+        raise InputError(f"too few photons reached any photodiode in nailoptics or {theirs.program}; send more.")
+    changes = {}
+    for factor in BLOOD_FACTORS:
+        fraction = min(factor * scene.blood.rest_blood_fraction, 1.0)
+        blood = np.full(optics.zones(scene).count, fraction)
+        mu_a = optics.absorption(scene, wavelength, blood_fraction=blood)
+        changes[fraction] = _pair([_change(w, _weights(t, mu_a)) for t, w in zip(both, weights, strict=True)])
+    paths = [m.mean_path for m in total]
+    return ProgramComparison(
+        program=theirs.program,
+        led=scene.leds[theirs.led].name,
+        photons=ours.photons,
+        their_photons=theirs.trace.photons,
+        readings={names[i]: _pair([(m.fraction[i], m.stderr[i]) for m in each]) for i in read},
+        unread=tuple(name for i, name in enumerate(names) if i not in read),
+        total=_pair([(m.fraction[0], m.stderr[0]) for m in total]),
+        changes=changes,
+        paths_mm={
+            name: _pair([(mean[0, r], stderr[0, r]) for mean, stderr in paths])
+            for r, name in enumerate(optics.absorbers(scene))
+            if all(stderr[0, r] > 0 for _, stderr in paths)
+        },
+    )
+
+
+def _pair(both: list[tuple[Any, Any]]) -> Pair:
+    (ours, ours_stderr), (theirs, theirs_stderr) = both
+    return Pair(float(ours), float(ours_stderr), float(theirs), float(theirs_stderr))
+
+
+def _weights(trace: LedTrace, mu_a: np.ndarray) -> np.ndarray:
+    """Weight of each photon at an absorption, (1, r) float, (n,) float."""
+    return np.asarray(trace.weight * transmission(trace.path_mm, mu_a - trace.mu_a, np.ones(1)))
+
+
+def _sums(trace: LedTrace, place: np.ndarray, weight: np.ndarray, count: int) -> Moments:
+    return moments_of(trace.photons, place, weight, trace.path_mm, count)
+
+
+def _change(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
+    """Relative change of a sum over photons from weights to others, and its standard error: both share their noise."""
+    ratio = after.sum() / before.sum()
+    return ratio - 1, float(np.sqrt(np.square(after - ratio * before).sum()) / before.sum())

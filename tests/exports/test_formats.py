@@ -1,0 +1,41 @@
+"""One table of formats, and one line where something cannot be written."""
+
+import pytest
+
+import nailoptics
+from nailoptics.cli import app, run
+from nailoptics.errors import InputError
+from nailoptics.exports.formats import FORMATS
+
+
+def test_the_command_line_knows_every_format(capfd):
+    with pytest.raises(SystemExit):
+        app(["export", "--help"])
+    text = " ".join(capfd.readouterr().out.split())
+    assert all(name in text for name in FORMATS)
+
+
+@pytest.mark.parametrize(
+    ("path", "asked", "why"),
+    [
+        ("finger.stl", None, "names no format"),
+        ("finger", None, "names no format"),
+        ("finger.ply", "glb", "ends in .glb"),
+        ("there.txt", "mmc", "is a file where format mmc makes a folder"),
+        ("there.txt/below", "mmc", "cannot be written"),
+        ("there.txt/finger.glb", "glb", "cannot be written"),
+        ("finger", "obj", "is none; choose from"),
+    ],
+)
+def test_bad_places_and_formats_are_refused_before_anything_is_written(tmp_path, path, asked, why):
+    scene = nailoptics.load_scene("scenes/prototype.toml")
+    (tmp_path / "there.txt").write_text("mine", encoding="utf-8")
+    with pytest.raises(InputError, match=why):
+        nailoptics.export(scene, tmp_path / path, format=asked)
+    assert [one.name for one in tmp_path.iterdir()] == ["there.txt"]
+
+
+def test_a_refusal_is_one_line_that_names_the_scene(tmp_path, capfd):
+    assert run(["export", "phantom", "-o", str(tmp_path / "out"), "--format", "mmc"]) == 2
+    out = capfd.readouterr()
+    assert out.err.count("\n") == 1 and "phantom" in out.err and not out.out

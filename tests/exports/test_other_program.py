@@ -1,0 +1,96 @@
+"""What another program detected is read, held against ours, and judged with errors that are true."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from nailoptics.assets import data_dir
+from nailoptics.cli import run
+from nailoptics.errors import InputError
+from nailoptics.exports.other_program import OtherDetection, compared, read_detected
+from nailoptics.light.records import LedTrace
+from nailoptics.scene import load_scene, to_toml
+
+PHOTONS = 20_000
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene(data_dir("scenes") / "prototype.toml")
+
+
+def synthetic(seed: int, *, brighter: float = 1.0) -> LedTrace:
+    """Photons of a made-up finger: each photodiode sees its own share, with paths that spread."""
+    random = np.random.default_rng(seed)
+    shares = brighter * np.array([0.01, 0.02, 0.03, 0.04, 0.04, 0.03, 0.02, 0.01])
+    count = random.multinomial(PHOTONS, [*shares, 1 - shares.sum()])[:-1]
+    which = np.repeat(np.arange(8), count)
+    paths = random.exponential([2.0, 1.0, 1.0, 0.1, 0.1, 0.0, 1.3, 0.0], (len(which), 8)).astype(np.float32)
+    return LedTrace(PHOTONS, np.zeros(8), which, np.ones(len(which)), paths, {}, (seed,))
+
+
+def test_errors_are_true(scene):
+    """Of many pairs of runs of one truth, differences spread as their standard errors say, and p-values evenly."""
+    found = [compared(synthetic(2 * k), OtherDetection("other", scene, 0, synthetic(2 * k + 1))) for k in range(150)]
+    pairs = [list(f.readings.values()) + [f.total] for f in found]
+    pairs = [row + list(f.changes.values()) + list(f.paths_mm.values()) for row, f in zip(pairs, found, strict=True)]
+    apart = np.array([[pair.deviations for pair in row] for row in pairs])
+    # Of n values the standard deviation is known to 1 / sqrt(2 n): five of its errors of a thousand values at most.
+    assert np.std(apart) == pytest.approx(1, abs=0.06)
+    assert np.abs(apart.mean(axis=0)).max() < 4 / math.sqrt(len(found))
+    assert np.mean([f.chi2 for f in found]) == pytest.approx(8, abs=4 * math.sqrt(16 / len(found)))
+    p = np.sort([f.p_value for f in found])
+    assert np.abs(p - (np.arange(len(p)) + 0.5) / len(p)).max() < 1.63 / math.sqrt(len(p))
+
+
+def test_another_truth_is_seen(scene):
+    found = compared(synthetic(1), OtherDetection("other", scene, 0, synthetic(2, brighter=1.2)))
+    ratio, stderr = found.total.ratio
+    assert found.p_value < 1e-3 and ratio == pytest.approx(1 / 1.2, abs=4 * stderr)
+    assert f"chi^2 {found.chi2:.1f} of 8 readings" in "\n".join(found.lines())
+    assert json.dumps(found.as_dict())
+
+
+def write(path, known, **other) -> None:
+    trace = synthetic(5)
+    fields = {"photodiode": trace.photodiode, "path_mm": trace.path_mm, "photons": PHOTONS, "led": 0, "seed": 1}
+    np.savez(path, **(fields | {"program": "other", "scene": to_toml(known)} | other))
+
+
+def test_a_file_is_read_as_it_was_written(scene, tmp_path):
+    write(tmp_path / "detected.npz", scene)
+    found = read_detected(tmp_path / "detected.npz")
+    assert (found.program, found.led, found.trace.photons) == ("other", 0, PHOTONS)
+    assert (found.trace.path_mm == synthetic(5).path_mm).all()
+
+
+@pytest.mark.parametrize(
+    ("other", "why"),
+    [
+        ({"path_mm": np.zeros((3, 8))}, "path_mm has shape"),
+        ({"photodiode": np.full(len(synthetic(5).weight), 8)}, "but the scene has 8"),
+        ({"path_mm": np.full((len(synthetic(5).weight), 8), np.nan)}, "finite and not negative"),
+        ({"photons": 3}, "fewer than the"),
+        ({"led": 4}, "no LED 5"),
+        ({"scene": "[finger"}, "its scene"),
+        ({"photons": "many"}, "is not what an export's runner writes"),
+        ({"program": np.array([{}], dtype=object)}, "is not what an export's runner writes"),
+    ],
+)
+def test_what_does_not_belong_to_a_scene_is_refused_in_one_line(scene, tmp_path, other, why, capfd):
+    write(tmp_path / "detected.npz", scene, **other)
+    with pytest.raises(InputError, match=why):
+        read_detected(tmp_path / "detected.npz")
+    assert run(["compare-with", str(tmp_path / "detected.npz")]) == 2
+    assert capfd.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 no archive", b"a,b\n1,2\n"])
+def test_another_file_is_refused_in_one_line(tmp_path, content, capfd):
+    (tmp_path / "x.npz").write_bytes(content)
+    assert run(["compare-with", str(tmp_path / "x.npz")]) == 2
+    assert run(["compare-with", str(tmp_path / "missing.npz")]) == 2
+    assert run(["compare-with", str(tmp_path)]) == 2
+    assert capfd.readouterr().err.count("\n") == 3
