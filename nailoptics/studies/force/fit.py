@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 
 from ...hemodynamics.parameters import Parameters
 from ...scene.sensor_recordings import Recording
+from .body_noise import arterial_response
 from .network import LONGEST_STEP_S, widths_over
 from .person import NAMES, RIGID_PULP, SPREAD_LN, Person, person
 from .pulp import Pulp
@@ -39,6 +40,9 @@ FIRST_MISFIT = 0.05
 HUBER = 1.345
 # Standard errors are made of what was left over in so many blocks of time.
 BLOCKS = 24
+# The body's pressure is looked for where it moves readings by this part of its largest effect, squared. Of a Gaussian
+# the median of |x| is that part of its standard deviation.
+LEAST_EFFECT, MEDIAN_OF_GAUSSIAN = 0.01, 0.6745
 # The optics of nail and skin leave open how strongly a reading falls with the blood of a zone, by this part of what is
 # traced; the trace's own error comes to it. (Absorption of the nail plate alone, a factor 2 either way, moves the
 # near photodiodes' signal by -30 to +20 %.)
@@ -246,10 +250,11 @@ class Fit:
         end = int(np.argmax(lagged < 0)) or samples
         self.memory = float(max(1.0, 1.0 + 2.0 * lagged[1:end].sum()))
 
-    def _joint_covariance(self, model: Array, white: Array) -> Array:
+    def _joint_covariance(self, model: Array, white: Array, response: Array) -> Array:
         """Covariance of all factors, gains and offsets together.
 
         model : (3, R, 1 + P, T) float. The model's columns. white : (R * T,) float. Whitened residuals.
+        response : (R, T) float. Change of readings with the arterial pressure. [V/Pa]
         """
         readings, coefficients = len(self.gain_offset_drift), self.gain_offset_drift
         moved = coefficients[:, 0][:, None, None] * (model[0, :, 1:] - model[0, :, :1]) / STEP_LN
@@ -262,21 +267,34 @@ class Fit:
         free, count = len(self.free), design.shape[-1]
         spread = np.concatenate([SPREAD_LN[self.free], self._spread(count).ravel()])
         inverse = np.linalg.inv(curvature + np.diag(1 / spread**2))
-        # Residuals hang together from reading to reading: the sandwich of Huber and White.
-        deviation = np.sqrt(np.diag(self.covariance))
-        alike = np.tensordot(
-            self.covariance / np.outer(deviation, deviation), slopes.reshape(readings, -1, slopes.shape[1]), axes=1
-        )
+        # The body's waves move all readings at once, and most where the vessels are about to shut, which is where
+        # stiffness and area are told from: the sandwich of Huber and White, with what a wave does as the filling.
+        each = slopes.reshape(readings, -1, slopes.shape[1])
+        wave = self._wave(white.reshape(readings, -1), response)
+        moved_by_wave = np.einsum("rtp,rt->tp", each, wave)
         # They hang together over time, too, and more where the model misses: blocks of time, each as it fell out.
-        pull = (slopes * white[:, None]).reshape(readings, -1, slopes.shape[1]).sum(0)
+        pull = np.einsum("rtp,rt->tp", each, white.reshape(readings, -1))
         blocks = np.add.reduceat(pull, np.arange(0, len(pull), max(1, len(pull) // BLOCKS)), axis=0)
-        middle = slopes.T @ alike.reshape(slopes.shape) + blocks.T @ blocks
+        middle = moved_by_wave.T @ moved_by_wave + blocks.T @ blocks
         inverse = inverse @ (middle + np.diag(1 / spread**2)) @ inverse
         kept = np.r_[:free, free + count * np.arange(readings), free + 1 + count * np.arange(readings)]
         out = np.diag(np.concatenate([SPREAD_LN**2, np.zeros(2 * readings)]))
         place = np.r_[self.free, len(NAMES) : len(NAMES) + 2 * readings]
         out[np.ix_(place, place)] = inverse[np.ix_(kept, kept)]
         return np.asarray(out)
+
+    def _wave(self, white: Array, response: Array) -> Array:
+        """What a standard deviation of the arterial pressure does to each whitened sample, (R, T); memory is left out.
+
+        white : (R, T) float. Whitened residuals, which tell how large that is. response : (R, T) float. [V/Pa]
+        """
+        per_pa: Array = response / np.sqrt(np.diag(self.covariance))[:, None] * np.sqrt(self.weight)
+        effect = (per_pa**2).sum(0)
+        seen = effect > LEAST_EFFECT * effect.max()
+        if not seen.any():
+            return per_pa
+        pressure_pa = (per_pa * white).sum(0)[seen] / effect[seen] * np.sqrt(self.memory)
+        return per_pa * float(np.median(np.abs(pressure_pa)) / MEDIAN_OF_GAUSSIAN)
 
     def _spread(self, count: int) -> Array:
         """What is known of gain, offset, slopes and drifts beforehand, (R, count)."""
@@ -291,9 +309,11 @@ class Fit:
         model = self._columns(factors[self.free])
         residual, _ = self._linear_fit(model)
         white = self._whiten(residual)[:, 0]
-        covariance = self._joint_covariance(model, white)
+        coefficients, who = self.gain_offset_drift, self.person(factors)
+        table = self.table.steeper(coefficients[:, 2:4] / coefficients[:, :1], float(who.rest_blood))
+        response = [arterial_response(who, table, coefficients[:, 0], one) for one in self.slow]
+        covariance = self._joint_covariance(model, white, np.concatenate(response, axis=1))
         white = white * np.sqrt(self.memory)
-        coefficients = self.gain_offset_drift
         predicted, left = [], []
         full = self.model(factors[:, None], self.recordings)
         for k, (one, model) in enumerate(zip(self.recordings, full, strict=True)):
@@ -305,9 +325,7 @@ class Fit:
         return Fitted(
             factors_ln=factors,
             covariance=covariance,
-            table=self.table.steeper(
-                coefficients[:, 2:4] / coefficients[:, :1], float(self.person(factors).rest_blood)
-            ),
+            table=table,
             gain=coefficients[:, 0],
             offset_v=coefficients[:, 1],
             predicted_v=predicted,
