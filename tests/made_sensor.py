@@ -1,5 +1,7 @@
 """A worn sensor whose light is a formula: recordings of the prototype's readings in a second, without a trace."""
 
+from functools import cache
+
 import numpy as np
 
 from nailoptics import load_scene
@@ -7,6 +9,7 @@ from nailoptics.assets import data_dir
 from nailoptics.hemodynamics import parameters
 from nailoptics.scene import Scene
 from nailoptics.scene.sensor_recordings import SITES, Recording
+from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.network import widths_over
 from nailoptics.studies.force.person import person
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable, reading_names
@@ -45,6 +48,13 @@ def table() -> ReadingTable:
         noise_v=np.full(len(names), 5e-5),
         range_v=5.0,
     )
+
+
+@cache
+def subject() -> str:
+    """A person whom one recording calibrated, as a subject file's text; tests of one worker share it."""
+    recording = record(cycle(1.5, lasting_s=5.0), "proximal", seed=1)
+    return str(calibrate_with(scene(), table(), [recording]).attrs["subject"])
 
 
 def cycle(most_n: float, *, lasting_s: float = 8.0) -> np.ndarray:

@@ -1,8 +1,9 @@
 """The photon map: every photon that arrives at the board's underside, read as any photodiode anywhere would read it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -17,9 +18,12 @@ from ..statistics import stderr_of_mean
 from ..variables import Variables, variable
 from . import backend as backends
 from . import optics
+from .records import FINGER_BATCH_PHOTONS
 from .reweight import attenuation
+from .store import LightStore, made_of
 
 if TYPE_CHECKING:
+    from .finger_walk import FingerTracer
     from .tallies.sensitivity import VoxelGrid
 
 # A photon that never entered the bed has no path there, but for rounding between the zones.
@@ -43,25 +47,85 @@ class Arrivals:
     weight: np.ndarray
     path_mm: np.ndarray
 
+    def stored(self, *, placed: bool = True) -> dict[str, np.ndarray]:
+        """The same as arrays of numbers in single precision, in which they were traced.
+
+        placed : whether the photons arrived anywhere.
+        """
+        place = {"place_mm": self.place_mm.astype(np.float32)} if placed else {}
+        weight = self.weight.astype(np.float32)
+        return {"photon": self.photon.astype(np.uint32), "weight": weight, "path_mm": self.path_mm} | place
+
+    @classmethod
+    def from_stored(cls, photons: int, arrays: dict[str, np.ndarray]) -> "Arrivals":
+        """What such arrays were made of, bit for bit."""
+        photon = arrays["photon"].astype(np.int64)
+        place = arrays["place_mm"].astype(float) if "place_mm" in arrays else np.full((len(photon), 2), np.nan)
+        return cls(photons, photon, place, arrays["weight"].astype(float), arrays["path_mm"])
+
 
 class BoardTracer:
-    """Traces a finger scene's LEDs onto its board, whatever its photodiodes."""
+    """Traces a finger scene's LEDs onto its board, whatever its photodiodes.
 
-    def __init__(self, scene: Scene, *, backend: str = "auto", spacing_mm: float = SPACING_MM) -> None:
-        """spacing_mm : cells of the distances that the walk asks for; wider ones are made sooner and walk slower."""
+    Give it `light_scene(scene)` for light that all scenes share which differ in blood, touch or electronics; who reads
+    it tells `blood_point` which scene was traced.
+    """
+
+    batch_photons = FINGER_BATCH_PHOTONS
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        backend: str = "auto",
+        spacing_mm: float = SPACING_MM,
+        store: LightStore | None = None,
+        seed: int = 0,
+    ) -> None:
+        """spacing_mm : cells of the distances that the walk asks for; wider ones are made sooner and walk slower.
+
+        store : where light is looked for, and kept.
+        seed : of the command, which stored light is listed with.
+        """
         if scene.finger is None:
             raise InputError("a photon map needs a [finger] scene; a phantom has no board, give it apertures.")
-        self.backend = backends.activate_jit(backend, "a photon map")
+        self.backend = backends.choose_jit(backend, "a photon map")
+        self.scene, self.spacing_mm, self.store, self.seed = scene, spacing_mm, store, seed
+
+    @cached_property
+    def tracer(self) -> "FingerTracer":
+        """What walks the photons; it takes a second to make, and is not made where all light is stored."""
+        backends.activate(self.backend)
         from .finger_walk import FingerTracer
 
-        self.scene = scene
         # Light arrives on the film between the parts, whatever becomes of it there.
-        self.tracer = FingerTracer(scene, spacing_mm=spacing_mm, kept=("kapton",))
-        self.batch_photons = self.tracer.batch_photons
+        return FingerTracer(self.scene, spacing_mm=self.spacing_mm, kept=("kapton",))
+
+    def _kept(
+        self, led: int, name: str, trace: Callable[[], dict[str, np.ndarray]], **more: Any
+    ) -> dict[str, np.ndarray]:
+        """Arrays of the store, or new ones.
+
+        name : of what is traced, with its seed and photons. more : what decides its bits beside these and the light.
+        """
+        if self.store is None:
+            return trace()
+        made = made_of(self.scene, led, seed=self.seed, backend=self.backend.name, what="board") | more
+        traced = optics.absorption(self.scene, self.scene.leds[led].wavelength_nm)[0]
+        stored = self.store.light(made | {"spacing_mm": self.spacing_mm, "traced_per_mm": traced.tolist()})
+        if found := stored.read(name):
+            return found[1]
+        arrays = trace()
+        stored.write(name, {}, arrays)
+        return arrays
 
     def arrivals(self, led: int, *, photons: int, seed: int) -> Arrivals:
         """Trace some photons of one LED; same seed, same bits."""
-        return self._onto_board(led, None, photons, seed)[0]
+
+        def trace() -> dict[str, np.ndarray]:
+            return self._onto_board(led, None, photons, seed)[0].stored()
+
+        return Arrivals.from_stored(photons, self._kept(led, f"arrivals{seed}-{photons}", trace))
 
     def back(self, photodiode: int, led: int, *, photons: int, seed: int) -> tuple[Arrivals, Arrivals]:
         """Trace light the other way, from a photodiode that shines as a Lambertian LED of the wavelength of one LED.
@@ -71,7 +135,15 @@ class BoardTracer:
 
         Returns: light that arrives on the board, and light that leaves into the air; that has no place (nan).
         """
-        return self._onto_board(led, self.tracer.geometry.photodiodes[photodiode], photons, seed)
+
+        def trace() -> dict[str, np.ndarray]:
+            arrived, left = self._onto_board(led, self.tracer.geometry.photodiodes[photodiode], photons, seed)
+            away = {f"left_{name}": array for name, array in left.stored(placed=False).items()}
+            return arrived.stored() | away
+
+        arrays = self._kept(led, f"back{photodiode}_{seed}-{photons}", trace)
+        left = {name.removeprefix("left_"): array for name, array in arrays.items() if name.startswith("left_")}
+        return Arrivals.from_stored(photons, arrays), Arrivals.from_stored(photons, left)
 
     def everywhere(self, led: int, *, photons: int, seed: int) -> tuple[np.ndarray, Arrivals, Arrivals]:
         """Trace light of one LED's wavelength, Lambertian, from places spread evenly over the bare underside.
@@ -118,6 +190,18 @@ class BoardTracer:
         Returns: means of a BloodPoint's values, (photodiodes, 2 + K) float; and how the reading falls with absorption
         in each cell, per volume, (photodiodes, u, v, depth) float. [mm^-2]
         """
+        blood = {name: np.asarray(value).tolist() for name, value in vars(point).items()}
+
+        def trace() -> dict[str, np.ndarray]:
+            means, sensitivity = self._detected(led, point, photons=photons, seed=seed, cells=cells)
+            return {"means": means, "sensitivity": sensitivity}
+
+        arrays = self._kept(led, f"detected{seed}-{photons}", trace, blood=blood, cells=list(cells.shape))
+        return arrays["means"], arrays["sensitivity"]
+
+    def _detected(
+        self, led: int, point: "BloodPoint", *, photons: int, seed: int, cells: "VoxelGrid"
+    ) -> tuple[np.ndarray, np.ndarray]:
         from .surroundings import DETECTED
         from .tallies.sensitivity import SensitivityTally
 
@@ -140,6 +224,7 @@ class BoardTracer:
 
     def cells(self) -> "VoxelGrid":
         """Cells under the nail of this finger, for `detected`."""
+        backends.activate(self.backend)
         from .tallies.sensitivity import VoxelGrid
 
         return VoxelGrid.under_nail(self.scene, self.tracer.geometry)

@@ -69,17 +69,26 @@ def collecting_area_mm2(escaping: ArrayLike, *, area_mm2: float, n: float) -> Ar
 
 
 def photocurrents_a(
-    escaped: Arrivals, scene: Scene, ambient: Ambient, *, traced_nm: float, photodiode: Photodiode, area_mm2: float
+    escaped: Arrivals,
+    scene: Scene,
+    ambient: Ambient,
+    *,
+    traced: Scene | None = None,
+    traced_nm: float,
+    photodiode: Photodiode,
+    area_mm2: float,
 ) -> Array:
     """What each photon that left adds to the photocurrent by light from outside, (n,) float; its sum over the photons
     that were emitted is the photocurrent. [A]
 
     Absorption is that of every wavelength, scattering that of the one traced: at shorter ones light scatters more and
     leaks less.
+
+    traced : the scene whose light was traced, if another of the same shape and scattering.
     """
     wavelength, per_mm2 = ambient.photocurrent_a_per_mm2(photodiode)
     inside = np.clip(wavelength, *tissue.WAVELENGTH_RANGE_NM)
-    mu_a, traced = optics.absorption(scene, inside), optics.absorption(scene, traced_nm)[0]
-    part = attenuation(escaped.path_mm.astype(float), mu_a - traced) @ per_mm2
+    change = optics.absorption(scene, inside) - optics.absorption(traced or scene, traced_nm)[0]
+    part = attenuation(escaped.path_mm.astype(float), change) @ per_mm2
     n = float(tissue.scattering("epoxy", traced_nm)[2]) if scene.light.index_steps else 1.0
     return collecting_area_mm2(escaped.weight * part / escaped.photons, area_mm2=area_mm2, n=n)

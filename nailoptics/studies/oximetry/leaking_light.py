@@ -1,11 +1,14 @@
 """How much of the light from outside reaches each photodiode of a scene, through finger and board."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...light.board_map import BoardTracer
+from ...light.identity import light_scene
+from ...light.store import LightStore
 from ...scene import Oximeter, Scene
 from ...statistics import seed_of
 from ..ambient import SOURCES, Ambient, photocurrents_a
@@ -36,19 +39,31 @@ def source_of(oximeter: Oximeter) -> Ambient:
     return replace(named, lux=oximeter.ambient_lux)
 
 
-def leaks(scene: Scene, sources: list[Ambient], *, backend: str, seed: int, photons: int = PHOTONS) -> list[Leak]:
+def leaks(
+    scene: Scene,
+    sources: list[Ambient],
+    *,
+    backend: str,
+    seed: int,
+    photons: int = PHOTONS,
+    store: LightStore | None = None,
+) -> list[Leak]:
     """What each light from outside makes of every photodiode, by reciprocity: from one trace of each photodiode's own.
 
     Where none of n photons left, the error is that of the one photon that may have.
+
+    store : where light is looked for, and kept.
     """
-    tracer, rows = BoardTracer(scene, backend=backend, spacing_mm=DISTANCE_MM), []
+    how: dict[str, Any] = {"backend": backend, "store": store, "seed": seed}
+    tracer, rows = BoardTracer(light_scene(scene), spacing_mm=DISTANCE_MM, **how), []
     traced_nm = max(led.wavelength_nm for led in scene.leds)
     led = next(i for i, one in enumerate(scene.leds) if one.wavelength_nm == traced_nm)
     for j, element in enumerate(scene.layout.photodiodes):
         _, left = tracer.back(j, led, photons=photons, seed=seed_of(seed, _BACK, j))
         diode, area = element.photodiode, element.area.area_mm2
         for source in sources:
-            each = photocurrents_a(left, scene, source, traced_nm=traced_nm, photodiode=diode, area_mm2=area)
+            light: dict[str, Any] = {"traced": tracer.scene, "traced_nm": traced_nm}
+            each = photocurrents_a(left, scene, source, photodiode=diode, area_mm2=area, **light)
             whole = area * float(source.photocurrent_a_per_mm2(diode)[1].sum())
             one = float(each.max(initial=0.0)) or whole / photons
             total, square = float(each.sum()), float((each**2).sum())

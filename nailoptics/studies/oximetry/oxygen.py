@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ...errors import NotReachedError, as_far_as_reached
 from ...light import ProgressCallback, Transfer, trace
+from ...light.store import LightStore
 from ...light.tracing import accuracy
 from ...options import Requested, TraceOptions
 from ...scene import Oximeter, Scene
@@ -124,7 +125,10 @@ def _ambient(scene: Scene, options: TraceOptions) -> tuple[Leak, Leak]:
     """The light from outside that the scene names, and full sun."""
     own = source_of(scene.oximeter or Oximeter())
     sun = source_of(Oximeter(ambient_light="sun", ambient_lux=float(SUN_LUX[-1])))
-    one, two = leaks(scene, [own, sun], backend=options.backend, seed=seed_of(options.seed, _LEAK))
+    store = LightStore.of_user() if options.store else None
+    one, two = leaks(scene, [own, sun], backend=options.backend, seed=seed_of(options.seed, _LEAK), store=store)
+    if store is not None:
+        store.close()
     return one, two
 
 

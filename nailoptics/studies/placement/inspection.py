@@ -11,6 +11,8 @@ import numpy as np
 import xarray as xr
 
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, PhotonMap, blood_point, readings
+from ...light.identity import light_scene
+from ...light.store import LightStore
 from ...light.transfer import FEW_PHOTONS
 from ...scene import Photodiode, Scene
 from ...statistics import Z95, jackknife, left_out, seed_of, stderr_of_mean
@@ -86,25 +88,27 @@ def inspect_layout(
     backend: str,
     max_seconds: float,
     stop: Callable[[], bool] = lambda: False,
+    store: LightStore | None = None,
 ) -> xr.Dataset:
     """Everything about a layout on one finger that the map of its bare board does not tell.
 
     photons : from each LED in the fresh trace, unless time runs out; some are traced in any case.
     max_seconds : half of it for the fresh trace, the rest for light the other way. [s]
     stop : whether there is no time at all for one batch more; then nothing is told, and the Dataset is empty.
+    store : where light is looked for, and kept.
     """
     begin = time.perf_counter()
     scene = boards.on_finger(best, condition.case)
-    tracer = BoardTracer(scene, backend=backend)
-    blood = condition.point.blood_fraction
-    points = tuple(blood_point(scene, led, blood_fraction=blood) for led in range(len(scene.leds)))
+    tracer = BoardTracer(light_scene(scene), backend=backend, store=store, seed=seed)
+    at: dict[str, Any] = {"traced": tracer.scene, "blood_fraction": condition.point.blood_fraction}
+    points = tuple(blood_point(scene, led, **at) for led in range(len(scene.leds)))
     setup = _Setup(scene, condition, tracer, points, seed, stop)
     batches = max(LEAST_BATCHES, photons // tracer.batch_photons)
     # Where time is short, the batches that must be are small ones.
     each = tracer.batch_photons if max_seconds > LEAST_BATCHES * SHORT_S else tracer.batch_photons // 8
     try:
         values, found = _fresh_trace(setup, batches, each, begin + max_seconds / 2)
-        found |= _back(setup, max(1, batches // BATCHES_PER_ROUND), begin + max_seconds, values, backend)
+        found |= _back(setup, max(1, batches // BATCHES_PER_ROUND), begin + max_seconds, values)
     except _Stopped:
         return xr.Dataset()
     resolution = setup.force_resolution_n([setup.response(i, each) for i, each in enumerate(values)])
@@ -154,14 +158,14 @@ def _fresh_trace(setup: _Setup, batches: int, photons: int, deadline: float) -> 
     return values, found | variable("mean_depth_mm", pair, mean, text, units="mm")
 
 
-def _back(setup: _Setup, rounds: int, deadline: float, values: list[np.ndarray], backend: str) -> Variables:
+def _back(setup: _Setup, rounds: int, deadline: float, values: list[np.ndarray]) -> Variables:
     """Light from each photodiode: what an LED at each place would bring it, and what comes from outside."""
     photodiodes, leds = range(len(setup.areas_mm2)), range(len(setup.points))
     outline, die_areas = setup.scene.layout.outline, setup.scene.layout.leds
     maps = [[PhotonMap(outline, values=4, spacing_mm=LED_SPACING_MM, blocks=BLOCKS) for _ in photodiodes] for _ in leds]
     on_die = np.zeros((2, len(leds), len(photodiodes)))
     outside = np.zeros((2, len(COVERS), len(SOURCES), len(photodiodes)))
-    outside[:, COVERS.index("uncovered")] = _through_open_board(setup, backend)
+    outside[:, COVERS.index("uncovered")] = _through_open_board(setup)
     done = 0
     while done == 0 or (done < rounds and time.perf_counter() < deadline):
         for j in photodiodes:
@@ -186,12 +190,13 @@ def _back(setup: _Setup, rounds: int, deadline: float, values: list[np.ndarray],
     return found
 
 
-def _through_open_board(setup: _Setup, backend: str) -> np.ndarray:
+def _through_open_board(setup: _Setup) -> np.ndarray:
     """Photocurrent by light from outside on a board without a cover and its standard error, (2, sources, photodiodes)
     float. [A]"""
     setup.check()
-    board = setup.scene.board.model_copy(update={"cover_um": 0.0})
-    tracer = BoardTracer(setup.scene.model_copy(update={"board": board}), backend=backend, spacing_mm=OPEN_DISTANCE_MM)
+    usual, board = setup.tracer, setup.scene.board.model_copy(update={"cover_um": 0.0})
+    how: dict[str, Any] = {"backend": usual.backend.name, "store": usual.store, "seed": usual.seed}
+    tracer = BoardTracer(usual.scene.model_copy(update={"board": board}), spacing_mm=OPEN_DISTANCE_MM, **how)
     found = []
     for j in range(len(setup.areas_mm2)):
         setup.check()
@@ -207,7 +212,9 @@ def _from_outside(setup: _Setup, left: Arrivals, photodiode: int) -> np.ndarray:
     scene, area_mm2, sums = setup.scene, float(setup.areas_mm2[photodiode]), []
     nm, diode = scene.leds[0].wavelength_nm, setup.photodiode
     for source in SOURCES:
-        each = photocurrents_a(left, scene, source, traced_nm=nm, photodiode=diode, area_mm2=area_mm2)
+        each = photocurrents_a(
+            left, scene, source, traced=setup.tracer.scene, traced_nm=nm, photodiode=diode, area_mm2=area_mm2
+        )
         # Most photons did not leave: each of them counts 0.
         sums.append((each.sum(), (each**2).sum() - each.sum() ** 2 / left.photons))
     return np.array(sums).T

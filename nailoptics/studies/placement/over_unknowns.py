@@ -1,12 +1,14 @@
 """Whether the best layout is the best whatever the finger: force resolution of the foremost over what is unknown."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from ...light.board_map import BloodPoint, BoardTracer, blood_point, readings
-from ...light.identity import light_digest
+from ...light.identity import light_digest, light_scene
+from ...light.store import LightStore
 from ...scene import FingerCase, Placement, Prior, Scene
 from ...statistics import Z95, jackknife, left_out, seed_of
 from ...variables import variable
@@ -31,11 +33,13 @@ def resolution_over_unknowns(
     seed: int,
     backend: str,
     stop: Callable[[], bool],
+    store: LightStore | None = None,
 ) -> xr.Dataset:
     """Spread of the force resolution of the foremost layouts over the scene's priors, and which of them is best where.
 
     layouts : best first, of one scene's priors; the paper's counts as foremost, too.
     stop : whether there is no time for one batch more.
+    store : where light is looked for, and kept.
 
     Returns: Dataset over layout, prior and node; NaN of layouts that were not read, and empty where none was.
     """
@@ -48,7 +52,8 @@ def resolution_over_unknowns(
     read: list[np.ndarray] = []
     chosen = [i for i, one in enumerate(layouts) if i < FOREMOST or one.name == "paper"]
     for i in chosen:
-        one = _log_resolutions(layouts[i], cases, rules, changes, seed=seed, backend=backend, stop=stop)
+        how: dict[str, Any] = {"backend": backend, "store": store, "seed": seed}
+        one = _log_resolutions(layouts[i], cases, rules, changes, how, stop=stop)
         if one is None:
             break
         read.append(one)
@@ -66,12 +71,14 @@ def _log_resolutions(
     cases: Sequence[FingerCase],
     rules: Placement,
     changes: Sequence[tuple[str, float] | None],
+    how: Mapping[str, Any],
     *,
-    seed: int,
-    backend: str,
     stop: Callable[[], bool],
 ) -> np.ndarray | None:
-    """Logarithm of a layout's score with each change of its fingers, (changes, 1 + blocks) float; None if stopped."""
+    """Logarithm of a layout's score with each change of its fingers, (changes, 1 + blocks) float; None if stopped.
+
+    how : backend, store and seed of the traces.
+    """
     tracers: dict[str, BoardTracer] = {}
     by_case = []
     for number, case in enumerate(cases):
@@ -86,11 +93,12 @@ def _log_resolutions(
             if light not in tracers:
                 if stop():
                     return None
-                tracers[light] = BoardTracer(one, backend=backend, spacing_mm=QUICK_DISTANCE_MM)
+                tracers[light] = BoardTracer(light_scene(one), spacing_mm=QUICK_DISTANCE_MM, **how)
         score = np.zeros((len(changes), 1 + BLOCKS))
         for light, members in sharing.items():
             shared = [(scenes[k], points[k]) for k in members]
-            found = _resolutions(layout, tracers[light], shared, seed=seed_of(seed, NODES, number), stop=stop)
+            seed = seed_of(how["seed"], NODES, number)
+            found = _resolutions(layout, tracers[light], shared, seed=seed, stop=stop)
             if found is None:
                 return None
             score[members] = found

@@ -2,9 +2,12 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from ...geometry import SPACING_MM
 from ...light.board_map import BoardTracer, PhotonMap, blood_point
+from ...light.identity import light_digest, light_scene
+from ...light.store import LightStore
 from ...scene import FingerCase, Scene, digest
 from ...statistics import left_out, seed_of
 from . import boards
@@ -28,6 +31,7 @@ class PhotonMapCache:
     """Photon maps by board; boards that differ only in their photodiodes share one.
 
     distance_mm : cells of the distances that the walk asks for.
+    store : where light is looked for, and kept.
     stop : whether nothing more is to be traced, tested before every batch.
     """
 
@@ -37,6 +41,7 @@ class PhotonMapCache:
     backend: str
     blocks: int
     distance_mm: float = SPACING_MM
+    store: LightStore | None = None
     stop: Callable[[], bool] = lambda: False
     photons: int = field(default=0, init=False)
     _maps: dict[str, list[list[PhotonMap]]] = field(default_factory=dict, init=False)
@@ -71,7 +76,8 @@ class PhotonMapCache:
                 if self.stop():
                     return
                 traced = boards.on_finger(board, self.conditions[members[0]].case, light_only=True)
-                self._tracers[key, digit] = BoardTracer(traced, backend=self.backend, spacing_mm=self.distance_mm)
+                how: dict[str, Any] = {"backend": self.backend, "store": self.store, "seed": self.seed}
+                self._tracers[key, digit] = BoardTracer(light_scene(traced), spacing_mm=self.distance_mm, **how)
             for led in range(len(board.leds)):
                 self._extend_led(key, self._tracers[key, digit], board, led, members, photons)
 
@@ -87,8 +93,8 @@ class PhotonMapCache:
         for batch in range(first, first + max(1, round(photons / tracer.batch_photons))):
             if self.stop():
                 return
-            # From the board's digest, so that a trace does not depend on which were made before it.
-            seed = seed_of(self.seed, self.stream, int(key[:8], 16), members[0], led, batch)
+            # From what decides the light: a trace depends neither on those made before it nor on the blood.
+            seed = seed_of(self.seed, self.stream, int(light_digest(tracer.scene)[:8], 16), led, batch)
             arrivals = tracer.arrivals(led, photons=tracer.batch_photons, seed=seed)
             self.photons += arrivals.photons
             for i, point in zip(members, points, strict=True):

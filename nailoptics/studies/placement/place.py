@@ -14,6 +14,7 @@ from ...assets import data_dir
 from ...errors import InputError, NotReachedError
 from ...light import ProgressCallback
 from ...light import backend as backends
+from ...light.store import LightStore
 from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, load_scene
 from ...scene.placement import OXYGEN
@@ -69,9 +70,11 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     oxygen = oxygen_rule(base, boards.fingers(scene), rules.force_n) if by_oxygen else None
     conditions = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
     made: dict[str, Any] = {"seed": options.seed, "backend": backends.choose(options.backend).name}
-    searching = PhotonMapCache(conditions, **made, stream=0, blocks=1, distance_mm=QUICK_DISTANCE_MM)
+    store = LightStore.of_user() if options.store else None
+    light = made | {"store": store}
+    searching = PhotonMapCache(conditions, **light, stream=0, blocks=1, distance_mm=QUICK_DISTANCE_MM)
     searching.stop = partial(report_progress.is_over, exchange.SEARCH_SHARE)
-    judging = PhotonMapCache(conditions, **made, stream=1, blocks=BLOCKS)
+    judging = PhotonMapCache(conditions, **light, stream=1, blocks=BLOCKS)
     layouts, searched = _candidates(base, rules, searching, report_progress)
     judging.stop = partial(_judged_enough, judging, bool(searched), report_progress)
     wanted = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
@@ -80,7 +83,7 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     order = np.argsort([score.ranked[0] for score in scores], kind="stable")
     layouts, scores = [layouts[i] for i in order], [scores[i] for i in order]
     maps = judging.maps(layouts[0].board)[0]
-    closer = made | {"stop": partial(report_progress.is_over, 1.0)}
+    closer = light | {"stop": partial(report_progress.is_over, 1.0)}
     inspected, over = xr.Dataset(), xr.Dataset()
     if (left_s := report_progress.seconds_left) > CHECK_S:
         limits: dict[str, Any] = {"photons": maps[0].photons, "max_seconds": INSPECT_SHARE * left_s}
@@ -90,6 +93,8 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
         over = resolution_by_count(layouts[0], judging, rules)
     if scene.priors.spread and report_progress.seconds_left > CHECK_S:
         over = over.merge(resolution_over_unknowns(layouts, boards.fingers(scene), rules, **closer))
+    if store is not None:
+        store.close()
     made |= {"photons": judging.photons + searching.photons, "rank_by": rules.rank_by}
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
     result = as_dataset(scene, layouts, scores, conditions, maps, searched, inspected, made).merge(over)

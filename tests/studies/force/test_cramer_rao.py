@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from nailoptics.hemodynamics import parameters
-from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.correction import no_correction
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject, parse_subject
@@ -17,9 +16,7 @@ from nailoptics.studies.placement import fisher
 @pytest.fixture(scope="module")
 def known() -> Subject:
     """A subject whose sensor and vessels are known exactly, whose body is still, and whose readings do not drift."""
-    recording = made_sensor.record(made_sensor.cycle(1.5, lasting_s=5.0), "proximal", seed=1)
-    result = calibrate_with(made_sensor.scene(), made_sensor.table(), [recording])
-    found, light = parse_subject(result.attrs["subject"]), made_sensor.table()
+    found, light = parse_subject(made_sensor.subject()), made_sensor.table()
     return replace(
         found,
         table=light,

@@ -8,7 +8,6 @@ from force_floor import exactly_known, modelled
 from nailoptics.scene.sensor_recordings import SITES, Recording
 from nailoptics.scene.touch import value_at
 from nailoptics.studies.blood_states import force_course
-from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject, parse_subject
 from nailoptics.studies.force.virtual_people import SIDES, Site, load_person, steps, touch_of
@@ -19,8 +18,7 @@ FORCES_N = (0.5, 0.2, 0.8)
 
 @pytest.fixture(scope="module")
 def subject() -> Subject:
-    recording = made_sensor.record(made_sensor.cycle(1.5, lasting_s=5.0), "proximal", seed=1)
-    return parse_subject(calibrate_with(made_sensor.scene(), made_sensor.table(), [recording]).attrs["subject"])
+    return parse_subject(made_sensor.subject())
 
 
 @pytest.mark.parametrize("side", SIDES)

@@ -1,16 +1,25 @@
 """What tests of a whole placement share."""
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
 
 import pytest
 
-from nailoptics.light.finger_walk import FingerTracer
+from nailoptics.light.board_map import BoardTracer
 from nailoptics.studies.placement import inspection, over_unknowns
 
 
 @pytest.fixture(scope="session")
-def fewer_photons() -> Callable[[], AbstractContextManager[None]]:
+def shared_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store that the placements of this run of the tests share, whatever worker they are in."""
+    base = tmp_path_factory.getbasetemp()
+    return (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "placements"
+
+
+@pytest.fixture(scope="session")
+def fewer_photons(shared_store: Path) -> Callable[[], AbstractContextManager[None]]:
     """Lets a placement look at its best layout, and at what is unknown of the finger, with a quarter of the photons.
 
     Each number's error grows with that, and tests that compare two of them bound those errors, too.
@@ -19,7 +28,8 @@ def fewer_photons() -> Callable[[], AbstractContextManager[None]]:
     @contextmanager
     def fewer() -> Iterator[None]:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(FingerTracer, "batch_photons", FingerTracer.batch_photons // 4)
+            patch.setenv("NAILOPTICS_STORE", str(shared_store))
+            patch.setattr(BoardTracer, "batch_photons", BoardTracer.batch_photons // 4)
             patch.setattr(inspection, "BACK_PHOTONS", inspection.BACK_PHOTONS // 4)
             patch.setattr(over_unknowns, "BLOCK_PHOTONS", over_unknowns.BLOCK_PHOTONS // 4)
             yield

@@ -10,7 +10,7 @@ from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import as_far_as_reached
 from nailoptics.light import finger_walk
-from nailoptics.light.finger_walk import FingerTracer
+from nailoptics.light.board_map import BoardTracer
 from nailoptics.scene import Candidate, Placement, Priors, Scene
 from nailoptics.statistics import Z95, jackknife
 from nailoptics.studies.placement import boards, photodiode_count, place
@@ -41,7 +41,7 @@ def scene() -> Scene:
 def made_once(chosen_jit):
     """Small batches, so that every block of a map has its own; its geometry is made once."""
     patch = pytest.MonkeyPatch()
-    patch.setattr(FingerTracer, "batch_photons", BATCH)
+    patch.setattr(BoardTracer, "batch_photons", BATCH)
     patch.setattr(finger_walk, "_built", lru_cache(maxsize=4)(finger_walk._built.__wrapped__))
     # The closer look at the best has its own test.
     patch.setattr(place, "inspect_layout", lambda *_, **__: xr.Dataset())

@@ -12,6 +12,8 @@ from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.io import write_dataset
 from nailoptics.light.board_map import Arrivals, PhotonMap
+from nailoptics.light.finger_walk import FingerTracer
+from nailoptics.light.store import LightStore
 from nailoptics.report import result_files
 from nailoptics.report.place_page import write_placement
 from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
@@ -322,6 +324,31 @@ def test_the_page_stands_alone_and_the_result_is_kept(found, tmp_path):
     write_dataset(found, tmp_path / "place.nc")
     with xr.open_dataset(tmp_path / "place.nc") as kept:
         assert result.rows(kept) == result.rows(found)
+
+
+def test_stored_light_is_placed_again_without_a_photon(found, fewer_photons, scene, monkeypatch):
+    """Rationale: a layout is judged again and again, with other electronics and blood. Expected: the same numbers, and
+    with coarser conversion coarser ones, from light that is stored; with other blood the maps of a fresh trace."""
+    bloodier = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": 0.04})})
+    condition = place.finger_condition(bloodier, FingerCase(name="one"), boards.rules(bloodier))
+    board = place.given(boards.base_board(bloodier), boards.rules(bloodier))[0].board
+    with fewer_photons():
+        caches = [
+            photon_maps.PhotonMapCache([condition], seed=1, stream=1, backend="auto", blocks=place.BLOCKS, store=store)
+            for store in (None, LightStore.of_user())
+        ]
+        caches[0].extend(board, 1 << 18)
+        monkeypatch.setattr(FingerTracer, "walk", None)
+        caches[1].extend(board, 1 << 18)
+        coarse = scene.electronics.model_copy(update={"adc_bits": 8})
+        again, coarser = (
+            place.place(scene.model_copy(update={"electronics": one}), photons=1 << 18, seed=1)
+            for one in (scene.electronics, coarse)
+        )
+    fresh, stored = (cache.maps(board)[0][0] for cache in caches)
+    assert fresh.photons == stored.photons and np.array_equal(fresh.sums, stored.sums)
+    assert again.equals(found)
+    assert bool((coarser.force_resolution_n > 2 * found.force_resolution_n).all())
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import xarray as xr
 from small_scenes import PLACEMENT
 
 from nailoptics.light import finger_walk
-from nailoptics.light.finger_walk import FingerTracer
+from nailoptics.light.board_map import BoardTracer
 from nailoptics.scene import Priors, Scene, parse_scene
 from nailoptics.studies.placement import inspection, over_unknowns
 from nailoptics.studies.placement.place import place
@@ -39,7 +39,7 @@ def scene() -> Scene:
 def found(chosen_jit) -> list[xr.Dataset]:
     """The same placement with twenty seeds, in small batches; its four geometries are made once."""
     patch = pytest.MonkeyPatch()
-    patch.setattr(FingerTracer, "batch_photons", PHOTONS // inspection.LEAST_BATCHES)
+    patch.setattr(BoardTracer, "batch_photons", PHOTONS // inspection.LEAST_BATCHES)
     patch.setattr(finger_walk, "_built", lru_cache(maxsize=8)(finger_walk._built.__wrapped__))
     patch.setattr(inspection, "BACK_PHOTONS", 1 << 14)
     patch.setattr(inspection, "BATCHES_PER_ROUND", 4)
