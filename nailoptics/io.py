@@ -30,6 +30,33 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 # The end of an archive, its checksum in hexadecimal.
 _CHECKSUM = 8
 _NUMBERS = "biuf"
+CONVENTIONS = "CF-1.11"
+# What an axis of names is in words, where a dataset does not say it itself.
+AXES = {
+    "led": "LED",
+    "photodiode": "photodiode",
+    "zone": "blood zone of the nail bed, from the cuticle to the tip",
+    "absorber": "absorbing region or blood zone",
+    "sweep": "what is swept",
+    "model": "model of the paper",
+    "way": "where the model's constants come from",
+    "part": "part of a whole",
+    "within": "largest error that is allowed, as a part of the swing",
+    "band": "coordinate of the colour space",
+    "channel": "channel of the screen",
+    "axis": "axis in space",
+    "site": "site on the finger",
+    "node": "node within a prior's range",
+    "prior": "what is unknown of the finger",
+    "so2": "oxygen saturation",
+    "cause": "cause of the error",
+    "level": "level of model",
+    "layout": "layout of LEDs and photodiodes",
+    "finger": "finger that the layout must serve",
+    "pressure": "side of the pulp that the pressure acts on",
+    "pressure_too": "side of the pulp that the other pressure acts on",
+    "blood_zone": "blood zone of the nail bed, from the cuticle to the tip",
+}
 # What a spreadsheet takes for the beginning of a formula.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 # What a member of an archive begins with, and the flag of one whose size is told after it.
@@ -159,13 +186,25 @@ def cache_folder() -> Path:
 
 
 def write_dataset(dataset: "xr.Dataset", path: Path) -> None:
-    """Write a dataset to NetCDF, and make its folder; raises WriteError.
+    """Write a dataset to NetCDF by the CF conventions, and make its folder; raises WriteError.
 
     HDF5 writes to memory, as its library does not outlive a full disk: one copy of the dataset more.
     """
-    data = dataset.to_netcdf(engine="h5netcdf")
+    data = _as_cf(dataset).to_netcdf(engine="h5netcdf")
     make_folder(path.parent)
     write_bytes(path, data)
+
+
+def _as_cf(dataset: "xr.Dataset") -> "xr.Dataset":
+    """A copy of a dataset that says by which conventions it is written, and in words what each axis is."""
+    written = dataset.copy()
+    written.attrs = {"Conventions": CONVENTIONS} | dataset.attrs
+    for name in written.coords.keys() & AXES.keys():
+        attributes = {"long_name": AXES[str(name)]}
+        if written[name].dtype.kind in _NUMBERS:
+            attributes["units"] = "1"
+        written[name].attrs = attributes | written[name].attrs
+    return written
 
 
 def leave_dask_out() -> None:

@@ -18,13 +18,14 @@ def variable(
 
     Joined by |, several make the first argument of `xarray.Dataset`.
     """
-    dims = (dims,) if isinstance(dims, str) else dims
-    attributes = {"units": units, "long_name": long_name}
+    dims, values = (dims,) if isinstance(dims, str) else dims, np.asarray(values)
+    # Texts have no units, not even 1.
+    attributes = {"long_name": long_name} if values.dtype.kind in "OSU" else {"units": units, "long_name": long_name}
     if stderr is None:
-        return {name: (dims, np.asarray(values), attributes)}
+        return {name: (dims, values, attributes)}
     beside = {"units": units, "long_name": f"standard error: {long_name}"}
     return {
-        name: (dims, np.asarray(values), attributes | {"ancillary_variables": f"{name}_stderr"}),
+        name: (dims, values, attributes | {"ancillary_variables": f"{name}_stderr"}),
         f"{name}_stderr": (dims, np.asarray(stderr), beside),
     }
 

@@ -153,9 +153,19 @@ def test_links_planted_where_a_temporary_file_might_lie_are_not_followed(tmp_pat
 
 
 def test_datasets_come_back_as_they_were(tmp_path):
-    given = xr.Dataset({"a": (("t", "x"), np.random.default_rng(1).random((50, 3)))}, {"x": ["p", "q", "r"]}, {"n": 3})
+    about = {"Conventions": "CF-1.11", "n": 3}
+    given = xr.Dataset({"a": (("t", "x"), np.random.default_rng(1).random((50, 3)))}, {"x": ["p", "q", "r"]}, about)
     io.write_dataset(given, tmp_path / "new" / "set.nc")
     assert xr.load_dataset(tmp_path / "new" / "set.nc", engine="h5netcdf").identical(given)
+
+
+def test_a_written_dataset_says_its_conventions_and_what_its_axes_are(tmp_path):
+    given = xr.Dataset({"a": (("led", "so2"), [[1.0]])}, {"led": ["ir"], "so2": [0.9]})
+    io.write_dataset(given, tmp_path / "set.nc")
+    written = xr.load_dataset(tmp_path / "set.nc", engine="h5netcdf")
+    assert written.attrs == {"Conventions": "CF-1.11"} and given.attrs == {} and given.led.attrs == {}
+    assert written.led.attrs == {"long_name": "LED"}
+    assert written.so2.attrs == {"long_name": "oxygen saturation", "units": "1"}
 
 
 ARRAYS = {

@@ -193,6 +193,7 @@ class Transfer:
         """Where each LED's light went, in all and, of what was absorbed, by region, as fractions of its power."""
         data: Variables = {}
         texts = {"energy": "light by where it went", "absorbed": "light absorbed in a region or by its surface"}
+        axes = {"energy": "where the light went", "absorbed": "region that absorbs light"}
         for name, axis in (("energy", "part"), ("absorbed", "region")):
             each = [t.fractions(getattr(t, name)) for t in self.traces]
             places = list(dict.fromkeys(place for one in each for place in one))
@@ -202,7 +203,7 @@ class Transfer:
             )
             text = f"{texts[name]}, per emitted power"
             data |= variable(f"{name}_fraction", ("led", axis), value, text, stderr=stderr)
-            data[axis] = ((axis,), np.array(places), {"long_name": f"{axis} of the light"})
+            data[axis] = ((axis,), np.array(places), {"long_name": axes[name]})
         return xr.Dataset(data, {"led": list(self.leds)})
 
     def merge(self, other: "Transfer") -> "Transfer":
@@ -320,7 +321,7 @@ def provenance(
 ) -> dict[str, Any]:
     """Attributes of a result that say how it was made and let it be made again."""
     return {
-        "Conventions": "CF-1.11",
+        "Conventions": io.CONVENTIONS,
         "scene": to_toml(scene),
         "digest": digest(scene),
         "engine": engine,

@@ -25,10 +25,24 @@ COORDINATES = {
     "photodiode": "photodiode",
     "absorber": "absorbing region or blood zone",
 }
-# Prefix of the variables, name, fit, and units of the constants.
-REDUCED_OPTICS: tuple[tuple[str, str, Callable[..., Any], dict[str, str]], ...] = (
-    ("beer_lambert", "Beer-Lambert (8)", fit_beer_lambert, {"v0_v": "V", "v1_v": "V", "alpha_per_m2": "m-2"}),
-    ("taylor", "Taylor (9)", fit_taylor, {"v0_v": "V", "v1_v_per_m2": "V m-2"}),
+# Prefix of the variables, name, fit, and of the constants units and words.
+REDUCED_OPTICS: tuple[tuple[str, str, Callable[..., Any], dict[str, tuple[str, str]]], ...] = (
+    (
+        "beer_lambert",
+        "Beer-Lambert (8)",
+        fit_beer_lambert,
+        {
+            "v0_v": ("V", "voltage V_0 of the light that meets no blood"),
+            "v1_v": ("V", "voltage V_1 of the other light, had it met none"),
+            "alpha_per_m2": ("m-2", "constant alpha of the exponent"),
+        },
+    ),
+    (
+        "taylor",
+        "Taylor (9)",
+        fit_taylor,
+        {"v0_v": ("V", "voltage V'_0 without blood"), "v1_v_per_m2": ("V m-2", "slope V'_1 over the squared diameter")},
+    ),
 )
 
 
@@ -164,17 +178,18 @@ def _fit_reduced(result: xr.Dataset) -> xr.Dataset:
     diameter_m = result.capillary_diameter_m.values[result.zone_of_photodiode.values]
     notes = np.full(result.volts.shape[:2], "", dtype=object)
     data: Variables = {}
-    for model, name, fit, units in REDUCED_OPTICS:
+    for model, name, fit, constants in REDUCED_OPTICS:
         fits = [[fit(*one) for one in zip(diameter_m, volts, strict=True)] for volts in result.volts.values]
         curves = np.empty_like(result.volts.values)
         for i, j in np.ndindex(*curves.shape[:2]):
             curves[i, j] = fits[i][j].predict(diameter_m[j])
-        data |= variable(f"volts_{model}", (*pair, "time"), curves, f"{name}, fitted", units="V")
+        data |= variable(f"volts_{model}", (*pair, "time"), curves, f"voltage by {name}, fitted", units="V")
         errors = _each(fits, "stderr")
-        for k, (field, unit) in enumerate(units.items()):
-            values, text = _each(fits, field), f"{field} of {name}"
+        for k, (field, (unit, words)) in enumerate(constants.items()):
+            values, text = _each(fits, field), f"{words}, in {name}"
             data |= variable(f"{model}_{field}", pair, values, text, units=unit, stderr=errors[..., k])
-        for field, text in (("residual_rms_v", f"what {name} misses, rms"), ("residual_max_v", f"most {name} misses")):
+        missed = f"voltage that {name} misses"
+        for field, text in (("residual_rms_v", f"{missed}, rms"), ("residual_max_v", f"{missed}, at most")):
             data |= variable(f"{model}_{field}", pair, _each(fits, field), text, units="V")
         notes = np.where(_each(fits, "note") != "", _each(fits, "note"), notes)
     data["fit_note"] = (pair, notes.astype(str), {"long_name": "what the fit could not determine"})

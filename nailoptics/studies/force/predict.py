@@ -25,6 +25,8 @@ MOST_OUTLIERS, MOST_CHI2 = 0.03, 1.5
 # Outliers count where force has hardly changed for a while: no person's vessels follow a sudden touch quite as the
 # model's do. [N, s]
 STILL_N, SETTLING_S = 0.1, 0.5
+# The regressions that a force is compared with, in words.
+REGRESSIONS = {"linear": "linear in the readings", "components": "on their principal components"}
 # Patterns of a misfit are named where they explain this part of it.
 EXPLAINED = 0.8
 
@@ -156,7 +158,7 @@ def _dataset(
     data |= variable("outlier", over, outlier, "too far off to be believed")
     forces = {name: one.force_n(recording.volts) for name, one in subject.baselines.items()}
     for name, force in forces.items():
-        data |= variable(f"force_{name}_n", over, force, f"force by regression ({name})", units="N")
+        data |= variable(f"force_{name}_n", over, force, f"force by regression, {REGRESSIONS[name]}", units="N")
     known = np.full(time_s.shape, np.nan) if recording.force_n is None else recording.force_n
     data |= variable("known_force_n", over, known, "known force", units="N")
     found = events(time_s, told.force_n, press_n=press_n, release_n=release_n)

@@ -142,7 +142,7 @@ class Tradeoff:
             data |= variable(f"{which}_bound", "level", rows[:, 2], f"what no photodiode's bias exceeds, of the {text}")
             noise = [getattr(one, f"{which}_noise") for one in self.levels]
             text = f"standard error after one second of photons, of the {text}"
-            data |= variable(f"{which}_noise", "level", noise, text, units="s0.5")
+            data |= variable(f"{which}_noise", "level", noise, text)
         for effort, text in (
             ("first", "the first answer"),
             ("states", f"{MORE} more blood states"),
@@ -153,9 +153,13 @@ class Tradeoff:
             data |= variable(f"{effort}_fixed", "level", fixed, f"processor time of {text} without photons", units="s")
             data |= variable(f"{effort}_per_second", "level", each, f"processor time of {text} per second of photons")
         told = [self._told(one) for one in self.efforts]
-        for name, units in (("photon_seconds", "s"), ("reading_error", "1"), ("signal_error", "1")):
+        for name, units, text in (
+            ("photon_seconds", "s", "processor time of the photons"),
+            ("reading_error", "1", "error of the reading at rest, relative"),
+            ("signal_error", "1", "error of the change by touch, as a part of the largest change"),
+        ):
             values = [one[name] for one in told if one]
-            data |= variable(f"full_{name}", "effort", values, f"full model: {name.replace('_', ' ')}", units=units)
+            data |= variable(f"full_{name}", "effort", values, f"full model: {text}", units=units)
         names = {"level": [one.name for one in self.levels]}
         return xr.Dataset(data, names, self.attributes | {"judge": self.judge, "sentence": self.sentence})
 

@@ -103,15 +103,15 @@ def oximeter_from(
     met, most = melanin_bound(shown)
     data |= variable("epidermis_part_bound", "photodiode", met, "part of the light that met epidermis, at most (95 %)")
     data |= variable("melanin_bound", "photodiode", most, "change by melanin, at most (95 %)", units="percent")
-    data |= variable("ambient_a", "photodiode", inside.current_a, "ambient light", units="A", stderr=inside.stderr_a)
-    data |= variable("sun_a", "photodiode", sun.current_a, "full sun", units="A", stderr=sun.stderr_a)
+    for name, leak, text in (("ambient_a", inside, "light from outside"), ("sun_a", sun, "full sun")):
+        data |= variable(name, "photodiode", leak.current_a, f"photocurrent of {text}", units="A", stderr=leak.stderr_a)
     names = {
         "photodiode": list(transfer.photodiodes),
         "led": [scene.leds[i].name for i in leds],
         "so2": SO2,
         "cause": [*CAUSES, "trace"],
-        "beat_time": beat.time_s,
-        "time": time_s,
+        "beat_time": ("beat_time", beat.time_s, {"units": "s", "long_name": "time from the start of a beat"}),
+        "time": ("time", time_s, {"units": "s", "long_name": "time from the start of the touch"}),
     }
     told = _warnings(shown, stages, paths[1])
     # A photodiode that sees no light has no error.
@@ -176,7 +176,7 @@ def _curve_variables(
     data |= variable("ratio_at_rest", "photodiode", value, "R at the scene's saturation", stderr=error)
     value, error = estimate(own.perfusion_index[..., 0])
     data |= variable("perfusion_index", pair, value, "perfusion index, ac over dc", stderr=error)
-    for name, text in (("linear", "SpO2 = a + b R"), ("quadratic", "SpO2 = a + b R + c R^2")):
+    for name, text in (("linear", "a and b of SpO2 = a + b R"), ("quadratic", "a, b, c of SpO2 = a + b R + c R^2")):
         values = getattr(fits, name)
         over = ("photodiode", f"{name}_term")
         data |= variable(name, over, values, text, units="percent", stderr=getattr(fits, f"{name}_stderr"))

@@ -1,0 +1,356 @@
+"""What of the documentation is made from the code: a page holds `<!-- NAME -->` where a part of it belongs."""
+
+import inspect
+import json
+import re
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import nailoptics
+from nailoptics.light.identity import light_digest
+from nailoptics.scene import Scene, load_scene
+from nailoptics.scene.base import Table
+from nailoptics.scene.catalogue import LedPart, ModuleLed, ModulePart, ModulePhotodiode, PhotodiodePart
+from nailoptics.scene.files import json_schema, schema_of
+from nailoptics.scene.sweep import sweep_json_schema
+
+HERE = Path(__file__).parent
+OUTPUTS = HERE / "output_variables.json"
+UNIT = re.compile(r"\s*\[([^\]]+)\]$")
+# Where a table of a scene is written, which the schema does not tell of tables within a list.
+LISTS = {"leds", "photodiodes", "layers", "steps", "slots", "candidates", "fingers", "ranges", "sites", "axes"}
+# Tables that decide how far is traced, not what the answer is.
+EFFORT = {"accuracy", "placement"}
+# Tables of what is read from light, or told beside it.
+READ_ONLY = {"touch", "body", "electronics", "oximeter", "colour", "priors"}
+# Fields that set others, of which some decide where light goes.
+FILLS = {
+    "digit",
+    "part",
+    "array",
+    "kicad",
+    "positions",
+    "parts",
+    "origin",
+    "faces_nail",
+    "turn_deg",
+    "negate_x_on_bottom",
+}
+
+
+def fill_in(app: object, name: str, source: list[str]) -> None:
+    """Replace the marks of a page, as Sphinx reads it, by what is generated."""
+    source[0] = re.sub(r"<!-- (\w+) -->", lambda mark: MADE[mark[1]]() if mark[1] in MADE else mark[0], source[0])
+
+
+# Fields
+
+
+def fields() -> str:
+    """Every table of a scene file, with every field."""
+    schema = json_schema()
+    wanted = [*_tables(schema)]
+    return "\n".join(_section(where, table, schema, _light_fields(where)) for where, table in wanted)
+
+
+def sweep_fields() -> str:
+    """Every table of a sweep file."""
+    schema = sweep_json_schema()
+    return "\n".join(_section(where, table, schema, None) for where, table in _tables(schema) if where != ("base",))
+
+
+def part_fields() -> str:
+    """Every kind of part, and what a module is made of."""
+    kinds = {"led": LedPart, "photodiode": PhotodiodePart, "module": ModulePart}
+    kinds |= {"[[leds]] of a module": ModuleLed, "[[photodiodes]] of a module": ModulePhotodiode}
+    text = []
+    for kind, model in kinds.items():
+        schema = schema_of(model, kind)
+        title = f"`{kind}`" if " " in kind else f'`kind = "{kind}"`'
+        text += [f"### {title}\n", schema["description"], "", *_rows(schema, schema, None), ""]
+    return "\n".join(text)
+
+
+def _tables(schema: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
+    """Each table of a file with its place, the outermost first; one that stands in two places comes once."""
+    seen: set[str] = set()
+    waiting: list[tuple[tuple[str, ...], Mapping[str, Any]]] = [((), schema)]
+    while waiting:
+        where, table = waiting.pop(0)
+        yield where, table
+        for name, one in table["properties"].items():
+            for reference in dict.fromkeys(re.findall(r"#/\$defs/(\w+)", json.dumps(one))):
+                if reference not in seen:
+                    seen.add(reference)
+                    waiting.append(((*where, name), schema["$defs"][reference]))
+
+
+def _section(where: tuple[str, ...], table: Mapping[str, Any], schema: Mapping[str, Any], light: Any) -> str:
+    name = ".".join(where)
+    title = f"`[[{name}]]`" if where and where[-1] in LISTS else f"`[{name}]`" if where else "At the top of the file"
+    return "\n".join([f"## {title}\n", _plain(table.get("description", "")), "", *_rows(table, schema, light), ""])
+
+
+def _rows(table: Mapping[str, Any], schema: Mapping[str, Any], light: set[str] | None) -> list[str]:
+    head = ["field", "takes", "unit", "default", "what it is"] + ([] if light is None else ["light"])
+    rows = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
+    for name, one in table["properties"].items():
+        text, unit = described(one, schema)
+        default = "**required**" if name in table.get("required", ()) else _default(one)
+        row = [f"`{name}`", taken(one), unit, default, text]
+        rows.append(f"| {' | '.join(row + ([] if light is None else ['●' if name in light else '']))} |")
+    return rows
+
+
+def described(one: Mapping[str, Any], schema: Mapping[str, Any]) -> tuple[str, str]:
+    """What a field is, and its unit; 1 for a number without one."""
+    text = " ".join((one.get("description") or _table_of(one, schema).get("description", "")).split())
+    unit = UNIT.search(text)
+    text = _plain(UNIT.sub("", text)).replace("|", "\\|")
+    return text, unit[1] if unit else "1" if "number" in taken(one) else ""
+
+
+def _table_of(one: Mapping[str, Any], schema: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The table that a field refers to; empty where it is none."""
+    found = re.search(r"#/\$defs/(\w+)", json.dumps(one))
+    return schema["$defs"][found[1]] if found else {}
+
+
+def taken(one: Mapping[str, Any]) -> str:
+    """The type and range of a field in words."""
+    if "anyOf" in one:
+        return " or ".join(dict.fromkeys(taken(choice) for choice in one["anyOf"] if choice.get("type") != "null"))
+    if "$ref" in one:
+        return "a table"
+    if "const" in one:
+        return f"`{json.dumps(one['const'])}`"
+    if "enum" in one:
+        return ", ".join(f"`{json.dumps(value)}`" for value in one["enum"])
+    kind = one.get("type")
+    if kind in ("number", "integer"):
+        return " ".join(filter(None, ["number" if kind == "number" else "whole number", _range(one)]))
+    if kind == "array":
+        return _list(one)
+    return {"string": "text", "boolean": "true or false", "object": "a table"}.get(str(kind), "anything")
+
+
+def _range(one: Mapping[str, Any]) -> str:
+    low, high = one.get("minimum"), one.get("maximum")
+    if "exclusiveMinimum" in one:
+        low, begin = one["exclusiveMinimum"], "above"
+    else:
+        begin = "from"
+    if "exclusiveMaximum" in one:
+        high, end = one["exclusiveMaximum"], "below"
+    else:
+        end = "to"
+    return " ".join(
+        [*([f"{begin} {low:g}"] if low is not None else []), *([f"{end} {high:g}"] if high is not None else [])]
+    )
+
+
+def _list(one: Mapping[str, Any]) -> str:
+    if "prefixItems" in one:
+        each = [taken(item) for item in one["prefixItems"]]
+        return f"{len(each)} times {each[0]}" if len(set(each)) == 1 else f"[{', '.join(each)}]"
+    items = one.get("items", {})
+    least, most = one.get("minItems"), one.get("maxItems")
+    count = f"{least or 0} to {most} times " if most else f"{least} or more times " if least else ""
+    return f"list: {count}{taken(items) if items else 'anything'}"
+
+
+def _default(one: Mapping[str, Any]) -> str:
+    if "default" not in one or one["default"] is None:
+        return "none"
+    value = one["default"]
+    return "its own defaults" if isinstance(value, dict) else f"`{json.dumps(value)}`"
+
+
+def _plain(text: str) -> str:
+    """A description in Markdown: brackets and angles stand for themselves."""
+    return re.sub(r"([\[\]<>*])", r"\\\1", " ".join(text.split()))
+
+
+def _light_fields(where: tuple[str, ...]) -> set[str] | None:
+    """The fields of a table whose change asks for a new trace, found by changing each in a shipped scene."""
+    if where and where[0] in EFFORT:
+        return None
+    if where and where[0] in READ_ONLY:
+        return set()
+    for name in ("prototype", "phantom"):
+        scene = load_scene(HERE.parent / "scenes" / f"{name}.toml")
+        table = _at(scene, where)
+        if table is not None:
+            break
+    else:
+        return set()
+    rules = type(table).model_json_schema()["properties"]
+    before, moved = light_digest(scene), set()
+    with warnings.catch_warnings():
+        # A list within a list gets a number: only whether the digest moves is asked.
+        warnings.simplefilter("ignore", UserWarning)
+        for name, value in table:
+            other = _other(value, taken(rules[name]))
+            if name in FILLS or other is not None and light_digest(_with(scene, where, name, other)) != before:
+                moved.add(name)
+    return moved - {"schema_version"}
+
+
+def _at(scene: Scene, where: tuple[str, ...]) -> Any:
+    """The table at a place, the first of a list; None where the scene has none."""
+    table: Any = scene
+    for name in where:
+        table = getattr(table, name)
+        table = table[0] if isinstance(table, tuple) and table else table
+        if not isinstance(table, Table):
+            return None
+    return table
+
+
+def _other(value: Any, rule: str) -> Any:
+    """Another value that a field could have; None for a table, whose own fields are asked."""
+    if isinstance(value, Table) or "a table" in rule:
+        return None
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, int | float):
+        return value + 1
+    if isinstance(value, str):
+        return f"{value}_"
+    if isinstance(value, tuple) and value and isinstance(value[0], int | float):
+        return tuple(one + 1 for one in value)
+    words = {"whole number": 3, "number": 1.5, "2 times number": (9.0, 9.0), "true": True, "list": (1.0,)}
+    return next((other for begin, other in words.items() if rule.startswith(begin)), "other")
+
+
+def _with(table: Any, where: tuple[str, ...], name: str, value: Any) -> Any:
+    """A copy of a table with another value at a place in it."""
+    if not where:
+        return table.model_copy(update={name: value})
+    inner = getattr(table, where[0])
+    first = _with(inner[0] if isinstance(inner, tuple) else inner, where[1:], name, value)
+    return table.model_copy(update={where[0]: (first, *inner[1:]) if isinstance(inner, tuple) else first})
+
+
+# Commands
+
+
+def commands() -> str:
+    """Every command with its options, as the command line itself tells them."""
+    from nailoptics.cli import app
+
+    text = app.generate_docs(output_format="markdown", heading_level=1)
+    text = text[text.index("## nailoptics ") :]
+    return re.sub(r"^(## )nailoptics (\w+)", r"\1`\2`", text, flags=re.M)
+
+
+# Library
+
+
+def library() -> str:
+    """Every public name of the package, by kind."""
+    kinds: dict[str, list[str]] = {"Functions": [], "Classes": [], "Errors": [], "Modules": []}
+    for name in nailoptics.__all__:
+        one = getattr(nailoptics, name)
+        if inspect.ismodule(one):
+            kinds["Modules"].append(_module(name, one))
+        elif inspect.isclass(one) and issubclass(one, Exception):
+            kinds["Errors"].append(f".. autoexception:: nailoptics.{name}\n")
+        elif inspect.isclass(one):
+            # What a scene is made of stands in the reference of its fields.
+            members = "layout, zone_edges_mm, zone_width_mm" if one is Scene else ""
+            given = "()" if one is Scene else ""
+            kinds["Classes"].append(f".. autoclass:: nailoptics.{name}{given}\n   :members: {members}\n")
+        else:
+            kinds["Functions"].append(f".. autofunction:: nailoptics.{name}\n")
+    return "\n".join(f"## {kind}\n\n" + "\n".join(map(_rst, entries)) for kind, entries in kinds.items())
+
+
+def _module(name: str, module: Any) -> str:
+    public = [
+        one for one in module.__all__ if callable(getattr(module, one)) and not inspect.isclass(getattr(module, one))
+    ]
+    known = [f".. autofunction:: nailoptics.{name}.{one}\n" for one in public]
+    return f".. py:module:: nailoptics.{name}\n\n{inspect.getdoc(module)}\n\n" + "\n".join(known)
+
+
+def _rst(text: str) -> str:
+    return f"```{{eval-rst}}\n{text}```\n"
+
+
+def as_markup(app: object, what: str, name: str, one: object, options: object, lines: list[str]) -> None:
+    """Turn a docstring as this project writes it into reStructuredText, arguments as fields."""
+    written: list[str] = []
+    entry: list[str] = []
+
+    def end() -> None:
+        text = " ".join(entry[1:])
+        written.extend(f"{field} {text}" for field in entry[:1] for field in field.split("\n"))
+        entry.clear()
+
+    for line in lines:
+        line = _marked(line)
+        argument, told = (
+            re.match(r"(\w[\w, ]*) : (.*)", line),
+            re.match(r"(Returns|Raises|Warns|References): (.*)", line),
+        )
+        if argument or told:
+            end()
+            names = argument[1].split(", ") if argument else []
+            entry += ["\n".join(f":param {one}:" for one in names), argument[2]] if argument else []
+            entry += [f":{told[1].lower()}:" if told[1] == "Returns" else f":{told[1]}:", told[2]] if told else []
+        elif entry and line.strip():
+            entry.append(line.strip())
+        else:
+            end()
+            written.append(line)
+    end()
+    lines[:] = [*written, ""]
+
+
+def _marked(line: str) -> str:
+    """A line in which names are set as code, and marks that mean something in reStructuredText stand for themselves."""
+    parts = re.sub(r"(?<!`)`([^`]+)`(?!`)", r"``\1``", line).split("``")
+    parts[::2] = [re.sub(r"[*|@]|(?<=\w)_(?=\W|$)", r"\\\g<0>", part) for part in parts[::2]]
+    return "``".join(parts)
+
+
+# Output files
+
+
+def outputs() -> str:
+    """Every variable of every dataset that a command writes."""
+    text = []
+    for file, made in json.loads(OUTPUTS.read_text(encoding="utf-8")).items():
+        text += [
+            f"### {file}\n",
+            f"Written by `{made['command']}`.\n",
+            "| variable | over | unit | what it is |",
+            "|---|---|---|---|",
+        ]
+        for name, one in made["variables"].items():
+            if name.endswith("_stderr") and name.removesuffix("_stderr") in made["variables"]:
+                continue
+            error = " ±" if f"{name}_stderr" in made["variables"] else ""
+            dims = ", ".join(one["dims"]) or "one number"
+            text.append(f"| `{name}`{error} | {dims} | {one['units']} | {_plain(one['long_name'])} |")
+        text.append("")
+    return "\n".join(text)
+
+
+def parts() -> str:
+    """The shipped parts, with the comments that tell where their numbers come from."""
+    text = []
+    for path in sorted((HERE.parent / "assets/parts").glob("*.toml")):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        words = " ".join(line.removeprefix("#").strip() for line in lines if line.startswith("#"))
+        kind = next(line for line in lines if line.startswith("kind")).split('"')[1]
+        text += [f"`{path.stem}` ({kind})", f": {_plain(words)}", ""]
+    return "\n".join(text)
+
+
+MADE: dict[str, Callable[[], str]] = {
+    one.__name__: one for one in (fields, sweep_fields, part_fields, commands, library, outputs, parts)
+}
