@@ -14,6 +14,7 @@ from nailoptics.scene import Scene, load_scene
 from nailoptics.scene.base import Table
 from nailoptics.scene.catalogue import LedPart, ModuleLed, ModulePart, ModulePhotodiode, PhotodiodePart
 from nailoptics.scene.files import json_schema, schema_of
+from nailoptics.scene.priors import shipped_priors
 from nailoptics.scene.sweep import sweep_json_schema
 
 HERE = Path(__file__).parent
@@ -351,6 +352,14 @@ def parts() -> str:
     return "\n".join(text)
 
 
+def priors() -> str:
+    """What is unknown of a finger, with its range and its source."""
+    rows = ["| what | field | range | source |", "|---|---|---|---|"]
+    for one in shipped_priors():
+        rows.append(f"| {one.name} | `{one.field}` | {one.low:g} to {one.high:g} | {_plain(one.source)} |")
+    return "\n".join(rows) + "\n"
+
+
 MADE: dict[str, Callable[[], str]] = {
-    one.__name__: one for one in (fields, sweep_fields, part_fields, commands, library, outputs, parts)
+    one.__name__: one for one in (fields, sweep_fields, part_fields, commands, library, outputs, parts, priors)
 }

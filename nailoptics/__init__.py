@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .studies.placement.place import place
     from .studies.simulate import simulate
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Imported when first used, so that `import nailoptics` takes no time.
 _ROOMS = ("hemodynamics", "scene", "tissue")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, CycloptsError, Parameter
 
 from . import __version__
+from .commit import commit
 from .errors import InputError, NailopticsError, NotReachedError, WriteError, as_far_as_reached
 from .io import check_writable, leave_dask_out, make_folder
 from .options import TraceOptions
@@ -29,9 +30,15 @@ from .terminal import (
 if TYPE_CHECKING:
     from .scene import Scene
 
+
+def _version() -> str:
+    known = commit()
+    return f"{__version__} (commit {known[:12]})" if known else __version__
+
+
 app = App(
     name="nailoptics",
-    version=__version__,
+    version=_version,
     suppress_keyboard_interrupt=False,
     help="Simulate an optical sensor on a fingernail: touch, blood, traced light, photodiode volts.",
 )

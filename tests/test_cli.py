@@ -15,6 +15,7 @@ import pytest
 import nailoptics
 from nailoptics import terminal
 from nailoptics.cli import run
+from nailoptics.commit import commit
 from nailoptics.light import Transfer, backend
 from nailoptics.options import TraceOptions
 
@@ -200,7 +201,9 @@ def test_help_and_version_are_quick_and_on_stdout(folder):
     for arguments in ([], ["--help"], ["simulate", "--help"], ["--version"]):
         done = spawn(*arguments)
         assert done.returncode == 0 and done.stdout and not done.stderr
-    assert spawn("--version").stdout.strip() == nailoptics.__version__
+    shown = spawn("--version").stdout.strip()
+    known = commit()
+    assert shown == (f"{nailoptics.__version__} (commit {known[:12]})" if known else nailoptics.__version__)
 
 
 def test_a_command_loads_nothing_that_it_has_no_use_for(folder):

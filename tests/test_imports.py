@@ -28,7 +28,7 @@ PACKAGE = Path(__file__).parents[1] / "nailoptics"
 # Rooms in one entry do not import each other.
 ORDER = [
     {"errors"},
-    {"checks", "statistics", "variables", "io"},
+    {"checks", "commit", "statistics", "variables", "io"},
     {"options"},
     {"assets"},
     {"scene"},

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import nailoptics
-from nailoptics import assets
+from nailoptics import assets, commit
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -140,6 +140,31 @@ def test_every_module_says_what_it_is_for_in_its_first_line():
 def test_the_version_is_in_the_change_log():
     assert re.fullmatch(r"\d+\.\d+\.\d+", nailoptics.__version__)
     assert nailoptics.__version__ in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_the_version_is_that_of_the_citation():
+    text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {nailoptics.__version__}\n" in text and "\ncff-version: 1.2.0\n" in f"\n{text}"
+
+
+def test_the_commit_of_a_clone_is_read_from_its_files(tmp_path):
+    """Of a branch, of a branch that is packed, of a detached head, and of a work tree beside its clone."""
+    shas = [digit * 40 for digit in "abc"]
+    git, tree = tmp_path / "clone" / ".git", tmp_path / "tree"
+    own = git / "worktrees" / "tree"
+    for folder in (git / "refs" / "heads", own, tree):
+        folder.mkdir(parents=True)
+    (git / "HEAD").write_text("ref: refs/heads/main\n")
+    (git / "refs" / "heads" / "main").write_text(f"{shas[0]}\n")
+    (git / "packed-refs").write_text(f"# pack-refs with: peeled\n{shas[1]} refs/heads/old\n")
+    (tree / ".git").write_text(f"gitdir: {own}\n")
+    (own / "commondir").write_text("../..\n")
+    (own / "HEAD").write_text("ref: refs/heads/main\n")
+    assert [commit._of_clone(one) for one in (git.parent, tree)] == [shas[0]] * 2
+    (git / "HEAD").write_text("ref: refs/heads/old\n")
+    assert commit._of_clone(git.parent) == shas[1]
+    (git / "HEAD").write_text(f"{shas[2]}\n")
+    assert commit._of_clone(git.parent) == shas[2]
 
 
 def test_the_licence_is_the_one_that_the_package_names():

@@ -12,7 +12,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from .. import io
+from .. import __version__, io
+from ..commit import commit
 from ..errors import InputError
 from ..scene import Scene, digest, parse_scene, to_toml
 from ..variables import Variables, variable
@@ -43,7 +44,7 @@ class ReweightWarning(UserWarning):
 @cache
 def current_versions() -> dict[str, str]:
     """Versions of what decides a result's bits."""
-    return {name: version(name) for name in ("nailoptics", "mitsuba", "drjit", "numpy")}
+    return {"nailoptics": __version__} | {name: version(name) for name in ("mitsuba", "drjit", "numpy")}
 
 
 def rest_state(scene: Scene, led: int) -> RestState:
@@ -329,7 +330,7 @@ def provenance(
         "photons": photons,
         "seeds": seeds,
         "versions": " ".join(f"{name}={number}" for name, number in (versions or current_versions()).items()),
-    }
+    } | ({"commit": known} if (known := commit()) else {})
 
 
 def mean_of_leds(energy: Sequence[Mapping[str, tuple[float, float]]]) -> dict[str, dict[str, float]]:

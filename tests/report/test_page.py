@@ -237,6 +237,6 @@ def test_it_is_written_whole_or_not_at_all(make, tmp_path, monkeypatch):
 
 
 def test_the_picture_for_the_readme_is_small(make, tmp_path):
-    script = Path(__file__).parents[2] / ".github" / "readme_picture.py"
+    script = Path(__file__).parents[2] / "docs" / "pictures" / "readme_picture.py"
     runpy.run_path(str(script))["readme_picture"](make(), tmp_path / "picture.png")
     assert 20_000 < (tmp_path / "picture.png").stat().st_size < 300_000

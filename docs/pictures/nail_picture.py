@@ -1,6 +1,6 @@
 """Make the README's first picture: the finger at rest and pressed, the nail under force, and what the board reads.
 
-    python .github/nail_picture.py COLOUR_FOLDER result.nc .github/nail_colour.png
+    python docs/pictures/nail_picture.py COLOUR_FOLDER result.nc docs/pictures/nail_colour.png
 
 COLOUR_FOLDER is what `nailoptics colour nail_colour` wrote, result.nc what `nailoptics simulate prototype` wrote.
 """

@@ -1,0 +1,44 @@
+"""Which commit this code is of, where that is known."""
+
+import json
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+
+_ROOT = Path(__file__).resolve().parents[1]
+
+
+@cache
+def commit() -> str | None:
+    """The commit of the clone that this code runs from, or that pip installed it from; None where neither is known.
+
+    Changes in the clone that were not committed are not told.
+    """
+    try:
+        return _of_clone(_ROOT) if (_ROOT / "pyproject.toml").is_file() else _of_install()
+    except (OSError, ValueError, LookupError, metadata.PackageNotFoundError):
+        return None
+
+
+def _of_clone(root: Path) -> str | None:
+    """The commit that a clone is at, read without git."""
+    folder = root / ".git"
+    if folder.is_file():  # a work tree beside its clone
+        folder = root / folder.read_text(encoding="utf-8").removeprefix("gitdir:").strip()
+    head = (folder / "HEAD").read_text(encoding="utf-8").strip()
+    if not head.startswith("ref:"):
+        return head
+    name = head.removeprefix("ref:").strip()
+    common = folder / "commondir"
+    shared = folder / common.read_text(encoding="utf-8").strip() if common.is_file() else folder
+    for place in (folder, shared):
+        if (place / name).is_file():
+            return (place / name).read_text(encoding="utf-8").strip()
+    packed = (line.split() for line in (shared / "packed-refs").read_text(encoding="utf-8").splitlines())
+    return next((words[0] for words in packed if words[1:] == [name]), None)
+
+
+def _of_install() -> str | None:
+    """The commit that pip wrote down when it installed from a repository."""
+    told = metadata.distribution("nailoptics").read_text("direct_url.json")
+    return json.loads(told)["vcs_info"]["commit_id"] if told else None

@@ -1,0 +1,100 @@
+"""Every tutorial does what it says: its files are written, its commands and its Python run, with few photons."""
+
+import json
+import re
+import runpy
+import shlex
+import shutil
+from collections.abc import Iterator
+from inspect import signature
+from pathlib import Path
+
+import pytest
+
+import nailoptics
+from nailoptics.cli import app, run
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = sorted(page for page in (DOCS / "tutorials").glob("*.md") if page.stem != "index")
+FENCE = re.compile(r"^```(?:\{code-block\} )?(\w+)\n(?::caption: (\S+)\n)?(.*?)^```$", re.M | re.S)
+# What takes more than a few seconds even with few photons.
+SLOW = {"cluster", "colour", "force", "oximetry", "taylor", "tally", "tradeoff"}
+PHOTONS = {"force": 200_000, "tradeoff": 0, "oximetry": 30_000, "taylor": 100_000}
+# Where few photons decide less than many do.
+CODES = {"tradeoff": {0, 3}, "taylor": {0, 1, 3}}
+OWN_LIMITS = {"--relative-error", "--photons"}
+
+
+def blocks(page: Path) -> Iterator[tuple[str, str, str]]:
+    """Each fenced block of a page: its language, the file that it shows if any, and its text."""
+    yield from FENCE.findall(page.read_text(encoding="utf-8"))
+
+
+def with_few_photons(command: list[str], photons: int) -> list[str]:
+    """A command that traces light, with so many photons in place of its own limits."""
+    if "options" not in signature(app[command[0]].default_command).parameters or "--dry-run" in command or not photons:
+        return command
+    kept = [
+        word
+        for i, word in enumerate(command)
+        if word not in OWN_LIMITS and (i == 0 or command[i - 1] not in OWN_LIMITS)
+    ]
+    return [*kept, "--photons", str(photons)]
+
+
+def follow(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Do in the current folder what a tutorial says; raises AssertionError where it does not work."""
+    photons, codes = PHOTONS.get(page.stem, 20_000), CODES.get(page.stem, {0})
+    names: dict[str, object] = {}
+    for language, file, text in blocks(page):
+        if file:
+            Path(file).write_text(text, encoding="utf-8")
+        elif language == "sh":
+            for line in text.splitlines():
+                program, *command = shlex.split(line, comments=True)
+                assert program == "nailoptics", line
+                assert run(with_few_photons(command, photons)) in codes, (line, capsys.readouterr().err)
+        elif language == "python":
+            less = re.sub(r"photons, seeds = 100_000, range\(8\)", "photons, seeds = 20_000, range(4)", text)
+            exec(compile(less, str(page), "exec"), names)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, store: Path) -> Path:
+    """An empty folder to work in, with the shipped scenes and a store of its own."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(ROOT / "scenes", tmp_path / "scenes")
+    return tmp_path
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, id=page.stem, marks=[pytest.mark.slow] * (page.stem in SLOW)) for page in PAGES]
+)
+@pytest.mark.filterwarnings("ignore::nailoptics.light.ReweightWarning")
+def test_a_tutorial_does_what_it_says(page, folder, jit_backend, capsys):
+    """Expected, besides: what it writes has the variables that the page of output files lists, under their words."""
+    follow(page, capsys)
+    found = runpy.run_path(str(DOCS / "collect_variables.py"))["collect"](folder)
+    listed = json.loads((DOCS / "output_variables.json").read_text(encoding="utf-8"))
+    for name, made in found.items():
+        for variable, words in made["variables"].items():
+            assert listed[name]["variables"].get(variable) == words, (name, variable)
+
+
+def test_every_command_that_a_page_types_exists():
+    """Of all pages and the README: the command and its options are known; users' files need not be there."""
+    known = {name for name in app if not name.startswith("-")}
+    typed = 0
+    for page in [ROOT / "README.md", *DOCS.rglob("*.md")]:
+        for line in re.findall(r"^(?:\.venv/bin/)?nailoptics (.*)$", page.read_text(encoding="utf-8"), re.M):
+            command, *words = shlex.split(line, comments=True)
+            if command in known:
+                options = {name for one in app[command].assemble_argument_collection() for name in one.names}
+                given = {word for word in words if re.match(r"--?[a-z]", word)}
+                assert given <= options | {"-o"}, (page.name, line)
+                typed += 1
+            else:
+                assert command in ("simulates", "--version"), (page.name, line)
+    assert typed > 25 and nailoptics.__version__
