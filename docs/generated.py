@@ -244,7 +244,7 @@ def commands() -> str:
 
     text = app.generate_docs(output_format="markdown", heading_level=1)
     text = text[text.index("## nailoptics ") :]
-    return re.sub(r"^(## )nailoptics (\w+)", r"\1`\2`", text, flags=re.M)
+    return re.sub(r"^(## )nailoptics ([\w-]+)", r"\1`\2`", text, flags=re.M)
 
 
 # Library

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from .. import __version__, io
+from .. import io
 from ..commit import commit
 from ..errors import InputError
 from ..scene import Scene, digest, parse_scene, to_toml
@@ -44,7 +44,7 @@ class ReweightWarning(UserWarning):
 @cache
 def current_versions() -> dict[str, str]:
     """Versions of what decides a result's bits."""
-    return {"nailoptics": __version__} | {name: version(name) for name in ("mitsuba", "drjit", "numpy")}
+    return {name: version(name) for name in ("nailoptics", "mitsuba", "drjit", "numpy")}
 
 
 def rest_state(scene: Scene, led: int) -> RestState:
