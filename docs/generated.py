@@ -354,9 +354,9 @@ def parts() -> str:
 
 def priors() -> str:
     """What is unknown of a finger, with its range and its source."""
-    rows = ["| what | field | range | source |", "|---|---|---|---|"]
+    rows = ["| field | what | range | source |", "|---|---|---|---|"]
     for one in shipped_priors():
-        rows.append(f"| {one.name} | `{one.field}` | {one.low:g} to {one.high:g} | {_plain(one.source)} |")
+        rows.append(f"| `{one.field}` | {one.name} | {one.low:g} to {one.high:g} | {_plain(one.source)} |")
     return "\n".join(rows) + "\n"
 
 
