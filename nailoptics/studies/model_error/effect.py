@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 
+from ...statistics import Z95
 from .paired import Difference, PairedReadings, weighted_mean
 from .variants import Changes, lines_of
 
@@ -34,7 +35,8 @@ class Change:
 class Effect(Change):
     """A change that was measured: by how much readings move.
 
-    change, stderr : relative change of the reading at rest, of the photodiode named, which it surely moves most.
+    change, stderr : relative change of the reading at rest, of the photodiode named, which it surely moves most; the
+        error counts that it was picked: its 95 % interval holds with Bonferroni's correction for all photodiodes.
     bound : what no photodiode's change exceeds, with 95 % confidence each.
     typical, typical_stderr : change over all photodiodes, weighed by the errors of the scene's readings.
     modulation_bound : the same bound on the modulation by touch, as a part of the largest modulation.
@@ -72,6 +74,8 @@ def effect_of(
     how: Literal["reweighted", "retraced", "derived"] = "derived",
 ) -> Effect:
     """An effect from the difference that its change makes; without a modulation where the difference has none."""
+    from scipy.special import ndtri
+
     ratio, error = found.ratio, found.ratio_stderr
     known = np.isfinite(ratio) & np.isfinite(error)
     # Where nothing was seen, anything may be.
@@ -80,13 +84,14 @@ def effect_of(
     # What is known best, not what is noisiest, says by how much readings move at least.
     sure = np.where(known, np.abs(ratio) - SURE * error, -np.inf)
     best = i, j = np.unravel_index(int(np.argmax(sure)), sure.shape)
+    picked = float(ndtri(1 - 0.025 / max(int(known.sum()), 1))) / Z95
     mean, spread = weighted_mean(ratio, error, base)
     swing = found.swing_bound
     return Effect(
         **vars(change),
         how=how,
         change=float(ratio[best]),
-        stderr=float(error[best]),
+        stderr=picked * float(error[best]),
         bound=float(bounds.max()),
         photodiode=f"{base.transfer.leds[i]} {base.transfer.photodiodes[j]}",
         typical=mean,
