@@ -449,19 +449,20 @@ def export(
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="File, or folder where a format needs several.")],
     format_: Annotated[
-        Literal["glb", "ply", "mmc"] | None,
+        Literal["glb", "ply", "mmc", "mcx", "mitsuba"] | None,
         Parameter(name="--format", help="What to write; the ending of a file's name tells it, too."),
     ] = None,
+    voxel_mm: Annotated[float | None, Parameter(help="Side of mcx's voxels; 0.1 if not given. [mm]")] = None,
     json_: Json = False,
 ) -> None:
-    """Write the finger and the board for another program: a mesh (glb, ply), or what MMC needs to trace it.
+    """Write the finger and the board for another program: a mesh (glb, ply), or what it needs to trace the light.
 
     A folder holds a README with what of the scene does not carry over.
     """
     from .exports.formats import export as write
 
     try:
-        paths = write(_scene(scene), output, format=format_)
+        paths = write(_scene(scene), output, format=format_, voxel_mm=voxel_mm)
     except WriteError:
         raise
     except InputError as error:

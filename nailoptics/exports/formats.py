@@ -9,7 +9,7 @@ from ..errors import InputError
 from ..io import check_writable, make_folder
 from ..scene import Scene
 
-FormatName = Literal["glb", "ply", "mmc"]
+FormatName = Literal["glb", "ply", "mmc", "mcx", "mitsuba"]
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Format:
     """
 
     what: str
-    write: Callable[[Scene, Path], dict[str, Path]]
+    write: Callable[..., dict[str, Path]]
     folder: bool = True
 
 
@@ -42,19 +42,36 @@ def _mmc(scene: Scene, path: Path) -> dict[str, Path]:
     return write_mmc(scene, path)
 
 
+def _mcx(scene: Scene, path: Path, *, voxel_mm: float | None = None) -> dict[str, Path]:
+    from .mcx import USUAL_VOXEL_MM, write_mcx
+
+    return write_mcx(scene, path, voxel_mm=USUAL_VOXEL_MM if voxel_mm is None else voxel_mm)
+
+
+def _mitsuba(scene: Scene, path: Path) -> dict[str, Path]:
+    from .mitsuba_files import write_mitsuba
+
+    return write_mitsuba(scene, path)
+
+
 FORMATS: dict[FormatName, Format] = {
     "glb": Format("a mesh with one named part per region, for viewers and CAD", _mesh, folder=False),
     "ply": Format("a mesh of the interfaces, with the regions on both sides of each face", _mesh, folder=False),
     "mmc": Format("tetrahedra, media, source and detectors for MMC and pmmc", _mmc),
+    "mcx": Format("labelled voxels, media, source and detectors for MCX and pmcx", _mcx),
+    "mitsuba": Format("XML and meshes that plain Mitsuba renders", _mitsuba),
 }
 """Formats by name, as `nailoptics export --format` knows them."""
 
 
-def export(scene: Scene, path: str | Path, *, format: FormatName | None = None) -> dict[str, Path]:
+def export(
+    scene: Scene, path: str | Path, *, format: FormatName | None = None, voxel_mm: float | None = None
+) -> dict[str, Path]:
     """Write a finger scene for another program.
 
     path : a file for glb and ply, else a folder, which is made.
     format : name of one of `FORMATS`; if not given, the ending of the path tells it.
+    voxel_mm : side of the voxels of the format mcx; 0.1 if not given. [mm]
 
     Returns: what was written, by what it is.
 
@@ -69,10 +86,12 @@ def export(scene: Scene, path: str | Path, *, format: FormatName | None = None) 
     name = ending if format is None else format
     if name not in FORMATS:
         raise InputError(f'format = "{name}" is none; choose from {known}.')
+    if voxel_mm is not None and name != "mcx":
+        raise InputError(f"voxel_mm = {voxel_mm:g} belongs to the format mcx, not to {name}; leave it out.")
     chosen = FORMATS[name]
     if not chosen.folder and ending != name:
         raise InputError(f"{path}: a file in the format {name} ends in .{name}; rename it.")
     if chosen.folder and path.exists() and not path.is_dir():
         raise InputError(f"{path}: is a file where format {name} makes a folder; choose another name.")
     check_writable(path if chosen.folder else path.parent, *([] if chosen.folder else [path.name]))
-    return chosen.write(scene, path)
+    return chosen.write(scene, path, **({} if voxel_mm is None else {"voxel_mm": voxel_mm}))

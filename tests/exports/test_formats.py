@@ -3,6 +3,7 @@
 import pytest
 
 import nailoptics
+from nailoptics.assets import data_dir
 from nailoptics.cli import app, run
 from nailoptics.errors import InputError
 from nailoptics.exports.formats import FORMATS
@@ -28,11 +29,18 @@ def test_the_command_line_knows_every_format(capfd):
     ],
 )
 def test_bad_places_and_formats_are_refused_before_anything_is_written(tmp_path, path, asked, why):
-    scene = nailoptics.load_scene("scenes/prototype.toml")
+    scene = nailoptics.load_scene(data_dir("scenes") / "prototype.toml")
     (tmp_path / "there.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(InputError, match=why):
         nailoptics.export(scene, tmp_path / path, format=asked)
     assert [one.name for one in tmp_path.iterdir()] == ["there.txt"]
+
+
+def test_voxels_belong_to_one_format(tmp_path):
+    scene = nailoptics.load_scene(data_dir("scenes") / "prototype.toml")
+    with pytest.raises(InputError, match="belongs to the format mcx"):
+        nailoptics.export(scene, tmp_path / "out", format="mmc", voxel_mm=0.1)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_refusal_is_one_line_that_names_the_scene(tmp_path, capfd):

@@ -208,7 +208,7 @@ def finger_scene(
     mi: Any,
     geometry: Geometry,
     media: Media,
-    bed: BedAbsorption,
+    bed: BedAbsorption | None,
     *,
     sensor: int,
     emitters: dict[int, list[float]],
@@ -216,6 +216,8 @@ def finger_scene(
 ) -> dict[str, Any]:
     """A finger seen from the region `sensor`, lit by `emitters`; its meshes are written to a folder.
 
+    mi : Mitsuba, for a bed that changes along the nail; without one all values are plain.
+    bed : Absorption along the nail, in place of the bed's own in `media`.
     emitters : Colours (3,) by region.
 
     Dies and photodiodes look into the epoxy with their lower faces only; their sides, and what else they touch, are
@@ -224,7 +226,8 @@ def finger_scene(
     names = geometry.regions
     bed_region, epoxy = names.index("bed"), names.index("epoxy")
     mu_a = media.mu_a.copy()
-    mu_a[bed_region] = np.min(bed.mu_a_per_mm)
+    if bed is not None:
+        mu_a[bed_region] = np.min(bed.mu_a_per_mm)
     clear = ~media.opaque
     scene: dict[str, Any] = {"type": "scene", "integrator": integrator(mu_a=mu_a[clear], mu_s=media.mu_s[clear])}
     parts = (*geometry.leds, *geometry.photodiodes)
@@ -232,7 +235,7 @@ def finger_scene(
     refs: list[str | None] = []
     for region in range(len(names)):
         made = None
-        if region == bed_region:
+        if region == bed_region and bed is not None:
             optics = {"mu_s": float(media.mu_s[region]), "g": float(media.g[region])}
             made = bed_medium(mi, bed, bounds_mm=_bounds_mm(geometry, region), **optics)
         elif clear[region]:

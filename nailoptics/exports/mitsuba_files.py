@@ -1,0 +1,115 @@
+"""A finger for plain Mitsuba: one scene of XML per LED, its interfaces as PLY meshes, and how to render them."""
+
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from ..geometry import build
+from ..io import make_folder, write_bytes, write_text
+from ..light import optics
+from ..light.volpath.mitsuba_scene import finger_scene
+from ..scene import Scene, to_toml
+from .carried import Lost, as_seen, checked_finger, lost_everywhere, page
+
+# What an object of a scene is called in XML, by its type.
+TAGS = {"volpath": "integrator", "homogeneous": "medium", "hg": "phase", "ply": "shape", "area": "emitter"}
+TAGS |= dict.fromkeys(("diffuse", "dielectric", "null"), "bsdf")
+TAGS |= {"irradiancemeter": "sensor", "hdrfilm": "film", "box": "rfilter"}
+# Photodiodes read in one rendering, one in each colour.
+COLOURS = 3
+MESHES = "meshes"
+
+
+def write_mitsuba(scene: Scene, folder: Path) -> dict[str, Path]:
+    """Write a scene for each LED, the meshes and a README to a folder; returns their paths by what they are."""
+    seen = as_seen(checked_finger(scene), reflecting=True)
+    geometry = build(seen)
+    names = [face.name for face in geometry.photodiodes]
+    paths = {"readme": folder / "README.md", "scene": folder / "scene.toml"}
+    for i, led in enumerate(seen.leds):
+        meshes = folder / MESHES / f"{i + 1}_{led.name}"
+        make_folder(meshes)
+        media = optics.finger_media(seen, geometry.regions, led.wavelength_nm)
+        # Which photodiode emits which colour is a parameter of the file.
+        colours: dict[int, Any] = {f.region: f"$photodiode_{k + 1}" for k, f in enumerate(geometry.photodiodes)}
+        sensor = geometry.leds[i].region
+        made = finger_scene(None, geometry, media, None, sensor=sensor, emitters=colours, folder=meshes)
+        paths[f"led_{i + 1}"] = folder / f"{i + 1}_{led.name}.xml"
+        write_bytes(paths[f"led_{i + 1}"], _document(made, names, folder))
+    write_text(paths["scene"], to_toml(seen))
+    files = [path.name for name, path in paths.items() if name.startswith("led_")]
+    write_text(paths["readme"], _readme(scene, files, names))
+    return paths
+
+
+def _document(made: dict[str, Any], photodiodes: list[str], folder: Path) -> bytes:
+    """A scene that Mitsuba's `load_dict` takes as a file for its `load_file`."""
+    root = ElementTree.Element("scene", version="3.0.0")
+    for k, name in enumerate(photodiodes):
+        colour = ",".join("1" if k == c else "0" for c in range(COLOURS))
+        root.append(ElementTree.Comment(f" photodiode_{k + 1} is {name.replace('--', '- -')} "))
+        ElementTree.SubElement(root, "default", name=f"photodiode_{k + 1}", value=colour)
+    for name, value in made.items():
+        if name != "type":
+            _add(root, name, value, folder, top=True)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+
+
+def _add(parent: ElementTree.Element, name: str, value: Any, folder: Path, *, top: bool = False) -> None:
+    """Add a field of a scene, or one of its objects with all that it holds, to an element."""
+    if not isinstance(value, dict):
+        kind = {bool: "boolean", int: "integer", float: "float", str: "string"}[type(value)]
+        if name == "filename":
+            value = Path(value).relative_to(folder).as_posix()
+        text = str(value).lower() if isinstance(value, bool) else repr(value) if kind == "float" else str(value)
+        ElementTree.SubElement(parent, kind, name=name, value=text)
+    elif value["type"] == "ref":
+        ElementTree.SubElement(parent, "ref", name=name, id=value["id"])
+    elif value["type"] == "rgb":
+        colour = value["value"]
+        text = colour if isinstance(colour, str) else repr(float(colour))
+        ElementTree.SubElement(parent, "rgb", name=name, value=text)
+    else:
+        own = {"id": name} if top else {"name": name}
+        child = ElementTree.SubElement(parent, TAGS[value["type"]], {"type": value["type"], **own})
+        for key, part in value.items():
+            if key != "type":
+                _add(child, key, part, folder)
+
+
+def _readme(scene: Scene, files: list[str], photodiodes: list[str]) -> str:
+    text = [
+        "A fingertip with its sensor for Mitsuba 3.9 (mitsuba-renderer.org), without nailoptics. Roles are swapped: "
+        "the LED is the sensor and each photodiode a lamp of radiance 1, which by reciprocity gives the same reading "
+        "with less noise. Millimetres; x across the nail, y to the tip, z out of the nail, from its middle.",
+        "",
+        *(f"- `{name}`: one LED's scene, for variants `scalar_rgb`, `llvm_ad_rgb`, `cuda_ad_rgb`" for name in files),
+        f"- `{MESHES}/`: one mesh for each interface, with the media on both sides named in the scene",
+        "- `scene.toml`: the scene as Mitsuba gets it, for nailoptics",
+        "",
+        "The three colours are no colours but tell photodiodes apart: a parameter `photodiode_N` says which one lights "
+        "up in which, at first 1 to 3. The mean over the picture, divided by pi, is the fraction of the LED's light "
+        "that is detected:",
+        "",
+        "```python",
+        "import mitsuba as mi, numpy as np",
+        'mi.set_variant("scalar_rgb")  # or llvm_ad_rgb, which is faster',
+        f'scene = mi.load_file("{files[0]}", optimize=False)  # photodiode_1="0,0,0", photodiode_4="1,0,0" for others',
+        "image = np.array(mi.render(scene, spp=256, seed=1), float)  # at most 10000: the film counts in float32",
+        "pixels = image.reshape(-1, 3) / np.pi",
+        "pixels.mean(0), pixels.std(0, ddof=1) / len(pixels) ** 0.5  # detected fractions, standard errors",
+        "```",
+        "",
+        f"Photodiodes: {', '.join(f'{k} {name}' for k, name in enumerate(photodiodes, start=1))}.",
+    ]
+    return page("For Mitsuba", text, _lost(scene))
+
+
+def _lost(scene: Scene) -> list[Lost]:
+    return [
+        Lost("emission of the LEDs", "Lambertian, from the whole die", "the same, backwards"),
+        Lost("sides of dies and photodiodes in the film", "those of photodiodes detect, too", "black"),
+        *lost_everywhere(scene),
+        Lost("paths in the tissue", "kept for every photon", "none: render again for other absorption"),
+    ]

@@ -1,0 +1,89 @@
+"""Run pmcx on a session of this folder and keep what its photodiodes detected; needs NumPy, pmcx and a GPU.
+
+python run_pmcx.py 1_NAME.json --photons 10000000 --seed 1 -o detected.npz
+"""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+# Looked at so far behind the place where a photon left, to see what it went into. [voxels]
+BEHIND = 0.01
+
+
+def volume(session: dict[str, Any], folder: Path, name: str, kind: Any) -> np.ndarray:
+    """A volume of this folder, x first."""
+    return np.fromfile(folder / name, kind).reshape(session["Domain"]["Dim"], order="F")
+
+
+def config(session: dict[str, Any], folder: Path, *, photons: int, seed: int) -> dict[str, Any]:
+    """Keyword arguments of `pmcx.run` for a session. Places are in voxels."""
+    source, domain = session["Optode"]["Source"], session["Domain"]
+    return {
+        "nphoton": photons,
+        "seed": seed,
+        "vol": volume(session, folder, domain["VolumeFile"], np.uint8),
+        "prop": [[m["mua"], m["mus"], m["g"], m["n"]] for m in domain["Media"]],
+        "unitinmm": domain["LengthUnit"],
+        "issrcfrom0": 1,
+        "srctype": "planar",
+        "srcpos": source["Pos"],
+        # A focal length of minus infinity is a Lambertian emitter.
+        "srcdir": [*source["Dir"][:3], -np.inf],
+        "srcparam1": source["Param1"],
+        "srcparam2": source["Param2"],
+        "detpos": [[*one["Pos"], one["R"]] for one in session["Optode"]["Detector"]],
+        "tstart": session["Forward"]["T0"],
+        "tend": session["Forward"]["T1"],
+        "tstep": session["Forward"]["Dt"],
+        "isreflect": session["Session"]["DoMismatch"],
+        "bc": session["Session"]["BCFlags"],
+        "issavedet": 1,
+        "savedetflag": session["Session"]["SaveDataMask"].lower(),
+        "issave2pt": 0,
+        "minenergy": 0.0,
+        "maxdetphoton": min(photons, 20_000_000),
+        "autopilot": 1,
+        "gpuid": 1,
+    }
+
+
+def kept(session: dict[str, Any], folder: Path, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Photodiode of each photon that went into one, (k,) int, and its path in each absorber, (k, absorbers). [mm]
+
+    rows : (1 + media + 6, n) float. Detector, path in each medium [voxels], where and which way each photon left.
+    """
+    media, absorbers = len(session["Domain"]["Media"]) - 1, len(session["nailoptics"]["absorbers"])
+    place, way = rows[1 + media : 4 + media].T, rows[4 + media : 7 + media].T
+    number = volume(session, folder, session["nailoptics"]["photodiode_file"], np.uint16)
+    at = np.floor(place + BEHIND * way).astype(int).clip(0, np.array(number.shape) - 1)
+    photodiode = number[tuple(at.T)].astype(int) - 1
+    paths = rows[1 : 1 + absorbers].T * session["Domain"]["LengthUnit"]
+    return photodiode[photodiode >= 0], paths[photodiode >= 0]
+
+
+def main() -> None:
+    """Run a session and write FILE.npz, which `nailoptics compare-with` reads."""
+    parser = argparse.ArgumentParser(description="Run pmcx on a session and keep what its photodiodes detected.")
+    parser.add_argument("session", type=Path, help="session that nailoptics wrote, such as 1_NAME.json")
+    parser.add_argument("--photons", type=int, default=10_000_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("-o", "--output", type=Path, default=Path("detected.npz"))
+    asked = parser.parse_args()
+
+    import pmcx
+
+    session, folder = json.loads(asked.session.read_text(encoding="utf-8")), asked.session.parent
+    found = pmcx.run(**config(session, folder, photons=asked.photons, seed=asked.seed))
+    which, paths = kept(session, folder, np.asarray(found["detp"], float))
+    same = {"photons": asked.photons, "seed": asked.seed, "program": "pmcx"}
+    own = session["nailoptics"]
+    np.savez(asked.output, photodiode=which, path_mm=paths, led=own["led"], scene=own["scene"], **same)
+    print(f"{len(which)} of {asked.photons} photons reached photodiodes: {asked.output}")
+
+
+if __name__ == "__main__":
+    main()
