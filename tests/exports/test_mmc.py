@@ -1,5 +1,6 @@
 """Sessions for MMC say what the scene says, and what pmmc makes of one is what the walk of photons reads."""
 
+import importlib.util
 import json
 import subprocess
 import sys
@@ -148,8 +149,12 @@ def test_a_phantom_is_refused(tmp_path):
 
 @pytest.fixture
 def pmmc() -> None:
-    """pmmc with a device that it takes, asked in another process; without one the test is skipped, with the reason."""
-    pytest.importorskip("pmmc", reason="pmmc is missing: pip install pmmc")
+    """pmmc with a device that it takes; without one the test is skipped, with the reason.
+
+    It is asked in another process: once it is loaded, Dr.Jit's first kernel crashes.
+    """
+    if importlib.util.find_spec("pmmc") is None:
+        pytest.skip("pmmc is missing: pip install pmmc")
     ask = "import pmmc; assert pmmc.gpuinfo()"
     if subprocess.run([sys.executable, "-c", ask], capture_output=True, timeout=120).returncode:
         pytest.skip("pmmc finds no OpenCL device, not even the processor: install PoCL (pocl-opencl-icd)")
@@ -164,17 +169,16 @@ def test_pmmc_reads_an_exported_finger_as_we_do(pmmc, chosen_jit, tmp_path):
     """
     scene = load_scene(data_dir("scenes") / "prototype.toml")
     paths = nailoptics.export(scene, tmp_path, format="mmc")
-    # In its own process, as users run it: the LLVM inside an OpenCL device and that of Dr.Jit do not live in one.
-    command = [sys.executable, str(paths["run"]), str(paths["led_1"]), "--photons", "1000000", "--seed", "7"]
+    command = [sys.executable, str(paths["run"]), str(paths["led_1"]), "--photons", "500000", "--seed", "7"]
     command += ["--threads", "1", "-o", str(tmp_path / "detected.npz")]
     subprocess.run(command, check=True, capture_output=True, timeout=1000)
-    found = nailoptics.compare_with(tmp_path / "detected.npz", photons=4_000_000, seed=3, backend=chosen_jit.name)
+    found = nailoptics.compare_with(tmp_path / "detected.npz", photons=2_000_000, seed=3, backend=chosen_jit.name)
     assert len(found.readings) == 8 and not found.unread
     assert max(abs(pair.deviations) for pair in found.readings.values()) < 3
     assert found.p_value > 0.003
-    assert abs(found.total.deviations) < 3 and found.total.ratio[1] < 0.015
+    assert abs(found.total.deviations) < 3 and found.total.ratio[1] < 0.02
     for pair in found.changes.values():
         assert abs(pair.deviations) < 3
-        assert pair.ratio[1] < 0.03
+        assert pair.ratio[1] < 0.04
     for name, pair in found.paths_mm.items():
         assert abs(pair.deviations) < 3.5, name
