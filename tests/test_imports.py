@@ -212,6 +212,9 @@ THEIRS = {
     "1_NAME.json",
     "FILE.npz",
     "detected.npz",
+    "finger/1_ir.json",
+    "finger/run_pmmc.py",
+    "scene.toml",
 }
 THEIRS |= {
     *COLOUR,
