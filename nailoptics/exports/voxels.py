@@ -41,7 +41,7 @@ class Voxels:
         faces = 0
         for axis in range(3):
             a, b = np.moveaxis(self.region, axis, 0)[:-1], np.moveaxis(self.region, axis, 0)[1:]
-            faces += np.count_nonzero((a == one) & (b == other)) + np.count_nonzero((a == other) & (b == one))
+            faces += int(np.count_nonzero((a == one) & (b == other)) + np.count_nonzero((a == other) & (b == one)))
         return faces * self.side_mm**2
 
 
