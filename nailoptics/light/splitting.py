@@ -11,7 +11,7 @@ from .tallies.cell_grid import CellGrid
 
 # A photon that comes within reach of a photodiode, in plate or epoxy, is walked there as so many copies of equal shares
 # of its weight. On the prototype the figure of merit of readings, and of their changes with blood, is 2 to 3 times that
-# of plain walks.
+# of plain walks (of the faintest reading 2.8 times), and with an LED 5 mm from all photodiodes 2.2 to 2.8 times.
 COPIES = 8
 REACH_MM = 0.4
 # Reach is known on cells of this size, seen from above.

@@ -1,45 +1,16 @@
 """Names that attack a browser are text in every part that pages are made of, in drawings, too."""
 
-from html.parser import HTMLParser
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import xarray as xr
+from hostile_names import HOSTILE, Tags, assert_text_alone
 from matplotlib.figure import Figure
 
+from nailoptics.assets import data_dir
 from nailoptics.report import force_pages, html, oximeter_page, place_page, tradeoff_page
-
-HOSTILE = [
-    "<script>alert(1)</script>$a_b^{c$ & <b>",
-    '"><img src=x onerror=y>',
-    "</title></svg><svg onload=z>",
-    "'><i>",
-]
-
-
-class Tags(HTMLParser):
-    """Every tag of a page, and every attribute that runs something."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.found: list[str] = []
-        self.said = ""
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.found += [tag, *(name for name, _ in attrs if name.startswith("on"))]
-
-    def handle_data(self, data: str) -> None:
-        self.said += data
-
-
-def assert_text_alone(text: str, name: str) -> None:
-    """The name is read on the page, and made nothing of it a tag."""
-    page = Tags(text)
-    assert not set(page.found) & {"script", "img", "i", "onerror", "onload"}, page.found
-    assert name in page.said
+from nailoptics.scene import load_scene, to_toml
 
 
 @pytest.mark.parametrize("name", HOSTILE)
@@ -88,3 +59,36 @@ def test_tables_of_layouts_persons_and_readings_show_a_name_as_text(name):
     level = SimpleNamespace(name=name, beforehand=name, lines=(name,), call=name)
     found = SimpleNamespace(levels=[level])
     assert_text_alone(tradeoff_page._needs(found), name)
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_the_page_of_a_calibration_shows_names_of_readings_files_and_factors_as_text(name, tmp_path):
+    over = ("reading", "sample")
+    volts = 1.0 + np.linspace(0.0, 1e-3, 8)[None]
+    profile = ("factor", "step")
+    data = {"volts": (over, volts), "volts_fitted": (over, volts), "time_s": ("sample", np.arange(8.0))}
+    data["recording"] = ("sample", np.array([name] * 8))
+    data |= {f"profile_{one}": (profile, np.ones((1, 3))) for one in ("factor", "quadratic", "deviance")}
+    # A scene takes no such names.
+    scene = to_toml(load_scene(data_dir("scenes") / "prototype.toml"))
+    about = {"recordings": [name], "bent_factors": [name], "scene": scene}
+    result = xr.Dataset(data, {"reading": [name], "factor": [name]}, about)
+    numbers = ("gain", "gain_stderr", "offset_v", "offset_stderr_v", "residual_rms_v", "noise_v")
+    factor = {"value": 1.0, "stderr": 0.1, "prior": name, "informed": True, "what": name}
+    summary = {"rms_n": 0.1, "chi2_per_dof": 1.0, "widening": 1.0, "warnings": [name]}
+    summary |= {"parameters": {name: factor}, "readings": {name: dict.fromkeys(numbers, 1.0)}}
+    force_pages.write_calibration_page(result, summary, tmp_path / "page.html")
+    assert_text_alone((tmp_path / "page.html").read_text(encoding="utf-8"), name)
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_the_page_of_a_prediction_shows_warnings_misfits_and_events_as_text(name, tmp_path):
+    numbers = ["force_n", "force_low_n", "force_high_n", "force_linear_n", "known_force_n", "surprise"]
+    numbers += ["proximal_share", "proximal_share_low", "proximal_share_high", "arterial_change_pa"]
+    data = {one: ("time", np.linspace(0.1, 1.0, 8)) for one in numbers} | {"outlier": ("time", np.zeros(8, bool))}
+    result = xr.Dataset(data, {"time": np.arange(8.0)}, {"scene": name, "scene_digest": name})
+    summary = {"warnings": [name], "consistent": False, "misfit": name, "open_above_n": 1.0, "rms_n": 0.1}
+    summary |= {"coverage_95": 0.9, "baseline_rms_n": {"linear": 0.1, "components": 0.1}}
+    summary |= {"events": [{"kind": name, "time_s": 1.0, "latency_s": 0.1}]}
+    force_pages.write_prediction_page(result, summary, tmp_path / "page.html")
+    assert_text_alone((tmp_path / "page.html").read_text(encoding="utf-8"), name)

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
+from hostile_names import HOSTILE, assert_text_alone
 
 from nailoptics import cli, load_scene, tissue
 from nailoptics.assets import data_dir
@@ -14,6 +15,7 @@ from nailoptics.light import Transfer, optics
 from nailoptics.light.course import GROUPS, read_replicates
 from nailoptics.light.records import LedTrace
 from nailoptics.options import TraceOptions
+from nailoptics.report.compare_page import write_comparison
 from nailoptics.scene import Scene
 from nailoptics.statistics import Z95, jackknife
 from nailoptics.studies.comparison import fits
@@ -310,3 +312,13 @@ def test_a_sweeps_settings_have_a_unit_that_all_of_them_share_or_none():
         for name in ("setting", "limit"):
             assert found[name].attrs.get("units") == units
             assert (found[name].attrs.get("ancillary_variables") == "setting_units") == (units is None)
+
+
+def test_the_page_shows_names_that_attack_a_browser_as_text(tmp_path):
+    rng = np.random.default_rng(1)
+    result = judged(made_up(rng.uniform(1, 6, 400), rng.uniform(0, 3, 400)), "force", "blood")
+    names = [f"{HOSTILE[i % len(HOSTILE)]}{i}" for i in range(result.sizes["photodiode"])]
+    write_comparison(result.assign_coords(led=[HOSTILE[0]], photodiode=names), tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    for name in names:
+        assert_text_alone(text, name)
