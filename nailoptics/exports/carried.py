@@ -88,12 +88,12 @@ def lost_refraction(scene: Scene, geometry: Geometry) -> list[Lost]:
     found: dict[str, float] = {}
     for led in scene.leds:
         media = optics.finger_media(scene, geometry.regions, led.wavelength_nm)
-        beside = {epoxy_index(scene, geometry, led.wavelength_nm): 0.0}
+        epoxy = epoxy_index(scene, geometry, led.wavelength_nm)
         for one, other in geometry.interfaces():
             for clear, opaque in ((one, other), (other, one)):
                 if media.opaque[opaque] and not media.opaque[clear] and geometry.regions[clear] != "air":
-                    n, within = float(media.n[clear]), next(iter(beside))
-                    share = ((n - within) / (n + within)) ** 2
+                    n = float(media.n[clear])
+                    share = ((n - epoxy) / (n + epoxy)) ** 2
                     name = geometry.regions[clear]
                     found[name] = max(found.get(name, 0.0), share)
     names = [name for name, share in found.items() if share > 0]
