@@ -45,7 +45,7 @@ def range_errors(result: xr.Dataset, *, led: int) -> "Figure":
     """The error of fitted (9) and (8) over each range from the sweep's start with 95 % intervals, beside 1 and 5 %."""
     places, sweeps = order(result), [str(s) for s in result.sweep.values]
     height_in = 0.9 + 3.0 * len(sweeps)
-    room, how = style.Room(left=0.65, top=0.6, across=0.2, down=0.65), {"sharey": True, "sharex": "row"}
+    room, how = style.Room(left=0.65, top=0.6, across=0.35, down=0.65), {"sharey": True, "sharex": "row"}
     figure, grid = style.panels(9.6, height_in, len(sweeps), 2, room_in=room, squeeze=False, **how)
     for row, sweep in zip(grid, sweeps, strict=True):
         for axes, (model, formula) in zip(row, FORMULAS.items(), strict=True):

@@ -83,9 +83,12 @@ def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
         low, high = (significant(100 * float(f(one.limit)), 2) for f in (np.min, np.max))
         cards.append((f"{low} – {high} %", "blood fraction up to which (9) errs by less than 1 %"))
     parts = np.abs(result.isel(sweep=0, point=-1).sel(way="fitted").part_error).median(("led", "photodiode"))
-    worst, *_ = compare_figures.PARTS[str(result.part.values[int(parts.values.argmax())])]
+    # A part that no time was left to trace is not known.
+    if not (known := parts.dropna("part")).size:
+        return cards
+    worst, *_ = compare_figures.PARTS[str(known.part.values[int(known.values.argmax())])]
     words = f"of the swing: the largest part of the error of (9), by the median of all readings: “{worst}”"
-    return [*cards, (f"{significant(100 * float(parts.max()), 2)} %", words)]
+    return [*cards, (f"{significant(100 * float(known.max()), 2)} %", words)]
 
 
 def _limits(result: xr.Dataset, led: int) -> str:

@@ -157,7 +157,7 @@ def _names(axes: "Axes", places: Sequence[tuple[str, np.ndarray]], *, x: float |
             fontsize=8,
             color=style.INK,
             arrowprops={"arrowstyle": "-", "color": style.MUTED, "lw": 0.5, "alpha": 0.6},
-            bbox={"facecolor": style.PAPER, "edgecolor": "none", "alpha": 0.7, "pad": 0.4},
+            bbox={"facecolor": style.PAPER, "edgecolor": "none", "alpha": 0.95, "pad": 0.4},
         )
 
 

@@ -15,6 +15,7 @@ from nailoptics.light import Transfer, optics
 from nailoptics.light.course import GROUPS, read_replicates
 from nailoptics.light.records import LedTrace
 from nailoptics.options import TraceOptions
+from nailoptics.report import compare_page
 from nailoptics.report.compare_page import write_comparison
 from nailoptics.scene import Scene
 from nailoptics.statistics import Z95, jackknife
@@ -113,6 +114,19 @@ def test_the_parts_add_up_to_the_error_of_taylor():
     total = result.part_error.sel(part=["truncation", "one_path", "both_zones"]).sum("part")
     assert np.allclose(total, result.error.sel(model="taylor"), atol=1e-11)
     assert np.abs(result.part_error.sel(part="blood_scattering")).max() > 0
+
+
+def test_the_page_names_no_part_that_is_not_known():
+    """Rationale: a comparison cut off before the bed's scattering was traced knows nothing of it.
+    Expected: the largest of the parts that are known; none where none is.
+    """
+    draw = np.random.default_rng(4).gamma(2.0, 2.5, 2000)
+    found = judged(made_up(draw, draw), "blood", slopes=np.full((2, 1, 8), np.nan))
+    assert np.isnan(found.part_error.sel(part="blood_scattering")).any()
+    *_, (_, words) = compare_page._cards(found)
+    assert "largest part" in words and "scatters" not in words
+    found["part_error"] = found.part_error * np.nan
+    assert not any("largest part" in words for _, words in compare_page._cards(found))
 
 
 def test_a_straight_line_fits_an_exponential_up_to_where_theory_says():
