@@ -73,6 +73,11 @@ def lsb_v(amplifier: Electronics) -> float:
     return amplifier.adc_range_v / 2.0**amplifier.adc_bits
 
 
+def limit_v(amplifier: Electronics) -> float:
+    """Where the converter's last code begins, one step below its range: from there on it cannot tell more light. [V]"""
+    return amplifier.adc_range_v - lsb_v(amplifier)
+
+
 def noise_budget(
     current_a: ArrayLike,
     amplifier: Electronics,
@@ -134,8 +139,7 @@ def read(
         amplified_v=np.asarray(amplified),
         volts=np.asarray(np.minimum(amplified, amplifier.adc_range_v)),
         noise_v2=np.asarray(sum(budget)),
-        # The last code begins one step below the range: from there on the converter cannot tell more light.
-        saturated=np.asarray(amplified >= amplifier.adc_range_v - lsb_v(amplifier)),
+        saturated=np.asarray(amplified >= limit_v(amplifier)),
     )
 
 

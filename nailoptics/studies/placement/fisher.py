@@ -12,9 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from ... import electronics
 from ...scene import Electronics, Led, Photodiode, Scene
+from ...statistics import jackknife
 from ..blood_states import steady_blood_at, touch_areas_mm2, touch_pressures_pa
 from .body_waves import BodyNoise, body_noise
 
@@ -69,12 +71,13 @@ class Response:
     """What photodiodes read and how it changes, any shape (...).
 
     volts, noise_v2 : reading and the variance that the electronics give one sample. [V], [V^2]
-    slope_v_per_pa : (..., 2) float. Change with either pressure; 0 where the converter is at its limit. [V/Pa]
+    slope_v_per_pa : (..., 2) float. Change with either pressure, times the root of `telling`. [V/Pa]
     zone_v : (..., 2) float. Change with the blood of either zone. [V]
     shunted_fraction : (...) float. Part of the light that was never in the bed.
-    body_v : (..., k) float. What each of the body's k shapes adds, rms, to all readings at once; None without a body,
-        0 where the converter is at its limit. [V]
+    body_v : (..., k) float. What each of the body's k shapes adds, rms, to all readings at once, times the root of
+        `telling`; None without a body. [V]
     own_v2 : what the body adds to each reading by itself. [V^2]
+    telling : (...) float. Probability that the converter is below its limit, at which a reading tells nothing.
     """
 
     volts: Array
@@ -84,6 +87,7 @@ class Response:
     shunted_fraction: Array
     body_v: Array | None = None
     own_v2: Array | float = 0.0
+    telling: Array | float = 1.0
 
     @property
     def noise_v(self) -> Array:
@@ -100,12 +104,15 @@ def response(
     *,
     number: int = 0,
     ambient_a: float | Array = 0.0,
+    replicates: bool = False,
 ) -> Response:
     """What photodiodes read of an LED, from a photon map's means per emitted photon.
 
     values : (..., 4) float. Reading, its part never in the bed, derivative by the blood of each zone.
     number : of the LED in its scene.
     ambient_a : photocurrent by light from outside, which tells nothing. [A]
+    replicates : whether the first axis is by all photons and without each block of them. Then a reading that may be at
+        the converter's limit tells as much as it is likely to: what all tell is a mean, and has no jumps.
     """
     detected = np.maximum(values[..., 0], 0.0)
     read = electronics.read(detected, led, photodiode, amplifier, ambient_a=ambient_a)
@@ -113,7 +120,13 @@ def response(
     zone, light_v = values[..., 2:] * per_fraction, detected * per_fraction
     with np.errstate(invalid="ignore", divide="ignore"):
         shunted = np.where(values[..., 0] > 0, values[..., 1] / values[..., 0], 0.0)
-    tells = ~read.saturated[..., None]
+    telling = np.where(read.saturated, 0.0, 1.0)
+    if replicates:
+        stderr_v, below_v = jackknife(read.amplified_v), electronics.limit_v(amplifier) - read.amplified_v
+        with np.errstate(invalid="ignore", divide="ignore"):
+            telling = np.where(stderr_v > 0, ndtr(below_v / stderr_v), telling)
+    # Information is of second degree in these.
+    tells = np.sqrt(telling)[..., None]
     return Response(
         volts=read.amplified_v,
         noise_v2=read.noise_v2,
@@ -122,6 +135,7 @@ def response(
         shunted_fraction=shunted,
         body_v=None if point.body is None else point.body.shapes_v(zone, light_v, number) * tells,
         own_v2=0.0 if point.body is None else (point.body.reading_gain * light_v) ** 2,
+        telling=telling,
     )
 
 

@@ -68,10 +68,10 @@ class _Setup:
         """Areas of the photodiodes. [mm^2]"""
         return np.array([area.area_mm2 for area in self.scene.layout.photodiode_areas])
 
-    def response(self, led: int, values: np.ndarray, ambient_a: Any = 0.0) -> Response:
-        """What the photodiodes read of one LED, (..., photodiodes, 4) float."""
+    def response(self, led: int, values: np.ndarray, ambient_a: Any = 0.0, *, replicates: bool = False) -> Response:
+        """What the photodiodes read of one LED, (..., photodiodes, 4) float; as the `response` of any."""
         amplifier, point = self.scene.electronics, self.condition.point
-        how = {"number": led, "ambient_a": ambient_a}
+        how = {"number": led, "ambient_a": ambient_a, "replicates": replicates}
         return response(values, self.scene.leds[led], self.photodiode, amplifier, point, **how)
 
     def force_resolution_n(self, responses: Sequence[Response]) -> np.ndarray:
@@ -111,7 +111,7 @@ def inspect_layout(
         found |= _back(setup, max(1, batches // BATCHES_PER_ROUND), begin + max_seconds, values)
     except _Stopped:
         return xr.Dataset()
-    resolution = setup.force_resolution_n([setup.response(i, each) for i, each in enumerate(values)])
+    resolution = setup.force_resolution_n([setup.response(i, each, replicates=True) for i, each in enumerate(values)])
     error = resolution[0] * jackknife(np.log(resolution))
     attributes = {"checked_resolution_n": float(resolution[0]), "checked_resolution_n_stderr": float(error)}
     if "reciprocal_fraction" in found:
@@ -255,7 +255,7 @@ def _led_places(setup: _Setup, maps: list[list[PhotonMap]], mean: np.ndarray, er
         # Where hardly any light comes only what was known before is told, the same by every group of photons.
         all_light = each[..., 0].sum(-1)
         seen = jackknife(all_light) ** 2 < all_light[0] ** 2 / FEW_PHOTONS
-        told = setup.force_resolution_n([setup.response(i, each)])
+        told = setup.force_resolution_n([setup.response(i, each, replicates=True)])
         unread = setup.force_resolution_n([setup.response(i, np.zeros_like(each))])
         resolution.append(np.where(seen & (told[0] < KNOWN_BEFORE * unread[0]), told, np.nan))
     text = "part of the light of an LED at this place on each photodiode, by reciprocity"

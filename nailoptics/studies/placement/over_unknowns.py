@@ -134,7 +134,7 @@ def _resolutions(
     out = []
     for k, (_, point) in enumerate(shared):
         by_led = [
-            response(values[k], led, photodiode, layout.scene.electronics, point, number=number)
+            response(values[k], led, photodiode, layout.scene.electronics, point, number=number, replicates=True)
             for number, (values, led) in enumerate(zip(read, layout.scene.leds, strict=True))
         ]
         out.append(force_resolution_n(total_information(by_led), point))

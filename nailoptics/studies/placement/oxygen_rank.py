@@ -50,7 +50,7 @@ class OxygenRule:
             for i, led in enumerate(self.leds):
                 read = by_led[led]
                 # In volts over noise: the light itself cancels.
-                pulsating = (read.zone_v @ self.pulse[k, i]) ** 2 * (read.slope_v_per_pa != 0).any(-1)
+                pulsating = (read.zone_v @ self.pulse[k, i]) ** 2 * read.telling
                 with np.errstate(divide="ignore"):
                     relative = relative + read.noise_v2 / pulsating
             told = (self.log_ratio_per_percent * self.shape_rms[k]) ** 2 * self.frames / relative

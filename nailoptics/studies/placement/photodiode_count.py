@@ -83,7 +83,8 @@ def _read(layout: CandidateLayout, cache: PhotonMapCache, rules: Placement) -> _
             blocks = one.over(areas)
             for each, values in zip(halves, (blocks[::2].mean(0), left_out(blocks[1::2])), strict=True):
                 amplifier, point = layout.scene.electronics, condition.point
-                each[-1].append(response(values, led, photodiode, amplifier, point, number=number))
+                told = response(values, led, photodiode, amplifier, point, number=number, replicates=each is halves[1])
+                each[-1].append(told)
     return _Places(centers_mm, size_mm, *halves)
 
 

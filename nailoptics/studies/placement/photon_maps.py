@@ -8,7 +8,7 @@ from ...geometry import SPACING_MM
 from ...light.board_map import BoardTracer, PhotonMap, blood_point
 from ...light.identity import light_digest, light_scene
 from ...light.store import LightStore
-from ...scene import FingerCase, Scene, digest
+from ...scene import FingerCase, Led, Scene, digest
 from ...statistics import left_out, seed_of
 from . import boards
 from .fisher import OperatingPoint, Response, response
@@ -110,10 +110,14 @@ class PhotonMapCache:
         """Responses of a layout, by finger and LED, each (1 + blocks, photodiodes): by all photons, then without each
         block of them."""
         areas, photodiode = layout.layout.photodiode_areas, layout.layout.photodiodes[0].photodiode
+        amplifier = layout.electronics
+
+        def read(one: PhotonMap, led: Led, point: OperatingPoint, number: int) -> Response:
+            return response(
+                left_out(one.over(areas)), led, photodiode, amplifier, point, number=number, replicates=True
+            )
+
         return [
-            [
-                response(left_out(one.over(areas)), led, photodiode, layout.electronics, condition.point, number=k)
-                for k, (led, one) in enumerate(zip(layout.leds, by_led, strict=True))
-            ]
+            [read(one, led, condition.point, k) for k, (led, one) in enumerate(zip(layout.leds, by_led, strict=True))]
             for condition, by_led in zip(self.conditions, self.maps(board), strict=True)
         ]

@@ -180,7 +180,8 @@ def _photodiode_anywhere(scene: Scene, maps: Sequence[PhotonMap], point: Operati
     areas = np.stack([u - half_u, u + half_u, v - half_v, v + half_v], -1).reshape(-1, 4)
     noise, resolution, error = [], [], []
     for k, (led, one) in enumerate(zip(scene.leds, maps, strict=True)):
-        read = fisher.response(left_out(one.over(areas)), led, photodiode, scene.electronics, point, number=k)
+        values, amplifier = left_out(one.over(areas)), scene.electronics
+        read = fisher.response(values, led, photodiode, amplifier, point, number=k, replicates=True)
         noise.append(read.noise_v[0].reshape(u.shape))
         with np.errstate(divide="ignore", invalid="ignore"):
             replicates = fisher.fixed_ratio_resolution_n(fisher.fisher_information(read), point)

@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 from small_scenes import TWO_LAYOUTS as SCENE
 
+from nailoptics import electronics
 from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.io import write_dataset
@@ -20,6 +21,7 @@ from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
 from nailoptics.scene.outlines import Outline, read_outline, write_outline
 from nailoptics.scene.positions import read_positions
 from nailoptics.scene.rectangles import Rectangle
+from nailoptics.statistics import jackknife, left_out
 from nailoptics.studies.placement import boards, exchange, fisher, photon_maps, place, result, scores
 from nailoptics.studies.placement.progress import StageProgress
 from nailoptics.tissue import BloodZones
@@ -69,6 +71,29 @@ def test_a_saturated_reading_tells_nothing(scene):
     values = np.array([[1e-4, 0, -1e-3, -1e-3], [0.5, 0, -1.0, -1.0]])
     read = fisher.response(values, led, photodiode, scene.electronics, AT)
     assert np.any(read.slope_v_per_pa[0] != 0) and np.all(read.slope_v_per_pa[1] == 0)
+
+
+def test_a_reading_that_may_be_saturated_tells_as_much_as_it_is_likely_to(scene):
+    """Rationale: with a jump at the converter's limit, a layout there has no error that its photons could tell.
+    Expected: over noisy readings of known error the information's mean is that of one far below times the probability
+    to be below, and the jackknife tells its scatter, where that of a jump is mostly told as nothing.
+    """
+    led, photodiode, rng = scene.leds[0], scene.photodiodes[0], np.random.default_rng(5)
+    limit = electronics.limit_v(scene.electronics) / electronics.volts_per_fraction(led, photodiode, scene.electronics)
+    told, errors = [], []
+    for _ in range(400):
+        # 32 blocks; their mean has an error of 2 % of the limit, and lies one of these below it.
+        blocks = np.zeros((32, 1, 4))
+        blocks[:, 0, 0] = limit * (0.98 + 0.02 * np.sqrt(32) * rng.standard_normal(32))
+        blocks[:, 0, 2:] = -limit
+        how = led, photodiode, scene.electronics, AT
+        read, below = fisher.response(left_out(blocks), *how, replicates=True), fisher.response(blocks[0] * 0.1, *how)
+        each = (read.slope_v_per_pa[:, 0, 0] / below.slope_v_per_pa[0, 0] / 10) ** 2
+        told.append(each[0])
+        errors.append(float(jackknife(each)))
+    # A reading one error below has, read with that error once more, a probability of 0.76 to be below.
+    assert np.mean(told) == pytest.approx(0.76, abs=0.04)
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.std(told), rel=0.2)
 
 
 def test_blood_changes_with_pressure_as_steady_states_do(scene):
