@@ -29,6 +29,8 @@ from nailoptics.studies.force.subject import Model, Subject
 from nailoptics.studies.force.virtual_recording import record_touch
 
 KINDS = ("slow", "steps")
+# What people are calibrated on: slow cycles alone, or quick steps, too.
+SLOWLY, QUICKLY = ("calibration",), ("calibration", "quick")
 # Touches up to here are what rms is asked of; the last slow cycle is for closure. [N]
 MOST_N = 1.0
 # A reading past which less than this part of its change is left is past closure; looked for up to MOST_SEARCHED_N.
@@ -133,9 +135,16 @@ def virtual_person(name: str, folder: Path, *, without: str | None = None, **opt
     return VirtualPerson(own, scene, folder, **options)
 
 
-def calibrated(person: VirtualPerson, scene: Scene, table: ReadingTable, model: Model = "network") -> str:
-    """The file of a person's sensor, calibrated on slow cycles on either side."""
-    recordings = [person.recording("calibration", site) for site in record.SIDES]
+def calibrated(
+    person: VirtualPerson,
+    scene: Scene,
+    table: ReadingTable,
+    model: Model = "network",
+    *,
+    kinds: tuple[str, ...] = SLOWLY,
+) -> str:
+    """The file of a person's sensor, calibrated on some kinds of touches on either side."""
+    recordings = [person.recording(kind, site) for kind in kinds for site in record.SIDES]
     return str(calibrate_with(scene, table, recordings, model=model).attrs["subject"])
 
 

@@ -1,11 +1,12 @@
 """How well force is told from volts, on eight virtual people whom no model of ours made. Run: python bench_force.py
 
     python bench_force.py --keep FOLDER [--people person_3 ...] [--part record|touches|paper|floor|pairs|rest ...]
-        [--rate 25] [--rest-s 3600] [--massless]
+        [--rate 25] [--rest-s 3600] [--massless] [--quick]
         [--without zones|vessels|optics|creep|heartbeat|breathing|vasomotion|rhythms|drift]
 
 Each person (scenes/subjects) is recorded as scenes/subjects/record.py says, calibrated on slow cycles of 0-2 N on
-either side with scenes/prototype.toml as the guess, and read under touches that no calibration has seen. Parts:
+either side (with --quick on steps of other heights, too) with scenes/prototype.toml as the guess, and read under
+touches that no calibration has seen. Parts:
 - record: recordings alone, which every other part makes when it needs them;
 - touches: for every person, side and kind of touch (slow cycles of 0.4 and 1 N; steps of 0.15-1 N that rise in
   0.16 s) the rms error of the filter and of both regressions, by what factor the better of them is worse, the part of
@@ -48,6 +49,8 @@ from force_scores import (  # noqa: E402
     DIFFERENCES,
     KINDS,
     PROTOTYPE,
+    QUICKLY,
+    SLOWLY,
     Score,
     VirtualPerson,
     calibrated,
@@ -97,7 +100,8 @@ class Bench:
         model = "massless" if given.massless else "inertial"
         options: dict[str, Any] = {"without": given.without, "model": model, "rate_hz": given.rate}
         self.people = {name: virtual_person(name, folder, **options) for name in given.people}
-        self.found = folder / f"found_{code_of_force()}_{model}_{given.rate:g}hz"
+        self.kinds = QUICKLY if given.quick else SLOWLY
+        self.found = folder / f"found_{code_of_force()}_{model}_{given.rate:g}hz{'_quick' * given.quick}"
         self.found.mkdir(parents=True, exist_ok=True)
         self.scores: dict[tuple[str, str, str, str], Score] = {}
         self.begun = time.monotonic()
@@ -119,11 +123,12 @@ class Bench:
         person = self.people[name]
 
         def find() -> dict[str, Any]:
-            for site in record.SIDES:
-                person.recording("calibration", site)
+            for kind in self.kinds:
+                for site in record.SIDES:
+                    person.recording(kind, site)
             begin = time.process_time()
             light = self.network if model == "network" else self.paper
-            text = calibrated(person, *light, model)
+            text = calibrated(person, *light, model, kinds=self.kinds)
             return {"subject": text, "cpu_s": time.process_time() - begin}
 
         found = kept(self.found / f"{person.name}_{model}_subject.json", find)
@@ -134,7 +139,7 @@ class Bench:
         for name, person in self.people.items():
             for site in record.SIDES:
                 for kind in record.TOUCHES:
-                    person.recording(kind, site, seed=0 if kind == "calibration" else 1)
+                    person.recording(kind, site, seed=0 if kind in QUICKLY else 1)
                     self.say(f"{name} {site:<9} {kind} recorded")
 
     def touches(self, model: Model) -> None:
@@ -225,6 +230,7 @@ def main() -> None:
     asked.add_argument("--keep", type=Path, help="folder for whatever is found; forgotten at the end if not given")
     asked.add_argument("--rate", type=float, default=record.SAMPLE_RATE_HZ, help="of all recordings of touches [Hz]")
     asked.add_argument("--rest-s", type=float, default=3600.0, help="how long people rest [s]")
+    asked.add_argument("--quick", action="store_true", help="calibrate on quick steps, too")
     asked.add_argument("--massless", action="store_true", help="people without inertia: faster, the same to 1e-3")
     asked.add_argument("--without", choices=tuple(DIFFERENCES), help="people are as the fitted model in this")
     given = asked.parse_args()

@@ -201,6 +201,12 @@ def _warnings(subject: Subject) -> list[str]:
             f"{side} touches of {forces_n.min():.2g} to {forces_n.max():.2g} N could hold the vessels in two states: "
             "the same force may read differently as it grows and as it falls."
         )
+    told = subject.factors()
+    if not any(told[name]["informed"] for name in PAPER_FACTORS):
+        found.append(
+            "touches are too slow to tell how fast the vessels refill: quick touches rest on priors; record some that "
+            "are let go within 0.2 s, too."
+        )
     if subject.widening > 2:
         found.append(
             f"intervals had to be made {subject.widening:.1f} times as wide to cover the calibration's own touches: "

@@ -33,6 +33,8 @@ PERIOD_S, CORNERS_PER_PERIOD = 20.0, 256
 CALIBRATION_N, SLOW_N = (2.0, 2.0, 2.0), (0.4, 1.0, 2.0)
 # Steps are held and left for so long, and take so long to rise and to fall, as fast as the paper's fastest. [N, s]
 STEPS_N, HOLD_S, EDGE_S, CORNERS_PER_EDGE = (0.5, 0.15, 1.0, 0.3, 0.75), 2.0, 0.16, 16
+# Other steps, for calibrations that are to tell how fast the vessels refill. [N]
+QUICK_N = (0.8, 0.2, 1.2, 0.4, 0.6)
 
 
 def people() -> tuple[str, ...]:
@@ -70,6 +72,7 @@ TOUCHES: dict[str, Corners] = {
     "calibration": slow_cycles(CALIBRATION_N),
     "slow": slow_cycles(SLOW_N),
     "steps": steps(STEPS_N),
+    "quick": steps(QUICK_N),
 }
 
 

@@ -87,5 +87,5 @@ def test_a_recording_is_that_of_its_seed_and_of_both_kinds_of_walls():
 @pytest.mark.parametrize("kind", ["cycle", "Steps"])
 def test_a_touch_that_is_none_is_refused(kind):
     person = load_person("person_1")
-    with pytest.raises(InputError, match="choose from calibration, slow, steps"):
+    with pytest.raises(InputError, match="choose from calibration, slow, steps, quick"):
         record_person(person, untraced(person), kind, SIDES[0])
