@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
 from .network import closure_of
-from .observer import PressureEstimate, pressure_of
+from .observer import TOUCHES_REACH, PressureEstimate, pressure_of
 from .open_error import OpenError
 from .person import force_of
 from .subject import Subject
@@ -82,7 +82,9 @@ class ForceInterval:
         # Past closure a harder touch reads the same: neither bound lies above it.
         floor = np.where(highest >= shut, shut * self.areas_cm2[:, None], np.inf).min(0)
         low = np.where(is_open, np.minimum(low, floor * np.exp(-2 * np.sqrt(covariance[:, 2, 2]))), low)
-        low = np.where(low < LEAST_FORCE_N, 0.0, low)
+        # Where rest is no less likely than the quantile, nothing is told from none.
+        resting = _odds_of_rest(touch, covariance[:, :2, :2])
+        low = np.where((low < LEAST_FORCE_N) | (resting > QUANTILES[0]), 0.0, low)
         nowhere = (middle < LEAST_FORCE_N) | (share_high - share_low > UNKNOWN_SHARE)
         return ForceEstimate(
             force_n=middle,
@@ -94,3 +96,9 @@ class ForceInterval:
             pressure=pressure,
             pressure_stderr=np.sqrt(np.maximum(np.einsum("tii->it", covariance)[:2], 0.0)),
         )
+
+
+def _odds_of_rest(touch: Array, covariance: Array) -> Array:
+    """Odds (T,) of a resting finger over one that touches, for touches (T, 2) known to covariances (T, 2, 2)."""
+    far = np.einsum("ti,tij,tj->t", touch, np.linalg.inv(covariance), touch)
+    return np.asarray(TOUCHES_REACH**2 * np.exp(-0.5 * far) / (2 * np.pi * np.sqrt(np.linalg.det(covariance))))

@@ -1,0 +1,22 @@
+"""How likely a finger rests, from what is known of its touch."""
+
+import numpy as np
+import pytest
+
+from nailoptics.studies.force.force_interval import _odds_of_rest
+from nailoptics.studies.force.observer import TOUCHES_REACH
+
+
+def test_rest_is_as_likely_as_the_readings_make_it() -> None:
+    """Expected: the odds of Bayes' rule for rest and for any touch within reach, likewise likely beforehand."""
+    known = np.diag([0.03**2, 0.02**2])
+
+    def likely(seen: np.ndarray, touch: np.ndarray) -> np.ndarray:
+        return np.asarray(np.exp(-0.5 * (((seen - touch) / np.sqrt(np.diag(known))) ** 2).sum(-1)))
+
+    # A touch is taken to lie anywhere around, as the filter's own pressures may: no edge of the range matters.
+    around = np.stack(np.meshgrid(*2 * [np.linspace(-0.3, 0.5, 401)], indexing="ij"), axis=-1)
+    cell = (0.8 / 400 / TOUCHES_REACH) ** 2
+    seen = np.array([[0.0, 0.0], [0.05, 0.0], [0.1, 0.03]])
+    bayes = [likely(one, np.zeros(2)) / (likely(one, around).sum() * cell) for one in seen]
+    assert _odds_of_rest(seen, np.repeat(known[None], 3, axis=0)) == pytest.approx(np.array(bayes), rel=1e-3)
