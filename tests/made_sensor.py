@@ -11,7 +11,8 @@ from nailoptics.scene import Scene
 from nailoptics.scene.sensor_recordings import SITES, Recording
 from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.network import widths_over
-from nailoptics.studies.force.person import person
+from nailoptics.studies.force.person import RIGID_PULP, person
+from nailoptics.studies.force.pulp import Pulp
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable, reading_names
 
 STEP_S = 0.02
@@ -63,11 +64,11 @@ def cycle(most_n: float, *, lasting_s: float = 8.0) -> np.ndarray:
     return most_n * np.where(time_s < 2, 0.0, np.sin(np.pi * (time_s - 2) / (lasting_s - 2)) ** 2)
 
 
-def record(force_n: np.ndarray, site: str, *, seed: int) -> Recording:
-    """What the sensor records of a force that begins untouched, with noise."""
+def record(force_n: np.ndarray, site: str, *, seed: int, pulp: Pulp = RIGID_PULP) -> Recording:
+    """What the sensor records of a force that begins untouched, with noise, on a pulp."""
     own, light = scene(), table()
     time_s, where = STEP_S * np.arange(force_n.size), np.full(force_n.shape, SITES[site])
-    who = person(parameters(own.blood.parameters), {}, rest_blood=0.03, area_cm2=1.0, share=0.5)
+    who = person(parameters(own.blood.parameters), {}, rest_blood=0.03, area_cm2=1.0, share=0.5, pulp=pulp)
     volts = light.volts(who.blood(widths_over(who, time_s, who.pressures(force_n, where))))
     noise = np.random.default_rng(seed).normal(size=volts.shape)
     return Recording("made", light.names, time_s, volts + light.noise_v[:, None] * noise, force_n, where)

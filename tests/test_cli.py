@@ -566,7 +566,8 @@ def test_ctrl_c_keeps_what_was_traced(folder, chosen_jit):
         process.kill()
     assert process.returncode == 3, err
     assert "interrupted" in err.splitlines()[-1] and "Traceback" not in err
-    assert Transfer.load(Path("transfer.nc")).photons > 0 and len(out.splitlines()) == 13
+    assert Transfer.load(Path("transfer.nc")).photons > 0 and len(out.splitlines()) == 14
+    assert out.startswith("Cut off: interrupted")
 
 
 def test_a_time_limit_is_that_of_the_whole_command(monkeypatch):

@@ -205,6 +205,7 @@ THEIRS = {
     "out/predict.png",
     "proximal.csv",
     "distal.csv",
+    "quick.csv",
     "steps.csv",
     "worn.csv",
     "results/prototype/report.html",

@@ -61,12 +61,12 @@ def side_areas_mm2(
     return proximal, distal
 
 
-def creeping_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, relaxation_s: float) -> np.ndarray:
+def creeping_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, relaxation_s: ArrayLike) -> np.ndarray:
     """The pressure that a touch leaves in the pulp, which yields at once and recovers slowly, (..., T) float. [Pa]
 
     time_s : (T,) float, not decreasing; a time that comes twice is a jump. [s]
     pressure_pa : (..., T) float. Of the touch, linear between the times. [Pa]
-    relaxation_s : Time constant of the recovery; 0 is none. [s]
+    relaxation_s : (...) float. Time constant of the recovery; 0 is none. [s]
 
     Where the touch presses harder than what is left, the pulp follows; where it presses less, the difference dies away
     as exp(-t / relaxation_s).
@@ -74,11 +74,13 @@ def creeping_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, relaxation_s
     Raises: InputError if a value is not finite, or the time constant is negative.
     """
     time, touch = finite("time_s", time_s), finite("pressure_pa", pressure_pa)
-    relaxation = number("relaxation_s", relaxation_s)
-    if relaxation < 0.0:
-        raise InputError(f"relaxation_s must be 0 or more, got {relaxation:g} s.")
+    relaxation = finite("relaxation_s", relaxation_s)
+    if (relaxation < 0.0).any():
+        raise InputError(f"relaxation_s must be 0 or more, got {relaxation.min():g} s.")
     left = touch.copy()
-    if relaxation > 0.0:
+    if relaxation.any():
+        # Of several, those that are 0 die away within any step.
+        relaxation = np.maximum(relaxation, 1e-9 * relaxation.max())
         for i, h in enumerate(np.diff(time)):
             lag = (touch[..., i + 1] - touch[..., i]) * (relaxation / h if h > 0.0 else 0.0)
             # What the touch has left behind; at a jump nothing has time to die away.
@@ -88,12 +90,14 @@ def creeping_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, relaxation_s
     return left
 
 
-def spreading_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, part: float, time_constant_s: float) -> np.ndarray:
+def spreading_pressure(
+    time_s: ArrayLike, pressure_pa: ArrayLike, *, part: ArrayLike, time_constant_s: float
+) -> np.ndarray:
     """The pressure of a touch under which the pulp spreads by and by, (..., T) float. [Pa]
 
     time_s : (T,) float, not decreasing; a time that comes twice is a jump. [s]
     pressure_pa : (..., T) float. Of the touch on a pulp that does not spread, linear between the times. [Pa]
-    part : Part of the pressure that is lost in the end, 0 to 1. [1]
+    part : (...) float. Part of the pressure that is lost in the end, 0 to 1. [1]
     time_constant_s : of its loss, and of the pulp's return once the touch is over. [s]
 
     What is lost follows the pressure with that delay, and never exceeds it.
@@ -101,9 +105,9 @@ def spreading_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, part: float
     Raises: InputError if a value is not finite, the part is not in 0..1, or the time constant is not positive.
     """
     time, touch = finite("time_s", time_s), finite("pressure_pa", pressure_pa)
-    part, delay = number("part", part), number("time_constant_s", time_constant_s)
-    if not 0.0 <= part <= 1.0:
-        raise InputError(f"part must lie in 0..1, got {part:g}; 0.1 is usual.")
+    lost, delay = finite("part", part), number("time_constant_s", time_constant_s)
+    if ((lost < 0.0) | (lost > 1.0)).any():
+        raise InputError(f"part must lie in 0..1, got {lost.ravel()[np.abs(lost - 0.5).argmax()]:g}; 0.1 is usual.")
     if delay <= 0.0:
         raise InputError(f"time_constant_s must be greater than 0, got {delay:g} s.")
     followed = np.zeros_like(touch)
@@ -112,7 +116,7 @@ def spreading_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, part: float
         lag = (touch[..., i + 1] - touch[..., i]) * (delay / h if h > 0.0 else 0.0)
         behind = touch[..., i + 1] - lag + (followed[..., i] - touch[..., i] + lag) * np.exp(-h / delay)
         followed[..., i + 1] = behind if h > 0.0 else followed[..., i]
-    return np.maximum(touch - part * followed, 0.0)
+    return np.maximum(touch - lost[..., None] * followed, 0.0)
 
 
 def _area(name: str, value: float) -> float:

@@ -103,7 +103,10 @@ def calibrate_with(
     """What `calibrate` returns, from a table of light that is already there and recordings that were checked."""
     even = any(one.site is not None and np.isnan(one.site).any() for one in recordings)
     searched = PAPER_FACTORS if model == "paper" else NAMES
-    free = np.array([name in searched and (name != "proximal_share" or even) for name in NAMES])
+    # What the scene states of the pulp is known.
+    known = {"creep": scene.touch.creep, "distal_recovery": scene.touch.distal_relaxation_s}
+    fixed = {name for name, value in known.items() if value is not None} | (set() if even else {"proximal_share"})
+    free = np.array([name in searched and name not in fixed for name in NAMES])
     usual = {
         "rest_blood": scene.blood.rest_blood_fraction,
         "area_cm2": scene.touch.contact_area_mm2 / 100.0,

@@ -42,18 +42,20 @@ class Beat:
     def go_on(self, state: Array, step_s: float) -> tuple[Array, Array, Array]:
         """The state after a step, its slopes by the state before, and the covariance of what comes in between.
 
-        Each harmonic turns, and its height returns to the usual one: a limit cycle.
+        Each harmonic turns, and its height r returns to the usual one h, a limit cycle: dr/dt = r (1 - r^2/h^2) / 2 t,
+        solved over the step, so that none is ever thrown further off.
         """
         order = np.arange(1, len(self.rms_pa) + 1)
         before, height2 = state[1:].reshape(-1, 2), 2.0 * np.square(self.rms_pa)
         turn = 2 * np.pi * self.rate_hz * np.exp(state[0]) * step_s * order
         cos, sin = np.cos(turn), np.sin(turn)
         rotation = np.moveaxis(np.array([[cos, -sin], [sin, cos]]), -1, 0)
-        back = step_s / HEIGHT_MEMORY_S
-        grown = 1.0 + 0.5 * back * (1.0 - (before**2).sum(1) / height2)
+        forgotten, part = -np.expm1(-step_s / HEIGHT_MEMORY_S), (before**2).sum(1) / height2
+        grown = 1.0 / np.sqrt(1.0 + (part - 1.0) * forgotten)
         after = np.einsum("kij,kj->ki", rotation, grown[:, None] * before)
         inner = (
-            grown[:, None, None] * np.eye(2) - back * before[:, :, None] * before[:, None, :] / height2[:, None, None]
+            grown[:, None, None] * np.eye(2)
+            - (grown**3 * forgotten / height2)[:, None, None] * before[:, :, None] * before[:, None, :]
         )
         slopes, first = np.zeros((self.size, self.size)), 1 + 2 * np.arange(len(order))
         kept = np.exp(-step_s / RATE_MEMORY_S)
@@ -67,7 +69,7 @@ class Beat:
         # All harmonics belong to one beat: when it is late, all are.
         late = np.concatenate([[0.0], (order[:, None] * across).ravel()])
         wander2 = (2 * np.pi * INTERVAL_SPREAD) ** 2 * self.rate_hz * step_s
-        each = np.concatenate([[(1 - kept**2) * RATE_SPREAD**2], np.repeat(2 * back * self.spread**2 * height2 / 2, 2)])
+        each = np.concatenate([[(1 - kept**2) * RATE_SPREAD**2], np.repeat(forgotten * self.spread**2 * height2, 2)])
         return (
             np.concatenate([[kept * state[0]], after.ravel()]),
             slopes,

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import NamedTuple, cast
 
@@ -23,6 +23,8 @@ USUAL_DISTAL_REACH = 0.25
 # A fingerpad that is held down pushes back less and less, by a tenth within some 2 s (Pawluk and Howe 1999, J. Biomech.
 # Eng. 121:605), and the distal reading returns more slowly than the touch is released (the paper's Fig. 12).
 USUAL_PULP = Pulp(creep=0.1, creep_s=2.0, recovery_s=0.15)
+# No held touch loses more of its pressure than this.
+MOST_CREEP = 0.9
 RIGID_PULP = Pulp(creep=0.0, creep_s=2.0, recovery_s=0.0)
 # 1 N/cm^2, the paper's unit of pressure. [Pa]
 N_PER_CM2 = 1e4
@@ -55,6 +57,8 @@ PRIORS: dict[str, FactorPrior] = {
     "distal_reach": FactorPrior(3.0, (), "part of a distal pressure that acts on the proximal capillaries"),
     "rest_blood": FactorPrior(1.7, (), "blood of the bed at rest"),
     "proximal_share": FactorPrior(1.5, (), "proximal over distal force of an even touch"),
+    "creep": FactorPrior(2.0, (), "part of its pressure that a held touch loses"),
+    "distal_recovery": FactorPrior(2.0, (), "time in which the distal pulp recovers"),
 }
 NAMES = tuple(PRIORS)
 SPREAD_LN = np.log([prior.spread for prior in PRIORS.values()])
@@ -126,7 +130,7 @@ def person(
 
     base : the scene's constants. rest_blood, area_cm2, share : of the scene.
     distal_reach : part of a distal pressure on the proximal capillaries; 0 in the paper's two zones.
-    pulp : what lies between the touch and the vessels; nothing if not given.
+    pulp : what lies between the touch and the vessels, which the factors change; nothing if not given.
     factors : by NAMES; 1 where one is missing.
     """
     scaled = {name: np.asarray(value, dtype=float) for name, value in base.as_dict().items()}
@@ -152,5 +156,9 @@ def person(
         share=np.asarray(odds / (1.0 + odds)) if share not in (0.0, 1.0) else np.asarray(share),
         arterial_pa=base.arterial_pressure_pa,
         venous_pa=base.venous_pressure_pa,
-        pulp=pulp,
+        pulp=replace(
+            pulp,
+            creep=np.minimum(pulp.creep * np.asarray(factors.get("creep", 1.0)), MOST_CREEP),
+            recovery_s=pulp.recovery_s * np.asarray(factors.get("distal_recovery", 1.0)),
+        ),
     )

@@ -9,19 +9,22 @@ from ...hemodynamics import creeping_pressure, spreading_pressure
 
 Array = NDArray[np.float64]
 
+# A time constant of this or less is none. [s]
+SHORTEST_S = 1e-9
+
 
 @dataclass(frozen=True)
 class Pulp:
-    """What lies between a touch and the vessels.
+    """What lies between a touch and the vessels, of one person or of many (arrays of shape S in place of numbers).
 
-    creep : float. Part of its pressure that a held touch loses in the end. [1]
+    creep : S float. Part of its pressure that a held touch loses in the end. [1]
     creep_s : float. Time constant of that loss. [s]
-    recovery_s : float. Time constant with which the distal pulp recovers where a touch presses less. [s]
+    recovery_s : S float. Time constant with which the distal pulp recovers where a touch presses less. [s]
     """
 
-    creep: float
+    creep: Array | float
     creep_s: float
-    recovery_s: float
+    recovery_s: Array | float
 
     def course(self, time_s: Array, pressure: Array) -> Array:
         """What is left for the vessels of both touch pressures, (2, *S, T) float, linear between times (T,)."""
@@ -42,5 +45,5 @@ class Pulp:
 
     def recover(self, left: Array, pressure: Array, step_s: float) -> Array:
         """The pressure that is left in the distal pulp a step later, of that before and that of the touch."""
-        kept = np.exp(-step_s / self.recovery_s) if self.recovery_s > 0 else 0.0
+        kept = np.exp(-step_s / np.maximum(self.recovery_s, SHORTEST_S))
         return np.asarray(np.maximum(pressure, pressure + (left - pressure) * kept))

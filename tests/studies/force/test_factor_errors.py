@@ -15,8 +15,10 @@ from nailoptics.studies.force.virtual_people import SIDES, TOUCHES, load_person,
 from nailoptics.studies.force.virtual_recording import record_touch
 
 PEOPLE = 24
-# Nobody's share or reach is searched: the touches are one-sided, and the scene's two zones share no pressure.
-FREE = np.array([name not in ("proximal_share", "distal_reach") for name in NAMES])
+# Nobody's share or reach is searched: the touches are one-sided, and the scene's two zones share no pressure. These
+# people's pulp is rigid.
+FIXED = ("proximal_share", "distal_reach", "creep", "distal_recovery")
+FREE = np.array([name not in FIXED for name in NAMES])
 SEARCHED = tuple(name for name, free in zip(NAMES, FREE, strict=True) if free)
 # People differ by this from the scene, in logarithms.
 DIFFER_LN = 0.25

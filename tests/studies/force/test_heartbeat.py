@@ -38,3 +38,11 @@ def test_what_comes_in_between_delays_all_harmonics_together() -> None:
     # Intervals of a second that scatter by 5 % move the phase of the first harmonic by 0.31 radians a beat.
     height = np.hypot(after[1], after[2])
     assert deviation[0] / height == pytest.approx(2 * np.pi * 0.05 * np.sqrt(1.1 * 0.01), rel=0.1)
+
+
+def test_a_beat_that_is_far_too_high_comes_back_too() -> None:
+    state = np.concatenate([[0.0], 1e4 * np.array(BEAT.rms_pa).repeat(2)])
+    for _ in range(int(100 / 0.05)):
+        before, state = state, BEAT.go_on(state, 0.05)[0]
+        assert (np.hypot(*state[1:].reshape(-1, 2).T) < 1.01 * np.hypot(*before[1:].reshape(-1, 2).T)).all()
+    assert np.hypot(*state[1:].reshape(-1, 2).T) == pytest.approx(np.sqrt(2) * np.array(BEAT.rms_pa), rel=0.01)

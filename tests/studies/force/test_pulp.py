@@ -1,0 +1,53 @@
+"""How a person's pulp gives way: found by calibration where the scene does not state it."""
+
+import made_sensor
+import numpy as np
+import pytest
+
+from nailoptics import load_scene
+from nailoptics.assets import data_dir
+from nailoptics.hemodynamics import creeping_pressure, spreading_pressure
+from nailoptics.studies.force.calibrate import calibrate_with
+from nailoptics.studies.force.person import USUAL_PULP
+from nailoptics.studies.force.pulp import Pulp
+from nailoptics.studies.force.subject import parse_subject
+
+
+@pytest.mark.parametrize(("creep", "recovery_s"), [(0.25, 0.3), (0.0, 0.05)])
+def test_calibration_finds_the_pulp_that_the_scene_does_not_state(creep: float, recovery_s: float) -> None:
+    scene, pulp = load_scene(data_dir("scenes") / "prototype.toml"), Pulp(creep, USUAL_PULP.creep_s, recovery_s)
+    assert scene.touch.creep is None and scene.touch.distal_relaxation_s is None
+    recordings = [
+        made_sensor.record(made_sensor.cycle(1.5), site, seed=seed, pulp=pulp)
+        for seed, site in enumerate(("proximal", "distal"))
+    ]
+    subject = parse_subject(calibrate_with(scene, made_sensor.table(), recordings).attrs["subject"])
+    found, spread = subject.person().pulp, {name: one["stderr"] for name, one in subject.factors().items()}
+    # A factor on what is usual reaches no further down than an eighth.
+    least = 1 / 8
+    reached, usual = max(creep, least * USUAL_PULP.creep), USUAL_PULP
+    assert found.creep == pytest.approx(reached, abs=max(0.01, 3 * usual.creep * spread["creep"]))
+    assert found.recovery_s == pytest.approx(
+        recovery_s, abs=max(0.01, 3 * usual.recovery_s * spread["distal_recovery"])
+    )
+    assert spread["creep"] < 0.5 and spread["distal_recovery"] < 0.5
+
+
+def test_what_the_scene_states_of_the_pulp_is_kept() -> None:
+    scene = made_sensor.scene()
+    recordings = [made_sensor.record(made_sensor.cycle(1.5), "proximal", seed=0)]
+    subject = parse_subject(calibrate_with(scene, made_sensor.table(), recordings).attrs["subject"])
+    assert subject.person().pulp.creep == scene.touch.creep
+    assert subject.person().pulp.recovery_s == scene.touch.distal_relaxation_s
+
+
+def test_many_people_side_by_side_are_each_by_itself() -> None:
+    time_s, touch = np.linspace(0.0, 4.0, 41), np.zeros((2, 3, 41))
+    touch[:, :, 5:25] = 1.0
+    parts, times = np.array([0.0, 0.1, 0.4]), np.array([0.0, 0.2, 0.5])
+    spread = spreading_pressure(time_s, touch, part=parts, time_constant_s=2.0)
+    left = creeping_pressure(time_s, touch, relaxation_s=times)
+    for k in range(3):
+        alone = spreading_pressure(time_s, touch[:, k], part=parts[k], time_constant_s=2.0)
+        np.testing.assert_array_equal(spread[:, k], alone)
+        np.testing.assert_allclose(left[:, k], creeping_pressure(time_s, touch[:, k], relaxation_s=times[k]), atol=1e-8)
