@@ -223,26 +223,10 @@ def finger_scene(
     Dies and photodiodes look into the epoxy with their lower faces only; their sides, and what else they touch, are
     black.
     """
-    names = geometry.regions
-    bed_region, epoxy = names.index("bed"), names.index("epoxy")
-    mu_a = media.mu_a.copy()
-    if bed is not None:
-        mu_a[bed_region] = np.min(bed.mu_a_per_mm)
-    clear = ~media.opaque
-    scene: dict[str, Any] = {"type": "scene", "integrator": integrator(mu_a=mu_a[clear], mu_s=media.mu_s[clear])}
+    epoxy = geometry.regions.index("epoxy")
     parts = (*geometry.leds, *geometry.photodiodes)
     looking = {face.region: face for face in parts if face.region == sensor or face.region in emitters}
-    refs: list[str | None] = []
-    for region in range(len(names)):
-        made = None
-        if region == bed_region and bed is not None:
-            optics = {"mu_s": float(media.mu_s[region]), "g": float(media.g[region])}
-            made = bed_medium(mi, bed, bounds_mm=_bounds_mm(geometry, region), **optics)
-        elif clear[region]:
-            made = medium(mu_a=float(mu_a[region]), mu_s=float(media.mu_s[region]), g=float(media.g[region]))
-        refs.append(f"medium_{region}" if made else None)
-        if made:
-            scene[f"medium_{region}"] = made
+    scene, refs = _inside(mi, geometry, media, bed)
     for (below, above), triangles in geometry.interfaces().items():
         if media.opaque[below] and media.opaque[above]:
             continue
@@ -272,6 +256,28 @@ def finger_scene(
         _write_mesh(geometry, triangles, file)
         scene[f"face_{below}_{above}"] = {"type": "ply", "filename": str(file)} | shape
     return scene
+
+
+def _inside(
+    mi: Any, geometry: Geometry, media: Media, bed: BedAbsorption | None
+) -> tuple[dict[str, Any], list[str | None]]:
+    """The scene without surfaces: its integrator and media, and the name of each region's medium, if it has one."""
+    bed_region, clear, mu_a = geometry.regions.index("bed"), ~media.opaque, media.mu_a.copy()
+    if bed is not None:
+        mu_a[bed_region] = np.min(bed.mu_a_per_mm)
+    scene: dict[str, Any] = {"type": "scene", "integrator": integrator(mu_a=mu_a[clear], mu_s=media.mu_s[clear])}
+    refs: list[str | None] = []
+    for region in range(len(geometry.regions)):
+        made = None
+        if region == bed_region and bed is not None:
+            optics = {"mu_s": float(media.mu_s[region]), "g": float(media.g[region])}
+            made = bed_medium(mi, bed, bounds_mm=_bounds_mm(geometry, region), **optics)
+        elif clear[region]:
+            made = medium(mu_a=float(mu_a[region]), mu_s=float(media.mu_s[region]), g=float(media.g[region]))
+        refs.append(f"medium_{region}" if made else None)
+        if made:
+            scene[f"medium_{region}"] = made
+    return scene, refs
 
 
 def _bounds_mm(geometry: Geometry, region: int) -> np.ndarray:

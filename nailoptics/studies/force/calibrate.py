@@ -101,12 +101,6 @@ def calibrate_with(
     scene: Scene, table: ReadingTable, recordings: Sequence[Recording], *, model: Model = "network"
 ) -> xr.Dataset:
     """What `calibrate` returns, from a table of light that is already there and recordings that were checked."""
-    even = any(one.site is not None and np.isnan(one.site).any() for one in recordings)
-    searched = PAPER_FACTORS if model == "paper" else NAMES
-    # What the scene states of the pulp is known.
-    known = {"creep": scene.touch.creep, "distal_recovery": scene.touch.distal_relaxation_s}
-    fixed = {name for name, value in known.items() if value is not None} | (set() if even else {"proximal_share"})
-    free = np.array([name in searched and name not in fixed for name in NAMES])
     usual = {
         "rest_blood": scene.blood.rest_blood_fraction,
         "area_cm2": scene.touch.contact_area_mm2 / 100.0,
@@ -115,7 +109,7 @@ def calibrate_with(
         "distal_reach": USUAL_DISTAL_REACH if model == "network" else 0.0,
     }
     pulp = _pulp(scene.touch, model)
-    fit = Fit(recordings, table, vessels(scene), free=free, pulp=pulp, **usual)
+    fit = Fit(recordings, table, vessels(scene), free=_free(scene.touch, recordings, model), pulp=pulp, **usual)
     fitted = fit.solve()
     profile = profile_of(fit, fitted.factors_ln[fit.free])
     rest_v = _rest_volts(recordings)
@@ -158,6 +152,15 @@ def calibrate_with(
         recordings=[one.name for one in recordings],
         warnings=_warnings(subject),
     )
+
+
+def _free(touch: Touch, recordings: Sequence[Recording], model: Model) -> NDArray[np.bool_]:
+    """Which factors are searched, (P,) bool: what the scene states of the pulp is known."""
+    even = any(one.site is not None and np.isnan(one.site).any() for one in recordings)
+    searched = PAPER_FACTORS if model == "paper" else NAMES
+    stated = {"creep": touch.creep, "distal_recovery": touch.distal_relaxation_s}
+    fixed = {name for name, value in stated.items() if value is not None} | (set() if even else {"proximal_share"})
+    return np.array([name in searched and name not in fixed for name in NAMES])
 
 
 def _pulp(touch: Touch, model: Model) -> Pulp:

@@ -54,13 +54,7 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     Raises: InputError; NotReachedError, with the Dataset as result, where time ran out or the user interrupted before
     the best was told from the others or the tolerance was met; interrupted, what is found so far is finished roughly.
     """
-    if scene.finger is None:
-        raise InputError("place needs a [finger] scene; a phantom has no board and no force.")
-    if len(scene.zone_edges_mm) > 1:
-        raise InputError(
-            f"blood: place judges layouts by two blood zones, and the scene has {len(scene.zone_edges_mm) + 1}; "
-            "leave zones out, or give one edge."
-        )
+    _check_scene(scene)
     options, accuracy, cpu = TraceOptions(**requested), scene.accuracy, time.process_time()
     photons = options.photons or accuracy.photons
     limit_s = options.max_seconds or accuracy.max_seconds or (math.inf if photons else DEFAULT_SECONDS)
@@ -105,6 +99,17 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
         result.attrs["cut_off"] = unmet
         raise NotReachedError(unmet, result=result)
     return result
+
+
+def _check_scene(scene: Scene) -> None:
+    """Raise InputError for a scene that no layout can be judged on."""
+    if scene.finger is None:
+        raise InputError("place needs a [finger] scene; a phantom has no board and no force.")
+    if len(scene.zone_edges_mm) > 1:
+        raise InputError(
+            f"blood: place judges layouts by two blood zones, and the scene has {len(scene.zone_edges_mm) + 1}; "
+            "leave zones out, or give one edge."
+        )
 
 
 def _candidates(
