@@ -48,8 +48,11 @@ Json = Annotated[bool, Parameter(name="--json", negative="", help="Print one JSO
 Options = Annotated[TraceOptions, Parameter(name="*")]
 USUAL = TraceOptions()
 command_time = CommandTime()
-# Processor time before the first photon: imports of the engine, a finger's geometry, kernels. [s]
+# Processor time before the first photon (imports of the engine, a finger's geometry, kernels), and of one batch. [s]
 FINGER_OPENING_CPU_S, PHANTOM_OPENING_CPU_S = 1.4, 0.5
+FINGER_BATCH_CPU_S, PHANTOM_BATCH_CPU_S = 1.2, 0.4
+# The same of the least that each of the other studies does.
+EXPLANATION_LEAST_CPU_S, TRADEOFF_LEAST_CPU_S, COMPARISON_LEAST_CPU_S, PLACEMENT_LEAST_CPU_S = 1.6, 1.8, 3.3, 4.5
 Folder = Annotated[
     Path | None, Parameter(name=["--output", "-o"], help="Folder for the results; results/SCENE if not given.")
 ]
@@ -61,12 +64,15 @@ def main() -> None:
     leave_dask_out()
     # Nearly all that a command makes lives as long as it does: to look for garbage among it is a tenth of its time.
     gc.set_threshold(100_000)
-    sys.exit(run(sys.argv[1:]))
+    sys.exit(run(sys.argv[1:], own_process=True))
 
 
-def run(arguments: list[str]) -> int:
-    """Run one command and return its exit code; errors are one line on stderr."""
-    command_time.begin()
+def run(arguments: list[str], *, own_process: bool = False) -> int:
+    """Run one command and return its exit code; errors are one line on stderr.
+
+    own_process : whether this process was started for it, so that its time counts from there on.
+    """
+    command_time.begin(with_process=own_process)
     with plain_messages():
         try:
             app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
@@ -233,7 +239,7 @@ def compare(
     if require is not None and not 0 < require < math.inf:
         raise InputError(f"--require {require:g} must be a part of the swing above 0, such as 0.05.")
     folder = _results(output, scene, COMPARISON)
-    limited = command_time.left(options, pages_cpu_s=COMPARISON_CPU_S)
+    limited = command_time.left(options, least_cpu_s=COMPARISON_LEAST_CPU_S, pages_cpu_s=COMPARISON_CPU_S)
     result, unmet = _watched(study, loaded, over=over, wavelengths_nm=wavelength_nm, **limited.fields)
     paths = write_comparison(result, folder)
     judged = verdict(result, 0.05 if require is None else require, model=model)
@@ -266,7 +272,13 @@ def place(
 
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, PLACEMENT)
-    result, unmet = _watched(study, loaded, **command_time.left(options, pages_cpu_s=PLACEMENT_CPU_S).fields)
+    limited = command_time.left(
+        options,
+        limit_s=options.max_seconds or loaded.accuracy.max_seconds,
+        least_cpu_s=PLACEMENT_LEAST_CPU_S,
+        pages_cpu_s=PLACEMENT_CPU_S,
+    )
+    result, unmet = _watched(study, loaded, **limited.fields)
     paths = write_placement(result, folder, negate_x_on_bottom=negate_x_on_bottom)
     summary = placement_summary(result)
     _show(summary | {"folder": str(folder)}, placement_lines(summary), paths, json_, unmet)
@@ -371,7 +383,8 @@ def explain(
     loaded, _ = _load(scene, options)
     if output is not None:
         check_writable(output.parent, output.name, output.with_suffix(".html").name)
-    limited = command_time.left(options, pages_cpu_s=EXPLANATION_CPU_S if output else 0.0)
+    pages_cpu_s = EXPLANATION_CPU_S if output else 0.0
+    limited = command_time.left(options, least_cpu_s=EXPLANATION_LEAST_CPU_S, pages_cpu_s=pages_cpu_s)
     found, unmet = _watched(study, loaded, tolerance=tolerance, **limited.fields)
     paths = write_explanation(found, output) if output else {}
     _show({"scene": None} | found.as_dict(), [found], paths, json_)
@@ -401,7 +414,7 @@ def tradeoff(
 
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, TRADEOFF)
-    limited = command_time.left(options, pages_cpu_s=TRADEOFF_CPU_S).fields
+    limited = command_time.left(options, least_cpu_s=TRADEOFF_LEAST_CPU_S, pages_cpu_s=TRADEOFF_CPU_S).fields
     how: dict[str, Any] = {"tolerance": tolerance, "judge": judge, "answer_seconds": options.max_seconds}
     found, unmet = _watched(study, loaded, **how, **limited)
     paths = write_tradeoff(found, folder)
@@ -791,8 +804,18 @@ def _watched(
 
 def _tracing_time(options: TraceOptions, scene: "Scene", *, pages_cpu_s: float = 0.0) -> TraceOptions:
     """The options with what is left of max_seconds for tracing, which counts from the first photon on."""
-    opening_cpu_s = PHANTOM_OPENING_CPU_S if scene.phantom else FINGER_OPENING_CPU_S
-    return command_time.left(options, pages_cpu_s=opening_cpu_s + pages_cpu_s)
+    from .light.tracing import accuracy
+
+    opening_cpu_s, batch_cpu_s = (
+        (PHANTOM_OPENING_CPU_S, PHANTOM_BATCH_CPU_S) if scene.phantom else (FINGER_OPENING_CPU_S, FINGER_BATCH_CPU_S)
+    )
+    return command_time.left(
+        options,
+        limit_s=accuracy(scene, options).max_seconds,
+        opening_cpu_s=opening_cpu_s,
+        least_cpu_s=opening_cpu_s + len(scene.leds) * batch_cpu_s,
+        pages_cpu_s=pages_cpu_s,
+    )
 
 
 def _show(

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from io import BufferedReader, RawIOBase, TextIOWrapper
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from .errors import InputError
@@ -24,8 +25,11 @@ if TYPE_CHECKING:
 
 # Time between two lines of progress in a log. [s]
 LOG_EVERY_S = 10.0
-# Of a command's time its study gets this part at least, however long the rest of it takes.
-STUDY_SHARE = 0.5
+# Processor time of a command from the start of its process to its study, and from its last word to the end of the
+# process, on the machine on which what its study and pages take was measured. [s]
+STARTING_CPU_S, ENDING_CPU_S = 0.85, 0.25
+# A study without time does the least that it can; it is given this, as a limit of 0 is none. [s]
+NO_TIME_S = 1e-3
 # A wait for input is broken off so often to look for a Ctrl-C. [s]
 WAIT_S = 0.5
 
@@ -36,22 +40,51 @@ class CommandTime:
     def __init__(self) -> None:
         self.begin()
 
-    def begin(self) -> None:
-        """Begin anew."""
-        self._wall, self._cpu = time.perf_counter(), time.process_time()
+    def begin(self, *, with_process: bool = False) -> None:
+        """Begin anew.
 
-    def left(self, options: TraceOptions, *, pages_cpu_s: float) -> TraceOptions:
+        with_process : the process is the command's own, so that it began with the process.
+        """
+        self._begin = time.perf_counter() - (_age_of_process_s() if with_process else 0.0)
+
+    def left(
+        self,
+        options: TraceOptions,
+        *,
+        limit_s: float | None = None,
+        opening_cpu_s: float = 0.0,
+        least_cpu_s: float,
+        pages_cpu_s: float = 0.0,
+    ) -> TraceOptions:
         """The options with what is left of max_seconds once the pages are written, which is done after the study.
 
-        pages_cpu_s : processor time of the pages, and of what else the study's time leaves out. On a busy machine that
-            takes as much longer as what the command has done so far has.
+        Says so where that is less than the least that the command does. All of it takes as much longer than its
+        processor time did once as starting now has, on a busy machine or a slow one.
+
+        limit_s : in place of the options' max_seconds, such as the scene's. [s]
+        opening_cpu_s : processor time of what the study does not count as its own. [s]
+        least_cpu_s : of the least that it does, that included. [s]
+        pages_cpu_s : of what is written after it. [s]
         """
-        if options.max_seconds is None:
+        limit_s = limit_s or options.max_seconds
+        if limit_s is None:
             return options
-        wall, cpu = time.perf_counter() - self._wall, time.process_time() - self._cpu
-        pages_s = pages_cpu_s * max(1.0, wall / max(cpu, 1e-3))
-        least = STUDY_SHARE * options.max_seconds
-        return replace(options, max_seconds=max(least, options.max_seconds - wall - pages_s))
+        spent_s = time.perf_counter() - self._begin
+        slowness = max(1.0, spent_s / STARTING_CPU_S)
+        left_s = limit_s - spent_s - slowness * (pages_cpu_s + ENDING_CPU_S)
+        if (missing_s := slowness * least_cpu_s - left_s) > 0:
+            least_s = f"{limit_s + missing_s:.0f}"
+            say(f"max_seconds = {limit_s:g} is too short: the least of this command takes about {least_s} s here now.")
+        return replace(options, max_seconds=max(NO_TIME_S, left_s - slowness * opening_cpu_s))
+
+
+def _age_of_process_s() -> float:
+    """How long this process has run; 0 where the system does not tell. [s]"""
+    try:
+        ticks = int(Path("/proc/self/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19])
+        return time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")
+    except (OSError, AttributeError, LookupError, ValueError):
+        return 0.0
 
 
 def say(line: str) -> None:

@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -570,16 +571,43 @@ def test_ctrl_c_keeps_what_was_traced(folder, chosen_jit):
     assert out.startswith("Cut off: interrupted")
 
 
-def test_a_time_limit_is_that_of_the_whole_command(monkeypatch):
-    """Expected: its study gets what starting has left, less the pages, which take as much longer than their processor
-    time as starting did; and half of the limit however long they take."""
-    clock = SimpleNamespace(perf_counter=lambda: 0.0, process_time=lambda: 0.0)
+def test_a_time_limit_is_that_of_the_whole_command(monkeypatch, capsys):
+    """Expected: its study gets what starting has left, less what is done before its first photon, the pages and the end
+    of the process, all as much slower than they once were as starting was. Where that is less than its least, it gets
+    hardly any time, and one line says what the command would need."""
+    clock = SimpleNamespace(perf_counter=lambda: 100.0)
     monkeypatch.setattr(terminal, "time", clock)
     command = terminal.CommandTime()
-    clock.perf_counter, clock.process_time = lambda: 6.0, lambda: 2.0
-    asked = TraceOptions(max_seconds=30.0, seed=3)
-    assert command.left(asked, pages_cpu_s=3.0) == TraceOptions(max_seconds=30.0 - 6.0 - 3 * 3.0, seed=3)
-    assert command.left(TraceOptions(max_seconds=5.0), pages_cpu_s=3.0).max_seconds == 2.5
-    assert command.left(TraceOptions(photons=7), pages_cpu_s=3.0) == TraceOptions(photons=7)
+    slowness = 4.0
+    clock.perf_counter = lambda: 100.0 + slowness * terminal.STARTING_CPU_S
+    asked, needs = (
+        TraceOptions(max_seconds=60.0, seed=3),
+        {"opening_cpu_s": 1.0, "least_cpu_s": 2.0, "pages_cpu_s": 3.0},
+    )
+    left_s = 60.0 - slowness * (terminal.STARTING_CPU_S + 1.0 + 3.0 + terminal.ENDING_CPU_S)
+    assert command.left(asked, **needs).max_seconds == pytest.approx(left_s) and command.left(asked, **needs).seed == 3
+    assert command.left(TraceOptions(photons=7), **needs) == TraceOptions(photons=7)
+    # The scene's limit counts as its own does.
+    assert command.left(TraceOptions(photons=7), limit_s=60.0, **needs).max_seconds == pytest.approx(left_s)
+    assert not capsys.readouterr().err
+    assert command.left(TraceOptions(max_seconds=5.0), **needs).max_seconds == terminal.NO_TIME_S
+    least_s = slowness * (terminal.STARTING_CPU_S + 2.0 + 3.0 + terminal.ENDING_CPU_S)
+    assert (
+        f"max_seconds = 5 is too short: the least of this command takes about {least_s:.0f} s"
+        in capsys.readouterr().err
+    )
+    # A machine on which starting took hardly any time is taken for one that is as fast as the usual one.
     command.begin()
-    assert command.left(asked, pages_cpu_s=2.0).max_seconds == 28.0
+    assert command.left(asked, least_cpu_s=2.0).max_seconds == pytest.approx(60.0 - terminal.ENDING_CPU_S)
+
+
+def test_a_command_of_its_own_counts_from_the_start_of_its_process(monkeypatch):
+    """Expected: the age of the process, which the system tells, goes into what is spent; here it is older than a
+    second's thousandth and younger than this machine."""
+    age_s = terminal._age_of_process_s()
+    assert 1e-3 < age_s < time.clock_gettime(time.CLOCK_BOOTTIME)
+    command = terminal.CommandTime()
+    monkeypatch.setattr(terminal, "_age_of_process_s", lambda: 7.0)
+    command.begin(with_process=True)
+    left_s = command.left(TraceOptions(max_seconds=60.0), least_cpu_s=0.0).max_seconds
+    assert left_s == pytest.approx(60.0 - 7.0 * (1 + terminal.ENDING_CPU_S / terminal.STARTING_CPU_S), abs=1.0)

@@ -102,9 +102,9 @@ def _limits(result: xr.Dataset, led: int) -> str:
     for j in compare_figures.order(result):
         one = result.isel(led=led, photodiode=j)
         first = one.isel(sweep=0)
-        swing, swing_stderr = (100 * float(value / first.reading[0]) for value in (first.swing, first.swing_stderr))
+        swing = with_error(*(100 * float(first[f"relative_swing{end}"]) for end in ("", "_stderr")))
         path_mm = with_error(float(first.path_mm), float(first.path_mm_stderr))
-        cells = [escaped(one.photodiode.values), with_error(swing, swing_stderr), path_mm]
+        cells = [escaped(one.photodiode.values), swing, path_mm]
         for sweep, model, within in columns:
             at = one.sel(sweep=sweep, way="fitted", model=model, within=within)
             cells.append(_interval(at, "limit", compare_figures.scale(sweep)))

@@ -174,6 +174,11 @@ _VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "range_error": (_MODEL, "1", "largest error of the model over the range up to here, as a part of the swing there"),
     "part_error": (("photodiode", "way", "part", "point"), "1", "part of the error of (9), as a part of the swing"),
     "swing": (_PAIR, "1", "traced reading's largest less its least, as a fraction of the emitted power"),
+    "relative_swing": (
+        _PAIR,
+        "1",
+        "traced reading's largest less its least, as a part of the reading where the sweep starts",
+    ),
     "alpha_d2": (_CURVE, "1", "alpha D^2 of the photodiode's own zone"),
     "bed_alpha_d2": (_CURVE, "1", "alpha D^2 of all the blood in the bed, zone by zone"),
     "path_mm": (_PAIR, "mm", "mean path in the photodiode's own zone where the sweep starts"),

@@ -181,7 +181,7 @@ def test_what_a_comparison_prints_holds_the_truth_as_often_as_it_says():
         z = [(one[name] - exact) / np.hypot(one[f"{name}_stderr"], error) for one in ends]
         known = [abs(one).fillna(0.0) < Z95 for one in z]
         assert int(sum(known).min()) >= 17, (name, sum(known))
-    for name in ("swing", "path_mm", "path_fitted_mm"):
+    for name in ("swing", "relative_swing", "path_mm", "path_fitted_mm"):
         z = [abs(one[name] - truth[name]) / np.hypot(one[f"{name}_stderr"], truth[f"{name}_stderr"]) for one in each]
         assert sum(float(one) < Z95 for one in z) >= 17, name
     for name in ("limit", "limit_blood_fraction", "limit_alpha_d2", "limit_bed_alpha_d2"):
