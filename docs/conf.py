@@ -24,6 +24,8 @@ autodoc_default_options = {"exclude-members": "model_config"}
 add_module_names = False
 exclude_patterns = ["build"]
 
+highlight_language = "none"  # a block that names no language is typed into a shell
+smartquotes_action = "qe"  # -- begins an option
 html_theme = "furo"
 html_title = f"nailoptics {release}"
 html_static_path = ["static"]

@@ -243,6 +243,7 @@ def commands() -> str:
     from nailoptics.cli import app
 
     text = app.generate_docs(output_format="markdown", heading_level=1)
+    text = re.sub(r"^(nailoptics \S+) -m sphinx", r"\1", text, flags=re.M)  # of `python -m sphinx`, which builds this
     text = text[text.index("## nailoptics ") :]
     return re.sub(r"^(## )nailoptics ([\w-]+)", r"\1`\2`", text, flags=re.M)
 

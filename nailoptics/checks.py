@@ -90,6 +90,8 @@ def explain(error: "ValidationError", model: "type[BaseModel]") -> str:
 def _rule(message: str) -> str:
     """Pydantic's rule in TOML's words: "Tuple should have at least 1 item ..." is "have at least 1 item ..."."""
     rule = re.sub(r"^(Input|Value|Tuple|String) should ", "", message)
+    name = "begin with a letter and hold only letters, digits, _, . and -"
+    rule = re.sub(r"match pattern '\^\[A-Za-z\].*", name, rule)
     rule = re.sub(r"a valid dictionary or instance of \w+", "a table", rule)
     return rule.replace("a valid tuple", "an array").replace(" after validation", "")
 

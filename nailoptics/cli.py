@@ -757,25 +757,9 @@ def _load(name: str, options: TraceOptions) -> "tuple[Scene, str]":
 
 def _scene(name: str) -> "Scene":
     """The scene at a path, or the shipped one of that name."""
-    from .assets import data_dir
     from .scene import load_scene
 
-    path = Path(name)
-    if not _exists(path) and path.parent in (Path(), Path("scenes")):
-        shipped = data_dir("scenes") / (path.name if path.suffix else f"{path.name}.toml")
-        if _exists(shipped):
-            path = shipped
-        elif not path.suffix:
-            known = ", ".join(sorted(p.stem for p in data_dir("scenes").glob("*.toml")))
-            raise InputError(f"{name}: there is no such file and no shipped scene of that name; shipped: {known}.")
-    return load_scene(path)
-
-
-def _exists(path: Path) -> bool:
-    try:
-        return path.exists()
-    except OSError:  # a name too long for the file system, or a folder that may not be searched
-        return False
+    return load_scene(name)
 
 
 def _results(output: Path | None, scene: str, files: tuple[str, ...]) -> Path:

@@ -46,7 +46,7 @@ class Estimate:
         saved = self.cpu_seconds_without_sharing / self.cpu_seconds if self.cpu_seconds else 1.0
         shared, each = duration_text(self.cpu_seconds), duration_text(self.cpu_seconds_without_sharing)
         return (
-            f"{self.scenes} scenes, light traced {self.lights} times\n"
+            f"{self.scenes} scenes, light traced {'once' if self.lights == 1 else f'{self.lights} times'}\n"
             f"about {shared} of processor time ({each} if every scene were traced: {saved:.1f} times as much)\n"
             f"about {self.disk_bytes / 1e6:.1f} MB of disk"
         )

@@ -184,7 +184,7 @@ def sites_figure(result: xr.Dataset) -> "Figure":
     """Places of the LED by what the search found there."""
     from matplotlib.colors import LogNorm
 
-    figure, axes = style.panels(5.6 if slender(result) else 9.2, 4.8)
+    figure, axes = style.panels(5.6, 4.8)
     place, found = result.led_site_mm.to_numpy(), 1e3 * result.led_site_resolution_n.to_numpy()
     norm = LogNorm(found.min(), max(found.max(), 1.001 * found.min()))
     marks = {"left": (">", 0.12, 0), "right": ("<", -0.12, 0), "below": ("^", 0, 0.12), "above": ("v", 0, -0.12)}

@@ -61,7 +61,7 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
     if "led_place_fraction" in result:
         maps += _figure("led", figures.led_figure(best, result), narrow=narrow) + _reciprocity(result)
     if result.sizes["led_site"]:
-        maps += _figure("tried", figures.sites_figure(result), narrow=narrow)
+        maps += _figure("tried", figures.sites_figure(result), narrow=True)
     layout = [_figure("board", figures.board_figure(best)), _photodiodes(result)]
     inspected = "checked_fraction" in result
     if inspected:
@@ -253,8 +253,8 @@ def _photodiodes(result: xr.Dataset) -> str:
     head = ["Photodiode", "Reads<br>[V]", "Full scale /<br>reading", "Noise<br>[µV]", "Signal /<br>noise"]
     head += ["Never in<br>bed [%]", "Proximal blood<br>[mV / %]", "Distal blood<br>[mV / %]", "Looks at depth<br>[mm]"]
     lines = []
-    for name in result.best_photodiode.values:
-        one = result.isel(led=0).sel(best_photodiode=name)
+    for i, name in enumerate(chosen(result).layout.photodiode_names):
+        one = result.isel(led=0, best_photodiode=i)
 
         def known(name: str, scale: float = 1.0, one: xr.Dataset = one, **at: int) -> str:
             return with_error(*(scale * float(one[f"{name}{end}"].isel(at)) for end in ("", "_stderr")))

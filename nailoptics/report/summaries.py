@@ -93,16 +93,20 @@ def check_lines(report: dict[str, Any]) -> list[str]:
         u, v = report["board_mm"]
         of = f", and {report['not_wired']} that are not wired" if report["not_wired"] else ""
         lines.append(f"photodiodes: {len(report['photodiodes'])}{of}, on a board of {u:.3g} x {v:.3g} mm")
-        lines += ["  LED to photodiode, distance, reading at rest by layered diffusion (within 40 %):"]
+        lines += ["  LED to photodiode, place (u, v), distance, reading at rest by layered diffusion (within 40 %):"]
+        places = {one["name"]: "({:.3g}, {:.3g}) mm".format(*one["position_mm"]) for one in report["photodiodes"]}
         lines += [
-            f"  {one['led']:>10} to {one['photodiode']:<16} {one['distance_mm']:5.2f} mm {one['volts']:8.4f} V"
+            f"  {one['led']:>10} to {name:<16} {places[name]:<18} {one['distance_mm']:5.2f} mm {one['volts']:8.4f} V"
             for one in report["pairs"]
+            for name in [one["photodiode"]]
         ]
     for one in report.get("candidates", ()):
         lines.append(f"layout {one['name']}: {one['leds']} LEDs, {one['photodiodes']} photodiodes")
     lines += [f"{name}: {report[name]}" for name in ("touch", "blood", "body") if report.get(name)]
     for file, refs in report.get("ignored", {}).items():
-        lines.append(f"ignored: {len(refs)} parts of {file} ({', '.join(refs[:8])}{', ...' if len(refs) > 8 else ''})")
+        parts = "part" if len(refs) == 1 else "parts"
+        shown = ", ".join(refs[:8]) + (", ..." if len(refs) > 8 else "")
+        lines.append(f"ignored: {len(refs)} {parts} of {file} ({shown})")
     if "crossings" in report:
         names = ", ".join(name for name in report["regions"] if name != "air")
         lines += [

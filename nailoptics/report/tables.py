@@ -57,7 +57,7 @@ def readings_table(found: Sequence[Reading], hold_s: float) -> str:
             number(r.resolution_n, significant(r.resolution_n * 1e3, 3)),
         ]
         rows.append([name, escaped(r.zone), *cells])
-    return table(head, rows, kind="readings", groups=_groups(found))
+    return table(head, rows, kind="readings dense", groups=_groups(found))
 
 
 def path_table(result: xr.Dataset, found: Sequence[Reading]) -> str:

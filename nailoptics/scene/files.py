@@ -7,22 +7,35 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from ..assets import data_dir
 from ..checks import explain
 from ..errors import InputError
 from .base import Table
 from .models import Scene
-from .text_files import one_line, parse_toml, read_text
+from .text_files import is_there, one_line, parse_toml, read_text
 
 
 def load_scene(path: str | Path) -> Scene:
-    """Read a scene file.
+    """Read a scene file, or the shipped scene of that name, such as prototype.
 
     Parts and recordings are looked for beside it, and their contents become part of the scene.
 
     Raises: InputError, one line that names the file, the field, the rule and the value.
     """
-    path = Path(path)
+    given, path = str(path), Path(path)
+    if not is_there(path):
+        path = shipped_scene(given) or path
+        if not is_there(path) and path.parent == Path() and not path.suffix:
+            known = ", ".join(sorted(one.stem for one in data_dir("scenes").glob("*.toml")))
+            raise InputError(f"{given}: there is no such file and no shipped scene of that name; shipped: {known}.")
     return parse_scene(read_text(path, "the path of a scene file (TOML)"), folder=path.parent, name=str(path))
+
+
+def shipped_scene(name: str) -> Path | None:
+    """The file of the shipped scene of a name, as prototype, prototype.toml or scenes/prototype.toml; None without."""
+    path = Path(name)
+    shipped = data_dir("scenes") / (path.name if path.suffix else f"{path.name}.toml")
+    return shipped if path.parent in (Path(), Path("scenes")) and is_there(shipped) else None
 
 
 def parse_scene(text: str, *, folder: str | Path | None = None, name: str = "scene") -> Scene:

@@ -10,11 +10,10 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from ..assets import data_dir
 from ..checks import explain
 from ..errors import InputError
 from .base import Table
-from .files import load_scene, scene_of, schema_of
+from .files import load_scene, scene_of, schema_of, shipped_scene
 from .models import Scene
 from .text_files import is_there, one_line, parse_toml, read_text, short
 
@@ -233,9 +232,8 @@ def _base(base: Any, path: Path) -> tuple[str, dict[str, Any], Path]:
     if isinstance(base, dict):
         return "base", base, path.parent
     file = path.parent / base
-    if not is_there(file) and Path(base).parent == Path():
-        shipped = data_dir("scenes") / (base if base.endswith(".toml") else f"{base}.toml")
-        file = shipped if is_there(shipped) else file
+    if not is_there(file):
+        file = shipped_scene(base) or file
     load_scene(file)  # a fault of the base is reported as its own, before any axis touches it
     return base, parse_toml(read_text(file, "the path of a scene file (TOML)"), str(file)), file.parent
 

@@ -32,6 +32,8 @@ def check_scene(scene: Scene) -> dict[str, Any]:
     if scene.finger is None:
         return report
     layout = scene.layout
+    for led, die in zip(report["leds"], layout.leds, strict=True):
+        led["position_mm"] = list(die.center_mm)  # from the nail's centre, as the photodiodes'
     report["photodiodes"] = [
         {"name": e.name, "position_mm": list(e.area.center_mm), "size_mm": list(e.area.size_mm)}
         | ({"part": e.photodiode.part} if e.photodiode.part else {})

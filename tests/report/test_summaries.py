@@ -46,12 +46,14 @@ def test_a_check_is_reported_in_sentences():
         "LED ir (led_800): 800 nm, 33 nm wide, 2 mW, at (1, 2) mm",
     ]
     pair = {"led": "ir", "photodiode": "a", "distance_mm": 1.5, "volts": 0.25}
-    found = {"photodiodes": [{}], "not_wired": 2, "board_mm": [2.825, 9.0], "pairs": [pair], "warnings": ["hot"]}
+    found = {"photodiodes": [{"name": "a", "position_mm": [0.5, -2.0]}], "not_wired": 2, "board_mm": [2.825, 9.0]}
+    found |= {"pairs": [pair], "warnings": ["hot"]}
     found |= {"ignored": {"x.kicad_pcb": [f"R{i}" for i in range(9)]}}
     found |= {"candidates": [{"name": "mine", "leds": 1, "photodiodes": 4}]}
     lines = check_lines({"scene": "mine", "valid": True, "leds": [led]} | found)
     assert "photodiodes: 1, and 2 that are not wired, on a board of 2.83 x 9 mm" in lines
-    assert "          ir to a                 1.50 mm   0.2500 V" in lines and lines[-1] == "warning: hot"
+    assert "          ir to a                (0.5, -2) mm        1.50 mm   0.2500 V" in lines
+    assert lines[-1] == "warning: hot"
     assert "layout mine: 1 LEDs, 4 photodiodes" in lines
     assert "ignored: 9 parts of x.kicad_pcb (R0, R1, R2, R3, R4, R5, R6, R7, ...)" in lines
     shape = {"regions": ["air", "plate"], "triangles": 12, "crossings": 70, "disagreements": 0, "volume_error": 1e-15}
