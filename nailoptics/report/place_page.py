@@ -264,7 +264,7 @@ def _photodiodes(result: xr.Dataset) -> str:
         line += [significant(1e6 * noise_v), significant(volts / noise_v), known("predicted_shunted_fraction", 100)]
         # A hundredth of the bed's volume, in millivolts.
         line += [known("predicted_zone_v", 10, blood_zone=zone) for zone in range(2)]
-        lines.append([*line, significant(float(one.mean_depth_mm)) if "mean_depth_mm" in one else "–"])
+        lines.append([*line, known("mean_depth_mm") if "mean_depth_mm" in one else "–"])
     return table(head, lines)
 
 

@@ -91,9 +91,8 @@ def _of_layouts(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
         most = max(traced, key=lambda row: row["resolution_spread"])["name"]
         n = result.resolution_at_node_n.isel(layout=0).values
         ends = " to ".join(f"{1e3 * x:.3g}" for x in (np.nanmin(n), np.nanmax(n)))
-        text = (
-            f"Its force resolution spreads by {100 * float(result.resolution_spread[0]):.0f} % (one standard deviation)"
-        )
+        spread, error = (100 * float(result[f"resolution_spread{end}"][0]) for end in ("", "_stderr"))
+        text = f"Its force resolution spreads by {with_error(spread, error)} % (one standard deviation)"
         lines.append(f"{text}, from {ends} mN as one of them goes to either side of its range, most by {most}.")
     return lines
 

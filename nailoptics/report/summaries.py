@@ -232,7 +232,8 @@ def _still(row: dict[str, Any]) -> str:
     """What a layout would resolve were the body still, and its rank by that, where the scene has a body."""
     if "electronics_rank" not in row:
         return ""
-    return f", electronics alone {1e3 * row['electronics_resolution_n']:.3f} mN (rank {row['electronics_rank']})"
+    value, error = (1e3 * row[f"electronics_resolution_n{end}"] for end in ("", "_stderr"))
+    return f", electronics alone {value:.3f} mN +- {error:.3f} (rank {row['electronics_rank']})"
 
 
 def _oxygen(row: dict[str, Any]) -> str:
@@ -245,4 +246,6 @@ def _oxygen(row: dict[str, Any]) -> str:
 def _spread(row: dict[str, Any]) -> str:
     """How far a layout's resolution spreads over what is unknown of the finger, where that is known."""
     spread_n = row.get("force_resolution_spread_n", math.nan)
-    return "" if math.isnan(spread_n) else f", spread {1e3 * spread_n:.3f}"
+    if math.isnan(spread_n):
+        return ""
+    return f", spread {1e3 * spread_n:.3f} +- {1e3 * row['force_resolution_spread_n_stderr']:.3f}"

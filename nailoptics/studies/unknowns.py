@@ -67,10 +67,14 @@ class Spread:
 
     @property
     def keeps_sign(self) -> np.ndarray:
-        """Whether an answer has one sign at every node and within its 95 % interval over all priors, (...) bool."""
+        """Whether an answer has one sign at every node and within its 95 % interval, (...) bool.
+
+        That interval is over all priors and over the photons' noise.
+        """
         values = np.concatenate([self.own[None, 0], self.nodes[:, :, 0].reshape(-1, *self.own.shape[1:])])
         one_sign = (values > 0).all(0) | (values < 0).all(0)
-        return np.asarray(one_sign & (np.abs(self.own[0]) > Z95 * self.total[0]))
+        noise = np.nan_to_num(jackknife(self.own), nan=np.inf)
+        return np.asarray(one_sign & (np.abs(self.own[0]) > Z95 * np.hypot(self.total[0], noise)))
 
     def _variance(self, prior: int) -> np.ndarray:
         """Variance that one prior makes, (1 + groups, ...) float."""

@@ -129,6 +129,8 @@ def _fresh_trace(setup: _Setup, batches: int, photons: int, deadline: float) -> 
     tracer, cells, count = setup.tracer, setup.tracer.cells(), 0
     blocks: list[list[np.ndarray]] = [[] for _ in setup.points]
     total, square = (np.zeros((len(setup.points), len(setup.areas_mm2), *cells.shape)) for _ in range(2))
+    by_depth: list[list[np.ndarray]] = [[] for _ in setup.points]
+    volume = cells.volume_mm3[0, 0]
     while count < LEAST_BATCHES or (count < batches and time.perf_counter() < deadline):
         for i, point in enumerate(setup.points):
             setup.check()
@@ -137,6 +139,7 @@ def _fresh_trace(setup: _Setup, batches: int, photons: int, deadline: float) -> 
             blocks[i].append(means)
             total[i] += sensitivity
             square[i] += sensitivity**2
+            by_depth[i].append((sensitivity * volume).sum((1, 2)))
         count += 1
     values = [left_out(np.stack(each)) for each in blocks]
     pair, cell = ("led", "best_photodiode"), ("under_u", "under_v", "depth")
@@ -149,13 +152,14 @@ def _fresh_trace(setup: _Setup, batches: int, photons: int, deadline: float) -> 
     found |= _middles("under_u", cells.u_mm, "across the nail, as on the board")
     found |= _middles("under_v", cells.v_mm, "along the nail, towards the tip")
     found |= _middles("depth", cells.depth_mm, "below the nail plate's outer face")
-    volume, text = cells.volume_mm3[0, 0], "volume of a cell under the nail at its depth"
+    text = "volume of a cell under the nail at its depth"
     found |= variable("cell_volume_mm3", "depth", volume, text, units="mm3")
-    by_depth = (total * volume).sum((2, 3))
-    with np.errstate(invalid="ignore"):
-        mean = by_depth @ found["depth"][1] / by_depth.sum(-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        weights = [left_out(np.stack(each)) for each in by_depth]
+        middle = [each @ found["depth"][1] / each.sum(-1) for each in weights]
+    depth_mm, errors = [each[0] for each in middle], [jackknife(each) for each in middle]
     text = "mean depth at which absorption makes a photodiode's reading fall"
-    return values, found | variable("mean_depth_mm", pair, mean, text, units="mm")
+    return values, found | variable("mean_depth_mm", pair, depth_mm, text, units="mm", stderr=errors)
 
 
 def _back(setup: _Setup, rounds: int, deadline: float, values: list[np.ndarray]) -> Variables:

@@ -244,7 +244,8 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
         if "spo2_error_percent" in one:
             row |= {name: float(one[name]) for name in ("spo2_error_percent", "spo2_error_percent_stderr")}
         if "resolution_spread" in one:
-            row["force_resolution_spread_n"] = float(one.force_resolution_n * one.resolution_spread)
+            for end in ("", "_stderr"):
+                row[f"force_resolution_spread_n{end}"] = float(one.force_resolution_n * one[f"resolution_spread{end}"])
         row["tied"] = tied and int(result.tied.sum()) > 1
         row |= {name: float(one[name].max()) for name in ("condition_number", "fixed_ratio_resolution_n")}
         for name in result.pressure.values:

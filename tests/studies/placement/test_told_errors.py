@@ -80,12 +80,23 @@ def assert_true(values: np.ndarray, errors: np.ndarray, name: str) -> None:
         "led_place_fraction",
         "led_place_resolution_n",
         "irradiance",
+        "depth_sensitivity",
+        "mean_depth_mm",
         "direct",
     ],
 )
 def test_errors_of_what_is_told_of_layouts(found, name):
     """Expected: what other seeds scatter by."""
     assert_true(*(np.array([one[f"{name}{end}"].values for one in found]) for end in ("", "_stderr")), name)
+
+
+def test_errors_of_the_sensitivity_over_the_board(found):
+    """Rationale: few photons reach a cell of the map with blood in their way. Expected: over all cells together, the
+    sum of squares by which seeds scatter is that of the errors."""
+    value, error = (np.array([one[f"sensitivity{end}"].values for one in found]) for end in ("", "_stderr"))
+    known = (np.isfinite(value) & np.isfinite(error)).all(0)
+    scatter = ((value - value.mean(0)) ** 2 * len(value) / (len(value) - 1))[:, known].sum()
+    assert 0.7 < np.sqrt(scatter / (error[:, known] ** 2).sum()) < 1.4
 
 
 @pytest.mark.parametrize("name", ["checked_resolution_n", "reciprocity_ratio"])
