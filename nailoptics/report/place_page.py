@@ -101,12 +101,13 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
     fingers = result.sizes["finger"]
     over = "" if fingers == 1 else f", {'mean' if result.attrs['rank_by'] == 'mean' else 'worst'} of {fingers} fingers"
     others = f"{'One' if tied == 2 else tied - 1} more cannot be told from it."
+    if tied == 1:
+        others = "No other layout comes near." if len(ranking) > 1 else "It is the only one that was judged."
     through = body_words(chosen(result)) if "electronics_resolution_n" in result else ""
     return (
         f"Layout {first['layout']} resolves {force} of force in one sample{f' through {through}' if through else ''} "
         f"(rms{over}, 95 % interval {low} to {high}), "
-        f"whatever part of it presses proximally. {_oxygen(first)}"
-        f"{'No other layout comes near.' if tied == 1 else others}"
+        f"whatever part of it presses proximally. {_oxygen(first)}{others}"
     )
 
 

@@ -191,3 +191,11 @@ def in_words(seconds: float) -> str:
     units = (("h", 3600.0, 5400.0), ("min", 60.0, 90.0), ("s", 1.0, 1.0), ("ms", 1e-3, 1e-3), ("us", 1e-6, 0.0))
     name, size = next((unit, size) for unit, size, least in units if seconds >= least)
     return f"{seconds / size:.{0 if seconds >= 100 * size else 2}{'f' if seconds >= 100 * size else 'g'}} {name}"
+
+
+def percent(value: float, stderr: float) -> str:
+    """A part and its standard error in percent, both to two digits of the error; what is 0 by construction has none."""
+    if not stderr > 0:
+        return f"{100 * value:+.2g}%" if value else "0%"
+    decimals = min(max(1 - math.floor(math.log10(100 * stderr)), 0), 5) if math.isfinite(stderr) else 2
+    return f"{100 * value:+.{decimals}f} +- {100 * stderr:.{decimals}f}%"

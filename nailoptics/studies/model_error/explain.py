@@ -13,6 +13,7 @@ from ...scene import Scene
 from ...scene.finger import BEYOND_NAIL_MM
 from ...scene.layout import LEAST_EPOXY_UM
 from . import bounds
+from .answers import percent
 from .effect import Change, Effect, effect_of
 from .paired import PairedReadings, PairedTracer, check_study, difference, reweighted, shape_of
 from .unknown_changes import unknown_changes
@@ -84,7 +85,7 @@ class Explanation:
         for e in (*self.effects, *([self.together] if self.together else [])):
             swing = "-" if e.modulation_bound is None else _percent(e.modulation_bound)
             known, modelled = math.isfinite(e.change), "unknown" if e.unknown else "yes" if e.modelled else "no"
-            moved = f"{100 * e.change:+9.2f} +- {100 * e.stderr:4.2f}%" if known else "not known"
+            moved = percent(e.change, e.stderr) if known else "not known"
             text = f"{e.name:<26} {modelled:<8} {moved:>18} {e.photodiode if known else '':<16} "
             lines.append(f"{text}{_percent(e.bound):>11} {swing:>8}  {e.matters:<11} {e.changed_to}")
         if self.needless:

@@ -13,7 +13,7 @@ from ...light.tracing import INTERRUPTED
 from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...variables import Variables, variable
-from .answers import COST_NOISE, MORE, Answer, Effort, Judge, Level, best, fastest, in_words
+from .answers import COST_NOISE, MORE, Answer, Effort, Judge, Level, best, fastest, in_words, percent
 from .levels import OWN, REFERENCE, Bench
 from .paired import check_study
 from .variants import changes_between, revised
@@ -198,7 +198,7 @@ class Tradeoff:
 def _percents(bias: Any) -> str:
     if bias is None:
         return f"{'not measured':>18} {'':>8}"
-    text = f"{100 * bias.value:+8.2f} +- {100 * bias.stderr:4.2f} %" if np.isfinite(bias.value) else "not known"
+    text = percent(bias.value, bias.stderr) if np.isfinite(bias.value) else "not known"
     return f"{text:>18} {bias.bound:>8.1%}"
 
 

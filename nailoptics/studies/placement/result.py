@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from ...light.board_map import PhotonMap, map_dataset
-from ...light.transfer import provenance
+from ...light.transfer import FEW_PHOTONS, provenance
 from ...scene import Scene, parse_scene, to_toml
 from ...scene.outlines import Outline
 from ...scene.positions import PlacedPart
@@ -155,7 +155,10 @@ def _sites(searched: Sequence[SearchedSite]) -> Variables:
 
 
 def _predicted(by_led: Sequence[Response]) -> Variables:
-    """What each photodiode of the best layout reads, by the map of its bare board."""
+    """What each photodiode of the best layout reads, by the map of its bare board.
+
+    Of fewer than ten effective photons no standard error is known.
+    """
     found: Variables = {}
     dims = ("led", "best_photodiode")
     for name, over, units, text in (
@@ -163,9 +166,10 @@ def _predicted(by_led: Sequence[Response]) -> Variables:
         ("shunted_fraction", dims, "1", "part of the light that was never in the bed"),
         ("zone_v", (*dims, "blood_zone"), "V", "change of the reading with the blood fraction of a zone by the map"),
     ):
-        each = [getattr(read, name) for read in by_led]
-        errors = [jackknife(one) for one in each]
-        found |= variable(f"predicted_{name}", over, [one[0] for one in each], text, units=units, stderr=errors)
+        replicates = [getattr(read, name) for read in by_led]
+        values, errors = np.array([one[0] for one in replicates]), np.array([jackknife(one) for one in replicates])
+        errors = np.where((values != 0) & (FEW_PHOTONS * errors**2 <= values**2), errors, np.nan)
+        found |= variable(f"predicted_{name}", over, values, text, units=units, stderr=errors)
     noise, text = [read.noise_v[0] for read in by_led], "noise of one sample by the map, rms"
     return found | variable("predicted_noise_v", dims, noise, text, units="V")
 

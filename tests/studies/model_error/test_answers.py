@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from nailoptics.studies.model_error.answers import Bias, Cost, Level, best, fastest
+from nailoptics.studies.model_error.answers import Bias, Cost, Level, best, fastest, percent
 
 
 def level(name: str, *, bound: float = 0.0, signal: float = 0.0, noise: float = 0.1, fixed: float = 2.0) -> Level:
@@ -74,3 +74,17 @@ def test_the_best_within_a_time():
     assert best(levels, 3.0, "reading").level.name == "cheap"
     found = best(levels, 102.0, "reading")
     assert found.level is FULL and found.error == pytest.approx(0.01) and found.seconds() == pytest.approx(102.0)
+
+
+@pytest.mark.parametrize(
+    ("value", "stderr", "words"),
+    [
+        (-0.402, 0.0338, "-40.2 +- 3.4%"),
+        (-7.4e-5, 1.8e-5, "-0.0074 +- 0.0018%"),
+        (0.31, 1.2, "+31 +- 120%"),
+        (0.01, math.inf, "+1.00 +- inf%"),
+        (0.0, 0.0, "0%"),
+    ],
+)
+def test_no_error_is_rounded_to_none(value, stderr, words):
+    assert percent(value, stderr) == words

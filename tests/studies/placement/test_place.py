@@ -2,6 +2,7 @@
 
 import json
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -431,3 +432,15 @@ def test_the_command_writes_what_other_programs_read(chosen_jit, tmp_path, capsy
     back = [part for part in read_positions(out / "best.csv", negate_x_on_bottom=True) if not part.is_led]
     assert np.allclose([p.position_mm for p in back], [a.center_mm for a in areas], atol=1e-6)
     assert len(read_outline(out / "outline.dxf").corners_mm) == 4
+
+
+def test_what_few_photons_tell_of_a_photodiode_has_no_error():
+    """Expected: of a hundred and of twenty blocks of equal photons an error, of five of a hundred none, nor of none."""
+    groups = np.zeros((100, 4))
+    for photodiode, count in enumerate((100, 20, 5, 0)):
+        groups[:count, photodiode] = np.linspace(0.9, 1.1, count)
+    replicates = left_out(groups)
+    read = SimpleNamespace(volts=replicates, shunted_fraction=replicates, zone_v=replicates[..., None])
+    found = result._predicted([SimpleNamespace(**vars(read), noise_v=np.ones((101, 4)))])
+    for name in ("volts", "shunted_fraction", "zone_v"):
+        assert np.isfinite(np.ravel(found[f"predicted_{name}_stderr"][1])).tolist() == [True, True, False, False]
