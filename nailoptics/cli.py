@@ -653,7 +653,14 @@ def oximeter(
     oximeter.png, and of a recording oxygen.nc, oxygen.csv and oxygen.html. A recording has time_s and columns
     LED:PHOTODIODE, or time_s, slot and a column for each photodiode, in volts.
     """
-    from .report.result_files import OXIMETER, OXYGEN, write_oximeter_recording, write_oximeter_result, write_oxygen
+    from .report.result_files import (
+        OXIMETER,
+        OXIMETER_CPU_S,
+        OXYGEN,
+        write_oximeter_recording,
+        write_oximeter_result,
+        write_oxygen,
+    )
     from .report.summaries import oximeter_lines, oxygen_lines
     from .studies.oximetry.oxygen import oximeter as study
     from .studies.oximetry.oxygen import summary
@@ -664,7 +671,8 @@ def oximeter(
     given = None if readings is None else read_for(loaded, readings)
     folder = _results(output, scene, OXIMETER if given is None else (*OXIMETER, *OXYGEN))
     _check_file(recording)
-    result, unmet = _watched(study, loaded, **options.fields)
+    limited = _tracing_time(options, loaded, pages_cpu_s=OXIMETER_CPU_S)
+    result, unmet = _watched(study, loaded, **limited.fields)
     for line in result.attrs["warnings"]:
         say(line)
     found, paths = summary(result), write_oximeter_result(result, folder)

@@ -17,7 +17,7 @@ from nailoptics.studies.model_error import levels, literature, paired
 from nailoptics.studies.model_error.answers import Answer, Bias, Cost, Level, in_words
 from nailoptics.studies.model_error.levels import MAP, OWN, REFERENCE, THICKER_PLATE
 from nailoptics.studies.model_error.stored_map import StoredMap
-from nailoptics.studies.model_error.tradeoff import Tradeoff, tradeoff
+from nailoptics.studies.model_error.tradeoff import Tradeoff, _to_prove, tradeoff
 from nailoptics.studies.model_error.variants import changes_between, lines_of
 
 
@@ -63,6 +63,23 @@ def test_a_stored_trace_is_nobody_s_first_answer():
     assert found.fastest(0.02).level.name == REFERENCE and found.fastest(0.5).level is DIFFUSION
     assert found.fastest(0.02, "layouts").level is STORED
     assert found.best(1.0).level is DIFFUSION and found.best(1e-5) is None
+
+
+def test_only_a_level_that_would_be_chosen_is_offered_for_proof():
+    """Rationale: a bias of 0.5 % is bounded by 5 % with few photons; for a bound of 2 %, a third as far above, nine
+    times the photons are needed. Expected: so many seconds where the level would then be faster than the one chosen;
+    nothing where it costs as much, where its bias may be too large, or where it is proven already."""
+    quick = {"first": Cost(0.5, 1.0), "reading_noise": 0.01, "signal_noise": 0.01}
+    unsure, wrong = Bias(0.005, 0.005, 0.05), Bias(0.018, 0.005, 0.05)
+    chosen = Answer(level(REFERENCE), 25.0, 0.02)
+
+    def seconds(name: str, **changes: Any) -> float | None:
+        return _to_prove([level(name, **changes)], chosen, 0.02, "both", 100.0)
+
+    assert seconds("quick", reading=unsure, signal=unsure, **quick) == pytest.approx(900.0)
+    assert seconds("as slow", reading=unsure, signal=unsure) is None
+    assert seconds("too far", reading=wrong, signal=unsure, **quick) is None
+    assert seconds("proven", bound=0.01, **quick) is None
 
 
 def test_the_sentence_names_a_time_for_each_error():
