@@ -6,15 +6,19 @@ from importlib import metadata
 from pathlib import Path
 
 _ROOT = Path(__file__).resolve().parents[1]
+# Written into wheels and sdists as they are built.
+_BUILT_FROM = Path(__file__).resolve().with_name("_commit.txt")
 
 
 @cache
 def commit() -> str | None:
-    """The commit of the clone that this code runs from, or that pip installed it from; None where neither is known.
+    """The commit of the clone that this code runs from or was built from; None where neither is known.
 
     Changes in the clone that were not committed are not told.
     """
     try:
+        if _BUILT_FROM.is_file():
+            return _BUILT_FROM.read_text(encoding="utf-8").strip()
         return _of_clone(_ROOT) if (_ROOT / "pyproject.toml").is_file() else _of_install()
     except (OSError, ValueError, LookupError, metadata.PackageNotFoundError):
         return None

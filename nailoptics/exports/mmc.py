@@ -162,10 +162,11 @@ def _readme(scene: Scene, geometry: Geometry, mesh: TetMesh, sessions: list[str]
         "```",
         f"python run_pmmc.py {sessions[0]} --photons {USUAL_PHOTONS} --seed 1 -o detected.npz",
         "nailoptics compare-with detected.npz        # its readings beside ours, with chi^2",
-        f"mmc -f {sessions[0]}                        # the first of the cones alone",
+        f"mmc -f {sessions[0]} -c sse -M S              # the first of the cones alone",
         "```",
         "",
-        "pmmc looks for an OpenCL device even where it computes on the processor, and fails with `Unknown` where there "
-        "is none: install PoCL (Debian, Ubuntu: apt install pocl-opencl-icd).",
+        "Both look for an OpenCL device even where they compute on the processor, and fail with `Unknown` where there is "
+        "none: install PoCL (Debian, Ubuntu: apt install pocl-opencl-icd). `-c sse`: from a cone the OpenCL kernel of MMC "
+        "v2025.10 detected nothing.",
     ]
     return page("For MMC", text, _lost(scene, geometry))
