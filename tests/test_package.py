@@ -205,3 +205,12 @@ def test_every_package_that_the_tests_import_is_in_the_test_extra():
 def test_the_command_exists():
     module, function = PROJECT["project"]["scripts"]["nailoptics"].split(":")
     assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_what_was_built_names_its_commit(tmp_path, monkeypatch):
+    """Expected: an installed package tells the commit that its wheel was built from, a clone its own."""
+    built = tmp_path / "_commit.txt"
+    monkeypatch.setattr(commit, "_BUILT_FROM", built)
+    before = commit.commit.__wrapped__()
+    built.write_text("0123abc\n", encoding="utf-8")
+    assert commit.commit.__wrapped__() == "0123abc" != before

@@ -165,8 +165,8 @@ def _readme(scene: Scene, geometry: Geometry, mesh: TetMesh, sessions: list[str]
         f"mmc -f {sessions[0]} -c sse -M S              # the first of the cones alone",
         "```",
         "",
-        "Both look for an OpenCL device even where they compute on the processor, and fail with `Unknown` where there is "
-        "none: install PoCL (Debian, Ubuntu: apt install pocl-opencl-icd). `-c sse`: from a cone the OpenCL kernel of MMC "
-        "v2025.10 detected nothing.",
+        "Both look for an OpenCL device even where they compute on the processor, and fail with `Unknown` where there "
+        "is none: install PoCL (Debian, Ubuntu: apt install pocl-opencl-icd). `-c sse`: of a cone the OpenCL kernel of "
+        "MMC v2025.10 detected nothing.",
     ]
     return page("For MMC", text, _lost(scene, geometry))
