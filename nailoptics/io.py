@@ -11,7 +11,7 @@ import sys
 import zlib
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
-from io import BytesIO
+from io import BytesIO, FileIO, RawIOBase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +30,8 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 # The end of an archive, its checksum in hexadecimal.
 _CHECKSUM = 8
 _NUMBERS = "biuf"
+# HDF5's bookkeeping is written in pieces of at most this size. [bytes]
+_SMALL_PIECE = 1 << 20
 CONVENTIONS = "CF-1.11"
 # What an axis of names is in words, where a dataset does not say it itself.
 AXES = {
@@ -77,23 +79,9 @@ def write_bytes(path: Path, data: bytes | memoryview, *, flush: bool = False) ->
 
     Raises: WriteError where the file cannot be written.
     """
-    aside = path.with_name(f".nailoptics-{secrets.token_hex(8)}.part")
     try:
-        if path.exists() and not path.is_file():
-            raise WriteError(f"{path}: is a folder or device where a file is to be written; choose another name.")
-        # Exclusive creation opens no file of another and follows no link.
-        file = open(aside, "xb")
-        try:
-            with file:
-                file.write(data)
-                file.flush()
-                if flush:
-                    os.fsync(file.fileno())
-            os.replace(aside, path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                aside.unlink(missing_ok=True)
-            raise
+        with _in_place_of(path, flush=flush) as file:
+            _write_all(file, data)
         if flush and hasattr(os, "O_DIRECTORY"):
             handle = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
             try:
@@ -102,6 +90,32 @@ def write_bytes(path: Path, data: bytes | memoryview, *, flush: bool = False) ->
                 os.close(handle)
     except OSError as error:
         raise _refused(path, error, size=len(data)) from None
+
+
+def _write_all(file: FileIO, data: Any) -> None:
+    left = memoryview(data).cast("B")
+    while left.nbytes:
+        left = left[file.write(left) :]
+
+
+@contextlib.contextmanager
+def _in_place_of(path: Path, *, flush: bool = False) -> Iterator[FileIO]:
+    """A new file aside, unbuffered, which takes the place of that at path if the block ends well, and else goes."""
+    aside = path.with_name(f".nailoptics-{secrets.token_hex(8)}.part")
+    if path.exists() and not path.is_file():
+        raise WriteError(f"{path}: is a folder or device where a file is to be written; choose another name.")
+    # Exclusive creation opens no file of another and follows no link.
+    file = FileIO(aside, "x+")
+    try:
+        with file:
+            yield file
+            if flush:
+                os.fsync(file.fileno())
+        os.replace(aside, path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            aside.unlink(missing_ok=True)
+        raise
 
 
 def write_text(path: Path, text: str) -> None:
@@ -188,11 +202,78 @@ def cache_folder() -> Path:
 def write_dataset(dataset: "xr.Dataset", path: Path) -> None:
     """Write a dataset to NetCDF by the CF conventions, and make its folder; raises WriteError.
 
-    HDF5 writes to memory, as its library does not outlive a full disk: one copy of the dataset more.
+    HDF5 writes piece by piece: the dataset is never copied as a whole.
     """
-    data = _as_cf(dataset).to_netcdf(engine="h5netcdf")
     make_folder(path.parent)
-    write_bytes(path, data)
+    try:
+        with _in_place_of(path) as file:
+            patient = _Patient(file)
+            try:
+                _as_cf(dataset).to_netcdf(patient, engine="h5netcdf")
+            finally:
+                if patient.refused is not None:
+                    raise patient.refused
+    except OSError as error:
+        raise _refused(path, error, size=dataset.nbytes) from None
+
+
+class _Patient(RawIOBase):
+    """A file that takes whatever is written and remembers that the disk refused: HDF5 does not outlive a full one.
+
+    From then on its bookkeeping, small pieces that it reads again, is kept in memory; the data themselves are dropped.
+    """
+
+    def __init__(self, file: FileIO) -> None:
+        self.file, self.at, self.end = file, 0, 0
+        self.refused: OSError | None = None
+        self.pieces: list[tuple[int, bytes]] = []
+
+    def write(self, data: Any) -> int:
+        """Write all of it; once a write was refused, keep it if it is small."""
+        size = memoryview(data).nbytes
+        if self.refused is None:
+            try:
+                self.file.seek(self.at)
+                _write_all(self.file, data)
+            except OSError as error:
+                self.refused = error
+        if self.refused is not None and size <= _SMALL_PIECE:
+            self.pieces.append((self.at, bytes(data)))
+        self.at += size
+        self.end = max(self.end, self.at)
+        return size
+
+    def readinto(self, buffer: Any) -> int:
+        """What was last written at the place."""
+        memory = memoryview(buffer).cast("B")
+        size = memory.nbytes
+        self.file.seek(self.at)
+        memory[:] = self.file.read(size).ljust(size, b"\0")
+        for at, piece in self.pieces:
+            first, last = max(at, self.at), min(at + len(piece), self.at + size)
+            if first < last:
+                memory[first - self.at : last - self.at] = piece[first - at : last - at]
+        self.at += size
+        return size
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Go to a place."""
+        self.at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self.at, os.SEEK_END: self.end}[whence]
+        return self.at
+
+    def tell(self) -> int:
+        """The place."""
+        return self.at
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the file's length."""
+        self.end = self.at if size is None else size
+        try:
+            if self.refused is None:
+                self.file.truncate(self.end)
+        except OSError as error:
+            self.refused = error
+        return self.end
 
 
 def _as_cf(dataset: "xr.Dataset") -> "xr.Dataset":

@@ -5,6 +5,7 @@ import os
 import stat
 import subprocess
 import sys
+import tracemalloc
 import zlib
 from io import BytesIO
 from pathlib import Path
@@ -157,6 +158,46 @@ def test_datasets_come_back_as_they_were(tmp_path):
     given = xr.Dataset({"a": (("t", "x"), np.random.default_rng(1).random((50, 3)))}, {"x": ["p", "q", "r"]}, about)
     io.write_dataset(given, tmp_path / "new" / "set.nc")
     assert xr.load_dataset(tmp_path / "new" / "set.nc", engine="h5netcdf").identical(given)
+
+
+def test_a_dataset_is_written_without_a_copy_of_it(tmp_path):
+    given = xr.Dataset({name: ("x", np.random.default_rng(1).random(250_000)) for name in "abcdefgh"})
+    io.write_dataset(given.isel(x=slice(2)), tmp_path / "first.nc")
+    tracemalloc.start()
+    try:
+        io.write_dataset(given, tmp_path / "set.nc")
+        assert tracemalloc.get_traced_memory()[1] < 0.2 * given.nbytes
+    finally:
+        tracemalloc.stop()
+    assert xr.load_dataset(tmp_path / "set.nc", engine="h5netcdf").drop_attrs().identical(given.drop_attrs())
+
+
+def test_a_disk_that_fills_at_any_write_of_a_dataset_leaves_the_old_file(tmp_path, monkeypatch):
+    """HDF5 itself ends the process where its own write fails."""
+    given = xr.Dataset({"a": (("t", "x"), np.ones((50, 3)))}, {"x": ["p", "q", "r"]}, {"long": "y" * 100_000})
+    (tmp_path / "set.nc").write_text("old")
+    write, room = io._write_all, 0
+
+    def until_full(file, data):
+        nonlocal room
+        room -= 1
+        if room < 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(file, data)
+
+    monkeypatch.setattr(io, "_write_all", until_full)
+    for writes in range(100):
+        room = writes
+        try:
+            io.write_dataset(given, tmp_path / "set.nc")
+        except WriteError as error:
+            assert error.exit_code == 1 and "MB are needed: make room and run again." in str(error)
+            assert names(tmp_path) == ["set.nc"] and (tmp_path / "set.nc").read_text() == "old"
+        else:
+            break
+    # With room for all of them it is written; before, each of the writes was refused once.
+    assert writes > 5 and room == 0
+    assert xr.load_dataset(tmp_path / "set.nc", engine="h5netcdf").drop_attrs().identical(given.drop_attrs())
 
 
 def test_a_written_dataset_says_its_conventions_and_what_its_axes_are(tmp_path):

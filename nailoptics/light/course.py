@@ -59,12 +59,15 @@ def course(
     behind the standard error of one that is brighter than the traced state.
     """
     found = _course(transfer, blood_fraction, so2, electrons)
+    effective = np.empty(found.fraction.shape[:2])
     with np.errstate(invalid="ignore", divide="ignore"):
         # Of n equal photons the relative error is 1 / sqrt(n).
-        effective = np.square(found.fraction / found.stderr)
+        for pair in np.ndindex(*effective.shape):
+            each = np.square(found.fraction[pair] / found.stderr[pair])
+            effective[pair] = np.nan_to_num(each, nan=np.inf).min()
     # Where there is least blood, single long paths weigh most.
     palest = transfer.moments_at(np.min(blood_fraction, 0), so2)
-    transfer.warn_if_thin(np.nan_to_num(effective, nan=np.inf).min(-1), palest)
+    transfer.warn_if_thin(effective, palest)
     return found
 
 

@@ -136,30 +136,31 @@ def _read_volts(
     # each array is large: what is 1 everywhere stays one number.
     gain = worn.get("reading_drift", xr.DataArray([[[1.0]]])).values
     gain = gain * worn.get("led_drift", xr.DataArray([[1.0]])).values[:, None]
-    fraction, stderr = motion * readings.fraction, motion * readings.stderr
-    change_stderr = readings.change_stderr
+    fraction, stderr, change_stderr = (
+        np.multiply(motion, one, out=one) for one in (readings.fraction, readings.stderr, readings.change_stderr)
+    )
     del readings
     wavelength_nm = np.array([led.wavelength_nm for led in scene.leds])
     responsivity = np.stack([electronics.photodiode_responsivity_a_per_w(one, wavelength_nm) for one in diodes], -1)
-    volts, noise, saturated = np.empty_like(fraction), np.empty_like(fraction), np.empty(fraction.shape, bool)
-    gains = np.broadcast_to(gain, fraction.shape)
+    volts, volts_stderr, noise = (np.empty_like(fraction) for _ in range(3))
+    saturated = np.empty(fraction.shape, bool)
+    # Drift and motion scale what is read: of its error they add their own part to the change's.
+    scaled = motion * gain / (motion * gain)[..., :1] - 1
+    gains, scales = np.broadcast_to(gain, fraction.shape), np.broadcast_to(scaled, fraction.shape)
     for i, j in np.ndindex(*fraction.shape[:2]):
-        read = electronics.read(gains[i, j] * fraction[i, j], scene.leds[i], diodes[j], scene.electronics)
+        led, diode = scene.leds[i], diodes[j]
+        read = electronics.read(gains[i, j] * fraction[i, j], led, diode, scene.electronics)
         volts[i, j], noise[i, j], saturated[i, j] = read.volts, read.volts_noise_rms, read.saturated
-    per_fraction = np.array(
-        [[[electronics.volts_per_fraction(led, diode, scene.electronics)] for diode in diodes] for led in scene.leds]
-    )
+        per_fraction = electronics.volts_per_fraction(led, diode, scene.electronics) * gains[i, j]
+        volts_stderr[i, j] = stderr[i, j] * per_fraction
+        change_stderr[i, j] = np.hypot(change_stderr[i, j], scales[i, j] * stderr[i, j]) * per_fraction
     pair = ("led", "photodiode")
     over, paths = (*pair, "time"), (*pair, "absorber")
     text = "detected fraction of the emitted power"
     data = about_motion | variable("detected_fraction", over, fraction, text, stderr=stderr)
-    per_fraction = per_fraction * gain
-    data |= variable("volts", over, volts, "photodiode voltage", units="V", stderr=stderr * per_fraction)
-    # Drift and motion scale what is read: of its error they add their own part to the change's.
-    scaled = motion * gain / (motion * gain)[..., :1] - 1
-    error = np.hypot(motion * change_stderr, scaled * stderr) * per_fraction
+    data |= variable("volts", over, volts, "photodiode voltage", units="V", stderr=volts_stderr)
     text = "change of the voltage from the start"
-    data |= variable("volts_change", over, volts - volts[..., :1], text, units="V", stderr=error)
+    data |= variable("volts_change", over, volts - volts[..., :1], text, units="V", stderr=change_stderr)
     data |= variable("volts_noise_rms", over, noise, "electronic noise of one reading, rms", units="V")
     data |= variable("saturated", over, saturated, "converter at its limit")
     data |= variable("responsivity_a_per_w", pair, responsivity, "responsivity at the LED's peak", units="A W-1")
@@ -175,7 +176,8 @@ def _read_volts(
 def _fit_reduced(result: xr.Dataset) -> xr.Dataset:
     """Beer-Lambert (8) and Taylor (9), each fitted to the volts of every photodiode over its own zone's diameter."""
     pair = ("led", "photodiode")
-    diameter_m = result.capillary_diameter_m.values[result.zone_of_photodiode.values]
+    # One row for each zone, not for each photodiode.
+    diameter_m = [result.capillary_diameter_m.values[zone] for zone in result.zone_of_photodiode.values]
     notes = np.full(result.volts.shape[:2], "", dtype=object)
     data: Variables = {}
     for model, name, fit, constants in REDUCED_OPTICS:

@@ -23,6 +23,15 @@ class Regression:
         return np.maximum(self.intercept_n + self.weights_n_per_v @ volts, 0.0)
 
 
+def whole_samples(volts: Array) -> Array:
+    """Volts (R, T) whose gaps are bridged where no sample is whole, as where LEDs are lit in turn."""
+    there = np.isfinite(volts)
+    if there.all(0).any():
+        return volts
+    samples = np.arange(volts.shape[1])
+    return np.array([np.interp(samples, samples[seen], one[seen]) for one, seen in zip(volts, there, strict=True)])
+
+
 def linear_regression(volts: Array, force_n: Array) -> Regression:
     """Least squares on all readings, (R, T) volts."""
     design = np.column_stack([np.ones(volts.shape[1]), volts.T])

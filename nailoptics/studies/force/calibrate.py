@@ -17,7 +17,7 @@ from ...scene import Scene, Touch, digest, to_toml
 from ...scene.sensor_recordings import SATURATED, SITES, Recording, read_sensor_recording
 from ...variables import variable
 from ..blood_states import vessels
-from .baselines import Regression, component_regression, linear_regression
+from .baselines import Regression, component_regression, linear_regression, whole_samples
 from .body_noise import learn_noise
 from .correction import Correction, learn_correction, no_correction
 from .fit import Fit, Fitted
@@ -361,7 +361,7 @@ def _most_force(recordings: Sequence[Recording]) -> dict[str, float]:
 
 
 def _baselines(recordings: Sequence[Recording]) -> dict[str, Regression]:
-    volts = np.concatenate([one.volts for one in recordings], axis=1)
+    volts = np.concatenate([whole_samples(one.volts) for one in recordings], axis=1)
     force = np.concatenate([np.asarray(one.force_n) for one in recordings])
     whole = np.isfinite(volts).all(0)
     found = {"linear": linear_regression, "components": component_regression}

@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 OFFSETS = np.array([-3.0, -2.25, -1.5, -0.75, 0.0, 0.75, 1.5, 2.25, 3.0])
 # Gauss-Newton steps in which all other factors follow.
 ROUNDS = 2
+# So many of a reading's values are held in memory at once, of all samples and of everybody who is tried. [about 0.1 GB]
+MOST_VALUES = 800_000
 # A profile is bent if, where a parabola leaves 95 %, the root of its deviance is off the parabola's by this part.
 JUDGED_TO, BENT = 2.25, 0.25
 
@@ -53,29 +55,31 @@ def profile_of(fit: Fit, free_ln: Array) -> Profile:
     covariance = np.linalg.inv(slopes[:, 0].T @ slopes[:, 0])
     spread = np.sqrt(np.diag(covariance))
     most = (FARTHEST_SPREADS * SPREAD_LN)[fit.free][:, None]
-    places, deviances = [], []
-    for k in range(len(free_ln)):
-        # A parabola's valley is where the others begin.
-        valley = free_ln[:, None] + covariance[:, k : k + 1] / spread[k] * OFFSETS
-        start = np.clip(valley, -most, most)
-        places.append(start[k])
-        deviance = _least_along(fit, start, k, most) - least
-        deviances.append(np.where(start[k] == valley[k], deviance, np.nan))
-    factors_ln = np.array(places)
+    # A parabola's valley is where the others begin; (P, factor moved, place).
+    valley = free_ln[:, None, None] + (covariance / spread)[..., None] * OFFSETS
+    start = np.clip(valley, -most[..., None], most[..., None])
+    moved = np.arange(len(free_ln))
+    places = start[moved, moved]
+    each = max(1, MOST_VALUES // (fit.volts.size * OFFSETS.size * (1 + moved.size)))
+    parts = [moved[k : k + each] for k in range(0, moved.size, each)]
+    deviances = np.concatenate([_least_along(fit, start[:, part], part, most) for part in parts]) - least
+    deviances[places != valley[moved, moved]] = np.nan
     names = tuple(NAMES[factor] for factor in fit.free)
-    return Profile(names, factors_ln, np.array(deviances), (factors_ln - free_ln[:, None]) / spread[:, None])
+    return Profile(names, places, deviances, (places - free_ln[:, None]) / spread[:, None])
 
 
-def _least_along(fit: Fit, start: Array, held: int, most: Array) -> Array:
-    """The least sums of squares (N,) with one factor held at its starts (P, N) and the others free within limits."""
-    moved, others = start.copy(), np.delete(np.arange(len(start)), held)
+def _least_along(fit: Fit, start: Array, held: NDArray[np.intp], most: Array) -> Array:
+    """The least sums of squares (H, N) with one factor of `held` (H,) at its starts (P, H, N), the others free."""
+    (factors, holding, places), moved = start.shape, start.reshape(len(start), -1).copy()
+    free = (np.arange(factors)[:, None] != np.repeat(held, places)).astype(float)
     own, slopes = fit.residuals(moved)
     least = (own**2).sum(0)
     for _ in range(ROUNDS):
-        down = slopes[..., others]
-        normal = np.einsum("mnp,mnq->npq", down, down)
-        step = np.linalg.solve(normal, np.einsum("mnp,mn->np", down, own)[..., None])[..., 0]
-        moved[others] = np.clip(moved[others] - step.T, -most[others], most[others])
+        # A held factor has no slope, and its equation says that it stays.
+        down = np.moveaxis(slopes * free.T, 1, 0)
+        normal = np.swapaxes(down, 1, 2) @ down + np.eye(factors) * (1.0 - free.T)[:, None]
+        step = np.linalg.solve(normal, np.swapaxes(down, 1, 2) @ own.T[..., None])[..., 0]
+        moved = np.clip(moved - step.T, -most, most)
         own, slopes = fit.residuals(moved)
         least = np.minimum(least, (own**2).sum(0))
-    return np.asarray(least)
+    return np.asarray(least.reshape(holding, places))

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from nailoptics.cli import run
 from nailoptics.errors import InputError
+from nailoptics.scene import to_toml
 from nailoptics.scene.sensor_recordings import recording_csv
 from nailoptics.studies.force import calibrate as calibrating
 from nailoptics.studies.force.predict import predict
@@ -24,17 +25,26 @@ Change = Callable[[str, int], str]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Recordings of both sites, a subject that the command calibrated from them, and one of another touch."""
+    """Recordings of both sites, one of another touch, and a subject that the command calibrated from half a touch."""
     folder = tmp_path_factory.mktemp("sensor")
     for seed, site in enumerate(("proximal", "distal")):
         (folder / f"{site}.csv").write_text(recording_csv(made_sensor.record(made_sensor.cycle(1.5), site, seed=seed)))
     touch = made_sensor.record(made_sensor.cycle(0.6, lasting_s=4.0), "proximal", seed=3)
     (folder / "touch.csv").write_text(recording_csv(touch))
+    rows = (folder / "proximal.csv").read_text().splitlines()
+    # At rest, pressed and held: what a recording needs at the least.
+    (folder / "half.csv").write_text("\n".join(rows[:251]) + "\n")
+    _calibrated(folder / "half.csv", folder / "me.toml")
+    return folder
+
+
+def _calibrated(recording: Path, subject: Path) -> None:
+    """A subject from one recording, by the command; the scene says how the pulp gives way."""
+    scene = subject.with_name("prototype.toml")
+    scene.write_text(to_toml(made_sensor.scene()))
     with pytest.MonkeyPatch.context() as patch:
         _without_a_trace(patch)
-        recordings = [str(folder / f"{site}.csv") for site in ("proximal", "distal")]
-        assert run(["calibrate", "prototype", *recordings, "-o", str(folder / "me.toml")]) == 0
-    return folder
+        assert run(["calibrate", str(scene), str(recording), "-o", str(subject)]) == 0
 
 
 def _without_a_trace(patch: pytest.MonkeyPatch) -> None:
@@ -173,15 +183,12 @@ def test_a_saturated_part_counts_as_a_gap_and_is_said(
 
 
 def test_readings_that_are_there_every_other_sample_calibrate(folder: Path, tmp_path: Path) -> None:
-    """LEDs that are lit in turn leave every other cell empty."""
-    text = (folder / "proximal.csv").read_text()
+    """LEDs that are lit in turn leave every other cell empty, and no sample whole."""
+    text = (folder / "half.csv").read_text()
     for number, name in enumerate(made_sensor.table().names):
         text = _changed(text, name, lambda cell, k, number=number: cell if (k + number) % 2 else "")  # type: ignore[misc]
     (tmp_path / "turns.csv").write_text(text)
-    recordings = [str(tmp_path / "turns.csv"), str(folder / "distal.csv")]
-    with pytest.MonkeyPatch.context() as patch:
-        _without_a_trace(patch)
-        assert run(["calibrate", "prototype", *recordings, "-o", str(tmp_path / "me.toml")]) == 0
+    _calibrated(tmp_path / "turns.csv", tmp_path / "me.toml")
     whole, turns = (parse_subject((at / "me.toml").read_text()) for at in (folder, tmp_path))
     assert np.allclose(turns.noise.reading_v, whole.noise.reading_v, rtol=0.5)
 

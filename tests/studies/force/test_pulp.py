@@ -34,9 +34,7 @@ def test_calibration_finds_the_pulp_that_the_scene_does_not_state(creep: float, 
 
 
 def test_what_the_scene_states_of_the_pulp_is_kept() -> None:
-    scene = made_sensor.scene()
-    recordings = [made_sensor.record(made_sensor.cycle(1.5), "proximal", seed=0)]
-    subject = parse_subject(calibrate_with(scene, made_sensor.table(), recordings).attrs["subject"])
+    scene, subject = made_sensor.scene(), parse_subject(made_sensor.subject())
     assert subject.person().pulp.creep == scene.touch.creep
     assert subject.person().pulp.recovery_s == scene.touch.distal_relaxation_s
 
