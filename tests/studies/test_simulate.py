@@ -172,7 +172,7 @@ def test_a_result_survives_its_file(pressed, tmp_path):
 
 @pytest.mark.jit
 def test_the_same_seed_gives_the_same_bits_and_another_one_others(chosen_jit):
-    first, second, other = (simulate(prototype(), photons=1 << 17, seed=seed) for seed in (5, 5, 6))
+    first, second, other = (simulate(prototype(), photons=1 << 15, seed=seed) for seed in (5, 5, 6))
     xr.testing.assert_identical(first.drop_attrs(), second.drop_attrs())
     assert not np.array_equal(first.volts, other.volts)
 
