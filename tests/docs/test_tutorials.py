@@ -19,10 +19,10 @@ DOCS = ROOT / "docs"
 PAGES = sorted(page for page in (DOCS / "tutorials").glob("*.md") if page.stem != "index")
 FENCE = re.compile(r"^```(?:\{code-block\} )?(\w+)\n(?::caption: (\S+)\n)?(.*?)^```$", re.M | re.S)
 # What takes more than a few seconds even with few photons.
-SLOW = {"cluster", "colour", "force", "oximetry", "taylor", "tally", "tradeoff"}
+SLOW = {"cluster", "colour", "force", "kicad", "oximetry", "taylor", "tally", "tradeoff"}
 PHOTONS = {"force": 200_000, "tradeoff": 0, "oximetry": 30_000, "taylor": 100_000}
 # Where few photons decide less than many do.
-CODES = {"tradeoff": {0, 3}, "taylor": {0, 1, 3}}
+CODES = {"kicad": {0, 3}, "tradeoff": {0, 3}, "taylor": {0, 1, 3}}
 OWN_LIMITS = {"--relative-error", "--photons"}
 
 
