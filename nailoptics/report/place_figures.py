@@ -1,4 +1,7 @@
-"""Figures of a placement: the ranking, maps on the board, where each photodiode looks, and places of the LED."""
+"""Figures of a placement: the ranking, maps on the board, where each photodiode looks, and places of the LEDs.
+
+What shows one LED takes a result of that LED alone, `result.isel(led=[i])`.
+"""
 
 from typing import TYPE_CHECKING, Any
 
@@ -56,10 +59,9 @@ def ranking_figure(result: xr.Dataset) -> "Figure":
 def count_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     """Resolution against the number of photodiodes with the body's noise and without, and where they lie for either."""
     figure, (axes, board) = style.panels(9.2, 4.2, 1, 2, width_ratios=[1.6, 1.0])
-    kinds = (
-        ("count_resolution_n", "body", "through the body's noise", style.ZONES[1], "o-"),
-        ("count_electronics_resolution_n", "electronics", "electronics alone", style.ZONES[0], "s-"),
-    )
+    kinds = [("count_electronics_resolution_n", "electronics", "electronics alone", style.ZONES[0], "s-")]
+    if "count_resolution_n" in result:
+        kinds.insert(0, ("count_resolution_n", "body", "through the body's noise", style.ZONES[1], "o-"))
     counts = result.photodiode_count.to_numpy()
     for name, purpose, text, colour, mark in kinds:
         value, error = (1e3 * result[f"{name}{end}"].sel(chosen_for=purpose).to_numpy() for end in ("", "_stderr"))
@@ -113,7 +115,7 @@ def map_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     for axes, (title, u, values, colours, span) in zip(grid.flat, panels, strict=True):
         _plane(axes, result, u, values, colours, span, even=values is noise)
         axes.set_title(title)
-        _parts(axes, scene)
+        _parts(axes, scene, result)
         axes.axis(maps.extent(result.u.to_numpy(), result.v.to_numpy()))
     return figure
 
@@ -175,22 +177,24 @@ def sensitivity_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     for axes, values, title in zip(panels, fall, ("Proximal", "Distal"), strict=True):
         _plane(axes, result, "u", values, "magma", (0.0, top), even=True)
         axes.set_title(f"{title} blood [%/%]")
-        _parts(axes, scene)
+        _parts(axes, scene, result)
     return figure
 
 
 @style.drawing()
 def sites_figure(result: xr.Dataset) -> "Figure":
-    """Places of the LED by what the search found there."""
+    """Places of one LED by what the search found there; where several arrangements have it, by the finest."""
     from matplotlib.colors import LogNorm
 
     figure, axes = style.panels(5.6, 4.8)
-    place, found = result.led_site_mm.to_numpy(), 1e3 * result.led_site_resolution_n.to_numpy()
+    place, found = result.led_site_mm.isel(led=0).to_numpy(), 1e3 * result.led_site_resolution_n.to_numpy()
     norm = LogNorm(found.min(), max(found.max(), 1.001 * found.min()))
     marks = {"left": (">", 0.12, 0), "right": ("<", -0.12, 0), "below": ("^", 0, 0.12), "above": ("v", 0, -0.12)}
     look: dict[str, Any] = {"cmap": "viridis_r", "s": 46, "edgecolors": style.MUTED, "linewidths": 0.4}
     for side in dict.fromkeys(result.led_site_side.values):
         at, (mark, du, dv) = result.led_site_side.values == side, marks.get(str(side), ("o", 0, 0))
+        # The finest is drawn last, over the others.
+        at = np.flatnonzero(at)[np.argsort(-found[at])]
         image = axes.scatter(place[at, 0] + du, place[at, 1] + dv, c=found[at], norm=norm, marker=mark, **look)
     figure.colorbar(image, ax=axes, label="force resolution [mN]", format="{x:g}").ax.yaxis.set_minor_formatter("{x:g}")
     axes.axis(maps.extent(result.u.to_numpy(), result.v.to_numpy()))
@@ -219,12 +223,12 @@ def banana_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     for colour, j in colours:
         area = layout.photodiode_areas[j]
         section.plot([area.v_min, area.v_max], [-0.12] * 2, color=colour, lw=5, solid_capstyle="butt")
-    section.plot([layout.leds[0].center_mm[1]], [-0.32], "v", color=maps.LED, mec=style.DARK_INK, mew=0.7, ms=8)
+    section.plot([_lit(scene, result).center_mm[1]], [-0.32], "v", color=maps.LED, mec=style.DARK_INK, mew=0.7, ms=8)
     section.set(xlim=(v[0], v[-1]), ylim=(depth[-1], -0.5), aspect="equal", xlabel=maps.ALONG, ylabel="depth [mm]")
     section.set_title("Cut lengthwise, summed over the width")
     section.grid(False)
     _bananas(plan, v, u, above.transpose(0, 2, 1), colours)
-    _parts(plan, scene, turned=True)
+    _parts(plan, scene, result, turned=True)
     plan.set(xlim=(v[0], v[-1]), ylim=(u[0], u[-1]), aspect="equal")
     plan.set_title("The bed from above, summed over its depth")
     return figure
@@ -266,15 +270,23 @@ def led_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     for axes, (title, values, colours, span) in zip(both, panels, strict=True):
         _plane(axes, result, "led_u", values, colours, span, even=False)
         axes.set_title(title)
-        _parts(axes, scene)
+        _parts(axes, scene, result)
     return figure
 
 
-def _parts(axes: "Axes", scene: Scene, *, turned: bool = False) -> None:
-    """Outline the layout's parts over a map, its tip upwards, or turned to the right."""
+def _lit(scene: Scene, result: xr.Dataset) -> Rectangle:
+    """The LED that a result of one LED is about."""
+    return next(die for die in scene.layout.leds if die.name == str(result.led.values[0]))
+
+
+def _parts(axes: "Axes", scene: Scene, result: xr.Dataset, *, turned: bool = False) -> None:
+    """Outline the layout's parts over a map, its tip upwards, or turned to the right; the LED that is lit is filled."""
+    lit = _lit(scene, result)
     for r in scene.layout.barriers:
         maps.draw_rectangle(axes, r, turned=turned, zorder=3, fc=maps.BARRIER, lw=0)
-    boxes = [(e.area, "none") for e in scene.layout.photodiodes] + [(led, maps.LED) for led in scene.layout.leds]
+    boxes = [(e.area, "none") for e in scene.layout.photodiodes] + [
+        (led, maps.LED if led == lit else "none") for led in scene.layout.leds
+    ]
     for r, fill in boxes:
         for colour, width in (("#ffffff", 1.8), (style.DARK_INK, 0.8)):
             maps.draw_rectangle(axes, r, turned=turned, zorder=3, fc=fill, ec=colour, lw=width)

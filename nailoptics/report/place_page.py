@@ -4,10 +4,11 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import xarray as xr
 
 from ..io import write_text
-from ..scene import Scene, parse_scene
+from ..scene import Placement, Scene, parse_scene
 from ..studies.ambient import SOURCES
 from ..studies.placement import boards
 from ..studies.placement.body_waves import LIFT_PER_UM
@@ -21,13 +22,15 @@ from .spread_section import spread_section
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# So near to the finest resolution more photodiodes are hardly worth their wires.
+NEARLY = 0.1
 # Beyond this nothing but what was known before is told.
 NOTHING_MN = 1e3
 CAPTIONS = {
     "ranking": "Force resolution of each layout, smaller is finer, with its 95 % interval; those whose intervals "
     "overlap that of the best are tied with it (filled). Small ticks are the single fingers; diamonds, where the "
     "scene has a body, what the electronics alone would resolve. Layouts that the search found have the place of "
-    "their LED as name: led m1.25 p0 left lies at u = −1.25 mm, v = +0 mm, left of its "
+    "their LEDs as name, in the scene's order: led m1.25 p0 left lies at u = −1.25 mm, v = +0 mm, left of its "
     "photodiodes.",
     "board": "The board from above, rolled flat: LED, barrier and photodiodes on the nail, whose tint shows the blood "
     "below.",
@@ -38,41 +41,36 @@ CAPTIONS = {
     "area; its part that was never in the bed; the noise of one more photodiode centred there, rms in one sample "
     "(even scale); and what it would resolve by itself, were the split of the force known. Bright is fine; blank "
     "where too few photons came and, round the LED, where it would be saturated.",
-    "count": "Left: the force that the best so many photodiodes on this board resolve, through the body's noise and by "
-    "the electronics alone, with 95 % intervals; one half of the photons chose them, the other judged. Right: where "
-    "they lie, chosen for either.",
+    "count": "Left: the force that the best so many photodiodes on this board resolve, where the scene has a body "
+    "through its noise, and by the electronics alone, with 95 % intervals; half of the photons chose them, the others "
+    "judged. "
+    "Right: where they lie.",
     "sensitivity": "How much the light at each place falls with blood in the proximal (left) and in the distal zone "
     "(right), relative to the light there: percent for each percent of the bed that is blood. Blank where too few "
     "photons came.",
     "led": "The LED elsewhere, photodiodes and wall as they are: the light that it would bring to all of them, and "
     "the force that they would resolve. One trace from each photodiode gives its reading of an LED at every place "
     "(reciprocity); blank where too few photons came or little would be told.",
-    "tried": "Places of the LED that were tried: the force that the best photodiodes for each would resolve. "
-    "Triangles point from the LED to its photodiodes.",
+    "tried": "Places of the LED that were tried: the force that the best photodiodes for each, of several LEDs with "
+    "the best places of the others, would resolve. Triangles point from the LED to its photodiodes.",
 }
 
 
 def write_placement(result: xr.Dataset, path: Path) -> None:
     """Write the page of what `place` returns, whole or not at all; raises WriteError."""
     best, ranking = chosen(result), rows(result)
-    maps = _figure("maps", figures.map_figure(best, result))
-    narrow = figures.slender(result)
-    maps += _figure("sensitivity", figures.sensitivity_figure(best, result), narrow=narrow)
-    if "led_place_fraction" in result:
-        maps += _figure("led", figures.led_figure(best, result), narrow=narrow) + _reciprocity(result)
-    if result.sizes["led_site"]:
-        maps += _figure("tried", figures.sites_figure(result), narrow=True)
     layout = [_figure("board", figures.board_figure(best)), _photodiodes(result)]
     inspected = "checked_fraction" in result
     if inspected:
-        layout += ["<h3>Where each photodiode looks</h3>" + _figure("bananas", figures.banana_figure(best, result))]
+        layout.append("<h3>Where each photodiode looks</h3>")
+        layout += [_of_led("bananas", figures.banana_figure(best, one), one, best) for one in _each_led(result)]
         layout += ["<h3>Light from outside</h3>" + _ambient(result)]
     checked = _check(result) if inspected else small("There was no time to trace the best layout once more by itself.")
     text = document(
         kicker="where to put them",
         title=f"{result.sizes['best_photodiode']} photodiodes on the nail",
         lead=_lead(result, ranking),
-        cards=_cards(result, ranking[0]),
+        cards=_cards(result, ranking),
         body=[
             section(
                 "The ranking",
@@ -82,13 +80,47 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
                 checked,
             ),
             _through_the_body(best, result),
+            _how_many(best, result),
             section("The best layout", *layout),
-            section("Where on this board the light tells", maps),
+            section("Where on this board the light tells", *(_maps(best, one) for one in _each_led(result))),
             spread_section(result),
         ],
         attributes=result.attrs,
     )
     write_text(Path(path), text)
+
+
+def _each_led(result: xr.Dataset) -> list[xr.Dataset]:
+    """The result with one LED alone, for each of them."""
+    return [result.isel(led=[i]) for i in range(result.sizes["led"])]
+
+
+def _led_words(scene: Scene, one: xr.Dataset) -> str:
+    """Which LED a result of one LED is about."""
+    led = next(led for led in scene.leds if led.name == str(one.led.values[0]))
+    return f"LED {led.name}, {led.wavelength_nm:.0f} nm"
+
+
+def _of_led(name: str, drawing: "Figure", one: xr.Dataset, scene: Scene, *, narrow: bool = False) -> str:
+    """A figure of one LED; of several LEDs each is named."""
+    if len(scene.leds) == 1:
+        return _figure(name, drawing, narrow=narrow)
+    led = str(one.led.values[0])
+    return figure(drawing, f"{name}-{led}", f"{_led_words(scene, one)}. {CAPTIONS[name]}", narrow=narrow)
+
+
+def _maps(best: Scene, one: xr.Dataset) -> str:
+    """All maps of one LED."""
+    narrow = figures.slender(one)
+    maps = "" if len(best.leds) == 1 else f"<h3>{escaped(_led_words(best, one))}</h3>"
+    maps += _of_led("maps", figures.map_figure(best, one), one, best)
+    maps += _of_led("sensitivity", figures.sensitivity_figure(best, one), one, best, narrow=narrow)
+    if "led_place_fraction" in one:
+        maps += _of_led("led", figures.led_figure(best, one), one, best, narrow=narrow)
+        maps += _reciprocity(one) if str(one.led.values[0]) == best.leds[0].name else ""
+    if one.sizes["led_site"]:
+        maps += _of_led("tried", figures.sites_figure(one), one, best, narrow=True)
+    return maps
 
 
 def _figure(name: str, drawing: "Figure", *, narrow: bool = False) -> str:
@@ -99,7 +131,7 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
     first, tied = ranking[0], sum(row["rank"] == 1 for row in ranking)
     force, low, high = (quantity(first[f"force_resolution_{end}n"], "N") for end in ("", "low_", "high_"))
     fingers = result.sizes["finger"]
-    over = "" if fingers == 1 else f", {'mean' if result.attrs['rank_by'] == 'mean' else 'worst'} of {fingers} fingers"
+    over = "" if fingers == 1 else f", {_rules(result).over_fingers} of {fingers} fingers"
     others = f"{'One' if tied == 2 else tied - 1} more cannot be told from it."
     if tied == 1:
         others = "No other layout comes near." if len(ranking) > 1 else "It is the only one that was judged."
@@ -107,32 +139,48 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
     return (
         f"Layout {first['layout']} resolves {force} of force in one sample{f' through {through}' if through else ''} "
         f"(rms{over}, 95 % interval {low} to {high}), "
-        f"whatever part of it presses proximally. {_oxygen(first)}{others}"
+        f"whatever part of it presses proximally. {_ranked_by(result, first)}{others}"
     )
 
 
-def _oxygen(first: dict[str, Any]) -> str:
-    """What the best layout knows of oxygen, where that ranks; empty elsewhere."""
-    if "spo2_error_percent" not in first:
+def _rules(result: xr.Dataset) -> Placement:
+    """What the search was asked."""
+    return boards.rules(parse_scene(str(result.attrs["scene"]), name="the scene"))
+
+
+def _ranked_by(result: xr.Dataset, first: dict[str, Any]) -> str:
+    """What layouts are ranked by, where that is not the force alone, and what the best one knows of it."""
+    weights, told = _rules(result).weights, []
+    if "share" in weights:
+        percent = with_error(100 * first["share_resolution"], 100 * first["share_resolution_stderr"])
+        told.append(f"that part to {percent} % of the force")
+    if "oxygen" in weights:
+        error = with_error(first["spo2_error_percent"], first["spo2_error_percent_stderr"])
+        told.append(f"SpO2 to {error} % over 8 s by the electronics' noise")
+    if not told:
         return ""
-    error = with_error(first["spo2_error_percent"], first["spo2_error_percent_stderr"])
-    return f"It is ranked by what it tells of oxygen: SpO2 within {error} % over 8 s, by the electronics' noise. "
+    beside = ", beside the force" if {"worst", "mean"} & weights.keys() else ""
+    return f"It tells {' and '.join(told)}; layouts are ranked by this{beside}. "
 
 
-def _cards(result: xr.Dataset, first: dict[str, Any]) -> list[tuple[str, str]]:
+def _cards(result: xr.Dataset, ranking: list[dict[str, Any]]) -> list[tuple[str, str]]:
+    first = ranking[0]
     cards = [(quantity(first["force_resolution_n"], "N"), "force resolved in one sample, rms")]
     if "electronics_resolution_n" in first:
         cards.append((quantity(first["electronics_resolution_n"], "N"), "by the noise of the electronics alone"))
     better = gain(result)
     if better and first["layout"] != "paper":
-        cards.append((f"{with_error(*better)} ×", "as fine as the paper's layout"))
+        tied = sum(row["tied"] for row in ranking)
+        beside = f"; {tied} layouts are tied with each other" if tied else ""
+        cards.append((f"{with_error(*better)} ×", f"as fine as the paper's layout{beside}"))
     cards.append((significant(first["condition_number"]), "condition number of readings by blood zones"))
     shunted = f"{100 * first['shunted_fraction']:.0f} %"
     return [*cards, (shunted, "of a photodiode's light at most was never in the bed")]
 
 
 def _table(ranking: list[dict[str, Any]]) -> str:
-    head = ["Layout", "Rank", "Resolves<br>[mN]", "Split known<br>[mN]", "Proximal, distal<br>pressure [Pa]"]
+    head = ["Layout", "Rank", "Resolves<br>[mN]", "Split known<br>[mN]", "Share<br>[%]"]
+    head += ["Proximal, distal<br>pressure [Pa]"]
     head += ["Condition", "Least<br>signal / noise", "Full scale /<br>reading", "Never in<br>bed [%]"]
     if "electronics_rank" in ranking[0]:
         head[3:3] = ["Electronics<br>alone [mN]", "Rank<br>by it"]
@@ -143,6 +191,7 @@ def _table(ranking: list[dict[str, Any]]) -> str:
             with_error(1e3 * row["force_resolution_n"], 1e3 * row["force_resolution_n_stderr"]),
             *_electronics_alone(row),
             significant(1e3 * row["fixed_ratio_resolution_n"]),
+            with_error(100 * row["share_resolution"], 100 * row["share_resolution_stderr"]),
             ", ".join(significant(row[f"{name}_pressure_pa"]) for name in ("proximal", "distal")),
             *(significant(row[name]) for name in ("condition_number", "least_snr", "adc_headroom")),
             f"{100 * row['shunted_fraction']:.0f}",
@@ -185,10 +234,30 @@ def _through_the_body(best: Scene, result: xr.Dataset) -> str:
         "that it tells lies within 1.3 times of the bound under electronics alone; what it reaches through a person's "
         "body stands on the page of the calibration."
     )
-    if "count_resolution_n" not in result:
-        return section("Through the body's noise", told)
+    return section("Through the body's noise", told)
+
+
+def _how_many(best: Scene, result: xr.Dataset) -> str:
+    """Force resolution against the number of photodiodes; empty where there was no time for it."""
+    if "count_electronics_resolution_n" not in result:
+        return ""
     drawn = _figure("count", figures.count_figure(best, result))
-    return section("Through the body's noise", told, drawn, _counts(result))
+    return section("How many photodiodes", _enough(result), drawn, _counts(result))
+
+
+def _enough(result: xr.Dataset) -> str:
+    """The fewest photodiodes that resolve nearly as finely as the most."""
+    has_body = "count_resolution_n" in result
+    name, purpose = ("count_resolution_n", "body") if has_body else ("count_electronics_resolution_n", "electronics")
+    at = result.sel(chosen_for=purpose).dropna("photodiode_count", subset=[name])
+    if at.sizes["photodiode_count"] < 2:
+        return ""
+    counts, finest = at.photodiode_count.to_numpy(), float(at[name].min())
+    few = int(counts[np.flatnonzero(at[name].to_numpy() <= (1 + NEARLY) * finest)[0]])
+    return (
+        f"<p>{few} photodiode{'s' if few > 1 else ''} resolve{'' if few > 1 else 's'} force within "
+        f"{100 * NEARLY:.0f} % of what {int(counts[-1])} do on this board, each number where it is best.</p>"
+    )
 
 
 def _worn(scene: Scene) -> str:
@@ -214,29 +283,23 @@ def _worn(scene: Scene) -> str:
 
 
 def _counts(result: xr.Dataset) -> str:
-    """Resolution against the number of photodiodes, chosen with the body's noise and without."""
-    head = [
-        "Photodiodes",
-        "Through the<br>body [mN]",
-        "Electronics<br>alone [mN]",
-        "Those chosen for the<br>electronics, ",
-    ]
-    head[-1] += "through<br>the body [mN]"
-    kinds = (
-        ("count_resolution_n", "body"),
-        ("count_electronics_resolution_n", "electronics"),
-        ("count_resolution_n", "electronics"),
-    )
+    """Resolution against the number of photodiodes, chosen with the body's noise, if there is a body, and without."""
+    kinds = [("Electronics<br>alone [mN]", "count_electronics_resolution_n", "electronics")]
+    if "count_resolution_n" in result:
+        kinds.insert(0, ("Through the<br>body [mN]", "count_resolution_n", "body"))
+        text = "Those chosen for the<br>electronics, through<br>the body [mN]"
+        kinds.append((text, "count_resolution_n", "electronics"))
+    head = ["Photodiodes", *(title for title, _, _ in kinds)]
     lines = []
     for count in result.photodiode_count.values:
         at = [
             result[f"{name}{end}"].sel(chosen_for=purpose, photodiode_count=count)
-            for name, purpose in kinds
+            for _, name, purpose in kinds
             for end in ("", "_stderr")
         ]
         values = [1e3 * float(one) for one in at]
         if all(map(math.isfinite, values)):
-            lines.append([str(count), *(with_error(*values[i : i + 2]) for i in (0, 2, 4))])
+            lines.append([str(count), *(with_error(*values[i : i + 2]) for i in range(0, len(values), 2))])
     return table(head, lines)
 
 
@@ -250,23 +313,26 @@ def _check(result: xr.Dataset) -> str:
 
 
 def _photodiodes(result: xr.Dataset) -> str:
-    """What each photodiode of the best layout reads, first finger and LED."""
+    """What each photodiode of the best layout reads of each LED on the first finger."""
     head = ["Photodiode", "Reads<br>[V]", "Full scale /<br>reading", "Noise<br>[µV]", "Signal /<br>noise"]
     head += ["Never in<br>bed [%]", "Proximal blood<br>[mV / %]", "Distal blood<br>[mV / %]", "Looks at depth<br>[mm]"]
-    lines = []
-    for i, name in enumerate(chosen(result).layout.photodiode_names):
-        one = result.isel(led=0, best_photodiode=i)
+    lines: list[list[str]] = []
+    names = chosen(result).layout.photodiode_names
+    pairs = [(str(led), i) for led in result.led.values for i in range(len(names))]
+    for led, i in pairs:
+        one = result.sel(led=led).isel(best_photodiode=i)
 
         def known(name: str, scale: float = 1.0, one: xr.Dataset = one, **at: int) -> str:
             return with_error(*(scale * float(one[f"{name}{end}"].isel(at)) for end in ("", "_stderr")))
 
         volts, noise_v = float(one.predicted_volts), float(one.predicted_noise_v)
-        line = [escaped(name), known("predicted_volts"), significant(result.attrs["adc_range_v"] / volts)]
+        line = [escaped(names[i]), known("predicted_volts"), significant(result.attrs["adc_range_v"] / volts)]
         line += [significant(1e6 * noise_v), significant(volts / noise_v), known("predicted_shunted_fraction", 100)]
         # A hundredth of the bed's volume, in millivolts.
         line += [known("predicted_zone_v", 10, blood_zone=zone) for zone in range(2)]
         lines.append([*line, known("mean_depth_mm") if "mean_depth_mm" in one else "–"])
-    return table(head, lines)
+    groups = [f"LED {led}" for led, _ in pairs] if result.sizes["led"] > 1 else None
+    return table(head, lines, groups=groups)
 
 
 def _ambient(result: xr.Dataset) -> str:

@@ -217,12 +217,14 @@ def placement_lines(summary: dict[str, Any]) -> list[str]:
     lines = [
         f"{row['rank']:>3} {row['layout']:<28} {1e3 * row['force_resolution_n']:9.3f} mN "
         f"+- {1e3 * row['force_resolution_n_stderr']:.3f}{_still(row)}{_spread(row)}{_oxygen(row)}"
-        f"{'  tied' if row['tied'] else ''}"
+        f"{_share(row, summary['rank_by'])}{'  tied' if row['tied'] else ''}"
         for row in summary["ranking"]
     ]
     if better := summary["gain_over_paper"]:
         times = f"{better['value']:.2f} +- {better['stderr']:.2f} times"
-        lines.append(f"the best resolves force {times} as finely as the paper's layout")
+        tied = sum(row["tied"] for row in summary["ranking"])
+        beside = f"; {tied} layouts are tied with each other" if tied else ""
+        lines.append(f"the best resolves force {times} as finely as the paper's layout{beside}")
     if rough := rough_words(summary["ranking"]):
         lines.append(rough)
     return [*lines, *summary.get("conclusions", [])]
@@ -241,6 +243,13 @@ def _oxygen(row: dict[str, Any]) -> str:
     if "spo2_error_percent" not in row:
         return ""
     return f", SpO2 {row['spo2_error_percent']:.3f} % +- {row['spo2_error_percent_stderr']:.3f}"
+
+
+def _share(row: dict[str, Any], rank_by: str) -> str:
+    """How well the proximal share of the force is told, where that ranks layouts."""
+    if "share" not in rank_by:
+        return ""
+    return f", share {100 * row['share_resolution']:.3f} % +- {100 * row['share_resolution_stderr']:.3f}"
 
 
 def _spread(row: dict[str, Any]) -> str:

@@ -63,7 +63,7 @@ def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tu
         Rectangle.around(led.name, (led.position_mm[0] + du, led.position_mm[1] + dv), led.size_mm, led.rotation_deg)
         for led in leds
     )
-    wired, unwired = _elements(board, photodiodes)
+    wired, unwired = lay_elements(board, photodiodes)
     _check_heights(board, leds, photodiodes)
     parts = [(f'leds "{r.name}"', r) for r in dies] + [(f'photodiode "{e.name}"', e.area) for e in wired]
     parts += [(f'photodiode element "{r.name}"', r) for r in unwired]
@@ -140,7 +140,7 @@ def _check_nail(outline: Rectangle, finger: Finger) -> None:
             )
 
 
-def _elements(board: Board, photodiodes: tuple[Photodiode, ...]) -> tuple[list[Element], list[Rectangle]]:
+def lay_elements(board: Board, photodiodes: tuple[Photodiode, ...]) -> tuple[list[Element], list[Rectangle]]:
     """Photodiode elements that are read, and those that are there but not wired."""
     wired: list[Element] = []
     unwired: list[Rectangle] = []
@@ -174,7 +174,7 @@ def _barriers(
     faced: dict[str, list[float]] = {side: [] for side in sides}
     for led in leds:
         gaps = {side: way * (face - edge(led)) for side, (edge, face, way) in sides.items()}
-        side = max(gaps, key=lambda key: gaps[key])
+        side: str = board.barrier_side or max(gaps, key=lambda key: gaps[key])
         if gaps[side] < width + (beside or 0.0) + WALL_ROOM_MM:
             raise ValueError(
                 f'board.barrier: LED "{led.name}" lies {max(gaps[side], 0):.3g} mm beside the photodiodes, which '

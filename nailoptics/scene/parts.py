@@ -204,6 +204,9 @@ class Board(Table):
     """A wall of opaque epoxy between LEDs and photodiodes, from the board to the nail."""
     barrier_um: Annotated[float, Field(ge=20, le=2000)] = 150.0
     """Thickness of that wall. [um]"""
+    barrier_side: Literal["left", "right", "below", "above"] | None = None
+    """Side of the photodiodes where the wall stands and every LED lies behind it; of each LED the side on which it is
+    farthest from them if not given."""
     barrier_gap_mm: Annotated[float, Field(ge=0.02, le=5)] | None = None
     """Distance from the nearest LED to that wall; midway to the photodiodes if not given. [mm]"""
     cover_um: Annotated[float, Field(ge=0, le=5000)] = 500.0

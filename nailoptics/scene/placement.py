@@ -6,15 +6,15 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationInfo, model_validator
 
 from ..errors import InputError
-from .base import Fraction, Name, NonNegative, Point, Table, check_unique
+from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Table, check_unique
 from .board_files import read_board_file
 from .finger import DermisAbsorption
 from .outlines import read_outline
 from .parts import Led, Photodiode, Rotation
 from .positions import read_positions
 
-# What ranks by the saturation.
-OXYGEN = ("oxygen", "oxygen_and_force")
+# What layouts can be ranked by, and what of it is told alone or together.
+Aim = Literal["worst", "mean", "share", "oxygen"]
 
 
 class Candidate(Table):
@@ -135,26 +135,34 @@ class Placement(Table):
     """Corners of the outline (u, v); filled from outline. [mm]"""
     outline_holes_mm: tuple[tuple[Point, ...], ...] = ()
     """Corners of each hole in the outline, over which no part lies; filled from outline. [mm]"""
+    keep_out_mm: tuple[Polygon, ...] = ()
+    """Corners (u, v) of each area where the search puts no part. [mm]"""
+    fixed: tuple[Name, ...] = ()
+    """Names of the scene's LEDs and photodiodes that the search leaves where they are."""
+    wire: bool = False
+    """Choose which elements of the scene's photodiodes and arrays are wired, where they are, in place of new places."""
     photodiodes: Annotated[int, Field(ge=1, le=32)] = 8
-    """How many photodiodes the search places, each like the scene's first."""
+    """How many photodiodes a searched layout has, fixed ones among them; those it places are like the scene's first."""
     force_n: Annotated[float, Field(gt=0, le=20)] = 0.5
     """Force at which the resolution is judged. [N]"""
     since_rest_s: Annotated[float, Field(gt=0, le=86400)] = 60.0
     """Time since the untouched finger was read, in which readings drift as [body.drift] says. [s]"""
-    rank_by: Literal["worst", "mean", "oxygen", "oxygen_and_force"] = "worst"
-    """The worst force resolution over the fingers, or the mean; oxygen: the error of SpO2 of two LEDs on the worst
-    finger, with a heart that beats; oxygen_and_force: its product with the worst force resolution. The search for
-    layouts looks for force in any case."""
+    rank_by: Literal["worst", "mean", "share", "oxygen", "oxygen_and_force"] | dict[Aim, Positive] = "worst"
+    """What the search looks for and layouts are ranked by, less is better. worst, mean: the force resolution on the
+    worst finger, or the mean over the fingers; share: how well the part of the force that presses proximally is told
+    (1 is all), worst finger; oxygen: the error of SpO2 of two LEDs on the worst finger, with a heart that beats;
+    oxygen_and_force: oxygen and worst alike. Or a table of weights, such as { worst = 2, oxygen = 1 }: the mean of
+    these by their weights, of logarithms, as their units differ."""
     fingers: Annotated[tuple[FingerCase, ...], Field(max_length=16)] = ()
     """Fingers that the layout must serve; the scene's own if none is given."""
     edge_mm: NonNegative = 0.3
     """Least distance of any part from the board's edge. [mm]"""
     clearance_mm: NonNegative = 0.1
-    """Least gap between two photodiodes, and between a photodiode and the barrier. [mm]"""
+    """Least gap between two photodiodes or two LEDs, and between a photodiode and the barrier. [mm]"""
     bond_wire_mm: Annotated[float, Field(ge=0.02, le=3)] = 0.4
     """Room beside an LED for its bond wire: the gap to the barrier, and to photodiodes without one. [mm]"""
     led_step_mm: Annotated[float, Field(ge=0.25, le=5)] = 2.0
-    """Spacing of the first LED places; the search then halves it around the best. [mm]"""
+    """Spacing of the first LED places; the search then halves it around the best, and tries LEDs side by side. [mm]"""
     photodiode_step_mm: Annotated[float, Field(ge=0.05, le=2)] = 0.25
     """Spacing of photodiode places. [mm]"""
 
@@ -175,4 +183,34 @@ class Placement(Table):
         check_unique([case.name for case in self.fingers], "fingers")
         if self.outline_mm is not None and len(self.outline_mm) < 3:
             raise ValueError("outline_mm needs three corners or more")
+        for i, corners in enumerate(self.keep_out_mm):
+            if len(corners) < 3:
+                raise ValueError(f"keep_out_mm[{i}] has {len(corners)} corners; an area needs three or more")
+        check_unique(self.fixed, "fixed")
+        if not self.weights:
+            raise ValueError('rank_by is empty; give a weight, such as { worst = 1.0 }, or a word, such as "worst"')
+        if {"worst", "mean"} <= self.weights.keys():
+            raise ValueError("rank_by has both worst and mean, which are of the same force; give one of them")
         return self
+
+    @property
+    def rank_words(self) -> str:
+        """What layouts are ranked by, in words."""
+        if isinstance(self.rank_by, str):
+            return self.rank_by
+        return ", ".join(f"{name} {weight:g}" for name, weight in self.rank_by.items())
+
+    @property
+    def over_fingers(self) -> Literal["worst", "mean"]:
+        """Whether the force over the fingers is that on the worst of them, or their mean."""
+        return "mean" if "mean" in self.weights else "worst"
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """The part that each has in what layouts are ranked by; together 1."""
+        if isinstance(self.rank_by, dict):
+            whole = sum(self.rank_by.values())
+            return {name: weight / whole for name, weight in self.rank_by.items()}
+        if self.rank_by == "oxygen_and_force":
+            return {"oxygen": 0.5, "worst": 0.5}
+        return {self.rank_by: 1.0}

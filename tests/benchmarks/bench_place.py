@@ -17,6 +17,7 @@ import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.errors import NotReachedError
 from nailoptics.studies.placement import boards, photon_maps, place, result, scores
+from nailoptics.studies.placement.objective import Objective
 
 CANDIDATES = 20
 
@@ -53,12 +54,12 @@ def further(scene: nail.Scene, found: xr.Dataset) -> float:
     cache = photon_maps.PhotonMapCache(conditions, seed=1, stream=1, backend="auto", blocks=place.BLOCKS)
     cache.extend(board, 1 << 18)
     places = [area.center_mm for area in best.layout.photodiode_areas]
-    spent = []
+    spent, objective = [], Objective(rules, [condition.point for condition in conditions])
     for i in range(CANDIDATES):
         begin = time.perf_counter()
         moved = [(u, v + 0.01 * i) for u, v in places]
         layout = boards.with_parts(base, [r.center_mm for r in best.layout.leds], moved, name="one")
-        scores.score_layout(boards.CandidateLayout("one", layout, board, "given"), cache, rules.rank_by)
+        scores.score_layout(boards.CandidateLayout("one", layout, board, "given"), cache, objective)
         spent.append(time.perf_counter() - begin)
     return statistics.median(spent[1:])
 

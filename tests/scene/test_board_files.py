@@ -4,7 +4,8 @@ import pytest
 
 from nailoptics.errors import InputError
 from nailoptics.scene import digest, load_scene, parse_scene, to_toml
-from nailoptics.studies.placement import boards, exchange
+from nailoptics.studies.placement import boards
+from nailoptics.studies.placement.sites import Sites
 
 BOARD = """(kicad_pcb (version 20171130)
   (setup (aux_axis_origin 100 100))
@@ -151,6 +152,6 @@ def test_a_search_keeps_to_the_boards_own_outline_and_off_its_holes(tmp_path):
     assert base.board.size_mm == (8.0, 9.0) and base.board.center_mm == (0.5, -0.5)
     assert boards.rules(base).outline_mm == rules.outline_mm and min(y for _, y in rules.outline_mm) == -5
     # The hole lies 2 to 3 mm right of the origin and up to 1 mm above it, all moved by 0.5 mm; parts keep 0.3 mm off.
-    free = exchange.free_places(boards.bare(base), (1.0, 0.5), rules)
+    free = Sites(base, rules).photodiode_places([], boards.bare(base).layout.leds).centers_mm
     near = free[(abs(free[:, 0] - 3.0) < 0.5 + 0.5 + 0.3 - 1e-6) & (abs(free[:, 1] - 0.25) < 0.75 + 0.25 + 0.3 - 1e-6)]
     assert len(free) > 100 and len(near) == 0 and free[:, 0].max() == pytest.approx(4.5 - 0.3 - 0.5, abs=0.25)

@@ -2,14 +2,21 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import count
+from typing import Any, TypeVar
 
 from ...errors import InputError
 from ...scene import Board, Candidate, Finger, FingerCase, Led, Photodiode, Placement, Scene
 from ...scene.base import Point
 from ...scene.finger import ABSORBING, SCATTERING
+from ...scene.layout import lay_elements
+from ...scene.rectangles import Rectangle
 
 Places = Sequence[tuple[float, float]]
+PartT = TypeVar("PartT", Led, Photodiode)
+
+# LEDs that a search places together.
+MOST_LEDS = 4
 
 NAIL_MARGIN_MM = 0.1
 # A bare board carries one photodiode, because every scene has one; this one is too small to matter.
@@ -202,21 +209,90 @@ def with_parts(
 
 def check_search(base: Scene, placement: Placement) -> None:
     """Raise InputError where a search cannot place what the scene has."""
-    if placement.search and len(base.leds) != 1:
+    names = [*(led.name for led in base.leds), *(photodiode.name for photodiode in base.photodiodes)]
+    for name in placement.fixed:
+        if name not in names:
+            raise InputError(
+                f'placement.fixed: "{name}" is no LED or photodiode of the scene; it has {", ".join(names)}.'
+            )
+    if not placement.search:
+        return
+    if len(base.leds) > MOST_LEDS:
         raise InputError(
-            f"placement.search places one LED, the scene has {len(base.leds)}; set search = false and give candidates."
+            f"placement.search places up to {MOST_LEDS} LEDs, the scene has {len(base.leds)}; set search = false and "
+            "give candidates."
+        )
+    loose, asked = loose_photodiodes(base, placement), placement.photodiodes
+    kept = tuple(one for one in base.photodiodes if one.name in placement.fixed)
+    fixed = len(lay_elements(base.board, kept)[0])
+    if fixed > asked:
+        raise InputError(f"placement.photodiodes = {asked}, but fixed has {fixed} of them; ask for more.")
+    if placement.wire and asked - fixed > (most := sum(photodiode.elements for photodiode in loose)):
+        raise InputError(
+            f"placement.wire: the scene has {most} elements to choose from, and photodiodes asks for {asked - fixed}; "
+            "ask for fewer."
         )
 
 
-def straight(base: Scene) -> Scene:
-    """The board whose parts, which a search puts elsewhere, lie along or across the nail, whichever is nearer."""
+def loose_photodiodes(base: Scene, placement: Placement) -> list[Photodiode]:
+    """The scene's photodiodes that are not fixed."""
+    return [photodiode for photodiode in base.photodiodes if photodiode.name not in placement.fixed]
 
-    def turned_back(part: Led | Photodiode) -> Led | Photodiode:
-        across = round(part.rotation_deg / 90) % 2
-        return part.model_copy(update={"rotation_deg": 0.0, "size_mm": part.size_mm[:: -1 if across else 1]})
 
-    parts = {"leds": tuple(map(turned_back, base.leds)), "photodiodes": tuple(map(turned_back, base.photodiodes))}
-    return base.model_copy(update=parts)
+def searchable(base: Scene, placement: Placement) -> Scene:
+    """The board whose parts, those aside that stay where they are, lie along or across the nail."""
+    stay = {*placement.fixed, *((one.name for one in base.photodiodes) if placement.wire else ())}
+    leds = tuple(one if one.name in stay else straightened(one) for one in base.leds)
+    photodiodes = tuple(one if one.name in stay else straightened(one) for one in base.photodiodes)
+    return base.model_copy(update={"leds": leds, "photodiodes": photodiodes})
+
+
+def straightened(part: PartT) -> PartT:
+    """A part that lies along or across the nail, whichever is nearer."""
+    across = round(part.rotation_deg / 90) % 2
+    return part.model_copy(update={"rotation_deg": 0.0, "size_mm": part.size_mm[:: -1 if across else 1]})
+
+
+def way_of(side: str) -> int:
+    """Which way photodiodes lie from LEDs on a side of them: 1 towards higher, -1 towards lower u or v."""
+    return sum(FAR_SIDE[side])
+
+
+def searched(
+    base: Scene,
+    placement: Placement,
+    leds_mm: Places,
+    photodiodes: Sequence[Rectangle],
+    *,
+    side: str | None,
+    name: str,
+) -> Scene:
+    """The board with its LEDs at places on the nail, and what a search found beside the photodiodes that are fixed.
+
+    photodiodes : areas of new ones, or where elements are wired, those by name.
+    side : of the photodiodes on which the LEDs lie behind their wall; None without a wall.
+    """
+    du, dv = base.board.center_mm
+    leds = tuple(
+        led.model_copy(update={"position_mm": (u - du, v - dv)}) for led, (u, v) in zip(base.leds, leds_mm, strict=True)
+    )
+    kept = [one for one in base.photodiodes if one.name in placement.fixed]
+    if placement.wire:
+        wanted = {area.name for area in photodiodes}
+        for one in loose_photodiodes(base, placement):
+            wired = tuple(i for i, element in enumerate(one.element_names()) if element in wanted)
+            if wired:
+                kept.append(one.model_copy(update={"wired": wired if len(wired) < one.elements else None}))
+    else:
+        like, taken = straightened(base.photodiodes[0]).model_copy(update=SINGLE), {one.name for one in kept}
+        names = (name for name in (f"PD{i}" for i in count(1)) if name not in taken)
+        for area in sorted(photodiodes, key=lambda area: area.center_mm[::-1]):
+            place = (area.center_mm[0] - du, area.center_mm[1] - dv)
+            kept.append(like.model_copy(update={"name": next(names), "position_mm": place}))
+    board = base.board.model_copy(update={"barrier_side": side})
+    scene = base.model_copy(update={"leds": leds, "photodiodes": tuple(kept), "board": board})
+    check(scene, name)
+    return scene
 
 
 def check(scene: Scene, name: str) -> None:
@@ -262,5 +338,7 @@ def bare(scene: Scene, *, side: str | None = None) -> Scene:
     else:
         across, along = FAR_SIDE[side]
         place = (across * reach[0] if across else led[0], along * reach[1] if along else led[1])
+    board = scene.board.model_copy(update={"barrier_side": side})
     speck = SINGLE | {"name": "speck", "position_mm": place, "size_mm": (SPECK_MM, SPECK_MM)}
-    return scene.model_copy(update={"photodiodes": (scene.photodiodes[0].model_copy(update=speck),)})
+    photodiodes = (scene.photodiodes[0].model_copy(update=speck),)
+    return scene.model_copy(update={"photodiodes": photodiodes, "board": board})

@@ -1,203 +1,29 @@
-"""The search for a layout: LED sites on a grid, and for each the photodiodes that tell most, by exchange."""
+"""The places of LEDs and photodiodes that together tell most, by exchange: of photodiodes for given LEDs, of LEDs for
+given photodiodes, in turns until nothing improves."""
 
-import logging
-import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations, product
+from typing import Generic, TypeVar
 
 import numpy as np
 
-from ...light.board_map import PhotonMap
-from ...scene import Placement, Scene
-from ...scene.outlines import has_room
-from ...scene.rectangles import Rectangle
-from . import boards
-from .boards import CandidateLayout
-from .fisher import OperatingPoint, fisher_information, force_resolution_n, over_fingers, response
-from .photon_maps import PhotonMapCache
-from .progress import StageProgress
-
-log = logging.getLogger(__name__)
-
-# Photons per LED and finger, to choose photodiodes for a site of the LED.
-SEARCH_PHOTONS = 1 << 18
-# Part of the time for the search.
-SEARCH_SHARE = 0.55
-# Searched layouts that are judged with photons of their own beside those that were given.
-FINALISTS = 5
-# A wall that leaves less than this part of the board to the photodiodes is not tried.
-LEAST_ROOM = 0.4
-# The layout asks for so much between the wall and what lies behind it.
-WALL_ROOM_MM = 0.02
 ROUNDS = 6
+# So many combinations of LED places are each given their own photodiodes; of more, so many are improved from.
+STARTS = 24
+# Of more combinations than this a sample is drawn.
+MOST_LISTED = 4096
+
+PlaceT = TypeVar("PlaceT", bound=Hashable)
 
 
 @dataclass(frozen=True)
-class LedSite:
-    """A place of the LED and the side of the photodiodes on which it lies (None without a wall)."""
+class Together(Generic[PlaceT]):
+    """LED places, in order, with the best photodiodes that were found for them, by number, and what is reached."""
 
-    place_mm: tuple[float, float]
-    side: str | None
-
-    @property
-    def name(self) -> str:
-        """The site as a layout's name."""
-        where = "_".join(f"{'m' if x < 0 else 'p'}{abs(x):.3g}" for x in (v + 0.0 for v in self.place_mm))
-        return f"led_{where}" + (f"_{self.side}" if self.side else "")
-
-
-@dataclass(frozen=True)
-class SearchedSite:
-    """The best photodiodes for a site of the LED: (n, 2) places, and the force that they resolve. [mm], [N]"""
-
-    site: LedSite
-    places_mm: np.ndarray
-    resolution_n: float
-
-
-def search(
-    base: Scene, placement: Placement, cache: PhotonMapCache, report_progress: StageProgress
-) -> list[SearchedSite]:
-    """Every site of the LED that was tried with its best photodiodes, in the order tried: a grid, then around the best.
-
-    Raises: InputError unless the scene has one LED.
-    """
-    boards.check_search(base, placement)
-
-    def score(information: np.ndarray) -> np.ndarray:
-        each = [force_resolution_n(*both) for both in zip(information, points, strict=True)]
-        return over_fingers(np.stack(each), placement.rank_by)
-
-    points = [condition.point for condition in cache.conditions]
-    found: dict[LedSite, SearchedSite] = {}
-    step, seen, waiting = placement.led_step_mm, set(), led_sites(base, placement)
-    start = report_progress.seconds
-    available = max(SEARCH_SHARE * report_progress.limit_s - start, 1e-9)
-    while waiting and step >= placement.led_step_mm / 4:
-        for i, site in enumerate(waiting):
-            if report_progress.is_over(SEARCH_SHARE):
-                why = "was interrupted" if report_progress.interrupted else "ran out of time"
-                log.warning("the search for LED places %s after %d of them", why, len(found))
-                return list(found.values())
-            best = _best_at(site, base, placement, cache, score)
-            if best:
-                found[site] = best
-            seen.add(site)
-            part = (report_progress.seconds - start) / available
-            report_progress("search", part if math.isfinite(available) else (i + 1) / len(waiting) / 2)
-        step /= 2
-        nearest = (n for one in ranked(found.values())[:2] for n in neighbours(one.site, step, base, placement))
-        waiting = list(dict.fromkeys(n for n in nearest if n not in seen))
-    return list(found.values())
-
-
-def ranked(found: Iterable[SearchedSite]) -> list[SearchedSite]:
-    """The finest first."""
-    return sorted(found, key=lambda one: one.resolution_n)
-
-
-def finalists(base: Scene, found: Sequence[SearchedSite]) -> list[CandidateLayout]:
-    """The best layouts of a search, to be judged with photons of their own."""
-    layouts = []
-    for one in ranked(found)[:FINALISTS]:
-        places = sorted(((float(u), float(v)) for u, v in one.places_mm), key=lambda p: (p[1], p[0]))
-        scene = boards.with_parts(base, [one.site.place_mm], places, name=one.site.name)
-        layouts.append(boards.candidate(one.site.name, scene, "searched"))
-    return layouts
-
-
-def _best_at(
-    site: LedSite, base: Scene, placement: Placement, cache: PhotonMapCache, score: Callable[[np.ndarray], np.ndarray]
-) -> SearchedSite | None:
-    """Trace a site's board and choose its photodiodes; None where they find no room."""
-    board, size, gap = board_at(site, base), base.photodiodes[0].size_mm, placement.clearance_mm
-    cache.extend(board, SEARCH_PHOTONS)
-    places = free_places(board, size, placement)
-    chosen: list[int] = []
-    if cache.is_traced(board) and len(places) >= placement.photodiodes:
-        chosen, reached = exchange(
-            information_at(cache, board, places, size, base),
-            places,
-            count=placement.photodiodes,
-            spacing_mm=(size[0] + gap, size[1] + gap),
-            score=score,
-        )
-    cache.forget(board)
-    return SearchedSite(site, places[chosen], reached) if chosen else None
-
-
-def led_sites(base: Scene, placement: Placement) -> list[LedSite]:
-    """LED sites on a grid over the outline, symmetric boards on one half, each with the walls that leave room."""
-    outline, die, step, axes = _outline(base), base.leds[0].size_mm, placement.led_step_mm, []
-    for low, high in zip(*_led_range(base, placement), strict=True):
-        half = max(0, int((high - low) / 2 / step + 1e-9))
-        axes.append((low + high) / 2 + step * np.arange(-half, half + 1))
-    if placement.outline_mm is None and abs(outline.u_min + outline.u_max) < 1e-6:
-        # Fingers are symmetric here, so that a layout and its mirror image are one.
-        axes[0] = axes[0][axes[0] <= 1e-6]
-    places = [(float(u), float(v)) for u in axes[0] for v in axes[1]]
-    found = [LedSite(p, side) for p in places if _inside(p, die, placement) for side in _walls_at(p, base)]
-    # The blood zones follow each other along the nail, so walls along it promise most and come first.
-    return sorted(found, key=lambda site: site.side in ("below", "above"))
-
-
-def neighbours(site: LedSite, step_mm: float, base: Scene, placement: Placement) -> list[LedSite]:
-    """The sites next to one, with the same wall."""
-    low, high = _led_range(base, placement)
-    found = []
-    for du, dv in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-        place = u, v = site.place_mm[0] + du * step_mm, site.place_mm[1] + dv * step_mm
-        if np.all((low - 1e-9 <= place) & (place <= high + 1e-9)) and _inside((u, v), base.leds[0].size_mm, placement):
-            found.append(LedSite((round(u, 4), round(v, 4)), site.side))
-    return found
-
-
-def _led_range(base: Scene, placement: Placement) -> tuple[np.ndarray, np.ndarray]:
-    """The lowest and the highest (u, v) that the LED may take on the board. [mm]"""
-    outline, margin = _outline(base), placement.edge_mm + np.array(base.leds[0].size_mm) / 2
-    return np.array([outline.u_min, outline.v_min]) + margin, np.array([outline.u_max, outline.v_max]) - margin
-
-
-def _walls_at(place: tuple[float, float], base: Scene) -> list[str | None]:
-    """Each wall beside an LED that leaves the photodiodes enough of the board; None if the board has no wall."""
-    if not base.board.barrier:
-        return [None]
-    outline, (u, v) = _outline(base), place
-    wide, long = (LEAST_ROOM * size for size in outline.size_mm)
-    room = {"left": outline.u_max - u > wide, "right": u - outline.u_min > wide}
-    room |= {"below": outline.v_max - v > long, "above": v - outline.v_min > long}
-    return [side for side, enough in room.items() if enough]
-
-
-def board_at(site: LedSite, base: Scene) -> Scene:
-    """The bare board with its LED on a site."""
-    du, dv = base.board.center_mm
-    led = base.leds[0].model_copy(update={"position_mm": (site.place_mm[0] - du, site.place_mm[1] - dv)})
-    return boards.bare(base.model_copy(update={"leds": (led,)}), side=site.side)
-
-
-def free_places(board: Scene, size_mm: tuple[float, float], placement: Placement) -> np.ndarray:
-    """Centres that a photodiode may take on a bare board, (m, 2) float. [mm]"""
-    layout, step = board.layout, placement.photodiode_step_mm
-    outline, half = layout.outline, np.array(size_mm) / 2
-    axes = []
-    for i, (low, high) in enumerate(((outline.u_min, outline.u_max), (outline.v_min, outline.v_max))):
-        first, last = low + placement.edge_mm + half[i], high - placement.edge_mm - half[i]
-        axes.append(first + step * np.arange(int((last - first) / step + 1e-6) + 1))
-    places = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
-    keep = np.ones(len(places), bool)
-    for wall in layout.barriers:
-        across, along = boards.FAR_SIDE[wall.name]
-        edge = {"left": wall.u_max, "right": wall.u_min, "below": wall.v_max, "above": wall.v_min}[wall.name]
-        axis, sign = (0, across) if across else (1, along)
-        keep &= sign * (places[:, axis] - edge) >= half[axis] + max(placement.clearance_mm, WALL_ROOM_MM) - 1e-9
-    if not layout.barriers:
-        for led in layout.leds:
-            wide = np.array(led.size_mm) / 2 + half + placement.bond_wire_mm
-            keep &= np.any(np.abs(places - led.center_mm) >= wide - 1e-9, axis=1)
-    if placement.outline_mm is not None:
-        keep &= np.array([_inside((u, v), size_mm, placement) for u, v in places])
-    return places[keep]
+    leds: tuple[PlaceT, ...]
+    photodiodes: tuple[int, ...]
+    reached: float
 
 
 def exchange(
@@ -207,6 +33,9 @@ def exchange(
     count: int,
     spacing_mm: tuple[float, float],
     score: Callable[[np.ndarray], np.ndarray],
+    given: np.ndarray | float = 0.0,
+    allowed: np.ndarray | None = None,
+    starts: int = 1,
 ) -> tuple[list[int], float]:
     """The places whose information together scores least, and the score: one after the other, then exchanged singly
     until nothing improves.
@@ -214,66 +43,175 @@ def exchange(
     information : (fingers, m, n) float. What a photodiode at each place tells, as `fisher_information`.
     spacing_mm : two photodiodes lie at least so far apart in u or in v.
     score : of sums of information (fingers, ..., n) -> (...).
+    given : (fingers, n) float. What others tell that stay.
+    allowed : (m,) bool. Places that may be taken; all if not given.
+    starts : from so many first places, the best by themselves that lie apart, it begins anew; the best of all is taken.
     """
+    barred = np.zeros(len(places), bool) if allowed is None else ~allowed
 
-    def best(total: np.ndarray, taken: list[int]) -> tuple[int, float]:
-        scores = score(total[:, None] + information)
+    stays = np.zeros((len(information), information.shape[-1])) + given
+
+    def scores(total: np.ndarray, taken: list[int]) -> np.ndarray:
+        each = np.where(barred, np.inf, score(total[:, None] + information))
+        each[taken] = np.inf
         for other in taken:
             away = np.abs(places - places[other])
-            scores[np.all(away < np.array(spacing_mm) - 1e-9, axis=1)] = np.inf
-        at = int(np.argmin(scores))
-        return at, float(scores[at])
+            each[np.all(away < np.array(spacing_mm) - 1e-9, axis=1)] = np.inf
+        return each
 
-    chosen: list[int] = []
-    total, reached = np.zeros((len(information), information.shape[-1])), np.inf
-    for _ in range(count):
-        at, reached = best(total, chosen)
-        if not np.isfinite(reached):
-            return [], np.inf
-        chosen.append(at)
-        total = total + information[:, at]
-    for _ in range(ROUNDS):
-        before = reached
-        for i in range(count):
-            others = chosen[:i] + chosen[i + 1 :]
-            at, found = best(information[:, others].sum(1), others)
-            if found < reached * (1 - 1e-9):
-                chosen[i], reached = at, found
-        if reached >= before * (1 - 1e-6):
-            break
-    return chosen, reached
+    def grown(chosen: list[int]) -> tuple[list[int], float]:
+        reached = np.inf
+        while len(chosen) < count:
+            each = scores(stays + information[:, chosen].sum(1), chosen)
+            chosen, reached = [*chosen, int(np.argmin(each))], float(each.min())
+            if not np.isfinite(reached):
+                return [], np.inf
+        return exchanged(chosen, reached)
+
+    def exchanged(chosen: list[int], reached: float) -> tuple[list[int], float]:
+        for _ in range(ROUNDS):
+            before = reached
+            for i in range(count):
+                others = chosen[:i] + chosen[i + 1 :]
+                each = scores(stays + information[:, others].sum(1), others)
+                if float(each.min()) < reached * (1 - 1e-9):
+                    chosen[i], reached = int(np.argmin(each)), float(each.min())
+            if reached >= before * (1 - 1e-6):
+                break
+        return chosen, reached
+
+    if count == 0:
+        return [], float(score(stays))
+    found, first = grown([]), [int(i) for i in np.argsort(scores(stays, []))]
+    tried: list[int] = []
+    while first and len(tried) + 1 < starts:
+        tried.append(first[0])
+        away = np.abs(places[first] - places[first[0]])
+        first = [i for i, far in zip(first, np.any(away >= spacing_mm, axis=1), strict=True) if far]
+        if count > 1 and not barred[tried[-1]]:
+            found = min(found, grown([tried[-1]]), key=lambda one: one[1])
+    return found
 
 
-def information_at(
-    cache: PhotonMapCache, board: Scene, places: np.ndarray, size_mm: tuple[float, float], like: Scene
-) -> np.ndarray:
-    """What one photodiode at each place tells on each finger, (fingers, m, n) float, as `fisher_information`.
+@dataclass(frozen=True)
+class Tables(Generic[PlaceT]):
+    """What LEDs at their places bring to photodiodes at theirs.
 
-    like : the scene whose first photodiode and electronics these are.
+    columns : of each LED at each of its places, (fingers, m, c) float, the first m photodiodes by number.
+    stay : likewise of the photodiodes that stay, (fingers, s, c).
+    together : what a photodiode tells of all LEDs' columns, (fingers, m, n) float.
+    score : of sums of these (fingers, ..., n) -> (...).
+    places_mm : (m, 2) float. Centres of photodiodes.
+    go_together : whether LEDs may have these places together.
+    beside : (m,) bool. Which photodiodes may lie beside LEDs at these places.
+    starts : as of `exchange`.
     """
-    half = np.array(size_mm) / 2
-    areas = np.stack([places - half, places + half], -1).reshape(-1, 4)
 
-    def told(number: int, one: PhotonMap, point: OperatingPoint) -> np.ndarray:
-        led, values = board.leds[number], one.over(areas).mean(0)
-        return fisher_information(response(values, led, like.photodiodes[0], like.electronics, point, number=number))
+    columns: Sequence[Mapping[PlaceT, np.ndarray]]
+    stay: Sequence[Mapping[PlaceT, np.ndarray]]
+    together: Callable[[Sequence[np.ndarray]], np.ndarray]
+    score: Callable[[np.ndarray], np.ndarray]
+    places_mm: np.ndarray
+    spacing_mm: tuple[float, float]
+    go_together: Callable[[tuple[PlaceT, ...]], bool]
+    beside: Callable[[tuple[PlaceT, ...]], np.ndarray]
+    starts: int = 1
 
-    by_finger = [
-        sum(told(number, one, condition.point) for number, one in enumerate(by_led))
-        for condition, by_led in zip(cache.conditions, cache.maps(board), strict=True)
-    ]
-    return np.stack(by_finger)
+    def best_photodiodes(self, leds: tuple[PlaceT, ...], count: int) -> Together[PlaceT] | None:
+        """The best photodiodes for LEDs at given places; None where they find no room."""
+        told, stays = (
+            self.together([one[place] for one, place in zip(each, leds, strict=True)])
+            for each in (self.columns, self.stay)
+        )
+        chosen, reached = exchange(
+            told,
+            self.places_mm,
+            count=count,
+            spacing_mm=self.spacing_mm,
+            score=self.score,
+            given=stays.sum(1),
+            allowed=self.beside(leds),
+            starts=self.starts,
+        )
+        return Together(leds, tuple(chosen), reached) if np.isfinite(reached) else None
 
+    def best_leds(self, found: Together[PlaceT]) -> tuple[PlaceT, ...]:
+        """The LEDs' places, one after the other moved to where it is best, for photodiodes that stay where they are."""
+        leds, chosen, reached = found.leds, list(found.photodiodes), found.reached
+        for i, own in enumerate(self.columns):
+            for place in own:
+                tried = (*leds[:i], place, *leds[i + 1 :])
+                if place == leds[i] or not self.go_together(tried) or not self.beside(tried)[chosen].all():
+                    continue
+                value = self._read(tried, chosen)
+                if value < reached * (1 - 1e-9):
+                    leds, reached = tried, value
+        return leds
 
-def _outline(base: Scene) -> Rectangle:
-    size = base.board.size_mm
-    assert size is not None
-    return Rectangle.around("board", base.board.center_mm, size)
+    def _read(self, leds: tuple[PlaceT, ...], chosen: list[int]) -> float:
+        return float(self.score(self.total(leds, chosen)))
 
+    def total(self, leds: tuple[PlaceT, ...], chosen: list[int]) -> np.ndarray:
+        """What these photodiodes and those that stay tell together, (fingers, n) float."""
+        new = self.together([one[place][:, chosen] for one, place in zip(self.columns, leds, strict=True)])
+        return new.sum(1) + self.together([one[p] for one, p in zip(self.stay, leds, strict=True)]).sum(1)
 
-def _inside(place: tuple[float, float], size_mm: tuple[float, float], placement: Placement) -> bool:
-    """Whether a part with its distance from the edge lies within an outline of corners and off its holes."""
-    if placement.outline_mm is None:
-        return True
-    half_u, half_v = (s / 2 + placement.edge_mm for s in size_mm)
-    return has_room(place, (half_u, half_v), placement.outline_mm, placement.outline_holes_mm)
+    def improved(self, leds: tuple[PlaceT, ...], count: int) -> list[Together[PlaceT]]:
+        """What is found from one start, photodiodes and LEDs exchanged in turns; the best last."""
+        found: list[Together[PlaceT]] = []
+        while (one := self.best_photodiodes(leds, count)) is not None:
+            if found and one.reached >= found[-1].reached * (1 - 1e-6):
+                break
+            found.append(one)
+            leds = self.best_leds(one)
+            if leds == one.leds:
+                break
+        return found
+
+    def search(self, count: int, known: Sequence[tuple[PlaceT, ...]] = ()) -> list[Together[PlaceT]]:
+        """Every arrangement of LEDs that was given its photodiodes: of few each; of many what some of them lead to, and
+        from the best of it on every step of one LED, or of two that change places, as long as that is better.
+
+        known : arrangements that were tried, best first; of few they are left out, of many the best is a start.
+        """
+        every = self._arrangements()
+        if len(every) <= STARTS or sum(len(one) > 1 for one in self.columns) <= 1:
+            each = (self.best_photodiodes(leds, count) for leds in every if leds not in known)
+            return [one for one in each if one is not None]
+        picked = [every[i] for i in np.linspace(0, len(every) - 1, STARTS).astype(int)]
+        found: dict[tuple[PlaceT, ...], Together[PlaceT]] = {}
+        for leds in dict.fromkeys((*known[:1], *picked)):
+            for one in self.improved(leds, count) if leds not in found else ():
+                found[one.leds] = one
+        tried = set(found)
+        while found:
+            best = min(found.values(), key=lambda one: one.reached)
+            for leds in self._beside(best.leds):
+                better = None if leds in tried else self.best_photodiodes(leds, count)
+                tried.add(leds)
+                if better is not None:
+                    found[leds] = better
+            if min(one.reached for one in found.values()) >= best.reached * (1 - 1e-6):
+                break
+        return list(found.values())
+
+    def _beside(self, leds: tuple[PlaceT, ...]) -> list[tuple[PlaceT, ...]]:
+        """Arrangements in which one LED lies elsewhere, or two lie in each other's places."""
+        moved = [(*leds[:i], place, *leds[i + 1 :]) for i, own in enumerate(self.columns) for place in own]
+        for i, j in combinations(range(len(leds)), 2):
+            swapped = list(leds)
+            swapped[i], swapped[j] = leds[j], leds[i]
+            if leds[j] in self.columns[i] and leds[i] in self.columns[j]:
+                moved.append(tuple(swapped))
+        return [one for one in dict.fromkeys(moved) if one != leds and self.go_together(one)]
+
+    def _arrangements(self) -> list[tuple[PlaceT, ...]]:
+        """Places that LEDs may have together: all, or of very many a sample that is always the same."""
+        pools = [list(one) for one in self.columns]
+        if np.prod([float(len(pool)) for pool in pools]) <= MOST_LISTED:
+            every = list(product(*pools))
+        else:
+            rng = np.random.default_rng(0)
+            picks = np.stack([rng.integers(len(pool), size=MOST_LISTED) for pool in pools], -1)
+            every = [tuple(pool[i] for pool, i in zip(pools, row, strict=True)) for row in picks]
+        return [leds for leds in dict.fromkeys(every) if self.go_together(leds)]

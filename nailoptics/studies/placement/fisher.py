@@ -34,6 +34,7 @@ class OperatingPoint:
 
     blood_fraction : (2,) float. Blood of the proximal and distal zone there.
     blood_per_pa : (zone, pressure) float. How it changes with the proximal and distal pressure. [Pa^-1]
+    force_n : the force. [N]
     force_per_pa : (2,) float. Force for each pressure: the area of either side. [N/Pa]
     pressure_per_n : (2,) float. Pressures for each newton of the scene's touch. [Pa/N]
     body : what the body adds; None where the scene has no body, or one that is still.
@@ -41,6 +42,7 @@ class OperatingPoint:
 
     blood_fraction: Array
     blood_per_pa: Array
+    force_n: float
     force_per_pa: Array
     pressure_per_n: Array
     body: BodyNoise | None = None
@@ -60,6 +62,7 @@ def operating_point(scene: Scene, force_n: float, *, since_rest_s: float = 60.0)
     return OperatingPoint(
         blood_fraction=blood[0],
         blood_per_pa=np.stack([blood[1] - blood[2], blood[3] - blood[4]], -1) / width,
+        force_n=force_n,
         force_per_pa=np.array(touch_areas_mm2(scene)) * 1e-6,
         pressure_per_n=per_n,
         body=body_noise(scene, force_n, since_rest_s=since_rest_s),
@@ -183,10 +186,23 @@ def force_resolution_n(information: Array, point: OperatingPoint) -> Array:
     information : Of all readings, as `fisher_information`. It makes the matrix J of the two pressures; the force w . P
         has the variance w^T J^-1 w (Cramer-Rao), with w the area of the side for each pressure.
     """
+    return _stderr_of(information, point.force_per_pa)
+
+
+def share_resolution(information: Array, point: OperatingPoint) -> Array:
+    """Standard deviation of the part of the force that presses proximally, told by one sample of all readings.
+
+    That part is w_1 P_1 / (w . P), of which small errors are w_1 w_2 (P_2 dP_1 - P_1 dP_2) / (w . P)^2.
+    """
+    (w, v), (p, q) = point.force_per_pa, point.force_n * point.pressure_per_n
+    return _stderr_of(information, w * v / (w * p + v * q) ** 2 * np.array([q, -p]))
+
+
+def _stderr_of(information: Array, per_pa: Array) -> Array:
+    """Standard deviation of what changes with both pressures as given, (2,) float, to first order."""
     one, both, two = _with_prior(information)
-    w = point.force_per_pa
-    variance = (w[0] ** 2 * two - 2 * w[0] * w[1] * both + w[1] ** 2 * one) / (one * two - both**2)
-    return np.sqrt(variance)
+    a, b = per_pa
+    return np.sqrt((a**2 * two - 2 * a * b * both + b**2 * one) / (one * two - both**2))
 
 
 def fixed_ratio_resolution_n(information: Array, point: OperatingPoint) -> Array:
@@ -227,6 +243,6 @@ def condition_number(read: Response) -> float:
     return float(np.linalg.cond(matrix)) if len(matrix) > 1 else float("inf")
 
 
-def over_fingers(resolution_n: Array, rank_by: str) -> Array:
+def over_fingers(resolution_n: Array, over: str) -> Array:
     """One force resolution for all fingers, along the first axis: the worst or the mean. [N]"""
-    return resolution_n.mean(0) if rank_by == "mean" else resolution_n.max(0)
+    return resolution_n.mean(0) if over == "mean" else resolution_n.max(0)

@@ -103,7 +103,7 @@ def _log_resolutions(
                 return None
             score[members] = found
         by_case.append(score)
-    return np.log(over_fingers(np.stack(by_case), rules.rank_by))
+    return np.log(over_fingers(np.stack(by_case), rules.over_fingers))
 
 
 def _resolutions(

@@ -46,17 +46,23 @@ class OxygenRule:
         """
         worst = []
         for k, by_led in enumerate(responses):
-            relative = np.zeros(np.shape(by_led[0].volts))
-            for i, led in enumerate(self.leds):
-                read = by_led[led]
-                # In volts over noise: the light itself cancels.
-                pulsating = (read.zone_v @ self.pulse[k, i]) ** 2 * read.telling
-                with np.errstate(divide="ignore"):
-                    relative = relative + read.noise_v2 / pulsating
-            told = (self.log_ratio_per_percent * self.shape_rms[k]) ** 2 * self.frames / relative
+            variance = np.sum([self.relative_variance(k, i, read) for i, read in enumerate(by_led)], axis=0)
             with np.errstate(divide="ignore"):
-                worst.append(1 / np.sqrt(told.sum(-1)))
+                worst.append(1 / np.sqrt(self.told_per_percent2(k, variance).sum(-1)))
         return np.max(worst, axis=0)
+
+    def relative_variance(self, finger: int, led: int, read: Response) -> Array:
+        """Variance of the height of an LED's pulse in one reading over its square; of LEDs that tell no oxygen 0."""
+        if led not in self.leds:
+            return np.zeros(np.shape(read.volts))
+        # In volts over noise: the light itself cancels.
+        pulsating = (read.zone_v @ self.pulse[finger, self.leds.index(led)]) ** 2 * read.telling
+        with np.errstate(divide="ignore"):
+            return np.asarray(read.noise_v2 / pulsating)
+
+    def told_per_percent2(self, finger: int, variance: Array) -> Array:
+        """What a photodiode tells of SpO2 by the sum of both LEDs' relative variances: one over its variance."""
+        return np.asarray((self.log_ratio_per_percent * self.shape_rms[finger]) ** 2 * self.frames / variance)
 
 
 def oxygen_rule(base: Scene, cases: Sequence[FingerCase], force_n: float) -> OxygenRule:
@@ -67,7 +73,7 @@ def oxygen_rule(base: Scene, cases: Sequence[FingerCase], force_n: float) -> Oxy
     try:
         leds = two_leds(base.leds, base.oximeter.slots if base.oximeter else None)
     except ValueError as error:
-        raise InputError(f'placement.rank_by = "oxygen": {error}.') from None
+        raise InputError(f"placement.rank_by, oxygen: {error}.") from None
     oximeter_leds(base)
     pulse, shape, blood = [], [], base.blood
     wavelength = np.array([base.leds[i].wavelength_nm for i in leds])

@@ -5,87 +5,104 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from ...scene import Placement
+from ...light.board_map import PhotonMap
+from ...scene import Scene
 from ...statistics import jackknife, left_out
 from ...variables import variable
+from . import boards
 from .boards import CandidateLayout
-from .exchange import exchange, free_places
-from .fisher import Response, fisher_information, force_resolution_n, over_fingers, response
+from .exchange import exchange
+from .fisher import Response, fisher_information, response
+from .objective import Objective
 from .photon_maps import PhotonMapCache
+from .sites import PhotodiodePlaces, Sites
 
 COUNTS = (2, 3, 4, 6, 8, 12, 16)
-# What photodiodes are chosen against.
-CHOSEN_FOR = ("body", "electronics")
 
 
 @dataclass(frozen=True)
-class _Places:
-    """Places of one photodiode on a board, and what it would read there, by finger and LED: (..., m)."""
+class _Read:
+    """What a photodiode at each place, then those that stay, would read, by finger and LED: (..., m + s)."""
 
-    centers_mm: np.ndarray
-    size_mm: tuple[float, float]
+    places: PhotodiodePlaces
     chosen_by: list[list[Response]]
     judged_by: list[list[Response]]
 
+    def chosen(self, count: int, objective: Objective, *, electronics_alone: bool) -> list[int] | None:
+        """The photodiodes, by number, that with those that stay are best as so many; None where that is not possible.
 
-def resolution_by_count(layout: CandidateLayout, cache: PhotonMapCache, rules: Placement) -> xr.Dataset:
-    """The force that so many photodiodes resolve on a layout's board, where they are best with the body and without.
+        Half of the photons choose, the others judge: what is chosen and judged by the same photons looks finer than it
+        is.
+        """
+        free = len(self.places.areas)
+        more = count - len(self.places.stay)
+        if not 0 <= more <= free:
+            return None
+        told = _information(self.chosen_by, electronics_alone=electronics_alone)
+        found, reached = exchange(
+            told[:, :free],
+            self.places.centers_mm,
+            count=more,
+            spacing_mm=self.places.apart_mm,
+            score=objective.force_n,
+            given=told[:, free:].sum(1),
+        )
+        return [*found, *range(free, told.shape[1])] if np.isfinite(reached) else None
 
-    Half of the photons choose the photodiodes, the others judge them: what is chosen and judged by the same photons
-    looks finer than it is.
 
-    Returns: Dataset over chosen_for and photodiode_count; counts that find no room are NaN.
+def resolution_by_count(
+    layout: CandidateLayout, base: Scene, cache: PhotonMapCache, objective: Objective
+) -> xr.Dataset:
+    """The force that so many photodiodes resolve on a layout's board, where they are best for it.
+
+    base : the scene that was searched, with what stays of it.
+
+    Returns: Dataset over chosen_for, the body's noise (if there is a body) and the electronics alone, and over
+    photodiode_count; counts that find no room are NaN.
     """
-    places, points = _read(layout, cache, rules), [condition.point for condition in cache.conditions]
-    gap = rules.clearance_mm
-    spacing_mm = (places.size_mm[0] + gap, places.size_mm[1] + gap)
-
-    def resolution(information: np.ndarray) -> np.ndarray:
-        each = [force_resolution_n(*both) for both in zip(information, points, strict=True)]
-        return over_fingers(np.stack(each), rules.rank_by)
-
-    shape = (len(CHOSEN_FOR), len(COUNTS))
+    read, has_body = _read(layout, base, cache, objective), any(point.body is not None for point in objective.points)
+    noises = ("body", "electronics") if has_body else ("electronics",)
+    counts = sorted({*COUNTS, len(layout.scene.layout.photodiodes)})
+    centers = np.array([area.center_mm for area in (*read.places.areas, *read.places.stay)])
+    shape = (len(noises), len(counts))
     found, errors = np.full((2, *shape), np.nan), np.full((2, *shape), np.nan)
-    centers_mm = np.full((len(CHOSEN_FOR), len(COUNTS), COUNTS[-1], 2), np.nan)
-    judging = [_information(places.judged_by, electronics_alone=alone) for alone in (False, True)]
-    for i, purpose in enumerate(CHOSEN_FOR):
-        told = _information(places.chosen_by, electronics_alone=purpose == "electronics")
-        for j, count in enumerate(COUNTS):
-            chosen: list[int] = []
-            if len(places.centers_mm) >= count:
-                chosen, _ = exchange(told, places.centers_mm, count=count, spacing_mm=spacing_mm, score=resolution)
-            if not chosen:
-                break
-            centers_mm[i, j, :count] = places.centers_mm[chosen]
+    centers_mm = np.full((*shape, counts[-1], 2), np.nan)
+    judging = [_information(read.judged_by, electronics_alone=alone) for alone in (False, True)]
+    for i, purpose in enumerate(noises):
+        for j, count in enumerate(counts):
+            chosen = read.chosen(count, objective, electronics_alone=purpose == "electronics")
+            if chosen is None:
+                continue
+            centers_mm[i, j, :count] = centers[chosen]
             for k, information in enumerate(judging):
-                replicates = resolution(information[..., chosen, :].sum(-2))
+                replicates = objective.force_n(information[..., chosen, :].sum(-2))
                 found[k, i, j], errors[k, i, j] = replicates[0], replicates[0] * jackknife(np.log(replicates))
     over = ("chosen_for", "photodiode_count")
     text = "force resolution of so many photodiodes through the body's noise"
-    data = variable("count_resolution_n", over, found[0], text, units="N", stderr=errors[0])
+    data = variable("count_resolution_n", over, found[0], text, units="N", stderr=errors[0]) if has_body else {}
     text = "force resolution of so many photodiodes by the noise of the electronics alone"
     data |= variable("count_electronics_resolution_n", over, found[1], text, units="N", stderr=errors[1])
     data |= variable("count_place_mm", (*over, "count_place", "axis"), centers_mm, "their places", units="mm")
-    return xr.Dataset(data, {"chosen_for": list(CHOSEN_FOR), "photodiode_count": list(COUNTS)})
+    return xr.Dataset(data, {"chosen_for": list(noises), "photodiode_count": counts})
 
 
-def _read(layout: CandidateLayout, cache: PhotonMapCache, rules: Placement) -> _Places:
+def _read(layout: CandidateLayout, base: Scene, cache: PhotonMapCache, objective: Objective) -> _Read:
     """What one photodiode reads wherever it may lie, by one half of the photons and, block by block, by the other."""
-    photodiode = layout.scene.layout.photodiodes[0].photodiode
-    size_mm = photodiode.size_mm
-    centers_mm, half = free_places(layout.board, size_mm, rules), np.array(size_mm) / 2
-    areas = np.stack([centers_mm - half, centers_mm + half], -1).reshape(-1, 4)
-    halves: tuple[list[list[Response]], list[list[Response]]] = ([], [])
-    for condition, by_led in zip(cache.conditions, cache.maps(layout.board), strict=True):
-        for each in halves:
-            each.append([])
-        for number, (led, one) in enumerate(zip(layout.board.leds, by_led, strict=True)):
-            blocks = one.over(areas)
-            for each, values in zip(halves, (blocks[::2].mean(0), left_out(blocks[1::2])), strict=True):
-                amplifier, point = layout.scene.electronics, condition.point
-                told = response(values, led, photodiode, amplifier, point, number=number, replicates=each is halves[1])
-                each[-1].append(told)
-    return _Places(centers_mm, size_mm, *halves)
+    rules, board = objective.rules, layout.board.layout
+    # A given layout may lie on a board of its own.
+    own = base if layout.origin == "searched" else boards.searchable(boards.explicit(layout.scene, layout.name), rules)
+    places = Sites(own, rules).photodiode_places(board.barriers, board.leds)
+    areas, photodiode = [*places.areas, *places.stay], layout.scene.layout.photodiodes[0].photodiode
+
+    def read(finger: int, number: int, one: PhotonMap) -> tuple[Response, Response]:
+        blocks, led, amplifier = one.over(areas), layout.board.leds[number], layout.scene.electronics
+        how = (led, photodiode, amplifier, objective.points[finger])
+        chosen_by = response(blocks[::2].mean(0), *how, number=number)
+        return chosen_by, response(left_out(blocks[1::2]), *how, number=number, replicates=True)
+
+    both = [[read(k, i, one) for i, one in enumerate(each)] for k, each in enumerate(cache.maps(layout.board))]
+    chosen_by, judged_by = ([[pair[k] for pair in by_led] for by_led in both] for k in range(2))
+    return _Read(places, chosen_by, judged_by)
 
 
 def _information(by_finger: list[list[Response]], *, electronics_alone: bool) -> np.ndarray:

@@ -31,6 +31,7 @@ class PhotonMapCache:
     """Photon maps by board; boards that differ only in their photodiodes share one.
 
     distance_mm : cells of the distances that the walk asks for.
+    batch_photons : of one batch; as the tracer's if not given.
     store : where light is looked for, and kept.
     stop : whether nothing more is to be traced, tested before every batch.
     """
@@ -41,6 +42,7 @@ class PhotonMapCache:
     backend: str
     blocks: int
     distance_mm: float = SPACING_MM
+    batch_photons: int | None = None
     store: LightStore | None = None
     stop: Callable[[], bool] = lambda: False
     photons: int = field(default=0, init=False)
@@ -89,13 +91,14 @@ class PhotonMapCache:
         for condition in (self.conditions[i] for i in members):
             scene, blood = boards.on_finger(board, condition.case), condition.point.blood_fraction
             points.append(blood_point(scene, led, traced=tracer.scene, blood_fraction=blood))
-        first = self._maps[key][members[0]][led].photons // tracer.batch_photons
-        for batch in range(first, first + max(1, round(photons / tracer.batch_photons))):
+        each = self.batch_photons or tracer.batch_photons
+        first = self._maps[key][members[0]][led].photons // each
+        for batch in range(first, first + max(1, round(photons / each))):
             if self.stop():
                 return
             # From what decides the light: a trace depends neither on those made before it nor on the blood.
             seed = seed_of(self.seed, self.stream, int(light_digest(tracer.scene)[:8], 16), led, batch)
-            arrivals = tracer.arrivals(led, photons=tracer.batch_photons, seed=seed)
+            arrivals = tracer.arrivals(led, photons=each, seed=seed)
             self.photons += arrivals.photons
             for i, point in zip(members, points, strict=True):
                 self._maps[key][i][led].add(arrivals, point.values(arrivals))

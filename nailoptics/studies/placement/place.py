@@ -17,11 +17,11 @@ from ...light import backend as backends
 from ...light.store import LightStore
 from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, load_scene
-from ...scene.placement import OXYGEN
-from . import boards, exchange
+from . import boards, search
 from .boards import CandidateLayout
 from .fisher import operating_point
 from .inspection import inspect_layout
+from .objective import Objective
 from .over_unknowns import resolution_over_unknowns
 from .oxygen_rank import oxygen_rule
 from .photodiode_count import resolution_by_count
@@ -60,20 +60,20 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     limit_s = options.max_seconds or accuracy.max_seconds or (math.inf if photons else DEFAULT_SECONDS)
     report_progress = StageProgress(progress, limit_s)
     rules, base = boards.rules(scene), boards.base_board(scene)
-    by_oxygen = rules.rank_by in OXYGEN
-    oxygen = oxygen_rule(base, boards.fingers(scene), rules.force_n) if by_oxygen else None
     conditions = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
+    objective = _objective(base, rules, conditions)
     made: dict[str, Any] = {"seed": options.seed, "backend": backends.choose(options.backend).name}
     store = LightStore.of_user() if options.store else None
     light = made | {"store": store}
     searching = PhotonMapCache(conditions, **light, stream=0, blocks=1, distance_mm=QUICK_DISTANCE_MM)
-    searching.stop = partial(report_progress.is_over, exchange.SEARCH_SHARE)
+    searching.batch_photons = search.FIRST_PHOTONS
+    searching.stop = partial(report_progress.is_over, search.SEARCH_SHARE)
     judging = PhotonMapCache(conditions, **light, stream=1, blocks=BLOCKS)
-    layouts, searched = _candidates(base, rules, searching, report_progress)
+    layouts, searched = _candidates(base, rules, objective, searching, report_progress)
     judging.stop = partial(_judged_enough, judging, bool(searched), report_progress)
     wanted = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
-    how: dict[str, Any] = {"rank_by": rules.rank_by, "relative_error": wanted, "report_progress": report_progress}
-    layouts, scores, unmet = score_layouts(layouts, judging, photons=photons, oxygen=oxygen, **how)
+    how: dict[str, Any] = {"objective": objective, "relative_error": wanted, "report_progress": report_progress}
+    layouts, scores, unmet = score_layouts(layouts, judging, photons=photons, **how)
     order = np.argsort([score.ranked[0] for score in scores], kind="stable")
     layouts, scores = [layouts[i] for i in order], [scores[i] for i in order]
     maps = judging.maps(layouts[0].board)[0]
@@ -83,13 +83,13 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
         limits: dict[str, Any] = {"photons": maps[0].photons, "max_seconds": INSPECT_SHARE * left_s}
         inspected = inspect_layout(layouts[0].scene, conditions[0], **limits, **closer)
     report_progress("check", 1.0, scores[0].relative_error)
-    if conditions[0].point.body is not None and not report_progress.is_late(1.0):
-        over = resolution_by_count(layouts[0], judging, rules)
+    if not report_progress.is_late(1.0):
+        over = resolution_by_count(layouts[0], boards.searchable(base, rules), judging, objective)
     if scene.priors.spread and report_progress.seconds_left > CHECK_S:
         over = over.merge(resolution_over_unknowns(layouts, boards.fingers(scene), rules, **closer))
     if store is not None:
         store.close()
-    made |= {"photons": judging.photons + searching.photons, "rank_by": rules.rank_by}
+    made |= {"photons": judging.photons + searching.photons, "rank_by": rules.rank_words}
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
     result = as_dataset(scene, layouts, scores, conditions, maps, searched, inspected, made).merge(over)
     spread = "resolution_spread" in over or not scene.priors.spread
@@ -113,22 +113,27 @@ def _check_scene(scene: Scene) -> None:
 
 
 def _candidates(
-    base: Scene, rules: Placement, cache: PhotonMapCache, report_progress: StageProgress
-) -> tuple[list[CandidateLayout], list[exchange.SearchedSite]]:
-    """All layouts to judge, given, searched and the paper's, and every site of the LED that the search tried."""
+    base: Scene,
+    rules: Placement,
+    objective: Objective,
+    cache: PhotonMapCache,
+    report_progress: StageProgress,
+) -> tuple[list[CandidateLayout], list[search.SearchedSite]]:
+    """All layouts to judge, given, searched and the paper's, and every site of the LEDs that the search tried."""
+    boards.check_search(base, rules)
     # The paper's layout has one LED, which tells no oxygen.
     layouts = given(base, rules)
-    paper = None if rules.rank_by in OXYGEN else _paper_layout(base, cache.conditions)
-    straight = boards.straight(base)
-    searched = exchange.search(straight, rules, cache, report_progress) if rules.search else []
+    paper = None if "oxygen" in rules.weights else _paper_layout(base, cache.conditions)
+    straight = boards.searchable(base, rules)
+    searched = search.search(straight, rules, objective, cache, report_progress) if rules.search else []
     # The search's best is judged even where time is over.
-    layouts = exchange.finalists(straight, searched) + layouts + ([paper] if paper else [])
-    if not layouts and report_progress.is_over(exchange.SEARCH_SHARE):
-        raise NotReachedError(f"{report_progress.why} before one place of the LED was tried; allow more time.")
+    layouts = search.finalists(straight, rules, searched) + layouts + ([paper] if paper else [])
+    if not layouts and report_progress.is_over(search.SEARCH_SHARE):
+        raise NotReachedError(f"{report_progress.why} before one place of the LEDs was tried; allow more time.")
     if not layouts:
         raise InputError(
-            f"placement: {rules.photodiodes} photodiodes of {base.photodiodes[0].size_mm} mm find no room; "
-            "make the board larger, or ask for fewer."
+            f"placement: {len(base.leds)} LEDs and {rules.photodiodes} photodiodes of {base.photodiodes[0].size_mm} mm "
+            "find no room beside each other; make the board larger, ask for fewer, or fix and keep out less."
         )
     return layouts, searched
 
@@ -140,6 +145,13 @@ def _judged_enough(cache: PhotonMapCache, found: bool, report_progress: StagePro
     """
     over = report_progress.is_over(JUDGE_SHARE)
     return over and (cache.has_traced or not (found or report_progress.interrupted))
+
+
+def _objective(base: Scene, rules: Placement, conditions: Sequence[FingerCondition]) -> Objective:
+    """What layouts are ranked by; raises InputError where that is oxygen and the scene has no two LEDs or no pulse."""
+    cases = [condition.case for condition in conditions]
+    oxygen = oxygen_rule(base, cases, rules.force_n) if "oxygen" in rules.weights else None
+    return Objective(rules, [condition.point for condition in conditions], oxygen)
 
 
 def finger_condition(base: Scene, case: FingerCase, rules: Placement) -> FingerCondition:

@@ -14,11 +14,11 @@ from ...scene.positions import PlacedPart
 from ...statistics import jackknife, left_out
 from ...variables import Variables, variable
 from . import fisher
-from .boards import CandidateLayout, rules, straight
-from .exchange import SearchedSite
+from .boards import CandidateLayout, rules, straightened
 from .fisher import OperatingPoint, Response
 from .photon_maps import FingerCondition
 from .scores import LayoutScore, resolution_stderr_n
+from .search import SearchedSite
 
 # Spacing of the places at which one more photodiode is tried.
 PLACES_MM = 0.2
@@ -44,7 +44,7 @@ def as_dataset(
     inspected : what `inspect_layout` says of the best layout on the first finger.
     """
     best = layouts[0].scene
-    data = _ranking(layouts, scores, conditions) | _extremes(layouts, scores) | _sites(searched)
+    data = _ranking(layouts, scores, conditions) | _extremes(layouts, scores) | _sites(searched, len(best.leds))
     if any(condition.point.body is not None for condition in conditions):
         data |= _still(scores, conditions)
     coordinates = {
@@ -84,6 +84,9 @@ def _ranking(
     found |= variable("force_resolution_high_n", one, high, "upper end of its 95 % interval", units="N")
     tied = np.array([score.ranked_interval[0] <= scores[0].ranked_interval[1] for score in scores])
     found |= variable("tied", one, tied, "whether its interval overlaps that of the best")
+    value, errors = of_all_photons("share"), [jackknife(score.share) for score in scores]
+    text = "resolution of the part of the force that presses proximally, one sample, rms, worst finger"
+    found |= variable("share_resolution", one, value, text, stderr=errors)
     if all(score.spo2_percent is not None for score in scores):
         told, text = of_all_photons("spo2_percent"), "standard error of SpO2 over 8 s, electronics alone, worst finger"
         errors = [jackknife(score.spo2_percent) for score in scores if score.spo2_percent is not None]
@@ -142,15 +145,15 @@ def _extremes(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore])
     return found | variable("shunted_fraction", "layout", shunted, text)
 
 
-def _sites(searched: Sequence[SearchedSite]) -> Variables:
-    """The sites of the LED that the search tried."""
-    places = np.array([one.site.place_mm for one in searched]).reshape(-1, 2)
-    sides = np.array([one.site.side or "" for one in searched], str)
+def _sites(searched: Sequence[SearchedSite], leds: int) -> Variables:
+    """The sites of the LEDs that the search tried."""
+    places = np.array([one.site.places_mm for one in searched]).reshape(-1, leds, 2)
+    sides = np.array([one.site.row.side or "" for one in searched], str)
     reached = np.array([one.resolution_n for one in searched], float)
     text = "force resolution that the search found there"
-    found = variable("led_site_mm", ("led_site", "axis"), places, "LED place tried", units="mm")
+    found = variable("led_site_mm", ("led_site", "led", "axis"), places, "LED places tried together", units="mm")
     found |= variable("led_site_resolution_n", "led_site", reached, text, units="N")
-    about = {"long_name": "side of the photodiodes where the LED lies"}
+    about = {"long_name": "side of the photodiodes where the LEDs lie"}
     return found | {"led_site_side": (("led_site",), sides, about)}
 
 
@@ -176,7 +179,7 @@ def _predicted(by_led: Sequence[Response]) -> Variables:
 
 def _photodiode_anywhere(scene: Scene, maps: Sequence[PhotonMap], point: OperatingPoint) -> xr.Dataset:
     """What one more photodiode would read by itself, wherever it lies on the board."""
-    photodiode, outline = straight(scene).photodiodes[0], maps[0].outline
+    photodiode, outline = straightened(scene.photodiodes[0]), maps[0].outline
     half_u, half_v = (size / 2 for size in photodiode.size_mm)
     place_u = np.arange(outline.u_min + half_u, outline.u_max - half_u + 1e-9, PLACES_MM)
     place_v = np.arange(outline.v_min + half_v, outline.v_max - half_v + 1e-9, PLACES_MM)
@@ -245,6 +248,7 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
         # The body's own part is known and would hide how little the photons tell.
         by_light = "electronics_resolution_n" if "electronics_rank" in row else "force_resolution_n"
         row["roughly_known"] = bool(row[f"{by_light}_stderr"] > ROUGH * row[by_light])
+        row |= {name: float(one[name]) for name in ("share_resolution", "share_resolution_stderr")}
         if "spo2_error_percent" in one:
             row |= {name: float(one[name]) for name in ("spo2_error_percent", "spo2_error_percent_stderr")}
         if "resolution_spread" in one:

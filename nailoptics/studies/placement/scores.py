@@ -10,7 +10,6 @@ from ...errors import NotReachedError
 from ...scene import digest
 from ...statistics import Z95, jackknife
 from .boards import CandidateLayout
-from .exchange import SEARCH_PHOTONS
 from .fisher import (
     Response,
     feigned_force_n,
@@ -19,14 +18,12 @@ from .fisher import (
     pressure_information,
     total_information,
 )
-from .oxygen_rank import OxygenRule
+from .objective import Objective, weighted
 from .photon_maps import PhotonMapCache
 from .progress import StageProgress
 
 # Photons per LED and finger of the first round of judging.
-JUDGE_PHOTONS = 1 << 20
-# In runs shorter than this, the first round is as short as it can be. [s]
-HURRIED_S = 240.0
+JUDGE_PHOTONS = 1 << 18
 # Part of the time by whose end the judging ends; the rest is for the last check.
 JUDGE_SHARE = 0.85
 
@@ -41,9 +38,11 @@ class LayoutScore:
     feigned_n : float. Force that the body feigns on every layout, over the fingers: no score is less. [N]
     information_per_pa2 : (1 + blocks, fingers, 3) float. Of both pressures, whatever the body does. [Pa^-2]
     responses : by finger and LED, (1 + blocks, photodiodes).
-    spo2_percent : (1 + blocks,) float. Standard error of SpO2 over 8 s on the worst finger; None where force alone
-        ranks. [percent]
-    with_force : whether force ranks beside it: then layouts rank by the product of both.
+    share : (1 + blocks,) float. Resolution of the proximal share of the force, on the worst finger.
+    spo2_percent : (1 + blocks,) float. Standard error of SpO2 over 8 s on the worst finger; None where it does not
+        rank. [percent]
+    ranked : (1 + blocks,) float. What layouts are ranked by, less is better.
+    by_force : whether that is the force alone.
     """
 
     resolution_n: np.ndarray
@@ -53,20 +52,15 @@ class LayoutScore:
     feigned_n: float
     information_per_pa2: np.ndarray
     responses: list[list[Response]]
-    spo2_percent: np.ndarray | None = None
-    with_force: bool = False
-
-    @property
-    def ranked(self) -> np.ndarray:
-        """What layouts are ranked by, less is better, (1 + blocks,) float."""
-        if self.spo2_percent is None:
-            return self.score_n
-        return self.spo2_percent * self.score_n if self.with_force else self.spo2_percent
+    share: np.ndarray
+    spo2_percent: np.ndarray | None
+    ranked: np.ndarray
+    by_force: bool
 
     @property
     def ranked_interval(self) -> tuple[float, float]:
-        """Its 95 % interval."""
-        if self.spo2_percent is None:
+        """95 % interval of what layouts are ranked by."""
+        if self.by_force:
             return self.interval_n
         best, spread = float(self.ranked[0]), Z95 * self.relative_error
         return best * math.exp(-spread), best * math.exp(spread)
@@ -112,13 +106,8 @@ def _above(resolution_n: np.ndarray, feigned_n: float | np.ndarray) -> np.ndarra
     return np.asarray(np.sqrt(np.maximum(resolution_n**2 - np.nan_to_num(feigned_n) ** 2, np.finfo(float).tiny)))
 
 
-def score_layout(
-    layout: CandidateLayout, cache: PhotonMapCache, rank_by: str, oxygen: OxygenRule | None = None
-) -> LayoutScore:
-    """A layout's score from light that is traced; a further layout on a traced board costs milliseconds.
-
-    oxygen : what SpO2 is judged by, if it ranks.
-    """
+def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Objective) -> LayoutScore:
+    """A layout's score from light that is traced; a further layout on a traced board costs milliseconds."""
     responses = cache.read(layout.scene, layout.board)
     information = [total_information(by_led) for by_led in responses]
     still = [total_information(by_led, electronics_alone=True) for by_led in responses]
@@ -126,16 +115,22 @@ def score_layout(
     resolution, electronics = (
         np.stack([force_resolution_n(*both) for both in zip(one, points, strict=True)]) for one in (information, still)
     )
+    over, weights = objective.rules.over_fingers, objective.rules.weights
+    score_n, share = over_fingers(resolution, over), objective.share(np.stack(information))
+    spo2 = None if objective.oxygen is None else objective.oxygen.error_percent(responses)
+    values = {over: score_n, "share": share} | ({} if spo2 is None else {"oxygen": spo2})
     return LayoutScore(
         resolution_n=resolution.T,
-        score_n=over_fingers(resolution, rank_by),
+        score_n=score_n,
         electronics_resolution_n=electronics.T,
-        electronics_score_n=over_fingers(electronics, rank_by),
-        feigned_n=float(over_fingers(np.array([[feigned_force_n(point)] for point in points]), rank_by)[0]),
+        electronics_score_n=over_fingers(electronics, over),
+        feigned_n=float(over_fingers(np.array([[feigned_force_n(point)] for point in points]), over)[0]),
         information_per_pa2=np.stack([pressure_information(one) for one in information], 1),
         responses=responses,
-        spo2_percent=None if oxygen is None else oxygen.error_percent(responses),
-        with_force=rank_by == "oxygen_and_force",
+        share=share,
+        spo2_percent=spo2,
+        ranked=weighted(values, weights),
+        by_force=set(weights) == {over},
     )
 
 
@@ -143,31 +138,28 @@ def score_layouts(
     layouts: Sequence[CandidateLayout],
     cache: PhotonMapCache,
     *,
-    rank_by: str,
+    objective: Objective,
     photons: int | None,
     relative_error: float,
     report_progress: StageProgress,
-    oxygen: OxygenRule | None = None,
 ) -> tuple[list[CandidateLayout], list[LayoutScore], str | None]:
     """Trace until the best is told from all others, more photons where that is undecided.
 
     photons : per layout, LED and finger, in place of a tolerance.
     relative_error : of the scores of those tied with the best, at which tracing ends as well.
-    oxygen : as for `score_layout`.
 
     Returns: the layouts that were traced on every finger, their scores, and why the best was not told, if so.
 
     Raises: NotReachedError where time ends before one layout is traced.
     """
     traced = {layout.name: 0 for layout in layouts}
-    hurried = report_progress.interrupted or (not photons and report_progress.limit_s < HURRIED_S)
-    first = SEARCH_PHOTONS if hurried else photons or JUDGE_PHOTONS
+    first = JUDGE_PHOTONS if report_progress.interrupted else photons or JUDGE_PHOTONS
     complete = _extend(layouts, cache, set(traced), first, traced, report_progress)
     every, layouts = len(layouts), [layout for layout in layouts if cache.is_traced(layout.board)]
     if not layouts:
         raise NotReachedError(f"{report_progress.why} before one layout was traced on every finger; allow more time.")
     while True:
-        scores = [score_layout(layout, cache, rank_by, oxygen) for layout in layouts]
+        scores = [score_layout(layout, cache, objective) for layout in layouts]
         by_name = {layout.name: score for layout, score in zip(layouts, scores, strict=True)}
         highest = min(scores, key=lambda score: float(score.ranked[0])).ranked_interval[1]
         errors = {name: score.relative_error for name, score in by_name.items() if score.ranked_interval[0] <= highest}
@@ -182,7 +174,7 @@ def score_layouts(
         if photons or len(errors) == 1 or worst <= relative_error:
             return layouts, scores, None
         undecided = {name for name, error in errors.items() if error > relative_error}
-        more = max(traced[name] for name in undecided) // 2
+        more = max(JUDGE_PHOTONS, max(traced[name] for name in undecided) // 2)
         if not _extend(layouts, cache, undecided, more, traced, report_progress):
             return layouts, scores, f"max_seconds ended with {left}; allow more time or ask for less."
 

@@ -9,11 +9,12 @@ from small_scenes import TWO_LAYOUTS
 from nailoptics import hemodynamics
 from nailoptics.report import summaries
 from nailoptics.report.place_page import write_placement
-from nailoptics.scene import parse_scene
+from nailoptics.scene import Placement, parse_scene
 from nailoptics.statistics import left_out
 from nailoptics.studies.blood_states import blood_by_arterial_pressure, steady_blood_at, touch_pressures_pa
 from nailoptics.studies.placement import fisher, place, result, scores
 from nailoptics.studies.placement.body_waves import BodyNoise, body_noise, pressure_lines
+from nailoptics.studies.placement.objective import Objective
 
 SCENE = TWO_LAYOUTS.replace("[board]", "[body.heartbeat]\n[body.breathing]\n[body.vasomotion]\n[board]")
 BLOOD_PER_PA = np.array([[1.5e-6, -2e-7], [1.8e-6, -3e-6]])
@@ -25,6 +26,7 @@ def _point(blood: np.ndarray | None, *, gain: float = 0.0, reading_gain: float =
     return fisher.OperatingPoint(
         blood_fraction=np.array([0.035, 0.025]),
         blood_per_pa=BLOOD_PER_PA,
+        force_n=0.5,
         force_per_pa=FORCE_PER_PA,
         pressure_per_n=np.full(2, 1e4),
         body=body,
@@ -220,7 +222,7 @@ def test_intervals_through_the_body_hold_the_truth_as_often_as_they_say():
     def judged(blocks: np.ndarray) -> scores.LayoutScore:
         read = fisher.response(left_out(blocks), scene.leds[0], scene.photodiodes[0], scene.electronics, point)
         cache = SimpleNamespace(read=lambda *_: [[read]], conditions=[SimpleNamespace(point=point)])
-        return scores.score_layout(layout, cache, "worst")
+        return scores.score_layout(layout, cache, Objective(Placement(), [point]))
 
     true_n = float(judged(np.repeat(mean[None], 2, axis=0)).score_n[0])
     assert true_n < 1.1 * fisher.feigned_force_n(point)

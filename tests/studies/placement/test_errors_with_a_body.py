@@ -15,6 +15,7 @@ from nailoptics.scene import Candidate, Placement, Priors, Scene
 from nailoptics.statistics import Z95, jackknife
 from nailoptics.studies.placement import boards, photodiode_count, place
 from nailoptics.studies.placement.fisher import force_resolution_n
+from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.photon_maps import PhotonMapCache
 from nailoptics.studies.placement.result import rough_words, rows
 
@@ -102,7 +103,8 @@ def test_what_so_many_photodiodes_resolve_holds_at_the_places_that_were_chosen(f
     conditions = [place.finger_condition(base, case, rules) for case in boards.fingers(asked)]
     cache = PhotonMapCache(conditions, seed=999, stream=1, backend="auto", blocks=place.BLOCKS)
     cache.extend(layout.board, 16 * PHOTONS)
-    places, points = photodiode_count._read(layout, cache, rules), [condition.point for condition in conditions]
+    points = [condition.point for condition in conditions]
+    places = photodiode_count._read(layout, base, cache, Objective(rules, points))
     z = []
     for alone, name in ((False, "count_resolution_n"), (True, "count_electronics_resolution_n")):
         information = photodiode_count._information(places.judged_by, electronics_alone=alone)
@@ -115,7 +117,7 @@ def test_what_so_many_photodiodes_resolve_holds_at_the_places_that_were_chosen(f
             ):
                 if np.isfinite(value):
                     asked_mm = centers_mm[np.isfinite(centers_mm[:, 0])]
-                    near = np.linalg.norm(places.centers_mm[None] - asked_mm[:, None], axis=-1)
+                    near = np.linalg.norm(places.places.centers_mm[None] - asked_mm[:, None], axis=-1)
                     assert near.min(axis=1).max() < 1e-6
                     read = information[0][..., near.argmin(axis=1), :].sum(-2)
                     truth = np.atleast_1d(force_resolution_n(read, points[0]))

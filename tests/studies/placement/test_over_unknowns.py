@@ -10,6 +10,7 @@ from nailoptics.assets import data_dir
 from nailoptics.report.spread_section import conclusions, spread_section
 from nailoptics.scene import Placement, Priors
 from nailoptics.studies.placement import boards, over_unknowns
+from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.over_unknowns import resolution_over_unknowns
 from nailoptics.studies.placement.photon_maps import PhotonMapCache
 from nailoptics.studies.placement.place import finger_condition
@@ -61,7 +62,7 @@ def test_a_node_is_what_a_placement_of_that_finger_finds(ranked):
     layout = boards.candidate("near", at_value(layouts[0].scene, prior.field, prior.values[0]), "given")
     cache = PhotonMapCache([finger_condition(clear, cases[0], rules)], seed=9, stream=1, backend="auto", blocks=16)
     cache.extend(layout.board, 1 << 19)
-    score = score_layout(layout, cache, rules.rank_by)
+    score = score_layout(layout, cache, Objective(rules, [one.point for one in cache.conditions]))
     told = float(found.resolution_at_node_n[0, 0, 0])
     # Of the 400 thousand photons behind a node its score is known about as well as this one's.
     assert abs(np.log(told / score.score_n[0])) < 4 * np.sqrt(2) * score.relative_error

@@ -23,13 +23,15 @@ from nailoptics.scene.outlines import Outline, read_outline, write_outline
 from nailoptics.scene.positions import read_positions
 from nailoptics.scene.rectangles import Rectangle
 from nailoptics.statistics import jackknife, left_out
-from nailoptics.studies.placement import boards, exchange, fisher, photon_maps, place, result, scores
+from nailoptics.studies.placement import boards, exchange, fisher, photon_maps, place, result, scores, search, sites
+from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.progress import StageProgress
 from nailoptics.tissue import BloodZones
 
 AT = fisher.OperatingPoint(
     blood_fraction=np.array([0.03, 0.03]),
     blood_per_pa=np.array([[1e-6, 0.0], [0.0, -1e-6]]),
+    force_n=0.5,
     force_per_pa=np.full(2, 5e-5),
     pressure_per_n=np.full(2, 1e4),
 )
@@ -146,9 +148,11 @@ def test_a_planted_optimum_is_found():
 def test_places_keep_their_distances(scene):
     base, rules = boards.base_board(scene), boards.rules(scene)
     for side in ("left", "below"):
-        board = exchange.board_at(exchange.LedSite((-2.0, -2.0), side), base)
+        where = sites.Sites(base, rules)
+        face = where.die(0, (-2.0, -2.0)).u_max
+        board = where.board_at(0, (-2.0, -2.0), sites.LedRow(side, face))
         wall = board.layout.barriers[0]
-        places = exchange.free_places(board, (1.0, 0.25), rules)
+        places = where.photodiode_places([wall], []).centers_mm
         assert len(places) and np.abs(places[:, 0]).max() <= 4.5 - 0.3 - 0.5 + 1e-9
         edge = places[:, 0] - 0.5 - wall.u_max if side == "left" else places[:, 1] - 0.125 - wall.v_max
         assert edge.min() >= 0.1 - 1e-9
@@ -264,14 +268,16 @@ def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
     planted = fisher.OperatingPoint(
         blood_fraction=np.array([0.03, 0.03]),
         blood_per_pa=np.array([[0.0, 0.0], [0.0, -1e-6]]),
+        force_n=0.5,
         force_per_pa=np.array([0.0, 5e-5]),
         pressure_per_n=np.array([0.0, 1e4]),
     )
     conditions = (photon_maps.FingerCondition(FingerCase(name="planted"), planted),)
     cache = photon_map_cache(conditions, seed=3, stream=0, blocks=1)
-    tried = exchange.search(base, rules, cache, StageProgress(None))
-    assert len(tried) >= 8 and min(one.site.place_mm[1] for one in tried) < -2.5
-    best = exchange.finalists(base, tried)[0].scene.layout
+    objective = Objective(rules, [planted])
+    tried = search.search(base, rules, objective, cache, StageProgress(None))
+    assert len(tried) >= 8 and min(one.site.places_mm[0][1] for one in tried) < -2.5
+    best = search.finalists(base, rules, tried)[0].scene.layout
     assert best.leds[0].center_mm[1] > 1.0
     assert all(e.area.center_mm[1] > 1.0 for e in best.photodiodes)
 
@@ -288,11 +294,11 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
     middle = boards.with_parts(base, [(-3.0, 0.0)], [(-0.9, v) for v in (-2.0, -1.0, 1.0, 2.0)], name="middle")
     layouts.append(boards.CandidateLayout("middle", middle, layouts[0].board, "given"))
     conditions = [photon_maps.FingerCondition(FingerCase(name="one"), fisher.operating_point(base, 0.5))]
-    judged = []
+    judged, worst = [], Objective(boards.rules(scene), [condition.point for condition in conditions])
     for seed in range(20):
         cache = photon_map_cache(conditions, seed=seed, stream=1, blocks=32)
         cache.extend(layouts[0].board, 1 << 18)
-        judged.append([scores.score_layout(layout, cache, "worst") for layout in layouts])
+        judged.append([scores.score_layout(layout, cache, worst) for layout in layouts])
     score = np.log([[float(one.score_n[0]) for one in row] for row in judged])
     error = np.array([[one.relative_error for one in row] for row in judged])
     # 19 degrees of freedom know a variance to 32 %; the layouts share photons, so that they count as one.
@@ -334,11 +340,12 @@ def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene
     layouts = place.given(base, boards.rules(scene))
     assert layouts[0].board == layouts[1].board
     cache.extend(layouts[0].board, 1 << 18)
-    scores.score_layout(layouts[0], cache, "worst")
+    worst = Objective(boards.rules(scene), [condition.point for condition in conditions])
+    scores.score_layout(layouts[0], cache, worst)
     spent = []
     for _ in range(5):
         begin = time.perf_counter()
-        judged = scores.score_layout(layouts[1], cache, "worst")
+        judged = scores.score_layout(layouts[1], cache, worst)
         spent.append(time.perf_counter() - begin)
     assert min(spent) < 0.05 and np.all(np.isfinite(judged.score_n))
 
@@ -346,7 +353,7 @@ def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene
 def test_the_page_stands_alone_and_the_result_is_kept(found, tmp_path):
     write_placement(found, tmp_path / "place.html")
     text = (tmp_path / "place.html").read_text(encoding="utf-8")
-    assert text.count("<svg") == 6 and "http" not in text.replace("http://www.w3.org/", "") and "paper" in text
+    assert text.count("<svg") == 7 and "http" not in text.replace("http://www.w3.org/", "") and "paper" in text
     write_dataset(found, tmp_path / "place.nc")
     with xr.open_dataset(tmp_path / "place.nc") as kept:
         assert result.rows(kept) == result.rows(found)

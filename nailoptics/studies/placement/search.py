@@ -1,0 +1,271 @@
+"""The search for a layout: places of the LEDs row by row on a grid, then finer around the best, from traced light."""
+
+import logging
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...light.board_map import PhotonMap
+from ...scene import Placement, Scene
+from ...scene.base import Point
+from ...scene.rectangles import Rectangle
+from . import boards
+from .boards import CandidateLayout
+from .exchange import Tables, Together
+from .fisher import response
+from .objective import Objective
+from .photon_maps import PhotonMapCache
+from .progress import StageProgress
+from .sites import LedRow, LedSite, PhotodiodePlaces, Sites
+
+log = logging.getLogger(__name__)
+
+# Photons per LED and finger for every place of the LED, in one batch, and for those of the best sites, whose
+# photodiodes are chosen once more: the photons' noise adds to what places tell, most where little light comes.
+FIRST_PHOTONS, SEARCH_PHOTONS = 1 << 16, 1 << 18
+# First photodiodes from which those of the best sites are chosen once more.
+LAST_STARTS = 8
+# Part of the time for the search.
+SEARCH_SHARE = 0.55
+# Searched layouts that are judged with photons of their own beside those that were given.
+FINALISTS = 5
+# Sites around which LED places are searched more finely, and into how many parts a step is halved.
+REFINED, FINEST = 2, 4
+
+
+@dataclass(frozen=True)
+class SearchedSite:
+    """The best photodiodes for a site of the LEDs: where they lie, what is reached, less being better, the force that
+    they resolve, and the photons of each LED behind it. [mm], [N]"""
+
+    site: LedSite
+    photodiodes: tuple[Rectangle, ...]
+    reached: float
+    resolution_n: float
+    photons: int
+
+
+@dataclass
+class _Row:
+    """A row of LEDs with what was traced of it: by LED and place (fingers, photodiodes, c)."""
+
+    row: LedRow
+    places: PhotodiodePlaces
+    columns: list[dict[Point, np.ndarray]]
+    stay: list[dict[Point, np.ndarray]]
+    waiting: list[list[Point]]
+
+
+class Search:
+    """A search as far as it is.
+
+    found : every site of the LEDs that was given photodiodes.
+    """
+
+    def __init__(self, base: Scene, rules: Placement, objective: Objective, cache: PhotonMapCache) -> None:
+        """base : a board whose parts lie straight. Raises: InputError for what a search cannot place."""
+        boards.check_search(base, rules)
+        self.base, self.rules, self.objective, self.cache = base, rules, objective, cache
+        self.sites = Sites(base, rules)
+        self.found: dict[LedSite, SearchedSite] = {}
+        self._rows: dict[LedRow, _Row] = {}
+
+    def run(self, report_progress: StageProgress) -> list[SearchedSite]:
+        """Search on the grid, then around the best on finer ones, until time is over; what was found, in that order."""
+        step, start = self.rules.led_step_mm, report_progress.seconds
+        available = max(SEARCH_SHARE * report_progress.limit_s - start, 1e-9)
+        waiting = self.sites.rows(step)
+        while waiting and step >= self.rules.led_step_mm / FINEST:
+            for i, (row, places) in enumerate(waiting.items()):
+                one = self._row(row, places)
+                for done in self._trace(one, report_progress):
+                    part = (report_progress.seconds - start) / available
+                    by_count = (i + done) / len(waiting) / 2
+                    report_progress("search", part if math.isfinite(available) else by_count)
+                self._evaluate(one)
+                if report_progress.is_over(SEARCH_SHARE):
+                    why = "was interrupted" if report_progress.interrupted else "ran out of time"
+                    log.warning("the search for LED places %s after %d of them", why, len(self.found))
+                    return list(self.found.values())
+            step /= 2
+            waiting = self._around_the_best(step)
+        for best in ranked(self.found.values())[:FINALISTS]:
+            if report_progress.is_over(SEARCH_SHARE):
+                break
+            self._choose_again(best.site)
+        return list(self.found.values())
+
+    def _row(self, row: LedRow, places: list[list[Point]]) -> _Row:
+        """A row with places to trace, those that it has aside."""
+        count = len(self.base.leds)
+        if row not in self._rows:
+            walls = self.sites.board_at(0, places[0][0], row).layout.barriers
+            fixed = [self.sites.die(i, self.sites.place_of(i)) for i in range(count) if self.sites.is_fixed[i]]
+            free = self.sites.photodiode_places(walls, fixed)
+            self._rows[row] = _Row(row, free, [{} for _ in range(count)], [{} for _ in range(count)], [])
+        one = self._rows[row]
+        one.waiting = [[p for p in each if p not in had] for each, had in zip(places, one.columns, strict=True)]
+        return one
+
+    def _trace(self, row: _Row, report_progress: StageProgress) -> Iterable[float]:
+        """Trace every LED at its places, place by place, and yield the part that is done."""
+        if len(row.places.areas) + len(row.places.stay) < self.rules.photodiodes:
+            return
+        longest = max(map(len, row.waiting))
+        for k in range(longest):
+            if report_progress.is_over(SEARCH_SHARE):
+                return
+            self._trace_at(row, [(i, each[k]) for i, each in enumerate(row.waiting) if k < len(each)], FIRST_PHOTONS)
+            yield (k + 1) / longest
+
+    def _trace_at(self, row: _Row, places: Sequence[tuple[int, Point]], photons: int) -> None:
+        """Trace LEDs by number, each at a place of a row, unless there is no time."""
+        boards_at = [(i, place, self.sites.board_at(i, place, row.row)) for i, place in places]
+        count = len(row.places.areas)
+        for i, place, board in boards_at:
+            if not self.cache.is_traced(board):
+                self.cache.extend(board, photons)
+            if self.cache.is_traced(board):
+                each = self._columns(i, board, row.places)
+                row.columns[i][place], row.stay[i][place] = each[:, :count], each[:, count:]
+        for _, _, board in boards_at:
+            self.cache.forget(board)
+
+    def _choose_again(self, site: LedSite) -> None:
+        """Choose a site's photodiodes once more, by more photons."""
+        had = self._rows[site.row]
+        count = len(self.base.leds)
+        row = _Row(site.row, had.places, [{} for _ in range(count)], [{} for _ in range(count)], [])
+        self._trace_at(row, list(enumerate(site.places_mm)), SEARCH_PHOTONS)
+        if all(row.columns):
+            tables = self._tables(row, starts=LAST_STARTS)
+            best = tables.best_photodiodes(site.places_mm, self.rules.photodiodes - len(row.places.stay))
+            if best is not None:
+                self._keep(row, tables, best, SEARCH_PHOTONS)
+
+    def _columns(self, led: int, board: Scene, places: PhotodiodePlaces) -> np.ndarray:
+        """What an LED brings to photodiodes at all places and to those that stay, (fingers, m, c) float."""
+        areas = [*places.areas, *places.stay]
+        photodiode, amplifier = self.base.photodiodes[0], self.base.electronics
+
+        def told(finger: int, one: PhotonMap) -> np.ndarray:
+            point, values = self.cache.conditions[finger].point, one.over(areas).mean(0)
+            read = response(values, self.base.leds[led], photodiode, amplifier, point, number=led)
+            return self.objective.columns(finger, led, read)
+
+        return np.stack([told(k, by_led[0]) for k, by_led in enumerate(self.cache.maps(board))])
+
+    def _evaluate(self, row: _Row) -> None:
+        """Give every arrangement of a row's LEDs its photodiodes, as far as its light is traced."""
+        if not all(row.columns):
+            return
+        tables = self._tables(row)
+        known = [one.site.places_mm for one in ranked(self.found.values()) if one.site.row == row.row]
+        for one in tables.search(self.rules.photodiodes - len(row.places.stay), known):
+            self._keep(row, tables, one, FIRST_PHOTONS)
+
+    def _tables(self, row: _Row, *, starts: int = 1) -> Tables[Point]:
+        centers = row.places.centers_mm
+        is_walled, everywhere = row.row.side is not None, np.ones(len(centers), bool)
+
+        def beside(leds: tuple[Point, ...]) -> np.ndarray:
+            if is_walled:
+                return everywhere
+            dies = [self.sites.die(i, place) for i, place in enumerate(leds)]
+            return np.array([self.sites.is_beside(area, dies) for area in row.places.areas], bool)
+
+        objective, apart = self.objective, row.places.apart_mm
+        how = (objective.together, objective.score, centers, apart, self.sites.go_together, beside)
+        return Tables(row.columns, row.stay, *how, starts=starts)
+
+    def _keep(self, row: _Row, tables: Tables[Point], one: Together[Point], photons: int) -> None:
+        """Keep what was found for an arrangement of LEDs."""
+        site = LedSite(one.leds, row.row)
+        photodiodes = tuple(row.places.areas[k] for k in one.photodiodes)
+        force_n = float(self.objective.force_of(tables.total(one.leds, list(one.photodiodes))))
+        self.found[site] = SearchedSite(site, photodiodes, one.reached, force_n, photons)
+
+    def _around_the_best(self, step_mm: float) -> dict[LedRow, list[list[Point]]]:
+        """Places beside those of the best sites: along their rows, beside another LED, and rows beside theirs."""
+        wanted: dict[LedRow, list[dict[Point, None]]] = {}
+
+        def want(row: LedRow, led: int, place: Point) -> None:
+            rounded = (round(place[0], 4), round(place[1], 4))
+            fixed = self.sites.is_fixed[led]
+            if fixed or self.sites.may_lie(led, rounded):
+                each = wanted.setdefault(row, [{} for _ in self.base.leds])
+                each[led][place if fixed else rounded] = None
+
+        for best in ranked(self.found.values())[:REFINED]:
+            site = best.site
+            for i, place in enumerate(site.places_mm):
+                want(site.row, i, place)
+                for other in self._beside(site, i, step_mm):
+                    want(site.row, i, other)
+            for row in self._rows_beside(site.row, step_mm):
+                for i, place in enumerate(site.places_mm):
+                    along = place[1 if row.side in ("left", "right") else 0]
+                    want(row, i, place if self.sites.is_fixed[i] else self.sites.in_row(i, row, along))
+        complete = {row: [list(one) for one in each] for row, each in wanted.items() if all(each)}
+        return {row: each for row, each in complete.items() if self._has_new(row, each) and self.sites.leaves_room(row)}
+
+    def _has_new(self, row: LedRow, places: list[list[Point]]) -> bool:
+        had = self._rows[row].columns if row in self._rows else [{} for _ in places]
+        return any(place not in one for one, each in zip(had, places, strict=True) for place in each)
+
+    def _beside(self, site: LedSite, led: int, step_mm: float) -> list[Point]:
+        """Places of one LED a step along its row (on a board without walls: or across), or right beside another LED."""
+        if self.sites.is_fixed[led]:
+            return []
+        (u, v), found = site.places_mm[led], []
+        axes = {"left": (1,), "right": (1,), "below": (0,), "above": (0,), None: (0, 1)}[site.row.side]
+        for axis in axes:
+            for sign in (-1, 1):
+                found.append((u, v + sign * step_mm) if axis else (u + sign * step_mm, v))
+                for k, other in enumerate(site.places_mm):
+                    if k != led:
+                        found.append(self._right_beside(led, k, other, axis, sign, (u, v), site.row))
+        return found
+
+    def _right_beside(self, led: int, other: int, at: Point, axis: int, sign: int, own: Point, row: LedRow) -> Point:
+        """An LED's place right beside another, at the clearance, along one axis; in a row it stays in its own line."""
+        die, beside = self.sites.die(led, (0.0, 0.0)), self.sites.die(other, at)
+        half = (die.v_max if axis else die.u_max) + self.rules.clearance_mm
+        edge = (beside.v_max if sign > 0 else beside.v_min) if axis else (beside.u_max if sign > 0 else beside.u_min)
+        line = at if row.side is None else own
+        return (line[0], edge + sign * half) if axis else (edge + sign * half, line[1])
+
+    def _rows_beside(self, row: LedRow, step_mm: float) -> list[LedRow]:
+        if row.side is None or row.face_mm is None or all(self.sites.is_fixed):
+            return []
+        rows = [LedRow(row.side, round(row.face_mm + sign * step_mm, 4)) for sign in (-1, 1)]
+        return [one for one in rows if self.sites.is_before_fixed(one)]
+
+
+def search(
+    base: Scene, rules: Placement, objective: Objective, cache: PhotonMapCache, report_progress: StageProgress
+) -> list[SearchedSite]:
+    """Every site of the LEDs that was tried with its best photodiodes; raises InputError as `boards.check_search`."""
+    return Search(base, rules, objective, cache).run(report_progress)
+
+
+def ranked(found: Iterable[SearchedSite]) -> list[SearchedSite]:
+    """The best first."""
+    return sorted(found, key=lambda one: one.reached)
+
+
+def foremost(found: Iterable[SearchedSite]) -> list[SearchedSite]:
+    """Those to be judged, the best first: of few photons sites look better than they are, and come after the others."""
+    return sorted(found, key=lambda one: (-one.photons, one.reached))[:FINALISTS]
+
+
+def finalists(base: Scene, rules: Placement, found: Sequence[SearchedSite]) -> list[CandidateLayout]:
+    """The best layouts of a search, to be judged with photons of their own."""
+    layouts = []
+    for one in foremost(found):
+        name = one.site.name
+        scene = boards.searched(base, rules, one.site.places_mm, one.photodiodes, side=one.site.row.side, name=name)
+        layouts.append(boards.candidate(name, scene, "searched"))
+    return layouts

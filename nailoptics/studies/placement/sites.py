@@ -1,0 +1,306 @@
+"""Where a search may put LEDs and photodiodes: rows of LEDs along a wall, and the places that the rules leave."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ...scene import Led, Photodiode, Placement, Scene
+from ...scene.base import Point
+from ...scene.layout import lay_elements
+from ...scene.outlines import has_room
+from ...scene.rectangles import Rectangle
+from . import boards
+
+# A wall that leaves less than this part of the board to the photodiodes is not tried.
+LEAST_ROOM = 0.4
+# The layout asks for so much between the wall and what lies behind it.
+WALL_ROOM_MM = 0.02
+ROUNDING_MM = 1e-9
+SIDES = ("left", "right", "below", "above")
+
+
+@dataclass(frozen=True)
+class LedRow:
+    """LEDs that share a wall: the side of the photodiodes on which they lie, and where the edge of the nearest of them
+    lies that faces the wall; both None on a board without walls. [mm]"""
+
+    side: str | None = None
+    face_mm: float | None = None
+
+
+@dataclass(frozen=True)
+class LedSite:
+    """Places of all LEDs, in the scene's order, and their row."""
+
+    places_mm: tuple[Point, ...]
+    row: LedRow
+
+    @property
+    def name(self) -> str:
+        """The site as a layout's name."""
+        where = "_".join(
+            f"{'m' if x < 0 else 'p'}{abs(x):.3g}" for place in self.places_mm for x in (v + 0.0 for v in place)
+        )
+        several = "s" if len(self.places_mm) > 1 else ""
+        return f"led{several}_{where}" + (f"_{self.row.side}" if self.row.side else "")
+
+
+@dataclass(frozen=True)
+class PhotodiodePlaces:
+    """Where a photodiode may lie beside those that stay: areas (m,) of one each, their centres (m, 2), and by how much
+    two of them lie apart at least, across or along. [mm]"""
+
+    areas: tuple[Rectangle, ...]
+    stay: tuple[Rectangle, ...]
+    apart_mm: Point
+
+    @cached_property
+    def centers_mm(self) -> np.ndarray:
+        """(m, 2) float. [mm]"""
+        return np.array([area.center_mm for area in self.areas]).reshape(-1, 2)
+
+
+@dataclass(frozen=True)
+class Sites:
+    """The places that a scene's board and the rules of its search leave."""
+
+    base: Scene
+    rules: Placement
+
+    @cached_property
+    def outline(self) -> Rectangle:
+        """The board's edges."""
+        size = self.base.board.size_mm
+        assert size is not None
+        return Rectangle.around("board", self.base.board.center_mm, size)
+
+    @cached_property
+    def is_fixed(self) -> tuple[bool, ...]:
+        """Of each LED whether it stays where it is."""
+        return tuple(led.name in self.rules.fixed for led in self.base.leds)
+
+    @cached_property
+    def stay(self) -> tuple[Rectangle, ...]:
+        """Photodiodes that stay and are read."""
+        return tuple(element.area for element in lay_elements(self.base.board, self._kept)[0])
+
+    @cached_property
+    def _kept(self) -> tuple[Photodiode, ...]:
+        return tuple(one for one in self.base.photodiodes if one.name in self.rules.fixed)
+
+    @cached_property
+    def elements(self) -> tuple[Rectangle, ...]:
+        """Of which the search wires some: all elements of the scene's photodiodes that are not fixed."""
+        loose = boards.loose_photodiodes(self.base, self.rules) if self.rules.wire else []
+        return _all_elements(self.base, loose)
+
+    @cached_property
+    def in_the_way(self) -> tuple[Rectangle, ...]:
+        """Everything of photodiodes that stays, read or not."""
+        return (*_all_elements(self.base, self._kept), *self.elements)
+
+    def die(self, led: int, place_mm: Point) -> Rectangle:
+        """An LED's die at a place."""
+        one = self.base.leds[led]
+        return Rectangle.around(one.name, place_mm, one.size_mm, one.rotation_deg)
+
+    def place_of(self, led: int) -> Point:
+        """Where the scene has an LED."""
+        (u, v), (du, dv) = self.base.leds[led].position_mm, self.base.board.center_mm
+        return u + du, v + dv
+
+    def may_lie(self, led: int, place_mm: Point) -> bool:
+        """Whether an LED may lie at a place of the board, photodiodes that are still to be placed aside."""
+        die, edge = self.die(led, place_mm), self.rules.edge_mm
+        o = self.outline
+        inside = min(die.u_min - o.u_min, o.u_max - die.u_max, die.v_min - o.v_min, o.v_max - die.v_max)
+        if inside < edge - ROUNDING_MM or not has_room_for(die, self.rules):
+            return False
+        return all(-die.overlap_mm(other) >= self.rules.bond_wire_mm - ROUNDING_MM for other in self.in_the_way)
+
+    def go_together(self, places_mm: Sequence[Point]) -> bool:
+        """Whether LEDs at these places, in the scene's order, leave their clearance to each other."""
+        dies = [self.die(i, place) for i, place in enumerate(places_mm)]
+        least = self.rules.clearance_mm - ROUNDING_MM
+        pairs = ((i, j) for j in range(len(dies)) for i in range(j) if not (self.is_fixed[i] and self.is_fixed[j]))
+        return all(-dies[i].overlap_mm(dies[j]) >= least for i, j in pairs)
+
+    def grid(self, step_mm: float) -> tuple[np.ndarray, np.ndarray]:
+        """Places of LEDs across and along the board, symmetric about its middle. [mm]"""
+        free = [led.size_mm for led, fixed in zip(self.base.leds, self.is_fixed, strict=True) if not fixed]
+        margin, o, axes = self.rules.edge_mm + np.array(free).max(0) / 2, self.outline, []
+        for low, high in ((o.u_min + margin[0], o.u_max - margin[0]), (o.v_min + margin[1], o.v_max - margin[1])):
+            half = max(0, int((high - low) / 2 / step_mm + 1e-9))
+            axes.append((low + high) / 2 + step_mm * np.arange(-half, half + 1))
+        return axes[0], axes[1]
+
+    @property
+    def _is_symmetric(self) -> bool:
+        """Whether a layout and its mirror image are one."""
+        special = self.rules.outline_mm is not None or self.rules.keep_out_mm or self.rules.fixed or self.rules.wire
+        return not special and abs(self.outline.u_min + self.outline.u_max) < 1e-6
+
+    def rows(self, step_mm: float) -> dict[LedRow, list[list[Point]]]:
+        """Rows on a grid, each with the places in it of every LED. The blood zones follow each other along the nail, so
+        walls along it promise most and come first."""
+        count = len(self.base.leds)
+        if all(self.is_fixed):
+            us = vs = np.zeros(0)
+        else:
+            us, vs = self.grid(step_mm)
+        half_us = us[us <= 1e-6] if self._is_symmetric else us
+        if not self.base.board.barrier:
+            # Of several LEDs only all together have a mirror image.
+            one_by_one = half_us if count == 1 else us
+            places = [(float(u), float(v)) for u in one_by_one for v in vs]
+            return self._with_room({LedRow(): [places] * count})
+        found: dict[LedRow, list[list[Point]]] = {}
+        for side in SIDES:
+            across, (rows, along) = side in ("left", "right"), (half_us, vs)
+            if not across:
+                rows, along = vs, half_us if count == 1 else us
+            for row in self._rows_at(side, rows):
+                found[row] = [[self.in_row(i, row, float(x)) for x in along] for i in range(count)]
+        return self._with_room(found)
+
+    def _rows_at(self, side: str, middles: np.ndarray) -> Iterator[LedRow]:
+        """Rows of a side with the first free LED's middle at each place, and one at the edge of what is fixed."""
+        foremost = self._foremost(side)
+        faces = [] if foremost is None else [foremost]
+        if len(middles):
+            first = self.die(self.is_fixed.index(False), (0.0, 0.0))
+            faces += [float(x) + _edge(first, side) for x in middles]
+        yield from (row for row in (LedRow(side, face) for face in dict.fromkeys(faces)) if self.is_before_fixed(row))
+
+    def _foremost(self, side: str) -> float | None:
+        """Of the LEDs that stay, the edge that is nearest to photodiodes; None if none does. [mm]"""
+        edges = [_edge(self.die(i, self.place_of(i)), side) for i, fixed in enumerate(self.is_fixed) if fixed]
+        return max(edges, key=lambda x: boards.way_of(side) * x) if edges else None
+
+    def is_before_fixed(self, row: LedRow) -> bool:
+        """Whether no LED that stays lies nearer to the photodiodes than a row."""
+        if row.side is None or row.face_mm is None or (foremost := self._foremost(row.side)) is None:
+            return True
+        return boards.way_of(row.side) * (row.face_mm - foremost) >= -ROUNDING_MM
+
+    def _with_room(self, found: dict[LedRow, list[list[Point]]]) -> dict[LedRow, list[list[Point]]]:
+        """The rows whose wall leaves room, with the places where each LED may lie; a fixed one lies where it is."""
+        left: dict[LedRow, list[list[Point]]] = {}
+        for row, places in found.items():
+            each = [
+                [self.place_of(i)] if self.is_fixed[i] else [p for p in one if self.may_lie(i, p)]
+                for i, one in enumerate(places)
+            ]
+            if all(each) and self.leaves_room(row):
+                left[row] = each
+        return left
+
+    def in_row(self, led: int, row: LedRow, along_mm: float) -> Point:
+        """An LED's place in a row with a wall: its edge at the row's face."""
+        assert row.side is not None and row.face_mm is not None
+        across = row.face_mm - _edge(self.die(led, (0.0, 0.0)), row.side)
+        return (across, along_mm) if row.side in ("left", "right") else (along_mm, across)
+
+    def leaves_room(self, row: LedRow) -> bool:
+        """Whether a row's wall leaves photodiodes enough of the board, and lies before all that stay."""
+        if row.side is None or row.face_mm is None:
+            return True
+        o, way, far = self.outline, boards.way_of(row.side), _far_edge(self.outline, row.side)
+        size = o.size_mm[0 if row.side in ("left", "right") else 1]
+        if way * (far - row.face_mm) <= LEAST_ROOM * size and not self.in_the_way:
+            return False
+        behind = row.face_mm + way * (self._gap_mm + self.base.board.barrier_um * 1e-3 + WALL_ROOM_MM)
+        return all(way * (_near_edge(one, row.side) - behind) >= -ROUNDING_MM for one in self.in_the_way)
+
+    @property
+    def _gap_mm(self) -> float:
+        gap = self.base.board.barrier_gap_mm
+        return self.rules.bond_wire_mm if gap is None else gap
+
+    def board_at(self, led: int, place_mm: Point, row: LedRow) -> Scene:
+        """The bare board with one of its LEDs at a place, and the wall of its row."""
+        (du, dv), board, gap = self.base.board.center_mm, self.base.board, self._gap_mm
+        if row.side is not None and row.face_mm is not None:
+            gap += boards.way_of(row.side) * (row.face_mm - _edge(self.die(led, place_mm), row.side))
+            board = board.model_copy(update={"barrier_gap_mm": gap})
+        # LEDs that shine alike share their light, whatever their names.
+        update = {"position_mm": (place_mm[0] - du, place_mm[1] - dv), "name": "led"}
+        one: Led = self.base.leds[led].model_copy(update=update)
+        return boards.bare(self.base.model_copy(update={"leds": (one,), "board": board}), side=row.side)
+
+    def photodiode_places(self, walls: Sequence[Rectangle], leds: Sequence[Rectangle]) -> PhotodiodePlaces:
+        """The places that walls and, where there are none, LEDs leave to photodiodes."""
+        gap, walled = self.rules.clearance_mm, bool(walls)
+        if self.rules.wire:
+            areas, apart = list(self.elements), (0.0, 0.0)
+        else:
+            size = self._size_mm
+            areas, apart = list(self._grid_areas), (size[0] + gap, size[1] + gap)
+            for wall in walls:
+                way, far, room = boards.way_of(wall.name), _far_edge(wall, wall.name), max(gap, WALL_ROOM_MM)
+                areas = [a for a in areas if way * (_near_edge(a, wall.name) - far) >= room - ROUNDING_MM]
+        return PhotodiodePlaces(tuple(a for a in areas if walled or self.is_beside(a, leds)), self.stay, apart)
+
+    def is_beside(self, area: Rectangle, leds: Sequence[Rectangle]) -> bool:
+        """Whether a photodiode leaves LEDs on a board without walls the room for their bond wires."""
+        return all(_gap_mm(area, led) >= self.rules.bond_wire_mm - ROUNDING_MM for led in leds)
+
+    @cached_property
+    def _grid_areas(self) -> tuple[Rectangle, ...]:
+        """Every place of a photodiode on the board, beside those that stay."""
+        o, edge, step, size_mm = self.outline, self.rules.edge_mm, self.rules.photodiode_step_mm, self._size_mm
+        axes = []
+        for low, high, size in ((o.u_min, o.u_max, size_mm[0]), (o.v_min, o.v_max, size_mm[1])):
+            first, last = low + edge + size / 2, high - edge - size / 2
+            axes.append(first + step * np.arange(int((last - first) / step + 1e-6) + 1))
+        areas = (Rectangle.around("", (float(u), float(v)), size_mm) for u in axes[0] for v in axes[1])
+        gap = self.rules.clearance_mm - ROUNDING_MM
+        clear = (area for area in areas if all(_gap_mm(area, one) >= gap for one in self.in_the_way))
+        return tuple(area for area in clear if has_room_for(area, self.rules))
+
+    @property
+    def _size_mm(self) -> Point:
+        """Size of the photodiodes that are placed, which lie straight: that of the scene's first. [mm]"""
+        return boards.straightened(self.base.photodiodes[0]).size_mm
+
+
+def has_room_for(area: Rectangle, rules: Placement) -> bool:
+    """Whether a part lies within the outline with its distance from the edge, and off holes and what is kept out."""
+    center, (half_u, half_v) = area.center_mm, ((area.u_max - area.u_min) / 2, (area.v_max - area.v_min) / 2)
+    box = Rectangle.around("", center, (2 * half_u, 2 * half_v))
+    for corners in rules.keep_out_mm:
+        if not has_room(center, (half_u, half_v), box.corners_mm, [corners]):
+            return False
+    if rules.outline_mm is None:
+        return True
+    half = (half_u + rules.edge_mm, half_v + rules.edge_mm)
+    return has_room(center, half, rules.outline_mm, rules.outline_holes_mm)
+
+
+def _all_elements(base: Scene, photodiodes: Sequence[Photodiode]) -> tuple[Rectangle, ...]:
+    """Every element of photodiodes, wired or not."""
+    all_wired = tuple(one.model_copy(update={"wired": None}) for one in photodiodes)
+    return tuple(element.area for element in lay_elements(base.board, all_wired)[0])
+
+
+def _gap_mm(one: Rectangle, other: Rectangle) -> float:
+    """The gap between the bounds of two parts, the larger of that across and that along. [mm]"""
+    across = max(one.u_min - other.u_max, other.u_min - one.u_max)
+    return max(across, one.v_min - other.v_max, other.v_min - one.v_max)
+
+
+def _edge(die: Rectangle, side: str) -> float:
+    """Of an LED on a side of the photodiodes the edge that faces them."""
+    return {"left": die.u_max, "right": die.u_min, "below": die.v_max, "above": die.v_min}[side]
+
+
+def _near_edge(area: Rectangle, side: str) -> float:
+    """The edge of a photodiode that faces LEDs on a side of it."""
+    return {"left": area.u_min, "right": area.u_max, "below": area.v_min, "above": area.v_max}[side]
+
+
+def _far_edge(area: Rectangle, side: str) -> float:
+    """The edge that faces away from LEDs on a side of it."""
+    return _edge(area, side)

@@ -1,0 +1,247 @@
+"""The search over LEDs and photodiodes together: against every layout there is, and within the rules it was given."""
+
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+from small_scenes import PLACEMENT
+
+from nailoptics.errors import InputError
+from nailoptics.light.board_map import PhotonMap
+from nailoptics.scene import FingerCase, Placement, Scene, digest, parse_scene
+from nailoptics.studies.placement import boards, fisher, search
+from nailoptics.studies.placement.exchange import STARTS, Tables
+from nailoptics.studies.placement.objective import Objective
+from nailoptics.studies.placement.photon_maps import FingerCondition
+from nailoptics.studies.placement.progress import StageProgress
+from nailoptics.tissue import BloodZones
+
+AT = fisher.OperatingPoint(
+    blood_fraction=np.array([0.03, 0.03]),
+    blood_per_pa=np.array([[1e-6, 0.0], [0.0, -1e-6]]),
+    force_n=0.5,
+    force_per_pa=np.full(2, 5e-5),
+    pressure_per_n=np.full(2, 1e4),
+)
+SECOND_LED = """
+[[leds]]
+name = "red"
+part = "led_660"
+position_mm = [-3.0, 2.0]
+"""
+
+
+def two_leds(rules: str, *, barrier: bool = True, photodiodes: str = "") -> Scene:
+    text = PLACEMENT[: PLACEMENT.index("[placement]")]
+    text = text.replace("[[photodiodes]]", f"{SECOND_LED}[[photodiodes]]") + photodiodes
+    if not barrier:
+        text = text.replace("[board]\n", "[board]\nbarrier = false\n")
+    return parse_scene(text + f"[placement]\n{rules}\n")
+
+
+class MadeLight:
+    """Maps of light that falls off with the distance from the LED, faster in the red, and sees the zones between."""
+
+    def __init__(self, conditions: list[FingerCondition]) -> None:
+        self.conditions, self.traced = conditions, {}
+
+    def is_traced(self, board: Scene) -> bool:
+        return digest(board) in self.traced
+
+    def extend(self, board: Scene, photons: int) -> None:
+        layout, led = board.layout, board.leds[0]
+        one = PhotonMap(layout.outline, values=4, spacing_mm=0.25, blocks=1)
+        u, v = ((edges[1:] + edges[:-1]) / 2 for edges in (one.u_mm, one.v_mm))
+        where = np.stack(np.meshgrid(u, v, indexing="ij"), -1)
+        place = np.array(layout.leds[0].center_mm)
+        away = np.linalg.norm(where - place, axis=-1)
+        reach = 1.0 if led.wavelength_nm < 700 else 1.4
+        light = 1e-4 * np.exp(-away / reach)
+        # What lies between them is seen: mostly at the middle of the way.
+        weight = BloodZones((0.0,), 2.0).weights(((where[..., 1] + place[1]) / 2).ravel()).reshape(*away.shape, 2)
+        seen = -light[..., None] * weight * (3.0 * away / (1.0 + away))[..., None]
+        values = np.concatenate([light[..., None], 0.1 * light[..., None], seen], -1)
+        one.sums[:] = np.moveaxis(values, -1, 0)[:, None]
+        one.photons = 1
+        self.traced[digest(board)] = [[one]]
+
+    def maps(self, board: Scene) -> list[list[PhotonMap]]:
+        return self.traced[digest(board)]
+
+    def forget(self, board: Scene) -> None:
+        self.traced.pop(digest(board))
+
+
+def searched(scene: Scene) -> tuple[search.Search, list[search.SearchedSite]]:
+    rules = boards.rules(scene)
+    cache = MadeLight([FingerCondition(FingerCase(name="one"), AT)])
+    one = search.Search(boards.searchable(boards.base_board(scene), rules), rules, Objective(rules, [AT]), cache)
+    return one, one.run(StageProgress(None))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_exchange_of_leds_and_photodiodes_finds_the_best_of_all_layouts(seed):
+    """Rationale: three LEDs on five places each and three photodiodes on ten are 60 times 120 layouts, more than are
+    given photodiodes one by one. Expected: what exchange finds is the best of all, by force and with a share's weight.
+    """
+    rng = np.random.default_rng(seed)
+    places = np.column_stack([np.zeros(10), np.linspace(-3.0, 3.0, 10)])
+    zones, reach_mm = BloodZones((float(rng.uniform(-1.0, 1.0)),), 2.0), rng.uniform(0.8, 1.8, 3)
+
+    def told(led: int, at: int) -> np.ndarray:
+        place = np.array([-2.0, -3.0 + 1.5 * at])
+        away = np.linalg.norm(places - place, axis=-1)
+        light = np.exp(-away / reach_mm[led])
+        slope = light[:, None] * zones.weights((places[:, 1] + place[1]) / 2) * [1e-6, -1e-6] * away[:, None]
+        one = np.ones(len(places))
+        read = fisher.Response(one, (1e-4 + 1e-3 * light) ** 2, slope, slope, 0 * one)
+        return fisher.fisher_information(read)[None]
+
+    columns = [{at: told(led, at) for at in range(5)} for led in range(3)]
+    rules = Placement(rank_by={"worst": 2.0, "share": 1.0} if seed % 2 else "worst")
+    objective = Objective(rules, [AT])
+    stay = [{at: np.zeros((1, 0, 3)) for at in range(5)} for _ in range(3)]
+    apart = (0.1, 1.0)
+
+    def go_together(leds: tuple[int, ...]) -> bool:
+        return len(set(leds)) == 3
+
+    everywhere = np.ones(10, bool)
+    tables = Tables(
+        columns, stay, objective.together, objective.score, places, apart, go_together, lambda leds: everywhere, 10
+    )
+    arrangements = [leds for leds in product(range(5), repeat=3) if go_together(leds)]
+    assert len(arrangements) > STARTS
+    best = min(
+        float(objective.score(tables.total(leds, list(chosen))))
+        for leds in arrangements
+        for chosen in combinations(range(10), 3)
+        if min(places[b, 1] - places[a, 1] for a, b in combinations(chosen, 2)) >= 1.0
+    )
+    found = min(tables.search(3), key=lambda one: one.reached)
+    assert found.reached == pytest.approx(best, rel=1e-9)
+    assert found.reached == pytest.approx(float(objective.score(tables.total(found.leds, list(found.photodiodes)))))
+
+
+@pytest.mark.parametrize("barrier", [True, False])
+def test_the_search_of_two_leds_is_no_worse_than_every_layout_on_its_grid(barrier):
+    """Expected: no pair of LED places on the grid with any two photodiodes on theirs, all tried, is better than what
+    the search finds, which goes on between the grid's places; and what it finds keeps the clearances."""
+    scene = two_leds(
+        "photodiodes = 2\nled_step_mm = 4.0\nphotodiode_step_mm = 2.0\nclearance_mm = 0.2", barrier=barrier
+    )
+    one, found = searched(scene)
+    best = search.ranked(found)[0]
+    every = []
+    for row, pools in one.sites.rows(4.0).items():
+        board = one.sites.board_at(0, pools[0][0], row)
+        walls = board.layout.barriers
+        for leds in product(*pools):
+            dies = [one.sites.die(i, place) for i, place in enumerate(leds)]
+            if not one.sites.go_together(leds):
+                continue
+            places = one.sites.photodiode_places(walls, dies)
+            tables = []
+            for i, place in enumerate(leds):
+                own = one.sites.board_at(i, place, row)
+                one.cache.extend(own, 1)
+                tables.append(one._columns(i, own, places))
+            told = one.objective.together(tables)[0]
+            for a, b in combinations(range(len(places.areas)), 2):
+                if np.any(np.abs(places.centers_mm[a] - places.centers_mm[b]) >= np.array(places.apart_mm) - 1e-9):
+                    every.append(float(one.objective.score((told[a] + told[b])[None])))
+    assert len(every) > 100
+    assert best.reached <= min(every) * (1 + 1e-9)
+    for layout in search.finalists(one.base, one.rules, found):
+        dies, areas = layout.scene.layout.leds, layout.scene.layout.photodiode_areas
+        assert [led.name for led in layout.scene.leds] == ["ir", "red"] and len(areas) == 2
+        assert -dies[0].overlap_mm(dies[1]) >= 0.2 - 1e-6 and -areas[0].overlap_mm(areas[1]) >= 0.2 - 1e-6
+        assert len(layout.scene.layout.barriers) == (1 if barrier else 0)
+        if not barrier:
+            assert min(-die.overlap_mm(area) for die in dies for area in areas) >= 0.4 - 1e-6
+
+
+def test_what_is_fixed_stays_and_what_is_kept_out_stays_empty():
+    rules = (
+        'photodiodes = 3\nled_step_mm = 4.0\nphotodiode_step_mm = 0.5\nfixed = ["ir", "pd"]\n'
+        "keep_out_mm = [[[-1.5, 1.0], [4.0, 1.0], [4.0, 4.0], [-1.5, 4.0]]]"
+    )
+    one, found = searched(two_leds(rules))
+    assert found
+    for layout in search.finalists(one.base, one.rules, found):
+        laid = layout.scene.layout
+        assert laid.leds[0].center_mm == pytest.approx((-3.0, 0.0))
+        assert laid.photodiode_names == ("pd", "PD1", "PD2")
+        assert laid.photodiode_areas[0].center_mm == pytest.approx((1.0, 0.0))
+        for part in (*laid.leds, *laid.photodiode_areas):
+            assert part.u_max <= -1.5 + 1e-9 or part.v_max <= 1.0 + 1e-9
+
+
+def test_wiring_chooses_elements_where_they_are():
+    """Expected: of an array's elements those that brute force over all of them finds best for the same LEDs."""
+    array = '[[photodiodes]]\nname = "array"\nelements = 8\nsize_mm = [1.0, 0.5]\nposition_mm = [1.0, 1.0]\n'
+    text = PLACEMENT[: PLACEMENT.index("[[photodiodes]]")] + SECOND_LED.replace("-3.0, 2.0", "-3.0, 1.0") + array
+    scene = parse_scene(text + '[placement]\nphotodiodes = 3\nwire = true\nfixed = ["ir", "red"]\n')
+    one, found = searched(scene)
+    best = search.ranked(found)[0]
+    layout = search.finalists(one.base, one.rules, found)[0].scene
+    assert [p.name for p in layout.photodiodes] == ["array"] and len(layout.photodiodes[0].wired or ()) == 3
+    assert len(layout.layout.unwired) == 5 and layout.photodiodes[0].position_mm == scene.photodiodes[0].position_mm
+    row = one._rows[best.site.row]
+    tables = one._tables(row)
+    every = {
+        c: float(one.objective.score(tables.total(best.site.places_mm, list(c)))) for c in combinations(range(8), 3)
+    }
+    assert layout.photodiodes[0].wired == min(every, key=lambda c: every[c])
+
+
+@pytest.mark.parametrize(
+    ("rules", "words"),
+    [
+        ('fixed = ["x"]', 'placement.fixed: "x" is no LED or photodiode of the scene; it has ir, red, pd'),
+        ("wire = true", "placement.wire: the scene has 1 elements to choose from, and photodiodes asks for 8"),
+    ],
+)
+def test_what_a_search_cannot_do_is_one_line(rules, words):
+    scene = two_leds(rules)
+    with pytest.raises(InputError, match=words) as caught:
+        boards.check_search(boards.base_board(scene), boards.rules(scene))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("rules", "words"),
+    [
+        ("rank_by = { worst = 1.0, mean = 1.0 }", "rank_by has both worst and mean"),
+        ("rank_by = {}", "rank_by is empty"),
+        ("rank_by = { speed = 1.0 }", "rank_by"),
+        ("keep_out_mm = [[[0.0, 0.0], [1.0, 1.0]]]", "keep_out_mm.0. has 2 corners"),
+        ('fixed = ["ir", "ir"]', "used twice"),
+    ],
+)
+def test_rules_that_make_no_sense_are_one_line(rules, words):
+    with pytest.raises(InputError, match=words) as caught:
+        two_leds(rules)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_share_of_a_force_is_told_as_well_as_pressures_scatter():
+    """Pressures that scatter as the information says: the spread of the proximal part of the force they make."""
+    information = np.array([4e-4, 1e-4, 2e-4])
+    point = fisher.OperatingPoint(
+        AT.blood_fraction, AT.blood_per_pa, 0.5, np.array([4e-5, 6e-5]), np.array([1.3e4, 8e3])
+    )
+    covariance = np.linalg.inv([[4e-4 + 1e-10, 1e-4], [1e-4, 2e-4 + 1e-10]])
+    pressures = np.random.default_rng(1).multivariate_normal(0.5 * point.pressure_per_n, covariance, 100_000)
+    forces = pressures * point.force_per_pa
+    spread = (forces[:, 0] / forces.sum(1)).std()
+    # A hundred thousand samples know a standard deviation to 0.2 %.
+    assert fisher.share_resolution(information, point) == pytest.approx(spread, rel=0.01)
+
+
+def test_weights_are_a_mean_of_logarithms_and_a_word_is_a_weight():
+    assert Placement(rank_by="oxygen_and_force").weights == Placement(rank_by={"worst": 2.0, "oxygen": 2.0}).weights
+    rules, information = Placement(rank_by={"worst": 1.0, "share": 3.0}), np.array([[4e-4, 1e-4, 2e-4]])
+    objective = Objective(rules, [AT])
+    force, share = (one(information[0], AT) for one in (fisher.force_resolution_n, fisher.share_resolution))
+    assert objective.score(information) == pytest.approx(force**0.25 * share**0.75)
