@@ -11,6 +11,7 @@ from ...hemodynamics.parameters import Parameters
 from ...scene.sensor_recordings import Recording
 from .body_noise import arterial_response
 from .network import LONGEST_STEP_S, widths_over
+from .observer import LINEAR
 from .person import NAMES, RIGID_PULP, SPREAD_LN, Person, person
 from .pulp import Pulp
 from .reading_table import ReadingTable
@@ -58,7 +59,7 @@ class Fitted:
     """What a fit found, R readings, K recordings.
 
     factors_ln : (P,) float. Logarithms of the factors by NAMES.
-    covariance : (P + 2 R, P + 2 R) float. Of these, of the gains, and of the offsets.
+    covariance : (P + 4 R, P + 4 R) float. Of these, of gains, of offsets, and of steeper slopes by either zone's blood.
     gain, offset_v : (R,) float. Of every reading.
     table : that of the light, with the slopes by blood that the recordings ask for.
     residual_v : per recording (R, T) float at the recording's own samples; predicted_v likewise.
@@ -251,7 +252,9 @@ class Fit:
         self.memory = float(max(1.0, 1.0 + 2.0 * lagged[1:end].sum()))
 
     def _joint_covariance(self, model: Array, white: Array, response: Array) -> Array:
-        """Covariance of all factors, gains and offsets together.
+        """Covariance of all factors, gains, offsets and slopes together.
+
+        What vessels do less, steeper slopes make up for: neither is known by itself as well as their product.
 
         model : (3, R, 1 + P, T) float. The model's columns. white : (R * T,) float. Whitened residuals.
         response : (R, T) float. Change of readings with the arterial pressure. [V/Pa]
@@ -277,9 +280,10 @@ class Fit:
         blocks = np.add.reduceat(pull, np.arange(0, len(pull), max(1, len(pull) // BLOCKS)), axis=0)
         middle = moved_by_wave.T @ moved_by_wave + blocks.T @ blocks
         inverse = inverse @ (middle + np.diag(1 / spread**2)) @ inverse
-        kept = np.r_[:free, free + count * np.arange(readings), free + 1 + count * np.arange(readings)]
-        out = np.diag(np.concatenate([SPREAD_LN**2, np.zeros(2 * readings)]))
-        place = np.r_[self.free, len(NAMES) : len(NAMES) + 2 * readings]
+        linear_ones = free + np.arange(LINEAR)[:, None] + count * np.arange(readings)
+        kept = np.r_[:free, linear_ones.ravel()]
+        out = np.diag(np.concatenate([SPREAD_LN**2, np.zeros(LINEAR * readings)]))
+        place = np.r_[self.free, len(NAMES) : len(NAMES) + LINEAR * readings]
         out[np.ix_(place, place)] = inverse[np.ix_(kept, kept)]
         return np.asarray(out)
 

@@ -14,7 +14,7 @@ from .subject import Subject
 
 Array = NDArray[np.float64]
 
-# Points that stand for the Gaussian of both pressures and the contact's areas: quantiles to some 2 % of a spread.
+# Points that stand for the Gaussian of both pressures: quantiles to some 2 % of a spread.
 POINTS = 256
 QUANTILES = (0.025, 0.975)
 # Below this force, where pressures bend to 0, there may be no touch at all, and it has no place. [N]
@@ -53,7 +53,11 @@ class ForceInterval:
         closure = closure_of(person)
         self._shut = self.correction.of(np.array([[closure.proximal], [closure.distal]]))
         self._open = OpenError(subject.calibrated, subject.noise)
-        self._points = norm.ppf(qmc.Sobol(4, scramble=True, seed=0).random(POINTS)).T
+        self._points = norm.ppf(qmc.Sobol(2, scramble=True, seed=0).random(POINTS)).T
+        ends = np.diag([closure.proximal, closure.distal])
+        part = np.sqrt(np.einsum("tii->ti", self._left_open(ends)[0]).diagonal()) / ends.diagonal()
+        # The least force that shuts the vessels on either side. [N]
+        self._least_shut_n = self.areas_cm2 * self._shut[:, 0] * np.exp(-2 * part)
 
     @property
     def open_above_n(self) -> dict[str, float]:
@@ -63,15 +67,15 @@ class ForceInterval:
     def tell(self, estimates: list[PressureEstimate]) -> ForceEstimate:
         """The forces of some samples."""
         touch = np.array([one.touch for one in estimates])
-        covariance = self._open.covariance(pressure_of(touch.T)) * self.widening**2
-        known = np.array([one.covariance for one in estimates])
-        covariance[:, :2, :2] += known * max(self.widening, self.scatter) ** 2
+        left_open, open_pressure = self._left_open(pressure_of(touch.T))
+        known = np.array([one.covariance for one in estimates]) * max(self.widening, self.scatter) ** 2
+        covariance = known + left_open
         values, vectors = np.linalg.eigh(covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
         cloud = np.einsum("tij,jp->itp", root, self._points)
-        pressures = self.correction.of(pressure_of(touch.T[:, :, None] + cloud[:2]))
+        pressures = self.correction.of(pressure_of(touch.T[:, :, None] + cloud))
         area_cm2, proximal_area = float(self.person.area_cm2), float(self.person.proximal_area)
-        force, share = force_of(pressures, area_cm2 * np.exp(cloud[2]), proximal_area * np.exp(cloud[3]))
+        force, share = force_of(pressures, area_cm2, proximal_area)
         low, high = np.quantile(force, QUANTILES, axis=1)
         share_low, share_high = np.quantile(share, QUANTILES, axis=1)
         pressure = self.correction.of(pressure_of(touch.T))
@@ -80,10 +84,10 @@ class ForceInterval:
         highest = np.quantile(pressures, QUANTILES[1], axis=2)
         is_open = (highest >= shut).any(0)
         # Past closure a harder touch reads the same: neither bound lies above it.
-        floor = np.where(highest >= shut, shut * self.areas_cm2[:, None], np.inf).min(0)
-        low = np.where(is_open, np.minimum(low, floor * np.exp(-2 * np.sqrt(covariance[:, 2, 2]))), low)
+        floor = np.where(highest >= shut, self._least_shut_n[:, None], np.inf).min(0)
+        low = np.where(is_open, np.minimum(low, floor), low)
         # Where rest is no less likely than the quantile, nothing is told from none.
-        resting = _odds_of_rest(touch, covariance[:, :2, :2])
+        resting = _odds_of_rest(touch, covariance)
         low = np.where((low < LEAST_FORCE_N) | (resting > QUANTILES[0]), 0.0, low)
         nowhere = (middle < LEAST_FORCE_N) | (share_high - share_low > UNKNOWN_SHARE)
         return ForceEstimate(
@@ -94,8 +98,19 @@ class ForceInterval:
             share_low=np.where(nowhere, 0.0, share_low),
             share_high=np.where(nowhere, 1.0, share_high),
             pressure=pressure,
-            pressure_stderr=np.sqrt(np.maximum(np.einsum("tii->it", covariance)[:2], 0.0)),
+            pressure_stderr=np.sqrt(np.maximum(np.einsum("tii->it", known + open_pressure), 0.0)),
         )
+
+    def _left_open(self, pressure: Array) -> tuple[Array, Array]:
+        """Covariances (T, 2, 2) of forces over the contact's areas, and of the pressures themselves.
+
+        What calibration leaves open of an area it leaves open of the pressure, too, the other way: forces were known.
+        """
+        found = self._open.covariance(pressure) * self.widening**2
+        by_open = np.zeros((pressure.shape[1], 2, 4))
+        by_open[:, [0, 1], [0, 1]] = 1.0
+        by_open[:, 0, 2], by_open[:, 0, 3], by_open[:, 1, 2] = pressure[0], pressure[0], pressure[1]
+        return by_open @ found @ np.moveaxis(by_open, 1, 2), found[:, :2, :2]
 
 
 def _odds_of_rest(touch: Array, covariance: Array) -> Array:

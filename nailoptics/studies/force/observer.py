@@ -37,6 +37,8 @@ SMALLEST_STEP, ARTERIAL_STEP_PA = np.array([1e-4, 1e-4, 1e-4, 0.02, 0.02, 0.02])
 WALL_NOISE = 1e-4
 # What the distal pulp does beyond the model. [N/cm^2 / sqrt(s)]
 PULP_NOISE = 0.05
+# What is calibrated of each reading: gain, offset and a steeper slope by the blood of either zone.
+LINEAR = 4
 # At most so many linearisations of one sample; a coordinate moves no further than this in one of them.
 ITERATIONS, FARTHEST = 5, 0.3
 # Touches move or step: random walks of these times the usual rate, each for so long on average. [s]
@@ -96,7 +98,7 @@ class Calibrated:
     make : gives the person, or many, of logarithms of the factors (P, *S).
     factors_ln : (P,) float. Logarithms of the factors by NAMES.
     gain, offset_v : (R,) float. Volts of a reading are offset + gain * the table's.
-    covariance : (P + 2 R, P + 2 R) float. Of the factors' logarithms, the gains, and the offsets [V].
+    covariance : (P + 4 R, P + 4 R) float. Of the factors' logarithms, gains, offsets [V], and steeper slopes by blood.
     """
 
     make: Callable[[Array], Person]
@@ -190,7 +192,7 @@ class Observer:
         blood = self.person.blood(np.ones(2))
         volts, by_blood = self.table.slopes(blood)
         by = np.zeros((count, len(covariance)))
-        by[:, factors + count :] = np.eye(count)
+        by[:, factors + count : factors + 2 * count] = np.eye(count)
         by[:, factors : factors + count] = np.diag(volts)
         by[:, NAMES.index("rest_blood")] = self.gain * (by_blood @ blood)
         by /= self.rest_volts[:, None]

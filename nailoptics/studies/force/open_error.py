@@ -20,7 +20,7 @@ AREAS = [NAMES.index("contact_area"), NAMES.index("proximal_area")]
 
 
 class OpenError:
-    """Errors of told pressures and of the contact's areas by errors of a calibration's factors, gains and offsets.
+    """Errors of told pressures and of the contact's areas by errors of a calibration: factors, gains, offsets, slopes.
 
     A person who is not quite the calibrated one gives other readings under a held touch; the pressures that explain
     them best, beside drift and noise, are off by so much.
@@ -52,30 +52,37 @@ class OpenError:
         return np.asarray(root @ np.moveaxis(root, 1, 2))
 
     def _by_open(self, side: int, pressure: float) -> Array:
-        """Derivatives (4, P + 2 R) of what is told of a held touch by all that the calibration leaves open."""
+        """Derivatives (4, P + 4 R) of what is told of a held touch by all that the calibration leaves open."""
         one, factors = self._calibrated, np.repeat(self._calibrated.factors_ln[:, None], 2 * len(NAMES), axis=1)
         each = np.arange(len(NAMES))
         factors[each, each] += STEP_LN
         factors[each, each + len(NAMES)] -= STEP_LN
         held = np.zeros(2)
         held[side] = pressure
-        moved = self._risen_v(one.make(factors), held[:, None])
+        moved, _ = self._risen_v(one.make(factors), held[:, None])
         by_factor = (moved[:, : len(NAMES)] - moved[:, len(NAMES) :]) / (2 * STEP_LN)
         around = np.maximum(
             held[:, None] + STEP * np.array([[1.0, 0.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, -1.0, 0.0]]), 0
         )
-        near = self._risen_v(one.make(np.repeat(one.factors_ln[:, None], 5, axis=1)), around)
+        near, steeper = self._risen_v(one.make(np.repeat(one.factors_ln[:, None], 5, axis=1)), around)
         slopes = (near[:, :2] - near[:, 2:4]) / np.diag(around[:, :2] - around[:, 2:4])
-        by_open = np.column_stack([by_factor, np.diag(near[:, 4] / one.gain), np.zeros((len(one.gain),) * 2)])
+        by_slope = [np.diag(zone[:, 4]) for zone in steeper]
+        by_gain, by_offset = np.diag(near[:, 4] / one.gain), np.zeros((len(one.gain),) * 2)
+        by_open = np.column_stack([by_factor, by_gain, by_offset, *by_slope])
         weighed = slopes.T @ self._information
         told = -np.linalg.solve(weighed @ slopes + np.eye(2) / BEFORE**2, weighed @ by_open)
         return np.vstack([told, np.eye(by_open.shape[1])[AREAS]])
 
-    def _risen_v(self, who: Person, pressure: Array) -> Array:
-        """Volts of every reading over those at rest, (R, S), of many people under held pressures (2, S)."""
+    def _risen_v(self, who: Person, pressure: Array) -> tuple[Array, Array]:
+        """Volts of every reading over those at rest, (R, S), of many people under held pressures (2, S).
+
+        And what steeper slopes by the blood of either zone add to them, (2, R, S).
+        """
         shape = who.rest_m.shape[1:]
         outside = touch_on_walls(np.broadcast_to(pressure, (2, *shape)), who.distal_reach)
         full = np.ones(shape)
         held, _ = solve_walls(who.walls, outside, who.arterial_pa * full, who.venous_pa * full)
-        volts = [self._calibrated.table.volts(who.blood(width)) for width in (held / who.rest_m, np.ones_like(held))]
-        return np.asarray(self._calibrated.gain[:, None] * (volts[0] - volts[1]))
+        blood, rest = who.blood(held / who.rest_m), who.blood(np.ones_like(held))
+        volts = self._calibrated.table.volts(blood)
+        risen = self._calibrated.gain[:, None] * (volts - self._calibrated.table.volts(rest))
+        return risen, volts * (blood - rest)[:, None]

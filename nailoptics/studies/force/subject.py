@@ -16,14 +16,14 @@ from ...scene.text_files import parse_toml, read_text
 from .baselines import Regression
 from .correction import Correction
 from .heartbeat import Beat
-from .observer import Calibrated, Noise, Oscillation
+from .observer import LINEAR, Calibrated, Noise, Oscillation
 from .person import NAMES, PRIORS, SPREAD_LN, Person, person
 from .pulp import Pulp
 from .reading_table import POWERS, ReadingTable
 
 Array = NDArray[np.float64]
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 # No calibration finds more: factors on the scene's constants, and gains of readings.
 MOST_FACTOR, MOST_GAIN = 100.0, 1e4
 # Correlations of a calibration are known to rounding but for this.
@@ -42,7 +42,7 @@ class Subject:
     pulp : what lies between touch and vessels.
     factors_ln : (P,) float. Logarithms of the factors by NAMES.
     gain, offset_v, residual_rms_v : (R,) float.
-    covariance : (P + 2 R, P + 2 R) float. Of factors, gains and offsets.
+    covariance : (P + 4 R, P + 4 R) float. Of factors, gains, offsets, and steeper slopes by the blood of either zone.
     correction : of the pressures that the observer tells.
     widening : float. How wide intervals are over what the filter and the covariance say, so that they cover what
         calibration saw. scatter : float. How wide they are over the filter's alone at least.
@@ -177,7 +177,7 @@ class Subject:
 
     @property
     def stderr(self) -> Array:
-        """Standard errors of factors' logarithms, gains and offsets, (P + 2 R,)."""
+        """Standard errors of factors' logarithms, gains, offsets and slopes, (P + 4 R,)."""
         return np.sqrt(np.diag(self.covariance))
 
     def factors(self) -> dict[str, dict[str, Any]]:
@@ -315,7 +315,7 @@ def _subject(found: dict[str, Any]) -> Subject:
     def each(field: str) -> Array:
         return np.array([readings[name][field] for name in names], dtype=float)
 
-    size = len(NAMES) + 2 * len(names)
+    size = len(NAMES) + LINEAR * len(names)
     covariance = np.array(found["covariance"], dtype=float)
     if covariance.shape != (size, size):
         raise ValueError(f"covariance of shape {covariance.shape}")

@@ -279,6 +279,6 @@ def test_a_contact_three_times_that_of_the_scene_is_found(table: ReadingTable) -
 
 
 def test_a_damaged_subject_file_is_refused(subject: Subject) -> None:
-    for text in ("", "schema_version = 1\n", 'schema_version = 2\nmodel = "network"\n', "not toml ["):
+    for text in ("", "schema_version = 1\n", 'schema_version = 3\nmodel = "network"\n', "not toml ["):
         with pytest.raises(InputError):
             parse_subject(text)
