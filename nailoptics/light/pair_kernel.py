@@ -48,7 +48,7 @@ def line_nodes(axis: Array, x: Array) -> tuple[Indices, Array]:
     return np.stack([at, at + 1], -1), np.stack([1 - part, part], -1)
 
 
-def _product(axes: tuple[Array, ...], values: tuple[Array, ...]) -> tuple[Indices, Array]:
+def node_products(axes: tuple[Array, ...], values: tuple[Array, ...]) -> tuple[Indices, Array]:
     """The nodes around points of several coordinates, the last counting fastest, and their weights, (n, 2^d) each."""
     count = len(values[0])
     at, weight = np.zeros((count, 1), np.int64), np.ones((count, 1))
@@ -98,8 +98,8 @@ class PairBasis:
         """The 24 functions that are not 0 at pairs of places, (n, 2) each, and their values, (n, 24) each. [mm]"""
         a, b = self.across, 1 - self.across
         fine, coarse = self.axes
-        one = _product(fine, (x_mm[:, a], y_mm[:, a], np.abs(x_mm[:, b] - y_mm[:, b])))
-        other = _product(coarse, (x_mm[:, a], x_mm[:, b], y_mm[:, a], y_mm[:, b]))
+        one = node_products(fine, (x_mm[:, a], y_mm[:, a], np.abs(x_mm[:, b] - y_mm[:, b])))
+        other = node_products(coarse, (x_mm[:, a], x_mm[:, b], y_mm[:, a], y_mm[:, b]))
         first = int(np.prod([len(axis) for axis in fine]))
         return np.concatenate([one[0], other[0] + first], 1), np.concatenate([one[1], other[1]], 1)
 

@@ -20,6 +20,7 @@ from ..studies.exploration.explore import (
     BLOOD_RANGE,
     KERNEL_CHANGE_ERROR,
     KERNEL_ERROR,
+    KERNEL_RESOLUTION_ERROR,
     SAME_NM,
     Exploration,
     fluence_edges,
@@ -98,13 +99,13 @@ def _half(values: np.ndarray) -> str:
 
 def _tables(found: Exploration) -> dict[str, Any]:
     scene, basis, polynomial = found.scene, found.basis, found.polynomial
-    fine, coarse = ([axis.tolist() for axis in axes] for axes in basis.axes)
+    fine, coarse, ratio = ([axis.tolist() for axis in axes] for axes in (*basis.axes, found.ratio.axes))
     rings, depths = fluence_edges(scene)
     leds, diodes = _led_kinds(found), _photodiode_kinds(scene)
     nodes_u, nodes_v = found.ambient_nodes
     return {
         "scene": json.loads(json.dumps(scene.model_dump(mode="json", exclude_none=True, exclude={"placement"}))),
-        "basis": {"across": basis.across, "fine": fine, "coarse": coarse},
+        "basis": {"across": basis.across, "fine": fine, "coarse": coarse, "ratio": ratio},
         "radial": {
             "logMm": found.radial.log_mm.tolist(),
             "logValue": found.radial.log_value.tolist(),
@@ -119,6 +120,7 @@ def _tables(found: Exploration) -> dict[str, Any]:
         "blocks": BLOCKS,
         "kernelError": KERNEL_ERROR,
         "kernelChangeError": KERNEL_CHANGE_ERROR,
+        "kernelResolutionError": KERNEL_RESOLUTION_ERROR,
         "fewRelative": FEW_PHOTONS**-0.5,
         "sameNm": SAME_NM,
         "restRange": [
@@ -157,7 +159,7 @@ def _rule(points: int) -> list[list[float]]:
 
 def _colour(one: Any) -> dict[str, Any]:
     # Half precision reaches from 6e-5 to 6e4.
-    scale = float(np.sqrt(np.mean(one.coefficients[:, 0] ** 2)))
+    scale = float(np.sqrt(np.mean(one.coefficients**2)))
     fluence = np.log(np.maximum(one.fluence, one.fluence[one.fluence > 0].min()))
     return {
         "nm": one.led.wavelength_nm,
@@ -165,7 +167,9 @@ def _colour(one: Any) -> dict[str, Any]:
         "scale": scale,
         "coefficients": _half(one.coefficients / scale),
         "direct": _half(one.direct / scale),
-        "blocks": _half(one.blocks.transpose(1, 0, 2) / scale),
+        "blocks": _half(one.blocks.T / scale),
+        "ratios": _half(one.ratios),
+        "ratioBlocks": _half(one.ratio_blocks.transpose(1, 0, 2)),
         "logFluence": _half(fluence),
     }
 

@@ -70,10 +70,12 @@ def reading(explored: Exploration, colour: int, die: Any, area: Any, state: list
         found.append((turned + one["at"], np.outer(weight, weight).ravel() / 4))
     (x, wx), (y, wy) = found
     pairs = np.repeat(x, len(y), 0), np.tile(y, (len(x), 1))
-    kernel = table.coefficients @ explored.polynomial.monomials(np.array([state]))[0]
     at, value = explored.basis.at(*pairs)
     weights = np.outer(wx, wy).ravel() * area["size"][0] * area["size"][1] * explored.radial(*pairs)
-    return float(weights @ (value * kernel[at]).sum(1))
+    at_rest = weights * (value * table.coefficients[at]).sum(1)
+    ratios = table.ratios @ explored.polynomial.monomials(np.array([state]))[0]
+    edge_mm = explored.scene.zone_edges_mm[0]
+    return float(at_rest @ (explored.ratio.matrix(*pairs, edge_mm) @ ratios))
 
 
 def test_readings_are_pythons_at_random_places_sizes_turns_and_states(shown: Any, explored: Exploration):
@@ -259,8 +261,6 @@ def test_what_cannot_be_built_is_said_and_not_saved(shown: Any):
 
 
 def test_where_hardly_any_photons_came_the_page_says_so(shown: Any):
-    shown.evaluate(
-        "colours[0].blocks = colours[0].blocks.map((x, i) => x * (Math.floor(i / 3) % tables.blocks ? 0 : 9))"
-    )
+    shown.evaluate("colours[0].blocks = colours[0].blocks.map((x, i) => x * (i % tables.blocks ? 0 : 9))")
     shown.evaluate("caches.clear(); draw()")
     assert "not enough photons here" in shown.inner_text("#readings").lower()

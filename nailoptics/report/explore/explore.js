@@ -21,6 +21,8 @@ const colours = tables.colours.map((colour) => ({
   coefficients: unpackHalf(colour.coefficients),
   direct: unpackHalf(colour.direct),
   blocks: unpackHalf(colour.blocks),
+  ratios: unpackHalf(colour.ratios),
+  ratioBlocks: unpackHalf(colour.ratioBlocks),
   fluence: unpackHalf(colour.logFluence),
 }));
 const basis = tables.basis;
@@ -28,6 +30,7 @@ const monomialCount = tables.polynomial.exponents.length;
 const blockCount = tables.blocks;
 const fineSize = basis.fine.reduce((n, axis) => n * axis.length, 1);
 const size = fineSize + basis.coarse.reduce((n, axis) => n * axis.length, 1);
+const ratioSize = basis.ratio.reduce((n, axis) => n * axis.length, 1);
 // Nodes and weights of Gauss quadrature on -1 to 1, by how many there are.
 const GAUSS = tables.gauss;
 
@@ -41,8 +44,12 @@ function lineNode(axis, x) {
   return [low, Math.min(1, Math.max(0, (x - axis[low]) / (axis[low + 1] - axis[low])))];
 }
 
-/** Add the product of the hats around a point of several coordinates to sums, the last counting fastest. */
-function addHats(axes, point, weight, sums, offset) {
+/**
+ * Add the products of the hats around a point of several coordinates to sums, the last counting fastest.
+ * Returns what a function with these values at the nodes adds up to.
+ */
+function addHats(axes, point, weight, sums, offset, values = null) {
+  let total = 0;
   const nodes = axes.map((axis, k) => lineNode(axis, point[k]));
   for (let corner = 0; corner < 1 << axes.length; corner++) {
     let index = 0, product = weight;
@@ -51,8 +58,11 @@ function addHats(axes, point, weight, sums, offset) {
       index = index * axes[k].length + nodes[k][0] + up;
       product *= up ? nodes[k][1] : 1 - nodes[k][1];
     }
-    if (product !== 0) sums[offset + index] += product;
+    if (product === 0) continue;
+    sums[offset + index] += product;
+    if (values) total += product * values[offset + index];
   }
+  return total;
 }
 
 /** g: how light falls with the distance between two places. [mm] */
@@ -81,24 +91,32 @@ function points(rectangle, spacingMm) {
  * of photons the reading and its change with the blood of either zone at rest. Parts of the LED's light.
  */
 function readPair(led, element, colour) {
-  const sums = new Float64Array(size), a = basis.across, b = 1 - a;
+  const sums = new Float64Array(size), ratioSums = new Float64Array(ratioSize), a = basis.across, b = 1 - a;
   const area = element.width * element.length, onLed = points(led, 0.25), onElement = points(element, 0.25);
   for (const x of onLed) {
     for (const y of onElement) {
-      const weight = x[2] * y[2] * area * radial(Math.hypot(x[0] - y[0], x[1] - y[1]));
-      addHats(basis.fine, [x[a], y[a], Math.abs(x[b] - y[b])], weight, sums, 0);
-      addHats(basis.coarse, [x[a], x[b], y[a], y[b]], weight, sums, fineSize);
+      const weight = x[2] * y[2] * area * colour.scale * radial(Math.hypot(x[0] - y[0], x[1] - y[1]));
+      const light = addHats(basis.fine, [x[a], y[a], Math.abs(x[b] - y[b])], weight, sums, 0, colour.coefficients)
+        + addHats(basis.coarse, [x[a], x[b], y[a], y[b]], weight, sums, fineSize, colour.coefficients);
+      const middle = [(x[0] + y[0]) / 2, (x[1] + y[1]) / 2 - tables.board.zoneEdgeMm];
+      addHats(basis.ratio, [Math.abs(x[0] - y[0]), Math.abs(x[1] - y[1]), middle[1], middle[0]], light, ratioSums, 0);
     }
   }
+  const light = new Float64Array(blockCount), ratio = new Float64Array(2 * blockCount);
   const coefficients = new Float64Array(monomialCount), blocks = new Float64Array(3 * blockCount);
-  let direct = 0;
+  let direct = 0, rest = 0;
   for (let k = 0; k < size; k++) {
     if (sums[k] === 0) continue;
-    const part = sums[k] * colour.scale;
-    for (let m = 0; m < monomialCount; m++) coefficients[m] += part * colour.coefficients[k * monomialCount + m];
-    for (let m = 0; m < 3 * blockCount; m++) blocks[m] += part * colour.blocks[k * 3 * blockCount + m];
-    direct += part * colour.direct[k];
+    for (let m = 0; m < blockCount; m++) light[m] += sums[k] * colour.blocks[k * blockCount + m];
+    direct += sums[k] * colour.direct[k];
+    rest += sums[k] * colour.coefficients[k];
   }
+  for (let k = 0; k < ratioSize; k++) {
+    if (ratioSums[k] === 0) continue;
+    for (let m = 0; m < monomialCount; m++) coefficients[m] += ratioSums[k] * colour.ratios[k * monomialCount + m];
+    for (let m = 0; m < 2 * blockCount; m++) ratio[m] += (ratioSums[k] / rest) * colour.ratioBlocks[k * 2 * blockCount + m];
+  }
+  for (let m = 0; m < blockCount; m++) blocks.set([light[m], light[m] * ratio[2 * m], light[m] * ratio[2 * m + 1]], 3 * m);
   return { coefficients, blocks, direct };
 }
 
@@ -241,8 +259,8 @@ function readRow(pair, known, led, number, element, layout, state, rest) {
   const counted = jackknife(without[0]), few = !(atRest > 0 && now > 0) || counted > tables.fewRelative;
   const moved = state.slice(0, 2).map((x, k) => x - rest[k]);
   const linear = without[1].map((_, k) => moved[0] * means[1] * without[1][k] + moved[1] * means[2] * without[2][k]);
-  const meanLinear = moved[0] * means[1] + moved[1] * means[2];
-  const changeRelative = meanLinear ? jackknife(linear) / Math.abs(meanLinear) : 0;
+  // What either zone's blood changes by itself, added up: both may cancel in a reading, their errors do not.
+  const gross = Math.abs(moved[0] * slope[0]) + Math.abs(moved[1] * slope[1]), changeCounted = jackknife(linear);
   const light = Math.max(now, 0), ambient = ambientCurrent(element, layout.ambient);
   const read = stage(diode, (light * gain) / tables.stage.feedbackOhm + ambient);
   const change = (now - atRest) * gain;
@@ -251,7 +269,7 @@ function readRow(pair, known, led, number, element, layout, state, rest) {
     fractionError: now * Math.hypot(counted, tables.kernelError),
     restError: atRest * Math.hypot(counted, tables.kernelError),
     voltsError: gain * now * Math.hypot(counted, tables.kernelError),
-    change, changeError: Math.abs(change) * Math.hypot(changeRelative, tables.kernelChangeError),
+    change, changeError: gain * Math.hypot(changeCounted, tables.kernelChangeError * gross), changeCounted, gross, slope,
     directShare: atRest > 0 ? Math.max(0, pair.direct / atRest) : 0,
     light: light * gain, zone: slope.map((x) => x * gain), without, pair,
   };
@@ -270,7 +288,7 @@ function resolve(rows, force, rest, ledCount) {
     const left = Array.from({ length: blockCount }, (_, k) => Math.log(forceResolution(told.map((row) => ({
       ...row, light: row.light * row.without[0][k], zone: row.zone.map((x, q) => x * row.without[q + 1][k]),
     })), point, ledCount)));
-    found[name] = { value, error: value * Math.hypot(jackknife(left), tables.kernelChangeError) };
+    found[name] = { value, error: value * Math.hypot(jackknife(left), tables.kernelResolutionError) };
   }
   return found;
 }

@@ -281,11 +281,17 @@ function drawPlots() {
   const { layout, result } = workbench, forces = tables.touch.forceN, row = result.rows[workbench.chosen.row];
   const style = getComputedStyle(document.documentElement), read = (name) => style.getPropertyValue(name).trim();
   if (row) {
-    const relative = row.changeError / Math.max(Math.abs(row.change), 1e-30);
-    const values = forces.map((force) => 1e3 * row.gain * (dot(monomials(stateAt(force, layout.rest, layout.so2)), row.pair.coefficients) - row.fractionRest));
-    const error = Number.isFinite(relative) && row.change ? relative : tables.kernelChangeError;
+    const rest = stateAt(0, layout.rest, layout.so2), counted = row.changeCounted / Math.max(row.gross, 1e-30);
+    const values = [], errors = [];
+    for (const force of forces) {
+      const state = stateAt(force, layout.rest, layout.so2);
+      values.push(1e3 * row.gain * (dot(monomials(state), row.pair.coefficients) - row.fractionRest));
+      // As many photons tell every force: their part of the error goes with what either zone changes.
+      const gross = [0, 1].reduce((sum, k) => sum + Math.abs((state[k] - rest[k]) * row.slope[k]), 0);
+      errors.push(2e3 * row.gain * gross * Math.hypot(counted, tables.kernelChangeError));
+    }
     $("change-title").textContent = `Change of ${layout.leds[row.led].name} on ${row.element.name}`;
-    setPlot("change-plot", [forces, values, values.map((x) => x - 2 * error * Math.abs(x)), values.map((x) => x + 2 * error * Math.abs(x))], [
+    setPlot("change-plot", [forces, values, values.map((x, k) => x - errors[k]), values.map((x, k) => x + errors[k])], [
       { label: "change", stroke: read("--chosen"), width: 2, hidden: true, points: { show: false } },
       { label: "low", stroke: "transparent", hidden: true, points: { show: false } }, { label: "high", stroke: "transparent", hidden: true, points: { show: false } },
     ], false, "Change [mV]", [{ series: [3, 2], fill: `${read("--chosen")}33` }]);
@@ -495,7 +501,7 @@ function drawFixed() {
     "Blood is that of a touch that is held; how fast it comes there is not modelled here, simulate tells.",
     tables.touch.hasBody ? "Force resolution goes through the body's noise of the scene, as place computes it, and beside it through that of the electronics alone." : "The scene has no body: force resolution is by the noise of the electronics alone.",
     `One sample's noise is that of stage and converter, ${quietest.toPrecision(2)} mV in the dark, and the shot noise of its light; light from outside adds its own.`,
-    `Readings are off by ${100 * tables.kernelError} % (rms), their changes and the force resolved by ${100 * tables.kernelChangeError} %, beyond their photons, by what lies between the table's nodes and the few percent that photodiodes swallow and a bare board sends back; that is in their errors.`,
+    `Beyond their photons, readings are off by ${100 * tables.kernelError} % (rms), changes by ${(100 * tables.kernelChangeError).toFixed(1)} % of what either zone's blood changes by itself, added up, and the force resolved by ${(100 * tables.kernelResolutionError).toFixed(1)} %: by what lies between the table's nodes and the few percent that photodiodes swallow and a bare board sends back. That is in their errors.`,
     "Parts that stand out of the board's underside are taken for flush with it. Light from outside is that of the scene's own photodiode and cover.",
   ];
   $("fixed").replaceChildren(...lines.map((text) => element("li", {}, text)));
