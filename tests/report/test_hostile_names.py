@@ -45,6 +45,7 @@ def test_a_drawing_and_its_caption_show_a_name_as_text(name):
 def test_tables_of_layouts_persons_and_readings_show_a_name_as_text(name):
     numbers = ["force_resolution_n", "force_resolution_n_stderr", "fixed_ratio_resolution_n", "shunted_fraction"]
     numbers += ["proximal_pressure_pa", "distal_pressure_pa", "condition_number", "least_snr", "adc_headroom"]
+    numbers += ["share_resolution", "share_resolution_stderr"]
     row = dict.fromkeys(numbers, 1.0) | {"layout": name, "rank": 1, "tied": False}
     # An underscore in a layout's name is a space on the page.
     assert_text_alone(place_page._table([row]), name.replace("_", " "))

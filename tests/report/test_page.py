@@ -17,7 +17,7 @@ VOID = {"meta", "br"}
 
 
 class Page(HTMLParser):
-    """Tables by class as rows of (text, values), all tags with their attributes, and whether tags nest."""
+    """Tables by the first class as rows of (text, values), all tags with their attributes, and whether tags nest."""
 
     def __init__(self, text):
         super().__init__()
@@ -32,7 +32,7 @@ class Page(HTMLParser):
         if tag not in VOID:
             self.open.append(tag)
         if tag == "table":
-            self.rows = self.tables[attrs["class"]] = []
+            self.rows = self.tables[attrs["class"].split()[0]] = []
         elif tag == "tr" and self.rows is not None:
             self.rows.append(([], []))
         elif tag == "data":

@@ -15,6 +15,9 @@ SCENE = (
     .replace("[[photodiodes]]", '[[leds]]\nname = "red"\npart = "led_660"\nposition_mm = [-3.0, 1.0]\n[[photodiodes]]')
     .replace("photodiodes = 4\n", '[[placement.candidates]]\nname = "mine"\npositions = "pos.csv"\n')
 )
+MORE_LEDS = "".join(
+    f'[[leds]]\nname = "more{v:.0f}"\npart = "led_660"\nposition_mm = [3.0, {v}]\n' for v in (-2.0, 0.0, 2.0)
+)
 POSITIONS = (
     "Ref,Val,Package,PosX,PosY,Rot,Side\nD1,red,,-3,0,0,top\nD2,led_800,,3,0,45,top\nPD1,,,0,2,0,top\nC1,,,0,0,0,top\n"
 )
@@ -56,8 +59,8 @@ def test_a_phantom_is_checked_without_a_finger():
         (POSITIONS.replace("PD1,,,0,2", "PD1,,,-3,0"), SCENE, r'candidates\[0\]: layout "mine".*photodiode "PD1"'),
         (
             POSITIONS,
-            SCENE.replace("search = false", "search = true"),
-            "placement.search places one LED, the scene has 2",
+            SCENE.replace("search = false", "search = true").replace("[[photodiodes]]", MORE_LEDS + "[[photodiodes]]"),
+            "placement.search places up to 4 LEDs, the scene has 5",
         ),
         (POSITIONS, SCENE.replace('part = "led_800"', 'part = "led_800"\nfwhm_nm = 300.0'), r"leds\[0\].fwhm_nm = 300"),
     ],

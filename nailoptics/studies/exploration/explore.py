@@ -11,7 +11,8 @@ Places of LEDs by reciprocity or a grid of traces: both are one here, as photons
 ways. A grid of LED places 1 mm apart, on the prototype's side of the wall some 60, each to 1 %, would take an hour at
 the 61 s that one takes; one trace from each photodiode the other way tells every place of the LED, but only for
 photodiodes that stay where they are. The kernel knows pairs of places on the prototype's board, 1.5 to 2.7 mm apart,
-to 2 to 5 % by its photons, and farther ones less well, after some three minutes of processor time for three wavelengths.
+to 2 to 5 % by its photons, and farther ones less well, after some three minutes of processor time for three
+wavelengths.
 
 What it holds fixed: the outline, the wall, the cover, epoxy and finger; that LEDs are Lambertian and faces flush with
 the board's underside. What it leaves out: that a photodiode swallows the few percent that the bare board would send
