@@ -295,22 +295,22 @@ def test_help_loads_nothing_slow():
     assert not set(run(code).split()) & SLOW
 
 
-def cost(command: list[str], attempts: int = 5) -> float:
-    """The least CPU time of a command, which is its time on the clock where nothing else has the machine. [s]"""
-    costs = []
+def costs(commands: list[list[str]], attempts: int = 5) -> list[float]:
+    """The least CPU time of each command, which take turns, as a machine may be slow for a while. [s]"""
+    found = []
     for _ in range(attempts):
-        before = os.times()
-        environment = os.environ | {"PYTHONPATH": str(PACKAGE.parent)}
-        subprocess.run([sys.executable, *command], env=environment, check=True, capture_output=True)
-        after = os.times()
-        costs.append(after.children_user - before.children_user + after.children_system - before.children_system)
-        if costs[-1] < 0.4:
-            break
-    return min(costs)
+        for command in commands:
+            before = os.times()
+            environment = os.environ | {"PYTHONPATH": str(PACKAGE.parent)}
+            subprocess.run([sys.executable, *command], env=environment, check=True, capture_output=True)
+            after = os.times()
+            found.append(after.children_user - before.children_user + after.children_system - before.children_system)
+    return [min(found[k :: len(commands)]) for k in range(len(commands))]
 
 
-@pytest.mark.parametrize(
-    "command", [["-c", "import nailoptics"], ["-m", "nailoptics", "--help"]], ids=["import", "help"]
-)
-def test_import_and_help_take_less_than_half_a_second(command):
-    assert cost(command) < 0.5
+def test_import_and_help_take_less_than_loading_what_every_study_needs():
+    """Expected: 0.04 and 0.6 of it; on a usual machine help takes less than half a second."""
+    package, usage, study = costs(
+        [["-c", "import nailoptics"], ["-m", "nailoptics", "--help"], ["-c", "import xarray"]]
+    )
+    assert package < 0.25 * study and usage < 0.9 * study
