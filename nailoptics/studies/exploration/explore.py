@@ -124,14 +124,7 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
             seed=options.seed,
             radial=first.radial if first else None,
         )
-        wanted = usual if number < own else usual // 2
-        each = min(sums.tracer.batch_photons, max(LEAST_BATCH, wanted // BLOCKS))
-        batches = max(BLOCKS, round(wanted / each))
-        for k in range(batches):
-            if k >= BLOCKS and report.is_late((number + 1) / len(sources)):
-                break
-            sums.trace(each)
-            report(f"{led.wavelength_nm:g} nm", (number + (k + 1) / batches) / len(sources))
+        _trace(sums, usual if number < own else usual // 2, led, report, number=number, count=len(sources))
         if first is None:
             first, projection = sums, PairProjection(basis, sums.known_radial)
         fluence = _fluence(base, led, seed=seed_of(options.seed, FLUENCE, number), backend=options.backend)
@@ -153,6 +146,17 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
         currents,
         attributes=attributes,
     )
+
+
+def _trace(sums: ColourSums, photons: int, led: Led, report: StageProgress, *, number: int, count: int) -> None:
+    """Add photons to the sums of one colour of several, by number, until its part of the time is over."""
+    each = min(sums.tracer.batch_photons, max(LEAST_BATCH, photons // BLOCKS))
+    batches = max(BLOCKS, round(photons / each))
+    for k in range(batches):
+        if k >= BLOCKS and report.is_late((number + 1) / count):
+            break
+        sums.trace(each)
+        report(f"{led.wavelength_nm:g} nm", (number + (k + 1) / batches) / count)
 
 
 def _check(scene: Scene) -> None:

@@ -1,9 +1,9 @@
 """The places of LEDs and photodiodes that together tell most, by exchange: of photodiodes for given LEDs, of LEDs for
 given photodiodes, in turns until nothing improves."""
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import combinations, islice, product
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -48,7 +48,6 @@ def exchange(
     starts : from so many first places, the best by themselves that lie apart, it begins anew; the best of all is taken.
     """
     barred = np.zeros(len(places), bool) if allowed is None else ~allowed
-
     stays = np.zeros((len(information), information.shape[-1])) + given
 
     def scores(total: np.ndarray, taken: list[int]) -> np.ndarray:
@@ -82,15 +81,19 @@ def exchange(
 
     if count == 0:
         return [], float(score(stays))
-    found, first = grown([]), [int(i) for i in np.argsort(scores(stays, []))]
-    tried: list[int] = []
-    while first and len(tried) + 1 < starts:
-        tried.append(first[0])
-        away = np.abs(places[first] - places[first[0]])
-        first = [i for i, far in zip(first, np.any(away >= spacing_mm, axis=1), strict=True) if far]
-        if count > 1 and not barred[tried[-1]]:
-            found = min(found, grown([tried[-1]]), key=lambda one: one[1])
+    found, ranked = grown([]), np.argsort(scores(stays, []))
+    for first in islice(_apart(ranked, places, spacing_mm), starts - 1 if count > 1 else 0):
+        if not barred[first]:
+            found = min(found, grown([first]), key=lambda one: one[1])
     return found
+
+
+def _apart(ranked: np.ndarray, places: np.ndarray, spacing_mm: tuple[float, float]) -> Iterator[int]:
+    """Numbers of places in their order, each of a place that lies apart from those before it."""
+    while ranked.size:
+        yield int(ranked[0])
+        away = np.abs(places[ranked] - places[ranked[0]])
+        ranked = ranked[np.any(away >= spacing_mm, axis=1)]
 
 
 @dataclass(frozen=True)

@@ -16,13 +16,8 @@ from nailoptics.studies.placement.photon_maps import FingerCondition
 from nailoptics.studies.placement.progress import StageProgress
 from nailoptics.tissue import BloodZones
 
-AT = fisher.OperatingPoint(
-    blood_fraction=np.array([0.03, 0.03]),
-    blood_per_pa=np.array([[1e-6, 0.0], [0.0, -1e-6]]),
-    force_n=0.5,
-    force_per_pa=np.full(2, 5e-5),
-    pressure_per_n=np.full(2, 1e4),
-)
+from .test_place import AT
+
 SECOND_LED = """
 [[leds]]
 name = "red"
