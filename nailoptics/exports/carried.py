@@ -62,6 +62,11 @@ def lost_everywhere(scene: Scene) -> list[Lost]:
         for led in scene.leds
         if led.pattern == "measured"
     ]
+    rows += [
+        Lost(f"angular response of photodiode {one.name}", "rows over the angle", "a flat face, which takes all alike")
+        for one in scene.photodiodes
+        if one.angular_response
+    ]
     edges = ", ".join(f"{edge:g}" for edge in scene.zone_edges_mm)
     smooth = f"{len(scene.zone_edges_mm) + 1} zones that pass into each other over {scene.zone_width_mm:g} mm"
     rows.append(Lost("zones of blood", f"{smooth} at {edges} mm", "blood at rest, alike in all zones"))

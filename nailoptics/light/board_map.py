@@ -13,6 +13,7 @@ from .. import tissue
 from ..errors import InputError
 from ..geometry import SPACING_MM, Face, underside
 from ..scene import Scene
+from ..scene.parts import check_flat
 from ..scene.rectangles import Rectangle
 from ..statistics import stderr_of_mean
 from ..variables import Variables, variable
@@ -89,6 +90,7 @@ class BoardTracer:
         """
         if scene.finger is None:
             raise InputError("a photon map needs a [finger] scene; a phantom has no board, give it apertures.")
+        check_flat(scene.photodiodes, "a photon map, which place, explore and light from outside are read from")
         self.backend = backends.choose_jit(backend, "a photon map")
         self.scene, self.spacing_mm, self.store, self.seed = scene, spacing_mm, store, seed
 

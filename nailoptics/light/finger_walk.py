@@ -13,6 +13,7 @@ from .. import geometry as finger_geometry
 from ..geometry import SPACING_MM, DistanceGrid, Face, Geometry
 from ..scene import Scene
 from . import optics
+from .acceptance import acceptance_of
 from .records import FINGER_BATCH_PHOTONS, Batch
 from .sampling import (
     ABSORBED,
@@ -85,7 +86,7 @@ class FingerTracer:
 
     def batch(self, led: int, *, photons: int, seed: int) -> Batch:
         """Trace some photons of one LED."""
-        splitting = Splitting(self.geometry, photons)
+        splitting = Splitting(self.geometry, photons, acceptance_of(self.scene.photodiodes))
         walked = self.walk(led, photons=photons, seed=seed, splitting=splitting)
         energy, absorbed = walked.energy(self.regions[led].absorbing, self.regions[led].swallows)
         photodiode, score = np.array(splitting.photodiode), np.array(splitting.score)
@@ -205,13 +206,13 @@ class FingerWalk:
             # Whoever left keeps the way in which it did.
             scatters = casts & ~hit & (photon.outcome == 0)
             photon.w = mi.Vector3f(dr.select(scatters, scattered, photon.w))
-            self.meet_interface(photon, hit, triangle, u, phi)
+            accepted = self.meet_interface(photon, hit, triangle, u, phi)
             absorbed = photon.tau > photon.absorption_optical_depth
             photon.outcome = dr.select(absorbed, mi.UInt32(ABSORBED), photon.outcome)
             # Copies that are still to come start with the weight that this one had there.
             roulette(photon, leg.scatterings + 1, dr.select(photon.copies_left > 0, 0, mi.Float(photon.copies)))
             if self.splitting is not None:
-                self.detect(photon, self.splitting)
+                self.detect(photon, self.splitting, accepted)
                 fork = self.split(photon, fork, self.splitting, active)
             if photon.outcome > 0:
                 self.ends.record(photon, *self.tallied(region))
@@ -287,12 +288,15 @@ class FingerWalk:
         return hit, found.prim_index
 
     @dr.syntax
-    def meet_interface(self, photon: FingerPhoton, hit: Any, triangle: Any, u: Any, phi: Any) -> None:
+    def meet_interface(self, photon: FingerPhoton, hit: Any, triangle: Any, u: Any, phi: Any) -> Any:
         """Reflect or refract photons at the interface that they hit, or end them in what is opaque.
 
         u, phi : Uniform numbers in 0-1 and 0-2 pi. [-, rad]
+
+        Returns: what a photodiode makes of light that comes so steeply, of what it makes of light from straight ahead.
         """
         regions, F = self.regions, mi.Float
+        accepted = F(1)
         if hit:
             normal, below, above = self.interfaces.sides(triangle)
             up = dr.dot(photon.w, normal) > 0
@@ -322,6 +326,9 @@ class FingerWalk:
             photon.outcome = dr.select(here == photon.region, photon.outcome, mi.UInt32(LOST))
             photon.p = mi.Point3f(off_surface(photon.p, dr.select(reflected, normal, -normal)))
             photon.region = dr.select(reflected, photon.region, there)
+            if self.splitting is not None and self.splitting.acceptance is not None:
+                accepted = self.splitting.acceptance.of(photon.outcome - DETECTED, cos_in, photon.outcome >= DETECTED)
+        return accepted
 
     def tallied(self, region: Any) -> tuple[Any, Any]:
         """Where the absorption of a region is tallied, and whether it is."""
@@ -329,10 +336,10 @@ class FingerWalk:
         return place, place < dr.width(self.regions.tally)
 
     @dr.syntax
-    def detect(self, photon: FingerPhoton, splitting: Splitting) -> None:
+    def detect(self, photon: FingerPhoton, splitting: Splitting, accepted: Any) -> None:
         """Score a photon that reached a photodiode; of its copies one is kept, as likely as it weighs."""
         if photon.outcome >= DETECTED:
-            weight = photon.weight * remaining(photon.tau)
+            weight = photon.weight * remaining(photon.tau) * accepted
             photon.score += weight
             if photon.rng.next_float32() * photon.score < weight:
                 dr.scatter(splitting.photodiode, photon.outcome - DETECTED, photon.index)

@@ -74,6 +74,8 @@ class PhotodiodePart(Table):
     """Electrons per photon that arrives."""
     responsivity: tuple[tuple[Positive, NonNegative], ...] | None = None
     """Rows [wavelength_nm, A/W], in place of one quantum efficiency; linear between them, nothing beyond."""
+    angular_response: tuple[tuple[Annotated[float, Field(ge=0, le=90)], NonNegative], ...] | None = None
+    """Rows [angle_deg, relative], of a beam of one irradiance across itself; follows the cosine if not given."""
     dark_current_na: NonNegative
     """Dark current of one element. [nA]"""
     dark_current_doubling_k: Positive | None = None
@@ -86,8 +88,9 @@ class PhotodiodePart(Table):
     """How far the sensitive face stands out of the board's underside. [um]"""
 
     @model_validator(mode="after")
-    def _responsivity_rises(self) -> Self:
+    def _rows_are_physical(self) -> Self:
         check_responsivity(self.responsivity)
+        check_angular_response(self.angular_response)
         return self
 
     def scene_fields(self) -> dict[str, Any]:
@@ -109,6 +112,17 @@ def check_responsivity(rows: tuple[tuple[float, float], ...] | None) -> None:
                 f"responsivity = {value:g} A/W at {nm:g} nm is more than one electron per photon, "
                 f"{nm / PHOTON_NM_PER_V:.3g} A/W; correct it"
             )
+
+
+def check_angular_response(rows: tuple[tuple[float, float], ...] | None) -> None:
+    """Raise ValueError unless rows [angle_deg, relative] begin with [0, 1], rise in angle, and end with 0 at 90."""
+    if rows is None:
+        return
+    angles = [angle for angle, _ in rows]
+    if len(rows) < 2 or rows[0] != (0, 1) or any(b <= a for a, b in zip(angles, angles[1:], strict=False)):
+        raise ValueError("angular_response needs two rows [angle_deg, relative] or more, from [0, 1] on, angles rising")
+    if rows[-1][0] == 90 and rows[-1][1] > 0:
+        raise ValueError(f"angular_response = {rows[-1][1]:g} at 90 degrees, where no light meets the face; give 0")
 
 
 class ModuleLed(LedPart):

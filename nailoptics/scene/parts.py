@@ -1,12 +1,13 @@
 """What lies on the nail: the LEDs, the photodiodes, and the board that carries them."""
 
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, model_validator
 
 from ..errors import InputError
 from .base import MOST_PHOTODIODES, Fraction, Name, NonNegative, Point, Positive, Size, Table
-from .catalogue import LedPart, ModulePart, PhotodiodePart, check_responsivity, load_part
+from .catalogue import LedPart, ModulePart, PhotodiodePart, check_angular_response, check_responsivity, load_part
 
 Wavelength = Annotated[float, Field(ge=200, le=3000)]
 Rotation = Annotated[float, Field(ge=-360, le=360)]
@@ -125,6 +126,8 @@ class Photodiode(Table):
     """Electrons per photon that arrives."""
     responsivity: tuple[tuple[Positive, NonNegative], ...] | None = None
     """Rows [wavelength_nm, A/W], in place of one quantum efficiency; linear between them, nothing beyond."""
+    angular_response: tuple[tuple[Annotated[float, Field(ge=0, le=90)], NonNegative], ...] | None = None
+    """Rows [angle_deg, relative], of a beam of one irradiance across itself; follows the cosine if not given."""
     dark_current_na: NonNegative = 0.1
     """Dark current of one element. [nA]"""
     dark_current_doubling_k: Positive | None = None
@@ -154,6 +157,9 @@ class Photodiode(Table):
     @model_validator(mode="after")
     def _wiring_exists(self) -> Self:
         check_responsivity(self.responsivity)
+        check_angular_response(self.angular_response)
+        if self.aperture and self.angular_response:
+            raise ValueError("an aperture counts light at every angle; leave angular_response out")
         if self.wired == ():
             raise ValueError("wired is empty; name the elements that are read, or leave it out to read all")
         for index in self.wired or ():
@@ -164,6 +170,16 @@ class Photodiode(Table):
         if self.elements > 1 and self.pitch_mm is not None and self.pitch_mm < self.size_mm[1]:
             raise ValueError(f"pitch_mm = {self.pitch_mm} is less than the element's size along v, {self.size_mm[1]}")
         return self
+
+
+def check_flat(photodiodes: Iterable[Photodiode], what: str) -> None:
+    """Raise InputError for a photodiode with an angular response, where light of all angles is counted alike."""
+    for one in photodiodes:
+        if one.angular_response is not None:
+            raise InputError(
+                f'photodiode "{one.name}": angular_response is not known to {what}; leave it out, or read the scene by '
+                "trace or simulate on a backend that compiles kernels."
+            )
 
 
 class Board(Table):

@@ -1,5 +1,6 @@
 """Parts by name: shipped ones cited, the user's own first, and every rule that they break told in one line."""
 
+import numpy as np
 import pytest
 
 from nailoptics import scene
@@ -107,7 +108,8 @@ def test_real_parts_have_what_their_data_sheets_say():
     # 34 uA on 4.84 mm2, and nothing of red light through its filter.
     assert 48.4 * photodiode_responsivity_a_per_w(bp104, 950.0) == pytest.approx(34, rel=0.01)
     assert photodiode_responsivity_a_per_w(bp104, [660.0, 865.0, 1200.0]).tolist() == pytest.approx([0, 0.385, 0])
-    assert bpw34.dark_current_a(298.15) == 2e-9 and bpw34.dark_current_a(318.15) == pytest.approx(8e-9)
+    # Its Fig. 1 has 40 nA at 60 degrees.
+    assert bpw34.dark_current_a(298.15) == 2e-9 and bpw34.dark_current_a(333.15) == pytest.approx(40e-9, rel=0.05)
     assert scene.Photodiode(name="a", position_mm=(0.0, 0.0)).dark_current_a(400.0) == pytest.approx(1e-10)
 
 
@@ -118,6 +120,27 @@ def test_a_module_is_a_package_of_leds_and_photodiodes():
         abs(one.position_mm[0]) < 1.65 and abs(one.position_mm[1]) < 2.8 for one in (*module.leds, *module.photodiodes)
     )
     assert module.leds[0].scene_fields()["wavelength_nm"] == 660
+    # The maker's table: quantum efficiency above 30 % from 640 to 980 nm.
+    diode = scene.Photodiode.model_validate(module.photodiodes[0].scene_fields() | {"name": "a", "position_mm": (0, 0)})
+    efficiency = photodiode_responsivity_a_per_w(diode, [640.0, 980.0]) * 1239.84 / [640.0, 980.0]
+    assert np.all(efficiency > 0.3) and efficiency[1] == pytest.approx(0.31, abs=0.015)
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ("[[0.0, 1.0]]", "two rows"),
+        ("[[0.0, 0.9], [60.0, 0.5]]", r"from \[0, 1\] on"),
+        ("[[0.0, 1.0], [60.0, 0.5], [50.0, 0.2]]", "angles rising"),
+        ("[[0.0, 1.0], [90.0, 0.1]]", "0.1 at 90 degrees"),
+        ("[[0.0, 1.0], [91.0, 0.0]]", "less than or equal to 90"),
+    ],
+)
+def test_an_impossible_angular_response_is_refused(tmp_path, rows, words):
+    text = f'kind = "photodiode"\nelement_size_mm = [1.0, 1.0]\ndark_current_na = 1\nangular_response = {rows}\n'
+    (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises(InputError, match=words):
+        load_part("mine", tmp_path)
 
 
 @pytest.mark.parametrize(

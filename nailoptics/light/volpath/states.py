@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ...geometry import Geometry
 from ...options import TraceOptions
 from ...scene import Scene
+from ...scene.parts import check_flat
 from ...statistics import seed_of
 from ..backend import choose
 from ..optics import Media
@@ -71,9 +72,10 @@ def finger_states(
 
     options : with a relative error, which every reading must reach; no new batch begins after max_seconds.
 
-    Raises: InputError for an LED with a measured pattern.
+    Raises: InputError for an LED with a measured pattern, or a photodiode with an angular response.
     """
     check_pattern(scene.leds[led])
+    check_flat(scene.photodiodes, "volpath")
     backend = choose(options.backend, volpath=True)
     tracer = partial(FingerPaths, geometry, media, led=led, backend=backend)
     batches = _Batches(tracer, bed, geometry, led, options, progress)

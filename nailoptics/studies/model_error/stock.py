@@ -15,6 +15,7 @@ from ...light.volpath.led_readings import bed_absorption
 from ...light.volpath.mitsuba_scene import check_pattern
 from ...options import BackendName
 from ...scene import Scene
+from ...scene.parts import check_flat
 from ...statistics import seed_of
 
 # Photodiodes that share a pass, told apart by its colours.
@@ -41,7 +42,7 @@ class StockPass:
     ) -> "StockPass":
         """Trace for about so many seconds; check is called before every part, to raise where there is no time for it.
 
-        Raises: InputError for an LED with a measured pattern.
+        Raises: InputError for an LED with a measured pattern, or a photodiode with an angular response.
         """
         begin, warm = time.process_time(), 0.0
         chosen, finger = backends.choose(backend, volpath=True), geometry.build(scene)
@@ -51,6 +52,7 @@ class StockPass:
         found = np.zeros((2, len(scene.leds), count))
         for led, source in enumerate(scene.leds):
             check_pattern(source)
+            check_flat(scene.photodiodes, "volpath")
             media = optics.finger_media(scene, finger.regions, source.wavelength_nm)
             bed = bed_absorption(scene, finger, rest, led)
             for number, group in enumerate(groups):
