@@ -15,12 +15,12 @@ def light_scene(scene: Scene) -> Scene:
     """
     blood = type(scene.blood)(zone_edges_mm=scene.zone_edges_mm, zone_width_mm=scene.zone_width_mm)
     leds = tuple(
-        led.model_copy(update={"name": f"led{i}", "part": None, "flux_mw": 1.0, "fwhm_nm": 0.0})
+        led.model_copy(update={"name": f"led{i}", "reference": None, "part": None, "flux_mw": 1.0, "fwhm_nm": 0.0})
         for i, led in enumerate(scene.leds)
     )
     photodiodes = tuple(
         p.model_copy(
-            update={"name": f"photodiode{i}", "part": None}
+            update={"name": f"photodiode{i}", "reference": None, "part": None}
             | {name: type(p).model_fields[name].default for name in ELECTRICAL}
         )
         for i, p in enumerate(scene.photodiodes)

@@ -28,7 +28,7 @@ from ..studies.exploration.explore import (
 from .html import document, escaped, section
 
 # What of a part is its place in a layout, and not the part.
-PLACED = {"name", "position_mm", "rotation_deg", "wired"}
+PLACED = {"name", "reference", "position_mm", "rotation_deg", "wired"}
 # Rules of Gauss quadrature up to so many points.
 MOST_POINTS = 6
 # The smallest current at which the slope of the noise's variance is taken. [A]
@@ -271,7 +271,7 @@ def _layout(scene: Scene, diodes: list[Photodiode], leds: list[dict[str, Any]]) 
 
     def placed(part: Led | Photodiode) -> dict[str, Any]:
         u, v = part.position_mm
-        return {"name": part.name, "u": u + du, "v": v + dv, "turn": part.rotation_deg}
+        return {"name": part.name, "u": u + du, "v": v + dv, "turn": part.rotation_deg, "reference": part.reference}
 
     dumps = [one.model_dump_json(exclude=PLACED) for one in diodes]
     fields = [kind["fields"] for kind in leds]

@@ -180,24 +180,27 @@ def _tables(
     own = {name: value for name, value in use.items() if name not in (*KINDS, *NOT_IN_SCENE)}
     offset, more_deg = tuple(use.get("offset_mm", (0.0, 0.0))), float(use.get("rotation_deg", 0.0))
 
-    def table(name: str, at: Point, fields: dict[str, Any]) -> dict[str, Any]:
+    def table(name: str, ref: str, at: Point, fields: dict[str, Any]) -> dict[str, Any]:
         # A footprint on the bottom is that of the library turned over around its x axis.
         x, y = turned((at[0], -at[1] if part.side == "bottom" else at[1]), part.rotation_deg)
         place = view.place((part.position_mm[0] + x, part.position_mm[1] + y))
         angle = view.angle(part.rotation_deg + more_deg)
-        return {"name": name, "position_mm": place, "rotation_deg": angle} | fields
+        return {"name": name, "reference": ref, "position_mm": place, "rotation_deg": angle} | fields
 
     if kind == "module":
         module = load_part(str(use[kind]), beside=folder, expect=ModulePart)
         assert isinstance(module, ModulePart)
         both = [("led", one) for one in module.leds] + [("photodiode", one) for one in module.photodiodes]
         name = str(own.get("name", part.ref))
-        return [(k, table(f"{name}.{one.name}", one.position_mm, one.scene_fields())) for k, one in both]
+        return [
+            (k, table(f"{name}.{one.name}", f"{part.ref}.{one.name}", one.position_mm, one.scene_fields()))
+            for k, one in both
+        ]
     if isinstance(use[kind], str):
         own["part"] = use[kind]
     elif use[kind] is not True:
         raise ValueError(f"parts.{part.ref}.{kind} must be the name of a part, or true for one without")
-    return [(kind, table(str(own.pop("name", part.ref)), offset, own))]
+    return [(kind, table(str(own.pop("name", part.ref)), part.ref, offset, own))]
 
 
 def proposal(found: Sequence[PlacedPart]) -> str:

@@ -54,6 +54,8 @@ class Led(Table):
 
     name: Name
     """Name of the LED, unique in the scene."""
+    reference: str | None = None
+    """What the board's file calls it, and a written board will; filled from kicad or positions."""
     part: str | None = None
     """A part from assets/parts or beside the scene; fills the fields that are not given."""
     wavelength_nm: Wavelength
@@ -102,6 +104,8 @@ class Photodiode(Table):
 
     name: Name
     """Name, unique in the scene; the elements of an array are called name.0, name.1 and so on."""
+    reference: str | None = None
+    """What the board's file calls it, and a written board will; filled from kicad or positions."""
     part: str | None = None
     """A photodiode from assets/parts or beside the scene; fills the fields that are not given."""
     array: str | None = None

@@ -24,7 +24,13 @@ def explored(request: pytest.FixtureRequest) -> Exploration:
     """With a wall, without a body; and with a body, whose board has no wall here."""
     scene = load_scene(data_dir("scenes") / f"{request.param}.toml")
     if request.param == "placement":
-        scene = scene.model_copy(update={"board": scene.board.model_copy(update={"barrier": False})})
+        # As from a board's file, with its references.
+        parts = {
+            kind: tuple(p.model_copy(update={"reference": f"{ref}{i}"}) for i, p in enumerate(getattr(scene, kind), 7))
+            for kind, ref in (("leds", "D"), ("photodiodes", "U"))
+        }
+        board = scene.board.model_copy(update={"barrier": False})
+        scene = scene.model_copy(update={"board": board} | parts)
     return made_exploration(scene)
 
 
@@ -201,6 +207,7 @@ def test_a_dragged_led_and_a_typed_force_come_back_as_a_scene_and_as_positions(
     assert scene.touch.force_n == 0.5
     positions = read_positions(saved(shown, "#save-positions", tmp_path))
     expected = kicad_parts(scene)
+    assert expected[0].ref == (explored.scene.leds[0].reference or "D1")
     assert [part.ref for part in positions] == [part.ref for part in expected]
     assert np.array([p.position_mm for p in positions]) == pytest.approx(
         np.array([p.position_mm for p in expected]), abs=1e-5

@@ -3,8 +3,12 @@
 import pytest
 
 from nailoptics.errors import InputError
+from nailoptics.light.identity import light_digest
 from nailoptics.scene import digest, load_scene, parse_scene, to_toml
-from nailoptics.studies.placement import boards
+from nailoptics.scene.kicad import read_board, write_board
+from nailoptics.scene.outlines import Outline
+from nailoptics.scene.rectangles import Rectangle
+from nailoptics.studies.placement import boards, result
 from nailoptics.studies.placement.sites import Sites
 
 BOARD = """(kicad_pcb (version 20171130)
@@ -155,3 +159,23 @@ def test_a_search_keeps_to_the_boards_own_outline_and_off_its_holes(tmp_path):
     free = Sites(base, rules).photodiode_places([], boards.bare(base).layout.leds).centers_mm
     near = free[(abs(free[:, 0] - 3.0) < 0.5 + 0.5 + 0.3 - 1e-6) & (abs(free[:, 1] - 0.25) < 0.75 + 0.25 + 0.3 - 1e-6)]
     assert len(free) > 100 and len(near) == 0 and free[:, 0].max() == pytest.approx(4.5 - 0.3 - 0.5, abs=0.25)
+
+
+def test_a_written_board_bears_the_files_references_whatever_the_scene_calls_its_parts(tmp_path):
+    path = write(tmp_path)
+    path.write_text(
+        path.read_text()
+        .replace('"led_660"', '"led_660", name = "red"')
+        .replace("elements = 1", 'name = "left", elements = 1')
+    )
+    scene = load_scene(path)
+    assert [(p.ref, p.value) for p in result.kicad_parts(scene)] == [("D1", "led_660"), ("PD1", "left")]
+    base, found = boards.base_board(scene), [Rectangle("", u - 0.25, u + 0.25, 1.0, 2.0) for u in (0.0, 1.0, 2.0)]
+    best = boards.searched(base, boards.rules(scene), [(-2.0, 1.0)], found, side=None, name="search")
+    # The file's one photodiode, at u = 1 mm, goes to the nearest place; names and references of the others are new.
+    assert [(one.name, one.reference) for one in best.photodiodes] == [("PD2", None), ("left", "PD1"), ("PD3", None)]
+    parts = result.kicad_parts(best)
+    sizes = [*(led.size_mm for led in best.leds), *(one.size_mm for one in best.photodiodes)]
+    write_board(tmp_path / "best.kicad_pcb", parts, sizes, Outline(((-4, -5), (4, -5), (4, 4), (-4, 4)), ()))
+    assert [one.ref for one in read_board(tmp_path / "best.kicad_pcb").footprints] == ["D1", "PD2", "PD1", "PD3"]
+    assert light_digest(best) == light_digest(parse_scene(to_toml(best).replace('reference = "D1"\n', "")))

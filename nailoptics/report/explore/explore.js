@@ -366,17 +366,17 @@ function logFluence(colour, radius, depth) {
 
 /** A layout as plain data, short enough for a link. */
 function packed(layout) {
-  const short = (x) => Math.round(x * 1e4) / 1e4;
-  return [1, layout.leds.map((p) => [p.name, p.kind, short(p.u), short(p.v), short(p.turn)]),
-    layout.photodiodes.map((p) => [p.name, p.kind, short(p.u), short(p.v), short(p.turn), p.width, p.length, p.elements, p.pitch, p.wired]),
+  const short = (x) => Math.round(x * 1e4) / 1e4, own = (p) => (p.reference ? [p.reference] : []);
+  return [1, layout.leds.map((p) => [p.name, p.kind, short(p.u), short(p.v), short(p.turn), ...own(p)]),
+    layout.photodiodes.map((p) => [p.name, p.kind, short(p.u), short(p.v), short(p.turn), p.width, p.length, p.elements, p.pitch, p.wired, ...own(p)]),
     layout.force, layout.rest, layout.so2, layout.ambient];
 }
 
 function unpacked([, leds, photodiodes, force, rest, so2, ambient]) {
   return {
-    leds: leds.map(([name, kind, u, v, turn]) => ({ name, kind, u, v, turn })),
-    photodiodes: photodiodes.map(([name, kind, u, v, turn, width, length, elements, pitch, wired]) =>
-      ({ name, kind, u, v, turn, width, length, elements, pitch, wired })),
+    leds: leds.map(([name, kind, u, v, turn, reference = null]) => ({ name, kind, u, v, turn, reference })),
+    photodiodes: photodiodes.map(([name, kind, u, v, turn, width, length, elements, pitch, wired, reference = null]) =>
+      ({ name, kind, u, v, turn, width, length, elements, pitch, wired, reference })),
     force, rest, so2, ambient,
   };
 }
@@ -394,11 +394,12 @@ function fromLink(text) {
 function toScene(layout) {
   const scene = structuredClone(tables.scene), [cu, cv] = tables.board.center, round = (x) => Math.round(x * 1e6) / 1e6;
   scene.leds = layout.leds.map((led) => ({
-    ...structuredClone(tables.ledKinds[led.kind].fields), name: led.name,
+    ...structuredClone(tables.ledKinds[led.kind].fields), name: led.name, ...(led.reference && { reference: led.reference }),
     position_mm: [round(led.u - cu), round(led.v - cv)], rotation_deg: led.turn,
   }));
   scene.photodiodes = layout.photodiodes.map((pd) => {
     const fields = { ...structuredClone(tables.photodiodeKinds[pd.kind].fields), name: pd.name, elements: pd.elements };
+    if (pd.reference) fields.reference = pd.reference;
     fields.position_mm = [round(pd.u - cu), round(pd.v - cv)];
     fields.size_mm = [pd.width, pd.length];
     fields.rotation_deg = pd.turn;
@@ -434,13 +435,13 @@ function fromScene(scene, before) {
     let kind = tables.ledKinds.findIndex((one) => one.fields.part && one.fields.part === led.part && led.wavelength_nm === undefined);
     if (kind < 0) kind = tables.ledKinds.findIndex((one) => Math.abs(one.fields.wavelength_nm - led.wavelength_nm) < tables.sameNm);
     if (kind < 0) throw new Error(`LED ${led.name}: ${led.wavelength_nm || led.part} is no wavelength of this page; make a page of that scene.`);
-    return { name: led.name, kind, ...place(led) };
+    return { name: led.name, reference: led.reference || null, kind, ...place(led) };
   });
   const photodiodes = (scene.photodiodes || []).map((pd) => {
     const part = pd.part || pd.array, kind = Math.max(0, tables.photodiodeKinds.findIndex((one) => one.fields.part && one.fields.part === part));
     const usual = tables.photodiodeKinds[kind].fields, [width, length] = pd.size_mm || usual.size_mm;
     return {
-      name: pd.name || part, kind, ...place(pd), width, length, elements: pd.elements || (part ? usual.elements : 1),
+      name: pd.name || part, reference: pd.reference || null, kind, ...place(pd), width, length, elements: pd.elements || (part ? usual.elements : 1),
       pitch: pd.pitch_mm || (part ? usual.pitch_mm : null) || null, wired: pd.wired || null,
     };
   });
@@ -449,11 +450,11 @@ function fromScene(scene, before) {
   return { ...before, leds, photodiodes, rest: blood.rest_blood_fraction ?? before.rest, so2: blood.so2 ?? before.so2, force: touch.force_n ?? before.force };
 }
 
-/** The layout as a position file in KiCad's form, all on the bottom, which faces the nail. */
+/** The layout as a position file in KiCad's form, all on the bottom, which faces the nail; with a file's references. */
 function toPositions(layout) {
   const lines = ["Ref,Val,Package,PosX,PosY,Rot,Side"], number = (x) => (x + 0).toFixed(6), turn = (deg) => ((deg % 360) + 360) % 360;
-  layout.leds.forEach((led, i) => lines.push(`"D${i + 1}","${led.name}","LED_die",${number(led.u)},${number(led.v)},${number(turn(led.turn))},bottom`));
+  layout.leds.forEach((led, i) => lines.push(`"${led.reference || `D${i + 1}`}","${led.name}","LED_die",${number(led.u)},${number(led.v)},${number(turn(led.turn))},bottom`));
   layout.photodiodes.flatMap((pd) => elementsOf(pd)).forEach((element, i) => lines.push(
-    `"PD${i + 1}","${element.name}","PD_${element.width}x${element.length}mm",${number(element.u)},${number(element.v)},${number(turn(element.of.turn))},bottom`));
+    `"${element.of.reference ? element.of.reference + element.name.slice(element.of.name.length) : `PD${i + 1}`}","${element.name}","PD_${element.width}x${element.length}mm",${number(element.u)},${number(element.v)},${number(turn(element.of.turn))},bottom`));
   return lines.join("\n") + "\n";
 }

@@ -1,9 +1,12 @@
 """Layouts as scenes: boards with an explicit outline and wall, with photodiodes or bare, on every finger."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count
 from typing import Any, TypeVar
+
+import numpy as np
 
 from ...errors import InputError
 from ...scene import Board, Candidate, Finger, FingerCase, Led, Photodiode, Placement, Scene
@@ -23,7 +26,7 @@ NAIL_MARGIN_MM = 0.1
 SPECK_MM = 0.05
 FAR_SIDE = {"left": (1, 0), "right": (-1, 0), "below": (0, 1), "above": (0, -1)}
 # One die in place of an array.
-SINGLE = {"part": None, "wired": None, "elements": 1, "pitch_mm": None}
+SINGLE = {"reference": None, "part": None, "wired": None, "elements": 1, "pitch_mm": None}
 
 
 @dataclass(frozen=True)
@@ -131,7 +134,8 @@ def candidate_scene(base: Scene, one: Candidate) -> Scene:
             name=one.name,
             leds_deg=[leds_deg[i] for i in order] if leds_deg else (),
             photodiodes_deg=photodiodes_deg,
-            photodiode_names=one.photodiode_refs,
+            led_refs=[one.led_refs[i][0] for i in order] if one.led_refs else (),
+            photodiode_refs=one.photodiode_refs,
         )
     by_name = {led.name: led for led in one.leds}
     if set(by_name) != set(wanted):
@@ -178,12 +182,14 @@ def with_parts(
     name: str,
     leds_deg: Sequence[float] = (),
     photodiodes_deg: Sequence[float] = (),
-    photodiode_names: Sequence[str] = (),
+    led_refs: Sequence[str] = (),
+    photodiode_refs: Sequence[str] = (),
 ) -> Scene:
     """The board with its LEDs and photodiodes at places on the nail; photodiodes are all like the scene's first.
 
     leds_deg, photodiodes_deg : how far each of them is turned from how the scene's lies; not at all if not given. [deg]
-    photodiode_names : PD1, PD2 and so on if not given.
+    led_refs, photodiode_refs : references of a file, where they are known; the photodiodes are named so, else PD1 and
+        so on.
 
     Raises: InputError where the layout is impossible.
     """
@@ -199,9 +205,11 @@ def with_parts(
         return tuple(out)
 
     single = base.photodiodes[0].model_copy(update=SINGLE)
-    names = photodiode_names or [f"PD{i + 1}" for i in range(len(photodiodes_mm))]
-    named = [single.model_copy(update={"name": one}) for one in names]
-    leds, photodiodes = placed(base.leds, leds_mm, leds_deg), placed(named, photodiodes_mm, photodiodes_deg)
+    names = photodiode_refs or [f"PD{i + 1}" for i in range(len(photodiodes_mm))]
+    named = [single.model_copy(update={"name": one, "reference": one if photodiode_refs else None}) for one in names]
+    refs: Sequence[str | None] = led_refs or [led.reference for led in base.leds]
+    lit = [led.model_copy(update={"reference": ref}) for led, ref in zip(base.leds, refs, strict=True)]
+    leds, photodiodes = placed(lit, leds_mm, leds_deg), placed(named, photodiodes_mm, photodiodes_deg)
     scene = base.model_copy(update={"leds": leds, "photodiodes": photodiodes})
     check(scene, name)
     return scene
@@ -284,15 +292,35 @@ def searched(
             if wired:
                 kept.append(one.model_copy(update={"wired": wired if len(wired) < one.elements else None}))
     else:
-        like, taken = straightened(base.photodiodes[0]).model_copy(update=SINGLE), {one.name for one in kept}
-        names = (name for name in (f"PD{i}" for i in count(1)) if name not in taken)
-        for area in sorted(photodiodes, key=lambda area: area.center_mm[::-1]):
+        like = straightened(base.photodiodes[0]).model_copy(update=SINGLE)
+        areas = sorted(photodiodes, key=lambda area: area.center_mm[::-1])
+        for area, (name, ref) in zip(areas, _named(base, placement, areas), strict=True):
             place = (area.center_mm[0] - du, area.center_mm[1] - dv)
-            kept.append(like.model_copy(update={"name": next(names), "position_mm": place}))
+            kept.append(like.model_copy(update={"name": name, "reference": ref, "position_mm": place}))
     board = base.board.model_copy(update={"barrier_side": side})
     scene = base.model_copy(update={"leds": leds, "photodiodes": tuple(kept), "board": board})
     check(scene, name)
     return scene
+
+
+def _named(base: Scene, placement: Placement, areas: Sequence[Rectangle]) -> list[tuple[str, str | None]]:
+    """Names and references of new photodiodes: each is the nearest of a board's file that is like them, else new."""
+    from scipy.optimize import linear_sum_assignment
+
+    loose, like, (du, dv) = loose_photodiodes(base, placement), base.photodiodes[0], base.board.center_mm
+    same = (1, like.part, like.size_mm)
+    alike = [one for one in loose if one.reference and (one.elements, one.part, one.size_mm) == same]
+    kept = [one for one in base.photodiodes if one not in loose]
+    taken = {word for one in (*kept, *alike) for word in (one.name, one.reference)}
+    apart = np.array(
+        [[math.dist(area.center_mm, np.add(one.position_mm, (du, dv))) for one in alike] for area in areas]
+    )
+    nearest = dict(zip(*linear_sum_assignment(apart.reshape(len(areas), len(alike))), strict=True))
+    new = (name for name in (f"PD{i}" for i in count(1)) if name not in taken)
+    return [
+        (alike[nearest[i]].name, alike[nearest[i]].reference) if i in nearest else (next(new), None)
+        for i in range(len(areas))
+    ]
 
 
 def check(scene: Scene, name: str) -> None:

@@ -280,13 +280,17 @@ def kicad_parts(scene: Scene) -> list[PlacedPart]:
     References are those of the file that the parts came from; else D1, PD1 and so on, with the part's name as value.
     """
     layout, parts = scene.layout, []
-    known = scene.board.unmapped is not None
+    known = any(led.reference for led in scene.leds) or any(one.reference for one in scene.photodiodes)
     for i, (led, area) in enumerate(zip(scene.leds, layout.leds, strict=True), start=1):
-        ref, value = (led.name, led.part or led.name) if known else (f"D{i}", led.name)
+        ref = led.reference or (led.name if known else f"D{i}")
+        value = led.part if led.part and led.reference else led.name
         parts.append(PlacedPart(ref, value, "LED_die", area.center_mm, led.rotation_deg % 360, "bottom"))
     for i, element in enumerate(layout.photodiodes, start=1):
-        (width, length), turn = element.photodiode.size_mm, element.photodiode.rotation_deg % 360
-        ref = element.name if known else f"PD{i}"
+        one = element.photodiode
+        (width, length), turn = one.size_mm, one.rotation_deg % 360
+        # An array is one part of the file; each of its elements is written by itself.
+        own = one.reference and one.reference + element.name.removeprefix(one.name)
+        ref = own or (element.name if known else f"PD{i}")
         package = f"PD_{width:g}x{length:g}mm"
         parts.append(PlacedPart(ref, element.name, package, element.area.center_mm, turn, "bottom"))
     return parts
