@@ -214,6 +214,29 @@ def test_a_dragged_led_and_a_typed_force_come_back_as_a_scene_and_as_positions(
     )
 
 
+def test_a_finger_drags_a_part_and_does_not_scroll_the_page(browser: Any, file: Path, explored: Exploration):
+    context = browser.new_context(viewport={"width": 390, "height": 700}, has_touch=True, is_mobile=True)
+    view = context.new_page()
+    view.goto(file.as_uri())
+    assert view.evaluate("document.documentElement.scrollWidth") == 390, "nothing is wider than a telephone"
+    die = view.locator(f'#board .part[data-name="{explored.scene.leds[0].name}"] .die').first
+    die.scroll_into_view_if_needed()
+    box, touch = die.bounding_box(), context.new_cdp_session(view)
+    start = view.evaluate("[workbench.layout.leds[0].v, scrollY]")
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    touch.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
+    for k in range(1, 9):
+        touch.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": [{"x": x - 2 * k, "y": y - 5 * k}]})
+    touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    end = view.evaluate("[workbench.layout.leds[0].v, scrollY]")
+    # 40 pixels up, as far as they go on the nail.
+    assert end[0] - start[0] == pytest.approx(
+        40 / view.evaluate("document.querySelector('#board').getScreenCTM().a"), abs=0.1
+    )
+    assert end[1] == start[1]
+    context.close()
+
+
 def test_keys_move_turn_remove_and_undo(shown: Any, explored: Exploration):
     led = explored.scene.leds[0].name
     where = "workbench.layout.leds.map((led) => [led.u, led.v, led.turn])"

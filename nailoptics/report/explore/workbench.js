@@ -26,7 +26,11 @@ function prefixOf(value) {
   return [[1, ""], [1e3, "m"], [1e6, "µ"], [1e9, "n"], [1e12, "p"]].find(([f]) => Math.abs(value) * f >= 1) || [1, ""];
 }
 
-function say(text) { $("message").textContent = text; }
+function say(text) {
+  $("message").textContent = text;
+  clearTimeout(say.timer);
+  say.timer = setTimeout(() => { $("message").textContent = ""; }, 12000);
+}
 
 function element(name, attributes = {}, ...children) {
   const svg = ["g", "rect", "line", "text", "path", "clipPath"].includes(name);
@@ -476,6 +480,8 @@ function listenToDrags() {
       end() { remember(before); draw(); },
     },
   }).styleCursor(false);
+  // Chromium heeds touch-action of a whole drawing alone; this leaves the page to be scrolled beside the parts.
+  $("board").addEventListener("touchstart", (event) => { if (event.target.closest(".part")) event.preventDefault(); }, { passive: false });
   interact("#board .part").on("tap", (event) => choosePart(event.currentTarget.dataset.name));
 }
 
