@@ -44,11 +44,11 @@ def test_pressures_from_suction_to_crushing(name):
 @pytest.mark.parametrize(("proximal", "distal"), [(1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
 def test_closure_is_reached_without_a_jump_and_flat_past_it(name, proximal, distal):
     p = parameters(name)
-    touch = np.linspace(0.0, 4e4, 40001)  # 1 Pa apart
+    touch = np.linspace(0.0, 4e4, 8001)  # 5 Pa apart
     s = steady_state(p, proximal_pressure_pa=proximal * touch, distal_pressure_pa=distal * touch)
     listed = np.array([p.capillary_diameter_m, p.capillary_diameter_m, p.vein_diameter_m])[:, None]
     width = np.vstack([s.capillary_diameter_m, s.vein_diameter_m[None]]) / listed
-    assert np.abs(np.diff(width, axis=1)).max() < 0.01  # no fold: 1 Pa never moves a wall by a hundredth
+    assert np.abs(np.diff(width, axis=1)).max() < 0.01  # no fold: 5 Pa never move a wall by a hundredth
     past = touch >= 3e4
     closing = [i for i, part in ((1, distal), (2, proximal)) if part]
     for i in closing:

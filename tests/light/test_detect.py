@@ -166,10 +166,12 @@ wavelength_nm = 940.0
 name = "near"
 aperture = true
 position_mm = [1.5, 0.0]
+size_mm = [1.0, 2.0]
 [[photodiodes]]
 name = "far"
 aperture = true
 position_mm = [2.5, 0.0]
+size_mm = [1.0, 2.0]
 [light]
 engine = "%s"
 """

@@ -274,13 +274,13 @@ name = "far"
 position_mm = [0.0, 1.0]
 size_mm = [1.0, 1.0]
 """
-    scene, shape, media, bed = prepare(FINGER + two)
+    scene, shape, media, bed = prepare(FINGER.replace("[1.0, 0.25]", "[1.0, 0.8]") + two)
     rest = BedAbsorption(bed.v_mm, bed.mu_a_per_mm[:1])
     scalar = backend.choose("scalar")
 
     def trace(photodiodes, seed):
         paths = integrate.FingerPaths(shape, media, bed=rest, led=0, photodiodes=photodiodes, backend=scalar)
-        return statistics(np.stack([paths.batch(paths=2048, seed=100 * seed + k) for k in range(6)]))
+        return statistics(np.stack([paths.batch(paths=1024, seed=100 * seed + k) for k in range(6)]))
 
     together, error = trace((0, 1), 1)
     for i in (0, 1):
