@@ -161,7 +161,7 @@ def test_the_blood_under_a_force_is_that_of_the_vessels(shown: Any, explored: Ex
 def test_errors_are_those_of_the_groups_of_photons(shown: Any, explored: Exploration):
     """All coefficients of a group are uneven by 5 % each by itself, so that a reading's error is a part of that."""
     first = rows(shown)[0]
-    counted = np.sqrt((first["restError"] / first["fractionRest"]) ** 2 - 0.03**2)
+    counted = np.sqrt((first["restError"] / first["fractionRest"]) ** 2 - explored.kernel_error**2)
     assert 0.05 / np.sqrt(12) / 10 < counted < 0.05 / np.sqrt(12)
 
 

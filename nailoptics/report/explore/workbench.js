@@ -507,7 +507,7 @@ function drawFixed() {
     "Blood is that of a touch that is held; how fast it comes there is not modelled here, simulate tells.",
     tables.touch.hasBody ? "Force resolution goes through the body's noise of the scene, as place computes it, and beside it through that of the electronics alone." : "The scene has no body: force resolution is by the noise of the electronics alone.",
     `One sample's noise is that of stage and converter, ${quietest.toPrecision(2)} mV in the dark, and the shot noise of its light; light from outside adds its own.`,
-    `Beyond their photons, readings are off by ${100 * tables.kernelError} % (rms), changes by ${(100 * tables.kernelChangeError).toFixed(1)} % of what either zone's blood changes by itself, added up, and the force resolved by ${(100 * tables.kernelResolutionError).toFixed(1)} %: by what lies between the table's nodes and the few percent that photodiodes swallow and a bare board sends back. That is in their errors.`,
+    `Beyond their photons, readings are off by ${(100 * tables.kernelError).toFixed(1)} % (rms), changes by ${(100 * tables.kernelChangeError).toFixed(1)} % of what either zone's blood changes by itself, added up, and the force resolved by ${(100 * tables.kernelResolutionError).toFixed(1)} %: by what lies between the table's nodes and the few percent that photodiodes swallow and a bare board sends back. That is in their errors.`,
     "Parts that stand out of the board's underside are taken for flush with it. Light from outside is that of the scene's own photodiode and cover.",
   ];
   $("fixed").replaceChildren(...lines.map((text) => element("li", {}, text)));

@@ -1,0 +1,79 @@
+"""The errors that explore tells of its readings are those that it makes, over places and seeds."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nailoptics.assets import data_dir
+from nailoptics.light.board_map import BoardTracer, blood_point
+from nailoptics.scene import Scene, load_scene
+from nailoptics.studies.exploration import explore as study
+from nailoptics.studies.exploration.explore import Exploration
+from nailoptics.studies.placement import boards
+from nailoptics.studies.placement.photon_maps import QUICK_DISTANCE_MM
+
+PHOTONS, LED_PHOTONS = 400_000, 400_000
+# Edge of square photodiodes, and how far they lie from the LED. [mm]
+EDGE_MM, NEAR_MM, FAR_MM = 1.0, 1.2, 3.6
+
+
+def read(explored: Exploration, die_mm: Any, size_mm: Any, places_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What square photodiodes read of a die by the table, and its told standard error, (n,) float each."""
+    t, weight = np.polynomial.legendre.leggauss(4)
+    table, weight = explored.colours[0], np.outer(weight, weight).ravel() / 4
+    square = np.stack(np.meshgrid(t / 2, t / 2), -1).reshape(-1, 2)
+    die, values = square * size_mm + die_mm, []
+    for place in places_mm:
+        area = square * EDGE_MM + place
+        pair = np.repeat(die, len(area), 0), np.tile(area, (len(die), 1))
+        at, value = explored.basis.at(*pair)
+        each = EDGE_MM**2 * np.outer(weight, weight).ravel() * explored.radial(*pair)
+        known = np.concatenate([table.coefficients[None], table.blocks])
+        values.append([each @ (value * one[at]).sum(1) for one in known])
+    first, groups = np.split(np.array(values), [1], axis=1)
+    counted = groups.std(1, ddof=1) / np.sqrt(groups.shape[1])
+    return first[:, 0], np.hypot(counted, explored.kernel_error * first[:, 0])
+
+
+def traced(scene: Scene, die_mm: Any, places_mm: np.ndarray, *, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """The same by light of the die alone on the bare board, and its standard error."""
+    led = scene.leds[0].model_copy(update={"position_mm": tuple(die_mm), "rotation_deg": 0.0})
+    lit = boards.bare(scene).model_copy(update={"leds": (led,)})
+    tracer = BoardTracer(lit, spacing_mm=QUICK_DISTANCE_MM)
+    arrived = tracer.arrivals(0, photons=LED_PHOTONS, seed=seed)
+    value, found = blood_point(lit, 0).values(arrived)[:, 0], []
+    for place in places_mm:
+        on = np.all(abs(arrived.place_mm - place) < EDGE_MM / 2, axis=1)
+        each = np.bincount(arrived.photon[on], value[on])
+        found.append((each.sum(), np.sqrt((each**2).sum())))
+    return tuple(np.array(found).T / LED_PHOTONS)  # type: ignore[return-value]
+
+
+def pulls(seed: int) -> np.ndarray:
+    """How far readings of three places of an LED are off, in their standard errors."""
+    scene, rng = load_scene(data_dir("scenes") / "placement.toml"), np.random.default_rng(seed)
+    scene = scene.model_copy(update={"board": scene.board.model_copy(update={"barrier": False})})
+    explored = study.explore(scene, photons=PHOTONS, seed=seed)
+    reach, found = np.array(explored.scene.layout.outline.size_mm) / 2 - EDGE_MM, []
+    for k in range(3):
+        die = rng.uniform(-reach, reach)
+        places = die + rng.uniform(-FAR_MM, FAR_MM, (60, 2))
+        apart = np.hypot(*(places - die).T)
+        places = places[(apart > NEAR_MM) & (apart < FAR_MM) & np.all(abs(places) < reach, axis=1)][:20]
+        told, error = read(explored, die, explored.scene.leds[0].size_mm, places)
+        truth, spread = traced(explored.scene, die, places, seed=100 * seed + k)
+        found.append((told - truth) / np.hypot(error, spread))
+    return np.concatenate(found)
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_the_errors_told_on_an_open_board_are_those_that_are_made(jit_backend: Any, monkeypatch: pytest.MonkeyPatch):
+    """Readings of one LED share the errors of its neighbourhood, so that these 170 count as some 60: their rms pull
+    spreads by 0.09 and their mean by 0.13, and 12 groups of photons alone make the former 1.1."""
+    monkeypatch.setattr(study, "FURTHER_LEDS", ())
+    pull = np.concatenate([pulls(seed) for seed in (1, 2, 3)])
+    assert len(pull) > 120
+    assert 0.75 < np.sqrt(np.mean(pull**2)) < 1.3
+    assert abs(pull.mean()) < 0.4
