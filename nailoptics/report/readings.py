@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from itertools import product
 
+import numpy as np
 import xarray as xr
 
 from ..scene import Scene
@@ -73,8 +74,10 @@ def _ratio(value: float, by: float) -> float:
 def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> list[Reading]:
     """Every LED and photodiode, LED by LED, photodiodes from proximal to distal."""
     rest, held = result.isel(time=0), result.isel(time=hold_end(result))
-    largest = abs(result.volts_change).argmax("time")
-    peak = result.isel(time=largest)
+    # Pair by pair, as of a million samples each copy of all readings is large.
+    swings = [[int(np.nanargmax(np.abs(one))) for one in of_led] for of_led in result.volts_change.values]
+    largest = xr.DataArray(swings, dims=("led", "photodiode"))
+    peak = result[["volts_change", "volts_change_stderr"]].isel(time=largest)
     told = {"rest_spread": "reading_spread", "change_spread": "change_spread"}
     spreads = {name: result[told[name]].values for name in told if told[name] in result}
     found = []

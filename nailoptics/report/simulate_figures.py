@@ -131,7 +131,7 @@ def draw_change(axes: "Axes", result: xr.Dataset, scene: Scene | None, *, led: i
     photodiodes = coloured_along_nail(scene, result.sizes["photodiode"])
     change, hold = result.volts_change, hold_end(result)
     hold_s = float(result.time[hold])
-    scale, letter = prefix(float(np.abs(change).max()))
+    scale, letter = prefix(max(float(change.max()), -float(change.min())))
     seen = _thin(result)
     axes.axhline(0, color=style.MUTED, lw=0.8)
     for colour, j in photodiodes:
@@ -171,8 +171,9 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
     height_in, how = 0.8 + 2.2 * rows, {"sharex": True, "squeeze": False, "height_ratios": ratios}
     room = style.Room(left=0.85, top=0.55, across=0.85, down=0.25)
     figure, grid = style.panels(9.2, height_in, 2 * rows, columns, room_in=room, **how)
-    missed_v = [np.abs(result[f"volts_{name}"] - result.volts)[led, order].max() for name in MODELS]
-    missed_scale, missed_letter = prefix(max(*map(float, missed_v), float(result.volts_noise_rms[led].max())))
+    each = [(result[f"volts_{name}"][led, j], result.volts[led, j]) for name in MODELS for j in order]
+    missed_v = [float(np.abs(model - traced).max()) for model, traced in each]
+    missed_scale, missed_letter = prefix(max(*missed_v, float(result.volts_noise_rms[led].max())))
     seen, rest = _thin(result, SAMPLES // columns).isel(led=led), result.isel(led=led, time=0)
     for k, (j, colour) in enumerate(zip(order, style.place_colours(len(order)), strict=True)):
         column, row = divmod(k, rows)
