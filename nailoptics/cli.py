@@ -53,6 +53,9 @@ FINGER_OPENING_CPU_S, PHANTOM_OPENING_CPU_S = 1.4, 0.5
 FINGER_BATCH_CPU_S, PHANTOM_BATCH_CPU_S = 1.2, 0.4
 # The same of the least that each of the other studies does.
 EXPLANATION_LEAST_CPU_S, TRADEOFF_LEAST_CPU_S, COMPARISON_LEAST_CPU_S, PLACEMENT_LEAST_CPU_S = 1.6, 1.8, 3.3, 4.5
+COLOUR_LEAST_CPU_S, EXPLORATION_LEAST_CPU_S = 6.5, 14.0
+# Of two photographs of the usual size, which follow a colour's rays. [s]
+PHOTOGRAPHS_CPU_S, PHOTOGRAPHS_PX = 31.0, 800 * 600
 Folder = Annotated[
     Path | None, Parameter(name=["--output", "-o"], help="Folder for the results; results/SCENE if not given.")
 ]
@@ -188,14 +191,15 @@ def colour(
     """
     from .report.result_files import COLOUR, write_colour
     from .studies.colour.nail_colour import colour as study
-    from .studies.colour.nail_colour import colour_lines, colour_summary
+    from .studies.colour.nail_colour import colour_lines, colour_summary, with_scenes_effort
     from .studies.colour.pictures import photographs
 
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, COLOUR)
     view: dict[str, Any] = {"illuminant": illuminant, "observer": observer, "lit_by": light, "gloss": gloss}
     view |= {"forces_n": force, "tolerance": tolerance, "change_tolerance": change_tolerance}
-    result, unmet = _watched(study, loaded, **view, **options.fields)
+    limited, photograph = _colour_time(with_scenes_effort(options, loaded), loaded, photograph=photograph)
+    result, unmet = _watched(study, loaded, **view, **limited.fields)
     shown = photograph and result.sizes["tile"] > 0
     pictures = photographs(loaded, result, backend=options.backend) if shown else []
     assert loaded.finger is not None
@@ -297,14 +301,20 @@ def explore(
 
     It is one file, which any browser opens from disk. Photons are those of each of the scene's wavelengths.
     """
-    from .report.explore_page import write_exploration
+    from .report.explore_page import EXPLORATION_CPU_S, write_exploration
     from .studies.exploration.explore import explore as study
 
     if output.suffix != ".html":
         raise InputError(f"{output}: a page ends in .html; rename it.")
     loaded, _ = _load(scene, options)
     _check_file(output)
-    found, unmet = _watched(study, loaded, **options.fields)
+    limited = command_time.left(
+        options,
+        limit_s=options.max_seconds or loaded.accuracy.max_seconds,
+        least_cpu_s=EXPLORATION_LEAST_CPU_S,
+        pages_cpu_s=EXPLORATION_CPU_S,
+    )
+    found, unmet = _watched(study, loaded, **limited.fields)
     make_folder(output.parent)
     write_exploration(found, output)
     told = {name: found.attributes[name] for name in ("photons", "cpu_seconds", "wall_seconds")}
@@ -347,7 +357,8 @@ def batch(
     how = {"workers": workers, "scheduler": scheduler, "shard": shard, "retry_failed": retry_failed}
     unmet = None
     try:
-        outcome, unmet = _watched(batches.run_batch, planned, output, shown=batch_progress, **how, **options.fields)
+        limited = command_time.left(options, least_cpu_s=0.0).fields
+        outcome, unmet = _watched(batches.run_batch, planned, output, shown=batch_progress, **how, **limited)
         paths = write_sweep(batches.open_results(output), output, failures=outcome.failed)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"interrupted; what is done is kept in {output}, run again to go on.") from None
@@ -495,8 +506,9 @@ def compare_with(
     Readings, their change with the blood and mean paths, each with its standard error and how many of these apart.
     """
     from .exports.other_program import compare_with as study
+    from .exports.other_program import read_detected
 
-    found, unmet = _watched(study, file, **options.fields)
+    found, unmet = _watched(study, file, **_tracing_time(options, read_detected(file).scene).fields)
     _show(found.as_dict(), found.lines(), {}, json_)
     _end(unmet)
 
@@ -563,7 +575,7 @@ def calibrate(
     """Calibrate a person's sensor with recordings of a known force: gains, offsets, vessels, with their errors.
 
     A recording has columns time_s, force_n, one of volts for each reading, and site (proximal, distal or even). Writes
-    the subject file and a page beside it.
+    the subject file and a page beside it. --max-seconds ends the trace; the fit to the recordings follows.
     """
     from .report.result_files import write_calibration
     from .studies.force.calibrate import calibrate as study
@@ -573,7 +585,9 @@ def calibrate(
         raise InputError(f"{output}: a subject file ends in .toml; rename it.")
     loaded, _ = _load(scene, options)
     check_writable(output.parent, output.name, output.with_suffix(".html").name)
-    result, unmet = _watched(study, loaded, recordings, model=model, **options.fields)
+    # The fit that follows takes as long as its recordings are: the limit is that of the light.
+    limited = _tracing_time(options, loaded)
+    result, unmet = _watched(study, loaded, recordings, model=model, **limited.fields)
     summary = calibration_summary(result)
     for line in summary["warnings"]:
         say(line)
@@ -808,6 +822,22 @@ def _tracing_time(options: TraceOptions, scene: "Scene", *, pages_cpu_s: float =
         least_cpu_s=opening_cpu_s + len(scene.leds) * batch_cpu_s,
         pages_cpu_s=pages_cpu_s,
     )
+
+
+def _colour_time(options: TraceOptions, scene: "Scene", *, photograph: bool) -> tuple[TraceOptions, bool]:
+    """The options with what is left of max_seconds for rays, and whether photographs have time; says so if not."""
+    from .report.result_files import COLOUR_CPU_S
+
+    width, height = scene.colour.photograph_px
+    pictures_cpu_s = PHOTOGRAPHS_CPU_S * max(1.0, width * height / PHOTOGRAPHS_PX) if photograph else 0.0
+    pages_cpu_s = COLOUR_CPU_S + pictures_cpu_s
+    if photograph and options.max_seconds is not None:
+        missing_s = command_time.missing_s(options.max_seconds, cpu_s=COLOUR_LEAST_CPU_S + pages_cpu_s)
+        if missing_s > 0:
+            least_s = options.max_seconds + missing_s
+            say(f"photographs are left out: with them this command takes about {least_s:.0f} s or more here now.")
+            photograph, pages_cpu_s = False, COLOUR_CPU_S
+    return command_time.left(options, least_cpu_s=COLOUR_LEAST_CPU_S, pages_cpu_s=pages_cpu_s), photograph
 
 
 def _show(

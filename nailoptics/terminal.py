@@ -69,13 +69,19 @@ class CommandTime:
         limit_s = limit_s or options.max_seconds
         if limit_s is None:
             return options
-        spent_s = time.perf_counter() - self._begin
-        slowness = max(1.0, spent_s / STARTING_CPU_S)
-        left_s = limit_s - spent_s - slowness * (pages_cpu_s + ENDING_CPU_S)
-        if (missing_s := slowness * least_cpu_s - left_s) > 0:
+        if (missing_s := self.missing_s(limit_s, cpu_s=least_cpu_s + pages_cpu_s)) > 0:
             least_s = f"{limit_s + missing_s:.0f}"
             say(f"max_seconds = {limit_s:g} is too short: the least of this command takes about {least_s} s here now.")
-        return replace(options, max_seconds=max(NO_TIME_S, left_s - slowness * opening_cpu_s))
+        left_s = -self.missing_s(limit_s, cpu_s=opening_cpu_s + pages_cpu_s)
+        return replace(options, max_seconds=max(NO_TIME_S, left_s))
+
+    def missing_s(self, limit_s: float, *, cpu_s: float) -> float:
+        """By how much the command would go beyond a limit with so much processor time more; below 0 what is left. [s]
+
+        cpu_s : on the machine on which it was measured; what ending takes is added. [s]
+        """
+        spent_s = time.perf_counter() - self._begin
+        return spent_s + max(1.0, spent_s / STARTING_CPU_S) * (cpu_s + ENDING_CPU_S) - limit_s
 
 
 def _age_of_process_s() -> float:

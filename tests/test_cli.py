@@ -1,6 +1,7 @@
 """The command line: what it prints and writes, its exit codes, and one plain line for every mistake."""
 
 import json
+import math
 import os
 import pty
 import re
@@ -14,9 +15,10 @@ from types import SimpleNamespace
 import pytest
 
 import nailoptics
-from nailoptics import terminal
+from nailoptics import cli, terminal
 from nailoptics.cli import run
 from nailoptics.commit import commit
+from nailoptics.errors import InputError
 from nailoptics.light import Transfer, backend
 from nailoptics.options import TraceOptions
 
@@ -355,8 +357,11 @@ def test_a_photodiode_that_saw_nothing_is_told_as_such(folder, capfd, chosen_jit
     out, err = capfd.readouterr()
     rows = json.loads(out)["readings"]
     assert any(row["volts_start_stderr"] is None for row in rows) and "saw no light" in err
-    assert run(["trace", "prototype", "--photons", "300", "--json"]) == 0
-    assert any(0 < row.get("upper_limit_95", 0) <= 1 for row in only_json(capfd)["readings"])
+    # No reading is above 1, and of one photon it is not even sure that it is below 0.94.
+    for photons, limit in (("300", -math.expm1(math.log(0.05) / 300)), ("1", 0.95)):
+        assert run(["trace", "prototype", "--photons", photons, "--json"]) == 0
+        limits = {row["upper_limit_95"] for row in only_json(capfd)["readings"] if "upper_limit_95" in row}
+        assert limits and all(one == pytest.approx(limit) for one in limits)
 
 
 @pytest.mark.jit
@@ -612,3 +617,52 @@ def test_a_command_of_its_own_counts_from_the_start_of_its_process(monkeypatch):
     command.begin(with_process=True)
     left_s = command.left(TraceOptions(max_seconds=60.0), least_cpu_s=0.0).max_seconds
     assert left_s == pytest.approx(60.0 - 7.0 * (1 + terminal.ENDING_CPU_S / terminal.STARTING_CPU_S), abs=1.0)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["simulate", "prototype"],
+        ["trace", "prototype"],
+        ["compare", "prototype"],
+        ["explain", "prototype"],
+        ["tradeoff", "prototype"],
+        ["place", "placement"],
+        ["oximeter", "pulse_oximeter"],
+        ["colour", "nail_colour"],
+        ["explore", "prototype"],
+        ["calibrate", "prototype", "recording.csv"],
+        ["batch", str(ROOT / "scenes/sweeps/vein_stiffness.toml"), "-o", "sweep"],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_every_study_gets_what_starting_and_its_pages_leave_of_the_time(arguments, monkeypatch, folder):
+    """Expected: less than the limit by what has gone and by the end of the process at least, and not nearly all of it
+    gone before it began."""
+    given: list[float] = []
+
+    def ended(*_, **options):
+        given.append(options["max_seconds"])
+        raise InputError("enough")
+
+    monkeypatch.setattr(cli, "_watched", ended)
+    assert run([*arguments, "--max-seconds", "600", "--backend", "scalar"]) == 2
+    assert 100 < given[0] < 600 - terminal.ENDING_CPU_S
+
+
+def test_photographs_are_left_out_where_they_alone_take_longer_than_the_time(monkeypatch, folder, capsys):
+    """Expected: the rays get the time in their place, and one line says so."""
+    given: list[float] = []
+    monkeypatch.setattr(terminal, "STARTING_CPU_S", 1e3)  # as if this machine were as fast as the usual one
+
+    def ended(*_, **options):
+        given.append(options["max_seconds"])
+        raise InputError("enough")
+
+    monkeypatch.setattr(cli, "_watched", ended)
+    for seconds in ("120", "30"):
+        run(["colour", "nail_colour", "--max-seconds", seconds, "--backend", "scalar"])
+    long, short = given
+    told = capsys.readouterr().err
+    assert told.count("photographs are left out: with them this command takes about") == 1
+    assert 120 - long == pytest.approx(30 - short + cli.PHOTOGRAPHS_CPU_S, abs=5.0) and short > 10

@@ -397,6 +397,6 @@ def _row(led: Led, photodiode: str, fraction: Any, stderr: Any, photons: int) ->
         "mean_path_stderr_mm": {},
     }
     if fraction == 0:
-        # Of n photons none was seen: with 95 % confidence the fraction is below -ln(0.05) / n.
-        row["upper_limit_95"] = -math.log(0.05) / photons
+        # Were it larger, none of n photons would be seen less than once in 20 times: (1 - limit)^n = 0.05.
+        row["upper_limit_95"] = -math.expm1(math.log(0.05) / photons)
     return row

@@ -31,6 +31,9 @@ PLACED = {"name", "reference", "position_mm", "rotation_deg", "wired"}
 MOST_POINTS = 6
 # The smallest current at which the slope of the noise's variance is taken. [A]
 TEST_CURRENT_A = 1e-6
+# Processor time of what follows the last photon of a page: the tables of its last wavelength, light from outside and
+# the file. [s]
+EXPLORATION_CPU_S = 3.0
 LIBRARIES = (
     ("uPlot", "uPlot.iife.min.js", "https://github.com/leeoniya/uPlot"),
     ("interact.js", "interact.min.js", "https://github.com/taye/interact.js"),

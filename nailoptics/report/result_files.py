@@ -41,6 +41,8 @@ OXYGEN = ("oxygen.nc", "oxygen.csv", "oxygen.html")
 COMPARISON_CPU_S, PLACEMENT_CPU_S, TRADEOFF_CPU_S, EXPLANATION_CPU_S = 2.7, 3.0, 2.0, 0.6
 # The same of a simulated touch, its fits, picture of the section and spread included. [s]
 SIMULATION_CPU_S = 2.5
+# The same of a colour without photographs, its press and release included. [s]
+COLOUR_CPU_S = 3.6
 # The same of an oximeter, with its curves and the light that leaks in. [s]
 OXIMETER_CPU_S = 5.3
 

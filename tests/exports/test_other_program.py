@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from nailoptics import cli, terminal
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
@@ -94,3 +95,17 @@ def test_another_file_is_refused_in_one_line(tmp_path, content, capfd):
     assert run(["compare-with", str(tmp_path / "missing.npz")]) == 2
     assert run(["compare-with", str(tmp_path)]) == 2
     assert capfd.readouterr().err.count("\n") == 3
+
+
+def test_our_trace_gets_what_starting_leaves_of_the_time(scene, tmp_path, monkeypatch):
+    """Expected: less than the limit, by what has gone, what comes before the first photon and the end at least."""
+    given = []
+
+    def ended(*_, **options):
+        given.append(options["max_seconds"])
+        raise InputError("enough")
+
+    monkeypatch.setattr(cli, "_watched", ended)
+    write(tmp_path / "detected.npz", scene)
+    assert run(["compare-with", str(tmp_path / "detected.npz"), "--max-seconds", "600"]) == 2
+    assert 100 < given[0] < 600 - cli.FINGER_OPENING_CPU_S - terminal.ENDING_CPU_S

@@ -103,6 +103,8 @@ class _Walk:
     parts: int = 0
     error: float = math.inf
     target: float | None = None
+    # Of each ray in the part before, the first with the compilation of its kernels. [s]
+    pace_s: float = math.inf
 
     def add(self, patches: Sequence[Patch], wanted: int) -> None:
         """Walk so many rays more, fewer where time ends or the user interrupts."""
@@ -112,10 +114,19 @@ class _Walk:
             def report(photons: int, base: int = done) -> None:
                 self.stage("colour", (base + photons) / (begun + wanted), self.error, self.target)
 
-            seed, count = seed_of(self.options.seed, self.parts), min(begun + wanted - done, MOST_AT_ONCE)
+            seed, count = seed_of(self.options.seed, self.parts), min(begun + wanted - done, self._most())
+            before_s = self.stage.seconds
             more = walk_colour(self.nail, patches, photons=count, seed=seed, progress=report)
+            self.pace_s = (self.stage.seconds - before_s) / more.photons
             self.rays = more if self.rays is None else self.rays.with_more(more)
             done, self.parts = self.rays.photons, self.parts + 1
+
+    def _most(self) -> int:
+        """Most rays of the next part: no more than what is left of the time is enough for, but for the least."""
+        if math.isinf(self.stage.limit_s):
+            return MOST_AT_ONCE
+        left = max(self.stage.seconds_left, 0.0) / self.pace_s
+        return min(MOST_AT_ONCE, max(PILOT, int(left)))
 
 
 def errors_of(rays: ColourRays, places: Places, states: Array, viewer: Viewer, viewing: Viewing) -> tuple[Array, Array]:

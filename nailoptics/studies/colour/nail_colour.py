@@ -33,6 +33,9 @@ from .stock_colour import StockSight
 
 Array = NDArray[np.float64]
 
+# Of the time, after which no spread over unknown fingers begins, which takes as long as 150 000 rays or so.
+SPREAD_BEGINS = 0.8
+
 
 def colour(
     scene: Scene,
@@ -66,9 +69,7 @@ def colour(
 
     Raises: InputError; NotReachedError, whose result is the Dataset so far, when time ends first.
     """
-    options = TraceOptions(**requested)
-    if options.photons is None and options.max_seconds is None:
-        options = replace(options, photons=scene.accuracy.photons, max_seconds=scene.accuracy.max_seconds)
+    options = with_scenes_effort(TraceOptions(**requested), scene)
     asked = dict(forces_n=forces_n, illuminant=illuminant, observer=observer, lit_by=lit_by, gloss=gloss)
     viewing = _viewing(scene, options, **asked, tolerance=tolerance, change_tolerance=change_tolerance)
     viewer = Viewer(viewing.illuminant, viewing.observer)
@@ -104,6 +105,13 @@ def colour(
     return result
 
 
+def with_scenes_effort(options: TraceOptions, scene: Scene) -> TraceOptions:
+    """The options with the scene's photons and time where they name neither."""
+    if options.photons is not None or options.max_seconds is not None:
+        return options
+    return replace(options, photons=scene.accuracy.photons, max_seconds=scene.accuracy.max_seconds)
+
+
 def _traced(
     scene: Scene,
     states: Array,
@@ -122,6 +130,8 @@ def _traced(
     result = result.merge(press_and_release(scene, rays, places, viewer, viewing))
     result = result.merge(beat(scene, rays, places, viewer, viewing))
     if scene.priors.spread and not unmet:
+        if stage.is_late(SPREAD_BEGINS):
+            return result, rays.photons, "max_seconds left no time for the spread of colours over unknown fingers."
         result = result.merge(spread_of_colours(nail, rays, places, viewer, viewing, seed=options.seed))
     return result, rays.photons, unmet
 

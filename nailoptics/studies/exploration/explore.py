@@ -52,6 +52,9 @@ WALL_PHOTONS, OPEN_PHOTONS = 3 << 21, 1 << 21
 FURTHER_LEDS, SAME_NM = ("led_660", "led_940"), 8.0
 # Batches have so many photons at least.
 LEAST_BATCH = 1 << 12
+# Under a limit of time, batches are such that each group has its first within this part of what is left for their
+# wavelength, by the pace of so many photons.
+FIRST_ROUND, PACE_PHOTONS = 0.5, 1 << 15
 # Relative error of readings by the kernel's nodes and the bare board, rms. With a wall: what is left on the prototype's
 # board of 16 readings of two layouts beside traces of their own, errors of both by their photons taken off. Without a
 # wall: of 188 photodiodes of 1 x 1 mm, 1.2 to 4.5 mm from four places of an LED on the bare board of
@@ -103,7 +106,7 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
     """Trace what a page needs to show any layout on a finger scene's board.
 
     photons : of each of the scene's wavelengths; further ones get half as many.
-    max_seconds : wall time after which tracing ends with what there is, a few batches of each wavelength. [s]
+    max_seconds : wall time after which tracing ends with what there is, twelve batches of each wavelength or more. [s]
 
     Raises: InputError where the scene has no finger, several walls, LEDs that are not Lambertian, or other than two
     blood zones.
@@ -112,6 +115,7 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
     if options.relative_error is not None:
         raise InputError("explore knows no relative_error, as every layout has its own; give photons or max_seconds.")
     _check(scene)
+    report = StageProgress(progress, options.max_seconds or scene.accuracy.max_seconds or math.inf)
     base = explored_board(scene)
     layout, bare = base.layout, boards.bare(base)
     basis = pair_basis(layout.outline, layout.barriers[0] if layout.barriers else None)
@@ -120,22 +124,19 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
     sources = colours(base)
     own = len({(led.wavelength_nm, led.fwhm_nm) for led in base.leds})
     usual = options.photons or scene.accuracy.photons or (OPEN_PHOTONS if basis.one_side else WALL_PHOTONS)
-    limit = options.max_seconds or scene.accuracy.max_seconds or math.inf
-    report = StageProgress(progress, limit)
     tables: list[ColourTable] = []
     first: ColourSums | None = None
+    pace_s = 0.0
     for number, led in enumerate(sources):
         lit = bare.model_copy(update={"leds": tuple(_as(die, led) for die in bare.leds)})
-        sums = ColourSums(
-            lit,
-            number,
-            basis,
-            polynomial,
-            backend=options.backend,
-            seed=options.seed,
-            radial=first.radial if first else None,
-        )
-        _trace(sums, usual if number < own else usual // 2, led, report, number=number, count=len(sources))
+        how: dict[str, Any] = {"backend": options.backend, "seed": options.seed}
+        sums = ColourSums(lit, number, basis, polynomial, **how, radial=first.radial if first else None)
+        end, most = (number + 1) / len(sources), usual if number < own else usual // 2
+        each = min(sums.tracer.batch_photons, max(LEAST_BATCH, most // BLOCKS))
+        if not math.isinf(report.limit_s):
+            pace_s = pace_s or _seconds_per_photon(ColourSums(lit, number, basis, polynomial, **how, radial=None))
+            each = min(each, _fitting(end * report.limit_s - report.seconds, pace_s))
+        _trace(sums, each, max(BLOCKS, round(most / each)), led, report, begin=number / len(sources), end=end)
         if first is None:
             first, projection = sums, PairProjection(basis, sums.known_radial)
         fluence = _fluence(base, led, seed=seed_of(options.seed, FLUENCE, number), backend=options.backend)
@@ -159,15 +160,28 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
     )
 
 
-def _trace(sums: ColourSums, photons: int, led: Led, report: StageProgress, *, number: int, count: int) -> None:
-    """Add photons to the sums of one colour of several, by number, until its part of the time is over."""
-    each = min(sums.tracer.batch_photons, max(LEAST_BATCH, photons // BLOCKS))
-    batches = max(BLOCKS, round(photons / each))
+def _seconds_per_photon(pilot: ColourSums) -> float:
+    """The pace of photons that count for nothing else, once their kernels are compiled. [s]"""
+    pilot.trace(LEAST_BATCH)
+    begin = time.perf_counter()
+    pilot.trace(PACE_PHOTONS)
+    return (time.perf_counter() - begin) / PACE_PHOTONS
+
+
+def _fitting(left_s: float, pace_s: float) -> int:
+    """Photons of a batch such that each group has its first well within a time, by their pace. [s]"""
+    return max(LEAST_BATCH, int(FIRST_ROUND * left_s / (BLOCKS * pace_s)))
+
+
+def _trace(
+    sums: ColourSums, each: int, batches: int, led: Led, report: StageProgress, *, begin: float, end: float
+) -> None:
+    """Add batches of so many photons to the sums of one colour, which has the time between two parts of all of it."""
     for k in range(batches):
-        if k >= BLOCKS and report.is_late((number + 1) / count):
+        if k >= BLOCKS and report.is_late(end):
             break
         sums.trace(each)
-        report(f"{led.wavelength_nm:g} nm", (number + (k + 1) / batches) / count)
+        report(f"{led.wavelength_nm:g} nm", begin + (end - begin) * (k + 1) / batches)
 
 
 def _check(scene: Scene) -> None:

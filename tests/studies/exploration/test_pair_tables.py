@@ -1,5 +1,7 @@
 """The kernel between places of a board is that of the light, and what the page cannot show is refused."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,11 @@ from nailoptics.errors import InputError
 from nailoptics.light.pair_kernel import PairProjection, RadialFunction, pair_basis
 from nailoptics.scene import Scene, load_scene
 from nailoptics.scene.rectangles import Rectangle
+from nailoptics.studies.exploration import explore as study
 from nailoptics.studies.exploration.blood_polynomial import BloodPolynomial
+from nailoptics.studies.exploration.colour_table import BLOCKS
 from nailoptics.studies.exploration.explore import explore, explored_board
+from nailoptics.studies.placement import progress
 
 BOARD = Rectangle("board", -4.0, 4.0, -5.0, 5.0)
 WALL = Rectangle("left", -0.9, -0.7, -5.0, 5.0)
@@ -118,3 +123,21 @@ def test_the_command_refuses_in_one_line(arguments, what, capsys, tmp_path, monk
     assert what in told
     assert told.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("pace_s", "limit_s"), [(5e-6, 60.0), (5e-5, 60.0), (5e-6, 6.0), (5e-5, 0.001)])
+def test_photons_of_a_wavelength_end_with_its_time_or_with_their_least(monkeypatch, pace_s, limit_s):
+    """Expected: at most one batch later, and most of the time used; in no time one least batch of each group."""
+    clock, sent = SimpleNamespace(now=0.0), []
+    monkeypatch.setattr(progress, "time", SimpleNamespace(perf_counter=lambda: clock.now))
+
+    def trace(photons):
+        sent.append(photons)
+        clock.now += photons * pace_s
+
+    report, led = progress.StageProgress(None, limit_s), scene().leds[0]
+    each = study._fitting(limit_s, pace_s)
+    study._trace(SimpleNamespace(trace=trace), each, 10**6, led, report, begin=0.0, end=1.0)
+    least = BLOCKS * study.LEAST_BATCH
+    assert 0.5 * limit_s < clock.now < max(limit_s + each * pace_s, least * pace_s * 1.001)
+    assert len(sent) >= BLOCKS and (sum(sent) == least or sum(sent) > 1.5 * least)
