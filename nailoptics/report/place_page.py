@@ -256,7 +256,8 @@ def _enough(result: xr.Dataset) -> str:
     few = int(counts[np.flatnonzero(at[name].to_numpy() <= (1 + NEARLY) * finest)[0]])
     return (
         f"<p>{few} photodiode{'s' if few > 1 else ''} resolve{'' if few > 1 else 's'} force within "
-        f"{100 * NEARLY:.0f} % of what {int(counts[-1])} do on this board, each number where it is best.</p>"
+        f"{100 * NEARLY:.0f} % of what {int(counts[-1])} do on the best layout's board under its LEDs, "
+        "each number where it is best.</p>"
     )
 
 
