@@ -23,11 +23,13 @@ from .fisher import Response, force_resolution_n, response, total_information
 from .photon_maps import FingerCondition
 
 LEAST_BATCHES = 8
+# The fresh trace has this part of a full batch's photons in each of its batches at least.
+LEAST_PART = 1 / 8
 # A batch takes up to so long on two cores. [s]
 SHORT_S = 10.0
 # Photons from each photodiode in one round of traces the other way, and how many batches of the fresh trace go with it.
 BACK_PHOTONS = 1 << 16
-BATCHES_PER_ROUND = 2
+BATCHES_PER_ROUND = 4
 # A resolution that is not finer than this part of what is known before any reading tells nothing of a place.
 KNOWN_BEFORE = 0.5
 LED_SPACING_MM = 0.4
@@ -104,8 +106,9 @@ def inspect_layout(
     points = tuple(blood_point(scene, led, **at) for led in range(len(scene.leds)))
     setup = _Setup(scene, condition, tracer, points, seed, stop)
     batches = max(LEAST_BATCHES, photons // tracer.batch_photons)
-    # Where time is short, the batches that must be are small ones.
-    each = tracer.batch_photons if max_seconds > LEAST_BATCHES * SHORT_S else tracer.batch_photons // 8
+    # As many photons as judged the layout; where time is short, the batches that must be are small ones.
+    least = round(LEAST_PART * tracer.batch_photons)
+    each = least if max_seconds <= LEAST_BATCHES * SHORT_S else max(least, photons // batches)
     try:
         values, found = _fresh_trace(setup, batches, each, begin + max_seconds / 2)
         found |= _back(setup, max(1, batches // BATCHES_PER_ROUND), begin + max_seconds, values)
