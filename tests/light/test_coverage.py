@@ -230,13 +230,15 @@ def stopped(seed: int, target: float) -> tuple[float, float]:
 
 def stopped_by_luck(seed: int, target: float) -> tuple[float, float]:
     """The same by a rule that stops as soon as a few small batches happen to lie close together."""
-    urn, seeds, means = Urn(), np.random.default_rng(seed), []
-    error = math.inf
+    urn, seeds = Urn(), np.random.default_rng(seed)
+    count, total, square, error = 0, 0.0, 0.0, math.inf
     while error > target:
-        means.append(float(urn.batch(0, photons=64, seed=int(seeds.integers(1 << 62))).weight.sum()) / 64)
-        if len(means) > 1 and np.mean(means) > 0:
-            error = float(np.std(means, ddof=1) / math.sqrt(len(means)) / np.mean(means))
-    return float(np.mean(means)) / Urn.truth - 1, max(error, 1e-9)
+        mean = float(urn.batch(0, photons=64, seed=int(seeds.integers(1 << 62))).weight.sum()) / 64
+        count, total, square = count + 1, total + mean, square + mean**2
+        if count > 1 and total > 0:
+            variance = max(square - total**2 / count, 0.0) / (count - 1)
+            error = math.sqrt(variance * count) / total
+    return total / count / Urn.truth - 1, max(error, 1e-9)
 
 
 def honest(rule: Callable[[int, float], tuple[float, float]], *, runs: int, target: float) -> bool:
