@@ -58,6 +58,11 @@ AXES = {
     "pressure": "side of the pulp that the pressure acts on",
     "pressure_too": "side of the pulp that the other pressure acts on",
     "blood_zone": "blood zone of the nail bed, from the cuticle to the tip",
+    "best_photodiode": "photodiode of the best layout",
+    "photodiode_count": "number of photodiodes",
+    "chosen_for": "noise for which so many photodiodes were chosen",
+    "cover": "whether the board is covered against light from outside",
+    "ambient": "source of light from outside",
 }
 # What a spreadsheet takes for the beginning of a formula.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
