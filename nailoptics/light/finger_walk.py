@@ -190,6 +190,7 @@ class FingerWalk:
         rng, count, first : Of each lane: its generator, how many photons it walks, and the first one's index.
         """
         width, lane = dr.width(count), mi.UInt64(rng.state)
+        lanes_in_all = dr.opaque(mi.UInt32, width)
         photon = self.launch(rng, lane, first)
         fork = _fork(photon)
         events = dr.zeros(mi.UInt32, width)
@@ -220,7 +221,7 @@ class FingerWalk:
                     self.ends.record_path(photon)
                 else:
                     dr.scatter(self.splitting.score, photon.score, photon.index)
-                photon = self.launch(photon.rng, lane, photon.index + width)
+                photon = self.launch(photon.rng, lane, photon.index + lanes_in_all)
                 count -= 1
             # Whoever ended has begun anew; so no loop carries this along.
             photon.outcome = mi.UInt32(0)

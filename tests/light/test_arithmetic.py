@@ -1,4 +1,5 @@
-"""The walks' own functions of floats agree with NumPy's, and no kernel calls those that libLLVM 15 and 16 abort at."""
+"""The walks' kernels: their functions of floats agree with NumPy's, none that libLLVM 15 and 16 abort at is called, and
+one kernel walks any number of photons."""
 
 import ast
 from pathlib import Path
@@ -6,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import nailoptics as nail
 from nailoptics import light
+from nailoptics.assets import data_dir
 
 ABORT = {"maximum", "minimum", "clip", "max", "min", "atan", "atan2", "hypot", "safe_sqrt", "safe_asin", "safe_acos"}
 
@@ -49,3 +52,19 @@ def test_functions_of_floats_are_numpys(jit_backend):
     # Four roundings of float32, of a relative 6e-8 each, and those of Dr.Jit's arc sine, 4e-7 at most.
     assert np.all(np.abs(found - exact) <= 6.4e-7 * np.abs(exact))
     assert np.array_equal(atan2(mi.Float(0, -2, 2), mi.Float(0, 0, 0)), np.float32([0, -np.pi / 2, np.pi / 2]))
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("name", ["phantom", "prototype"])
+def test_one_kernel_walks_any_number_of_photons(jit_backend, name):
+    """Rationale: a kernel of its own for each number of photons took up to a second to compile, in nearly every run."""
+    import drjit as dr
+
+    scene, kernels = nail.load_scene(data_dir("scenes") / f"{name}.toml"), []
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        for photons in (3000, 5001, 2048):
+            nail.trace(scene, photons=photons, seed=1)
+            kernels.append({one["hash"] for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT})
+    # The first may make tables, too.
+    assert kernels[1] and kernels[1] == kernels[2] <= kernels[0]
