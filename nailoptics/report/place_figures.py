@@ -187,7 +187,10 @@ def sites_figure(result: xr.Dataset) -> "Figure":
     from matplotlib.colors import LogNorm
 
     figure, axes = style.panels(5.6, 4.8)
-    place, found = result.led_site_mm.isel(led=0).to_numpy(), 1e3 * result.led_site_resolution_n.to_numpy()
+    tried, led = result.led_site_mm, str(result.led.values[0])
+    # Where a given layout is the best, its LEDs may be others than those that were searched.
+    number = list(tried.searched_led.values).index(led) if led in tried.searched_led.values else 0
+    place, found = tried.isel(searched_led=number).to_numpy(), 1e3 * result.led_site_resolution_n.to_numpy()
     norm = LogNorm(found.min(), max(found.max(), 1.001 * found.min()))
     marks = {"left": (">", 0.12, 0), "right": ("<", -0.12, 0), "below": ("^", 0, 0.12), "above": ("v", 0, -0.12)}
     look: dict[str, Any] = {"cmap": "viridis_r", "s": 46, "edgecolors": style.MUTED, "linewidths": 0.4}

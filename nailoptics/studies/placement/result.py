@@ -44,7 +44,7 @@ def as_dataset(
     inspected : what `inspect_layout` says of the best layout on the first finger.
     """
     best = layouts[0].scene
-    data = _ranking(layouts, scores, conditions) | _extremes(layouts, scores) | _sites(searched, len(best.leds))
+    data = _ranking(layouts, scores, conditions) | _extremes(layouts, scores) | _sites(searched)
     if any(condition.point.body is not None for condition in conditions):
         data |= _still(scores, conditions)
     coordinates = {
@@ -53,6 +53,7 @@ def as_dataset(
         "pressure": list(PRESSURES),
         "pressure_too": list(PRESSURES),
         "axis": ["u", "v"],
+        **({"searched_led": [led.name for led in scene.leds]} if searched else {}),
     }
     result = xr.Dataset(data | _predicted(scores[0].responses[0]), coords=coordinates)
     result = result.merge(map_dataset([led.name for led in best.leds], maps)).merge(inspected)
@@ -145,13 +146,17 @@ def _extremes(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore])
     return found | variable("shunted_fraction", "layout", shunted, text)
 
 
-def _sites(searched: Sequence[SearchedSite], leds: int) -> Variables:
+def _sites(searched: Sequence[SearchedSite]) -> Variables:
     """The sites of the LEDs that the search tried."""
-    places = np.array([one.site.places_mm for one in searched]).reshape(-1, leds, 2)
+    # The best layout may be a given one with fewer LEDs, such as the paper's.
+    leds = len(searched[0].site.places_mm) if searched else 0
+    places = np.array([one.site.places_mm for one in searched]).reshape(len(searched), leds, 2)
     sides = np.array([one.site.row.side or "" for one in searched], str)
     reached = np.array([one.resolution_n for one in searched], float)
     text = "force resolution that the search found there"
-    found = variable("led_site_mm", ("led_site", "led", "axis"), places, "LED places tried together", units="mm")
+    found = variable(
+        "led_site_mm", ("led_site", "searched_led", "axis"), places, "LED places tried together", units="mm"
+    )
     found |= variable("led_site_resolution_n", "led_site", reached, text, units="N")
     about = {"long_name": "side of the photodiodes where the LEDs lie"}
     return found | {"led_site_side": (("led_site",), sides, about)}

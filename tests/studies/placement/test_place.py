@@ -332,6 +332,15 @@ def test_the_chosen_layout_comes_back_as_scene_and_as_parts(found, scene):
     assert rows[0]["rank"] == 1 and not rows[-1]["tied"] and {row["layout"] for row in rows} == {"near", "far", "paper"}
 
 
+def test_places_of_several_leds_stand_beside_a_best_layout_of_one():
+    """As where the paper's layout, which has one LED, is finer than what was searched for three."""
+    site = sites.LedSite(((0.0, 0.0), (1.0, 0.0), (2.0, 0.5)), sites.LedRow())
+    found = result._sites([search.SearchedSite(site, (), 1.0, 0.1, 1000)])
+    whole = xr.Dataset(found, coords={"led": ["ir"], "searched_led": ["a", "b", "c"], "axis": ["u", "v"]})
+    assert whole.led_site_mm.sel(searched_led="c").values.tolist() == [[2.0, 0.5]]
+    assert xr.Dataset(result._sites([])).sizes["led_site"] == 0
+
+
 def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene):
     """Must reach: under 50 ms."""
     base = boards.base_board(scene)
