@@ -55,10 +55,11 @@ def write_explanation_page(found: Explanation, path: Path) -> None:
 
 
 def _title(known: list[Effect]) -> str:
-    """The effect that moves a reading most."""
+    """The effect that moves a reading most; of what surely matters, where anything does."""
     if not known:
         return "Too few photons were seen to tell what moves the readings"
-    return f"{known[0].name} moves {known[0].photodiode} by {_moved(known[0])}\u00a0%"
+    largest = next((one for one in known if one.matters == "yes"), known[0])
+    return f"{largest.name} moves {largest.photodiode} by {_moved(largest)}\u00a0%"
 
 
 def _moved(one: Effect) -> str:

@@ -48,6 +48,14 @@ def test_the_page_begins_with_the_largest_effect_and_its_error(found, tmp_path):
     assert load_scene(paths["scene"]) == found.required
 
 
+def test_what_cannot_be_told_to_matter_is_no_headline_beside_what_surely_does(found, tmp_path):
+    noisy = effect("forward scattering", -0.9, 0.4)
+    assert noisy.matters == "cannot tell"
+    for effects, name in (((noisy, *found.effects), "plate &lt;absorption&gt;"), ((noisy,), "forward scattering")):
+        page = write_explanation(replace(found, effects=effects), tmp_path / "required.toml")["report"]
+        assert f"<h1>{name} moves" in page.read_text(encoding="utf-8")
+
+
 def test_the_picture_names_every_effect_that_is_known(found):
     axes = explain_page.draw(found).axes[0]
     names = [text.get_text() for text in axes.get_yticklabels()]
