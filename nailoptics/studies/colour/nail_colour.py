@@ -277,7 +277,7 @@ def colour_lines(summary: dict[str, Any]) -> list[str]:
     errors = summary["colour_stderr"], summary["change_stderr"]
     lines.append("standard error of a place's colour at most {:.2g}, of a change {:.2g} (CIEDE2000)".format(*errors))
     if summary["refill_s"] is not None:
-        lines.append(f"colour is back {summary['refill_s']:.2f} +- {summary['refill_stderr_s']:.2f} s after release")
+        lines.append(f"colour is back {summary['refill_s']:.3g} +- {summary['refill_stderr_s']:.1g} s after release")
     if "lab_spread" in summary:
         each = "  ".join(f"{value:.1f}" for value in summary["lab_spread"]["nail"])
         lines.append(f"what is unknown of the finger spreads L*, a*, b* of the nail by {each} (standard deviations)")
