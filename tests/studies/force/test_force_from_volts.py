@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import made_sensor
 import numpy as np
 import pytest
 from made_sensor import on_rigid_pulp
@@ -153,6 +154,16 @@ def test_after_a_touch_far_past_closure_the_next_one_is_told(subject: Subject, t
     later = told.time.values > 22.0
     off = (told.force_n.values - told.known_force_n.values)[later]
     assert np.sqrt(np.mean(off**2)) < 0.08
+
+
+@pytest.mark.parametrize("site", ["proximal", "distal"])
+def test_a_touch_that_is_let_go_past_closure_leaves_nothing_behind(site: str) -> None:
+    time_s = np.arange(0.0, 10.0, made_sensor.STEP_S)
+    force = np.interp(time_s, [0.0, 1.0, 1.16, 4.0, 4.16, 10.0], [0.0, 0.0, 1.5, 1.5, 0.0, 0.0])
+    told = predict(parse_subject(made_sensor.subject()), made_sensor.record(force, site, seed=3))
+    later = told.time.values > 4.5
+    assert told.force_n.values[later].max() < 0.03
+    assert (told.force_low_n.values[later] == 0).all()
 
 
 @pytest.mark.parametrize(
