@@ -286,7 +286,8 @@ def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
 def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, scene):
     """Rationale: intervals claim 95 %. Expected: over 20 seeds the scores spread as their standard errors say,
     intervals hold the mean of the other seeds, and no pair of layouts is told apart one way by one seed and the other
-    way by another.
+    way by another. With a quarter of the photons, errors of 6 %, 63, 62 and 60 of 70 seeds held it: docs/trust.md says
+    so.
     """
     base = boards.base_board(scene)
     layouts = place.given(base, boards.rules(scene))
@@ -297,7 +298,7 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
     judged, worst = [], Objective(boards.rules(scene), [condition.point for condition in conditions])
     for seed in range(20):
         cache = photon_map_cache(conditions, seed=seed, stream=1, blocks=32)
-        cache.extend(layouts[0].board, 1 << 18)
+        cache.extend(layouts[0].board, 1 << 20)
         judged.append([scores.score_layout(layout, cache, worst) for layout in layouts])
     score = np.log([[float(one.score_n[0]) for one in row] for row in judged])
     error = np.array([[one.relative_error for one in row] for row in judged])
