@@ -12,12 +12,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, CycloptsError, Parameter
 
 from . import __version__
+from .command_time import (
+    COMPARISON_LEAST_CPU_S,
+    EXPLANATION_LEAST_CPU_S,
+    EXPLORATION_LEAST_CPU_S,
+    PLACEMENT_LEAST_CPU_S,
+    TRADEOFF_LEAST_CPU_S,
+    CommandTime,
+)
 from .commit import commit
 from .errors import InputError, NailopticsError, NotReachedError, WriteError, as_far_as_reached
 from .io import check_writable, leave_dask_out, make_folder
 from .options import TraceOptions
 from .terminal import (
-    CommandTime,
     batch_progress,
     plain_messages,
     print_json,
@@ -48,14 +55,6 @@ Json = Annotated[bool, Parameter(name="--json", negative="", help="Print one JSO
 Options = Annotated[TraceOptions, Parameter(name="*")]
 USUAL = TraceOptions()
 command_time = CommandTime()
-# Processor time before the first photon (imports of the engine, a finger's geometry, kernels), and of one batch. [s]
-FINGER_OPENING_CPU_S, PHANTOM_OPENING_CPU_S = 1.4, 0.5
-FINGER_BATCH_CPU_S, PHANTOM_BATCH_CPU_S = 1.2, 0.4
-# The same of the least that each of the other studies does.
-EXPLANATION_LEAST_CPU_S, TRADEOFF_LEAST_CPU_S, COMPARISON_LEAST_CPU_S, PLACEMENT_LEAST_CPU_S = 1.6, 1.8, 3.3, 4.5
-COLOUR_LEAST_CPU_S, EXPLORATION_LEAST_CPU_S = 6.5, 14.0
-# Of two photographs of the usual size, which follow a colour's rays. [s]
-PHOTOGRAPHS_CPU_S, PHOTOGRAPHS_PX = 31.0, 800 * 600
 Folder = Annotated[
     Path | None, Parameter(name=["--output", "-o"], help="Folder for the results; results/SCENE if not given.")
 ]
@@ -128,7 +127,7 @@ def simulate(
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, SIMULATION)
     _check_file(recording)
-    limited = _tracing_time(options, loaded, pages_cpu_s=SIMULATION_CPU_S)
+    limited = command_time.left_for_light(options, loaded, pages_cpu_s=SIMULATION_CPU_S)
     result, unmet = _watched(study, loaded, picture=True, **limited.fields)
     paths = write_simulation(result, folder)
     if recording is not None:
@@ -148,7 +147,7 @@ def trace(scene: ScenePath, *, output: File = None, json_: Json = False, options
     if output is not None and engine == "volpath":
         raise InputError(f"{output}: volpath traces readings, not a transfer that could be saved; leave -o out.")
     _check_file(output)
-    rest, unmet = _watched(read_rest, loaded, **_tracing_time(options, loaded).fields)
+    rest, unmet = _watched(read_rest, loaded, **command_time.left_for_light(options, loaded).fields)
     if output is not None and rest.transfer is not None:
         rest.transfer.save(output)
     _show(rest.as_dict(), rest_lines(rest), {}, json_, unmet)
@@ -198,7 +197,9 @@ def colour(
     folder = _results(output, scene, COLOUR)
     view: dict[str, Any] = {"illuminant": illuminant, "observer": observer, "lit_by": light, "gloss": gloss}
     view |= {"forces_n": force, "tolerance": tolerance, "change_tolerance": change_tolerance}
-    limited, photograph = _colour_time(with_scenes_effort(options, loaded), loaded, photograph=photograph)
+    limited, photograph = command_time.left_for_colour(
+        with_scenes_effort(options, loaded), loaded, photograph=photograph
+    )
     result, unmet = _watched(study, loaded, **view, **limited.fields)
     shown = photograph and result.sizes["tile"] > 0
     pictures = photographs(loaded, result, backend=options.backend) if shown else []
@@ -276,12 +277,7 @@ def place(
 
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, PLACEMENT)
-    limited = command_time.left(
-        options,
-        limit_s=options.max_seconds or loaded.accuracy.max_seconds,
-        least_cpu_s=PLACEMENT_LEAST_CPU_S,
-        pages_cpu_s=PLACEMENT_CPU_S,
-    )
+    limited = _within_scenes_limit(options, loaded, least_cpu_s=PLACEMENT_LEAST_CPU_S, pages_cpu_s=PLACEMENT_CPU_S)
     result, unmet = _watched(study, loaded, **limited.fields)
     paths = write_placement(result, folder, negate_x_on_bottom=negate_x_on_bottom)
     summary = placement_summary(result)
@@ -308,12 +304,7 @@ def explore(
         raise InputError(f"{output}: a page ends in .html; rename it.")
     loaded, _ = _load(scene, options)
     _check_file(output)
-    limited = command_time.left(
-        options,
-        limit_s=options.max_seconds or loaded.accuracy.max_seconds,
-        least_cpu_s=EXPLORATION_LEAST_CPU_S,
-        pages_cpu_s=EXPLORATION_CPU_S,
-    )
+    limited = _within_scenes_limit(options, loaded, least_cpu_s=EXPLORATION_LEAST_CPU_S, pages_cpu_s=EXPLORATION_CPU_S)
     found, unmet = _watched(study, loaded, **limited.fields)
     make_folder(output.parent)
     write_exploration(found, output)
@@ -508,7 +499,7 @@ def compare_with(
     from .exports.other_program import compare_with as study
     from .exports.other_program import read_detected
 
-    found, unmet = _watched(study, file, **_tracing_time(options, read_detected(file).scene).fields)
+    found, unmet = _watched(study, file, **command_time.left_for_light(options, read_detected(file).scene).fields)
     _show(found.as_dict(), found.lines(), {}, json_)
     _end(unmet)
 
@@ -586,7 +577,7 @@ def calibrate(
     loaded, _ = _load(scene, options)
     check_writable(output.parent, output.name, output.with_suffix(".html").name)
     # The fit that follows takes as long as its recordings are: the limit is that of the light.
-    limited = _tracing_time(options, loaded)
+    limited = command_time.left_for_light(options, loaded)
     result, unmet = _watched(study, loaded, recordings, model=model, **limited.fields)
     summary = calibration_summary(result)
     for line in summary["warnings"]:
@@ -685,7 +676,7 @@ def oximeter(
     given = None if readings is None else read_for(loaded, readings)
     folder = _results(output, scene, OXIMETER if given is None else (*OXIMETER, *OXYGEN))
     _check_file(recording)
-    limited = _tracing_time(options, loaded, pages_cpu_s=OXIMETER_CPU_S)
+    limited = command_time.left_for_light(options, loaded, pages_cpu_s=OXIMETER_CPU_S)
     result, unmet = _watched(study, loaded, **limited.fields)
     for line in result.attrs["warnings"]:
         say(line)
@@ -808,36 +799,9 @@ def _watched(
         return as_far_as_reached(study, *arguments, progress=progress, **options)
 
 
-def _tracing_time(options: TraceOptions, scene: "Scene", *, pages_cpu_s: float = 0.0) -> TraceOptions:
-    """The options with what is left of max_seconds for tracing, which counts from the first photon on."""
-    from .light.tracing import accuracy
-
-    opening_cpu_s, batch_cpu_s = (
-        (PHANTOM_OPENING_CPU_S, PHANTOM_BATCH_CPU_S) if scene.phantom else (FINGER_OPENING_CPU_S, FINGER_BATCH_CPU_S)
-    )
-    return command_time.left(
-        options,
-        limit_s=accuracy(scene, options).max_seconds,
-        opening_cpu_s=opening_cpu_s,
-        least_cpu_s=opening_cpu_s + len(scene.leds) * batch_cpu_s,
-        pages_cpu_s=pages_cpu_s,
-    )
-
-
-def _colour_time(options: TraceOptions, scene: "Scene", *, photograph: bool) -> tuple[TraceOptions, bool]:
-    """The options with what is left of max_seconds for rays, and whether photographs have time; says so if not."""
-    from .report.result_files import COLOUR_CPU_S
-
-    width, height = scene.colour.photograph_px
-    pictures_cpu_s = PHOTOGRAPHS_CPU_S * max(1.0, width * height / PHOTOGRAPHS_PX) if photograph else 0.0
-    pages_cpu_s = COLOUR_CPU_S + pictures_cpu_s
-    if photograph and options.max_seconds is not None:
-        missing_s = command_time.missing_s(options.max_seconds, cpu_s=COLOUR_LEAST_CPU_S + pages_cpu_s)
-        if missing_s > 0:
-            least_s = options.max_seconds + missing_s
-            say(f"photographs are left out: with them this command takes about {least_s:.0f} s or more here now.")
-            photograph, pages_cpu_s = False, COLOUR_CPU_S
-    return command_time.left(options, least_cpu_s=COLOUR_LEAST_CPU_S, pages_cpu_s=pages_cpu_s), photograph
+def _within_scenes_limit(options: TraceOptions, scene: "Scene", **needed_cpu_s: float) -> TraceOptions:
+    """The options with what is left of max_seconds, or of the scene's where they name none."""
+    return command_time.left(options, limit_s=options.max_seconds or scene.accuracy.max_seconds, **needed_cpu_s)
 
 
 def _show(

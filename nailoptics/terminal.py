@@ -1,4 +1,4 @@
-"""The terminal around a command: messages, progress, Ctrl-C, JSON, and the time that is left for its study."""
+"""The terminal around a command: messages, progress, Ctrl-C and JSON."""
 
 import logging
 import math
@@ -6,18 +6,15 @@ import os
 import select
 import signal
 import sys
-import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from io import BufferedReader, RawIOBase, TextIOWrapper
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from .errors import InputError
 from .io import to_json
-from .options import TraceOptions
 
 if TYPE_CHECKING:
     from .batch import BatchProgress
@@ -25,72 +22,8 @@ if TYPE_CHECKING:
 
 # Time between two lines of progress in a log. [s]
 LOG_EVERY_S = 10.0
-# Processor time of a command from the start of its process to its study, and from its last word to the end of the
-# process, on the machine on which what its study and pages take was measured. [s]
-STARTING_CPU_S, ENDING_CPU_S = 0.85, 0.25
-# A study without time does the least that it can; it is given this, as a limit of 0 is none. [s]
-NO_TIME_S = 1e-3
 # A wait for input is broken off so often to look for a Ctrl-C. [s]
 WAIT_S = 0.5
-
-
-class CommandTime:
-    """What a command has taken since it began, so that its time limit holds for all of it, not for its study alone."""
-
-    def __init__(self) -> None:
-        self.begin()
-
-    def begin(self, *, with_process: bool = False) -> None:
-        """Begin anew.
-
-        with_process : the process is the command's own, so that it began with the process.
-        """
-        self._begin = time.perf_counter() - (_age_of_process_s() if with_process else 0.0)
-
-    def left(
-        self,
-        options: TraceOptions,
-        *,
-        limit_s: float | None = None,
-        opening_cpu_s: float = 0.0,
-        least_cpu_s: float,
-        pages_cpu_s: float = 0.0,
-    ) -> TraceOptions:
-        """The options with what is left of max_seconds once the pages are written, which is done after the study.
-
-        Says so where that is less than the least that the command does. All of it takes as much longer than its
-        processor time did once as starting now has, on a busy machine or a slow one.
-
-        limit_s : in place of the options' max_seconds, such as the scene's. [s]
-        opening_cpu_s : processor time of what the study does not count as its own. [s]
-        least_cpu_s : of the least that it does, that included. [s]
-        pages_cpu_s : of what is written after it. [s]
-        """
-        limit_s = limit_s or options.max_seconds
-        if limit_s is None:
-            return options
-        if (missing_s := self.missing_s(limit_s, cpu_s=least_cpu_s + pages_cpu_s)) > 0:
-            least_s = f"{limit_s + missing_s:.0f}"
-            say(f"max_seconds = {limit_s:g} is too short: the least of this command takes about {least_s} s here now.")
-        left_s = -self.missing_s(limit_s, cpu_s=opening_cpu_s + pages_cpu_s)
-        return replace(options, max_seconds=max(NO_TIME_S, left_s))
-
-    def missing_s(self, limit_s: float, *, cpu_s: float) -> float:
-        """By how much the command would go beyond a limit with so much processor time more; below 0 what is left. [s]
-
-        cpu_s : on the machine on which it was measured; what ending takes is added. [s]
-        """
-        spent_s = time.perf_counter() - self._begin
-        return spent_s + max(1.0, spent_s / STARTING_CPU_S) * (cpu_s + ENDING_CPU_S) - limit_s
-
-
-def _age_of_process_s() -> float:
-    """How long this process has run; 0 where the system does not tell. [s]"""
-    try:
-        ticks = int(Path("/proc/self/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19])
-        return time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")
-    except (OSError, AttributeError, LookupError, ValueError):
-        return 0.0
 
 
 def say(line: str) -> None:

@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import pytest
 
 import nailoptics
-from nailoptics import cli, terminal
+from nailoptics import cli, command_time
 from nailoptics.cli import run
 from nailoptics.commit import commit
 from nailoptics.errors import InputError
@@ -582,41 +582,41 @@ def test_a_time_limit_is_that_of_the_whole_command(monkeypatch, capsys):
     of the process, all as much slower than they once were as starting was. Where that is less than its least, it gets
     hardly any time, and one line says what the command would need."""
     clock = SimpleNamespace(perf_counter=lambda: 100.0)
-    monkeypatch.setattr(terminal, "time", clock)
-    command = terminal.CommandTime()
+    monkeypatch.setattr(command_time, "time", clock)
+    command = command_time.CommandTime()
     slowness = 4.0
-    clock.perf_counter = lambda: 100.0 + slowness * terminal.STARTING_CPU_S
+    clock.perf_counter = lambda: 100.0 + slowness * command_time.STARTING_CPU_S
     asked, needs = (
         TraceOptions(max_seconds=60.0, seed=3),
         {"opening_cpu_s": 1.0, "least_cpu_s": 2.0, "pages_cpu_s": 3.0},
     )
-    left_s = 60.0 - slowness * (terminal.STARTING_CPU_S + 1.0 + 3.0 + terminal.ENDING_CPU_S)
+    left_s = 60.0 - slowness * (command_time.STARTING_CPU_S + 1.0 + 3.0 + command_time.ENDING_CPU_S)
     assert command.left(asked, **needs).max_seconds == pytest.approx(left_s) and command.left(asked, **needs).seed == 3
     assert command.left(TraceOptions(photons=7), **needs) == TraceOptions(photons=7)
     # The scene's limit counts as its own does.
     assert command.left(TraceOptions(photons=7), limit_s=60.0, **needs).max_seconds == pytest.approx(left_s)
     assert not capsys.readouterr().err
-    assert command.left(TraceOptions(max_seconds=5.0), **needs).max_seconds == terminal.NO_TIME_S
-    least_s = slowness * (terminal.STARTING_CPU_S + 2.0 + 3.0 + terminal.ENDING_CPU_S)
+    assert command.left(TraceOptions(max_seconds=5.0), **needs).max_seconds == command_time.NO_TIME_S
+    least_s = slowness * (command_time.STARTING_CPU_S + 2.0 + 3.0 + command_time.ENDING_CPU_S)
     assert (
         f"max_seconds = 5 is too short: the least of this command takes about {least_s:.0f} s"
         in capsys.readouterr().err
     )
     # A machine on which starting took hardly any time is taken for one that is as fast as the usual one.
     command.begin()
-    assert command.left(asked, least_cpu_s=2.0).max_seconds == pytest.approx(60.0 - terminal.ENDING_CPU_S)
+    assert command.left(asked, least_cpu_s=2.0).max_seconds == pytest.approx(60.0 - command_time.ENDING_CPU_S)
 
 
 def test_a_command_of_its_own_counts_from_the_start_of_its_process(monkeypatch):
     """Expected: the age of the process, which the system tells, goes into what is spent; here it is older than a
     second's thousandth and younger than this machine."""
-    age_s = terminal._age_of_process_s()
+    age_s = command_time._age_of_process_s()
     assert 1e-3 < age_s < time.clock_gettime(time.CLOCK_BOOTTIME)
-    command = terminal.CommandTime()
-    monkeypatch.setattr(terminal, "_age_of_process_s", lambda: 7.0)
+    command = command_time.CommandTime()
+    monkeypatch.setattr(command_time, "_age_of_process_s", lambda: 7.0)
     command.begin(with_process=True)
     left_s = command.left(TraceOptions(max_seconds=60.0), least_cpu_s=0.0).max_seconds
-    assert left_s == pytest.approx(60.0 - 7.0 * (1 + terminal.ENDING_CPU_S / terminal.STARTING_CPU_S), abs=1.0)
+    assert left_s == pytest.approx(60.0 - 7.0 * (1 + command_time.ENDING_CPU_S / command_time.STARTING_CPU_S), abs=1.0)
 
 
 @pytest.mark.parametrize(
@@ -647,13 +647,13 @@ def test_every_study_gets_what_starting_and_its_pages_leave_of_the_time(argument
 
     monkeypatch.setattr(cli, "_watched", ended)
     assert run([*arguments, "--max-seconds", "600", "--backend", "scalar"]) == 2
-    assert 100 < given[0] < 600 - terminal.ENDING_CPU_S
+    assert 100 < given[0] < 600 - command_time.ENDING_CPU_S
 
 
 def test_photographs_are_left_out_where_they_alone_take_longer_than_the_time(monkeypatch, folder, capsys):
     """Expected: the rays get the time in their place, and one line says so."""
     given: list[float] = []
-    monkeypatch.setattr(terminal, "STARTING_CPU_S", 1e3)  # as if this machine were as fast as the usual one
+    monkeypatch.setattr(command_time, "STARTING_CPU_S", 1e3)  # as if this machine were as fast as the usual one
 
     def ended(*_, **options):
         given.append(options["max_seconds"])
@@ -665,4 +665,4 @@ def test_photographs_are_left_out_where_they_alone_take_longer_than_the_time(mon
     long, short = given
     told = capsys.readouterr().err
     assert told.count("photographs are left out: with them this command takes about") == 1
-    assert 120 - long == pytest.approx(30 - short + cli.PHOTOGRAPHS_CPU_S, abs=5.0) and short > 10
+    assert 120 - long == pytest.approx(30 - short + command_time.PHOTOGRAPHS_CPU_S, abs=5.0) and short > 10

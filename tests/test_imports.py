@@ -43,6 +43,7 @@ ORDER = [
     {"exports"},
     {"report"},
     {"terminal"},
+    {"command_time"},
     {"cli"},
     {"__main__"},
 ]

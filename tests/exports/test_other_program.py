@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from nailoptics import cli, terminal
+from nailoptics import cli, command_time
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
@@ -108,4 +108,4 @@ def test_our_trace_gets_what_starting_leaves_of_the_time(scene, tmp_path, monkey
     monkeypatch.setattr(cli, "_watched", ended)
     write(tmp_path / "detected.npz", scene)
     assert run(["compare-with", str(tmp_path / "detected.npz"), "--max-seconds", "600"]) == 2
-    assert 100 < given[0] < 600 - cli.FINGER_OPENING_CPU_S - terminal.ENDING_CPU_S
+    assert 100 < given[0] < 600 - command_time.FINGER_OPENING_CPU_S - command_time.ENDING_CPU_S
