@@ -86,23 +86,31 @@ def colour(
         result, photons, unmet = _seen(scene, states, viewer, viewing, options, stage)
     for store in stores:
         store.close()
-    engine = "photons" if chosen.jit else "volpath"
-    made: dict[str, Any] = {"engine": engine, "backend": chosen.name, "seeds": str(options.seed)}
-    shown = viewing.model_dump(include={"illuminant", "observer", "lit_by", "tolerance", "change_tolerance"})
-    result.attrs = provenance(scene, photons=photons, **made) | {
-        "title": "nailoptics: colour of the nail under force",
-        "seed": options.seed,
-        **shown,
-        "gloss": int(viewing.gloss),
-        "tile_size_mm": TILE_MM,
+    result.attrs = _attributes(scene, viewing, options, chosen, photons) | {
         "cpu_seconds": time.process_time() - cpu,
         "wall_seconds": time.perf_counter() - begin,
-        "references": "CIE 015:2018; S. A. Mascaro, H. H. Asada, IEEE Trans. Robotics and Automation 17(5), 2001",
     }
     if unmet:
         result.attrs["cut_off"] = unmet
         raise NotReachedError(unmet, result=result)
     return result
+
+
+def _attributes(
+    scene: Scene, viewing: Viewing, options: TraceOptions, chosen: backend.Backend, photons: int
+) -> dict[str, Any]:
+    """What the result says of how it came about, but for the time that it took."""
+    engine = "photons" if chosen.jit else "volpath"
+    made: dict[str, Any] = {"engine": engine, "backend": chosen.name, "seeds": str(options.seed)}
+    shown = viewing.model_dump(include={"illuminant", "observer", "lit_by", "tolerance", "change_tolerance"})
+    return provenance(scene, photons=photons, **made) | {
+        "title": "nailoptics: colour of the nail under force",
+        "seed": options.seed,
+        **shown,
+        "gloss": int(viewing.gloss),
+        "tile_size_mm": TILE_MM,
+        "references": "CIE 015:2018; S. A. Mascaro, H. H. Asada, IEEE Trans. Robotics and Automation 17(5), 2001",
+    }
 
 
 def with_scenes_effort(options: TraceOptions, scene: Scene) -> TraceOptions:
