@@ -127,32 +127,20 @@ def test_a_module_is_a_package_of_leds_and_photodiodes():
 
 
 @pytest.mark.parametrize(
-    ("rows", "words"),
+    ("field", "rows", "words"),
     [
-        ("[[0.0, 1.0]]", "two rows"),
-        ("[[0.0, 0.9], [60.0, 0.5]]", r"from \[0, 1\] on"),
-        ("[[0.0, 1.0], [60.0, 0.5], [50.0, 0.2]]", "angles rising"),
-        ("[[0.0, 1.0], [90.0, 0.1]]", "0.1 at 90 degrees"),
-        ("[[0.0, 1.0], [91.0, 0.0]]", "less than or equal to 90"),
+        ("angular_response", "[[0.0, 1.0]]", "two rows"),
+        ("angular_response", "[[0.0, 0.9], [60.0, 0.5]]", r"from \[0, 1\] on"),
+        ("angular_response", "[[0.0, 1.0], [60.0, 0.5], [50.0, 0.2]]", "angles rising"),
+        ("angular_response", "[[0.0, 1.0], [90.0, 0.1]]", "0.1 at 90 degrees"),
+        ("angular_response", "[[0.0, 1.0], [91.0, 0.0]]", "less than or equal to 90"),
+        ("responsivity", "[[600.0, 0.4]]", "two rows"),
+        ("responsivity", "[[600.0, 0.4], [500.0, 0.3]]", "wavelengths rising"),
+        ("responsivity", "[[600.0, 0.4], [800.0, 0.7]]", "0.7 A/W at 800 nm is more than one electron per photon"),
     ],
 )
-def test_an_impossible_angular_response_is_refused(tmp_path, rows, words):
-    text = f'kind = "photodiode"\nelement_size_mm = [1.0, 1.0]\ndark_current_na = 1\nangular_response = {rows}\n'
-    (tmp_path / "mine.toml").write_text(text)
-    with pytest.raises(InputError, match=words):
-        load_part("mine", tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("rows", "words"),
-    [
-        ("[[600.0, 0.4]]", "two rows"),
-        ("[[600.0, 0.4], [500.0, 0.3]]", "wavelengths rising"),
-        ("[[600.0, 0.4], [800.0, 0.7]]", "0.7 A/W at 800 nm is more than one electron per photon"),
-    ],
-)
-def test_an_impossible_responsivity_is_refused(tmp_path, rows, words):
-    text = f'kind = "photodiode"\nelement_size_mm = [1.0, 1.0]\ndark_current_na = 1\nresponsivity = {rows}\n'
+def test_an_impossible_table_of_a_photodiode_is_refused(tmp_path, field, rows, words):
+    text = f'kind = "photodiode"\nelement_size_mm = [1.0, 1.0]\ndark_current_na = 1\n{field} = {rows}\n'
     (tmp_path / "mine.toml").write_text(text)
     with pytest.raises(InputError, match=words):
         load_part("mine", tmp_path)
