@@ -46,7 +46,8 @@ def draw(result: xr.Dataset) -> "Figure":
     most = value.max("led")
     ends = most.end[most >= LEAST].values[np.argsort(-most[most >= LEAST].values, kind="stable")]
     leds = result.sizes["led"]
-    drawing, axes = style.panels(9.2, 0.8 + len(ends) * (0.14 + 0.16 * leds))
+    room = style.Room(left=0.25 + style.longest_in(ends), top=0.1)
+    drawing, axes = style.panels(9.2, 0.8 + len(ends) * (0.14 + 0.16 * leds), room_in=room)
     rows, high = np.arange(len(ends)), 0.8 / leds
     # Not the colours of places along the nail, which warm and cool ones stand for.
     for i, colour in enumerate(colormaps["cividis"](np.linspace(0.45, 0.85, leds))):

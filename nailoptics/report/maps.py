@@ -33,7 +33,9 @@ TISSUE = {
     "cut": "#d8d8d8",
     "silicon": SILICON,
 }
-DECADES = 3.0
+DECADES = 3
+# Beside the section stand its key and the scale of the paths.
+BESIDE = style.Room(left=0.55, right=1.25, down=0.7)
 LAYERS = ("plate", "bed", "bone")
 ACROSS, ALONG = "across the nail [mm]", "along the nail, towards the tip [mm]"
 
@@ -61,7 +63,7 @@ def draw_rectangle(axes: "Axes", r: Rectangle, *, turned: bool = False, **look: 
 @style.drawing()
 def top_view(scene: Scene) -> "Figure":
     """The board on the nail, seen from above and rolled flat: what is where, and which blood lies below."""
-    figure, axes = style.panels(6.4, 6.0)
+    figure, axes = style.panels(6.4, 6.0, room_in=style.Room(left=0.55, top=0.1))
     draw_top_view(axes, scene)
     return figure
 
@@ -152,7 +154,8 @@ class _Cut:
 def section(scene: Scene | None, result: xr.Dataset) -> "Figure":
     """The finger and its board cut lengthwise, one close view per LED with the density of its light's paths."""
     leds = result.sizes["led"] if "path_density" in result else 1
-    figure, (whole, *views) = style.panels(9.2, 3.1 + 3.55 * leds, leds + 1, height_ratios=[2.9] + [3.5] * leds)
+    heights = [2.9] + [3.5] * leds
+    figure, (whole, *views) = style.panels(9.2, 3.1 + 3.55 * leds, leds + 1, room_in=BESIDE, height_ratios=heights)
     cut = _Cut.of(result)
     _regions(whole, cut)
     low_y, high_y, low_z, high_z = _close_view(scene, cut)
@@ -190,16 +193,19 @@ def _paths(axes: "Axes", cut: _Cut, density: np.ndarray) -> None:
     relative = smooth / float(np.quantile(inside, 0.9995))
     faded = np.clip(np.log10(np.maximum(relative, 1e-9)) / DECADES + 1, 0, 1)
     image = axes.imshow(
-        np.ma.masked_less(relative, 10**-DECADES).T,
+        np.ma.masked_less(relative, 10.0**-DECADES).T,
         extent=extent(cut.y, cut.z),
         origin="lower",
-        norm=LogNorm(10**-DECADES, 1),
+        norm=LogNorm(10.0**-DECADES, 1),
         cmap="magma",
         alpha=np.minimum(1.4 * faded, 1).T,
         zorder=3,
         interpolation="bilinear",
     )
-    bar = axes.figure.colorbar(image, cax=axes.inset_axes((1.01, 0.0, 0.02, 1.0)))
+    # Powers of ten as text: as formulas they would take a quarter of the figure's time.
+    decades: dict[str, Any] = {"ticks": [10.0**-power for power in range(DECADES + 1)], "format": "%g"}
+    bar = axes.figure.colorbar(image, cax=axes.inset_axes((1.01, 0.0, 0.02, 1.0)), **decades)
+    bar.minorticks_off()
     bar.set_label("light paths [of largest]", fontsize=8)
     bar.outline.set_visible(False)
     for part, dashes in ((0.5, "-"), (0.9, "--")):

@@ -111,8 +111,11 @@ def overview(result: xr.Dataset, scene: Scene | None) -> "Figure":
     """Change of every photodiode from rest, one panel per LED, over the force."""
     leds = result.sizes["led"]
     per_led = 3.6 if leds > 1 else 4.2
-    heights = [0.8] + [per_led] * leds
-    figure, (top, *panels) = style.panels(9.2, 0.9 + per_led * leds, leds + 1, sharex=True, height_ratios=heights)
+    columns = _legend_columns(result.sizes["photodiode"])
+    legend_in = columns * (0.5 + style.longest_in(f"{name}  -1.23 mV" for name in result.photodiode.values))
+    room = style.Room(left=0.7, right=min(0.1 + legend_in, 6.0), top=0.1, down=0.4)
+    how: dict[str, Any] = {"sharex": True, "height_ratios": [0.8] + [per_led] * leds}
+    figure, (top, *panels) = style.panels(9.2, 0.9 + per_led * leds, leds + 1, room_in=room, **how)
     seen = _thin(result)
     _line(top, seen, seen.force_n, color=style.INK)
     top.fill_between(seen.time, 0, seen.force_n, color=style.MUTED, alpha=0.15, lw=0)
@@ -151,8 +154,12 @@ def draw_change(axes: "Axes", result: xr.Dataset, scene: Scene | None, *, led: i
         loc="center left",
         bbox_to_anchor=(1.0, 0.5),
         title=f"at {hold_s:.3g} s",
-        ncols=1 + (len(photodiodes) - 1) // 16,
+        ncols=_legend_columns(len(photodiodes)),
     )
+
+
+def _legend_columns(photodiodes: int) -> int:
+    return 1 + (photodiodes - 1) // 16
 
 
 @style.drawing()
@@ -205,6 +212,7 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
         axes.set_ylim(-limit, limit)
     for axes in grid.ravel()[2 * len(order) :]:
         axes.set_visible(False)
+    grid[0, 0].locator_params("x", nbins=6)
     for axes in grid[-1]:
         _time_axis(axes, result)
     style.legend_above(figure, grid[0, 0], ncols=5, handlelength=2.2, columnspacing=1.4)

@@ -1,9 +1,13 @@
 """The model every table of a scene is made from: frozen, strict, no unknown fields, no NaN."""
 
-from collections.abc import Sequence
-from typing import Annotated
+import ast
+import inspect
+import itertools
+import textwrap
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler
 
 # What a scene has where its author says nothing, and what later rooms take where nobody says more.
 USUAL_BLOOD_FRACTION = 0.03  # of the nail bed at rest: measured values span 0.01 to 0.05
@@ -21,9 +25,30 @@ PHOTON_NM_PER_V = 1239.841984
 class Table(BaseModel):
     """One table of a scene file."""
 
-    model_config = ConfigDict(
-        frozen=True, strict=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """The JSON Schema, each field described by the text below it.
+
+        Pydantic reads these texts, too (use_attribute_docstrings), but from the sources of all tables in every process.
+        """
+        schema = handler(core_schema)
+        fields = handler.resolve_ref_schema(schema)["properties"]
+        tables = [base for base in reversed(cls.__mro__) if issubclass(base, Table)]
+        for name, text in itertools.chain.from_iterable(_texts_below(table) for table in tables):
+            fields[name]["description"] = text
+        return schema
+
+
+def _texts_below(table: type) -> Iterator[tuple[str, str]]:
+    """Each field that a class itself names, and the text below it."""
+    (body,) = ast.parse(textwrap.dedent(inspect.getsource(table))).body
+    assert isinstance(body, ast.ClassDef)
+    for field, below in itertools.pairwise(body.body):
+        match field, below:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                yield name, inspect.cleandoc(text)
 
 
 # Elements of all photodiodes of a scene, read or not.
