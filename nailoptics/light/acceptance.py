@@ -29,6 +29,14 @@ def acceptance_table(photodiode: Photodiode) -> np.ndarray:
     return np.interp(at, angle, counts, right=beyond)
 
 
+def accepted(photodiode: Photodiode, cos: np.ndarray) -> np.ndarray:
+    """What a photodiode makes of photons that meet it, or leave it as they would meet it, at angles, (n,) float."""
+    if photodiode.angular_response is None:
+        return np.ones(len(cos))
+    table = acceptance_table(photodiode).astype(np.float32)
+    return np.interp(cos**2, np.linspace(0, 1, STEPS + 1), table)
+
+
 class Acceptance:
     """Tables of several photodiodes, one after the other, as a walk reads them; (photodiodes, STEPS + 1) float."""
 

@@ -1,7 +1,7 @@
 """The photon map: every photon that arrives at the board's underside, read as any photodiode anywhere would read it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ from .. import tissue
 from ..errors import InputError
 from ..geometry import SPACING_MM, Face, underside
 from ..scene import Scene
-from ..scene.parts import check_flat
+from ..scene.parts import check_one_response
 from ..scene.rectangles import Rectangle
 from ..statistics import stderr_of_mean
 from ..variables import Variables, variable
@@ -38,7 +38,8 @@ class Arrivals:
     photons : How many were emitted.
     photon : (n,) int. Which of them; one that the bare board sent back may arrive again.
     place_mm : (n, 2) float. Where, on the flat board (u, v). [mm]
-    weight : (n,) float. Weight at arrival of 1 at emission, at the traced absorption.
+    weight : (n,) float. Weight at arrival of 1 at emission, at the traced absorption, as photodiodes count light that
+        comes at its angle.
     path_mm : (n, r) float32. Path in each absorber. [mm]
     """
 
@@ -56,6 +57,15 @@ class Arrivals:
         place = {"place_mm": self.place_mm.astype(np.float32)} if placed else {}
         weight = self.weight.astype(np.float32)
         return {"photon": self.photon.astype(np.uint32), "weight": weight, "path_mm": self.path_mm} | place
+
+    def weighed(self, by: np.ndarray) -> "Arrivals":
+        """The same with every weight times another, (n,) float."""
+        return replace(self, weight=self.weight * by)
+
+    def only(self, which: np.ndarray) -> "Arrivals":
+        """Some of the arrivals of these photons, (n,) bool."""
+        columns = (getattr(self, name)[which] for name in ("photon", "place_mm", "weight", "path_mm"))
+        return Arrivals(self.photons, *columns)
 
     @classmethod
     def from_stored(cls, photons: int, arrays: dict[str, np.ndarray]) -> "Arrivals":
@@ -90,7 +100,6 @@ class BoardTracer:
         """
         if scene.finger is None:
             raise InputError("a photon map needs a [finger] scene; a phantom has no board, give it apertures.")
-        check_flat(scene.photodiodes, "a photon map, which place, explore and light from outside are read from")
         self.backend = backends.choose_jit(backend, "a photon map")
         self.scene, self.spacing_mm, self.store, self.seed = scene, spacing_mm, store, seed
 
@@ -122,15 +131,19 @@ class BoardTracer:
         return arrays
 
     def arrivals(self, led: int, *, photons: int, seed: int) -> Arrivals:
-        """Trace some photons of one LED; same seed, same bits."""
+        """Trace some photons of one LED, as photodiodes like the scene's would read them; same seed, same bits."""
+
+        check_one_response(self.scene.photodiodes)
 
         def trace() -> dict[str, np.ndarray]:
-            return self._onto_board(led, None, photons, seed)[0].stored()
+            arrived, cos, _ = self._onto_board(led, None, photons, seed)
+            return arrived.weighed(self._accepted(0, cos)).stored()
 
         return Arrivals.from_stored(photons, self._kept(led, f"arrivals{seed}-{photons}", trace))
 
     def back(self, photodiode: int, led: int, *, photons: int, seed: int) -> tuple[Arrivals, Arrivals]:
-        """Trace light the other way, from a photodiode that shines as a Lambertian LED of the wavelength of one LED.
+        """Trace light the other way, from a photodiode that shines as a Lambertian LED of the wavelength of one LED,
+        each photon counting as the photodiode counts light of that angle.
 
         By reciprocity a photodiode of area A reads, of a Lambertian LED that lies where this light arrives, A times the
         irradiance there; and of diffuse light from outside n^2 A times its irradiance times the part that leaves.
@@ -139,7 +152,11 @@ class BoardTracer:
         """
 
         def trace() -> dict[str, np.ndarray]:
-            arrived, left = self._onto_board(led, self.tracer.geometry.photodiodes[photodiode], photons, seed)
+            face, scene = self.tracer.geometry.photodiodes[photodiode], self.scene
+            arrived, _, left = self._onto_board(led, face, photons, seed)
+            if scene.layout.photodiodes[photodiode].photodiode.angular_response is not None:
+                sent = self._accepted(photodiode, self.tracer.starts(face, photons=photons, seed=seed)[1])
+                arrived, left = (one.weighed(sent[one.photon]) for one in (arrived, left))
             away = {f"left_{name}": array for name, array in left.stored(placed=False).items()}
             return arrived.stored() | away
 
@@ -147,14 +164,20 @@ class BoardTracer:
         left = {name.removeprefix("left_"): array for name, array in arrays.items() if name.startswith("left_")}
         return Arrivals.from_stored(photons, arrays), Arrivals.from_stored(photons, left)
 
-    def everywhere(self, led: int, *, photons: int, seed: int) -> tuple[np.ndarray, Arrivals, Arrivals]:
+    def everywhere(self, led: int, *, photons: int, seed: int) -> tuple[np.ndarray, Arrivals, Arrivals, Arrivals]:
         """Trace light of one LED's wavelength, Lambertian, from places spread evenly over the bare underside.
 
-        Returns: where each photon starts, (photons, 2) float [mm]; light that arrives on the board, and light that
-        leaves into the air.
+        Returns: where each photon starts, (photons, 2) float [mm]; light that arrives on the board, as a photodiode
+        like the scene's counts it there; the same as such a photodiode counts it where it starts, of an LED where it
+        arrives; and light that leaves into the air, as it counts where it starts.
         """
+        check_one_response(self.scene.photodiodes)
         face = underside(self.tracer.geometry)
-        return self.tracer.starts(face, photons=photons, seed=seed), *self._onto_board(led, face, photons, seed)
+        starts, sent = self.tracer.starts(face, photons=photons, seed=seed)
+        arrived, cos, left = self._onto_board(led, face, photons, seed)
+        sent = self._accepted(0, sent)
+        back, left = (one.weighed(sent[one.photon]) for one in (arrived, left))
+        return starts, arrived.weighed(self._accepted(0, cos)), back, left
 
     def fluence(self, led: int, radius_mm: np.ndarray, depth_mm: np.ndarray, *, photons: int, seed: int) -> np.ndarray:
         """How an LED's light spreads below it: its fluence rate per emitted power on rings around it, by depth below
@@ -169,20 +192,31 @@ class BoardTracer:
         self.tracer.walk(led, photons=photons, seed=seed, section=tally)
         return tally.density(photons)
 
-    def _onto_board(self, led: int, face: Face | None, photons: int, seed: int) -> tuple[Arrivals, Arrivals]:
+    def _onto_board(
+        self, led: int, face: Face | None, photons: int, seed: int
+    ) -> tuple[Arrivals, np.ndarray, Arrivals]:
+        """Light that arrives, every angle counting alike; the cosines of its angles; and light that leaves."""
         from .sampling import TOP
         from .tallies.board_tally import BoardTally
 
         backends.activate(self.backend)
-        tally = BoardTally(self.tracer.geometry, photons=photons, paths=self.tracer.paths)
+        angles = any(one.angular_response is not None for one in self.scene.photodiodes)
+        tally = BoardTally(self.tracer.geometry, photons=photons, paths=self.tracer.paths, angles=angles)
         walked = self.tracer.walk(led, photons=photons, seed=seed, face=face, board=tally)
-        photon, place, weight, paths = tally.arrays()
+        photon, place, weight, paths, cos = tally.arrays()
         left = np.flatnonzero(walked.outcome == TOP)
         nowhere = np.full((len(left), 2), np.nan)
         return (
             Arrivals(photons, photon, place, weight, self.tracer.by_zone(paths)),
+            cos,
             Arrivals(photons, left, nowhere, walked.weight[left], self.tracer.by_zone(walked.path_mm[:, left])),
         )
+
+    def _accepted(self, photodiode: int, cos: np.ndarray) -> np.ndarray:
+        """What a photodiode makes of light at angles of these cosines, (n,) float."""
+        from .acceptance import accepted
+
+        return accepted(self.scene.layout.photodiodes[photodiode].photodiode, cos)
 
     def detected(
         self, led: int, point: "BloodPoint", *, photons: int, seed: int, cells: "VoxelGrid"
@@ -204,11 +238,12 @@ class BoardTracer:
     def _detected(
         self, led: int, point: "BloodPoint", *, photons: int, seed: int, cells: "VoxelGrid"
     ) -> tuple[np.ndarray, np.ndarray]:
+        from .acceptance import acceptance_of
         from .surroundings import DETECTED
         from .tallies.sensitivity import SensitivityTally
 
         backends.activate(self.backend)
-        walked = self.tracer.walk(led, photons=photons, seed=seed)
+        walked = self.tracer.walk(led, photons=photons, seed=seed, acceptance=acceptance_of(self.scene.photodiodes))
         ended, count = np.flatnonzero(walked.outcome >= DETECTED), len(self.tracer.photodiodes)
         where, nowhere = walked.outcome[ended] - DETECTED, np.zeros((len(ended), 2))
         arrived = Arrivals(photons, ended, nowhere, walked.weight[ended], self.tracer.by_zone(walked.path_mm[:, ended]))

@@ -13,7 +13,7 @@ from .. import geometry as finger_geometry
 from ..geometry import SPACING_MM, DistanceGrid, Face, Geometry
 from ..scene import Scene
 from . import optics
-from .acceptance import acceptance_of
+from .acceptance import Acceptance, acceptance_of
 from .records import FINGER_BATCH_PHOTONS, Batch
 from .sampling import (
     ABSORBED,
@@ -86,8 +86,9 @@ class FingerTracer:
 
     def batch(self, led: int, *, photons: int, seed: int) -> Batch:
         """Trace some photons of one LED."""
-        splitting = Splitting(self.geometry, photons, acceptance_of(self.scene.photodiodes))
-        walked = self.walk(led, photons=photons, seed=seed, splitting=splitting)
+        splitting = Splitting(self.geometry, photons)
+        acceptance = acceptance_of(self.scene.photodiodes)
+        walked = self.walk(led, photons=photons, seed=seed, splitting=splitting, acceptance=acceptance)
         energy, absorbed = walked.energy(self.regions[led].absorbing, self.regions[led].swallows)
         photodiode, score = np.array(splitting.photodiode), np.array(splitting.score)
         detected = np.flatnonzero(score)
@@ -109,7 +110,7 @@ class FingerTracer:
         which : (k,) int. Walk these of the photons alone. Each ends as among all, but for one in ten thousand or so
             whose rays round otherwise among other rays.
         face : What shines, at the LED's wavelength and Lambertian, in the LED's place.
-        to : section, board, splitting: what tallies the photons on their way.
+        to : section, board, splitting: what tallies the photons on their way; acceptance.
         """
         rng, count = lanes(photons, seed)
         first = dr.arange(mi.UInt32, dr.width(count))
@@ -125,15 +126,16 @@ class FingerTracer:
         walk = FingerWalk(self.interfaces, self.regions[led], ZoneEdges(self.zones), emitter, ends, **to)
         return ends.evaluated(walk.run(rng, count, first))
 
-    def starts(self, face: Face, *, photons: int, seed: int) -> np.ndarray:
-        """Where on the flat board the photons start that `walk` sends from a face of it, (photons, 2) float. [mm]"""
+    def starts(self, face: Face, *, photons: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        """Where on the flat board the photons start that `walk` sends from a face of it, (photons, 2) float [mm], and
+        the cosines of their angles to it, (photons,) float."""
         (rng, _), index = lanes(photons, seed), dr.arange(mi.UInt32, photons)
         lane, own = index % dr.width(rng.state), mi.PCG32(size=photons)  # type: ignore[operator]
         own.inc = dr.gather(mi.UInt64, rng.inc, lane) if dr.width(rng.inc) > 1 else rng.inc
         own.state = state_of(dr.gather(mi.UInt64, rng.state, lane), index)
-        p, _ = Emitter(face, LAMBERTIAN, mi.UInt32(0)).emit(own, index)
+        p, _, cos = Emitter(face, LAMBERTIAN, mi.UInt32(0)).emit_at_angle(own)
         u = self.geometry.board_radius_mm * np.arctan2(np.array(p.x), np.array(p.z) + self.geometry.nail_radius_mm)
-        return np.stack([u, np.array(p.y)], -1).astype(float)
+        return np.stack([u, np.array(p.y)], -1).astype(float), np.array(cos).astype(float)
 
     @staticmethod
     def by_zone(paths: np.ndarray) -> np.ndarray:
@@ -166,6 +168,7 @@ class FingerWalk:
     emitter : What `emit(rng, index)` gives each photon, its place and direction, and the `region` that it starts in.
     section, board : Tally all photons on their way.
     splitting : Splits photons near the photodiodes, and takes their scores; without it each counts for itself.
+    acceptance : How photodiodes weigh light by its angle.
     """
 
     def __init__(
@@ -179,9 +182,10 @@ class FingerWalk:
         section: Section | SensitivityTally | FluenceTally | None = None,
         board: BoardTally | None = None,
         splitting: Splitting | None = None,
+        acceptance: Acceptance | None = None,
     ) -> None:
         self.interfaces, self.regions, self.zones, self.emitter, self.ends = interfaces, regions, zones, emitter, ends
-        self.section, self.board, self.splitting = section, board, splitting
+        self.section, self.board, self.splitting, self.acceptance = section, board, splitting, acceptance
 
     @dr.syntax
     def run(self, rng: Any, count: Any, first: Any) -> Any:
@@ -212,6 +216,8 @@ class FingerWalk:
             photon.outcome = dr.select(absorbed, mi.UInt32(ABSORBED), photon.outcome)
             # Copies that are still to come start with the weight that this one had there.
             roulette(photon, leg.scatterings + 1, dr.select(photon.copies_left > 0, 0, mi.Float(photon.copies)))
+            if self.splitting is None and self.acceptance is not None:
+                photon.weight = dr.select(photon.outcome >= DETECTED, photon.weight * accepted, photon.weight)
             if self.splitting is not None:
                 self.detect(photon, self.splitting, accepted)
                 fork = self.split(photon, fork, self.splitting, active)
@@ -308,7 +314,7 @@ class FingerWalk:
             reflectance, cos_out, eta = fresnel(cos_in, n_in=n_in, n_out=n_out)
             if self.board is not None:
                 arrives = (photon.region == regions.epoxy) & dr.gather(mi.Bool, regions.on_board, there)
-                self.board.add(photon, arrives & (photon.tau <= photon.absorption_optical_depth))
+                self.board.add(photon, cos_in, arrives & (photon.tau <= photon.absorption_optical_depth))
                 photon.arrivals += dr.select(arrives, mi.UInt32(1), mi.UInt32(0))
             opaque = dr.gather(mi.Bool, regions.opaque, there)
             reflected = u < dr.select(opaque, dr.gather(F, regions.reflectance, there), reflectance)
@@ -327,8 +333,8 @@ class FingerWalk:
             photon.outcome = dr.select(here == photon.region, photon.outcome, mi.UInt32(LOST))
             photon.p = mi.Point3f(off_surface(photon.p, dr.select(reflected, normal, -normal)))
             photon.region = dr.select(reflected, photon.region, there)
-            if self.splitting is not None and self.splitting.acceptance is not None:
-                accepted = self.splitting.acceptance.of(photon.outcome - DETECTED, cos_in, photon.outcome >= DETECTED)
+            if self.acceptance is not None:
+                accepted = self.acceptance.of(photon.outcome - DETECTED, cos_in, photon.outcome >= DETECTED)
         return accepted
 
     def tallied(self, region: Any) -> tuple[Any, Any]:

@@ -125,10 +125,14 @@ class PairBasis:
         order = [0, 1] if self.across == 0 else [1, 0]
         return pair[:, :2][:, order], pair[:, 2:][:, order], volume
 
-    def between(self, starts_mm: Array, arrivals_mm: Array) -> tuple[NDArray[np.bool_], Array, Array]:
-        """Which photons went from one side to the other, and where each was on the first and on the second. [mm]"""
+    def between(
+        self, starts_mm: Array, arrivals_mm: Array
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Array, Array]:
+        """Which photons went from one side to the other; and of these, which started on the first, and where each was
+        on the first and on the second. [mm]"""
         if self.one_side:
-            return np.ones(len(starts_mm), bool), starts_mm, arrivals_mm
+            every = np.ones(len(starts_mm), bool)
+            return every, every, starts_mm, arrivals_mm
         axis = self.across
         rises = self.second_mm[0] > self.first_mm[0]
         facing = (self.first_mm[-1], self.second_mm[0]) if rises else (self.first_mm[0], self.second_mm[-1])
@@ -137,12 +141,17 @@ class PairBasis:
         went = starts_first != ((arrivals_mm[:, axis] < middle) == rises)
         x = np.where(starts_first[:, None], starts_mm, arrivals_mm)
         y = np.where(starts_first[:, None], arrivals_mm, starts_mm)
-        return went, x[went], y[went]
+        return went, starts_first[went], x[went], y[went]
 
-    def sums(self, x_mm: Array, y_mm: Array, values: Array) -> Array:
-        """Sums of the arrivals' values (n, q) times the functions there, (size, q); each counts for both ways."""
+    def sums(self, x_mm: Array, y_mm: Array, values: Array, back: Array | None = None) -> Array:
+        """Sums of the arrivals' values (n, q) times the functions there, (size, q); each counts for both ways.
+
+        back : their values where they count for the way back, which only differ, and count, without a wall.
+        """
         forth = self.matrix(x_mm, y_mm).T @ values
-        return np.asarray(0.5 * (forth + self.matrix(y_mm, x_mm).T @ values) if self.one_side else 0.5 * forth)
+        if not self.one_side:
+            return np.asarray(0.5 * forth)
+        return np.asarray(0.5 * (forth + self.matrix(y_mm, x_mm).T @ (values if back is None else back)))
 
 
 def pair_basis(outline: Rectangle, wall: Rectangle | None) -> PairBasis:

@@ -7,7 +7,6 @@ import mitsuba as mi
 import numpy as np
 
 from ..geometry import Geometry
-from .acceptance import Acceptance
 from .tallies.cell_grid import CellGrid
 
 # A photon that comes within reach of a photodiode, in plate or epoxy, is walked there as so many copies of equal shares
@@ -29,8 +28,7 @@ class Splitting:
     photodiode, score : (photons,) Which photodiode each counts for, and its weight there; 0 if none.
     """
 
-    def __init__(self, geometry: Geometry, photons: int, acceptance: Acceptance | None = None) -> None:
-        self.acceptance = acceptance
+    def __init__(self, geometry: Geometry, photons: int) -> None:
         self.photodiode, self.score = dr.zeros(mi.UInt32, photons), dr.zeros(mi.Float, photons)
         near, low = near_photodiodes(geometry)
         self.near = mi.Bool(near.ravel())

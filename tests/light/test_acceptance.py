@@ -6,11 +6,12 @@ import pytest
 import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
-from nailoptics.light.board_map import BoardTracer
+from nailoptics.light.board_map import BoardTracer, blood_point, readings
 from nailoptics.light.volpath.states import finger_states
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, load_scene
 from nailoptics.statistics import stderr_of_mean
+from nailoptics.studies.placement import boards
 
 FLAT = ((0.0, 1.0), (60.0, 0.5), (90.0, 0.0))
 
@@ -63,8 +64,9 @@ def test_a_face_under_even_radiance_collects_two_over_one_more_than_the_power(ji
 
     emitter = Inwards(tracer.geometry.photodiodes[chosen], LAMBERTIAN, tracer.regions[0].epoxy)
     ends = PhotonEnds(photons, paths=tracer.paths, media=len(tracer.regions[0].absorbing))
-    splitting = Splitting(tracer.geometry, photons, acceptance_of(scene.photodiodes))
-    walk = FingerWalk(tracer.interfaces, tracer.regions[0], ZoneEdges(tracer.zones), emitter, ends, splitting=splitting)
+    splitting, acceptance = Splitting(tracer.geometry, photons), acceptance_of(scene.photodiodes)
+    made = (tracer.interfaces, tracer.regions[0], ZoneEdges(tracer.zones), emitter, ends)
+    walk = FingerWalk(*made, splitting=splitting, acceptance=acceptance)
     rng, count = lanes(photons, 5)
     ends.evaluated(walk.run(rng, count, dr.arange(mi.UInt32, dr.width(count))))
     score = np.array(splitting.score).astype(float)
@@ -87,9 +89,82 @@ def test_only_the_photodiodes_with_a_narrow_response_read_less(jit_backend):
     assert np.all(abs(ratio[:first] - 1) < 3 * error[:first]) and np.all(ratio[first:] < 0.8)
 
 
+def on_board(*rows: tuple[tuple[float, float], ...] | None) -> Scene:
+    """An open board whose photodiodes, of one size, have angular responses."""
+    one = load_scene(data_dir("scenes") / "placement.toml")
+    board = one.board.model_copy(update={"barrier": False, "size_mm": (8.0, 9.0)})
+    places = zip(((1.0, -0.6), (0.2, 1.6)), rows, strict=True)
+    photodiodes = tuple(
+        one.photodiodes[0].model_copy(
+            update={"name": f"p{i}", "position_mm": place, "size_mm": (1.2, 1.2), "angular_response": response}
+        )
+        for i, (place, response) in enumerate(places)
+    )
+    led = one.leds[0].model_copy(update={"position_mm": (-1.0, 0.0), "fwhm_nm": 0.0})
+    update = {"board": board, "photodiodes": photodiodes, "leds": (led,), "placement": None}
+    return one.model_copy(update=update)
+
+
+@pytest.mark.jit
+def test_maps_of_a_response_that_follows_the_cosine_are_those_of_none(jit_backend):
+    found = []
+    for response in (None, FLAT):
+        tracer = BoardTracer(on_board(response, response), spacing_mm=0.3)
+        starts, *everywhere = tracer.everywhere(0, photons=1 << 13, seed=1)
+        there_and_back = (tracer.arrivals(0, photons=1 << 13, seed=1), *tracer.back(1, 0, photons=1 << 13, seed=1))
+        found.append([starts, *(column for one in (*everywhere, *there_and_back) for column in vars(one).values())])
+    assert all(np.array_equal(one, other, equal_nan=True) for one, other in zip(*found, strict=True))
+
+
+@pytest.mark.jit
+def test_maps_and_reciprocity_read_a_narrow_response_as_a_trace_does(jit_backend):
+    """Both photodiodes half at 36 degrees: the bare board's map, a walk of their own, and their light the other way."""
+    narrow = power_of_cosine(3.3)
+    scene = on_board(narrow, narrow)
+    traced = nail.trace(scene, photons=1 << 18, seed=3).at().isel(led=0)
+    expected, error = (traced[name].values for name in ("detected_fraction", "detected_fraction_stderr"))
+    areas, die = scene.layout.photodiode_areas, scene.layout.leds
+    bare, own = (BoardTracer(one, spacing_mm=0.3) for one in (boards.bare(boards.explicit(scene, "")), scene))
+    point, photons = blood_point(scene, 0), 1 << 18
+    arrived = bare.arrivals(0, photons=photons, seed=1)
+    by_map = [column[:, 0] for column in readings(arrived, point.values(arrived), areas)]
+    cells = own.cells()
+    each = [own.detected(0, point, photons=photons // 8, seed=seed, cells=cells)[0][:, 0] for seed in range(4)]
+    fresh = [np.mean(each, 0), np.std(each, 0, ddof=1) / 2]
+    lit = [own.back(j, 0, photons=photons, seed=5)[0] for j in range(2)]
+    back = np.array([readings(one, point.values(one)[:, :1], die) for one in lit])[:, :, 0, 0].T
+    back *= areas[0].area_mm2 / die[0].area_mm2
+    # Four batches know their own spread badly: it is no less than that of as many photons of the map.
+    fresh[1] = np.maximum(fresh[1], by_map[1] * 2**0.5)
+    for (value, spread), most in ((by_map, 0.05), (fresh, 0.1), (back, 0.12)):
+        assert np.all(np.abs(value - expected) < 4 * np.hypot(spread, error)), (value, spread, expected, error)
+        assert np.all(spread < most * expected)
+
+
+@pytest.mark.jit
+def test_light_between_places_counts_as_the_photodiode_at_its_end_counts_it(jit_backend):
+    """Photons from everywhere, over pairs of places 1 to 3 mm apart: the light that comes with a narrow response, by
+    where it arrives and by where it starts, which by reciprocity is the same."""
+    tracer = BoardTracer(on_board(power_of_cosine(3.3), power_of_cosine(3.3)), spacing_mm=0.3)
+    starts, arrived, back, left = tracer.everywhere(0, photons=1 << 18, seed=2)
+    flat = BoardTracer(on_board(None, None), spacing_mm=0.3).everywhere(0, photons=1 << 18, seed=2)
+    apart = np.hypot(*(starts[arrived.photon] - arrived.place_mm).T)
+    near = (apart > 1) & (apart < 3)
+    sums, ways = [], (arrived, back, flat[1])
+    for one in ways:
+        by_photon = np.bincount(one.photon[near], one.weight[near], minlength=one.photons)
+        sums.append((by_photon.sum(), by_photon))
+    spread = np.sqrt(((sums[0][1] - sums[1][1]) ** 2).sum())
+    assert abs(sums[0][0] - sums[1][0]) < 4 * spread and spread < 0.05 * sums[0][0]
+    assert sums[0][0] < 0.7 * sums[2][0]
+    assert left.weight.sum() != flat[3].weight.sum()
+
+
 def test_what_cannot_weigh_angles_says_so():
     scene = with_response(None, FLAT)
-    with pytest.raises(InputError, match="angular_response is not known to a photon map"):
-        BoardTracer(scene)
+    with pytest.raises(InputError, match='"proximal" and "distal" differ in angular_response'):
+        BoardTracer(scene).arrivals(0, photons=1, seed=0)
+    with pytest.raises(InputError, match="differ in angular_response"):
+        boards.check(scene, "mixed")
     with pytest.raises(InputError, match="angular_response is not known to volpath"):
         finger_states(scene, None, None, None, led=0, options=TraceOptions())  # type: ignore[arg-type]

@@ -1,6 +1,6 @@
 """The table of one wavelength: light between places of the board, and what blood makes of it, summed batch by batch."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +74,7 @@ class ColourSums:
         self.rest = blood_point(two, 0)
         self.points = [_state_point(two, *map(float, state)) for state in polynomial.states]
         self.batches = self.photons = 0
-        self.waiting: list[tuple[int, Array, Array, Array]] = []
+        self.waiting: list[tuple[int, Array, Array, list[Array]]] = []
         self.mean = np.zeros((basis.size, 2))
         self.blocks = np.zeros((BLOCKS, basis.size))
         self.block_photons = np.zeros(BLOCKS)
@@ -90,11 +90,13 @@ class ColourSums:
     def trace(self, photons: int) -> None:
         """Trace one batch more."""
         seed = seed_of(self.seed, EVERYWHERE, self.number, self.batches)
-        starts, arrived, left = self.tracer.everywhere(0, photons=photons, seed=seed)
-        went, x, y = self.basis.between(starts[arrived.photon], arrived.place_mm)
-        columns = (getattr(arrived, name)[went] for name in ("photon", "place_mm", "weight", "path_mm"))
+        starts, arrived, sent, left = self.tracer.everywhere(0, photons=photons, seed=seed)
+        went, forth, x, y = self.basis.between(starts[arrived.photon], arrived.place_mm)
         block = self.batches % BLOCKS
-        at_rest = self._add_ratios(block, x, y, Arrivals(arrived.photons, *columns))
+        # With a wall one end is the photodiode's, without one either.
+        weights = (arrived.weight[went], sent.weight[went])
+        ways = weights if self.basis.one_side else (np.where(forth, *weights),)
+        at_rest = self._add_ratios(block, x, y, arrived.only(went), ways)
         self.waiting.append((block, x, y, at_rest))
         if self.number == 0 and self.batches < AMBIENT_BATCHES:
             self.left.append((starts[left.photon], left))
@@ -102,18 +104,24 @@ class ColourSums:
         self.photons += photons
         self.block_photons[block] += photons
         if self.radial is None and self.batches == FIRST_BATCHES:
-            xs, ys, values = (np.concatenate([one[k] for one in self.waiting]) for k in (1, 2, 3))
-            self.radial = RadialFunction.of_arrivals(self.basis, xs, ys, values[:, 0])
+            xs, ys = (np.concatenate([one[k] for one in self.waiting]) for k in (1, 2))
+            readings = np.concatenate([one[3][0][:, 0] for one in self.waiting])
+            self.radial = RadialFunction.of_arrivals(self.basis, xs, ys, readings)
         if self.radial is not None:
             for block, x, y, values in self.waiting:
-                sums = self.basis.sums(x, y, values)
+                sums = self.basis.sums(x, y, *values)
                 self.mean += sums
                 self.blocks[block] += sums[:, 0]
             self.waiting = []
 
-    def _add_ratios(self, block: int, x: Array, y: Array, arrivals: Arrivals) -> Array:
-        """Add what blood makes of arrivals; returns readings at rest and their part never in the bed, (n, 2)."""
-        at_rest = self.rest.values(at_edge(arrivals, self.beds, 0))[:, :2]
+    def _add_ratios(self, block: int, x: Array, y: Array, arrivals: Arrivals, ways: tuple[Array, ...]) -> list[Array]:
+        """Add what blood makes of arrivals, whose weights are (n,) for each way that they go.
+
+        Returns: of each way the readings at rest and their part never in the bed, (n, 2).
+        """
+        rest = at_edge(arrivals, self.beds, 0)
+        at_rest = [self.rest.values(replace(rest, weight=weight))[:, :2] for weight in ways]
+        arrivals = replace(arrivals, weight=np.mean(ways, axis=0))
         for edge, edge_mm in enumerate(self.edges_mm):
             self.ratios.add(block, x, y, edge_mm, self._values(at_edge(arrivals, self.beds, edge)))
         return at_rest

@@ -13,6 +13,7 @@ from ...scene import Board, Candidate, Finger, FingerCase, Led, Photodiode, Plac
 from ...scene.base import Point
 from ...scene.finger import ABSORBING, SCATTERING
 from ...scene.layout import lay_elements
+from ...scene.parts import check_one_response
 from ...scene.rectangles import Rectangle
 
 Places = Sequence[tuple[float, float]]
@@ -223,6 +224,7 @@ def check_search(base: Scene, placement: Placement) -> None:
             raise InputError(
                 f'placement.fixed: "{name}" is no LED or photodiode of the scene; it has {", ".join(names)}.'
             )
+    check_one_response(base.photodiodes)
     if not placement.search:
         return
     if len(base.leds) > MOST_LEDS:
@@ -324,11 +326,12 @@ def _named(base: Scene, placement: Placement, areas: Sequence[Rectangle]) -> lis
 
 
 def check(scene: Scene, name: str) -> None:
-    """Raise InputError unless the scene's board can be laid out."""
+    """Raise InputError unless the scene's board can be laid out, and read from a map."""
     try:
         _ = scene.layout
     except ValueError as error:
         raise InputError(f'layout "{name}": {error}.') from None
+    check_one_response(scene.photodiodes)
 
 
 def explicit(scene: Scene, name: str) -> Scene:
