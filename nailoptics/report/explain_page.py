@@ -100,7 +100,7 @@ def draw(found: Explanation) -> "Figure":
             axes.plot(change, row, "o", color=colour, ms=5)
     axes.axvline(100 * found.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)))
     axes.set(xscale="log", xlim=(LEAST, MOST), ylim=(len(shown) - 0.4, -0.6), xlabel="change of a reading [%]")
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    style.plain_log(axes.xaxis)
     axes.set_yticks(range(len(shown)), [style.plain(one.name) for one in shown])
     axes.grid(axis="y", visible=False)
     for kind, colour in KINDS.items():

@@ -49,7 +49,7 @@ def ranking_figure(result: xr.Dataset) -> "Figure":
     finest = float(result.get("electronics_resolution_n", result.force_resolution_n).min())
     if float(result.force_resolution_high_n[:count].max()) > 8 * finest:
         axes.set_xscale("log")
-        axes.xaxis.set_major_formatter("{x:g}")
+        style.plain_log(axes.xaxis)
     else:
         axes.set_xlim(left=0)
     return figure
@@ -69,7 +69,7 @@ def count_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     axes.set(xscale="log", yscale="log", xlabel="photodiodes", ylabel="force resolution [mN]")
     axes.set_xticks(counts, [str(count) for count in counts], minor=False)
     axes.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
-    axes.yaxis.set_major_formatter("{x:g}")
+    style.plain_log(axes.yaxis)
     axes.legend()
     layout, half = scene.layout, np.array(scene.layout.photodiodes[0].photodiode.size_mm) / 2
     shown = int(np.argmin(np.abs(counts - len(layout.photodiodes))))

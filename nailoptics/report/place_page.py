@@ -257,7 +257,8 @@ def _enough(result: xr.Dataset) -> str:
     return (
         f"<p>{few} photodiode{'s' if few > 1 else ''} resolve{'' if few > 1 else 's'} force within "
         f"{100 * NEARLY:.0f} % of what {int(counts[-1])} do on the best layout's board under its LEDs, "
-        "each number where it is best.</p>"
+        "each number where it is best. Another place of the LEDs may suit another number better: searching with "
+        f"placement.photodiodes = {few} tells.</p>"
     )
 
 

@@ -14,6 +14,7 @@ from ..io import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 # These four are replaced by the page's own colours, so that figures turn dark with it.
@@ -124,6 +125,18 @@ def legend_above(figure: "Figure", axes: "Axes", *, ncols: int, **look: Any) -> 
 def remark(axes: "Axes", text: str) -> None:
     """A few words at the right above a panel, beside its title."""
     axes.set_title(text, loc="right", fontsize=8, fontweight="normal", color=MUTED)
+
+
+def plain_log(axis: "Axis") -> None:
+    """Plain numbers at all ticks of a logarithmic axis that have one, whether they are powers of ten or between."""
+    from matplotlib.ticker import LogFormatter
+
+    class Plain(LogFormatter):
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return f"{x:g}" if super().__call__(x, pos) else ""
+
+    axis.set_major_formatter(Plain())
+    axis.set_minor_formatter(Plain())
 
 
 def place_colours(count: int) -> list[str]:

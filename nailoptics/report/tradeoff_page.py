@@ -86,7 +86,7 @@ def draw(found: Tradeoff) -> "Figure":
     """Error of every level against time to the first answer, and against time for a thousand more."""
     drawing, (left, right) = style.panels(11.0, 5.0, 1, 2, sharey=True, width_ratios=[1.25, 1])
     left.set(yscale="log", ylim=(100 * LEAST, 100 * MOST), ylabel=f"error on {WORDS[found.judge]} [%]")
-    left.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    style.plain_log(left.yaxis)
     offered = [one for one in found.levels if not one.stored]
     _panel(left, found, "first", offered, [("first", style.INK, "-")])
     more: list[tuple[Effort, str, str]] = [("states", style.ZONES[0], "-"), ("layouts", style.ZONES[1], "--")]

@@ -5,7 +5,9 @@ import math
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+from nailoptics.report import style
 from nailoptics.report.numbers import fixed, prefix, quantity, significant, with_error
 from nailoptics.report.style import spread
 
@@ -53,3 +55,15 @@ def test_labels_keep_their_order_and_their_distance(places, gap):
     sorted_places = [moved[i] for i in order]
     assert all(b - a >= gap * (1 - 1e-6) for a, b in zip(sorted_places, sorted_places[1:], strict=False))
     assert sum(moved) == pytest.approx(sum(places), abs=1e-6)
+
+
+def test_a_logarithmic_axis_has_numbers_of_one_kind():
+    with style.drawing():
+        figure, axes = style.panels(4, 3)
+        axes.plot([1, 2], [3, 60])
+        axes.set_yscale("log")
+        style.plain_log(axes.yaxis)
+        FigureCanvasAgg(figure).draw()
+        labels = [one.get_text() for minor in (False, True) for one in axes.get_yticklabels(minor=minor)]
+    assert {"10", "20", "40"} <= set(labels)
+    assert all(label == "" or label == f"{float(label):g}" for label in labels)
