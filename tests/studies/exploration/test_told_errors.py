@@ -50,11 +50,16 @@ def traced(scene: Scene, die_mm: Any, places_mm: np.ndarray, *, seed: int) -> tu
     return tuple(np.array(found).T / LED_PHOTONS)  # type: ignore[return-value]
 
 
-def pulls(seed: int) -> np.ndarray:
-    """How far readings of three places of an LED are off, in their standard errors."""
+def pulls(seed: int, *, photons: int = PHOTONS, response: Any = None) -> np.ndarray:
+    """How far readings of three places of an LED are off, in their standard errors.
+
+    photons : of the table. response : angular response of the photodiodes.
+    """
     scene, rng = load_scene(data_dir("scenes") / "placement.toml"), np.random.default_rng(seed)
-    scene = scene.model_copy(update={"board": scene.board.model_copy(update={"barrier": False})})
-    explored = study.explore(scene, photons=PHOTONS, seed=seed)
+    diode = scene.photodiodes[0].model_copy(update={"angular_response": response})
+    board = scene.board.model_copy(update={"barrier": False})
+    scene = scene.model_copy(update={"board": board, "photodiodes": (diode,)})
+    explored = study.explore(scene, photons=photons, seed=seed)
     reach, found = np.array(explored.scene.layout.outline.size_mm) / 2 - EDGE_MM, []
     for k in range(3):
         die = rng.uniform(-reach, reach)
@@ -77,3 +82,17 @@ def test_the_errors_told_on_an_open_board_are_those_that_are_made(jit_backend: A
     assert len(pull) > 120
     assert 0.75 < np.sqrt(np.mean(pull**2)) < 1.3
     assert abs(pull.mean()) < 0.4
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_the_kernel_of_photodiodes_that_look_ahead_is_that_of_their_light(
+    jit_backend: Any, monkeypatch: pytest.MonkeyPatch
+):
+    """Half at 35 degrees: the table counts each photon at either end, a trace where it arrives alone."""
+    monkeypatch.setattr(study, "FURTHER_LEDS", ())
+    narrow = ((0.0, 1.0), (20.0, 0.85), (35.0, 0.5), (60.0, 0.1), (90.0, 0.0))
+    pull = pulls(4, photons=150_000, response=narrow)
+    assert len(pull) > 40
+    assert 0.6 < np.sqrt(np.mean(pull**2)) < 1.5
+    assert abs(pull.mean()) < 0.7
