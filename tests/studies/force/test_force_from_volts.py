@@ -283,7 +283,8 @@ def test_readings_that_know_one_zone_alone_as_in_the_papers_optics_are_calibrate
 
 
 def test_a_contact_three_times_that_of_the_scene_is_found(table: ReadingTable) -> None:
-    recordings = [_record(table, _cycle(2.0), site, seed=seed) for seed, site in enumerate(("proximal", "distal"))]
+    once = _cycle(2.0)[: round(12.0 / STEP_S)]
+    recordings = [_record(table, once, site, seed=seed) for seed, site in enumerate(("proximal", "distal"))]
     free = np.array([name not in ("proximal_share", "distal_reach") for name in NAMES])
     found = Fit(recordings, table, VESSELS, rest_blood=REST, area_cm2=0.33, share=0.5, free=free).solve()
     assert np.exp(found.factors_ln[NAMES.index("contact_area")]) == pytest.approx(1.0 / 0.33, rel=0.1)
