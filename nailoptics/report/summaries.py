@@ -106,7 +106,7 @@ def check_lines(report: dict[str, Any]) -> list[str]:
     for file, refs in report.get("ignored", {}).items():
         parts = "part" if len(refs) == 1 else "parts"
         shown = ", ".join(refs[:8]) + (", ..." if len(refs) > 8 else "")
-        lines.append(f"ignored: {len(refs)} {parts} of {file} ({shown})")
+        lines.append(f"ignored: {len(refs)} {parts} of {file} ({shown})" if refs else f"ignored: nothing of {file}")
     if "crossings" in report:
         names = ", ".join(name for name in report["regions"] if name != "air")
         lines += [

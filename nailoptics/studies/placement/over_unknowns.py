@@ -49,11 +49,16 @@ def resolution_over_unknowns(
     own = [one for one in priors if one not in told]
     kept = (*told, *(own if scene.priors.own_traces else []))
     changes: list[tuple[str, float] | None] = [None, *((one.field, value) for one in kept for value in one.values)]
+    # The touch is that of the finger, whatever lies on its nail.
+    points = [
+        [operating_point(one, rules.force_n, since_rest_s=rules.since_rest_s) for one in _changed(scene, case, changes)]
+        for case in cases
+    ]
     read: list[np.ndarray] = []
     chosen = [i for i, one in enumerate(layouts) if i < FOREMOST or one.name == "paper"]
     for i in chosen:
         how: dict[str, Any] = {"backend": backend, "store": store, "seed": seed}
-        one = _log_resolutions(layouts[i], cases, rules, changes, how, stop=stop)
+        one = _log_resolutions(layouts[i], cases, rules, changes, points, how, stop=stop)
         if one is None:
             break
         read.append(one)
@@ -71,39 +76,41 @@ def _log_resolutions(
     cases: Sequence[FingerCase],
     rules: Placement,
     changes: Sequence[tuple[str, float] | None],
+    points: Sequence[Sequence[OperatingPoint]],
     how: Mapping[str, Any],
     *,
     stop: Callable[[], bool],
 ) -> np.ndarray | None:
     """Logarithm of a layout's score with each change of its fingers, (changes, 1 + blocks) float; None if stopped.
 
-    how : backend, store and seed of the traces.
+    points : by case and change. how : backend, store and seed of the traces.
     """
-    tracers: dict[str, BoardTracer] = {}
-    by_case = []
+    digits = list(dict.fromkeys(case.digit for case in cases))
+    score = np.zeros((len(cases), len(changes), 1 + BLOCKS))
+    # Scenes whose light goes the same way share a trace, whatever finger or change they are.
+    sharing: dict[str, list[tuple[int, int, Scene]]] = {}
     for number, case in enumerate(cases):
-        base = boards.on_finger(layout.board, case)
-        scenes = [base if change is None else at_value(base, *change) for change in changes]
-        points = [operating_point(one, rules.force_n, since_rest_s=rules.since_rest_s) for one in scenes]
-        # Scenes whose light goes the same way share a trace.
-        sharing: dict[str, list[int]] = {}
-        for k, one in enumerate(scenes):
-            light = light_digest(one)
-            sharing.setdefault(light, []).append(k)
-            if light not in tracers:
-                if stop():
-                    return None
-                tracers[light] = BoardTracer(light_scene(one), spacing_mm=QUICK_DISTANCE_MM, **how)
-        score = np.zeros((len(changes), 1 + BLOCKS))
-        for light, members in sharing.items():
-            shared = [(scenes[k], points[k]) for k in members]
-            seed = seed_of(how["seed"], NODES, number)
-            found = _resolutions(layout, tracers[light], shared, seed=seed, stop=stop)
-            if found is None:
-                return None
-            score[members] = found
-        by_case.append(score)
-    return np.log(over_fingers(np.stack(by_case), rules.over_fingers))
+        for k, one in enumerate(_changed(layout.board, case, changes)):
+            sharing.setdefault(light_digest(one), []).append((number, k, one))
+    for members in sharing.values():
+        if stop():
+            return None
+        first, _, scene = members[0]
+        tracer = BoardTracer(light_scene(scene), spacing_mm=QUICK_DISTANCE_MM, **how)
+        shared = [(one, points[number][k]) for number, k, one in members]
+        seed = seed_of(how["seed"], NODES, digits.index(cases[first].digit))
+        found = _resolutions(layout, tracer, shared, seed=seed, stop=stop)
+        if found is None:
+            return None
+        for (number, k, _), each in zip(members, found, strict=True):
+            score[number, k] = each
+    return np.log(over_fingers(score, rules.over_fingers))
+
+
+def _changed(board: Scene, case: FingerCase, changes: Sequence[tuple[str, float] | None]) -> list[Scene]:
+    """A board on one of the fingers with each change."""
+    base = boards.on_finger(board, case)
+    return [base if change is None else at_value(base, *change) for change in changes]
 
 
 def _resolutions(

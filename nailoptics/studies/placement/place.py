@@ -25,7 +25,7 @@ from .objective import Objective
 from .over_unknowns import resolution_over_unknowns
 from .oxygen_rank import oxygen_rule
 from .photodiode_count import resolution_by_count
-from .photon_maps import QUICK_DISTANCE_MM, FingerCondition, PhotonMapCache
+from .photon_maps import FingerCondition, PhotonMapCache
 from .progress import StageProgress
 from .result import as_dataset
 from .scores import JUDGE_SHARE, score_layouts
@@ -65,7 +65,7 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     made: dict[str, Any] = {"seed": options.seed, "backend": backends.choose(options.backend).name}
     store = LightStore.of_user() if options.store else None
     light = made | {"store": store}
-    searching = PhotonMapCache(conditions, **light, stream=0, blocks=1, distance_mm=QUICK_DISTANCE_MM)
+    searching = PhotonMapCache(conditions, **light, stream=0, blocks=1, distance_mm=search.DISTANCE_MM)
     searching.batch_photons = search.FIRST_PHOTONS
     searching.stop = partial(report_progress.is_over, search.SEARCH_SHARE)
     judging = PhotonMapCache(conditions, **light, stream=1, blocks=BLOCKS)

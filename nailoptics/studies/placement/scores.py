@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import NotReachedError
 from ...scene import digest
-from ...statistics import Z95, jackknife
+from ...statistics import jackknife, t95
 from .boards import CandidateLayout
 from .fisher import (
     Response,
@@ -62,7 +62,7 @@ class LayoutScore:
         """95 % interval of what layouts are ranked by."""
         if self.by_force:
             return self.interval_n
-        best, spread = float(self.ranked[0]), Z95 * self.relative_error
+        best, spread = float(self.ranked[0]), t95(len(self.ranked) - 1) * self.relative_error
         return best * math.exp(-spread), best * math.exp(spread)
 
     @property
@@ -96,7 +96,7 @@ def resolution_stderr_n(resolution_n: np.ndarray, feigned_n: float | np.ndarray 
 def resolution_interval_n(resolution_n: np.ndarray, feigned_n: float = 0.0) -> tuple[float, float]:
     """95 % interval of one resolution, symmetric in the logarithm of what it is above the body's own part. [N]"""
     above = _above(resolution_n, feigned_n)
-    spread = Z95 * float(jackknife(np.log(above)))
+    spread = t95(len(above) - 1) * float(jackknife(np.log(above)))
     low, high = (math.hypot(float(above[0]) * math.exp(sign * spread), feigned_n) for sign in (-1, 1))
     return low, high
 

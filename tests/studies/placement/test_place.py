@@ -282,6 +282,13 @@ def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
     assert all(e.area.center_mm[1] > 1.0 for e in best.photodiodes)
 
 
+def test_intervals_allow_for_errors_that_few_blocks_tell():
+    """Four Gaussian blocks, whose normal interval would hold 86 % of 95."""
+    groups = np.random.default_rng(0).normal(0.0, 0.01, (2000, 4))
+    held = [low <= 1.0 <= high for low, high in map(scores.resolution_interval_n, np.exp(left_out(groups.T)).T)]
+    assert 0.935 < np.mean(held) < 0.965
+
+
 @pytest.mark.slow
 def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, scene):
     """Rationale: intervals claim 95 %. Expected: over 20 seeds the scores spread as their standard errors say,
