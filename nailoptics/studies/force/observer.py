@@ -38,6 +38,10 @@ WALL_NOISE = 1e-4
 # Nobody's walls move quite as fast as the model's: by so much of every movement, alike for so long. Chosen on the
 # virtual people: without it a touch that is let go past closure is told for seconds. [1, s]
 SPEED_ERROR, SPEED_LASTS_S = 0.2, 0.3
+# Nor do readings quite follow the blood of two zones while it moves: by so much of every change, alike for so long.
+# Chosen on the virtual people, too: without it a filter that takes all of a sudden change for the touch's and the
+# body's is led so far astray by a touch let go past closure that it finds back late. [1, s]
+READING_ERROR, READING_LASTS_S = 0.03, 0.4
 # What the distal pulp does beyond the model. [N/cm^2 / sqrt(s)]
 PULP_NOISE = 0.05
 # What is calibrated of each reading: gain, offset and a steeper slope by the blood of either zone.
@@ -215,6 +219,8 @@ class Observer:
         diagonal[self.body] = np.repeat([one.rms_pa**2 for one in self.noise.rhythms], 2)
         self.covariance[self.drift, self.drift] = self._level + self._drift
         self.followed = np.zeros(2)
+        # What the blood makes of readings, and how far that has just moved. [V]
+        self.blood_v, self.moved_v = self._expected(self.state)[0], np.zeros(len(self.gain))
         self.ways = np.full(len(RATES), 1.0 / len(RATES))
         self.each = np.repeat(self.covariance[None], len(RATES), axis=0)
 
@@ -234,6 +240,7 @@ class Observer:
             self.restart()
             return None
         self.ways = self.ways @ going_on(since_s)
+        self.moved_v = self.moved_v * np.exp(-since_s / READING_LASTS_S)
         self.each, slopes = np.repeat(self.covariance[None], len(RATES), axis=0), np.eye(self.size)
         with np.errstate(over="ignore", invalid="ignore"):
             for _ in range(count := max(1, math.ceil(since_s / LONGEST_STEP_S - 1e-9))):
@@ -248,8 +255,13 @@ class Observer:
     def take_in(self, volts: Array, since_s: float | None) -> PressureEstimate:
         """Correct what was predicted by a sample (R,), so long after the one before it."""
         there = np.isfinite(volts)
-        surprise = self._update(volts, there)
+        # Alike for so long, an error is told from the touch no better by many samples than by one.
+        alike = max(1.0, READING_LASTS_S / since_s) if since_s else 1.0
+        own_v2 = self.noise.reading_v**2 + alike * (READING_ERROR * self.moved_v) ** 2
+        surprise = self._update(volts, there, own_v2)
         self._find_zero(min(since_s or 0.0, LONGEST_GAP_S))
+        blood_v = self._expected(self.state)[0] - self.rest_volts * self.state[self.drift]
+        self.moved_v, self.blood_v = self.moved_v + blood_v - self.blood_v, blood_v
         return PressureEstimate(
             touch=self.told(self.state),
             covariance=self.covariance[TOUCH, TOUCH].copy(),
@@ -334,10 +346,10 @@ class Observer:
         slopes[each, self.drift.start + each] = self.rest_volts
         return self.offset_v + self.gain * volts + self.rest_volts * state[self.drift], slopes
 
-    def _update(self, volts: Array, there: NDArray[np.bool_]) -> float:
-        """Correct the state by the readings that are there; returns how far off they were."""
+    def _update(self, volts: Array, there: NDArray[np.bool_], own_v2: Array) -> float:
+        """Correct the state by the readings that are there, of some variance; returns how far off they were."""
         before, state, each = self.state, self.state, self.each
-        own, surprise = np.diag(self.noise.reading_v[there] ** 2), 0.0
+        own, surprise = np.diag(own_v2[there]), 0.0
         ways = self.ways
         for iteration in range(ITERATIONS):
             expected, slopes = self._expected(state)
