@@ -14,7 +14,7 @@ from nailoptics.scene.sensor_recordings import SITES, Recording, recording_csv
 from nailoptics.studies.force.calibrate import PAPER_FACTORS, _checked, calibrate_with, calibration_summary
 from nailoptics.studies.force.fit import Fit
 from nailoptics.studies.force.live import live
-from nailoptics.studies.force.observer import RUN_AWAY, WIDTHS, Observer
+from nailoptics.studies.force.observer import READING_ERROR, READING_LASTS_S, RUN_AWAY, WIDTHS, Observer
 from nailoptics.studies.force.person import NAMES, PRIORS, force_of, person
 from nailoptics.studies.force.predict import csv_rows, events, predict, prediction_summary
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
@@ -164,6 +164,20 @@ def test_a_touch_that_is_let_go_past_closure_leaves_nothing_behind(site: str) ->
     later = told.time.values > 4.5
     assert told.force_n.values[later].max() < 0.03
     assert (told.force_low_n.values[later] == 0).all()
+
+
+def test_readings_that_are_a_little_off_while_the_blood_moves_are_no_outliers() -> None:
+    time_s = np.arange(0.0, 8.0, made_sensor.STEP_S)
+    force = np.interp(time_s, [0.0, 1.0, 1.16, 3.0, 3.16, 5.0, 5.16, 7.0, 7.16], [0, 0, 0.5, 0.5, 0, 0, 1.5, 1.5, 0])
+    recorded = made_sensor.record(force, "proximal", seed=4)
+    # What no blood of two zones does: neighbours are off in opposite ways, and come back.
+    lagging = np.exp(-np.arange(time_s.size) * made_sensor.STEP_S / READING_LASTS_S)
+    moved = np.array([np.convolve(row, lagging)[: row.size] for row in np.diff(recorded.volts, prepend=0.5, axis=1)])
+    moved[:, time_s < 1.0] = 0.0
+    off = READING_ERROR * moved * np.where(np.arange(len(moved)) % 2, 1.0, -1.0)[:, None]
+    told = predict(parse_subject(made_sensor.subject()), replace(recorded, volts=recorded.volts + off))
+    assert told.outlier.values.mean() < 0.01
+    assert told.attrs["consistent"]
 
 
 @pytest.mark.parametrize(
