@@ -113,7 +113,7 @@ def overview(result: xr.Dataset, scene: Scene | None) -> "Figure":
     per_led = 3.6 if leds > 1 else 4.2
     columns = _legend_columns(result.sizes["photodiode"])
     legend_in = columns * (0.5 + style.longest_in(f"{name}  -1.23 mV" for name in result.photodiode.values))
-    room = style.Room(left=0.7, right=min(0.1 + legend_in, 6.0), top=0.1, down=0.4)
+    room = style.Room(left=0.7, right=min(0.1 + legend_in, 4.5), top=0.1, down=0.4)
     how: dict[str, Any] = {"sharex": True, "height_ratios": [0.8] + [per_led] * leds}
     figure, (top, *panels) = style.panels(9.2, 0.9 + per_led * leds, leds + 1, room_in=room, **how)
     seen = _thin(result)
