@@ -7,8 +7,9 @@ Gaussians this is the same as adding the shapes' outer products to the covarianc
 still add up one by one.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from scipy.special import ndtr
 
 from ... import electronics
 from ...scene import Electronics, Led, Photodiode, Scene
+from ...scene.parts import ELECTRICAL
 from ...statistics import jackknife
 from ..blood_states import steady_blood_at, touch_areas_mm2, touch_pressures_pa
 from .body_waves import BodyNoise, body_noise
@@ -140,6 +142,39 @@ def response(
         own_v2=0.0 if point.body is None else (point.body.reading_gain * light_v) ** 2,
         telling=telling,
     )
+
+
+def responses(
+    values: Array,
+    led: Led,
+    photodiodes: Sequence[Photodiode],
+    amplifier: Electronics,
+    point: OperatingPoint,
+    *,
+    ambient_a: float | Array = 0.0,
+    **how: Any,
+) -> Response:
+    """The `response` of photodiodes that may be of several kinds, (..., photodiodes, 4) float."""
+    kinds = [tuple(getattr(one, name) for name in ELECTRICAL) for one in photodiodes]
+    members = [[i for i, kind in enumerate(kinds) if kind == one] for one in dict.fromkeys(kinds)]
+    if len(members) == 1:
+        return response(values, led, photodiodes[0], amplifier, point, ambient_a=ambient_a, **how)
+    ambient = np.broadcast_to(ambient_a, np.broadcast_shapes(np.shape(ambient_a), values.shape[:-1]))
+    each = [
+        response(values[..., at, :], led, photodiodes[at[0]], amplifier, point, ambient_a=ambient[..., at], **how)
+        for at in members
+    ]
+    order = np.argsort(np.concatenate(members))
+
+    def together(name: str, axis: int) -> Any:
+        parts = [getattr(one, name) for one in each]
+        return parts[0] if np.ndim(parts[0]) == 0 else np.take(np.concatenate(parts, axis), order, axis)
+
+    matrices = {name: together(name, -2) for name in ("slope_v_per_pa", "zone_v")}
+    if point.body is not None:
+        matrices["body_v"] = together("body_v", -2)
+    names = ("volts", "noise_v2", "shunted_fraction", "own_v2", "telling")
+    return Response(**{name: together(name, -1) for name in names}, **matrices)
 
 
 def fisher_information(read: Response, *, electronics_alone: bool = False) -> Array:

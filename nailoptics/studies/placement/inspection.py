@@ -19,7 +19,7 @@ from ...statistics import Z95, jackknife, left_out, seed_of, stderr_of_mean
 from ...variables import Variables, variable
 from ..ambient import SOURCES, photocurrents_a
 from . import boards
-from .fisher import Response, force_resolution_n, response, total_information
+from .fisher import Response, force_resolution_n, responses, total_information
 from .photon_maps import FingerCondition
 
 LEAST_BATCHES = 8
@@ -61,9 +61,9 @@ class _Setup:
             raise _Stopped
 
     @property
-    def photodiode(self) -> Photodiode:
-        """What all photodiodes of the layout are."""
-        return self.scene.layout.photodiodes[0].photodiode
+    def photodiodes(self) -> list[Photodiode]:
+        """What each photodiode of the layout is."""
+        return [one.photodiode for one in self.scene.layout.photodiodes]
 
     @property
     def areas_mm2(self) -> np.ndarray:
@@ -74,7 +74,7 @@ class _Setup:
         """What the photodiodes read of one LED, (..., photodiodes, 4) float; as the `response` of any."""
         amplifier, point = self.scene.electronics, self.condition.point
         how = {"number": led, "ambient_a": ambient_a, "replicates": replicates}
-        return response(values, self.scene.leds[led], self.photodiode, amplifier, point, **how)
+        return responses(values, self.scene.leds[led], self.photodiodes, amplifier, point, **how)
 
     def force_resolution_n(self, responses: Sequence[Response]) -> np.ndarray:
         """Force resolution from what the photodiodes read of all LEDs. [N]"""
@@ -217,7 +217,7 @@ def _through_open_board(setup: _Setup) -> np.ndarray:
 def _from_outside(setup: _Setup, left: Arrivals, photodiode: int) -> np.ndarray:
     """Photocurrent by light from outside and its variance, (2, sources) float. [A], [A^2]"""
     scene, area_mm2, sums = setup.scene, float(setup.areas_mm2[photodiode]), []
-    nm, diode = scene.leds[0].wavelength_nm, setup.photodiode
+    nm, diode = scene.leds[0].wavelength_nm, setup.photodiodes[photodiode]
     for source in SOURCES:
         each = photocurrents_a(
             left, scene, source, traced=setup.tracer.scene, traced_nm=nm, photodiode=diode, area_mm2=area_mm2

@@ -15,7 +15,7 @@ from ...variables import variable
 from ..unknowns import Spread, at_value, only_absorbs, prior_variables
 from . import boards
 from .boards import CandidateLayout
-from .fisher import OperatingPoint, force_resolution_n, operating_point, over_fingers, response, total_information
+from .fisher import OperatingPoint, force_resolution_n, operating_point, over_fingers, responses, total_information
 from .photon_maps import QUICK_DISTANCE_MM
 
 # The best layouts that are read again at every node of every prior, and the photons for it, in blocks.
@@ -123,7 +123,8 @@ def _resolutions(
 ) -> np.ndarray | None:
     """Force resolution on fingers that share a trace, by all blocks and without each, (fingers, 1 + blocks); None if
     stopped. [N]"""
-    areas, photodiode = layout.scene.layout.photodiode_areas, layout.scene.layout.photodiodes[0].photodiode
+    areas = layout.scene.layout.photodiode_areas
+    photodiodes = [one.photodiode for one in layout.scene.layout.photodiodes]
     read: list[list[np.ndarray]] = []
     for i in range(len(layout.board.leds)):
         blood: list[BloodPoint] = [
@@ -141,7 +142,7 @@ def _resolutions(
     out = []
     for k, (_, point) in enumerate(shared):
         by_led = [
-            response(values[k], led, photodiode, layout.scene.electronics, point, number=number, replicates=True)
+            responses(values[k], led, photodiodes, layout.scene.electronics, point, number=number, replicates=True)
             for number, (values, led) in enumerate(zip(read, layout.scene.leds, strict=True))
         ]
         out.append(force_resolution_n(total_information(by_led), point))

@@ -12,7 +12,7 @@ from ...variables import variable
 from . import boards
 from .boards import CandidateLayout
 from .exchange import exchange
-from .fisher import Response, fisher_information, response
+from .fisher import Response, fisher_information, responses
 from .objective import Objective
 from .photon_maps import PhotonMapCache
 from .sites import PhotodiodePlaces, Sites
@@ -91,14 +91,15 @@ def _read(layout: CandidateLayout, base: Scene, cache: PhotonMapCache, objective
     rules, board = objective.rules, layout.board.layout
     # A given layout may lie on a board of its own.
     own = base if layout.origin == "searched" else boards.searchable(boards.explicit(layout.scene, layout.name), rules)
-    places = Sites(own, rules).photodiode_places(board.barriers, board.leds)
-    areas, photodiode = [*places.areas, *places.stay], layout.scene.layout.photodiodes[0].photodiode
+    sites = Sites(own, rules)
+    places = sites.photodiode_places(board.barriers, board.leds)
+    areas, photodiodes = [*places.areas, *places.stay], sites.kinds(places)
 
     def read(finger: int, number: int, one: PhotonMap) -> tuple[Response, Response]:
         blocks, led, amplifier = one.over(areas), layout.board.leds[number], layout.scene.electronics
-        how = (led, photodiode, amplifier, objective.points[finger])
-        chosen_by = response(blocks[::2].mean(0), *how, number=number)
-        return chosen_by, response(left_out(blocks[1::2]), *how, number=number, replicates=True)
+        how = (led, photodiodes, amplifier, objective.points[finger])
+        chosen_by = responses(blocks[::2].mean(0), *how, number=number)
+        return chosen_by, responses(left_out(blocks[1::2]), *how, number=number, replicates=True)
 
     both = [[read(k, i, one) for i, one in enumerate(each)] for k, each in enumerate(cache.maps(layout.board))]
     chosen_by, judged_by = ([[pair[k] for pair in by_led] for by_led in both] for k in range(2))

@@ -11,7 +11,7 @@ from ...light.store import LightStore
 from ...scene import FingerCase, Led, Scene, digest
 from ...statistics import left_out, seed_of
 from . import boards
-from .fisher import OperatingPoint, Response, response
+from .fisher import OperatingPoint, Response, responses
 
 # Cells of the distances that the walk asks for, of boards that are traced for a second or two each: made in two thirds
 # of the usual time, a tenth slower to walk.
@@ -112,13 +112,12 @@ class PhotonMapCache:
     def read(self, layout: Scene, board: Scene) -> list[list[Response]]:
         """Responses of a layout, by finger and LED, each (1 + blocks, photodiodes): by all photons, then without each
         block of them."""
-        areas, photodiode = layout.layout.photodiode_areas, layout.layout.photodiodes[0].photodiode
+        areas, photodiodes = layout.layout.photodiode_areas, [one.photodiode for one in layout.layout.photodiodes]
         amplifier = layout.electronics
 
         def read(one: PhotonMap, led: Led, point: OperatingPoint, number: int) -> Response:
-            return response(
-                left_out(one.over(areas)), led, photodiode, amplifier, point, number=number, replicates=True
-            )
+            values = left_out(one.over(areas))
+            return responses(values, led, photodiodes, amplifier, point, number=number, replicates=True)
 
         return [
             [read(one, led, condition.point, k) for k, (led, one) in enumerate(zip(layout.leds, by_led, strict=True))]

@@ -14,7 +14,7 @@ from ...scene.rectangles import Rectangle
 from . import boards
 from .boards import CandidateLayout
 from .exchange import Tables, Together
-from .fisher import response
+from .fisher import responses
 from .objective import Objective
 from .photon_maps import PhotonMapCache
 from .progress import StageProgress
@@ -151,11 +151,11 @@ class Search:
     def _columns(self, led: int, board: Scene, places: PhotodiodePlaces) -> np.ndarray:
         """What an LED brings to photodiodes at all places and to those that stay, (fingers, m, c) float."""
         areas = [*places.areas, *places.stay]
-        photodiode, amplifier = self.base.photodiodes[0], self.base.electronics
+        photodiodes, amplifier = self.sites.kinds(places), self.base.electronics
 
         def told(finger: int, one: PhotonMap) -> np.ndarray:
             point, values = self.cache.conditions[finger].point, one.over(areas).mean(0)
-            read = response(values, self.base.leds[led], photodiode, amplifier, point, number=led)
+            read = responses(values, self.base.leds[led], photodiodes, amplifier, point, number=led)
             return self.objective.columns(finger, led, read)
 
         return np.stack([told(k, by_led[0]) for k, by_led in enumerate(self.cache.maps(board))])

@@ -243,6 +243,12 @@ class Sites:
                 areas = [a for a in areas if way * (_near_edge(a, wall.name) - far) >= room - ROUNDING_MM]
         return PhotodiodePlaces(tuple(a for a in areas if walled or self.is_beside(a, leds)), self.stay, apart)
 
+    def kinds(self, places: PhotodiodePlaces) -> list[Photodiode]:
+        """What a photodiode at each place would be, and what those are that stay."""
+        by_name = {name: one for one in self.base.photodiodes for name in one.element_names()}
+        placed = [by_name.get(area.name, self.base.photodiodes[0]) for area in places.areas]
+        return [*placed, *(by_name[area.name] for area in places.stay)]
+
     def is_beside(self, area: Rectangle, leds: Sequence[Rectangle]) -> bool:
         """Whether a photodiode leaves LEDs on a board without walls the room for their bond wires."""
         return all(_gap_mm(area, led) >= self.rules.bond_wire_mm - ROUNDING_MM for led in leds)

@@ -282,6 +282,27 @@ def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
     assert all(e.area.center_mm[1] > 1.0 for e in best.photodiodes)
 
 
+@pytest.mark.parametrize("body", [False, True])
+def test_each_photodiode_reads_as_what_it_is(scene, body):
+    """Of two kinds in turn, as if each were there alone."""
+    one, led = scene.photodiodes[0], scene.leds[0]
+    other = one.model_copy(update={"responsivity": ((700.0, 0.2), (900.0, 0.3)), "dark_current_na": 5.0})
+    kinds, rng = [one, other, one, other, other], np.random.default_rng(0)
+    values = rng.uniform(1e-5, 1e-4, (9, 5, 4)) * [1.0, 0.3, -2.0, -1.0]
+    asked = parse_scene(SCENE + ("[body.drift]\n[body.breathing]\n" if body else ""))
+    point = fisher.operating_point(asked, 0.5)
+    assert (point.body is not None) == body
+    how = {"ambient_a": rng.uniform(0, 1e-8, 5), "replicates": True}
+    together = fisher.responses(values, led, kinds, scene.electronics, point, **how)
+    for i, kind in enumerate(kinds):
+        alone = how | {"ambient_a": how["ambient_a"][[i]]}
+        single = fisher.response(values[:, [i]], led, kind, scene.electronics, point, **alone)
+        told = fisher.fisher_information(together)[:, [i]]
+        assert told == pytest.approx(fisher.fisher_information(single), rel=1e-9)
+        assert together.volts[:, [i]] == pytest.approx(single.volts, rel=1e-12)
+    assert together.volts[0, 1] != fisher.responses(values, led, [one] * 5, scene.electronics, point, **how).volts[0, 1]
+
+
 def test_intervals_allow_for_errors_that_few_blocks_tell():
     """Four Gaussian blocks, whose normal interval would hold 86 % of 95."""
     groups = np.random.default_rng(0).normal(0.0, 0.01, (2000, 4))
