@@ -54,6 +54,7 @@ AXES = {
     "cause": "cause of the error",
     "level": "level of model",
     "layout": "layout of LEDs and photodiodes",
+    "searched_led": "LED whose place was searched",
     "finger": "finger that the layout must serve",
     "pressure": "side of the pulp that the pressure acts on",
     "pressure_too": "side of the pulp that the other pressure acts on",

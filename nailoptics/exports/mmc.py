@@ -166,7 +166,7 @@ def _readme(scene: Scene, geometry: Geometry, mesh: TetMesh, sessions: list[str]
         "```",
         "",
         "Both look for an OpenCL device even where they compute on the processor, and fail with `Unknown` where there "
-        "is none: install PoCL (Debian, Ubuntu: apt install pocl-opencl-icd). `-c sse`: of a cone the OpenCL kernel of "
-        "MMC v2025.10 detected nothing.",
+        "is none: install PoCL (Debian, Ubuntu: apt install pocl-opencl-icd). `-c sse`: MMC's OpenCL kernel sends a "
+        "cone along +z, whatever its direction. MMC v2025.10 does so on the processor, too; take later sources.",
     ]
     return page("For MMC", text, _lost(scene, geometry))

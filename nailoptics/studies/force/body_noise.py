@@ -104,7 +104,8 @@ def learn_noise(
         pressure, light, left = _parted(response, leds, residual, white**2 + (1e-3 * rest_v) ** 2)
         # What follows the force is the model's misfit, not the body's.
         force_n = np.asarray(recording.force_n)
-        pressure -= np.polynomial.Polynomial.fit(force_n, pressure, MISFIT_DEGREE)(force_n)
+        degree = min(MISFIT_DEGREE, len(np.unique(force_n)) - 1)
+        pressure -= np.polynomial.Polynomial.fit(force_n, pressure, degree)(force_n)
         window = min(len(pressure), round(WINDOW_S / step))
         spectra.append(signal.welch(pressure, fs=1.0 / step, nperseg=window, detrend="constant"))
         spans.append(len(pressure))
