@@ -22,6 +22,8 @@ from .search import SearchedSite
 
 # Spacing of the places at which one more photodiode is tried.
 PLACES_MM = 0.2
+# An error that is less than this part of its value is none.
+ROUNDING = 1e-9
 PRESSURES = ("proximal", "distal")
 # The photons' noise adds to the information, so that a resolution comes out too fine: on the shipped oximeter by 2 %
 # where its relative error is 0.22, by a fifth where it is 0.47. Beyond this that is said.
@@ -176,7 +178,9 @@ def _predicted(by_led: Sequence[Response]) -> Variables:
     ):
         replicates = [getattr(read, name) for read in by_led]
         values, errors = np.array([one[0] for one in replicates]), np.array([jackknife(one) for one in replicates])
-        errors = np.where((values != 0) & (FEW_PHOTONS * errors**2 <= values**2), errors, np.nan)
+        # Where no photon came the dark current alone is read, the same by every group of them.
+        known = (errors > ROUNDING * np.abs(values)) & (FEW_PHOTONS * errors**2 <= values**2)
+        errors = np.where(known, errors, np.nan)
         found |= variable(f"predicted_{name}", over, values, text, units=units, stderr=errors)
     noise, text = [read.noise_v[0] for read in by_led], "noise of one sample by the map, rms"
     return found | variable("predicted_noise_v", dims, noise, text, units="V")
