@@ -38,10 +38,10 @@ WALL_NOISE = 1e-4
 # Nobody's walls move quite as fast as the model's: by so much of every movement, alike for so long. Chosen on the
 # virtual people: without it a touch that is let go past closure is told for seconds. [1, s]
 SPEED_ERROR, SPEED_LASTS_S = 0.2, 0.3
-# Nor do readings quite follow the blood of two zones while it moves: by so much of every change, alike for so long.
-# Chosen on the virtual people, too: without it a filter that takes all of a sudden change for the touch's and the
-# body's is led so far astray by a touch let go past closure that it finds back late. [1, s]
-READING_ERROR, READING_LASTS_S = 0.03, 0.4
+# Nor do readings quite follow the blood of two zones: while it moves they are off by so much of every change, alike for
+# so long, and while a touch is held by so much of their distance from rest. Chosen on the virtual people, too: without
+# the first a touch let go past closure leads the filter far astray, without the second one that was held stays. [1, s]
+READING_ERROR, READING_LASTS_S, HELD_ERROR = 0.03, 0.4, 0.01
 # What the distal pulp does beyond the model. [N/cm^2 / sqrt(s)]
 PULP_NOISE = 0.05
 # What is calibrated of each reading: gain, offset and a steeper slope by the blood of either zone.
@@ -49,7 +49,7 @@ LINEAR = 4
 # At most so many linearisations of one sample; a coordinate moves no further than this in one of them.
 ITERATIONS, FARTHEST = 5, 0.3
 # Touches move or step: random walks of these times the usual rate, each for so long on average. [s]
-RATES, LASTING_S = np.array([1.0, 10.0]), np.array([2.0, 0.1])
+RATES, LASTING_S = np.array([1.0, 10.0]), np.array([2.0, 0.3])
 # A finger rests as often as it touches, with pressures of this range on either side: what is not told from rest is
 # most likely rest, and a second of it tells where zero is to this. [N/cm^2, N/cm^2 sqrt(s)]
 TOUCHES_REACH, ZERO = 0.5, 0.02
@@ -257,7 +257,8 @@ class Observer:
         there = np.isfinite(volts)
         # Alike for so long, an error is told from the touch no better by many samples than by one.
         alike = max(1.0, READING_LASTS_S / since_s) if since_s else 1.0
-        own_v2 = self.noise.reading_v**2 + alike * (READING_ERROR * self.moved_v) ** 2
+        held_v = self.blood_v - self.offset_v - self.rest_volts
+        own_v2 = self.noise.reading_v**2 + alike * ((READING_ERROR * self.moved_v) ** 2 + (HELD_ERROR * held_v) ** 2)
         surprise = self._update(volts, there, own_v2)
         self._find_zero(min(since_s or 0.0, LONGEST_GAP_S))
         blood_v = self._expected(self.state)[0] - self.rest_volts * self.state[self.drift]
