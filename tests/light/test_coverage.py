@@ -256,5 +256,5 @@ def test_stopping_at_a_tolerance_does_not_bias_the_result():
     """Rationale: who stops as soon as the error looks small enough prefers runs that look good by luck.
     Expected: the mean of many stopped runs is off by less than a tenth of one run's standard error; intervals cover;
     and the same test finds out a rule that trusts the spread of two batches."""
-    assert honest(stopped, runs=400, target=0.05)
-    assert not honest(stopped_by_luck, runs=200, target=0.05)
+    assert honest(stopped, runs=600, target=0.05)
+    assert not honest(stopped_by_luck, runs=300, target=0.05)

@@ -64,17 +64,15 @@ NEAREST = ((15,), ())
 @pytest.mark.jit
 @pytest.mark.parametrize("index_steps", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_finger(jit_backend, index_steps):
-    """Within 3 combined standard errors of at most 4 %.
+    """Within 3 combined standard errors at 3 % each.
 
-    The array has four times larger elements, of which the one next to a large die is read: more light settles in fewer
+    The array has four times larger elements, of which the one next to the LED is read: more light settles in fewer
     paths. Their number is fixed: volpath's batches are skewed, and stopping where they first look settled favours low
     ones.
     """
     scene = prototype(index_steps=index_steps)
     large = {"elements": 4, "pitch_mm": 1.0, "size_mm": (1.0, 1.0), "wired": (3,)}
-    die = {"size_mm": (0.6, 1.6), "position_mm": (-1.25, 0.0)}
-    parts = {"photodiodes": (scene.photodiodes[0].model_copy(update=large),)}
-    scene = scene.model_copy(update=parts | {"leds": (scene.leds[0].model_copy(update=die),)})
+    scene = scene.model_copy(update={"photodiodes": (scene.photodiodes[0].model_copy(update=large),)})
     seen = nail.trace(scene, relative_error=0.015, seed=1).at().isel(led=0, photodiode=0)
     shape = geometry.build(scene)
     found = optics.finger_media(scene, shape.regions, 800.0)
@@ -87,9 +85,9 @@ def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_finger(jit_bac
         photodiodes=(0,),
         backend=backend.choose("auto", volpath=True),
     )
-    batches = np.array([paths.batch(paths=2560, seed=seed_of(2, k))[0] for k in range(30)])
+    batches = np.array([paths.batch(paths=5632, seed=seed_of(2, k))[0] for k in range(24)])
     other, error = batches.mean(), batches.std(ddof=1) / np.sqrt(len(batches))
-    assert error < 0.035 * other and seen.detected_fraction_stderr < 0.02 * seen.detected_fraction
+    assert error < 0.03 * other and seen.detected_fraction_stderr < 0.03 * seen.detected_fraction
     assert abs(seen.detected_fraction - other) < 3 * np.hypot(error, seen.detected_fraction_stderr)
 
 
@@ -104,17 +102,11 @@ def test_photons_and_volpath_read_the_same_on_every_photodiode_of_the_prototype(
     assert_engines_agree(prototype(index_steps=index_steps), ours=0.02, volpath=0.05, sigmas=3.5)
 
 
-@pytest.fixture(scope="module")
-def half_a_million(chosen_jit):
-    """A trace of the prototype."""
-    return nail.trace(prototype(), photons=1 << 19, seed=5)
-
-
 @pytest.mark.jit
 @pytest.mark.parametrize("index_steps", [True, False])
-def test_every_photon_is_accounted_for(jit_backend, half_a_million, index_steps):
+def test_every_photon_is_accounted_for(jit_backend, index_steps):
     """Parts of the energy are fractions that sum to 1 within their noise, and fewer than 1 in 1e5 is lost."""
-    traced = half_a_million if index_steps else nail.trace(prototype(index_steps=False), photons=1 << 18, seed=5)
+    traced = nail.trace(prototype(index_steps=index_steps), photons=1 << 19, seed=5)
     energy = traced.energy()
     stderr = np.linalg.norm([part["stderr"] for part in energy.values()])
     assert abs(sum(part["value"] for part in energy.values()) - 1) < 4 * stderr < 0.01
@@ -125,8 +117,8 @@ def test_every_photon_is_accounted_for(jit_backend, half_a_million, index_steps)
 @pytest.mark.jit
 def test_parts_left_out_read_the_same_with_faces_that_light_passes_and_without_any(jit_backend):
     """Rationale: `explain` keeps the faces of what is left out, so that two scenes share photons; nobody else does.
-    Expected: independent traces of both agree at every photodiode, and know their sum to 3 %."""
-    scene, photons = prototype(), 1 << 17
+    Expected: independent traces of both agree at every photodiode, and know their sum to 2 %."""
+    scene, photons = prototype(), 1 << 18
     scene = scene.model_copy(update={"light": scene.light.model_copy(update={"left_out": tuple(geometry.AROUND)})})
     found = []
     for seed, kept in enumerate((tuple(geometry.AROUND), ())):
@@ -139,7 +131,7 @@ def test_parts_left_out_read_the_same_with_faces_that_light_passes_and_without_a
         found.append((sums[0], (sums[1] - sums[0] ** 2) / photons))
     (with_faces, variance), (without, other) = found
     assert ((with_faces - without) ** 2 / (variance + other)).sum() < 26.1  # 8 readings: one time in a thousand
-    assert np.sqrt((variance + other).sum()) < 0.03 * without.sum()
+    assert np.sqrt((variance + other).sum()) < 0.02 * without.sum()
 
 
 @pytest.mark.jit
@@ -201,9 +193,10 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_others(jit_backend):
 
 
 @pytest.mark.jit
-def test_the_board_bends_no_light_to_one_side(half_a_million):
+def test_the_board_bends_no_light_to_one_side(jit_backend):
     """Elements that mirror each other in the LED's place read alike: the finger's taper matters less than the noise."""
-    scene, seen = half_a_million.scene, half_a_million.at().isel(led=0)
+    scene = prototype()
+    seen = nail.trace(scene, photons=1 << 20, seed=8).at().isel(led=0)
     value, stderr = seen.detected_fraction.values, seen.detected_fraction_stderr.values
     mirrored = [p.wired for p in scene.photodiodes]
     if mirrored[0] != tuple(15 - k for k in reversed(mirrored[1])):

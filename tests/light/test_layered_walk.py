@@ -338,21 +338,14 @@ def test_photons_of_a_batch_and_batches_of_a_seed_are_independent(jit_backend):
     assert abs(np.corrcoef(one, two)[0, 1]) < 4 / np.sqrt(count)
 
 
-def read_batch(engine: LayeredTracer, scene: Scene, *, photons: int, seed: int):
-    """What one batch reads, without all that a trace does about it."""
-    batch = engine.batch(0, photons=photons, seed=seed)
-    kept = {name: value for name, value in vars(batch).items() if name != "events"}
-    return Transfer(scene, (LedTrace(**kept, mu_a=engine.mu_a(0), seeds=(seed,)),), "llvm").at()
-
-
 def test_standard_errors_are_honest(jit_backend):
     """Rationale: a tolerance is worth what the standard error is worth; a heavy tail would make it lie.
     Expected: z-scores of 200 small runs against the reading of many photons are standard normal."""
     scene = phantom(layer(thickness=10.0, mu_a=0.05, mu_s=10.0, g=0.9), photodiodes=SQUARE)
-    truth, engine = reading(scene, photons=1 << 20, seed=1000), LayeredTracer(scene)
+    truth = reading(scene, photons=1 << 21, seed=1000)
     scores = {"detected_fraction": [], "mean_path_mm": [], "derivative_mm": []}
     for seed in range(200):
-        small = read_batch(engine, scene, photons=1 << 13, seed=seed).squeeze()
+        small = reading(scene, photons=1 << 14, seed=seed)
         for name, z in scores.items():
             spread = np.hypot(small[f"{name}_stderr"], truth[f"{name}_stderr"])
             z.append(float((small[name] - truth[name]) / spread))
@@ -384,7 +377,9 @@ pattern = "pencil"
     scene = parse_scene(text)
     engine, runs, told, values = LayeredTracer(scene), 300, [], []
     for seed in range(runs):
-        read = read_batch(engine, scene, photons=4096, seed=seed)
+        batch = engine.batch(0, photons=4096, seed=seed)
+        kept = {name: value for name, value in vars(batch).items() if name != "events"}
+        read = Transfer(scene, (LedTrace(**kept, mu_a=engine.mu_a(0), seeds=(seed,)),), "llvm").at()
         assert read.error_correlation.dims == ("led", "photodiode", "other_photodiode")
         told.append(read.error_correlation.values[0])
         values.append(read.detected_fraction.values[0])

@@ -138,7 +138,7 @@ def test_errors_at_every_state_are_true(monkeypatch):
     states = (TRACED, TRACED + 0.02, 0.5, 2.0, 0.03)
     found: dict[tuple[float, str], list[float]] = {(s, n): [] for s in states for n in SEEN}
     ratios: dict[float, list[float]] = {s: [] for s in states}
-    for run in range(60):
+    for run in range(80):
         parts = [made_up(1000 * run + i, 2_000_000) for i in range(64)]
         thin = merged(parts)
         assert thin.keep == 1 / 16
@@ -193,7 +193,7 @@ def test_a_course_reads_what_each_state_reads(monkeypatch):
     states = np.array([[0.03, 0.03], [0.05, 0.02], [0.1, 0.1]])
     rest = scene.blood.rest_blood_fraction
     z = []
-    for run in range(60):
+    for run in range(100):
         parts = [made_up(100 * run + i, 4_000_000, scene=scene) for i in range(20)]
         thin = light(joined(parts), scene)
         assert thin.traces[0].keep < 1
@@ -281,8 +281,8 @@ def test_a_clear_plate_far_past_the_limit(jit_backend, monkeypatch):
     monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     scene = phantom(mu_a=0.0, mu_s=0.0, n=4.0, size=1000.0)
     z = []
-    for seed in range(30):
-        traced = nail.trace(scene, photons=50_000, seed=seed)
+    for seed in range(40):
+        traced = nail.trace(scene, photons=100_000, seed=seed)
         assert len(traced.traces[0].weight) <= 1000
         z.append(plate_errors(traced))
     for column in np.array(z).T:

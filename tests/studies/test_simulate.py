@@ -33,12 +33,12 @@ def own_store(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def pressed(chosen_jit, own_store) -> dict[str, xr.Dataset]:
-    """The prototype as shipped, and with the force on one side only; half a million photons, the same for all three."""
+    """The prototype as shipped, and with the force on one side only; a million photons, the same for all three."""
     shares = {"as shipped": {}, "proximal": {"proximal_share": 1.0}, "distal": {"proximal_share": 0.0}}
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("NAILOPTICS_STORE", str(own_store))
         return {
-            name: simulate(prototype(**touch), photons=1 << 19, seed=1, picture=name == "as shipped")
+            name: simulate(prototype(**touch), photons=1 << 20, seed=1, picture=name == "as shipped")
             for name, touch in shares.items()
         }
 
@@ -119,11 +119,11 @@ def test_stored_light_needs_no_mitsuba_until_a_part_of_it_is_gone(pressed, own_s
         def changed(part, **values):
             return scene.model_copy(update={part: getattr(scene, part).model_copy(update=values)})
         for other in (changed("blood", rest_blood_fraction=0.035), changed("touch", force_n=2.0)):
-            simulate(other, photons=1 << 19, seed=1, picture=True)
+            simulate(other, photons=1 << 20, seed=1, picture=True)
         assert not {"mitsuba", "drjit"} & set(sys.modules)
         for file in Path(sys.argv[2]).glob("*/section.dat"):
             file.unlink()
-        result = simulate(scene, photons=1 << 19, seed=1, picture=True)
+        result = simulate(scene, photons=1 << 20, seed=1, picture=True)
         assert "mitsuba" in sys.modules and result.attrs["reused"]
         result.path_density.to_netcdf(sys.argv[3])
     """

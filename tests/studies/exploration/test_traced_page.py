@@ -12,7 +12,7 @@ from nailoptics.report.explore_page import page
 from nailoptics.scene.files import parse_scene
 from nailoptics.studies.exploration import explore as study
 
-EXPLORED, SIMULATED = 600_000, 250_000
+EXPLORED, SIMULATED = 600_000, 400_000
 
 
 def test_readings_and_their_change_are_those_of_the_exported_scene(
