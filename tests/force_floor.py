@@ -44,6 +44,8 @@ def exactly_known(subject: Subject, scene: Scene) -> Subject:
         beat=None if body.heartbeat is None else _beat(body.heartbeat),
         drift_per_min=drift.reading_per_rt_min if drift else 1e-6,
         led_drift_per_min=drift.led_per_rt_min if drift else 1e-6,
+        moved_error=0.0,
+        held_error=0.0,
     )
     nothing = np.zeros_like(subject.covariance)
     return replace(subject, noise=own, covariance=nothing, correction=no_correction(), widening=1.0, scatter=1.0)

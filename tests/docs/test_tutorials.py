@@ -26,7 +26,7 @@ DOCS = ROOT / "docs"
 PAGES = sorted(page for page in (DOCS / "tutorials").glob("*.md") if page.stem != "index")
 FENCE = re.compile(r"^```(?:\{code-block\} )?(\w+)\n(?::caption: (\S+)\n)?(.*?)^```$", re.M | re.S)
 # Which take long however small they are.
-LONG = {"force", "kicad", "oximetry", "tradeoff"}
+LONG = {"colour", "force", "kicad", "oximetry", "tradeoff"}
 # Photons where 20 000 say too little, and where a tutorial's own limit is kept (0).
 PHOTONS = {"force": 200_000, "tradeoff": 0, "oximetry": 30_000, "taylor": 100_000}
 FEW_PHOTONS = {"colour": 2_000, "force": 50_000}

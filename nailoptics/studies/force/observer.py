@@ -38,10 +38,8 @@ WALL_NOISE = 1e-4
 # Nobody's walls move quite as fast as the model's: by so much of every movement, alike for so long. Chosen on the
 # virtual people: without it a touch that is let go past closure is told for seconds. [1, s]
 SPEED_ERROR, SPEED_LASTS_S = 0.2, 0.3
-# Nor do readings quite follow the blood of two zones: while it moves they are off by so much of every change, alike for
-# so long, and while a touch is held by so much of their distance from rest. Chosen on the virtual people, too: without
-# the first a touch let go past closure leads the filter far astray, without the second one that was held stays. [1, s]
-READING_ERROR, READING_LASTS_S, HELD_ERROR = 0.03, 0.4, 0.01
+# How long what readings are off by the blood's movement stays alike. [s]
+READING_LASTS_S = 0.4
 # What the distal pulp does beyond the model. [N/cm^2 / sqrt(s)]
 PULP_NOISE = 0.05
 # What is calibrated of each reading: gain, offset and a steeper slope by the blood of either zone.
@@ -88,6 +86,8 @@ class Noise:
     beat : the heart's; None where none was seen.
     rhythms : of the arterial pressure, beside the beat.
     touch_rate : float. Random walk of each touch pressure. [N/cm^2 / sqrt(s)]
+    moved_error, held_error : float. Errors of readings beyond the model, of how far they have just moved with the blood
+        and of how far they are from rest. [1]
     """
 
     reading_v: Array
@@ -96,6 +96,8 @@ class Noise:
     beat: Beat | None
     rhythms: tuple[Oscillation, ...]
     touch_rate: float
+    moved_error: float
+    held_error: float
 
 
 @dataclass(frozen=True)
@@ -258,7 +260,8 @@ class Observer:
         # Alike for so long, an error is told from the touch no better by many samples than by one.
         alike = max(1.0, READING_LASTS_S / since_s) if since_s else 1.0
         held_v = self.blood_v - self.offset_v - self.rest_volts
-        own_v2 = self.noise.reading_v**2 + alike * ((READING_ERROR * self.moved_v) ** 2 + (HELD_ERROR * held_v) ** 2)
+        beyond_v2 = (self.noise.moved_error * self.moved_v) ** 2 + (self.noise.held_error * held_v) ** 2
+        own_v2 = self.noise.reading_v**2 + alike * beyond_v2
         surprise = self._update(volts, there, own_v2)
         self._find_zero(min(since_s or 0.0, LONGEST_GAP_S))
         blood_v = self._expected(self.state)[0] - self.rest_volts * self.state[self.drift]

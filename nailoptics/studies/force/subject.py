@@ -133,6 +133,8 @@ class Subject:
             "correction": (np.stack([self.correction.told, self.correction.pressed]), 0.0, MOST_GAIN),
             "correction, rising": (np.diff(self.correction.told), 1e-6, MOST_GAIN),
             "touch_rate_n_per_cm2_rt_s": (self.noise.touch_rate, 1e-6, MOST_GAIN),
+            "moved_error": (self.noise.moved_error, 0.0, 1.0),
+            "held_error": (self.noise.held_error, 0.0, 1.0),
         }
         if beat := self.noise.beat:
             within["beat.rate_hz"] = (beat.rate_hz, 0.1, 10.0)
@@ -235,6 +237,8 @@ def subject_toml(subject: Subject) -> str:
                     "drift_per_min": subject.noise.drift_per_min,
                     "led_drift_per_min": subject.noise.led_drift_per_min,
                     "touch_rate_n_per_cm2_rt_s": subject.noise.touch_rate,
+                    "moved_error": subject.noise.moved_error,
+                    "held_error": subject.noise.held_error,
                     "beat": vars(subject.noise.beat) if subject.noise.beat else {},
                     "rhythms": [vars(one) for one in subject.noise.rhythms],
                 },
@@ -372,6 +376,8 @@ def _noise(found: dict[str, Any], reading_v: Array) -> Noise:
         beat=_beat(found["beat"]) if found["beat"] else None,
         rhythms=tuple(Oscillation(**one) for one in found["rhythms"]),
         touch_rate=float(found["touch_rate_n_per_cm2_rt_s"]),
+        moved_error=float(found["moved_error"]),
+        held_error=float(found["held_error"]),
     )
 
 

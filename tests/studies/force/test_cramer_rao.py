@@ -29,7 +29,14 @@ def known() -> Subject:
         widening=1.0,
         correction=no_correction(),
         noise=replace(
-            found.noise, reading_v=light.noise_v, drift_per_min=1e-9, led_drift_per_min=1e-9, beat=None, rhythms=()
+            found.noise,
+            reading_v=light.noise_v,
+            drift_per_min=1e-9,
+            led_drift_per_min=1e-9,
+            beat=None,
+            rhythms=(),
+            moved_error=0.0,
+            held_error=0.0,
         ),
     )
 

@@ -11,10 +11,11 @@ from nailoptics import hemodynamics, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.scene.sensor_recordings import SITES, Recording, recording_csv
+from nailoptics.studies.force.body_noise import MOVED_ERROR
 from nailoptics.studies.force.calibrate import PAPER_FACTORS, _checked, calibrate_with, calibration_summary
 from nailoptics.studies.force.fit import Fit
 from nailoptics.studies.force.live import live
-from nailoptics.studies.force.observer import READING_ERROR, READING_LASTS_S, RUN_AWAY, WIDTHS, Observer
+from nailoptics.studies.force.observer import READING_LASTS_S, RUN_AWAY, WIDTHS, Observer
 from nailoptics.studies.force.person import NAMES, PRIORS, force_of, person
 from nailoptics.studies.force.predict import csv_rows, events, predict, prediction_summary
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
@@ -174,7 +175,7 @@ def test_readings_that_are_a_little_off_while_the_blood_moves_are_no_outliers() 
     lagging = np.exp(-np.arange(time_s.size) * made_sensor.STEP_S / READING_LASTS_S)
     moved = np.array([np.convolve(row, lagging)[: row.size] for row in np.diff(recorded.volts, prepend=0.5, axis=1)])
     moved[:, time_s < 1.0] = 0.0
-    off = READING_ERROR * moved * np.where(np.arange(len(moved)) % 2, 1.0, -1.0)[:, None]
+    off = MOVED_ERROR * moved * np.where(np.arange(len(moved)) % 2, 1.0, -1.0)[:, None]
     told = predict(parse_subject(made_sensor.subject()), replace(recorded, volts=recorded.volts + off))
     assert told.outlier.values.mean() < 0.01
     assert told.attrs["consistent"]
