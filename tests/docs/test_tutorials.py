@@ -18,31 +18,19 @@ import nailoptics
 from nailoptics.assets import data_dir
 from nailoptics.cli import app, run
 from nailoptics.scene import files
-from nailoptics.studies.colour import colour_spread
-from nailoptics.studies.oximetry import disturbances
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(page for page in (DOCS / "tutorials").glob("*.md") if page.stem != "index")
 FENCE = re.compile(r"^```(?:\{code-block\} )?(\w+)\n(?::caption: (\S+)\n)?(.*?)^```$", re.M | re.S)
-# Which take long however small they are.
+# Which take more than 15 s of processor time however small they are.
 LONG = {"colour", "force", "kicad", "oximetry", "tradeoff"}
 # Photons where 20 000 say too little, and where a tutorial's own limit is kept (0).
 PHOTONS = {"force": 200_000, "tradeoff": 0, "oximetry": 30_000, "taylor": 100_000}
-FEW_PHOTONS = {"colour": 2_000, "force": 50_000}
 # Where few photons decide less than many do.
 CODES = {"kicad": {0, 3}, "tradeoff": {0, 3}, "taylor": {0, 1, 3}}
-# What makes a shipped scene small: one element of each array, touches that are sampled less often, fewer zones.
-SMALLER = {
-    r"wired = \[(\d+), [^\]]*\]": r"wired = [\1]",
-    "period_s = 20.0": "period_s = 18.0",
-    "sample_rate_hz = 20.0": "sample_rate_hz = 10.0",
-    r"duration_s = 10\.0$(?!\nsample)": "duration_s = 10.0\nsample_rate_hz = 25.0",
-    "zones = 8": "zones = 3",
-    "frame_hz = 100.0": "frame_hz = 50.0",
-}
-# Axes of curves, which need two points each.
-AXES = ("FORCES_N", "REST_BLOOD", "MELANIN", "WIDTHS_NM", "WARMER_K", "SUN_LUX", "VENOUS_BELOW")
+# What makes a shipped scene small: one element of each array.
+SMALLER = {r"wired = \[(\d+), [^\]]*\]": r"wired = [\1]"}
 OWN_LIMITS = {"--relative-error", "--photons", "--max-seconds"}
 
 
@@ -90,7 +78,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, store: Path) -> Path
 
 @pytest.fixture
 def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shipped scenes and curves as small as they can be: what is typed stays the same."""
+    """Shipped scenes made small: what is typed stays the same."""
     shipped = shutil.copytree(data_dir("scenes"), tmp_path / "shipped")
     for one in shipped.glob("*.toml"):
         text = one.read_text(encoding="utf-8")
@@ -98,9 +86,6 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             text = re.sub(pattern, by, text, flags=re.M)
         one.write_text(text, encoding="utf-8")
     monkeypatch.setattr(files, "data_dir", lambda name: shipped if name == "scenes" else data_dir(name))
-    for name in AXES:
-        monkeypatch.setattr(disturbances, name, getattr(disturbances, name)[[0, -1]])
-    monkeypatch.setattr(colour_spread, "OWN_PHOTONS", 1000)
 
 
 def listed_as_written(folder: Path) -> None:
@@ -118,7 +103,7 @@ def listed_as_written(folder: Path) -> None:
 @pytest.mark.parametrize("page", [page for page in PAGES if page.stem not in LONG], ids=lambda page: page.stem)
 @pytest.mark.filterwarnings("ignore::nailoptics.light.ReweightWarning")
 def test_a_tutorial_does_what_it_says(page, folder, small, jit_backend, capsys):
-    follow(page, FEW_PHOTONS.get(page.stem, 20_000), capsys)
+    follow(page, 20_000, capsys)
     listed_as_written(folder)
 
 

@@ -32,7 +32,7 @@ def power_of_cosine(power: float) -> tuple[tuple[float, float], ...]:
 
 @pytest.mark.jit
 def test_a_response_that_follows_the_cosine_reads_the_bits_of_none(jit_backend):
-    bare, flat = (nail.trace(with_response(r, r), photons=1 << 16, seed=3).traces[0] for r in (None, FLAT))
+    bare, flat = (nail.trace(with_response(r, r), photons=1 << 17, seed=3).traces[0] for r in (None, FLAT))
     assert len(bare.weight) > 100
     assert np.array_equal(bare.weight, flat.weight) and np.array_equal(bare.photodiode, flat.photodiode)
     assert np.array_equal(bare.path_mm, flat.path_mm)
@@ -79,7 +79,7 @@ def test_a_face_under_even_radiance_collects_two_over_one_more_than_the_power(ji
 @pytest.mark.jit
 def test_only_the_photodiodes_with_a_narrow_response_read_less(jit_backend):
     bare, lens = (
-        nail.trace(with_response(None, r), photons=1 << 17, seed=3).at().isel(led=0)
+        nail.trace(with_response(None, r), photons=1 << 19, seed=3).at().isel(led=0)
         for r in (None, power_of_cosine(3.5))
     )
     ratio = lens.detected_fraction.values / bare.detected_fraction.values
