@@ -22,7 +22,7 @@ from .finger_walk import FingerTracer, FingerWalk
 from .identity import light_scene
 from .sampling import TOP, Photon, PhotonEnds, lanes
 from .store import LightStore, made_by
-from .surroundings import Interfaces, Regions, ZoneEdges
+from .surroundings import Interfaces, Regions, ZoneEdges, table_of_rows
 
 # Photons walked at once.
 BATCH = 1 << 18
@@ -195,7 +195,7 @@ class _Beam:
 
     def __init__(self, patches: Sequence[Patch], table: np.ndarray, height_mm: float, air: Any) -> None:
         corner = np.array([patch.center_mm for patch in patches]) - 0.5 * np.array([p.size_mm for p in patches])
-        self.rectangle = mi.Float(np.hstack([corner, [patch.size_mm for patch in patches]])[table].ravel())
+        self.rectangle = table_of_rows(np.hstack([corner, [patch.size_mm for patch in patches]])[table])
         self.count, self.height, self.region = dr.opaque(mi.UInt32, len(table)), dr.opaque(mi.Float, height_mm), air
 
     def emit(self, rng: Any, index: Any) -> tuple[Any, Any]:

@@ -194,6 +194,15 @@ def off_surface(p: Any, normal: Any) -> Any:
     return p + normal * (SURFACE_OFFSET * (1 + maximum(maximum(dr.abs(p.x), dr.abs(p.y)), dr.abs(p.z))))
 
 
+def table_of_rows(table: np.ndarray) -> Any:
+    """A table (n, 4) of floats whose rows kernels read with `dr.gather(mi.Vector4f, ...)`.
+
+    A list is copied. NumPy's memory would be used where it lies, and only if chance has aligned it, a row is read at
+    once: each array would bring one of two kernels with it.
+    """
+    return mi.Float(table.ravel().tolist())
+
+
 def _packed(distances: DistanceGrid) -> np.ndarray:
     """Distances in steps, rounded down, four cells to a number, so that more of them stay near the processor."""
     steps = np.floor(distances.distance_mm.transpose(2, 1, 0).ravel() * (MOST_STEPS / distances.cap_mm))
@@ -216,4 +225,4 @@ def _triangle_table(geometry: Geometry) -> Any:
     table = np.empty((len(normal), 4), np.float32)
     table[:, :3] = normal / np.linalg.norm(normal, axis=1, keepdims=True)
     table[:, 3] = geometry.below + (geometry.above << REGION_BITS)
-    return mi.Float(table.ravel())
+    return table_of_rows(table)

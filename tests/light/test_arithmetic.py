@@ -68,3 +68,30 @@ def test_one_kernel_walks_any_number_of_photons(jit_backend, name):
             kernels.append({one["hash"] for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT})
     # The first may make tables, too.
     assert kernels[1] and kernels[1] == kernels[2] <= kernels[0]
+
+
+@pytest.mark.jit
+def test_one_kernel_reads_a_table_wherever_it_lies(jit_backend):
+    """Rationale: of NumPy's memory, aligned by chance, Dr.Jit makes one of two kernels; a run had either."""
+    import drjit as dr
+    import mitsuba as mi
+
+    from nailoptics.light.surroundings import table_of_rows
+
+    def kernels(table_of):
+        found, index = set(), dr.opaque(mi.UInt32, 0, 8) + dr.arange(mi.UInt32, 8)
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            for start in range(0, 64, 4):
+                rows = memory[start : start + 4000].reshape(-1, 4)
+                dr.eval(index, read := table_of(rows))
+                dr.kernel_history_clear()
+                read = dr.gather(mi.Vector4f, read, index)
+                dr.eval(read)
+                found |= {one["hash"] for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT}
+                assert np.array_equal(read, rows[:8].T)
+        return found
+
+    memory = np.arange(4064, dtype=np.float32)
+    assert len(kernels(table_of_rows)) == 1
+    if jit_backend.name == "llvm":  # NumPy's own memory is what a processor reads
+        assert len(kernels(lambda rows: mi.Float(rows.ravel()))) == 2
