@@ -31,37 +31,33 @@ def step(
     high, low : S float or one number. P_H and P_L. [Pa]
     outside_change : (N+1, *S) float. By how much the touch pressures grow over the step; None where they stay. [Pa]
     """
-    area, stiffness, listed, closed = (
-        np.stack([np.asarray(one, dtype=float) for one in values])
-        for values in (walls.area, walls.stiffness, walls.diameter, walls.closed)
-    )
-    if area.ndim < width.ndim:
-        area, stiffness, listed, closed = (
-            one.reshape(one.shape + (1,) * (width.ndim - one.ndim)) for one in (area, stiffness, listed, closed)
-        )
+    walls = walls.stacked(width.ndim)
+    area, stiffness, listed, closed = walls.area, walls.stiffness, walls.diameter, walls.closed
     force, gh = area * outside, _GAMMA * step_s
     load = force + stiffness * (width - listed)
-    held = np.where(width <= closed, 0.0, 1.0)
-    pressures, _ = massless_rates(walls, width, load, held, high, low)
-    free = np.where((held > 0.0) | (area * np.asarray(pressures) > load), 1.0, 0.0)
+    free = np.where(width <= closed, 0.0, 1.0)
     pressures, speeds = massless_rates(walls, width, load, free, high, low)
+    lifted = (free == 0.0) & (area * pressures > load)
+    if lifted.any():
+        free = np.where(lifted, 1.0, free)
+        pressures, speeds = massless_rates(walls, width, load, free, high, low)
     jacobian = massless_jacobian(walls, width, free, pressures, high, low)
     drift: Any = 0.0
     if outside_change is not None:
         change = area * outside_change
         # What the touch's own change does to the speeds.
         _, rates = massless_rates(walls, width, change / step_s, free, 0.0, 0.0)
-        drift, force = gh * np.asarray(rates), force + change
-    first = _solve(np.asarray(speeds) + drift, jacobian, gh)
+        drift, force = gh * rates, force + change
+    first = _solve(speeds + drift, jacobian, gh)
     middle = np.maximum(width + step_s * first, closed)
     _, later = massless_rates(walls, middle, force + stiffness * (middle - listed), free, high, low)
-    second = _solve(np.asarray(later) - 2.0 * first - drift, jacobian, gh)
+    second = _solve(later - 2.0 * first - drift, jacobian, gh)
     return np.maximum(width + step_s * (1.5 * first + 0.5 * second), closed)
 
 
-def _solve(rhs: np.ndarray, jacobian: tuple[Any, Any, Any], gh: float) -> np.ndarray:
+def _solve(rhs: np.ndarray, jacobian: tuple[np.ndarray, np.ndarray, np.ndarray], gh: float) -> np.ndarray:
     """The x of (I - gh (diag(d) + outer(p, q))) x = rhs, by the formula of Sherman and Morrison."""
-    diagonal, left, right = map(np.asarray, jacobian)
+    diagonal, left, right = jacobian
     inverse = 1.0 / (1.0 - gh * diagonal)
     weighted = right * inverse
     reach = (weighted * rhs).sum(axis=0)

@@ -2,11 +2,16 @@
 
 Every function takes, for each wall, one Python float or one numpy array: the time stepper (floats, quick) and the
 tables of results (arrays over time) share the same formulas. Walls are ordered: capillary units, then the vein.
+Constants as arrays (`Walls.stacked`) let each formula take all units at once, with the same bits.
 """
 
 import dataclasses
+import functools
 import math
+from collections.abc import Iterable, Sequence
 from typing import Any
+
+import numpy as np
 
 from .parameters import Parameters
 from .zones import Zones
@@ -22,21 +27,37 @@ CLOSED_FRACTION = 1e-3
 class Walls:
     """Constants of N capillary units and the vein (last), with each unit's share of the bed, in SI units.
 
+    Each constant is one float or array per wall, or, of `stacked` walls, an array with walls along its first axis.
+
     area, damping, stiffness, mass, diameter, closed : (N+1,) floats. `closed` is the diameter at contact.
     flow_factor : (N+1,) floats. Times (D+x)^4 it is 1/R of eq. (3). [m^-1 Pa^-1 s^-1]
     venule : (N,) floats. 1/R_Vi. [m^3 Pa^-1 s^-1]
     mobile : (N+1,) floats. A/b: speed that a pressure gives to a free wall. [m Pa^-1 s^-1]
     """
 
-    area: tuple[float, ...]
-    damping: tuple[float, ...]
-    stiffness: tuple[float, ...]
-    mass: tuple[float, ...]
-    diameter: tuple[float, ...]
-    closed: tuple[float, ...]
-    flow_factor: tuple[float, ...]
-    venule: tuple[float, ...]
-    mobile: tuple[float, ...]
+    area: PerWall
+    damping: PerWall
+    stiffness: PerWall
+    mass: PerWall
+    diameter: PerWall
+    closed: PerWall
+    flow_factor: PerWall
+    venule: PerWall
+    mobile: PerWall
+
+    def stacked(self, axes: int) -> "Walls":
+        """The same walls, each constant one array with so many axes: walls, then those along which it varies."""
+        if axes not in self._stacked:
+            constants = {}
+            for one in dataclasses.fields(self):
+                array = np.stack([np.asarray(value, dtype=float) for value in getattr(self, one.name)])
+                constants[one.name] = array.reshape(array.shape + (1,) * (axes - array.ndim))
+            self._stacked[axes] = Walls(**constants)
+        return self._stacked[axes]
+
+    @functools.cached_property
+    def _stacked(self) -> dict[int, "Walls"]:
+        return {}
 
 
 def build_walls(parameters: Parameters, zones: Zones) -> Walls:
@@ -63,7 +84,7 @@ def build_walls(parameters: Parameters, zones: Zones) -> Walls:
 
 def massless_rates(
     walls: Walls, width: PerWall, load: PerWall, free: PerWall, high: Any, low: Any
-) -> tuple[list[Any], list[Any]]:
+) -> tuple[PerWall, PerWall]:
     """Pressures [Pa] and wall speeds [m/s], N+1 each, of the network whose walls have no mass.
 
     width : N+1 values. D + x, no less than `walls.closed`. [m]
@@ -76,10 +97,8 @@ def massless_rates(
     """
     n = len(walls.venule)
     mobile, area = walls.mobile, walls.area
-    units = []
-    flow_in: Any = 0.0
-    conductance: Any = 0.0
-    for i in range(n):
+    units, inflows, owns = [], [], []
+    for i in _units(walls):
         w2 = width[i] * width[i]
         arteriole = walls.flow_factor[i] * (w2 * w2)
         m = mobile[i] * free[i]
@@ -87,9 +106,10 @@ def massless_rates(
         total = own + walls.venule[i]
         ratio = walls.venule[i] / total
         numerator = arteriole * high + m * load[i]
-        flow_in = flow_in + ratio * numerator
-        conductance = conductance + ratio * own
+        inflows.append(ratio * numerator)
+        owns.append(ratio * own)
         units.append((arteriole, total, ratio, numerator / total))
+    flow_in, conductance = _sum(0.0, _each(walls, inflows)), _sum(0.0, _each(walls, owns))
     w2 = width[n] * width[n]
     vein = walls.flow_factor[n] * (w2 * w2)
     m = mobile[n] * free[n]
@@ -101,15 +121,15 @@ def massless_rates(
         free[i]
         * (a * (area[i] * high - load[i]) + walls.venule[i] * (area[i] * node - load[i]))
         / (t * walls.damping[i])
-        for i, (a, t, _, _) in enumerate(units)
+        for i, (a, t, _, _) in zip(_units(walls), units, strict=True)
     ]
     net = area[n] * (flow_in + vein * low) - load[n] * (conductance + vein)
-    return [*pressures, node], [*speeds, free[n] * net / (total * walls.damping[n])]
+    return _walls(walls, pressures, node), _walls(walls, speeds, free[n] * net / (total * walls.damping[n]))
 
 
 def massless_jacobian(
     walls: Walls, width: PerWall, free: PerWall, pressures: PerWall, high: Any, low: Any
-) -> tuple[list[float], list[float], list[float]]:
+) -> tuple[PerWall, PerWall, PerWall]:
     """How the speeds of `massless_rates` change with the widths: d, p, q of diag(d) + outer(p, q), N+1 floats each.
 
     The units meet in the vein node only, hence the rank of one.
@@ -120,9 +140,8 @@ def massless_jacobian(
     vein_slope = 4.0 * walls.flow_factor[n] * w * w * w
     vein = 0.25 * vein_slope * w
     m = walls.mobile[n] * free[n]
-    below = m * walls.area[n] + vein
-    diagonal, left, own_slopes = [], [], []
-    for i in range(n):
+    diagonal, left, own_slopes, owns = [], [], [], []
+    for i in _units(walls):
         w = width[i]
         slope = 4.0 * walls.flow_factor[i] * w * w * w
         arteriole = 0.25 * slope * w
@@ -132,15 +151,40 @@ def massless_jacobian(
         ratio = walls.venule[i] / total
         rise = slope * (high - pressures[i])
         give = free[i] * walls.stiffness[i] / walls.damping[i]
-        below += ratio * own
+        owns.append(ratio * own)
         own_slopes.append(ratio * (rise + m_i * walls.stiffness[i]))
         diagonal.append((m_i * rise - give * (arteriole + walls.venule[i])) / total)
         left.append(m_i * ratio)
+    below = _sum(m * walls.area[n] + vein, _each(walls, owns))
     right = [s / below for s in own_slopes]
-    right.append((m * walls.stiffness[n] - vein_slope * (node - low)) / below)
-    diagonal.append(-free[n] * walls.stiffness[n] / walls.damping[n])
-    left.append(m)
-    return diagonal, left, right
+    return (
+        _walls(walls, diagonal, -free[n] * walls.stiffness[n] / walls.damping[n]),
+        _walls(walls, left, m),
+        _walls(walls, right, (m * walls.stiffness[n] - vein_slope * (node - low)) / below),
+    )
+
+
+def _units(walls: Walls) -> Iterable[Any]:
+    """The indices of the units: one by one, or, of stacked walls, all in one."""
+    n = len(walls.venule)
+    return (slice(n),) if isinstance(walls.area, np.ndarray) else range(n)
+
+
+def _each(walls: Walls, units: Sequence[Any]) -> Iterable[Any]:
+    """The values of the units one by one, from those by their indices."""
+    return units[0] if isinstance(walls.area, np.ndarray) else units
+
+
+def _walls(walls: Walls, units: list[Any], vein: Any) -> PerWall:
+    """The values of all walls, from those of the units by their indices and the vein's."""
+    return np.concatenate([units[0], vein[None]]) if isinstance(walls.area, np.ndarray) else [*units, vein]
+
+
+def _sum(first: Any, more: Iterable[Any]) -> Any:
+    """A sum in the order of its terms, so that stacked walls have the bits of others."""
+    for one in more:
+        first = first + one
+    return first
 
 
 def inertial_pressures(walls: Walls, width: PerWall, speed: PerWall, high: Any, low: Any) -> list[Any]:
