@@ -45,19 +45,25 @@ def chosen_jit() -> backend.Backend:
     return chosen
 
 
-# Another test may have set another variant, so each activates its own again.
+def activated(chosen: backend.Backend) -> backend.Backend:
+    """A backend, active again, because another test may have set another variant."""
+    backend.activate(chosen)
+    # Of tests that run side by side, each has its own core: threads of all on all cores wait for one another.
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        backend.set_threads(1)
+    return chosen
+
+
 @pytest.fixture
 def llvm(chosen_llvm: backend.Backend) -> backend.Backend:
     """The LLVM backend, active; without one the test is skipped, with the reason."""
-    backend.activate(chosen_llvm)
-    return chosen_llvm
+    return activated(chosen_llvm)
 
 
 @pytest.fixture
 def jit_backend(chosen_jit: backend.Backend) -> backend.Backend:
     """The fastest backend that compiles kernels, active; without one the test is skipped, with the reason."""
-    backend.activate(chosen_jit)
-    return chosen_jit
+    return activated(chosen_jit)
 
 
 @pytest.fixture(scope="module")

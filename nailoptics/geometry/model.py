@@ -8,6 +8,7 @@ import numpy as np
 from .cast import cast
 from .grid import Array, Grid, Indices
 from .locate import Locator
+from .regions import AIR
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,10 @@ class Geometry:
 
         Returns: (k,) int; a point on an interface gets either side.
         """
-        return self._locator.region_at(points)
+        points, nodes = np.asarray(points, float).reshape(-1, 3), self.grid.nodes.reshape(-1, 3)
+        beyond = (points < nodes.min(axis=0)) | (points > nodes.max(axis=0))
+        # Around the grid there is air, and sorting its cells takes seconds.
+        return np.full(len(points), AIR, np.int32) if beyond.any(axis=1).all() else self._locator.region_at(points)
 
     def section(self, y_mm: Array, z_mm: Array) -> Indices:
         """Region on the lengthwise section at x = 0, (y, z) int, from the triangles above and below each point.

@@ -130,6 +130,16 @@ def test_interfaces_hold_every_triangle_once_with_its_sides(geometry):
         assert (geometry.region_at(middle - step) == low).all()
 
 
+def test_points_around_the_finger_are_in_the_air_alone_as_among_others(geometry):
+    """Rationale: where all lie beyond the grid, its cells are not asked."""
+    low, high = geometry.bounds_mm
+    inside, around = np.array([[0.0, 0.0, -4.0]]), np.concatenate([np.diag(high + 1), np.diag(low - 1)])
+    together = geometry.region_at(np.concatenate([inside, around]))
+    assert geometry.regions[together[0]] != "air"
+    np.testing.assert_array_equal(geometry.region_at(around), together[1:])
+    assert {geometry.regions[i] for i in together[1:]} == {"air"}
+
+
 def test_faces_look_at_the_nail_and_keep_their_areas(geometry):
     assert [f.name for f in geometry.leds] == ["led0", "led1"]
     assert [f.name for f in geometry.photodiodes] == [f"pd.{i}" for i in range(2, 32, 4)]
