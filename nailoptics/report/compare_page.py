@@ -93,12 +93,12 @@ def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
 
 def _limits(result: xr.Dataset, led: int) -> str:
     """Up to what force, blood and alpha D^2 each fitted model stays within 1 % and 5 %."""
-    head, rows = ["Photodiode", "Swing<br>[% of reading]", "Mean path in<br>own zone [mm]"], []
+    head, rows = ["Photodiode", "Swing<br>[% of reading]", "Mean path<br>in own<br>zone [mm]"], []
     columns = list(product(map(str, result.sweep.values), compare_figures.FORMULAS, result.within.values))
     for sweep, model, within in columns:
         number, _ = compare_figures.FORMULAS[model].split()
         head.append(f"{number} to {100 * within:g} %<br>{escaped(sweep)} [{'N' if sweep == 'force' else '%'}]")
-    head += ["αD² at which (9)<br>errs by 1 %", "at which (9)<br>errs by 5 %"]
+    head += ["αD² at<br>which (9)<br>errs by 1 %", "at which<br>(9) errs<br>by 5 %"]
     for j in compare_figures.order(result):
         one = result.isel(led=led, photodiode=j)
         first = one.isel(sweep=0)
@@ -124,4 +124,4 @@ def _interval(one: xr.Dataset, name: str, by: float) -> str:
     if not bool(one.limit_ends):
         return "all" if name == "limit" else f"&gt; {significant(value, 2)}"
     low, high = max(min(low, high), 0.0), max(low, high)
-    return f"{significant(value, 2)} <span class='small'>({significant(low, 2)}–{significant(high, 2)})</span>"
+    return f"{significant(value, 2)}<br><span class='small'>({significant(low, 2)}–{significant(high, 2)})</span>"

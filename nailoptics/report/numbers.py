@@ -1,6 +1,7 @@
 """Numbers for people: rounded to their uncertainty, in a prefix of the unit that suits them."""
 
 import math
+from collections.abc import Iterable
 
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -54,6 +55,16 @@ def with_error(value: float, error: float, *, sign: bool = False) -> str:
     decimals = min(max(1 - math.floor(math.log10(error / scale)), 0), 9)
     text = f"{fixed(value / scale, decimals, sign=sign)} ± {fixed(error / scale, decimals)}"
     return f"({text}){tail}" if tail else text
+
+
+def polynomial(coefficients: Iterable[float], variable: str) -> str:
+    """A polynomial from its constant on, as it is written: "110.9 − 32.77 R + 0.9527 R²"."""
+    text = ""
+    for power, value in enumerate(map(float, coefficients)):
+        letter = ("", f" {variable}")[power > 0] + (str(power).translate(_SUPERSCRIPT) if power > 1 else "")
+        sign = f" {MINUS if value < 0 else '+'} " if power else ""
+        text += f"{sign}{significant(abs(value) if power else value, 4)}{letter}"
+    return text
 
 
 def quantity(value: float, unit: str, *, digits: int = 3, sign: bool = False) -> str:

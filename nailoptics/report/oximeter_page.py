@@ -10,7 +10,7 @@ from ..io import write_text
 from ..scene import parse_scene
 from . import maps, oximeter_figures
 from .html import document, escaped, figure, section, small, table
-from .numbers import significant, with_error
+from .numbers import polynomial, significant, with_error
 
 PULSE = (
     "Each LED's reading over a beat, less its mean and less the dark slot, with the trace's 95 % interval. More blood, "
@@ -95,16 +95,12 @@ def _calibrations(result: xr.Dataset) -> str:
     for name in result.photodiode.values:
         one = result.sel(photodiode=name)
         pairs = zip(one.linear.values, one.linear_stderr.values, strict=True)
-        quadratic = " ".join(
-            f"{'+' if k and c >= 0 else ''}{significant(float(c), 4)}{' R R²'.split(' ')[k]}"
-            for k, c in enumerate(one.quadratic.values)
-        )
         rows.append(
             [
                 escaped(name),
                 *(with_error(float(value), float(error)) for value, error in pairs),
                 significant(float(one.linear_miss), 2),
-                quadratic,
+                polynomial(one.quadratic.values, "R"),
                 significant(float(one.quadratic_miss), 2),
                 with_error(float(one.ratio_at_rest), float(one.ratio_at_rest_stderr)),
                 with_error(float(one.path_ratio), float(one.path_ratio_stderr)),

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from nailoptics.report import style
-from nailoptics.report.numbers import fixed, prefix, quantity, significant, with_error
+from nailoptics.report.numbers import fixed, polynomial, prefix, quantity, significant, with_error
 from nailoptics.report.style import spread
 
 
@@ -26,6 +26,17 @@ from nailoptics.report.style import spread
 )
 def test_a_value_is_rounded_to_its_error(value, error, text):
     assert with_error(value, error) == text
+
+
+@pytest.mark.parametrize(
+    "coefficients, text",
+    [
+        ([110.93, -32.77, 0.9527], "110.9 − 32.77 R + 0.9527 R²"),
+        ([-1.0, 2.0, -3.0, 4.0], "−1.000 + 2.000 R − 3.000 R² + 4.000 R³"),
+    ],
+)
+def test_a_polynomial_has_its_signs_between_its_terms(coefficients, text):
+    assert polynomial(coefficients, "R") == text
 
 
 @pytest.mark.parametrize(
