@@ -11,7 +11,7 @@ from .base import Point
 from .catalogue import ModulePart, load_part
 from .kicad import KicadBoard, read_board
 from .outlines import FARTHEST_MM, Outline, join
-from .positions import PlacedPart, read_positions, turned
+from .positions import PlacedPart, read_positions, turned, warn_of_mirrored
 
 KINDS = ("led", "photodiode", "module")
 NOT_IN_SCENE = {"offset_mm", "rotation_deg"}
@@ -74,6 +74,8 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     if not uses:
         raise ValueError(f"{name}: nothing says what its parts are; choose from this and add it: {proposal(found)}")
     mapped = _mapped(found, uses, name)
+    if board is None:
+        warn_of_mirrored(table, found, mapped)
     whole, origin = _outline(board, mapped, name), table.get("origin")
     view = View(
         _origin(origin, board, whole, name),

@@ -11,7 +11,7 @@ from .board_files import read_board_file
 from .finger import DermisAbsorption
 from .outlines import read_outline
 from .parts import Led, Photodiode, Rotation
-from .positions import read_positions
+from .positions import read_positions, warn_of_mirrored
 
 # What layouts can be ranked by, and what of it is told alone or together.
 Aim = Literal["worst", "mean", "share", "oxygen"]
@@ -79,6 +79,7 @@ class Candidate(Table):
         path, negated = Path(folder or Path()) / str(data["positions"]), bool(data.get("negate_x_on_bottom", False))
         parts = read_positions(path, negate_x_on_bottom=negated)
         groups = {"leds": [p for p in parts if p.is_led], "photodiodes": [p for p in parts if p.is_photodiode]}
+        warn_of_mirrored(data, parts, [*groups["leds"], *groups["photodiodes"]])
         filled = {f"{name}_mm": tuple(p.position_mm for p in group) for name, group in groups.items()}
         filled |= {f"{name}_deg": tuple(p.rotation_deg % 360 for p in group) for name, group in groups.items()}
         filled["led_refs"] = tuple((p.ref, p.value) for p in groups["leds"])

@@ -1,15 +1,19 @@
 """Position files for pick and place: KiCad's CSV and .pos, and those of assemblers, as they come."""
 
 import csv
+import logging
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ..errors import InputError
 from ..io import write_text
 from .text_files import read_text
+
+log = logging.getLogger(__name__)
 
 COLUMNS = ("Ref", "Val", "Package", "PosX", "PosY", "Rot", "Side")
 # The names that layout programs and assemblers give the columns, without blanks, signs and units, the best first.
@@ -88,6 +92,34 @@ def read_positions(path: Path, *, negate_x_on_bottom: bool = False) -> tuple[Pla
     if not parts:
         raise InputError(f"{path}: names no part; export the positions of both sides.")
     return tuple(parts)
+
+
+def warn_of_mirrored(table: Mapping[str, Any], found: Sequence[PlacedPart], used: Sequence[PlacedPart]) -> None:
+    """Say in a line that X of the bottom side may be negated, where the scene does not say whether it is.
+
+    table : of the scene, that names the file. found, used : all parts of the file as they stand, and those that count.
+    """
+    if "negate_x_on_bottom" in table or all(part.side == "top" for part in used):
+        return
+    top, bottom = ([part.position_mm[0] for part in found if part.side == side] for side in ("top", "bottom"))
+    as_it_stands, negated = (_share_room(top, [sign * x for x in bottom]) for sign in (1, -1))
+    if as_it_stands and not negated:
+        return
+    why = "looks negated, as KiCad writes it where it is told to" if negated and not as_it_stands else "may be negated"
+    log.warning(
+        "%s: X on the bottom %s, and is read as it stands: add negate_x_on_bottom = true if it is, or the layout is "
+        "mirrored; false if it is not.",
+        table["positions"],
+        why,
+    )
+
+
+def _share_room(top: Sequence[float], bottom: Sequence[float]) -> bool:
+    """Whether parts of both sides may lie on one board, by their X; of one side alone, whether some X is positive, as
+    on KiCad's page."""
+    if not top:
+        return max(bottom) > 0
+    return min(top) < max(bottom) and min(bottom) < max(top)
 
 
 def _table(text: str, path: Path) -> tuple[tuple[dict[str, int], dict[str, float]], list[tuple[int, list[str]]]]:

@@ -86,7 +86,7 @@ def test_a_part_may_sit_beside_the_middle_of_its_footprint(tmp_path):
     assert load_scene(path).leds[0].position_mm == pytest.approx((-3.0 + 0.2, 1.0 + 0.5))
 
 
-def test_position_files_serve_as_boards(tmp_path):
+def test_position_files_serve_as_boards(tmp_path, caplog):
     path = write(tmp_path)
     text = "Designator,Mid X,Mid Y,Layer,Rotation\nD1,-3mm,1mm,Bottom,90\nPD1,1mm,-1mm,Bottom,30\nC1,9,9,Top,0\n"
     (tmp_path / "pos.csv").write_text(text)
@@ -94,6 +94,7 @@ def test_position_files_serve_as_boards(tmp_path):
     path.write_text(path.read_text().replace('kicad = "x.kicad_pcb"', 'positions = "pos.csv"'))
     scene = load_scene(path)
     assert (scene.leds, scene.photodiodes) == (board.leds, board.photodiodes) and scene.board.unmapped == ("C1",)
+    assert caplog.text.count("add negate_x_on_bottom") == 1
 
 
 def test_candidates_are_files_with_their_own_parts_matched_by_name(tmp_path):

@@ -57,6 +57,15 @@ KICAD_8 = f"""(kicad_pcb (version 20240108) (generator "pcbnew") (generator_vers
   (gr_arc (start 101 108) (mid {100 + H} {108 - H}) (end 100 107) (layer "Edge.Cuts"))
 )
 """
+# Version 9 has what no older one has: files within the file, and fonts that are or are not.
+KICAD_9 = (
+    KICAD_8.replace("20240108", "20241229").replace('"8.0"', '"9.0"').rstrip().removesuffix(")")
+    + """(embedded_fonts no)
+  (embedded_files (file (name "logo.png") (type other) (data |KLUv/WBQAZ0LAFYUQSBQqQFVYgDC/XEkP8WQkE
+    aGVsbG8gd29ybGQ+/=|) (checksum "AB12")))
+)
+"""
+)
 
 
 def board(tmp_path, text):
@@ -64,7 +73,7 @@ def board(tmp_path, text):
     return read_board(tmp_path / "x.kicad_pcb")
 
 
-@pytest.mark.parametrize("text", [KICAD_5, KICAD_8], ids=["5", "8"])
+@pytest.mark.parametrize("text", [KICAD_5, KICAD_8, KICAD_9], ids=["5", "8", "9"])
 def test_parts_and_outline_are_read_alike_of_every_version(tmp_path, text):
     found = board(tmp_path, text)
     led, hole = found.footprints

@@ -3,7 +3,7 @@
 import pytest
 
 from nailoptics.errors import InputError
-from nailoptics.scene.positions import PlacedPart, read_positions, turned, write_positions
+from nailoptics.scene.positions import PlacedPart, read_positions, turned, warn_of_mirrored, write_positions
 
 # As `kicad-cli pcb export pos --format csv --units mm --side both` writes it.
 POSITIONS = """Ref,Val,Package,PosX,PosY,Rot,Side
@@ -29,6 +29,27 @@ def test_negated_x_counts_on_the_bottom_alone(tmp_path):
     path = tmp_path / "pos.csv"
     path.write_text(POSITIONS)
     assert [p.position_mm[0] for p in read_positions(path, negate_x_on_bottom=True)] == [2.5, 2.5, -0.5]
+
+
+BOTH = [(10.0, "top"), (20.0, "top"), (-12.0, "bottom"), (-18.0, "bottom")]
+
+
+@pytest.mark.parametrize(
+    ("places", "said", "words"),
+    [
+        (BOTH, {}, "looks negated"),
+        ([(-142.5, "bottom"), (-157.5, "bottom")], {}, "looks negated"),
+        ([(-2.0, "bottom"), (1.0, "bottom")], {}, "may be negated"),
+        ([(142.5, "bottom"), (157.5, "bottom")], {}, ""),
+        ([(x if side == "top" else -x, side) for x, side in BOTH], {}, ""),
+        ([(-2.0, "top"), (1.0, "top")], {}, ""),
+        (BOTH, {"negate_x_on_bottom": False}, ""),
+    ],
+)
+def test_x_that_may_be_negated_is_told_where_the_scene_does_not_say(caplog, places, said, words):
+    found = [PlacedPart(f"PD{i}", "", "", (x, 0.0), 0.0, side) for i, (x, side) in enumerate(places)]
+    warn_of_mirrored({"positions": "pos.csv"} | said, found, found)
+    assert words in caplog.text and bool(words) == ("negate_x_on_bottom = true" in caplog.text)
 
 
 @pytest.mark.parametrize("negated", [False, True])
