@@ -56,7 +56,9 @@ def conclusions(result: xr.Dataset) -> list[str]:
 
 def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
     """What holds of a simulated touch."""
-    lines, signs, moved = [], result.keeps_sign.values, result.signal.values != 0
+    lines, signs, full = [], result.keeps_sign.values, result.saturated.any("time")
+    # A converter at its limit tells no change, whatever its light does.
+    moved = (result.signal.values != 0) & ~full.values
     if moved.any():
         lost = [
             f"{photodiode} under {led}"
@@ -66,11 +68,14 @@ def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
         ]
         text = "The sign of the change holds over all that is unknown of the finger at "
         text += f"{moved.sum() - len(lost)} of {moved.sum()} readings"
-        lines.append(text + (f", not at {', '.join(lost)}." if lost else "."))
+        text += f", not at {', '.join(lost)}" if lost else ""
+        lines.append(text + (f"; saturated: {int(full.sum())}." if full.any() else "."))
     if traced:
         words = "Over it readings spread by {} and changes by {} (one standard deviation), most by {} and {}."
         names = [max(traced, key=lambda row: row[f"{kind}_spread"])["name"] for kind in ("reading", "change")]
-        lines.append(words.format(_range(result.reading_spread), _range(result.change_spread), *names))
+        lines.append(
+            words.format(*(_range(one.where(~full)) for one in (result.reading_spread, result.change_spread)), *names)
+        )
         lines.append("The force that a sample resolves (noise / slope) spreads as the changes do.")
     return lines
 

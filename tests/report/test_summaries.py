@@ -3,6 +3,7 @@
 import numpy as np
 
 from nailoptics.report.readings import hold_end, photodiode_readings
+from nailoptics.report.spread_section import conclusions
 from nailoptics.report.summaries import check_lines, simulation_lines, simulation_summary
 
 
@@ -29,6 +30,19 @@ def test_saturated_readings_are_marked(make):
     lines = simulation_lines(summary)
     assert "saturated" in lines[3] and "proximal.12" in lines[3]
     assert sum("saturated" in line for line in lines) == 1
+
+
+def test_a_saturated_reading_is_not_counted_among_those_whose_sign_holds(make):
+    result = make(section=False)
+    pair = ("led", "photodiode")
+    holds = np.arange(8)[None] != 3
+    known = {"keeps_sign": (pair, holds), "signal": (pair, np.ones((1, 8))), "prior": ("prior", [])}
+    result = result.assign(known)
+    assert conclusions(result)[0].endswith("at 7 of 8 readings, not at proximal.15 under ir.")
+    result.saturated[0, 2, 5] = True
+    assert conclusions(result)[0].endswith("at 6 of 7 readings, not at proximal.15 under ir; saturated: 1.")
+    result.saturated[0, 3, 5] = True
+    assert conclusions(result)[0].endswith("at 6 of 6 readings; saturated: 2.")
 
 
 def test_a_check_is_reported_in_sentences():
