@@ -8,6 +8,7 @@ import sys
 import tokenize
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from io import StringIO
 from pathlib import Path
 
@@ -57,9 +58,19 @@ def module_name(path: Path) -> list[str]:
     return parts[:-1] if parts[-1] == "__init__" else parts
 
 
+@cache
+def statements(source: str) -> list[ast.AST]:
+    """All statements of a source, and itself, without the expressions in them; parsed once for all tests."""
+    found: list[ast.AST] = [ast.parse(source)]
+    for node in found:  # grows meanwhile
+        for body in ("body", "orelse", "finalbody", "handlers", "cases"):
+            found += getattr(node, body, [])
+    return found
+
+
 def imported(source: str, module: list[str], *, package: bool) -> Iterator[str]:
     """Absolute dotted names that a module imports anywhere, functions and type checking included."""
-    for node in ast.walk(ast.parse(source)):
+    for node in statements(source):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -238,10 +249,12 @@ def prose(path: Path) -> Iterator[str]:
     """What a file says to its readers: comments and docstrings of a module, all of a page, the comments of data."""
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".py":
-        tokens = tokenize.generate_tokens(StringIO(text).readline)
-        yield from (token.string for token in tokens if token.type == tokenize.COMMENT)
+        # To find comments takes long: only where there may be one that names a file.
+        if any(FILE.search(line) for line in text.splitlines() if "#" in line):
+            tokens = tokenize.generate_tokens(StringIO(text).readline)
+            yield from (token.string for token in tokens if token.type == tokenize.COMMENT)
         documented = ast.Module, ast.ClassDef, ast.FunctionDef
-        for node in ast.walk(ast.parse(text)):
+        for node in statements(text):
             if isinstance(node, documented):
                 yield ast.get_docstring(node) or ""
     elif path.suffix == ".md":

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry import Geometry
-from ..geometry.grid import Array, Indices
+from ..geometry.grid import Array, Indices, unique_rows
 
 # Six times the volume of a tetrahedron that counts as flat: rounding of cells that have collapsed. [mm^3]
 FLAT_MM3 = 1e-14
@@ -40,6 +40,5 @@ def tetrahedra(geometry: Geometry) -> TetMesh:
     """The cells of a geometry, all but air, as tetrahedra; its interfaces are faces of theirs."""
     corners, region, _ = geometry.grid.tetrahedra()
     solid = np.linalg.det(corners[:, 1:] - corners[:, :1]) > FLAT_MM3
-    # Adding zero makes one of the two zeros that are equal but differ in their bits.
-    nodes, number = np.unique(corners[solid].reshape(-1, 3) + 0.0, axis=0, return_inverse=True)
+    nodes, _, number = unique_rows(corners[solid].reshape(-1, 3))
     return TetMesh(nodes, number.reshape(-1, 4).astype(np.int32), region[solid])
