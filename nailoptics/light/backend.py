@@ -39,6 +39,7 @@ VOLPATH_ADVICE = (
     "faster install libLLVM 17 or newer (Debian, Ubuntu: apt install libllvm19), or set DRJIT_LIBLLVM_PATH to one"
 )
 PROBE_TIMEOUT_S = 120.0
+LLVM_FILE = re.compile(r"libLLVM(?:-.*)?\.so|libLLVM.*\.dylib$")
 FOLDERS = ("/usr/lib", "/usr/lib64", "/lib", "/lib64", "/usr/local/lib", "/usr/local/lib64")
 
 # A kernel alone is not enough: on CUDA, rays need OptiX, which can be missing where kernels work. What the photons
@@ -220,11 +221,19 @@ def _llvm_libraries(folders: Iterable[str | Path] | None = None) -> list[str]:
         folders = [*_system_folders(), Path(sys.prefix) / "lib"]
         for root in ("/usr/lib", "/usr/lib64", "/usr/local/opt", "/opt/homebrew/opt"):
             folders += sorted(Path(root).glob("llvm*/lib*"))
-    patterns = ("libLLVM.so*", "libLLVM-*.so*", "libLLVM*.dylib")
     # Many names lead to one file.
-    found = {file.resolve() for folder in folders for pattern in patterns for file in Path(folder).glob(pattern)}
+    distinct = {os.path.realpath(folder) for folder in folders}
+    found = {Path(folder, name).resolve() for folder in distinct for name in _names(folder) if LLVM_FILE.match(name)}
     files = sorted(str(file) for file in found if file.is_file())
     return sorted(files, key=_major_version, reverse=True)
+
+
+def _names(folder: str | Path) -> list[str]:
+    """What lies in a folder; nothing in one that is not there or that may not be read."""
+    try:
+        return os.listdir(folder)
+    except OSError:
+        return []
 
 
 def _major_version(path: str) -> int:

@@ -126,11 +126,14 @@ def test_an_unwritable_cache_costs_a_probe_and_nothing_else(library, monkeypatch
 def test_newest_library_first_and_each_file_once(fresh, tmp_path):
     folder = tmp_path / "lib"
     folder.mkdir()
-    for name in ("libLLVM-15.so.1", "libLLVM.so.19.1", "libLLVM-17.so.1", "libLLVMSupport.a"):
+    others = ("libLLVM.dylib", "libLLVMCore.so", "libLLVM.a")
+    for name in ("libLLVM-15.so.1", "libLLVM.so.19.1", "libLLVM-17.so.1", *others):
         (folder / name).touch()
     (folder / "libLLVM-19.so").symlink_to("libLLVM.so.19.1")
-    found = backend._llvm_libraries([folder, tmp_path / "missing"])
-    assert [Path(path).name for path in found] == ["libLLVM.so.19.1", "libLLVM-17.so.1", "libLLVM-15.so.1"]
+    (tmp_path / "other").symlink_to("lib")
+    found = backend._llvm_libraries([folder, tmp_path / "other", tmp_path / "missing"])
+    newest = ["libLLVM.so.19.1", "libLLVM-17.so.1", "libLLVM-15.so.1"]
+    assert [Path(path).name for path in found] == [*newest, "libLLVM.dylib"]
 
 
 def test_findings_name_one_backend_as_taken(fresh, monkeypatch):
