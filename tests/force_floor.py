@@ -48,7 +48,7 @@ def exactly_known(subject: Subject, scene: Scene) -> Subject:
         held_error=0.0,
     )
     nothing = np.zeros_like(subject.covariance)
-    return replace(subject, noise=own, covariance=nothing, correction=no_correction(), widening=1.0, scatter=1.0)
+    return replace(subject, noise=own, covariance=nothing, correction=no_correction(), widening=1.0)
 
 
 def _beat(heart: Heartbeat) -> Beat:

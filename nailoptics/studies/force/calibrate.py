@@ -45,9 +45,6 @@ LEAST_AT_REST, LEAST_SEEN = 10, 0.1
 # Part of the samples of the calibration's touches that intervals must cover; by how much they are then made wider for
 # touches that were not seen, and no narrower than this part of the filter's own.
 COVERED, UNSEEN, NARROWEST = 0.95, 1.15, 0.5
-# Nobody is quite the model: pressures scatter by so much more than the filter says (0.8 to 2.0 times for eight virtual
-# people), at rest, too, where a calibration does not show it.
-SCATTER = 1.5
 # What the paper tunes by hand beside offset and scale: time constants.
 PAPER_FACTORS = ("vein_damping", "capillary_damping")
 
@@ -128,7 +125,6 @@ def calibrate_with(
         noise=noise,
         correction=no_correction(),
         widening=1.0,
-        scatter=SCATTER,
         most_force_n=_most_force(recordings),
         chi2_per_dof=fitted.chi2_per_dof,
         rms_n=float("nan"),

@@ -49,7 +49,7 @@ class ForceInterval:
         person = subject.person()
         self.areas_cm2 = float(person.area_cm2) * np.array([float(person.proximal_area), 1.0])
         self.person, self.correction = person, subject.correction
-        self.widening, self.scatter = subject.widening, subject.scatter
+        self.widening = subject.widening
         closure = closure_of(person)
         self._shut = self.correction.of(np.array([[closure.proximal], [closure.distal]]))
         self._open = OpenError(subject.calibrated, subject.noise)
@@ -68,7 +68,7 @@ class ForceInterval:
         """The forces of some samples."""
         touch = np.array([one.touch for one in estimates])
         left_open, open_pressure = self._left_open(pressure_of(touch.T))
-        known = np.array([one.covariance for one in estimates]) * max(self.widening, self.scatter) ** 2
+        known = np.array([one.covariance for one in estimates]) * max(self.widening, 1.0) ** 2
         covariance = known + left_open
         values, vectors = np.linalg.eigh(covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]

@@ -45,7 +45,7 @@ class Subject:
     covariance : (P + 4 R, P + 4 R) float. Of factors, gains, offsets, and steeper slopes by the blood of either zone.
     correction : of the pressures that the observer tells.
     widening : float. How wide intervals are over what the filter and the covariance say, so that they cover what
-        calibration saw. scatter : float. How wide they are over the filter's alone at least.
+        calibration saw; the filter's own error is never taken for less than it says.
     most_force_n : the largest calibrated force by site.
     chi2_per_dof, rms_n : of the fit's whitened residuals, and of the force told from the calibration's own readings.
     """
@@ -67,7 +67,6 @@ class Subject:
     noise: Noise
     correction: Correction
     widening: float
-    scatter: float
     most_force_n: dict[str, float]
     chi2_per_dof: float
     rms_n: float
@@ -123,7 +122,6 @@ class Subject:
             "contact_area_cm2": (self.area_cm2, 1e-3, 1e3),
             "proximal_share": (self.share, 0.0, 1.0),
             "widening": (self.widening, 1e-3, MOST_GAIN),
-            "scatter": (self.scatter, 1e-3, MOST_GAIN),
             "distal_reach": (self.distal_reach, 0.0, 1.0),
             "creep": (self.pulp.creep, 0.0, 1.0),
             "creep_s": (self.pulp.creep_s, 1e-3, MOST_GAIN),
@@ -228,7 +226,6 @@ def subject_toml(subject: Subject) -> str:
                     "chi2_per_dof": subject.chi2_per_dof,
                     "rms_n": subject.rms_n,
                     "widening": subject.widening,
-                    "scatter": subject.scatter,
                     "most_force_n": subject.most_force_n,
                 },
                 "factors": subject.factors(),
@@ -353,7 +350,6 @@ def _subject(found: dict[str, Any]) -> Subject:
         noise=_noise(noise, each("noise_v")),
         correction=_correction(found["correction"]),
         widening=float(quality["widening"]),
-        scatter=float(quality["scatter"]),
         most_force_n=dict(quality["most_force_n"]),
         chi2_per_dof=float(quality["chi2_per_dof"]),
         rms_n=float(quality["rms_n"]),

@@ -24,7 +24,7 @@ PART = 1e-4
 @pytest.fixture(scope="module")
 def subject() -> Subject:
     found = parse_subject(made_sensor.subject())
-    return replace(found, covariance=PART * found.covariance, widening=1.0, scatter=1e-6, correction=no_correction())
+    return replace(found, covariance=PART * found.covariance, widening=1.0, correction=no_correction())
 
 
 def risen_v(one: Calibrated, pressure: np.ndarray) -> np.ndarray:
