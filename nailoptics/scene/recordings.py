@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
 from .text_files import read_rows
@@ -16,6 +17,8 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "distal_pressure_pa": (0.0, 1e6, "Pa"),
     "arterial_pressure_pa": (-1e4, 6e4, "Pa"),
 }
+# A load cell that nothing presses reads a little on either side of zero: so far below it counts as none. [N]
+UNLOADED_N = 0.05
 _WORDS = {1: "one number", 2: "two numbers", 3: "three numbers", 4: "four numbers", 5: "five numbers"}
 
 Columns = dict[str, tuple[float, ...]]
@@ -45,8 +48,16 @@ def read_columns(path: Path, name: str, known: Sequence[str], *, either: Sequenc
         except (ValueError, IndexError):
             raise InputError(f"{shown} line {number}: {','.join(row)!r} is not {_WORDS[len(found)]}.") from None
     columns = {name: tuple(row[i] for row in rows) for i, name in enumerate(found)}
+    if "force_n" in columns:
+        columns["force_n"] = tuple(unloaded(columns["force_n"]).tolist())
     check_columns(columns, shown)
     return columns
+
+
+def unloaded(force_n: ArrayLike) -> NDArray[np.float64]:
+    """Measured forces (T,), of which none is left where a load cell reads just below zero. [N]"""
+    force_n = np.asarray(force_n, dtype=float)
+    return np.where((force_n < 0.0) & (force_n >= -UNLOADED_N), 0.0, force_n)
 
 
 def check_columns(columns: Mapping[str, Sequence[float]], name: str) -> None:

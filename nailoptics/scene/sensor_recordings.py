@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .recordings import RANGES
+from .recordings import RANGES, unloaded
 from .text_files import read_rows
 from .touch import PRESSURES
 
@@ -93,6 +93,7 @@ def read_sensor_recording(path: str | Path) -> Recording:
     volts = np.array([_column(rows, columns[title], title, name, gaps=True) for title in readings])
     force_n = _column(rows, columns["force_n"], "force_n", name, gaps=True) if "force_n" in columns else None
     if force_n is not None:
+        force_n = unloaded(force_n)
         most_n = RANGES["force_n"][1]
         wrong = np.flatnonzero((force_n < 0) | (force_n > most_n))
         if wrong.size:

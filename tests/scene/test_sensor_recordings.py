@@ -48,6 +48,7 @@ def test_a_recording_is_read_with_its_gaps_and_sites_and_written_again(tmp_path:
         ("time_s,a\n0,1\n1,1\n2,1\n", "constant at 1 V; check its wiring"),
         ("time_s,a\n0,31000\n1,32000\n", "looks like a converter's counts"),
         ("time_s,force_n,a\n0,-1,1\n1,0,2\n", "line 2: force_n = -1 must lie in 0 to 100 N"),
+        ("time_s,force_n,a\n0,-0.06,1\n1,0,2\n", "line 2: force_n = -0.06 must lie in 0 to 100 N"),
         ("time_s,force_n,a\n0,1000,1\n1,0,2\n", "force_n = 1000 must lie in 0 to 100 N"),
         ("time_s;a\n0;1\n1;2\n", "has semicolons between columns"),
         ("time_s,a\n0,0,1\n1,0,2\n", "line 2: has 3 cells for 2 columns; write numbers with a decimal point"),
@@ -83,6 +84,12 @@ def test_what_spreadsheets_add_is_no_fault(tmp_path: Path) -> None:
     found = read_sensor_recording(_written(tmp_path, "\ufeff" + adorned))
     assert found.names == plain.names
     np.testing.assert_array_equal(found.volts, plain.volts)
+
+
+def test_a_load_cell_that_reads_just_below_zero_is_not_pressed(tmp_path: Path) -> None:
+    found = read_sensor_recording(_written(tmp_path, "time_s,force_n,a\n0,-0.002,1\n1,0.5,2\n2,,1\n3,-0.05,2\n"))
+    assert found.force_n is not None
+    np.testing.assert_array_equal(found.force_n, [0.0, 0.5, np.nan, 0.0])
 
 
 def _written(tmp_path: Path, text: str) -> Path:

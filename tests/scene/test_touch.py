@@ -47,6 +47,11 @@ def test_a_recording_may_have_other_columns_and_a_byte_order_mark(tmp_path):
     assert touch.recorded_time_s == (0.0, 1.0) and touch.recorded_force_n == (1.0, 2.0)
 
 
+def test_a_load_cell_that_reads_just_below_zero_is_not_pressed(tmp_path):
+    touch = recorded(tmp_path, "time_s,force_n\n0,-0.002\n1,2\n2,-0.05\n")
+    assert touch.recorded_force_n == (0.0, 2.0, 0.0)
+
+
 def test_a_cycle_goes_to_its_force_and_back_as_often_as_asked_and_lasts_as_long():
     for waveform, quarter in (("sine", 1.0), ("triangle", 1.0)):
         touch = Touch(profile="cycle", force_n=2.0, start_s=1.0, period_s=4.0, cycles=2, waveform=waveform)
@@ -98,6 +103,7 @@ def test_a_recording_may_hold_pressures_and_shear(tmp_path):
         ("time_s,force_n\n0,0\n1,1\n1,1\n", "time_s must rise, but sample 3"),
         ("time_s,force_n\n0,0\nnan,1\n", "not finite"),
         ("time_s,force_n\n0,0\n1,inf\n", "not finite"),
+        ("time_s,force_n\n0,0\n1,-0.06\n", "0 to 100 N, found -0.06"),
         ("time_s,force_n\n0,0\n1,-0.5\n", "0 to 100 N, found -0.5"),
         ("time_s,force_n\n0,0\n1,1000\n", "0 to 100 N, found 1000"),
         (
