@@ -701,7 +701,8 @@ def schema(
     from . import scene
     from .scene.sweep import sweep_json_schema
 
-    print_json(sweep_json_schema() if of == "sweep" else scene.json_schema())
+    # As scenes/scene.schema.json is, byte for byte.
+    print_json(sweep_json_schema() if of == "sweep" else scene.json_schema(), indent=1)
 
 
 @app.command(name="store")

@@ -310,10 +310,10 @@ def plain_cell(value: Any) -> Any:
     return f"'{value}" if isinstance(value, str) and value[:1] in _FORMULA else value
 
 
-def to_json(value: Any) -> str:
+def to_json(value: Any, *, indent: int = 2) -> str:
     """A value as JSON text; what is NaN or infinite, and so unknown to JSON, becomes null."""
     plain = json.loads(json.dumps(value, default=float), parse_constant=lambda name: None)
-    return json.dumps(plain, indent=2, allow_nan=False)
+    return json.dumps(plain, indent=indent, allow_nan=False)
 
 
 def pack(header: Mapping[str, Any], arrays: Mapping[str, "np.ndarray"]) -> memoryview:

@@ -195,6 +195,6 @@ def _display() -> Iterator[Callable[[_State], None]]:
         yield draw
 
 
-def print_json(value: Any) -> None:
+def print_json(value: Any, *, indent: int = 2) -> None:
     """Print a value as JSON on stdout."""
-    print(to_json(value))
+    print(to_json(value, indent=indent))

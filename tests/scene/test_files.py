@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 import nailoptics
 from nailoptics.assets import data_dir
+from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.scene import Scene, digest, json_schema, load_scene, parse_scene, to_toml
 
@@ -164,6 +165,12 @@ def test_a_byte_order_mark_is_no_obstacle(tmp_path):
 def test_the_shipped_schema_is_the_models_own():
     shipped = json.loads((data_dir("scenes") / "scene.schema.json").read_text(encoding="utf-8"))
     assert shipped == json_schema() and shipped["title"] == "nailoptics scene"
+
+
+def test_the_schema_that_is_printed_is_the_shipped_file_to_the_byte(capsys):
+    """Whoever adds a field writes the file anew with the command, and sees what changed."""
+    assert run(["schema"]) == 0
+    assert capsys.readouterr().out == (data_dir("scenes") / "scene.schema.json").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.name)
