@@ -17,7 +17,8 @@ def spread_summary(result: xr.Dataset) -> dict[str, Any]:
     """The priors with the largest spread that each makes, and what holds over all of them; empty without a spread."""
     if "prior" not in result.dims:
         return {}
-    return {"unknowns": _rows(result), "conclusions": conclusions(result)}
+    rows = _rows(result)
+    return {"unknowns": rows, "conclusions": conclusions(result, rows)}
 
 
 def _kinds(result: xr.Dataset) -> list[str]:
@@ -28,8 +29,10 @@ def _kinds(result: xr.Dataset) -> list[str]:
 def _rows(result: xr.Dataset) -> list[dict[str, Any]]:
     """The priors, the one that makes most first, as they move the best layout or the photodiode that they move most."""
     rows = []
+    # Without the rest of the result, which would be cut as often.
+    priors = result[[name for name in result.data_vars if str(name).startswith("prior_")]]
     for i, name in enumerate(result.prior.values):
-        one = result.isel(prior=i)
+        one = priors.isel(prior=i)
         texts = ("field", "how", "source")
         row: dict[str, Any] = {"name": str(name)} | {text: str(one[f"prior_{text}"].item()) for text in texts}
         row |= {"low": float(one.prior_range[0]), "high": float(one.prior_range[1])}
@@ -44,9 +47,12 @@ def _rows(result: xr.Dataset) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: -max(np.nan_to_num(row[f"{kind}_spread"], nan=-1.0) for kind in _kinds(result)))
 
 
-def conclusions(result: xr.Dataset) -> list[str]:
-    """What a designer may conclude, whatever the finger."""
-    rows = _rows(result)
+def conclusions(result: xr.Dataset, rows: list[dict[str, Any]] | None = None) -> list[str]:
+    """What a designer may conclude, whatever the finger.
+
+    rows : what `spread_summary` tells of each prior, if it is known already.
+    """
+    rows = _rows(result) if rows is None else rows
     traced = [row for row in rows if row["how"] != "not traced"]
     lines = (_of_layouts if "best_stays_best_at" in result else _of_readings)(result, traced)
     if left := [row["name"] for row in rows if row["how"] == "not traced"]:
@@ -115,7 +121,7 @@ def spread_section(result: xr.Dataset) -> str:
     """The section of a page on what is unknown; empty without a spread."""
     if "prior" not in result.dims:
         return ""
-    kinds = _kinds(result)
+    kinds, rows = _kinds(result), _rows(result)
     head = ["Unknown", "95 % within", *(f"{KINDS[kind]} spreads<br>at most [%]" for kind in kinds), "How"]
     lines = [
         [
@@ -124,10 +130,10 @@ def spread_section(result: xr.Dataset) -> str:
             *(_percent(row[f"{kind}_spread"], row[f"{kind}_spread_stderr"]) for kind in kinds),
             row["how"],
         ]
-        for row in _rows(result)
+        for row in rows
     ]
-    said = "".join(f"<p>{escaped(line)}</p>" for line in conclusions(result))
-    sources = "; ".join(f"{row['name']}: {row['source']}" for row in _rows(result))
+    said = "".join(f"<p>{escaped(line)}</p>" for line in conclusions(result, rows))
+    sources = "; ".join(f"{row['name']}: {row['source']}" for row in rows)
     return section(
         "What is unknown of the finger",
         said,
