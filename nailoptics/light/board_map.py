@@ -68,6 +68,20 @@ class Arrivals:
         return Arrivals(self.photons, *columns)
 
     @classmethod
+    def joined(cls, batches: "Sequence[Arrivals]") -> "Arrivals":
+        """Batches of one LED as one, their photons counted on."""
+        first = np.cumsum([0, *(one.photons for one in batches)])
+        photon = np.concatenate([one.photon + n for one, n in zip(batches, first, strict=False)])
+        columns = (
+            np.concatenate([getattr(one, name) for one in batches]) for name in ("place_mm", "weight", "path_mm")
+        )
+        return cls(int(first[-1]), photon, *columns)
+
+    def every(self, step: int, first: int) -> "Arrivals":
+        """The arrivals of every so many photons, from one of the first on."""
+        return replace(self.only(self.photon % step == first), photons=len(range(first, self.photons, step)))
+
+    @classmethod
     def from_stored(cls, photons: int, arrays: dict[str, np.ndarray]) -> "Arrivals":
         """What such arrays were made of, bit for bit."""
         photon = arrays["photon"].astype(np.int64)

@@ -155,7 +155,12 @@ def responses(
     **how: Any,
 ) -> Response:
     """The `response` of photodiodes that may be of several kinds, (..., photodiodes, 4) float."""
-    kinds = [tuple(getattr(one, name) for name in ELECTRICAL) for one in photodiodes]
+    # Thousands of places have one and the same photodiode.
+    kind_of = {
+        key: tuple(getattr(one, name) for name in ELECTRICAL)
+        for key, one in {id(one): one for one in photodiodes}.items()
+    }
+    kinds = [kind_of[id(one)] for one in photodiodes]
     members = [[i for i, kind in enumerate(kinds) if kind == one] for one in dict.fromkeys(kinds)]
     if len(members) == 1:
         return response(values, led, photodiodes[0], amplifier, point, ambient_a=ambient_a, **how)

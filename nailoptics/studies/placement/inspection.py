@@ -29,6 +29,8 @@ LEAST_PART = 1 / 8
 SHORT_S = 10.0
 # Photons from each photodiode in one round of traces the other way, and how many batches of the fresh trace go with it.
 BACK_PHOTONS = 1 << 16
+# So much light comes through a board without a cover that these tell it to two percent.
+OPEN_PHOTONS = 1 << 13
 BATCHES_PER_ROUND = 4
 # A resolution that is not finer than this part of what is known before any reading tells nothing of a place.
 KNOWN_BEFORE = 0.5
@@ -207,8 +209,7 @@ def _through_open_board(setup: _Setup) -> np.ndarray:
     found = []
     for j in range(len(setup.areas_mm2)):
         setup.check()
-        # So much light comes through an open board that one round tells it.
-        _, left = tracer.back(j, 0, photons=BACK_PHOTONS, seed=seed_of(setup.seed, OPEN_BOARD, j))
+        _, left = tracer.back(j, 0, photons=OPEN_PHOTONS, seed=seed_of(setup.seed, OPEN_BOARD, j))
         current, variance = _from_outside(setup, left, j)
         found.append((current, np.sqrt(variance)))
     return np.stack(found, -1)

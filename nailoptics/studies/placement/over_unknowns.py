@@ -1,45 +1,41 @@
 """Whether the best layout is the best whatever the finger: force resolution of the foremost over what is unknown."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from ...light.board_map import BloodPoint, BoardTracer, blood_point, readings
+from ...light.board_map import Arrivals, BoardTracer, blood_point, readings
 from ...light.identity import light_digest, light_scene
-from ...light.store import LightStore
 from ...scene import FingerCase, Placement, Prior, Scene
-from ...statistics import Z95, jackknife, left_out, seed_of
+from ...statistics import Z95, jackknife, left_out
 from ...variables import variable
 from ..unknowns import Spread, at_value, only_absorbs, prior_variables
 from . import boards
 from .boards import CandidateLayout
 from .fisher import OperatingPoint, force_resolution_n, operating_point, over_fingers, responses, total_information
-from .photon_maps import QUICK_DISTANCE_MM
+from .photon_maps import PhotonMapCache, batch_seed
 
-# The best layouts that are read again at every node of every prior, and the photons for it, in blocks.
+# The best layouts that are read again at every node of every prior, from so many blocks of photons.
 FOREMOST = 3
-BLOCKS, BLOCK_PHOTONS = 12, 1 << 15
-# Stream of random numbers.
-NODES = 5
+BLOCKS = 16
+# Batches of photons for each change that makes light go otherwise.
+OWN_BATCHES = 2
 
 
 def resolution_over_unknowns(
     layouts: Sequence[CandidateLayout],
-    cases: Sequence[FingerCase],
     rules: Placement,
+    judged: PhotonMapCache,
     *,
-    seed: int,
-    backend: str,
     stop: Callable[[], bool],
-    store: LightStore | None = None,
 ) -> xr.Dataset:
     """Spread of the force resolution of the foremost layouts over the scene's priors, and which of them is best where.
 
     layouts : best first, of one scene's priors; the paper's counts as foremost, too.
-    stop : whether there is no time for one batch more.
-    store : where light is looked for, and kept.
+    judged : has kept the light of every layout, by which all changes are read that only absorb.
+    stop : whether there is no time for one layout, or one batch, more.
 
     Returns: Dataset over layout, prior and node; NaN of layouts that were not read, and empty where none was.
     """
@@ -52,13 +48,12 @@ def resolution_over_unknowns(
     # The touch is that of the finger, whatever lies on its nail.
     points = [
         [operating_point(one, rules.force_n, since_rest_s=rules.since_rest_s) for one in _changed(scene, case, changes)]
-        for case in cases
+        for case in judged.cases
     ]
     read: list[np.ndarray] = []
     chosen = [i for i, one in enumerate(layouts) if i < FOREMOST or one.name == "paper"]
     for i in chosen:
-        how: dict[str, Any] = {"backend": backend, "store": store, "seed": seed}
-        one = _log_resolutions(layouts[i], cases, rules, changes, points, how, stop=stop)
+        one = _log_resolutions(layouts[i], rules, changes, points, judged, stop=stop)
         if one is None:
             break
         read.append(one)
@@ -73,38 +68,61 @@ def resolution_over_unknowns(
 
 def _log_resolutions(
     layout: CandidateLayout,
-    cases: Sequence[FingerCase],
     rules: Placement,
     changes: Sequence[tuple[str, float] | None],
     points: Sequence[Sequence[OperatingPoint]],
-    how: Mapping[str, Any],
+    judged: PhotonMapCache,
     *,
     stop: Callable[[], bool],
 ) -> np.ndarray | None:
     """Logarithm of a layout's score with each change of its fingers, (changes, 1 + blocks) float; None if stopped.
 
-    points : by case and change. how : backend, store and seed of the traces.
+    points : by case and change.
     """
-    digits = list(dict.fromkeys(case.digit for case in cases))
-    score = np.zeros((len(cases), len(changes), 1 + BLOCKS))
+    score = np.zeros((len(judged.cases), len(changes), 1 + BLOCKS))
     # Scenes whose light goes the same way share a trace, whatever finger or change they are.
     sharing: dict[str, list[tuple[int, int, Scene]]] = {}
-    for number, case in enumerate(cases):
+    for number, case in enumerate(judged.cases):
         for k, one in enumerate(_changed(layout.board, case, changes)):
             sharing.setdefault(light_digest(one), []).append((number, k, one))
+    most = OWN_BATCHES if layout.board.priors.own_traces else None
     for members in sharing.values():
-        if stop():
+        number, _, scene = members[0]
+        light = [_light(layout, scene, judged, judged.cases[number], i, most, stop) for i in range(len(scene.leds))]
+        if stop() or any(one is None for one in light):
             return None
-        first, _, scene = members[0]
-        tracer = BoardTracer(light_scene(scene), spacing_mm=QUICK_DISTANCE_MM, **how)
         shared = [(one, points[number][k]) for number, k, one in members]
-        seed = seed_of(how["seed"], NODES, digits.index(cases[first].digit))
-        found = _resolutions(layout, tracer, shared, seed=seed, stop=stop)
-        if found is None:
-            return None
+        found = _resolutions(layout, [one for one in light if one is not None], shared, light_scene(scene))
         for (number, k, _), each in zip(members, found, strict=True):
             score[number, k] = each
     return np.log(over_fingers(score, rules.over_fingers))
+
+
+def _light(
+    layout: CandidateLayout,
+    scene: Scene,
+    judged: PhotonMapCache,
+    case: FingerCase,
+    led: int,
+    most: int | None,
+    stop: Callable[[], bool],
+) -> Arrivals | None:
+    """Light of an LED on a layout's photodiodes: what judged it, or where it goes otherwise, light of its own by the
+    same random numbers; None if stopped.
+
+    most : batches.
+    """
+    own, usual = light_scene(scene), light_scene(boards.on_finger(layout.board, case, light_only=True))
+    batches = judged.kept(layout.board, case.digit, led)[:most]
+    if own != usual:
+        how: dict[str, Any] = {"backend": judged.backend, "store": judged.store, "seed": judged.seed}
+        tracer = BoardTracer(own, spacing_mm=judged.distance_mm, **how)
+        for i, batch in enumerate(batches):
+            if stop():
+                return None
+            seed = batch_seed(judged.seed, judged.stream, usual, led, i)
+            batches[i] = tracer.arrivals(led, photons=batch.photons, seed=seed)
+    return Arrivals.joined(batches)
 
 
 def _changed(board: Scene, case: FingerCase, changes: Sequence[tuple[str, float] | None]) -> list[Scene]:
@@ -115,35 +133,31 @@ def _changed(board: Scene, case: FingerCase, changes: Sequence[tuple[str, float]
 
 def _resolutions(
     layout: CandidateLayout,
-    tracer: BoardTracer,
+    light: Sequence[Arrivals],
     shared: Sequence[tuple[Scene, OperatingPoint]],
-    *,
-    seed: int,
-    stop: Callable[[], bool],
-) -> np.ndarray | None:
-    """Force resolution on fingers that share a trace, by all blocks and without each, (fingers, 1 + blocks); None if
-    stopped. [N]"""
+    traced: Scene,
+) -> np.ndarray:
+    """Force resolution on fingers that share their light, by all blocks and without each, (fingers, 1 + blocks). [N]
+
+    light : of each LED.
+    """
     areas = layout.scene.layout.photodiode_areas
     photodiodes = [one.photodiode for one in layout.scene.layout.photodiodes]
-    read: list[list[np.ndarray]] = []
-    for i in range(len(layout.board.leds)):
-        blood: list[BloodPoint] = [
-            blood_point(scene, i, traced=tracer.scene, blood_fraction=point.blood_fraction) for scene, point in shared
-        ]
-        blocks: list[list[np.ndarray]] = [[] for _ in shared]
+    # By LED: all photons and without each block, photodiode, finger, value.
+    read: list[np.ndarray] = []
+    for i, arrivals in enumerate(light):
+        blood = [blood_point(one, i, traced=traced, blood_fraction=point.blood_fraction) for one, point in shared]
+        blocks = []
         for block in range(BLOCKS):
-            if stop():
-                return None
-            # The same random numbers for all layouts and changes, so that what they have in common cancels.
-            arrivals = tracer.arrivals(i, photons=BLOCK_PHOTONS, seed=seed_of(seed, i, block))
-            for k, one in enumerate(blood):
-                blocks[k].append(readings(arrivals, one.values(arrivals), areas)[0])
-        read.append([left_out(np.stack(one)) for one in blocks])
+            part = arrivals.every(BLOCKS, block)
+            each = readings(part, np.concatenate([one.values(part) for one in blood], axis=1), areas)[0]
+            blocks.append(each.reshape(len(areas), len(shared), -1))
+        read.append(left_out(np.stack(blocks)))
     out = []
     for k, (_, point) in enumerate(shared):
         by_led = [
-            responses(values[k], led, photodiodes, layout.scene.electronics, point, number=number, replicates=True)
-            for number, (values, led) in enumerate(zip(read, layout.scene.leds, strict=True))
+            responses(values[:, :, k], led, photodiodes, layout.scene.electronics, point, number=i, replicates=True)
+            for i, (values, led) in enumerate(zip(read, layout.scene.leds, strict=True))
         ]
         out.append(force_resolution_n(total_information(by_led), point))
     return np.stack(out)

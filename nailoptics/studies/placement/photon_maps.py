@@ -4,11 +4,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from ...geometry import SPACING_MM
-from ...light.board_map import BoardTracer, PhotonMap, blood_point
+from ...light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point
 from ...light.identity import light_digest, light_scene
 from ...light.store import LightStore
 from ...scene import FingerCase, Led, Scene, digest
+from ...scene.rectangles import Rectangle
 from ...statistics import left_out, seed_of
 from . import boards
 from .fisher import OperatingPoint, Response, responses
@@ -16,6 +19,11 @@ from .fisher import OperatingPoint, Response, responses
 # Cells of the distances that the walk asks for, of boards that are traced for a second or two each: made in two thirds
 # of the usual time, a tenth slower to walk.
 QUICK_DISTANCE_MM = 0.2
+
+
+def batch_seed(seed: int, stream: int, traced: Scene, led: int, batch: int) -> int:
+    """The seed of a batch of photons, from what decides the light: it depends neither on those before nor on blood."""
+    return seed_of(seed, stream, int(light_digest(traced)[:8], 16), led, batch)
 
 
 @dataclass(frozen=True)
@@ -48,6 +56,13 @@ class PhotonMapCache:
     photons: int = field(default=0, init=False)
     _maps: dict[str, list[list[PhotonMap]]] = field(default_factory=dict, init=False)
     _tracers: dict[tuple[str, str | None], BoardTracer] = field(default_factory=dict, init=False)
+    _areas: dict[str, list[Rectangle]] = field(default_factory=dict, init=False)
+    _kept: dict[tuple[str, str | None, int], list[Arrivals]] = field(default_factory=dict, init=False)
+
+    @property
+    def cases(self) -> list[FingerCase]:
+        """The fingers of the conditions."""
+        return [one.case for one in self.conditions]
 
     def maps(self, board: Scene) -> list[list[PhotonMap]]:
         """Maps of a bare board by finger and LED."""
@@ -57,6 +72,19 @@ class PhotonMapCache:
         """Whether there is light of every LED on every finger."""
         maps = self._maps.get(digest(board))
         return maps is not None and all(one.photons for by_led in maps for one in by_led)
+
+    def photons_of(self, board: Scene) -> int:
+        """How many photons of every LED were traced on every finger."""
+        maps = self._maps.get(digest(board), [])
+        return min((one.photons for by_led in maps for one in by_led), default=0)
+
+    def keep(self, board: Scene, areas: Sequence[Rectangle]) -> None:
+        """From now on keep the light that arrives on these areas of a board, for `kept`."""
+        self._areas.setdefault(digest(board), []).extend(areas)
+
+    def kept(self, board: Scene, digit: str | None, led: int) -> list[Arrivals]:
+        """Light of an LED on a finger's digit that arrived where it was to be kept, batch by batch."""
+        return self._kept.get((digest(board), digit, led), [])
 
     @property
     def has_traced(self) -> bool:
@@ -87,7 +115,7 @@ class PhotonMapCache:
         self, key: str, tracer: BoardTracer, board: Scene, led: int, members: list[int], photons: int
     ) -> None:
         """Trace one LED on one digit and add its light to the maps of all conditions of that digit."""
-        points = []
+        points, digit = [], self.conditions[members[0]].case.digit
         for condition in (self.conditions[i] for i in members):
             scene, blood = boards.on_finger(board, condition.case), condition.point.blood_fraction
             points.append(blood_point(scene, led, traced=tracer.scene, blood_fraction=blood))
@@ -96,17 +124,24 @@ class PhotonMapCache:
         for batch in range(first, first + max(1, round(photons / each))):
             if self.stop():
                 return
-            # From what decides the light: a trace depends neither on those made before it nor on the blood.
-            seed = seed_of(self.seed, self.stream, int(light_digest(tracer.scene)[:8], 16), led, batch)
+            seed = batch_seed(self.seed, self.stream, tracer.scene, led, batch)
             arrivals = tracer.arrivals(led, photons=each, seed=seed)
             self.photons += arrivals.photons
+            if areas := self._areas.get(key):
+                u, v = arrivals.place_mm.T
+                inside = np.any([area.holds(u, v) for area in areas], axis=0)
+                self._kept.setdefault((key, digit, led), []).append(arrivals.only(inside))
             for i, point in zip(members, points, strict=True):
                 self._maps[key][i][led].add(arrivals, point.values(arrivals))
 
     def forget(self, board: Scene) -> None:
         """Free what a board holds."""
+        self.forget_tracer(board)
+        self._maps.pop(digest(board), None)
+
+    def forget_tracer(self, board: Scene) -> None:
+        """Free what traces a board, and leave its maps."""
         key = digest(board)
-        self._maps.pop(key, None)
         self._tracers = {name: tracer for name, tracer in self._tracers.items() if name[0] != key}
 
     def read(self, layout: Scene, board: Scene) -> list[list[Response]]:

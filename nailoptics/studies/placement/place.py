@@ -73,6 +73,8 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     judging.stop = partial(_judged_enough, judging, bool(searched), report_progress)
     wanted = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
     how: dict[str, Any] = {"objective": objective, "relative_error": wanted, "report_progress": report_progress}
+    for layout in layouts:
+        judging.keep(layout.board, layout.scene.layout.photodiode_areas)
     layouts, scores, unmet = score_layouts(layouts, judging, photons=photons, **how)
     order = np.argsort([score.ranked[0] for score in scores], kind="stable")
     layouts, scores = [layouts[i] for i in order], [scores[i] for i in order]
@@ -86,7 +88,7 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     if not report_progress.is_late(1.0):
         over = resolution_by_count(layouts[0], boards.searchable(base, rules), judging, objective)
     if scene.priors.spread and report_progress.seconds_left > CHECK_S:
-        over = over.merge(resolution_over_unknowns(layouts, boards.fingers(scene), rules, **closer))
+        over = over.merge(resolution_over_unknowns(layouts, rules, judging, stop=closer["stop"]))
     if store is not None:
         store.close()
     made |= {"photons": judging.photons + searching.photons, "rank_by": rules.rank_words}

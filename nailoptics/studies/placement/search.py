@@ -74,6 +74,8 @@ class Search:
         self.sites = Sites(base, rules)
         self.found: dict[LedSite, SearchedSite] = {}
         self._rows: dict[LedRow, _Row] = {}
+        # Boards whose maps are held.
+        self._mapped: dict[tuple[LedRow, int, Point], Scene] = {}
 
     def run(self, report_progress: StageProgress) -> list[SearchedSite]:
         """Search on the grid, then around the best on finer ones, until time is over; what was found, in that order."""
@@ -128,13 +130,13 @@ class Search:
         boards_at = [(i, place, self.sites.board_at(i, place, row.row)) for i, place in places]
         count = len(row.places.areas)
         for i, place, board in boards_at:
-            if not self.cache.is_traced(board):
-                self.cache.extend(board, photons)
-            if self.cache.is_traced(board):
+            if (had := self.cache.photons_of(board)) < photons:
+                self.cache.extend(board, photons - had)
+            if self.cache.photons_of(board) > had or had >= photons:
                 each = self._columns(i, board, row.places)
                 row.columns[i][place], row.stay[i][place] = each[:, :count], each[:, count:]
-        for _, _, board in boards_at:
-            self.cache.forget(board)
+            self.cache.forget_tracer(board)
+            self._mapped[row.row, i, place] = board
 
     def _choose_again(self, site: LedSite) -> None:
         """Choose a site's photodiodes once more, by more photons."""
@@ -168,6 +170,14 @@ class Search:
         known = [one.site.places_mm for one in ranked(self.found.values()) if one.site.row == row.row]
         for one in tables.search(self.rules.photodiodes - len(row.places.stay), known):
             self._keep(row, tables, one, FIRST_PHOTONS)
+        self._forget_all_but_the_best()
+
+    def _forget_all_but_the_best(self) -> None:
+        """Free the maps that nothing will be added to."""
+        sites = [one.site for one in ranked(self.found.values())[:FINALISTS]]
+        held = {(site.row, i, place) for site in sites for i, place in enumerate(site.places_mm)}
+        for key in self._mapped.keys() - held:
+            self.cache.forget(self._mapped.pop(key))
 
     def _tables(self, row: _Row, *, starts: int = 1) -> Tables[Point]:
         centers = row.places.centers_mm

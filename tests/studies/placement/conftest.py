@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from nailoptics.light.board_map import BoardTracer
-from nailoptics.studies.placement import inspection, over_unknowns
+from nailoptics.studies.placement import inspection
 
 
 @pytest.fixture(scope="session")
@@ -31,7 +31,6 @@ def fewer_photons(shared_store: Path) -> Callable[[], AbstractContextManager[Non
             patch.setenv("NAILOPTICS_STORE", str(shared_store))
             patch.setattr(BoardTracer, "batch_photons", BoardTracer.batch_photons // 4)
             patch.setattr(inspection, "BACK_PHOTONS", inspection.BACK_PHOTONS // 4)
-            patch.setattr(over_unknowns, "BLOCK_PHOTONS", over_unknowns.BLOCK_PHOTONS // 4)
             yield
 
     return fewer

@@ -1,6 +1,7 @@
 """The ranking of layouts over what is unknown of the finger."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.report.spread_section import conclusions, spread_section
 from nailoptics.scene import Placement, Priors
-from nailoptics.studies.placement import boards, over_unknowns
+from nailoptics.scene.priors import PriorRange
+from nailoptics.studies.placement import boards
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.over_unknowns import resolution_over_unknowns
 from nailoptics.studies.placement.photon_maps import PhotonMapCache
@@ -37,9 +39,14 @@ def ranked(chosen_jit):
         boards.candidate(name, boards.with_parts(base, [(-2.0, 0.0)], where, name=name), "given")
         for name, where in places.items()
     ]
-    cases = boards.fingers(scene)
-    found = resolution_over_unknowns(layouts, cases, rules, seed=1, backend="auto", stop=lambda: False)
-    return base, rules, layouts, cases, found.assign_coords(layout=list(places))
+    conditions = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
+    judged = PhotonMapCache(conditions, seed=1, stream=1, backend="auto", blocks=16)
+    for layout in layouts:
+        judged.keep(layout.board, layout.scene.layout.photodiode_areas)
+    # One board, whose light is traced once for both.
+    judged.extend(layouts[0].board, 1 << 19)
+    found = resolution_over_unknowns(layouts, rules, judged, stop=lambda: False)
+    return base, rules, layouts, judged, found.assign_coords(layout=list(places))
 
 
 def test_the_ranking_is_told_over_every_prior_that_only_absorbs(ranked):
@@ -56,15 +63,17 @@ def test_the_ranking_is_told_over_every_prior_that_only_absorbs(ranked):
 
 def test_a_node_is_what_a_placement_of_that_finger_finds(ranked):
     """Rationale: the same layout judged on a finger that has the node's value, by photons of its own."""
-    base, rules, layouts, cases, found = ranked
+    base, rules, layouts, judged, found = ranked
     prior = next(one for one in base.priors.of_finger() if one.field == FIELDS[0])
     clear = at_value(base, prior.field, prior.values[0])
     layout = boards.candidate("near", at_value(layouts[0].scene, prior.field, prior.values[0]), "given")
-    cache = PhotonMapCache([finger_condition(clear, cases[0], rules)], seed=9, stream=1, backend="auto", blocks=16)
+    cache = PhotonMapCache(
+        [finger_condition(clear, judged.cases[0], rules)], seed=9, stream=1, backend="auto", blocks=16
+    )
     cache.extend(layout.board, 1 << 19)
     score = score_layout(layout, cache, Objective(rules, [one.point for one in cache.conditions]))
     told = float(found.resolution_at_node_n[0, 0, 0])
-    # Of the 400 thousand photons behind a node its score is known about as well as this one's.
+    # Of half a million photons behind a node its score is known about as well as this one's.
     assert abs(np.log(told / score.score_n[0])) < 4 * np.sqrt(2) * score.relative_error
     assert score.relative_error < 0.1
 
@@ -78,16 +87,31 @@ def test_what_holds_is_said_in_words_and_on_the_page(ranked):
     assert "What is unknown of the finger" in spread_section(found)
 
 
-def test_without_time_only_what_was_read_whole_is_told(ranked, monkeypatch):
-    """Expected: two fingers of one digit have a tracer and twelve batches each; the second layout is not begun."""
-    base, rules, layouts, cases, _ = ranked
-    monkeypatch.setattr(over_unknowns, "BLOCK_PHOTONS", 1 << 12)
+def test_without_time_only_what_was_read_whole_is_told(ranked):
+    """Expected: all fingers of one digit share their light; the second layout is not begun."""
+    _, rules, layouts, judged, _ = ranked
     looks = itertools.count()
-    one_layout = 1 + 2 * over_unknowns.BLOCKS
-    found = resolution_over_unknowns(
-        layouts, cases, rules, seed=1, backend="auto", stop=lambda: next(looks) >= one_layout
-    )
+    found = resolution_over_unknowns(layouts, rules, judged, stop=lambda: next(looks) >= 1)
     assert np.isfinite(found.resolution_spread.values).tolist() == [True, False]
     asked = next(looks)
-    assert asked == one_layout + 1
-    assert not resolution_over_unknowns(layouts, cases, rules, seed=1, backend="auto", stop=lambda: True)
+    assert asked == 2
+    assert not resolution_over_unknowns(layouts, rules, judged, stop=lambda: True)
+
+
+def test_light_that_goes_otherwise_is_traced_by_itself(ranked):
+    """Expected: a bed that scatters hardly otherwise is told by photons of its own, and as the usual one."""
+    _, rules, layouts, judged, _ = ranked
+    scatters = next(one for one in layouts[0].board.priors.of_finger() if one.field == FIELDS[2])
+    middle = float(np.sqrt(scatters.low * scatters.high))
+    own = PriorRange(field=scatters.field, low=0.98 * middle, high=1.02 * middle)
+    priors = layouts[0].board.priors.model_copy(update={"own_traces": True, "ranges": (own,)})
+    layout = replace(layouts[0], board=layouts[0].board.model_copy(update={"priors": priors}))
+    judged.keep(layout.board, layout.scene.layout.photodiode_areas)
+    judged.extend(layout.board, 1 << 19)
+    found = resolution_over_unknowns([layout], rules, judged, stop=lambda: False)
+    told = found.isel(prior=found.prior_field.values.tolist().index(FIELDS[2]), layout=0)
+    score = score_layout(layout, judged, Objective(rules, [one.point for one in judged.conditions]))
+    assert str(told.prior_how.values) == "retraced"
+    nodes = told.resolution_at_node_n.values
+    assert len(set(nodes)) > 1 and score.relative_error < 0.1
+    assert np.abs(np.log(nodes / score.score_n[0])).max() < 4 * np.sqrt(2) * score.relative_error

@@ -40,8 +40,8 @@ class MadeLight:
     def __init__(self, conditions: list[FingerCondition]) -> None:
         self.conditions, self.traced = conditions, {}
 
-    def is_traced(self, board: Scene) -> bool:
-        return digest(board) in self.traced
+    def photons_of(self, board: Scene) -> int:
+        return search.SEARCH_PHOTONS if digest(board) in self.traced else 0
 
     def extend(self, board: Scene, photons: int) -> None:
         layout, led = board.layout, board.leds[0]
@@ -64,7 +64,10 @@ class MadeLight:
         return self.traced[digest(board)]
 
     def forget(self, board: Scene) -> None:
-        self.traced.pop(digest(board))
+        self.traced.pop(digest(board), None)
+
+    def forget_tracer(self, board: Scene) -> None:
+        assert digest(board) in self.traced
 
 
 def searched(scene: Scene) -> tuple[search.Search, list[search.SearchedSite]]:

@@ -10,7 +10,7 @@ from small_scenes import PLACEMENT
 from nailoptics.light import finger_walk
 from nailoptics.light.board_map import BoardTracer
 from nailoptics.scene import Priors, Scene, parse_scene
-from nailoptics.studies.placement import inspection, over_unknowns
+from nailoptics.studies.placement import inspection
 from nailoptics.studies.placement.place import place
 from nailoptics.studies.placement.result import gain
 
@@ -43,7 +43,6 @@ def found(chosen_jit) -> list[xr.Dataset]:
     patch.setattr(finger_walk, "_built", lru_cache(maxsize=8)(finger_walk._built.__wrapped__))
     patch.setattr(inspection, "BACK_PHOTONS", 1 << 14)
     patch.setattr(inspection, "BATCHES_PER_ROUND", 4)
-    patch.setattr(over_unknowns, "BLOCK_PHOTONS", 1 << 12)
     try:
         return [place(scene(), photons=PHOTONS, seed=seed) for seed in SEEDS]
     finally:
