@@ -128,6 +128,13 @@ def _candidates(
     paper = None if "oxygen" in rules.weights else _paper_layout(base, cache.conditions)
     straight = boards.searchable(base, rules)
     searched = search.search(straight, rules, objective, cache, report_progress) if rules.search else []
+    if rules.search and not searched and not report_progress.is_over(search.SEARCH_SHARE):
+        log.warning(
+            "the search found no room for %d LEDs and %d photodiodes; make the board larger, placement.led_step_mm "
+            "smaller, or ask for fewer",
+            len(base.leds),
+            rules.photodiodes,
+        )
     # The search's best is judged even where time is over.
     layouts = search.finalists(straight, rules, searched) + layouts + ([paper] if paper else [])
     if not layouts and report_progress.is_over(search.SEARCH_SHARE):

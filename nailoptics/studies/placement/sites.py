@@ -160,10 +160,20 @@ class Sites:
         for side in SIDES:
             across, (rows, along) = side in ("left", "right"), (half_us, vs)
             if not across:
-                rows, along = vs, half_us if count == 1 else us
+                rows, along = vs, half_us if count == 1 else self._room_for_all(us, 0, step_mm)
+            elif count > 1:
+                along = self._room_for_all(vs, 1, step_mm)
             for row in self._rows_at(side, rows):
                 found[row] = [[self.in_row(i, row, float(x)) for x in along] for i in range(count)]
         return self._with_room(found)
+
+    def _room_for_all(self, along: np.ndarray, axis: int, step_mm: float) -> np.ndarray:
+        """Places along a row, on a grid so fine that as many LEDs as there are have room in it side by side."""
+        free = [led.size_mm[axis] for led, fixed in zip(self.base.leds, self.is_fixed, strict=True) if not fixed]
+        while len(along) < len(free) and step_mm / 2 >= max(free) + self.rules.clearance_mm:
+            step_mm /= 2
+            along = self.grid(step_mm)[axis]
+        return along
 
     def _rows_at(self, side: str, middles: np.ndarray) -> Iterator[LedRow]:
         """Rows of a side with the first free LED's middle at each place, and one at the edge of what is fixed."""

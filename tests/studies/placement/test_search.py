@@ -159,6 +159,19 @@ def test_the_search_of_two_leds_is_no_worse_than_every_layout_on_its_grid(barrie
             assert min(-die.overlap_mm(area) for die in dies for area in areas) >= 0.4 - 1e-6
 
 
+def test_as_many_leds_as_may_be_find_room_in_a_row_on_a_coarse_grid():
+    """Expected: a grid with three places along the nail is made finer until four LEDs lie side by side."""
+    more = "".join(
+        f'[[leds]]\nname = "{name}"\npart = "{part}"\nposition_mm = [-3.0, {v}]\n'
+        for name, part, v in (("long", "led_940", -2.0), ("green", "sfh7051_green", -3.5))
+    )
+    scene = two_leds("photodiodes = 2\nled_step_mm = 4.0\nphotodiode_step_mm = 2.0\n", photodiodes=more)
+    one, found = searched(scene)
+    assert len(scene.leds) == boards.MOST_LEDS and len(one.sites.grid(4.0)[1]) < len(scene.leds)
+    assert found and all(len(set(site.site.places_mm)) == 4 for site in found)
+    assert all(one.sites.go_together(site.site.places_mm) for site in found)
+
+
 def test_what_is_fixed_stays_and_what_is_kept_out_stays_empty():
     rules = (
         'photodiodes = 3\nled_step_mm = 4.0\nphotodiode_step_mm = 0.5\nfixed = ["ir", "pd"]\n'
