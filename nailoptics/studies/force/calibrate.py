@@ -45,6 +45,8 @@ LEAST_AT_REST, LEAST_SEEN = 10, 0.1
 # Part of the samples of the calibration's touches that intervals must cover; by how much they are then made wider for
 # touches that were not seen, and no narrower than this part of the filter's own.
 COVERED, UNSEEN, NARROWEST = 0.95, 1.15, 0.5
+# A touch that ends within this time shows how fast the vessels refill. [s]
+QUICKLY_S = 0.2
 # What the paper tunes by hand beside offset and scale: time constants.
 PAPER_FACTORS = ("vein_damping", "capillary_damping")
 
@@ -146,7 +148,7 @@ def calibrate_with(
         subject=subject_toml(subject),
         bent_factors=list(profile.bent),
         recordings=[one.name for one in recordings],
-        warnings=_warnings(subject),
+        warnings=_warnings(subject, recordings),
     )
 
 
@@ -185,7 +187,7 @@ def calibration_summary(result: xr.Dataset) -> dict[str, Any]:
     }
 
 
-def _warnings(subject: Subject) -> list[str]:
+def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
     """What a user should know of a calibration before trusting it."""
     found = []
     closure = closure_of(subject.person())
@@ -205,16 +207,23 @@ def _warnings(subject: Subject) -> list[str]:
         )
     told = subject.factors()
     if not any(told[name]["informed"] for name in PAPER_FACTORS):
-        found.append(
-            "touches are too slow to tell how fast the vessels refill: quick touches rest on priors; record some that "
-            "are let go within 0.2 s, too."
-        )
+        advice = f"record some that are let go within {QUICKLY_S:g} s, too"
+        if any(_let_go_quickly(one) for one in recordings):
+            advice = "those that are let go quickly do not tell it, either; record more of them"
+        found.append(f"how fast the vessels refill is not told, quick touches rest on priors: {advice}.")
     if subject.widening > 2:
         found.append(
             f"intervals had to be made {subject.widening:.1f} times as wide to cover the calibration's own touches: "
             "the model misses something."
         )
     return found
+
+
+def _let_go_quickly(recording: Recording) -> bool:
+    """Whether a touch of the recording is let go within `QUICKLY_S`."""
+    time_s, force_n = recording.time_s, np.asarray(recording.force_n)
+    before_n = np.interp(time_s - QUICKLY_S, time_s, force_n)
+    return bool(((before_n >= LEAST_TOUCH_N) & (force_n < REST_FORCE_N)).any())
 
 
 def _two_balances_n(subject: Subject) -> dict[str, Array]:

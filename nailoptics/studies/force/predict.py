@@ -208,7 +208,10 @@ def _consistency(
 def _pattern(subject: Subject, recording: Recording, observer: Observer) -> str:
     """What a misfit looks like: more light on all alike, less of all in proportion, or neither."""
     off = np.nanmedian(recording.volts, axis=1) - (observer.offset_v + observer.rest_volts)
-    patterns = {"ambient light": np.ones_like(off), "a lifted sensor or other gain": observer.rest_volts}
+    patterns = {
+        "ambient light, or another person": np.ones_like(off),
+        "a lifted sensor or other gain, or another person": observer.rest_volts,
+    }
     for name, shape in patterns.items():
         along = (off @ shape) ** 2 / ((shape @ shape) * max(float(off @ off), 1e-30))
         if along > EXPLAINED:

@@ -12,7 +12,7 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.scene.sensor_recordings import SITES, Recording, recording_csv
 from nailoptics.studies.force.body_noise import MOVED_ERROR
-from nailoptics.studies.force.calibrate import PAPER_FACTORS, _checked, calibrate_with, calibration_summary
+from nailoptics.studies.force.calibrate import PAPER_FACTORS, _checked, _warnings, calibrate_with, calibration_summary
 from nailoptics.studies.force.fit import Fit
 from nailoptics.studies.force.live import live
 from nailoptics.studies.force.observer import READING_LASTS_S, RUN_AWAY, WIDTHS, Observer
@@ -184,8 +184,8 @@ def test_readings_that_are_a_little_off_while_the_blood_moves_are_no_outliers() 
 @pytest.mark.parametrize(
     ("changed", "looks_like"),
     [
-        (lambda volts: volts + 0.05, "ambient light"),
-        (lambda volts: 0.8 * volts, "a lifted sensor or other gain"),
+        (lambda volts: volts + 0.05, "ambient light, or another person"),
+        (lambda volts: 0.8 * volts, "a lifted sensor or other gain, or another person"),
         (lambda volts: volts[::-1], "another person or place, or motion"),
     ],
 )
@@ -194,6 +194,19 @@ def test_readings_that_do_not_fit_are_named(subject: Subject, table: ReadingTabl
     summary = prediction_summary(predict(subject, replace(recorded, volts=changed(recorded.volts))))
     assert not summary["consistent"]
     assert summary["misfit"] == looks_like
+
+
+@pytest.mark.parametrize(
+    ("let_go_s", "advice"), [(1.0, "record some that are let go within 0.2 s, too"), (0.1, "record more of them")]
+)
+def test_quick_touches_are_asked_for_where_there_are_none(let_go_s: float, advice: str) -> None:
+    time_s = np.arange(0.0, 4.0, made_sensor.STEP_S)
+    force = np.interp(time_s, [1.0, 1.5, 2.0, 2.0 + let_go_s], [0.0, 0.5, 0.5, 0.0])
+    known = parse_subject(made_sensor.subject())
+    subject = replace(known, covariance=np.eye(len(known.covariance)))
+    assert not any(subject.factors()[name]["informed"] for name in PAPER_FACTORS)
+    [warning] = [one for one in _warnings(subject, [made_sensor.record(force, "distal", seed=1)]) if "refill" in one]
+    assert warning.endswith(f"{advice}.")
 
 
 def test_a_filter_that_ran_away_starts_anew_and_its_readings_are_flagged(subject: Subject, table: ReadingTable) -> None:
