@@ -29,7 +29,7 @@ LEAST_PART = 1 / 8
 SHORT_S = 10.0
 # Photons from each photodiode in one round of traces the other way, and how many batches of the fresh trace go with it.
 BACK_PHOTONS = 1 << 16
-# So much light comes through a board without a cover that these tell it to two percent.
+# So much light comes through a board without a cover that few photons tell it, with an error that goes with the others.
 OPEN_PHOTONS = 1 << 13
 BATCHES_PER_ROUND = 4
 # A resolution that is not finer than this part of what is known before any reading tells nothing of a place.
