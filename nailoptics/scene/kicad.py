@@ -1,6 +1,7 @@
 """KiCad boards, versions 5 to 9: footprints, outline and origins read; a layout written as a board."""
 
 import math
+import re
 import uuid
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from .text_files import read_text
 EDGE = "Edge.Cuts"
 # How far an arc may lie from the lines that take its place.
 FLAT_MM = 0.002
+NUMBER = re.compile(r"[-+]?[0-9]*\.?[0-9]+(e[-+]?[0-9]+)?", re.IGNORECASE)
 CURVE_POINTS = 33
 PAGE_CENTER_MM = (100.0, 100.0)
 # Of the layers that a board may have, those that a written one uses; KiCad adds the others.
@@ -47,26 +49,22 @@ def read_board(path: Path) -> KicadBoard:
         import sexpdata
     except ImportError:
         raise InputError(f"{path}: reading KiCad boards needs sexpdata: pip install 'nailoptics[cad]'.") from None
+
+    class Texts(sexpdata.Parser):
+        """Leaves every word as it stands: a footprint 0603 and a value 1.50 are no numbers."""
+
+        def atom(self, token: str) -> str:
+            return token
+
     text = read_text(path, "a KiCad board (.kicad_pcb)")
     try:
-        (tree,) = sexpdata.parse(text, nil=None, true=None, line_comment="\0")
-        if _word(tree[0]) != "kicad_pcb":
+        (tree,) = Texts(text, line_comment="\0").parse()
+        if tree[0] != "kicad_pcb":
             raise ValueError
-        return _board(_plain(tree))
+        return _board(tree)
     except Exception as error:  # whatever a file that is none makes the parser and what reads its tree raise
         why = "" if type(error) is ValueError else f" ({type(error).__name__})"
         raise InputError(f"{path}: is no KiCad board that can be read{why}; save it with KiCad 5 or newer.") from None
-
-
-def _word(item: Any) -> str:
-    return str(item.value()) if hasattr(item, "value") else str(item)
-
-
-def _plain(tree: Any) -> Any:
-    """The tree with texts for symbols; numbers stay."""
-    if isinstance(tree, list):
-        return [_plain(item) for item in tree]
-    return tree if isinstance(tree, int | float) else _word(tree)
 
 
 def _all(tree: Sequence[Any], *names: str) -> Iterator[list[Any]]:
@@ -76,7 +74,7 @@ def _all(tree: Sequence[Any], *names: str) -> Iterator[list[Any]]:
 def _numbers(tree: Sequence[Any], name: str) -> list[float]:
     """The numbers of an item such as (at 1 2 90); empty where there is none."""
     item = next(_all(tree, name), [])
-    return [float(x) for x in item[1:] if isinstance(x, int | float)]
+    return [float(x) for x in item[1:] if isinstance(x, str) and NUMBER.fullmatch(x)]
 
 
 def _point(tree: Sequence[Any], name: str) -> Point:
@@ -84,14 +82,22 @@ def _point(tree: Sequence[Any], name: str) -> Point:
     return x, -y
 
 
+def _back(tree: Sequence[Any]) -> set[str]:
+    """Names of the bottom side's copper, which is the last one; up to version 5 items call it what its user did."""
+    copper = [str(row[1]) for row in next(_all(tree, "layers"), []) if isinstance(row, list) and "user" not in row[2:3]]
+    return {"B.Cu", *copper[-1:]}
+
+
 def _board(tree: list[Any]) -> KicadBoard:
-    footprints, edges = [], [line for item in tree if (line := _edge(item, "gr_"))]
+    footprints, edges, back = [], [line for item in tree if (line := _edge(item, "gr_"))], _back(tree)
     for item in _all(tree, "module", "footprint"):
         place = _numbers(item, "at")
         x, y, angle = (*place, 0.0)[:3]
-        texts = {str(t[1]).lower(): str(t[2]) for t in _all(item, "fp_text", "property") if len(t) > 2}
-        side = "bottom" if next(_all(item, "layer"), ["", "F.Cu"])[1] == "B.Cu" else "top"
-        part = PlacedPart(texts.get("reference", ""), texts.get("value", ""), str(item[1]), (x, -y), angle, side)
+        texts = {str(t[1]): str(t[2]) for t in _all(item, "fp_text", "property") if len(t) > 2}
+        # Since version 8 properties, before it texts: a field of the user's own may have a name in other letters.
+        ref, value = (texts.get(name, texts.get(name.lower(), "")) for name in ("Reference", "Value"))
+        side = "bottom" if next(_all(item, "layer"), ["", "F.Cu"])[1] in back else "top"
+        part = PlacedPart(ref, value, str(item[1]), (x, -y), angle, side)
         footprints.append(part)
         for line in filter(None, (_edge(one, "fp_") for one in item)):
             moved = (turned(point, angle) for point in line)

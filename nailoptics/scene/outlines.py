@@ -1,6 +1,7 @@
 """Outlines of boards: lines in any order joined into a border and its holes, and room within them."""
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,8 @@ SAME_PLACE_MM = 0.01
 LEAST_AREA_MM2 = 1e-3
 # Farther from its origin no board reaches, and a unit is wrong.
 FARTHEST_MM = 1e6
+# Widest pen whose stroke counts as one line where a program draws its two edges, as KiCad's DXF of contours.
+PEN_MM = 0.3
 
 
 @dataclass(frozen=True)
@@ -72,8 +75,9 @@ def join(
 ) -> Outline:
     """The outline that a drawing's lines make, in any order and direction: the largest closed line and the holes in it.
 
-    Where lines branch, the border is what can be walked round on the outside. Ends that lead nowhere, and closed lines
-    outside or in a hole, are counted as ignored.
+    Where lines branch, the border is what can be walked round on the outside. Of a border drawn as the two edges of a
+    pen's stroke the inner one is taken. Ends that lead nowhere, and closed lines outside or in a hole, are counted as
+    ignored.
 
     lines : points of each. [mm]
     name : what the message begins with.
@@ -89,6 +93,11 @@ def join(
     _check_closed(places, loose, loops, name)
     border, elsewhere = next((loop for loop in loops if all(within(p, loop) for p in around)), loops[0]), 0
     holes: list[Polygon] = []
+    unused = [*ignored]
+    if (inner := next((loop for loop in loops if _is_stroke(border, loop)), None)) is not None:
+        loops.remove(border)
+        border = inner
+        unused.append("the outer edge of the stroke that draws the border")
     for loop in loops:
         if loop is border:
             continue
@@ -96,7 +105,6 @@ def join(
             holes.append(loop)
         else:
             elsewhere += 1
-    unused = [*ignored]
     if elsewhere:
         unused.append(f"{elsewhere} closed lines beside the largest one or in its holes")
     if loose:
@@ -107,7 +115,7 @@ def join(
 def _graph(lines: Iterable[Sequence[Point]], name: str) -> tuple[list[Point], list[set[int]]]:
     """The places where lines bend or end, one for all that lie together, and the neighbours of each."""
     places: list[Point] = []
-    cells: dict[tuple[int, int], int] = {}
+    cells: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
     neighbours: list[set[int]] = []
 
     def place(point: Point) -> int:
@@ -115,10 +123,11 @@ def _graph(lines: Iterable[Sequence[Point]], name: str) -> tuple[list[Point], li
         if not (abs(x) <= FARTHEST_MM and abs(y) <= FARTHEST_MM):
             raise InputError(f"{name}: the outline reaches ({x:g}, {y:g}) mm; check its units.")
         i, j = int(x // SAME_PLACE_MM), int(y // SAME_PLACE_MM)
-        for cell in ((i + a, j + b) for a in (0, -1, 1) for b in (0, -1, 1)):
-            if (k := cells.get(cell)) is not None and math.dist(places[k], point) < SAME_PLACE_MM:
-                return k
-        cells[i, j] = len(places)
+        around = (k for a in (0, -1, 1) for b in (0, -1, 1) for k in cells.get((i + a, j + b), ()))
+        nearest = min(around, key=lambda k: math.dist(places[k], point), default=None)
+        if nearest is not None and math.dist(places[nearest], point) < SAME_PLACE_MM:
+            return nearest
+        cells[i, j].append(len(places))
         places.append((x, y))
         neighbours.append(set())
         return len(places) - 1
@@ -199,6 +208,14 @@ def _check_closed(places: list[Point], loose: list[list[int]], loops: list[Polyg
             f"{name}: the outline is open at ({x:g}, {y:g}) mm, from where it is {min(ends):.3g} mm to the next end of "
             "a line; close it."
         )
+
+
+def _is_stroke(outer: Polygon, inner: Polygon) -> bool:
+    """Whether two closed lines are the edges of one stroke around a board."""
+    areas = [abs(area_mm2(line)) for line in (outer, inner)]
+    length_mm = sum(math.dist(a, b) for line in (outer, inner) for a, b in zip(line, (*line[1:], line[0]), strict=True))
+    thin = 0 < areas[0] - areas[1] < PEN_MM * length_mm / 2 and areas[1] > areas[0] / 2
+    return thin and within(inner[0], outer)
 
 
 def area_mm2(corners: Sequence[Point]) -> float:

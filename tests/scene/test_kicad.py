@@ -108,6 +108,24 @@ def test_every_shape_of_an_outline_is_known(tmp_path, shape, area):
     assert area_mm2(join(found.edges, "x").corners_mm) == pytest.approx(area, abs=0.06)
 
 
+def test_a_part_lies_on_the_bottom_whatever_its_copper_is_called(tmp_path):
+    # Up to version 5 a user's name of a layer stands at every part.
+    named = "(0 Top signal) (1 Inner power) (31 Back mixed) (32 B.Adhes user) (44 Edge.Cuts user)"
+    text = KICAD_5.replace("(0 F.Cu signal) (31 B.Cu signal) (44 Edge.Cuts user)", named)
+    text = text.replace("(layer B.Cu)", "(layer Back)").replace("(layer F.Cu)", "(layer Top)")
+    assert [part.side for part in board(tmp_path, text).footprints] == ["bottom", "top"]
+    layers = '(0 "F.Cu" signal) (4 "In1.Cu" signal "Inner") (2 "B.Cu" signal "Back") (31 "F.CrtYd" user "F.Courtyard")'
+    text = KICAD_9.replace("(setup", f"(layers {layers}) (setup", 1)
+    assert [part.side for part in board(tmp_path, text).footprints] == ["bottom", "top"]
+
+
+def test_words_stay_as_they_stand(tmp_path):
+    text = KICAD_5.replace("value 660nm", "value 1.50").replace("LED_SMD:LED_0603", "0603")
+    assert board(tmp_path, text).footprints[0].value == "1.50" and board(tmp_path, text).footprints[0].package == "0603"
+    other = '(property "VALUE" "of the user" (at 0 0)) (attr smd)'
+    assert board(tmp_path, KICAD_8.replace("(attr smd)", other)).footprints[0].value == "660nm"
+
+
 def test_of_several_boards_in_a_file_the_one_with_the_parts_is_taken():
     large, small = (((x, 0), (x + w, 0), (x + w, w), (x, w), (x, 0)) for x, w in ((0, 9), (20, 5)))
     assert area_mm2(join([large, small], "x", around=[(22, 2)]).corners_mm) == 25

@@ -40,6 +40,28 @@ def test_ends_that_nearly_meet_are_one_place_and_doubled_lines_count_once():
     assert area_mm2(join(lines, "x").corners_mm) == pytest.approx(80, rel=2e-3)
 
 
+def test_an_end_is_found_however_many_others_lie_close():
+    # Two ends of other lines lie farther than the tolerance from it, and nearer than the size of its neighbourhood.
+    corner = (0.0001, 0.0001)
+    lines = [(corner, (8.0, 0.0)), ((8.0, 0.0), (8.0, 8.0)), ((8.0, 8.0), (0.0095, 0.0095)), ((0.0095, 0.0095), corner)]
+    lines += [((0.0095, 0.0095), (1.0, 3.0)), ((3.0, 1.0), corner)]
+    assert area_mm2(join(lines, "x").corners_mm) == pytest.approx(32, rel=1e-2)
+
+
+@pytest.mark.parametrize(("pen_mm", "edges"), [(0.1, True), (0.6, False)])
+def test_of_the_two_edges_of_a_strokes_border_the_inner_one_is_the_board(pen_mm, edges):
+    def frame(line, by):
+        return [(x + by * math.copysign(1, x), y + by * math.copysign(1, y)) for x, y in line]
+
+    drawn = [sides(frame(line, by)) for line in (SQUARE, HOLE) for by in (-pen_mm / 2, pen_mm / 2)]
+    found = join([line for one in drawn for line in one], "x")
+    assert (abs(area_mm2(found.corners_mm)) < 80) == edges
+    if edges:
+        (hole,) = found.holes_mm
+        assert area_mm2(found.corners_mm) == pytest.approx((8 - pen_mm) * (10 - pen_mm))
+        assert area_mm2(hole) == pytest.approx((2 + pen_mm) ** 2)
+
+
 def test_where_lines_branch_the_border_goes_round_the_outside():
     # A square with a wedge of a fillet in its corner, drawn with all three sides: the wedge is board.
     wedge = [((4, 5), (4, 7)), ((4, 7), (2, 5))]
