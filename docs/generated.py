@@ -38,6 +38,7 @@ FILLS = {
     "faces_nail",
     "turn_deg",
     "negate_x_on_bottom",
+    "positions_unit",
 }
 
 

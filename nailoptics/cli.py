@@ -26,6 +26,7 @@ from .io import check_writable, leave_dask_out, make_folder
 from .options import TraceOptions
 from .terminal import (
     batch_progress,
+    kept_warnings,
     plain_messages,
     print_json,
     say,
@@ -438,9 +439,11 @@ def check(
     from .report.summaries import check_lines
     from .studies.scene_check import check_scene
 
-    loaded = _scene(scene)
+    with kept_warnings() as warnings:
+        loaded = _scene(scene)
     try:
         report: dict[str, Any] = {"scene": scene, "valid": True, **check_scene(loaded)}
+        report["warnings"] = warnings + report["warnings"]
         if loaded.finger is not None:
             from .geometry import build, check_watertight
 

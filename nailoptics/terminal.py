@@ -82,6 +82,14 @@ def plain_messages() -> Iterator[None]:
     handler.setFormatter(logging.Formatter("nailoptics: %(message)s"))
     handler.setLevel(logging.WARNING)
     handler.addFilter(lambda record: debug or record.name.startswith("nailoptics"))
+    said: set[str] = set()
+
+    def is_new(record: logging.LogRecord) -> bool:
+        line, count = record.getMessage(), len(said)
+        said.add(line)
+        return len(said) > count
+
+    handler.addFilter(is_new)
     logging.getLogger().addHandler(handler)
     try:
         with warnings.catch_warnings():
@@ -89,6 +97,30 @@ def plain_messages() -> Iterator[None]:
             yield
     finally:
         logging.getLogger().removeHandler(handler)
+
+
+@contextmanager
+def kept_warnings() -> Iterator[list[str]]:
+    """Our own warnings meanwhile, each once; they are lines on stderr only where an error ends this."""
+    lines: dict[str, None] = {}
+
+    class Keeper(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            lines[record.getMessage()] = None
+
+    ours, keeper, found = logging.getLogger("nailoptics"), Keeper(logging.WARNING), list[str]()
+    ours.addHandler(keeper)
+    ours.propagate = False
+    try:
+        yield found
+    except Exception:
+        for line in lines:
+            say(line)
+        raise
+    finally:
+        ours.removeHandler(keeper)
+        ours.propagate = True
+        found += lines
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from .base import Point
 from .catalogue import ModulePart, load_part
 from .kicad import KicadBoard, read_board
 from .outlines import FARTHEST_MM, Outline, join
-from .positions import PlacedPart, read_positions, turned, warn_of_mirrored
+from .positions import PlacedPart, read_positions, reading_of, turned, warn_of_mirrored
 
 KINDS = ("led", "photodiode", "module")
 NOT_IN_SCENE = {"offset_mm", "rotation_deg"}
@@ -56,7 +56,7 @@ class View:
 def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNail:
     """The parts and the outline of the file that a `[board]` or a candidate names.
 
-    table : with kicad or positions, and parts, origin, faces_nail, turn_deg, negate_x_on_bottom.
+    table : with kicad or positions, and parts, origin, faces_nail, turn_deg, negate_x_on_bottom, positions_unit.
 
     Raises: ValueError, InputError.
     """
@@ -68,7 +68,7 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     uses = table.get("parts") or {}
     board = read_board(path) if table.get("kicad") is not None else None
     if board is None:
-        found = read_positions(path, negate_x_on_bottom=bool(table.get("negate_x_on_bottom", False)))
+        found = read_positions(path, **reading_of(table))
     else:
         found = board.footprints
     if not uses:

@@ -8,6 +8,7 @@ from pydantic import Field, ValidationInfo, model_validator
 from ..errors import InputError
 from .base import MOST_PHOTODIODES, Fraction, Name, NonNegative, Point, Positive, Size, Table
 from .catalogue import LedPart, ModulePart, PhotodiodePart, check_angular_response, check_responsivity, load_part
+from .positions import FileUnit
 
 Wavelength = Annotated[float, Field(ge=200, le=3000)]
 Rotation = Annotated[float, Field(ge=-360, le=360)]
@@ -219,6 +220,8 @@ class Board(Table):
     """How far the file's board is turned on the nail, against the clock seen from above. [deg]"""
     negate_x_on_bottom: bool = False
     """The position file was written with "negate bottom side X"; undo that."""
+    positions_unit: FileUnit | None = None
+    """Unit of the position file where it names none, as KiCad's CSV; mm if not given."""
     unmapped: tuple[str, ...] | None = None
     """References of the file that parts does not name; filled from it."""
     outline_mm: tuple[Point, ...] | None = None

@@ -11,7 +11,7 @@ from .board_files import read_board_file
 from .finger import DermisAbsorption
 from .outlines import read_outline
 from .parts import Led, Photodiode, Rotation
-from .positions import read_positions, warn_of_mirrored
+from .positions import FileUnit, check_each_once, read_positions, reading_of, warn_of_mirrored
 
 # What layouts can be ranked by, and what of it is told alone or together.
 Aim = Literal["worst", "mean", "share", "oxygen"]
@@ -39,6 +39,8 @@ class Candidate(Table):
     """References of the file that are neither LED nor photodiode; filled from it."""
     negate_x_on_bottom: bool = False
     """The position file was written with "negate bottom side X"; undo that."""
+    positions_unit: FileUnit | None = None
+    """As in [board]."""
     leds_mm: tuple[Point, ...] = ()
     """Places of the LEDs (u, v), in the order of the scene; filled from positions. [mm]"""
     photodiodes_mm: tuple[Point, ...] = ()
@@ -76,10 +78,12 @@ class Candidate(Table):
                 raise ValueError(str(error).rstrip(".")) from None
             filled: dict[str, object] = {"leds": found.leds, "photodiodes": found.photodiodes}
             return data | filled | {"parts": None, "unmapped": found.ignored}
-        path, negated = Path(folder or Path()) / str(data["positions"]), bool(data.get("negate_x_on_bottom", False))
-        parts = read_positions(path, negate_x_on_bottom=negated)
+        path = Path(folder or Path()) / str(data["positions"])
+        parts = read_positions(path, **reading_of(data))
         groups = {"leds": [p for p in parts if p.is_led], "photodiodes": [p for p in parts if p.is_photodiode]}
-        warn_of_mirrored(data, parts, [*groups["leds"], *groups["photodiodes"]])
+        used = [*groups["leds"], *groups["photodiodes"]]
+        check_each_once(used, path)
+        warn_of_mirrored(data, parts, used)
         filled = {f"{name}_mm": tuple(p.position_mm for p in group) for name, group in groups.items()}
         filled |= {f"{name}_deg": tuple(p.rotation_deg % 360 for p in group) for name, group in groups.items()}
         filled["led_refs"] = tuple((p.ref, p.value) for p in groups["leds"])

@@ -7,32 +7,43 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 from ..errors import InputError
 from ..io import write_text
-from .text_files import read_text
+from .text_files import read_text, short
 
 log = logging.getLogger(__name__)
 
 COLUMNS = ("Ref", "Val", "Package", "PosX", "PosY", "Rot", "Side")
+PLACE = (
+    *("pos{0}", "mid{0}", "center{0}", "centre{0}", "centroid{0}", "{0}pos", "{0}center", "{0}centre", "{0}mid"),
+    *("position{0}", "{0}position", "location{0}", "{0}location", "{0}loc", "loc{0}", "coord{0}", "{0}coord"),
+    *("coordinate{0}", "{0}coordinate", "{0}"),
+)
 # The names that layout programs and assemblers give the columns, without blanks, signs and units, the best first.
 KNOWN_AS = {
-    "Ref": ("ref", "refdes", "designator", "reference", "referencedesignator", "part", "component", "name"),
+    "Ref": (
+        *("ref", "refdes", "designator", "reference", "referencedesignator", "partdesignator", "partreference"),
+        *("partid", "compname", "part", "component", "location", "name"),
+    ),
     "Val": ("val", "value", "comment", "partnumber", "mpn"),
     "Package": ("package", "footprint", "pattern", "case"),
-    "PosX": ("posx", "midx", "centerx", "centroidx", "xpos", "positionx", "locationx", "x"),
-    "PosY": ("posy", "midy", "centery", "centroidy", "ypos", "positiony", "locationy", "y"),
-    "Rot": ("rot", "rotation", "angle", "orientation"),
-    "Side": ("side", "layer", "boardside", "tb", "topbottom"),
+    "PosX": tuple(name.format("x") for name in PLACE),
+    "PosY": tuple(name.format("y") for name in PLACE),
+    "Rot": ("rot", "rotation", "rotate", "angle", "theta", "orientation"),
+    "Side": ("side", "layer", "boardside", "boardlayer", "mountside", "mountingside", "face", "tb", "topbottom"),
 }
+LENGTHS = ("PosX", "PosY")
 NEEDED = ("Ref", "PosX", "PosY", "Rot")
 SIDES = {"top": "top", "bottom": "bottom", "t": "top", "b": "bottom", "f": "top", "front": "top", "back": "bottom"}
 SIDES |= {"toplayer": "top", "bottomlayer": "bottom", "fcu": "top", "bcu": "bottom", "bot": "bottom"}
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "um": 1e-3, "mil": 0.0254, "mils": 0.0254, "in": 25.4, "inch": 25.4, "inches": 25.4}
-UNITS_MM |= {'"': 25.4, "th": 0.0254}
+UNITS_MM |= {'"': 25.4, "th": 0.0254, "thou": 0.0254, "millimeter": 1.0, "millimeters": 1.0, "millimetres": 1.0}
 LENGTH = re.compile(r"([-+]?[0-9.,]+(?:e[-+]?[0-9]+)?)\s*([a-z\"]*)", re.IGNORECASE)
 FARTHEST_MM = 1e6
+# What a scene may say of a file that does not tell its unit.
+FileUnit = Literal["mm", "mil", "inch"]
 
 
 @dataclass(frozen=True)
@@ -60,19 +71,22 @@ class PlacedPart:
         return re.fullmatch(r"PD[0-9_.-]*", self.ref.upper()) is not None
 
 
-def read_positions(path: Path, *, negate_x_on_bottom: bool = False) -> tuple[PlacedPart, ...]:
+def read_positions(path: Path, *, negate_x_on_bottom: bool = False, unit: str = "mm") -> tuple[PlacedPart, ...]:
     """Read a position file, both sides, in the order of the file.
 
     Columns may be parted by commas, semicolons, tabs or, in a .pos, blanks; lengths are in the unit that stands in the
-    cell, in the column's name, or above the columns, else in millimetres.
+    cell, in the column's name, or beside the columns, else in the one given. Where no column tells the side, all parts
+    are taken to lie on the top, and a warning says so.
 
     negate_x_on_bottom : the file was exported with "use negative X coordinates for footprints on bottom layer"; turn
         the sign of X back on that side.
 
     Raises: InputError with file, line and what is wrong.
     """
-    head, rows = _table(read_text(path, "a position file", any_encoding=True), path)
+    head, rows = _table(read_text(path, "a position file (CSV or .pos)", any_encoding=True), path, UNITS_MM[unit])
     at, unit_mm = head
+    if "Side" not in at:
+        log.warning("%s: no column tells the side (Side or Layer); all its parts are read as on the top.", path.name)
     parts: list[PlacedPart] = []
     for number, row in rows:
         where = f"{path} line {number}"
@@ -80,18 +94,33 @@ def read_positions(path: Path, *, negate_x_on_bottom: bool = False) -> tuple[Pla
             raise InputError(f"{where}: has {len(row)} columns, its header more; complete it.")
         cells = {name: row[k].strip() for name, k in at.items()}
         x, y = (_length_mm(cells[name], name, where, unit_mm[name]) for name in ("PosX", "PosY"))
-        turn = _length_mm(cells["Rot"].rstrip("°"), "Rot", where, 1.0)
+        turn = _length_mm(re.sub(r"\s*(°|deg|degrees)$", "", cells["Rot"], flags=re.IGNORECASE), "Rot", where, 1.0)
         side = SIDES.get(re.sub(r"[^a-z]", "", cells.get("Side", "top").lower()))
         if side is None:
             raise InputError(f'{where}: Side = "{cells["Side"]}"; must be top or bottom.')
         if side == "bottom" and negate_x_on_bottom:
             x = -x
-        if any(part.ref == cells["Ref"] for part in parts):
-            raise InputError(f'{where}: Ref "{cells["Ref"]}" is there twice; give each part its own.')
         parts.append(PlacedPart(cells["Ref"], cells.get("Val", ""), cells.get("Package", ""), (x, y), turn, side))
     if not parts:
         raise InputError(f"{path}: names no part; export the positions of both sides.")
     return tuple(parts)
+
+
+def reading_of(table: Mapping[str, Any]) -> dict[str, Any]:
+    """What a scene's table that names a position file says of how it is to be read; raises ValueError."""
+    unit = table.get("positions_unit")
+    if unit is not None and unit not in get_args(FileUnit):
+        raise ValueError(f"positions_unit must be mm, mil or inch, not {unit!r}")
+    return {"unit": unit or "mm", "negate_x_on_bottom": bool(table.get("negate_x_on_bottom", False))}
+
+
+def check_each_once(parts: Iterable[PlacedPart], path: Path) -> None:
+    """Raise InputError where two parts have one reference, as fiducials and holes may, which nobody asks for."""
+    seen: set[str] = set()
+    for part in parts:
+        if part.ref in seen:
+            raise InputError(f'{path}: Ref "{part.ref}" is there twice; give each LED and photodiode its own.')
+        seen.add(part.ref)
 
 
 def warn_of_mirrored(table: Mapping[str, Any], found: Sequence[PlacedPart], used: Sequence[PlacedPart]) -> None:
@@ -105,7 +134,7 @@ def warn_of_mirrored(table: Mapping[str, Any], found: Sequence[PlacedPart], used
     as_it_stands, negated = (_share_room(top, [sign * x for x in bottom]) for sign in (1, -1))
     if as_it_stands and not negated:
         return
-    why = "looks negated, as KiCad writes it where it is told to" if negated and not as_it_stands else "may be negated"
+    why = "looks negated, as KiCad may write it" if negated and not as_it_stands else "may be negated"
     log.warning(
         "%s: X on the bottom %s, and is read as it stands: add negate_x_on_bottom = true if it is, or the layout is "
         "mirrored; false if it is not.",
@@ -122,18 +151,22 @@ def _share_room(top: Sequence[float], bottom: Sequence[float]) -> bool:
     return min(top) < max(bottom) and min(bottom) < max(top)
 
 
-def _table(text: str, path: Path) -> tuple[tuple[dict[str, int], dict[str, float]], list[tuple[int, list[str]]]]:
+def _table(
+    text: str, path: Path, usual_mm: float
+) -> tuple[tuple[dict[str, int], dict[str, float]], list[tuple[int, list[str]]]]:
     """The columns, each with its unit, and the numbered rows below them."""
-    lines, usual_mm = text.splitlines(), 1.0
+    lines = text.splitlines()
     for number, line in enumerate(lines):
-        if unit := re.search(r"unit\w*\s*(?:used)?\s*[:=]\s*\"?(\w+)", line, re.IGNORECASE):
-            usual_mm = UNITS_MM.get(unit[1].lower(), usual_mm)
+        usual_mm = _unit_told(line) or usual_mm
         for separator in (",", ";", "\t", " "):
             header = _cells(line.lstrip("# ") if separator == " " else line, separator)
             at = _columns(header)
             if all(name in at for name in NEEDED):
-                units = {name: _unit_of(header[k]) or usual_mm for name, k in at.items()}
                 numbered = list(enumerate(lines, 1))[number + 1 :]
+                # PCB and pcb-rnd tell the unit below the names of the columns.
+                below = (_unit_told(one) for _, one in numbered if one.startswith("#"))
+                usual_mm = next(filter(None, below), usual_mm)
+                units = {name: _unit_of(header[k], path) or usual_mm for name, k in at.items() if name in LENGTHS}
                 rows = [(k, row) for k, line in numbered if (row := _cells(line, separator)) and any(row)]
                 return (at, units), [(k, row) for k, row in rows if not row[0].lstrip().startswith("#")]
     first = next((_columns(cells) for line in lines if len(cells := _cells(line, ",")) > 1), {})
@@ -147,7 +180,8 @@ def _table(text: str, path: Path) -> tuple[tuple[dict[str, int], dict[str, float
 def _cells(line: str, separator: str) -> list[str]:
     try:
         if separator == " ":
-            return line.split()
+            # Altium puts quotes around cells that hold blanks; in KiCad's .pos none does.
+            return [quoted or plain for quoted, plain in re.findall(r'"([^"]*)"(?=\s|$)|(\S+)', line)]
         return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
     except csv.Error:
         return []
@@ -156,15 +190,25 @@ def _cells(line: str, separator: str) -> list[str]:
 def _columns(header: Sequence[str]) -> dict[str, int]:
     """Where each column stands."""
     plain = [re.sub(r"\(.*\)|\[.*\]", "", cell.lower()) for cell in header]
-    plain = [re.sub(r"[^a-z]|(mm|mil|inch)$", "", re.sub(r"[^a-z]", "", cell)) for cell in plain]
+    plain = [re.sub(r"(mm|mils?|inch|inches|deg|degrees)$", "", re.sub(r"[^a-z]", "", cell)) for cell in plain]
     found = {name: next((plain.index(one) for one in known if one in plain), None) for name, known in KNOWN_AS.items()}
     return {name: k for name, k in found.items() if k is not None}
 
 
-def _unit_of(title: str) -> float | None:
-    """The unit in a column's name, as in "Center-X(mm)". [mm]"""
-    unit = re.search(r"[(\[ _-](mm|cm|um|mils?|in|inch|inches)[)\]]?$", title.strip().lower())
-    return UNITS_MM[unit[1]] if unit else None
+def _unit_told(line: str) -> float | None:
+    """The unit that a line beside the table tells, as in "Units used: mil" or "# X,Y in mm". [mm]"""
+    told = re.search(r"(?:\bunits?(?:\s+used)?\s*[:=]|^#\s*x,\s*y in)\s*\"?(\w+)", line, re.IGNORECASE)
+    return UNITS_MM.get(told[1].lower()) if told else None
+
+
+def _unit_of(title: str, path: Path) -> float | None:
+    """The unit in the name of a column of lengths, as in "Center-X(mm)". [mm]"""
+    told = re.search(r"[(\[]\s*([^)\]]+?)\s*[)\]]$|[ _-](mm|mils?|in|inch|inches)$", title.strip().lower())
+    if told is None:
+        return None
+    if (value := UNITS_MM.get(told[1] or told[2])) is None:
+        raise InputError(f'{path}: the unit of its column "{short(title)}" is not known; use mm, mil or inch.')
+    return value
 
 
 def _length_mm(text: str, name: str, where: str, unit_mm: float) -> float:

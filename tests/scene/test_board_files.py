@@ -1,7 +1,10 @@
 """A designer's own board in a scene: mapped parts at their places, nothing guessed, and one line where it is wrong."""
 
+import json
+
 import pytest
 
+from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.light.identity import light_digest
 from nailoptics.scene import digest, load_scene, parse_scene, to_toml
@@ -95,6 +98,31 @@ def test_position_files_serve_as_boards(tmp_path, caplog):
     scene = load_scene(path)
     assert (scene.leds, scene.photodiodes) == (board.leds, board.photodiodes) and scene.board.unmapped == ("C1",)
     assert caplog.text.count("add negate_x_on_bottom") == 1
+
+
+def test_check_tells_once_in_its_warnings_what_a_board_and_a_candidate_of_one_file_have(tmp_path, capsys):
+    path = write(tmp_path)
+    (tmp_path / "pos.csv").write_text("Ref,PosX,PosY,Rot,Side\nD1,-3,1,90,bottom\nPD1,-1,-1,30,bottom\n")
+    path.write_text(path.read_text().replace('kicad = "x.kicad_pcb"', 'positions = "pos.csv"'))
+    more = '[placement]\nphotodiodes = 1\n[[placement.candidates]]\nname = "drawn"\npositions = "pos.csv"\n'
+    path.write_text(path.read_text() + more)
+    assert run(["check", str(path), "--json"]) == 0
+    told = capsys.readouterr()
+    (line,) = [one for one in json.loads(told.out)["warnings"] if "add negate_x_on_bottom" in one]
+    assert line.startswith("pos.csv: X on the bottom looks negated") and not told.err
+    # Where an error follows, it may be what was warned of.
+    path.write_text(path.read_text().replace("barrier = false", "barrier = false\ncenter_mm = [90.0, 0.0]"))
+    assert run(["check", str(path), "--json"]) == 2
+    assert capsys.readouterr().err.count("X on the bottom looks negated") == 1
+
+
+def test_a_position_file_without_a_unit_is_read_in_that_of_the_scene(tmp_path, capsys):
+    path = write(tmp_path, more='positions_unit = "inch"')
+    (tmp_path / "pos.csv").write_text("Ref,PosX,PosY,Rot,Side\nD1,-0.1,0,90,top\nPD1,0.1,0.05,30,top\n")
+    path.write_text(path.read_text().replace('kicad = "x.kicad_pcb"', 'positions = "pos.csv"'))
+    assert load_scene(path).leds[0].position_mm == pytest.approx((2.54, 0.0))  # the top faces the nail: mirrored
+    path.write_text(path.read_text().replace('"inch"', '"cubit"'))
+    assert run(["check", str(path)]) == 2 and "positions_unit must be mm, mil or inch" in capsys.readouterr().err
 
 
 def test_candidates_are_files_with_their_own_parts_matched_by_name(tmp_path):

@@ -3,7 +3,14 @@
 import pytest
 
 from nailoptics.errors import InputError
-from nailoptics.scene.positions import PlacedPart, read_positions, turned, warn_of_mirrored, write_positions
+from nailoptics.scene.positions import (
+    PlacedPart,
+    check_each_once,
+    read_positions,
+    turned,
+    warn_of_mirrored,
+    write_positions,
+)
 
 # As `kicad-cli pcb export pos --format csv --units mm --side both` writes it.
 POSITIONS = """Ref,Val,Package,PosX,PosY,Rot,Side
@@ -72,7 +79,7 @@ def test_what_is_written_is_read_back(tmp_path, negated):
         (POSITIONS.replace("-2.500000", "1e9"), "too far away"),
         (POSITIONS.replace("-2.500000", "3 furlongs"), "not a number"),
         (POSITIONS + "D9\n", "line 5: has 1 columns"),
-        (POSITIONS.replace('"LED2"', '"D1"'), "twice"),
+        (POSITIONS.replace("PosX", "PosX (furlong)"), "unit of its column"),
         (POSITIONS.splitlines()[0], "no part"),
     ],
 )
@@ -82,6 +89,21 @@ def test_a_wrong_position_file_is_refused_in_one_line(tmp_path, text, words):
     with pytest.raises(InputError, match=words) as caught:
         read_positions(path)
     assert len(str(caught.value).splitlines()) == 1 and "pos.csv" in str(caught.value)
+
+
+def test_a_reference_that_is_there_twice_is_refused_where_it_is_asked_for(tmp_path):
+    path = tmp_path / "pos.csv"
+    path.write_text(POSITIONS.replace('"LED2"', '"D1"') + "REF**,,,1,1,0,top\nREF**,,,2,1,0,top\n")
+    parts = read_positions(path)
+    with pytest.raises(InputError, match='pos.csv: Ref "D1" is there twice'):
+        check_each_once([part for part in parts if part.is_led], path)
+    check_each_once([part for part in parts if part.is_photodiode], path)
+
+
+def test_where_no_column_tells_the_side_a_warning_says_so(tmp_path, caplog):
+    path = tmp_path / "pos.csv"
+    path.write_text("Ref,PosX,PosY,Rot\nD1,1,2,0\n")
+    assert read_positions(path)[0].side == "top" and "pos.csv: no column tells the side" in caplog.text
 
 
 def test_kicads_ascii_file_is_read_in_its_unit(tmp_path):
@@ -109,8 +131,24 @@ def test_kicads_ascii_file_is_read_in_its_unit(tmp_path):
         ),
         ("Part,X (in),Y (in),Angle,Side\nD1,0.0984252,-0.0492126,45,F.Cu\n", "utf-8"),
         ('RefDes;PosX;PosY;Rot;Side\n"D1";"98.4252 mil";"-1250um";45°;top\n', "utf-8"),
+        (
+            "Altium Designer Pick and Place Locations\nC:\\Work\\Pick Place for PCB1.txt\n\nUnits used: mm\n\n"
+            "Designator Comment      Layer    Footprint Center-X(mm) Center-Y(mm) Rotation Description\n"
+            'D1         "IR LED 800" TopLayer 0603      2.5000       -1.2500      45       "LED, ""IR"", 0.6 mm"\n',
+            "utf-8",
+        ),
+        (
+            "# PcbXY Version 1.0\n# RefDes, Description, Value, X, Y, rotation, top/bottom\n"
+            '# X,Y in mil.  rotation in degrees.\n# ---\nD1,"0603","IR",98.4252,-49.2126,45,top\n',
+            "utf-8",
+        ),
+        ("RefDes,Name,X (mm),Y (mm),Side,Rotate,Value\nD1,LED,2.5,-1.25,Top,45,IR\n", "utf-8"),
+        ("Ref Des\tX-Loc (thou)\tY-Loc (thou)\tRotation (deg)\tFace\nD1\t98.4252\t-49.2126\t45 deg\tFront\n", "utf-8"),
     ],
-    ids=["JLCPCB", "semicolons, decimal commas", "tabs, UTF-16", "Altium", "inches", "units in the cells"],
+    ids=[
+        *("JLCPCB", "semicolons, decimal commas", "tabs, UTF-16", "Altium", "inches", "units in the cells"),
+        *("Altium's text", "pcb-rnd", "DipTrace", "thou"),
+    ],
 )
 def test_files_of_assemblers_are_read_as_they_come(tmp_path, text, encoding):
     path = tmp_path / "pos.csv"

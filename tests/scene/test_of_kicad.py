@@ -1,0 +1,96 @@
+"""Files that KiCad 6.0 and 9.0 wrote of one board: parts at odd angles on both sides, every shape of an outline."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from nailoptics.scene import parse_scene
+from nailoptics.scene.dxf import dxf_lines
+from nailoptics.scene.kicad import read_board
+from nailoptics.scene.outlines import area_mm2, join
+from nailoptics.scene.positions import read_positions
+
+FILES = Path(__file__).parent / "of_kicad"
+ORIGIN = (105.5, -104.25)
+# What KiCad was told, with y up: reference, place, angle, side.
+PARTS = {
+    "D1": ((103.0, -102.0), 30.0, "bottom"),
+    "PD1": ((106.0, -102.0), -17.3, "bottom"),
+    "PD2": ((106.123457, -104.987651), 123.456, "bottom"),
+    "R1": ((103.0, -104.0), 211.5, "top"),
+    "H1": ((104.5, -101.5), 45.0, "top"),
+    "J1": ((107.5, -103.0), 30.0, "bottom"),
+    "J2": ((101.5, -103.0), 70.0, "top"),
+    "J3": ((108.5, -104.3), -25.0, "bottom"),
+    "J4": ((101.5, -104.8), 25.0, "bottom"),
+}
+# 10 x 8 mm with corners rounded by 1 mm; a circle, a square, a triangle, and those of J1 to J4.
+BOARD_MM2 = 80 - (4 - math.pi)
+HOLES_MM2 = sorted([math.pi / 4, 1.0, 0.5, math.pi * 0.3**2, 0.8 * 0.6, math.pi * 0.4**2 / 2, 0.2])
+LINE_MM = 0.05
+
+
+def away_deg(angle):
+    return abs((angle + 180) % 360 - 180)
+
+
+@pytest.mark.parametrize("version", [6, 9])
+def test_a_board_is_read_as_kicad_was_told_to_make_it(version):
+    found = read_board(FILES / f"version_{version}.kicad_pcb")
+    assert {part.ref for part in found.footprints} == set(PARTS) and found.auxiliary_mm == ORIGIN
+    for part in found.footprints:
+        place, angle, side = PARTS[part.ref]
+        assert part.position_mm == pytest.approx(place, abs=1e-9) and part.side == side
+        assert away_deg(part.rotation_deg - angle) < 1e-6
+    values = {part.ref: part.value for part in found.footprints}
+    assert (values["R1"], values["PD1"]) == ("0.10", 'Q "x" (a) \\ µ')
+    outline = join(found.edges, "x")
+    assert abs(area_mm2(outline.corners_mm)) == pytest.approx(BOARD_MM2, abs=0.01)
+    assert sorted(abs(area_mm2(hole)) for hole in outline.holes_mm) == pytest.approx(HOLES_MM2, abs=0.01)
+    assert not outline.ignored
+
+
+def test_a_pad_beside_the_middle_of_a_turned_footprint_on_the_bottom_lies_where_kicad_puts_it():
+    # Of the library's pad 0.4 mm to the right and 0.1 mm down, as KiCad's python tells its places on this board.
+    pads = {"D1": (103.29641, -101.713397), "PD1": (106.411642, -102.023474)}
+    one = '{ photodiode = "bpw34", offset_mm = [0.4, -0.1] }'
+    text = f"""schema_version = 1
+    [finger]
+    digit = "thumb"
+    [board]
+    kicad = "version_9.kicad_pcb"
+    parts.D1 = {{ led = "led_800", offset_mm = [0.4, -0.1] }}
+    parts.PD1 = {one.replace("bpw34", "pd_array_4x1").replace("}", ", elements = 1, size_mm = [0.2, 0.2] }")}
+    """
+    scene = parse_scene(text, folder=FILES)
+    for part, ref in ((scene.leds[0], "D1"), (scene.photodiodes[0], "PD1")):
+        place = [a + b for a, b in zip(part.position_mm, ORIGIN, strict=True)]
+        assert place == pytest.approx(pads[ref], abs=2e-6)
+        assert away_deg(part.rotation_deg - PARTS[ref][1]) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("name", "how", "within_mm"),
+    [
+        ("negated.csv", {"negate_x_on_bottom": True}, 1e-6),
+        ("inches.pos", {}, 2.6e-3),  # four digits of an inch
+        ("inches.csv", {"unit": "inch"}, 2.6e-5),
+    ],
+)
+def test_position_files_agree_with_the_board(name, how, within_mm):
+    found = read_positions(FILES / name, **how)
+    assert {part.ref for part in found} == set(PARTS)
+    for part in found:
+        place, angle, side = PARTS[part.ref]
+        want = [a - b for a, b in zip(place, ORIGIN, strict=True)]
+        assert part.position_mm == pytest.approx(want, abs=within_mm) and part.side == side
+        assert away_deg(part.rotation_deg - angle) < 1e-3
+
+
+def test_of_a_drawing_of_contours_in_inches_as_kicad_plots_it_the_inner_edge_of_the_border_is_taken():
+    lines, ignored = dxf_lines(FILES / "contours.dxf")
+    outline = join(lines, "x", ignored=ignored)
+    side_mm = 20.0
+    assert abs(area_mm2(outline.corners_mm)) == pytest.approx((side_mm - LINE_MM) ** 2, rel=2e-3)
+    assert outline.ignored == ("the outer edge of the stroke that draws the border",) and not outline.holes_mm
