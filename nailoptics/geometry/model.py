@@ -20,6 +20,7 @@ class Face:
     quads : (k, 4, 3) float. Planar rectangles, corners counter-clockwise seen from the nail side. [mm]
     normal : (k, 3) float. Unit normals of the quads, into the epoxy and towards the nail.
     area_mm2 : Area of all quads. [mm^2]
+    density : (k,) float. How densely photons start on each quad of what shines, to any scale; alike if not given.
     """
 
     name: str
@@ -27,13 +28,18 @@ class Face:
     quads: Array
     normal: Array
     area_mm2: float
+    density: Array | float = 1.0
+
+    @property
+    def areas_mm2(self) -> Array:
+        """Areas of the quads, (k,) float. [mm^2]"""
+        diagonals = self.quads[:, 2] - self.quads[:, 0], self.quads[:, 3] - self.quads[:, 1]
+        return np.asarray(np.linalg.norm(np.cross(*diagonals), axis=1) / 2)
 
     @property
     def center_mm(self) -> Array:
         """Middle of the face, weighted by area, (3,) float. [mm]"""
-        one, other = self.quads[:, 1] - self.quads[:, 0], self.quads[:, 3] - self.quads[:, 0]
-        area = np.linalg.norm(np.cross(one, other), axis=1)
-        return np.average(self.quads.mean(axis=1), axis=0, weights=area)
+        return np.average(self.quads.mean(axis=1), axis=0, weights=self.areas_mm2)
 
 
 @dataclass(frozen=True)
@@ -62,6 +68,11 @@ class Geometry:
     nail_radius_mm: float
     board_radius_mm: float
     grid: Grid = field(repr=False)
+
+    def on_board(self, p_mm: Array) -> Array:
+        """Where points (n, 3) of the board's underside lie on the flat board, (n, 2) float: u, v. [mm]"""
+        x, y, z = np.asarray(p_mm, float).T
+        return np.stack([self.board_radius_mm * np.arctan2(x, z + self.nail_radius_mm), y], -1)
 
     @cached_property
     def _locator(self) -> Locator:

@@ -177,19 +177,29 @@ class BoardTracer:
         left = {name.removeprefix("left_"): array for name, array in arrays.items() if name.startswith("left_")}
         return Arrivals.from_stored(photons, arrays), Arrivals.from_stored(photons, left)
 
-    def everywhere(self, led: int, *, photons: int, seed: int) -> tuple[np.ndarray, Arrivals, Arrivals, Arrivals]:
-        """Trace light of one LED's wavelength, Lambertian, from places spread evenly over the bare underside.
+    def everywhere(
+        self, led: int, *, photons: int, seed: int, density: Callable[[np.ndarray], np.ndarray] | None = None
+    ) -> tuple[np.ndarray, Arrivals, Arrivals, Arrivals]:
+        """Trace light of one LED's wavelength, Lambertian, from all over the bare underside.
+
+        density : how densely photons start at places (k, 2) float [mm], (k,) float to any scale; those of a strip along
+            the nail as at its middle. Where they start more densely each counts for less. Even if not given.
 
         Returns: where each photon starts, (photons, 2) float [mm]; light that arrives on the board, as a photodiode
         like the scene's counts it there; the same as such a photodiode counts it where it starts, of an LED where it
         arrives; and light that leaves into the air, as it counts where it starts.
         """
         check_one_response(self.scene.photodiodes)
-        face = underside(self.tracer.geometry)
-        starts, sent = self.tracer.starts(face, photons=photons, seed=seed)
+        geometry = self.tracer.geometry
+        face = underside(geometry)
+        dense = np.ones(len(face.quads)) if density is None else density(geometry.on_board(face.quads.mean(1)))
+        face = replace(face, density=dense)
+        starts, sent, quad = self.tracer.starts(face, photons=photons, seed=seed)
         arrived, cos, left = self._onto_board(led, face, photons, seed)
+        counts = (np.average(dense, weights=face.areas_mm2) / dense)[quad]
+        arrived = arrived.weighed(counts[arrived.photon])
         sent = self._accepted(0, sent)
-        back, left = (one.weighed(sent[one.photon]) for one in (arrived, left))
+        back, left = arrived.weighed(sent[arrived.photon]), left.weighed((counts * sent)[left.photon])
         return starts, arrived.weighed(self._accepted(0, cos)), back, left
 
     def fluence(self, led: int, radius_mm: np.ndarray, depth_mm: np.ndarray, *, photons: int, seed: int) -> np.ndarray:

@@ -126,16 +126,15 @@ class FingerTracer:
         walk = FingerWalk(self.interfaces, self.regions[led], ZoneEdges(self.zones), emitter, ends, **to)
         return ends.evaluated(walk.run(rng, count, first))
 
-    def starts(self, face: Face, *, photons: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-        """Where on the flat board the photons start that `walk` sends from a face of it, (photons, 2) float [mm], and
-        the cosines of their angles to it, (photons,) float."""
+    def starts(self, face: Face, *, photons: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where on the flat board the photons start that `walk` sends from a face of it, (photons, 2) float [mm], the
+        cosines of their angles to it, (photons,) float, and on which of its quads, (photons,) int."""
         (rng, _), index = lanes(photons, seed), dr.arange(mi.UInt32, photons)
         lane, own = index % dr.width(rng.state), mi.PCG32(size=photons)  # type: ignore[operator]
         own.inc = dr.gather(mi.UInt64, rng.inc, lane) if dr.width(rng.inc) > 1 else rng.inc
         own.state = state_of(dr.gather(mi.UInt64, rng.state, lane), index)
-        p, _, cos = Emitter(face, LAMBERTIAN, mi.UInt32(0)).emit_at_angle(own)
-        u = self.geometry.board_radius_mm * np.arctan2(np.array(p.x), np.array(p.z) + self.geometry.nail_radius_mm)
-        return np.stack([u, np.array(p.y)], -1).astype(float), np.array(cos).astype(float)
+        p, _, cos, facet = Emitter(face, LAMBERTIAN, mi.UInt32(0)).emit_at_angle(own)
+        return self.geometry.on_board(np.array(p).T), np.array(cos).astype(float), np.array(facet)
 
     @staticmethod
     def by_zone(paths: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ Places of LEDs by reciprocity or a grid of traces: both are one here, as photons
 ways. A grid of LED places 1 mm apart, on the prototype's side of the wall some 60, each to 1 %, would take an hour at
 the 61 s that one takes; one trace from each photodiode the other way tells every place of the LED, but only for
 photodiodes that stay where they are. The kernel knows pairs of places on the prototype's board, 1.5 to 2.7 mm apart,
-to 2 to 5 % by its photons, and farther ones less well, after some three minutes of processor time for three
+to 2 to 5 % by its photons, and farther ones less well, after two and a half minutes of processor time for three
 wavelengths.
 
 What it holds fixed: the outline, the wall, the cover, epoxy and finger; that LEDs are Lambertian and faces flush with
@@ -47,7 +47,7 @@ Array = NDArray[np.float64]
 
 # Photons of each of the scene's own wavelengths, on a board with a wall, through which little light comes, and without;
 # of each further wavelength half as many.
-WALL_PHOTONS, OPEN_PHOTONS = 3 << 21, 1 << 21
+WALL_PHOTONS, OPEN_PHOTONS = 5 << 20, 1 << 21
 # Wavelengths that every page offers beside its scene's own, but for those nearer to one of these than this. [nm]
 FURTHER_LEDS, SAME_NM = ("led_660", "led_940"), 8.0
 # Batches have so many photons at least.
