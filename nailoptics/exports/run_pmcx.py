@@ -1,17 +1,20 @@
 """Run pmcx on a session of this folder and keep what its photodiodes detected; needs NumPy, pmcx and a GPU.
 
-python run_pmcx.py 1_NAME.json --photons 10000000 --seed 1 -o detected.npz
+    python run_pmcx.py 1_NAME.json --photons 10000000 --seed 1 -o detected.npz
+
+With --opencl it runs pmcxcl, which is MCX for OpenCL: with PoCL that is any processor.
 """
 
 import argparse
+import importlib
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-# Looked at so far behind the place where a photon left, to see what it went into. [voxels]
-BEHIND = 0.01
+# A photodiode's voxels end photons so near its plane: half the diagonal of a voxel is 0.87 of its side. [voxels]
+NEAR = 0.9
 
 
 def volume(session: dict[str, Any], folder: Path, name: str, kind: Any) -> np.ndarray:
@@ -51,16 +54,24 @@ def config(session: dict[str, Any], folder: Path, *, photons: int, seed: int) ->
     }
 
 
-def kept(session: dict[str, Any], folder: Path, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def kept(session: dict[str, Any], rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Photodiode of each photon that went into one, (k,) int, and its path in each absorber, (k, absorbers). [mm]
 
     rows : (1 + media + 6, n) float. Detector, path in each medium [voxels], where and which way each photon left.
     """
     media, absorbers = len(session["Domain"]["Media"]) - 1, len(session["nailoptics"]["absorbers"])
     place, way = rows[1 + media : 4 + media].T, rows[4 + media : 7 + media].T
-    number = volume(session, folder, session["nailoptics"]["photodiode_file"], np.uint16)
-    at = np.floor(place + BEHIND * way).astype(int).clip(0, np.array(number.shape) - 1)
-    photodiode = number[tuple(at.T)].astype(int) - 1
+    photodiode = np.full(len(place), -1)
+    for number, quads in enumerate(session["nailoptics"]["photodiode_quads"]):
+        for quad in np.array(quads):
+            sides, offset = (quad[1] - quad[0], quad[3] - quad[0]), place - quad[0]
+            # Corners go counter-clockwise seen from the nail, so that this points to it.
+            normal = np.cross(*sides)
+            over = (np.abs(offset @ normal) < NEAR * np.linalg.norm(normal)) & (way @ normal < 0)
+            for side in sides:
+                share = offset @ side / (side @ side)
+                over &= (share >= 0) & (share < 1)
+            photodiode[over] = number
     paths = rows[1 : 1 + absorbers].T * session["Domain"]["LengthUnit"]
     return photodiode[photodiode >= 0], paths[photodiode >= 0]
 
@@ -71,15 +82,15 @@ def main() -> None:
     parser.add_argument("session", type=Path, help="session that nailoptics wrote, such as 1_NAME.json")
     parser.add_argument("--photons", type=int, default=10_000_000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--opencl", action="store_true", help="run pmcxcl in place of pmcx")
     parser.add_argument("-o", "--output", type=Path, default=Path("detected.npz"))
     asked = parser.parse_args()
 
-    import pmcx
-
+    program = "pmcxcl" if asked.opencl else "pmcx"
     session, folder = json.loads(asked.session.read_text(encoding="utf-8")), asked.session.parent
-    found = pmcx.run(**config(session, folder, photons=asked.photons, seed=asked.seed))
-    which, paths = kept(session, folder, np.asarray(found["detp"], float))
-    same = {"photons": asked.photons, "seed": asked.seed, "program": "pmcx"}
+    found = importlib.import_module(program).run(**config(session, folder, photons=asked.photons, seed=asked.seed))
+    which, paths = kept(session, np.asarray(found["detp"], float))
+    same = {"photons": asked.photons, "seed": asked.seed, "program": program}
     own = session["nailoptics"]
     np.savez(asked.output, photodiode=which, path_mm=paths, led=own["led"], scene=own["scene"], **same)
     print(f"{len(which)} of {asked.photons} photons reached photodiodes: {asked.output}")

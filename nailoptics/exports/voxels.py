@@ -9,9 +9,11 @@ from ..geometry import Face, Geometry
 from ..geometry.cast import cast
 from ..geometry.grid import Array
 
-# A part's face is moved by so much of a voxel, so that whatever starts on its true plane starts in the epoxy, and is
-# backed by so many voxels, because the film may be thinner than one. Half the diagonal of a voxel is 0.87 of its side.
-FACE_BACK, FACE_DEPTH = 0.87, 3.0
+# A die's face is moved back by so much of a voxel, so that whatever starts on its true plane starts in the epoxy: half
+# the diagonal of a voxel is 0.87 of its side. Faces are backed by so many voxels, as the film may be thinner than one.
+DIE_BACK, FACE_DEPTH = 0.87, 3.0
+# Voxels whose middle lies on the edge between two quads of a face, but for rounding, belong to it. [voxels]
+EDGE = 1e-6
 MOST_VOXELS = 200_000_000
 
 
@@ -66,15 +68,17 @@ def voxels(geometry: Geometry, side_mm: float) -> Voxels:
     region = np.cumsum(steps, axis=1, dtype=np.int16)[:, :-1].reshape(count)
     made = Voxels(region, low, side_mm)
     for face in geometry.photodiodes:
-        _paint(made, face, geometry.regions.index("epoxy"), beside=0.0)
+        # Where it is, as all that is opaque beside it: in a recess it would lie in its neighbours' shadow.
+        _paint(made, face, geometry.regions.index("epoxy"), back=0.0, beside=EDGE)
     for face in geometry.leds:
-        _paint(made, face, geometry.regions.index("epoxy"), beside=FACE_BACK)
+        _paint(made, face, geometry.regions.index("epoxy"), back=DIE_BACK, beside=DIE_BACK)
     return made
 
 
-def _paint(made: Voxels, face: Face, epoxy: int, *, beside: float) -> None:
-    """Put a part's face a little behind its true plane, with epoxy before it and the part in whole voxels behind it.
+def _paint(made: Voxels, face: Face, epoxy: int, *, back: float, beside: float) -> None:
+    """Put epoxy before a part's face and the part in whole voxels behind it.
 
+    back : how far the face lies behind its true plane. [voxels]
     beside : how far the epoxy reaches beyond the face's edges. [voxels]
     """
     for quad, normal in zip(face.quads, face.normal, strict=True):
@@ -89,5 +93,5 @@ def _paint(made: Voxels, face: Face, epoxy: int, *, beside: float) -> None:
             along = offset @ side / length
             over.append(np.maximum(-along, along - length) / made.side_mm)
         out, behind = np.maximum(*over), -(offset @ normal) / made.side_mm
-        own[(out < beside) & (behind >= -1) & (behind < FACE_BACK)] = epoxy
-        own[(out < 0) & (behind >= FACE_BACK) & (behind < FACE_BACK + FACE_DEPTH)] = face.region
+        own[(out < beside) & (behind >= -1) & (behind < back)] = epoxy
+        own[(out < EDGE) & (behind >= back) & (behind < back + FACE_DEPTH)] = face.region
