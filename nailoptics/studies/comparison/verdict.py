@@ -66,7 +66,7 @@ def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> V
     outcome: Literal["met", "missed", "undecided"] = "met" if met >= SURE else "undecided"
     if missed >= SURE:
         outcome = "missed"
-    i, j = np.unravel_index(int(np.argmin(below)), error.shape)
+    i, j = np.unravel_index(int(np.where(np.isfinite(error), error, -np.inf).argmax()), error.shape)
     low, high = _worst(error, stderr)
     return Verdict(
         outcome=outcome,

@@ -257,11 +257,24 @@ def test_a_verdict_on_many_readings_errs_as_seldom_as_it_says():
             one = verdict(xr.Dataset(data, names), 0.05)
             found.append(one.outcome)
             held.append(one.worst_low <= truth <= one.worst_high)
+            assert one.worst_error == error.max() and one.photodiode == "abcdefgh"[error.argmax()]
     share = {truth: {word: found.count(word) / 150 for word in set(found)} for truth, found in outcomes.items()}
     assert share[0.05].get("missed", 0) < 0.1 and share[0.05].get("met", 0) < 0.01
     # The largest of eight lies above the truth by chance; the interval that is printed knows.
     assert 0.95 <= np.mean(held) < 1
     assert share[0.09]["missed"] > 0.95 and share[0.01]["met"] > 0.8
+
+
+def test_the_worst_reading_is_named_where_all_are_far_within_the_tolerance():
+    """Rationale: all of them then meet it with a probability of 1, to the last bit. Expected: still the largest error,
+    and within the interval that is printed beside it."""
+    dims = ("sweep", "led", "photodiode", "way", "model", "point")
+    error = np.reshape([0.007, 0.043, 0.02], (1, 1, 3, 1, 1, 1))
+    names = {"sweep": ["force"], "led": ["ir"], "photodiode": list("abc"), "way": ["fitted"], "model": ["taylor"]}
+    data = {"range_error": (dims, error), "range_error_stderr": (dims, np.full(error.shape, 0.002))}
+    one = verdict(xr.Dataset(data, names), 0.5)
+    assert one.outcome == "met" and one.photodiode == "b" and one.worst_error == 0.043
+    assert one.worst_low <= one.worst_error <= one.worst_high
 
 
 def test_neighbouring_seeds_share_no_streams(monkeypatch):
