@@ -31,7 +31,7 @@ LABELS = "labels.bin"
 # Light that has wandered for so long has been absorbed. [s]
 LONGEST_S = 1e-8
 # What ends photons has the index of the epoxy and this share of it more, which reflects some 1e-11 of light that comes
-# straight. Where both are alike, MCX for OpenCL lets photons go on through label 0, and writes the way there to no path.
+# straight. Where both are alike, MCX for OpenCL lets photons go on through label 0, and crashes if it keeps paths.
 INDEX_STEP = 1e-5
 # Detectors reach so much beyond the corners of their photodiode. [voxels]
 AROUND = 3.0
