@@ -210,13 +210,13 @@ def _footprint(part: PlacedPart, size_mm: Point, place: str) -> list[str]:
     side, half = ("B" if part.side == "bottom" else "F"), (size_mm[0] / 2, size_mm[1] / 2)
     mirror = " (justify mirror)" if side == "B" else ""
     font = f"(effects (font (size 0.3 0.3) (thickness 0.05)){mirror})"
-    angle = f"{part.rotation_deg:g}"
+    angle = f"{part.rotation_deg:.9g}"
     lines = [f'  (footprint "nailoptics:{_quoted(part.package)}" (layer "{side}.Cu") {_stamp(part.ref)}']
     lines.append(f"    (at {place} {angle}) (attr smd)")
     for kind, text in (("reference", part.ref), ("value", part.value)):
         where = f'(at 0 0 {angle}) (layer "{side}.Fab")'
         lines.append(f'    (fp_text {kind} "{_quoted(text)}" {where} {font} {_stamp(part.ref, kind)})')
-    corners = f"(start {-half[0]:g} {-half[1]:g}) (end {half[0]:g} {half[1]:g})"
+    corners = f"(start {-half[0]:.9g} {-half[1]:.9g}) (end {half[0]:.9g} {half[1]:.9g})"
     for layer in ("Fab", "CrtYd"):
         lines.append(
             f'    (fp_rect {corners} (layer "{side}.{layer}") (width 0.02) (fill none) {_stamp(part.ref, layer)})'
@@ -225,7 +225,7 @@ def _footprint(part: PlacedPart, size_mm: Point, place: str) -> list[str]:
 
 
 def _quoted(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"')
+    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("\r", "\\r")
 
 
 def _stamp(*of: object) -> str:

@@ -138,7 +138,7 @@ def test_an_origin_that_nobody_set_is_none(tmp_path):
 
 def test_a_written_layout_is_read_back(tmp_path):
     parts = (
-        PlacedPart("D1", 'IR "800"', "LED_die", (-1.25, 0.5), 30.0, "bottom"),
+        PlacedPart("D1", 'IR "800"\nof 2', "LED_die", (-1.25, 0.5), 123.456789, "bottom"),
         PlacedPart("PD1", "a", "PD", (0.3, -2.0), 0.0, "bottom"),
     )
     outline = Outline(((-4.0, -5.0), (4.0, -5.0), (4.0, 5.0)), (((2.0, -3.0), (3.0, -3.0), (3.0, -2.0)),))
