@@ -354,12 +354,17 @@ function overlap(one, other) {
   return true;
 }
 
-/** Fluence rate around a source: by distance and depth, as a logarithm, linear between the middles of cells. */
-function logFluence(colour, radius, depth) {
-  const { ringMm, stepMm, rings, depths } = tables.fluence;
-  const at = (x, step, n) => { const y = Math.min(n - 1.001, Math.max(0, x / step - 0.5)), i = Math.floor(y); return [i, y - i]; };
-  const [i, a] = at(radius, ringMm, rings), [j, b] = at(depth, stepMm, depths), f = colour.fluence;
-  return (1 - a) * ((1 - b) * f[i * depths + j] + b * f[i * depths + j + 1]) + a * ((1 - b) * f[(i + 1) * depths + j] + b * f[(i + 1) * depths + j + 1]);
+/** Place of x among the middles of n cells: the cell before it and the part of the way to the next. */
+function cellAt(x, step, n) {
+  const y = Math.min(n - 1.001, Math.max(0, x / step - 0.5)), i = Math.floor(y);
+  return [i, y - i];
+}
+
+/** Logarithm of the fluence rate around a source at a distance, at all depths, linear between the middles of cells. */
+function logFluence(colour, radius) {
+  const { ringMm, rings, depths } = tables.fluence, [i, a] = cellAt(radius, ringMm, rings), found = new Float64Array(depths);
+  for (let j = 0; j < depths; j++) found[j] = (1 - a) * colour.fluence[i * depths + j] + a * colour.fluence[(i + 1) * depths + j];
+  return found;
 }
 
 // ---------------------------------------------------------------------------------------------------- the layout

@@ -168,42 +168,61 @@ function drawReadings() {
       `${scientific(row.fractionRest)} ± ${((100 * row.restError) / row.fractionRest).toFixed(1)} %`, withError(row.volts, row.voltsError, ""), withError(row.change, row.changeError, "", 1e3),
       (1e3 * noise).toPrecision(2), (Math.abs(row.change) / noise).toFixed(0), `${(100 * row.directShare).toFixed(0)} %`,
       row.ambientA ? (row.ambientA * tables.stage.feedbackOhm).toPrecision(2) : "0", row.saturated ? "saturated" : ""];
-    const line = element("tr", { tabindex: 0, class: i === workbench.chosen.row ? "chosen" : "" }, element("th", { scope: "row" }, `${led.name} → ${row.element.name}`));
-    line.append(element("td", {}, apart.toFixed(2)), ...cells.map((text, k) => element("td", k === cells.length - 1 && text ? { class: "bad" } : {}, text)));
-    const choose = () => { workbench.chosen.row = i; workbench.chosen.part = row.element.of.name; draw(); };
+    return [`${led.name} → ${row.element.name}`, apart.toFixed(2), ...cells];
+  });
+  const table = $("readings");
+  if (table.rows.length !== lines.length + 1) table.replaceChildren(element("thead", {}, tableRow(head.map((text) => element("th", {}, text)))), element("tbody", {}, ...lines.map(emptyLine)));
+  // A drag changes few of many lines, and what stays the same costs nothing.
+  lines.forEach((cells, i) => {
+    const line = table.rows[i + 1];
+    cells.forEach((text, k) => { if (line.cells[k].textContent !== text) line.cells[k].textContent = text; });
+    line.classList.toggle("chosen", i === workbench.chosen.row);
+    line.lastChild.classList.toggle("bad", cells[cells.length - 1] !== "");
+  });
+
+  function tableRow(cells) { return element("tr", {}, ...cells); }
+
+  function emptyLine(_, i) {
+    const line = tableRow([element("th", { scope: "row" }), ...head.slice(1).map(() => element("td"))]);
+    const choose = () => { workbench.chosen.row = i; workbench.chosen.part = workbench.result.rows[i].element.of.name; draw(); };
+    line.tabIndex = 0;
     line.addEventListener("click", choose);
     line.addEventListener("keydown", (event) => { if (event.key === "Enter") choose(); });
     return line;
-  });
-  const row = element("tr");
-  row.append(...head.map((text) => element("th", {}, text)));
-  const body = element("tbody");
-  body.append(...lines);
-  $("readings").replaceChildren(element("thead", {}, row), body);
+  }
 }
 
 // ---- the section: the fluence of the LED times that of a photodiode that shines, which is where absorption counts
 
-const SCALE = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
+// Of three decades, in steps that no eye sees.
+const SCALE = (() => {
+  const stops = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
+  return Array.from({ length: 256 }, (_, n) => {
+    const t = (n / 256) * (stops.length - 1), k = Math.floor(t);
+    return stops[k].map((from, c) => from + (t - k) * (stops[k + 1][c] - from));
+  });
+})();
 
 /** Paint where absorption takes from a pair's reading, three decades of it, on cells of three pixels. */
 function paintLight(context, colour, apart, { left, right, deep, x, y }) {
   const columns = Math.max(2, Math.round((x(right) - x(left)) / 3)), rows = Math.max(2, Math.round((y(deep) - y(0)) / 3));
   const small = new OffscreenCanvas(columns, rows), picture = new ImageData(columns, rows), values = new Float64Array(columns * rows);
+  const depths = Array.from({ length: rows }, (_, j) => ((j + 0.5) / rows) * deep);
+  const cells = depths.map((depth) => cellAt(depth, tables.fluence.stepMm, tables.fluence.depths));
   let most = -Infinity;
-  for (let j = 0; j < rows; j++) {
-    const depth = ((j + 0.5) / rows) * deep;
-    for (let i = 0; i < columns; i++) {
-      const s = left + ((i + 0.5) / columns) * (right - left), value = logFluence(colour, Math.abs(s), depth) + logFluence(colour, Math.abs(s - apart), depth);
+  for (let i = 0; i < columns; i++) {
+    const s = left + ((i + 0.5) / columns) * (right - left), one = logFluence(colour, Math.abs(s)), other = logFluence(colour, Math.abs(s - apart));
+    for (let j = 0; j < rows; j++) {
+      const [k, b] = cells[j], value = (1 - b) * (one[k] + other[k]) + b * (one[k + 1] + other[k + 1]);
       values[j * columns + i] = value;
-      if (depth > tables.board.plateMm) most = Math.max(most, value);
+      if (depths[j] > tables.board.plateMm && value > most) most = value;
     }
   }
-  values.forEach((value, n) => {
-    const t = Math.min(0.9999, Math.max(0, 1 + (value - most) / Math.log(1e3))) * (SCALE.length - 1), k = Math.floor(t);
-    for (const c of [0, 1, 2]) picture.data[4 * n + c] = SCALE[k][c] + (t - k) * (SCALE[k + 1][c] - SCALE[k][c]);
+  for (let n = 0; n < values.length; n++) {
+    const part = 1 + (values[n] - most) / Math.log(1e3), rgb = SCALE[Math.min(255, Math.max(0, Math.floor(256 * part)))];
+    for (let c = 0; c < 3; c++) picture.data[4 * n + c] = rgb[c];
     picture.data[4 * n + 3] = 255;
-  });
+  }
   small.getContext("2d").putImageData(picture, 0, 0);
   context.drawImage(small, x(left), y(0), x(right) - x(left), y(deep) - y(0));
 }
