@@ -214,6 +214,18 @@ def test_a_dragged_led_and_a_typed_force_come_back_as_a_scene_and_as_positions(
     )
 
 
+def test_parts_that_are_added_have_references_of_their_own(shown: Any, explored: Exploration, tmp_path: Path):
+    for button in ("#add-led", "#add-photodiode", "#add-photodiode"):
+        shown.click(button)
+    # Wherever they came to lie, which a small board may not allow.
+    shown.evaluate("document.getElementById('save-positions').disabled = false")
+    before = [part.ref for part in kicad_parts(explored.scene)]
+    refs = [part.ref for part in read_positions(saved(shown, "#save-positions", tmp_path))]
+    assert len(refs) == len(before) + 3 and len(set(refs)) == len(refs) and set(before) < set(refs)
+    if explored.scene.leds[0].reference:
+        assert set(refs) - set(before) == {"D1", "U1", "U2"}
+
+
 def test_a_finger_drags_a_part_and_does_not_scroll_the_page(browser: Any, file: Path, explored: Exploration):
     context = browser.new_context(viewport={"width": 390, "height": 700}, has_touch=True, is_mobile=True)
     view = context.new_page()

@@ -458,8 +458,9 @@ function fromScene(scene, before) {
 /** The layout as a position file in KiCad's form, all on the bottom, which faces the nail; with a file's references. */
 function toPositions(layout) {
   const lines = ["Ref,Val,Package,PosX,PosY,Rot,Side"], number = (x) => (x + 0).toFixed(6), turn = (deg) => ((deg % 360) + 360) % 360;
-  layout.leds.forEach((led, i) => lines.push(`"${led.reference || `D${i + 1}`}","${led.name}","LED_die",${number(led.u)},${number(led.v)},${number(turn(led.turn))},bottom`));
+  const known = [...layout.leds, ...layout.photodiodes].some((part) => part.reference);
+  layout.leds.forEach((led, i) => lines.push(`"${led.reference || (known ? led.name : `D${i + 1}`)}","${led.name}","LED_die",${number(led.u)},${number(led.v)},${number(turn(led.turn))},bottom`));
   layout.photodiodes.flatMap((pd) => elementsOf(pd)).forEach((element, i) => lines.push(
-    `"${element.of.reference ? element.of.reference + element.name.slice(element.of.name.length) : `PD${i + 1}`}","${element.name}","PD_${element.width}x${element.length}mm",${number(element.u)},${number(element.v)},${number(turn(element.of.turn))},bottom`));
+    `"${element.of.reference ? element.of.reference + element.name.slice(element.of.name.length) : known ? element.name : `PD${i + 1}`}","${element.name}","PD_${element.width}x${element.length}mm",${number(element.u)},${number(element.v)},${number(turn(element.of.turn))},bottom`));
   return lines.join("\n") + "\n";
 }

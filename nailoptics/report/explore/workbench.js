@@ -383,6 +383,14 @@ function removeChosen() {
   });
 }
 
+/** The next reference like one of the board's file that neither a part here nor an ignored one has. */
+function freeReference(like) {
+  const taken = new Set([...allParts().map(([, part]) => part.reference), ...(tables.scene.board.unmapped || [])]), stem = like.replace(/[0-9]+$/, "");
+  let n = 1;
+  while (taken.has(`${stem}${n}`)) n += 1;
+  return `${stem}${n}`;
+}
+
 function addPart(kind) {
   change((layout) => {
     const list = kind === "led" ? layout.leds : layout.photodiodes, like = list[list.length - 1], names = new Set(allParts().map(([, part]) => part.name));
@@ -391,6 +399,7 @@ function addPart(kind) {
     while (names.has(`${stem}${n}`)) n += 1;
     const usual = kind === "led" ? { kind: 0, turn: 0 } : { kind: 0, turn: 0, width: 1, length: 1, elements: 1, pitch: null, wired: null };
     const made = { ...usual, ...(like ? copy(like) : { u: 0, v: 0 }), name: `${stem}${n}` };
+    made.reference = like && like.reference ? freeReference(like.reference) : null;
     if (kind === "diode") { made.elements = 1; made.wired = null; made.pitch = null; }
     const [uMin, uMax, vMin, vMax] = tables.board.outline, tried = [];
     // The free place that is nearest to the part that it is like.
