@@ -98,7 +98,7 @@ def _readme(scene: Scene, files: list[str], photodiodes: list[str]) -> str:
         f'scene = mi.load_file("{files[0]}", optimize=False)  # photodiode_1="0,0,0", photodiode_4="1,0,0" for others',
         "image = np.array(mi.render(scene, spp=256, seed=1), float)  # at most 10000: the film counts in float32",
         "pixels = image.reshape(-1, 3) / np.pi",
-        "pixels.mean(0), pixels.std(0, ddof=1) / len(pixels) ** 0.5  # detected fractions, standard errors",
+        "print(pixels.mean(0), pixels.std(0, ddof=1) / len(pixels) ** 0.5)  # detected fractions, standard errors",
         "```",
         "",
         f"Photodiodes: {', '.join(f'{k} {name}' for k, name in enumerate(photodiodes, start=1))}.",

@@ -113,7 +113,7 @@ def _table(found: Explanation) -> str:
     """All effects, most moving first."""
     head = ["Effect", "In scene", "Reading moves<br>[%]", "of", "At most<br>[%]", "Signal at most<br>[%]"]
     rows = [_row(one) for one in (*found.effects, *([found.together] if found.together else []))]
-    return table([*head, "Matters", "Changed to"], rows, kind="dense") + small(NOTE)
+    return table([*head, "Matters", "Changed to"], rows, kind="effects dense") + small(NOTE)
 
 
 def _row(one: Effect) -> list[str]:
