@@ -97,10 +97,7 @@ def _grid(scene: Scene, resolution: float) -> tuple[BentBoard, Grid]:
         board = BentBoard(scene, surfaces)
         nodes = Nodes(surfaces, board, resolution)
         grid = Grid(nodes.positions(), nodes.labels())
-        corners, _, _ = grid.tetrahedra()
-        a, b, c = np.moveaxis(corners[:, 1:] - corners[:, :1], 0, -1)
-        cross = (b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0])
-        if sum(x * y for x, y in zip(a, cross, strict=True)).min() > -1e-9:
+        if 6 * grid.least_volume_mm3 > -1e-9:
             return board, grid
     raise InputError(
         "finger: these sizes do not make a finger: its layers cross one another; bring width_mm, thickness_mm, "

@@ -36,6 +36,26 @@ class Grid:
         """Places of the planes between the rows, (n + 1,) float. [mm]"""
         return self.nodes[0, :, 0, 1]
 
+    @property
+    def least_volume_mm3(self) -> float:
+        """The least volume of the `tetrahedra`, without making them: negative where the grid folds. [mm^3]"""
+        nodes = np.moveaxis(np.concatenate([self.nodes, self.nodes[:1]]), -1, 0)
+        count = self.labels.shape
+        edges = [np.diff(nodes, axis=axis + 1) for axis in range(3)]
+        solid, least = self.labels != AIR, np.inf
+        for order in itertools.permutations(range(3)):
+            at, along = np.zeros(3, int), []
+            for axis in order:
+                first = [slice(start, start + n) for start, n in zip(at, count, strict=True)]
+                along.append(edges[axis][:, *first])
+                at[axis] = 1
+            a, b, c = along
+            cross = (b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0])
+            volume = sum(x * y for x, y in zip(a, cross, strict=True)) / 6
+            even = order in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+            least = min(least, float((volume if even else -volume)[solid].min()))
+        return least
+
     def tetrahedra(self) -> tuple[Array, Indices, Indices]:
         """Corners (m, 4, 3) of all cells but air, region (m,) and row (m,) of each.
 

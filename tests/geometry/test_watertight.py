@@ -47,6 +47,18 @@ def test_a_bent_surface_is_seen(geometry):
     assert not check_watertight(dataclasses.replace(geometry, vertices=vertices), crossings=100_000).passed
 
 
+@pytest.mark.parametrize("moved_mm", [0.0, 0.5])
+def test_the_least_volume_is_that_of_the_tetrahedra(geometry, moved_mm):
+    """Of the grid as it is, which leaves no room, and of one that a node moved through its neighbours folds."""
+    nodes = geometry.grid.nodes.copy()
+    nodes[20, 20, 3] += moved_mm
+    grid = dataclasses.replace(geometry.grid, nodes=nodes)
+    corners, _, _ = grid.tetrahedra()
+    volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+    assert grid.least_volume_mm3 == pytest.approx(volumes.min(), abs=1e-12)
+    assert (volumes.min() < -1e-4) == (moved_mm > 0)
+
+
 def test_rays_through_edges_and_corners_cross_once():
     # Two triangles that share the diagonal of a square: each ray on it, or on its ends, meets at most one of them.
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
