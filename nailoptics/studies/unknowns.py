@@ -214,7 +214,7 @@ def spread_dataset(found: ReadingSpread, scene: Scene) -> xr.Dataset:
     words = "over what is unknown of the finger, one standard deviation"
     for name, one, text in (
         ("reading", found.level, "of the logarithm of the reading at the start"),
-        ("change", found.change, "of the change by touch, as a part of it"),
+        ("change", found.change, "of the change by touch, as a part of the change,"),
         ("signal", found.signal, "of the change by touch as a part of the reading at the start"),
     ):
         total, error = one.total

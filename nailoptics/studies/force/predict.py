@@ -187,7 +187,9 @@ def _event_variables(found: list[tuple[float, str]], true: list[tuple[float, str
         latency.append(time - before[-1] if before else np.nan)
     data = variable("event_time_s", "event", np.array([t for t, _ in found], float), "when the switch acts", units="s")
     data |= variable("event_kind", "event", np.array([kind for _, kind in found], dtype=str), "press or release")
-    return data | variable("event_latency_s", "event", np.array(latency, float), "after the known force", units="s")
+    return data | variable(
+        "event_latency_s", "event", np.array(latency, float), "time from the known force to the switch", units="s"
+    )
 
 
 def _consistency(

@@ -273,7 +273,8 @@ def _led_places(setup: _Setup, maps: list[list[PhotonMap]], mean: np.ndarray, er
     value, errors = [r[0] for r in resolution], [r[0] * jackknife(np.log(r)) for r in resolution]
     found |= variable("led_place_resolution_n", ("led", *places), value, text, units="N", stderr=errors)
     one = maps[0][0]
-    return found | _middles("led_u", one.u_mm, "place of the LED") | _middles("led_v", one.v_mm, "place of the LED")
+    found |= _middles("led_u", one.u_mm, "place of the LED, across the nail")
+    return found | _middles("led_v", one.v_mm, "place of the LED, along the nail")
 
 
 def _reciprocity(found: Variables) -> dict[str, float]:

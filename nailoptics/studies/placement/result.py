@@ -208,8 +208,8 @@ def _photodiode_anywhere(scene: Scene, maps: Sequence[PhotonMap], point: Operati
     data = variable("place_noise_v", dims, noise, text, units="V")
     text = "force resolution of one photodiode centred there by itself, split known"
     data |= variable("place_resolution_n", dims, resolution, text, units="N", stderr=error)
-    text = "centre of the photodiode"
-    data |= variable("place_u", "place_u", place_u, text, units="mm")
+    data |= variable("place_u", "place_u", place_u, "centre of the photodiode, across the nail", units="mm")
+    text = "centre of the photodiode, along the nail"
     return xr.Dataset(data | variable("place_v", "place_v", place_v, text, units="mm"))
 
 
