@@ -1,5 +1,6 @@
 """What all tests share: the backends that trace light, and no skips in CI."""
 
+import gc
 import os
 import shutil
 from collections.abc import Iterator
@@ -14,6 +15,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from nailoptics.errors import InputError  # noqa: E402
 from nailoptics.light import backend  # noqa: E402
 
+# As on the command line: there is much that stays, which the collector would look through again and again.
+gc.set_threshold(10_000)
 # No test reads or writes the user's store; those that test one have their own.
 os.environ["NAILOPTICS_STORE"] = "off"
 # Names of browsers that can show pages; NAILOPTICS_BROWSER may give the path of another, or none: then tests that need
