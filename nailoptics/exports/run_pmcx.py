@@ -86,11 +86,14 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("detected.npz"))
     asked = parser.parse_args()
 
-    program = "pmcxcl" if asked.opencl else "pmcx"
+    if asked.opencl:
+        program = importlib.import_module("pmcxcl")
+    else:
+        import pmcx as program
     session, folder = json.loads(asked.session.read_text(encoding="utf-8")), asked.session.parent
-    found = importlib.import_module(program).run(**config(session, folder, photons=asked.photons, seed=asked.seed))
+    found = program.run(**config(session, folder, photons=asked.photons, seed=asked.seed))
     which, paths = kept(session, np.asarray(found["detp"], float))
-    same = {"photons": asked.photons, "seed": asked.seed, "program": program}
+    same = {"photons": asked.photons, "seed": asked.seed, "program": program.__name__}
     own = session["nailoptics"]
     np.savez(asked.output, photodiode=which, path_mm=paths, led=own["led"], scene=own["scene"], **same)
     print(f"{len(which)} of {asked.photons} photons reached photodiodes: {asked.output}")
