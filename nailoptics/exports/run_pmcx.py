@@ -89,7 +89,9 @@ def main() -> None:
     if asked.opencl:
         program = importlib.import_module("pmcxcl")
     else:
-        import pmcx as program
+        import pmcx
+
+        program = pmcx
     session, folder = json.loads(asked.session.read_text(encoding="utf-8")), asked.session.parent
     found = program.run(**config(session, folder, photons=asked.photons, seed=asked.seed))
     which, paths = kept(session, np.asarray(found["detp"], float))
