@@ -129,11 +129,14 @@ def trace_progress() -> "Iterator[Callable[[TraceProgress], None]]":
     with _display() as show, _interrupts() as interrupted:
 
         def report_progress(p: "TraceProgress") -> None:
-            form, name = ("{:.2g} " + p.unit, p.led) if p.unit else ("{:.2%}", f"LED {p.led}")
+            form = "{:.2g} " + p.unit if p.unit else "{:.2%}"
             known = p.relative_error < (math.inf if p.unit else 1)
             error = f"error {form.format(p.relative_error)}" if known else "error not known yet"
             target = f" ({form.format(p.target)} requested)" if p.target else ""
-            show(_State(name, error + target, p.fraction_done, p.seconds, p.seconds_left))
+            name, text = (p.led if p.is_stage else f"LED {p.led}"), error + target
+            if p.is_stage and not (known or p.target):
+                text = f"{p.fraction_done:.0%} done"
+            show(_State(name, text, p.fraction_done, p.seconds, p.seconds_left))
             if interrupted():
                 raise KeyboardInterrupt
 

@@ -40,7 +40,7 @@ class TraceProgress:
     """How far a trace is.
 
     relative_error is the largest over the LED's photodiodes, inf while one of them has seen nothing; with a unit, it is
-    an error in that unit.
+    an error in that unit. Of studies `led` may name a stage, which may have no error.
     """
 
     led: str
@@ -50,6 +50,7 @@ class TraceProgress:
     fraction_done: float
     seconds: float
     unit: str = ""
+    is_stage: bool = False
 
     @property
     def seconds_left(self) -> float:

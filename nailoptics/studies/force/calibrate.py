@@ -17,6 +17,7 @@ from ...scene import Scene, Touch, digest, to_toml
 from ...scene.sensor_recordings import SATURATED, SITES, Recording, read_sensor_recording
 from ...variables import variable
 from ..blood_states import vessels
+from ..stage_progress import StageProgress
 from .baselines import Regression, component_regression, linear_regression, whole_samples
 from .body_noise import learn_noise
 from .correction import Correction, learn_correction, no_correction
@@ -45,6 +46,8 @@ LEAST_AT_REST, LEAST_SEEN = 10, 0.1
 # Part of the samples of the calibration's touches that intervals must cover; by how much they are then made wider for
 # touches that were not seen, and no narrower than this part of the filter's own.
 COVERED, UNSEEN, NARROWEST = 0.95, 1.15, 0.5
+# Parts of a calibration's time that its fit and its profile likelihoods take, more or less.
+FITTED, PROFILED = 0.4, 0.5
 # A touch that ends within this time shows how fast the vessels refill. [s]
 QUICKLY_S = 0.2
 # What the paper tunes by hand beside offset and scale: time constants.
@@ -76,7 +79,7 @@ def calibrate(
     if not given:
         raise InputError("calibrate needs at least one recording of a known force.")
     scene, table = open_table(scene, model=model, progress=progress, **requested)
-    return calibrate_with(scene, table, given, model=model)
+    return calibrate_with(scene, table, given, model=model, progress=progress)
 
 
 def open_table(
@@ -97,9 +100,21 @@ def open_table(
 
 
 def calibrate_with(
-    scene: Scene, table: ReadingTable, recordings: Sequence[Recording], *, model: Model = "network"
+    scene: Scene,
+    table: ReadingTable,
+    recordings: Sequence[Recording],
+    *,
+    model: Model = "network",
+    progress: ProgressCallback | None = None,
 ) -> xr.Dataset:
     """What `calibrate` returns, from a table of light that is already there and recordings that were checked."""
+    stage = StageProgress(progress)
+
+    def report(done: float) -> None:
+        stage("fit", done)
+        if stage.interrupted:
+            raise KeyboardInterrupt("interrupted; no subject was written. What was traced is kept for the next time.")
+
     usual = {
         "rest_blood": scene.blood.rest_blood_fraction,
         "area_cm2": scene.touch.contact_area_mm2 / 100.0,
@@ -109,8 +124,8 @@ def calibrate_with(
     }
     pulp = _pulp(scene.touch, model)
     fit = Fit(recordings, table, vessels(scene), free=_free(scene.touch, recordings, model), pulp=pulp, **usual)
-    fitted = fit.solve()
-    profile = profile_of(fit, fitted.factors_ln[fit.free])
+    fitted = fit.solve(lambda done: report(FITTED * done))
+    profile = profile_of(fit, fitted.factors_ln[fit.free], lambda done: report(FITTED + PROFILED * done))
     rest_v = _rest_volts(recordings)
     who = fit.person(fitted.factors_ln)
     noise = learn_noise(who, fitted.table, fitted.gain, recordings, fitted.residual_v, rest_v)
@@ -141,6 +156,7 @@ def calibrate_with(
             f"{recordings[0].name}: is no recording of this scene's board ({error}); check units, columns and scene."
         ) from None
     subject = _judged(subject, recordings)
+    report(1.0)
     return _dataset(recordings, fitted, profile).assign_attrs(
         title="nailoptics: a person's sensor, calibrated",
         digest=subject.scene_digest,

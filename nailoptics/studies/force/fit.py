@@ -1,6 +1,6 @@
 """The fit of a person to recordings of a known force: gains and offsets solved, factors of the vessels searched."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -127,11 +127,15 @@ class Fit:
             out.append(np.stack([volts, *(volts * (zone - rest) for zone in blood)]))
         return out
 
-    def solve(self) -> Fitted:
-        """Search the factors, from the best of several starts."""
-        found = [self._search(self._start(one), FIRST_EVALUATIONS) for one in STARTS]
+    def solve(self, report: Callable[[float], None] = lambda done: None) -> Fitted:
+        """Search the factors, from the best of several starts; report : told which part is done."""
+        found, searches = [], len(STARTS) + ROUNDS
+        for number, one in enumerate(STARTS):
+            report(number / searches)
+            found.append(self._search(self._start(one), FIRST_EVALUATIONS))
         free_ln = min(found, key=lambda one: one[1])[0]
-        for _ in range(ROUNDS):
+        for number in range(ROUNDS):
+            report((len(STARTS) + number) / searches)
             self._learn(self._linear_fit(self._columns(free_ln))[0][:, 0])
             free_ln, _ = self._search(free_ln, MOST_EVALUATIONS)
         self._learn(self._linear_fit(self._columns(free_ln))[0][:, 0])

@@ -1,5 +1,6 @@
 """How much worse recordings fit as one factor of a person is moved away and all others follow: profile likelihoods."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,8 +49,8 @@ class Profile:
         return tuple(found)
 
 
-def profile_of(fit: Fit, free_ln: Array) -> Profile:
-    """The profiles about the best fit of some free factors' logarithms (P,)."""
+def profile_of(fit: Fit, free_ln: Array, report: Callable[[float], None] = lambda done: None) -> Profile:
+    """The profiles about the best fit of some free factors' logarithms (P,); report : told which part is done."""
     own, slopes = fit.residuals(free_ln[:, None])
     least = float((own**2).sum())
     covariance = np.linalg.inv(slopes[:, 0].T @ slopes[:, 0])
@@ -62,7 +63,11 @@ def profile_of(fit: Fit, free_ln: Array) -> Profile:
     places = start[moved, moved]
     each = max(1, MOST_VALUES // (fit.volts.size * OFFSETS.size * (1 + moved.size)))
     parts = [moved[k : k + each] for k in range(0, moved.size, each)]
-    deviances = np.concatenate([_least_along(fit, start[:, part], part, most) for part in parts]) - least
+    found = []
+    for number, part in enumerate(parts):
+        report(number / len(parts))
+        found.append(_least_along(fit, start[:, part], part, most))
+    deviances = np.concatenate(found) - least
     deviances[places != valley[moved, moved]] = np.nan
     names = tuple(NAMES[factor] for factor in fit.free)
     return Profile(names, places, deviances, (places - free_ln[:, None]) / spread[:, None])

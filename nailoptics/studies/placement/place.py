@@ -17,6 +17,7 @@ from ...light import backend as backends
 from ...light.store import LightStore
 from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, load_scene
+from ..stage_progress import StageProgress
 from . import boards, search
 from .boards import CandidateLayout
 from .fisher import operating_point
@@ -26,7 +27,6 @@ from .over_unknowns import resolution_over_unknowns
 from .oxygen_rank import oxygen_rule
 from .photodiode_count import resolution_by_count
 from .photon_maps import FingerCondition, PhotonMapCache
-from .progress import StageProgress
 from .result import as_dataset
 from .scores import JUDGE_SHARE, score_layouts
 

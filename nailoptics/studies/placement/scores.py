@@ -9,6 +9,7 @@ import numpy as np
 from ...errors import NotReachedError
 from ...scene import digest
 from ...statistics import jackknife, t95
+from ..stage_progress import StageProgress
 from .boards import CandidateLayout
 from .fisher import (
     Response,
@@ -20,7 +21,6 @@ from .fisher import (
 )
 from .objective import Objective, weighted
 from .photon_maps import PhotonMapCache
-from .progress import StageProgress
 
 # Photons per LED and finger of the first round of judging.
 JUDGE_PHOTONS = 1 << 18

@@ -11,13 +11,13 @@ from ...light.board_map import PhotonMap
 from ...scene import Placement, Scene
 from ...scene.base import Point
 from ...scene.rectangles import Rectangle
+from ..stage_progress import StageProgress
 from . import boards
 from .boards import CandidateLayout
 from .exchange import Tables, Together
 from .fisher import responses
 from .objective import Objective
 from .photon_maps import PhotonMapCache
-from .progress import StageProgress
 from .sites import LedRow, LedSite, PhotodiodePlaces, Sites
 
 log = logging.getLogger(__name__)

@@ -25,7 +25,7 @@ from nailoptics.scene.rectangles import Rectangle
 from nailoptics.statistics import jackknife, left_out
 from nailoptics.studies.placement import boards, exchange, fisher, photon_maps, place, result, scores, search, sites
 from nailoptics.studies.placement.objective import Objective
-from nailoptics.studies.placement.progress import StageProgress
+from nailoptics.studies.stage_progress import StageProgress
 from nailoptics.tissue import BloodZones
 
 AT = fisher.OperatingPoint(

@@ -9,7 +9,7 @@ from nailoptics.errors import NotReachedError
 from nailoptics.report import result_files
 from nailoptics.scene import FingerCase, Scene, parse_scene
 from nailoptics.studies.placement import boards, inspection, place, scores
-from nailoptics.studies.placement.progress import StageProgress
+from nailoptics.studies.stage_progress import StageProgress
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from nailoptics.studies.placement import boards, fisher, search
 from nailoptics.studies.placement.exchange import STARTS, Tables
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.photon_maps import FingerCondition
-from nailoptics.studies.placement.progress import StageProgress
+from nailoptics.studies.stage_progress import StageProgress
 from nailoptics.tissue import BloodZones
 
 from .test_place import AT

@@ -1,13 +1,13 @@
-"""How far a placement is: reported to one callback, which may also bring the user's wish to end."""
+"""How far a study is: reported to one callback, which may also bring the user's wish to end."""
 
 import math
 import time
 
-from ...light import ProgressCallback, TraceProgress
+from ..light import ProgressCallback, TraceProgress
 
 
 class StageProgress:
-    """Reports the stages of a placement to a callback; knows whether time ran out or the user interrupted."""
+    """Reports the stages of a study to a callback; knows whether time ran out or the user interrupted."""
 
     def __init__(self, callback: ProgressCallback | None, limit_s: float = math.inf, *, unit: str = "") -> None:
         """unit : of the errors; relative ones have none."""
@@ -20,7 +20,9 @@ class StageProgress:
         self._last = (stage, done, error, target)
         if self.callback and not self.interrupted:
             try:
-                self.callback(TraceProgress(stage, 0, error, target, min(1.0, done), self.seconds, self.unit))
+                self.callback(
+                    TraceProgress(stage, 0, error, target, min(1.0, done), self.seconds, self.unit, is_stage=True)
+                )
             except KeyboardInterrupt:
                 self.interrupted = True
 
