@@ -19,7 +19,7 @@ COLUMNS = ("Ref", "Val", "Package", "PosX", "PosY", "Rot", "Side")
 PLACE = (
     *("pos{0}", "mid{0}", "center{0}", "centre{0}", "centroid{0}", "{0}pos", "{0}center", "{0}centre", "{0}mid"),
     *("position{0}", "{0}position", "location{0}", "{0}location", "{0}loc", "loc{0}", "coord{0}", "{0}coord"),
-    *("coordinate{0}", "{0}coordinate", "{0}"),
+    *("coordinate{0}", "{0}coordinate", "bodycenter{0}", "{0}"),
 )
 # The names that layout programs and assemblers give the columns, without blanks, signs and units, the best first.
 KNOWN_AS = {
@@ -31,7 +31,7 @@ KNOWN_AS = {
     "Package": ("package", "footprint", "pattern", "case"),
     "PosX": tuple(name.format("x") for name in PLACE),
     "PosY": tuple(name.format("y") for name in PLACE),
-    "Rot": ("rot", "rotation", "rotate", "angle", "theta", "orientation"),
+    "Rot": ("rot", "rotation", "rotate", "angle", "theta", "orientation", "orient"),
     "Side": ("side", "layer", "boardside", "boardlayer", "mountside", "mountingside", "face", "tb", "topbottom"),
 }
 LENGTHS = ("PosX", "PosY")
@@ -42,6 +42,8 @@ UNITS_MM = {"mm": 1.0, "cm": 10.0, "um": 1e-3, "mil": 0.0254, "mils": 0.0254, "i
 UNITS_MM |= {'"': 25.4, "th": 0.0254, "thou": 0.0254, "millimeter": 1.0, "millimeters": 1.0, "millimetres": 1.0}
 LENGTH = re.compile(r"([-+]?[0-9.,]+(?:e[-+]?[0-9]+)?)\s*([a-z\"]*)", re.IGNORECASE)
 FARTHEST_MM = 1e6
+# How files of Excel begin, read as text.
+SPREADSHEETS = ("PK\x03\x04", "ÐÏ\x11à")
 # What a scene may say of a file that does not tell its unit.
 FileUnit = Literal["mm", "mil", "inch"]
 
@@ -169,6 +171,8 @@ def _table(
                 units = {name: _unit_of(header[k], path) or usual_mm for name, k in at.items() if name in LENGTHS}
                 rows = [(k, row) for k, line in numbered if (row := _cells(line, separator)) and any(row)]
                 return (at, units), [(k, row) for k, row in rows if not row[0].lstrip().startswith("#")]
+    if text.startswith(SPREADSHEETS):
+        raise InputError(f"{path}: is a spreadsheet, not a position file; save it as CSV.")
     first = next((_columns(cells) for line in lines if len(cells := _cells(line, ",")) > 1), {})
     missing = ", ".join(name for name in NEEDED if name not in first)
     raise InputError(

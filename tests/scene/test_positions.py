@@ -73,6 +73,7 @@ def test_what_is_written_is_read_back(tmp_path, negated):
     ("text", "words"),
     [
         ("", "missing"),
+        ("PK\x03\x04 and so on", "is a spreadsheet"),
         ("Ref,Val\n", "missing"),
         (POSITIONS.replace("-2.500000", "left"), "line 2: PosX"),
         (POSITIONS.replace(",top", ",edge"), "Side"),
@@ -144,10 +145,11 @@ def test_kicads_ascii_file_is_read_in_its_unit(tmp_path):
         ),
         ("RefDes,Name,X (mm),Y (mm),Side,Rotate,Value\nD1,LED,2.5,-1.25,Top,45,IR\n", "utf-8"),
         ("Ref Des\tX-Loc (thou)\tY-Loc (thou)\tRotation (deg)\tFace\nD1\t98.4252\t-49.2126\t45 deg\tFront\n", "utf-8"),
+        ("PARTNUM,REFDES,LAYER,ORIENT.,Body Center X,Body Center Y\n,D1,Top,45,2.5,-1.25\n", "utf-8"),
     ],
     ids=[
         *("JLCPCB", "semicolons, decimal commas", "tabs, UTF-16", "Altium", "inches", "units in the cells"),
-        *("Altium's text", "pcb-rnd", "DipTrace", "thou"),
+        *("Altium's text", "pcb-rnd", "DipTrace", "thou", "OrCAD"),
     ],
 )
 def test_files_of_assemblers_are_read_as_they_come(tmp_path, text, encoding):
