@@ -10,7 +10,7 @@ from ..assets import data_dir
 from .base import Point
 from .catalogue import ModulePart, load_part
 from .kicad import KicadBoard, read_board
-from .outlines import FARTHEST_MM, Outline, join
+from .outlines import Outline, is_number, is_point, join, middle
 from .positions import PlacedPart, read_positions, reading_of, turned, warn_of_mirrored
 
 KINDS = ("led", "photodiode", "module")
@@ -94,28 +94,20 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     return OnNail(tuple(tables["led"]), tuple(tables["photodiode"]), ignored, outline)
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and abs(value) <= FARTHEST_MM
-
-
-def _is_point(value: object) -> bool:
-    return isinstance(value, tuple) and len(value) == 2 and all(map(_is_number, value))
-
-
 def _check_kinds(table: Mapping[str, Any]) -> None:
     """Raise ValueError where a field is not of the kind that is read here, before the scene's model sees it."""
     origin, turn, parts = table.get("origin"), table.get("turn_deg", 0.0), table.get("parts")
-    if origin is not None and not isinstance(origin, str) and not _is_point(origin):
+    if origin is not None and not isinstance(origin, str) and not is_point(origin):
         raise ValueError('origin must be "auxiliary", "grid", "outline" or [x, y]')
-    if not _is_number(turn):
+    if not is_number(turn):
         raise ValueError("turn_deg must be a number")
     if parts is not None and not isinstance(parts, Mapping):
         raise ValueError('parts must be a table such as { D1 = { led = "led_660" } }')
     for ref, use in (parts or {}).items():
         if isinstance(use, Mapping):
-            if not _is_point(use.get("offset_mm", (0.0, 0.0))):
+            if not is_point(use.get("offset_mm", (0.0, 0.0))):
                 raise ValueError(f"parts.{ref}.offset_mm must be [x, y]")
-            if not _is_number(use.get("rotation_deg", 0.0)):
+            if not is_number(use.get("rotation_deg", 0.0)):
                 raise ValueError(f"parts.{ref}.rotation_deg must be a number")
 
 
@@ -152,8 +144,7 @@ def _origin(origin: Any, board: KicadBoard | None, outline: Outline | None, name
         return 0.0, 0.0
     named: dict[str, Point | None] = {"auxiliary": board.auxiliary_mm, "grid": board.grid_mm, "outline": None}
     if outline is not None:
-        xs, ys = zip(*outline.corners_mm, strict=True)
-        named["outline"] = (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
+        named["outline"] = middle(outline)
     wanted = (origin,) if origin is not None else ("auxiliary", "outline")
     point = next((point for one in wanted if (point := named.get(one)) is not None), None)
     if point is None:

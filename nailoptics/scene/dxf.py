@@ -19,7 +19,7 @@ FLAT_PART = 1e-5  # of its size, where that is more: no curve becomes more than 
 MOST_ENTITIES = 100_000
 # One drawing unit by $INSUNITS. [mm]
 UNITS_MM = {
-    0: 1.0,  # no unit: boards are drawn in millimetres
+    0: 1.0,  # no unit: boards are drawn in millimetres, if nobody says otherwise
     1: 25.4,
     2: 304.8,
     3: 1609344.0,
@@ -60,15 +60,19 @@ NEEDED = {
 }
 
 
-def dxf_lines(path: Path) -> tuple[list[Polygon], list[str]]:
+def dxf_lines(path: Path, *, unit_mm: float = 1.0) -> tuple[list[Polygon], list[str]]:
     """The lines of a drawing's model, curves as short straight ones, and what of it is no line, in words. [mm]
 
     Where a layer has a name that layout programs give to outlines, its lines alone.
 
+    unit_mm : one drawing unit, where the drawing does not tell it. [mm]
+
     Raises: InputError for a file that is no drawing, or has no line.
     """
     drawing = _open(path)
-    unit_mm = UNITS_MM.get(int(drawing.header.get("$INSUNITS", 0) or 0), 1.0)
+    # $MEASUREMENT tells nothing: programs leave it at inches in drawings in millimetres.
+    told = int(drawing.header.get("$INSUNITS", 0) or 0)
+    unit_mm = UNITS_MM[told] if told in UNITS_MM and told else unit_mm
     layers: dict[str, list[Polygon]] = {}
     others: Counter[str] = Counter()
     try:

@@ -34,15 +34,17 @@ class Outline:
     ignored: tuple[str, ...] = ()
 
 
-def read_outline(path: Path) -> Outline:
+def read_outline(path: Path, *, unit_mm: float = 1.0) -> Outline:
     """The outline in a DXF drawing, or in a CSV with the columns x_mm, y_mm.
+
+    unit_mm : one unit of a drawing that does not tell it. [mm]
 
     Raises: InputError for a file that cannot be read, or an outline that is not closed.
     """
     if path.suffix.lower() == ".dxf":
         from .dxf import dxf_lines
 
-        lines, ignored = dxf_lines(path)
+        lines, ignored = dxf_lines(path, unit_mm=unit_mm)
         return join(lines, str(path), ignored=ignored)
     rows = read_rows(path, "an outline")
     if not rows or [name.strip().lower() for name in rows[0][1][:2]] != ["x_mm", "y_mm"]:
@@ -58,6 +60,22 @@ def read_outline(path: Path) -> Outline:
     if len(corners) < 3 or abs(area_mm2(corners)) < LEAST_AREA_MM2:
         raise InputError(f"{path}: the outline has {len(corners)} corners and no area; give a closed line.")
     return Outline(tuple(corners))
+
+
+def is_number(value: object) -> bool:
+    """Whether a value of a scene's table is a length or an angle of any board."""
+    return isinstance(value, int | float) and abs(value) <= FARTHEST_MM
+
+
+def is_point(value: object) -> bool:
+    """Whether a value of a scene's table is a place on any board."""
+    return isinstance(value, tuple) and len(value) == 2 and all(map(is_number, value))
+
+
+def middle(outline: Outline) -> Point:
+    """The middle of the box around an outline. [mm]"""
+    xs, ys = zip(*outline.corners_mm, strict=True)
+    return (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
 
 
 def write_outline(path: Path, outline: Outline) -> None:

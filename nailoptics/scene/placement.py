@@ -1,7 +1,7 @@
 """What a search for a layout may do: candidates, outline, clearances, and the fingers it must serve."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import Field, ValidationInfo, model_validator
 
@@ -9,9 +9,9 @@ from ..errors import InputError
 from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Table, check_unique
 from .board_files import read_board_file
 from .finger import DermisAbsorption
-from .outlines import read_outline
+from .outlines import is_point, middle, read_outline
 from .parts import Led, Photodiode, Rotation
-from .positions import FileUnit, check_each_once, read_positions, reading_of, warn_of_mirrored
+from .positions import UNITS_MM, FileUnit, check_each_once, read_positions, reading_of, warn_of_mirrored
 
 # What layouts can be ranked by, and what of it is told alone or together.
 Aim = Literal["worst", "mean", "share", "oxygen"]
@@ -136,6 +136,10 @@ class Placement(Table):
     """Search places of the LED and the photodiodes, too."""
     outline: str | None = None
     """Board outline beside the scene, a DXF or a CSV with columns x_mm, y_mm; [board] if not given."""
+    outline_origin: Literal["middle"] | Point | None = None
+    """Point of that drawing on the nail's centre: the outline's middle, or (x, y); (0, 0) if not given. [mm]"""
+    outline_unit: FileUnit | None = None
+    """Unit of a DXF that names none, as KiCad's up to version 6; mm if not given."""
     outline_mm: tuple[Point, ...] | None = None
     """Corners of the outline (u, v); filled from outline. [mm]"""
     outline_holes_mm: tuple[tuple[Point, ...], ...] = ()
@@ -177,8 +181,13 @@ class Placement(Table):
         if not isinstance(data, dict) or not isinstance(data.get("outline"), str) or "outline_mm" in data:
             return data
         folder = (info.context or {}).get("folder") or Path()
-        found = read_outline(Path(folder) / data["outline"])
-        return data | {"outline_mm": found.corners_mm, "outline_holes_mm": found.holes_mm}
+        unit, origin = data.get("outline_unit") or "mm", data.get("outline_origin") or (0.0, 0.0)
+        if unit not in get_args(FileUnit) or not (origin == "middle" or is_point(origin)):
+            return data  # which its fields refuse
+        found = read_outline(Path(folder) / data["outline"], unit_mm=UNITS_MM[unit])
+        x, y = middle(found) if origin == "middle" else origin
+        corners, *holes = (tuple((a - x, b - y) for a, b in line) for line in (found.corners_mm, *found.holes_mm))
+        return data | {"outline_mm": corners, "outline_holes_mm": tuple(holes)}
 
     @model_validator(mode="after")
     def _something_to_do(self) -> Self:

@@ -1,5 +1,11 @@
 """The rules of a search: candidates and outline come from the files beside the scene."""
 
+import json
+
+import pytest
+
+from nailoptics.cli import run
+from nailoptics.errors import InputError
 from nailoptics.scene import load_scene
 from nailoptics.scene.outlines import Outline, write_outline
 
@@ -35,3 +41,58 @@ negate_x_on_bottom = true
     assert placement.candidates[0].leds_mm == ((2.5, 0.25),)
     assert placement.candidates[0].photodiodes_mm == ((2.5, 0.25), (-0.5, -1.5))
     assert list(placement.outline_mm) == SQUARE
+
+
+# A board of 8 x 10 mm on the page of a layout program, with a hole of 1 mm.
+PAGE = Outline(tuple((x + 100, y - 90) for x, y in SQUARE), (((100, -90), (101, -90), (101, -89), (100, -89)),))
+ON_PAGE = """
+schema_version = 1
+[finger]
+digit = "thumb"
+[[leds]]
+name = "ir"
+part = "led_800"
+position_mm = [-2.0, 0.0]
+[[photodiodes]]
+name = "pd"
+position_mm = [2.0, 0.0]
+[placement]
+outline = "board.dxf"
+"""
+
+
+@pytest.mark.parametrize(
+    ("unit", "more"),
+    [(4, 'outline_origin = "middle"'), (1, "outline_origin = [100.0, -90.0]"), (0, 'outline_origin = "middle"')],
+)
+def test_the_scene_tells_which_point_of_a_drawing_lies_on_the_nails_centre_and_its_unit(tmp_path, unit, more):
+    write_outline(tmp_path / "board.dxf", PAGE)
+    drawn = (tmp_path / "board.dxf").read_text()
+    scale = 1.0
+    if unit != 4:
+        # In inches, which a drawing says, or does not: then the scene does.
+        drawn = drawn.replace("$INSUNITS\n 70\n4", f"$INSUNITS\n 70\n{unit}")
+        scale = 25.4
+        more += '\noutline_unit = "inch"' if unit == 0 else ""
+    assert f"$INSUNITS\n 70\n{unit}" in drawn
+    (tmp_path / "board.dxf").write_text(drawn)
+    (tmp_path / "scene.toml").write_text(ON_PAGE + (more if unit != 1 else "outline_origin = [2540.0, -2286.0]"))
+    placement = load_scene(tmp_path / "scene.toml").placement
+    flat = [x for corner in placement.outline_mm for x in corner]
+    assert flat == pytest.approx([scale * x for corner in SQUARE for x in corner], abs=1e-6)
+    assert placement.outline_holes_mm[0][0] == pytest.approx((0, 0), abs=1e-6)
+
+
+def test_check_refuses_an_outline_beside_the_nail_as_place_does(tmp_path, capsys):
+    write_outline(tmp_path / "board.dxf", PAGE)
+    (tmp_path / "scene.toml").write_text(ON_PAGE)
+    assert run(["check", str(tmp_path / "scene.toml")]) == 2
+    told = capsys.readouterr().err
+    assert "placement.outline: it is 8 x 10 mm around (100, -90)" in told and len(told.splitlines()) == 1
+    # One that reaches beyond the nail ends there.
+    write_outline(tmp_path / "board.dxf", Outline(tuple((3 * x, 3 * y) for x, y in SQUARE)))
+    assert run(["check", str(tmp_path / "scene.toml"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["valid"]
+    (tmp_path / "scene.toml").write_text(ON_PAGE + 'outline_origin = "corner"')
+    with pytest.raises(InputError, match="outline_origin"):
+        load_scene(tmp_path / "scene.toml")

@@ -23,6 +23,8 @@ PartT = TypeVar("PartT", Led, Photodiode)
 MOST_LEDS = 4
 
 NAIL_MARGIN_MM = 0.1
+# No board that bears an LED and a photodiode is narrower.
+LEAST_BOARD_MM = 1.0
 # A bare board carries one photodiode, because every scene has one; this one is too small to matter.
 SPECK_MM = 0.05
 FAR_SIDE = {"left": (1, 0), "right": (-1, 0), "below": (0, 1), "above": (0, -1)}
@@ -88,22 +90,41 @@ def base_board(scene: Scene) -> Scene:
     placement, board = rules(scene), scene.board
     own = scene.placement.outline_mm if scene.placement else None
     if own is not None:
-        us, vs = zip(*own, strict=True)
-        center = ((min(us) + max(us)) / 2, (min(vs) + max(vs)) / 2)
-        size = (max(us) - min(us), max(vs) - min(vs))
+        center, size = _on_the_nail(own, _smallest_nail_mm(scene))
     elif board.size_mm is None and board.outline_mm is not None:
         # What of the board's own file lies on the nail.
         center, size = scene.layout.outline.center_mm, scene.layout.outline.size_mm
     elif board.size_mm is not None:
         center, size = board.center_mm, board.size_mm
     else:
-        nails = [on_finger(scene, case).finger for case in fingers(scene)]
-        widths, lengths = zip(*((n.nail_width_mm, n.nail_length_mm) for n in nails if n), strict=True)
-        center, size = (0.0, 0.0), (min(widths) - 2 * NAIL_MARGIN_MM, min(lengths) - 2 * NAIL_MARGIN_MM)
+        center, size = (0.0, 0.0), _smallest_nail_mm(scene)
     update = _around(board, center, size)
     if board.barrier and board.barrier_gap_mm is None:
         update["barrier_gap_mm"] = placement.bond_wire_mm
     return scene.model_copy(update={"board": board.model_copy(update=update), "placement": None})
+
+
+def _smallest_nail_mm(scene: Scene) -> Point:
+    """Size of what every finger's nail has room for. [mm]"""
+    nails = [on_finger(scene, case).finger for case in fingers(scene)]
+    widths, lengths = zip(*((n.nail_width_mm, n.nail_length_mm) for n in nails if n), strict=True)
+    return min(widths) - 2 * NAIL_MARGIN_MM, min(lengths) - 2 * NAIL_MARGIN_MM
+
+
+def _on_the_nail(corners: Sequence[Point], nail_mm: Point) -> tuple[Point, Point]:
+    """Middle and size of what of an outline's box lies on the nail; raises InputError where that is hardly any. [mm]"""
+    lows, highs = (tuple(edge(axis) for axis in zip(*corners, strict=True)) for edge in (min, max))
+    ends = [(max(low, -most / 2), min(high, most / 2)) for low, high, most in zip(lows, highs, nail_mm, strict=True)]
+    if min(high - low for low, high in ends) < LEAST_BOARD_MM:
+        middle = [round((low + high) / 2, 2) + 0.0 for low, high in zip(lows, highs, strict=True)]
+        size = f"{highs[0] - lows[0]:.3g} x {highs[1] - lows[1]:.3g} mm"
+        raise InputError(
+            f"placement.outline: it is {size} around ({middle[0]:g}, {middle[1]:g}), "
+            f"of which the nail bears less than {LEAST_BOARD_MM:g} mm; tell which point lies on the nail's centre "
+            '(outline_origin = "middle" or [x, y]), or the unit of a drawing that names none (outline_unit = "inch").'
+        )
+    (a, b), (c, d) = ends
+    return ((a + b) / 2, (c + d) / 2), (b - a, d - c)
 
 
 def _around(board: Board, center_mm: Point, size_mm: Point) -> dict[str, object]:
