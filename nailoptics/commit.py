@@ -1,6 +1,7 @@
-"""Which commit this code is of, where that is known."""
+"""Which versions and, where it is known, which commit this code is of."""
 
 import json
+from collections.abc import Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -8,6 +9,16 @@ from pathlib import Path
 _ROOT = Path(__file__).resolve().parents[1]
 # Written into wheels and sdists as they are built.
 _BUILT_FROM = Path(__file__).resolve().with_name("_commit.txt")
+
+
+def code_attributes(versions: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Attributes of a result that say which code made it: versions and, where it is known, the commit.
+
+    versions : of packages; of nailoptics and NumPy if not given, for what traces no light of its own.
+    """
+    told = versions or {name: metadata.version(name) for name in ("nailoptics", "numpy")}
+    attributes = {"versions": " ".join(f"{name}={number}" for name, number in told.items())}
+    return attributes | ({"commit": known} if (known := commit()) else {})
 
 
 @cache

@@ -216,6 +216,14 @@ def test_what_was_built_names_its_commit(tmp_path, monkeypatch):
     assert commit.commit.__wrapped__() == "0123abc" != before
 
 
+def test_results_name_versions_and_the_commit_where_it_is_known(monkeypatch):
+    monkeypatch.setattr(commit, "commit", lambda: "0123abc")
+    found = commit.code_attributes({"nailoptics": "1", "numpy": "2"})
+    assert found == {"versions": "nailoptics=1 numpy=2", "commit": "0123abc"}
+    monkeypatch.setattr(commit, "commit", lambda: None)
+    assert list(commit.code_attributes()) == ["versions"]
+
+
 WITHOUT_POSIX = """
 import os, signal, sys, warnings
 

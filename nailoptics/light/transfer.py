@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from .. import io
-from ..commit import commit
+from ..commit import code_attributes
 from ..errors import InputError
 from ..scene import Scene, digest, parse_scene, to_toml
 from ..variables import Variables, variable
@@ -329,8 +329,7 @@ def provenance(
         "backend": backend,
         "photons": photons,
         "seeds": seeds,
-        "versions": " ".join(f"{name}={number}" for name, number in (versions or current_versions()).items()),
-    } | ({"commit": known} if (known := commit()) else {})
+    } | code_attributes(versions or current_versions())
 
 
 def mean_of_leds(energy: Sequence[Mapping[str, tuple[float, float]]]) -> dict[str, dict[str, float]]:

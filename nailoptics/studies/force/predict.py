@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from ...commit import code_attributes
 from ...errors import InputError
 from ...scene.sensor_recordings import SATURATED, Recording, read_sensor_recording
 from ...variables import variable
@@ -176,7 +177,8 @@ def _dataset(
         "misfit": misfit,
         "scene_digest": subject.scene_digest,
         "title": "force from volts",
-    } | {f"rms_{name}_n": _rms(force - known) for name, force in forces.items()}
+    } | code_attributes()
+    attributes |= {f"rms_{name}_n": _rms(force - known) for name, force in forces.items()}
     return xr.Dataset(data, variable("time", over, time_s, "time", units="s"), attributes)
 
 

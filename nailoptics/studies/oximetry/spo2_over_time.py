@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from ...commit import code_attributes
 from ...errors import InputError
 from ...scene import Scene
 from ...scene.slot_recordings import OximeterRecording
@@ -249,7 +250,7 @@ def _dataset(
         "window_s": AVERAGE_S,
         "least_beats": LEAST_BEATS,
         "so2": scene.blood.so2,
-    }
+    } | code_attributes()
     times = variable("time", "time", times_s, "middle of the window", units="s")
     return xr.Dataset(data, times | {"photodiode": list(recording.photodiodes)}, about)
 

@@ -143,6 +143,7 @@ def test_a_touch_that_was_not_calibrated_is_told_with_an_interval_that_covers_it
 
 def test_past_closure_the_interval_is_open_above(subject: Subject, table: ReadingTable) -> None:
     told = predict(subject, _record(table, _cycle(3.0), "proximal", seed=9))
+    assert told.attrs["versions"].startswith("nailoptics=")
     shut = told.known_force_n.values > 1.5 * float(told.open_above_n)
     assert shut.sum() > 50
     assert np.isinf(told.force_high_n.values[shut]).mean() > 0.95

@@ -55,6 +55,7 @@ def test_the_interval_covers_the_truth_in_90_to_98_of_100_recordings(noise):
 
 def test_rate_perfusion_and_saturation_are_told_in_every_window():
     told = spo2_over_time(recorded(0.9, seed=3), KNOWN, SCENE)
+    assert told.attrs["versions"].startswith("nailoptics=")
     assert np.all(abs(told.rate_per_min - 72.0) < 4.0)
     assert np.all(abs(told.perfusion_index_infrared - 2e-3) < 3e-4)
     assert np.all(abs(told.spo2 - 90.0) < 3.0) and float(told.motion.max()) < 0.05
