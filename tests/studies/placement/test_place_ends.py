@@ -8,7 +8,7 @@ from small_scenes import TWO_LAYOUTS as SCENE
 from nailoptics.errors import NotReachedError
 from nailoptics.report import result_files
 from nailoptics.scene import FingerCase, Scene, parse_scene
-from nailoptics.studies.placement import boards, inspection, place, scores
+from nailoptics.studies.placement import boards, inspection, place, scores, search
 from nailoptics.studies.stage_progress import StageProgress
 
 
@@ -44,7 +44,8 @@ def test_an_interrupt_of_the_search_leaves_its_best_after_one_batch_more(chosen_
         place.place(asked, progress=interrupting)
     found = caught.value.result
     assert len(reports) == 1 and found.sizes["led_site"] == 1 and found.sizes["layout"] == 1
-    assert str(found.origin.values[0]) == "searched" and found.attrs["photons"] == (1 << 16) + (1 << 18)
+    assert str(found.origin.values[0]) == "searched"
+    assert found.attrs["photons"] == search.FIRST_PHOTONS + scores.JUDGE_PHOTONS
 
 
 @pytest.mark.slow
