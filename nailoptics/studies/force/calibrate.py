@@ -1,6 +1,6 @@
 """Calibrate a person's sensor with recordings of a known force."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Unpack
@@ -108,13 +108,7 @@ def calibrate_with(
     progress: ProgressCallback | None = None,
 ) -> xr.Dataset:
     """What `calibrate` returns, from a table of light that is already there and recordings that were checked."""
-    stage = StageProgress(progress)
-
-    def report(done: float) -> None:
-        stage("fit", done)
-        if stage.interrupted:
-            raise KeyboardInterrupt("interrupted; no subject was written. What was traced is kept for the next time.")
-
+    report = _reporter(progress)
     usual = {
         "rest_blood": scene.blood.rest_blood_fraction,
         "area_cm2": scene.touch.contact_area_mm2 / 100.0,
@@ -126,8 +120,7 @@ def calibrate_with(
     fit = Fit(recordings, table, vessels(scene), free=_free(scene.touch, recordings, model), pulp=pulp, **usual)
     fitted = fit.solve(lambda done: report(FITTED * done))
     profile = profile_of(fit, fitted.factors_ln[fit.free], lambda done: report(FITTED + PROFILED * done))
-    rest_v = _rest_volts(recordings)
-    who = fit.person(fitted.factors_ln)
+    who, rest_v = fit.person(fitted.factors_ln), _rest_volts(recordings)
     noise = learn_noise(who, fitted.table, fitted.gain, recordings, fitted.residual_v, rest_v)
     subject = Subject(
         scene_digest=digest(scene),
@@ -166,6 +159,18 @@ def calibrate_with(
         recordings=[one.name for one in recordings],
         warnings=_warnings(subject, recordings),
     )
+
+
+def _reporter(progress: ProgressCallback | None) -> Callable[[float], None]:
+    """What is told which part of a calibration is done, and ends it where the user interrupted."""
+    stage = StageProgress(progress)
+
+    def report(done: float) -> None:
+        stage("fit", done)
+        if stage.interrupted:
+            raise KeyboardInterrupt("interrupted; no subject was written. What was traced is kept for the next time.")
+
+    return report
 
 
 def _free(touch: Touch, recordings: Sequence[Recording], model: Model) -> NDArray[np.bool_]:
