@@ -31,7 +31,9 @@ class Boxes:
         column, row = first[item, 0] + rank // wide[item, 1], first[item, 1] + rank % wide[item, 1]
         box = (np.broadcast_to(layer, count.shape)[item] * bins + column) * bins + row
         start = np.concatenate([[0], np.cumsum(np.bincount(box, minlength=layers * bins**2))])
-        return cls(bins, start, item[np.argsort(box, kind="stable")])
+        # Box and item as one number: plain numbers are sorted many times as fast as their places.
+        pairs = np.sort((box.astype(np.int64) << 32) | item)
+        return cls(bins, start, (pairs & 0xFFFFFFFF).astype(np.int32))
 
     def at(self, bins: Integers, layer: Integers | int = 0) -> Integers:
         """Boxes (k,) at bins (k, 2) of a layer."""

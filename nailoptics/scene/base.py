@@ -4,7 +4,8 @@ import ast
 import inspect
 import itertools
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import cache
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler
@@ -36,19 +37,23 @@ class Table(BaseModel):
         schema = handler(core_schema)
         fields = handler.resolve_ref_schema(schema)["properties"]
         tables = [base for base in reversed(cls.__mro__) if issubclass(base, Table)]
-        for name, text in itertools.chain.from_iterable(_texts_below(table) for table in tables):
-            fields[name]["description"] = text
+        for table in tables:
+            for name, text in _texts_below(table).items():
+                fields[name]["description"] = text
         return schema
 
 
-def _texts_below(table: type) -> Iterator[tuple[str, str]]:
+@cache
+def _texts_below(table: type) -> dict[str, str]:
     """Each field that a class itself names, and the text below it."""
     (body,) = ast.parse(textwrap.dedent(inspect.getsource(table))).body
     assert isinstance(body, ast.ClassDef)
+    texts = {}
     for field, below in itertools.pairwise(body.body):
         match field, below:
             case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                yield name, inspect.cleandoc(text)
+                texts[name] = inspect.cleandoc(text)
+    return texts
 
 
 # Elements of all photodiodes of a scene, read or not.
