@@ -23,6 +23,8 @@ from .walls import PerWall, Walls, massless_jacobian, massless_rates
 
 _LOG = logging.getLogger(__name__)
 _MOST_STEPS = 2_000_000
+# Samples whose pressures are worked out at once: what is between fills the processor's cache, not the memory.
+_AT_ONCE = 1 << 14
 _FIRST_STEP_S = 1e-3
 # Of the listed diameter: closer than this a wall counts as touching.
 _SNAP = 1e-9
@@ -220,8 +222,12 @@ def integrate(
                 motion.settle()
     _LOG.debug("massless model: %d steps over %g s", taken, drive.ends[-1] - drive.starts[0])
     width, free = _sample(np.frombuffer(motion.steps).reshape(taken, -1), time_s, walls.closed)
-    pressure = massless_rates(walls, width, _load(walls, inputs, width), free, inputs[0], inputs[1])[0]
-    return width, np.array(pressure), free == 0.0
+    pressure = np.empty_like(width)
+    for start in range(0, time_s.size, _AT_ONCE):
+        given, at, loose = (rows[:, start : start + _AT_ONCE] for rows in (inputs, width, free))
+        found, _ = massless_rates(walls, at, _load(walls, given, at), loose, given[0], given[1])
+        pressure[:, start : start + _AT_ONCE] = found
+    return width, pressure, free == 0.0
 
 
 def _sample(steps: np.ndarray, time_s: np.ndarray, closed: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:

@@ -124,9 +124,13 @@ def _read(transfer: Transfer, states: np.ndarray, first: np.ndarray, so2: float 
 
 def _joined(parts: list[Course], part: np.ndarray) -> Course:
     """Courses of parts of the states as one; `part` says in which each state is, (t,) int."""
-    back = np.argsort(np.argsort(part, kind="stable"), kind="stable")
-    values = zip(*(vars(one).values() for one in parts), strict=True)
-    return Course(*(np.concatenate(each, -1)[..., back] for each in values))
+    out = [np.empty((*parts[0].fraction.shape[:2], len(part))) for _ in range(4)]
+    for k in range(len(parts)):
+        # Each is let go once it is copied: of a million states it is large.
+        one = parts.pop(0)
+        for whole, values in zip(out, vars(one).values(), strict=True):
+            whole[..., part == k] = values
+    return Course(*out)
 
 
 def _principal(states: np.ndarray) -> np.ndarray:
