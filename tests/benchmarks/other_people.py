@@ -18,7 +18,9 @@ photodiode; gain, offset, drift, noise of electronics, 16 bits; a load cell with
 
 Each person is drawn from `RANGES`. Where no measured range was found (compliance of the bed's venules, what reaches the
 bed of a pressure on the pulp) it is wide and chosen so that the nail reddens or refills in one to three seconds and
-saturates about 1 to 2 N. So this tells how the commands do with a body other than theirs, not with a real one.
+saturates about 1 to 2 N. In half of the people (ann, eve, gus, hal) a light proximal touch whitens the nail a little
+before it reddens it, which no source reports: read their proximal rows as a hard case, the others' as the usual one.
+So this tells how the commands do with a body other than theirs, not with a real one.
 
 1 Dzidek et al. 2017, J. R. Soc. Interface 14, 20160935. 2 Pawluk, Howe 1999, J. Biomech. Eng. 121, 178: 70 ms, 1.4 s.
 3 Shapiro 1977, J. Biomech. Eng. 99, 126. 4 Permutt, Riley 1963, J. Appl. Physiol. 18, 924. 5 Mascaro, Asada 2001, IEEE
