@@ -13,11 +13,12 @@ from nailoptics.scene import Scene
 from nailoptics.scene.body import Heartbeat
 from nailoptics.scene.sensor_recordings import Recording
 from nailoptics.studies.blood_states import arterial_waveform
-from nailoptics.studies.force.body_noise import HARMONICS, HEIGHT_SPREAD
+from nailoptics.studies.force.body_noise import HARMONICS, HEIGHT_SPREAD, passed
 from nailoptics.studies.force.correction import no_correction
 from nailoptics.studies.force.heartbeat import Beat
 from nailoptics.studies.force.network import widths_over
 from nailoptics.studies.force.observer import Oscillation
+from nailoptics.studies.force.person import Person
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject
 from nailoptics.studies.force.virtual_people import TOUCHES, Site, touch_of
@@ -41,7 +42,7 @@ def exactly_known(subject: Subject, scene: Scene) -> Subject:
     own = replace(
         noise,
         rhythms=tuple(rhythms),
-        beat=None if body.heartbeat is None else _beat(body.heartbeat),
+        beat=None if body.heartbeat is None else _beat(body.heartbeat, subject.person()),
         drift_per_min=drift.reading_per_rt_min if drift else 1e-6,
         led_drift_per_min=drift.led_per_rt_min if drift else 1e-6,
         moved_error=0.0,
@@ -51,14 +52,15 @@ def exactly_known(subject: Subject, scene: Scene) -> Subject:
     return replace(subject, noise=own, covariance=nothing, correction=no_correction(), widening=1.0)
 
 
-def _beat(heart: Heartbeat) -> Beat:
-    """What the observer knows of a heart that beats evenly."""
+def _beat(heart: Heartbeat, who: Person) -> Beat:
+    """What the observer knows of a heart that beats evenly: what the vessels at rest pass on of it."""
     rate_hz = heart.rate_per_min / 60.0
     course = cardiac_pressure(
         np.arange(256) / (256 * rate_hz), pulse_pressure_pa=heart.pulse_pressure_pa, rate_per_min=heart.rate_per_min
     )
     rms_pa = np.abs(np.fft.rfft(course))[1 : 1 + HARMONICS] / 256 * np.sqrt(2)
-    return Beat(rate_hz, tuple(rms_pa.tolist()), HEIGHT_SPREAD)
+    reach = [passed(who, k * rate_hz) for k in range(1, 1 + HARMONICS)]
+    return Beat(rate_hz, tuple((rms_pa * reach).tolist()), HEIGHT_SPREAD)
 
 
 def modelled(subject: Subject, scene: Scene, touch: Recording, *, seed: int) -> Recording:

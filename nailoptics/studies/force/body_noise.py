@@ -130,7 +130,7 @@ def learn_noise(
         replace(one, rms_pa=one.rms_pa / max(passed(person, one.frequency_hz), LEAST_PASSED))
         for one in _rhythms(frequency, power)
     ]
-    beat = _beat(person, frequency, power)
+    beat = _beat(frequency, power)
     return Noise(white, drift, led_drift, beat, tuple(slow), TOUCH_RATE, MOVED_ERROR, HELD_ERROR)
 
 
@@ -163,7 +163,7 @@ def _walk2(drifting: Array, time_s: Array, untouched: NDArray[np.bool_]) -> list
     ]
 
 
-def _beat(person: Person, frequency: Array, power: Array) -> Beat | None:
+def _beat(frequency: Array, power: Array) -> Beat | None:
     """The heart's beat in a spectrum of the arterial pressure [Pa^2/Hz]: the rate whose harmonics hold the most."""
 
     def rms_pa(middle: float, half: float) -> float:
@@ -176,8 +176,7 @@ def _beat(person: Person, frequency: Array, power: Array) -> Beat | None:
     seen = [rms_pa(k * rate, BEAT_BAND * rate) for k in orders]
     if not orders or np.hypot.reduce(seen) < LEAST_BEAT_PA:
         return None
-    rms = [one / max(passed(person, k * rate), LEAST_PASSED) for k, one in zip(orders, seen, strict=True)]
-    return Beat(rate, tuple(max(one, 0.01 * max(rms)) for one in rms), HEIGHT_SPREAD)
+    return Beat(rate, tuple(max(one, 0.01 * max(seen)) for one in seen), HEIGHT_SPREAD)
 
 
 def _rhythms(frequency: Array, power: Array) -> tuple[Oscillation, ...]:

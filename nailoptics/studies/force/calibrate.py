@@ -43,9 +43,9 @@ LEAST_TOUCH_N, MOST_TOUCH_N = 0.2, 20.0
 LONGEST_STEP_S, LONGEST_PAUSE_S = 0.5, 60.0
 # A reading must be there in so many samples at rest, and in this part of all.
 LEAST_AT_REST, LEAST_SEEN = 10, 0.1
-# Part of the samples of the calibration's touches that intervals must cover; by how much they are then made wider for
-# touches that were not seen, and no narrower than this part of the filter's own.
-COVERED, UNSEEN, NARROWEST = 0.95, 1.15, 0.5
+# This part of the samples of the calibration's touches lies within intervals as they are, or, as such touches are few,
+# within so many times as much by chance; where more is needed the model misses something, and they are made wider.
+COVERED, BY_CHANCE = 0.95, 1.4
 # Parts of a calibration's time that its fit and its profile likelihoods take, more or less.
 FITTED, PROFILED = 0.4, 0.5
 # A touch that ends within this time shows how fast the vessels refill. [s]
@@ -282,7 +282,7 @@ def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
     if not (everything := np.concatenate(error)).size:
         return subject
     ratios = np.concatenate(ratio)
-    widening = max(NARROWEST, UNSEEN * float(np.quantile(ratios, COVERED))) if ratios.size else 1.0
+    widening = max(1.0, float(np.quantile(ratios, COVERED)) / BY_CHANCE) if ratios.size else 1.0
     return replace(subject, rms_n=float(np.sqrt(np.mean(everything**2))), widening=widening)
 
 

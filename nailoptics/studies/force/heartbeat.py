@@ -1,6 +1,6 @@
 """The heart's beat as the observer follows it: harmonics of one rate that keep their height while their phase wanders.
 
-A touch changes how much of a beat reaches the vessels. Because the beat's own height is known from the calibration,
+A touch changes how much of a beat reaches the blood. Because the beat's own height is known from the calibration,
 what is seen of it tells the touch, as in a cuff: that parts a touch from a slow change of the arterial pressure.
 """
 

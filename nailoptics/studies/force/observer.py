@@ -4,7 +4,7 @@ Its state is what the network needs (three diameters), what drives it (both touc
 one in the pulp, the body's arterial pressure) and the slow drift of each reading. Touch pressures are random walks that
 stay at 0 or above and move or step: each sample is read in both ways, and these are weighed by how well they foretold
 it (Blom and Bar-Shalom 1988, with one Gaussian between samples). The arterial pressure is a heartbeat and damped
-oscillators: breathing, vasomotion.
+oscillators: breathing, vasomotion. The beat reaches the blood at once, all else through the vessels.
 """
 
 import math
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from ...hemodynamics.steady import solve_walls
 from ...hemodynamics.stepping import step
 from .heartbeat import Beat
 from .network import LONGEST_STEP_S, closure_of, touch_on_walls
@@ -50,9 +51,11 @@ ITERATIONS, FARTHEST = 5, 0.3
 RATES, LASTING_S = np.array([1.0, 10.0]), np.array([2.0, 0.3])
 # A finger rests as often as it touches, with pressures of this range on either side: what is not told from rest is
 # most likely rest, and a second of it tells where zero is to this. [N/cm^2, N/cm^2 sqrt(s)]
-TOUCHES_REACH, ZERO = 0.5, 0.02
+TOUCHES_REACH, ZERO = 0.5, 0.025
 # A sample that less than one in a thousand is as far from its prediction as counts as an outlier.
 OUTLIER = 0.999
+# Pressures of either side at which a beat's effect is found.
+PULSED = 9
 # Gaps longer than this are no part of a recording any more: the filter starts anew after them. [s]
 LONGEST_GAP_S = 5.0
 # Widths over rest that are known no better than this are those of a filter that ran away: it starts anew, too. A soft
@@ -143,6 +146,34 @@ def pressure_of(coordinate: Array) -> Array:
     return SOFTNESS * np.logaddexp(0.0, coordinate / SOFTNESS)
 
 
+class PulsedBlood:
+    """By how much a beat of the arterial pressure moves the blood of both zones, under any touch.
+
+    It is taken to reach the blood at once, as a slow change of the pressure does in the end: what is seen of a beat at
+    rest says how strong it is, whether vessels follow within one or not.
+    """
+
+    def __init__(self, person: Person, highest: Array) -> None:
+        self._bends = [np.linspace(0.0, end, PULSED) for end in highest]
+        touch = np.stack(np.meshgrid(*self._bends, indexing="ij")).reshape(2, -1)
+        outside = touch_on_walls(np.repeat(touch, 2, axis=1), person.distal_reach)
+        high = person.arterial_pa + ARTERIAL_STEP_PA * np.tile([1.0, -1.0], touch.shape[1])
+        held, _ = solve_walls(person.walls, outside, high, np.full(high.shape, person.venous_pa))
+        blood = person.blood(held / person.rest_m[:, None]).reshape(2, PULSED, PULSED, 2)
+        self._part = (blood[..., 0] - blood[..., 1]) / ARTERIAL_STEP_PA / (blood[..., 0] + blood[..., 1])
+
+    def part(self, touch: Array) -> tuple[Array, Array]:
+        """Part (2,) by which the blood grows under a touch (2,), and its slopes (2, 2) by the pressures. [1/Pa]"""
+        steps = np.array([bends[1] for bends in self._bends])
+        place = np.clip(touch / steps, 0.0, PULSED - 1.001)
+        (i, j), (x, y) = place.astype(int), place % 1.0
+        here = self._part[:, i : i + 2, j : j + 2]
+        across, along = np.array([1.0 - x, x]), np.array([1.0 - y, y])
+        rise = np.array([-1.0, 1.0])
+        by_touch = np.column_stack([rise @ (here @ along).T, across @ (here @ rise).T]) / steps
+        return across @ (here @ along).T, by_touch
+
+
 def going_on(since_s: float) -> Array:
     """Probabilities (M, M) with which a touch that moves in one way moves in each a while later."""
     stay = np.exp(-since_s / LASTING_S)
@@ -175,9 +206,10 @@ class Observer:
         self.size = self.drift.stop
         led = self.table.same_led()
         self._drift = noise.drift_per_min**2 * np.eye(readings) + noise.led_drift_per_min**2 * led @ led.T
-        self.arterial = np.zeros(self.size)
-        self.arterial[self.beat.start + 1 : self.beat.stop : 2] = 1.0
-        self.arterial[self.body.start : self.body.stop : 2] = 1.0
+        # What adds up to the pressure of the beat and, slower, of all other rhythms.
+        self.beating, self.slow = np.zeros(self.size), np.zeros(self.size)
+        self.beating[self.beat.start + 1 : self.beat.stop : 2] = 1.0
+        self.slow[self.body.start : self.body.stop : 2] = 1.0
         self._matrices: dict[float, tuple[Array, Array]] = {}
         self.person = calibrated.make(calibrated.factors_ln)
         closure = closure_of(self.person)
@@ -185,6 +217,7 @@ class Observer:
         # The least and the largest coordinates that pressures take.
         self.touches = np.full(2, LOWEST), highest
         rest_v, _ = self.table.slopes(self.person.blood(np.ones(2)))
+        self._pulsed = PulsedBlood(self.person, highest)
         self.rest_volts = self.gain * rest_v
         self._level = self._open_at_rest(calibrated.covariance)
         # One network for each of the steps by which `_predict` finds its slopes.
@@ -269,7 +302,7 @@ class Observer:
         return PressureEstimate(
             touch=self.told(self.state),
             covariance=self.covariance[TOUCH, TOUCH].copy(),
-            arterial_pa=float(self.arterial @ self.state),
+            arterial_pa=float((self.beating + self.slow) @ self.state),
             surprise=surprise,
             count=int(there.sum()),
             outlier=surprise > _limit(int(there.sum()), OUTLIER),
@@ -298,7 +331,7 @@ class Observer:
     def _predict(self, step_s: float) -> Array:
         """Go on by one step; returns its slopes."""
         state, (transition, noise) = self.state, self._linear_part(step_s)
-        pulp, high = self.person.pulp, self.person.arterial_pa + self.arterial @ state
+        pulp, high = self.person.pulp, self.person.arterial_pa + self.slow @ state
         spread = np.sqrt(np.einsum("m,mii->i", self.ways, self.each)[:ACTING])
         reach = np.clip(spread, SMALLEST_STEP, LARGEST_STEP)
         count, first = self._rest.shape[1], 1 + 2 * ACTING
@@ -323,9 +356,7 @@ class Observer:
         moved = np.vstack([widths, touch[1]])
         driven = [0, 1, 2, LEFT]
         transition[driven, :ACTING] = (moved[:, 1 : 1 + ACTING] - moved[:, 1 + ACTING : first]) / (2 * reach)
-        transition[WIDTHS] += np.outer(
-            (widths[:, first] - widths[:, first + 1]) / (2 * ARTERIAL_STEP_PA), self.arterial
-        )
+        transition[WIDTHS] += np.outer((widths[:, first] - widths[:, first + 1]) / (2 * ARTERIAL_STEP_PA), self.slow)
         after = transition @ state
         after[driven] = moved[:, 0]
         noise = noise.copy()
@@ -343,10 +374,14 @@ class Observer:
     def _expected(self, state: Array) -> tuple[Array, Array]:
         """Volts of every reading and their slopes (R, size)."""
         width = np.maximum(state[:2], 1e-3)
-        blood = self.person.blood(width)
-        volts, by_blood = self.table.slopes(blood)
+        pulsed, by_touch = self._pulsed.part(pressure_of(state[TOUCH]))
+        beat_pa, blood = self.beating @ state, self.person.blood(width)
+        volts, by_blood = self.table.slopes(blood * (1.0 + pulsed * beat_pa))
+        by_blood = self.gain[:, None] * by_blood
         slopes, each = np.zeros((len(volts), self.size)), np.arange(len(volts))
-        slopes[:, :2] = self.gain[:, None] * by_blood * (2 * blood / width)
+        slopes[:, :2] = by_blood * (1.0 + pulsed * beat_pa) * (2 * blood / width)
+        slopes[:, TOUCH] = by_blood @ (blood[:, None] * by_touch) * beat_pa
+        slopes += np.outer(by_blood @ (blood * pulsed), self.beating)
         slopes[each, self.drift.start + each] = self.rest_volts
         return self.offset_v + self.gain * volts + self.rest_volts * state[self.drift], slopes
 

@@ -58,7 +58,7 @@ def smoothed_estimates(observer: Observer, samples: Iterable[tuple[Array, float 
                 one.estimate,
                 touch=one.estimate.touch + known[0][TOUCH] - one.state[TOUCH],
                 covariance=known[1][TOUCH, TOUCH].copy(),
-                arterial_pa=float(observer.arterial @ known[0]),
+                arterial_pa=float((observer.beating + observer.slow) @ known[0]),
             )
         )
     return out[::-1]

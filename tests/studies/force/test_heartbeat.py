@@ -1,9 +1,14 @@
-"""The observer's heartbeat: a limit cycle whose slopes are true and whose height is the calibration's."""
+"""The observer's heartbeat: a limit cycle of true slopes and of the calibration's height, and what it does to blood."""
 
 import numpy as np
 import pytest
 
+from nailoptics.hemodynamics import parameters
+from nailoptics.hemodynamics.steady import solve_walls
 from nailoptics.studies.force.heartbeat import Beat
+from nailoptics.studies.force.network import touch_on_walls
+from nailoptics.studies.force.observer import PulsedBlood
+from nailoptics.studies.force.person import person
 
 BEAT = Beat(1.1, (400.0, 200.0, 90.0), 0.1)
 
@@ -46,3 +51,24 @@ def test_a_beat_that_is_far_too_high_comes_back_too() -> None:
         before, state = state, BEAT.go_on(state, 0.05)[0]
         assert (np.hypot(*state[1:].reshape(-1, 2).T) < 1.01 * np.hypot(*before[1:].reshape(-1, 2).T)).all()
     assert np.hypot(*state[1:].reshape(-1, 2).T) == pytest.approx(np.sqrt(2) * np.array(BEAT.rms_pa), rel=0.01)
+
+
+@pytest.mark.parametrize("touch", [(0.0, 0.0), (0.25, 0.0), (0.0, 0.4), (0.13, 0.31)])
+def test_a_beat_moves_the_blood_as_a_slow_change_of_the_pressure_does(touch: tuple[float, float]) -> None:
+    who = person(parameters("best"), {"distal_reach": 1.5}, rest_blood=0.03, area_cm2=1.0, share=0.5, distal_reach=0.2)
+    highest = np.array([1.0, 2.0])
+    pulsed, held = PulsedBlood(who, highest), np.array(touch)
+
+    def blood(touch: np.ndarray, higher_pa: float) -> np.ndarray:
+        outside = touch_on_walls(touch[:, None], who.distal_reach)
+        width, _ = solve_walls(who.walls, outside, np.array([who.arterial_pa + higher_pa]), np.array([who.venous_pa]))
+        return who.blood(width / who.rest_m[:, None])[:, 0]
+
+    part, by_touch = pulsed.part(held)
+    # Straight between pressures an eighth of the highest apart.
+    assert part == pytest.approx((blood(held, 10.0) - blood(held, -10.0)) / 20.0 / blood(held, 0.0), rel=0.03)
+    step = 1e-4
+    moved = [(pulsed.part(held + one)[0] - pulsed.part(held)[0]) / step for one in step * np.eye(2)]
+    assert np.array(moved).T == pytest.approx(by_touch, rel=1e-6)
+    # Past the highest it stays.
+    assert pulsed.part(2 * highest)[0] == pytest.approx(pulsed.part(highest)[0], rel=0.01)

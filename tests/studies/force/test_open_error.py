@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from nailoptics.hemodynamics.steady import solve_walls
 from nailoptics.statistics import Z95
 from nailoptics.studies.force.correction import no_correction
-from nailoptics.studies.force.force_interval import ForceInterval
+from nailoptics.studies.force.force_interval import PART_OF_STATED, ForceInterval
 from nailoptics.studies.force.network import closure_of, touch_on_walls
 from nailoptics.studies.force.observer import LINEAR, Calibrated, PressureEstimate
 from nailoptics.studies.force.open_error import BEFORE, PARTS
@@ -77,4 +77,4 @@ def test_an_interval_is_as_wide_as_what_the_calibration_leaves_open(subject: Sub
     area = NAMES.index("contact_area")
     rounding_n = 0.02 * known_n * float(np.sqrt(one.covariance[area, area]))
     wide_n = float(told.high_n[0] - told.low_n[0]) / (2 * Z95)
-    assert wide_n == pytest.approx(stderr_n, rel=0.1, abs=rounding_n)
+    assert wide_n == pytest.approx(PART_OF_STATED * stderr_n, rel=0.1, abs=rounding_n)
