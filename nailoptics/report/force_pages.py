@@ -35,7 +35,7 @@ def write_calibration_page(result: xr.Dataset, summary: dict[str, Any], path: Pa
     cards = [
         (f"{significant(1e3 * summary['rms_n'], 2)} mN", "error of the force told from these recordings, rms"),
         (significant(summary["chi2_per_dof"], 2), "squared residuals over what their own scatter explains"),
-        (f"× {significant(summary['widening'], 2)}", "width of intervals over the usual: more than 1 where the touches above need it"),
+        (f"× {significant(summary['widening'], 2)}", "width of intervals over the usual, as these recordings need it"),
     ]
     caption = (
         "Each reading less its start: recorded (wide, coloured) and fitted (thin, dark), a column for each recording."

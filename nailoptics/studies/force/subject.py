@@ -44,7 +44,7 @@ class Subject:
     gain, offset_v, residual_rms_v : (R,) float.
     covariance : (P + 4 R, P + 4 R) float. Of factors, gains, offsets, and steeper slopes by the blood of either zone.
     correction : of the pressures that the observer tells.
-    widening : float. How much wider than usual intervals are, where the calibration's own touches ask for it; 1 or more.
+    widening : float. How much wider than usual intervals are, where the calibration's own touches need it.
     most_force_n : the largest calibrated force by site.
     chi2_per_dof, rms_n : of the fit's whitened residuals, and of the force told from the calibration's own readings.
     """
