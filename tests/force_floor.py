@@ -9,14 +9,15 @@ import numpy as np
 from force_scores import VirtualPerson, asked_of
 
 from nailoptics.hemodynamics import cardiac_pressure
+from nailoptics.hemodynamics.steady import solve_walls
 from nailoptics.scene import Scene
 from nailoptics.scene.body import Heartbeat
-from nailoptics.scene.sensor_recordings import Recording
+from nailoptics.scene.sensor_recordings import SITES, Recording
 from nailoptics.studies.blood_states import arterial_waveform
 from nailoptics.studies.force.body_noise import HARMONICS, HEIGHT_SPREAD, passed
 from nailoptics.studies.force.correction import no_correction
 from nailoptics.studies.force.heartbeat import Beat
-from nailoptics.studies.force.network import widths_over
+from nailoptics.studies.force.network import touch_on_walls, widths_over
 from nailoptics.studies.force.observer import Oscillation
 from nailoptics.studies.force.person import Person
 from nailoptics.studies.force.predict import predict
@@ -24,6 +25,8 @@ from nailoptics.studies.force.subject import Subject
 from nailoptics.studies.force.virtual_people import TOUCHES, Site, touch_of
 from nailoptics.studies.worn_sensor import sensor_course
 
+# Steps of derivatives by pressures [N/cm^2, N/cm^2, Pa], and what is known of the touch's before any reading.
+STEPS, TOUCH_SPREAD = np.array([0.01, 0.01, 50.0]), 0.5
 # The slow waves of a body fill the band about their middle: so long they keep their phase. [s]
 SLOW_COHERENCE_S, BREATH_COHERENCE_S = 4.0, 30.0
 
@@ -91,3 +94,29 @@ def floor_n(subject: Subject, person: VirtualPerson, kind: str, site: Site, *, s
     known, asked = exactly_known(subject, person.scene), asked_of(kind, touch.time_s)
     found = [predict(known, recording, smooth=smooth) for smooth in (False, True)]
     return [float(np.sqrt(np.mean((one.force_n - one.known_force_n).values[asked] ** 2))) for one in found]
+
+
+def one_sample_n(subject: Subject, site: Site, force_n: float) -> float:
+    """Standard error of a held touch told from one sample (Cramer-Rao), the person known exactly. [N]
+
+    Its noise is that of the readings, half a minute of drift, and the slow rhythms of the arterial pressure as the
+    calibration saw them: a heartbeat is averaged out. Only samples before and after can tell the touch better.
+    """
+    who, one, noise = subject.person(), subject.calibrated, subject.noise
+    held = np.append(who.pressures(np.array([force_n]), np.array([SITES[site]]))[:, 0], 0.0)
+    places = np.repeat(held[:, None], 6, axis=1)
+    places[range(3), range(3)] += STEPS
+    places[range(3), range(3, 6)] -= STEPS
+    places[:2] = np.maximum(places[:2], 0.0)
+    outside = touch_on_walls(places[:2], who.distal_reach)
+    width, _ = solve_walls(who.walls, outside, who.arterial_pa + places[2], np.full(6, who.venous_pa))
+    volts = one.gain[:, None] * one.table.volts(who.blood(width / who.rest_m[:, None]))
+    slopes = (volts[:, :3] - volts[:, 3:]) / (places[range(3), range(3)] - places[range(3), range(3, 6)])
+    rest_v = one.gain * one.table.volts(who.blood(np.ones((2, 1))))[:, 0]
+    led = one.table.same_led() * rest_v[:, None]
+    drift = noise.drift_per_min**2 * np.diag(rest_v**2) + noise.led_drift_per_min**2 * led @ led.T
+    information = slopes.T @ np.linalg.solve(np.diag(noise.reading_v**2) + 0.5 * drift, slopes)
+    slow2_pa2 = sum(rhythm.rms_pa**2 for rhythm in noise.rhythms)
+    known = np.linalg.inv(information + np.diag([TOUCH_SPREAD**-2, TOUCH_SPREAD**-2, 1.0 / slow2_pa2]))
+    area_cm2 = float(who.area_cm2 * (who.proximal_area if site == "proximal" else 1.0))
+    return area_cm2 * float(np.sqrt(known[0, 0] if site == "proximal" else known[1, 1]))

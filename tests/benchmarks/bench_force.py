@@ -1,6 +1,6 @@
 """How well force is told from volts, on eight virtual people whom no model of ours made. Run: python bench_force.py
 
-    python bench_force.py --keep FOLDER [--people person_3 ...] [--part record|touches|paper|floor|pairs|rest ...]
+    python bench_force.py --keep FOLDER [--people person_3 ...] [--part record|touches|paper|sample|floor|pairs|rest ...]
         [--rate 25] [--rest-s 3600] [--massless] [--quick]
         [--without zones|vessels|optics|creep|heartbeat|breathing|vasomotion|rhythms|drift]
 
@@ -13,6 +13,8 @@ touches that no calibration has seen. Parts:
   samples below closure that the 95 % interval covers, and of a slow cycle to 2 N the part of samples above closure
   whose interval is open; the medians over the people, beside what must be reached;
 - paper: a column more, the rms of the paper's own calibration (offset, scale and time constants);
+- sample: the least standard error (Cramer-Rao) with which one sample tells a held touch of a person who is known
+  exactly, through the noise of the readings, their drift and the slow waves of the arterial pressure;
 - floor: the rms of the same filter where nothing but the body's own noise is left: people who are what was calibrated,
   all of them known exactly, told from the samples before each and from all;
 - pairs: who is read with whose calibration, and whether that is flagged or the interval covers all the same;
@@ -44,7 +46,7 @@ from nailoptics.studies.force.subject import Model, Subject, parse_subject
 
 sys.path.append(str(Path(__file__).parents[1]))
 
-from force_floor import floor_n  # noqa: E402
+from force_floor import floor_n, one_sample_n  # noqa: E402
 from force_scores import (  # noqa: E402
     DIFFERENCES,
     KINDS,
@@ -63,7 +65,9 @@ from force_scores import (  # noqa: E402
     virtual_person,
 )
 
-PARTS = ("record", "touches", "paper", "floor", "pairs", "rest")
+PARTS = ("record", "touches", "paper", "sample", "floor", "pairs", "rest")
+# Held touches of which `sample` tells. [N]
+HELD_N = (0.15, 0.3, 0.5, 0.7, 0.85, 1.0)
 # What must be reached by the medians.
 GOALS = (
     "rms at most 0.05",
@@ -180,6 +184,17 @@ class Bench:
                 f"{subject.widening:.2f} times; {1e3 * per_sample_s:.2f} ms a sample"
             )
 
+    def sample(self) -> Iterator[str]:
+        """The least error of one sample of held touches, and medians over people."""
+        yield f"{'person':<10} {'side':<9} " + " ".join(f"{force_n:5.2f} N" for force_n in HELD_N)
+        for site in record.SIDES:
+            rows = []
+            for name in self.people:
+                subject = self.subject(name, "network")[0]
+                rows.append([one_sample_n(subject, site, force_n) for force_n in HELD_N])
+                yield f"{name:<10} {site:<9} " + " ".join(f"{stderr_n:7.3f}" for stderr_n in rows[-1])
+            yield f"{'median':<10} {site:<9} " + " ".join(f"{stderr_n:7.3f}" for stderr_n in np.median(rows, axis=0))
+
     def floor(self) -> Iterator[str]:
         """How well each person's touches could be told were everything known, and medians over people."""
         yield f"{'person':<10} {'side':<9} {'kind':<6} {'floor':>7} {'smooth':>7}  [N]"
@@ -252,6 +267,7 @@ def run(given: argparse.Namespace, bench: Bench) -> None:
         print("\n".join(bench.table()), flush=True)
     lines = {
         "touches": bench.costs,
+        "sample": bench.sample,
         "floor": bench.floor,
         "pairs": bench.pairs,
         "rest": lambda: bench.rest(given.rest_s),
