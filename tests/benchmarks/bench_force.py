@@ -1,6 +1,6 @@
 """How well force is told from volts, on eight virtual people whom no model of ours made. Run: python bench_force.py
 
-    python bench_force.py --keep FOLDER [--people person_3 ...] [--part record|touches|paper|sample|floor|pairs|rest ...]
+    python bench_force.py --keep FOLDER [--people person_3 ...] [--part record|touches|paper|.. ...]
         [--rate 25] [--rest-s 3600] [--massless] [--quick]
         [--without zones|vessels|optics|creep|heartbeat|breathing|vasomotion|rhythms|drift]
 

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 # Bands of the body's rhythms: heartbeat and breathing of a resting adult, slow waves of the vessels' tone. [Hz]
 HEART_HZ, BREATH_HZ, SLOW_HZ = (0.7, 3.0), (0.15, 0.5), (0.03, 0.15)
 # Harmonics of the beat that carry a pulse's shape; a beat weaker than this is none. [Pa]
-HARMONICS, LEAST_BEAT_PA = 5, 20.0
+HARMONICS, LEAST_BEAT_PA = 5, 40.0
 # Half the width of the band in which a harmonic lies, of the beat's rate; rates that are tried; part of them by which
 # intervals scatter; by how much the heights of beats vary, of themselves.
 BEAT_BAND, RATES_TRIED, BEAT_SCATTER, HEIGHT_SPREAD = 0.35, 200, 0.08, 0.1
