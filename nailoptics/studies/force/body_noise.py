@@ -11,7 +11,7 @@ from scipy import signal
 from ...hemodynamics.steady import solve_walls
 from ...hemodynamics.stepping import step
 from ...scene.sensor_recordings import Recording
-from .heartbeat import Beat
+from .heartbeat import BAND, Beat, seen_harmonics
 from .network import widths_over
 from .observer import Noise, Oscillation
 from .person import Person
@@ -23,9 +23,8 @@ Array = NDArray[np.float64]
 HEART_HZ, BREATH_HZ, SLOW_HZ = (0.7, 3.0), (0.15, 0.5), (0.03, 0.15)
 # Harmonics of the beat that carry a pulse's shape; a beat weaker than this is none. [Pa]
 HARMONICS, LEAST_BEAT_PA = 5, 40.0
-# Half the width of the band in which a harmonic lies, of the beat's rate; rates that are tried; part of them by which
-# intervals scatter; by how much the heights of beats vary, of themselves.
-BEAT_BAND, RATES_TRIED, BEAT_SCATTER, HEIGHT_SPREAD = 0.35, 200, 0.08, 0.1
+# Rates that are tried; part of them by which intervals scatter; by how much the heights of beats vary, of themselves.
+RATES_TRIED, BEAT_SCATTER, HEIGHT_SPREAD = 200, 0.08, 0.1
 # How long rhythms keep their phase: breaths scatter by some 10 %, slow waves come and go. [s]
 BREATH_COHERENCE_S, SLOW_COHERENCE_S = 8.0, 4.0
 # The highest part of a spectrum, where all is noise of the readings.
@@ -172,9 +171,9 @@ def _beat(frequency: Array, power: Array) -> Beat | None:
     rates = np.linspace(*HEART_HZ, RATES_TRIED)
     held = [sum(rms_pa(k * rate, BEAT_SCATTER * rate) ** 2 for k in (1, 2)) for rate in rates]
     rate = float(rates[int(np.argmax(held))])
-    orders = [k for k in range(1, HARMONICS + 1) if (k + BEAT_BAND) * rate < NOISE_FROM * frequency[-1]]
-    seen = [rms_pa(k * rate, BEAT_BAND * rate) for k in orders]
-    if not orders or np.hypot.reduce(seen) < LEAST_BEAT_PA:
+    orders = 1 + np.flatnonzero(seen_harmonics(rate, HARMONICS, frequency[-1]))
+    seen = [rms_pa(k * rate, BAND * rate) for k in orders]
+    if not orders.size or np.hypot.reduce(seen) < LEAST_BEAT_PA:
         return None
     return Beat(rate, tuple(max(one, 0.01 * max(seen)) for one in seen), HEIGHT_SPREAD)
 

@@ -45,7 +45,7 @@ LONGEST_STEP_S, LONGEST_PAUSE_S = 0.5, 60.0
 LEAST_AT_REST, LEAST_SEEN = 10, 0.1
 # This part of the samples of the calibration's touches lies within intervals as they are, or, as such touches are few,
 # within so many times as much by chance; where more is needed the model misses something, and they are made wider.
-COVERED, BY_CHANCE = 0.95, 1.4
+COVERED, BY_CHANCE = 0.95, 1.2
 # Parts of a calibration's time that its fit and its profile likelihoods take, more or less.
 FITTED, PROFILED = 0.4, 0.5
 # A touch that ends within this time shows how fast the vessels refill. [s]

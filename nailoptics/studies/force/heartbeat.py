@@ -15,8 +15,16 @@ Array = NDArray[np.float64]
 INTERVAL_SPREAD = 0.05
 # Between recordings, and slowly within one, the rate itself differs by this part; it changes over so long. [s]
 RATE_SPREAD, RATE_MEMORY_S = 0.1, 30.0
+# Half the width of the band in which a harmonic lies, of the beat's rate; it is seen below this part of half of the
+# samples' rate.
+BAND, SEEN_BELOW = 0.35, 0.75
 # How long a beat that is too high or too low stays so. [s]
 HEIGHT_MEMORY_S = 10.0
+
+
+def seen_harmonics(rate_hz: float, count: int, highest_hz: float) -> NDArray[np.bool_]:
+    """Which of so many harmonics lie below what samples show, whose highest frequency is given."""
+    return np.asarray((np.arange(1, 1 + count) + BAND) * rate_hz < SEEN_BELOW * highest_hz)
 
 
 @dataclass(frozen=True)
@@ -34,6 +42,10 @@ class Beat:
     def size(self) -> int:
         """Numbers of its state: logarithm of the rate over its mean, then two of each harmonic [Pa]."""
         return 1 + 2 * len(self.rms_pa)
+
+    def seen(self, since_s: float) -> NDArray[np.bool_]:
+        """Which harmonics samples so far apart show."""
+        return seen_harmonics(self.rate_hz, len(self.rms_pa), 0.5 / since_s)
 
     def start(self) -> Array:
         """Variances of a beat whose phase is not known yet."""

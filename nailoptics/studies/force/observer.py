@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.special import expit
 
 from ...hemodynamics.steady import solve_walls
 from ...hemodynamics.stepping import step
@@ -274,6 +275,8 @@ class Observer:
         if since_s > LONGEST_GAP_S:
             self.restart()
             return None
+        if self.noise.beat:
+            self.beating[self.beat.start + 1 : self.beat.stop : 2] = self.noise.beat.seen(since_s)
         self.ways = self.ways @ going_on(since_s)
         self.moved_v = self.moved_v * np.exp(-since_s / READING_LASTS_S)
         self.each, slopes = np.repeat(self.covariance[None], len(RATES), axis=0), np.eye(self.size)
@@ -380,7 +383,7 @@ class Observer:
         by_blood = self.gain[:, None] * by_blood
         slopes, each = np.zeros((len(volts), self.size)), np.arange(len(volts))
         slopes[:, :2] = by_blood * (1.0 + pulsed * beat_pa) * (2 * blood / width)
-        slopes[:, TOUCH] = by_blood @ (blood[:, None] * by_touch) * beat_pa
+        slopes[:, TOUCH] = by_blood @ (blood[:, None] * by_touch) * beat_pa * expit(state[TOUCH] / SOFTNESS)
         slopes += np.outer(by_blood @ (blood * pulsed), self.beating)
         slopes[each, self.drift.start + each] = self.rest_volts
         return self.offset_v + self.gain * volts + self.rest_volts * state[self.drift], slopes

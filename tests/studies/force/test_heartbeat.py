@@ -53,6 +53,13 @@ def test_a_beat_that_is_far_too_high_comes_back_too() -> None:
     assert np.hypot(*state[1:].reshape(-1, 2).T) == pytest.approx(np.sqrt(2) * np.array(BEAT.rms_pa), rel=0.01)
 
 
+def test_harmonics_that_samples_do_not_show_are_not_followed() -> None:
+    # Half of 10 Hz is 5 Hz, of which 3.75 Hz are used; a third harmonic of 1.1 Hz reaches up to 3.7 Hz.
+    assert BEAT.seen(0.1).tolist() == [True, True, True]
+    assert Beat(1.1, (1.0,) * 5, 0.1).seen(0.1).tolist() == [True, True, True, False, False]
+    assert not BEAT.seen(1.0).any()
+
+
 @pytest.mark.parametrize("touch", [(0.0, 0.0), (0.25, 0.0), (0.0, 0.4), (0.13, 0.31)])
 def test_a_beat_moves_the_blood_as_a_slow_change_of_the_pressure_does(touch: tuple[float, float]) -> None:
     who = person(parameters("best"), {"distal_reach": 1.5}, rest_blood=0.03, area_cm2=1.0, share=0.5, distal_reach=0.2)
