@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import expit
 
-from ...hemodynamics.steady import solve_walls
 from ...hemodynamics.stepping import step
-from .heartbeat import Beat
+from .heartbeat import Beat, PulsedBlood
 from .network import LONGEST_STEP_S, closure_of, touch_on_walls
 from .person import NAMES, Person
 from .reading_table import ReadingTable
@@ -55,8 +54,6 @@ RATES, LASTING_S = np.array([1.0, 10.0]), np.array([2.0, 0.3])
 TOUCHES_REACH, ZERO = 0.5, 0.025
 # A sample that less than one in a thousand is as far from its prediction as counts as an outlier.
 OUTLIER = 0.999
-# Pressures of either side at which a beat's effect is found.
-PULSED = 9
 # Gaps longer than this are no part of a recording any more: the filter starts anew after them. [s]
 LONGEST_GAP_S = 5.0
 # Widths over rest that are known no better than this are those of a filter that ran away: it starts anew, too. A soft
@@ -145,34 +142,6 @@ class PressureEstimate:
 def pressure_of(coordinate: Array) -> Array:
     """Touch pressure of its coordinate: the same above 0, bent to 0 below. [N/cm^2]"""
     return SOFTNESS * np.logaddexp(0.0, coordinate / SOFTNESS)
-
-
-class PulsedBlood:
-    """By how much a beat of the arterial pressure moves the blood of both zones, under any touch.
-
-    It is taken to reach the blood at once, as a slow change of the pressure does in the end: what is seen of a beat at
-    rest says how strong it is, whether vessels follow within one or not.
-    """
-
-    def __init__(self, person: Person, highest: Array) -> None:
-        self._bends = [np.linspace(0.0, end, PULSED) for end in highest]
-        touch = np.stack(np.meshgrid(*self._bends, indexing="ij")).reshape(2, -1)
-        outside = touch_on_walls(np.repeat(touch, 2, axis=1), person.distal_reach)
-        high = person.arterial_pa + ARTERIAL_STEP_PA * np.tile([1.0, -1.0], touch.shape[1])
-        held, _ = solve_walls(person.walls, outside, high, np.full(high.shape, person.venous_pa))
-        blood = person.blood(held / person.rest_m[:, None]).reshape(2, PULSED, PULSED, 2)
-        self._part = (blood[..., 0] - blood[..., 1]) / ARTERIAL_STEP_PA / (blood[..., 0] + blood[..., 1])
-
-    def part(self, touch: Array) -> tuple[Array, Array]:
-        """Part (2,) by which the blood grows under a touch (2,), and its slopes (2, 2) by the pressures. [1/Pa]"""
-        steps = np.array([bends[1] for bends in self._bends])
-        place = np.clip(touch / steps, 0.0, PULSED - 1.001)
-        (i, j), (x, y) = place.astype(int), place % 1.0
-        here = self._part[:, i : i + 2, j : j + 2]
-        across, along = np.array([1.0 - x, x]), np.array([1.0 - y, y])
-        rise = np.array([-1.0, 1.0])
-        by_touch = np.column_stack([rise @ (here @ along).T, across @ (here @ rise).T]) / steps
-        return across @ (here @ along).T, by_touch
 
 
 def going_on(since_s: float) -> Array:

@@ -5,9 +5,8 @@ import pytest
 
 from nailoptics.hemodynamics import parameters
 from nailoptics.hemodynamics.steady import solve_walls
-from nailoptics.studies.force.heartbeat import Beat
+from nailoptics.studies.force.heartbeat import Beat, PulsedBlood
 from nailoptics.studies.force.network import touch_on_walls
-from nailoptics.studies.force.observer import PulsedBlood
 from nailoptics.studies.force.person import person
 
 BEAT = Beat(1.1, (400.0, 200.0, 90.0), 0.1)
