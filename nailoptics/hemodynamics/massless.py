@@ -193,7 +193,7 @@ def integrate(
     drive: Drive,
     time_s: np.ndarray,
     start_m: np.ndarray,
-    inputs: np.ndarray,
+    inputs: np.ndarray | None,
     *,
     rtol: float,
     most_steps: int = _MOST_STEPS,
@@ -201,7 +201,8 @@ def integrate(
     """Diameters D + x [m], pressures [Pa] and contact (bool) of walls at given times, (N+1, T) each.
 
     start_m : (N+1,) float. D + x at time_s[0]. [m]
-    inputs : (N+3, T) float. What `drive` gives at time_s: P_H, P_L and the touch pressure on each wall. [Pa]
+    inputs : (N+3, T) float. What `drive` gives at time_s: P_H, P_L and the touch pressure on each wall; None where no
+        pressures are wanted, which are then (N+1, 0). [Pa]
     rtol : Allowed local error of a step, relative to the diameter or the listed one if that is larger. [1]
 
     Raises: NotReachedError if the tolerance needs more than `most_steps` steps.
@@ -222,25 +223,27 @@ def integrate(
                 motion.settle()
     _LOG.debug("massless model: %d steps over %g s", taken, drive.ends[-1] - drive.starts[0])
     width, free = _sample(np.frombuffer(motion.steps).reshape(taken, -1), time_s, walls.closed)
-    pressure = np.empty_like(width)
+    pressure = np.empty((len(width), 0 if inputs is None else time_s.size))
+    if inputs is None:
+        return width, pressure, ~free
     for start in range(0, time_s.size, _AT_ONCE):
         given, at, loose = (rows[:, start : start + _AT_ONCE] for rows in (inputs, width, free))
-        found, _ = massless_rates(walls, at, _load(walls, given, at), loose, given[0], given[1])
+        found, _ = massless_rates(walls, at, _load(walls, given, at), loose.astype(float), given[0], given[1])
         pressure[:, start : start + _AT_ONCE] = found
-    return width, pressure, free == 0.0
+    return width, pressure, ~free
 
 
 def _sample(steps: np.ndarray, time_s: np.ndarray, closed: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Accepted steps, a row each, read at given times: diameters [m], and 0 for walls in contact, else 1."""
+    """Accepted steps, a row each, read at given times: diameters [m], and which walls are free of contact, (N+1, T)."""
     starts, lengths = steps[:, 0], steps[:, 1]
     row = np.clip(np.searchsorted(starts, time_s, side="right") - 1, 0, starts.size - 1)
     part = np.clip((time_s - starts[row]) / lengths[row], 0.0, 1.0)
     # Wall by wall: of a million samples the arrays between are the largest.
-    width, free = np.empty((len(closed), time_s.size)), np.empty((len(closed), time_s.size))
+    width, free = np.empty((len(closed), time_s.size)), np.empty((len(closed), time_s.size), bool)
     for i, (begin, end, first, second, is_free) in enumerate(zip(*np.split(steps[:, 2:].T, 5), strict=True)):
-        free[i] = is_free[row]
+        free[i] = is_free[row] > 0.0
         path = rodas.interpolate(begin[row], end[row], first[row], second[row], part)
-        width[i] = np.where(free[i] > 0.0, np.maximum(path, closed[i]), closed[i])
+        width[i] = np.where(free[i], np.maximum(path, closed[i]), closed[i])
     return width, free
 
 

@@ -37,6 +37,7 @@ def respond(
     model: Model = "massless",
     contact: bool = True,
     rtol: float = 1e-6,
+    only_diameters: bool = False,
 ) -> "xarray.Dataset":
     """What a touch does to the vessels under the nail: their diameters and pressures over time.
 
@@ -54,6 +55,7 @@ def respond(
     contact : False, in the inertial model only, lets walls pass through each other as printed.
     rtol : Allowed error of a step, relative to a diameter. A noisy record has a corner at every sample to be resolved:
         1e-4 is then several times as fast. [1]
+    only_diameters : Return no pressures, contacts and inputs, which of many samples are most of the memory.
 
     Returns: Dataset with dims zone and time; capillary_diameter_m (zone, time), capillary_pressure_pa (zone, time),
     vein_diameter_m (time), vein_pressure_pa (time), capillary_closed (zone, time), vein_closed (time), and the inputs.
@@ -73,13 +75,18 @@ def respond(
     to_channels = partial(_to_channels, zones)
     drive = Drive(waveforms, to_channels, begin_s=time[0], end_s=time[-1])
     over_time = np.array([waveform.at(time) for waveform in waveforms])
-    walls, inputs = build_walls(p, zones), to_channels(over_time)
+    walls = build_walls(p, zones)
     begin = _balance(walls, to_channels(_first_pressures(waveforms, time[:1], touched=start == "steady")))
     if model == "massless":
-        moved = massless.integrate(walls, drive, time, begin, inputs, rtol=rtol)
+        inputs = None if only_diameters else to_channels(over_time)
+        width, *others = massless.integrate(walls, drive, time, begin, inputs, rtol=rtol)
     else:
-        moved = inertial.integrate(walls, drive, time, begin, inputs, rtol=rtol, contact=contact)
-    variables = _state_variables(zones, *moved) | _input_variables(zones, over_time)
+        width, *others = inertial.integrate(
+            walls, drive, time, begin, to_channels(over_time), rtol=rtol, contact=contact
+        )
+    variables = _diameters(zones, width)
+    if not only_diameters:
+        variables |= _state_variables(zones, *others) | _input_variables(zones, over_time)
     return _dataset(variables, zones, time, {"model": model} | {f"parameter_{k}": v for k, v in p.as_dict().items()})
 
 
@@ -134,13 +141,17 @@ def _times(time_s: ArrayLike) -> np.ndarray:
     return time
 
 
-def _state_variables(zones: Zones, width: np.ndarray, pressure: np.ndarray, closed: np.ndarray) -> dict[str, Variable]:
+def _diameters(zones: Zones, width: np.ndarray) -> dict[str, Variable]:
+    n = zones.count
+    found = variable("capillary_diameter_m", ("zone", "time"), width[:n], "capillary diameter D_C + x_C", units="m")
+    return found | variable("vein_diameter_m", "time", width[n], "vein diameter D_V + x_V", units="m")
+
+
+def _state_variables(zones: Zones, pressure: np.ndarray, closed: np.ndarray) -> dict[str, Variable]:
     n, over = zones.count, ("zone", "time")
     return (
-        variable("capillary_diameter_m", over, width[:n], "capillary diameter D_C + x_C", units="m")
-        | variable("capillary_pressure_pa", over, pressure[:n], "capillary blood pressure", units="Pa")
+        variable("capillary_pressure_pa", over, pressure[:n], "capillary blood pressure", units="Pa")
         | variable("capillary_closed", over, closed[:n], "capillary walls in contact")
-        | variable("vein_diameter_m", "time", width[n], "vein diameter D_V + x_V", units="m")
         | variable("vein_pressure_pa", "time", pressure[n], "vein blood pressure", units="Pa")
         | variable("vein_closed", "time", closed[n], "vein walls in contact")
     )

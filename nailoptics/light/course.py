@@ -1,6 +1,7 @@
 """One trace read in many states: over a course of the blood, and with and without each group of its photons."""
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +21,8 @@ MAX_ZONES_BETWEEN_NODES = 2
 INTERPOLATION_ERROR, INTERPOLATION_ERROR_OF_MANY = 1e-8, 1e-6
 # Of many zones, states that need more nodes than this are halved, and each half is read by itself.
 NODES_AT_ONCE = 64
-# States interpolated at once, whose weights on the nodes fill the memory.
-STATES_AT_ONCE = 1 << 16
+# States interpolated at once: their weights on the nodes fill the cache, not the memory.
+STATES_AT_ONCE = 1 << 13
 # Photons read at once: their weights at all nodes fill the processor's cache, not the memory.
 CHUNK = 4096
 # Groups of photons that are left out in turn.
@@ -52,7 +53,7 @@ def course(
     Readings are smooth in the blood: they are taken at Chebyshev nodes over the range of states, as many as keep the
     error of interpolation below 1e-8 of a reading for all but the longest paths, and interpolated.
 
-    blood_fraction : (t, K) float in 0-1. Blood of each zone in each state.
+    blood_fraction : (t, K) float in 0-1. Blood of each zone in each state; of single precision, readings are, too.
     electrons : weigh the LED's line by the photodiode's response, relative to that at the peak wavelength.
 
     Warns: ReweightWarning where fewer than 100 effective photons stand behind a reading of some state, or fewer than 25
@@ -72,72 +73,105 @@ def course(
 
 
 def _course(transfer: Transfer, blood_fraction: np.ndarray, so2: float | None, electrons: bool) -> Course:
-    states = np.asarray(blood_fraction, float)
+    states = np.asarray(blood_fraction)
+    states = states if states.dtype == np.float32 else states.astype(float, copy=False)
     count = optics.zones(transfer.scene).count
     if states.ndim != 2 or states.shape[1] != count or not len(states):
         raise InputError(f"blood_fraction has shape {states.shape}; give (states, {count}), one value for each zone.")
     blood, first = transfer.scene.blood, checks.fraction("blood_fraction", states)[0]
+    shape = (len(transfer.traces), len(transfer.photodiodes), len(states))
+    reading = _Reading(transfer, states, first, so2, electrons, [np.empty(shape, states.dtype) for _ in range(4)])
     if so2 is not None or blood.venous_so2 is None:
-        return _read(transfer, states, first, so2, electrons)
+        _read(reading, np.arange(len(states)))
+        return Course(*reading.out)
     # Absorption bends where blood begins to pool: between nodes on one side of that it is smooth.
     sides, side = np.unique(states > blood.rest_blood_fraction, axis=0, return_inverse=True)
-    return _joined([_read(transfer, states[side == k], first, so2, electrons) for k in range(len(sides))], side)
+    for k in range(len(sides)):
+        _read(reading, np.flatnonzero(side == k))
+    return Course(*reading.out)
 
 
-def _read(transfer: Transfer, states: np.ndarray, first: np.ndarray, so2: float | None, electrons: bool) -> Course:
-    """Readings in states between which absorption is linear in the blood, and their change from a first state."""
-    low, high = states.min(0), states.max(0)
+@dataclass(frozen=True)
+class _Reading:
+    """What is read, (t, K) states and their changes from a first one, and where it is put, the arrays of a `Course`."""
+
+    transfer: Transfer
+    states: np.ndarray
+    first: np.ndarray
+    so2: float | None
+    electrons: bool
+    out: list[np.ndarray]
+
+    def sums(self, states: np.ndarray, line: tuple[np.ndarray, np.ndarray] | None = None) -> tuple[np.ndarray, ...]:
+        """The four arrays in other states, from the photons."""
+        return _sums(self.transfer, states, self.first, self.so2, self.electrons, line=line)
+
+    def blocks(self, which: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Some of the states, as many at once as leave the memory alone: their numbers and themselves."""
+        for start in range(0, len(which), STATES_AT_ONCE):
+            part = which[start : start + STATES_AT_ONCE]
+            yield part, self.states[part].astype(float, copy=False)
+
+    def put(self, part: np.ndarray, values: Sequence[np.ndarray]) -> None:
+        """Keep what was read in some of the states."""
+        for whole, value in zip(self.out, values, strict=True):
+            whole[..., part] = value
+
+
+def _read(reading: _Reading, which: np.ndarray) -> None:
+    """Read those states, by their numbers (n,), between which absorption is linear in the blood."""
+    ends = np.array([(block.min(0), block.max(0)) for _, block in reading.blocks(which)])
+    low, high = ends[:, 0].min(0), ends[:, 1].max(0)
     varies = np.flatnonzero(high - low > 1e-12)
     if not len(varies):
-        one = _sums(transfer, states[:1], first, so2, electrons)
-        return Course(*(np.repeat(values, len(states), -1) for values in one))
+        reading.put(which, reading.sums(reading.states[which[:1]].astype(float)))
+        return
     few = len(varies) <= MAX_ZONES_BETWEEN_NODES
-    directions = np.eye(states.shape[1])[:, varies] if few else _principal(states)
-    centre = np.zeros(states.shape[1]) if few else states.mean(0)
-    places = (states - centre) @ directions
-    spans = np.ptp(places, axis=0)
-    counts = [_nodes_needed(transfer, *each, so2, few=few) for each in zip(directions.T, spans, strict=True)]
-    if not few and min(len(states), math.prod(counts)) > NODES_AT_ONCE:
+    centre, directions = np.zeros(len(low)), np.eye(len(low))[:, varies]
+    if not few:
+        centre, directions = _principal(reading, which)
+    places = np.array([(at.min(0), at.max(0)) for at in _places(reading, which, centre, directions)])
+    nearest, farthest = places[:, 0].min(0), places[:, 1].max(0)
+    spans = farthest - nearest
+    asked = [(reading.transfer, *each, reading.so2) for each in zip(directions.T, spans, strict=True)]
+    counts = [_nodes_needed(*one, few=few) for one in asked]
+    if not few and min(len(which), math.prod(counts)) > NODES_AT_ONCE:
         # Half of them lie in far fewer directions: a short piece of a course is nearly straight.
-        upper = places[:, 0] > places[:, 0].min() + spans[0] / 2
-        return _joined([_read(transfer, states[upper == k], first, so2, electrons) for k in (False, True)], upper)
-    if len(states) <= math.prod(counts):
-        return Course(*_sums(transfer, states, first, so2, electrons))
-    box = (places.min(0), places.max(0), counts)
+        middle = nearest[0] + spans[0] / 2
+        upper = np.concatenate([at[:, 0] > middle for at in _places(reading, which, centre, directions)])
+        for half in (which[~upper], which[upper]):
+            _read(reading, half)
+        return
+    if len(which) <= math.prod(counts):
+        reading.put(which, reading.sums(reading.states[which].astype(float)))
+        return
+    box = (nearest, farthest, counts)
     nodes = _nodes(*box)
     if few:
-        at_nodes = np.repeat(states[:1], len(nodes), 0)
+        at_nodes = np.repeat(reading.states[which[:1]].astype(float), len(nodes), 0)
         at_nodes[:, varies] = nodes
     else:
         at_nodes = centre + nodes @ directions.T
-    sums = _sums(transfer, at_nodes, first, so2, electrons, line=None if few else (low, high))
-    fraction, stderr, change, change_stderr = sums
-    out = [np.empty((*fraction.shape[:2], len(states))) for _ in range(4)]
-    for start in range(0, len(states), STATES_AT_ONCE):
-        part = slice(start, start + STATES_AT_ONCE)
-        weights = _weights(places[part], *box).T
-        values = fraction @ weights, stderr**2 @ weights, change @ weights, change_stderr**2 @ weights
-        for whole, value, squared in zip(out, values, (False, True, False, True), strict=True):
-            whole[..., part] = np.sqrt(np.maximum(value, 0)) if squared else value
-    return Course(*out)
+    fraction, stderr, change, change_stderr = reading.sums(at_nodes, None if few else (low, high))
+    of_nodes = fraction, stderr**2, change, change_stderr**2
+    for part, block in reading.blocks(which):
+        weights = _weights((block - centre) @ directions, *box).T
+        values = [one @ weights for one in of_nodes]
+        reading.put(part, [np.sqrt(np.maximum(one, 0)) if k % 2 else one for k, one in enumerate(values)])
 
 
-def _joined(parts: list[Course], part: np.ndarray) -> Course:
-    """Courses of parts of the states as one; `part` says in which each state is, (t,) int."""
-    out = [np.empty((*parts[0].fraction.shape[:2], len(part))) for _ in range(4)]
-    for k in range(len(parts)):
-        # Each is let go once it is copied: of a million states it is large.
-        one = parts.pop(0)
-        for whole, values in zip(out, vars(one).values(), strict=True):
-            whole[..., part == k] = values
-    return Course(*out)
+def _places(reading: _Reading, which: np.ndarray, centre: np.ndarray, directions: np.ndarray) -> Iterator[np.ndarray]:
+    """Where states lie along directions, block by block, (n, d) float each."""
+    for _, block in reading.blocks(which):
+        yield (block - centre) @ directions
 
 
-def _principal(states: np.ndarray) -> np.ndarray:
-    """Orthonormal directions along which states spread, the widest first, in columns (K, K): a touch moves all zones
-    along few of them."""
-    away = states - states.mean(0)
-    return np.asarray(np.linalg.eigh(away.T @ away)[1][:, ::-1])
+def _principal(reading: _Reading, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The mean of states and orthonormal directions along which they spread, the widest first, in columns (K, K): a
+    touch moves all zones along few of them."""
+    centre = sum(block.sum(0) for _, block in reading.blocks(which)) / len(which)
+    spread = sum((block - centre).T @ (block - centre) for _, block in reading.blocks(which))
+    return centre, np.asarray(np.linalg.eigh(spread)[1][:, ::-1])
 
 
 def _nodes_needed(transfer: Transfer, direction: np.ndarray, span: float, so2: float | None, *, few: bool) -> int:

@@ -12,7 +12,7 @@ from ..light import optics
 from ..scene import Body, Scene, Touch
 from ..scene.base import USUAL_DECAY_LENGTH
 from ..scene.touch import PRESSURES, value_at
-from ..variables import Variables, variable
+from ..variables import Variables, precision, variable
 
 # A body begins to beat so long before the touch. [s]
 WARM_UP_S = 5.0
@@ -164,11 +164,19 @@ def blood_over_touch(
         start="steady",
         model=model,
         rtol=rtol,
+        only_diameters=True,
     ).isel(time=slice(len(before_s), None))
-    run = run[["capillary_diameter_m", "vein_diameter_m"]].drop_vars("zone_position")
+    run = run.drop_vars("zone_position")
     pressure_pa = np.array([row.at(time_s) for row in touch])
     high_pa = high.at(time_s) if high is not None else None
-    fraction = _fraction(scene, parameters, run.capillary_diameter_m.values)
+    # Zone by zone: of very many samples the arrays between are large.
+    diameter_m, kept = run.capillary_diameter_m, precision(len(time_s))
+    fraction = np.empty(diameter_m.shape, kept)
+    for zone, row_m in zip(fraction, diameter_m.values, strict=True):
+        zone[:] = _fraction(scene, parameters, row_m)
+    # One by one, as they come as parts of one array.
+    for name in ("capillary_diameter_m", "vein_diameter_m"):
+        run[name] = run[name].astype(kept if name == "capillary_diameter_m" else float)
     return run.assign(_touch_variables(scene, time_s, pressure_pa, high_pa) | _blood_variables(scene, fraction))
 
 

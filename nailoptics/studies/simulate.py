@@ -2,6 +2,8 @@
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, Unpack
 
 import numpy as np
@@ -13,9 +15,10 @@ from ..light import DetectedLight, ProgressCallback, Transfer, open_light, optic
 from ..light.tracing import accuracy
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import fit_beer_lambert, fit_taylor
-from ..scene import Scene
-from ..variables import Variables, variable
+from ..scene import Photodiode, Scene
+from ..variables import Variables, precision, variable
 from .blood_states import blood_over_touch, zones_of_photodiodes
+from .per_sample import per_sample
 from .unknowns import spread_dataset, spread_of_readings
 from .worn_sensor import MovedLight, by_motion, moved_boards, moved_light, sensor_course
 
@@ -55,7 +58,9 @@ def simulate(
 
     Returns: Dataset over led, photodiode, zone and time with the force, pressures, vessel diameters, blood, detected
     fraction and volts, each estimate with its standard error, the fits of (8) and (9), where the light ended, and how
-    far readings and their largest change spread over what is unknown of the finger.
+    far readings and their largest change spread over what is unknown of the finger. Of more than 200 000 samples,
+    readings and blood are of single precision, and what follows from readings, as volts do, is worked out whenever it
+    is read, as if from a file: `load()` keeps it.
 
     Raises: InputError; NotReachedError, whose result is the Dataset as far as the accuracy went.
     """
@@ -95,6 +100,8 @@ def simulate_from(
     worn = sensor_course(scene, course.time.values)
     result = course.merge(worn).merge(_read_volts(scene, light, course.blood_fraction.values.T, worn, moved))
     result = result.merge(_fit_reduced(result))
+    if precision(result.sizes["time"]) is np.float64:
+        result.load()
     for name, text in COORDINATES.items():
         result[name].attrs = {"long_name": text} | result[name].attrs
     result.attrs = light.attributes | {
@@ -130,7 +137,7 @@ def _read_volts(
     scene: Scene, light: DetectedLight, blood: np.ndarray, worn: xr.Dataset, moved: Sequence[MovedLight]
 ) -> xr.Dataset:
     """Detected fractions and volts over the course, with standard errors and noise."""
-    readings, diodes = light.over(blood), [element.photodiode for element in scene.layout.photodiodes]
+    readings = light.over(blood)
     motion, about_motion = by_motion(worn, readings, moved, blood)
     # Only the light that arrives is moved light; what an LED or amplifier makes of it comes after. Of a million samples
     # each array is large: what is 1 everywhere stays one number.
@@ -140,37 +147,86 @@ def _read_volts(
         np.multiply(motion, one, out=one) for one in (readings.fraction, readings.stderr, readings.change_stderr)
     )
     del readings
-    wavelength_nm = np.array([led.wavelength_nm for led in scene.leds])
-    responsivity = np.stack([electronics.photodiode_responsivity_a_per_w(one, wavelength_nm) for one in diodes], -1)
-    volts, volts_stderr, noise = (np.empty_like(fraction) for _ in range(3))
-    saturated = np.empty(fraction.shape, bool)
+    stages = _Stages(scene, fraction, stderr, np.broadcast_to(gain, fraction.shape))
     # Drift and motion scale what is read: of its error they add their own part to the change's.
-    scaled = motion * gain / (motion * gain)[..., :1] - 1
-    gains, scales = np.broadcast_to(gain, fraction.shape), np.broadcast_to(scaled, fraction.shape)
+    scaled = np.broadcast_to(motion * gain / (motion * gain)[..., :1] - 1, fraction.shape)
     for i, j in np.ndindex(*fraction.shape[:2]):
-        led, diode = scene.leds[i], diodes[j]
-        read = electronics.read(gains[i, j] * fraction[i, j], led, diode, scene.electronics)
-        volts[i, j], noise[i, j], saturated[i, j] = read.volts, read.volts_noise_rms, read.saturated
-        per_fraction = electronics.volts_per_fraction(led, diode, scene.electronics) * gains[i, j]
-        volts_stderr[i, j] = stderr[i, j] * per_fraction
-        change_stderr[i, j] = np.hypot(change_stderr[i, j], scales[i, j] * stderr[i, j]) * per_fraction
+        change_stderr[i, j] = np.hypot(change_stderr[i, j], scaled[i, j] * stderr[i, j]) * stages.per_fraction(i, j)
     pair = ("led", "photodiode")
     over, paths = (*pair, "time"), (*pair, "absorber")
+    volts, volts_stderr, change, noise = (
+        per_sample(row, like=fraction) for row in (stages.volts, stages.volts_stderr, stages.change, stages.noise)
+    )
     text = "detected fraction of the emitted power"
     data = about_motion | variable("detected_fraction", over, fraction, text, stderr=stderr)
     data |= variable("volts", over, volts, "photodiode voltage", units="V", stderr=volts_stderr)
     text = "change of the voltage from the start"
-    data |= variable("volts_change", over, volts - volts[..., :1], text, units="V", stderr=change_stderr)
+    data |= variable("volts_change", over, change, text, units="V", stderr=change_stderr)
     data |= variable("volts_noise_rms", over, noise, "electronic noise of one reading, rms", units="V")
+    saturated = per_sample(stages.saturated, like=fraction, dtype=bool)
     data |= variable("saturated", over, saturated, "converter at its limit")
-    data |= variable("responsivity_a_per_w", pair, responsivity, "responsivity at the LED's peak", units="A W-1")
+    text = "responsivity at the LED's peak"
+    data |= variable("responsivity_a_per_w", pair, stages.responsivity_a_per_w(), text, units="A W-1")
     text, error = "mean path of the light detected at rest", light.mean_path_stderr
     data |= variable("mean_path_mm", paths, light.mean_path, text, units="mm", stderr=error)
     text, zones = "blood zone above which it lies, 0 proximal", zones_of_photodiodes(scene)
     data |= variable("zone_of_photodiode", "photodiode", zones, text)
+    wavelength_nm = np.array([led.wavelength_nm for led in scene.leds])
     data |= variable("wavelength_nm", "led", wavelength_nm, "peak wavelength", units="nm")
     names = {"led": [led.name for led in scene.leds], "photodiode": list(scene.layout.photodiode_names)}
     return xr.Dataset(data, names | {"absorber": list(optics.absorbers(scene))})
+
+
+@dataclass(frozen=True)
+class _Stages:
+    """What the photodiodes' stages make of the light, for an LED i and a photodiode j at samples t, (t,) int.
+
+    fraction, stderr, gain : (led, photodiode, time) float. Detected fraction, its standard error, and drift.
+    """
+
+    scene: Scene
+    fraction: np.ndarray
+    stderr: np.ndarray
+    gain: np.ndarray
+
+    def read(self, i: int, j: int, t: np.ndarray) -> electronics.Output:
+        """The converter's readings."""
+        seen = self.gain[i, j, t] * self.fraction[i, j, t]
+        return electronics.read(seen, self.scene.leds[i], self._diode(j), self.scene.electronics)
+
+    def volts(self, i: int, j: int, t: np.ndarray) -> np.ndarray:
+        """Voltage. [V]"""
+        return self.read(i, j, t).volts
+
+    def change(self, i: int, j: int, t: np.ndarray) -> np.ndarray:
+        """Its change from the start. [V]"""
+        return self.volts(i, j, t) - self.volts(i, j, np.array([0]))
+
+    def noise(self, i: int, j: int, t: np.ndarray) -> np.ndarray:
+        """Noise of one reading, rms. [V]"""
+        return self.read(i, j, t).volts_noise_rms
+
+    def saturated(self, i: int, j: int, t: np.ndarray) -> np.ndarray:
+        """Whether the converter is at its limit."""
+        return self.read(i, j, t).saturated
+
+    def volts_stderr(self, i: int, j: int, t: np.ndarray) -> np.ndarray:
+        """Standard error of the voltage. [V]"""
+        return np.asarray(self.stderr[i, j, t] * self.per_fraction(i, j, t))
+
+    def per_fraction(self, i: int, j: int, t: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """What all of the LED's light would give. [V]"""
+        one = electronics.volts_per_fraction(self.scene.leds[i], self._diode(j), self.scene.electronics)
+        return np.asarray(one * self.gain[i, j, t])
+
+    def responsivity_a_per_w(self) -> np.ndarray:
+        """Of every pair, (led, photodiode) float. [A/W]"""
+        wavelength_nm = [led.wavelength_nm for led in self.scene.leds]
+        diodes = [self._diode(j) for j in range(self.fraction.shape[1])]
+        return np.stack([electronics.photodiode_responsivity_a_per_w(one, wavelength_nm) for one in diodes], -1)
+
+    def _diode(self, j: int) -> Photodiode:
+        return self.scene.layout.photodiodes[j].photodiode
 
 
 def _fit_reduced(result: xr.Dataset) -> xr.Dataset:
@@ -181,10 +237,9 @@ def _fit_reduced(result: xr.Dataset) -> xr.Dataset:
     notes = np.full(result.volts.shape[:2], "", dtype=object)
     data: Variables = {}
     for model, name, fit, constants in REDUCED_OPTICS:
-        fits = [[fit(*one) for one in zip(diameter_m, volts, strict=True)] for volts in result.volts.values]
-        curves = np.empty_like(result.volts.values)
-        for i, j in np.ndindex(*curves.shape[:2]):
-            curves[i, j] = fits[i][j].predict(diameter_m[j])
+        fits = [[fit(*one) for one in zip(diameter_m, volts, strict=True)] for volts in result.volts]
+        row = partial(_predicted, fits, diameter_m)
+        curves = per_sample(row, like=result.detected_fraction.values)
         data |= variable(f"volts_{model}", (*pair, "time"), curves, f"voltage by {name}, fitted", units="V")
         errors = _each(fits, "stderr")
         for k, (field, (unit, words)) in enumerate(constants.items()):
@@ -196,6 +251,11 @@ def _fit_reduced(result: xr.Dataset) -> xr.Dataset:
         notes = np.where(_each(fits, "note") != "", _each(fits, "note"), notes)
     data["fit_note"] = (pair, notes.astype(str), {"long_name": "what the fit could not determine"})
     return xr.Dataset(data)
+
+
+def _predicted(fits: list[list[Any]], diameter_m: list[np.ndarray], i: int, j: int, t: np.ndarray) -> np.ndarray:
+    """Volts by the fit of an LED and a photodiode at some samples. [V]"""
+    return np.asarray(fits[i][j].predict(diameter_m[j][t]))
 
 
 def _each(fits: list[list[Any]], field: str) -> np.ndarray:

@@ -3,20 +3,22 @@
 import os
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 
+from nailoptics import variables
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.io import write_dataset
-from nailoptics.light import detect
+from nailoptics.light import detect, open_light
 from nailoptics.light.volpath import states
 from nailoptics.scene import Scene, digest, load_scene, parse_scene
 from nailoptics.studies.blood_states import blood_over_touch
-from nailoptics.studies.simulate import simulate
+from nailoptics.studies.simulate import simulate, simulate_from
 
 
 def prototype(**touch) -> Scene:
@@ -175,6 +177,45 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_others(chosen_jit):
     first, second, other = (simulate(prototype(), photons=1 << 15, seed=seed) for seed in (5, 5, 6))
     xr.testing.assert_identical(first.drop_attrs(), second.drop_attrs())
     assert not np.array_equal(first.volts, other.volts)
+
+
+@pytest.mark.jit
+def test_of_very_many_samples_readings_are_single_and_volts_are_worked_out_when_read(chosen_jit, monkeypatch, tmp_path):
+    """Rationale: a million samples of eight readings, each with its errors, noise and fits, are 0.7 GB in double
+    precision. Expected: all that is told of few samples, to the 6e-8 of single precision, times in double, and the same
+    from the file."""
+    scene, asked = prototype(), {"photons": 1 << 15, "seed": 5}
+    few = simulate(scene, **asked)
+    monkeypatch.setattr(variables, "MANY_SAMPLES", 400)
+    many = simulate(scene, **asked)
+    assert many.time.dtype == few.volts.dtype == float and many.volts.dtype == many.blood_fraction.dtype == np.float32
+    assert few.volts.variable._in_memory and not many.volts.variable._in_memory
+    write_dataset(many, tmp_path / "result.nc")
+    # A change is known to the precision of the reading that it is a change of; zones' ends are means of many samples.
+    least = {"volts_change": 2e-7 * few.volts.max(), "volts_change_stderr": 1e-7 * few.volts_stderr.max()}
+    with xr.open_dataset(tmp_path / "result.nc") as stored:
+        assert set(stored.variables) == set(many.variables) == set(few.variables)
+        for name, one in few.data_vars.items():
+            if "time" in one.dims:
+                assert np.allclose(many[name], one, rtol=3e-7, atol=float(least.get(name, 0.0))), name
+                assert np.array_equal(many[name], stored[name], equal_nan=True), name
+    volts, peak = many.volts.copy(deep=False).load(), abs(many.volts_change).argmax("time")
+    parts = {"photodiode": [7, 0], "time": [400, 3, 3]}, {"time": slice(None, None, -7)}, {"photodiode": 2, "time": -1}
+    for part in (*parts, {"time": peak}):
+        assert not many.volts.variable._in_memory and np.array_equal(many.volts.isel(part), volts.isel(part))
+
+
+@pytest.mark.jit
+def test_very_many_samples_take_little_memory(chosen_jit):
+    """Rationale: they took 82 bytes for each sample of a reading. Expected: a half of that at most, while they are
+    worked out."""
+    scene = prototype(duration_s=3.0, sample_rate_hz=1e5)
+    light = open_light(scene, states=np.full((1, 2), 0.03), photons=1 << 13)
+    tracemalloc.start()
+    result = simulate_from(scene, light, course=blood_over_touch(scene), seed=1)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert result.volts.shape == (1, 8, 300_001) and peak < 41 * result.volts.size
 
 
 @pytest.mark.jit
