@@ -1,5 +1,6 @@
-"""Items sorted into the boxes of a grid, so that whoever asks at a place finds the few that may lie there."""
+"""Items over the boxes of a plane grid, so that places find the few items that they may lie in."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
@@ -8,43 +9,47 @@ from numpy.typing import NDArray
 
 Integers = NDArray[np.int64]
 
+PAIRS = 2_000_000  # at once, to keep the work arrays small
+
 
 @dataclass(frozen=True)
 class Boxes:
-    """Layers of bins x bins boxes, and the items that may reach into each.
+    """Layers of bins x bins boxes, numbered row by row in each column, and the runs of them that items reach into.
 
-    start : (boxes + 1,) int. Where the list of each box begins in members.
-    members : (l,) int. Items, box by box.
+    item : (s,) int. The item of each run, rising; an item has one run in each column that it reaches into.
+    first, last : (s,) int. The first and the last box of each run.
     """
 
     bins: int
-    start: Integers
-    members: NDArray[np.int32]
+    layers: int
+    item: NDArray[np.int32]
+    first: Integers
+    last: Integers
 
     @classmethod
     def sort(cls, first: Integers, last: Integers, *, bins: int, layer: Integers | int = 0, layers: int = 1) -> Self:
-        """Sort items into all boxes from the first to the last bin that each reaches, (n, 2) int, within its layer."""
-        wide = last - first + 1
-        count = wide[:, 0] * wide[:, 1]
+        """Items by all boxes from the first to the last bin that each reaches, (n, 2) int, within its layer."""
+        count = last[:, 0] - first[:, 0] + 1
         item = np.repeat(np.arange(len(count), dtype=np.int32), count)
         rank = np.arange(len(item)) - np.repeat(np.cumsum(count) - count, count)
-        column, row = first[item, 0] + rank // wide[item, 1], first[item, 1] + rank % wide[item, 1]
-        box = (np.broadcast_to(layer, count.shape)[item] * bins + column) * bins + row
-        start = np.concatenate([[0], np.cumsum(np.bincount(box, minlength=layers * bins**2))])
-        # Box and item as one number: plain numbers are sorted many times as fast as their places.
-        pairs = np.sort((box.astype(np.int64) << 32) | item)
-        return cls(bins, start, (pairs & 0xFFFFFFFF).astype(np.int32))
+        column = (np.broadcast_to(layer, count.shape)[item] * bins + first[item, 0] + rank) * bins
+        return cls(bins, layers, item, column + first[item, 1], column + last[item, 1])
 
     def at(self, bins: Integers, layer: Integers | int = 0) -> Integers:
         """Boxes (k,) at bins (k, 2) of a layer."""
         return (layer * self.bins + bins[:, 0]) * self.bins + bins[:, 1]
 
-    def count(self, box: Integers) -> Integers:
-        """How many items each box (k,) lists."""
-        return self.start[box + 1] - self.start[box]
-
-    def items(self, box: Integers) -> NDArray[np.int32]:
-        """The items of each box (k,), one list after the other."""
-        count = self.count(box)
-        begin = np.cumsum(count) - count
-        return self.members[np.repeat(self.start[box] - begin, count) + np.arange(count.sum())]
+    def pairs(self, box: Integers) -> Iterator[tuple[NDArray[np.int32], Integers]]:
+        """All pairs of an item and of one of the places in boxes (k,) that it reaches into, in parts; items rise."""
+        order = np.argsort(box, kind="stable")
+        start = np.concatenate([[0], np.cumsum(np.bincount(box, minlength=self.layers * self.bins**2))])
+        begin, end = start[self.first], start[self.last + 1]
+        some = np.nonzero(end > begin)[0]
+        item, begin, count = self.item[some], begin[some], (end - begin)[some]
+        work = np.cumsum(count)
+        cuts = [0, *np.searchsorted(work, np.arange(PAIRS, work[-1] if len(work) else 0, PAIRS)), len(work)]
+        for low, high in zip(cuts[:-1], cuts[1:], strict=True):
+            n, ends = count[low:high], work[low:high]
+            done = work[low - 1] if low else 0
+            place = np.repeat(begin[low:high] - (ends - n - done), n) + np.arange(n.sum())
+            yield np.repeat(item[low:high], n), order[place]

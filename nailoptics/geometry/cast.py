@@ -1,6 +1,7 @@
 """Parallel rays through a geometry: every crossing of every ray, exact at edges."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,8 +10,6 @@ from .boxes import Boxes
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int32]
-
-PAIRS = 2_000_000
 
 
 @dataclass(frozen=True)
@@ -35,59 +34,74 @@ def cast(vertices: Array, triangles: Indices, rays: Array) -> Crossings:
     Which side of an edge a ray passes is decided once for the edge, whichever triangle asks, so that a ray never slips
     between two triangles that share one, nor meets both.
     """
-    caster = _Caster(vertices, triangles, rays)
-    found = [caster.cross(part) for part in caster.parts()]
+    a, b, c = (vertices[triangles[:, i], :2] for i in range(3))
+    least, most = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    low, high = least.min(axis=0) - 1e-9, most.max(axis=0) + 1e-9
+    bins = int(np.clip(np.sqrt(len(triangles)), 1, 512))
+    per_mm = bins / (high - low)
+
+    def bin_of(points: Array) -> NDArray[np.int64]:
+        # Rounding is monotone, so a ray within a triangle's bounds falls within its bins.
+        return np.floor((points - low) * per_mm).astype(np.int64)
+
+    boxes = Boxes.sort(bin_of(least), bin_of(most), bins=bins)
+    at = bin_of(rays)
+    over = np.nonzero(((at >= 0) & (at < bins)).all(axis=1))[0]
+    edges = [_Edge.of(vertices, triangles[:, i], triangles[:, (i + 1) % 3]) for i in range(3)]
+    found = []
+    for triangle, place in boxes.pairs(boxes.at(at[over])):
+        ray = over[place]
+        triangle, ray, area, forward = _inside(edges, triangle, rays, ray)
+        # The area over edge i belongs to the corner opposite to it.
+        x, y, z = area / area.sum(axis=0)
+        height = vertices[:, 2][triangles[triangle]]
+        found.append((ray, x * height[:, 2] + y * height[:, 0] + z * height[:, 1], triangle, forward))
     ray, z, triangle, forward = (np.concatenate([f[i] for f in found]) for i in range(4))
     order = np.lexsort((z, ray))
     return Crossings(ray[order], z[order], triangle[order], forward[order])
 
 
-class _Caster:
-    """Triangles by the boxes of an even plane grid that they may reach into."""
+@dataclass(frozen=True)
+class _Edge:
+    """One edge of every triangle, always from the lower to the higher vertex: both triangles at it get the same number.
 
-    def __init__(self, vertices: Array, triangles: Indices, rays: Array) -> None:
-        self.vertices, self.triangles, self.rays = vertices, triangles, rays
-        flat = vertices[triangles][:, :, :2]
-        self.low = flat.min(axis=(0, 1)) - 1e-9
-        high = flat.max(axis=(0, 1)) + 1e-9
-        self.bins = int(np.clip(np.sqrt(len(triangles)), 1, 512))
-        self.per_mm = self.bins / (high - self.low)
-        self.boxes = Boxes.sort(self._bin(flat.min(axis=1)), self._bin(flat.max(axis=1)), bins=self.bins)
+    turned : (n,) bool. Whether that is against the triangle's own way round.
+    tie : (n,) bool. Whether a ray on the edge itself counts as left of it: as one moved by a little along x, and by
+        much less along y.
+    """
 
-    def _bin(self, points: Array) -> NDArray[np.int64]:
-        # Rounding is monotone, so a ray within a triangle's bounds falls within its bins.
-        return np.floor((points - self.low) * self.per_mm).astype(np.int64)
+    x: Array
+    y: Array
+    along_x: Array
+    along_y: Array
+    turned: NDArray[np.bool_]
+    tie: NDArray[np.bool_]
 
-    def parts(self) -> list[NDArray[np.int64]]:
-        """Indices of rays over the mesh, in parts that keep the work arrays small."""
-        bins = self._bin(self.rays)
-        over = np.nonzero(((bins >= 0) & (bins < self.bins)).all(axis=1))[0]
-        work = np.cumsum(self.boxes.count(self.boxes.at(bins[over])))
-        cuts = np.searchsorted(work, np.arange(PAIRS, work[-1] if len(work) else 0, PAIRS))
-        return np.split(over, cuts)
+    @classmethod
+    def of(cls, vertices: Array, a: Indices, b: Indices) -> Self:
+        turned = a > b
+        (ax, ay), (bx, by) = vertices[np.where(turned, b, a), :2].T, vertices[np.where(turned, a, b), :2].T
+        return cls(ax, ay, bx - ax, by - ay, turned, (by < ay) | ((by == ay) & (bx > ax)))
 
-    def cross(self, rays: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array, Indices, NDArray[np.bool_]]:
-        """Ray, z, triangle and direction of each crossing of the given rays."""
-        box = self.boxes.at(self._bin(self.rays[rays]))
-        triangle, ray = self.boxes.items(box), np.repeat(rays, self.boxes.count(box))
-        corner = self.triangles[triangle]
-        x, y = self.rays[ray].T
-        area, left = np.empty((3, len(ray))), np.empty((3, len(ray)), bool)
-        for i in range(3):
-            a, b = corner[:, i], corner[:, (i + 1) % 3]
-            turned = a > b
-            low, high = np.where(turned, b, a), np.where(turned, a, b)
-            (ax, ay), (bx, by) = self.vertices[low, :2].T, self.vertices[high, :2].T
-            # Always from the lower to the higher vertex: both triangles at an edge get the same number.
-            signed = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
-            # On the edge itself, the ray counts as moved by a little along x, and by much less along y.
-            tie = (by < ay) | ((by == ay) & (bx > ax))
-            left[i] = ((signed > 0) | ((signed == 0) & tie)) != turned
-            area[i] = np.where(turned, -signed, signed)
-        forward, back = np.all(left, axis=0), ~np.any(left, axis=0)
-        hit = np.nonzero(forward | back)[0]
-        weights = area[:, hit] / area[:, hit].sum(axis=0)
-        z = self.vertices[:, 2][corner[hit]]
-        # The area over edge i belongs to the corner opposite to it.
-        place = weights[0] * z[:, 2] + weights[1] * z[:, 0] + weights[2] * z[:, 1]
-        return ray[hit], place, triangle[hit], forward[hit]
+    def sides(self, triangle: Indices, x: Array, y: Array) -> tuple[NDArray[np.bool_], Array]:
+        """Whether rays at x, y (k,) pass left of the edge of triangles (k,), and twice the areas between."""
+        signed = self.along_x[triangle] * (y - self.y[triangle]) - self.along_y[triangle] * (x - self.x[triangle])
+        turned = self.turned[triangle]
+        left = ((signed > 0) | ((signed == 0) & self.tie[triangle])) != turned
+        return left, np.where(turned, -signed, signed)
+
+
+def _inside(
+    edges: list[_Edge], triangle: Indices, rays: Array, ray: NDArray[np.int64]
+) -> tuple[Indices, NDArray[np.int64], Array, NDArray[np.bool_]]:
+    """Of pairs of triangles and rays those that cross, with the areas (3, k) over the edges, and whether forward."""
+    sides: NDArray[np.bool_] | None = None
+    areas: list[Array] = []
+    for edge in edges:
+        x, y = rays[ray].T
+        left, area = edge.sides(triangle, x, y)
+        same = np.arange(len(ray)) if sides is None else np.nonzero(left == sides)[0]
+        sides, triangle, ray = left[same], triangle[same], ray[same]
+        areas = [*(one[same] for one in areas), area[same]]
+    assert sides is not None
+    return triangle, ray, np.stack(areas), sides

@@ -44,19 +44,17 @@ class Locator:
         inside = (row >= 0) & (row < len(self.rows) - 1) & (bins >= 0).all(axis=1) & (bins < BINS).all(axis=1)
         result = np.full(len(points), AIR, np.int32)
         where = np.nonzero(inside)[0]
-        box = self.boxes.at(bins[where], row[where])
-        count = self.boxes.count(box)
-        where, box, count = where[count > 0], box[count > 0], count[count > 0]
-        if not len(where):
-            return result
-        tetrahedra = self.boxes.items(box)
-        offset = points[np.repeat(where, count)] - self.origin[tetrahedra]
-        weights = np.einsum("kij,kj->ki", self.inverse[tetrahedra], offset)
-        margin = np.minimum(weights.min(axis=1), 1 - weights.sum(axis=1))
-        best = np.maximum.reduceat(margin, np.cumsum(count) - count)
+        found = []
+        for tetrahedron, place in self.boxes.pairs(self.boxes.at(bins[where], row[where])):
+            offset = points[where[place]] - self.origin[tetrahedron]
+            x, y, z = np.einsum("kij,kj->ik", self.inverse[tetrahedron], offset)
+            margin = np.minimum(np.minimum(np.minimum(x, y), z), 1 - (x + y + z))
+            near = np.nonzero(margin > -1e-9)[0]
+            found.append((where[place[near]], margin[near], tetrahedron[near]))
+        point, margin, tetrahedron = (np.concatenate([f[i] for f in found]) for i in range(3))
         # Rounding may put a point on a face a little outside both neighbours: the better one takes it.
-        chosen = np.nonzero(margin == np.repeat(best, count))[0]
-        owner = np.repeat(np.arange(len(where)), count)[chosen]
-        found = best[owner] > -1e-9
-        result[where[owner[found]]] = self.labels[tetrahedra[chosen[found]]]
+        best = np.full(len(points), -np.inf)
+        np.maximum.at(best, point, margin)
+        chosen = margin == best[point]
+        result[point[chosen]] = self.labels[tetrahedron[chosen]]
         return result

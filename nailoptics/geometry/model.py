@@ -92,7 +92,7 @@ class Geometry:
         """
         points, nodes = np.asarray(points, float).reshape(-1, 3), self.grid.nodes.reshape(-1, 3)
         beyond = (points < nodes.min(axis=0)) | (points > nodes.max(axis=0))
-        # Around the grid there is air, and sorting its cells takes seconds.
+        # Around the grid there is air, and its cells are not made for it.
         return np.full(len(points), AIR, np.int32) if beyond.any(axis=1).all() else self._locator.region_at(points)
 
     def section(self, y_mm: Array, z_mm: Array) -> Indices:
