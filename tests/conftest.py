@@ -11,6 +11,8 @@ import pytest
 
 # Before NumPy is loaded, here or in a worker: threads of BLAS that wait for small matrices take a fifth of the time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# The package is compiled once, not anew in each of the processes that tests start.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 from nailoptics.errors import InputError  # noqa: E402
 from nailoptics.light import backend  # noqa: E402
