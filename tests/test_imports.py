@@ -40,6 +40,7 @@ ORDER = [
     {"light"},
     {"electronics"},
     {"studies"},
+    {"local_worker"},
     {"batch"},
     {"exports"},
     {"report"},

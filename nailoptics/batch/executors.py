@@ -9,7 +9,7 @@ from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 
 from ..errors import InputError, NailopticsError
 from ..io import let_dask_in
-from .work import prepare
+from ..local_worker import prepare
 
 # Read by NumPy's BLAS when a worker imports it; one thread each, so that sums are the same on every machine.
 _SINGLE = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")

@@ -1,9 +1,7 @@
 """What a worker does with a job: light that is missing is traced, then every scene of the job is read from it."""
 
 import math
-import multiprocessing
 import os
-import signal
 import threading
 import time
 import traceback
@@ -118,20 +116,6 @@ class JobReport:
     corrupt: list[str] = field(default_factory=list)
     busy: bool = False
     storage: str = ""
-
-
-def prepare(threads: int) -> None:
-    """Make a new local process a worker: few threads, deaf to Ctrl-C, and gone when its parent is."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-
-        def watch() -> None:
-            parent.join()
-            os._exit(1)
-
-        threading.Thread(target=watch, daemon=True).start()
-    backends.set_threads(threads)
 
 
 def cores() -> int:

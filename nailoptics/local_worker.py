@@ -1,0 +1,25 @@
+"""What a new process of this machine does first to become a batch's worker, before it loads the rest of the package."""
+
+import multiprocessing
+import os
+import signal
+import threading
+
+from .io import leave_dask_out
+
+
+def prepare(threads: int) -> None:
+    """Make a new local process a worker: few threads, deaf to Ctrl-C, and gone when its parent is."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+
+        def watch() -> None:
+            parent.join()
+            os._exit(1)
+
+        threading.Thread(target=watch, daemon=True).start()
+    leave_dask_out()
+    from .light import backend
+
+    backend.set_threads(threads)
