@@ -1,11 +1,12 @@
-"""How cost grows with photodiodes, LEDs, blood states, samples and scenes, and what the main job costs, beside another
-revision's. Run it on a machine that does nothing else:
+"""How cost grows with photodiodes, LEDs, blood states, samples and scenes, what the main job costs, and the figure of
+merit of the photons, beside another revision's. Run it on a machine that does nothing else:
 
     python tests/benchmarks/bench_slopes.py [--only NAME] [--beside REVISION]
 
 Each figure is measured in a process of its own, whose light is stored in a folder of its own: processor seconds after
 imports, those of child processes included, and the largest memory. A slope is the power with which processor time grows
-from one row to the next: 1 is in proportion. REVISION, a commit of this repository, runs the same cases with its own
+from one row to the next: 1 is in proportion. A figure of merit, 1 / (relative error^2 x CPU s) of the worst photodiode,
+stands where other rows have seconds [1/s]. REVISION, a commit of this repository, runs the same cases with its own
 code; what it refuses is told as such.
 """
 
@@ -18,53 +19,28 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from math import log
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-SIZES = {
-    "photodiodes": [8, 64, 256, 1024],
-    "leds": [1, 2, 4, 8],
-    "states": [100, 1_000, 10_000, 100_000],
-    "samples": [1_000, 10_000, 100_000, 1_000_000],
-    "samples of 8 zones": [1_000, 10_000, 100_000, 1_000_000],
-    "samples of a pulse": [1_000, 10_000, 100_000, 1_000_000],
-    "scenes": [10, 40, 160],
-    "main job": [0],
-    "main job again, other blood": [0],
-    "main job again, tighter": [0],
-    "a million photons more": [0],
-}
-BOARD = """
-schema_version = 1
-[finger]
-[board]
-barrier = false
-"""
-SWEEP = """
+BOARD = "schema_version = 1\n[finger]\n[board]\nbarrier = false\n"
+PART, NEAR = 'part = "led_800"', '[[photodiodes]]\nname = "p"\nposition_mm = [1.0, 0.0]\n'
+LAYER = 'name = "slab"\nthickness_mm = 1.0\nmu_a_per_mm = 0.1\nmu_s_per_mm = 5.0\ng = 0.8\nn = 1.4\n'
+SLAB = f"schema_version = 1\n[[phantom.layers]]\n{LAYER}{NEAR}aperture = true\n"
+BEAM = 'wavelength_nm = 800.0\npattern = "pencil"'
+SWEEP = f"""
 schema_version = 1
 [base]
-schema_version = 1
-[[base.phantom.layers]]
-name = "slab"
-thickness_mm = 1.0
-mu_a_per_mm = 0.1
-mu_s_per_mm = 5.0
-g = 0.8
-n = 1.4
+{SLAB.replace("[[", "[[base.")}
 [[base.leds]]
 name = "beam"
-wavelength_nm = 800.0
-pattern = "pencil"
-[[base.photodiodes]]
-name = "p"
-aperture = true
-position_mm = [1.0, 0.0]
+{BEAM}
 [base.accuracy]
 photons = 500
 [[axes]]
 path = "phantom.layers.slab.thickness_mm"
-linspace = [0.5, 3.0, {count}]
+linspace = [0.5, 3.0, COUNT]
 """
 FEW = 20_000
 
@@ -89,7 +65,7 @@ def photodiodes(count: int) -> Callable[[], object]:
     from nailoptics.scene import parse_scene
 
     columns = max(1, count // 32)
-    text = BOARD + '[[leds]]\nname = "ir"\npart = "led_800"\nposition_mm = [-4.0, 0.0]\n'
+    text = BOARD + lights(PART, (-4.0, 0.0))
     for i in range(columns):
         text += f'[[photodiodes]]\nname = "p{i}"\nposition_mm = [{-3.4 + 0.2 * i:.2f}, 0.0]\n'
         text += f"elements = {count // columns}\nsize_mm = [0.15, 0.2]\npitch_mm = 0.25\n"
@@ -97,15 +73,18 @@ def photodiodes(count: int) -> Callable[[], object]:
     return lambda: nail.simulate(scene, photons=FEW)
 
 
+def lights(part: str, *places: tuple[float, float]) -> str:
+    """LEDs in a scene."""
+    each = enumerate(places)
+    return "".join(f'[[leds]]\nname = "ir{i}"\n{part}\nposition_mm = [{u:.1f}, {v:.1f}]\n' for i, (u, v) in each)
+
+
 def leds(count: int) -> Callable[[], object]:
     """LEDs in a row beside one photodiode."""
     import nailoptics as nail
     from nailoptics.scene import parse_scene
 
-    text = BOARD + '[[photodiodes]]\nname = "p"\nposition_mm = [1.0, 0.0]\n'
-    for i in range(count):
-        text += f'[[leds]]\nname = "ir{i}"\npart = "led_800"\nposition_mm = [-2.0, {-3.5 + i:.1f}]\n'
-    scene = parse_scene(text)
+    scene = parse_scene(BOARD + NEAR + lights(PART, *((-2.0, -3.5 + i) for i in range(count))))
     return lambda: nail.simulate(scene, photons=FEW)
 
 
@@ -121,13 +100,14 @@ def states(count: int) -> Callable[[], object]:
     return lambda: course(transfer, blood)
 
 
-def samples(count: int, *, scene=None) -> Callable[[], object]:
+def samples(count: int, name: str = "prototype", zones: int = 2) -> Callable[[], object]:
     """Ten seconds at a higher rate: the vessels, the readings and the fits, without the photons."""
     from nailoptics.light import open_light
     from nailoptics.studies.blood_states import blood_over_touch
     from nailoptics.studies.simulate import simulate_from
 
-    asked = scene or shipped()
+    asked = shipped(name)
+    asked = asked.model_copy(update={"blood": asked.blood.model_copy(update={"zones": zones})})
     touch = asked.touch.model_copy(update={"duration_s": 10.0, "sample_rate_hz": count / 10.0})
     asked = asked.model_copy(update={"touch": touch})
     start = asked.model_copy(update={"touch": touch.model_copy(update={"sample_rate_hz": 10.0})})
@@ -135,56 +115,32 @@ def samples(count: int, *, scene=None) -> Callable[[], object]:
     return lambda: simulate_from(asked, light, course=blood_over_touch(asked), seed=1)
 
 
-def samples_of_8_zones(count: int) -> Callable[[], object]:
-    scene = shipped()
-    return samples(count, scene=scene.model_copy(update={"blood": scene.blood.model_copy(update={"zones": 8})}))
-
-
-def samples_of_a_pulse(count: int) -> Callable[[], object]:
-    return samples(count, scene=shipped("heartbeat"))
-
-
-def scenes(count: int) -> Callable[[], object]:
-    """A batch of slabs of one worker, and opening its results."""
+def scenes(count: int, *, opening: bool = False) -> Callable[[], object]:
+    """A batch of slabs of one worker and opening its results, or opening them alone."""
     import nailoptics as nail
     from nailoptics.batch import load_sweep, run_batch
 
     folder = Path(tempfile.mkdtemp(dir=os.environ["NAILOPTICS_STORE"]))
-    (folder / "sweep.toml").write_text(SWEEP.format(count=count), encoding="utf-8")
-    sweep = load_sweep(folder / "sweep.toml")
-
-    def run() -> None:
-        run_batch(sweep, folder / "out", workers=1)
-        nail.open_results(folder / "out")
-
-    return run
+    (folder / "sweep.toml").write_text(SWEEP.replace("COUNT", str(count)), encoding="utf-8")
+    run = partial(run_batch, load_sweep(folder / "sweep.toml"), folder / "out", workers=1)
+    if opening:
+        run()
+    return lambda: (opening or run(), nail.open_results(folder / "out"))
 
 
-def command(*options: str, scene: str = "prototype") -> None:
-    """The main job in a process of its own, its files written."""
-    out = tempfile.mkdtemp(dir=os.environ["NAILOPTICS_STORE"])
-    asked = [sys.executable, "-m", "nailoptics", "simulate", scene, "-o", out, *options]
-    subprocess.run(asked, check=True, capture_output=True)
-
-
-def main_job(_: int) -> Callable[[], object]:
-    """A first simulate at 5 %, imports and files included."""
-    return lambda: command("--relative-error", "0.05")
-
-
-def main_job_again_other_blood(_: int) -> Callable[[], object]:
-    """The same with more blood, whose light is stored."""
-    command("--relative-error", "0.05")
+def main_job(_: int, *, first: str = "", then: str = "0.05", blood: str = "0.03") -> Callable[[], object]:
+    """Simulate, imports and files included, to a tolerance after another or none, with other blood than then."""
+    folder = Path(tempfile.mkdtemp(dir=os.environ["NAILOPTICS_STORE"]))
     text = (ROOT / "scenes" / "prototype.toml").read_text(encoding="utf-8")
-    other = Path(tempfile.mkdtemp(dir=os.environ["NAILOPTICS_STORE"])) / "other.toml"
-    other.write_text(text.replace("rest_blood_fraction = 0.03", "rest_blood_fraction = 0.035"), encoding="utf-8")
-    return lambda: command("--relative-error", "0.05", scene=str(other))
+    (folder / "other.toml").write_text(text.replace("blood_fraction = 0.03", f"blood_fraction = {blood}"))
 
+    def command(scene: Path | str, tolerance: str) -> None:
+        asked = ["simulate", str(scene), "-o", str(folder / "out"), "--relative-error", tolerance]
+        subprocess.run([sys.executable, "-m", "nailoptics", *asked], check=True, capture_output=True)
 
-def main_job_again_tighter(_: int) -> Callable[[], object]:
-    """Going on from 5 % to 4 %, of which stored light is the larger part."""
-    command("--relative-error", "0.05")
-    return lambda: command("--relative-error", "0.04")
+    if first:
+        command("prototype", first)
+    return lambda: command(folder / "other.toml", then)
 
 
 def a_million_photons_more(_: int) -> Callable[[], object]:
@@ -195,13 +151,83 @@ def a_million_photons_more(_: int) -> Callable[[], object]:
     return lambda: nail.trace(shipped(), photons=1_000_000, seed=2)
 
 
+def beside_photons(_: int) -> Callable[[], object]:
+    """What a first simulate at 2 % takes beside its photons: scene, kernels, the picture's light, and files."""
+    import nailoptics.light.detect as detect
+    from nailoptics.cli import run
+
+    trace, traced, out = detect.trace, [], tempfile.mkdtemp(dir=os.environ["NAILOPTICS_STORE"])
+
+    def noted(*arguments: object, **more: object) -> object:
+        traced.append(trace(*arguments, **more))
+        return traced[-1]
+
+    def job() -> float:
+        begin, detect.trace = spent_s(), noted
+        run(["simulate", "prototype", "-o", out, "--relative-error", "0.02", "--json"])
+        return spent_s() - begin - traced[0].cpu_seconds
+
+    return job
+
+
+def moved(_: int, text: str, part: str) -> Callable[[], object]:
+    """Simulating or tracing again where the second of two LEDs has moved."""
+    import nailoptics as nail
+    from nailoptics.scene import parse_scene
+
+    before, after = (parse_scene(text + lights(part, (-2.0, -2.0), (-2.0, v))) for v in (2.0, 2.5))
+    study = nail.simulate if before.finger else nail.trace
+    study(before, photons=10 * FEW)
+    return lambda: study(after, photons=10 * FEW)
+
+
+def merit(photons: int, layout: str = "") -> Callable[[], object]:
+    """1 / (relative error^2 x processor seconds of the photons) of the worst photodiode, kernels being there."""
+    import nailoptics as nail
+    from nailoptics.scene import parse_scene
+
+    scene = parse_scene(BOARD + layout) if layout else shipped()
+
+    def found() -> float:
+        nail.trace(scene, photons=FEW, seed=1)
+        light = nail.trace(scene, photons=photons, seed=2)
+        rest = light.at()
+        return float(1 / ((rest.detected_fraction_stderr / rest.detected_fraction).max() ** 2 * light.cpu_seconds))
+
+    return found
+
+
+MANY = [1_000, 10_000, 100_000, 1_000_000]
+CASES: dict[str, tuple[Callable[..., Callable[[], object]], list[int]]] = {
+    "photodiodes": (photodiodes, [8, 64, 256, 1024]),
+    "leds": (leds, [1, 2, 4, 8]),
+    "states": (states, [100, 1_000, 10_000, 100_000]),
+    "samples": (samples, MANY),
+    "samples of 8 zones": (partial(samples, zones=8), MANY),
+    "samples of a pulse": (partial(samples, name="heartbeat"), MANY),
+    "scenes": (scenes, [10, 40, 160]),
+    "open results": (partial(scenes, opening=True), [5_000]),
+    "main job": (main_job, [0]),
+    "main job again, other blood": (partial(main_job, first="0.05", blood="0.035"), [0]),
+    "main job again, tighter": (partial(main_job, first="0.05", then="0.04"), [0]),
+    "main job at 2 % less photons": (beside_photons, [0]),
+    "a million photons more": (a_million_photons_more, [0]),
+    # On a finger light meets the dies of both; on a slab beams know nothing of each other.
+    "one LED of two moved": (partial(moved, text=BOARD + NEAR, part=PART), [0]),
+    "one beam of two moved": (partial(moved, text=SLAB, part=BEAM), [0]),
+    "merit of the prototype": (merit, [1_000_000]),
+    "merit at 5 mm": (partial(merit, layout=NEAR + lights(PART, (-4.0, 0.0), (1.0, 5.0))), [1_000_000]),
+}
+
+
 def measure(name: str, size: int) -> dict[str, float]:
-    """Processor seconds and largest memory of one case, in this process."""
-    prepared = globals()[name.replace(" ", "_").replace(",", "")](size)
+    """Processor seconds, or the figure that a case tells instead, and largest memory, in this process."""
+    prepared = CASES[name][0](size)
     begin = spent_s()
-    prepared()
+    found = prepared()
+    spent = found if isinstance(found, float) else spent_s() - begin
     peak = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return {"cpu_s": spent_s() - begin, "peak_mb": peak / 1e3}
+    return {"cpu_s": spent, "peak_mb": peak / 1e3}
 
 
 def apart(name: str, size: int, code: Path) -> dict[str, float] | None:
@@ -217,7 +243,7 @@ def rows(name: str, codes: list[Path]) -> list[list[str]]:
     """Lines of the table for one case: size, then seconds, slope and memory for each code."""
     lines: list[list[str]] = []
     before: list[tuple[int, float] | None] = [None] * len(codes)
-    for size in SIZES[name]:
+    for size in CASES[name][1]:
         line = [name, f"{size:,}" if size else ""]
         for k, code in enumerate(codes):
             found = apart(name, size, code)
@@ -240,7 +266,7 @@ def export(revision: str, folder: Path) -> Path:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", choices=SIZES, action="append")
+    parser.add_argument("--only", choices=CASES, action="append")
     parser.add_argument("--beside", metavar="REVISION")
     parser.add_argument("--case", nargs=2, help=argparse.SUPPRESS)
     asked = parser.parse_args()
@@ -252,7 +278,7 @@ def main() -> None:
         codes = [ROOT] + ([export(asked.beside, Path(folder))] if asked.beside else [])
         head = ["case", "size"] + [f"{column}{mark}" for mark in ("", " there")[: len(codes)] for column in COLUMNS]
         print("".join(f"{cell:>{width}}" for cell, width in zip(head, WIDTHS, strict=False)))
-        for name in asked.only or SIZES:
+        for name in asked.only or CASES:
             for line in rows(name, codes):
                 print("".join(f"{cell:>{width}}" for cell, width in zip(line, WIDTHS, strict=False)), flush=True)
     print(f"measured in {time.perf_counter() - began:.0f} s")
