@@ -50,8 +50,8 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
     dims, shape = tuple(plan["dims"]), tuple(plan["dims"].values())
     names = {axis["name"] for axis in plan["axes"]}
     states: list[str] = []
-    found: list[_Result | None] = []
-    for digest in plan["scenes"]:
+    stack = _Stack(len(plan["scenes"]))
+    for number, digest in enumerate(plan["scenes"]):
         one, state = None, DONE
         try:
             stored = place.read_result(digest, made=plan["made"])
@@ -64,11 +64,12 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
         except (CorruptError, KeyError, TypeError, ValueError):
             state = FAILED if place.failure(digest).exists() else CORRUPT
         states.append(state)
-        found.append(one)
+        if one is not None:
+            stack.add(number, one)
     for state, why in ((CORRUPT, "damaged"), (FOREIGN, "another seed's, backend's or version's")):
         if count := states.count(state):
             log.warning("%s: %d results are %s and left out; run the batch again", place.root, count, why)
-    dataset = _stacked(found, dims, shape)
+    dataset = stack.dataset(dims, shape)
     text = "done, missing, failed, corrupt or foreign"
     dataset["state"] = (dims, np.array(states).reshape(shape), {"long_name": text})
     dataset["digest"] = (dims, np.array(plan["scenes"]).reshape(shape), {"long_name": "digest of the scene"})
@@ -104,33 +105,52 @@ def _result(header: dict[str, Any], arrays: dict[str, np.ndarray], axes: set[str
     return _Result(data, coords, header["attrs"])
 
 
-def _stacked(found: list[_Result | None], dims: tuple[str, ...], shape: tuple[int, ...]) -> xr.Dataset:
-    """One array per variable over all scenes; what a scene lacks is filled."""
-    present = [one for one in found if one is not None]
-    if not present:
-        return xr.Dataset()
-    first = present[0]
-    for one in present[1:]:
-        _check_same_coordinates(first, one)
-    data = {}
-    for name, (own, values, attrs) in first.data.items():
+class _Stack:
+    """One array per variable of the first result over all scenes; what a scene lacks stays empty.
+
+    Each result is copied as it comes: thousands of them, kept, would be searched for garbage again and again.
+    """
+
+    def __init__(self, scenes: int) -> None:
+        self.scenes = scenes
+        self.first: _Result | None = None
+        self.full: dict[str, np.ndarray] = {}
+
+    def add(self, number: int, one: _Result) -> None:
+        """Put in the result of a scene, by its number; raises InputError where it does not fit the first."""
+        if self.first is None:
+            self.first = one
+            self.full = {name: self._empty(values) for name, (_, values, _) in one.data.items()}
+        _check_same_coordinates(self.first, one)
+        for name, full in self.full.items():
+            if name not in one.data:
+                continue
+            values = one.data[name][1]
+            if values.shape != full.shape[1:]:
+                raise InputError(
+                    f'the scenes of this batch differ in the shape of their "{name}", so they are no one dataset; '
+                    "sweep scenes with as many of each."
+                )
+            full[number] = values
+
+    def _empty(self, values: np.ndarray) -> np.ndarray:
         # A type that can say that nothing is there.
         number = np.result_type(values.dtype, np.float32) if values.dtype.kind not in "bU" else None
         kinds: dict[str, tuple[Any, Any]] = {"b": (False, bool), "U": ("", object), "u": (0, values.dtype)}
         empty, holding = kinds.get(values.dtype.kind, (np.nan, number))
-        full = np.full((len(found), *values.shape), empty, holding)
-        for i, item in enumerate(found):
-            if item is not None and name in item.data:
-                if item.data[name][1].shape != values.shape:
-                    raise InputError(
-                        f'the scenes of this batch differ in the shape of their "{name}", so they are no one dataset; '
-                        "sweep scenes with as many of each."
-                    )
-                full[i] = item.data[name][1]
-        whole = full.astype(str) if full.dtype.kind == "O" else full
-        data[name] = ((*dims, *own), whole.reshape(*shape, *values.shape), attrs)
-    kept = {k: v for k, v in first.attrs.items() if k in ("engine", "versions")}
-    return xr.Dataset(data, coords=first.coords, attrs=kept)
+        return np.full((self.scenes, *values.shape), empty, holding)
+
+    def dataset(self, dims: tuple[str, ...], shape: tuple[int, ...]) -> xr.Dataset:
+        """All of them over the sweep's dimensions."""
+        if self.first is None:
+            return xr.Dataset()
+        data = {}
+        for name, (own, values, attrs) in self.first.data.items():
+            whole = self.full[name]
+            whole = whole.astype(str) if whole.dtype.kind == "O" else whole
+            data[name] = ((*dims, *own), whole.reshape(*shape, *values.shape), attrs)
+        kept = {k: v for k, v in self.first.attrs.items() if k in ("engine", "versions")}
+        return xr.Dataset(data, coords=self.first.coords, attrs=kept)
 
 
 def _check_same_coordinates(first: _Result, one: _Result) -> None:
