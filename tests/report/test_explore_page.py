@@ -41,19 +41,31 @@ def file(explored: Exploration, tmp_path_factory: pytest.TempPathFactory) -> Pat
     return path
 
 
-@pytest.fixture
-def shown(browser: Any, file: Path) -> Iterator[Any]:
-    """The page as it opens; it must not complain and must ask nothing of any other file or server."""
+@pytest.fixture(scope="module")
+def tab(browser: Any) -> Iterator[Any]:
+    """One tab for all tests that load the page anew: a tab of its own would cost each as much as the page itself."""
     context = browser.new_context(viewport={"width": 1200, "height": 900})
-    view, complaints, asked = context.new_page(), [], []
-    view.on("pageerror", lambda error: complaints.append(str(error)))
-    view.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
-    view.on("request", lambda request: asked.append(request.url))
-    view.goto(file.as_uri())
-    yield view
+    yield context.new_page()
+    context.close()
+
+
+@pytest.fixture
+def shown(tab: Any, file: Path) -> Iterator[Any]:
+    """The page as it opens; it must not complain and must ask nothing of any other file or server."""
+    complaints, asked = [], []
+    hear = {
+        "pageerror": lambda error: complaints.append(str(error)),
+        "console": lambda message: complaints.append(message.text) if message.type == "error" else None,
+        "request": lambda request: asked.append(request.url),
+    }
+    for event, told in hear.items():
+        tab.on(event, told)
+    tab.goto(file.as_uri())
+    yield tab
     assert complaints == []
     assert {url for url in asked if not url.startswith("blob:")} <= {file.as_uri()}
-    context.close()
+    for event, told in hear.items():
+        tab.remove_listener(event, told)
 
 
 def test_the_page_is_one_file_of_at_most_five_megabytes(file: Path):
