@@ -24,6 +24,8 @@ os.environ["NAILOPTICS_STORE"] = "off"
 # Names of browsers that can show pages; NAILOPTICS_BROWSER may give the path of another, or none: then tests that need
 # one are left out.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
+# Folders whose files take less than a few seconds each.
+TESTS, QUICK = Path(__file__).parent, ("hemodynamics", "scene", "tissue")
 IN_CI = os.environ.get("CI", "").lower() in ("true", "1")
 
 
@@ -87,6 +89,8 @@ def browser() -> Iterator[Any]:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    # Workers take file after file; quick ones at the end leave none of them waiting for another.
+    items.sort(key=lambda item: any(TESTS / one in item.path.parents for one in QUICK))
     if os.environ.get("NAILOPTICS_BROWSER") == "none":
         left_out = [item for item in items if "browser" in getattr(item, "fixturenames", ())]
         config.hook.pytest_deselected(items=left_out)
