@@ -1,5 +1,6 @@
 """What a new process of this machine does first to become a batch's worker, before it loads the rest of the package."""
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -19,6 +20,7 @@ def prepare(threads: int) -> None:
             os._exit(1)
 
         threading.Thread(target=watch, daemon=True).start()
+    gc.set_threshold(100_000)  # as on the command line
     leave_dask_out()
     from .light import backend
 
