@@ -2,12 +2,16 @@
 
 import os
 import signal
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from nailoptics.batch import Sweep, load_sweep, run_batch
+from nailoptics.batch.executors import Slots
 
 PHANTOM = """
 schema_version = 1
@@ -68,6 +72,31 @@ def calm(chosen_jit, tmp_path_factory) -> Calm:
     sweep = phantoms(folder, 30)
     run_batch(sweep, folder / "b", workers=1, threads=2)
     return Calm(sweep, folder / "slabs30.toml", folder / "b", bits(folder / "b"))
+
+
+class AtOnce(Executor):
+    """Does what it is given at once, in this process."""
+
+    def submit(self, do: Callable[..., Any], /, *arguments: Any, **more: Any) -> Future:
+        future: Future = Future()
+        future.set_result(do(*arguments, **more))
+        return future
+
+
+class Here(Slots):
+    """What a run without workers has in their place."""
+
+    own_process = True
+
+    def __init__(self, workers: int, threads: int) -> None:
+        assert workers == 1
+        self.executors = [AtOnce()]
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs of a batch start no worker: for tests of what becomes of the scenes, whoever does them."""
+    monkeypatch.setattr("nailoptics.batch.run.LocalSlots", Here)
 
 
 FAILING = PHANTOM.replace(

@@ -30,7 +30,7 @@ def test_a_batch_from_the_command_line(jit_backend, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["lights"] == 3
 
 
-def test_failures_end_with_3_and_stand_on_the_page(jit_backend, tmp_path, capsys):
+def test_failures_end_with_3_and_stand_on_the_page(jit_backend, here, tmp_path, capsys):
     (tmp_path / "s.toml").write_text(FAILING)
     assert cli.run(["batch", str(tmp_path / "s.toml"), "-o", str(tmp_path / "b"), "--workers", "1"]) == 3
     assert "2 failed" in capsys.readouterr().err

@@ -13,14 +13,14 @@ from nailoptics.cli import run
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.io import pack, unpack
 
-from .conftest import Calm, bits, phantoms
+from .conftest import Calm, Here, bits, phantoms
 
 pytestmark = pytest.mark.jit
 
 
 @pytest.fixture
-def used(calm: Calm, tmp_path: Path) -> Path:
-    """A folder of thirty scenes that are done."""
+def used(calm: Calm, here: None, tmp_path: Path) -> Path:
+    """A folder of thirty scenes that are done; more are done without workers."""
     return Path(shutil.copytree(calm.folder, tmp_path / "used"))
 
 
@@ -28,7 +28,9 @@ def used(calm: Calm, tmp_path: Path) -> Path:
 def other_seed(calm: Calm, tmp_path_factory) -> dict[str, bytes]:
     """The same scenes, traced with seed 1."""
     folder = tmp_path_factory.mktemp("other")
-    run_batch(calm.sweep, folder, workers=1, seed=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("nailoptics.batch.run.LocalSlots", Here)
+        run_batch(calm.sweep, folder, workers=1, seed=1)
     return bits(folder)
 
 

@@ -136,7 +136,7 @@ def driver(sweep_file: Path, folder: Path, *options: str, **kwargs) -> subproces
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **kwargs)
 
 
-def test_a_killed_driver_takes_its_workers_along_and_the_next_run_goes_on(calm, tmp_path):
+def test_a_killed_driver_takes_its_workers_along_and_the_next_run_goes_on(calm, here, tmp_path):
     process = driver(calm.file, tmp_path / "b", "--workers", "2")
     deadline = time.time() + 60
     while len(bits(tmp_path / "b")) < 4 and time.time() < deadline:
@@ -192,7 +192,7 @@ def test_the_number_of_threads_changes_no_bit_of_a_finger(jit_backend, fingers, 
     assert bits(tmp_path / "1") == bits(tmp_path / "2")
 
 
-def test_scenes_of_one_light_trace_it_once(jit_backend, fingers, tmp_path):
+def test_scenes_of_one_light_trace_it_once(jit_backend, here, fingers, tmp_path):
     outcome = run_batch(fingers, tmp_path / "b", workers=1)
     assert (outcome.lights, outcome.total) == (1, 4)
     assert len(list((tmp_path / "b" / "light").iterdir())) == 1
@@ -204,7 +204,7 @@ def test_scenes_of_one_light_trace_it_once(jit_backend, fingers, tmp_path):
     assert not bool(results.saturated_ever.any()) and float(abs(ratio - 2).max()) < 0.05
 
 
-def test_a_damaged_result_and_damaged_light_are_found_said_and_made_again(jit_backend, tmp_path):
+def test_a_damaged_result_and_damaged_light_are_found_said_and_made_again(jit_backend, here, tmp_path):
     sweep = phantoms(tmp_path, 4)
     run_batch(sweep, tmp_path / "b", workers=1)
     before = bits(tmp_path / "b")
@@ -221,7 +221,7 @@ def test_a_damaged_result_and_damaged_light_are_found_said_and_made_again(jit_ba
     assert sum("damaged" in line for line in said) == 4
 
 
-def test_a_failed_scene_is_recorded_stops_no_other_and_is_retried_when_asked(jit_backend, tmp_path):
+def test_a_failed_scene_is_recorded_stops_no_other_and_is_retried_when_asked(jit_backend, here, tmp_path):
     (tmp_path / "s.toml").write_text(FAILING)
     sweep = load_sweep(tmp_path / "s.toml")
     with pytest.raises(NotReachedError, match="2 failed") as caught:
@@ -279,7 +279,7 @@ def test_a_light_that_one_scene_cannot_have_is_there_for_the_others(jit_backend,
     assert len(report.done) == 3 and "not enough memory for it (Unable to allocate 99 TiB)" in why
 
 
-def test_without_a_jit_backend_volpath_does_the_scenes_and_resumes(tmp_path):
+def test_without_a_jit_backend_volpath_does_the_scenes_and_resumes(here, tmp_path):
     sweep = phantoms(tmp_path, 3, accuracy="photons = 2000")
     assert len(run_batch(sweep, tmp_path / "b", workers=1, backend="scalar").done) == 3
     before, results = bits(tmp_path / "b"), nail.open_results(tmp_path / "b")
@@ -301,7 +301,7 @@ def test_what_volpath_answered_as_well_as_it_can_is_not_asked_again():
     assert not meets(header | {"reached": False}, Accuracy(relative_error=0.01))
 
 
-def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(jit_backend, tmp_path):
+def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(jit_backend, here, tmp_path):
     """A limit on the size of files stands in for a full disk."""
     import resource
 
@@ -335,7 +335,7 @@ def test_a_time_limit_keeps_the_light_and_the_next_run_continues_it(jit_backend,
     assert batches == [2, 4]
 
 
-def test_more_accuracy_later_continues_and_gives_the_bits_of_a_fresh_run(jit_backend, tmp_path):
+def test_more_accuracy_later_continues_and_gives_the_bits_of_a_fresh_run(jit_backend, here, tmp_path):
     sweep = phantoms(tmp_path, 1, accuracy="relative_error = 0.004")
     [report] = done_here(sweep, Settings(tmp_path / "b", TraceOptions(backend=jit_backend.name)))
     first = sorted((tmp_path / "b" / "light").glob("*/*.dat"))
@@ -362,7 +362,7 @@ def test_a_wrong_shard_is_told(shard):
         parse_shard(shard)
 
 
-def test_a_folder_of_another_seed_or_backend_is_refused(jit_backend, tmp_path):
+def test_a_folder_of_another_seed_or_backend_is_refused(jit_backend, here, tmp_path):
     sweep = phantoms(tmp_path, 2)
     run_batch(sweep, tmp_path / "b", workers=1)
     for asked in ({"seed": 1}, {"backend": "scalar"}):

@@ -16,7 +16,7 @@ from nailoptics.options import TraceOptions
 from nailoptics.report.result_files import write_sweep
 from nailoptics.studies.colour.reflectance import NODES
 
-from .conftest import bits
+from .conftest import Here, bits
 from .test_run import children, done_here
 
 pytestmark = pytest.mark.jit
@@ -43,7 +43,9 @@ def colours(folder):
     return load_sweep(folder / "colours.toml")
 
 
-def test_a_sweep_of_photographs_is_resumed_after_a_kill_and_makes_one_dataset_and_one_sheet(jit_backend, tmp_path):
+def test_a_sweep_of_photographs_is_resumed_after_a_kill_and_makes_one_dataset_and_one_sheet(
+    jit_backend, tmp_path, monkeypatch
+):
     """The worker is killed (SIGKILL) once two of four results are there; the next run does the others alone."""
     sweep = colours(tmp_path)
     killed = []
@@ -59,6 +61,7 @@ def test_a_sweep_of_photographs_is_resumed_after_a_kill_and_makes_one_dataset_an
         run_batch(sweep, tmp_path / "b", workers=1, threads=1, progress=kill)
     before = bits(tmp_path / "b")
     assert killed and 2 <= len(before) < 4
+    monkeypatch.setattr("nailoptics.batch.run.LocalSlots", Here)
     outcome = run_batch(sweep, tmp_path / "b", workers=1, threads=1)
     assert len(outcome.kept) == len(before) and len(outcome.done) == 4 - len(before)
     after = bits(tmp_path / "b")
