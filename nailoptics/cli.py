@@ -824,6 +824,7 @@ def _show(
 
 
 def _end(unmet: NotReachedError | None, where: Path | None = None) -> None:
-    """End with exit code 3 if what was requested was not reached; where is what was reached."""
+    """End with the error's exit code if what was requested was not reached; where is what was reached."""
     if unmet:
-        raise NotReachedError(f"{unmet} What was reached is in {where}." if where else str(unmet))
+        text = f"{unmet} What was reached is in {where}." if where else str(unmet)
+        raise NotReachedError(text, full=unmet.exit_code == 1)

@@ -25,13 +25,14 @@ class InputError(NailopticsError):
 
 
 class NotReachedError(NailopticsError):
-    """A tolerance or a time limit could not be met; `result` is what was reached."""
+    """A tolerance or a time limit could not be met; `result` is what was reached. On a full disk the exit code is 1."""
 
     exit_code = 3
 
-    def __init__(self, message: str, *, result: object = None) -> None:
+    def __init__(self, message: str, *, result: object = None, full: bool = False) -> None:
         super().__init__(message)
         self.result = result
+        self.exit_code = 1 if full else NotReachedError.exit_code
 
 
 def as_far_as_reached(study: Callable[..., Any], *arguments: Any, **options: Any) -> tuple[Any, NotReachedError | None]:

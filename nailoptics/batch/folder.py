@@ -67,6 +67,8 @@ class Folder:
         path = self.root / "plan.json"
         try:
             plan = json.loads(path.read_text(encoding="utf-8"))
+            if not isinstance(plan, dict):
+                raise ValueError("it holds no table")
             if plan["format"] != FORMAT:
                 raise InputError(
                     f"{path}: has format {plan['format']}, and {FORMAT} is known here: another nailoptics wrote it; "

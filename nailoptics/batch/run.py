@@ -15,7 +15,7 @@ from ..scene.sweep import Sweep
 from . import plan as plans
 from .executors import ClusterSlots, LocalSlots, Slots, single_threaded_blas
 from .folder import Folder
-from .work import GONE, Job, JobReport, Settings, cores, standing, work
+from .work import GONE, TAKES_NO_MORE, Job, JobReport, Settings, cores, standing, work
 
 log = logging.getLogger(__name__)
 
@@ -139,7 +139,8 @@ def _judged(outcome: Outcome, trouble: str) -> Outcome:
         reasons.append(f"max_seconds ended the run with {outcome.unfinished} left (run again to go on)")
     if reasons:
         good = len(outcome.kept) + len(outcome.done)
-        raise NotReachedError(f"{good} of {outcome.total} scenes are done; {'; '.join(reasons)}.", result=outcome)
+        text = f"{good} of {outcome.total} scenes are done; {'; '.join(reasons)}."
+        raise NotReachedError(text, result=outcome, full=trouble.startswith(TAKES_NO_MORE))
     return outcome
 
 
@@ -290,7 +291,7 @@ class _Driver:
             try:
                 Folder(self.settings.folder).write_failure(digest, {"error": why, "time": time.time()})
             except WriteError as error:
-                self.trouble = f"the folder takes no more: {str(error).rstrip('.')}"
+                self.trouble = f"{TAKES_NO_MORE}: {str(error).rstrip('.')}"
                 return
             self.outcome.failed[digest] = why
             self.left.discard(digest)

@@ -31,6 +31,8 @@ from .study_runs import STUDIES
 
 # Mitsuba's variant is one per process, and so is a claim: a worker with several threads still does one job at a time.
 _one_job = threading.Lock()
+# How a run ends whose folder lies on a full disk.
+TAKES_NO_MORE = "the folder takes no more"
 GONE = "the folder was removed during the run, and what was in it; run again to begin anew"
 
 
@@ -147,7 +149,7 @@ def work(job: Job, settings: Settings, sharers: int = 0) -> JobReport:
             if not _is_storage(error):
                 raise
             why = f"{error.strerror or error}; make room and run again" if isinstance(error, OSError) else str(error)
-            report.storage = f"the folder takes no more: {why.rstrip('.')}"
+            report.storage = f"{TAKES_NO_MORE}: {why.rstrip('.')}"
     return report
 
 

@@ -84,8 +84,10 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
     """TOML's tables, with tuples for its arrays, which is what frozen models hold; raises InputError."""
     try:
         return {key: frozen(value, 1) for key, value in tomllib.loads(text).items()}
-    except ValueError as error:  # of TOML, or a number of too many digits
-        raise InputError(short(one_line(f"{name}: is not valid TOML: {error}"), 300) + ".") from None
+    except ValueError as error:
+        digits = "a number has thousands of digits; shorten it"
+        why = digits if "int_max_str_digits" in str(error) else str(error)
+        raise InputError(short(one_line(f"{name}: is not valid TOML: {why}"), 300) + ".") from None
     except RecursionError:
         raise InputError(f"{name}: is not valid TOML: its tables or arrays are nested too deep.") from None
 

@@ -110,6 +110,14 @@ def test_a_plan_that_is_json_but_no_plan_is_told(used, change):
         status(used)
 
 
+@pytest.mark.parametrize("text", ["[]", "5", "null", '"plan"'])
+def test_a_plan_that_is_no_table_is_told_in_plain_words(used, text):
+    (used / "plan.json").write_text(text)
+    for question in (status, nail.open_results):
+        with pytest.raises(InputError, match="it holds no table"):
+            question(used)
+
+
 def test_a_light_under_another_name_is_not_served(calm, used):
     folders = sorted((used / "light").iterdir())
     for folder in folders[1:4]:
