@@ -311,6 +311,11 @@ def plain_cell(value: Any) -> Any:
     return f"'{value}" if isinstance(value, str) and value[:1] in _FORMULA else value
 
 
+def of_plain_cell(cell: str) -> str:
+    """The text of which `plain_cell` made a cell."""
+    return cell[1:] if cell[:1] == "'" and cell[1:2] in _FORMULA else cell
+
+
 def to_json(value: Any, *, indent: int = 2) -> str:
     """A value as JSON text; what is NaN or infinite, and so unknown to JSON, becomes null."""
     plain = json.loads(json.dumps(value, default=float), parse_constant=lambda name: None)

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from ..errors import InputError
-from ..io import write_text
-from .text_files import read_text, short
+from ..io import of_plain_cell, plain_cell, write_text
+from .text_files import one_line, read_text, short
 
 log = logging.getLogger(__name__)
 
@@ -102,7 +102,8 @@ def read_positions(path: Path, *, negate_x_on_bottom: bool = False, unit: str = 
             raise InputError(f'{where}: Side = "{cells["Side"]}"; must be top or bottom.')
         if side == "bottom" and negate_x_on_bottom:
             x = -x
-        parts.append(PlacedPart(cells["Ref"], cells.get("Val", ""), cells.get("Package", ""), (x, y), turn, side))
+        ref, value, package = (of_plain_cell(cells.get(name, "")) for name in ("Ref", "Val", "Package"))
+        parts.append(PlacedPart(ref, value, package, (x, y), turn, side))
     if not parts:
         raise InputError(f"{path}: names no part; export the positions of both sides.")
     return tuple(parts)
@@ -231,13 +232,17 @@ def _length_mm(text: str, name: str, where: str, unit_mm: float) -> float:
 
 
 def write_positions(path: Path, parts: Iterable[PlacedPart], *, negate_x_on_bottom: bool = False) -> None:
-    """Write a position file in KiCad's form; raises InputError where the place cannot be written."""
+    """Write a position file in KiCad's form; raises InputError where the place cannot be written.
+
+    A text that a spreadsheet would run as a formula stands behind an apostrophe, which `read_positions` takes away.
+    """
     lines = [",".join(COLUMNS)]
     for part in parts:
         x, y = part.position_mm
         x = -x if part.side == "bottom" and negate_x_on_bottom else x
         numbers = ",".join(f"{value + 0.0:.6f}" for value in (x, y, part.rotation_deg))
-        lines.append(f'"{part.ref}","{part.value}","{part.package}",{numbers},{part.side}')
+        texts = (plain_cell(one_line(text)).replace('"', '""') for text in (part.ref, part.value, part.package))
+        lines.append(",".join([*(f'"{text}"' for text in texts), numbers, part.side]))
     write_text(path, "\n".join(lines) + "\n")
 
 

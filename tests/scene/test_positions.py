@@ -1,5 +1,7 @@
 """Position files: read, written back the same, and refused in one line where they are wrong."""
 
+import csv
+
 import pytest
 
 from nailoptics.errors import InputError
@@ -67,6 +69,22 @@ def test_what_is_written_is_read_back(tmp_path, negated):
     )
     write_positions(tmp_path / "pos.csv", parts, negate_x_on_bottom=negated)
     assert read_positions(tmp_path / "pos.csv", negate_x_on_bottom=negated) == parts
+
+
+@pytest.mark.parametrize("text", ['=1+1","0', "+D1", "-D1", "@SUM(A1)", '2 "inches"', "'plain", "<b>"])
+def test_a_boards_own_texts_neither_break_the_file_nor_run_as_formulas(tmp_path, text):
+    """References come from a designer's board, on which "-D1" is a name, too."""
+    parts = (PlacedPart(text, text, text, (1.0, 2.0), 0.0, "top"), PlacedPart("D2", "", "", (0.0, 0.0), 90.0, "top"))
+    write_positions(tmp_path / "pos.csv", parts)
+    with (tmp_path / "pos.csv").open(newline="") as file:
+        cells = [cell for row in csv.reader(file) for cell in row]
+    assert len(cells) == 3 * 7 and not [cell for cell in cells if cell.startswith(("=", "+", "-", "@"))]
+    assert read_positions(tmp_path / "pos.csv") == parts
+
+
+def test_a_text_of_several_lines_is_written_as_one(tmp_path):
+    write_positions(tmp_path / "pos.csv", [PlacedPart("D1\nD2", "a", "b", (1.0, 2.0), 0.0, "top")])
+    assert [one.ref for one in read_positions(tmp_path / "pos.csv")] == ["D1 D2"]
 
 
 @pytest.mark.parametrize(
