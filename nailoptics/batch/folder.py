@@ -156,3 +156,5 @@ def _check_plan(plan: dict[str, Any]) -> None:
         axis["path"]
     for name in ("seed", "backend", "versions"):
         plan["made"][name]
+    if not isinstance(plan["made"]["versions"], dict):
+        raise ValueError("its versions are no table")

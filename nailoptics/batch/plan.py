@@ -10,7 +10,7 @@ from ..scene import Scene, digest
 from ..scene.sweep import Sweep
 from .folder import Folder
 from .study_runs import STUDIES
-from .work import Job, Settings, reads_transfer, standing
+from .work import Job, Settings, other_versions, reads_transfer, standing
 
 # Scenes read from one light by one worker before others may help.
 CHUNK = 16
@@ -135,9 +135,8 @@ def check_same(folder: Folder, planned: list[Planned], settings: Settings) -> st
                 f"use --{name} {old['made'][name]} or another folder."
             )
     if old["made"] != wanted:
-        begun, here = ({**one["versions"]} for one in (old["made"], wanted))
-        moved = [f"{name} {begun.get(name)} and is {now} here" for name, now in here.items() if begun.get(name) != now]
-        raise InputError(f"{folder.root}: was begun with {', '.join(moved)}; use that version, or another folder.")
+        moved = other_versions(old["made"])
+        raise InputError(f"{folder.root}: was begun with {moved}; use that version, or another folder.")
     others = len(set(old["scenes"]) - {p.digest for p in planned})
     if others:
         raise InputError(

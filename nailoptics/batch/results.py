@@ -12,6 +12,7 @@ from ..errors import InputError
 from ..io import CorruptError, plain_cell, write_text
 from .folder import Folder, ForeignError
 from .study_runs import STUDIES
+from .work import other_versions
 
 log = logging.getLogger(__name__)
 
@@ -69,6 +70,8 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
     for state, why in ((CORRUPT, "damaged"), (FOREIGN, "another seed's, backend's or version's")):
         if count := states.count(state):
             log.warning("%s: %d results are %s and left out; run the batch again", place.root, count, why)
+    if moved := other_versions(plan["made"]):
+        log.warning("%s: was made with %s", place.root, moved)
     dataset = stack.dataset(dims, shape)
     text = "done, missing, failed, corrupt or foreign"
     dataset["state"] = (dims, np.array(states).reshape(shape), {"long_name": text})

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..errors import InputError
 from ..scene import Accuracy
 from .folder import Folder
-from .work import standing
+from .work import other_versions, standing
 
 # The pace is that of the results of the last minutes.
 _WINDOW_S = 600.0
@@ -19,6 +19,7 @@ class Status:
     """Counts of a batch's scenes; seconds_left at the pace of the last ten minutes, None where there was none.
 
     below : results that are there, but not yet as accurate as requested.
+    other_versions : which versions made them that are others than here, in words.
     """
 
     total: int
@@ -30,6 +31,7 @@ class Status:
     failed: dict[str, str]
     seconds_left: float | None
     last_result_s_ago: float | None
+    other_versions: str
 
     @property
     def left(self) -> int:
@@ -46,6 +48,8 @@ class Status:
             lines.append(
                 f"{self.foreign} results are another seed's, backend's or version's; the next run makes them again"
             )
+        if self.other_versions:
+            lines.append(f"begun with {self.other_versions}; to go on, use that version, or another folder")
         if self.left:
             pace = "no new result in the last ten minutes"
             if self.seconds_left is not None:
@@ -86,4 +90,5 @@ def status(folder: str | Path) -> Status:
         failed=failed,
         seconds_left=0.0 if not left else (left / pace if pace else None),
         last_result_s_ago=now - max(times) if times else None,
+        other_versions=other_versions(plan["made"]),
     )

@@ -36,6 +36,13 @@ TAKES_NO_MORE = "the folder takes no more"
 GONE = "the folder was removed during the run, and what was in it; run again to begin anew"
 
 
+def other_versions(made: dict[str, Any]) -> str:
+    """Which versions made a batch that are others than here, in words; nothing where they are the same."""
+    here = current_versions()
+    moved = [(name, made["versions"].get(name), now) for name, now in here.items()]
+    return ", ".join(f"{name} {then} and is {now} here" for name, then, now in moved if then != now)
+
+
 @dataclass(frozen=True)
 class Settings:
     """What all jobs of a batch share.

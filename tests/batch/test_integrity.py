@@ -100,6 +100,7 @@ def test_without_its_plan_a_folder_serves_no_other_seeds_results(calm, used, dam
         {"made": {}},
         {"axes": [{"name": "x"}]},
         {"asked": [{"photons": "many"}] * 30},
+        {"made": {"seed": 0, "backend": "llvm", "versions": "all"}},
     ],
     ids=str,
 )
@@ -171,6 +172,21 @@ def test_another_sweep_is_refused_and_one_that_grew_goes_on(calm, used, tmp_path
     outcome = run_batch(longer, used, workers=1)
     assert (len(outcome.done), len(outcome.kept)) == (1, 30)
     with pytest.raises(InputError, match="1 of its 31 scenes are not"):
+        again(calm, used)
+
+
+def test_a_batch_of_another_version_is_told_and_not_gone_on_with(calm, used, caplog):
+    """Its results are whole, so that they are opened; a run would mix them with others."""
+    assert status(used).other_versions == "" and nail.open_results(used) is not None and not caplog.text
+    plan = json.loads((used / "plan.json").read_text())
+    plan["made"]["versions"]["nailoptics"] = "0.0.1"
+    (used / "plan.json").write_text(json.dumps(plan))
+    for path in results_of(used):
+        rewritten(path, made=plan["made"])
+    told = status(used)
+    assert (told.done, told.foreign) == (30, 0) and "begun with nailoptics 0.0.1" in str(told)
+    assert (nail.open_results(used).state == "done").all() and "made with nailoptics 0.0.1" in caplog.text
+    with pytest.raises(InputError, match=r"nailoptics 0\.0\.1 and is .* here"):
         again(calm, used)
 
 
