@@ -1,5 +1,6 @@
 """How far the nearest interface is: a grid of safe distances for light that wants to skip the search for a crossing."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,21 +18,38 @@ FINE = 0.4  # covering radius of the fine samples, in spacings
 COARSE = 1.0
 SLACK = 0.02  # relative; lets the search for the nearest sample stop early
 CHUNK = 500_000
+# In the nail plate light scatters every 0.03 mm, so that cells tell it little. Those near its faces also have a plane,
+# which tells distances up to this one: a ray of three is left, and a walk takes two thirds of the time. [mm]
+PLANE_REACH_MM = 0.06
+# Interfaces near such a cell are taken in parts whose edges are no longer.
+PLANE_PART_MM = 0.12
+# Planes are whole numbers of these: of a normal, to 1, and of lengths.
+NORMAL_STEPS = 127
+PLANE_STEP_MM = 0.003
 
 
 @dataclass(frozen=True)
 class DistanceGrid:
-    """A lower bound on the distance from each cell's centre to the nearest interface.
+    """Lower bounds on the distance to the nearest interface, cell by cell.
 
-    distance_mm : (nx, ny, nz) float32. Never more than the true distance, at most cap_mm; 0 in the air. [mm]
+    distance_mm : (nx, ny, nz) float32. From the cell's centre; never more than the true distance, at most cap_mm; 0 in
+        the air. [mm]
+    slack_steps : (nx, ny, nz) uint8. How far interfaces near the cell are from its plane at most, in PLANE_STEP_MM;
+        0 in cells without a plane.
+    offset_steps : (nx, ny, nz) int8. Height of the cell's centre over its plane, likewise.
+    normal_steps : (nx, ny, nz, 2) int8. Components along x and y of the plane's upward normal, in 1 / NORMAL_STEPS.
     origin_mm : (3,) float. Lowest corner of the first cell; its centre lies half a spacing further. [mm]
     spacing_mm : Edge of the cubic cells. [mm]
     cap_mm : Distances beyond it are not told apart. [mm]
 
-    From a point p in a cell of centre c, the distance is at least distance_mm - |p - c|.
+    From a point p in a cell of centre c, the distance is at least distance_mm - |p - c|. In a cell with a plane it is
+    also at least p's distance to the plane less the slack, or PLANE_REACH_MM if that is less.
     """
 
     distance_mm: NDArray[np.float32]
+    slack_steps: NDArray[np.uint8]
+    offset_steps: NDArray[np.int8]
+    normal_steps: NDArray[np.int8]
     origin_mm: Array
     spacing_mm: float
     cap_mm: float
@@ -55,24 +73,21 @@ def distance_grid(
     to a point, then a sample of the same triangle (or edge, or vertex) lies within the lattice's covering radius r of
     q, at a right angle to the way to q; so distance^2 >= (distance to the nearest sample)^2 - r^2.
     """
-    from scipy.spatial import cKDTree
-
     low, high = geometry.bounds_mm if bounds_mm is None else np.asarray(bounds_mm, float)
     shape = np.maximum(np.ceil((high - low) / spacing_mm - 1e-9).astype(int), 1)
     result = np.zeros(shape, np.float32)
-    grid = DistanceGrid(result, low, spacing_mm, cap_mm)
+    slack, offset, normal = np.zeros(shape, np.uint8), np.zeros(shape, np.int8), np.zeros((*shape, 2), np.int8)
+    grid = DistanceGrid(result, slack, offset, normal, low, spacing_mm, cap_mm)
     cells = np.argwhere(_inside(geometry, grid))
     corners = geometry.vertices[geometry.triangles]
+    plate = [region for region, name in enumerate(geometry.regions) if name == "plate"]
+    of_plate = np.isin(geometry.below, plate) | np.isin(geometry.above, plate)
     # What lies farther from the cells than distances are told is nearest to none of them.
     reach = 2 * cap_mm + COARSE * spacing_mm
-    corners = corners[((corners.max(axis=1) > low - reach) & (corners.min(axis=1) < high + reach)).all(axis=1)]
-
-    def tree(radius: float) -> cKDTree:
-        # A tree whose nodes are not shrunk to their points answers ten times faster here.
-        return cKDTree(_samples(corners, radius), balanced_tree=False, compact_nodes=False)
-
+    close = ((corners.max(axis=1) > low - reach) & (corners.min(axis=1) < high + reach)).all(axis=1)
+    corners, of_plate = corners[close], of_plate[close]
     fine_radius, coarse_radius = FINE * spacing_mm, COARSE * spacing_mm
-    fine, coarse = tree(fine_radius), tree(coarse_radius)
+    fine, coarse = (_tree(_samples(corners, radius)) for radius in (fine_radius, coarse_radius))
     # Beyond this the coarse samples are good enough: they cost radius^2 / (2 distance).
     near_mm = 2 * coarse_radius
     for start in range(0, len(cells), CHUNK):
@@ -82,7 +97,64 @@ def distance_grid(
         near = np.nonzero(bound < near_mm)[0]
         bound[near] = np.maximum(bound[near], _bound(fine, points[near], fine_radius, near_mm + coarse_radius))
         result[tuple(chunk.T)] = np.minimum(bound, cap_mm) * (1 - 1e-6)
+    if of_plate.any():
+        _add_planes(grid, cells, corners, of_plate)
     return grid
+
+
+def _add_planes(grid: DistanceGrid, cells: NDArray[np.int64], corners: Array, of_plate: NDArray[np.bool_]) -> None:
+    """Find planes for those of the cells (k, 3) that lie near the nail plate's faces, some of all triangles (m, 3, 3).
+
+    A cell's plane is parallel to the face nearest to its centre, halfway between the lowest and the highest place on
+    any interface within reach of the cell. Each such place lies in a part of a triangle whose corners are within the
+    length of its longest edge, one of them no lower and one no higher.
+    """
+    reach = PLANE_REACH_MM + math.sqrt(0.75) * grid.spacing_mm
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    pieces = np.ceil(longest / PLANE_PART_MM).astype(int)
+    faces, face = _lattice(corners[of_plate], pieces[of_plate])
+    upward = np.cross(*np.diff(corners[of_plate], axis=1).transpose(1, 0, 2))
+    upward *= np.copysign(1 / np.linalg.norm(upward, axis=1), upward[:, 2])[:, None]
+    away, nearest = _tree(faces).query(grid.centers(cells), distance_upper_bound=reach, workers=-1)
+    cells, nearest = cells[np.isfinite(away)], nearest[np.isfinite(away)]
+    centers = grid.centers(cells)
+    # Rounded towards 0, so that their length is less than 1.
+    plan = np.trunc(upward[face[nearest], :2] * NORMAL_STEPS).astype(np.int8)
+    x, y = plan.T / NORMAL_STEPS
+    normals = np.column_stack([x, y, np.sqrt(1 - x**2 - y**2)])
+    tree, within = _tree(centers), reach + PLANE_PART_MM
+    away, _ = tree.query(corners.mean(axis=1), distance_upper_bound=within + longest.max(), workers=-1)
+    close = away <= within + longest
+    parts = _distinct(_lattice(corners[close], pieces[close])[0])
+    pairs = tree.sparse_distance_matrix(_tree(parts), within, output_type="ndarray")
+    height = np.einsum("ij,ij->i", parts[pairs["j"]] - centers[pairs["i"]], normals[pairs["i"]]) / PLANE_STEP_MM
+    lowest, highest = np.full(len(cells), np.inf), np.full(len(cells), -np.inf)
+    np.minimum.at(lowest, pairs["i"], height)
+    np.maximum.at(highest, pairs["i"], height)
+    offset = np.rint(-(lowest + highest) / 2)
+    # A little more, for what rounding adds where it is read.
+    slack = np.ceil(np.maximum(highest + offset, -lowest - offset) + 0.01)
+    # Only where a plane tells more than the centre's distance, from 27 places of the cell.
+    places = grid.spacing_mm / 3 * (np.indices((3, 3, 3)).reshape(3, -1) - 1)
+    plane = np.abs(normals @ places + PLANE_STEP_MM * offset[:, None]) - PLANE_STEP_MM * slack[:, None]
+    center = grid.distance_mm[tuple(cells.T)][:, None] - np.linalg.norm(places, axis=0)
+    better = plane.clip(0).sum(axis=1) > center.clip(0).sum(axis=1)
+    kept = better & (np.abs(offset) < 128) & (slack < 256)
+    at = tuple(cells[kept].T)
+    grid.slack_steps[at], grid.offset_steps[at], grid.normal_steps[at] = slack[kept], offset[kept], plan[kept]
+
+
+def _tree(points: Array) -> Any:
+    """A tree of points (k, 3). One whose nodes are not shrunk to their points answers ten times faster here."""
+    from scipy.spatial import cKDTree
+
+    return cKDTree(points, balanced_tree=False, compact_nodes=False)
+
+
+def _distinct(points: Array) -> Array:
+    """Points (k, 3), of those that agree to 0.01 um one."""
+    x, y, z = np.rint((points - points.min(axis=0)) * 1e5).astype(np.int64).T
+    return points[np.unique(x << 42 | y << 21 | z, return_index=True)[1]]
 
 
 def _bound(tree: Any, points: Array, radius: float, cap_mm: float) -> Array:
@@ -100,14 +172,20 @@ def _samples(corners: Array, radius: float) -> Array:
     obtuse = c**2 >= a**2 + b**2
     covering = np.where(obtuse, b**2 * c / (b**2 + c**2 - a**2), a * b * c / (4 * area))
     covering = np.where(obtuse, np.maximum(covering, a**2 * c / (a**2 + c**2 - b**2)), covering)
-    pieces = np.ceil(covering / radius).astype(int)
-    found = []
+    return _lattice(corners, np.ceil(covering / radius).astype(int))[0]
+
+
+def _lattice(corners: Array, pieces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+    """Corners (k, 3) of the equal parts of triangles (m, 3, 3) whose edges are cut in so many pieces, (m,), and the
+    triangle of each, (k,)."""
+    found, triangles = [], []
     for n in np.unique(pieces):
         i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
         inside = i + j <= n
         weights = np.stack([i[inside], j[inside], n - i[inside] - j[inside]], axis=1) / n
         found.append(np.einsum("sc,tcx->tsx", weights, corners[pieces == n]).reshape(-1, 3))
-    return np.concatenate(found)
+        triangles.append(np.repeat(np.flatnonzero(pieces == n), len(weights)))
+    return np.concatenate(found), np.concatenate(triangles)
 
 
 def _inside(geometry: Geometry, grid: DistanceGrid) -> NDArray[np.bool_]:

@@ -249,16 +249,21 @@ class FingerWalk:
 
     @dr.syntax
     def scatter_freely(self, photon: FingerPhoton, medium: Medium, active: Any) -> _Leg:
-        """Scatter while the next step stays nearer than any interface, without asking where the interfaces are."""
+        """Scatter while no interface can be on the next step, without asking where the interfaces are.
+
+        What is free around its two ends is all of it, if together that is longer.
+        """
         step = medium.free_path(photon.rng)
         leg = _Leg(step, mi.Float(0), [mi.Float(0) for _ in self.zones.edges], mi.UInt32(0))
         free = self.interfaces.free(photon.p, active)
-        while active & (leg.step < free) & (leg.scatterings < FREE_EVENTS):
+        ahead = self.interfaces.free(photon.p + photon.w * step, active)
+        while active & (leg.step < free + ahead) & (leg.scatterings < FREE_EVENTS):
             self.advance(photon, leg, medium, True)
             cos = henyey_greenstein(medium.g, photon.rng.next_float32())
             photon.w = mi.Vector3f(rotate_direction(photon.w, cos, 2 * dr.pi * photon.rng.next_float32()))
             leg.step = medium.free_path(photon.rng)
-            free = self.interfaces.free(photon.p, True)
+            free = mi.Float(ahead)
+            ahead = self.interfaces.free(photon.p + photon.w * leg.step, True)
             leg.scatterings += 1
         return leg
 

@@ -11,19 +11,20 @@ import mitsuba as mi
 import numpy as np
 
 from ..geometry import DistanceGrid, Face, Geometry
+from ..geometry.distance import NORMAL_STEPS, PLANE_REACH_MM, PLANE_STEP_MM
 from ..tissue import BloodZones
 from . import optics
-from .arithmetic import clip, maximum
+from .arithmetic import clip, maximum, minimum, safe_sqrt
 from .sampling import BOTTOM, FAR, OPAQUE, Photon, emission_cosine, rotate_direction, starts
 
 # Through these light comes back from the bed to the photodiodes.
 OVER_BED = ("plate", "epoxy")
 # The number of a triangle's region below and that above share the 24 bits that a float32 holds exactly.
 REGION_BITS = 11
+# Distances take a signed byte: so many steps are the most that is told.
+MOST_STEPS = 127
 # Outcomes from here on name the photodiode that a photon reached; below, the opaque region.
 DETECTED = OPAQUE + (1 << REGION_BITS)
-# A distance takes a byte: so many steps are the most that is told.
-MOST_STEPS = 255
 # Of a coordinate and of 1 mm; about sixteen times what float32 resolves, enough for a few roundings.
 SURFACE_OFFSET = 2e-6
 
@@ -112,26 +113,31 @@ class Interfaces:
     def __init__(self, geometry: Geometry, distances: DistanceGrid) -> None:
         self.scene = _mesh_scene(geometry)
         self.triangles = _triangle_table(geometry)
-        self.step = dr.opaque(mi.Float, distances.cap_mm / MOST_STEPS)
-        self.distance = mi.UInt32(_packed(distances))
+        self.cells = mi.UInt32(_packed(distances))
         self.count = [dr.opaque(mi.UInt32, int(n)) for n in distances.distance_mm.shape]
         self.origin = [dr.opaque(mi.Float, float(x)) for x in distances.origin_mm]
         self.spacing = dr.opaque(mi.Float, float(distances.spacing_mm))
 
     def free(self, p: Any, active: Any) -> Any:
         """A distance at p within which no interface lies; 0 where nothing is known. [mm]"""
-        cell, off = [], mi.Float(0)
+        cell, off = [], []
         inside = mi.Bool(active)
         for value, low, n in zip(p, self.origin, self.count, strict=True):
             place = (value - low) * dr.rcp(self.spacing)
             index = mi.Int32(dr.floor(place))
             inside &= (index >= 0) & (mi.UInt32(index) < n)
             cell.append(mi.UInt32(index))
-            off += dr.square(place - mi.Float(index) - 0.5)
+            off.append((place - mi.Float(index) - 0.5) * self.spacing)
         at = cell[0] + self.count[0] * (cell[1] + self.count[1] * cell[2])
-        word = dr.gather(mi.UInt32, self.distance, at >> 2, inside)
-        steps = (word >> ((at & 3) << 3)) & MOST_STEPS
-        return maximum(mi.Float(mi.Int32(steps)) * self.step - dr.sqrt(off) * self.spacing, 0)
+        word = dr.gather(mi.UInt32, self.cells, at, inside)
+        slack, steps = mi.Float(mi.Int32(word & 255)), mi.Float(mi.Int32(word) >> 24)
+        # Shifted up and down again, a byte has its sign.
+        x, y = (mi.Float((mi.Int32(word) << bits) >> 24) * (1 / NORMAL_STEPS) for bits in (8, 16))
+        normal = mi.Vector3f(x, y, safe_sqrt(1 - x * x - y * y))
+        from_center = mi.Vector3f(off)
+        plane = dr.abs(dr.fma(PLANE_STEP_MM, steps, dr.dot(normal, from_center))) - slack * PLANE_STEP_MM
+        center = steps * PLANE_STEP_MM - dr.norm(from_center)
+        return maximum(dr.select(slack > 0, minimum(plane, PLANE_REACH_MM), center), 0)
 
     def first_hit(self, p: Any, w: Any, step: Any, active: Any) -> Any:
         """The first triangle within a step from p along w, if any."""
@@ -204,9 +210,11 @@ def table_of_rows(table: np.ndarray) -> Any:
 
 
 def _packed(distances: DistanceGrid) -> np.ndarray:
-    """Distances in steps, rounded down, four cells to a number, so that more of them stay near the processor."""
-    steps = np.floor(distances.distance_mm.transpose(2, 1, 0).ravel() * (MOST_STEPS / distances.cap_mm))
-    return np.pad(steps.astype(np.uint8), (0, -len(steps) % 4)).view("<u4").astype(np.uint32)
+    """What is told of each cell, in the bytes of one number: offset to its plane, normal, slack; or distance, 0."""
+    steps = np.minimum(distances.distance_mm / PLANE_STEP_MM, MOST_STEPS).astype(np.int8)
+    steps = np.where(distances.slack_steps > 0, distances.offset_steps, steps)
+    told = [distances.slack_steps, distances.normal_steps[..., 1], distances.normal_steps[..., 0], steps]
+    return np.stack([one.astype(np.uint8).T.ravel() for one in told], -1).view("<u4").ravel().astype(np.uint32)
 
 
 def _mesh_scene(geometry: Geometry) -> Any:

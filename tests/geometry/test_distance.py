@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from nailoptics.geometry import distance_grid
+from nailoptics.geometry import build, distance_grid
+from nailoptics.geometry.distance import NORMAL_STEPS, PLANE_REACH_MM, PLANE_STEP_MM
 
 
 def exact_distance(point, corners):
@@ -46,3 +47,57 @@ def test_the_air_has_no_distance_and_tissue_has(geometry):
     assert (grid.distance_mm.ravel()[air] == 0).all()
     assert (grid.distance_mm.ravel()[~air] > 0).mean() > 0.5
     assert grid.distance_mm.max() == pytest.approx(grid.cap_mm, rel=1e-5)
+
+
+def points_in_the_plate(geometry, bounds, count):
+    """Random places (k, 3) in the nail plate, half of them within 0.06 mm of one of its faces, and their distances (k,)
+    to the nearest interface."""
+    rng, corners = np.random.default_rng(1), geometry.vertices[geometry.triangles]
+    points = rng.uniform(*bounds, (20 * count, 3))
+    points = points[geometry.regions.index("plate") == geometry.region_at(points)]
+    distances = []
+    for point in points:
+        close = ((corners.min(axis=1) < point + 0.5) & (corners.max(axis=1) > point - 0.5)).all(axis=1)
+        distances.append(exact_distance(point, corners[close]))
+    true = np.array(distances)
+    near = np.flatnonzero(true < PLANE_REACH_MM)[: count // 2]
+    chosen = np.concatenate([near, np.flatnonzero(true >= PLANE_REACH_MM)[: count // 2]])
+    return points[chosen], true[chosen]
+
+
+@pytest.mark.parametrize("spacing, share", [(0.1, 0.7), (0.15, 0.7), (0.25, 0.3)])
+def test_planes_hold_in_the_plate_and_tell_more_than_centres(geometry, spacing, share):
+    bounds = np.array([[-2.0, -0.5, -1.0], [0.0, 1.0, 0.0]])
+    grid = distance_grid(geometry, spacing_mm=spacing, bounds_mm=bounds)
+    points, true = points_in_the_plate(geometry, bounds, 800)
+    assert len(points) > 400
+    cells = np.floor((points - grid.origin_mm) / spacing).astype(int)
+    at, off = tuple(cells.T), points - grid.centers(cells)
+    slack, offset = grid.slack_steps[at] * PLANE_STEP_MM, grid.offset_steps[at] * PLANE_STEP_MM
+    x, y = grid.normal_steps[at].T / NORMAL_STEPS
+    height = x * off[:, 0] + y * off[:, 1] + np.sqrt(1 - x**2 - y**2) * off[:, 2] + offset
+    plane = np.minimum(np.abs(height) - slack, PLANE_REACH_MM)
+    has_plane = slack > 0
+    assert (plane <= true + 1e-6)[has_plane].all()
+    near = true < PLANE_REACH_MM
+    assert has_plane[near].mean() > share
+    # What a plane leaves out is a small part of a cell.
+    assert np.median((true - plane)[near & has_plane]) < 0.012
+    center = (grid.distance_mm[at] - np.linalg.norm(off, axis=1)).clip(0)
+    assert (true - plane.clip(0))[near & has_plane].mean() < 0.5 * (true - center)[near & has_plane].mean()
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("barrier", [True, False])
+def test_what_light_is_told_is_never_too_long_and_seldom_much_too_short(jit_backend, sensor, barrier):
+    from nailoptics.light.surroundings import Interfaces, mi
+
+    geometry = build(sensor(board=f"barrier = {str(barrier).lower()}"))
+    bounds = np.array([[-2.0, -0.5, -1.0], [0.0, 1.0, 0.0]])
+    interfaces = Interfaces(geometry, distance_grid(geometry, bounds_mm=bounds))
+    points, true = points_in_the_plate(geometry, bounds, 800)
+    free = np.array(interfaces.free(mi.Point3f(points.T.astype(np.float32)), True))
+    assert (free <= true + 2e-6).all()
+    assert np.median((true - free)[true < PLANE_REACH_MM]) < 0.015
+    beyond = interfaces.free(mi.Point3f([-9.0, 0.0, 1e9], [0.0, 0.0, 1e9], [0.0, 9.0, 1e9]), True)
+    assert (np.array(beyond) == 0).all()
