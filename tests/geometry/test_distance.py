@@ -49,28 +49,25 @@ def test_the_air_has_no_distance_and_tissue_has(geometry):
     assert grid.distance_mm.max() == pytest.approx(grid.cap_mm, rel=1e-5)
 
 
-def points_in_the_plate(geometry, bounds, count):
-    """Random places (k, 3) in the nail plate, half of them within 0.06 mm of one of its faces, and their distances (k,)
-    to the nearest interface."""
-    rng, corners = np.random.default_rng(1), geometry.vertices[geometry.triangles]
-    points = rng.uniform(*bounds, (20 * count, 3))
-    points = points[geometry.regions.index("plate") == geometry.region_at(points)]
-    distances = []
-    for point in points:
-        close = ((corners.min(axis=1) < point + 0.5) & (corners.max(axis=1) > point - 0.5)).all(axis=1)
-        distances.append(exact_distance(point, corners[close]))
-    true = np.array(distances)
-    near = np.flatnonzero(true < PLANE_REACH_MM)[: count // 2]
-    chosen = np.concatenate([near, np.flatnonzero(true >= PLANE_REACH_MM)[: count // 2]])
-    return points[chosen], true[chosen]
+def in_the_plate(geometry, bounds, count):
+    """Random places (k, 3) in the nail plate, and their distances (k,) to the nearest interface. [mm]"""
+    corners = geometry.vertices[geometry.triangles]
+    close = (corners.max(axis=1) > bounds[0] - 0.5) & (corners.min(axis=1) < bounds[1] + 0.5)
+    corners = corners[close.all(axis=1)]
+    low, high = corners.min(axis=1) - 0.3, corners.max(axis=1) + 0.3
+    points = np.random.default_rng(1).uniform(*bounds, (20 * count, 3))
+    points = points[geometry.regions.index("plate") == geometry.region_at(points)][:count]
+    # The plate is 0.5 mm thick: nothing farther away is nearest.
+    near = [corners[((low < point) & (high > point)).all(axis=1)] for point in points]
+    return points, np.array([exact_distance(*one) for one in zip(points, near, strict=True)])
 
 
 @pytest.mark.parametrize("spacing, share", [(0.1, 0.7), (0.15, 0.7), (0.25, 0.3)])
 def test_planes_hold_in_the_plate_and_tell_more_than_centres(geometry, spacing, share):
     bounds = np.array([[-2.0, -0.5, -1.0], [0.0, 1.0, 0.0]])
     grid = distance_grid(geometry, spacing_mm=spacing, bounds_mm=bounds)
-    points, true = points_in_the_plate(geometry, bounds, 800)
-    assert len(points) > 400
+    points, true = in_the_plate(geometry, bounds, 1000)
+    assert (true < PLANE_REACH_MM).sum() > 200
     cells = np.floor((points - grid.origin_mm) / spacing).astype(int)
     at, off = tuple(cells.T), points - grid.centers(cells)
     slack, offset = grid.slack_steps[at] * PLANE_STEP_MM, grid.offset_steps[at] * PLANE_STEP_MM
@@ -89,13 +86,13 @@ def test_planes_hold_in_the_plate_and_tell_more_than_centres(geometry, spacing, 
 
 @pytest.mark.jit
 @pytest.mark.parametrize("barrier", [True, False])
-def test_what_light_is_told_is_never_too_long_and_seldom_much_too_short(jit_backend, sensor, barrier):
+def test_what_light_is_told_is_never_too_long_and_seldom_much_too_short(jit_backend, sensor, in_the_plate, barrier):
     from nailoptics.light.surroundings import Interfaces, mi
 
     geometry = build(sensor(board=f"barrier = {str(barrier).lower()}"))
     bounds = np.array([[-2.0, -0.5, -1.0], [0.0, 1.0, 0.0]])
     interfaces = Interfaces(geometry, distance_grid(geometry, bounds_mm=bounds))
-    points, true = points_in_the_plate(geometry, bounds, 800)
+    points, true = in_the_plate(geometry, bounds, 1000)
     free = np.array(interfaces.free(mi.Point3f(points.T.astype(np.float32)), True))
     assert (free <= true + 2e-6).all()
     assert np.median((true - free)[true < PLANE_REACH_MM]) < 0.015
