@@ -23,6 +23,8 @@ CHUNK = 500_000
 PLANE_REACH_MM = 0.06
 # Interfaces near such a cell are taken in parts whose edges are no longer.
 PLANE_PART_MM = 0.12
+# So many cells at once: what is between stays small.
+PLANES_AT_ONCE = 1024
 # Planes are whole numbers of these: of a normal, to 1, and of lengths.
 NORMAL_STEPS = 127
 PLANE_STEP_MM = 0.003
@@ -115,6 +117,7 @@ def _add_planes(grid: DistanceGrid, cells: NDArray[np.int64], corners: Array, of
     faces, face = _lattice(corners[of_plate], pieces[of_plate])
     upward = np.cross(*np.diff(corners[of_plate], axis=1).transpose(1, 0, 2))
     upward *= np.copysign(1 / np.linalg.norm(upward, axis=1), upward[:, 2])[:, None]
+    cells = cells[grid.distance_mm[tuple(cells.T)] < reach]
     away, nearest = _tree(faces).query(grid.centers(cells), distance_upper_bound=reach, workers=-1)
     cells, nearest = cells[np.isfinite(away)], nearest[np.isfinite(away)]
     centers = grid.centers(cells)
@@ -122,18 +125,21 @@ def _add_planes(grid: DistanceGrid, cells: NDArray[np.int64], corners: Array, of
     plan = np.trunc(upward[face[nearest], :2] * NORMAL_STEPS).astype(np.int8)
     x, y = plan.T / NORMAL_STEPS
     normals = np.column_stack([x, y, np.sqrt(1 - x**2 - y**2)])
-    tree, within = _tree(centers), reach + PLANE_PART_MM
-    away, _ = tree.query(corners.mean(axis=1), distance_upper_bound=within + longest.max(), workers=-1)
+    within = reach + PLANE_PART_MM
+    away, _ = _tree(centers).query(corners.mean(axis=1), distance_upper_bound=within + longest.max(), workers=-1)
     close = away <= within + longest
-    parts = _distinct(_lattice(corners[close], pieces[close])[0])
-    pairs = tree.sparse_distance_matrix(_tree(parts), within, output_type="ndarray")
-    height = np.einsum("ij,ij->i", parts[pairs["j"]] - centers[pairs["i"]], normals[pairs["i"]]) / PLANE_STEP_MM
+    parts = _tree(_distinct(_lattice(corners[close], pieces[close])[0]))
     lowest, highest = np.full(len(cells), np.inf), np.full(len(cells), -np.inf)
-    np.minimum.at(lowest, pairs["i"], height)
-    np.maximum.at(highest, pairs["i"], height)
+    for start in range(0, len(cells), PLANES_AT_ONCE):
+        own = slice(start, start + PLANES_AT_ONCE)
+        pairs = _tree(centers[own]).sparse_distance_matrix(parts, within, output_type="ndarray")
+        cell = pairs["i"] + start
+        height = np.einsum("ij,ij->i", parts.data[pairs["j"]] - centers[cell], normals[cell]) / PLANE_STEP_MM
+        np.minimum.at(lowest, cell, height)
+        np.maximum.at(highest, cell, height)
     offset = np.rint(-(lowest + highest) / 2)
-    # A little more, for what rounding adds where it is read.
-    slack = np.ceil(np.maximum(highest + offset, -lowest - offset) + 0.01)
+    # A little more, for points that were taken for one and what rounding adds where it is read.
+    slack = np.ceil(np.maximum(highest + offset, -lowest - offset) + 0.1)
     # Only where a plane tells more than the centre's distance, from 27 places of the cell.
     places = grid.spacing_mm / 3 * (np.indices((3, 3, 3)).reshape(3, -1) - 1)
     plane = np.abs(normals @ places + PLANE_STEP_MM * offset[:, None]) - PLANE_STEP_MM * slack[:, None]
@@ -152,8 +158,8 @@ def _tree(points: Array) -> Any:
 
 
 def _distinct(points: Array) -> Array:
-    """Points (k, 3), of those that agree to 0.01 um one."""
-    x, y, z = np.rint((points - points.min(axis=0)) * 1e5).astype(np.int64).T
+    """Points (k, 3), of those that agree to 0.1 um one; all within 200 mm."""
+    x, y, z = np.rint((points - points.min(axis=0)) * 1e4).astype(np.int64).T
     return points[np.unique(x << 42 | y << 21 | z, return_index=True)[1]]
 
 
