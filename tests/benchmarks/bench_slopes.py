@@ -130,8 +130,10 @@ def scenes(count: int, *, opening: bool = False) -> Callable[[], object]:
 
 def main_job(_: int, *, first: str = "", then: str = "0.05", blood: str = "0.03") -> Callable[[], object]:
     """Simulate, imports and files included, to a tolerance after another or none, with other blood than then."""
+    from nailoptics.assets import data_dir
+
     folder = Path(tempfile.mkdtemp(dir=os.environ["NAILOPTICS_STORE"]))
-    text = (ROOT / "scenes" / "prototype.toml").read_text(encoding="utf-8")
+    text = (data_dir("scenes") / "prototype.toml").read_text(encoding="utf-8")
     (folder / "other.toml").write_text(text.replace("blood_fraction = 0.03", f"blood_fraction = {blood}"))
 
     def command(scene: Path | str, tolerance: str) -> None:
