@@ -4,6 +4,7 @@ import gc
 import os
 import shutil
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ os.environ["NAILOPTICS_STORE"] = "off"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
 # Folders whose files take less than a few seconds each.
 TESTS, QUICK = Path(__file__).parent, ("hemodynamics", "scene", "tissue")
+# Of 10 MB or so each.
+SHAPES_KEPT = 24
 IN_CI = os.environ.get("CI", "").lower() in ("true", "1")
 
 
@@ -58,7 +61,17 @@ def activated(chosen: backend.Backend) -> backend.Backend:
     # Of tests that run side by side, each has its own core: threads of all on all cores wait for one another.
     if "PYTEST_XDIST_WORKER" in os.environ:
         backend.set_threads(1)
+    keep_shapes()
     return chosen
+
+
+def keep_shapes() -> None:
+    """Let this process keep the shapes that it builds: many tests trace the same few fingers."""
+    from nailoptics.light import bare_nail, finger_walk
+
+    for module in (bare_nail, finger_walk):
+        if module._built.cache_parameters()["maxsize"] < SHAPES_KEPT:
+            module._built = lru_cache(SHAPES_KEPT)(module._built.__wrapped__)
 
 
 @pytest.fixture

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 # What the axes show of the errors, and the errors at which a level's curve is computed.
 LEAST, MOST = 5e-4, 10.0
 GRID = np.geomspace(LEAST, MOST, 200)
+# Limits of the axis where no time is known. [s]
+NO_TIMES = 0.01, 1000.0
 # Names lie so many decades apart.
 APART = 0.17
 
@@ -122,7 +124,8 @@ def _panel(
         axes.plot(*np.array(points).reshape(-1, 2).T, color=colour, lw=2.2, ls=line, zorder=2, label=label)
     axes.axhline(100 * found.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)), zorder=1, label="tolerance")
     axes.set_xscale("log")
-    low, high = axes.get_xlim()
+    # Where no level could be judged there is nothing to fit them to.
+    low, high = axes.get_xlim() if marks or ends else axes.set_xlim(*NO_TIMES)
     _names(axes, marks, x=None, room=(high / low) ** 0.02)
     # Where the names stand there is no time.
     axes.set_xticks([tick for tick in axes.get_xticks() if low <= tick <= high])

@@ -32,8 +32,9 @@ MANY = {"colour", "oximetry", "tradeoff"}
 FEW = {
     "colour.colour_spread.OWN_PHOTONS": 2000,
     "oximetry.oxygen.LEAST_NAIL_PHOTONS": 1 << 12,
-    "model_error.paired.PILOT_PHOTONS": 1 << 12,
-    "model_error.paired.LEAST_PHOTONS": 1 << 11,
+    # So many, on any machine, in place of as many as there is time for.
+    "model_error.paired.LEAST_PHOTONS": 1 << 15,
+    "model_error.paired.PLANNED_SHARE": 0,
 }
 # Photons where 20 000 say too little, and where a tutorial's own limit is kept (0).
 PHOTONS = {"force": 200_000, "tradeoff": 0, "oximetry": 30_000, "taylor": 100_000}

@@ -1,6 +1,7 @@
 """Error against time of every level of model: what is measured, what is named, whether that holds out of sample."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -121,6 +122,13 @@ def test_the_picture_names_every_level_and_the_page_says_what_each_needs(tmp_pat
     page = (tmp_path / "tradeoff.html").read_text(encoding="utf-8")
     assert found.sentence in page and "model(scene)" in page and "relative_error = 0.02" in page
     assert found.sentence in str(found) and "Number of batches" in page
+
+
+def test_where_too_few_photons_came_to_judge_any_level_the_picture_is_empty():
+    found = made(level("biased", np.inf))
+    found = replace(found, levels=tuple(replace(one, reading_noise=np.inf) for one in found.levels))
+    left, right = tradeoff_page.draw(found).axes
+    assert not left.texts and not right.texts and left.get_xlim()[0] > 0
 
 
 @pytest.fixture(scope="module")
