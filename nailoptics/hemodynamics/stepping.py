@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .walls import Walls, massless_jacobian, massless_rates
+from .walls import MasslessNetwork, Walls, massless_jacobian
 
 _GAMMA = 1.0 - np.sqrt(0.5)
 
@@ -35,22 +35,23 @@ def step(
     area, stiffness, listed, closed = walls.area, walls.stiffness, walls.diameter, walls.closed
     force, gh = area * outside, _GAMMA * step_s
     load = force + stiffness * (width - listed)
-    free = np.where(width <= closed, 0.0, 1.0)
-    pressures, speeds = massless_rates(walls, width, load, free, high, low)
-    lifted = (free == 0.0) & (area * pressures > load)
-    if lifted.any():
+    touching = width <= closed
+    free = np.where(touching, 0.0, 1.0)
+    network = MasslessNetwork(walls, width, free)
+    pressures, speeds = network.rates(load, high, low)
+    if touching.any() and (lifted := touching & (area * pressures > load)).any():
         free = np.where(lifted, 1.0, free)
-        pressures, speeds = massless_rates(walls, width, load, free, high, low)
+        network = MasslessNetwork(walls, width, free)
+        pressures, speeds = network.rates(load, high, low)
     jacobian = massless_jacobian(walls, width, free, pressures, high, low)
     drift: Any = 0.0
     if outside_change is not None:
         change = area * outside_change
         # What the touch's own change does to the speeds.
-        _, rates = massless_rates(walls, width, change / step_s, free, 0.0, 0.0)
-        drift, force = gh * rates, force + change
+        drift, force = gh * network.speeds(change / step_s, 0.0, 0.0), force + change
     first = _solve(speeds + drift, jacobian, gh)
     middle = np.maximum(width + step_s * first, closed)
-    _, later = massless_rates(walls, middle, force + stiffness * (middle - listed), free, high, low)
+    later = MasslessNetwork(walls, middle, free).speeds(force + stiffness * (middle - listed), high, low)
     second = _solve(later - 2.0 * first - drift, jacobian, gh)
     return np.maximum(width + step_s * (1.5 * first + 0.5 * second), closed)
 
@@ -60,6 +61,6 @@ def _solve(rhs: np.ndarray, jacobian: tuple[np.ndarray, np.ndarray, np.ndarray],
     diagonal, left, right = jacobian
     inverse = 1.0 / (1.0 - gh * diagonal)
     weighted = right * inverse
-    reach = (weighted * rhs).sum(axis=0)
-    loss = 1.0 - gh * (weighted * left).sum(axis=0)
+    reach = np.add.reduce(weighted * rhs)
+    loss = 1.0 - gh * np.add.reduce(weighted * left)
     return np.asarray(inverse * (rhs + gh * left * reach / loss))

@@ -56,6 +56,12 @@ class Walls:
         return self._stacked[axes]
 
     @functools.cached_property
+    def units(self) -> list[tuple[Any, ...]]:
+        """Index and area, damping, stiffness, flow_factor, venule, mobile of each unit; stacked ones are one."""
+        constants = self.area, self.damping, self.stiffness, self.flow_factor, self.venule, self.mobile
+        return [(i, *(one[i] for one in constants)) for i in _units(self)]
+
+    @functools.cached_property
     def _stacked(self) -> dict[int, "Walls"]:
         return {}
 
@@ -91,40 +97,68 @@ def massless_rates(
     load : N+1 values. Force that presses the wall inward against the blood: A P_F + k x. [N]
     free : N+1 values. 1 where the wall may move, 0 where it is held in contact.
     high, low : P_H and P_L. [Pa]
+    """
+    return MasslessNetwork(walls, width, free).rates(load, high, low)
+
+
+class MasslessNetwork:
+    """The network whose walls have no mass, at some widths, with all that does not hang on what presses on it.
 
     With A P - load = b dx/dt at each free wall, each unit's pressure follows from the vein node's, and the vein node's
-    from one sum: exact elimination, no matrix.
+    from one sum: exact elimination, no matrix. width, free : as in `massless_rates`.
     """
-    n = len(walls.venule)
-    mobile, area = walls.mobile, walls.area
-    units, inflows, owns = [], [], []
-    for i in _units(walls):
-        w2 = width[i] * width[i]
-        arteriole = walls.flow_factor[i] * (w2 * w2)
-        m = mobile[i] * free[i]
-        own = arteriole + m * area[i]
-        total = own + walls.venule[i]
-        ratio = walls.venule[i] / total
-        numerator = arteriole * high + m * load[i]
-        inflows.append(ratio * numerator)
-        owns.append(ratio * own)
-        units.append((arteriole, total, ratio, numerator / total))
-    flow_in, conductance = _sum(0.0, _each(walls, inflows)), _sum(0.0, _each(walls, owns))
-    w2 = width[n] * width[n]
-    vein = walls.flow_factor[n] * (w2 * w2)
-    m = mobile[n] * free[n]
-    total = conductance + m * area[n] + vein
-    node = (flow_in + m * load[n] + vein * low) / total
-    pressures = [part + ratio * node for _, _, ratio, part in units]
-    # The wall's own part of A P - load is taken out beforehand: with hardly any damper it would drown the rest.
-    speeds = [
-        free[i]
-        * (a * (area[i] * high - load[i]) + walls.venule[i] * (area[i] * node - load[i]))
-        / (t * walls.damping[i])
-        for i, (a, t, _, _) in zip(_units(walls), units, strict=True)
-    ]
-    net = area[n] * (flow_in + vein * low) - load[n] * (conductance + vein)
-    return _walls(walls, pressures, node), _walls(walls, speeds, free[n] * net / (total * walls.damping[n]))
+
+    def __init__(self, walls: Walls, width: PerWall, free: PerWall) -> None:
+        self.walls, n, owns = walls, len(walls.venule), []
+        self.units: list[tuple[Any, ...]] = []
+        for i, area, damping, _, flow_factor, venule, mobile in walls.units:
+            w2 = width[i] * width[i]
+            arteriole = flow_factor * (w2 * w2)
+            loose = free[i]
+            m = mobile * loose
+            own = arteriole + m * area
+            total = own + venule
+            ratio = venule / total
+            owns.append(ratio * own)
+            self.units.append((i, area, venule, loose, m, arteriole, total, ratio, total * damping))
+        conductance = _sum(0.0, _each(walls, owns))
+        w2 = width[n] * width[n]
+        vein = walls.flow_factor[n] * (w2 * w2)
+        m = walls.mobile[n] * free[n]
+        total = conductance + m * walls.area[n] + vein
+        self.vein = n, walls.area[n], free[n], m, vein, conductance + vein, total, total * walls.damping[n]
+
+    def rates(self, load: PerWall, high: Any, low: Any) -> tuple[PerWall, PerWall]:
+        """Pressures and wall speeds under some load: as `massless_rates`."""
+        flow_in, node, parts = self._node(load, high, low)
+        pressures = [part + unit[7] * node for part, unit in zip(parts, self.units, strict=True)]
+        return _walls(self.walls, pressures, node), self._speeds(load, high, low, flow_in, node)
+
+    def speeds(self, load: PerWall, high: Any, low: Any) -> PerWall:
+        """Wall speeds alone. [m/s]"""
+        flow_in, node, _ = self._node(load, high, low)
+        return self._speeds(load, high, low, flow_in, node)
+
+    def _node(self, load: PerWall, high: Any, low: Any) -> tuple[Any, Any, list[Any]]:
+        """What flows in, the vein node's pressure, and the part of each unit's that does not hang on it."""
+        parts, inflows = [], []
+        for i, _, _, _, m, arteriole, total, ratio, _ in self.units:
+            numerator = arteriole * high + m * load[i]
+            inflows.append(ratio * numerator)
+            parts.append(numerator / total)
+        flow_in = _sum(0.0, _each(self.walls, inflows))
+        n, _, _, m, vein, _, total, _ = self.vein
+        return flow_in, (flow_in + m * load[n] + vein * low) / total, parts
+
+    def _speeds(self, load: PerWall, high: Any, low: Any, flow_in: Any, node: Any) -> PerWall:
+        # The wall's own part of A P - load is taken out beforehand: with hardly any damper it would drown the rest.
+        speeds = [
+            loose * (arteriole * (area * high - load[i]) + venule * (area * node - load[i])) / damped
+            for i, area, venule, loose, _, arteriole, _, _, damped in self.units
+        ]
+        n, area, loose, _, vein, passing, _, damped = self.vein
+        net = area * (flow_in + vein * low) - load[n] * passing
+        return _walls(self.walls, speeds, loose * net / damped)
 
 
 def massless_jacobian(
@@ -141,19 +175,19 @@ def massless_jacobian(
     vein = 0.25 * vein_slope * w
     m = walls.mobile[n] * free[n]
     diagonal, left, own_slopes, owns = [], [], [], []
-    for i in _units(walls):
-        w = width[i]
-        slope = 4.0 * walls.flow_factor[i] * w * w * w
+    for i, area, damping, stiffness, flow_factor, venule, mobile in walls.units:
+        w, loose = width[i], free[i]
+        slope = 4.0 * flow_factor * w * w * w
         arteriole = 0.25 * slope * w
-        m_i = walls.mobile[i] * free[i]
-        own = arteriole + m_i * walls.area[i]
-        total = own + walls.venule[i]
-        ratio = walls.venule[i] / total
+        m_i = mobile * loose
+        own = arteriole + m_i * area
+        total = own + venule
+        ratio = venule / total
         rise = slope * (high - pressures[i])
-        give = free[i] * walls.stiffness[i] / walls.damping[i]
+        give = loose * stiffness / damping
         owns.append(ratio * own)
-        own_slopes.append(ratio * (rise + m_i * walls.stiffness[i]))
-        diagonal.append((m_i * rise - give * (arteriole + walls.venule[i])) / total)
+        own_slopes.append(ratio * (rise + m_i * stiffness))
+        diagonal.append((m_i * rise - give * (arteriole + venule)) / total)
         left.append(m_i * ratio)
     below = _sum(m * walls.area[n] + vein, _each(walls, owns))
     right = [s / below for s in own_slopes]

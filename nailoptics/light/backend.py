@@ -17,6 +17,7 @@ import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
@@ -264,10 +265,15 @@ def _key(name: Name, library: str) -> str:
         file: list[Any] = [stat.st_mtime_ns, stat.st_size]
     except OSError:
         file = []
-    packages = [one.version for name in ("drjit", "mitsuba") for one in metadata.distributions(name=name)]
-    versions = [*packages, platform.python_version(), platform.machine()]
+    versions = [*_packages(), platform.python_version(), platform.machine()]
     seen = [os.environ.get("CUDA_VISIBLE_DEVICES"), platform.node(), *_devices()] if name == "cuda" else []
     return json.dumps([name, library, file, versions, seen, zlib.crc32(PROBE.encode())])
+
+
+@cache
+def _packages() -> list[str]:
+    """Versions of the packages that compile and run kernels; looked for once, as every trace asks for the backend."""
+    return [one.version for name in ("drjit", "mitsuba") for one in metadata.distributions(name=name)]
 
 
 def _probe(name: Name, library: str) -> tuple[tuple[str, ...], str, bool]:
