@@ -192,12 +192,19 @@ def _openings(
     """
     tension, barrier, push, head = np.broadcast_arrays(tension, barrier, push, head)
 
+    feedback = 4.0 * head * barrier
+
     def balance(u: np.ndarray) -> np.ndarray:
         u4 = u**4
         return np.asarray(tension * (u - 1.0) - push - head * u4 / (u4 + barrier))
 
     def balance_slope(u: np.ndarray) -> np.ndarray:
-        return np.asarray(tension - 4.0 * head * barrier * u**3 / (u**4 + barrier) ** 2)
+        return np.asarray(tension - feedback * u**3 / (u**4 + barrier) ** 2)
+
+    def both(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        u4 = u**4
+        below = u4 + barrier
+        return tension * (u - 1.0) - push - head * u4 / below, tension - feedback * u**3 / below**2
 
     lowest = np.full(push.shape, CLOSED_FRACTION)
     bottom = np.maximum(lowest, 1.0 + (push + np.minimum(head, 0.0)) / tension)
@@ -221,23 +228,25 @@ def _openings(
                 exists = folded & (balance(turn) >= 0.0)
                 top = np.where(exists, np.clip(turn, bottom, top), top)
                 bottom = np.where(folded & ~exists, np.clip(steepest, bottom, top), bottom)
-    return _newton_root(balance, balance_slope, bottom, top, tolerance=tolerance * top)
+    return _newton_root(both, bottom, top, tolerance=tolerance * top)
 
 
-def _newton_root(function: Function, slope: Function, low: Array, high: Array, *, tolerance: Array) -> Array:
+def _newton_root(
+    function: Callable[[Array], tuple[Array, Array]], low: Array, high: Array, *, tolerance: Array
+) -> Array:
     """A root of each component of a smooth function, <= 0 at low and >= 0 at high, by Newton's method kept inside.
 
-    Where the function is positive at low already, that end is returned.
+    Where it is positive at low already, that end is returned. function : gives its values and its slopes.
     """
-    first, x, at_low = low, high, function(low) >= 0.0
-    for _ in range(100):
-        value = function(x)
-        low, high = np.where(value <= 0.0, x, low), np.where(value > 0.0, x, high)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            newton = x - value / slope(x)
-        last, x = x, np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
-        if np.all((np.abs(x - last) <= tolerance) | at_low):
-            break
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        first, x, at_low = low, high, function(low)[0] >= 0.0
+        for _ in range(100):
+            value, slope = function(x)
+            low, high = np.where(value <= 0.0, x, low), np.where(value > 0.0, x, high)
+            newton = x - value / slope
+            last, x = x, np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
+            if ((np.abs(x - last) <= tolerance) | at_low).all():
+                break
     return np.where(at_low, first, x)
 
 
