@@ -109,12 +109,15 @@ class Drive:
 
     def read(self, times: list[float], first: int, last: int) -> list[list[float]]:
         """Every channel at each of several times within pieces `first` to `last`."""
-        if first < last:
-            pieces = [bisect.bisect_right(self.starts, time, first + 1, last + 1) - 1 for time in times]
-            return [self.read([time], i, i)[0] for time, i in zip(times, pieces, strict=True)]
-        start = self.starts[first]
-        line = list(zip(self._first[first].tolist(), self._slopes[first].tolist(), strict=True))
-        return [[v + s * (time - start) for v, s in line] for time in times]
+        starts, piece, found = self.starts, -1, []
+        for time in times:
+            at = first if first == last else bisect.bisect_right(starts, time, first + 1, last + 1) - 1
+            if at != piece:
+                piece, start = at, starts[at]
+                line = list(zip(self._first[at].tolist(), self._slopes[at].tolist(), strict=True))
+            past = time - start
+            found.append([v + s * past for v, s in line])
+        return found
 
     def slope(self, time: float, piece: int, *, smooth: bool) -> list[float]:
         """The time derivative of every channel in a piece, or that of the smooth curve through the stretch."""

@@ -6,14 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
-from ...scene import Body, Scene, Touch
+from ...scene import Body, Scene, Touch, digest
 from ...scene.oximeter import two_leds
 from ..blood_states import blood_over_touch, force_course
 
 Array = NDArray[np.float64]
 
+_beats: dict[str, "BloodBeat"] = {}
+
 # Over a beat the blood is sampled so often: its extremes are missed by less than 0.3 % of the pulse.
 SAMPLES_PER_BEAT = 64
+BEATS_KEPT = 64
 CONTACT = ("contact_area_mm2", "proximal_share", "proximal_area_mm2", "distal_area_mm2")
 
 
@@ -98,6 +101,11 @@ def beat_at(scene: Scene, force_n: float) -> BloodBeat:
         sample_rate_hz=SAMPLES_PER_BEAT * rate / 60.0,
         **contact,
     )
-    course = blood_over_touch(scene.model_copy(update={"touch": held, "body": even}))
-    one = course.isel(time=slice(0, SAMPLES_PER_BEAT))
-    return BloodBeat(one.time.values, one.blood_fraction.values)
+    scene = scene.model_copy(update={"touch": held, "body": even})
+    # A study asks again and again for that of the scene itself.
+    if (key := digest(scene)) not in _beats:
+        if len(_beats) >= BEATS_KEPT:
+            _beats.clear()
+        one = blood_over_touch(scene).isel(time=slice(0, SAMPLES_PER_BEAT))
+        _beats[key] = BloodBeat(one.time.values, one.blood_fraction.values)
+    return _beats[key]
