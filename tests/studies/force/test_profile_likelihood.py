@@ -1,5 +1,7 @@
 """Profile likelihoods of a person's factors: what others leave when they follow, and where no parabola describes it."""
 
+from collections.abc import Callable
+
 import made_sensor
 import numpy as np
 import pytest
@@ -12,6 +14,8 @@ from nailoptics.studies.force.fit import Fit
 from nailoptics.studies.force.person import NAMES
 from nailoptics.studies.force.profile_likelihood import OFFSETS, Profile, profile_of
 
+# Of finite differences, which all are worked out together.
+STEP = 1e-7
 FREE = ("vein_stiffness", "capillary_stiffness", "contact_area", "rest_blood")
 
 
@@ -38,11 +42,16 @@ def test_all_other_factors_follow_the_one_that_is_held(fit: Fit) -> None:
         others = np.delete(np.arange(len(FREE)), held)
 
         def whole(some: np.ndarray, held: int = held, place: int = place, others: np.ndarray = others) -> np.ndarray:
-            moved = np.empty((len(FREE), 1))
-            moved[held], moved[others, 0] = profile.factors_ln[held, place], some
-            return fit.residuals(moved)[0][:, 0]
+            some = some.reshape(len(others), -1)
+            moved = np.empty((len(FREE), some.shape[1]))
+            moved[held], moved[others] = profile.factors_ln[held, place], some
+            return np.squeeze(fit.residuals(moved)[0])
 
-        found = 2.0 * least_squares(whole, best[others]).cost - least
+        def slopes(some: np.ndarray, whole: Callable[[np.ndarray], np.ndarray] = whole) -> np.ndarray:
+            here, *there = whole(some[:, None] + STEP * np.eye(len(some), 1 + len(some), 1)).T
+            return (np.stack(there, axis=1) - here[:, None]) / STEP
+
+        found = 2.0 * least_squares(whole, best[others], slopes).cost - least
         assert profile.deviance[held, place] == pytest.approx(found, rel=0.05, abs=0.02)
     drawn = _dataset(fit.recordings, fitted, profile).assign_attrs(bent_factors=[FREE[0], FREE[2]])
     assert len([axes for axes in force_figures.profiles(drawn).axes if axes.get_title(loc="left")]) == 2
