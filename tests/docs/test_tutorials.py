@@ -33,7 +33,7 @@ FEW = {
     "colour.colour_spread.OWN_PHOTONS": 2000,
     "oximetry.oxygen.LEAST_NAIL_PHOTONS": 1 << 12,
     # So many, on any machine, in place of as many as there is time for.
-    "model_error.paired.LEAST_PHOTONS": 1 << 15,
+    "model_error.paired.LEAST_PHOTONS": 1 << 16,
     "model_error.paired.PLANNED_SHARE": 0,
 }
 # Photons where 20 000 say too little, and where a tutorial's own limit is kept (0).
