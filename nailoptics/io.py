@@ -208,19 +208,36 @@ def cache_folder() -> Path:
 def write_dataset(dataset: "xr.Dataset", path: Path) -> None:
     """Write a dataset to NetCDF by the CF conventions, and make its folder; raises WriteError.
 
-    HDF5 writes piece by piece: the dataset is never copied as a whole.
+    HDF5 writes piece by piece: the dataset is never copied as a whole. Of what is worked out when it is read there is
+    one variable at a time.
     """
     make_folder(path.parent)
     try:
         with _in_place_of(path) as file:
             patient = _Patient(file)
-            try:
-                _as_cf(dataset).to_netcdf(patient, engine="h5netcdf")
-            finally:
-                if patient.refused is not None:
-                    raise patient.refused
+            for number, part in enumerate(_parts(_as_cf(dataset))):
+                try:
+                    part.to_netcdf(patient, mode="a" if number else "w", engine="h5netcdf")
+                finally:
+                    if patient.refused is not None:
+                        raise patient.refused
     except OSError as error:
         raise _refused(path, error, size=dataset.nbytes) from None
+
+
+def _parts(dataset: "xr.Dataset") -> "Iterator[xr.Dataset]":
+    """A dataset in parts whose variables follow each other as in the whole, the first with all coordinates.
+
+    xarray works out all that it is to write before it writes: each part has one variable at most that is not in memory.
+    """
+    begin, names = 0, list(dataset.data_vars)
+    ends = [k + 1 for k, name in enumerate(names) if not dataset[name].variable._in_memory]
+    for end in dict.fromkeys([*ends, len(names)]):
+        if begin:
+            yield dataset[names[begin:end]].drop_attrs(deep=False).drop_vars(dataset.indexes, errors="ignore")
+        else:
+            yield dataset.drop_vars(names[end:])
+        begin = end
 
 
 class _Patient(RawIOBase):

@@ -29,7 +29,7 @@ PACKAGE = Path(__file__).parents[1] / "nailoptics"
 # Rooms in one entry do not import each other.
 ORDER = [
     {"errors"},
-    {"checks", "commit", "statistics", "variables", "io"},
+    {"checks", "commit", "statistics", "variables", "io", "memory"},
     {"options"},
     {"assets"},
     {"scene"},

@@ -78,7 +78,7 @@ def _course(transfer: Transfer, blood_fraction: np.ndarray, so2: float | None, e
     count = optics.zones(transfer.scene).count
     if states.ndim != 2 or states.shape[1] != count or not len(states):
         raise InputError(f"blood_fraction has shape {states.shape}; give (states, {count}), one value for each zone.")
-    blood, first = transfer.scene.blood, checks.fraction("blood_fraction", states)[0]
+    blood, first = transfer.scene.blood, checks.fraction("blood_fraction", states)[0].copy()
     shape = (len(transfer.traces), len(transfer.photodiodes), len(states))
     reading = _Reading(transfer, states, first, so2, electrons, [np.empty(shape, states.dtype) for _ in range(4)])
     if so2 is not None or blood.venous_so2 is None:

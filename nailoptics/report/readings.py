@@ -75,7 +75,7 @@ def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> list[Reading
     """Every LED and photodiode, LED by LED, photodiodes from proximal to distal."""
     rest, held = result.isel(time=0), result.isel(time=hold_end(result))
     # Pair by pair, as of a million samples each copy of all readings is large.
-    swings = [[int(np.nanargmax(np.abs(one))) for one in of_led] for of_led in result.volts_change.values]
+    swings = [[int(np.nanargmax(np.abs(one))) for one in of_led] for of_led in result.volts_change]
     largest = xr.DataArray(swings, dims=("led", "photodiode"))
     peak = result[["volts_change", "volts_change_stderr"]].isel(time=largest)
     told = {"rest_spread": "reading_spread", "change_spread": "change_spread"}

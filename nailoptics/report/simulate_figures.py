@@ -1,5 +1,6 @@
 """Figures over time: the touch, the vessels, and every photodiode's volts beside the reduced optics."""
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -134,7 +135,7 @@ def draw_change(axes: "Axes", result: xr.Dataset, scene: Scene | None, *, led: i
     photodiodes = coloured_along_nail(scene, result.sizes["photodiode"])
     change, hold = result.volts_change, hold_end(result)
     hold_s = float(result.time[hold])
-    scale, letter = prefix(max(float(change.max()), -float(change.min())))
+    scale, letter = prefix(_largest(one for of_led in change for one in of_led))
     seen = _thin(result)
     axes.axhline(0, color=style.MUTED, lw=0.8)
     for colour, j in photodiodes:
@@ -180,7 +181,7 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
     figure, grid = style.panels(9.2, height_in, 2 * rows, columns, room_in=room, **how)
     each = [(result[f"volts_{name}"][led, j], result.volts[led, j]) for name in MODELS for j in order]
     missed_v = [float(np.abs(model - traced).max()) for model, traced in each]
-    missed_scale, missed_letter = prefix(max(*missed_v, float(result.volts_noise_rms[led].max())))
+    missed_scale, missed_letter = prefix(max(*missed_v, _largest(result.volts_noise_rms[led])))
     seen, rest = _thin(result, SAMPLES // columns).isel(led=led), result.isel(led=led, time=0)
     for k, (j, colour) in enumerate(zip(order, style.place_colours(len(order)), strict=True)):
         column, row = divmod(k, rows)
@@ -223,6 +224,11 @@ def _thin(result: xr.Dataset, samples: int = SAMPLES) -> xr.Dataset:
     """At most so many times, the first and the last among them."""
     count = result.sizes["time"]
     return result.isel(time=np.unique(np.linspace(0, count - 1, min(count, samples)).round().astype(int)))
+
+
+def _largest(rows: Iterable[xr.DataArray]) -> float:
+    """The largest distance from 0 in rows that are read one after the other."""
+    return float(np.fmax.reduce([abs(row).max() for row in rows]))
 
 
 def _line(axes: "Axes", over: xr.Dataset, values: object, **look: Any) -> None:

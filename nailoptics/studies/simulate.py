@@ -13,6 +13,7 @@ from .. import electronics
 from ..errors import InputError, NotReachedError, as_far_as_reached
 from ..light import DetectedLight, ProgressCallback, Transfer, open_light, optics, section
 from ..light.tracing import accuracy
+from ..memory import give_back
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import fit_beer_lambert, fit_taylor
 from ..scene import Photodiode, Scene
@@ -70,12 +71,14 @@ def simulate(
         raise InputError("simulate needs a [finger] scene; a [phantom] has no blood, use trace for its light.")
     course = blood_over_touch(scene)
     states = course.blood_fraction.values.T
+    give_back()
     traces = 1 + len(moved_boards(scene))
     if traces > 1 and (limit := accuracy(scene, options).max_seconds) is not None:
         requested = requested | Requested(max_seconds=limit / traces)
     light, unmet = as_far_as_reached(open_light, scene, states=states, progress=progress, **requested)
     moved, short = moved_light(scene, states=states, progress=progress, **requested)
     unmet = unmet or short
+    give_back()
     result = simulate_from(scene, light, course=course, seed=options.seed, moved=moved)
     if light.transfer is not None:
         result = result.merge(light.transfer.energy_by_led())
@@ -102,6 +105,7 @@ def simulate_from(
     result = result.merge(_fit_reduced(result))
     if precision(result.sizes["time"]) is np.float64:
         result.load()
+    give_back()
     for name, text in COORDINATES.items():
         result[name].attrs = {"long_name": text} | result[name].attrs
     result.attrs = light.attributes | {

@@ -219,6 +219,20 @@ def test_very_many_samples_take_little_memory(chosen_jit):
 
 
 @pytest.mark.jit
+def test_very_many_samples_of_many_zones_keep_no_copy_of_their_blood(chosen_jit):
+    """Rationale: its first state once kept a copy of it, double in precision, alive. Expected: its readings take no
+    more memory beside it than those of two zones do."""
+    scene = prototype(duration_s=2.0, sample_rate_hz=2e5)
+    scene = scene.model_copy(update={"blood": scene.blood.model_copy(update={"zones": 8})})
+    light, blood = open_light(scene, states=np.full((1, 8), 0.03), photons=1 << 13), blood_over_touch(scene)
+    tracemalloc.start()
+    simulate_from(scene, light, course=blood, seed=1)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert blood.blood_fraction.dtype == np.float32 and peak < 25 * 8 * blood.sizes["time"]
+
+
+@pytest.mark.jit
 def test_too_little_time_gives_what_was_reached(chosen_jit):
     with pytest.raises(NotReachedError, match="max_seconds") as caught:
         simulate(prototype(), relative_error=0.002, max_seconds=0.3, seed=2)
