@@ -182,7 +182,12 @@ def claimed(file: Path, number: int) -> Iterator[bool]:
     if fcntl is None:
         yield True
         return
-    with open(file, "ab") as handle:
+    try:
+        handle = open(file, "ab")
+    except PermissionError:  # another user's
+        yield True
+        return
+    with handle:
         try:
             fcntl.lockf(handle, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, number, os.SEEK_SET)
         except (BlockingIOError, PermissionError):

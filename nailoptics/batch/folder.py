@@ -3,6 +3,7 @@
 import errno
 import json
 import math
+import os
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +31,10 @@ _PLAN: dict[str, type | tuple[type, ...]] = {
 _RESULT = {"digest", "made", "variables", "attrs", "photons_per_led", "relative_error", "reached"}
 # Trouble of the disk, which is not that of one file.
 STORAGE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.ESTALE}
+
+
+class HiddenError(InputError):
+    """A plan is there, but nobody lets this user read it: it may be another batch's."""
 
 
 class ForeignError(CorruptError):
@@ -63,7 +68,7 @@ class Folder:
         return self.root / "light"
 
     def read_plan(self) -> dict[str, Any]:
-        """The plan of the last run; raises InputError where there is none."""
+        """The plan of the last run; raises InputError where there is none, HiddenError where it cannot be read."""
         path = self.root / "plan.json"
         try:
             plan = json.loads(path.read_text(encoding="utf-8"))
@@ -80,6 +85,9 @@ class Folder:
             raise InputError(
                 f"{self.root}: is not a batch folder (it has no plan.json); give the folder of a batch."
             ) from None
+        except PermissionError as error:
+            line = f"{path}: cannot be read: {error.strerror}; have it made readable, or use another folder."
+            raise HiddenError(line) from None
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             why = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
             raise InputError(f"{path}: cannot be read ({why}); run the batch again to write it anew.") from None
@@ -108,7 +116,11 @@ class Folder:
 
     def gone(self) -> bool:
         """Whether somebody removed the folder, or the plan in it, since the run began."""
-        return not (self.root / "plan.json").exists()
+        return not os.path.exists(self.root / "plan.json")
+
+    def has_failed(self, digest: str) -> bool:
+        """Whether a scene failed, as far as can be seen."""
+        return os.path.exists(self.failure(digest))
 
     def why_failed(self, digest: str) -> str:
         """Why a scene failed, in one line."""

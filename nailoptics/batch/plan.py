@@ -8,7 +8,7 @@ from ..errors import InputError
 from ..light.identity import light_digest
 from ..scene import Scene, digest
 from ..scene.sweep import Sweep
-from .folder import Folder
+from .folder import Folder, HiddenError
 from .study_runs import STUDIES
 from .work import Job, Settings, other_versions, reads_transfer, standing
 
@@ -125,6 +125,8 @@ def check_same(folder: Folder, planned: list[Planned], settings: Settings) -> st
     """
     try:
         old = folder.read_plan()
+    except HiddenError:
+        raise
     except InputError as error:
         return str(error) if not folder.gone() else ""
     wanted = settings.made()

@@ -59,11 +59,11 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
             if stored:
                 one = _result(*stored, names, course)
             else:
-                state = FAILED if place.failure(digest).exists() else MISSING
+                state = FAILED if place.has_failed(digest) else MISSING
         except ForeignError:
             state = FOREIGN
         except (CorruptError, KeyError, TypeError, ValueError):
-            state = FAILED if place.failure(digest).exists() else CORRUPT
+            state = FAILED if place.has_failed(digest) else CORRUPT
         states.append(state)
         if one is not None:
             stack.add(number, one)

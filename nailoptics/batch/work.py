@@ -237,10 +237,10 @@ def standing(folder: Folder, digest: str, required: Accuracy, made: dict[str, An
     except ForeignError:
         return "foreign"
     except CorruptError:
-        return "failed" if folder.failure(digest).exists() else "corrupt"
+        return "failed" if folder.has_failed(digest) else "corrupt"
     if found is not None and meets(found[0], required):
         return "done"
-    if folder.failure(digest).exists():
+    if folder.has_failed(digest):
         return "failed"
     return "missing" if found is None else "below"
 

@@ -1,5 +1,6 @@
 """Export a scene: the one table of formats that other programs read."""
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,7 +92,7 @@ def export(
     chosen = FORMATS[name]
     if not chosen.folder and ending != name:
         raise InputError(f"{path}: a file in the format {name} ends in .{name}; rename it.")
-    if chosen.folder and path.exists() and not path.is_dir():
+    if chosen.folder and os.path.exists(path) and not os.path.isdir(path):
         raise InputError(f"{path}: is a file where format {name} makes a folder; choose another name.")
     check_writable(path if chosen.folder else path.parent, *([] if chosen.folder else [path.name]))
     return chosen.write(scene, path, **({} if voxel_mm is None else {"voxel_mm": voxel_mm}))

@@ -145,7 +145,12 @@ def compare_with(
 def read_detected(path: Path) -> OtherDetection:
     """Read the file that an export's runner wrote; raises InputError for another one."""
     try:
-        with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as file:
+        data = path.read_bytes()
+    except OSError as error:
+        why = f"cannot be read: {error.strerror}; give the detected.npz of an export's runner."
+        raise InputError(f"{path}: {why}") from None
+    try:
+        with np.load(BytesIO(data), allow_pickle=False) as file:
             found = {name: file[name] for name in FIELDS}
         which, paths = found["photodiode"].astype(np.int64), found["path_mm"].astype(np.float32)
         photons, led, seed = (int(found[name]) for name in ("photons", "led", "seed"))

@@ -108,12 +108,15 @@ class LightStore:
         """Tell of a file that is not what was written."""
         if self._tell is not None:
             self._tell(path, why)
+        elif isinstance(why, PermissionError):
+            log.warning("%s: light that is kept there cannot be read (%s); traced again", self.root, why.strerror)
         else:
             log.warning("%s: is not what was stored there (%s); traced again", path, why)
 
     def write(self, path: Path, data: memoryview) -> None:
         """Write a file of the store; where it is optional, the first refusal ends storing with a word."""
-        if self.closed or path.is_dir():
+        # os.path takes what a folder hides for missing, Path does not.
+        if self.closed or os.path.isdir(path):
             return
         try:
             io.make_folder(path.parent)
@@ -223,7 +226,7 @@ class LedSource:
 
     def has(self, number: int, photons: int) -> bool:
         """Whether a batch is stored."""
-        return any(one.path(f"{number}-{photons}").exists() for one in self.stored)
+        return any(os.path.exists(one.path(f"{number}-{photons}")) for one in self.stored)
 
     def batch(self, number: int, photons: int) -> Batch:
         """The batch of a number and its photons; both, with the light and the seed, determine its bits."""
@@ -322,7 +325,7 @@ def user_folder() -> Path | None:
 
 def _most_bytes(root: Path) -> float:
     """The user's bound, less where the disk is nearly full."""
-    there = next((path for path in (root, *root.parents) if path.exists()), None)
+    there = next((path for path in (root, *root.parents) if os.path.exists(path)), None)
     with suppress(OSError):
         if there is not None:
             return min(MOST_BYTES, MOST_OF_FREE * shutil.disk_usage(there).free)

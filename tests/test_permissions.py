@@ -1,0 +1,127 @@
+"""What a user may not read or write: one line, nothing lost, and light is traced where its store is closed."""
+
+import ctypes
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from test_io import PHANTOM
+
+ROOT = Path(__file__).parents[1]
+# Of Linux: what lets root read and write what modes forbid, and the call that gives it up.
+DAC, DROP = (1, 2), 24
+RUN = """
+import contextlib, io, os, sys
+from nailoptics.cli import run
+for line in sys.stdin:
+    store, *arguments = line.split()
+    os.environ["NAILOPTICS_STORE"] = store
+    said = io.StringIO()
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(said):
+        code = run([*arguments])
+    print(code, said.getvalue().replace(chr(10), " | "), flush=True)
+"""
+SWEEP = """
+schema_version = 1
+base = "slab.toml"
+[[axes]]
+path = "phantom.layers.slab.thickness_mm"
+values = [0.5, 1.0, 1.5]
+"""
+
+
+def as_ordinary_user() -> None:
+    """Let modes hold for root, too, who runs tests in containers; for others they do."""
+    libc = ctypes.CDLL(None)
+    for capability in DAC:
+        libc.prctl(DROP, capability, 0, 0, 0)
+
+
+def commands(folder: Path, *lines: str) -> list[tuple[int, str]]:
+    """Codes and messages of commands, each after its store, of one process of a user whom modes hold."""
+    done = subprocess.run(
+        [sys.executable, "-c", RUN],
+        input="\n".join(lines),
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        preexec_fn=as_ordinary_user,
+    )
+    assert done.returncode == 0, done.stderr
+    found = [line.partition(" ") for line in done.stdout.splitlines()]
+    return [(int(code), said) for code, _, said in found]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A slab, a sweep over its thickness, and rights that are given back in the end."""
+    (tmp_path / "slab.toml").write_text(PHANTOM)
+    (tmp_path / "sweep.toml").write_text(SWEEP)
+    yield tmp_path
+    for path, _, _ in os.walk(tmp_path, onerror=lambda error: os.chmod(error.filename, 0o700)):
+        os.chmod(path, 0o700)
+
+
+@pytest.mark.jit
+def test_light_is_traced_where_its_store_or_what_is_in_it_is_closed_to_the_user(jit_backend, folder):
+    """Rationale: a store that could not be searched once ended every command."""
+    trace = "trace slab.toml --photons 500"
+    assert commands(folder, f"open {trace}")[0][0] == 0 and any((folder / "open").iterdir())
+    for mode, name in ((0o000, "hidden"), (0o444, "listed"), (0o555, "shown")):
+        (folder / name).mkdir(mode=mode)
+    for path in (folder / "open").iterdir():
+        path.chmod(0o000)
+    found = commands(folder, *(f"{store} {trace}" for store in ("hidden", "listed", "shown", "hidden/deep", "open")))
+    for code, said in found:
+        assert code == 0 and "what is traced is not kept" in said and "Permission denied" in said
+    for path in (folder / "open").iterdir():
+        path.chmod(0o700)
+        for file in path.iterdir():
+            file.chmod(0o000)
+    ((code, said),) = commands(folder, f"open {trace}")
+    assert code == 0 and "open: light that is kept there cannot be read (Permission denied); traced again" in said
+
+
+@pytest.mark.jit
+def test_a_batch_overwrites_no_plan_that_it_may_not_read_and_makes_hidden_results_again(jit_backend, folder):
+    batch, out = "off batch sweep.toml -o out --photons 500 --workers 1", folder / "out"
+    assert commands(folder, batch)[0][0] == 0
+    before = (out / "plan.json").read_text()
+    (out / "plan.json").chmod(0o000)
+    for code, said in commands(folder, batch, "off batch --status out"):
+        assert code == 2 and "plan.json: cannot be read: Permission denied; have it made readable" in said
+    (out / "plan.json").chmod(0o600)
+    assert (out / "plan.json").read_text() == before
+    first, *others = sorted((out / "results").iterdir())
+    stamps = [path.stat().st_mtime_ns for path in others]
+    first.chmod(0o000)
+    # Another user's claims: two may do the same twice, nobody is refused.
+    (out / ".claims").chmod(0o000)
+    ((code, said),) = commands(folder, batch)
+    assert code == 0 and "made again" in said and [path.stat().st_mtime_ns for path in others] == stamps
+    (out / "failed").chmod(0o000)
+    first.unlink()
+    assert commands(folder, "off batch --status out")[0][0] == 0
+    (out / "failed").chmod(0o700)
+    out.chmod(0o000)
+    for code, said in commands(folder, batch, "off batch --status out"):
+        assert code == 2 and "Permission denied" in said and "internal" not in said
+
+
+def test_what_cannot_be_read_is_told_in_one_line(folder):
+    for name in ("shut.toml", "shut.csv", "shut.npz"):
+        (folder / name).touch(mode=0o000)
+    (folder / "shut").mkdir(mode=0o000)
+    asked = [f"off {name} shut.toml" for name in ("simulate", "trace", "place", "check", "explain", "oximeter")]
+    asked += ["off batch shut.toml -o b", "off predict shut.toml shut.csv", "off calibrate prototype shut.csv"]
+    asked += ["off compare-with shut.npz", "off check shut/in.toml", "off figures --touch shut.csv -o f"]
+    for code, said in commands(folder, *asked):
+        assert code == 2 and "cannot be read: Permission denied; give" in said and said.count("nailoptics:") == 1
+    asked = ["off export prototype -o shut/x.glb", "off export prototype -o shut/x --format mcx"]
+    for code, said in commands(
+        folder, *asked, "off simulate prototype -o shut/x", "off explore prototype -o shut/x.html"
+    ):
+        assert code == 2 and "cannot be written: Permission denied; choose another place." in said
