@@ -302,6 +302,7 @@ def test_trace_of_a_phantom_prints_the_agreed_json(backend_name, folder, capfd, 
     assert found["photons"] == 20000 and contents(folder).keys() == {"phantom.toml"}
 
 
+@pytest.mark.long
 def test_both_backends_print_the_same_light_of_a_phantom(folder, capfd, chosen_jit):
     (folder / "phantom.toml").write_text(PHANTOM)
     found = []
@@ -470,6 +471,7 @@ def test_a_library_that_is_none_costs_the_main_job_nothing_but_speed(folder):
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and broken.name in done.stderr
 
 
+@pytest.mark.long
 def test_a_library_that_aborts_cannot_take_the_main_job_with_it(folder):
     """Rationale: a broken libLLVM aborts the process that runs a kernel. Expected: whatever process tries one dies,
     really, and the command still answers, with its line of advice."""
@@ -489,6 +491,7 @@ def test_a_library_that_aborts_cannot_take_the_main_job_with_it(folder):
     assert "SIGABRT" in spawn("doctor", env=environment).stdout
 
 
+@pytest.mark.long
 def test_a_library_that_aborts_at_volpath_alone_leaves_it_the_scalar_backend(folder):
     """Rationale: libLLVM 15 and 16 compile the photons engine, and abort at volpath. Expected: volpath's answer comes
     from the scalar backend, after one line that says so, and doctor tells the two engines apart."""
@@ -517,6 +520,7 @@ def test_a_library_that_aborts_at_volpath_alone_leaves_it_the_scalar_backend(fol
         assert done.stderr.count("scalar") == 1
 
 
+@pytest.mark.long
 def test_progress_is_plain_lines_in_a_log_and_a_bar_on_a_terminal(folder):
     (folder / "phantom.toml").write_text(PHANTOM)
     arguments = ["trace", "phantom.toml", "--backend", "scalar", "--photons", "20000"]

@@ -323,6 +323,7 @@ def costs(commands: list[list[str]], attempts: int = 5) -> list[float]:
     return [min(found[k :: len(commands)]) for k in range(len(commands))]
 
 
+@pytest.mark.long
 def test_import_and_help_take_less_than_loading_what_every_study_needs():
     """Expected: 0.04 and 0.6 of it; on a usual machine help takes less than half a second."""
     package, usage, study = costs(

@@ -346,6 +346,7 @@ def test_processes_that_write_one_file_at_once_leave_one_whole_at_any_time(tmp_p
     assert [writer.returncode for writer in writers] == [0] * 4 and names(tmp_path) == ["file"]
 
 
+@pytest.mark.long
 def test_commands_with_one_folder_at_once_all_end_well_with_the_files_of_one_of_them(jit_backend, store, tmp_path):
     """The page and the result that lie there in the end carry the same seeds. Stored light lets them meet there: they
     take as long as it takes to write."""
@@ -431,6 +432,7 @@ def test_a_full_disk_ends_simulate_with_one_line_and_the_old_result_whole(chosen
     assert (folder / "result.nc").read_text() == "old"
 
 
+@pytest.mark.long
 def test_a_full_disk_ends_trace_and_export_with_one_line(chosen_jit, small_disk, tmp_path):
     folder, limit = small_disk(40_960)
     (tmp_path / "slab.toml").write_text(PHANTOM)

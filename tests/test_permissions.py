@@ -85,6 +85,7 @@ def test_light_is_traced_where_its_store_or_what_is_in_it_is_closed_to_the_user(
     assert code == 0 and "open: light that is kept there cannot be read (Permission denied); traced again" in said
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_a_batch_overwrites_no_plan_that_it_may_not_read_and_makes_hidden_results_again(jit_backend, folder):
     batch, out = "off batch sweep.toml -o out --photons 500 --workers 1", folder / "out"

@@ -113,6 +113,7 @@ def test_another_state_read_from_the_shared_trace_meets_its_own_trace(jit_backen
     assert error < 0.04 * total
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_a_tighter_error_goes_on_from_what_is_there_and_ends_where_a_fresh_trace_ends(jit_backend, tmp_path):
     scene = phantoms(tmp_path, 2).scenes[0]
@@ -138,6 +139,7 @@ def test_the_light_of_a_scene_is_its_own_light():
         assert light_scene(once) == once
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_a_photodiode_that_no_light_reaches_ends_the_trace_with_a_word(jit_backend, tmp_path, monkeypatch):
     """However many other scenes go on tracing, and seen or not by their photons later."""

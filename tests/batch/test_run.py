@@ -109,6 +109,7 @@ def done_here(sweep: Sweep, settings: Settings) -> list[JobReport]:
     return [work(job, settings) for job in left(planned, folder, settings, retry_failed=False).jobs]
 
 
+@pytest.mark.long
 def test_a_scene_that_kills_its_worker_again_and_again_fails_alone(jit_backend, tmp_path):
     """Of three scenes one is endless; its worker is killed twice, as for lack of memory, and the others are done."""
     sweep = phantoms(tmp_path, 3)
@@ -279,6 +280,7 @@ def test_a_light_that_one_scene_cannot_have_is_there_for_the_others(jit_backend,
     assert len(report.done) == 3 and "not enough memory for it (Unable to allocate 99 TiB)" in why
 
 
+@pytest.mark.long
 def test_without_a_jit_backend_volpath_does_the_scenes_and_resumes(here, tmp_path):
     sweep = phantoms(tmp_path, 3, accuracy="photons = 2000")
     assert len(run_batch(sweep, tmp_path / "b", workers=1, backend="scalar").done) == 3
@@ -335,6 +337,7 @@ def test_a_time_limit_keeps_the_light_and_the_next_run_continues_it(jit_backend,
     assert batches == [2, 4]
 
 
+@pytest.mark.long
 def test_more_accuracy_later_continues_and_gives_the_bits_of_a_fresh_run(jit_backend, here, tmp_path):
     sweep = phantoms(tmp_path, 1, accuracy="relative_error = 0.004")
     [report] = done_here(sweep, Settings(tmp_path / "b", TraceOptions(backend=jit_backend.name)))

@@ -43,6 +43,7 @@ def colours(folder):
     return load_sweep(folder / "colours.toml")
 
 
+@pytest.mark.long
 def test_a_sweep_of_photographs_is_resumed_after_a_kill_and_makes_one_dataset_and_one_sheet(
     jit_backend, tmp_path, monkeypatch
 ):
@@ -97,6 +98,7 @@ def test_an_oximeter_and_light_alone_are_swept_too(jit_backend, tmp_path):
     assert "energy" in results and "volts_start" not in results
 
 
+@pytest.mark.long
 def test_an_oximeter_is_swept_over_its_pulse(jit_backend, tmp_path):
     (tmp_path / "o.toml").write_text(
         'schema_version = 1\nstudy = "oximeter"\nbase = "pulse_oximeter"\n'

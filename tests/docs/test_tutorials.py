@@ -1,7 +1,7 @@
 """Every tutorial does what it says: its files are written, its commands and its Python run, with few photons.
 
-What always runs takes shipped scenes that were made small; the slow tests take them as they are, and more photons, and
-do all ten.
+The slow tests take shipped scenes as they are, and more photons, and do all ten; the others take scenes that were made
+small.
 """
 
 import json
@@ -26,7 +26,9 @@ DOCS = ROOT / "docs"
 PAGES = sorted(page for page in (DOCS / "tutorials").glob("*.md") if page.stem != "index")
 FENCE = re.compile(r"^```(?:\{code-block\} )?(\w+)\n(?::caption: (\S+)\n)?(.*?)^```$", re.M | re.S)
 # Which take half a minute and more of processor time however small they are: a fit of a person, a search of a board.
-LONG = {"force", "kicad"}
+TOO_SLOW = {"force", "kicad"}
+# Which take several seconds however small.
+LONG = {"cluster", "colour", "oximetry", "taylor", "tradeoff"}
 # Which have photons of their own that --photons does not decide, and many pictures: the slow tests take and draw them.
 MANY = {"colour", "oximetry", "tradeoff"}
 FEW = {
@@ -119,7 +121,14 @@ def listed_as_written(folder: Path) -> None:
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("page", [page for page in PAGES if page.stem not in LONG], ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, id=page.stem, marks=[pytest.mark.long] if page.stem in LONG else [])
+        for page in PAGES
+        if page.stem not in TOO_SLOW
+    ],
+)
 @pytest.mark.filterwarnings("ignore::nailoptics.light.ReweightWarning")
 def test_a_tutorial_does_what_it_says(page, folder, small, jit_backend, capsys, monkeypatch):
     if page.stem in MANY:

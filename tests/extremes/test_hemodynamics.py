@@ -91,7 +91,7 @@ def test_the_printed_model_without_contact_does_open_again():
     assert undone.max() - undone[-1] > 0.1 * np.ptp(rise)
 
 
-@pytest.mark.parametrize("name", ["listed", "best"])
+@pytest.mark.parametrize("name", ["listed", pytest.param("best", marks=pytest.mark.long)])
 def test_contact_agrees_with_the_six_states(name):
     p = parameters(name)
     time = np.linspace(0.0, 3.0, 301)

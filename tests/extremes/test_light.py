@@ -156,6 +156,7 @@ def test_one_photon_is_traced_and_accounted_for(jit_backend):
         assert float(transfer.at().detected_fraction.sum()) >= 0
 
 
+@pytest.mark.long
 def test_a_billion_photons_lose_nothing_in_the_sum():
     """1e9 weights, as batches sum them: float64 loses under 1e-12; float32 alone would be off by more than half."""
     batch, count = 1 << 18, 1_000_000_000
@@ -221,6 +222,7 @@ def test_no_blood_and_much_of_it_at_both_ends_of_saturation(finger, blood, so2):
     assert (~more).all() if blood == 0.1 else True
 
 
+@pytest.mark.long
 @jit
 def test_a_bed_of_pure_blood_read_from_a_trace_at_rest_is_that_of_a_fresh_trace(finger):
     read = finger.at(blood_fraction=[1.0, 1.0])
@@ -243,6 +245,7 @@ def test_the_ends_of_the_spectrum_are_traced(jit_backend, wavelength_nm):
     assert np.isfinite(transfer.at().detected_fraction).all()
 
 
+@pytest.mark.long
 @jit
 def test_an_led_that_touches_a_photodiode_is_traced_and_bright(jit_backend):
     """Without a barrier, edge to edge: light crosses 0.45 mm of clear epoxy and back by nail and bed."""

@@ -131,7 +131,7 @@ def unbalanced(p, touch, branch="wide"):
     return np.max(np.abs(np.array(speed)) * damping / (area * 1e4))
 
 
-@pytest.mark.parametrize("feedback", [1.0, 100.0])
+@pytest.mark.parametrize("feedback", [pytest.param(1.0, marks=pytest.mark.long), 100.0])
 def test_any_set_within_bounds_balances_at_any_touch(feedback):
     from nailoptics.hemodynamics import bounds
     from nailoptics.paper.parameter_search import SEARCHED

@@ -39,7 +39,9 @@ def test_a_response_that_follows_the_cosine_reads_the_bits_of_none(jit_backend):
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("power", [1.0, 3.5, 20.0])
+@pytest.mark.parametrize(
+    "power", [pytest.param(1.0, marks=pytest.mark.long), 3.5, pytest.param(20.0, marks=pytest.mark.long)]
+)
 def test_a_face_under_even_radiance_collects_two_over_one_more_than_the_power(jit_backend, power):
     """Of even radiance a response cos^m takes int cos^m dw / int cos dw = 2 / (m + 1) of what a flat face does."""
     import drjit as dr
@@ -76,6 +78,7 @@ def test_a_face_under_even_radiance_collects_two_over_one_more_than_the_power(ji
     assert stderr < 0.01 * score.mean()
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_only_the_photodiodes_with_a_narrow_response_read_less(jit_backend):
     bare, lens = (
@@ -116,6 +119,7 @@ def test_maps_of_a_response_that_follows_the_cosine_are_those_of_none(jit_backen
     assert all(np.array_equal(one, other, equal_nan=True) for one, other in zip(*found, strict=True))
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_maps_and_reciprocity_read_a_narrow_response_as_a_trace_does(jit_backend):
     """Both photodiodes half at 36 degrees: the bare board's map, a walk of their own, and their light the other way."""
@@ -141,6 +145,7 @@ def test_maps_and_reciprocity_read_a_narrow_response_as_a_trace_does(jit_backend
         assert np.all(spread < most * expected)
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_light_between_places_counts_as_the_photodiode_at_its_end_counts_it(jit_backend):
     """Photons from everywhere, over pairs of places 1 to 3 mm apart: the light that comes with a narrow response, by

@@ -80,6 +80,7 @@ def test_sensitivities_are_the_finite_differences_of_a_trace(scene, arrivals, tr
         assert np.all(np.hypot(error[:, 2 + zone], spread) < 0.1 * np.abs(mean[:, 2:].sum(1)))
 
 
+@pytest.mark.long
 def test_sensitivities_are_the_finite_differences_of_fresh_traces(scene, arrivals, chosen_jit):
     """Two traces at 1 and 5 % blood in the whole bed, none of whose photons made the map: their difference.
 
@@ -102,6 +103,7 @@ def test_sensitivities_are_the_finite_differences_of_fresh_traces(scene, arrival
     assert np.all(noise < 0.1 * np.abs(slope)) and np.all(spread < 0.2 * np.abs(slope))
 
 
+@pytest.mark.long
 def test_a_fresh_trace_with_more_blood_reads_what_the_map_foretells(scene, arrivals, chosen_jit):
     """No photon is shared: the map's reread reading beside a trace at 5 % blood in the bed."""
     areas = list(scene.layout.photodiode_areas)
@@ -111,6 +113,7 @@ def test_a_fresh_trace_with_more_blood_reads_what_the_map_foretells(scene, arriv
     assert np.all(np.abs(mean[:, 0] - seen.fraction[0, :, 0]) < 4 * np.hypot(error[:, 0], seen.stderr[0, :, 0]))
 
 
+@pytest.mark.long
 def test_without_a_wall_light_crosses_that_never_saw_the_bed(scene, arrivals, chosen_jit):
     areas = list(scene.layout.photodiode_areas)
     point = blood_point(scene, 0)
@@ -150,6 +153,7 @@ def test_whole_outline_of_the_map_holds_every_arrival_once():
     assert density.mean() == pytest.approx(1 / 8) and error.shape == (1, 20, 40)
 
 
+@pytest.mark.long
 def test_light_from_a_to_b_is_light_from_b_to_a(chosen_jit, scene):
     """Reciprocity: equal faces under one medium exchange equal fractions; the wall stands midway both ways."""
     face = {"size_mm": (1.0, 1.0)}
@@ -190,6 +194,7 @@ def test_a_map_without_a_jit_backend_is_refused_in_one_line(scene):
     assert len(str(caught.value).splitlines()) == 1
 
 
+@pytest.mark.long
 def test_a_turned_photodiode_reads_what_the_map_tells_of_its_true_rectangle(scene, arrivals, chosen_jit):
     """In the geometry it is cut into strips; of the map's photons those count that came within its own edges."""
     turned = {"position_mm": (0.3, -0.5), "size_mm": (1.6, 0.6), "rotation_deg": 35.0}

@@ -198,6 +198,7 @@ def test_a_trace_that_saw_nothing_reads_zero():
     assert seen.fraction.shape == (1, 2, 500) and not seen.fraction.any() and not seen.stderr.any()
 
 
+@pytest.mark.long
 @pytest.mark.jit
 @pytest.mark.parametrize("blood, so2", [(0.0, 0.97), (0.1, 0.0), (0.03, 0.0)])
 def test_reading_another_state_is_tracing_it_afresh(jit_backend, traced, blood, so2):
@@ -218,6 +219,7 @@ def test_reading_another_state_is_tracing_it_afresh(jit_backend, traced, blood, 
         assert np.all(abs(a.mean_path_mm - b.mean_path_mm) < 4.5 * error)
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_a_real_trace_is_interpolated_as_well_as_a_made_up_one(traced):
     states = random_states(1000, low=0.005, high=0.08)

@@ -64,7 +64,10 @@ position_mm = [{u}, 0.0]
 """
 # A value and its standard error, each of any shape, by the estimator's name.
 Estimates = dict[str, tuple[np.ndarray, np.ndarray]]
-RUNS = [pytest.param(40, id="40 runs"), pytest.param(300, id="300 runs", marks=pytest.mark.slow)]
+RUNS = [
+    pytest.param(40, id="40 runs", marks=pytest.mark.long),
+    pytest.param(300, id="300 runs", marks=pytest.mark.slow),
+]
 
 
 def covers(runs: list[Estimates], truth: Estimates) -> None:
@@ -252,6 +255,7 @@ def honest(rule: Callable[[int, float], tuple[float, float]], *, runs: int, targ
     return inside and bool((error <= target).all()) and abs(off.mean()) < (0.1 + 3.5 / math.sqrt(runs)) * target
 
 
+@pytest.mark.long
 def test_stopping_at_a_tolerance_does_not_bias_the_result():
     """Rationale: who stops as soon as the error looks small enough prefers runs that look good by luck.
     Expected: the mean of many stopped runs is off by less than a tenth of one run's standard error; intervals cover;

@@ -134,6 +134,7 @@ def test_secants_give_the_paths_that_made_them():
     assert np.isnan(mean[0, 0, names.index("plate")])
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_a_slab_with_several_photodiodes_and_leds_reads_the_same_in_both_engines(jit_backend):
     """Also what `trace` prints beside the readings: where all the light went."""

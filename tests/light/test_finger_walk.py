@@ -62,7 +62,9 @@ NEAREST = ((15,), ())
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("index_steps", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "index_steps", [pytest.param(True, marks=pytest.mark.long), pytest.param(False, marks=pytest.mark.slow)]
+)
 def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_finger(jit_backend, index_steps):
     """Within 3 combined standard errors at 3 % each.
 
@@ -103,7 +105,7 @@ def test_photons_and_volpath_read_the_same_on_every_photodiode_of_the_prototype(
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("index_steps", [True, False])
+@pytest.mark.parametrize("index_steps", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_every_photon_is_accounted_for(jit_backend, index_steps):
     """Parts of the energy are fractions that sum to 1 within their noise, and fewer than 1 in 1e5 is lost."""
     traced = nail.trace(prototype(index_steps=index_steps), photons=1 << 19, seed=5)
@@ -114,6 +116,7 @@ def test_every_photon_is_accounted_for(jit_backend, index_steps):
     assert energy["absorbed"]["value"] > 0.2 and all(part["value"] >= 0 for part in energy.values())
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_parts_left_out_read_the_same_with_faces_that_light_passes_and_without_any(jit_backend):
     """Rationale: `explain` keeps the faces of what is left out, so that two scenes share photons; nobody else does.
@@ -192,6 +195,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_others(jit_backend):
     assert not np.array_equal(first.weight, other.weight)
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_the_board_bends_no_light_to_one_side(jit_backend):
     """Elements that mirror each other in the LED's place read alike: the finger's taper matters less than the noise."""

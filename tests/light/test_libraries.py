@@ -47,6 +47,7 @@ def installed() -> dict[int, str]:
     return {v: path for path in backend._llvm_libraries() if (v := backend._major_version(path)) in VERSIONS}
 
 
+@pytest.mark.long
 def test_every_library_gives_the_same_bits(monkeypatch, tmp_path):
     """Rationale: libLLVM 15 and 16 know no machine code for some of Dr.Jit's functions, and each library makes its own.
     Expected: the same light from all, bit for bit."""

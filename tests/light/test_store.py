@@ -215,6 +215,7 @@ def _trace(results) -> None:
     results.put((transfer.traces[0].weight.tobytes(), transfer.reused_photons))
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_processes_at_once_share_a_store_and_all_have_the_same_bits(jit_backend, store):
     context = multiprocessing.get_context("spawn")

@@ -185,6 +185,7 @@ def test_a_trace_below_the_limit_keeps_every_bit():
         assert np.array_equal(getattr(whole, name), np.concatenate([getattr(part, name) for part in parts]))
 
 
+@pytest.mark.long
 def test_a_course_reads_what_each_state_reads(monkeypatch):
     """Expected: a course over blood states and single states are one estimate with one error; a change's error is
     true, and at rest there is none."""
@@ -229,7 +230,7 @@ def test_a_thinned_trace_is_stored_and_continued(monkeypatch, tmp_path):
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("which", ["phantom", "finger"])
+@pytest.mark.parametrize("which", ["phantom", pytest.param("finger", marks=pytest.mark.long)])
 def test_the_error_that_stops_a_trace_is_the_one_that_is_read(jit_backend, monkeypatch, which):
     """With a broad line, too, over which the state at rest is not the traced one."""
     limited(monkeypatch, 300)
@@ -274,6 +275,7 @@ def plate_errors(traced: Transfer) -> list[float]:
     return z
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_a_clear_plate_far_past_the_limit(jit_backend, monkeypatch):
     """Expected: errors as small as the photons allow, and intervals that hold the plate's exact reflectance."""

@@ -288,6 +288,7 @@ def test_an_absorber_that_is_none_is_refused(traced):
         traced.at(blood_fraction=[0.03, 0.02])
 
 
+@pytest.mark.long
 def test_thinning_is_unbiased_and_its_standard_error_honest(monkeypatch):
     """Expected: over many thinnings the reading's mean is that of all photons, within its own standard error, and each
     thinned trace states an error that covers the loss."""

@@ -67,7 +67,7 @@ def statistics(batches):
 
 
 @pytest.mark.parametrize("n", [1.0, 1.4])
-@pytest.mark.parametrize("wavelength", DERMIS)
+@pytest.mark.parametrize("wavelength", [660.0, *(pytest.param(nm, marks=pytest.mark.long) for nm in (800.0, 940.0))])
 def test_a_slab_at_each_wavelength_meets_adding_doubling(wavelength, n, engine):
     """R and T of 1 mm of dermis under a beam, index-matched and not."""
     iadpython = pytest.importorskip("iadpython")
@@ -121,6 +121,7 @@ def test_three_blood_states_in_one_heterogeneous_medium_meet_adding_doubling(eng
     assert np.all(stderr < 0.01 * mean)
 
 
+@pytest.mark.long
 def test_a_photodiode_sized_reading(engine):
     """8.977(9)e-3 through a 1 x 1 mm square 2 mm from a beam on 10 mm of matched medium: pmmc, MCX and plain C."""
     scene = slab(mu_a=0.05, mu_s=10, g=0.9, n=1, thickness=10, photodiode=SQUARE)
@@ -242,6 +243,7 @@ def read(finger, engine, *, seed, batches, keep=slice(None), optics=None):
     return np.stack([paths.batch(paths=2048, seed=seed_of(seed, k)) for k in range(batches)])
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_a_finger_reads_the_same_with_either_backend(finger, by_scalar, jit_backend):
     one, one_error = statistics(read(finger, jit_backend, seed=1, batches=8))
@@ -250,6 +252,7 @@ def test_a_finger_reads_the_same_with_either_backend(finger, by_scalar, jit_back
     assert np.all(np.hypot(one_error, two_error) < 0.2 * one)
 
 
+@pytest.mark.long
 def test_more_blood_dims_the_reading_and_states_share_their_noise(by_scalar):
     assert by_scalar.shape == (8, 3)
     mean, stderr = statistics(by_scalar)
@@ -266,6 +269,7 @@ def test_without_index_steps_the_finger_is_traced_through_null_boundaries(finger
     assert batches.shape == (4, 1) and 0 < batches.mean() < 0.1
 
 
+@pytest.mark.long
 def test_photodiodes_told_apart_by_colour_read_what_each_reads_alone():
     """Three photodiodes in one trace against one each, in the scalar variant."""
     two = """
@@ -291,6 +295,7 @@ size_mm = [1.0, 1.0]
         integrate.FingerPaths(shape, media, bed=bed, led=0, photodiodes=(0, 1), backend=scalar)
 
 
+@pytest.mark.long
 def test_states_of_every_photodiode_within_a_time_or_a_tolerance(finger, by_scalar, monkeypatch):
     scene, shape, media, bed = finger
     monkeypatch.setattr(states, "BATCH_SECONDS", 0.2)

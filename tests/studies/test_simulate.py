@@ -109,6 +109,7 @@ def assert_well_described(result: xr.Dataset) -> None:
     assert digest(scene) == attrs["digest"]
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_stored_light_needs_no_mitsuba_until_a_part_of_it_is_gone(pressed, own_store, tmp_path):
     """Rationale: loading Mitsuba and its kernels is most of what a second run would cost. Expected: with other blood
@@ -264,6 +265,7 @@ def test_without_a_touch_nothing_changes(chosen_jit):
     assert_well_described(result)
 
 
+@pytest.mark.long
 def test_the_main_job_runs_without_a_jit_backend(monkeypatch, caplog):
     """Rationale: where no LLVM is usable, volpath in the scalar variant answers. Expected: the same dataset, errors no
     larger than asked, and the signs of the largest changes, of which the states share their noise."""

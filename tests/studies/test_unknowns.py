@@ -96,6 +96,7 @@ def test_a_reread_prior_meets_a_fresh_trace_of_it(jit_backend, traced, field, va
     assert (moved > 5 * reread[1] / reread[0]).any()
 
 
+@pytest.mark.long
 def test_one_prior_at_a_time_adds_up_to_all_at_once(traced):
     """Expected: the sum of variances by one prior each is that of joint draws; what two add together is small."""
     scene = traced.scene

@@ -8,6 +8,8 @@ from nailoptics.light import optics
 from nailoptics.light.board_map import BoardTracer, blood_point
 from nailoptics.scene import parse_scene
 
+pytestmark = pytest.mark.long
+
 SCENE = """
 schema_version = 1
 [finger]

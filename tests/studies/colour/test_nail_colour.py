@@ -42,6 +42,7 @@ def rays(chosen_jit):
     return walked(1, 240_000)
 
 
+@pytest.mark.long
 def test_reflectance_at_a_wavelength_between_the_nodes_is_that_of_a_fresh_trace(rays, jit_backend):
     """Rays of four wavelengths, dimmed and interpolated, against rays of this one with its own scattering."""
     rest = np.full((1, 2), 0.03)
@@ -60,6 +61,7 @@ def test_reflectance_at_a_wavelength_between_the_nodes_is_that_of_a_fresh_trace(
         assert np.all(error < 0.02 * here[0])
 
 
+@pytest.mark.long
 def test_blood_reddens_along_one_line_and_melanin_darkens_skin_along_another(rays, monkeypatch):
     viewer = Viewer()
     lab = viewer.lab(rays.reflectance([[0.02, 0.02], [0.04, 0.04]], **LOOK)[0])
@@ -92,6 +94,7 @@ def test_a_finger_that_absorbs_nothing_sends_back_almost_all_light(jit_backend):
     assert found.gloss.sum() / found.rays.sum() == pytest.approx(0.041, abs=0.012)
 
 
+@pytest.mark.long
 def test_a_colours_standard_error_is_true(jit_backend):
     """Twenty seeds with few rays: standard errors are those of the repeats, and 95 % intervals hold the mean."""
     found = [walked(seed, 8_000).reflectance([[0.03, 0.03], [0.05, 0.02]], **LOOK) for seed in range(20)]
@@ -111,6 +114,7 @@ def test_a_colours_standard_error_is_true(jit_backend):
     assert 0.8 < (np.abs(moved[:, 0] - moved[:, 0].mean(0)) < 1.96 * told).mean()
 
 
+@pytest.mark.long
 def test_each_place_gets_the_rays_that_its_colour_and_its_change_need(jit_backend):
     found = colour(without_spread(SCENE), forces_n=(0.0, 4.0), tolerance=1.2, change_tolerance=0.6, seed=3)
     # Two rounds foresee the errors to some per cent; only what is reached ends them.
@@ -135,6 +139,7 @@ def test_a_stored_colour_is_the_same_and_walks_no_ray(jit_backend, tmp_path, mon
     assert colour(other, forces_n=(0.0, 4.0), illuminant="A", photons=8_000, seed=4, stores=stores).lab[0, 0, 0] < 50
 
 
+@pytest.mark.long
 def test_a_heart_that_beats_moves_the_colour_a_little(jit_backend):
     scene = without_spread(load_scene("scenes/heartbeat.toml"))
     found = colour(scene, forces_n=(0.0,), photons=80_000, seed=5)
@@ -143,6 +148,7 @@ def test_a_heart_that_beats_moves_the_colour_a_little(jit_backend):
     assert "refill_s" not in found and colour_summary(found)["beat_delta_e_2000"] == pytest.approx(moved.max(), rel=1)
 
 
+@pytest.mark.long
 def test_the_priors_leave_nails_from_grey_to_pink_and_skin_among_that_of_people(jit_backend):
     """The shipped plate is the dry one; the prior reaches from there to a plate through which the bed is seen."""
     found = colour(parse_scene(SMALL_FINGER_BEST), forces_n=(0.0,), photons=60_000, seed=6)
@@ -177,6 +183,7 @@ def test_the_nail_reddens_and_then_whitens_from_the_tip_as_in_the_paper(jit_back
     assert {"v_mm", "lab", "srgb", "delta_e_2000"} <= set(place) and place["delta_e_2000"] == 0
 
 
+@pytest.mark.long
 def test_a_lamp_at_45_degrees_sees_nearly_the_same_colour(rays):
     viewer, rest = Viewer(), [[0.03, 0.03]]
     sky = viewer.lab(rays.reflectance(rest, **LOOK))

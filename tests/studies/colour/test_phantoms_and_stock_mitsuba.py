@@ -142,6 +142,7 @@ def test_a_camera_of_stock_mitsuba_sees_the_same_colour_of_the_nail(chosen_jit):
         assert abs(value[at] - seen) < 3 * both and both < 0.02 * seen, (wavelength_nm, value[at], seen, both)
 
 
+@pytest.mark.long
 def test_without_a_fast_backend_stock_mitsuba_looks_and_says_beforehand_how_long_it_takes(monkeypatch, caplog):
     monkeypatch.setattr(stock_colour, "SEEN_NM", np.array([400.0, 550.0, 780.0]))
     monkeypatch.setattr(stock_colour, "PILOT_SPP", 1)

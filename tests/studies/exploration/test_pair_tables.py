@@ -26,7 +26,14 @@ def scene() -> Scene:
     return load_scene(data_dir("scenes") / "prototype.toml")
 
 
-@pytest.mark.parametrize("wall", [None, WALL, Rectangle("above", -4.0, 4.0, 1.0, 1.2)], ids=["open", "left", "above"])
+@pytest.mark.parametrize(
+    "wall",
+    [
+        pytest.param(None, id="open", marks=pytest.mark.long),
+        pytest.param(WALL, id="left"),
+        pytest.param(Rectangle("above", -4.0, 4.0, 1.0, 1.2), id="above", marks=pytest.mark.long),
+    ],
+)
 def test_a_kernel_of_its_form_is_found_from_photons_drawn_from_it(wall):
     """Photons at pairs of places at random, each with the kernel's weight there."""
     basis, rng = pair_basis(BOARD, wall), np.random.default_rng(0)

@@ -15,6 +15,7 @@ from nailoptics.studies.exploration import explore as study
 EXPLORED, SIMULATED = 600_000, 400_000
 
 
+@pytest.mark.long
 def test_readings_and_their_change_are_those_of_the_exported_scene(
     jit_backend: Any,
     browser: Any,

@@ -184,6 +184,7 @@ def test_a_saturated_part_counts_as_a_gap_and_is_said(
     assert f"{FIRST} is saturated" in (tmp_path / "out" / "predict.html").read_text()
 
 
+@pytest.mark.long
 def test_readings_that_are_there_every_other_sample_calibrate(folder: Path, tmp_path: Path) -> None:
     """LEDs that are lit in turn leave every other cell empty, and no sample whole."""
     text = (folder / "half.csv").read_text()
@@ -245,6 +246,7 @@ def test_any_recording_is_read_or_refused(folder: Path, changes: list[tuple[int,
 VALUES = st.sampled_from([None, 0, -1, 1e300, 1e-300, float("nan"), float("inf"), "x", [], {}, True, [1.0, 2.0], -0.5])
 
 
+@pytest.mark.long
 @QUICK
 @given(choice=st.integers(0, 10**6), value=VALUES)
 def test_any_subject_is_read_or_refused(folder: Path, choice: int, value: object) -> None:

@@ -150,6 +150,7 @@ def test_past_closure_the_interval_is_open_above(subject: Subject, table: Readin
     assert (told.force_low_n.values[shut] <= told.known_force_n.values[shut]).mean() > 0.95
 
 
+@pytest.mark.long
 def test_after_a_touch_far_past_closure_the_next_one_is_told(subject: Subject, table: ReadingTable) -> None:
     force = np.concatenate([_cycle(5.0), _steps()])
     told = predict(subject, _record(table, force, "distal", seed=14, pulse_pa=500.0))
@@ -294,6 +295,7 @@ def test_a_recording_that_cannot_calibrate_is_refused_in_one_line(table: Reading
     assert message in str(caught.value)
 
 
+@pytest.mark.long
 def test_readings_that_know_one_zone_alone_as_in_the_papers_optics_are_calibrated(table: ReadingTable) -> None:
     alone = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
     coefficients = table.coefficients.copy()
@@ -311,6 +313,7 @@ def test_readings_that_know_one_zone_alone_as_in_the_papers_optics_are_calibrate
     assert (left < 0.2 * np.ptp(recording.volts, axis=1)).all()
 
 
+@pytest.mark.long
 def test_a_contact_three_times_that_of_the_scene_is_found(table: ReadingTable) -> None:
     once = _cycle(2.0)[: round(12.0 / STEP_S)]
     recordings = [_record(table, once, site, seed=seed) for seed, site in enumerate(("proximal", "distal"))]

@@ -114,6 +114,7 @@ def test_ctrl_c_ends_a_running_command_cleanly(folder: Path, lines: list[str]) -
         assert running.stdout.read() == running.stderr.read() == b""
 
 
+@pytest.mark.long
 def test_a_closed_pipe_and_bytes_that_are_no_text_end_it_cleanly(folder: Path, lines: list[str]) -> None:
     with _started(folder) as running:
         assert running.stdin is not None and running.stdout is not None and running.stderr is not None

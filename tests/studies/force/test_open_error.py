@@ -44,7 +44,7 @@ def other(one: Calibrated, off: np.ndarray) -> Calibrated:
     return replace(one, table=table, factors_ln=one.factors_ln + factors, gain=one.gain + gain)
 
 
-@pytest.mark.parametrize("side", [0, 1])
+@pytest.mark.parametrize("side", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_an_interval_is_as_wide_as_what_the_calibration_leaves_open(subject: Subject, side: int) -> None:
     """Rationale: stiffness, area and how strongly readings fall with blood are hardly known each by itself: one makes
     up for another; the force is known. Expected: readings of a held touch, told by calibrations off along every

@@ -28,6 +28,7 @@ def fit() -> Fit:
     return fit
 
 
+@pytest.mark.long
 def test_all_other_factors_follow_the_one_that_is_held(fit: Fit) -> None:
     fitted = fit.solve()
     best = fitted.factors_ln[fit.free]

@@ -107,6 +107,7 @@ def test_the_shipped_prototype_models_what_matters_and_nothing_else(chosen_jit):
     assert {"LED line width", "epidermis"} <= {e.name for e in found.effects if not e.modelled and e.matters == "no"}
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_rereading_is_what_tracing_with_the_same_photons_would_give(jit_backend):
     """Rationale: what only dims light needs no new trace. Expected: the two agree to rounding."""
@@ -117,6 +118,7 @@ def test_rereading_is_what_tracing_with_the_same_photons_would_give(jit_backend)
     assert 0 < np.abs(again.level / base.level - 1).max() < 0.01
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_a_difference_has_the_noise_of_the_photons_that_differ(jit_backend):
     """Rationale: photons that never meet the bone are the same with and without it.
@@ -352,6 +354,7 @@ def test_an_interrupt_of_the_scenes_own_trace_leaves_nothing(jit_backend):
     assert caught.value.result is None
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_what_was_not_seen_is_not_told(jit_backend):
     """A handful of photons: no number, no verdict, no warning, and nothing taken for needless."""

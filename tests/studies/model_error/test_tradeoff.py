@@ -11,7 +11,7 @@ import nailoptics as nail
 from nailoptics import cli, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
-from nailoptics.report import tradeoff_page
+from nailoptics.report import result_files, tradeoff_page
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.statistics import jackknife
 from nailoptics.studies.model_error import levels, literature, paired
@@ -245,6 +245,15 @@ def test_a_photodiode_that_saw_nothing_is_one_line(jit_backend):
     with pytest.raises(NotReachedError, match="none reached photodiode") as caught:
         tradeoff(prototype(), photons=100)
     assert caught.value.result is None and len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.jit
+def test_the_command_writes_and_prints_what_was_measured(found, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr("nailoptics.studies.model_error.tradeoff.tradeoff", lambda scene, **_: found)
+    assert cli.run(["tradeoff", "prototype", "-o", str(tmp_path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["chosen"] == found.chosen.level.name == json.loads((tmp_path / "tradeoff.json").read_text())["chosen"]
+    assert {path.name for path in tmp_path.iterdir()} == set(result_files.TRADEOFF)
 
 
 @pytest.mark.slow

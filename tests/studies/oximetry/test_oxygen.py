@@ -1,6 +1,7 @@
 """The oximeter from light to SpO2: R against independent traces, its line, its error, and the answer as JSON."""
 
 import itertools
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,11 +9,13 @@ import pytest
 
 from nailoptics import load_scene, trace
 from nailoptics.assets import data_dir
+from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.io import to_json, write_dataset
 from nailoptics.light import Transfer
 from nailoptics.options import TraceOptions
 from nailoptics.report.oximeter_page import page_of_oximeter
+from nailoptics.report.result_files import OXIMETER
 from nailoptics.scene import Scene
 from nailoptics.statistics import jackknife
 from nailoptics.studies.oximetry import oxygen, ratio_trace
@@ -71,6 +74,14 @@ def test_the_shipped_oximeter_is_one(found, tmp_path):
     assert page.count("<figure") == 4 and "textbook" in page and "epidermis" in page
 
 
+def test_the_command_writes_and_prints_what_was_found(found, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(oxygen, "oximeter", lambda scene, **_: found)
+    worn, folder = tmp_path / "worn.csv", tmp_path / "out"
+    assert run(["oximeter", "pulse_oximeter", "-o", str(folder), "--recording", str(worn), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["best"] == found.attrs["best"]
+    assert {path.name for path in folder.iterdir()} == set(OXIMETER) and len(worn.read_text().splitlines()) > 1000
+
+
 def test_more_blood_dims_infrared_more_and_light_falls_as_the_pulse_arrives(found):
     index = found.perfusion_index
     assert np.all(index.sel(led="infrared") > index.sel(led="red"))
@@ -91,6 +102,7 @@ def test_a_hundred_saturations_come_from_one_trace_and_agree_with_those_read_one
         curve.at(0.4)
 
 
+@pytest.mark.long
 def test_the_error_of_r_is_that_of_other_seeds(light):
     """Expected: R of eight traces scatters as their errors say, within a factor of 2."""
     beat, values, errors = beat_at(shipped(), 0.0), [], []
@@ -131,6 +143,7 @@ def test_r_is_that_of_fresh_traces_with_less_and_more_blood(chosen_jit):
     assert np.all(abs(told - fresh) < 3 * error) and np.all(error < 0.07 * fresh)
 
 
+@pytest.mark.long
 def test_a_recording_of_the_scene_tells_its_saturation_back(light, found):
     """Expected: at saturations that the calibration has not seen, within four standard errors, until the touch after
     20 s, which is marked."""
@@ -146,6 +159,7 @@ def test_a_recording_of_the_scene_tells_its_saturation_back(light, found):
         assert float(still.motion.max()) < 0.03 and float(told.sel(time=slice(18.0, 25.0)).motion.max()) > 0.05
 
 
+@pytest.mark.long
 def test_the_error_of_r_is_what_stops_the_trace(chosen_jit, monkeypatch):
     monkeypatch.setattr(oxygen, "NAILS_MM", ())
     monkeypatch.setattr(ratio_trace, "FIRST_PHOTONS", 1 << 16)
@@ -156,6 +170,7 @@ def test_the_error_of_r_is_what_stops_the_trace(chosen_jit, monkeypatch):
     assert loose.attrs["warnings"] == [] or float(best.ratio_at_rest) > 0
 
 
+@pytest.mark.long
 def test_two_dies_along_the_nail_are_warned_of(light):
     """Rationale: dies 1 mm apart along the nail see other beds. Expected: a warning that names the photodiode and what
     would mend it."""

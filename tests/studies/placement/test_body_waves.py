@@ -242,6 +242,7 @@ def found(chosen_jit, fewer_photons):
         return place.place(parse_scene(SCENE), photons=1 << 18, seed=1)
 
 
+@pytest.mark.long
 def test_a_placement_with_a_body_ranks_through_it_and_tells_the_electronics_beside(found):
     rows = result.rows(found)
     assert [row["layout"] for row in rows if row["layout"] != "paper"] == ["near", "far"]
@@ -263,6 +264,7 @@ def test_a_placement_with_a_body_ranks_through_it_and_tells_the_electronics_besi
     assert any("Roughly known" in line for line in summaries.placement_lines(summaries.placement_summary(found)))
 
 
+@pytest.mark.long
 def test_more_photodiodes_help_the_electronics_and_hardly_the_body(found):
     counts = found.count_electronics_resolution_n.sel(chosen_for="electronics")
     error = found.count_electronics_resolution_n_stderr.sel(chosen_for="electronics")
@@ -275,6 +277,7 @@ def test_more_photodiodes_help_the_electronics_and_hardly_the_body(found):
     assert through[0] < 1.1 * through[4]
 
 
+@pytest.mark.long
 def test_the_page_tells_the_bodys_part(found, tmp_path):
     write_placement(found, tmp_path / "place.html")
     text = (tmp_path / "place.html").read_text(encoding="utf-8")

@@ -58,6 +58,7 @@ def test_one_led_or_a_still_heart_ranks_no_oxygen():
         oxygen_rule(scene.model_copy(update={"body": None}), case, 0.3)
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_a_placement_ranks_given_layouts_by_oxygen(chosen_jit, monkeypatch):
     """Rationale: near photodiodes get much light, far ones a larger pulse. Expected: the order of both layouts is that

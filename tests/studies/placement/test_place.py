@@ -370,6 +370,7 @@ def test_places_of_several_leds_stand_beside_a_best_layout_of_one():
     assert xr.Dataset(result._sites([])).sizes["led_site"] == 0
 
 
+@pytest.mark.long
 def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene):
     """Must reach: under 50 ms."""
     base = boards.base_board(scene)

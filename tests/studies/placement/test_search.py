@@ -159,6 +159,7 @@ def test_the_search_of_two_leds_is_no_worse_than_every_layout_on_its_grid(barrie
             assert min(-die.overlap_mm(area) for die in dies for area in areas) >= 0.4 - 1e-6
 
 
+@pytest.mark.long
 def test_as_many_leds_as_may_be_find_room_in_a_row_on_a_coarse_grid():
     """Expected: a grid with three places along the nail is made finer until four LEDs lie side by side."""
     more = "".join(
