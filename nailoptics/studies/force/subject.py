@@ -340,7 +340,7 @@ def _subject(found: dict[str, Any]) -> Subject:
         area_cm2=float(scene["contact_area_cm2"]),
         share=float(scene["proximal_share"]),
         distal_reach=float(scene["distal_reach"]),
-        pulp=Pulp(**scene["pulp"]),
+        pulp=Pulp(**{name: float(value) for name, value in scene["pulp"].items()}),
         factors_ln=np.log(factors),
         gain=each("gain"),
         offset_v=each("offset_v"),

@@ -1,11 +1,14 @@
 """How a person's pulp gives way: found by calibration where the scene does not state it."""
 
+import re
+
 import made_sensor
 import numpy as np
 import pytest
 
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
+from nailoptics.errors import InputError
 from nailoptics.hemodynamics import creeping_pressure, spreading_pressure
 from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.person import USUAL_PULP
@@ -35,6 +38,14 @@ def test_what_the_scene_states_of_the_pulp_is_kept() -> None:
     scene, subject = made_sensor.scene(), parse_subject(made_sensor.subject())
     assert subject.person().pulp.creep == scene.touch.creep
     assert subject.person().pulp.recovery_s == scene.touch.distal_relaxation_s
+
+
+@pytest.mark.parametrize("value", ["[]", "[1.0, 2.0]"])
+@pytest.mark.parametrize("name", ["creep", "creep_s", "recovery_s"])
+def test_a_subjects_pulp_that_is_no_number_is_refused(name: str, value: str) -> None:
+    text = re.sub(rf"^{name} = .*$", f"{name} = {value}", made_sensor.subject(), flags=re.M)
+    with pytest.raises(InputError, match="is no whole subject file"):
+        parse_subject(text)
 
 
 def test_many_people_side_by_side_are_each_by_itself() -> None:
