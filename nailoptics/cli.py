@@ -33,6 +33,7 @@ from .terminal import (
     silence_stdout,
     text_lines,
     trace_progress,
+    written_out,
 )
 
 if TYPE_CHECKING:
@@ -820,7 +821,8 @@ def _show(
         cut_off = {"cut_off": str(unmet)} if unmet else {}
         print_json({**summary, **cut_off, **{name: str(path) for name, path in paths.items()}})
     else:
-        print(*([f"Cut off: {unmet}"] if unmet else []), *text, *paths.values(), sep="\n")
+        lines = [*([f"Cut off: {unmet}"] if unmet else []), *text, *paths.values()]
+        print(*(written_out(str(line)) for line in lines), sep="\n")
 
 
 def _end(unmet: NotReachedError | None, where: Path | None = None) -> None:

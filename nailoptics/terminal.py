@@ -28,7 +28,12 @@ WAIT_S = 0.5
 
 def say(line: str) -> None:
     """Say it in one line on stderr."""
-    print(f"nailoptics: {' '.join(line.split())}", file=sys.stderr, flush=True)
+    print(f"nailoptics: {written_out(' '.join(line.split()))}", file=sys.stderr, flush=True)
+
+
+def written_out(text: str) -> str:
+    """The text, in which what would steer a terminal, such as a name that clears it, is written out as in Python."""
+    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
 
 def silence_stdout() -> None:
@@ -65,6 +70,11 @@ class _Waiting(RawIOBase):
         return os.readv(self._descriptor, [buffer])
 
 
+class _Plain(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        return written_out(super().format(record))
+
+
 @contextmanager
 def plain_messages() -> Iterator[None]:
     """Our own warnings become one line each on stderr; what other packages say is for NAILOPTICS_DEBUG only."""
@@ -79,7 +89,7 @@ def plain_messages() -> Iterator[None]:
             say(f"{filename}:{lineno}: {category.__name__}: {message}")
 
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter("nailoptics: %(message)s"))
+    handler.setFormatter(_Plain("nailoptics: %(message)s"))
     handler.setLevel(logging.WARNING)
     handler.addFilter(lambda record: debug or record.name.startswith("nailoptics"))
     said: set[str] = set()
@@ -225,7 +235,7 @@ def _display() -> Iterator[Callable[[_State], None]]:
                 tasks[state.name] = bars.add_task(state.name, total=1.0, words="")
             bars.update(tasks[state.name], completed=state.share, words=state.words())
             if state.news:
-                bars.console.print(f"nailoptics: {state.news}", markup=False, highlight=False)
+                bars.console.print(f"nailoptics: {written_out(state.news)}", markup=False, highlight=False)
 
         yield draw
 
