@@ -3,6 +3,7 @@
 import gc
 import math
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, suppress
@@ -22,15 +23,18 @@ from .command_time import (
 )
 from .commit import commit
 from .errors import InputError, NailopticsError, NotReachedError, WriteError, as_far_as_reached
-from .io import check_writable, leave_dask_out, make_folder
+from .io import LIGHT, RESULT, check_writable, files_noted, leave_dask_out, make_folder
 from .options import TraceOptions
 from .terminal import (
+    StopAtOnce,
     batch_progress,
+    hard_interrupts,
     kept_warnings,
     plain_messages,
     print_json,
     say,
     silence_stdout,
+    soft_interrupts,
     text_lines,
     trace_progress,
     written_out,
@@ -68,7 +72,11 @@ def main() -> None:
     leave_dask_out()
     # Nearly all that a command makes lives as long as it does: to look for garbage among it is a tenth of its time.
     gc.set_threshold(100_000)
-    sys.exit(run(sys.argv[1:], own_process=True))
+    code = run(sys.argv[1:], own_process=True)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        # All is written and said: a Ctrl-C while Python ends is no traceback.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    sys.exit(code)
 
 
 def run(arguments: list[str], *, own_process: bool = False) -> int:
@@ -77,33 +85,47 @@ def run(arguments: list[str], *, own_process: bool = False) -> int:
     own_process : whether this process was started for it, so that its time counts from there on.
     """
     command_time.begin(with_process=own_process)
-    with plain_messages():
+    with plain_messages(), files_noted() as files, hard_interrupts() as is_interrupted:
         try:
             app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
             if sys.stdout:
                 sys.stdout.flush()
             return 0
-        except CycloptsError as error:
-            line, code = f"{error} (nailoptics --help shows what is known)", 2
-        except NailopticsError as error:
-            line, code = str(error), error.exit_code
-        except KeyboardInterrupt as error:
-            line, code = str(error) or "interrupted; no result was written.", 130
+        except (KeyboardInterrupt, StopAtOnce) as error:
+            line, code = _interrupted(str(error), files), 130
         except BrokenPipeError:
             silence_stdout()
             return 0
-        except OSError as error:
-            silence_stdout()
-            line, code = f"{error.filename or 'the output'}: {error.strerror or error}.", 1
-        except MemoryError:
-            line, code = "not enough memory; ask for fewer samples (touch.sample_rate_hz) or photons.", 1
-        except Exception as error:  # the last resort of a command line
-            if os.environ.get("NAILOPTICS_DEBUG"):
-                raise
-            what = f"{type(error).__name__}: {error}"
-            line, code = f"internal error, our fault: {what} (NAILOPTICS_DEBUG=1 shows where; please report it)", 1
+        except Exception as error:
+            line, code = (_interrupted("", files), 130) if is_interrupted() else _told(error)
         say(line)
         return code
+
+
+def _interrupted(why: str, files: Iterable[tuple[str, Path]]) -> str:
+    """What an interrupted command says: of its results those that are whole, and whether its light is kept."""
+    results = list(dict.fromkeys(str(path) for what, path in files if what == RESULT))
+    written = f"only these results were written: {', '.join(results)}." if results else "no result was written."
+    light = " The light that was traced is kept for the next time." if any(what == LIGHT for what, _ in files) else ""
+    return (why or f"interrupted; {written}") + light
+
+
+def _told(error: Exception) -> tuple[str, int]:
+    """An error in one line, and the exit code."""
+    match error:
+        case CycloptsError():
+            return f"{error} (nailoptics --help shows what is known)", 2
+        case NailopticsError():
+            return str(error), error.exit_code
+        case OSError():
+            silence_stdout()
+            return f"{error.filename or 'the output'}: {error.strerror or error}.", 1
+        case MemoryError():
+            return "not enough memory; ask for fewer samples (touch.sample_rate_hz) or photons.", 1
+    if os.environ.get("NAILOPTICS_DEBUG"):
+        raise error
+    what = f"{type(error).__name__}: {error}"
+    return f"internal error, our fault: {what} (NAILOPTICS_DEBUG=1 shows where; please report it)", 1
 
 
 @app.command
@@ -203,8 +225,13 @@ def colour(
         with_scenes_effort(options, loaded), loaded, photograph=photograph
     )
     result, unmet = _watched(study, loaded, **view, **limited.fields)
-    shown = photograph and result.sizes["tile"] > 0
-    pictures = photographs(loaded, result, backend=options.backend) if shown else []
+    pictures: list[Any] = []
+    with soft_interrupts() as is_interrupted:
+        for state in dict.fromkeys((0, -1 % result.sizes["state"])) if photograph and result.sizes["tile"] > 0 else ():
+            if is_interrupted():
+                pictures, unmet = [], unmet or NotReachedError("interrupted; photographs are left out.")
+                break
+            pictures += photographs(loaded, result, states=[state], backend=options.backend)
     assert loaded.finger is not None
     paths = write_colour(result, folder, photographs=pictures, width_mm=loaded.finger.nail_width_mm)
     summary = colour_summary(result)
@@ -313,7 +340,7 @@ def explore(
     told = {name: found.attributes[name] for name in ("photons", "cpu_seconds", "wall_seconds")}
     size = output.stat().st_size
     line = f"{found.attributes['photons']} photons at {len(found.colours)} wavelengths, {size / 1e6:.1f} MB"
-    _show(told | {"bytes": size}, [line], {"page": output}, json_)
+    _show(told | {"bytes": size}, [line], {"page": output}, json_, unmet)
     _end(unmet, output)
 
 
@@ -549,7 +576,12 @@ def figures(
             pictures += [draw_fig2(_scene("nail_colour"), output, name=name) for name in named]
         else:
             say("Fig. 2 is left out: it needs a backend that compiles kernels (nailoptics doctor).")
-    _show({"claims": as_rows(judged), "pictures": list(map(str, pictures))}, [as_text(judged), *pictures], {}, json_)
+    _show(
+        {"claims": as_rows(judged), "pictures": list(map(str, pictures))},
+        [*as_text(judged).splitlines(), *pictures],
+        {},
+        json_,
+    )
 
 
 @app.command
@@ -821,8 +853,9 @@ def _show(
         cut_off = {"cut_off": str(unmet)} if unmet else {}
         print_json({**summary, **cut_off, **{name: str(path) for name, path in paths.items()}})
     else:
-        lines = [*([f"Cut off: {unmet}"] if unmet else []), *text, *paths.values()]
-        print(*(written_out(str(line)) for line in lines), sep="\n")
+        told = [*([f"Cut off: {unmet}"] if unmet else []), *text, *paths.values()]
+        # A study's own table has several lines; a text or a path, and what is called so, one.
+        print(*(written_out(str(one), lines=not isinstance(one, str | Path)) for one in told), sep="\n")
 
 
 def _end(unmet: NotReachedError | None, where: Path | None = None) -> None:

@@ -67,6 +67,10 @@ AXES = {
 }
 # What a spreadsheet takes for the beginning of a formula.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
+# What a file is: a result of the user's, or light that is kept for the next time.
+RESULT, LIGHT = "result", "light"
+# Those who note what is finished.
+_NOTES: list[list[tuple[str, Path]]] = []
 # What a member of an archive begins with, and the flag of one whose size is told after it.
 _MEMBER, _SIZE_FOLLOWS = b"PK\x03\x04", 8
 
@@ -75,18 +79,30 @@ class CorruptError(Exception):
     """A file is not what was written."""
 
 
-def write_bytes(path: Path, data: bytes | memoryview, *, flush: bool = False) -> None:
+@contextlib.contextmanager
+def files_noted() -> Iterator[list[tuple[str, Path]]]:
+    """What the files are, and their paths, that this process finishes meanwhile, in their order."""
+    noted: list[tuple[str, Path]] = []
+    _NOTES.append(noted)
+    try:
+        yield noted
+    finally:
+        _NOTES.pop()
+
+
+def write_bytes(path: Path, data: bytes | memoryview, *, flush: bool = False, what: str = RESULT) -> None:
     """Write a file whole or not at all: whatever happens, what lies at path is the old file or the new one.
 
     The data go to a new file of a random name in the same folder, which then takes the place of the old one. A
     symbolic link at path is replaced, and what it points to stays as it was.
 
     flush : whether it must be on disk before this returns, so that a power cut cannot undo it.
+    what : what the file is, for those who note it.
 
     Raises: WriteError where the file cannot be written.
     """
     try:
-        with _in_place_of(path, flush=flush) as file:
+        with _in_place_of(path, flush=flush, what=what) as file:
             _write_all(file, data)
         if flush and hasattr(os, "O_DIRECTORY"):
             handle = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
@@ -105,7 +121,7 @@ def _write_all(file: FileIO, data: Any) -> None:
 
 
 @contextlib.contextmanager
-def _in_place_of(path: Path, *, flush: bool = False) -> Iterator[FileIO]:
+def _in_place_of(path: Path, *, flush: bool = False, what: str = RESULT) -> Iterator[FileIO]:
     """A new file aside, unbuffered, which takes the place of that at path if the block ends well, and else goes."""
     aside = path.with_name(f".nailoptics-{secrets.token_hex(8)}.part")
     if path.exists() and not path.is_file():
@@ -118,6 +134,8 @@ def _in_place_of(path: Path, *, flush: bool = False) -> Iterator[FileIO]:
             if flush:
                 os.fsync(file.fileno())
         os.replace(aside, path)
+        for noted in _NOTES:
+            noted.append((what, path))
     except BaseException:
         with contextlib.suppress(OSError):
             aside.unlink(missing_ok=True)

@@ -6,9 +6,10 @@ import os
 import select
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from io import BufferedReader, RawIOBase, TextIOWrapper
 from typing import TYPE_CHECKING, Any, TextIO
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 LOG_EVERY_S = 10.0
 # A wait for input is broken off so often to look for a Ctrl-C. [s]
 WAIT_S = 0.5
+# Each Ctrl-C that asked this command to end after its batch.
+_ASKED: list[int] = []
 
 
 def say(line: str) -> None:
@@ -31,9 +34,12 @@ def say(line: str) -> None:
     print(f"nailoptics: {written_out(' '.join(line.split()))}", file=sys.stderr, flush=True)
 
 
-def written_out(text: str) -> str:
-    """The text, in which what would steer a terminal, such as a name that clears it, is written out as in Python."""
-    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
+def written_out(text: str, *, lines: bool = False) -> str:
+    """The text, in which what would steer a terminal, such as a name that clears it, is written out as in Python.
+
+    lines : whether it may have several; else a line break is written out, too.
+    """
+    return "".join(c if c.isprintable() or (lines and c == "\n") else ascii(c)[1:-1] for c in text)
 
 
 def silence_stdout() -> None:
@@ -71,8 +77,10 @@ class _Waiting(RawIOBase):
 
 
 class _Plain(logging.Formatter):
+    """Messages in which names steer no terminal; only a traceback, for NAILOPTICS_DEBUG, has lines."""
+
     def format(self, record: logging.LogRecord) -> str:
-        return written_out(super().format(record))
+        return written_out(super().format(record), lines=bool(record.exc_info))
 
 
 @contextmanager
@@ -136,7 +144,7 @@ def kept_warnings() -> Iterator[list[str]]:
 @contextmanager
 def trace_progress() -> "Iterator[Callable[[TraceProgress], None]]":
     """A callback that shows how far a trace is, and raises KeyboardInterrupt after Ctrl-C."""
-    with _display() as show, _interrupts() as interrupted:
+    with _display() as show, soft_interrupts() as interrupted:
 
         def report_progress(p: "TraceProgress") -> None:
             form = "{:.2g} " + p.unit if p.unit else "{:.2%}"
@@ -166,26 +174,54 @@ def batch_progress() -> "Iterator[Callable[[BatchProgress], None]]":
         yield report_progress
 
 
+class StopAtOnce(BaseException):
+    """A second Ctrl-C, after which nothing is finished; studies keep what they have at a KeyboardInterrupt."""
+
+
 @contextmanager
-def _interrupts() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C was pressed, which is asked between batches; a second one ends everything at once.
+def hard_interrupts() -> Iterator[Callable[[], bool]]:
+    """Ctrl-C raises KeyboardInterrupt, and StopAtOnce where another asked before to end after a batch.
+
+    Yields whether it did: imports and compiled code make other errors of it.
+    """
+    pressed: list[int] = []
+    _ASKED.clear()
+
+    def end(number: int, frame: Any) -> None:
+        pressed.append(number)
+        raise StopAtOnce if _ASKED else KeyboardInterrupt
+
+    with _on_interrupt(end):
+        yield lambda: bool(pressed)
+
+
+@contextmanager
+def soft_interrupts() -> Iterator[Callable[[], bool]]:
+    """Whether Ctrl-C was pressed, now or earlier so in this command; a second one ends everything at once.
 
     Compiled code turns an interrupt into errors of its own, and what was traced would be lost.
     """
-    pressed: list[int] = []
+    before = signal.getsignal(signal.SIGINT)
 
     def note(number: int, frame: Any) -> None:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        pressed.append(number)
+        signal.signal(signal.SIGINT, before or signal.SIG_DFL)
+        _ASKED.append(number)
         say("stopping after this batch; press Ctrl-C again to stop at once.")
 
-    try:
-        before = signal.signal(signal.SIGINT, note)
-    except ValueError:  # not the main thread
-        yield lambda: False
+    with nullcontext() if _ASKED else _on_interrupt(note):
+        yield lambda: bool(_ASKED)
+
+
+@contextmanager
+def _on_interrupt(handler: Callable[[int, Any], None]) -> Iterator[None]:
+    """Ctrl-C is handled so; not where this process is to ignore it, as in the background of a script."""
+    before = signal.getsignal(signal.SIGINT)
+    if before == signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
+        yield
         return
+    signal.signal(signal.SIGINT, handler)
     try:
-        yield lambda: bool(pressed)
+        yield
     finally:
         signal.signal(signal.SIGINT, before)
 

@@ -194,15 +194,16 @@ def test_a_fault_of_ours_is_one_line_and_exit_code_1(capfd, monkeypatch):
 
 def test_names_that_steer_a_terminal_are_written_out(folder, capfd):
     """A name that clears the screen, renames the window or turns the writing round, in a file's name and in a scene."""
-    name = "a\x1b[2J\x1b]0;b\x07\u202ec"
+    name = "a\x1b[2J\x1b]0;b\x07\u202ec\nd"
     part = 'part = "led_800"'
     assert part in SMALL_FINGER
     (folder / f"{name}.toml").write_text(SMALL_FINGER)
-    (folder / "part.toml").write_text(SMALL_FINGER.replace(part, 'part = "a\\u001b[2J\\u001b]0;b\\u0007\\u202ec"'))
+    (folder / "part.toml").write_text(SMALL_FINGER.replace(part, 'part = "a\\u001b[2J\\u001b]0;b\\u0007\\u202ec\\nd"'))
     shown = "a\\x1b[2J\\x1b]0;b\\x07\\u202ec"
     codes = [run(["check", f"{name}.toml"]), run(["check", f"no{name}.toml"]), run(["check", "part.toml"])]
     out, err = capfd.readouterr()
-    assert codes == [0, 2, 2] and out.startswith(f"{shown}.toml: ") and err.count(shown) == 2
+    assert codes == [0, 2, 2] and out.startswith(f"{shown}\\nd.toml: ") and err.count(shown) == 2
+    assert len(err.splitlines()) == 2
     assert (out + err).replace("\n", "").isprintable()
 
 

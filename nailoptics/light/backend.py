@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import InputError, WriteError
-from ..io import cache_folder, make_folder, write_text
+from ..io import cache_folder, make_folder, write_bytes
 
 log = logging.getLogger(__name__)
 
@@ -286,8 +286,14 @@ def _probe(name: Name, library: str) -> tuple[tuple[str, ...], str, bool]:
         with tempfile.TemporaryDirectory(prefix="nailoptics-") as folder:
             # Kernels compiled earlier, perhaps by another library, must not answer for this one.
             environment["DRJIT_CACHE_DIR"] = folder
+            # In a session of its own: a Ctrl-C for this process must not pass for a kernel that ended the other.
             run = subprocess.run(
-                command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, timeout=PROBE_TIMEOUT_S
+                command,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                timeout=PROBE_TIMEOUT_S,
+                start_new_session=True,
             )
     except subprocess.TimeoutExpired:
         return (), f"gave no answer in {PROBE_TIMEOUT_S:g} s", False
@@ -339,7 +345,8 @@ def _remember(key: str, engines: tuple[str, ...], why: str) -> None:
     """Add an answer to the user's cache; without one the next process probes again."""
     try:
         make_folder(_cache_file().parent)
-        write_text(_cache_file(), json.dumps(_read_cache() | {key: {"engines": engines, "why": why}}, indent=1))
+        answers = _read_cache() | {key: {"engines": engines, "why": why}}
+        write_bytes(_cache_file(), json.dumps(answers, indent=1).encode(), what="answer")
     except (RuntimeError, WriteError) as error:
         log.debug("backends are not remembered: %s", error)
 

@@ -120,7 +120,7 @@ class LightStore:
             return
         try:
             io.make_folder(path.parent)
-            io.write_bytes(path, data)
+            io.write_bytes(path, data, what=io.LIGHT)
         except WriteError as error:
             if not self.optional:
                 raise

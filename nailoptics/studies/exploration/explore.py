@@ -28,7 +28,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import InputError
+from ...errors import InputError, NotReachedError
 from ...light import ProgressCallback
 from ...light.board_map import BoardTracer
 from ...light.pair_kernel import PairBasis, PairProjection, RadialFunction, pair_basis
@@ -109,7 +109,8 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
     max_seconds : wall time after which tracing ends with what there is, twelve batches of each wavelength or more. [s]
 
     Raises: InputError where the scene has no finger, several walls, LEDs that are not Lambertian, or other than two
-    blood zones.
+    blood zones; NotReachedError, whose result is the Exploration as far as it was made, if interrupted;
+    KeyboardInterrupt if the scene's own wavelengths are not known by then.
     """
     options, cpu = TraceOptions(**requested), time.process_time()
     if options.relative_error is not None:
@@ -117,36 +118,15 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
     _check(scene)
     report = StageProgress(progress, options.max_seconds or scene.accuracy.max_seconds or math.inf)
     base = explored_board(scene)
-    layout, bare = base.layout, boards.bare(base)
-    basis = pair_basis(layout.outline, layout.barriers[0] if layout.barriers else None)
+    basis = pair_basis(base.layout.outline, base.layout.barriers[0] if base.layout.barriers else None)
     touch = touch_table(base)
     polynomial = _polynomial(base, touch)
-    sources = colours(base)
-    own = len({(led.wavelength_nm, led.fwhm_nm) for led in base.leds})
-    usual = options.photons or scene.accuracy.photons or (OPEN_PHOTONS if basis.one_side else WALL_PHOTONS)
-    tables: list[ColourTable] = []
-    first: ColourSums | None = None
-    pace_s = 0.0
-    for number, led in enumerate(sources):
-        lit = bare.model_copy(update={"leds": tuple(_as(die, led) for die in bare.leds)})
-        how: dict[str, Any] = {"backend": options.backend, "seed": options.seed}
-        sums = ColourSums(lit, number, basis, polynomial, **how, radial=first.radial if first else None)
-        end, most = (number + 1) / len(sources), usual if number < own else usual // 2
-        each = min(sums.tracer.batch_photons, max(LEAST_BATCH, most // BLOCKS))
-        if not math.isinf(report.limit_s):
-            pace_s = pace_s or _seconds_per_photon(ColourSums(lit, number, basis, polynomial, **how, radial=None))
-            each = min(each, _fitting(end * report.limit_s - report.seconds, pace_s))
-        _trace(sums, each, max(BLOCKS, round(most / each)), led, report, begin=number / len(sources), end=end)
-        if first is None:
-            first, projection = sums, PairProjection(basis, sums.known_radial)
-        fluence = _fluence(base, led, seed=seed_of(options.seed, FLUENCE, number), backend=options.backend)
-        tables.append(sums.table(led, projection, fluence))
-    assert first is not None
+    first, tables, cut_off = _traced(base, basis, polynomial, options, report)
     attributes: dict[str, Any] = {"seed": options.seed, "photons": sum(one.photons for one in tables)}
     attributes |= {"backend": first.tracer.backend.name, "scene": to_toml(scene), "digest": digest(scene)}
     attributes |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": report.seconds}
     nodes, currents = first.ambient()
-    return Exploration(
+    found = Exploration(
         base,
         basis,
         ratio_basis(basis),
@@ -158,6 +138,53 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
         currents,
         attributes=attributes,
     )
+    if cut_off:
+        attributes["cut_off"] = cut_off
+        raise NotReachedError(cut_off, result=found)
+    return found
+
+
+def _traced(
+    base: Scene, basis: PairBasis, polynomial: BloodPolynomial, options: TraceOptions, report: StageProgress
+) -> tuple[ColourSums, list[ColourTable], str]:
+    """The sums of the first wavelength, the tables of all, and what the user's interrupt left out of them, if it did.
+
+    Raises: KeyboardInterrupt where the scene's own wavelengths are not known by then.
+    """
+    bare, sources = boards.bare(base), colours(base)
+    own = len({(led.wavelength_nm, led.fwhm_nm) for led in base.leds})
+    usual = options.photons or base.accuracy.photons or (OPEN_PHOTONS if basis.one_side else WALL_PHOTONS)
+    how: dict[str, Any] = {"backend": options.backend, "seed": options.seed}
+    tables: list[ColourTable] = []
+    first: ColourSums | None = None
+    pace_s, cut_off = 0.0, ""
+    for number, led in enumerate(sources):
+        lit = bare.model_copy(update={"leds": tuple(_as(die, led) for die in bare.leds)})
+        sums = ColourSums(lit, number, basis, polynomial, **how, radial=first.radial if first else None)
+        end, most = (number + 1) / len(sources), usual if number < own else usual // 2
+        each = min(sums.tracer.batch_photons, max(LEAST_BATCH, most // BLOCKS))
+        if not math.isinf(report.limit_s):
+            pace_s = pace_s or _seconds_per_photon(ColourSums(lit, number, basis, polynomial, **how, radial=None))
+            each = min(each, _fitting(end * report.limit_s - report.seconds, pace_s))
+        batches = max(BLOCKS, round(most / each))
+        _trace(sums, each, batches, led, report, begin=number / len(sources), end=end)
+        others = sources[number + 1 :]
+        is_known = sums.batches >= BLOCKS
+        if report.interrupted and (sums.batches < batches or others):
+            cut_off = f"interrupted: {led.wavelength_nm:g} nm has {sums.batches} of {batches} batches"
+            cut_off += "".join(f", {other.wavelength_nm:g} nm none" for other in others) + "."
+            if number + is_known < own:
+                raise KeyboardInterrupt(f"{cut_off} No page was written.")
+        if not is_known:
+            break
+        if first is None:
+            first, projection = sums, PairProjection(basis, sums.known_radial)
+        fluence = _fluence(base, led, seed=seed_of(options.seed, FLUENCE, number), backend=options.backend)
+        tables.append(sums.table(led, projection, fluence))
+        if cut_off:
+            break
+    assert first is not None
+    return first, tables, cut_off
 
 
 def _seconds_per_photon(pilot: ColourSums) -> float:
@@ -176,9 +203,12 @@ def _fitting(left_s: float, pace_s: float) -> int:
 def _trace(
     sums: ColourSums, each: int, batches: int, led: Led, report: StageProgress, *, begin: float, end: float
 ) -> None:
-    """Add batches of so many photons to the sums of one colour, which has the time between two parts of all of it."""
+    """Add batches of so many photons to the sums of one colour, which has the time between two parts of all of it.
+
+    An interrupt of the user ends it, whatever it has.
+    """
     for k in range(batches):
-        if k >= BLOCKS and report.is_late(end):
+        if report.interrupted or (k >= BLOCKS and report.is_late(end)):
             break
         sums.trace(each)
         report(f"{led.wavelength_nm:g} nm", begin + (end - begin) * (k + 1) / batches)

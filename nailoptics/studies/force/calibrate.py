@@ -168,7 +168,7 @@ def _reporter(progress: ProgressCallback | None) -> Callable[[float], None]:
     def report(done: float) -> None:
         stage("fit", done)
         if stage.interrupted:
-            raise KeyboardInterrupt("interrupted; no subject was written. What was traced is kept for the next time.")
+            raise KeyboardInterrupt("interrupted; no subject was written.")
 
     return report
 

@@ -143,7 +143,7 @@ def explain(
             effects.append(effect)
         together = _left_out_together(scene, base, effects, tracer, limit)
     except NotReachedError as error:
-        unmet = f"{error}; {len(effects)} effects were measured before."
+        unmet = f"{str(error).rstrip('.')}; {len(effects)} effects were measured before."
     effects.sort(key=lambda e: -abs(e.change) if math.isfinite(e.change) else 0.0)
     # What is not known stays as it is.
     known = [e for e in effects if e.matters == ("no" if e.modelled else "yes") and not e.unknown]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...errors import NotReachedError, as_far_as_reached
 from ...light import ProgressCallback, Transfer, trace
 from ...light.store import LightStore
-from ...light.tracing import accuracy
+from ...light.tracing import INTERRUPTED, accuracy
 from ...options import Requested, TraceOptions
 from ...scene import Oximeter, Scene
 from ...statistics import jackknife, seed_of
@@ -66,11 +66,12 @@ def oximeter(scene: Scene, *, progress: ProgressCallback | None = None, **reques
     how = {"max_seconds": own_s, "progress": progress}
     transfer, unmet = as_far_as_reached(trace_for_ratio, scene, error_of, options, **how)
     nails = {} if unmet else _nails(transfer, options, progress)
+    cut_off = str(unmet) if unmet else _missing(nails)
     result = oximeter_from(transfer, beat, nails=nails, options=options)
     result.attrs |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
-    if unmet:
-        result.attrs["cut_off"] = str(unmet)
-        raise NotReachedError(str(unmet), result=result)
+    if cut_off:
+        result.attrs["cut_off"] = cut_off
+        raise NotReachedError(cut_off, result=result)
     return result
 
 
@@ -133,7 +134,10 @@ def _ambient(scene: Scene, options: TraceOptions) -> tuple[Leak, Leak]:
 
 
 def _nails(transfer: Transfer, options: TraceOptions, progress: ProgressCallback | None) -> dict[float, Transfer]:
-    """Traces of the scene with a nail plate of other thicknesses; of these nothing is missed if time ends them."""
+    """Traces of the scene with a nail plate of other thicknesses; of these nothing is missed if time ends them.
+
+    An interrupt leaves out the one at work and those after it.
+    """
     scene, found = transfer.scene, {}
     assert scene.finger is not None
     limit_s = accuracy(scene, options).max_seconds
@@ -144,9 +148,17 @@ def _nails(transfer: Transfer, options: TraceOptions, progress: ProgressCallback
         other = scene.model_copy(update={"finger": finger, "accuracy": type(scene.accuracy)()})
         seed = seed_of(options.seed, _NAIL, k) >> 1
         how = TraceOptions(seed=seed, backend=options.backend, photons=photons, max_seconds=each_s)
-        light, _ = as_far_as_reached(trace, other, progress=progress, **how.fields)
+        light, unmet = as_far_as_reached(trace, other, progress=progress, **how.fields)
+        if str(unmet).startswith(INTERRUPTED):
+            break
         found[thickness_mm] = light
     return found
+
+
+def _missing(nails: dict[float, Transfer]) -> str:
+    """What an interrupt left out, if it did."""
+    done = f"{len(nails)} of {len(NAILS_MM)} other thicknesses of the nail plate are traced."
+    return "" if len(nails) == len(NAILS_MM) else f"{INTERRUPTED}: {done}"
 
 
 def _nail_curve(shown: Shown, nails: dict[float, Transfer]) -> list[Curve]:

@@ -1,0 +1,77 @@
+"""A command in a process of its own that gets a real Ctrl-C as it comes to a place."""
+
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+ENVIRONMENT = {"PYTHONPATH": str(Path(__file__).parents[1])}
+# At the call it waits on stdin, until the signal has come; every call is told.
+CHILD = """
+import functools, importlib, sys
+module, names, number, *sys.argv[1:] = sys.argv[1:]
+*owners, name = names.split(".")
+owner = functools.reduce(getattr, owners, importlib.import_module(module))
+function, calls = getattr(owner, name), 0
+def watched(*given, **options):
+    global calls
+    calls += 1
+    print("call", calls, file=sys.stderr, flush=True)
+    if calls == int(number):
+        sys.stdin.readline()
+    return function(*given, **options)
+setattr(owner, name, watched)
+from nailoptics.__main__ import main
+main()
+"""
+STOPPING = "nailoptics: stopping after this batch; press Ctrl-C again to stop at once.\n"
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How it ended: exit code, stdout, lines of ours on stderr, and calls that began after the interrupt."""
+
+    code: int
+    out: str
+    said: list[str]
+    later: int
+
+
+def interrupted_at(place: str, *arguments: str, call: int = 1, twice: bool = False, ignored: bool = False) -> Ended:
+    """The end of `nailoptics ARGUMENTS` that gets a SIGINT as it calls a place, MODULE:NAME, so many times.
+
+    twice : whether another follows once the first was answered.
+    ignored : whether it begins with SIGINT ignored.
+    """
+    module, _, name = place.partition(":")
+    process = subprocess.Popen(
+        [sys.executable, "-c", CHILD, module, name, str(call), *arguments],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | ENVIRONMENT,
+        preexec_fn=(lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)) if ignored else None,
+    )
+    assert process.stdin is not None and process.stderr is not None
+    try:
+        before = ""
+        for line in process.stderr:
+            before += line
+            if line == f"call {call}\n":
+                break
+        process.send_signal(signal.SIGINT)
+        if twice:
+            for line in process.stderr:
+                before += line
+                if line == STOPPING:
+                    process.send_signal(signal.SIGINT)
+                    break
+        out, err = process.communicate("\n", timeout=120)
+    finally:
+        process.kill()
+    said = [line for line in err.splitlines() if not line.startswith("call ")]
+    assert "Traceback" not in before + err
+    return Ended(process.returncode, out, said, len(err.splitlines()) - len(said))

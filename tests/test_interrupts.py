@@ -1,0 +1,147 @@
+"""Ctrl-C, a real one: whatever a command does, it ends soon, and what it says of what is kept is true."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from interrupted import ENVIRONMENT, interrupted_at
+from small_scenes import SMALL_FINGER_BEST
+
+from nailoptics.report.result_files import SIMULATION
+
+BATCH = "nailoptics.studies.exploration.colour_table:ColourSums.trace"
+EXPLORE = ("explore", "prototype", "--photons", "49152", "-o", "page.html")
+SIMULATE = ("simulate", "prototype", "--photons", "20000", "-o", "out")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def written(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.jit
+def test_explore_ends_within_a_batch_and_writes_no_page_of_too_little(folder, chosen_jit):
+    """Twelve batches of each wavelength tell its errors: at the third of the scene's own nothing can be shown."""
+    ended = interrupted_at(BATCH, *EXPLORE, call=3)
+    assert (ended.code, ended.later) == (130, 0) and not written(folder)
+    assert ended.said[-1].startswith("nailoptics: interrupted: 800 nm has 3 of 12 batches, 660 nm none, 940 nm none. ")
+    assert "No page was written." in ended.said[-1]
+
+
+@pytest.mark.jit
+def test_explore_keeps_the_wavelengths_that_it_knows(folder, chosen_jit):
+    """Expected: at the second batch of the third wavelength a page of the first two, which says so."""
+    ended = interrupted_at(BATCH, *EXPLORE, call=26)
+    assert (ended.code, ended.later) == (3, 0) and written(folder) == {"page.html"}
+    why = "interrupted: 940 nm has 2 of 12 batches."
+    assert ended.said[-1] == f"nailoptics: {why} What was reached is in page.html."
+    page = Path("page.html").read_text(encoding="utf-8")
+    assert why in page.split("</header>")[0]
+    assert "2 wavelengths" in ended.out and ended.out.startswith(f"Cut off: {why}")
+
+
+@pytest.mark.jit
+def test_an_interrupt_between_two_results_names_the_first(folder, chosen_jit, store):
+    """Expected: the dataset is whole and named, as is that its light is kept; nothing is said of the page."""
+    ended = interrupted_at("nailoptics.report.simulate_page:write_report", *SIMULATE)
+    assert ended.code == 130 and written(folder / "out") == {SIMULATION[0]}
+    words = f"interrupted; only these results were written: {Path('out', SIMULATION[0])}."
+    assert ended.said == [f"nailoptics: {words} The light that was traced is kept for the next time."]
+
+
+@pytest.mark.jit
+def test_a_second_interrupt_says_that_nothing_was_written(folder, chosen_jit, store):
+    """It comes before the first batch is traced: no light is kept, and none is said to be."""
+    ended = interrupted_at("nailoptics.light.tracing:_take_batches", *SIMULATE, twice=True)
+    assert ended.code == 130 and not written(folder / "out") and not list(store.rglob("*.dat"))
+    assert ended.said[-1] == "nailoptics: interrupted; no result was written."
+
+
+@pytest.mark.jit
+def test_a_second_interrupt_finishes_nothing(folder, chosen_jit, store):
+    """Expected: the first batch is kept for the next time, as is said; no result is made of it."""
+    simulate = ("simulate", "prototype", "--photons", "600000", "-o", "out")
+    ended = interrupted_at("nailoptics.light.store:LedSource.batch", *simulate, call=2, twice=True)
+    assert (ended.code, ended.later) == (130, 0) and not written(folder / "out")
+    assert len(list(store.rglob("*.dat"))) == 1
+    light = "The light that was traced is kept for the next time."
+    assert ended.said[-1] == f"nailoptics: interrupted; no result was written. {light}"
+
+
+@pytest.mark.jit
+def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, chosen_jit):
+    """While rays are walked, and while the first photograph is made; expected: no photograph is begun after it."""
+    Path("finger.toml").write_text(SMALL_FINGER_BEST + "[priors]\nspread = false\n[colour]\nphotograph_px = [40, 30]\n")
+    command = ("colour", "finger.toml", "--photons", "8000", "--force", "0", "--force", "1", "-o", "out")
+    for place in ("nailoptics.studies.colour.enough_rays:walk_colour", "nailoptics.studies.colour.pictures:photograph"):
+        ended = interrupted_at(place, *command)
+        assert (ended.code, ended.later) == (3, 0), ended.said
+        assert ended.said[-1].endswith("What was reached is in out.") and "interrupted" in ended.said[-1]
+        assert written(folder / "out") == {"colour.nc", "colour.html", "strip.png", "press.gif"}
+
+
+@pytest.mark.jit
+def test_an_oximeter_is_kept_without_the_nails_that_were_not_traced(folder, chosen_jit):
+    """Expected: no further nail is traced after the interrupt, and the page says so."""
+    command = ("oximeter", "pulse_oximeter", "--photons", "20000", "-o", "out")
+    ended = interrupted_at("nailoptics.studies.oximetry.oxygen:trace", *command)
+    why = "interrupted: 0 of 3 other thicknesses of the nail plate are traced."
+    assert (ended.code, ended.later) == (3, 0) and ended.said[-1].endswith(f"{why} What was reached is in out.")
+    assert why in Path("out/oximeter.html").read_text(encoding="utf-8").split("</header>")[0]
+
+
+@pytest.mark.jit
+def test_a_command_in_the_background_of_a_script_hears_no_interrupt(folder, chosen_jit, store):
+    """A shell lets it ignore SIGINT, which is for the script; expected: it goes on to its end."""
+    ended = interrupted_at("nailoptics.light.tracing:_take_batches", *SIMULATE, ignored=True)
+    assert ended.code == 0 and written(folder / "out") == set(SIMULATION)
+    assert not [line for line in ended.said if "interrupt" in line or "stopping" in line]
+
+
+def alone(code: str) -> tuple[int, str]:
+    """Exit code and stderr of Python that runs some code, in which SIGINT reaches it."""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, env=os.environ | ENVIRONMENT
+    )
+    return done.returncode, done.stderr
+
+
+NOTHING = (130, "nailoptics: interrupted; no result was written.\n")
+
+
+def test_what_compiled_code_makes_of_an_interrupt_is_no_fault_of_ours():
+    code = """
+import os, signal, sys, nailoptics.scene
+from nailoptics.__main__ import main
+def turning():
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+    except BaseException:
+        raise NameError("name '_drjit_ext' is not defined") from None
+nailoptics.scene.json_schema = turning
+sys.argv[1:] = ["schema"]
+main()
+"""
+    assert alone(code) == NOTHING
+
+
+def test_an_interrupt_while_the_command_line_is_loaded_is_one_line():
+    code = """
+import os, signal, sys
+from nailoptics.__main__ import main
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "nailoptics.cli":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+main()
+"""
+    assert alone(code) == NOTHING
