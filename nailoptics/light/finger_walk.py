@@ -32,7 +32,7 @@ from .sampling import (
     roulette,
     state_of,
 )
-from .splitting import COPIES, Splitting
+from .splitting import Reach, Splitting
 from .surroundings import DETECTED, Emitter, FingerPhoton, Interfaces, Medium, Regions, ZoneEdges, off_surface
 from .tallies.board_tally import BoardTally
 from .tallies.fluence import FluenceTally
@@ -76,6 +76,7 @@ class FingerTracer:
             Regions(self.geometry, optics.finger_media(scene, self.geometry.regions, led.wavelength_nm))
             for led in scene.leds
         ]
+        self.reach: dict[int, Reach] = {}
         self.zones = optics.zones(scene)
         # The bed's path counts whole, and what of it lies beyond each edge of the zones.
         self.paths = len(optics.TISSUES) + len(self.zones.edges_mm)
@@ -86,7 +87,9 @@ class FingerTracer:
 
     def batch(self, led: int, *, photons: int, seed: int) -> Batch:
         """Trace some photons of one LED."""
-        splitting = Splitting(self.geometry, photons)
+        if led not in self.reach:
+            self.reach[led] = Reach(self.geometry, self.geometry.leds[led])
+        splitting = Splitting(self.reach[led], photons)
         acceptance = acceptance_of(self.scene.photodiodes)
         walked = self.walk(led, photons=photons, seed=seed, splitting=splitting, acceptance=acceptance)
         energy, absorbed = walked.energy(self.regions[led].absorbing, self.regions[led].swallows)
@@ -195,7 +198,7 @@ class FingerWalk:
         width, lane = dr.width(count), mi.UInt64(rng.state)
         lanes_in_all = dr.opaque(mi.UInt32, width)
         photon = self.launch(rng, lane, first)
-        fork = _fork(photon)
+        forks = [_fork(photon) for _ in photon.copies]
         events = dr.zeros(mi.UInt32, width)
         active = count > 0
         while dr.hint(active, label="finger walk"):
@@ -214,12 +217,12 @@ class FingerWalk:
             absorbed = photon.tau > photon.absorption_optical_depth
             photon.outcome = dr.select(absorbed, mi.UInt32(ABSORBED), photon.outcome)
             # Copies that are still to come start with the weight that this one had there.
-            roulette(photon, leg.scatterings + 1, dr.select(photon.copies_left > 0, 0, mi.Float(photon.copies)))
+            roulette(photon, leg.scatterings + 1, dr.select(photon.is_last(), photon.stands_for(), 0))
             if self.splitting is None and self.acceptance is not None:
                 photon.weight = dr.select(photon.outcome >= DETECTED, photon.weight * accepted, photon.weight)
             if self.splitting is not None:
                 self.detect(photon, self.splitting, accepted)
-                fork = self.split(photon, fork, self.splitting, active)
+                forks = self.split(photon, forks, self.splitting, active)
             if photon.outcome > 0:
                 self.ends.record(photon, *self.tallied(region))
                 if self.splitting is None:
@@ -237,6 +240,7 @@ class FingerWalk:
         """A new photon on the emitter."""
         rng.state = state_of(lane, index)
         p, w = self.emitter.emit(rng, index)
+        levels = len(self.splitting.reach.copies) if self.splitting is not None else 0
         return FingerPhoton(
             index=index,
             rng=rng,
@@ -245,6 +249,8 @@ class FingerWalk:
             region=mi.UInt32(self.emitter.region),
             absorption_optical_depth=absorption_depth(rng.next_float32()),
             path=[mi.Float(0) for _ in self.ends.path],
+            copies=[mi.UInt32(1) for _ in range(levels)],
+            copies_left=[mi.UInt32(0) for _ in range(levels)],
         )
 
     @dr.syntax
@@ -328,8 +334,8 @@ class FingerWalk:
             photon.w = mi.Vector3f(dr.select(reflected, mirrored, refracted))
             place, tallied = self.tallied(photon.region)
             # Of a photon's copies the last one counts for all.
-            tallied &= photon.copies_left == 0
-            left = photon.weight * mi.Float(photon.copies) * remaining(photon.tau)
+            tallied &= photon.is_last()
+            left = photon.weight * photon.stands_for() * remaining(photon.tau)
             self.ends.absorb(photon, place, left, ~reflected, tallied)
             end = dr.gather(mi.UInt32, regions.end, there)
             photon.outcome = dr.select(opaque & ~reflected, end, photon.outcome)
@@ -356,34 +362,47 @@ class FingerWalk:
                 dr.scatter(splitting.photodiode, photon.outcome - DETECTED, photon.index)
                 self.ends.record_path(photon)
 
-    @dr.syntax
-    def split(self, photon: FingerPhoton, fork: list[Any], splitting: Splitting, active: Any) -> list[Any]:
-        """Split a photon that comes over the bed within reach of a photodiode, and walk its copies one by one.
+    def split(self, photon: FingerPhoton, forks: list[Any], splitting: Splitting, active: Any) -> list[Any]:
+        """Split a photon that comes within reach of a photodiode, and walk its copies one by one.
 
         Each starts where the photon came within reach, and ends there or goes away. All of them may be detected; it is
-        the last that goes on, with the whole weight. Returns: the latest fork.
+        the last that goes on, with the whole weight. Returns: at each level of splitting the latest fork.
         """
         over_bed = dr.gather(mi.Bool, self.regions.over_bed, photon.region, active)
-        near = splitting.within_reach(photon.p, over_bed)
-        if near & (photon.copies == 1) & (photon.outcome == 0):
-            photon.copies, photon.copies_left = mi.UInt32(COPIES), mi.UInt32(COPIES - 1)
-            photon.weight = photon.weight / COPIES
-            fork = _fork(photon)
-        done = (photon.copies > 1) & ((photon.outcome > 0) | ~near)
-        if done & (photon.copies_left == 0):
-            photon.weight, photon.copies = photon.weight * mi.Float(photon.copies), mi.UInt32(1)
-        if done & (photon.copies_left > 0):
-            photon.p, photon.w, photon.region, photon.weight, photon.tau, photon.entered, plate, epoxy = dr.copy(fork)
-            photon.path[PLATE], photon.path[EPOXY] = plate, epoxy
-            # What absorption leaves a photon knows nothing of how far it came.
-            photon.absorption_optical_depth = photon.tau + absorption_depth(photon.rng.next_float32())
-            photon.copies_left -= 1
-            photon.outcome = mi.UInt32(0)
-        return fork
+        within = splitting.reach.within(photon.p, over_bed, active)
+        copies = splitting.reach.copies
+        for k, number in enumerate(copies):
+            forks[k] = _split(photon, forks[k], within[k] & photon.is_whole(k), k, number)
+        for k in reversed(range(len(copies))):
+            _go_on(photon, forks[k], (photon.outcome > 0) | ~within[k], k)
+        return forks
+
+
+@dr.syntax
+def _split(photon: FingerPhoton, fork: list[Any], within: Any, k: int, number: int) -> list[Any]:
+    """Split a photon into a number of copies."""
+    if within & (photon.outcome == 0):
+        photon.copies[k], photon.copies_left[k] = mi.UInt32(number), mi.UInt32(number - 1)
+        photon.weight = photon.weight / number
+        fork = _fork(photon)
+    return fork
+
+
+@dr.syntax
+def _go_on(photon: FingerPhoton, fork: list[Any], done: Any, k: int) -> None:
+    """Begin the next of a photon's copies, or make the last one whole again."""
+    done &= (photon.copies[k] > 1) & photon.is_whole(k + 1)
+    if done & (photon.copies_left[k] == 0):
+        photon.weight, photon.copies[k] = photon.weight * mi.Float(photon.copies[k]), mi.UInt32(1)
+    if done & (photon.copies_left[k] > 0):
+        photon.p, photon.w, photon.region, photon.weight, photon.tau, photon.entered, path = dr.copy(fork)
+        photon.path = path
+        # What absorption leaves a photon knows nothing of how far it came.
+        photon.absorption_optical_depth = photon.tau + absorption_depth(photon.rng.next_float32())
+        photon.copies_left[k] -= 1
+        photon.outcome = mi.UInt32(0)
 
 
 def _fork(photon: FingerPhoton) -> list[Any]:
     """How a photon stands where it is split: all that its copies change on their way."""
-    path = photon.path
-    moved = [photon.p, photon.w, photon.region, photon.weight, photon.tau, photon.entered]
-    return dr.copy([*moved, path[PLATE], path[EPOXY]])
+    return dr.copy([photon.p, photon.w, photon.region, photon.weight, photon.tau, photon.entered, photon.path])

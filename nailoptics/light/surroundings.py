@@ -36,17 +36,38 @@ class FingerPhoton(Photon):
     p : Place. [mm]
     region : Index of the region it is in.
     arrivals : How often it has come to the board.
-    copies : How many it stands for, walked one after the other, if it has been split; else 1.
-    copies_left : Of these still to be walked after the present one.
+    copies : (levels) list. How many it stands for, walked one after the other, where it has been split; else 1.
+    copies_left : (levels) list. Of these still to be walked after the present one.
     score : Weight of all its copies that a photodiode detected.
     """
 
     p: Any
     region: Any
     arrivals: Any = starts(0)
-    copies: Any = starts(1)
-    copies_left: Any = starts(0)
+    copies: list[Any]
+    copies_left: list[Any]
     score: Any = starts(0.0)
+
+    def is_whole(self, level: int) -> Any:
+        """Whether it is not split from a level on."""
+        whole = mi.Bool(True)
+        for copies in self.copies[level:]:
+            whole &= copies == 1
+        return whole
+
+    def is_last(self) -> Any:
+        """Whether no copy of it is still to be walked."""
+        last = mi.Bool(True)
+        for left in self.copies_left:
+            last &= left == 0
+        return last
+
+    def stands_for(self) -> Any:
+        """How many copies of its weight it was split into."""
+        number = mi.Float(1)
+        for copies in self.copies:
+            number = number * mi.Float(copies)
+        return number
 
 
 class Medium(NamedTuple):

@@ -50,7 +50,7 @@ def test_a_face_under_even_radiance_collects_two_over_one_more_than_the_power(ji
     from nailoptics.light.acceptance import acceptance_of
     from nailoptics.light.finger_walk import FingerTracer, FingerWalk
     from nailoptics.light.sampling import LAMBERTIAN, PhotonEnds, lanes
-    from nailoptics.light.splitting import Splitting
+    from nailoptics.light.splitting import Reach, Splitting
     from nailoptics.light.surroundings import Emitter, ZoneEdges
 
     scene = with_response(None, power_of_cosine(power))
@@ -66,7 +66,8 @@ def test_a_face_under_even_radiance_collects_two_over_one_more_than_the_power(ji
 
     emitter = Inwards(tracer.geometry.photodiodes[chosen], LAMBERTIAN, tracer.regions[0].epoxy)
     ends = PhotonEnds(photons, paths=tracer.paths, media=len(tracer.regions[0].absorbing))
-    splitting, acceptance = Splitting(tracer.geometry, photons), acceptance_of(scene.photodiodes)
+    reach = Reach(tracer.geometry, tracer.geometry.leds[0])
+    splitting, acceptance = Splitting(reach, photons), acceptance_of(scene.photodiodes)
     made = (tracer.interfaces, tracer.regions[0], ZoneEdges(tracer.zones), emitter, ends)
     walk = FingerWalk(*made, splitting=splitting, acceptance=acceptance)
     rng, count = lanes(photons, 5)

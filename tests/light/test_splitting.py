@@ -5,7 +5,7 @@ import pytest
 
 from nailoptics import geometry
 from nailoptics.assets import data_dir
-from nailoptics.light.splitting import CELL_MM, REACH_MM, near_photodiodes
+from nailoptics.light.splitting import CELL_MM, REACH_MM, STRIDE_CELL_MM, STRIDE_MM, near_photodiodes, strides_made
 from nailoptics.scene import load_scene
 from nailoptics.statistics import stderr_of_mean
 
@@ -25,6 +25,69 @@ def test_cells_within_reach_are_those_and_no_others(prototype):
     width = plans[0][:, 0].max() - plans[0][:, 0].min()
     assert near[:, along].sum() * CELL_MM == pytest.approx(width + 2 * REACH_MM, abs=2 * CELL_MM)
     assert not near[0, 0], "the corner of the box is farther from any photodiode than its sides"
+
+
+def with_led_at(scene, across_mm, **board):
+    """The scene with its LED elsewhere, and another board."""
+    led = scene.leds[0].model_copy(update={"position_mm": (across_mm, 0.0)})
+    return scene.model_copy(update={"leds": (led,), "board": scene.board.model_copy(update=board)})
+
+
+def strides_of(scene):
+    finger = geometry.build(scene)
+    return finger, *strides_made(finger, finger.leds[0])
+
+
+def test_strides_count_towards_the_nearest_photodiode(prototype):
+    finger, strides, low = strides_of(with_led_at(prototype, -3.2))
+    led, *photodiodes = (np.asarray(face.quads).reshape(-1, 3).mean(0) for face in (*finger.leds, *finger.photodiodes))
+    nearest = min(photodiodes, key=lambda place: np.linalg.norm(place - led))
+    away = np.linalg.norm(nearest - led)
+    for part in (0.35, 0.5, 0.65, 0.9, 1.0):
+        place = led + part * (nearest - led)
+        cell = tuple(np.floor((place - low) / STRIDE_CELL_MM).astype(int))
+        counted = strides[cell] if min(cell) >= 0 else 0
+        made = part * away / STRIDE_MM
+        assert min(np.floor(made - STRIDE_CELL_MM), 2) <= counted <= min(np.floor(made + STRIDE_CELL_MM), 2)
+    assert strides.max() == 2
+
+
+@pytest.mark.parametrize("change", [{"across_mm": -1.2}, {"across_mm": -3.2, "barrier": False}])
+def test_there_are_no_strides_to_photodiodes_that_are_near_or_in_direct_light(prototype, change):
+    _, strides, _ = strides_of(with_led_at(prototype, **change))
+    assert strides.size == 0
+
+
+@pytest.mark.jit
+def test_photons_split_on_the_way_read_what_plain_ones_read_and_state_true_errors(jit_backend, prototype):
+    """Two levels on the way and one at the photodiodes. Light, and light times its path in the bed, in 16 values of
+    which 45 is one in 1e4; errors beside the spread of 32 batches, in 8 values that share photons."""
+    from nailoptics.light.finger_walk import FingerTracer
+    from nailoptics.light.surroundings import DETECTED
+
+    tracer = FingerTracer(with_led_at(prototype, -3.2))
+    count, photons, batches = len(tracer.photodiodes), 1 << 14, 32
+
+    def scored(photodiode, light, path):
+        scores = light, light * path[:, 1:3].sum(1)
+        return np.array([[np.bincount(photodiode, s**k, minlength=count) for s in scores] for k in (1, 2)])
+
+    split = [tracer.batch(0, photons=photons, seed=seed) for seed in range(batches)]
+    ours = np.array([scored(one.photodiode, one.weight, one.path_mm) for one in split])
+    assert len(tracer.reach[0].copies) == 3
+    walked = tracer.walk(0, photons=photons * batches, seed=1911_05_03)
+    ended = np.flatnonzero(walked.outcome >= DETECTED)
+    path = tracer.by_zone(walked.path_mm[:, ended])
+    plain = scored(walked.outcome[ended] - DETECTED, walked.weight[ended], path)
+    (sums, squares), total = ours.sum(0), photons * batches
+    error, more = stderr_of_mean(sums, squares, total), stderr_of_mean(*plain, total)
+    assert np.sum((sums / total - plain[0] / total) ** 2 / (error**2 + more**2)) < 45
+    assert np.all(error[0] / sums[0] < 0.7 * more[0] / plain[0][0])
+    spread = ours[:, 0].std(axis=0, ddof=1) / photons / np.sqrt(batches)
+    assert np.all((spread / error > 0.6) & (spread / error < 1.5))
+    energy = [{part: total / photons for part, (total, _) in one.energy.items()} for one in split]
+    assert np.abs([sum(one.values()) - 1 for one in energy]).max() < 1e-9
+    assert abs(np.mean([one["lost"] for one in energy])) < 1e-4
 
 
 @pytest.mark.jit
