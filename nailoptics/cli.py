@@ -96,6 +96,8 @@ def run(arguments: list[str], *, own_process: bool = False) -> int:
         except BrokenPipeError:
             silence_stdout()
             return 0
+        except NotReachedError as error:  # which may tell of an interrupt, and what is kept
+            line, code = _told(error)
         except Exception as error:
             line, code = (_interrupted("", files), 130) if is_interrupted() else _told(error)
         say(line)
