@@ -99,6 +99,23 @@ def test_an_oximeter_is_kept_without_the_nails_that_were_not_traced(folder, chos
 
 
 @pytest.mark.jit
+def test_a_calibration_is_not_made_of_a_part_of_its_light(folder, chosen_jit, store):
+    """An interrupt while light is traced, and a second one; expected: neither a fault of ours nor a subject."""
+    recording = Path("recording.csv")
+    names = "time_s,force_n,site,proximal.6,proximal.8,proximal.10,proximal.12,distal.3,distal.5,distal.7,distal.9"
+    forces = [0.0] * 300 + [1.0] * 300
+    volts = [",".join([f"{0.3 + 0.01 * force + 1e-5 * (k % 7):g}"] * 8) for k, force in enumerate(forces)]
+    lines = [f"{k / 100},{force},even,{read}" for k, (force, read) in enumerate(zip(forces, volts, strict=True))]
+    recording.write_text("\n".join([names, *lines]) + "\n")
+    command = ("calibrate", "prototype", str(recording), "-o", "me.toml", "--photons", "20000")
+    light = " The light that was traced is kept for the next time."
+    for twice, words in ((True, "no result was written."), (False, f"no subject was written.{light}")):
+        ended = interrupted_at("nailoptics.light.store:LedSource.batch", *command, twice=twice)
+        assert (ended.code, ended.later) == (130, 0) and ended.said[-1] == f"nailoptics: interrupted; {words}"
+        assert written(folder) - {"recording.csv"} == {str(path.relative_to(folder)) for path in store.rglob("*.dat")}
+
+
+@pytest.mark.jit
 def test_a_command_in_the_background_of_a_script_hears_no_interrupt(folder, chosen_jit, store):
     """A shell lets it ignore SIGINT, which is for the script; expected: it goes on to its end."""
     ended = interrupted_at("nailoptics.light.tracing:_take_batches", *SIMULATE, ignored=True)

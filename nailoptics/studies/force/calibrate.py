@@ -9,9 +9,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from ...errors import InputError
+from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...hemodynamics import steady_state
 from ...light import ProgressCallback, open_light
+from ...light.tracing import INTERRUPTED
 from ...options import Requested
 from ...scene import Scene, Touch, digest, to_toml
 from ...scene.sensor_recordings import SATURATED, SITES, Recording, read_sensor_recording
@@ -52,6 +53,7 @@ FITTED, PROFILED = 0.4, 0.5
 QUICKLY_S = 0.2
 # What the paper tunes by hand beside offset and scale: time constants.
 PAPER_FACTORS = ("vein_damping", "capillary_damping")
+NO_SUBJECT = f"{INTERRUPTED}; no subject was written."
 
 
 def calibrate(
@@ -71,15 +73,22 @@ def calibrate(
     Returns: Dataset of the recordings beside what was fitted, over sample and reading; its attribute `subject` is the
     text of the subject's file, from which `predict` tells force.
 
-    Raises: InputError for recordings that cannot calibrate this board; NotReachedError of the trace.
+    Raises: InputError for recordings that cannot calibrate this board; NotReachedError, with the Dataset as result,
+    where the trace falls short of what is required; KeyboardInterrupt if it was interrupted.
     """
     names = reading_names(scene)
     read = [one if isinstance(one, Recording) else read_sensor_recording(one) for one in recordings]
     given = [_checked(one.of(names), scene) for one in read]
     if not given:
         raise InputError("calibrate needs at least one recording of a known force.")
-    scene, table = open_table(scene, model=model, progress=progress, **requested)
-    return calibrate_with(scene, table, given, model=model, progress=progress)
+    (scene, table), unmet = as_far_as_reached(open_table, scene, model=model, progress=progress, **requested)
+    if str(unmet).startswith(INTERRUPTED):
+        raise KeyboardInterrupt(NO_SUBJECT)
+    result = calibrate_with(scene, table, given, model=model, progress=progress)
+    if unmet:
+        result.attrs["cut_off"] = str(unmet)
+        raise NotReachedError(str(unmet), result=result)
+    return result
 
 
 def open_table(
@@ -89,14 +98,21 @@ def open_table(
     progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
 ) -> tuple[Scene, ReadingTable]:
-    """The scene as it is fitted, and its readings over blood, traced: what calibrations of many people share."""
+    """The scene as it is fitted, and its readings over blood, traced: what calibrations of many people share.
+
+    Raises: NotReachedError with both as result where the trace falls short of what is required.
+    """
     # A person is the paper's network of two zones, whatever the scene has.
     two = {"zones": None, "zone_edges_mm": (0.0,), "decay_length": None}
     scene = scene.model_copy(update={"blood": scene.blood.model_copy(update=two), "body": None})
     most_blood = min(1.0, MOST_OVER_REST * scene.blood.rest_blood_fraction)
-    light = open_light(scene, states=nodes_of(most_blood), progress=progress, **requested)
+    how: dict[str, Any] = {"states": nodes_of(most_blood), "progress": progress, **requested}
+    light, unmet = as_far_as_reached(open_light, scene, **how)
     table = reading_table(scene, light, most_blood)
-    return scene, paper_table(scene, table) if model == "paper" else table
+    table = paper_table(scene, table) if model == "paper" else table
+    if unmet:
+        raise NotReachedError(str(unmet), result=(scene, table))
+    return scene, table
 
 
 def calibrate_with(
@@ -168,7 +184,7 @@ def _reporter(progress: ProgressCallback | None) -> Callable[[float], None]:
     def report(done: float) -> None:
         stage("fit", done)
         if stage.interrupted:
-            raise KeyboardInterrupt("interrupted; no subject was written.")
+            raise KeyboardInterrupt(NO_SUBJECT)
 
     return report
 
