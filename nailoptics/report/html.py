@@ -4,6 +4,7 @@ import html
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from typing import TYPE_CHECKING, Any
+from unicodedata import category
 
 from . import style
 from .numbers import significant
@@ -22,6 +23,8 @@ PROVENANCE = {
     "cpu_seconds": "Processor time [s]",
     "references": "After",
 }
+# Unicode's categories of characters that nobody sees: they control, turn the writing round, or are no text at all.
+UNSEEN = ("Cc", "Cf", "Cs")
 
 
 def document(
@@ -102,8 +105,9 @@ def small(text: str) -> str:
 
 
 def escaped(text: object) -> str:
-    """Plain words as HTML."""
-    return html.escape(str(text))
+    """Plain words as HTML; characters that nobody sees, such as one that turns the writing round, are written out."""
+    seen = (c if c in "\n\t" or category(c) not in UNSEEN else ascii(c)[1:-1] for c in str(text))
+    return html.escape("".join(seen))
 
 
 def _definitions(rows: Iterable[tuple[str, str]], *, opening: str = "<dl>") -> str:

@@ -26,6 +26,16 @@ def test_every_slot_of_a_page_shows_a_name_as_text(name):
     assert_text_alone(html.table(["head"], [["cell"], ["other"]], groups=[name, "another"]), name)
 
 
+def test_what_nobody_sees_is_written_out_on_a_page():
+    """A name that clears a terminal, one that turns the writing round, and the byte of a file's name that is no text;
+    an unbreakable space and a line break stay."""
+    name = "a\x1b[2J\u202eb\udcffc\u00a0d\ne"
+    shown = "a\\x1b[2J\\u202eb\\udcffc\u00a0d\ne"
+    text = html.document(kicker="k", title=name, lead="l", cards=[(name, name)], body=[], attributes={"scene": name})
+    assert shown in Tags(text).said and text.encode()
+    assert not any(c in text for c in "\x1b\u202e\udcff")
+
+
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_drawing_and_its_caption_show_a_name_as_text(name):
     """Labels, legend and title of a figure, as SVG inside a page."""
