@@ -6,10 +6,13 @@ import sys
 from pathlib import Path
 
 import pytest
+import xarray as xr
 from interrupted import ENVIRONMENT, interrupted_at
 from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.report.result_files import SIMULATION
+from nailoptics.studies.colour.enough_rays import PILOT
+from nailoptics.studies.colour.reflectance import NODES
 
 BATCH = "nailoptics.studies.exploration.colour_table:ColourSums.trace"
 EXPLORE = ("explore", "prototype", "--photons", "49152", "-o", "page.html")
@@ -86,6 +89,16 @@ def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, chosen_jit
         assert (ended.code, ended.later) == (3, 0), ended.said
         assert ended.said[-1].endswith("What was reached is in out.") and "interrupted" in ended.said[-1]
         assert written(folder / "out") == {"colour.nc", "colour.html", "strip.png", "press.gif"}
+
+
+@pytest.mark.jit
+def test_the_rays_that_a_colour_waits_for_are_given_up(folder, chosen_jit):
+    """Expected: at the second wavelength of the second round, of ten times as many rays, the first's are kept."""
+    Path("finger.toml").write_text(SMALL_FINGER_BEST + "[priors]\nspread = false\n")
+    command = ("colour", "finger.toml", "--no-photograph", "--tolerance", "0.01", "-o", "out")
+    ended = interrupted_at("nailoptics.light.bare_nail:BareNail.reflect", *command, call=NODES + 2)
+    assert (ended.code, ended.later) == (3, 0) and "interrupted at a standard error of" in ended.said[-1]
+    assert xr.load_dataset("out/colour.nc").attrs["photons"] < 2 * PILOT
 
 
 @pytest.mark.jit

@@ -18,7 +18,7 @@ from .reflectance import ColourRays, walk_colour
 
 Array = NDArray[np.float64]
 
-# Rays of all nodes from which the number that each place needs is learned, and most that run uninterrupted.
+# Rays of all nodes from which the number that each place needs is learned, and most of a part.
 PILOT, MOST_AT_ONCE = 120_000, 1_200_000
 # A tenth more rays than follow from the errors so far, so that few places need a third round.
 MORE = 1.1
@@ -94,7 +94,7 @@ def walk_until_known(
 
 @dataclass
 class _Walk:
-    """Rays that grow, a part that runs uninterrupted at a time."""
+    """Rays that grow, a part at a time."""
 
     nail: BareNail
     options: TraceOptions
@@ -107,16 +107,23 @@ class _Walk:
     pace_s: float = math.inf
 
     def add(self, patches: Sequence[Patch], wanted: int) -> None:
-        """Walk so many rays more, fewer where time ends or the user interrupts."""
+        """Walk so many rays more, fewer where time ends or the user interrupts: a part that is at work is given up."""
         begun = done = self.rays.photons if self.rays else 0
         while done < begun + wanted and not (self.rays and self.stage.is_over(1.0)):
 
             def report(photons: int, base: int = done) -> None:
                 self.stage("colour", (base + photons) / (begun + wanted), self.error, self.target)
+                if self.stage.interrupted and self.rays:
+                    raise KeyboardInterrupt
 
             seed, count = seed_of(self.options.seed, self.parts), min(begun + wanted - done, self._most())
             before_s = self.stage.seconds
-            more = walk_colour(self.nail, patches, photons=count, seed=seed, progress=report)
+            try:
+                more = walk_colour(self.nail, patches, photons=count, seed=seed, progress=report)
+            except KeyboardInterrupt:
+                if not (self.stage.interrupted and self.rays):
+                    raise
+                return
             self.pace_s = (self.stage.seconds - before_s) / more.photons
             self.rays = more if self.rays is None else self.rays.with_more(more)
             done, self.parts = self.rays.photons, self.parts + 1
