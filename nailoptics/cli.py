@@ -23,7 +23,7 @@ from .command_time import (
 )
 from .commit import commit
 from .errors import InputError, NailopticsError, NotReachedError, WriteError, as_far_as_reached
-from .io import LIGHT, RESULT, check_writable, files_noted, leave_dask_out, make_folder
+from .io import LIGHT, RESULT, abandon_files, check_writable, files_noted, leave_dask_out, make_folder
 from .options import TraceOptions
 from .terminal import (
     StopAtOnce,
@@ -85,7 +85,11 @@ def run(arguments: list[str], *, own_process: bool = False) -> int:
     own_process : whether this process was started for it, so that its time counts from there on.
     """
     command_time.begin(with_process=own_process)
-    with plain_messages(), files_noted() as files, hard_interrupts() as is_interrupted:
+    with (
+        plain_messages(),
+        files_noted() as files,
+        hard_interrupts((lambda: _end_at_once(files)) if own_process else None) as is_interrupted,
+    ):
         try:
             app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
             if sys.stdout:
@@ -110,6 +114,15 @@ def _interrupted(why: str, files: Iterable[tuple[str, Path]]) -> str:
     written = f"only these results were written: {', '.join(results)}." if results else "no result was written."
     light = " The light that was traced is kept for the next time." if any(what == LIGHT for what, _ in files) else ""
     return (why or f"interrupted; {written}") + light
+
+
+def _end_at_once(files: Iterable[tuple[str, Path]]) -> None:
+    """End the process where it is, with a word on what is kept; no exception passes through compiled code."""
+    abandon_files()
+    cursor = "\x1b[?25h" if sys.stderr and sys.stderr.isatty() else ""  # a bar of progress hides it
+    with suppress(OSError):
+        os.write(2, f"{cursor}nailoptics: {written_out(_interrupted('', files))}\n".encode(errors="replace"))
+    os._exit(130)
 
 
 def _told(error: Exception) -> tuple[str, int]:

@@ -71,6 +71,8 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 RESULT, LIGHT = "result", "light"
 # Those who note what is finished.
 _NOTES: list[list[tuple[str, Path]]] = []
+# New files that have not taken their places yet.
+_ASIDE: list[Path] = []
 # What a member of an archive begins with, and the flag of one whose size is told after it.
 _MEMBER, _SIZE_FOLLOWS = b"PK\x03\x04", 8
 
@@ -128,6 +130,7 @@ def _in_place_of(path: Path, *, flush: bool = False, what: str = RESULT) -> Iter
         raise WriteError(f"{path}: is a folder or device where a file is to be written; choose another name.")
     # Exclusive creation opens no file of another and follows no link.
     file = FileIO(aside, "x+")
+    _ASIDE.append(aside)
     try:
         with file:
             yield file
@@ -140,6 +143,15 @@ def _in_place_of(path: Path, *, flush: bool = False, what: str = RESULT) -> Iter
         with contextlib.suppress(OSError):
             aside.unlink(missing_ok=True)
         raise
+    finally:
+        _ASIDE.remove(aside)
+
+
+def abandon_files() -> None:
+    """Remove what is half written, before a process ends where it is."""
+    for aside in _ASIDE:
+        with contextlib.suppress(OSError):
+            aside.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -179,16 +179,20 @@ class StopAtOnce(BaseException):
 
 
 @contextmanager
-def hard_interrupts() -> Iterator[Callable[[], bool]]:
+def hard_interrupts(end_at_once: Callable[[], None] | None = None) -> Iterator[Callable[[], bool]]:
     """Ctrl-C raises KeyboardInterrupt, and StopAtOnce where another asked before to end after a batch.
 
     Yields whether it did: imports and compiled code make other errors of it.
+
+    end_at_once : called first where StopAtOnce would be raised, of which compiled code may make a crash.
     """
     pressed: list[int] = []
     _ASKED.clear()
 
     def end(number: int, frame: Any) -> None:
         pressed.append(number)
+        if _ASKED and end_at_once:
+            end_at_once()
         raise StopAtOnce if _ASKED else KeyboardInterrupt
 
     with _on_interrupt(end):

@@ -80,6 +80,14 @@ def test_a_second_interrupt_finishes_nothing(folder, chosen_jit, store):
 
 
 @pytest.mark.jit
+def test_a_second_interrupt_leaves_nothing_half_written(folder, chosen_jit, store):
+    """It comes when a batch is to take its place in the store, and ends the process there."""
+    ended = interrupted_at("nailoptics.io:os.replace", *SIMULATE, twice=True)
+    assert ended.code == 130 and ended.said == ["nailoptics: interrupted; no result was written."]
+    assert not list(folder.rglob("*.part")) and not list(store.rglob("*.dat")) and not written(folder / "out")
+
+
+@pytest.mark.jit
 def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, chosen_jit):
     """While rays are walked, and while the first photograph is made; expected: no photograph is begun after it."""
     Path("finger.toml").write_text(SMALL_FINGER_BEST + "[priors]\nspread = false\n[colour]\nphotograph_px = [40, 30]\n")
