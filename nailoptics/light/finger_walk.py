@@ -93,12 +93,11 @@ class FingerTracer:
         acceptance = acceptance_of(self.scene.photodiodes)
         walked = self.walk(led, photons=photons, seed=seed, splitting=splitting, acceptance=acceptance)
         energy, absorbed = walked.energy(self.regions[led].absorbing, self.regions[led].swallows)
-        photodiode, score = np.array(splitting.photodiode), np.array(splitting.score)
-        detected = np.flatnonzero(score)
+        detected, photodiode, weight = splitting.records()
         return Batch(
             photons=photons,
-            photodiode=photodiode[detected].astype(np.uint16),
-            weight=score[detected].astype(float),
+            photodiode=photodiode.astype(np.uint16),
+            weight=weight,
             path_mm=self.by_zone(walked.path_mm[:, detected]),
             energy=energy,
             absorbed=absorbed,
@@ -354,9 +353,10 @@ class FingerWalk:
 
     @dr.syntax
     def detect(self, photon: FingerPhoton, splitting: Splitting, accepted: Any) -> None:
-        """Score a photon that reached a photodiode; of its copies one is kept, as likely as it weighs."""
+        """Score a photon that reached a photodiode; of its copies one is kept, as likely as it counts."""
         if photon.outcome >= DETECTED:
-            weight = photon.weight * remaining(photon.tau) * accepted
+            importance = dr.gather(mi.Float, splitting.importance, photon.outcome - DETECTED)
+            weight = photon.weight * remaining(photon.tau) * accepted * importance
             photon.score += weight
             if photon.rng.next_float32() * photon.score < weight:
                 dr.scatter(splitting.photodiode, photon.outcome - DETECTED, photon.index)

@@ -5,7 +5,6 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..geometry import Face, Geometry
 from .tallies.cell_grid import CellGrid
@@ -17,10 +16,10 @@ COPIES = 8
 REACH_MM = 0.4
 # Reach is known on cells of this size, seen from above.
 CELL_MM = 0.1
-# Where a barrier keeps light in the tissue and all photodiodes are far from the LED, each stride on the way leaves some
-# quarter of the photons, and each that has made it goes on as so many, up to a distance from the photodiodes. That is
-# worth 2 times the figure of merit 2.5 mm away, 6 times at 4 mm, 14 to 22 times at 5 mm. Light that comes straight
-# through the epoxy goes where its copies go, and photodiodes at unlike distances gain nothing.
+# Where a barrier keeps light in the tissue, each stride from the LED leaves a quarter of it or so, and each photon that
+# has made one towards a photodiode goes on as so many, up to a distance from there. For the faintest of the prototype's
+# readings that is worth 2 times the figure of merit, with the LED 5 mm away 14 times. Light that comes straight through
+# the epoxy goes where its copies go.
 STRIDE_COPIES = 4
 STRIDE_MM = 1.0
 LEAST_DISTANCE_MM = 1.25
@@ -32,6 +31,7 @@ class Reach:
     """Where photons of one LED are split, level by level: on the way to the photodiodes, and last within their reach.
 
     copies : (levels) list of int. Into how many.
+    importance : (photodiodes,) float32. How much light counts there, so that the faintest readings have their part.
     """
 
     def __init__(self, geometry: Geometry, led: Face) -> None:
@@ -41,7 +41,10 @@ class Reach:
         strides, low = strides_made(geometry, led)
         count = int(strides.max(initial=0))
         self.copies = [STRIDE_COPIES] * count + [COPIES]
+        away = distances(geometry, led)
+        self.importance = np.ones(len(away), np.float32)
         if count:
+            self.importance = (STRIDE_COPIES ** ((away - away.min()) / STRIDE_MM)).astype(np.float32)
             self.strides = mi.UInt32(strides.ravel())
             self.way = CellGrid(low, [STRIDE_CELL_MM] * 3, strides.shape)
 
@@ -60,15 +63,23 @@ class Splitting:
     """What the copies of each photon scored in the photodiodes.
 
     If copies of a photon reach several photodiodes, it counts for one of these, chosen with a probability in proportion
-    to the weight that arrived there, and with the weight of all: so every photon leaves one record, and records are
-    independent.
+    to the weight that arrived there times its importance, and with what makes up for the others: so every photon leaves
+    one record, and records are independent.
 
-    photodiode, score : (photons,) Which photodiode each counts for, and its weight there; 0 if none.
+    photodiode, score : (photons,) Which photodiode each counts for, and the sum of all its weights, each times the
+        importance of where it arrived; 0 if none.
     """
 
     def __init__(self, reach: Reach, photons: int) -> None:
-        self.reach = reach
+        self.reach, self.importance = reach, mi.Float(reach.importance)
         self.photodiode, self.score = dr.zeros(mi.UInt32, photons), dr.zeros(mi.Float, photons)
+
+    def records(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Which photons were detected, (n,) int, by which photodiode, (n,) int, and with what weight, (n,) float."""
+        photodiode, score = np.array(self.photodiode), np.array(self.score)
+        detected = np.flatnonzero(score)
+        photodiode = photodiode[detected]
+        return detected, photodiode, score[detected].astype(float) / self.reach.importance[photodiode]
 
 
 def near_photodiodes(geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:
@@ -86,20 +97,30 @@ def near_photodiodes(geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:
 
 
 def strides_made(geometry: Geometry, led: Face) -> tuple[np.ndarray, np.ndarray]:
-    """How many strides light has made in each cell, (nx, ny, nz) uint32, from one LED to the photodiodes, and the
+    """How many strides light has made in each cell, (nx, ny, nz) uint32, from one LED towards a photodiode, and the
     cells' lower corner, (3,) float [mm]; no cells where there are none to make."""
-    centres = np.array([_centre(face) for face in geometry.photodiodes])
-    away = np.linalg.norm(centres - _centre(led), axis=1).min()
-    reaches = away - STRIDE_MM * np.arange(1, 1 + MOST_STRIDES)
-    reaches = reaches[reaches >= LEAST_DISTANCE_MM]
+    away = distances(geometry, led)
+    most = np.minimum(np.floor((away - LEAST_DISTANCE_MM) / STRIDE_MM), MOST_STRIDES)
+    far = np.flatnonzero(most > 0)
     walled = geometry.regions.index("barrier") in (*geometry.below, *geometry.above)
-    if not walled or not len(reaches):
+    if not walled or not len(far):
         return np.zeros((0, 0, 0), np.uint32), np.zeros(3)
-    low, high = centres.min(0) - reaches[0], centres.max(0) + reaches[0]
+    centres = np.array([_centre(geometry.photodiodes[i]) for i in far])
+    reach = (away[far] - STRIDE_MM)[:, None]
+    low, high = (centres - reach).min(0), (centres + reach).max(0)
     count = np.ceil((high - low) / STRIDE_CELL_MM).astype(int)
     middles = [a + STRIDE_CELL_MM * (np.arange(n) + 0.5) for a, n in zip(low, count, strict=True)]
-    distance, _ = cKDTree(centres).query(np.stack(np.meshgrid(*middles, indexing="ij"), -1))
-    return np.asarray((distance[..., None] < reaches).sum(-1), np.uint32), low
+    cells = np.stack(np.meshgrid(*middles, indexing="ij"), -1).astype(np.float32)
+    made = np.zeros(count)
+    for i, centre in zip(far, centres.astype(np.float32), strict=True):
+        nearer = away[i] - np.sqrt(np.square(cells - centre).sum(-1))
+        made = np.maximum(made, np.minimum(np.floor(nearer / STRIDE_MM), most[i]))
+    return made.astype(np.uint32), low
+
+
+def distances(geometry: Geometry, led: Face) -> np.ndarray:
+    """From an LED to the middle of each photodiode, (photodiodes,) float. [mm]"""
+    return np.array([np.linalg.norm(_centre(face) - _centre(led)) for face in geometry.photodiodes])
 
 
 def _centre(face: Face) -> np.ndarray:
