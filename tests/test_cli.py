@@ -375,7 +375,7 @@ def test_a_photodiode_that_saw_nothing_is_told_as_such(folder, capfd, chosen_jit
     rows = json.loads(out)["readings"]
     assert any(row["volts_start_stderr"] is None for row in rows) and "saw no light" in err
     # No reading is above 1, and of one photon it is not even sure that it is below 0.94.
-    for photons, limit in (("300", -math.expm1(math.log(0.05) / 300)), ("1", 0.95)):
+    for photons, limit in (("100", -math.expm1(math.log(0.05) / 100)), ("1", 0.95)):
         assert run(["trace", "prototype", "--photons", photons, "--json"]) == 0
         limits = {row["upper_limit_95"] for row in only_json(capfd)["readings"] if "upper_limit_95" in row}
         assert limits and all(one == pytest.approx(limit) for one in limits)

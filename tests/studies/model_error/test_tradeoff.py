@@ -153,9 +153,8 @@ def test_what_is_named_is_within_the_tolerance_and_the_full_model_always_is(foun
     assert found.chosen.seconds() <= found.fastest(0.02).seconds() * 1.12
     # The line is read from the same photons.
     assert by_name["one wavelength"].bias("both") < 0.02 and by_name["one wavelength"].first == full.first
-    # Without forward scattering there is a tenth of the scatterings: the walk is cheaper, and wrong.
-    similar = by_name["similarity"]
-    assert similar.bias("both") > 0.02 and similar.reading_noise < full.reading_noise
+    # Without forward scattering there is a tenth of the scatterings, and the readings are wrong.
+    assert by_name["similarity"].bias("both") > 0.02 and found.chosen.level.name != "similarity"
     # Photons that never meet epidermis or Kapton are the same: the error is a part of what two traces apart would have.
     assert by_name["no epidermis, no Kapton"].reading.stderr < 0.7 * by_name["matched indices"].reading.stderr
 
