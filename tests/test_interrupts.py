@@ -39,6 +39,7 @@ def test_explore_ends_within_a_batch_and_writes_no_page_of_too_little(folder, ch
     assert "No page was written." in ended.said[-1]
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_explore_keeps_the_wavelengths_that_it_knows(folder, chosen_jit):
     """Expected: at the second batch of the third wavelength a page of the first two, which says so."""
@@ -87,6 +88,7 @@ def test_a_second_interrupt_leaves_nothing_half_written(folder, chosen_jit, stor
     assert not list(folder.rglob("*.part")) and not list(store.rglob("*.dat")) and not written(folder / "out")
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, chosen_jit):
     """While rays are walked, and while the first photograph is made; expected: no photograph is begun after it."""
@@ -99,6 +101,7 @@ def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, chosen_jit
         assert written(folder / "out") == {"colour.nc", "colour.html", "strip.png", "press.gif"}
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_the_rays_that_a_colour_waits_for_are_given_up(folder, chosen_jit):
     """Expected: at the second wavelength of the second round, of ten times as many rays, the first's are kept."""
@@ -109,6 +112,7 @@ def test_the_rays_that_a_colour_waits_for_are_given_up(folder, chosen_jit):
     assert xr.load_dataset("out/colour.nc").attrs["photons"] < 2 * PILOT
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_an_oximeter_is_kept_without_the_nails_that_were_not_traced(folder, chosen_jit):
     """Expected: no further nail is traced after the interrupt, and the page says so."""

@@ -65,6 +65,7 @@ def folder(tmp_path):
         os.chmod(path, 0o700)
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_light_is_traced_where_its_store_or_what_is_in_it_is_closed_to_the_user(jit_backend, folder):
     """Rationale: a store that could not be searched once ended every command."""

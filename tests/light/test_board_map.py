@@ -56,6 +56,7 @@ def together(arrivals, point, rectangles):
     return np.mean([mean for mean, _ in each], 0), np.sqrt(np.mean([e**2 for _, e in each], 0) / len(each))
 
 
+@pytest.mark.long
 def test_over_a_photodiode_the_map_reads_what_the_photodiode_reads(scene, arrivals, transfer):
     """The map's board has no photodiodes, the trace's board has two: same reading, to 3 % and 6 %."""
     areas = list(scene.layout.photodiode_areas)

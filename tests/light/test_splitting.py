@@ -60,6 +60,7 @@ def test_there_are_no_strides_to_near_photodiodes_nor_where_light_comes_straight
         assert strides.size == 0
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_photons_split_on_the_way_read_what_plain_ones_read_and_state_true_errors(jit_backend, prototype):
     """Two levels on the way and one at the photodiodes. Light, and light times its path in the bed, in 16 values of
