@@ -2,7 +2,6 @@
 
 import gc
 import math
-import os
 import signal
 import sys
 from collections.abc import Callable, Iterable, Mapping
@@ -10,7 +9,7 @@ from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, Parameter
 
 from . import __version__
 from .command_time import (
@@ -22,8 +21,9 @@ from .command_time import (
     CommandTime,
 )
 from .commit import commit
+from .endings import end_at_once, interrupted, told
 from .errors import InputError, NailopticsError, NotReachedError, WriteError, as_far_as_reached
-from .io import LIGHT, RESULT, abandon_files, check_writable, files_noted, leave_dask_out, make_folder
+from .io import check_writable, files_noted, leave_dask_out, make_folder
 from .options import TraceOptions
 from .terminal import (
     StopAtOnce,
@@ -88,7 +88,7 @@ def run(arguments: list[str], *, own_process: bool = False) -> int:
     with (
         plain_messages(),
         files_noted() as files,
-        hard_interrupts((lambda: _end_at_once(files)) if own_process else None) as is_interrupted,
+        hard_interrupts((lambda: end_at_once(files)) if own_process else None) as is_interrupted,
     ):
         try:
             app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
@@ -96,51 +96,16 @@ def run(arguments: list[str], *, own_process: bool = False) -> int:
                 sys.stdout.flush()
             return 0
         except (KeyboardInterrupt, StopAtOnce) as error:
-            line, code = _interrupted(str(error), files), 130
+            line, code = interrupted(str(error), files), 130
         except BrokenPipeError:
             silence_stdout()
             return 0
         except NotReachedError as error:  # which may tell of an interrupt, and what is kept
-            line, code = _told(error)
+            line, code = told(error)
         except Exception as error:
-            line, code = (_interrupted("", files), 130) if is_interrupted() else _told(error)
+            line, code = (interrupted("", files), 130) if is_interrupted() else told(error)
         say(line)
         return code
-
-
-def _interrupted(why: str, files: Iterable[tuple[str, Path]]) -> str:
-    """What an interrupted command says: of its results those that are whole, and whether its light is kept."""
-    results = list(dict.fromkeys(str(path) for what, path in files if what == RESULT))
-    written = f"only these results were written: {', '.join(results)}." if results else "no result was written."
-    light = " The light that was traced is kept for the next time." if any(what == LIGHT for what, _ in files) else ""
-    return (why or f"interrupted; {written}") + light
-
-
-def _end_at_once(files: Iterable[tuple[str, Path]]) -> None:
-    """End the process where it is, with a word on what is kept; no exception passes through compiled code."""
-    abandon_files()
-    cursor = "\x1b[?25h" if sys.stderr and sys.stderr.isatty() else ""  # a bar of progress hides it
-    with suppress(OSError):
-        os.write(2, f"{cursor}nailoptics: {written_out(_interrupted('', files))}\n".encode(errors="replace"))
-    os._exit(130)
-
-
-def _told(error: Exception) -> tuple[str, int]:
-    """An error in one line, and the exit code."""
-    match error:
-        case CycloptsError():
-            return f"{error} (nailoptics --help shows what is known)", 2
-        case NailopticsError():
-            return str(error), error.exit_code
-        case OSError():
-            silence_stdout()
-            return f"{error.filename or 'the output'}: {error.strerror or error}.", 1
-        case MemoryError():
-            return "not enough memory; ask for fewer samples (touch.sample_rate_hz) or photons.", 1
-    if os.environ.get("NAILOPTICS_DEBUG"):
-        raise error
-    what = f"{type(error).__name__}: {error}"
-    return f"internal error, our fault: {what} (NAILOPTICS_DEBUG=1 shows where; please report it)", 1
 
 
 @app.command

@@ -45,7 +45,7 @@ ORDER = [
     {"exports"},
     {"report"},
     {"terminal"},
-    {"command_time"},
+    {"endings", "command_time"},
     {"cli"},
     {"__main__"},
 ]
