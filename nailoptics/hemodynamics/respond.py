@@ -53,8 +53,7 @@ def respond(
     model : "massless" walls are the tool; "inertial" is the paper's six-state model (2 N + 2 states for N units), the
         check: it agrees within 1e-5 um and takes many times as long.
     contact : False, in the inertial model only, lets walls pass through each other as printed.
-    rtol : Allowed error of a step, relative to a diameter. A noisy record has a corner at every sample to be resolved:
-        1e-4 is then several times as fast. [1]
+    rtol : Allowed error of a step, relative to a diameter. With noisy records 1e-4 is several times as fast. [1]
     only_diameters : Return no pressures, contacts and inputs, which of many samples are most of the memory.
 
     Returns: Dataset with dims zone and time; capillary_diameter_m (zone, time), capillary_pressure_pa (zone, time),
@@ -77,13 +76,9 @@ def respond(
     over_time = np.array([waveform.at(time) for waveform in waveforms])
     walls = build_walls(p, zones)
     begin = _balance(walls, to_channels(_first_pressures(waveforms, time[:1], touched=start == "steady")))
-    if model == "massless":
-        inputs = None if only_diameters else to_channels(over_time)
-        width, *others = massless.integrate(walls, drive, time, begin, inputs, rtol=rtol)
-    else:
-        width, *others = inertial.integrate(
-            walls, drive, time, begin, to_channels(over_time), rtol=rtol, contact=contact
-        )
+    inputs = None if only_diameters and model == "massless" else to_channels(over_time)
+    integrate: Any = massless.integrate if model == "massless" else partial(inertial.integrate, contact=contact)
+    width, *others = integrate(walls, drive, time, begin, inputs, rtol=rtol)
     variables = _diameters(zones, width)
     if not only_diameters:
         variables |= _state_variables(zones, *others) | _input_variables(zones, over_time)
