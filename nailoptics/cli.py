@@ -6,6 +6,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, suppress
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -70,6 +71,9 @@ File = Annotated[Path | None, Parameter(name=["--output", "-o"], help="File to w
 def main() -> None:
     """Run the command line; ends the process with 0 done, 2 the user's input, 3 not reached, 1 our fault."""
     leave_dask_out()
+    for stream in (sys.stdout, sys.stderr):  # names may hold letters that the terminal's encoding lacks
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     # Nearly all that a command makes lives as long as it does: to look for garbage among it is a tenth of its time.
     gc.set_threshold(100_000)
     code = run(sys.argv[1:], own_process=True)

@@ -6,8 +6,10 @@ import json
 import math
 import os
 import secrets
+import stat
 import struct
 import sys
+import time
 import zlib
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
@@ -73,6 +75,9 @@ RESULT, LIGHT = "result", "light"
 _NOTES: list[list[tuple[str, Path]]] = []
 # New files that have not taken their places yet.
 _ASIDE: list[Path] = []
+# What writers that were killed left in a folder goes with the next write into it when it is so old. [s]
+LEFTOVER_S = 86400.0
+_SWEPT: set[Path] = set()
 # What a member of an archive begins with, and the flag of one whose size is told after it.
 _MEMBER, _SIZE_FOLLOWS = b"PK\x03\x04", 8
 
@@ -96,7 +101,7 @@ def write_bytes(path: Path, data: bytes | memoryview, *, flush: bool = False, wh
     """Write a file whole or not at all: whatever happens, what lies at path is the old file or the new one.
 
     The data go to a new file of a random name in the same folder, which then takes the place of the old one. A
-    symbolic link at path is replaced, and what it points to stays as it was.
+    symbolic link at path is replaced, and what it points to stays as it was. The new file has the old one's mode.
 
     flush : whether it must be on disk before this returns, so that a power cut cannot undo it.
     what : what the file is, for those who note it.
@@ -125,14 +130,19 @@ def _write_all(file: FileIO, data: Any) -> None:
 @contextlib.contextmanager
 def _in_place_of(path: Path, *, flush: bool = False, what: str = RESULT) -> Iterator[FileIO]:
     """A new file aside, unbuffered, which takes the place of that at path if the block ends well, and else goes."""
+    _sweep_leftovers(path.parent)
     aside = path.with_name(f".nailoptics-{secrets.token_hex(8)}.part")
     if path.exists() and not path.is_file():
         raise WriteError(f"{path}: is a folder or device where a file is to be written; choose another name.")
+    mode = None if path.is_symlink() or not path.exists() else path.stat().st_mode & 0o777
     # Exclusive creation opens no file of another and follows no link.
-    file = FileIO(aside, "x+")
+    file = FileIO(aside, "x+", opener=lambda name, flags: os.open(name, flags, 0o666 if mode is None else 0o600))
     _ASIDE.append(aside)
     try:
         with file:
+            if mode is not None:
+                with contextlib.suppress(OSError):  # a file system without modes
+                    os.chmod(aside, mode)
             yield file
             if flush:
                 os.fsync(file.fileno())
@@ -145,6 +155,18 @@ def _in_place_of(path: Path, *, flush: bool = False, what: str = RESULT) -> Iter
         raise
     finally:
         _ASIDE.remove(aside)
+
+
+def _sweep_leftovers(folder: Path) -> None:
+    """Remove old files that killed writers left in a folder, once in this process; follows no link."""
+    if folder in _SWEPT or folder.is_symlink():
+        return
+    _SWEPT.add(folder)
+    old = time.time() - LEFTOVER_S
+    with contextlib.suppress(OSError):  # it cannot be listed, or another process swept first
+        for path in folder.glob(".nailoptics-*.part"):
+            if stat.S_ISREG(path.lstat().st_mode) and path.lstat().st_mtime < old:
+                path.unlink(missing_ok=True)
 
 
 def abandon_files() -> None:

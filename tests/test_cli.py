@@ -207,6 +207,12 @@ def test_names_that_steer_a_terminal_are_written_out(folder, capfd):
     assert (out + err).replace("\n", "").isprintable()
 
 
+def test_names_that_the_terminals_encoding_lacks_are_written_out(folder):
+    (folder / "\u6307\u7532.toml").write_text(SMALL_FINGER)
+    done = spawn("check", "\u6307\u7532.toml", env={"PYTHONIOENCODING": "ascii"})
+    assert done.returncode == 0 and done.stdout.startswith(r"\u6307\u7532.toml: "), done.stderr
+
+
 def test_an_interrupt_before_anything_was_finished_is_one_line_and_exit_code_130(capfd, monkeypatch):
     def interrupt():
         raise KeyboardInterrupt

@@ -5,6 +5,7 @@ import os
 import stat
 import subprocess
 import sys
+import time
 import tracemalloc
 import zlib
 from io import BytesIO
@@ -134,6 +135,33 @@ def test_files_have_the_permissions_that_the_umask_leaves(mask, tmp_path):
     finally:
         os.umask(before)
     assert {stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()} == {0o666 & ~mask}
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o664])
+def test_a_file_that_is_rewritten_keeps_its_mode(mode, tmp_path):
+    for name in ("file", "set.nc"):
+        (tmp_path / name).touch()
+        (tmp_path / name).chmod(mode)
+    io.write_text(tmp_path / "file", "text")
+    io.write_dataset(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "set.nc")
+    assert {stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()} == {mode}
+
+
+def test_a_write_removes_what_killed_writers_left_a_day_ago(tmp_path):
+    """Not what another writes at this moment, not what only a link leads to, and nothing of another name."""
+    long_ago = time.time() - 2 * io.LEFTOVER_S
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "linked").symlink_to(tmp_path / "elsewhere")
+    left = ["here/.nailoptics-0.part", "here/.nailoptics-1.part", "here/other.part", "elsewhere/.nailoptics-2.part"]
+    io.make_folder(tmp_path / "here")
+    for name in left:
+        (tmp_path / name).touch()
+        if not name.endswith("1.part"):
+            os.utime(tmp_path / name, (long_ago, long_ago))
+    for folder in ("here", "linked"):
+        io.write_text(tmp_path / folder / "file", "text")
+    assert names(tmp_path / "here") == [".nailoptics-1.part", "file", "other.part"]
+    assert names(tmp_path / "elsewhere") == [".nailoptics-2.part", "file"]
 
 
 def test_a_link_is_replaced_and_what_it_points_to_stays(tmp_path):

@@ -13,7 +13,6 @@ import numpy as np
 
 from ..errors import InputError
 from ..io import CorruptError, check_writable, claimed, make_folder, unpack, write_bytes
-from ..light.store import sweep_leftovers
 
 FORMAT = 3
 # What a plan holds, each of its type.
@@ -52,7 +51,6 @@ class Folder:
         for name in ("results", "light", "failed"):
             make_folder(self.root / name)
             check_writable(self.root / name)
-        sweep_leftovers(self.root)
 
     def result(self, digest: str) -> Path:
         """The result of one scene."""
@@ -96,14 +94,12 @@ class Folder:
         """Write the plan, whole or not at all."""
         write_bytes(self.root / "plan.json", json.dumps({"format": FORMAT} | plan).encode(), flush=True)
 
-    def read_result(
-        self, digest: str, *, made: dict[str, Any], arrays: bool = True
-    ) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
-        """A scene's result or its header alone, or None; raises CorruptError where it is not what was written.
+    def read_result(self, digest: str, *, made: dict[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
+        """Header and arrays of a scene's result, or None; raises CorruptError where it is not what a run writes.
 
         made : with which seed, backend and versions it must have been made; else ForeignError.
         """
-        found = _read(self.result(digest), arrays=arrays)
+        found = _read(self.result(digest))
         if found is None:
             return None
         if not found[0].keys() >= _RESULT:
@@ -112,6 +108,10 @@ class Folder:
             raise CorruptError("it belongs to another scene")
         if found[0]["made"] != made:
             raise ForeignError("it was made with another seed, backend or version")
+        try:
+            _check_result(*found)
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            raise CorruptError(f"its content is no result's ({error})") from None
         return found
 
     def gone(self) -> bool:
@@ -138,16 +138,37 @@ class Folder:
         return claimed(self.root / ".claims", int(digest[:15], 16))
 
 
-def _read(path: Path, *, arrays: bool = True) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
     """Header and arrays of a file, or None where there is none; raises CorruptError."""
     try:
-        return unpack(path.read_bytes(), arrays=arrays)
+        return unpack(path.read_bytes())
     except FileNotFoundError:
         return None
     except OSError as error:
         if error.errno in STORAGE:
             raise
         raise CorruptError(f"it cannot be read: {error.strerror}") from None
+
+
+def _check_result(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
+    """Raise ValueError, TypeError, KeyError or AttributeError unless a result's content makes a dataset of readings."""
+    sizes: dict[str, int] = {}
+    if not header["variables"] or arrays.keys() - header["variables"].keys():
+        raise ValueError("its variables are not those of its arrays")
+    for name, entry in header["variables"].items():
+        values = arrays[name] if name in arrays else np.array(entry["text"], dtype=str).reshape(entry["shape"])
+        for dim, size in zip(entry["dims"], values.shape, strict=True):
+            if sizes.setdefault(dim, size) != size:
+                raise ValueError(f"{name} has {size} along {dim}, others {sizes[dim]}")
+        if name == "detected_fraction_rest" and not (np.isfinite(values) & (values >= 0)).all():
+            raise ValueError(f"{name} is negative or not finite")
+        entry["attrs"].keys(), entry["coord"]
+    header["attrs"].keys()
+    error = header["relative_error"]
+    if not (error is None or math.isfinite(error)) or not math.isfinite(header["photons_per_led"]):
+        raise ValueError("its photons or their error are not finite")
+    if not isinstance(header["reached"], bool):
+        raise ValueError("it does not tell whether it reached its accuracy")
 
 
 def _check_plan(plan: dict[str, Any]) -> None:

@@ -62,7 +62,7 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
                 state = FAILED if place.has_failed(digest) else MISSING
         except ForeignError:
             state = FOREIGN
-        except (CorruptError, KeyError, TypeError, ValueError):
+        except CorruptError:
             state = FAILED if place.has_failed(digest) else CORRUPT
         states.append(state)
         if one is not None:
@@ -94,14 +94,12 @@ def _result(header: dict[str, Any], arrays: dict[str, np.ndarray], axes: set[str
         if not course and "time" in dims:
             continue
         values = arrays[name] if name in arrays else np.array(entry["text"], dtype=str).reshape(entry["shape"])
-        if values.ndim != len(dims):
-            raise ValueError(f"{name} does not fill its dimensions")
         if entry["coord"]:
             coords[name] = dims, values, entry["attrs"]
         else:
             data[f"{name}_result" if name in axes else name] = dims, values, entry["attrs"]
-    told = dict(header) | {"photons_per_led": float(header["photons_per_led"]), "reached": bool(header["reached"])}
-    told["relative_error"] = np.nan if header["relative_error"] is None else float(header["relative_error"])
+    told = dict(header) | {"photons_per_led": float(header["photons_per_led"])}
+    told["relative_error"] = np.nan if header["relative_error"] is None else header["relative_error"]
     for name, key, text in _TOLD:
         label = f"{name}_result" if name in axes else name
         data[label] = (), np.asarray(told[key]), {"units": "1", "long_name": text}

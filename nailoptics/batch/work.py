@@ -233,7 +233,7 @@ def meets(header: dict[str, Any], required: Accuracy) -> bool:
 def standing(folder: Folder, digest: str, required: Accuracy, made: dict[str, Any]) -> str:
     """How a scene stands: done, below what is required, foreign, corrupt, failed or missing."""
     try:
-        found = folder.read_result(digest, made=made, arrays=False)
+        found = folder.read_result(digest, made=made)
     except ForeignError:
         return "foreign"
     except CorruptError:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Unpack
+from zipfile import ZipFile
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from ..scene import Scene, parse_scene
 FIELDS = ("photodiode", "path_mm", "photons", "led", "seed", "program", "scene")
 # Blood in all zones, of that at rest, to which readings are read over: from 3 % to 2 and 5 %.
 BLOOD_FACTORS = (2 / 3, 5 / 3)
+# Compressed arrays may take so much once they are unpacked, or as much as their file. [bytes]
+MOST_UNPACKED = 250_000_000
 # Readings of fewer photons by either program have no error that could be held against anything.
 LEAST_PHOTONS = 10
 
@@ -150,6 +153,9 @@ def read_detected(path: Path) -> OtherDetection:
         why = f"cannot be read: {error.strerror}; give the detected.npz of an export's runner."
         raise InputError(f"{path}: {why}") from None
     try:
+        unpacked = sum(member.file_size for member in ZipFile(BytesIO(data)).infolist())
+        if unpacked > max(MOST_UNPACKED, len(data)):
+            raise ValueError(f"{unpacked / 1e6:.0f} MB unpacked, of at most {MOST_UNPACKED / 1e6:.0f}")
         with np.load(BytesIO(data), allow_pickle=False) as file:
             found = {name: file[name] for name in FIELDS}
         which, paths = found["photodiode"].astype(np.int64), found["path_mm"].astype(np.float32)

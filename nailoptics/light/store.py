@@ -33,8 +33,6 @@ VARIABLE = "NAILOPTICS_STORE"
 # The user's store takes at most so much, and of what is free on its disk at most this part. [bytes]
 MOST_BYTES = 2e9
 MOST_OF_FREE = 0.25
-# Older leftovers of killed writers are swept away; a writer at work is never this slow. [s]
-LEFTOVER_S = 3600.0
 # What decides a photon's way beside the scene, so that no other program's light passes for this one's.
 _ROOMS = ("light", "geometry", "tissue", "scene")
 _KEY = 32
@@ -302,15 +300,6 @@ def remove(folder: Path) -> None:
             path.unlink()
     with suppress(OSError):
         folder.rmdir()
-
-
-def sweep_leftovers(root: Path) -> None:
-    """Remove what writers that were killed left in a folder and those below it."""
-    old = time.time() - LEFTOVER_S
-    with suppress(OSError):  # another run swept first, or they are another user's
-        for part in root.rglob(".nailoptics-*.part"):
-            if part.stat().st_mtime < old:
-                part.unlink(missing_ok=True)
 
 
 def user_folder() -> Path | None:

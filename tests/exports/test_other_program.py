@@ -2,6 +2,7 @@
 
 import json
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from nailoptics import cli, command_time
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
-from nailoptics.exports.other_program import OtherDetection, compared, read_detected
+from nailoptics.exports.other_program import MOST_UNPACKED, OtherDetection, compared, read_detected
 from nailoptics.light.records import LedTrace
 from nailoptics.scene import load_scene, to_toml
 
@@ -95,6 +96,17 @@ def test_another_file_is_refused_in_one_line(tmp_path, content, capfd):
     assert run(["compare-with", str(tmp_path / "missing.npz")]) == 2
     assert run(["compare-with", str(tmp_path)]) == 2
     assert capfd.readouterr().err.count("\n") == 3
+
+
+def test_an_archive_that_unpacks_to_gigabytes_is_refused_before_it_is(scene, tmp_path):
+    path, size = tmp_path / "detected.npz", MOST_UNPACKED // 4 + 1
+    np.savez_compressed(path, photodiode=np.zeros(size, np.float32))
+    assert path.stat().st_size < 1_000_000
+    tracemalloc.start()
+    with pytest.raises(InputError, match="250 MB unpacked, of at most 250"):
+        read_detected(path)
+    assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    tracemalloc.stop()
 
 
 def test_our_trace_gets_what_starting_leaves_of_the_time(scene, tmp_path, monkeypatch):
