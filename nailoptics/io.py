@@ -130,7 +130,7 @@ def _write_all(file: FileIO, data: Any) -> None:
 @contextlib.contextmanager
 def _in_place_of(path: Path, *, flush: bool = False, what: str = RESULT) -> Iterator[FileIO]:
     """A new file aside, unbuffered, which takes the place of that at path if the block ends well, and else goes."""
-    _sweep_leftovers(path.parent)
+    sweep_leftovers(path.parent)
     aside = path.with_name(f".nailoptics-{secrets.token_hex(8)}.part")
     if path.exists() and not path.is_file():
         raise WriteError(f"{path}: is a folder or device where a file is to be written; choose another name.")
@@ -157,7 +157,7 @@ def _in_place_of(path: Path, *, flush: bool = False, what: str = RESULT) -> Iter
         _ASIDE.remove(aside)
 
 
-def _sweep_leftovers(folder: Path) -> None:
+def sweep_leftovers(folder: Path) -> None:
     """Remove old files that killed writers left in a folder, once in this process; follows no link."""
     if folder in _SWEPT or folder.is_symlink():
         return

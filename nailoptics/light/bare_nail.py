@@ -15,11 +15,13 @@ import numpy as np
 
 from .. import geometry as finger_geometry
 from ..geometry import DistanceGrid, Geometry
+from ..io import CorruptError
 from ..scene import Board, Led, Light, Scene, digest
 from ..statistics import seed_of
 from . import optics
 from .finger_walk import FingerTracer, FingerWalk
 from .identity import light_scene
+from .records import check_arrays
 from .sampling import TOP, Photon, PhotonEnds, lanes
 from .store import LightStore, made_by
 from .surroundings import Interfaces, Regions, ZoneEdges, table_of_rows
@@ -120,10 +122,19 @@ class BareNail:
         asked["palest_per_mm"] = [[float(mu_a) for mu_a in palest_per_mm]]
         made = made_by("colour", bare_digest(self.scene), wavelength_nm, seed=seed, backend=self.backend) | asked
         lights = [store.light(made) for store in self.stores]
-        name = f"{groups}-{photons}"
+        name, absorbers = f"{groups}-{photons}", len(palest_per_mm)
+
+        def build(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> ReflectedLight:
+            shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("patch", "group", "weight", "cosine", "gloss"), (-1,))
+            check_arrays(arrays, shapes | {"path_mm": (-1, absorbers), "rays": (len(patches),), "mu_a": (absorbers,)})
+            found = ReflectedLight(**arrays)
+            if (found.patch >= len(patches)).any() or (found.group >= groups).any() or (found.rays < 1).any():
+                raise CorruptError("it names a patch or group that there is not")
+            return found
+
         for light in lights:
-            if found := light.read(name):
-                return ReflectedLight(**found[1])
+            if found := light.read(name, build):
+                return found
         new = self._reflect(
             wavelength_nm, patches, palest_per_mm=palest_per_mm, photons=photons, seed=seed, groups=groups
         )

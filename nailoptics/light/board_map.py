@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from .. import tissue
 from ..errors import InputError
 from ..geometry import SPACING_MM, Face, underside
+from ..io import CorruptError
 from ..scene import Scene
 from ..scene.parts import check_one_response
 from ..scene.rectangles import Rectangle
@@ -19,13 +20,15 @@ from ..statistics import stderr_of_mean
 from ..variables import Variables, variable
 from . import backend as backends
 from . import optics
-from .records import FINGER_BATCH_PHOTONS
+from .records import FINGER_BATCH_PHOTONS, check_arrays
 from .reweight import attenuation
 from .store import LightStore, made_of
 
 if TYPE_CHECKING:
     from .finger_walk import FingerTracer
     from .tallies.sensitivity import VoxelGrid
+
+T = TypeVar("T")
 
 # A photon that never entered the bed has no path there, but for rounding between the zones.
 NO_PATH_MM = 1e-5
@@ -82,8 +85,12 @@ class Arrivals:
         return replace(self.only(self.photon % step == first), photons=len(range(first, self.photons, step)))
 
     @classmethod
-    def from_stored(cls, photons: int, arrays: dict[str, np.ndarray]) -> "Arrivals":
-        """What such arrays were made of, bit for bit."""
+    def from_stored(cls, photons: int, absorbers: int, arrays: dict[str, np.ndarray]) -> "Arrivals":
+        """What such arrays were made of, bit for bit; raises CorruptError where they can be of no such photons."""
+        shapes: dict[str, tuple[int, ...]] = {"photon": (-1,), "weight": (-1,), "path_mm": (-1, absorbers)}
+        check_arrays(arrays, shapes | ({"place_mm": (-1, 2)} if "place_mm" in arrays else {}))
+        if (arrays["photon"] >= photons).any():
+            raise CorruptError("it counts more photons than there are")
         photon = arrays["photon"].astype(np.int64)
         place = arrays["place_mm"].astype(float) if "place_mm" in arrays else np.full((len(photon), 2), np.nan)
         return cls(photons, photon, place, arrays["weight"].astype(float), arrays["path_mm"])
@@ -118,6 +125,11 @@ class BoardTracer:
         self.scene, self.spacing_mm, self.store, self.seed = scene, spacing_mm, store, seed
 
     @cached_property
+    def absorbers(self) -> int:
+        """How many absorbers the photons' paths are in."""
+        return len(optics.absorbers(self.scene))
+
+    @cached_property
     def tracer(self) -> "FingerTracer":
         """What walks the photons; it takes a second to make, and is not made where all light is stored."""
         backends.activate(self.backend)
@@ -126,23 +138,29 @@ class BoardTracer:
         # Light arrives on the film between the parts, whatever becomes of it there.
         return FingerTracer(self.scene, spacing_mm=self.spacing_mm, kept=("kapton",))
 
-    def _kept(
-        self, led: int, name: str, trace: Callable[[], dict[str, np.ndarray]], **more: Any
-    ) -> dict[str, np.ndarray]:
-        """Arrays of the store, or new ones.
+    def _stored(
+        self,
+        led: int,
+        name: str,
+        trace: Callable[[], dict[str, np.ndarray]],
+        build: Callable[[dict[str, np.ndarray]], T],
+        **more: Any,
+    ) -> T:
+        """What is built of arrays of the store, or of new ones.
 
         name : of what is traced, with its seed and photons. more : what decides its bits beside these and the light.
         """
         if self.store is None:
-            return trace()
+            return build(trace())
         made = made_of(self.scene, led, seed=self.seed, backend=self.backend.name, what="board") | more
         traced = optics.absorption(self.scene, self.scene.leds[led].wavelength_nm)[0]
         stored = self.store.light(made | {"spacing_mm": self.spacing_mm, "traced_per_mm": traced.tolist()})
-        if found := stored.read(name):
-            return found[1]
-        arrays = trace()
-        stored.write(name, {}, arrays)
-        return arrays
+        found = stored.read(name, lambda about, arrays: build(arrays))
+        if found is None:
+            arrays = trace()
+            stored.write(name, {}, arrays)
+            found = build(arrays)
+        return found
 
     def arrivals(self, led: int, *, photons: int, seed: int) -> Arrivals:
         """Trace some photons of one LED, as photodiodes like the scene's would read them; same seed, same bits."""
@@ -152,7 +170,8 @@ class BoardTracer:
             arrived, cos, _ = self._onto_board(led, None, photons, seed)
             return arrived.weighed(self._accepted(0, cos)).stored()
 
-        return Arrivals.from_stored(photons, self._kept(led, f"arrivals{seed}-{photons}", trace))
+        build = partial(Arrivals.from_stored, photons, self.absorbers)
+        return self._stored(led, f"arrivals{seed}-{photons}", trace, build)
 
     def back(self, photodiode: int, led: int, *, photons: int, seed: int) -> tuple[Arrivals, Arrivals]:
         """Trace light the other way, from a photodiode that shines as a Lambertian LED of the wavelength of one LED,
@@ -173,9 +192,12 @@ class BoardTracer:
             away = {f"left_{name}": array for name, array in left.stored(placed=False).items()}
             return arrived.stored() | away
 
-        arrays = self._kept(led, f"back{photodiode}_{seed}-{photons}", trace)
-        left = {name.removeprefix("left_"): array for name, array in arrays.items() if name.startswith("left_")}
-        return Arrivals.from_stored(photons, arrays), Arrivals.from_stored(photons, left)
+        def build(arrays: dict[str, np.ndarray]) -> tuple[Arrivals, Arrivals]:
+            left = {name.removeprefix("left_"): array for name, array in arrays.items() if name.startswith("left_")}
+            arrived = Arrivals.from_stored(photons, self.absorbers, arrays)
+            return arrived, Arrivals.from_stored(photons, self.absorbers, left)
+
+        return self._stored(led, f"back{photodiode}_{seed}-{photons}", trace, build)
 
     def everywhere(
         self, led: int, *, photons: int, seed: int, density: Callable[[np.ndarray], np.ndarray] | None = None
@@ -255,8 +277,14 @@ class BoardTracer:
             means, sensitivity = self._detected(led, point, photons=photons, seed=seed, cells=cells)
             return {"means": means, "sensitivity": sensitivity}
 
-        arrays = self._kept(led, f"detected{seed}-{photons}", trace, blood=blood, cells=list(cells.shape))
-        return arrays["means"], arrays["sensitivity"]
+        def build(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+            count = len(self.scene.layout.photodiodes)
+            shapes = {"means": (count, 2 + len(point.beds)), "sensitivity": (count, *cells.shape)}
+            check_arrays(arrays, shapes)
+            return arrays["means"], arrays["sensitivity"]
+
+        name = f"detected{seed}-{photons}"
+        return self._stored(led, name, trace, build, blood=blood, cells=list(cells.shape))
 
     def _detected(
         self, led: int, point: "BloodPoint", *, photons: int, seed: int, cells: "VoxelGrid"

@@ -22,6 +22,7 @@ from . import backend as backends
 from . import optics
 from .course import Course, course
 from .identity import led_digest, light_scene
+from .records import check_arrays
 from .store import LightStore, made_of
 from .tracing import ProgressCallback, accuracy, trace
 from .transfer import FEW_PHOTONS, Transfer, mean_of_leds, photodiode_names, provenance
@@ -240,8 +241,16 @@ def _stored_section(scene: Scene, options: TraceOptions) -> xr.Dataset:
         return _section(light_scene(scene), options)
     made = made_of(scene, 0, seed=options.seed, backend=options.backend, what="section")
     stored = store.light(made | {"leds": [led_digest(scene, led) for led in range(len(scene.leds))]})
-    if found := stored.read("section"):
-        return from_record(*found)
+
+    def build(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> xr.Dataset:
+        section = from_record(header, arrays)
+        pixels = section.section_region.shape
+        check_arrays(arrays, {"section_region": pixels, "path_density": (len(scene.leds), *pixels)})
+        return section
+
+    found = stored.read("section", build)
+    if found is not None:
+        return found
     traced = _section(light_scene(scene), options)
     stored.write("section", *to_record(traced))
     store.close()

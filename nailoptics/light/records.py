@@ -8,6 +8,7 @@ from operator import add
 import numpy as np
 
 from ..errors import InputError
+from ..io import CorruptError
 from ..statistics import seed_of, stderr_of_mean
 from .moments import Moments, RestState, moments_of, moments_of_sample
 from .reweight import transmission
@@ -16,6 +17,8 @@ from .reweight import transmission
 COLUMNS = ("photodiode", "weight", "path_mm", "draw")
 # Sums over all photons, of weights and of their squares, by name.
 SUMS = ("energy", "absorbed", "pairs")
+# Where light may go.
+ENERGY = ("reflected", "transmitted", "absorbed", "lost")
 # Photons of a full batch: enough to keep a processor's lanes busy.
 FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS = 1 << 18, 1 << 19
 # Photons kept per LED; of more, each is kept with one probability, and sums over all of them at rest.
@@ -39,6 +42,36 @@ class Batch:
     events: int
     absorbed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     pairs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+def check_arrays(arrays: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Raise CorruptError unless each array is there, finite and of its shape; -1 is one length that all share."""
+    lengths = set()
+    for name, shape in shapes.items():
+        array = arrays[name]
+        if len(shape) != array.ndim or any(b not in (-1, a) for a, b in zip(array.shape, shape, strict=True)):
+            raise CorruptError(f"{name} has shape {array.shape}")
+        lengths |= {a for a, b in zip(array.shape, shape, strict=True) if b == -1}
+        if not np.isfinite(array).all():
+            raise CorruptError(f"{name} is not finite")
+    if len(lengths) > 1:
+        raise CorruptError("its arrays differ in length")
+
+
+def check_records(of: "Batch | LedTrace", *, photodiodes: int, absorbers: int) -> None:
+    """Raise CorruptError unless the records and sums that a file held can be those of traced photons."""
+    check_arrays(vars(of), {"photodiode": (-1,), "weight": (-1,), "path_mm": (-1, absorbers)})
+    if of.photodiode.dtype.kind != "u" or (of.photodiode >= photodiodes).any():
+        raise CorruptError("it names a photodiode that there is not")
+    # Paths in neighbouring zones of the bed are differences, so that one may round to below 0.
+    if (of.weight < 0).any() or (of.path_mm < -1e-3).any():
+        raise CorruptError("a weight or path is negative")
+    sums = np.array([pair for name in SUMS for pair in getattr(of, name).values()], float).reshape(-1, 2)
+    if not np.isfinite(sums).all() or (sums[:, 1] < 0).any() or of.energy.keys() != {*ENERGY}:
+        raise CorruptError("its sums are none of light")
+    known = {f"{i} {j}" for i in range(photodiodes) for j in range(i + 1, photodiodes)} if of.pairs else set()
+    if not of.pairs.keys() <= known or not (isinstance(of.photons, int) and of.photons > 0):
+        raise CorruptError("its counts are none of photons")
 
 
 @dataclass(frozen=True)
@@ -79,6 +112,15 @@ class LedTrace:
             # A batch's own seed decides, so that it does not matter when and with what the batch is merged.
             draw = np.random.default_rng(self.seeds).random(len(self.weight), dtype=np.float32)
             object.__setattr__(self, "draw", draw)
+
+    def check(self, *, photodiodes: int, absorbers: int) -> None:
+        """Raise CorruptError unless what a file held can be such a trace."""
+        check_records(self, photodiodes=photodiodes, absorbers=absorbers)
+        sums = {} if self.full is None else {"full": self.full.table}
+        shapes: dict[str, tuple[int, ...]] = {"weight": (-1,), "draw": (-1,), "mu_a": (absorbers,)}
+        check_arrays(vars(self) | sums, shapes | dict.fromkeys(sums, (photodiodes, 3 + 3 * absorbers)))
+        if not 0 < self.keep <= 1 or (self.draw >= self.keep).any() or any(not isinstance(s, int) for s in self.seeds):
+            raise CorruptError("its probabilities or seeds are none")
 
     def only(self, chosen: np.ndarray) -> "LedTrace":
         """Some of the records, (n,) bool, as a trace of as many photons; sums over all photons do not hold for them."""

@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -23,8 +23,10 @@ from ..errors import InputError, WriteError
 from ..scene import Scene
 from ..statistics import seed_of
 from .identity import led_digest, usual_layer_name
-from .records import SUMS, Batch
+from .records import SUMS, Batch, check_records
 from .transfer import current_versions
+
+T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
@@ -33,6 +35,8 @@ VARIABLE = "NAILOPTICS_STORE"
 # The user's store takes at most so much, and of what is free on its disk at most this part. [bytes]
 MOST_BYTES = 2e9
 MOST_OF_FREE = 0.25
+# A file is written so often where its folder goes meanwhile.
+WRITE_ATTEMPTS = 5
 # What decides a photon's way beside the scene, so that no other program's light passes for this one's.
 _ROOMS = ("light", "geometry", "tissue", "scene")
 _KEY = 32
@@ -116,15 +120,20 @@ class LightStore:
         # os.path takes what a folder hides for missing, Path does not.
         if self.closed or os.path.isdir(path):
             return
-        try:
-            io.make_folder(path.parent)
-            io.write_bytes(path, data, what=io.LIGHT)
-        except WriteError as error:
-            if not self.optional:
-                raise
-            self.closed = True
-            log.warning("what is traced is not kept: %s", error)
-            return
+        for attempt in range(WRITE_ATTEMPTS):
+            try:
+                io.make_folder(path.parent)
+                io.write_bytes(path, data, what=io.LIGHT)
+                break
+            except WriteError as error:
+                # Another process that makes room may have removed the folder in between.
+                if attempt + 1 < WRITE_ATTEMPTS and os.path.isdir(self.root) and not os.path.exists(path.parent):
+                    continue
+                if not self.optional:
+                    raise
+                self.closed = True
+                log.warning("what is traced is not kept: %s", error)
+                return
         self._unchecked += len(data)
         self._written += len(data)
         # One command must not push out all others' light and then its own.
@@ -133,9 +142,10 @@ class LightStore:
             self.trim()
 
     def folders(self) -> Iterator[Path]:
-        """The folders of lights; nothing else that may lie there."""
+        """The folders of lights; nothing else that may lie there, and no symbolic links out of the store."""
         try:
-            yield from (path for path in sorted(self.root.iterdir()) if re.fullmatch(f"[0-9a-f]{{{_KEY}}}", path.name))
+            named = [path for path in sorted(self.root.iterdir()) if re.fullmatch(f"[0-9a-f]{{{_KEY}}}", path.name)]
+            yield from (path for path in named if not path.is_symlink())
         except FileNotFoundError:
             return
         except OSError as error:
@@ -175,8 +185,11 @@ class StoredLight:
         """The file of this name."""
         return self.folder / f"{name}.dat"
 
-    def read(self, name: str) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
-        """Header and arrays of a name, or None; what is not what was written there is told, and None."""
+    def read(self, name: str, build: Callable[[dict[str, Any], dict[str, np.ndarray]], T]) -> T | None:
+        """What `build` makes of the header and the arrays of a name; None where there is nothing.
+
+        A file that is not what was written, or of which nothing can be made, is reported and taken for none.
+        """
         path = self.path(name)
         try:
             header, arrays = io.unpack(path.read_bytes())
@@ -184,10 +197,10 @@ class StoredLight:
                 raise io.CorruptError("it is another light's")
             with suppress(OSError):  # another user's
                 os.utime(self.folder)
-            return header["about"], arrays
+            return build(header["about"], arrays)
         except FileNotFoundError:
             return None
-        except (OSError, io.CorruptError, KeyError, AttributeError) as error:
+        except (OSError, io.CorruptError, LookupError, AttributeError, TypeError, ValueError) as error:
             self.store.damaged(path, error)
             return None
 
@@ -209,16 +222,19 @@ class LedSource:
         led: int,
         mu_a: np.ndarray,
         *,
+        photodiodes: int,
         seed: int,
         stored: Sequence[StoredLight] = (),
         layers: Sequence[str] = (),
     ) -> None:
         """engine : makes the engine; called only if something has to be traced.
 
+        photodiodes : how many there are.
         stored : where batches may lie; new ones go to the first.
         layers : names of a phantom's layers, which its light does not know.
         """
         self.engine, self.led, self.mu_a, self.seed, self.stored = engine, led, mu_a, seed, stored
+        self.photodiodes = photodiodes
         self.names = {usual_layer_name(i): name for i, name in enumerate(layers)}
         self.reused = self.traced = 0
 
@@ -229,13 +245,17 @@ class LedSource:
     def batch(self, number: int, photons: int) -> Batch:
         """The batch of a number and its photons; both, with the light and the seed, determine its bits."""
         name = f"{number}-{photons}"
-        found = (read for one in self.stored if (read := one.read(name)) and read[0].keys() >= set(SUMS))
-        if whole := next(found, None):
-            about, arrays = whole
-            self.reused += photons
+
+        def build(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> Batch:
             columns: dict[str, Any] = {column: arrays[column] for column in _COLUMNS}
             columns |= {one: {part: (a, b) for part, (a, b) in about[one].items()} for one in SUMS}
-            batch = Batch(photons=photons, events=about["events"], **columns)
+            batch = Batch(photons=photons, events=int(about["events"]), **columns)
+            check_records(batch, photodiodes=self.photodiodes, absorbers=len(self.mu_a))
+            return batch
+
+        batch = next((found for one in self.stored if (found := one.read(name, build))), None)
+        if batch:
+            self.reused += photons
         else:
             batch = self.engine().batch(self.led, photons=photons, seed=seed_of(self.seed, self.led, number))
             self.traced += photons
@@ -294,10 +314,11 @@ def entries(store: LightStore) -> list[StoredEntry]:
 
 
 def remove(folder: Path) -> None:
-    """Remove the files of one light, and the folder if nothing else lies in it."""
-    for path in (*folder.glob("*.dat"), *folder.glob(".nailoptics-*.part")):
+    """Remove the files of one light, and the folder unless something else lies in it, such as a writer's file."""
+    for path in folder.glob("*.dat"):
         with suppress(OSError):
             path.unlink()
+    io.sweep_leftovers(folder)
     with suppress(OSError):
         folder.rmdir()
 
@@ -322,4 +343,4 @@ def _most_bytes(root: Path) -> float:
 
 
 def _size(folder: Path) -> int:
-    return sum(path.stat().st_size for path in folder.glob("*.dat"))
+    return sum(path.lstat().st_size for path in folder.glob("*.dat"))

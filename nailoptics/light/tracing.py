@@ -169,7 +169,8 @@ def led_sources(
         mu_a = optics.absorption(engine.scene, source.wavelength_nm)[0]
         made = made_of(scene, led, seed=seed, backend=backend) | ({"kept": engine.kept} if engine.kept else {})
         stored = [store.light(made) for store in stores if store is not None]
-        found.append(LedSource(engine, led, mu_a, seed=seed, stored=stored, layers=layers))
+        photodiodes = len(photodiode_names(scene))
+        found.append(LedSource(engine, led, mu_a, photodiodes=photodiodes, seed=seed, stored=stored, layers=layers))
     return found
 
 

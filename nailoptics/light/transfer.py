@@ -20,7 +20,7 @@ from ..variables import Variables, variable
 from . import optics
 from .identity import light_digest
 from .moments import Moments, RestState, moments_of
-from .records import COLUMNS, SUMS, LedTrace, joined
+from .records import COLUMNS, SUMS, LedTrace, check_arrays, joined
 
 # A reading that rests on fewer effective photons than this has no trustworthy standard error.
 MIN_EFFECTIVE_PHOTONS = 100.0
@@ -241,6 +241,10 @@ class Transfer:
         try:
             header, arrays = io.unpack(path.read_bytes())
             scene = parse_scene(header["scene"], name="the stored scene")
+            count = {"photodiodes": len(photodiode_names(scene)), "absorbers": len(optics.absorbers(scene))}
+            if len(header["leds"]) != len(scene.leds):
+                raise io.CorruptError("it is of other LEDs than its scene")
+            check_arrays({"mu_a": arrays["mu_a_per_mm"]}, {"mu_a": (len(scene.leds), count["absorbers"])})
             traces, first = [], np.cumsum([0, *(led["records"] for led in header["leds"])])
             for i, led in enumerate(header["leds"]):
                 sums, columns = arrays["full"][i], {name: arrays[name][first[i] : first[i + 1]] for name in COLUMNS}
@@ -253,13 +257,14 @@ class Transfer:
                     seeds=tuple(led["seeds"]),
                     keep=led["keep"],
                     rest=rest_state(scene, i),
-                    full=Moments.of_table(sums, led["photons"]) if sums.size and not np.isnan(sums).any() else None,
+                    full=None if np.isnan(sums).all() else Moments.of_table(sums, led["photons"]),
                     **made_of,
                 )
+                one.check(**count)
                 traces.append(one)
             made = {name: header[name] for name in ("engine", "backend", *EFFORT)}
-            return Transfer(scene, tuple(traces), versions=header["version_table"], **made)
-        except (OSError, io.CorruptError, KeyError, TypeError, ValueError) as error:
+            return Transfer(scene, tuple(traces), versions=dict(header["version_table"]), **made)
+        except (OSError, io.CorruptError, LookupError, AttributeError, TypeError, ValueError) as error:
             raise InputError(
                 f"{path}: is not a transfer that this version can read ({error}); trace the scene again."
             ) from None

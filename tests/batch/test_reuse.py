@@ -68,7 +68,7 @@ def grown(scene, *, asked, stored=(), seed=0):
 
     engine = Counting(light_scene(scene))
     rule = StoppingRule(scene, 0, asked, engine.mu_a(0), full=batch_photons(scene))
-    source = LedSource(lambda: engine, 0, engine.mu_a(0), seed=seed, stored=stored)
+    source = LedSource(lambda: engine, 0, engine.mu_a(0), photodiodes=1, seed=seed, stored=stored)
     batches = extend(source, [rule], stop=lambda: False)
     sizes, met = rule.settled(batches.pieces)
     assert met
@@ -153,7 +153,7 @@ def test_a_photodiode_that_no_light_reaches_ends_the_trace_with_a_word(jit_backe
     )
     engine = kind(light_scene(scene))
     stored = [LightStore(tmp_path / "store").light(made_of(scene, 0, seed=0, backend=jit_backend.name))]
-    source = LedSource(lambda: engine, 0, mu_a, seed=0, stored=stored)
+    source = LedSource(lambda: engine, 0, mu_a, photodiodes=1, seed=0, stored=stored)
     batches = extend(source, [far], stop=lambda: False)
     assert sum(size for _, size in batches.pieces) < 2_000_000 and 'none reached photodiode "p"' in far.unseen
     again = StoppingRule(scene, 0, Accuracy(relative_error=0.01), mu_a, full=batch_photons(scene))

@@ -222,7 +222,7 @@ def stopped(seed: int, target: float) -> tuple[float, float]:
     """Relative departure from the truth, and relative standard error, of a run that stops at a tolerance."""
     urn = Urn()
     rule = StoppingRule(urn.scene, 0, Accuracy(relative_error=target), urn.mu_a(0), full=urn.batch_photons)
-    batches = extend(LedSource(lambda: urn, 0, urn.mu_a(0), seed=seed), [rule], stop=lambda: False)
+    batches = extend(LedSource(lambda: urn, 0, urn.mu_a(0), photodiodes=1, seed=seed), [rule], stop=lambda: False)
     sizes, met = rule.settled(batches.pieces)
     assert met
     trace = batches.trace(sizes, seed=seed, led=0, rest=rule.rest, factors=rule.factors)

@@ -13,6 +13,7 @@ import pytest
 import nailoptics as nail
 from nailoptics import io
 from nailoptics.io import pack
+from nailoptics.light import store as store_module
 from nailoptics.light import tracing
 from nailoptics.light.layered_walk import LayeredTracer
 from nailoptics.light.store import LightStore, StoredEntry, entries, made_of, user_folder
@@ -144,6 +145,76 @@ def test_damaged_and_foreign_files_are_named_and_traced_again(small_batches, sto
     assert [str(files[3]) in record.getMessage() for record in caplog.records] == [True]
 
 
+def _set(array: np.ndarray, value: float) -> np.ndarray:
+    return np.concatenate([array[:-1], np.full_like(array[-1:], value)])
+
+
+WRONG_CONTENT = {
+    "a weight is NaN": lambda about, arrays: arrays.update(weight=_set(arrays["weight"], np.nan)),
+    "a weight is negative": lambda about, arrays: arrays.update(weight=-arrays["weight"]),
+    "a path is infinite": lambda about, arrays: arrays.update(path_mm=_set(arrays["path_mm"], np.inf)),
+    "no such photodiode": lambda about, arrays: arrays.update(photodiode=_set(arrays["photodiode"], 7)),
+    "columns differ in length": lambda about, arrays: arrays.update(weight=arrays["weight"][1:]),
+    "paths of another finger": lambda about, arrays: arrays.update(path_mm=np.repeat(arrays["path_mm"], 2, 1)),
+    "a column is missing": lambda about, arrays: arrays.pop("path_mm"),
+    "a sum is NaN": lambda about, arrays: about["energy"].update(lost=[float("nan"), 0.0]),
+    "a sum is no pair": lambda about, arrays: about["energy"].update(lost=3),
+    "sums are missing": lambda about, arrays: about.pop("absorbed"),
+    "no count of events": lambda about, arrays: about.update(events="many"),
+}
+
+
+def rewritten(path: Path, change) -> None:
+    """A file whose content was changed, with a checksum that holds."""
+    header, arrays = io.unpack(path.read_bytes())
+    change(header["about"], arrays)
+    path.write_bytes(pack(header, arrays))
+
+
+@pytest.mark.jit
+def test_wrong_content_under_a_right_checksum_is_reported_and_traced_again(small_batches, store, caplog):
+    fresh = nail.trace(slab(), photons=PHOTONS, seed=3)
+    files = sorted(store.glob("*/*.dat"))
+    for k, (what, change) in enumerate(WRONG_CONTENT.items()):
+        caplog.clear()
+        path = files[k % len(files)]
+        rewritten(path, change)
+        again = nail.trace(slab(), photons=PHOTONS, seed=3)
+        assert same_bits(again, fresh) and again.reused_photons == 2 * PHOTONS - (1 << 12), what
+        assert [str(path) in record.getMessage() for record in caplog.records] == [True], what
+    assert nail.trace(slab(), photons=PHOTONS, seed=3).reused
+
+
+def test_nothing_outside_the_store_is_removed_through_a_link(tmp_path, store, capsys):
+    from nailoptics.cli import run
+
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "mine.dat").write_bytes(b"x" * 5000)
+    store.mkdir()
+    (store / ("0" * 32)).symlink_to(outside)
+    kept = LightStore(store).light({"light": 1})
+    kept.write("0-1", {}, {"x": np.zeros(500)})
+    (kept.folder / "1-1.dat").symlink_to(outside / "mine.dat")
+    LightStore(store, most_bytes=100, optional=True).trim()
+    assert not kept.folder.exists()
+    assert run(["store", "--clear"]) == 0
+    assert (outside / "mine.dat").read_bytes() == b"x" * 5000
+
+
+def test_a_folder_that_another_process_removes_is_written_again(tmp_path, monkeypatch):
+    light, written = LightStore(tmp_path, optional=True).light({"light": 1}), io.write_bytes
+
+    def after_a_rival(path, data, **more):
+        monkeypatch.setattr(io, "write_bytes", written)
+        path.parent.rmdir()
+        written(path, data, **more)
+
+    monkeypatch.setattr(io, "write_bytes", after_a_rival)
+    light.write("0-1", {}, {"x": np.zeros(3)})
+    assert light.path("0-1").exists() and not light.store.closed
+
+
 def _made(folder) -> str:
     from nailoptics.io import unpack
 
@@ -174,7 +245,7 @@ def test_what_was_not_used_for_longest_goes_first_and_foreign_files_stay(tmp_pat
     for i, light in enumerate(lights):
         light.write("0-1", {"a": 1}, {"x": np.zeros(50)})
         os.utime(light.folder, (1000 + i, 1000 + i))
-    lights[0].read("0-1")
+    assert lights[0].read("0-1", lambda about, arrays: about) == {"a": 1}
     LightStore(tmp_path, most_bytes=2500, optional=True).trim()
     left = [light.folder.exists() for light in lights]
     assert left[0] and left[4] and not left[1] and sum(left) < 5
@@ -210,23 +281,28 @@ def test_entries_say_what_there_is(tmp_path):
     assert "1.23e+04 photons" in str(entry) and entry.key == light.folder.name
 
 
-def _trace(results) -> None:
-    transfer = nail.trace(slab(), photons=1 << 16, seed=5)
-    results.put((transfer.traces[0].weight.tobytes(), transfer.reused_photons))
+def _trace(results, most_bytes: float, times: int) -> None:
+    """Trace into a store that hardly has room, as others do at the same time."""
+    store_module.MOST_BYTES = most_bytes
+    for _ in range(times):
+        transfer = nail.trace(slab(), photons=1 << 14, seed=5)
+        results.put((transfer.traces[0].weight.tobytes(), transfer.photons))
 
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_processes_at_once_share_a_store_and_all_have_the_same_bits(jit_backend, store):
+def test_six_processes_at_once_share_a_store_and_all_have_the_same_bits(jit_backend, store):
+    """Half of them make room in it all the time."""
     context = multiprocessing.get_context("spawn")
     results = context.Queue()
-    rivals = [context.Process(target=_trace, args=(results,)) for _ in range(3)]
+    rivals = [context.Process(target=_trace, args=(results, most, 5)) for most in (1e4, 2e9) * 3]
     for rival in rivals:
         rival.start()
-    bits = {results.get(timeout=120)[0] for _ in rivals}
+    bits = {results.get(timeout=240)[0] for _ in range(5 * len(rivals))}
     for rival in rivals:
         rival.join()
-    assert bits == {nail.trace(slab(), photons=1 << 16, seed=5).traces[0].weight.tobytes()}
+    assert [rival.exitcode for rival in rivals] == [0] * 6
+    assert bits == {nail.trace(slab(), photons=1 << 14, seed=5).traces[0].weight.tobytes()}
     assert not list(store.rglob("*.part"))
 
 

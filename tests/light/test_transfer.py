@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import nailoptics as nail
+from nailoptics import io
 from nailoptics.errors import InputError
 from nailoptics.light import ReweightWarning, Transfer, records
 from nailoptics.light.records import LedTrace
@@ -225,6 +226,38 @@ def test_files_that_are_no_transfer_are_refused_in_one_line(tmp_path):
         assert len(str(caught.value).splitlines()) == 1
     with pytest.raises(InputError, match="cannot be written"):
         by_hand(small(np.ones(3), np.ones((3, 2)))).save(tmp_path / "text.nc" / "below.nc")
+
+
+def _rewrite(path, change) -> None:
+    header, arrays = io.unpack(path.read_bytes())
+    change(header, arrays)
+    path.write_bytes(io.pack(header, arrays))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda header, arrays: arrays.update(weight=arrays["weight"] * np.nan),
+        lambda header, arrays: arrays.update(photodiode=arrays["photodiode"] + np.uint16(9)),
+        lambda header, arrays: arrays.update(path_mm=arrays["path_mm"][:, :1]),
+        lambda header, arrays: arrays.update(mu_a_per_mm=arrays["mu_a_per_mm"][:, :1]),
+        lambda header, arrays: arrays.update(full=arrays["full"][:0]),
+        lambda header, arrays: header.update(leds=header["leds"] * 2),
+        lambda header, arrays: header.update(leds=3),
+        lambda header, arrays: header["leds"][0].update(photons=0),
+        lambda header, arrays: header["leds"][0].update(keep=float("nan")),
+        lambda header, arrays: header["leds"][0]["energy"].pop("lost"),
+        lambda header, arrays: header.update(version_table=None),
+    ],
+)
+def test_a_file_of_wrong_content_is_refused_in_one_line(change, tmp_path):
+    path = tmp_path / "light.npz"
+    rng = np.random.default_rng(0)
+    by_hand(small(rng.random(50), rng.random((50, 2)))).save(path)
+    Transfer.load(path)
+    _rewrite(path, change)
+    with pytest.raises(InputError, match="not a transfer that this version can read"):
+        Transfer.load(path)
 
 
 @pytest.mark.jit
