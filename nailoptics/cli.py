@@ -23,7 +23,14 @@ from .command_time import (
 )
 from .commit import commit
 from .endings import end_at_once, interrupted, told
-from .errors import InputError, NailopticsError, NotReachedError, WriteError, as_far_as_reached
+from .errors import (
+    InputError,
+    NailopticsError,
+    NotReachedError,
+    RequirementError,
+    WriteError,
+    as_far_as_reached,
+)
 from .io import check_writable, files_noted, leave_dask_out, make_folder
 from .options import TraceOptions
 from .terminal import (
@@ -237,7 +244,7 @@ def compare(
     ] = (),
     require: Annotated[
         float | None,
-        Parameter(help="Exit with 1 unless the fitted model stays within this part of every reading's swing."),
+        Parameter(help="Exit with 4 unless the fitted model stays within this part of every reading's swing."),
     ] = None,
     model: Annotated[
         Literal["taylor", "beer_lambert"], Parameter(help="The model that --require judges: (9) or (8).")
@@ -263,7 +270,7 @@ def compare(
     judged = verdict(result, 0.05 if require is None else require, model=model)
     _show(summary(result) | {"verdict": vars(judged)}, [judged], paths, json_, unmet)
     if require is not None and judged.outcome == "missed":
-        raise NailopticsError(f"{judged}")
+        raise RequirementError(f"{judged}")
     _end(unmet, folder)
     if require is not None and judged.outcome == "undecided":
         raise NotReachedError(f"{judged}")

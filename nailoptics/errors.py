@@ -35,6 +35,12 @@ class NotReachedError(NailopticsError):
         self.exit_code = 1 if full else NotReachedError.exit_code
 
 
+class RequirementError(NailopticsError):
+    """A requirement on the result was checked and missed, such as that of `compare --require`."""
+
+    exit_code = 4
+
+
 def as_far_as_reached(study: Callable[..., Any], *arguments: Any, **options: Any) -> tuple[Any, NotReachedError | None]:
     """What a function returns, or what it had when it could not reach what was requested, and the reason."""
     try:

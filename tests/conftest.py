@@ -3,6 +3,7 @@
 import gc
 import os
 import shutil
+import signal
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -18,6 +19,8 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 from nailoptics.errors import InputError  # noqa: E402
 from nailoptics.light import backend  # noqa: E402
 
+# What a script starts in its background ignores Ctrl-C, and so would the commands that tests start and interrupt.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 # As on the command line: there is much that stays, which the collector would look through again and again.
 gc.set_threshold(10_000)
 # No test reads or writes the user's store; those that test one have their own.

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,6 +27,8 @@ setattr(owner, name, watched)
 from nailoptics.__main__ import main
 main()
 """
+# A command that has not ended by then is killed, so that no test waits for ever. [s]
+DEADLINE_S = 180
 STOPPING = "nailoptics: stopping after this batch; press Ctrl-C again to stop at once.\n"
 
 
@@ -56,6 +59,8 @@ def interrupted_at(place: str, *arguments: str, call: int = 1, twice: bool = Fal
         preexec_fn=(lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)) if ignored else None,
     )
     assert process.stdin is not None and process.stderr is not None
+    deadline = threading.Timer(DEADLINE_S, process.kill)
+    deadline.start()
     try:
         before = ""
         for line in process.stderr:
@@ -69,8 +74,9 @@ def interrupted_at(place: str, *arguments: str, call: int = 1, twice: bool = Fal
                 if line == STOPPING:
                     process.send_signal(signal.SIGINT)
                     break
-        out, err = process.communicate("\n", timeout=120)
+        out, err = process.communicate("\n")
     finally:
+        deadline.cancel()
         process.kill()
     said = [line for line in err.splitlines() if not line.startswith("call ")]
     assert "Traceback" not in before + err

@@ -1,6 +1,7 @@
 """Ctrl-C, a real one: whatever a command does, it ends soon, and what it says of what is kept is true."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -187,3 +188,16 @@ sys.meta_path.insert(0, Finder())
 main()
 """
     assert alone(code) == NOTHING
+
+
+def test_interrupts_reach_commands_of_tests_that_run_in_the_background():
+    """Tests that a script starts in its background begin with SIGINT ignored."""
+    one = f"{__file__}::{test_an_interrupt_while_the_command_line_is_loaded_is_one_line.__name__}"
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-n", "0", one],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
+    )
+    assert done.returncode == 0, done.stdout

@@ -11,6 +11,8 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 import nailoptics
 from nailoptics import assets, commit
@@ -26,6 +28,16 @@ DISTRIBUTION = {"PIL": "pillow", "colour": "colour-science", "dask": "distribute
 
 def distributions(requirements: list[str]) -> set[str]:
     return {re.split(r"[\[<>=!~; ]", requirement)[0].lower() for requirement in requirements}
+
+
+def test_every_requirement_has_a_version_that_passed_in_its_range():
+    lines = (ROOT / ".ci" / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    pairs = (line.split("==") for line in lines if not line.startswith("#"))
+    passed = {canonicalize_name(name): version for name, version in pairs}
+    direct = [*PROJECT["project"]["dependencies"]]
+    direct += [one for name in ("cluster", "cad", "test", "docs", "dev") for one in EXTRAS[name]]
+    needed = [one for one in map(Requirement, direct) if one.name != "nailoptics"]
+    assert not [str(one) for one in needed if passed.get(canonicalize_name(one.name), "0") not in one.specifier]
 
 
 def third_party(paths) -> set[str]:

@@ -65,6 +65,11 @@ class Tuning(Table):
                 raise ValueError(f"{name} has both a value and a factor; give one of them")
         return self
 
+    def __hash__(self) -> int:
+        # Pydantic's own hash of a frozen model cannot take the dictionary of factors.
+        own = self.model_dump(exclude={"factors"})
+        return hash((frozenset(own.items()), frozenset((self.factors or {}).items())))
+
     def changed(self) -> tuple[str, ...]:
         """Names of the constants that a value or a factor changes."""
         return (*self.model_dump(exclude_none=True, exclude={"factors"}), *(self.factors or {}))

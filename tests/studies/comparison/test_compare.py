@@ -305,7 +305,7 @@ def test_what_cannot_be_compared_is_one_line():
 @pytest.mark.jit
 def test_the_prototype_is_compared_from_the_command_line(jit_backend, tmp_path, capsys):
     folder = ["-o", str(tmp_path), "--photons", "150000", "--json"]
-    assert cli.run(["compare", "prototype", *folder, "--require", "1e-4"]) == 1
+    assert cli.run(["compare", "prototype", *folder, "--require", "1e-4"]) == 4
     printed = capsys.readouterr()
     found = json.loads(printed.out)
     assert found["verdict"]["outcome"] == "missed" and "misses 0.01%" in printed.err

@@ -1,0 +1,60 @@
+"""Every shipped scene and sweep runs to its end: with few photons, and of long sweeps a few scenes."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nailoptics as nail
+from nailoptics.assets import data_dir
+from nailoptics.batch import load_sweep
+from nailoptics.batch.work import Settings
+from nailoptics.options import TraceOptions
+from nailoptics.scene import load_scene, parse_scene
+
+from .test_run import done_here
+
+SCENES, SWEEPS = data_dir("scenes"), data_dir("scenes") / "sweeps"
+# What a scene is for, where that is not a simulated touch.
+COMMANDS = {"phantom": nail.trace, "placement": nail.place, "nail_colour": nail.colour, "pulse_oximeter": nail.oximeter}
+SLOW = {"placement", "nail_colour", "pulse_oximeter"}
+# Scenes of a sweep that are run, spread over it: few where each is traced anew.
+MOST_SCENES = {"photographs": 2, "fingers": 3, "led_place_and_nail": 4}
+QUICK = {"vein_stiffness", "white_band"}
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.stem for path in folder.glob("*.toml"))
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long if n in SLOW else ()) for n in names(SCENES)])
+def test_a_shipped_scene_runs_to_its_end(chosen_jit, name):
+    scene = load_scene(SCENES / f"{name}.toml")
+    if name == "placement":
+        scene = scene.model_copy(update={"placement": scene.placement.model_copy(update={"search": False})})
+    COMMANDS.get(name, nail.simulate)(scene, photons=20_000, seed=1)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.long) for n in names(SWEEPS)])
+def test_a_shipped_sweep_runs_to_its_end(jit_backend, tmp_path, name):
+    sweep = load_sweep(SWEEPS / f"{name}.toml")
+    count = min(MOST_SCENES.get(name, 24), len(sweep.scenes))
+    few = np.linspace(0, len(sweep.scenes) - 1, count).astype(int)
+    sweep = replace(sweep, scenes=tuple(sweep.scenes[i] for i in few))
+    options = TraceOptions(photons=2000, backend=jit_backend.name)
+    reports = done_here(sweep, Settings.of(tmp_path / "b", options, sweep.study))
+    assert [why for one in reports for why in one.failed.values()] == []
+    assert sum(len(one.done) for one in reports) == len(few)
+
+
+def test_scenes_with_factors_on_vessels_are_hashable():
+    """Scenes that share their light are grouped by what is read of it: equal ones must have one hash."""
+    text = (SCENES / "prototype.toml").read_text()
+    factors = "[blood.tuning.factors]\nvein_stiffness_n_per_m = 2.0\nvein_count = 3.0\n"
+    swapped = "[blood.tuning.factors]\nvein_count = 3.0\nvein_stiffness_n_per_m = 2.0\n"
+    first, second = (parse_scene(f"{text}\n{one}") for one in (factors, swapped))
+    assert first == second and hash(first) == hash(second)
+    assert hash(first) != hash(parse_scene(f"{text}\n{factors.replace('3.0', '4.0')}"))
