@@ -68,7 +68,7 @@ AXES = {
     "ambient": "source of light from outside",
 }
 # What a spreadsheet takes for the beginning of a formula.
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
 # What a file is: a result of the user's, or light that is kept for the next time.
 RESULT, LIGHT = "result", "light"
 # Those who note what is finished.
@@ -382,12 +382,12 @@ def let_dask_in() -> None:
 
 def plain_cell(value: Any) -> Any:
     """A cell of a table for spreadsheets: a text that one would run as a formula stays text, behind an apostrophe."""
-    return f"'{value}" if isinstance(value, str) and value[:1] in _FORMULA else value
+    return f"'{value}" if isinstance(value, str) and value[:1] in FORMULA else value
 
 
 def of_plain_cell(cell: str) -> str:
     """The text of which `plain_cell` made a cell."""
-    return cell[1:] if cell[:1] == "'" and cell[1:2] in _FORMULA else cell
+    return cell[1:] if cell[:1] == "'" and cell[1:2] in FORMULA else cell
 
 
 def to_json(value: Any, *, indent: int = 2) -> str:

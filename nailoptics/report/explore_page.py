@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from .. import electronics
-from ..io import write_text
+from ..io import FORMULA, write_text
 from ..light.pair_kernel import NEAREST_MM
 from ..light.transfer import FEW_PHOTONS
 from ..scene import Led, Photodiode, Scene
+from ..scene.base import MOST_PHOTODIODES
 from ..scene.rectangles import Rectangle
 from ..studies.ambient import SOURCES
 from ..studies.exploration.explore import (
@@ -31,6 +32,10 @@ PLACED = {"name", "reference", "position_mm", "rotation_deg", "wired"}
 MOST_POINTS = 6
 # The smallest current at which the slope of the noise's variance is taken. [A]
 TEST_CURRENT_A = 1e-6
+# No part of a layout lies farther from the nail's centre. [mm]
+FARTHEST_MM = 1e3
+# More pairs of an LED and a photodiode than this, or a longer scene, would hold up a browser.
+MOST_PAIRS, MOST_SCENE_BYTES = 4000, 1_000_000
 # Processor time of what follows the last photon of a page: the tables of its last wavelength, light from outside and
 # the file. [s]
 EXPLORATION_CPU_S = 3.0
@@ -50,18 +55,15 @@ def page(found: Exploration) -> str:
     """The page as text."""
     tables = json.dumps(_tables(found), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     style = f"<style>{_text('vendor', 'uPlot.min.css')}{_text('explore.css')}</style>"
-    libraries = [f"<script>{_library(name, file)}</script>" for name, file, _ in LIBRARIES]
-    scripts = [
-        f'<script type="application/json" id="tables">{tables}</script>',
-        *libraries,
-        f"<script>{_text('explore.js')}\n{_text('workbench.js')}</script>",
-    ]
+    data = f'<script type="application/json" id="tables">{tables}</script>'
+    own = "\n".join(_text(f"{name}.js") for name in ("explore", "rules", "workbench"))
     return document(
         kicker="explore",
         title="Drag LEDs and photodiodes on the nail",
         lead="Every reading follows at once, from light that was traced all over the board.",
-        body=[style, _text("workbench.html"), _licences(), *scripts],
+        body=[style, _text("workbench.html"), _licences(), data],
         attributes=found.attributes,
+        scripts=[*(_library(name, file) for name, file, _ in LIBRARIES), own],
     )
 
 
@@ -124,9 +126,7 @@ def _tables(found: Exploration) -> dict[str, Any]:
         "kernelResolutionError": found.kernel_resolution_error,
         "fewRelative": FEW_PHOTONS**-0.5,
         "sameNm": SAME_NM,
-        "restRange": [
-            (x if scene.blood.venous_so2 is None else 1.0) * scene.blood.rest_blood_fraction for x in BLOOD_RANGE
-        ],
+        "restRange": _rest_range(scene),
         "colours": [_colour(one) for one in found.colours],
         "ledKinds": leds,
         "photodiodeKinds": [_readout(one, leds, scene) for one in diodes],
@@ -138,6 +138,8 @@ def _tables(found: Exploration) -> dict[str, Any]:
         "touch": _touch(found.touch),
         "board": _board(scene),
         "layout": _layout(scene, diodes, leds),
+        "rules": _rules(found, kinds=(len(leds), len(diodes))),
+        "formula": FORMULA,
         "ambient": {
             "names": [f"{source.name}, {source.lux:g} lux" for source in SOURCES],
             "nodesU": nodes_u.tolist(),
@@ -150,6 +152,70 @@ def _tables(found: Exploration) -> dict[str, Any]:
             "rings": len(rings) - 1,
             "depths": len(depths) - 1,
         },
+    }
+
+
+def _rest_range(scene: Scene) -> tuple[float, float]:
+    """Blood at rest, from the least to the most that can be chosen."""
+    low, high = (x if scene.blood.venous_so2 is None else 1.0 for x in BLOOD_RANGE)
+    return low * scene.blood.rest_blood_fraction, high * scene.blood.rest_blood_fraction
+
+
+def _rules(found: Exploration, *, kinds: tuple[int, int]) -> dict[str, Any]:
+    """What a scene that is dropped on the page must keep, and what a layout must, as JSON Schemas of the models.
+
+    kinds : number of LEDs and of photodiodes that can be chosen.
+    """
+    scene = _bare(Scene.model_json_schema())
+    tables, place = scene["$defs"], {"type": "number", "minimum": -FARTHEST_MM, "maximum": FARTHEST_MM}
+
+    def between(low: float, high: float, kind: str = "number") -> dict[str, Any]:
+        return {"type": kind, "minimum": low, "maximum": high}
+
+    def part(model: type[Led | Photodiode], count: int, own: dict[str, Any]) -> dict[str, Any]:
+        fields = tables[model.__name__]["properties"]
+        properties = {"name": fields["name"], "reference": fields["reference"], "turn": fields["rotation_deg"]}
+        properties |= {"u": place, "v": place, "kind": between(0, count - 1, "integer")} | own
+        most = scene["properties"][f"{model.__name__.lower()}s"]["maxItems"]
+        one = {"type": "object", "properties": properties, "required": list(properties)}
+        return {"type": "array", "items": one, "maxItems": most}
+
+    diode = tables["Photodiode"]["properties"]
+    side = diode["size_mm"]["prefixItems"]
+    own = {"width": side[0], "length": side[1], "elements": diode["elements"]}
+    own |= {"pitch": diode["pitch_mm"], "wired": diode["wired"]}
+    layout = {
+        "leds": part(Led, kinds[0], {}),
+        "photodiodes": part(Photodiode, kinds[1], own),
+        "force": between(0.0, float(found.touch["force_n"][-1])),
+        "rest": between(*_rest_range(found.scene)),
+        "so2": between(*found.polynomial.so2),
+        "ambient": {"anyOf": [between(0, len(SOURCES) - 1, "integer"), {"type": "null"}]},
+    }
+    return {
+        "scene": scene,
+        "layout": {"type": "object", "properties": layout, "required": list(layout)},
+        "usual": {"size_mm": diode["size_mm"]["default"]},
+        "mostElements": MOST_PHOTODIODES,
+        "mostPairs": max(MOST_PAIRS, len(found.scene.leds) * sum(one.elements for one in found.scene.photodiodes)),
+        "mostBytes": MOST_SCENE_BYTES,
+    }
+
+
+def _bare(schema: Any, *, names: bool = False) -> Any:
+    """A JSON Schema without what explains it and without what must be given, of which a part may fill in some.
+
+    names : whether the keys are names of fields.
+    """
+    if isinstance(schema, list):
+        return [_bare(one) for one in schema]
+    if not isinstance(schema, dict):
+        return schema
+    left_out = () if names else ("description", "title", "required")
+    return {
+        key: _bare(value, names=not names and key in ("properties", "$defs"))
+        for key, value in schema.items()
+        if key not in left_out
     }
 
 

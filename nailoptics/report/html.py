@@ -1,5 +1,7 @@
 """What all pages are made of: one self-contained HTML document, its sections, figures and tables."""
 
+import base64
+import hashlib
 import html
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
@@ -37,12 +39,14 @@ def document(
     warnings: Iterable[str] = (),
     cards: Sequence[tuple[str, str]] = (),
     facts: Iterable[tuple[str, str]] = (),
+    scripts: Sequence[str] = (),
 ) -> str:
     """A whole page as text; body holds HTML, everything else plain words.
 
     attributes : of the result, from which the page says what makes it again, and whether it was cut off.
     cards : figures in large type, each with what it is.
     facts : names and values in one line below them.
+    scripts : JavaScript that runs at the end of the page; no other does, nor does the page load anything.
     """
     css = resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
     cut_off = [f"Cut off: {attributes['cut_off']}"] if attributes.get("cut_off") else []
@@ -56,15 +60,25 @@ def document(
         "</header>",
         *body,
         _provenance(attributes),
+        *(f"<script>{script}</script>" for script in scripts),
     ]
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{_policy(scripts)}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         '<meta name="color-scheme" content="light dark">'
         f"<title>{escaped(title)} – nailoptics</title><style>{css}</style></head>\n<body><main>\n"
         + "\n".join(part for part in parts if part)
         + "\n</main></body></html>\n"
     )
+
+
+def _policy(scripts: Iterable[str]) -> str:
+    """What a browser may do on a page: run these scripts and show what is in the page itself."""
+    hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
+    allowed = " ".join(f"'sha256-{one}'" for one in hashes) or "'none'"
+    inside = f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:"
+    return f"{inside}; base-uri 'none'; form-action 'none'"
 
 
 def section(heading: str, *content: str) -> str:

@@ -10,7 +10,10 @@ from made_exploration import made_exploration
 
 from nailoptics import electronics, load_scene
 from nailoptics.assets import data_dir
+from nailoptics.errors import InputError
+from nailoptics.io import FORMULA
 from nailoptics.report.explore_page import page
+from nailoptics.scene import to_toml
 from nailoptics.scene.files import parse_scene
 from nailoptics.scene.positions import read_positions
 from nailoptics.studies.blood_states import steady_blood
@@ -297,14 +300,14 @@ def test_an_exported_scene_opens_again_and_a_strange_one_says_why_not(shown: Any
     shown.click("#add-led")
     assert len(shown.evaluate("workbench.layout.leds")) == 2
     shown.set_input_files("#open", path)
-    shown.wait_for_function("workbench.layout.leds.length === 1")
+    shown.locator("#message", has_text="its parts lie").wait_for()
     assert shown.evaluate("workbench.layout") == layout
     strange = tmp_path / "strange.toml"
     strange.write_text(
         '[[leds]]\nname = "uv"\nwavelength_nm = 365.0\n[[photodiodes]]\nname = "p"\nposition_mm = [0, 0]\n'
     )
     shown.set_input_files("#open", strange)
-    shown.wait_for_function("document.getElementById('message').textContent.includes('no wavelength of this page')")
+    shown.locator("#message", has_text="no wavelength of this page").wait_for()
     assert shown.evaluate("workbench.layout") == layout
 
 
@@ -318,3 +321,126 @@ def test_where_hardly_any_photons_came_the_page_says_so(shown: Any):
     shown.evaluate("colours[0].blocks = colours[0].blocks.map((x, i) => x * (i % tables.blocks ? 0 : 9))")
     shown.evaluate("caches.clear(); draw()")
     assert "not enough photons here" in shown.inner_text("#readings").lower()
+
+
+def link(shown: Any, edit: str) -> str:
+    """The link of the layout as it is, changed by some JavaScript before anything can check it."""
+    return shown.evaluate(
+        f"""(() => {{ const l = copy(workbench.layout); {edit}; const p = packed(l);
+        l.leds.forEach((led, k) => {{ p[1][k][2] = led.u; }}); return btoa(JSON.stringify(p)); }})()"""
+    )
+
+
+@pytest.mark.parametrize(
+    ("edit", "rule"),
+    [
+        ("l.leds[0].u = null", "leds[0].u = null is no number"),
+        ("l.leds[0].kind = 'length'", "leds[0].kind = length is no integer"),
+        ("l.leds[0].name = '=cmd()'", "leds[0].name = =cmd() breaks the rule pattern"),
+        ("l.leds[0].reference = 7", "leds[0].reference = 7 is no string"),
+        ("l.so2 = 9", "so2 = 9 breaks the rule maximum 1"),
+        ("l.rest = -1", "rest = -1 breaks the rule minimum"),
+        ("l.force = '1'", "force = 1 is no number"),
+        ("l.ambient = 99", "ambient = 99 breaks the rule maximum"),
+        ("l.leds = Array(2000).fill(l.leds[0])", "leds breaks the rule maxItems 64"),
+        ("l.photodiodes[0].elements = 1e9", "photodiodes[0].elements = 1000000000 breaks the rule maximum 1024"),
+        ("l.leds = Array(64).fill(l.leds[0]); l.photodiodes[0].elements = 1000", "more than this page shows"),
+        ("l.photodiodes[0].width = 0", "photodiodes[0].width = 0 breaks the rule exclusiveMinimum 0"),
+        ("l.photodiodes[0].wired = [0, 0]", "wired must name elements"),
+    ],
+)
+def test_a_link_that_breaks_a_rule_is_refused(shown: Any, file: Path, edit: str, rule: str):
+    layout, hostile = shown.evaluate("workbench.layout"), link(shown, edit)
+    shown.evaluate("(hash) => { location.hash = hash; }", hostile)
+    shown.locator("#message", has_text=rule).wait_for()
+    assert shown.evaluate("workbench.layout") == layout
+    # So is one that the page is opened with.
+    shown.goto("about:blank")
+    shown.goto(f"{file.as_uri()}#{hostile}")
+    assert rule in shown.inner_text("#message") and shown.evaluate("workbench.layout") == layout
+
+
+SCENE = """
+schema_version = 1
+[finger]
+digit = "index"
+[blood]
+so2 = 0.97
+[[leds]]
+name = "ir"
+part = "led_660"
+position_mm = [-1.2, 0.0]
+[[photodiodes]]
+name = "pd"
+position_mm = [1.5, 0.0]
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("so2 = 0.97", "so2 = 9.0"),
+        ("so2 = 0.97", 'so2 = "high"'),
+        ("so2 = 0.97", "so3 = 0.97"),
+        ("[-1.2, 0.0]", "[-1.2]"),
+        ("[-1.2, 0.0]", "[nan, 0.0]"),
+        ('"ir"', '"=1+1"'),
+        ('"pd"', '"a\\nb"'),
+        ("[1.5, 0.0]", "[1.5, 0.0]\nsize_mm = [-1.0, 1.0]"),
+        ("[1.5, 0.0]", "[1.5, 0.0]\nelements = 2000"),
+        ("[1.5, 0.0]", "[1.5, 0.0]\nelements = 2\nwired = [2]"),
+        ("[1.5, 0.0]", "[1.5, 0.0]\nelements = 2\npitch_mm = 0.5"),
+        ('digit = "index"', 'digit = "nose"'),
+        ("schema_version = 1", "schema_version = 2"),
+        ("schema_version = 1", "schema_version = 1\nleds = 5"),
+    ],
+)
+def test_a_dropped_scene_is_refused_as_python_refuses_it(shown: Any, tmp_path: Path, old: str, new: str):
+    layout, text = shown.evaluate("workbench.layout"), SCENE.replace(old, new)
+    assert text != SCENE
+    parse_scene(SCENE)
+    with pytest.raises(InputError):
+        parse_scene(text)
+    (tmp_path / "dropped.toml").write_text(text, encoding="utf-8")
+    shown.set_input_files("#open", tmp_path / "dropped.toml")
+    shown.locator("#message", has_text="dropped.toml:").wait_for()
+    assert "lie on this page" not in shown.inner_text("#message")
+    assert shown.evaluate("workbench.layout") == layout
+    (tmp_path / "whole.toml").write_text(SCENE, encoding="utf-8")
+    shown.set_input_files("#open", tmp_path / "whole.toml")
+    shown.locator("#message", has_text="whole.toml: its parts lie").wait_for()
+
+
+def test_every_shipped_finger_keeps_the_rules_of_the_page(shown: Any):
+    """The page knows the models' own JSON Schema: what Python takes it does not refuse."""
+    for path in sorted(data_dir("scenes").glob("*.toml")):
+        scene = load_scene(path)
+        for text in (path.read_text(encoding="utf-8"), to_toml(scene)) if scene.finger else ():
+            assert shown.evaluate("(text) => broken(smolToml.parse(text), tables.rules.scene, '')", text) == "", path
+
+
+def test_positions_hold_no_formula_and_no_line_of_their_own(shown: Any, tmp_path: Path):
+    refs = ["=HYPERLINK(1)", "@SUM", 'D"1', "a\nb,c", "+1"]
+    shown.evaluate(
+        """(refs) => { const [like] = workbench.layout.leds;
+        workbench.layout.leds = refs.map((reference, k) => ({ ...like, name: `l${k}`, reference }));
+        document.getElementById('save-positions').disabled = false; }""",
+        refs,
+    )
+    path = saved(shown, "#save-positions", tmp_path)
+    assert [part.ref for part in read_positions(path)][:5] == [ref.replace("\n", " ") for ref in refs]
+    cells = [line.split(",")[0].strip('"') for line in path.read_text(encoding="utf-8").splitlines()]
+    assert not any(cell[:1] in FORMULA for cell in cells)
+
+
+def test_no_script_but_its_own_runs_on_the_page(shown: Any, explored: Exploration):
+    """What came into it as markup would neither run nor load anything."""
+    text = page(explored)
+    injected = text.replace("</main>", "<script>window.hostile = 1</script><img src='http://x.invalid/' ></main>")
+    refused: list[str] = []
+    view = shown.context.new_page()
+    view.on("console", lambda message: refused.append(message.text))
+    view.set_content(injected)
+    assert view.evaluate("[window.hostile, typeof workbench.result]") == [None, "object"]
+    assert sum("Content Security Policy" in line for line in refused) == 2
+    view.close()

@@ -388,11 +388,14 @@ function unpacked([, leds, photodiodes, force, rest, so2, ambient]) {
 
 const toLink = (layout) => btoa(unescape(encodeURIComponent(JSON.stringify(packed(layout))))).replace(/\+/g, "-").replace(/\//g, "_").replace(/=+$/, "");
 
+/** The layout of a link; throws an Error that says why it has none. */
 function fromLink(text) {
-  const layout = unpacked(JSON.parse(decodeURIComponent(escape(atob(text.replace(/-/g, "+").replace(/_/g, "/"))))));
-  const known = layout.leds.every((p) => tables.ledKinds[p.kind]) && layout.photodiodes.every((p) => tables.photodiodeKinds[p.kind]);
-  if (!known || ![layout.force, layout.rest, layout.so2].every(Number.isFinite)) throw new Error("this link is of another page");
-  return layout;
+  let packed;
+  try {
+    packed = JSON.parse(decodeURIComponent(escape(atob(text.replace(/-/g, "+").replace(/_/g, "/")))));
+  } catch { throw new Error("it holds no layout"); }
+  if (!Array.isArray(packed) || packed[0] !== 1 || ![packed[1], packed[2]].every((list) => Array.isArray(list) && list.every(Array.isArray))) throw new Error("it holds no layout");
+  return checkedLayout(unpacked(packed));
 }
 
 /** The layout as the tables of a scene, ready for TOML. */
@@ -432,8 +435,11 @@ function toScene(layout) {
   return scene;
 }
 
-/** A dropped scene's parts on this page's board; whatever else it says stays as it is here. */
+/** A dropped scene's parts on this page's board; whatever else it says stays as it is here. Throws an Error. */
 function fromScene(scene, before) {
+  if (scene.phantom) throw new Error("a phantom has no board; open a scene with a finger.");
+  const why = broken(scene, tables.rules.scene, "");
+  if (why) throw new Error(`${why}.`);
   const [cu, cv] = (scene.board && scene.board.center_mm) || [0, 0];
   const place = (part) => { const [u, v] = part.position_mm || [0, 0]; return { u: u + cu, v: v + cv, turn: part.rotation_deg || 0 }; };
   const leds = (scene.leds || []).map((led) => {
@@ -444,7 +450,7 @@ function fromScene(scene, before) {
   });
   const photodiodes = (scene.photodiodes || []).map((pd) => {
     const part = pd.part || pd.array, kind = Math.max(0, tables.photodiodeKinds.findIndex((one) => one.fields.part && one.fields.part === part));
-    const usual = tables.photodiodeKinds[kind].fields, [width, length] = pd.size_mm || usual.size_mm;
+    const usual = tables.photodiodeKinds[kind].fields, [width, length] = pd.size_mm || (part ? usual : tables.rules.usual).size_mm;
     return {
       name: pd.name || part, reference: pd.reference || null, kind, ...place(pd), width, length, elements: pd.elements || (part ? usual.elements : 1),
       pitch: pd.pitch_mm || (part ? usual.pitch_mm : null) || null, wired: pd.wired || null,
@@ -452,15 +458,20 @@ function fromScene(scene, before) {
   });
   if (!leds.length || !photodiodes.length) throw new Error("this scene has no LEDs or no photodiodes.");
   const blood = scene.blood || {}, touch = scene.touch || {};
-  return { ...before, leds, photodiodes, rest: blood.rest_blood_fraction ?? before.rest, so2: blood.so2 ?? before.so2, force: touch.force_n ?? before.force };
+  return checkedLayout({ ...before, leds, photodiodes, rest: blood.rest_blood_fraction ?? before.rest, so2: blood.so2 ?? before.so2, force: touch.force_n ?? before.force });
 }
 
 /** The layout as a position file in KiCad's form, all on the bottom, which faces the nail; with a file's references. */
 function toPositions(layout) {
   const lines = ["Ref,Val,Package,PosX,PosY,Rot,Side"], number = (x) => (x + 0).toFixed(6), turn = (deg) => ((deg % 360) + 360) % 360;
+  // A text that a spreadsheet would run as a formula stands behind an apostrophe, which `place` and `check` take away.
+  const cell = (text) => `"${(tables.formula.includes(text[0]) ? "'" : "") + text.split(/[\r\n\v\f\x1c-\x1e\x85\u2028\u2029]+/).join(" ").replace(/"/g, '""')}"`;
+  const line = (texts, { u, v }, deg) => lines.push([...texts.map(cell), number(u), number(v), number(turn(deg)), "bottom"].join(","));
   const known = [...layout.leds, ...layout.photodiodes].some((part) => part.reference);
-  layout.leds.forEach((led, i) => lines.push(`"${led.reference || (known ? led.name : `D${i + 1}`)}","${led.name}","LED_die",${number(led.u)},${number(led.v)},${number(turn(led.turn))},bottom`));
-  layout.photodiodes.flatMap((pd) => elementsOf(pd)).forEach((element, i) => lines.push(
-    `"${element.of.reference ? element.of.reference + element.name.slice(element.of.name.length) : known ? element.name : `PD${i + 1}`}","${element.name}","PD_${element.width}x${element.length}mm",${number(element.u)},${number(element.v)},${number(turn(element.of.turn))},bottom`));
+  layout.leds.forEach((led, i) => line([led.reference || (known ? led.name : `D${i + 1}`), led.name, "LED_die"], led, led.turn));
+  layout.photodiodes.flatMap((pd) => elementsOf(pd)).forEach((element, i) => {
+    const { of, name } = element, ref = of.reference ? of.reference + name.slice(of.name.length) : known ? name : `PD${i + 1}`;
+    line([ref, name, `PD_${element.width}x${element.length}mm`], element, of.turn);
+  });
   return lines.join("\n") + "\n";
 }

@@ -52,10 +52,14 @@ function remember(before) {
   history.replaceState(null, "", `#${toLink(workbench.layout)}`);
 }
 
+/** Change the layout where it keeps its rules; say why not where it does not. */
 function change(edit) {
-  const before = copy(workbench.layout);
-  edit(workbench.layout);
-  remember(before);
+  const before = workbench.layout, after = copy(before);
+  edit(after);
+  try {
+    workbench.layout = checkedLayout(after);
+    remember(before);
+  } catch (error) { say(`${error.message}.`); }
   draw();
 }
 
@@ -355,9 +359,9 @@ function drawProperties() {
     target[key] = value;
     if (key === "elements") target.wired = null;
   });
-  const number = (key, text, step, unit, least = -1e3) => {
+  const number = (key, text, step, unit) => {
     const input = element("input", { type: "number", step, "data-key": key, value: +(+part[key]).toFixed(4), "aria-label": text });
-    input.addEventListener("change", () => { const x = Number(input.value); if (Number.isFinite(x) && x >= least && input.value !== "") edit(key, key === "elements" ? Math.round(x) : x); });
+    input.addEventListener("change", () => { const x = Number(input.value); if (input.value !== "") edit(key, x); input.value = +(+chosenPart()[1][key]).toFixed(4); });
     const label = element("label", {}, text);
     label.append(input, unit);
     return label;
@@ -368,7 +372,7 @@ function drawProperties() {
   kinds.forEach((one, i) => select.append(element("option", i === part.kind ? { value: i, selected: "" } : { value: i }, one.title)));
   select.addEventListener("change", () => edit("kind", Number(select.value)));
   host.append(select, number("u", "u", 0.05, "mm"), number("v", "v", 0.05, "mm"), number("turn", "turn", 15, "°"));
-  if (kind === "diode") host.append(number("width", "width", 0.05, "mm", 0.05), number("length", "length", 0.05, "mm", 0.05), number("elements", "elements", 1, "", 1));
+  if (kind === "diode") host.append(number("width", "width", 0.05, "mm"), number("length", "length", 0.05, "mm"), number("elements", "elements", 1, ""));
   const remove = element("button", { type: "button", id: "remove" }, "Remove");
   remove.addEventListener("click", removeChosen);
   host.append(remove);
@@ -417,10 +421,10 @@ function slider(id, range, factor, step, read, write) {
   for (const input of [bar, number]) { input.min = (range[0] * factor).toFixed(4); input.max = (range[1] * factor).toFixed(4); }
   bar.step = step;
   let before = null;
-  const set = (value) => { workbench.layout[write] = Math.min(range[1], Math.max(range[0], value / factor)); };
-  bar.addEventListener("input", () => { before = before || copy(workbench.layout); set(Number(bar.value)); draw(); });
+  const set = (layout, value) => { layout[write] = Math.min(range[1], Math.max(range[0], value / factor)); };
+  bar.addEventListener("input", () => { before = before || copy(workbench.layout); set(workbench.layout, Number(bar.value)); draw(); });
   bar.addEventListener("change", () => { if (before) remember(before); before = null; draw(); });
-  number.addEventListener("change", () => { if (number.value !== "" && Number.isFinite(Number(number.value))) change(() => set(Number(number.value))); else draw(); });
+  number.addEventListener("change", () => { if (number.value !== "" && Number.isFinite(Number(number.value))) change((layout) => set(layout, Number(number.value))); else draw(); });
   return () => {
     const value = read() * factor;
     if (document.activeElement !== bar) bar.value = value;
@@ -453,7 +457,7 @@ function listen() {
   document.addEventListener("dragover", (event) => { event.preventDefault(); document.body.classList.add("dropping"); });
   document.addEventListener("dragleave", () => document.body.classList.remove("dropping"));
   document.addEventListener("drop", (event) => { event.preventDefault(); document.body.classList.remove("dropping"); if (event.dataTransfer.files[0]) openFile(event.dataTransfer.files[0]); });
-  window.addEventListener("hashchange", () => { try { const found = fromLink(location.hash.slice(1)); change((layout) => Object.assign(layout, found)); } catch { say("That link is of another page."); } });
+  window.addEventListener("hashchange", () => { try { const found = fromLink(location.hash.slice(1)); change((layout) => Object.assign(layout, found)); } catch (error) { say(`That link is of another page: ${error.message}.`); } });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { for (const id of Object.keys(plots)) { plots[id].destroy(); delete plots[id]; } draw(); });
   listenToKeys();
   listenToDrags();
@@ -522,6 +526,7 @@ function save(name, text, type) {
 
 async function openFile(file) {
   try {
+    if (file.size > tables.rules.mostBytes) throw new Error(`has ${(file.size / 1e6).toFixed(1)} MB, more than ${tables.rules.mostBytes / 1e6}; a scene has less.`);
     const found = fromScene(smolToml.parse(await file.text()), workbench.layout);
     change((layout) => Object.assign(layout, found));
     say(`${file.name}: its parts lie on this page's board; finger, vessels and board stay as they are here.`);
@@ -563,7 +568,7 @@ function draw() {
 }
 
 workbench.layout = copy(tables.layout);
-if (location.hash.length > 1) { try { workbench.layout = fromLink(location.hash.slice(1)); } catch { say("The link is of another page; the scene's own layout is shown."); } }
+if (location.hash.length > 1) { try { workbench.layout = fromLink(location.hash.slice(1)); } catch (error) { say(`The link is of another page, and the scene's own layout is shown: ${error.message}.`); } }
 listen();
 drawFixed();
 draw();
