@@ -73,6 +73,25 @@ def test_darkness_reads_the_dark_current():
     assert not output.saturated
 
 
+def test_dark_current_adds_its_shot_noise():
+    amplifier, dark_a = Electronics(), 50e-9
+    dim, dark = (DIODE.model_copy(update={"dark_current_na": 1e9 * a}) for a in (0.0, dark_a))
+    # 2 q I B R^2 of the dark current alone, whatever the light.
+    expected = 2 * 1.602176634e-19 * dark_a * amplifier.bandwidth_hz * amplifier.feedback_ohm**2
+    for power_w in (0.0, 1e-7):
+        more = read(power_w, LED, dark, amplifier).noise_v2 - read(power_w, LED, dim, amplifier).noise_v2
+        assert more == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_converter_saturates_in_its_last_step():
+    coarse = Electronics(adc_bits=4)
+    steps = np.array([-1.01, -0.99, -0.5, 0.5])
+    volts = coarse.adc_range_v + steps * lsb_v(coarse)
+    output = read((volts - 1e-4) / 0.55e6, LED, DIODE, coarse)
+    assert output.saturated.tolist() == [False, True, True, True]
+    assert output.volts == pytest.approx(np.minimum(volts, coarse.adc_range_v))
+
+
 def test_a_coarse_converter_dominates():
     coarse = Electronics(adc_bits=4)
     assert read(0.0, LED, DIODE, coarse).volts_noise_rms == pytest.approx(lsb_v(coarse) / np.sqrt(12), rel=1e-4)

@@ -9,14 +9,20 @@ MINUS = "−"
 TINY = 1e-290  # what is less has no power of ten to divide by
 
 
-def prefix(magnitude: float) -> tuple[float, str]:
-    """Scale and prefix in which a magnitude reads as 1 to 1000: 0.0123 V is 12.3 with (1e-3, "m")."""
+def prefix(magnitude: float, *, digits: int = 3) -> tuple[float, str]:
+    """Scale and prefix in which a magnitude reads as 1 to 1000: 0.0123 V is 12.3 with (1e-3, "m").
+
+    digits : Significant digits that will be shown: 0.9996 V to three of them is 1.00 V, not 1000 mV.
+    """
     if not math.isfinite(magnitude) or abs(magnitude) < TINY:
         return 1.0, ""
-    # The nudge keeps 999.96, which is shown as 1000, from staying in the smaller unit.
-    power = 3 * math.floor(math.log10(abs(magnitude) * 1.0001) / 3)
-    power = min(max(power, -12), 9)
+    power = min(max(3 * (_power(magnitude, digits) // 3), -12), 9)
     return 10.0**power, _PREFIXES[power]
+
+
+def _power(value: float, digits: int) -> int:
+    """The power of ten of a number once it is rounded to so many digits: 0 of 0.9996 to three of them."""
+    return int(f"{value:.{digits - 1}e}".partition("e")[2])
 
 
 def fixed(value: float, decimals: int, *, sign: bool = False) -> str:
@@ -32,7 +38,7 @@ def significant(value: float, digits: int = 3, *, sign: bool = False) -> str:
     """A number with so many significant digits, in powers of ten where it is far from 1."""
     if not math.isfinite(value) or abs(value) < TINY:
         return fixed(value, 0)
-    power = math.floor(math.log10(abs(value)))
+    power = _power(value, digits)
     if -3 <= power < 5:
         return fixed(value, digits - 1 - power, sign=sign)
     return f"{fixed(value / 10.0**power, digits - 1, sign=sign)} × 10{str(power).translate(_SUPERSCRIPT)}"
@@ -71,5 +77,5 @@ def quantity(value: float, unit: str, *, digits: int = 3, sign: bool = False) ->
     """A number with unit and prefix, not to be parted at a line's end: 0.0123, "V" is "12.3 mV"."""
     if not math.isfinite(value):
         return fixed(value, 0)
-    scale, letter = prefix(value)
+    scale, letter = prefix(value, digits=digits)
     return f"{significant(value / scale, digits, sign=sign)}\u00a0{letter}{unit}"

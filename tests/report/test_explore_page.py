@@ -124,7 +124,11 @@ def test_readings_are_pythons_at_random_places_sizes_turns_and_states(shown: Any
 def test_volts_noise_and_the_converters_limit_are_pythons(shown: Any, explored: Exploration):
     scene = explored.scene
     led, photodiode = scene.leds[0], scene.photodiodes[0]
-    for fraction in (0.0, 1e-5, 1e-3, 0.5):
+    # The last of them lies in the converter's last step.
+    limit_v = electronics.limit_v(scene.electronics) + 0.5 * electronics.lsb_v(scene.electronics)
+    dark_v = float(electronics.read(0.0, led, photodiode, scene.electronics).amplified_v)
+    last = (limit_v - dark_v) / electronics.volts_per_fraction(led, photodiode, scene.electronics)
+    for fraction in (0.0, 1e-5, 1e-3, 0.5, last):
         expected = electronics.read(fraction, led, photodiode, scene.electronics)
         current = fraction * led.flux_mw * 1e-3
         told = shown.evaluate(

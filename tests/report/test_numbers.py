@@ -46,6 +46,14 @@ def test_a_quantity_takes_the_prefix_that_suits(value, text):
     assert quantity(value, "V") == text
 
 
+@pytest.mark.parametrize(
+    "value, digits, text",
+    [(0.9994, 3, "999 mV"), (0.9996, 3, "1.00 V"), (0.9996, 4, "999.6 mV"), (0.996, 2, "1.0 V"), (999.7, 3, "1.00 kV")],
+)
+def test_rounding_up_to_a_thousand_takes_the_next_prefix(value, digits, text):
+    assert quantity(value, "V", digits=digits) == text.replace(" ", "\u00a0")
+
+
 @given(st.floats(1e-11, 1e11))
 def test_a_prefix_leaves_one_to_a_thousand(value):
     scale, _ = prefix(value)

@@ -97,7 +97,8 @@ def test_the_fits_and_paths_are_those_of_the_result(undrawn, make):
 
 def test_the_page_needs_nothing_from_outside(make):
     text = page(make(leds=2))
-    assert "http" not in text and "@import" not in text and "<script" not in text
+    assert "http:" not in text and "https:" not in text and "@import" not in text and "<script" not in text
+    assert "Content-Security-Policy\" content=\"default-src 'none'; script-src 'none';" in text
     ids = set()
     for tag, attrs in Page(text).tags:
         assert tag not in ("link", "script", "iframe", "object")

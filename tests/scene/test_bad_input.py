@@ -259,7 +259,7 @@ def test_impossible_wiring_is_refused(fields, words):
         ('pattern = "measured"', "needs pattern_deg and pattern_relative"),
         ('pattern = "measured"\npattern_deg = [0, 90]\npattern_relative = [0, 0]', "needs pattern_deg"),
         (
-            'pattern = "measured"\npattern_deg = [0, 95]\npattern_relative = [1, 0]',
+            'pattern = "measured"\npattern_deg = [0, 90.001]\npattern_relative = [1, 0]',
             "pattern_deg must rise from 0 to at most 90",
         ),
         ('pattern = "measured"\npattern_deg = [0, 50, 40]\npattern_relative = [1, 1, 0]', "pattern_deg must rise"),

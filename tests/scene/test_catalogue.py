@@ -58,6 +58,7 @@ def test_a_scene_gets_a_parts_numbers_under_its_own_names(tmp_path):
         (LED + 'pattern = "cosine"', 'pattern: must be "lambertian" or rows .* not .cosine.'),
         (LED + "pattern = [[5, 1], [90, 0]]", "angles rising from 0"),
         (LED + "pattern = [[0, 1], [90, -1]]", "relative >= 0"),
+        (LED + "pattern = [[0, 1], [90.001, 0]]", "to at most 90"),
         (LED.replace('"led"', '"lamp"'), "kind must be"),
         ("peak_nm = 3", "kind must be"),
         ("x =", "is not valid TOML"),
