@@ -2,11 +2,11 @@
 
     python docs/collect_variables.py FOLDER
 
-A file counts under its own name, and what several of one name hold counts together; of a name that no file has, the
-table stays as it is. Few photons do, and these scenes have all variables between them: `simulate` of prototype, shear
-and placement; `place` of placement and pulse_oximeter, not cut off; `colour` of nail_colour and heartbeat; `compare`
-and `tradeoff` of prototype; `oximeter` of pulse_oximeter, with --recording and then with --readings; `predict` as in
-the tutorial on force. A test names the variables of the code that the table lacks.
+Variables of several files of one name are merged; entries for names that the folder lacks are unchanged. Few photons
+suffice, and these scenes together have all variables: `simulate` of prototype, shear and placement; `place` of
+placement and pulse_oximeter, not cut off; `colour` of nail_colour and heartbeat; `compare` and `tradeoff` of prototype;
+`oximeter` of pulse_oximeter, with --recording and then with --readings; `predict` as in the tutorial on force. A test
+lists variables of the code that the table lacks.
 """
 
 import json
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import xarray as xr
 
-# What writes each file, in the order of the page.
+# The command that writes each file, in the order of the page.
 COMMANDS = {
     "result.nc": "simulate",
     "compare.nc": "compare",
@@ -29,7 +29,7 @@ COMMANDS = {
 
 
 def variables(path: Path) -> dict[str, dict[str, object]]:
-    """What a dataset's variables are: over which dimensions, in which unit, and what they mean."""
+    """A dataset's variables with their dimensions, units and long names."""
     with xr.open_dataset(path, engine="h5netcdf") as data:
         return {
             str(name): {"dims": list(map(str, one.dims))}
@@ -40,15 +40,15 @@ def variables(path: Path) -> dict[str, dict[str, object]]:
 
 def collect(folder: Path) -> dict[str, dict[str, object]]:
     """The variables of all datasets in a folder and below it, by the file's name."""
-    found: dict[str, dict[str, object]] = {}
+    files: dict[str, dict[str, object]] = {}
     for name, command in COMMANDS.items():
         for path in sorted(folder.rglob(name)):
-            known = found.setdefault(name, {"command": f"nailoptics {command}", "variables": {}})
+            known = files.setdefault(name, {"command": f"nailoptics {command}", "variables": {}})
             known["variables"] |= variables(path)  # type: ignore[operator]
-    return found
+    return files
 
 
 if __name__ == "__main__":
     table = Path(__file__).with_name("output_variables.json")
-    found = json.loads(table.read_text(encoding="utf-8")) | collect(Path(sys.argv[1]))
-    table.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    files = json.loads(table.read_text(encoding="utf-8")) | collect(Path(sys.argv[1]))
+    table.write_text(json.dumps(files, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -24,7 +24,7 @@ autodoc_default_options = {"exclude-members": "model_config"}
 add_module_names = False
 exclude_patterns = ["build"]
 
-highlight_language = "none"  # a block that names no language is typed into a shell
+highlight_language = "none"  # blocks without a language are shell commands
 smartquotes_action = "qe"  # -- begins an option
 html_theme = "furo"
 html_title = f"nailoptics {release}"
@@ -35,7 +35,7 @@ html_copy_source = False
 
 
 def setup(app: object) -> None:
-    """Fill in what is generated, and set formulas without a network."""
+    """Insert the generated text, and typeset formulas without a network."""
     app.connect("source-read", generated.fill_in)
     app.connect("autodoc-process-docstring", generated.as_markup)
     formulas.setup(app)

@@ -1,4 +1,4 @@
-"""Formulas as SVG inside the page, set by matplotlib: no TeX to install, nothing fetched to read them."""
+"""Formulas as SVG inside the page, typeset by matplotlib: needs neither TeX nor a network."""
 
 import re
 from io import BytesIO
@@ -14,7 +14,7 @@ PT_PER_EM = 12.0
 
 
 def svg(latex: str) -> str:
-    """A formula as one SVG element whose baseline is that of the line it stands in."""
+    """A formula as one SVG element, aligned with the baseline of its line."""
     text = f"${' '.join(latex.split())}$"
     depth = MathTextParser("path").parse(text, dpi=72, prop=FONT).depth
     data = BytesIO()
@@ -32,17 +32,17 @@ def svg(latex: str) -> str:
 
 
 def inline(translator: Any, node: Any) -> None:
-    """Write a formula in a line."""
+    """Write an inline formula."""
     translator.body.append(svg(node.astext()))
     raise SkipNode
 
 
 def block(translator: Any, node: Any) -> None:
-    """Write a formula by itself."""
+    """Write a display formula."""
     translator.body.append(f'<div class="formula">{svg(node.astext())}</div>')
     raise SkipNode
 
 
 def setup(app: Any) -> None:
-    """Make it known to Sphinx under the name that conf.py gives."""
+    """Register the renderer with Sphinx under the name used in conf.py."""
     app.add_html_math_renderer("matplotlib", inline_renderers=(inline, None), block_renderers=(block, None))

@@ -1,4 +1,4 @@
-"""What of the documentation is made from the code: a page holds `<!-- NAME -->` where a part of it belongs."""
+"""Documentation generated from the code: `<!-- NAME -->` in a page is replaced by the text of that name."""
 
 import inspect
 import json
@@ -20,13 +20,13 @@ from nailoptics.scene.sweep import sweep_json_schema
 HERE = Path(__file__).parent
 OUTPUTS = HERE / "output_variables.json"
 UNIT = re.compile(r"\s*\[([^\]]+)\]$")
-# Where a table of a scene is written, which the schema does not tell of tables within a list.
+# Tables of a scene that are lists, which the schema does not say of tables within a list.
 LISTS = {"leds", "photodiodes", "layers", "steps", "slots", "candidates", "fingers", "ranges", "sites", "axes"}
-# Tables that decide how far is traced, not what the answer is.
+# Tables that decide the effort of a study, not its result.
 EFFORT = {"accuracy", "placement"}
-# Tables of what is read from light, or told beside it.
+# Tables that are applied after tracing.
 READ_ONLY = {"touch", "body", "electronics", "oximeter", "colour", "priors"}
-# Fields that set others, of which some decide where light goes.
+# Fields that set others, some of which change the light transport.
 FILLS = {
     "digit",
     "part",
@@ -43,7 +43,7 @@ FILLS = {
 
 
 def fill_in(app: object, name: str, source: list[str]) -> None:
-    """Replace the marks of a page, as Sphinx reads it, by what is generated."""
+    """Replace the placeholders of a page, when Sphinx reads it, by the generated text."""
     source[0] = re.sub(r"<!-- (\w+) -->", lambda mark: MADE[mark[1]]() if mark[1] in MADE else mark[0], source[0])
 
 
@@ -53,8 +53,7 @@ def fill_in(app: object, name: str, source: list[str]) -> None:
 def fields() -> str:
     """Every table of a scene file, with every field."""
     schema = json_schema()
-    wanted = [*_tables(schema)]
-    return "\n".join(_section(where, table, schema, _light_fields(where)) for where, table in wanted)
+    return "\n".join(_section(where, table, schema, _light_fields(where)) for where, table in _tables(schema))
 
 
 def sweep_fields() -> str:
@@ -64,7 +63,7 @@ def sweep_fields() -> str:
 
 
 def part_fields() -> str:
-    """Every kind of part, and what a module is made of."""
+    """Every kind of part, and the parts of a module."""
     kinds = {"led": LedPart, "photodiode": PhotodiodePart, "module": ModulePart}
     kinds |= {"[[leds]] of a module": ModuleLed, "[[photodiodes]] of a module": ModulePhotodiode}
     text = []
@@ -76,7 +75,7 @@ def part_fields() -> str:
 
 
 def _tables(schema: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
-    """Each table of a file with its place, the outermost first; one that stands in two places comes once."""
+    """Each table of a file with its path, the outermost first; one that occurs twice is given once."""
     seen: set[str] = set()
     waiting: list[tuple[tuple[str, ...], Mapping[str, Any]]] = [((), schema)]
     while waiting:
@@ -96,7 +95,7 @@ def _section(where: tuple[str, ...], table: Mapping[str, Any], schema: Mapping[s
 
 
 def _rows(table: Mapping[str, Any], schema: Mapping[str, Any], light: set[str] | None) -> list[str]:
-    head = ["field", "takes", "unit", "default", "what it is"] + ([] if light is None else ["light"])
+    head = ["field", "takes", "unit", "default", "meaning"] + ([] if light is None else ["light"])
     rows = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for name, one in table["properties"].items():
         text, unit = described(one, schema)
@@ -107,7 +106,7 @@ def _rows(table: Mapping[str, Any], schema: Mapping[str, Any], light: set[str] |
 
 
 def described(one: Mapping[str, Any], schema: Mapping[str, Any]) -> tuple[str, str]:
-    """What a field is, and its unit; 1 for a number without one."""
+    """Description and unit of a field; the unit is 1 for a dimensionless number."""
     text = " ".join((one.get("description") or _table_of(one, schema).get("description", "")).split())
     unit = UNIT.search(text)
     text = _plain(UNIT.sub("", text)).replace("|", "\\|")
@@ -115,7 +114,7 @@ def described(one: Mapping[str, Any], schema: Mapping[str, Any]) -> tuple[str, s
 
 
 def _table_of(one: Mapping[str, Any], schema: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The table that a field refers to; empty where it is none."""
+    """The table that a field refers to; empty if it refers to none."""
     found = re.search(r"#/\$defs/(\w+)", json.dumps(one))
     return schema["$defs"][found[1]] if found else {}
 
@@ -171,12 +170,12 @@ def _default(one: Mapping[str, Any]) -> str:
 
 
 def _plain(text: str) -> str:
-    """A description in Markdown: brackets and angles stand for themselves."""
+    """A description in Markdown, with brackets and angles escaped."""
     return re.sub(r"([\[\]<>*])", r"\\\1", " ".join(text.split()))
 
 
 def _light_fields(where: tuple[str, ...]) -> set[str] | None:
-    """The fields of a table whose change asks for a new trace, found by changing each in a shipped scene."""
+    """The fields of a table whose change needs a new trace, determined by changing each in a shipped scene."""
     if where and where[0] in EFFORT:
         return None
     if where and where[0] in READ_ONLY:
@@ -189,19 +188,19 @@ def _light_fields(where: tuple[str, ...]) -> set[str] | None:
     else:
         return set()
     rules = type(table).model_json_schema()["properties"]
-    before, moved = light_digest(scene), set()
+    before, marked = light_digest(scene), set()
     with warnings.catch_warnings():
-        # A list within a list gets a number: only whether the digest moves is asked.
+        # A list within a list gets a number: only whether the digest changes matters.
         warnings.simplefilter("ignore", UserWarning)
         for name, value in table:
             other = _other(value, taken(rules[name]))
             if name in FILLS or other is not None and light_digest(_with(scene, where, name, other)) != before:
-                moved.add(name)
-    return moved - {"schema_version"}
+                marked.add(name)
+    return marked - {"schema_version"}
 
 
 def _at(scene: Scene, where: tuple[str, ...]) -> Any:
-    """The table at a place, the first of a list; None where the scene has none."""
+    """The table at a path, the first of a list; None if the scene has none."""
     table: Any = scene
     for name in where:
         table = getattr(table, name)
@@ -212,7 +211,7 @@ def _at(scene: Scene, where: tuple[str, ...]) -> Any:
 
 
 def _other(value: Any, rule: str) -> Any:
-    """Another value that a field could have; None for a table, whose own fields are asked."""
+    """Another value that a field could have; None for a table, whose fields are changed one by one."""
     if isinstance(value, Table) or "a table" in rule:
         return None
     if isinstance(value, bool):
@@ -228,7 +227,7 @@ def _other(value: Any, rule: str) -> Any:
 
 
 def _with(table: Any, where: tuple[str, ...], name: str, value: Any) -> Any:
-    """A copy of a table with another value at a place in it."""
+    """A copy of a table with another value at a path in it."""
     if not where:
         return table.model_copy(update={name: value})
     inner = getattr(table, where[0])
@@ -240,7 +239,7 @@ def _with(table: Any, where: tuple[str, ...], name: str, value: Any) -> Any:
 
 
 def commands() -> str:
-    """Every command with its options, as the command line itself tells them."""
+    """Every command with its options, from the command line's own help."""
     from nailoptics.cli import app
 
     text = app.generate_docs(output_format="markdown", heading_level=1)
@@ -262,7 +261,7 @@ def library() -> str:
         elif inspect.isclass(one) and issubclass(one, Exception):
             kinds["Errors"].append(f".. autoexception:: nailoptics.{name}\n")
         elif inspect.isclass(one):
-            # What a scene is made of stands in the reference of its fields.
+            # The fields of a scene have a reference of their own.
             members = "layout, zone_edges_mm, zone_width_mm" if one is Scene else ""
             given = "()" if one is Scene else ""
             kinds["Classes"].append(f".. autoclass:: nailoptics.{name}{given}\n   :members: {members}\n")
@@ -284,7 +283,7 @@ def _rst(text: str) -> str:
 
 
 def as_markup(app: object, what: str, name: str, one: object, options: object, lines: list[str]) -> None:
-    """Turn a docstring as this project writes it into reStructuredText, arguments as fields."""
+    """Turn a docstring in this project's style into reStructuredText, arguments as fields."""
     written: list[str] = []
     entry: list[str] = []
 
@@ -295,15 +294,16 @@ def as_markup(app: object, what: str, name: str, one: object, options: object, l
 
     for line in lines:
         line = _marked(line)
-        argument, told = (
+        argument, section = (
             re.match(r"(\w[\w, ]*) : (.*)", line),
             re.match(r"(Returns|Raises|Warns|References): (.*)", line),
         )
-        if argument or told:
+        if argument or section:
             end()
             names = argument[1].split(", ") if argument else []
             entry += ["\n".join(f":param {one}:" for one in names), argument[2]] if argument else []
-            entry += [f":{told[1].lower()}:" if told[1] == "Returns" else f":{told[1]}:", told[2]] if told else []
+            if section:
+                entry += [f":{section[1].lower()}:" if section[1] == "Returns" else f":{section[1]}:", section[2]]
         elif entry and line.strip():
             entry.append(line.strip())
         else:
@@ -314,7 +314,7 @@ def as_markup(app: object, what: str, name: str, one: object, options: object, l
 
 
 def _marked(line: str) -> str:
-    """A line in which names are set as code, and marks that mean something in reStructuredText stand for themselves."""
+    """A line with names set as code and with reStructuredText's special characters escaped."""
     parts = re.sub(r"(?<!`)`([^`]+)`(?!`)", r"``\1``", line).split("``")
     parts[::2] = [re.sub(r"[*|@]|(?<=\w)_(?=\W|$)", r"\\\g<0>", part) for part in parts[::2]]
     return "``".join(parts)
@@ -330,21 +330,21 @@ def outputs() -> str:
         text += [
             f"### {file}\n",
             f"Written by `{made['command']}`.\n",
-            "| variable | over | unit | what it is |",
+            "| variable | dimensions | unit | meaning |",
             "|---|---|---|---|",
         ]
         for name, one in made["variables"].items():
             if name.endswith("_stderr") and name.removesuffix("_stderr") in made["variables"]:
                 continue
             error = " ±" if f"{name}_stderr" in made["variables"] else ""
-            dims = ", ".join(one["dims"]) or "one number"
+            dims = ", ".join(one["dims"]) or "scalar"
             text.append(f"| `{name}`{error} | {dims} | {one['units']} | {_plain(one['long_name'])} |")
         text.append("")
     return "\n".join(text)
 
 
 def parts() -> str:
-    """The shipped parts, with the comments that tell where their numbers come from."""
+    """The shipped parts, with the comments that give their sources."""
     text = []
     for path in sorted((HERE.parent / "assets/parts").glob("*.toml")):
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -355,8 +355,8 @@ def parts() -> str:
 
 
 def priors() -> str:
-    """What is unknown of a finger, with its range and its source."""
-    rows = ["| field | what | range | source |", "|---|---|---|---|"]
+    """The shipped priors of a finger, with range and source."""
+    rows = ["| field | quantity | range | source |", "|---|---|---|---|"]
     for one in shipped_priors():
         rows.append(f"| `{one.field}` | {one.name} | {one.low:g} to {one.high:g} | {_plain(one.source)} |")
     return "\n".join(rows) + "\n"

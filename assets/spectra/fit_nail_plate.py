@@ -1,22 +1,22 @@
-"""Fit the nail plate's absorption to the few facts that are known of it, and print assets/spectra/nail_plate.csv.
+"""Fit the nail plate's absorption to the few published measurements, and print assets/spectra/nail_plate.csv.
 
     python assets/spectra/fit_nail_plate.py > assets/spectra/nail_plate.csv
 
-No table of the nail plate's optics was found, so this makes one. The facts: a healthy fingernail passes about 20 % of
-blue light and more, gradually, the longer the wavelength; UV-A hardly passes; what passes falls exponentially with
-thickness. Transmission alone cannot tell scattering from absorption, so scattering is taken from epidermis, and
+No table of the nail plate's optics was found. Measured: a healthy fingernail transmits about 20 % of blue light,
+gradually more at longer wavelengths, and little UV-A; transmittance decreases exponentially with thickness.
+Transmittance alone does not separate scattering from absorption, so scattering is taken from epidermis, and
 
     mu_a = plateau + edge exp(-(wavelength - 450 nm) / width) + water
 
-has three unknowns for three facts:
+has three parameters for three conditions:
 
-- 20 % passes at 450 nm, and
-- 1.65 % at 365 nm, which tell edge and width for a given plateau;
-- the plateau, which is what remains in the red, lies between the least absorption with which what passes is still
-  exponential in thickness, and the most, at which the red would absorb as much as the blue. It is put in the middle.
+- a transmittance of 20 % at 450 nm, and
+- of 1.65 % at 365 nm, which determine edge and width for a given plateau;
+- the plateau, the absorption in the red, lies between the smallest absorption at which the transmittance is still
+  exponential in thickness, and the largest, at which red is absorbed like blue. Their geometric mean is used.
 
-A plate of 0.44 mm with n 1.5 and g 0.9 lies in air; all light that passes counts, whatever its direction
-(adding-doubling, S. A. Prahl et al., Appl. Opt. 32, 559 (1993), as iadpython has it).
+The plate of 0.44 mm with n 1.5 and g 0.9 is in air; its total transmittance counts
+(adding-doubling, S. A. Prahl et al., Appl. Opt. 32, 559 (1993), by iadpython).
 """
 
 import csv
@@ -31,11 +31,11 @@ from scipy.optimize import brentq
 THICKNESS_MM = 0.44  # the middle of 0.40-0.48 mm, adults' index fingers
 INDEX, ANISOTROPY = 1.5, 0.9
 BLUE_NM, BLUE_PASSES = 450.0, 0.20
-UV_A_NM, UV_A_PASSES = 365.0, 0.0165  # a lamp of 320-400 nm, taken in one line
+UV_A_NM, UV_A_PASSES = 365.0, 0.0165  # a lamp of 320-400 nm, modelled as one line
 RED_NM = 700.0
-# Loss per mm, from slice to slice of these thicknesses, may differ by this part where it is called exponential.
+# Tolerance on the attenuation per mm between these thicknesses for a transmittance that counts as exponential.
 THICKNESSES_MM, EXPONENTIAL_WITHIN = np.linspace(0.3, 0.9, 5), 0.05
-WATER = 0.20  # of the volume; 7-35 % were measured
+WATER = 0.20  # volume fraction; 7-35 % were measured
 WAVELENGTHS_NM = np.arange(400.0, 1001.0, 10.0)
 # From the first wavelength to the last; brackets the absorption at any of them. [mm^-1]
 LEAST_MU_A, MOST_MU_A = 1e-4, 50.0
@@ -43,20 +43,20 @@ LEAST_MU_A, MOST_MU_A = 1e-4, 50.0
 # One paragraph of the table's header each.
 HEADER = (
     "FITTED, not measured: absorption and reduced scattering of the human nail plate. No published table was found. "
-    "Made by assets/spectra/fit_nail_plate.py, which says how.",
-    "Facts: through healthy fingernails about 20 % of the blue light passes, more at longer wavelengths, gradually, "
-    "and exponentially less with thickness (400-750 nm; Effect of nail thickness on visible radiation transmittance: "
+    "Written by assets/spectra/fit_nail_plate.py, which describes the fit.",
+    "Measured: healthy fingernails transmit about 20 % of blue light, gradually more at longer wavelengths, and "
+    "exponentially less with thickness (400-750 nm; Effect of nail thickness on visible radiation transmittance: "
     "implications for new photodynamic therapy technologies in onychomycosis, Photochem. Photobiol. 96, 1267-1272 "
-    "(2020), doi 10.1111/php.13296). Of UV-A 1.65 %, 0.56 to 2.43, passes ten cadaver nails (Arch. Dermatol. 147, 439 "
+    "(2020), doi 10.1111/php.13296). UV-A: 1.65 % (0.56 to 2.43) through ten cadaver nails (Arch. Dermatol. 147, 439 "
     "(2011), doi 10.1001/archdermatol.2010.375). n 1.5; thickness 0.40-0.48 mm; water 7-35 %.",
     "Borrowed: mu_s' = 7.56 (wavelength/500)^-1.33 /mm, a power law through epidermis at 532-980 nm (Y. Shimojo et "
     "al., J. Biomed. Opt. 25, 045002 (2020)), of which nail is the keratinised form; g 0.9.",
     "Fit: mu_a = {plateau:.4f} + {edge:.4f} exp(-(wavelength - 450)/{width:.2f}) + {water:.2f} mu_a,water /mm, so that "
-    "0.44 mm in air pass 20 % at 450 nm and 1.65 % at 365 nm, all directions counted. The plateau is the geometric "
-    "mean of {least:.3f} /mm, below which what passes at 700 nm is not exponential within 5 % from 0.3 to 0.9 mm, and "
-    "{most:.3f} /mm, the absorption at 450 nm. So 0.44 mm pass {at_400:.0%} at 400 nm, {at_550:.0%} at 550 nm, "
-    "{at_700:.0%} at 700 nm. Above 750 nm nothing was measured: the plateau goes on.",
-    "Transmission alone cannot tell absorption from scattering: both are uncertain, mu_a by a factor 2.",
+    "0.44 mm in air transmit 20 % at 450 nm and 1.65 % at 365 nm in all directions. The plateau is the geometric mean "
+    "of {least:.3f} /mm, below which the transmittance at 700 nm is not exponential within 5 % from 0.3 to 0.9 mm, and "
+    "{most:.3f} /mm, the absorption at 450 nm. So 0.44 mm transmit {at_400:.0%} at 400 nm, {at_550:.0%} at 550 nm, "
+    "{at_700:.0%} at 700 nm. Above 750 nm nothing was measured: the plateau is extrapolated.",
+    "Transmittance alone does not separate absorption from scattering: both are uncertain, mu_a by a factor 2.",
 )
 COLUMNS = "wavelength_nm,mu_a_per_mm,mu_s_reduced_per_mm"
 
@@ -67,7 +67,7 @@ def reduced_scattering_per_mm(wavelength_nm: float) -> float:
 
 
 def passes(mu_a_per_mm: float, wavelength_nm: float, thickness_mm: float = THICKNESS_MM) -> float:
-    """Part of the light that passes a plate in air, all directions counted."""
+    """Total transmittance of a plate in air."""
     mu_s = reduced_scattering_per_mm(wavelength_nm) / (1 - ANISOTROPY)
     extinction = mu_a_per_mm + mu_s
     slab = iadpython.Sample(
@@ -77,19 +77,19 @@ def passes(mu_a_per_mm: float, wavelength_nm: float, thickness_mm: float = THICK
 
 
 def absorption_that_passes(part: float, wavelength_nm: float) -> float:
-    """Absorption of a plate of the usual thickness that passes this part. [mm^-1]"""
+    """Absorption at which a plate of the usual thickness has this transmittance. [mm^-1]"""
     return float(brentq(lambda mu_a: passes(mu_a, wavelength_nm) - part, LEAST_MU_A, MOST_MU_A))
 
 
 def uneven_loss(mu_a_per_mm: float, wavelength_nm: float) -> float:
-    """By which part the loss per mm differs between thicknesses; 0 where what passes is exponential."""
+    """Relative range of the attenuation per mm over thickness; 0 for an exponential transmittance."""
     passed = [passes(mu_a_per_mm, wavelength_nm, thickness) for thickness in THICKNESSES_MM]
     loss = -np.diff(np.log(passed)) / np.diff(THICKNESSES_MM)
     return float(np.ptp(loss) / loss.mean())
 
 
 def water_mu_a_per_mm(wavelength_nm: float) -> float:
-    """Absorption of the plate's water; none where the shipped table of water has not begun. [mm^-1]"""
+    """Absorption of the plate's water, constant below the shipped table of water. [mm^-1]"""
     path = Path(__file__).with_name("water.csv")
     rows = csv.DictReader(line for line in path.read_text().splitlines() if not line.startswith("#"))
     wavelength, mu_a = np.array([[float(x) for x in row.values()] for row in rows]).T
@@ -97,7 +97,7 @@ def water_mu_a_per_mm(wavelength_nm: float) -> float:
 
 
 def table() -> str:
-    """The table, with what was fitted in its header."""
+    """The table, with the fitted parameters in its header."""
     most, at_uv = absorption_that_passes(BLUE_PASSES, BLUE_NM), absorption_that_passes(UV_A_PASSES, UV_A_NM)
     least = float(brentq(lambda mu_a: uneven_loss(mu_a, RED_NM) - EXPONENTIAL_WITHIN, 0.05, most))
     plateau = float(np.sqrt(least * most))
