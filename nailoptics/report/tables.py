@@ -83,19 +83,19 @@ def path_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
 
 
 def fit_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
-    """Constants of (8) and (9) as fitted, with what they miss; below, what they could not determine.
+    """Constants of Beer-Lambert (8) and Taylor (9) as fitted, with their misfit; below, what they could not determine.
 
     Where the readings do not bend, V0, V1 and alpha of (8) are not known one by one: such a fit is shown as straight.
     """
     largest_m2 = float(result.capillary_diameter_m.max()) ** 2
     fields = [
-        ("beer_lambert_v0_v", "(8) V<sub>0</sub><br>[mV]", 1e-3),
-        ("beer_lambert_v1_v", "(8) V<sub>1</sub><br>[mV]", 1e-3),
-        ("beer_lambert_alpha_per_m2", "(8) α<br>[10⁻³ µm⁻²]", 1e9),
-        ("beer_lambert_residual_rms_v", "(8) misses,<br>rms [µV]", 1e-6),
-        ("taylor_v0_v", "(9) V′<sub>0</sub><br>[mV]", 1e-3),
-        ("taylor_v1_v_per_m2", "(9) V′<sub>1</sub><br>[µV µm⁻²]", 1e6),
-        ("taylor_residual_rms_v", "(9) misses,<br>rms [µV]", 1e-6),
+        ("beer_lambert_v0_v", "Beer–Lambert (8)<br>V<sub>0</sub> [mV]", 1e-3),
+        ("beer_lambert_v1_v", "V<sub>1</sub><br>[mV]", 1e-3),
+        ("beer_lambert_alpha_per_m2", "α<br>[10⁻³ µm⁻²]", 1e9),
+        ("beer_lambert_residual_rms_v", "misfit,<br>rms [µV]", 1e-6),
+        ("taylor_v0_v", "Taylor (9)<br>V′<sub>0</sub> [mV]", 1e-3),
+        ("taylor_v1_v_per_m2", "V′<sub>1</sub><br>[µV µm⁻²]", 1e6),
+        ("taylor_residual_rms_v", "misfit,<br>rms [µV]", 1e-6),
     ]
     rows = []
     marks: dict[str, str] = {}
@@ -117,8 +117,7 @@ def fit_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
             cells.append(number(value, text or significant(value / unit)))
         rows.append(cells)
     notes = small(
-        "± is what the distance of the readings from the curve leaves open. The trace's error of a reading, which all "
-        "its samples share, is in the first table and comes on top."
+        "± is the trace's standard error, whose noise all samples of a reading share; the misfit is no part of it."
     )
     notes += "".join(small(f"<sup>{mark}</sup> {escaped(note)}") for note, mark in marks.items())
     head = ["Photodiode", *(title for _, title, _ in fields)]

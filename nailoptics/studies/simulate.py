@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 import xarray as xr
@@ -12,10 +12,11 @@ import xarray as xr
 from .. import electronics
 from ..errors import InputError, NotReachedError, as_far_as_reached
 from ..light import DetectedLight, ProgressCallback, Transfer, open_light, optics, section
+from ..light.course import read_replicates
 from ..light.tracing import accuracy
 from ..memory import give_back
 from ..options import Requested, TraceOptions
-from ..paper.reduced_optics import fit_beer_lambert, fit_taylor
+from ..paper.reduced_optics import Fit, fit_beer_lambert, fit_taylor
 from ..scene import Photodiode, Scene
 from ..variables import Variables, precision, variable
 from .blood_states import blood_over_touch, zones_of_photodiodes
@@ -29,8 +30,10 @@ COORDINATES = {
     "photodiode": "photodiode",
     "absorber": "absorbing region or blood zone",
 }
+# The errors of the fits' constants are taken at so many samples of the touch, evenly apart.
+FIT_SAMPLES = 64
 # Prefix of the variables, name, fit, and of the constants units and words.
-REDUCED_OPTICS: tuple[tuple[str, str, Callable[..., Any], dict[str, tuple[str, str]]], ...] = (
+REDUCED_OPTICS: tuple[tuple[str, str, Callable[..., Fit], dict[str, tuple[str, str]]], ...] = (
     (
         "beer_lambert",
         "Beer-Lambert (8)",
@@ -102,7 +105,7 @@ def simulate_from(
     """
     worn = sensor_course(scene, course.time.values)
     result = course.merge(worn).merge(_read_volts(scene, light, course.blood_fraction.values.T, worn, moved))
-    result = result.merge(_fit_reduced(result))
+    result = result.merge(_fit_reduced(scene, result, light.transfer, seed))
     if precision(result.sizes["time"]) is np.float64:
         result.load()
     give_back()
@@ -233,34 +236,54 @@ class _Stages:
         return self.scene.layout.photodiodes[j].photodiode
 
 
-def _fit_reduced(result: xr.Dataset) -> xr.Dataset:
-    """Beer-Lambert (8) and Taylor (9), each fitted to the volts of every photodiode over its own zone's diameter."""
-    pair = ("led", "photodiode")
+def _fit_reduced(scene: Scene, result: xr.Dataset, transfer: Transfer | None, seed: int) -> xr.Dataset:
+    """Beer-Lambert (8) and Taylor (9), each fitted to the volts of every photodiode over its own zone's diameter.
+
+    transfer : whose photons' noise, shared by all samples, makes the constants' standard errors; NaN without it.
+    """
+    pair, shape = ("led", "photodiode"), result.volts.shape[:2]
     # One row for each zone, not for each photodiode.
     diameter_m = [result.capillary_diameter_m.values[zone] for zone in result.zone_of_photodiode.values]
-    notes = np.full(result.volts.shape[:2], "", dtype=object)
+    few = np.unique(np.linspace(0, result.sizes["time"] - 1, FIT_SAMPLES).astype(int))
+    replicates_v = None if transfer is None else _replicates_v(scene, result.isel(time=few), transfer, seed)
+    notes = np.full(shape, "", dtype=object)
     data: Variables = {}
     for model, name, fit, constants in REDUCED_OPTICS:
         fits = [[fit(*one) for one in zip(diameter_m, volts, strict=True)] for volts in result.volts]
         row = partial(_predicted, fits, diameter_m)
         curves = per_sample(row, like=result.detected_fraction.values)
         data |= variable(f"volts_{model}", (*pair, "time"), curves, f"voltage by {name}, fitted", units="V")
-        errors = _each(fits, "stderr")
+        errors = np.full((*shape, len(constants)), np.nan)
+        for i, j in np.ndindex(shape):
+            if replicates_v is not None:
+                errors[i, j] = fits[i][j].stderr(diameter_m[j][few], replicates_v[i, j])
+            notes[i, j] = notes[i, j] or fits[i][j].remark(errors[i, j])
         for k, (field, (unit, words)) in enumerate(constants.items()):
-            values, text = _each(fits, field), f"{words}, in {name}"
-            data |= variable(f"{model}_{field}", pair, values, text, units=unit, stderr=errors[..., k])
+            values = [[one.constants[field] for one in each] for each in fits]
+            data |= variable(f"{model}_{field}", pair, values, f"{words}, in {name}", units=unit, stderr=errors[..., k])
         missed = f"voltage that {name} misses"
         for field, text in (("residual_rms_v", f"{missed}, rms"), ("residual_max_v", f"{missed}, at most")):
-            data |= variable(f"{model}_{field}", pair, _each(fits, field), text, units="V")
-        notes = np.where(_each(fits, "note") != "", _each(fits, "note"), notes)
+            values = [[getattr(one, field) for one in each] for each in fits]
+            data |= variable(f"{model}_{field}", pair, values, text, units="V")
     data["fit_note"] = (pair, notes.astype(str), {"long_name": "what the fit could not determine"})
     return xr.Dataset(data)
 
 
-def _predicted(fits: list[list[Any]], diameter_m: list[np.ndarray], i: int, j: int, t: np.ndarray) -> np.ndarray:
+def _replicates_v(scene: Scene, result: xr.Dataset, transfer: Transfer, seed: int) -> np.ndarray:
+    """Volts by all photons, and without each group of them, (led, photodiode, 1 + groups, time) float. [V]"""
+    fraction = []
+    for i, led in enumerate(scene.leds):
+        wavelength, _ = optics.spectrum(led)
+        mu_a = optics.absorption(transfer.scene, wavelength, blood_fraction=result.blood_fraction.values.T)
+        fraction.append(read_replicates(transfer, i, mu_a, np.ones(len(wavelength)), seed=seed).reading)
+    read = np.stack(fraction).swapaxes(1, 2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Volts are proportional to the light, but for what is dark.
+        per_fraction = (result.volts_stderr / result.detected_fraction_stderr).values[:, :, None]
+        moved = (read / read[:, :, :1] - 1) * result.detected_fraction.values[:, :, None]
+    return np.asarray(result.volts.values[:, :, None] + per_fraction * moved)
+
+
+def _predicted(fits: list[list[Fit]], diameter_m: list[np.ndarray], i: int, j: int, t: np.ndarray) -> np.ndarray:
     """Volts by the fit of an LED and a photodiode at some samples. [V]"""
-    return np.asarray(fits[i][j].predict(diameter_m[j][t]))
-
-
-def _each(fits: list[list[Any]], field: str) -> np.ndarray:
-    return np.array([[getattr(found, field) for found in row] for row in fits])
+    return fits[i][j].predict(diameter_m[j][t])

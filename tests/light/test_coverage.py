@@ -16,9 +16,9 @@ from nailoptics.light.finger_walk import FingerTracer
 from nailoptics.light.records import Batch, LedTrace, joined
 from nailoptics.light.store import LedSource
 from nailoptics.light.tracing import StoppingRule, extend
+from nailoptics.paper.reduced_optics import fit_curve
 from nailoptics.scene import Accuracy, Scene, parse_scene
 from nailoptics.statistics import jackknife, left_out, stderr_of_mean
-from nailoptics.studies.comparison import fits
 from nailoptics.studies.placement import fisher
 
 FINGER = """
@@ -116,7 +116,8 @@ def of_trace(transfer: Transfer) -> Estimates:
     blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, 0.97))
     read = read_replicates(transfer, 0, mu_a, blood, seed=1)
     ratio = read.reading[..., -1] / read.reading[..., 0]
-    fitted = fits.exponential(states[:, 0], read.reading[:, 0])[0][:, -1] / read.reading[:, 0, 0]
+    x, rows = states[:, 0], read.reading[:, 0]
+    fitted = fit_curve(x, rows[0], curved=True).replicates(x, rows)[:, -1] / read.reading[:, 0, 0]
     for name, values in (
         ("ratio of states", ratio),
         ("predicted path", read.mean_path_mm[..., 0]),

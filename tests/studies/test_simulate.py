@@ -162,6 +162,21 @@ def test_the_reduced_optics_follow_the_traced_volts(pressed):
 
 
 @pytest.mark.jit
+def test_fitted_constants_scatter_over_seeds_by_their_standard_errors(chosen_jit):
+    """Rationale: all samples of a reading share the photons' noise, so what they miss of a curve is not its error.
+    Expected: of ten traces of few photons, 95 % intervals of the constants of Taylor (9) and Beer-Lambert (8) hold
+    their mean as often as they say, and the spread over the traces is the stated one."""
+    scene = load_scene(data_dir("scenes") / "static_proximal.toml")
+    scene = scene.model_copy(update={"priors": scene.priors.model_copy(update={"spread": False})})
+    results = [simulate(scene, photons=60_000, seed=seed) for seed in range(10)]
+    for name in ("taylor_v0_v", "taylor_v1_v_per_m2", "beer_lambert_v1_v", "beer_lambert_alpha_per_m2"):
+        value, error = (np.array([r[name + end].values[0] for r in results]) for end in ("", "_stderr"))
+        known = np.isfinite(error).all(0)
+        z = ((value - value.mean(0)) / np.sqrt(0.9) / error)[:, known]
+        assert known.sum() >= 4 and (np.abs(z) < 1.96).mean() > 0.85 and 0.6 < np.sqrt(np.mean(z**2)) < 1.5, name
+
+
+@pytest.mark.jit
 def test_a_result_survives_its_file(pressed, tmp_path):
     path = tmp_path / "result.nc"
     write_dataset(pressed["as shipped"], path)

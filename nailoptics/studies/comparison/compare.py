@@ -18,10 +18,12 @@ from ...scene import Scene
 from ...scene.files import scene_of
 from ...statistics import seed_of
 from ...variables import Variables, variable
-from ..blood_states import capillary_zones, zones_of_photodiodes
-from .formula_errors import MODELS, PARTS, TOLERANCES, WAYS, TracedSweep, formula_errors
-from .state_sweep import OVER, Over, StateSweep, state_sweep
+from ..blood_states import capillary_zones, largest_force_n, steady_blood, zones_of_photodiodes
+from .formula_errors import MODELS, PARTS, TOLERANCES, WAYS, Over, StateSweep, TracedSweep, formula_errors
 
+OVER: tuple[Over, ...] = ("force", "blood", "saturation")
+POINTS = 41
+LARGEST_BLOOD_FRACTION, LEAST_SO2 = 0.1, 0.5
 # The bed's scattering is traced at these factors, with this share of the photons, for the slope of ln reading.
 SCATTERING_FACTORS, SCATTERING_SHARE = (0.7, 1.4), 0.25
 # Photons of the trace that shows how long it takes before the first of them.
@@ -90,6 +92,25 @@ def _share(scene: Scene, options: TraceOptions, deadline: float, scenes: int) ->
     left = (deadline - now) / scenes - 2 * (now - begin)
     # A quarter of the photons twice, for the scattering, is half as much again.
     return replace(options, max_seconds=max(left / (1 + 2 * SCATTERING_SHARE), 1e-3)), now - begin
+
+
+def state_sweep(scene: Scene, over: Over) -> StateSweep:
+    """The steady force from 0 to the touch's largest, the blood fraction of all zones, or the saturation."""
+    so2, zones = scene.blood.rest_so2, optics.zones(scene).count
+    along, same_so2 = np.linspace(0, 1, POINTS), np.full(POINTS, so2)
+    if over == "blood":
+        blood = along * LARGEST_BLOOD_FRACTION
+        return StateSweep(over, blood, np.repeat(blood[:, None], zones, 1), same_so2)
+    if over == "saturation":
+        saturation = 1 - along * (1 - LEAST_SO2)
+        return StateSweep(over, saturation, np.full((POINTS, zones), scene.blood.rest_blood_fraction), saturation)
+    if over != "force":
+        raise InputError(f'over = "{over}" is not known; choose from {", ".join(OVER)}.')
+    largest = largest_force_n(scene)
+    if largest <= 0:
+        raise InputError("touch: the force never leaves 0, so there is no range to compare over; give a force.")
+    force = along * largest
+    return StateSweep(over, force, steady_blood(scene, force), same_so2)
 
 
 def _at_wavelength(scene: Scene, wavelength_nm: float) -> Scene:
@@ -172,7 +193,11 @@ _VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "model_reading": (_MODEL, "1", "reading by the model, as a fraction of the emitted power"),
     "error": (_MODEL, "1", "model less trace, as a part of the traced swing over the sweep"),
     "range_error": (_MODEL, "1", "largest error of the model over the range up to here, as a part of the swing there"),
-    "part_error": (("photodiode", "way", "part", "point"), "1", "part of the error of (9), as a part of the swing"),
+    "part_error": (
+        ("photodiode", "way", "part", "point"),
+        "1",
+        "part of Taylor (9)'s error, as a part of the swing",
+    ),
     "swing": (_PAIR, "1", "traced reading's largest less its least, as a fraction of the emitted power"),
     "relative_swing": (
         _PAIR,
@@ -182,7 +207,7 @@ _VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "alpha_d2": (_CURVE, "1", "alpha D^2 of the photodiode's own zone"),
     "bed_alpha_d2": (_CURVE, "1", "alpha D^2 of all the blood in the bed, zone by zone"),
     "path_mm": (_PAIR, "mm", "mean path in the photodiode's own zone where the sweep starts"),
-    "path_fitted_mm": (_PAIR, "mm", "mean path there that the (8) fitted over the sweep has in its place"),
+    "path_fitted_mm": (_PAIR, "mm", "mean path there that the Beer-Lambert (8) fitted over the sweep has in its place"),
     "limit": (_LIMIT, "1", "setting up to which the model holds"),
     "limit_ends": (_LIMIT, "1", "whether it fails within the sweep at all"),
     "limit_blood_fraction": (_LIMIT, "1", "blood fraction of the photodiode's own zone there"),

@@ -1,16 +1,31 @@
-"""How far (9) and (8) are from one photodiode's traced light over one sweep: in all, in parts, and up to where."""
+"""How far Taylor (9) and Beer-Lambert (8) are from traced light over one sweep: in all, in parts, and up to where."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
+from ...paper.reduced_optics import Curve, fit_curve
 from ...statistics import Z95, jackknife
-from . import fits
-from .state_sweep import StateSweep
 
+Over = Literal["force", "blood", "saturation"]
 MODELS, WAYS = ("taylor", "beer_lambert"), ("fitted", "predicted", "predicted_both")
 PARTS = ("truncation", "one_path", "both_zones", "blood_scattering")
 TOLERANCES = (0.01, 0.05)
+
+
+@dataclass(frozen=True)
+class StateSweep:
+    """States over which the models are judged; the first is where the predicted ones start from.
+
+    setting : (t,) float. Force [N], blood fraction or saturation.
+    blood : (t, zones) float. so2 : (t,) float.
+    """
+
+    over: Over
+    setting: np.ndarray
+    blood: np.ndarray
+    so2: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -46,8 +61,8 @@ class TracedSweep:
 
 def formula_errors(one: TracedSweep, sweep: StateSweep) -> dict[str, np.ndarray]:
     """All that is known of the formulas' errors, by name of the variable, with standard errors as NAME_stderr."""
-    fitted_curve, fitted_path_mm = fits.exponential(one.own_mu_a, one.traced)
-    readings = _readings(one, fitted_curve)
+    fit, x = _curve(one.own_mu_a, one.traced[0], curved=True), one.own_mu_a
+    readings = _readings(one, fit.replicates(x, one.traced))
     part, part_stderr = _parts(one, readings)
     replicates = {
         "reading": one.traced,
@@ -58,7 +73,7 @@ def formula_errors(one: TracedSweep, sweep: StateSweep) -> dict[str, np.ndarray]
         "alpha_d2": one.path_mm[:, one.own, None] * one.own_mu_a,
         "bed_alpha_d2": one.path_mm @ one.mu_a.T,
         "path_mm": one.path_mm,
-        "path_fitted_mm": fitted_path_mm,
+        "path_fitted_mm": fit.curvature_of_replicates(x, one.traced),
     }
     out = {name: values[0] for name, values in replicates.items()}
     out |= {f"{name}_stderr": jackknife(values) for name, values in replicates.items()}
@@ -74,14 +89,24 @@ def _readings(one: TracedSweep, fitted_curve: np.ndarray) -> np.ndarray:
     own = one.path_mm[:, one.own, None] * (one.own_mu_a - one.own_mu_a[0])
     both = one.path_mm @ (one.mu_a - one.mu_a[0]).T
     predicted = [[one.traced[:, :1] * factor for factor in (1 - depth, np.exp(-depth))] for depth in (own, both)]
-    return np.stack([[fits.line(one.own_mu_a, one.traced), fitted_curve], *predicted])
+    return np.stack([[_line(one, one.traced), fitted_curve], *predicted])
+
+
+def _curve(x: np.ndarray, y: np.ndarray, *, curved: bool) -> Curve:
+    """The curve of Beer-Lambert (8), or the line of Taylor (9), that fits readings over the absorption of the blood."""
+    return fit_curve(x, y, curved=curved, scale=float(np.ptp(x)))
+
+
+def _line(one: TracedSweep, rows: np.ndarray) -> np.ndarray:
+    """Straight lines through rows over the absorption of the blood in its own zone, (r, t) float."""
+    return _curve(one.own_mu_a, rows[0], curved=False).replicates(one.own_mu_a, rows)
 
 
 def _parts(one: TracedSweep, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The error of (9), step by step from the formula to the trace, and standard errors, (way, part, t) float each."""
     (line, curve), (line_of_both, curve_of_both) = readings[1:]
     chain = [curve, one.alone, one.traced, one.scattered]
-    missed = [fits.line(one.own_mu_a, level) - level for level in chain]
+    missed = [_line(one, level) - level for level in chain]
     fitted = [missed[0], *(b - a for a, b in zip(missed, missed[1:], strict=False))]
     predicted = [line - curve, curve - one.alone, one.alone - one.traced, one.traced - one.scattered]
     none = np.zeros_like(one.traced)
@@ -90,15 +115,15 @@ def _parts(one: TracedSweep, readings: np.ndarray) -> tuple[np.ndarray, np.ndarr
     stderr = jackknife(np.moveaxis(part, 2, 0))
     # The slope comes from traces of its own, so its error is independent.
     moved = (one.scattered - one.surer)[:1]
-    by_slope = np.concatenate([fits.line(one.own_mu_a, -moved) + moved, moved, moved]) / one.swing[0]
+    by_slope = np.concatenate([_line(one, -moved) + moved, moved, moved]) / one.swing[0]
     stderr[:, 3] = np.hypot(stderr[:, 3], by_slope)
     return part[:, :, 0], stderr
 
 
 def _range_errors(one: TracedSweep, readings: np.ndarray) -> np.ndarray:
     """Largest error over the range from the start to each point, of the swing there, (way, model, r, t) float."""
-    fitted = [fits.fitted_range_errors(one.own_mu_a, one.traced, name) for name in MODELS]
-    return np.stack([fitted, *([fits.range_errors(model, one.traced) for model in way] for way in readings[1:])])
+    fitted = [fitted_range_errors(one.own_mu_a, one.traced, curved=name == "beer_lambert") for name in MODELS]
+    return np.stack([fitted, *([range_errors(model, one.traced) for model in way] for way in readings[1:])])
 
 
 def _limits(found: dict[str, np.ndarray], sweep: StateSweep, own: int) -> dict[str, np.ndarray]:
@@ -107,8 +132,8 @@ def _limits(found: dict[str, np.ndarray], sweep: StateSweep, own: int) -> dict[s
     # Crossings are counted in points, then turned into whatever is wanted.
     points = np.arange(len(sweep.setting), dtype=float)
     error, stderr = found["range_error"], found["range_error_stderr"]
-    limits = [fits.limit(points, error[w, m], stderr[w, m], TOLERANCES[k]) for w, m, k in np.ndindex(shape)]
-    limit, low, high, ends = (np.reshape(column, shape) for column in zip(*limits, strict=True))
+    limits = [limit(points, error[w, m], stderr[w, m], TOLERANCES[k]) for w, m, k in np.ndindex(shape)]
+    at, low, high, ends = (np.reshape(column, shape) for column in zip(*limits, strict=True))
     out, exact = {"limit_ends": ends}, np.zeros(len(points))
     curves = {
         "limit": (sweep.setting, exact),
@@ -117,8 +142,58 @@ def _limits(found: dict[str, np.ndarray], sweep: StateSweep, own: int) -> dict[s
         "limit_bed_alpha_d2": (found["bed_alpha_d2"], found["bed_alpha_d2_stderr"]),
     }
     for name, (curve, error) in curves.items():
-        out[name] = np.interp(limit, points, curve)
+        out[name] = np.interp(at, points, curve)
         both = np.stack([np.interp(end, points, curve) for end in (low, high)])
-        spread = Z95 * np.interp(limit, points, error)
+        spread = Z95 * np.interp(at, points, error)
         out[f"{name}_low"], out[f"{name}_high"] = both.min(0) - spread, both.max(0) + spread
     return out
+
+
+def range_errors(model: np.ndarray, traced: np.ndarray) -> np.ndarray:
+    """Largest distance of a model from the trace over each range that starts at the first point, (r, t) float.
+
+    In parts of the trace's swing over the same range; at the first point it is that at the second.
+    """
+    worst = np.maximum.accumulate(np.abs(model - traced), 1)
+    swing = np.maximum.accumulate(traced, 1) - np.minimum.accumulate(traced, 1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        error = np.where(swing > 0, worst / swing, 0.0)
+    error[:, 0] = error[:, min(1, error.shape[1] - 1)]
+    return error
+
+
+def fitted_range_errors(x: np.ndarray, traced: np.ndarray, *, curved: bool) -> np.ndarray:
+    """The same for a model that is fitted anew to each range, (r, t) float; 0 while it has as many constants."""
+    error = np.zeros_like(traced)
+    for end in range(4 if curved else 3, len(x) + 1):
+        some, y = x[:end], traced[:, :end]
+        swing = np.ptp(y, axis=1)
+        missed = np.abs(_curve(some, y[0], curved=curved).replicates(some, y) - y).max(1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            error[:, end - 1] = np.where(swing > 0, missed / swing, 0.0)
+    return error
+
+
+def crossing(setting: np.ndarray, error: np.ndarray, tolerance: float) -> tuple[float, bool]:
+    """Setting at which an error first exceeds a tolerance, and True; the last setting and False if it never does."""
+    over = np.flatnonzero(~(error <= tolerance))
+    if not len(over):
+        return float(setting[-1]), False
+    i = int(over[0])
+    if i == 0 or not np.isfinite(error[i]):
+        return float(setting[max(i - 1, 0)]), True
+    part = (tolerance - error[i - 1]) / (error[i] - error[i - 1])
+    return float(setting[i - 1] + part * (setting[i] - setting[i - 1])), True
+
+
+def limit(
+    setting: np.ndarray, error: np.ndarray, stderr: np.ndarray, tolerance: float
+) -> tuple[float, float, float, bool]:
+    """Setting up to which an error stays within a tolerance.
+
+    Returns: value, lower and upper end of its 95 % interval, and whether the error exceeds the tolerance at all.
+    """
+    value, ends = crossing(setting, error, tolerance)
+    first, _ = crossing(setting, error + Z95 * stderr, tolerance)
+    last, _ = crossing(setting, error - Z95 * stderr, tolerance)
+    return value, first, last, ends

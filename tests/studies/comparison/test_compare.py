@@ -19,9 +19,9 @@ from nailoptics.report import compare_page
 from nailoptics.report.compare_page import write_comparison
 from nailoptics.scene import Scene
 from nailoptics.statistics import Z95, jackknife
-from nailoptics.studies.comparison import fits
-from nailoptics.studies.comparison.compare import _scattering_slopes, compare, compare_transfer
-from nailoptics.studies.comparison.state_sweep import Over, state_sweep
+from nailoptics.studies.comparison import formula_errors
+from nailoptics.studies.comparison.compare import _scattering_slopes, compare, compare_transfer, state_sweep
+from nailoptics.studies.comparison.formula_errors import Over
 from nailoptics.studies.comparison.verdict import summary, verdict
 
 NO_SCATTERING = np.zeros((2, 1, 8))
@@ -216,22 +216,11 @@ def test_replicates_know_the_noise_of_the_count():
     assert np.allclose(jackknife(read.reading) / 0.1, 0.01, rtol=0.5)
 
 
-def test_fitted_exponentials_are_those_of_least_squares():
-    from nailoptics.paper.reduced_optics import fit_beer_lambert
-
-    diameter = np.linspace(1, 2, 30)
-    y = 1 / (1 + 0.5 * diameter**2)
-    curve, rate = fits.exponential(diameter**2, y[None])
-    fit = fit_beer_lambert(diameter, y)
-    assert rate[0] == pytest.approx(fit.alpha_per_m2, rel=2e-3)
-    assert np.abs(curve[0] - y).max() == pytest.approx(fit.residual_max_v, rel=5e-3)
-
-
 def test_limits_and_their_intervals():
     setting, error = np.linspace(0, 10, 11), np.linspace(0, 1, 11)
-    assert fits.limit(setting, error, np.full(11, 0.1 / Z95), 0.55) == pytest.approx((5.5, 4.5, 6.5, True))
-    assert fits.limit(setting, error, np.zeros(11), 2.0) == (10.0, 10.0, 10.0, False)
-    assert fits.crossing(setting, error + 1, 0.5) == (0.0, True)
+    assert formula_errors.limit(setting, error, np.full(11, 0.1 / Z95), 0.55) == pytest.approx((5.5, 4.5, 6.5, True))
+    assert formula_errors.limit(setting, error, np.zeros(11), 2.0) == (10.0, 10.0, 10.0, False)
+    assert formula_errors.crossing(setting, error + 1, 0.5) == (0.0, True)
 
 
 @pytest.mark.parametrize(("tolerance", "outcome"), [(0.5, "met"), (1e-6, "missed")])
