@@ -17,7 +17,7 @@ MOST_READINGS, RANGES = 20_000, 4096
 
 
 @dataclass(frozen=True)
-class Curve:
+class FittedCurve:
     """y = value - slope (1 - exp(-curvature (x - centre))) / curvature; the straight line where curvature is 0.
 
     Nearly straight readings determine V0, V1 and alpha of (8) only together; value, slope and curvature at their centre
@@ -65,7 +65,9 @@ class Curve:
         return np.asarray(self.curvature + ((y - y[0]) @ self.gradient(x)[2] if self.curved else np.zeros(len(y))))
 
 
-def fit_curve(x: Array, y: Array, weight: Array | None = None, *, curved: bool, scale: float | None = None) -> Curve:
+def fit_curve(
+    x: Array, y: Array, weight: Array | None = None, *, curved: bool, scale: float | None = None
+) -> FittedCurve:
     """The curve with the least squared residual, or the straight line; two different x get a straight line, too.
 
     x, y, weight : (n,) float.
@@ -86,9 +88,9 @@ def fit_curve(x: Array, y: Array, weight: Array | None = None, *, curved: bool, 
         slope = -(away @ (share * moved)) / np.where(square > 0, square, np.inf)
         return level + slope * middle, slope, (moved + slope[:, None] * away) ** 2 @ share
 
-    def at(curvature: float, curved: bool) -> Curve:
+    def at(curvature: float, curved: bool) -> FittedCurve:
         value, slope, _ = (float(one[0]) for one in linear(np.array([curvature])))
-        return Curve(centre, value, slope, curvature, curved)
+        return FittedCurve(centre, value, slope, curvature, curved)
 
     scale = scale or float(x.max()) or 1.0
     distinct = _distinct(x / (float(x.max()) or 1.0))
@@ -110,7 +112,7 @@ def fit_curve(x: Array, y: Array, weight: Array | None = None, *, curved: bool, 
 
 
 @dataclass(frozen=True)
-class Fit:
+class OpticsFit:
     """Beer-Lambert (8) or Taylor (9), fitted to readings over D^2.
 
     constants : V0, V1 and alpha of (8), as v0_v, v1_v and alpha_per_m2; V0' and V1' of (9), as v0_v and v1_v_per_m2.
@@ -123,7 +125,7 @@ class Fit:
     residual_rms_v: float
     residual_max_v: float
     note: str
-    curve: Curve
+    curve: FittedCurve
     scale_m2: float
     jacobian: Array
 
@@ -149,7 +151,7 @@ class Fit:
         return "alpha differs from 0 by less than its standard error: V1 and alpha are known by their product only"
 
 
-def fit_taylor(diameter_m: ArrayLike, volts: ArrayLike) -> Fit:
+def fit_taylor(diameter_m: ArrayLike, volts: ArrayLike) -> OpticsFit:
     """Fit the constants of Taylor (9), V = V0' - V1' D^2, by least squares.
 
     diameter_m : (n,) float. Capillary diameter D_C + x_C, 0 or more. [m]
@@ -166,12 +168,12 @@ def fit_taylor(diameter_m: ArrayLike, volts: ArrayLike) -> Fit:
     constants = {"v0_v": curve.value + curve.slope * curve.centre, "v1_v_per_m2": curve.slope / scale_m2}
     jacobian = np.array([[1.0, curve.centre], [0.0, 1.0 / scale_m2]])
     note = "the diameters do not vary: the slope is not known" if _distinct(x) == 1 else ""
-    return Fit(
+    return OpticsFit(
         constants=constants, curve=curve, scale_m2=scale_m2, jacobian=jacobian, note=note, **_residual(curve, x, y)
     )
 
 
-def fit_beer_lambert(diameter_m: ArrayLike, volts: ArrayLike) -> Fit:
+def fit_beer_lambert(diameter_m: ArrayLike, volts: ArrayLike) -> OpticsFit:
     """Fit the constants of Beer-Lambert (8), V = V0 + V1 exp(-alpha D^2), by least squares.
 
     At alpha D^2 of 1e-2 the curve is nearly a straight line in D^2, which fixes only the product alpha V1: the standard
@@ -199,12 +201,12 @@ def fit_beer_lambert(diameter_m: ArrayLike, volts: ArrayLike) -> Fit:
                 "a step in D^2: alpha is at the high",
             )
             note = f"the readings are {low if curve.curvature < 1 else high} end of its range"
-    return Fit(
+    return OpticsFit(
         constants=constants, curve=curve, scale_m2=scale_m2, jacobian=jacobian, note=note, **_residual(curve, x, y)
     )
 
 
-def _beer_lambert_constants(curve: Curve, scale_m2: float) -> tuple[dict[str, float], Array]:
+def _beer_lambert_constants(curve: FittedCurve, scale_m2: float) -> tuple[dict[str, float], Array]:
     """V0, V1 and alpha of a curve, and their derivatives by its value, slope and curvature."""
     centre, slope, curvature = curve.centre, curve.slope, curve.curvature
     growth = float(np.exp(curvature * centre))
@@ -218,7 +220,7 @@ def _beer_lambert_constants(curve: Curve, scale_m2: float) -> tuple[dict[str, fl
     return constants, np.array([v0, v1, [0.0, 0.0, 1.0 / scale_m2]])
 
 
-def _residual(curve: Curve, x: Array, y: Array) -> dict[str, float]:
+def _residual(curve: FittedCurve, x: Array, y: Array) -> dict[str, float]:
     missed = y - curve.at(x)
     return {"residual_rms_v": float(np.sqrt(np.mean(missed**2))), "residual_max_v": float(np.abs(missed).max())}
 
@@ -242,8 +244,8 @@ def _in_ranges(x: Array, y: Array) -> tuple[Array, Array, Array]:
     where = np.minimum((x - low) * (RANGES / (span or 1.0)), RANGES - 1).astype(np.intp)
     count = np.bincount(where, minlength=RANGES)
     there = count > 0
-    sums = (np.bincount(where, values, RANGES)[there] / count[there] for values in (x, y))
-    return *sums, count[there].astype(float)
+    x, y = (np.bincount(where, values, RANGES)[there] / count[there] for values in (x, y))
+    return x, y, count[there].astype(float)
 
 
 def _distinct(x: Array) -> int:

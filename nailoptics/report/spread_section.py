@@ -10,6 +10,8 @@ from .html import escaped, section, small, table
 from .numbers import significant, with_error
 from .tables import number
 
+# A scene is off a prior's mean by more than so many of its standard deviations.
+OFF_CENTRE = 0.5
 KINDS = {"reading": "Reading", "change": "Change", "resolution": "Resolution"}
 
 
@@ -35,7 +37,7 @@ def _rows(result: xr.Dataset) -> list[dict[str, Any]]:
         one = priors.isel(prior=i)
         texts = ("field", "how", "source")
         row: dict[str, Any] = {"name": str(name)} | {text: str(one[f"prior_{text}"].item()) for text in texts}
-        row |= {"low": float(one.prior_range[0]), "high": float(one.prior_range[1])}
+        row |= {"low": float(one.prior_range[0]), "high": float(one.prior_range[1]), "offset": float(one.prior_offset)}
         for kind in _kinds(result):
             values, errors = (one[f"prior_{kind}_spread{end}"] for end in ("", "_stderr"))
             if "layout" in values.dims:
@@ -48,7 +50,7 @@ def _rows(result: xr.Dataset) -> list[dict[str, Any]]:
 
 
 def conclusions(result: xr.Dataset, rows: list[dict[str, Any]] | None = None) -> list[str]:
-    """What a designer may conclude, whatever the finger.
+    """What a designer may conclude over the priors of the finger.
 
     rows : what `spread_summary` tells of each prior, if it is known already.
     """
@@ -61,28 +63,24 @@ def conclusions(result: xr.Dataset, rows: list[dict[str, Any]] | None = None) ->
 
 
 def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
-    """What holds of a simulated touch."""
-    lines, signs, full = [], result.keeps_sign.values, result.saturated.any("time")
-    # A converter at its limit tells no change, whatever its light does.
-    moved = (result.signal.values != 0) & ~full.values
-    if moved.any():
-        lost = [
-            f"{photodiode} under {led}"
-            for i, led in enumerate(result.led.values)
-            for j, photodiode in enumerate(result.photodiode.values)
-            if moved[i, j] and not signs[i, j]
-        ]
-        text = "The sign of the change holds over all that is unknown of the finger at "
-        text += f"{moved.sum() - len(lost)} of {moved.sum()} readings"
-        text += f", not at {', '.join(lost)}" if lost else ""
-        lines.append(text + (f"; saturated: {int(full.sum())}." if full.any() else "."))
-    if traced:
-        words = "Over it readings spread by {} and changes by {} (one standard deviation), most by {} and {}."
-        names = [max(traced, key=lambda row: row[f"{kind}_spread"])["name"] for kind in ("reading", "change")]
+    """What the priors make of a simulated touch."""
+    # A converter at its limit has no change, whatever its light does.
+    usable = ~result.saturated.any("time")
+    if not traced:
+        return []
+    words = "Over their priors readings vary by {} and changes by {} (one standard deviation), most by {} and {}."
+    names = [max(traced, key=lambda row: row[f"{kind}_spread"])["name"] for kind in ("reading", "change")]
+    spreads = (_range(one.where(usable)) for one in (result.reading_spread, result.change_spread))
+    lines = [words.format(*spreads, *names)]
+    if off := [row["name"] for row in traced if abs(row["offset"]) > OFF_CENTRE]:
+        shift = result.reading_shift.where(usable).values
+        ends = " to ".join(f"{100 * x:+.0f} %" for x in (np.nanmin(shift), np.nanmax(shift)))
         lines.append(
-            words.format(*(_range(one.where(~full)) for one in (result.reading_spread, result.change_spread)), *names)
+            f"The scene is not at the mean of its priors ({', '.join(off)}): readings over them are shifted by {ends} "
+            "on average, and vary about that."
         )
-        lines.append("The force that a sample resolves (noise / slope) spreads as the changes do.")
+    lines.append("The force that a sample resolves (noise / slope) varies as the changes do.")
+    lines.append("Not among these priors: vessels, contact area, the share of the touch on each side, and zones.")
     return lines
 
 
@@ -95,9 +93,7 @@ def _of_layouts(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
         first = (
             f"Of the {compared} foremost layouts {result.layout.values[0]} stays the best at {stays} of {nodes} values"
         )
-        lines.append(
-            f"{first} of what is unknown of the finger; another is surely better at {beaten or 'none'} of them."
-        )
+        lines.append(f"{first} of the priors' parameters; another is surely better at {beaten or 'none'} of them.")
     if traced:
         most = max(traced, key=lambda row: row["resolution_spread"])["name"]
         n = result.resolution_at_node_n.isel(layout=0).values

@@ -4,16 +4,10 @@ import tomllib
 from functools import cache
 from typing import Annotated, Literal, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from ..assets import asset_path
-from ..statistics import Z95
 from .base import Positive, Table, check_unique
-
-# Gauss-Hermite quadrature of three nodes: in standard deviations from the middle, and their weights.
-NODES = (-(3**0.5), 0.0, 3**0.5)
-WEIGHTS = np.array([1, 4, 1]) / 6
 
 
 class PriorRange(Table):
@@ -42,13 +36,6 @@ class Prior(PriorRange):
     """On which scale it is normal."""
     source: str
     """Where the range comes from."""
-
-    @property
-    def values(self) -> tuple[float, ...]:
-        """The field at the three nodes of the quadrature."""
-        low, high = np.log([self.low, self.high]) if self.scale == "log" else (self.low, self.high)
-        at = (low + high) / 2 + np.array(NODES) * (high - low) / (2 * Z95)
-        return tuple(float(x) for x in (np.exp(at) if self.scale == "log" else at))
 
 
 class Priors(Table):

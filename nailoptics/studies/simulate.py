@@ -1,4 +1,4 @@
-"""The main job: touch, blood, traced light, volts, beside the paper's reduced optics (8) and (9)."""
+"""The main job: touch, blood, traced light, volts, beside the paper's Beer-Lambert (8) and Taylor (9)."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -12,16 +12,15 @@ import xarray as xr
 from .. import electronics
 from ..errors import InputError, NotReachedError, as_far_as_reached
 from ..light import DetectedLight, ProgressCallback, Transfer, open_light, optics, section
-from ..light.course import read_replicates
 from ..light.tracing import accuracy
 from ..memory import give_back
 from ..options import Requested, TraceOptions
-from ..paper.reduced_optics import Fit, fit_beer_lambert, fit_taylor
+from ..paper.reduced_optics import OpticsFit, fit_beer_lambert, fit_taylor
 from ..scene import Photodiode, Scene
 from ..variables import Variables, precision, variable
 from .blood_states import blood_over_touch, zones_of_photodiodes
 from .per_sample import per_sample
-from .unknowns import spread_dataset, spread_of_readings
+from .prior_uncertainty import read_by_groups, readings_over_priors
 from .worn_sensor import MovedLight, by_motion, moved_boards, moved_light, sensor_course
 
 COORDINATES = {
@@ -33,7 +32,7 @@ COORDINATES = {
 # The errors of the fits' constants are taken at so many samples of the touch, evenly apart.
 FIT_SAMPLES = 64
 # Prefix of the variables, name, fit, and of the constants units and words.
-REDUCED_OPTICS: tuple[tuple[str, str, Callable[..., Fit], dict[str, tuple[str, str]]], ...] = (
+REDUCED_OPTICS: tuple[tuple[str, str, Callable[..., OpticsFit], dict[str, tuple[str, str]]], ...] = (
     (
         "beer_lambert",
         "Beer-Lambert (8)",
@@ -61,10 +60,10 @@ def simulate(
     picture : whether to trace the light's paths through the finger, too, which the report shows.
 
     Returns: Dataset over led, photodiode, zone and time with the force, pressures, vessel diameters, blood, detected
-    fraction and volts, each estimate with its standard error, the fits of (8) and (9), where the light ended, and how
-    far readings and their largest change spread over what is unknown of the finger. Of more than 200 000 samples,
-    readings and blood are of single precision, and what follows from readings, as volts do, is worked out whenever it
-    is read, as if from a file: `load()` keeps it.
+    fraction and volts, each estimate with its standard error, the fits of Beer-Lambert (8) and Taylor (9), where the
+    light ended, and the uncertainty of readings and their largest change due to the finger's priors. Of more than
+    200 000 samples, readings and blood are of single precision, and what follows from readings, as volts do, is worked
+    out whenever it is read, as if from a file: `load()` keeps it.
 
     Raises: InputError; NotReachedError, whose result is the Dataset as far as the accuracy went.
     """
@@ -105,7 +104,7 @@ def simulate_from(
     """
     worn = sensor_course(scene, course.time.values)
     result = course.merge(worn).merge(_read_volts(scene, light, course.blood_fraction.values.T, worn, moved))
-    result = result.merge(_fit_reduced(scene, result, light.transfer, seed))
+    result = result.merge(_fit_reduced(result, light.transfer, seed))
     if precision(result.sizes["time"]) is np.float64:
         result.load()
     give_back()
@@ -122,7 +121,7 @@ def simulate_from(
 def _spread(
     result: xr.Dataset, transfer: Transfer, options: TraceOptions, progress: ProgressCallback | None
 ) -> xr.Dataset:
-    """How far readings at the start, and their change to the end of the hold, spread over the priors."""
+    """Uncertainty of readings at the start, and of their change to the end of the hold, due to the priors."""
     blood, usual = result.blood_fraction.values[:, [0, hold_end(result)]].T, transfer.scene.blood.rest_blood_fraction
 
     def states(scene: Scene) -> np.ndarray:
@@ -130,8 +129,8 @@ def _spread(
         return np.asarray(blood * (scene.blood.rest_blood_fraction / usual))
 
     own = transfer.scene.priors.own_traces
-    found = spread_of_readings(transfer, states, options=options, own_traces=own, progress=progress)
-    return spread_dataset(found, transfer.scene)
+    found = readings_over_priors(transfer, states, options=options, own_traces=own, progress=progress)
+    return found.dataset(transfer.scene)
 
 
 def hold_end(result: xr.Dataset) -> int:
@@ -236,7 +235,7 @@ class _Stages:
         return self.scene.layout.photodiodes[j].photodiode
 
 
-def _fit_reduced(scene: Scene, result: xr.Dataset, transfer: Transfer | None, seed: int) -> xr.Dataset:
+def _fit_reduced(result: xr.Dataset, transfer: Transfer | None, seed: int) -> xr.Dataset:
     """Beer-Lambert (8) and Taylor (9), each fitted to the volts of every photodiode over its own zone's diameter.
 
     transfer : whose photons' noise, shared by all samples, makes the constants' standard errors; NaN without it.
@@ -245,7 +244,7 @@ def _fit_reduced(scene: Scene, result: xr.Dataset, transfer: Transfer | None, se
     # One row for each zone, not for each photodiode.
     diameter_m = [result.capillary_diameter_m.values[zone] for zone in result.zone_of_photodiode.values]
     few = np.unique(np.linspace(0, result.sizes["time"] - 1, FIT_SAMPLES).astype(int))
-    replicates_v = None if transfer is None else _replicates_v(scene, result.isel(time=few), transfer, seed)
+    replicates_v = None if transfer is None else _replicates_v(result.isel(time=few), transfer, seed)
     notes = np.full(shape, "", dtype=object)
     data: Variables = {}
     for model, name, fit, constants in REDUCED_OPTICS:
@@ -269,14 +268,10 @@ def _fit_reduced(scene: Scene, result: xr.Dataset, transfer: Transfer | None, se
     return xr.Dataset(data)
 
 
-def _replicates_v(scene: Scene, result: xr.Dataset, transfer: Transfer, seed: int) -> np.ndarray:
+def _replicates_v(result: xr.Dataset, transfer: Transfer, seed: int) -> np.ndarray:
     """Volts by all photons, and without each group of them, (led, photodiode, 1 + groups, time) float. [V]"""
-    fraction = []
-    for i, led in enumerate(scene.leds):
-        wavelength, _ = optics.spectrum(led)
-        mu_a = optics.absorption(transfer.scene, wavelength, blood_fraction=result.blood_fraction.values.T)
-        fraction.append(read_replicates(transfer, i, mu_a, np.ones(len(wavelength)), seed=seed).reading)
-    read = np.stack(fraction).swapaxes(1, 2)
+    read = read_by_groups(transfer, transfer.scene, result.blood_fraction.values.T, seed)
+    read = np.moveaxis(read, 0, 2)
     with np.errstate(divide="ignore", invalid="ignore"):
         # Volts are proportional to the light, but for what is dark.
         per_fraction = (result.volts_stderr / result.detected_fraction_stderr).values[:, :, None]
@@ -284,6 +279,6 @@ def _replicates_v(scene: Scene, result: xr.Dataset, transfer: Transfer, seed: in
     return np.asarray(result.volts.values[:, :, None] + per_fraction * moved)
 
 
-def _predicted(fits: list[list[Fit]], diameter_m: list[np.ndarray], i: int, j: int, t: np.ndarray) -> np.ndarray:
+def _predicted(fits: list[list[OpticsFit]], diameter_m: list[np.ndarray], i: int, j: int, t: np.ndarray) -> np.ndarray:
     """Volts by the fit of an LED and a photodiode at some samples. [V]"""
     return fits[i][j].predict(diameter_m[j][t])

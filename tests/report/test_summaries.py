@@ -32,17 +32,35 @@ def test_saturated_readings_are_marked(make):
     assert sum("saturated" in line for line in lines) == 1
 
 
-def test_a_saturated_reading_is_not_counted_among_those_whose_sign_holds(make):
-    result = make(section=False)
-    pair = ("led", "photodiode")
-    holds = np.arange(8)[None] != 3
-    known = {"keeps_sign": (pair, holds), "signal": (pair, np.ones((1, 8))), "prior": ("prior", [])}
-    result = result.assign(known)
-    assert conclusions(result)[0].endswith("at 7 of 8 readings, not at proximal.15 under ir.")
-    result.saturated[0, 2, 5] = True
-    assert conclusions(result)[0].endswith("at 6 of 7 readings, not at proximal.15 under ir; saturated: 1.")
-    result.saturated[0, 3, 5] = True
-    assert conclusions(result)[0].endswith("at 6 of 6 readings; saturated: 2.")
+def with_priors(result, offset):
+    """The result with the spread of one prior: the eighth photodiode varies most."""
+    pair, spread = ("led", "photodiode"), 0.1 * np.arange(1, 9)[None]
+    data = {f"{kind}_{end}": (pair, spread) for kind in ("reading", "change", "signal") for end in ("spread", "shift")}
+    data |= {
+        f"prior_{kind}_spread{end}": (("prior", *pair), spread[None])
+        for kind in ("reading", "change")
+        for end in ("", "_stderr")
+    }
+    data |= {"prior_offset": ("prior", [offset]), "prior_range": (("prior", "end"), [[0.5, 2.0]])}
+    data |= {f"prior_{name}": ("prior", [name]) for name in ("field", "how", "source")}
+    return result.assign(data).assign_coords(prior=["plate absorption"])
+
+
+def test_the_spread_names_what_is_not_in_it_and_claims_no_sign(make):
+    """Rationale: constants of vessels and contact turn the sign of changes and have no prior. Expected: no sentence
+    says that a sign holds over all; the shift of a scene that is not at its priors' mean is reported."""
+    lines = conclusions(with_priors(make(section=False), 0.0))
+    assert not any("sign" in line or "all that" in line for line in lines)
+    assert lines[-1].startswith("Not among these priors: vessels") and not any("shifted" in line for line in lines)
+    (line,) = [one for one in conclusions(with_priors(make(section=False), -1.3)) if "shifted" in one]
+    assert "(plate absorption)" in line and "+10 % to +80 %" in line
+
+
+def test_a_saturated_reading_has_no_spread(make):
+    result = with_priors(make(section=False), 0.0)
+    assert "10-80 %" in conclusions(result)[0]
+    result.saturated[0, 7, 5] = True
+    assert "10-70 %" in conclusions(result)[0]
 
 
 def test_a_check_is_reported_in_sentences():

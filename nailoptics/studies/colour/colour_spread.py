@@ -1,15 +1,16 @@
-"""How far the colour of a finger at rest spreads over what is unknown of its nail, its bed and its skin."""
+"""The uncertainty of a finger's colour at rest due to the unknown parameters of its nail, its bed and its skin."""
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from ...light.bare_nail import BareNail
-from ...scene import Prior, Scene, Viewing
+from ...light.identity import light_digest
+from ...scene import Scene, Viewing
 from ...statistics import seed_of
 from ...variables import variable
 from ..blood_states import steady_blood
-from ..unknowns import Spread, at_value, only_absorbs
+from ..prior_uncertainty import only_absorbs, over_priors
 from .colorimetry import Viewer
 from .enough_rays import Places, look_of
 from .reflectance import ColourRays, walk_colour
@@ -32,36 +33,32 @@ def spread_of_colours(
     """
     scene, sites = nail.scene, (places.along // 2, 0)
     priors = [prior for prior in scene.priors.of_finger() if prior.field != "finger.bed_thickness_mm"]
-    told = [prior for prior in priors if only_absorbs(scene, prior)]
-    own = [prior for prior in priors if prior not in told]
+    priors.sort(key=lambda prior: not only_absorbs(scene, prior))
+    own = light_digest(scene)
 
     def lab(light: ColourRays, one: Scene, chosen: tuple[int, ...]) -> Array:
         states = steady_blood(one, viewing.forces_n[:1])
         read = light.reflectance(states, **look_of(viewing), scene=one, patches=chosen)
         return np.asarray(viewer.lab(read)[:, :, 0])
 
-    def walked(prior: Prior, value: float) -> Array:
-        one = at_value(scene, prior.field, value)
+    def walked(one: Scene) -> Array:
         other = BareNail(one, backend=nail.backend, stores=nail.stores)
         patches = [places.patches[site] for site in sites]
         light = walk_colour(other, patches, photons=OWN_PHOTONS, seed=seed_of(seed, _SPREAD))
         return lab(light, one, (0, 1))
 
     base = lab(rays, scene, sites)
-    nodes = [[lab(rays, at_value(scene, p.field, value), sites) for value in p.values] for p in told]
-    nodes += [[walked(p, value) for value in p.values] for p in own]
-    found = Spread((*told, *own), np.array(nodes).reshape(len(priors), 3, *base.shape), base)
-    total, error = found.total
-    each, errors = found.by_prior
+    twin = walked(scene)
+
+    def answer(one: Scene) -> Array:
+        return lab(rays, one, sites) if light_digest(one) == own else base + walked(one) - twin
+
+    found = over_priors(scene, priors, answer)
     over = ("site", "band")
-    text = "spread of L*a*b* at the first force over what is unknown of the finger, one standard deviation"
-    data = variable("lab_spread", over, total, text, stderr=error)
-    text = "spread of L*a*b* by one prior alone"
-    data |= variable("prior_lab_spread", ("prior", *over), each, text, stderr=errors)
-    middle = np.array([[node[0] for node in values] for values in nodes])
+    data = found.variables("lab", over, "L*a*b* at the first force")
     text = "L*a*b* at the low, middle and high node of a prior"
-    data |= variable("prior_lab", ("prior", "node", *over), middle, text)
-    ends = [[p.low, p.high] for p in (*told, *own)]
+    data |= variable("prior_lab", ("prior", "node", *over), found.nodes[:, :, 0], text)
+    ends = [[p.low, p.high] for p in priors]
     data |= variable("prior_range", ("prior", "end"), ends, "ends of the range that holds with 95 %")
-    names = {"prior": [p.name for p in (*told, *own)], "site": ["nail", "skin"], "node": ["low", "middle", "high"]}
+    names = {"prior": [p.name for p in priors], "site": ["nail", "skin"], "node": ["low", "middle", "high"]}
     return xr.Dataset(data, names)

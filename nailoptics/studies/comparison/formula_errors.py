@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from ...paper.reduced_optics import Curve, fit_curve
+from ...paper.reduced_optics import FittedCurve, fit_curve
 from ...statistics import Z95, jackknife
 
 Over = Literal["force", "blood", "saturation"]
@@ -92,7 +92,7 @@ def _readings(one: TracedSweep, fitted_curve: np.ndarray) -> np.ndarray:
     return np.stack([[_line(one, one.traced), fitted_curve], *predicted])
 
 
-def _curve(x: np.ndarray, y: np.ndarray, *, curved: bool) -> Curve:
+def _curve(x: np.ndarray, y: np.ndarray, *, curved: bool) -> FittedCurve:
     """The curve of Beer-Lambert (8), or the line of Taylor (9), that fits readings over the absorption of the blood."""
     return fit_curve(x, y, curved=curved, scale=float(np.ptp(x)))
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...scene import Prior, Scene
-from ..unknowns import only_absorbs, value_of
+from ..prior_uncertainty import only_absorbs, value_of
 from .effect import Change
 
 

@@ -11,7 +11,7 @@ from ...light.identity import light_digest, light_scene
 from ...scene import FingerCase, Placement, Prior, Scene
 from ...statistics import Z95, jackknife, left_out
 from ...variables import variable
-from ..unknowns import Spread, at_value, only_absorbs, prior_variables
+from ..prior_uncertainty import PriorSensitivity, at_value, nodes_of, only_absorbs, prior_variables
 from . import boards
 from .boards import CandidateLayout
 from .fisher import OperatingPoint, force_resolution_n, operating_point, over_fingers, responses, total_information
@@ -44,7 +44,7 @@ def resolution_over_unknowns(
     told = [one for one in priors if only_absorbs(scene, one)]
     own = [one for one in priors if one not in told]
     kept = (*told, *(own if scene.priors.own_traces else []))
-    changes: list[tuple[str, float] | None] = [None, *((one.field, value) for one in kept for value in one.values)]
+    changes: list[tuple[str, float] | None] = [None, *((one.field, value) for one in kept for value in nodes_of(one))]
     # The touch is that of the finger, whatever lies on its nail.
     points = [
         [operating_point(one, rules.force_n, since_rest_s=rules.since_rest_s) for one in _changed(scene, case, changes)]
@@ -62,8 +62,10 @@ def resolution_over_unknowns(
     chosen = chosen[: len(read)]
     # By change, all blocks and without each, and layout.
     found = np.stack(read, -1)
-    spread = Spread(kept, found[1:].reshape(len(kept), 3, *found.shape[1:]), found[0])
-    return _dataset(spread, chosen, len(layouts), () if scene.priors.own_traces else tuple(own), scene)
+    every = np.full((*found.shape[:-1], len(layouts)), np.nan)
+    every[..., chosen] = found
+    over = PriorSensitivity(kept, every[1:].reshape(len(kept), 3, *every.shape[1:]), every[0])
+    return _dataset(over, chosen, () if scene.priors.own_traces else tuple(own), scene)
 
 
 def _log_resolutions(
@@ -163,30 +165,19 @@ def _resolutions(
     return np.stack(out)
 
 
-def _dataset(spread: Spread, chosen: Sequence[int], count: int, untraced: Sequence[Prior], scene: Scene) -> xr.Dataset:
-    """What was found, at the places of the layouts that were read among all."""
-
-    def placed(values: np.ndarray) -> np.ndarray:
-        out = np.full((*values.shape[:-1], count), np.nan)
-        out[..., chosen] = values
-        return out
-
-    total, error = (placed(one) for one in spread.total)
-    text = "spread of the logarithm of the force resolution over what is unknown of the finger, one standard deviation"
-    data = variable("resolution_spread", "layout", total, text, stderr=error)
-    each, errors = (placed(one) for one in spread.by_prior)
-    gap = np.full((len(untraced), count), np.nan)
-    text = "spread of the logarithm of the force resolution by one prior alone"
-    both = (np.concatenate([values, gap]) for values in (each, errors))
-    data |= variable("prior_resolution_spread", ("prior", "layout"), next(both), text, stderr=next(both))
-    nodes = np.exp(np.concatenate([placed(spread.nodes[:, :, 0]), np.full((len(untraced), 3, count), np.nan)]))
+def _dataset(over: PriorSensitivity, chosen: Sequence[int], untraced: Sequence[Prior], scene: Scene) -> xr.Dataset:
+    """What was found of all layouts, NaN of those that were not read; `chosen` were."""
+    text = "the logarithm of the force resolution"
+    data = over.variables("resolution", ("layout",), text, len(untraced))
+    nodes = np.exp(np.concatenate([over.nodes[:, :, 0], np.full((len(untraced), 3, over.own.shape[-1]), np.nan)]))
     text = "force resolution with one prior at one of its nodes"
     data |= variable("resolution_at_node_n", ("prior", "prior_node", "layout"), nodes, text, units="N")
     # How much coarser than the first each other layout is, at every node.
-    apart = (spread.nodes - spread.nodes[..., :1]).reshape(-1, *spread.own.shape)
+    read = over.nodes[..., chosen]
+    apart = (read - read[..., :1]).reshape(-1, *read.shape[2:])
     behind, noise = apart[:, 0], jackknife(np.moveaxis(apart, 1, 0))
     ahead, surely = (behind >= 0).all(-1), (behind + Z95 * noise < 0).any(-1)
     data |= variable("best_stays_best_at", (), int(ahead.sum()), "nodes at which the best layout is the best")
     data |= variable("best_surely_beaten_at", (), int(surely.sum()), "nodes at which another one is surely better")
     data |= variable("nodes", (), len(apart), "nodes at which the foremost layouts were compared")
-    return xr.Dataset(data).merge(prior_variables(spread.priors, untraced, scene))
+    return xr.Dataset(data).merge(prior_variables(over.priors, untraced, scene))

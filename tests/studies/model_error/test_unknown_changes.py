@@ -6,7 +6,7 @@ from nailoptics import explain, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.scene import Priors
 from nailoptics.studies.model_error.unknown_changes import unknown_changes
-from nailoptics.studies.unknowns import at_value
+from nailoptics.studies.prior_uncertainty import at_value
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from nailoptics.studies.placement.over_unknowns import resolution_over_unknowns
 from nailoptics.studies.placement.photon_maps import PhotonMapCache
 from nailoptics.studies.placement.place import finger_condition
 from nailoptics.studies.placement.scores import score_layout
-from nailoptics.studies.unknowns import at_value
+from nailoptics.studies.prior_uncertainty import at_value, nodes_of
 
 pytestmark = pytest.mark.slow
 FIELDS = ("finger.plate_absorption", "finger.bed_absorption", "finger.bed_scattering")
@@ -65,8 +65,8 @@ def test_a_node_is_what_a_placement_of_that_finger_finds(ranked):
     """Rationale: the same layout judged on a finger that has the node's value, by photons of its own."""
     base, rules, layouts, judged, found = ranked
     prior = next(one for one in base.priors.of_finger() if one.field == FIELDS[0])
-    clear = at_value(base, prior.field, prior.values[0])
-    layout = boards.candidate("near", at_value(layouts[0].scene, prior.field, prior.values[0]), "given")
+    clear = at_value(base, prior.field, nodes_of(prior)[0])
+    layout = boards.candidate("near", at_value(layouts[0].scene, prior.field, nodes_of(prior)[0]), "given")
     cache = PhotonMapCache(
         [finger_condition(clear, judged.cases[0], rules)], seed=9, stream=1, backend="auto", blocks=16
     )

@@ -14,10 +14,18 @@ from nailoptics.light.course import course
 from nailoptics.light.records import LedTrace
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Priors, Scene
-from nailoptics.scene.priors import WEIGHTS, Prior, PriorRange, shipped_priors
+from nailoptics.scene.priors import Prior, PriorRange, shipped_priors
 from nailoptics.statistics import Z95, jackknife
 from nailoptics.studies.blood_states import steady_blood
-from nailoptics.studies.unknowns import Spread, at_value, only_absorbs, spread_of_readings
+from nailoptics.studies.prior_uncertainty import (
+    WEIGHTS,
+    PriorSensitivity,
+    at_value,
+    nodes_of,
+    only_absorbs,
+    over_priors,
+    readings_over_priors,
+)
 
 OPTIONS = TraceOptions(seed=1)
 
@@ -51,7 +59,7 @@ def relative(transfer: Transfer, scene: Scene) -> tuple[np.ndarray, np.ndarray, 
 def test_the_nodes_of_a_prior_have_its_mean_and_standard_deviation(scale):
     prior = Prior(field="finger.plate_absorption", low=0.5, high=2.0, name="x", scale=scale, source="none")
     of = np.log if scale == "log" else np.asarray
-    at, (low, high) = of(prior.values), of([0.5, 2.0])
+    at, (low, high) = of(nodes_of(prior)), of([0.5, 2.0])
     assert WEIGHTS.sum() == pytest.approx(1) and WEIGHTS @ at == pytest.approx((low + high) / 2, abs=1e-12)
     assert WEIGHTS @ (at - at[1]) ** 2 == pytest.approx(((high - low) / (2 * Z95)) ** 2)
     assert low < at[0] < at[2] < high
@@ -73,7 +81,7 @@ def test_light_of_one_path_spreads_as_the_absorption_does():
         seeds=(0,),
     )
     transfer = Transfer(scene, (light,), "none", engine="made up", versions={"numpy": "0"})
-    found = spread_of_readings(transfer, ends, options=OPTIONS, own_traces=False)
+    found = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=False)
     value, error = found.level.total
     sd, depth = np.log(4) / (2 * Z95), float(light.mu_a[names.index("plate")]) * length_mm
     exact = depth * np.sqrt((np.exp(sd**2) - 1) * np.exp(sd**2))
@@ -100,7 +108,7 @@ def test_a_reread_prior_meets_a_fresh_trace_of_it(jit_backend, traced, field, va
 def test_one_prior_at_a_time_adds_up_to_all_at_once(traced):
     """Expected: the sum of variances by one prior each is that of joint draws; what two add together is small."""
     scene = traced.scene
-    found = spread_of_readings(traced, ends, options=OPTIONS, own_traces=False)
+    found = readings_over_priors(traced, ends, options=OPTIONS, own_traces=False)
     random, draws = np.random.default_rng(7), []
     for _ in range(60):
         drawn = scene
@@ -125,12 +133,12 @@ def test_one_prior_at_a_time_adds_up_to_all_at_once(traced):
 def test_the_standard_error_of_a_spread_is_true(traced):
     """Twenty parts of the photons, each by itself, against all of them: 95 % intervals hold what they tell."""
     light, parts = traced.traces[0], 20
-    whole = spread_of_readings(traced, ends, options=OPTIONS, own_traces=False)
+    whole = readings_over_priors(traced, ends, options=OPTIONS, own_traces=False)
     of = np.random.default_rng(3).integers(parts, size=len(light.weight))
     each = []
     for k in range(parts):
         part = replace(light.only(of == k), photons=light.photons // parts)
-        found = spread_of_readings(replace(traced, traces=(part,)), ends, options=OPTIONS, own_traces=False)
+        found = readings_over_priors(replace(traced, traces=(part,)), ends, options=OPTIONS, own_traces=False)
         each.append([(*one.total, one.own[0]) for one in (found.level, found.change, found.signal)])
     value, error = (np.array([[kind[j][0] for kind in one] for one in each]) for j in (0, 1))
     for kind, one in ((0, whole.level), (1, whole.change), (2, whole.signal)):
@@ -145,9 +153,9 @@ def test_a_scattering_prior_has_traces_of_its_own(chosen_jit):
     own = PriorRange(field="finger.plate_scattering", low=0.6, high=1.667)
     scene = prototype(*all_but("finger.plate_scattering", "finger.plate_absorption"), ranges=(own,))
     transfer = trace(scene, photons=200_000, seed=1)
-    without = spread_of_readings(transfer, ends, options=OPTIONS, own_traces=False)
+    without = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=False)
     assert [one.field for one in without.untraced] == ["finger.plate_scattering"] and len(without.level.priors) == 1
-    found = spread_of_readings(transfer, ends, options=OPTIONS, own_traces=True)
+    found = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=True)
     assert found.untraced == () and [one.field for one in found.level.priors][1] == "finger.plate_scattering"
     value, error = (each[1] for each in found.level.by_prior)
     assert (value > 3 * error).sum() > 4
@@ -162,11 +170,30 @@ def test_a_sign_holds_where_no_node_and_no_sum_of_them_turns_it():
     nodes = np.zeros((1, 3, 5, 1, 3))
     nodes[0, :, :] = np.array([[1.0, 1.0, 0.5], [1.2, 2.0, 1.0], [1.4, -0.5, 6.0]])[:, None, None]
     own = np.broadcast_to(np.array([1.2, 1.0, 1.0]), (5, 1, 3))
-    assert Spread((prior,), nodes, own).keeps_sign.tolist() == [[True, False, False]]
+    assert PriorSensitivity((prior,), nodes, own).keeps_sign.tolist() == [[True, False, False]]
     # Nor does it where photons alone could have made it: with four groups their error here is 0.8 of the first answer.
     noisy = own * np.array([1.0, 1.4, 0.6, 1.4, 0.6])[:, None, None]
     assert jackknife(noisy)[0, 0] > own[0, 0, 0] / Z95
-    assert not Spread((prior,), nodes, noisy).keeps_sign.any()
+    assert not PriorSensitivity((prior,), nodes, noisy).keeps_sign.any()
+
+
+def test_the_shift_is_that_of_the_mean_over_the_priors_from_the_scene():
+    """Rationale: a scene need not lie at the mean of its priors; the spread is then about another finger's answer.
+    Expected: for an answer linear in the field, mean and standard deviation are those of the prior; a scene at 1 of a
+    prior around 2 is told the shift of 1, and a sign that holds at the scene alone does not hold."""
+    prior = Prior(field="finger.plate_scattering", low=1.0, high=3.0, name="x", scale="linear", source="none")
+    scene = prototype()
+
+    def answer(one: Scene) -> np.ndarray:
+        return np.full((5, 1), one.finger.plate_scattering)
+
+    found = over_priors(scene, [prior], answer)
+    assert scene.finger.plate_scattering == 1
+    assert found.shift[0] == pytest.approx([1.0]) and found.total[0] == pytest.approx([1 / Z95])
+    assert found.keeps_sign.all()
+    # Far from 0 at the scene, but not over the prior.
+    nodes = np.array([0.02, 0.3, 0.6])[None, :, None, None] + 0 * found.nodes
+    assert not PriorSensitivity((prior,), nodes, 1.2 * found.own).keeps_sign.any()
 
 
 @pytest.mark.slow
