@@ -114,8 +114,8 @@ class PriorSensitivity:
         values = np.concatenate([self.own[None, 0], self.nodes[:, :, 0].reshape(-1, *self.own.shape[1:])])
         one_sign = (values > 0).all(0) | (values < 0).all(0)
         noise = np.nan_to_num(jackknife(self.own), nan=np.inf)
-        nearest = np.minimum(np.abs(self.own[0]), np.abs(self.own[0] + self.shift[0]))
-        return np.asarray(one_sign & (nearest > Z95 * np.hypot(self.total[0], noise)))
+        mean = self.own[0] + self.shift[0]
+        return np.asarray(one_sign & (np.abs(mean) > Z95 * np.hypot(self.total[0], noise)))
 
     def _moved(self, prior: int) -> np.ndarray:
         """By how much the answers at one prior's nodes differ from the scene's, (3, 1 + groups, ...) float."""
