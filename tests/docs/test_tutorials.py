@@ -41,7 +41,7 @@ FEW = {
 # Photons where 20 000 say too little, and where a tutorial's own limit is kept (0).
 PHOTONS = {"force": 200_000, "tradeoff": 0, "oximetry": 30_000, "taylor": 100_000}
 # Where few photons decide less than many do.
-CODES = {"kicad": {0, 3}, "tradeoff": {0, 3}, "taylor": {0, 1, 3, 4}}
+CODES = {"kicad": {0, 3}, "tradeoff": {0, 3}, "taylor": {0, 3, 4}}
 # What makes a shipped scene small: one element of each array.
 SMALLER = {r"wired = \[(\d+), [^\]]*\]": r"wired = [\1]"}
 OWN_LIMITS = {"--relative-error", "--photons", "--max-seconds"}
