@@ -9,7 +9,7 @@ import numpy as np
 from ..io import write_text
 from ..statistics import Z95
 from ..studies.model_error.effect import Effect
-from ..studies.model_error.explain import Explanation
+from ..studies.model_error.explain import Explanation, name_of
 from ..studies.model_error.variants import lines_of
 from . import style
 from .html import document, escaped, figure, section, small, table
@@ -32,7 +32,8 @@ CAPTION = (
 NOTE = (
     "Reading moves: the photodiode that is surely moved most, ± its standard error. At most: what no photodiode's "
     "reading exceeds, and signal, the same for its change by touch as a part of the largest change, with 95 % "
-    "confidence each. What is unknown of the finger stands at the farther end of its range."
+    "confidence each. (signal): it leaves the reading at rest as it is, and is judged by the signal. What is unknown of "
+    "the finger stands at the farther end of its range."
 )
 
 
@@ -59,7 +60,8 @@ def _title(known: list[Effect]) -> str:
     if not known:
         return "Too few photons were seen to tell what moves the readings"
     largest = next((one for one in known if one.matters == "yes"), known[0])
-    return f"{largest.name} moves {largest.photodiode} by {_moved(largest)}\u00a0%"
+    what = "the signal of " if largest.of == "signal" else ""
+    return f"{largest.name} moves {what}{largest.photodiode} by {_moved(largest)}\u00a0%"
 
 
 def _moved(one: Effect) -> str:
@@ -119,7 +121,8 @@ def _table(found: Explanation) -> str:
 def _row(one: Effect) -> list[str]:
     known = math.isfinite(one.change)
     signal = "–" if one.modulation_bound is None else significant(100 * one.modulation_bound, 2)
-    told = [_moved(one), escaped(one.photodiode)] if known else ["not known", "–"]
+    of = escaped(one.photodiode) + (" (signal)" if one.of == "signal" else "")
+    told = [_moved(one), of] if known else ["not known", "–"]
     modelled = "unknown" if one.unknown else "yes" if one.modelled else "no"
     most = significant(100 * one.bound, 2) if math.isfinite(one.bound) else "–"
     return [escaped(one.name), modelled, *told, most, signal, one.matters, escaped(one.changed_to)]
@@ -135,7 +138,7 @@ def _requires(found: Explanation) -> list[str]:
         most = significant(100 * found.together.bound, 2)
         out.append(f"<p>Leaving all of it out at once moves no reading by more than {most} %, 95 % sure.</p>")
     if found.missing:
-        names = escaped(", ".join(one.name for one in found.missing))
+        names = escaped(", ".join(map(name_of, found.missing)))
         out.append(f"<p>Left out, though it matters: {names}.</p>")
     if unsure := [one.name for one in found.effects if one.matters == "cannot tell"]:
         out.append(f"<p>More photons are needed to tell whether these matter: {escaped(', '.join(unsure))}.</p>")

@@ -5,6 +5,7 @@ from .properties import (
     REGIONS,
     REST_BLOOD_FRACTION,
     absorption,
+    blood_scattering_contrast,
     optical_properties,
     scattering,
 )
@@ -18,6 +19,7 @@ __all__ = [
     "absorption",
     "bed_zone_name",
     "blood_mu_a_per_mm",
+    "blood_scattering_contrast",
     "optical_properties",
     "scattering",
 ]

@@ -48,6 +48,10 @@ ANISOTROPY = 0.9
 # volume (an assumption: it was found in no table).
 _BED_WATER, _EPIDERMIS_WATER, _PULP_FAT = 0.65, 0.60, 0.30
 
+# mu_s' of whole blood at a haematocrit of 45 %, computed by N. Bosschaart et al., Lasers Med. Sci. 29, 453 (2014): 1.34
+# per mm at 800 nm, 1.26 to 1.47 between 450 and 1000 nm.
+BLOOD_REDUCED_SCATTERING_PER_MM = 1.34
+
 # Bone of the phalanx with the blood that it holds, no spectrum known that holds for it.
 _BONE_MU_A_PER_MM = 0.18
 
@@ -178,6 +182,17 @@ def scattering(region: Region, wavelength_nm: ArrayLike) -> tuple[Values, Values
             raise InputError(_unknown("region", region, REGIONS))
     n = tabulated("kapton", "n", wavelength) if region == "kapton" else np.full_like(wavelength, _INDEX[region])
     return _plain(reduced / (1 - g)), _plain(np.full_like(wavelength, g)), _plain(n)
+
+
+def blood_scattering_contrast(wavelength_nm: float, *, bed_scattering: float = 1.0) -> float:
+    """Relative change of the bed's mu_s' by the blood fraction, where blood takes the place of dermis.
+
+    bed_scattering : factor on the bed's scattering.
+
+    Below 0, as dermis scatters more than blood: at 800 nm 2.36 against 1.34 per mm.
+    """
+    mu_s, g, _ = scattering("bed", wavelength_nm)
+    return BLOOD_REDUCED_SCATTERING_PER_MM / (bed_scattering * float(mu_s * (1 - g))) - 1
 
 
 def optical_properties(

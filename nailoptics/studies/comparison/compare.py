@@ -28,9 +28,6 @@ LARGEST_BLOOD_FRACTION, LEAST_SO2 = 0.1, 0.5
 SCATTERING_FACTORS, SCATTERING_SHARE = (0.7, 1.4), 0.25
 # Photons of the trace that shows how long it takes before the first of them.
 OPENING_PHOTONS = 1024
-# mu_s' of whole blood at a haematocrit of 45 %, computed by N. Bosschaart et al., Lasers Med. Sci. 29, 453 (2014):
-# 1.34 per mm at 800 nm, 1.26 to 1.47 between 450 and 1000 nm.
-BLOOD_REDUCED_SCATTERING_PER_MM = 1.34
 
 
 def compare(
@@ -232,12 +229,14 @@ def _led_errors(
     """Results of one LED over one sweep, photodiode by photodiode."""
     scene = transfer.scene
     wavelength, share = optics.spectrum(scene.leds[led])
-    share = share * wavelength / np.sum(share * wavelength)
+    wavelength_nm, share = scene.leds[led].wavelength_nm, share * wavelength / np.sum(share * wavelength)
     blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, float(sweep.so2[0])))
     read = read_replicates(transfer, led, _absorption(transfer, wavelength, sweep), blood, seed=seed)
     # One absorption for the whole line: that a line has many is an error of one path for all light.
     over_line = np.asarray(tissue.blood_mu_a_per_mm(wavelength, sweep.so2[:, None])) @ share
-    denser = _added_scattering(scene.leds[led].wavelength_nm, sweep)
+    assert scene.finger is not None
+    contrast = tissue.blood_scattering_contrast(wavelength_nm, bed_scattering=scene.finger.bed_scattering)
+    denser = contrast * (sweep.blood - sweep.blood[0])
     rows = []
     # Where a photodiode saw nothing, or nothing changes, there is no answer: NaN.
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -259,10 +258,3 @@ def _absorption(transfer: Transfer, wavelength: np.ndarray, sweep: StateSweep) -
     columns = np.arange(mu_a.shape[-1])
     alone = [np.where(columns == column, mu_a, mu_a[:1]) for column in optics.bed_columns(transfer.scene)]
     return np.concatenate([mu_a, *alone])
-
-
-def _added_scattering(wavelength_nm: float, sweep: StateSweep) -> np.ndarray:
-    """What the blood added since the first state scatters, relative to the bed, (t, zones) float."""
-    bed = tissue.optical_properties("bed", wavelength_nm)
-    reduced = float(bed.mu_s_per_mm) * (1 - float(bed.g))
-    return np.asarray(BLOOD_REDUCED_SCATTERING_PER_MM / reduced * (sweep.blood - sweep.blood[0]))

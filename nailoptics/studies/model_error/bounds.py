@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from ... import electronics, tissue
+from ...light import optics
 from ...scene import Scene
 from ...scene.files import scene_of
 from ...scene.rectangles import Rectangle
 from ...statistics import Z95
 from ..ambient import SOURCES, collecting_area_mm2
-from ..comparison.compare import BLOOD_REDUCED_SCATTERING_PER_MM
 from .effect import Change, Effect, effect_of
 from .paired import UNSEEN, Difference, PairedReadings, difference, end_states
 from .variants import revised
@@ -29,19 +29,34 @@ def denser(scene: Scene) -> Scene:
 
 
 def blood_scattering(scene: Scene, base: PairedReadings, denser: PairedReadings, tolerance: float) -> Effect:
-    """What the scattering of the blood that a touch moves would do to a reading; the model's stays as at rest."""
-    both = difference(base, denser)
+    """What the scattering of the blood that a touch moves would do to the signal; the model's stays as at rest.
+
+    Blood takes the place of dermis. The slope of a reading by the scattering is known for the whole bed; each zone gets
+    the part of it that the light's path has there.
+    """
+    assert scene.finger is not None
+    both, factor = difference(base, denser), scene.finger.bed_scattering
+    moved = np.diff(end_states(scene), axis=0)[0]
+    contrast = [tissue.blood_scattering_contrast(led.wavelength_nm, bed_scattering=factor) for led in scene.leds]
+    paths = np.stack(
+        [
+            [np.bincount(one.photodiode, part[:, 0] * path, minlength=base.level.shape[1]) for path in zones.T]
+            for one, part in zip(base.transfer.traces, base.parts, strict=True)
+            for zones in (one.path_mm[:, optics.bed_columns(scene)],)
+        ]
+    )
+    largest = int(np.nanargmax(np.abs(base.modulation))) if np.isfinite(base.modulation).any() else 0
+    unit, unit_stderr = np.abs(base.modulation.flat[largest]), base.modulation_stderr.flat[largest]
     with np.errstate(divide="ignore", invalid="ignore"):
-        slope = np.log1p(both.ratio) / np.log(SCATTERING_FACTOR)
-        each = 1 / (1 + both.ratio) / np.log(SCATTERING_FACTOR)
-    moved = np.abs(np.diff(end_states(scene), axis=0)).max()
-    bed = [tissue.optical_properties("bed", led.wavelength_nm) for led in scene.leds]
-    reduced = np.array([float(b.mu_s_per_mm) * (1 - float(b.g)) for b in bed])[:, None]
-    more = moved * BLOOD_REDUCED_SCATTERING_PER_MM / reduced
-    text = f"bed's mu_s' follows the blood ({float(more.max()):.1%} of it)"
-    with np.errstate(invalid="ignore"):
-        found = Difference(slope * more, both.ratio_stderr * each * more, ratio_skew=both.ratio_skew * each * more)
-    return effect_of(Change("blood's own scattering", False, text), found, base, tolerance=tolerance)
+        more = np.array(contrast)[:, None] * np.tensordot(paths, moved, (1, 0)) / paths.sum(1) / unit
+        signal = more * np.log1p(both.ratio) / np.log(SCATTERING_FACTOR)
+        each = more / (1 + both.ratio) / np.log(SCATTERING_FACTOR)
+        error = np.hypot(each * both.ratio_stderr, signal * unit_stderr / unit)
+    still = np.zeros_like(signal)
+    found = Difference(still, still, signal, error, swing_skew=np.abs(each) * both.ratio_skew)
+    text = f"replaces dermis, which scatters {1 / (1 + np.mean(contrast)):.2g} times as much"
+    change = Change("blood's own scattering", False, text)
+    return effect_of(change, found, base, tolerance=tolerance, of="signal")
 
 
 def farthest(scene: Scene) -> Scene:

@@ -35,8 +35,10 @@ class Change:
 class Effect(Change):
     """A change that was measured: by how much readings move.
 
-    change, stderr : relative change of the reading at rest, of the photodiode named, which it surely moves most; the
-        error counts that it was picked: its 95 % interval holds with Bonferroni's correction for all photodiodes.
+    of : "reading" where it moves the reading at rest, "signal" where it moves the change by touch alone.
+    change, stderr : change of that, of the reading at rest relative and of the signal as a part of the largest, of the
+        photodiode named, which it surely moves most; the error counts that it was picked: its 95 % interval holds with
+        Bonferroni's correction for all photodiodes.
     bound : what no photodiode's change exceeds, with 95 % confidence each.
     typical, typical_stderr : change over all photodiodes, weighed by the errors of the scene's readings.
     modulation_bound : the same bound on the modulation by touch, as a part of the largest modulation.
@@ -51,10 +53,11 @@ class Effect(Change):
     typical_stderr: float
     modulation_bound: float | None
     tolerance: float
+    of: Literal["reading", "signal"] = "reading"
 
     @property
     def matters(self) -> Literal["yes", "no", "cannot tell"]:
-        """Whether it moves a reading by more than the tolerance, as far as the traces can tell."""
+        """Whether it moves a reading, or the signal, by more than the tolerance, as far as the traces can tell."""
         if self.bound <= self.tolerance:
             return "no"
         return "yes" if abs(self.change) - SURE * self.stderr > self.tolerance else "cannot tell"
@@ -72,15 +75,21 @@ def effect_of(
     *,
     tolerance: float,
     how: Literal["reweighted", "retraced", "derived"] = "derived",
+    of: Literal["reading", "signal"] = "reading",
 ) -> Effect:
-    """An effect from the difference that its change makes; without a modulation where the difference has none."""
+    """An effect from the difference that its change makes; without a modulation where the difference has none.
+
+    of : what it is judged by.
+    """
     from scipy.special import ndtri
 
-    ratio, error = found.ratio, found.ratio_stderr
+    ratio, error, most = found.ratio, found.ratio_stderr, found.ratio_bound
+    if of == "signal":
+        ratio, error, most = np.asarray(found.swing), np.asarray(found.swing_stderr), found.swing_bound
     known = np.isfinite(ratio) & np.isfinite(error)
     # Where nothing was seen, anything may be.
     ratio, error = np.where(known, ratio, np.nan), np.where(known, error, np.nan)
-    bounds = np.where(known, found.ratio_bound, np.inf)
+    bounds = np.where(known, most, np.inf)
     # What is known best, not what is noisiest, says by how much readings move at least.
     sure = np.where(known, np.abs(ratio) - SURE * error, -np.inf)
     best = i, j = np.unravel_index(int(np.argmax(sure)), sure.shape)
@@ -98,4 +107,5 @@ def effect_of(
         typical_stderr=spread,
         modulation_bound=float(np.max(swing)) if np.isfinite(swing).all() else None,
         tolerance=tolerance,
+        of=of,
     )

@@ -86,7 +86,8 @@ class Explanation:
             swing = "-" if e.modulation_bound is None else _percent(e.modulation_bound)
             known, modelled = math.isfinite(e.change), "unknown" if e.unknown else "yes" if e.modelled else "no"
             moved = percent(e.change, e.stderr) if known else "not known"
-            text = f"{e.name:<26} {modelled:<8} {moved:>18} {e.photodiode if known else '':<16} "
+            of = e.photodiode + (" (signal)" if e.of == "signal" else "") if known else ""
+            text = f"{e.name:<26} {modelled:<8} {moved:>18} {of:<16} "
             lines.append(f"{text}{_percent(e.bound):>11} {swing:>8}  {e.matters:<11} {e.changed_to}")
         if self.needless:
             lines.append("Not needed each by itself; these scene lines leave all of it out:")
@@ -95,10 +96,15 @@ class Explanation:
                 moved = f"moves a reading by at most {_percent(self.together.bound)}"
                 lines.append(f"Leaving all of these out at once {moved}, all photodiodes, 95 % sure.")
         if self.missing:
-            lines.append("Left out, though it matters: " + ", ".join(e.name for e in self.missing))
+            lines.append("Left out, though it matters: " + ", ".join(map(name_of, self.missing)))
         if any(e.matters == "cannot tell" for e in self.effects):
             lines.append("What cannot be told needs more photons: --max-seconds, --photons or --relative-error.")
         return "\n".join(lines)
+
+
+def name_of(effect: Effect) -> str:
+    """Its name, and what it moves where that is not the reading."""
+    return effect.name + (" (to the signal)" if effect.of == "signal" else "")
 
 
 def _percent(part: float) -> str:
