@@ -32,8 +32,8 @@ CAPTION = (
 NOTE = (
     "Reading moves: the photodiode that is surely moved most, ± its standard error. At most: what no photodiode's "
     "reading exceeds, and signal, the same for its change by touch as a part of the largest change, with 95 % "
-    "confidence each. (signal): it leaves the reading at rest as it is, and is judged by the signal. What is unknown of "
-    "the finger stands at the farther end of its range."
+    "confidence each. (signal): it leaves the reading at rest as it is, and is judged by the signal. What is unknown "
+    "of the finger stands at the farther end of its range."
 )
 
 
