@@ -61,7 +61,8 @@ class ProgramComparison:
     unread : Photodiodes that too few photons of either program reached.
     total : Sum of the readings.
     changes : Relative change of that sum, by the blood fraction of all zones that it is read over to.
-    paths_mm : Mean path of all detected light in each absorber that it met. [mm]
+    paths_mm : Mean path of all detected light in each region that it met; the bed's as one, as its zones of blood are
+        smooth here and have edges there. [mm]
     """
 
     program: str
@@ -196,7 +197,12 @@ def compared(ours: LedTrace, theirs: OtherDetection) -> ProgramComparison:
         blood = np.full(optics.zones(scene).count, fraction)
         mu_a = optics.absorption(scene, wavelength, blood_fraction=blood)
         changes[fraction] = _pair([_change(w, _weights(t, mu_a)) for t, w in zip(both, weights, strict=True)])
-    paths = [m.mean_path for m in total]
+    regions = dict.fromkeys(absorber.region for absorber in optics.absorbing(scene))
+    columns = np.array([[a.region == region for region in regions] for a in optics.absorbing(scene)], np.float32)
+    paths = [
+        moments_of(trace.photons, np.zeros(len(w), int), w, trace.path_mm @ columns, 1).mean_path
+        for trace, w in zip(both, weights, strict=True)
+    ]
     return ProgramComparison(
         program=theirs.program,
         led=scene.leds[theirs.led].name,
@@ -208,7 +214,7 @@ def compared(ours: LedTrace, theirs: OtherDetection) -> ProgramComparison:
         changes=changes,
         paths_mm={
             name: _pair([(mean[0, r], stderr[0, r]) for mean, stderr in paths])
-            for r, name in enumerate(optics.absorbers(scene))
+            for r, name in enumerate(regions)
             if all(stderr[0, r] > 0 for _, stderr in paths)
         },
     )
