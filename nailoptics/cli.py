@@ -247,7 +247,8 @@ def compare(
         Parameter(help="Exit with 4 unless the fitted model stays within this part of every reading's swing."),
     ] = None,
     model: Annotated[
-        Literal["taylor", "beer_lambert"], Parameter(help="The model that --require judges: (9) or (8).")
+        Literal["taylor", "beer_lambert"],
+        Parameter(help="The model that --require judges: Taylor (9) or Beer-Lambert (8)."),
     ] = "taylor",
     json_: Json = False,
     options: Options = USUAL,

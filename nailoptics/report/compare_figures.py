@@ -1,4 +1,4 @@
-"""Figures of a comparison: how far (8) and (9) hold, what they leave out, how large alpha D^2 is."""
+"""Figures of a comparison: how far Beer-Lambert (8) and Taylor (9) hold, what they leave out, alpha D^2."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 X_LABELS = {"force": "force [N]", "blood": "blood fraction of both zones [%]", "saturation": "oxygen saturation [%]"}
-# Name, colour and mark of each part of the error of (9).
+# Name, colour and mark of each part of the error of Taylor (9).
 PARTS = {
     "truncation": ("exponential cut to a line", "#e08a3c", "s"),
     "one_path": ("one path for all light", "#7a5aa6", "D"),
@@ -26,7 +26,7 @@ WAY_TITLES = {
     "predicted": "no fit: own zone's mean path",
     "predicted_both": "no fit: both zones' mean paths",
 }
-FORMULAS = {"taylor": "(9) Taylor", "beer_lambert": "(8) Beer–Lambert"}
+FORMULAS = {"taylor": "Taylor (9)", "beer_lambert": "Beer–Lambert (8)"}
 _FLOOR, _CEILING = 0.01, 150.0
 
 
@@ -84,7 +84,7 @@ def error_parts(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
             for k, part in enumerate(result.part.values):
                 here = one.sel(part=part).isel(photodiode=j, point=at)
                 _dot(axes, here, row + 0.17 * (k - 1.5), labelled=row == 0)
-        axes.set(title=WAY_TITLES[str(way)], xscale="log", xlabel="error of (9) [% of swing], without its sign")
+        axes.set(title=WAY_TITLES[str(way)], xscale="log", xlabel="error of Taylor (9) [% of swing], without its sign")
         axes.minorticks_off()
         for tolerance in (1, 5):
             axes.axvline(tolerance, color=style.INK, lw=0.8, ls=(0, (4, 2)))
@@ -152,7 +152,7 @@ def _limits_of_taylor(axes: "Axes", fails: xr.Dataset, y: float, *, labelled: bo
         if not here.limit_ends:
             axes.plot(value, y, ">", ms=5, color=style.INK, markerfacecolor=style.PAPER)
             break
-        label = f"(9) errs by {100 * within:g} % of swing, over {fails.sweep.values}" if labelled else None
+        label = f"Taylor (9) errs by {100 * within:g} % of swing, over {fails.sweep.values}" if labelled else None
         axes.plot(value, y, mark, ms=5, color=style.INK, label=label)
 
 
@@ -165,9 +165,9 @@ def changes(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     one = result.sel(sweep=sweep).isel(led=led)
     x = one.setting.values * scale(sweep)
     models = (
-        ("predicted", "beer_lambert", style.MUTED, (0, (1, 1.5)), "(8), no fit, own zone"),
-        ("predicted_both", "beer_lambert", style.VEIN, (0, (6, 2)), "(8), no fit, both zones"),
-        ("fitted", "taylor", style.INK, (0, (4, 2)), "(9) fitted"),
+        ("predicted", "beer_lambert", style.MUTED, (0, (1, 1.5)), "Beer–Lambert (8), no fit, own zone"),
+        ("predicted_both", "beer_lambert", style.VEIN, (0, (6, 2)), "the same, both zones"),
+        ("fitted", "taylor", style.INK, (0, (4, 2)), "Taylor (9) fitted"),
     )
     room = style.Room(left=0.65, top=0.6, across=0.45, down=0.3)
     figure, grid = style.panels(9.6, 0.6 + 2.0 * rows, rows, columns, room_in=room, sharex=True, squeeze=False)

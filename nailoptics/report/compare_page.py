@@ -1,4 +1,4 @@
-"""The page of a comparison: whether (8) and (9) hold on the user's scene, how far, and why not further."""
+"""The page of a comparison: how far Beer-Lambert (8) and Taylor (9) hold on a scene, and why not further."""
 
 from itertools import product
 from pathlib import Path
@@ -20,15 +20,15 @@ HOLDS = (
     "the light tracing."
 )
 SPLIT = (
-    "The error of (9), split where it is largest. Hollow marks cannot be told from 0. The first three add up to "
+    "The error of Taylor (9), split where it is largest. Hollow marks cannot be told from 0. The first three add up to "
     "the error against the trace; that blood scatters too is in neither, and comes on top. What changes the mean path "
     "with the blood is the spread of paths: one path for all light."
 )
 READINGS = "Traced readings and models, as change from the start of the sweep."
 ALPHA = (
-    "αD² is the mean path in the bed times the absorption of its blood: the exponent of (8). Below each bar, with 95 % "
-    "intervals, where (9) errs by 1 % (circle) and 5 % (square) of the swing over {}. An open arrow: it stays within "
-    "that over the whole sweep, and lies at its end."
+    "αD² is the mean path in the bed times the absorption of its blood: the exponent of Beer–Lambert (8). Below each "
+    "bar, with 95 % intervals, where Taylor (9) errs by 1 % (circle) and 5 % (square) of the swing over {}. An open "
+    "arrow: it stays within that over the whole sweep, and lies at its end."
 )
 
 
@@ -54,7 +54,7 @@ def _led_section(result: xr.Dataset, led: int) -> str:
     lines = [figure(compare_figures.range_errors(result, led=led), f"holds{led}", HOLDS), _limits(result, led)]
     for sweep in (str(s) for s in result.sweep.values):
         lines += [
-            f"<h3>What (9) leaves out, over {escaped(sweep)}</h3>",
+            f"<h3>What Taylor (9) leaves out, over {escaped(sweep)}</h3>",
             figure(compare_figures.error_parts(result, led=led, sweep=sweep), f"split{led}{sweep}", SPLIT),
             figure(compare_figures.changes(result, led=led, sweep=sweep), f"readings{led}{sweep}", READINGS),
         ]
@@ -76,18 +76,19 @@ def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
     for within in (0.01, 0.05):
         taylor, total = _counts(result, "taylor", within)
         exact, _ = _counts(result, "beer_lambert", within)
-        words = f"readings that fitted (9), and (8), meet within {100 * within:g} % of their swing over the {sweep}"
+        part = f"{100 * within:g} % of their swing over the {sweep}"
+        words = f"readings that fitted Taylor (9), and Beer–Lambert (8), meet within {part}"
         cards.append((f"{taylor} and {exact} of {total}", words))
     if "blood" in result.sweep.values:
         one = result.sel(sweep="blood", way="fitted", model="taylor", within=0.01)
         low, high = (significant(100 * float(f(one.limit)), 2) for f in (np.min, np.max))
-        cards.append((f"{low} – {high} %", "blood fraction up to which (9) errs by less than 1 %"))
+        cards.append((f"{low} – {high} %", "blood fraction up to which Taylor (9) errs by less than 1 %"))
     parts = np.abs(result.isel(sweep=0, point=-1).sel(way="fitted").part_error).median(("led", "photodiode"))
     # A part that no time was left to trace is not known.
     if not (known := parts.dropna("part")).size:
         return cards
     worst, *_ = compare_figures.PARTS[str(known.part.values[int(known.values.argmax())])]
-    words = f"of the swing: the largest part of the error of (9), by the median of all readings: “{worst}”"
+    words = f"of the swing: the largest part of the error of Taylor (9), by the median of all readings: “{worst}”"
     return [*cards, (f"{significant(100 * float(known.max()), 2)} %", words)]
 
 
@@ -96,9 +97,9 @@ def _limits(result: xr.Dataset, led: int) -> str:
     head, rows = ["Photodiode", "Swing<br>[% of reading]", "Mean path<br>in own<br>zone [mm]"], []
     columns = list(product(map(str, result.sweep.values), compare_figures.FORMULAS, result.within.values))
     for sweep, model, within in columns:
-        number, _ = compare_figures.FORMULAS[model].split()
-        head.append(f"{number} to {100 * within:g} %<br>{escaped(sweep)} [{'N' if sweep == 'force' else '%'}]")
-    head += ["αD² at<br>which (9)<br>errs by 1 %", "at which<br>(9) errs<br>by 5 %"]
+        unit = "N" if sweep == "force" else "%"
+        head.append(f"{compare_figures.FORMULAS[model]}<br>to {100 * within:g} %<br>{escaped(sweep)} [{unit}]")
+    head += ["αD² at which<br>Taylor (9)<br>errs by 1 %", "at which it<br>errs by 5 %"]
     for j in compare_figures.order(result):
         one = result.isel(led=led, photodiode=j)
         first = one.isel(sweep=0)

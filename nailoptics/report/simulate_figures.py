@@ -23,8 +23,8 @@ WITH_LEGENDS_BELOW = style.Room(left=0.65, bottom=0.8, across=0.75)
 # Without blood, at rest and beyond: a nail's colours.
 BLOOD = ("#fbf6f2", "#e6a5a0", "#8e1022")
 MODELS: dict[str, tuple[str, dict[str, Any]]] = {
-    "beer_lambert": ("(8) Beer–Lambert", {"color": style.INK, "lw": 1.1, "ls": (0, (5, 2.5))}),
-    "taylor": ("(9) Taylor", {"color": style.INK, "lw": 1.3, "ls": (0, (1, 1.6))}),
+    "beer_lambert": ("Beer–Lambert (8)", {"color": style.INK, "lw": 1.1, "ls": (0, (5, 2.5))}),
+    "taylor": ("Taylor (9)", {"color": style.INK, "lw": 1.3, "ls": (0, (1, 1.6))}),
 }
 
 

@@ -108,10 +108,10 @@ def _space_section(result: xr.Dataset, scene: Scene | None) -> str:
 
 def _models_section(result: xr.Dataset, scene: Scene | None, found: list[Reading]) -> str:
     lines = [
-        "<p>Each photodiode's traced volts with equations (8), V = V<sub>0</sub> + V<sub>1</sub> exp(−αD²), and (9), "
-        "V = V′<sub>0</sub> − V′<sub>1</sub>D², fitted to them over the capillary diameter D of the photodiode's own "
-        "zone. Below each, what they miss (model minus traced light), on one scale for all, with the noise of one "
-        "sample in grey.</p>",
+        "<p>Each photodiode's traced volts with Beer–Lambert (8), V = V<sub>0</sub> + V<sub>1</sub> exp(−αD²), and "
+        "Taylor (9), V = V′<sub>0</sub> − V′<sub>1</sub>D², fitted to them over the capillary diameter D of the "
+        "photodiode's own zone. Below each, what they miss (model minus traced light), on one scale for all, with the "
+        "noise of one sample in grey.</p>",
     ]
     text = (
         "Volts over time: proximal photodiodes on the left, distal ones on the right. Where no band is seen it is "
@@ -123,7 +123,7 @@ def _models_section(result: xr.Dataset, scene: Scene | None, found: list[Reading
         if result.sizes["led"] > 1:
             lines.append(f"<h3>LED {escaped(led)}, {significant(float(result.wavelength_nm[i]))} nm</h3>")
         lines.append(figure(simulate_figures.volts(result, scene, led=i), f"volts{i}", text))
-    lines += ["<h3>Constants of (8) and (9)</h3>", tables.fit_table(result, found)]
+    lines += ["<h3>Constants of Beer–Lambert (8) and Taylor (9)</h3>", tables.fit_table(result, found)]
     paths = tables.path_table(result, found)
     if paths:
         lines += [

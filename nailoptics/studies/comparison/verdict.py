@@ -35,7 +35,8 @@ class Verdict:
     readings: int
 
     def __str__(self) -> str:
-        found = f"{self.worst_error:.2%} of the swing ({self.worst_low:.2%} to {self.worst_high:.2%}, 95 % sure)"
+        worst, low, high = (f"{100 * one:.2f} %" for one in (self.worst_error, self.worst_low, self.worst_high))
+        found = f"{worst} of the swing ({low} to {high}, 95 % sure)"
         where = f"LED {self.led}, photodiode {self.photodiode}, over {self.sweep}"
         name = {"taylor": "Taylor (9)", "beer_lambert": "Beer-Lambert (8)"}[self.model]
         words = {
@@ -45,7 +46,7 @@ class Verdict:
         }
         percent = "over 99.9" if self.sure > 0.999 else f"{100 * self.sure:.3g}"
         sure = f"{percent} % sure over {self.readings} readings"
-        return f"{name} {words[self.outcome]} {self.tolerance:.2%} ({sure}): at worst {found}, {where}."
+        return f"{name} {words[self.outcome]} {100 * self.tolerance:g} % ({sure}): at worst {found}, {where}."
 
 
 def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> Verdict:

@@ -81,7 +81,7 @@ class Explanation:
         head = f"{'effect':<26} {'in scene':<8} {'reading moves':>18} {'of':<16} "
         head += f"{'all at most':>11} {'signal':>8}  matters"
         lines = [f"Cut off: {self.cut_off}"] if self.cut_off else []
-        lines += [f"Changes of a reading by more than {self.tolerance:.2%} matter.", head]
+        lines += [f"Changes of a reading by more than {100 * self.tolerance:g} % matter.", head]
         for e in (*self.effects, *([self.together] if self.together else [])):
             swing = "-" if e.modulation_bound is None else _percent(e.modulation_bound)
             known, modelled = math.isfinite(e.change), "unknown" if e.unknown else "yes" if e.modelled else "no"
