@@ -10,15 +10,14 @@ from force_scores import VirtualPerson, asked_of
 
 from nailoptics.hemodynamics import cardiac_pressure
 from nailoptics.hemodynamics.steady import solve_walls
+from nailoptics.hemodynamics.waves import CardiacOscillator, DampedOscillator
 from nailoptics.scene import Scene
 from nailoptics.scene.body import Heartbeat
 from nailoptics.scene.sensor_recordings import SITES, Recording
 from nailoptics.studies.blood_states import arterial_waveform
 from nailoptics.studies.force.body_noise import HARMONICS, HEIGHT_SPREAD, passed
 from nailoptics.studies.force.correction import no_correction
-from nailoptics.studies.force.heartbeat import Beat
 from nailoptics.studies.force.network import touch_on_walls, widths_over
-from nailoptics.studies.force.observer import Oscillation
 from nailoptics.studies.force.person import Person
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject
@@ -38,10 +37,10 @@ def exactly_known(subject: Subject, scene: Scene) -> Subject:
     slow, breath, drift = body.vasomotion, body.breathing, body.drift
     rhythms = []
     if slow is not None:
-        rhythms.append(Oscillation(sum(slow.band_hz) / 2, SLOW_COHERENCE_S, slow.amplitude_pa))
+        rhythms.append(DampedOscillator(sum(slow.band_hz) / 2, SLOW_COHERENCE_S, slow.amplitude_pa))
     if breath is not None:
         rms_pa = breath.amplitude_pa / np.sqrt(2)
-        rhythms.append(Oscillation(breath.rate_per_min / 60.0, BREATH_COHERENCE_S, rms_pa))
+        rhythms.append(DampedOscillator(breath.rate_per_min / 60.0, BREATH_COHERENCE_S, rms_pa))
     own = replace(
         noise,
         rhythms=tuple(rhythms),
@@ -55,7 +54,7 @@ def exactly_known(subject: Subject, scene: Scene) -> Subject:
     return replace(subject, noise=own, covariance=nothing, correction=no_correction(), widening=1.0)
 
 
-def _beat(heart: Heartbeat, who: Person) -> Beat:
+def _beat(heart: Heartbeat, who: Person) -> CardiacOscillator:
     """What the observer knows of a heart that beats evenly: what the vessels at rest pass on of it."""
     rate_hz = heart.rate_per_min / 60.0
     course = cardiac_pressure(
@@ -63,7 +62,7 @@ def _beat(heart: Heartbeat, who: Person) -> Beat:
     )
     rms_pa = np.abs(np.fft.rfft(course))[1 : 1 + HARMONICS] / 256 * np.sqrt(2)
     reach = [passed(who, k * rate_hz) for k in range(1, 1 + HARMONICS)]
-    return Beat(rate_hz, tuple((rms_pa * reach).tolist()), HEIGHT_SPREAD)
+    return CardiacOscillator(rate_hz, tuple((rms_pa * reach).tolist()), HEIGHT_SPREAD)
 
 
 def modelled(subject: Subject, scene: Scene, touch: Recording, *, seed: int) -> Recording:

@@ -5,9 +5,9 @@ from .blood import blood_fraction, saturation, tissue_volume_m3
 from .contact import creeping_pressure, pressures, side_areas_mm2, spreading_pressure
 from .drive import Waveform
 from .parameters import NAMES, Parameters, bounds, parameters
-from .pulse import breathing_pressure, cardiac_pressure, vasomotion_pressure
 from .respond import respond
 from .steady import SteadyState, steady_state
+from .waves import breathing_pressure, cardiac_pressure, vasomotion_pressure
 from .zones import PAPER_ZONES, Zones, with_shear, zones, zones_between
 
 __all__ = [

@@ -8,6 +8,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from .. import hemodynamics
+from ..hemodynamics.waves import fastest_hz, waves_pressure
 from ..light import optics
 from ..scene import Body, Scene, Touch
 from ..scene.base import USUAL_DECAY_LENGTH
@@ -127,16 +128,9 @@ def arterial_waveform(scene: Scene) -> hemodynamics.Waveform | None:
     if body.recorded_time_s is not None and body.recorded_arterial_pressure_pa is not None:
         return hemodynamics.Waveform(time_s=body.recorded_time_s, pressure_pa=body.recorded_arterial_pressure_pa)
     times_s = scene.touch.times_s()
-    spacing_s = 1.0 / (KNOTS_PER_PERIOD * _fastest_hz(body))
+    spacing_s = 1.0 / (KNOTS_PER_PERIOD * fastest_hz(body))
     since_s = np.arange(-WARM_UP_S, times_s[-1] - times_s[0] + spacing_s, spacing_s)
-    pressure = np.full(since_s.shape, vessels(scene).arterial_pressure_pa)
-    if body.heartbeat is not None:
-        beat = body.heartbeat.model_dump(exclude={"mean_pressure_pa"})
-        pressure += hemodynamics.cardiac_pressure(since_s, mean_pressure_pa=0.0, seed=body.seed, **beat)
-    if body.breathing is not None:
-        pressure += hemodynamics.breathing_pressure(since_s, seed=body.seed, **body.breathing.model_dump())
-    if body.vasomotion is not None:
-        pressure += hemodynamics.vasomotion_pressure(since_s, seed=body.seed, **body.vasomotion.model_dump())
+    pressure = waves_pressure(body, since_s, mean_pressure_pa=vessels(scene).arterial_pressure_pa)
     return hemodynamics.Waveform(time_s=times_s[0] + since_s, pressure_pa=pressure)
 
 
@@ -348,10 +342,3 @@ def _nail_length_mm(scene: Scene) -> float:
 
 def _distal_area_m2(scene: Scene) -> float:
     return touch_areas_mm2(scene)[1] * 1e-6
-
-
-def _fastest_hz(body: Body) -> float:
-    """The highest frequency at which a body's pressure repeats itself. [Hz]"""
-    beat = [body.heartbeat.rate_per_min / 60.0] if body.heartbeat else []
-    breath = [body.breathing.rate_per_min / 60.0] if body.breathing else []
-    return max([*beat, *breath, *(body.vasomotion.band_hz if body.vasomotion else [])])

@@ -2,31 +2,30 @@
 
 import itertools
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from ...errors import InputError
+from ...hemodynamics.beat_detection import beats_per_second
 from ...hemodynamics.steady import solve_walls
 from ...hemodynamics.stepping import step
+from ...hemodynamics.waves import HARMONIC_BAND, WAVES, CardiacOscillator, DampedOscillator, resolved_harmonics
 from ...scene.sensor_recordings import Recording
-from .heartbeat import BAND, Beat, seen_harmonics
 from .network import widths_over
-from .observer import Noise, Oscillation
+from .observer import Noise
 from .person import Person
 from .reading_table import ReadingTable
 
 Array = NDArray[np.float64]
 
-# Bands of the body's rhythms: heartbeat and breathing of a resting adult, slow waves of the vessels' tone. [Hz]
-HEART_HZ, BREATH_HZ, SLOW_HZ = (0.7, 3.0), (0.15, 0.5), (0.03, 0.15)
 # Harmonics of the beat that carry a pulse's shape; a beat weaker than this is none. [Pa]
 HARMONICS, LEAST_BEAT_PA = 5, 40.0
-# Rates that are tried; part of them by which intervals scatter; by how much the heights of beats vary, of themselves.
-RATES_TRIED, BEAT_SCATTER, HEIGHT_SPREAD = 200, 0.08, 0.1
-# How long rhythms keep their phase: breaths scatter by some 10 %, slow waves come and go. [s]
-BREATH_COHERENCE_S, SLOW_COHERENCE_S = 8.0, 4.0
+# By how much the heights of beats vary, of themselves.
+HEIGHT_SPREAD = 0.1
 # The highest part of a spectrum, where all is noise of the readings.
 NOISE_FROM = 0.75
 # A step of arterial pressure by which its effect is found. [Pa]
@@ -100,7 +99,7 @@ def learn_noise(
     """
     white = np.maximum(np.median([_white(one) for one in residual_v], axis=0), gain * table.noise_v)
     leds = table.same_led() * rest_v[:, None]
-    spectra, own2, led2, spans = [], [], [], []
+    spectra, own2, led2, spans, rates_hz = [], [], [], [], []
     for recording, residual in zip(recordings, residual_v, strict=True):
         response = arterial_response(person, table, gain, recording)
         step = float(np.median(np.diff(recording.time_s)))
@@ -112,6 +111,8 @@ def learn_noise(
         window = min(len(pressure), round(WINDOW_S / step))
         spectra.append(signal.welch(pressure, fs=1.0 / step, nperseg=window, detrend="constant"))
         spans.append(len(pressure))
+        with suppress(InputError):  # no heartbeat in it
+            rates_hz.append(beats_per_second(recording.time_s, pressure))
         # A reading's own drift lies where neither pressure nor LED took it along.
         seen = len(left) / max(len(left) - 1 - leds.shape[1], 1)
         untouched = force_n < REST_FORCE_N
@@ -129,7 +130,7 @@ def learn_noise(
         replace(one, rms_pa=one.rms_pa / max(passed(person, one.frequency_hz), LEAST_PASSED))
         for one in _rhythms(frequency, power)
     ]
-    beat = _beat(frequency, power)
+    beat = _cardiac_oscillator(float(np.median(rates_hz)), frequency, power) if rates_hz else None
     return Noise(white, drift, led_drift, beat, tuple(slow), TOUCH_RATE, MOVED_ERROR, HELD_ERROR)
 
 
@@ -162,30 +163,29 @@ def _walk2(drifting: Array, time_s: Array, untouched: NDArray[np.bool_]) -> list
     ]
 
 
-def _beat(frequency: Array, power: Array) -> Beat | None:
-    """The heart's beat in a spectrum of the arterial pressure [Pa^2/Hz]: the rate whose harmonics hold the most."""
+def _cardiac_oscillator(rate_hz: float, frequency: Array, power: Array) -> CardiacOscillator | None:
+    """The heartbeat of a rate in a spectrum of the arterial pressure [Pa^2/Hz]; None where it is too weak."""
 
     def rms_pa(middle: float, half: float) -> float:
         return float(np.sqrt(np.trapezoid(power * (np.abs(frequency - middle) < half), frequency)))
 
-    rates = np.linspace(*HEART_HZ, RATES_TRIED)
-    held = [sum(rms_pa(k * rate, BEAT_SCATTER * rate) ** 2 for k in (1, 2)) for rate in rates]
-    rate = float(rates[int(np.argmax(held))])
-    orders = 1 + np.flatnonzero(seen_harmonics(rate, HARMONICS, frequency[-1]))
-    seen = [rms_pa(k * rate, BAND * rate) for k in orders]
-    if not orders.size or np.hypot.reduce(seen) < LEAST_BEAT_PA:
+    orders = 1 + np.flatnonzero(resolved_harmonics(rate_hz, HARMONICS, frequency[-1]))
+    heights = [rms_pa(k * rate_hz, HARMONIC_BAND * rate_hz) for k in orders]
+    if not orders.size or np.hypot.reduce(heights) < LEAST_BEAT_PA:
         return None
-    return Beat(rate, tuple(max(one, 0.01 * max(seen)) for one in seen), HEIGHT_SPREAD)
+    return CardiacOscillator(rate_hz, tuple(max(one, 0.01 * max(heights)) for one in heights), HEIGHT_SPREAD)
 
 
-def _rhythms(frequency: Array, power: Array) -> tuple[Oscillation, ...]:
-    """Oscillators with the power of the breath's and the slow band of a spectrum of the arterial pressure [Pa^2/Hz]."""
+def _rhythms(frequency: Array, power: Array) -> tuple[DampedOscillator, ...]:
+    """Oscillators with the power of the slow waves' bands in a spectrum of the arterial pressure [Pa^2/Hz]."""
     width, rhythms = frequency[1] - frequency[0], []
-    for band, coherence_s in ((BREATH_HZ, BREATH_COHERENCE_S), (SLOW_HZ, SLOW_COHERENCE_S)):
-        near = (frequency >= band[0]) & (frequency < band[1])
+    for wave in WAVES:
+        if wave.coherence_s is None:
+            continue
+        near = (frequency >= wave.band_hz[0]) & (frequency < wave.band_hz[1])
         if near.any() and power[near].sum() > 0:
             middle = float((frequency[near] * power[near]).sum() / power[near].sum())
-            rhythms.append(Oscillation(middle, coherence_s, float(np.sqrt(power[near].sum() * width))))
+            rhythms.append(DampedOscillator(middle, wave.coherence_s, float(np.sqrt(power[near].sum() * width))))
     return tuple(rhythms)
 
 

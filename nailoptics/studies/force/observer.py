@@ -18,7 +18,8 @@ from scipy import stats
 from scipy.special import expit
 
 from ...hemodynamics.stepping import step
-from .heartbeat import Beat, PulsedBlood
+from ...hemodynamics.waves import CardiacOscillator, DampedOscillator
+from .heartbeat import PulsedBlood
 from .network import LONGEST_STEP_S, closure_of, touch_on_walls
 from .person import NAMES, Person
 from .reading_table import ReadingTable
@@ -66,18 +67,6 @@ ACTING = FIRST_BODY
 
 
 @dataclass(frozen=True)
-class Oscillation:
-    """A rhythm of the arterial pressure: a damped oscillator driven by noise.
-
-    frequency_hz : where its power lies. coherence_s : how long it keeps its phase. rms_pa : its strength.
-    """
-
-    frequency_hz: float
-    coherence_s: float
-    rms_pa: float
-
-
-@dataclass(frozen=True)
 class Noise:
     """What moves readings beside the touch.
 
@@ -94,8 +83,8 @@ class Noise:
     reading_v: Array
     drift_per_min: float
     led_drift_per_min: float
-    beat: Beat | None
-    rhythms: tuple[Oscillation, ...]
+    beat: CardiacOscillator | None
+    rhythms: tuple[DampedOscillator, ...]
     touch_rate: float
     moved_error: float
     held_error: float
@@ -220,7 +209,7 @@ class Observer:
         diagonal[TOUCH] = 0.1**2
         diagonal[LEFT] = 0.1**2
         if self.noise.beat:
-            diagonal[self.beat] = self.noise.beat.start()
+            diagonal[self.beat] = self.noise.beat.initial_variance()
         diagonal[self.body] = np.repeat([one.rms_pa**2 for one in self.noise.rhythms], 2)
         self.covariance[self.drift, self.drift] = self._level + self._drift
         self.followed = np.zeros(2)
@@ -245,7 +234,7 @@ class Observer:
             self.restart()
             return None
         if self.noise.beat:
-            self.beating[self.beat.start + 1 : self.beat.stop : 2] = self.noise.beat.seen(since_s)
+            self.beating[self.beat.start + 1 : self.beat.stop : 2] = self.noise.beat.resolved_harmonics(since_s)
         self.ways = self.ways @ going_on(since_s)
         self.moved_v = self.moved_v * np.exp(-since_s / READING_LASTS_S)
         self.each, slopes = np.repeat(self.covariance[None], len(RATES), axis=0), np.eye(self.size)
@@ -288,10 +277,7 @@ class Observer:
             noise[LEFT] = PULP_NOISE**2 * step_s
             for k, rhythm in enumerate(self.noise.rhythms):
                 at = slice(self.body.start + 2 * k, self.body.start + 2 * k + 2)
-                angle, kept = 2 * np.pi * rhythm.frequency_hz * step_s, np.exp(-step_s / rhythm.coherence_s)
-                turned = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-                transition[at, at] = kept * np.array(turned)
-                noise[at] = (1 - kept**2) * rhythm.rms_pa**2
+                transition[at, at], noise[at] = rhythm.propagate(step_s)
             whole = np.diag(noise)
             whole[self.drift, self.drift] = self._drift * step_s / 60.0
             if len(self._matrices) > 64:
@@ -335,7 +321,9 @@ class Observer:
         speed_error = SPEED_ERROR * (widths[:, 0] - state[WIDTHS])
         noise[range(3), range(3)] += speed_error**2 * SPEED_LASTS_S / step_s
         if self.noise.beat:
-            after[self.beat], transition[self.beat, self.beat], grown = self.noise.beat.go_on(state[self.beat], step_s)
+            after[self.beat], transition[self.beat, self.beat], grown = self.noise.beat.propagate(
+                state[self.beat], step_s
+            )
             noise[self.beat, self.beat] = grown
         self.state, self.followed = after, pulp.follow(self.followed, pressure_of(state[TOUCH]), step_s)
         each = self.each.copy()

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from ... import hemodynamics
 from ...errors import InputError
 from ...hemodynamics.parameters import Parameters
+from ...hemodynamics.waves import CardiacOscillator, DampedOscillator
 from ...scene.sensor_recordings import MOST_VOLTS
 from ...scene.text_files import parse_toml, read_text
 from .baselines import Regression
 from .correction import Correction
-from .heartbeat import Beat
-from .observer import LINEAR, Calibrated, Noise, Oscillation
+from .observer import LINEAR, Calibrated, Noise
 from .person import NAMES, PRIORS, SPREAD_LN, Person, person
 from .pulp import Pulp
 from .reading_table import POWERS, ReadingTable
@@ -359,8 +359,8 @@ def _subject(found: dict[str, Any]) -> Subject:
     )
 
 
-def _beat(found: dict[str, Any]) -> Beat:
-    return Beat(float(found["rate_hz"]), tuple(map(float, found["rms_pa"])), float(found["spread"]))
+def _beat(found: dict[str, Any]) -> CardiacOscillator:
+    return CardiacOscillator(float(found["rate_hz"]), tuple(map(float, found["rms_pa"])), float(found["spread"]))
 
 
 def _noise(found: dict[str, Any], reading_v: Array) -> Noise:
@@ -369,7 +369,7 @@ def _noise(found: dict[str, Any], reading_v: Array) -> Noise:
         drift_per_min=float(found["drift_per_min"]),
         led_drift_per_min=float(found["led_drift_per_min"]),
         beat=_beat(found["beat"]) if found["beat"] else None,
-        rhythms=tuple(Oscillation(**one) for one in found["rhythms"]),
+        rhythms=tuple(DampedOscillator(**one) for one in found["rhythms"]),
         touch_rate=float(found["touch_rate_n_per_cm2_rt_s"]),
         moved_error=float(found["moved_error"]),
         held_error=float(found["held_error"]),

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from ...commit import code_attributes
 from ...errors import InputError
+from ...hemodynamics.beat_detection import BAND_HZ, LEAST_BEATS, Beats, Marks, band, find_beats, resampled
 from ...scene import Scene
 from ...scene.slot_recordings import OximeterRecording
 from ...statistics import Z95
 from ...variables import variable
 from .calibration_line import saturation_of
-from .heart_beats import BAND_HZ, LEAST_BEATS, Beats, Marks, band, find_beats, resampled
 from .slots import AVERAGE_S
 
 Array = NDArray[np.float64]

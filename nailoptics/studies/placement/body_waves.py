@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import hemodynamics
-from ...scene import Body, Scene
+from ...hemodynamics.waves import pressure_lines
+from ...scene import Scene
 from ...scene.body import Drift
 from ..blood_states import blood_by_arterial_pressure
 
@@ -15,10 +15,6 @@ Array = NDArray[np.float64]
 # By how much all readings of a board change with a micrometre more between it and the nail. On the prototype, traced,
 # those 1.5 mm from the LED fall by 0.0014 (+- 0.0002), those beyond 2 mm by less than 0.0005; here all alike. [1/um]
 LIFT_PER_UM = 0.001
-# Samples of one beat, whose harmonics make its variance; those beyond a tenth of them hold nothing.
-BEAT_SAMPLES = 512
-# Frequencies that stand for the band of the slow waves.
-BAND_LINES = 16
 
 
 @dataclass(frozen=True)
@@ -85,38 +81,3 @@ def _root(covariance: Array) -> Array:
     """Columns whose outer products add up to a covariance."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-def pressure_lines(body: Body) -> tuple[Array, Array]:
-    """The arterial pressure of a body as waves: frequencies (F,) and variances (F,). [Hz], [Pa^2]
-
-    That hearts beat unevenly widens their lines by less than the vessels' gain changes over them.
-    """
-    if body.recorded_time_s is not None and body.recorded_arterial_pressure_pa is not None:
-        time_s, pressure_pa = np.array(body.recorded_time_s), np.array(body.recorded_arterial_pressure_pa)
-        even_s = np.linspace(time_s[0], time_s[-1], 2 * len(time_s))
-        return _lines(np.interp(even_s, time_s, pressure_pa), lasting_s=time_s[-1] - time_s[0])
-    found = []
-    if body.heartbeat is not None:
-        beat = body.heartbeat
-        period_s = 60.0 / beat.rate_per_min
-        pulse = hemodynamics.cardiac_pressure(
-            period_s * np.arange(BEAT_SAMPLES) / BEAT_SAMPLES,
-            pulse_pressure_pa=beat.pulse_pressure_pa,
-            rate_per_min=beat.rate_per_min,
-        )
-        found.append(_lines(pulse, lasting_s=period_s))
-    if body.breathing is not None:
-        found.append((np.array([body.breathing.rate_per_min / 60.0]), np.array([body.breathing.amplitude_pa**2 / 2])))
-    if body.vasomotion is not None:
-        low, high = body.vasomotion.band_hz
-        middles = low + (high - low) * (np.arange(BAND_LINES) + 0.5) / BAND_LINES
-        found.append((middles, np.full(BAND_LINES, body.vasomotion.amplitude_pa**2 / BAND_LINES)))
-    frequency_hz, variance_pa2 = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return frequency_hz, variance_pa2
-
-
-def _lines(pressure_pa: Array, *, lasting_s: float) -> tuple[Array, Array]:
-    """Frequencies and variances of a course that is sampled evenly over its length."""
-    height = np.fft.rfft(pressure_pa)[1 : BEAT_SAMPLES // 2] / len(pressure_pa)
-    return np.arange(1, len(height) + 1) / lasting_s, 2.0 * np.abs(height) ** 2

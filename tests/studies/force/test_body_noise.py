@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from nailoptics import hemodynamics
-from nailoptics.studies.force.body_noise import _beat, _parted, _walk2
+from nailoptics.hemodynamics.beat_detection import beats_per_second
+from nailoptics.studies.force.body_noise import _cardiac_oscillator, _parted, _walk2
 
 STEP_S = 0.02
 
@@ -36,17 +37,17 @@ def test_what_readings_do_not_part_is_not_taken_for_much_of_both() -> None:
 
 
 @pytest.mark.parametrize("rate_per_min", [55.0, 72.0, 110.0])
-def test_the_rate_of_the_heart_is_found(rate_per_min: float) -> None:
+def test_the_heartbeats_rate_and_height_are_found_beside_slow_waves(rate_per_min: float) -> None:
     time_s = np.arange(0.0, 60.0, STEP_S)
     pressure = hemodynamics.cardiac_pressure(
         time_s, pulse_pressure_pa=2e3, rate_per_min=rate_per_min, rate_variability=0.05, seed=4
     )
     pressure += hemodynamics.vasomotion_pressure(time_s, amplitude_pa=600.0, seed=4)
+    rate_hz = beats_per_second(time_s, pressure)
+    assert rate_hz == pytest.approx(rate_per_min / 60.0, rel=0.06)
     frequency = np.fft.rfftfreq(time_s.size, STEP_S)
     power = 2 * STEP_S / time_s.size * np.abs(np.fft.rfft(pressure - pressure.mean())) ** 2
-    beat = _beat(frequency, power)
-    assert beat is not None
-    assert beat.rate_hz == pytest.approx(rate_per_min / 60.0, rel=0.06)
+    beat = _cardiac_oscillator(rate_hz, frequency, power)
     # A pulse of 2 kPa from top to bottom.
-    assert 400.0 < np.hypot.reduce(beat.rms_pa) < 1000.0
-    assert _beat(frequency, 1e-6 * power) is None
+    assert beat is not None and 400.0 < np.hypot.reduce(beat.rms_pa) < 1000.0
+    assert _cardiac_oscillator(rate_hz, frequency, 1e-6 * power) is None

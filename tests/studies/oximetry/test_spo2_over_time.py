@@ -98,7 +98,7 @@ def test_what_tells_nothing_is_refused_in_one_line():
     for broken, words in (
         (short, "beats"),
         (full, "saturated"),
-        (replace(made, volts=1.0 + 1e-4 * flat), "like a heart"),
+        (replace(made, volts=1.0 + 1e-4 * flat), "no heartbeat"),
         (replace(made, dark_v=made.dark_v + 2.0), "dark"),
         (replace(made, photodiodes=("axis.1", "other")), "none of"),
     ):

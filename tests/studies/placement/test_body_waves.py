@@ -7,13 +7,14 @@ import pytest
 from small_scenes import TWO_LAYOUTS
 
 from nailoptics import hemodynamics
+from nailoptics.hemodynamics.waves import pressure_lines
 from nailoptics.report import summaries
 from nailoptics.report.place_page import write_placement
 from nailoptics.scene import Placement, parse_scene
 from nailoptics.statistics import left_out
 from nailoptics.studies.blood_states import blood_by_arterial_pressure, steady_blood_at, touch_pressures_pa
 from nailoptics.studies.placement import fisher, place, result, scores
-from nailoptics.studies.placement.body_waves import BodyNoise, body_noise, pressure_lines
+from nailoptics.studies.placement.body_waves import BodyNoise, body_noise
 from nailoptics.studies.placement.objective import Objective
 
 SCENE = TWO_LAYOUTS.replace("[board]", "[body.heartbeat]\n[body.breathing]\n[body.vasomotion]\n[board]")

@@ -1,11 +1,11 @@
-"""The heart's beats in a pulse waveform: where they are, how fast, and where the finger moved."""
+"""Beat detection: the rate of a pulse waveform by its autocorrelation, and the time of each beat."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...errors import InputError
+from ..errors import InputError
 
 Array = NDArray[np.float64]
 Marks = NDArray[np.bool_]
@@ -15,8 +15,8 @@ SLOWEST, FASTEST = 30.0, 240.0
 LEAST_BEATS = 3
 # A pulse's shape lies in this band, its lower end below the slowest rate. [Hz]
 BAND_HZ = (0.4, 8.0)
-# Of the whole recording: the rate repeats itself at least so well there.
-LEAST_REPEAT = 0.15
+# The least correlation of a waveform with itself a beat later.
+LEAST_CORRELATION = 0.15
 # A recording is searched for its rate in parts of about so long. [s]
 PART_S = 8.0
 # A beat whose height is more than this many times the usual one, or less than its inverse, is no usual one.
@@ -47,17 +47,30 @@ def find_beats(time_s: ArrayLike, signal: ArrayLike, name: str = "the recording"
 
     time_s, signal : (T,) float, evenly sampled or nearly; any unit. NaN in gaps.
 
-    Raises: InputError where there are fewer than three beats, or nothing that repeats itself like a heart.
+    Raises: InputError where there are fewer than three beats, or no heartbeat.
     """
-    even_s, values, rate_hz = resampled(np.asarray(time_s, float), np.asarray(signal, float), name)
-    wave = band(values, rate_hz)
-    expected_hz = _usual_rate_hz(wave, rate_hz, name)
+    even_s, wave, rate_hz, expected_hz = _periodic(time_s, signal, name)
     peaks, heights = _peaks(wave, rate_hz, expected_hz)
     if len(peaks) < LEAST_BEATS:
         raise InputError(f"{name}: holds {len(peaks)} beats; at least {LEAST_BEATS} are needed, record longer.")
     peak_s = even_s[0] + _summits(wave, peaks) / rate_hz
     usual = _usual(peak_s, heights)
     return Beats(peak_s, _rate(peak_s, usual), usual)
+
+
+def beats_per_second(time_s: ArrayLike, signal: ArrayLike, name: str = "the recording") -> float:
+    """The rate of a waveform in which a heart beats, from its autocorrelation. [Hz]
+
+    time_s, signal, raises : as `find_beats`.
+    """
+    return _periodic(time_s, signal, name)[-1]
+
+
+def _periodic(time_s: ArrayLike, signal: ArrayLike, name: str) -> tuple[Array, Array, float, float]:
+    """Even times, the waveform in the pulse's band, its sampling rate [Hz] and the heart's [Hz]."""
+    even_s, values, rate_hz = resampled(np.asarray(time_s, float), np.asarray(signal, float), name)
+    wave = band(values, rate_hz)
+    return even_s, wave, rate_hz, _autocorrelation_rate_hz(wave, rate_hz, name)
 
 
 def resampled(time_s: Array, signal: Array, name: str) -> tuple[Array, Array, float]:
@@ -83,8 +96,8 @@ def band(values: Array, rate_hz: float, low_hz: float = BAND_HZ[0], high_hz: flo
     return np.asarray(signal.sosfiltfilt(filtered, values, axis=-1, padtype="odd", padlen=pad))
 
 
-def _usual_rate_hz(wave: Array, rate_hz: float, name: str) -> float:
-    """The lag at which the waveform is most like itself, as a rate. [Hz]
+def _autocorrelation_rate_hz(wave: Array, rate_hz: float, name: str) -> float:
+    """The lag at which the waveform repeats itself best, as a rate. [Hz]
 
     Parts of the recording count alike, so that motion in one of them does not decide.
     """
@@ -93,19 +106,25 @@ def _usual_rate_hz(wave: Array, rate_hz: float, name: str) -> float:
     lags = np.arange(int(60 * rate_hz / FASTEST), longest)
     if not len(lags):
         raise InputError(f"{name}: is too short for three beats; record longer.")
-    like = np.median([_likeness(part, longest) for part in parts], axis=0)
-    inner = [k for k in lags if 0 < k < len(like) - 1 and like[k] >= like[k - 1] and like[k] >= like[k + 1]]
-    best = max(inner, key=lambda k: like[k], default=int(lags[np.argmax(like[lags])]))
-    # Two beats are as like two beats: the first lag that is nearly as good is one beat.
-    first = next((k for k in inner if like[k] > 0.7 * like[best]), best)
-    if like[first] < LEAST_REPEAT and len(wave) < LEAST_BEATS * 60 * rate_hz / SLOWEST:
-        raise InputError(f"{name}: no three beats are seen in {len(wave) / rate_hz:.3g} s; record longer.")
-    if like[first] < LEAST_REPEAT:
-        raise InputError(f"{name}: nothing in it repeats itself like a heart; check the finger and the light.")
-    return float(rate_hz / first)
+    correlation = np.median([_autocorrelation(part, longest) for part in parts], axis=0)
+    inner = [
+        k
+        for k in lags
+        if 0 < k < len(correlation) - 1
+        and correlation[k] >= correlation[k - 1]
+        and correlation[k] >= correlation[k + 1]
+    ]
+    best = max(inner, key=lambda k: correlation[k], default=int(lags[np.argmax(correlation[lags])]))
+    # Two periods correlate as well as one: the first lag that is nearly as good is one beat.
+    first = next((k for k in inner if correlation[k] > 0.7 * correlation[best]), best)
+    if correlation[first] < LEAST_CORRELATION and len(wave) < LEAST_BEATS * 60 * rate_hz / SLOWEST:
+        raise InputError(f"{name}: no three beats were found in {len(wave) / rate_hz:.3g} s; record longer.")
+    if correlation[first] < LEAST_CORRELATION:
+        raise InputError(f"{name}: no heartbeat was found in it; check the finger and the light.")
+    return float(rate_hz / _summits(correlation, np.array([first]))[0])
 
 
-def _likeness(wave: Array, longest: int) -> Array:
+def _autocorrelation(wave: Array, longest: int) -> Array:
     """Correlation of a waveform with itself at lags up to the longest, 1 at lag 0, (longest + 1,) float."""
     held = wave - wave.mean()
     spectrum = np.fft.rfft(held, 2 * len(held))
@@ -126,7 +145,7 @@ def _peaks(wave: Array, rate_hz: float, expected_hz: float) -> tuple[NDArray[np.
 
 
 def _summits(wave: Array, peaks: NDArray[np.intp]) -> Array:
-    """Peaks between samples, by a parabola through three."""
+    """Places of peaks between samples, by a parabola through three."""
     before, at, after = wave[peaks - 1], wave[peaks], wave[np.minimum(peaks + 1, len(wave) - 1)]
     bend = before - 2 * at + after
     step = np.divide(0.5 * (before - after), bend, out=np.zeros_like(at), where=bend < 0)

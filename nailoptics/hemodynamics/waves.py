@@ -1,0 +1,319 @@
+"""The body's waves in the arterial pressure P_H: heartbeat, breathing, vasomotion.
+
+`WAVES` lists them, and all studies take them from there: `simulate` and `oximeter` their pressure over time, `place`
+their spectral lines, `predict` the band in which a recording shows them and the oscillator by which its filter follows
+them. A further wave is one more entry, and a table of its name in a scene's [body] for what users set of it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import finite, number
+from ..errors import InputError
+from ..scene import Body
+from ..statistics import seed_of
+
+Array = NDArray[np.float64]
+
+# Height, instant (part of a beat) and sharpness of the systolic, the reflected and the dicrotic wave: chosen so that
+# their sum climbs faster than it falls and has the notch of a finger's pulse.
+_WAVES = ((1.0, 0.17, 12.0), (0.55, 0.33, 8.0), (0.35, 0.55, 6.0))
+
+MOST_VARIABILITY = 0.2
+# Streams of the seed.
+_HEART, _BREATH, _SLOW_WAVES = range(3)
+# Sines that make the slow waves: as many as make them irregular over minutes.
+_SINES = 24
+# Samples of one beat, whose harmonics make its variance; those beyond a tenth of them hold nothing.
+BEAT_SAMPLES = 512
+# Frequencies that stand for the band of the slow waves.
+BAND_LINES = 16
+
+# Intervals between beats scatter by this part of their mean (Nunan 2010, PACE 33:1407), each by itself.
+INTERVAL_SPREAD = 0.05
+# Between recordings, and slowly within one, the heart's rate differs by this part; it changes over so long. [s]
+RATE_SPREAD, RATE_MEMORY_S = 0.1, 30.0
+# Half the width of the band in which a harmonic lies, of the beat's rate; a harmonic is resolved where its band ends
+# below this part of the Nyquist frequency.
+HARMONIC_BAND, RESOLVED_BELOW = 0.35, 0.75
+# How long a beat that is too high or too low stays so. [s]
+HEIGHT_MEMORY_S = 10.0
+
+
+def cardiac_pressure(
+    time_s: ArrayLike,
+    *,
+    mean_pressure_pa: float = 1e4,
+    pulse_pressure_pa: float = 2e3,
+    rate_per_min: float = 70.0,
+    rate_variability: float = 0.0,
+    seed: int = 0,
+) -> np.ndarray:
+    """The arterial pressure P_H over time with a beating heart, to be given to `respond`. [Pa]
+
+    time_s : any shape, float. [s]
+    mean_pressure_pa : Average over a beat; the paper's P_H is 1e4. [Pa]
+    pulse_pressure_pa : Highest minus lowest, 0 or more. [Pa]
+    rate_per_min : Beats in a minute. [1/min]
+    rate_variability : Standard deviation of the intervals between beats, relative to their mean, 0 to 0.2; each is
+        drawn by itself, and none is off by more than three of it. 0 is a heart as even as a clock. [1]
+    seed : of the intervals. The first beat begins at time 0; a longer course only adds beats.
+
+    One beat is the sum of three smooth periodic bumps exp(s (cos(phase - phase_0) - 1)): the systolic wave, its
+    reflection and the dicrotic wave, the shape of a finger's pulse (Allen 2007, Physiol. Meas. 28 R1).
+
+    Raises: InputError if a value is not finite, the rate is not positive, the pulse is negative, or the variability is
+    not in 0..0.2.
+    """
+    time = finite("time_s", time_s)
+    mean = number("mean_pressure_pa", mean_pressure_pa)
+    pulse = number("pulse_pressure_pa", pulse_pressure_pa)
+    rate = number("rate_per_min", rate_per_min)
+    if rate <= 0.0:
+        raise InputError(f"rate_per_min must be greater than 0, got {rate:g}; 70 is usual.")
+    if pulse < 0.0:
+        raise InputError(f"pulse_pressure_pa must be 0 or more, got {pulse:g}; give 0 for a steady pressure.")
+    variability = number("rate_variability", rate_variability)
+    if not 0.0 <= variability <= MOST_VARIABILITY:
+        raise InputError(f"rate_variability must lie in 0..{MOST_VARIABILITY:g}, got {variability:g}; 0.05 is usual.")
+    beat = _beat(np.arange(2048) / 2048.0)
+    beats = time * rate / 60.0
+    phase = _uneven(beats, variability, seed) if variability else beats
+    return mean + pulse * (_beat(phase) - beat.mean()) / np.ptp(beat)
+
+
+def breathing_pressure(
+    time_s: ArrayLike, *, amplitude_pa: float, rate_per_min: float = 15.0, seed: int = 0
+) -> np.ndarray:
+    """What the breath adds to the arterial pressure: a sine whose phase at time 0 follows from the seed. [Pa]
+
+    time_s : any shape, float. [s]
+    amplitude_pa : Half of top to bottom. [Pa]
+    rate_per_min : Breaths in a minute. [1/min]
+    """
+    phase = np.random.default_rng(seed_of(seed, _BREATH)).random()
+    return amplitude_pa * np.sin(2.0 * np.pi * (finite("time_s", time_s) * rate_per_min / 60.0 + phase))
+
+
+def vasomotion_pressure(
+    time_s: ArrayLike, *, amplitude_pa: float, band_hz: tuple[float, float] = (0.05, 0.15), seed: int = 0
+) -> np.ndarray:
+    """What the slow waves of the vessels' tone add to the arterial pressure: noise of a band of frequencies. [Pa]
+
+    time_s : any shape, float. [s]
+    amplitude_pa : Standard deviation. [Pa]
+    band_hz : Lowest and highest frequency. [Hz]
+    seed : of the waves: sines of equal height whose frequencies are spread at random over equal parts of the band.
+    """
+    time = finite("time_s", time_s)
+    rng = np.random.default_rng(seed_of(seed, _SLOW_WAVES))
+    low, high = band_hz
+    frequencies = low + (high - low) * (np.arange(_SINES) + rng.random(_SINES)) / _SINES
+    waves = np.zeros_like(time)
+    for frequency, phase in zip(frequencies, rng.random(_SINES), strict=True):
+        waves += np.sin(2.0 * np.pi * (frequency * time + phase))
+    return amplitude_pa * np.sqrt(2.0 / _SINES) * waves
+
+
+def _uneven(beats: np.ndarray, variability: float, seed: int) -> np.ndarray:
+    """The phase of a heart whose beats have random intervals, from the time in mean intervals."""
+    most = int(np.ceil(beats.max(initial=0.0) / (1.0 - 3.0 * variability))) + 1
+    drawn = np.random.default_rng(seed_of(seed, _HEART)).standard_normal(most)
+    intervals = 1.0 + variability * np.clip(drawn, -3.0, 3.0)
+    starts = np.concatenate(([0.0], np.cumsum(intervals)))
+    return np.where(beats < 0.0, beats, np.interp(beats, starts, np.arange(most + 1.0)))
+
+
+def _beat(phase: np.ndarray) -> np.ndarray:
+    """The pulse before it is scaled, from the phase in beats."""
+    waves = [height * np.exp(sharp * (np.cos(2.0 * np.pi * (phase - at)) - 1.0)) for height, at, sharp in _WAVES]
+    return sum(waves, start=np.zeros_like(phase))
+
+
+Lines = tuple[Array, Array]
+
+
+def _cardiac_lines(*, pulse_pressure_pa: float, rate_per_min: float, **_: Any) -> Lines:
+    """That hearts beat unevenly widens their lines by less than the vessels' gain changes over them."""
+    period_s = 60.0 / rate_per_min
+    times_s = period_s * np.arange(BEAT_SAMPLES) / BEAT_SAMPLES
+    beat = cardiac_pressure(times_s, pulse_pressure_pa=pulse_pressure_pa, rate_per_min=rate_per_min)
+    return spectral_lines(beat, duration_s=period_s)
+
+
+def _breathing_lines(*, amplitude_pa: float, rate_per_min: float) -> Lines:
+    return np.array([rate_per_min / 60.0]), np.array([amplitude_pa**2 / 2])
+
+
+def _vasomotion_lines(*, amplitude_pa: float, band_hz: tuple[float, float]) -> Lines:
+    low, high = band_hz
+    middles = low + (high - low) * (np.arange(BAND_LINES) + 0.5) / BAND_LINES
+    return middles, np.full(BAND_LINES, amplitude_pa**2 / BAND_LINES)
+
+
+@dataclass(frozen=True)
+class Wave:
+    """A wave of the body; every function takes the fields of its table in a scene's [body].
+
+    name : of that table.
+    pressure_pa : its pressure over time about a mean of 0, of times [s], a seed and the fields. [Pa]
+    lines : its frequencies [Hz] and the variance of each [Pa^2].
+    fastest_hz : the highest frequency at which it repeats itself.
+    band_hz : where adults at rest have it. [Hz]
+    coherence_s : how long it keeps its phase; None for the heartbeat, whose harmonics `CardiacOscillator` follows.
+    """
+
+    name: str
+    pressure_pa: Callable[..., Array]
+    lines: Callable[..., Lines]
+    fastest_hz: Callable[..., float]
+    band_hz: tuple[float, float]
+    coherence_s: float | None
+
+
+HEARTBEAT = Wave(
+    name="heartbeat",
+    pressure_pa=lambda time_s, **fields: cardiac_pressure(time_s, mean_pressure_pa=0.0, **fields),
+    lines=_cardiac_lines,
+    fastest_hz=lambda rate_per_min, **_: rate_per_min / 60.0,
+    band_hz=(0.7, 3.0),
+    coherence_s=None,
+)
+BREATHING = Wave(
+    name="breathing",
+    pressure_pa=breathing_pressure,
+    lines=_breathing_lines,
+    fastest_hz=lambda rate_per_min, **_: rate_per_min / 60.0,
+    band_hz=(0.15, 0.5),
+    coherence_s=8.0,  # breaths scatter by some 10 %
+)
+VASOMOTION = Wave(
+    name="vasomotion",
+    pressure_pa=vasomotion_pressure,
+    lines=_vasomotion_lines,
+    fastest_hz=lambda band_hz, **_: band_hz[1],
+    band_hz=(0.03, 0.15),
+    coherence_s=4.0,  # slow waves come and go
+)
+WAVES = (HEARTBEAT, BREATHING, VASOMOTION)
+
+
+def waves_of(body: Body) -> list[tuple[Wave, dict[str, Any]]]:
+    """The waves that a scene's body has, each with the fields of its table."""
+    tables = [(wave, getattr(body, wave.name)) for wave in WAVES]
+    return [(wave, table.model_dump(exclude={"mean_pressure_pa"})) for wave, table in tables if table is not None]
+
+
+def fastest_hz(body: Body) -> float:
+    """The highest frequency at which a wave of a body repeats itself; 0 without any. [Hz]"""
+    return max((wave.fastest_hz(**fields) for wave, fields in waves_of(body)), default=0.0)
+
+
+def waves_pressure(body: Body, time_s: Array, *, mean_pressure_pa: float) -> Array:
+    """The arterial pressure by all waves of a body about a mean, (t,) float; a recorded one is not in it. [Pa]"""
+    parts = [wave.pressure_pa(time_s, seed=body.seed, **fields) for wave, fields in waves_of(body)]
+    return sum(parts, start=np.full(time_s.shape, mean_pressure_pa))
+
+
+def pressure_lines(body: Body) -> Lines:
+    """The arterial pressure of a body that moves as lines: frequencies (F,) and variances (F,). [Hz], [Pa^2]"""
+    if body.recorded_time_s is not None and body.recorded_arterial_pressure_pa is not None:
+        time_s, pressure_pa = np.array(body.recorded_time_s), np.array(body.recorded_arterial_pressure_pa)
+        even_s = np.linspace(time_s[0], time_s[-1], 2 * len(time_s))
+        return spectral_lines(np.interp(even_s, time_s, pressure_pa), duration_s=time_s[-1] - time_s[0])
+    lines = [wave.lines(**fields) for wave, fields in waves_of(body)]
+    frequency_hz, variance_pa2 = (np.concatenate(parts) for parts in zip(*lines, strict=True))
+    return frequency_hz, variance_pa2
+
+
+def spectral_lines(pressure_pa: Array, *, duration_s: float) -> Lines:
+    """Frequencies and variances of a pressure that is sampled evenly over a duration."""
+    height = np.fft.rfft(pressure_pa)[1 : BEAT_SAMPLES // 2] / len(pressure_pa)
+    return np.arange(1, len(height) + 1) / duration_s, 2.0 * np.abs(height) ** 2
+
+
+@dataclass(frozen=True)
+class DampedOscillator:
+    """State-space model of a wave for a filter: a damped oscillator driven by noise, of two states in Pa.
+
+    frequency_hz : where its power lies. coherence_s : how long it keeps its phase. rms_pa : its strength.
+    """
+
+    frequency_hz: float
+    coherence_s: float
+    rms_pa: float
+
+    def propagate(self, step_s: float) -> tuple[Array, float]:
+        """Transition (2, 2) over a step, and the variance of the process noise of either state. [Pa^2]"""
+        angle, decay = 2 * np.pi * self.frequency_hz * step_s, np.exp(-step_s / self.coherence_s)
+        rotation = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        return decay * np.array(rotation), float((1 - decay**2) * self.rms_pa**2)
+
+
+def resolved_harmonics(rate_hz: float, count: int, nyquist_hz: float) -> NDArray[np.bool_]:
+    """Which of so many harmonics of a heart's rate samples resolve, whose Nyquist frequency is given."""
+    return np.asarray((np.arange(1, 1 + count) + HARMONIC_BAND) * rate_hz < RESOLVED_BELOW * nyquist_hz)
+
+
+@dataclass(frozen=True)
+class CardiacOscillator:
+    """State-space model of the heartbeat for a filter: harmonics of one rate that keep their height while their phase
+    wanders.
+
+    rate_hz : beats in a second. rms_pa : of each harmonic. spread : relative standard deviation of their heights.
+    """
+
+    rate_hz: float
+    rms_pa: tuple[float, ...]
+    spread: float
+
+    @property
+    def size(self) -> int:
+        """Number of its states: logarithm of the rate over its mean, then two of each harmonic [Pa]."""
+        return 1 + 2 * len(self.rms_pa)
+
+    def resolved_harmonics(self, step_s: float) -> NDArray[np.bool_]:
+        """Which harmonics samples so far apart resolve."""
+        return resolved_harmonics(self.rate_hz, len(self.rms_pa), 0.5 / step_s)
+
+    def initial_variance(self) -> Array:
+        """Variances (size,) of the states of a beat whose phase is not known yet."""
+        return np.concatenate([[RATE_SPREAD**2], np.repeat(np.square(self.rms_pa), 2)])
+
+    def propagate(self, state: Array, step_s: float) -> tuple[Array, Array, Array]:
+        """The state (size,) after a step, its Jacobian, and the covariance of the process noise.
+
+        Each harmonic turns, and its height r returns to the usual one h, a limit cycle: dr/dt = r (1 - r^2/h^2) / 2 t,
+        solved over the step, so that none is ever thrown further off.
+        """
+        order = np.arange(1, len(self.rms_pa) + 1)
+        before, height2 = state[1:].reshape(-1, 2), 2.0 * np.square(self.rms_pa)
+        turn = 2 * np.pi * self.rate_hz * np.exp(state[0]) * step_s * order
+        cos, sin = np.cos(turn), np.sin(turn)
+        rotation = np.moveaxis(np.array([[cos, -sin], [sin, cos]]), -1, 0)
+        forgotten, part = -np.expm1(-step_s / HEIGHT_MEMORY_S), (before**2).sum(1) / height2
+        growth = 1.0 / np.sqrt(1.0 + (part - 1.0) * forgotten)
+        after = np.einsum("kij,kj->ki", rotation, growth[:, None] * before)
+        inner = (
+            growth[:, None, None] * np.eye(2)
+            - (growth**3 * forgotten / height2)[:, None, None] * before[:, :, None] * before[:, None, :]
+        )
+        jacobian, first = np.zeros((self.size, self.size)), 1 + 2 * np.arange(len(order))
+        decay = np.exp(-step_s / RATE_MEMORY_S)
+        jacobian[0, 0] = decay
+        block = rotation @ inner
+        for i in range(2):
+            for j in range(2):
+                jacobian[first + i, first + j] = block[:, i, j]
+        across = np.column_stack([-after[:, 1], after[:, 0]])
+        jacobian[1:, 0] = (turn[:, None] * across).ravel()
+        # All harmonics belong to one beat: when it is late, all are.
+        late = np.concatenate([[0.0], (order[:, None] * across).ravel()])
+        phase_variance = (2 * np.pi * INTERVAL_SPREAD) ** 2 * self.rate_hz * step_s
+        own = np.concatenate([[(1 - decay**2) * RATE_SPREAD**2], np.repeat(forgotten * self.spread**2 * height2, 2)])
+        noise = phase_variance * np.outer(late, late) + np.diag(own)
+        return np.concatenate([[decay * state[0]], after.ravel()]), jacobian, noise
