@@ -1,5 +1,7 @@
 """Standard errors, intervals and streams of seeds, each defined once."""
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -7,6 +9,10 @@ Array = NDArray[np.float64]
 
 # A value known with a Gaussian error lies within so many standard errors of the truth in 95 of 100 cases.
 Z95 = 1.96
+# Of a sum of fewer effective terms the standard error is not known: it is itself off by 1 / (2 sqrt(n)), here a tenth,
+# and where large terms are rare, it misses them as the sum does. Of readings of the prototype and of mean paths
+# intervals of 95 % hold 87 to 91 % with 10 to 25 terms, 93 to 94 % with 25 to 100 and 95 % with more, and miss low.
+FEW_TERMS = 25.0
 
 
 def t95(groups: int) -> float:
@@ -23,6 +29,25 @@ def stderr_of_mean(total: ArrayLike, square: ArrayLike, count: int) -> Array:
     if count < 2:
         return np.full_like(mean, np.nan)
     return np.asarray(np.sqrt(np.maximum(np.asarray(square) / count - mean**2, 0) / (count - 1)))
+
+
+def effective_count(total: ArrayLike, square: ArrayLike) -> Array:
+    """Effective number of terms of a sum, (sum x)^2 / sum x^2; 0 of none (Kish 1965, Survey Sampling)."""
+    total, square = np.asarray(total, float), np.asarray(square, float)
+    return np.divide(total**2, square, out=np.zeros_like(total), where=square > 0)
+
+
+def known_from(stderr: ArrayLike, total: ArrayLike, square: ArrayLike) -> Array:
+    """The standard error of a sum, and NaN, not known, where fewer than `FEW_TERMS` effective terms make it up."""
+    return np.where(effective_count(total, square) < FEW_TERMS, np.nan, stderr)
+
+
+def upper_limit_95(count: int) -> float:
+    """Largest probability of an event that, with 95 % confidence, none of so many independent trials show; 3 / count.
+
+    References: Hanley, Lippman-Hand 1983, JAMA 249, 1743.
+    """
+    return -math.expm1(math.log(0.05) / count)
 
 
 def farther_end(value: ArrayLike, stderr: ArrayLike, skew: ArrayLike = 0.0) -> Array:

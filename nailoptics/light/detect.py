@@ -17,6 +17,7 @@ from ..errors import InputError, NotReachedError
 from ..geometry import Geometry
 from ..options import Requested, TraceOptions
 from ..scene import Led, Scene
+from ..statistics import upper_limit_95
 from ..variables import from_record, to_record, variable
 from . import backend as backends
 from . import optics
@@ -25,7 +26,7 @@ from .identity import led_digest, light_scene
 from .records import check_arrays
 from .store import LightStore, made_of
 from .tracing import ProgressCallback, accuracy, trace
-from .transfer import FEW_PHOTONS, Transfer, mean_of_leds, photodiode_names, provenance
+from .transfer import Transfer, mean_of_leds, photodiode_names, provenance
 from .volpath import led_readings as volpath
 from .volpath.states import StateReadings
 
@@ -63,7 +64,7 @@ class DetectedLight:
 class RestReadings:
     """Readings of every LED and photodiode at rest, and where the light went (None where volpath cannot tell).
 
-    The standard error of a reading is NaN where fewer than ten effective photons were seen.
+    The standard error of a reading is NaN where it rests on fewer than 25 effective photons.
     """
 
     readings: list[dict[str, Any]]
@@ -120,7 +121,7 @@ def open_light(
     def read(transfer: Transfer) -> DetectedLight:
         rest = transfer.at()
         unknown = "saw no light or too few photons, so that nothing is known of their standard errors"
-        _with_few_photons(transfer, rest, unknown)
+        _warn_of_few_photons(transfer, rest, unknown)
         return light_of(transfer, rest=rest)
 
     return _traced(scene, read, progress, options)
@@ -166,7 +167,7 @@ def engine_for(scene: Scene, chosen: backends.Backend) -> str:
 def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None) -> DetectedLight:
     """A Transfer as the light of a finger scene; rest is the transfer's readings at rest, if they are there."""
     rest = transfer.at() if rest is None else rest
-    blind = rest.effective_photons.values < FEW_PHOTONS
+    blind = np.isnan(rest.detected_fraction_stderr.values)
     with np.errstate(invalid="ignore", divide="ignore"):
         relative = rest.detected_fraction_stderr.values / rest.detected_fraction.values
 
@@ -202,20 +203,19 @@ def _traced(scene: Scene, read: Callable[[Transfer], T], progress: ProgressCallb
     return read(transfer)
 
 
-def _with_few_photons(transfer: Transfer, rest: xr.Dataset, what: str) -> np.ndarray:
-    """The readings that have too few photons for a standard error, (led, photodiode) bool; warns if there are any."""
-    few: np.ndarray = rest.effective_photons.values < FEW_PHOTONS
+def _warn_of_few_photons(transfer: Transfer, rest: xr.Dataset, what: str) -> None:
+    """Warn of readings that have too few photons for a standard error."""
+    few = np.isnan(rest.detected_fraction_stderr.values)
     if few.any():
         names = sorted({transfer.photodiodes[j] for j in np.nonzero(few)[1]})
         log.warning("%s %s; trace more photons", ", ".join(names), what)
-    return few
 
 
 def _reached(relative: np.ndarray) -> str:
     """The largest relative standard error at rest, in words; NaN or infinite where nothing was seen."""
     worst = float(np.max(relative))
     if not math.isfinite(worst):
-        return "some photodiode saw no light"
+        return "some photodiode saw no light or too few photons"
     return f"relative standard error of every reading at rest at most {worst:.2g}"
 
 
@@ -340,13 +340,13 @@ def _unless_short(result: T, traced: Sequence[StateReadings]) -> T:
 def _rest_of(transfer: Transfer, *, begin: tuple[float, float]) -> RestReadings:
     """The readings of a trace at rest."""
     rest = transfer.at()
-    few = _with_few_photons(transfer, rest, "saw too few photons to tell a standard error")
-    stderr = np.where(few, np.nan, rest.detected_fraction_stderr.values)
+    _warn_of_few_photons(transfer, rest, "saw too few photons to tell a standard error")
     rows = []
     for i, led in enumerate(transfer.scene.leds):
         for j, photodiode in enumerate(transfer.photodiodes):
             at = {"led": i, "photodiode": j}
-            row = _row(led, photodiode, rest.detected_fraction[at], stderr[i, j], transfer.traces[i].photons)
+            stderr = rest.detected_fraction_stderr[at]
+            row = _row(led, photodiode, rest.detected_fraction[at], stderr, transfer.traces[i].photons)
             for name in ("mean_path_mm", "mean_path_mm_stderr"):
                 paths = zip(transfer.absorbers, rest[name][at].values.tolist(), strict=True)
                 row[name.replace("_mm_stderr", "_stderr_mm")] = dict(paths)
@@ -406,6 +406,5 @@ def _row(led: Led, photodiode: str, fraction: Any, stderr: Any, photons: int) ->
         "mean_path_stderr_mm": {},
     }
     if fraction == 0:
-        # Were it larger, none of n photons would be seen less than once in 20 times: (1 - limit)^n = 0.05.
-        row["upper_limit_95"] = -math.expm1(math.log(0.05) / photons)
+        row["upper_limit_95"] = upper_limit_95(photons)
     return row

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..statistics import stderr_of_mean
+from ..statistics import effective_count, known_from, stderr_of_mean
 
 
 @dataclass(frozen=True)
@@ -59,13 +59,16 @@ class Moments:
 
     @property
     def stderr(self) -> np.ndarray:
-        """Its standard error, (p,); photons are independent and each reaches a photodiode once."""
-        return stderr_of_mean(self.weight, self.square, self.photons)
+        """Its standard error, (p,); photons are independent and each reaches a photodiode once.
+
+        NaN where it rests on fewer than 25 effective photons; so are those of mean paths and derivatives.
+        """
+        return known_from(stderr_of_mean(self.weight, self.square, self.photons), self.weight, self.square)
 
     @property
     def effective_photons(self) -> np.ndarray:
         """Effective number of detected photons (sum w)^2 / sum w^2, (p,)."""
-        return np.divide(self.weight**2, self.square, out=np.zeros_like(self.weight), where=self.square > 0)
+        return effective_count(self.weight, self.square)
 
     @property
     def error_photons(self) -> np.ndarray:
@@ -78,12 +81,14 @@ class Moments:
         total = self.weight[:, None]
         mean = np.divide(self.path, total, out=np.full_like(self.path, np.nan), where=total > 0)
         spread = np.maximum(self.path_square - 2 * mean * self.path_cross + mean**2 * self.square[:, None], 0)
-        return mean, np.divide(np.sqrt(spread), total, out=np.full_like(mean, np.nan), where=total > 0)
+        stderr = np.divide(np.sqrt(spread), total, out=np.full_like(mean, np.nan), where=total > 0)
+        return mean, known_from(stderr, self.path, self.path_square)
 
     @property
     def derivative(self) -> tuple[np.ndarray, np.ndarray]:
         """Derivative of the fraction to each absorber's mu_a and its standard error, (p, r) each. [mm]"""
-        return -self.path / self.photons, stderr_of_mean(self.path, self.path_square, self.photons)
+        stderr = stderr_of_mean(self.path, self.path_square, self.photons)
+        return -self.path / self.photons, known_from(stderr, self.path, self.path_square)
 
 
 def moments_of(photons: int, photodiode: np.ndarray, weight: np.ndarray, path_mm: np.ndarray, count: int) -> Moments:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..io import CorruptError
-from ..statistics import seed_of, stderr_of_mean
+from ..statistics import FEW_TERMS, Z95, effective_count, seed_of, stderr_of_mean, upper_limit_95
 from .moments import Moments, RestState, moments_of, moments_of_sample
 from .reweight import transmission
 
@@ -157,8 +157,16 @@ class LedTrace:
         return moments_of_sample(self.full, self.keep, self.photodiode, weight, self.weight_at_rest, self.path_mm)
 
     def fractions(self, sums: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-        """Fractions of the light that it emitted, each with its standard error, from such sums."""
-        return {name: (one[0] / self.photons, float(stderr_of_mean(*one, self.photons))) for name, one in sums.items()}
+        """Fractions of the light that it emitted, each with its standard error, from such sums.
+
+        Of what rests on fewer than 25 effective photons it is at least that of the upper limit of what none showed.
+        """
+        found, least = {}, upper_limit_95(self.photons) / Z95
+        for name, (total, square) in sums.items():
+            stderr = float(stderr_of_mean(total, square, self.photons))
+            few = effective_count(total, square) < FEW_TERMS
+            found[name] = (total / self.photons, max(stderr, least) if few and self.photons > 1 else stderr)
+        return found
 
     @property
     def weight_at_rest(self) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from importlib.metadata import version
@@ -12,10 +13,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from .. import io
+from .. import checks, io
 from ..commit import code_attributes
 from ..errors import InputError
 from ..scene import Scene, digest, parse_scene, to_toml
+from ..statistics import FEW_TERMS, upper_limit_95
 from ..variables import Variables, variable
 from . import optics
 from .identity import light_digest
@@ -24,10 +26,6 @@ from .records import COLUMNS, SUMS, LedTrace, check_arrays, joined
 
 # A reading that rests on fewer effective photons than this has no trustworthy standard error.
 MIN_EFFECTIVE_PHOTONS = 100.0
-# Of fewer effective photons than this no standard error is given at all.
-FEW_PHOTONS = 10.0
-# A standard error that rests on n effective photons is itself off by 1 / (2 sqrt(n)), here a tenth.
-MIN_ERROR_PHOTONS = 25.0
 # Of a phantom's photodiodes, whose standard errors alone would not say it.
 SHARED_ERROR = (
     "photodiodes share their error, wholly where they lie at one distance from the LED, because a phantom's light is "
@@ -104,22 +102,29 @@ class Transfer:
     def at(
         self,
         blood_fraction: ArrayLike | None = None,
-        so2: float | None = None,
+        so2: ArrayLike | None = None,
         *,
         mu_a_per_mm: Mapping[str, float] | None = None,
     ) -> xr.Dataset:
-        """Readings at one state.
+        """Readings at one state, or at several.
 
-        blood_fraction : (K,) float in 0-1. Blood in each zone of the bed; at rest if not given.
-        so2 : oxygen saturation in 0-1; the scene's if not given.
+        blood_fraction : (K,) or (states, K) float in 0-1. Blood in each zone of the bed; at rest if not given.
+        so2 : float or (states,) float in 0-1. Oxygen saturation; the scene's if not given.
         mu_a_per_mm : absorption by absorber's name, in place of what the scene says. [mm^-1]
 
-        Returns: Dataset over led, photodiode and absorber: detected_fraction, mean_path_mm and derivative_mm, each with
-        its standard error, and effective_photons. Fractions are of the power that the LED emits.
+        Returns: Dataset over led, photodiode and absorber, and over state where several are given: detected_fraction,
+        mean_path_mm and derivative_mm, each with its standard error, and effective_photons. Fractions are of the power
+        that the LED emits. A standard error is NaN, not known, where it rests on fewer than 25 effective photons; of a
+        reading of 0, upper_limit_95 is what the fraction does not exceed.
 
         Warns: ReweightWarning where fewer than 100 effective photons stand behind a reading of this state, or, of a
         brighter state than the traced one, fewer than 25 behind its standard error.
         """
+        states = _states(blood_fraction, so2)
+        if states is not None:
+            each = [self.at(*one, mu_a_per_mm=mu_a_per_mm) for one in states]
+            change = [name for name in each[0] if name not in ("wavelength_nm", "error_correlation")]
+            return xr.concat(each, "state", data_vars=change, coords="minimal", compat="override", join="override")
         moments = self.moments_at(blood_fraction, so2, mu_a_per_mm)
         effective, fraction, stderr = (
             np.array([getattr(m, name) for m in moments]) for name in ("effective_photons", "fraction", "stderr")
@@ -136,6 +141,11 @@ class Transfer:
             text = "correlation of the errors of two readings, at the absorption that was traced"
             data |= variable("error_correlation", (*pairs, "other_photodiode"), self.error_correlation(), text)
         data |= variable("effective_photons", pairs, effective, "effective number of detected photons")
+        limits = np.array([[upper_limit_95(trace.photons)] for trace in self.traces])
+        limit = np.where(fraction == 0, limits, np.nan)
+        data |= variable(
+            "upper_limit_95", pairs, limit, "95 % upper limit of a detected fraction of which none was seen"
+        )
         text = "mean path of the detected light in the absorber"
         data |= variable("mean_path_mm", each, path, text, units="mm", stderr=path_stderr)
         text = "derivative of the detected fraction to the absorber's mu_a"
@@ -301,7 +311,7 @@ class Transfer:
         for led, left, bright, traced in zip(self.leds, effective, palest, self._traced, strict=True):
             self._warn(led, "reading", left, traced.effective_photons, least=MIN_EFFECTIVE_PHOTONS)
             behind = np.where(bright.weight > traced.weight, bright.error_photons, np.inf)
-            self._warn(led, "error", behind, traced.error_photons, least=MIN_ERROR_PHOTONS)
+            self._warn(led, "error", behind, traced.error_photons, least=FEW_TERMS)
 
     def _warn(self, led: str, what: str, left: np.ndarray, traced: np.ndarray, *, least: float) -> None:
         """Warn of the photodiode with the fewest effective photons, (photodiode,) float, if they are too few."""
@@ -320,6 +330,25 @@ class Transfer:
         seeds = " ".join(str(t.seeds[0]) for t in self.traces if t.seeds)
         made: dict[str, Any] = {name: getattr(self, name) for name in ("engine", "backend", "photons", "versions")}
         return provenance(self.scene, seeds=seeds, **made)
+
+
+def _states(blood_fraction: ArrayLike | None, so2: ArrayLike | None) -> list[tuple[Any, Any]] | None:
+    """Blood and saturation of each of several states; None where they are of a single one."""
+    blood = None if blood_fraction is None else checks.finite("blood_fraction", blood_fraction)
+    saturation = None if so2 is None else checks.fraction("so2", checks.finite("so2", so2))
+    shapes = () if blood is None else blood.shape[:-1], () if saturation is None else saturation.shape
+    with suppress(ValueError):
+        shape = np.broadcast_shapes(*shapes)
+        if shape == ():
+            return None
+        if len(shape) == 1 and shape[0]:
+            bloods = shape[0] * [None] if blood is None else np.broadcast_to(blood, (*shape, blood.shape[-1]))
+            so2s = shape[0] * [None] if saturation is None else np.broadcast_to(saturation, shape)
+            return list(zip(bloods, so2s, strict=True))
+    raise InputError(
+        f"blood_fraction and so2 are of {' and '.join(map(str, shapes))} states; give (zones,) or (states, zones) of "
+        "blood_fraction, and one number or (states,) of so2, for at least one state."
+    )
 
 
 def provenance(

@@ -11,10 +11,10 @@ import numpy as np
 from .. import electronics
 from ..io import FORMULA, write_text
 from ..light.pair_kernel import NEAREST_MM
-from ..light.transfer import FEW_PHOTONS
 from ..scene import Led, Photodiode, Scene
 from ..scene.base import MOST_PHOTODIODES
 from ..scene.rectangles import Rectangle
+from ..statistics import FEW_TERMS
 from ..studies.ambient import SOURCES
 from ..studies.exploration.explore import (
     BLOCKS,
@@ -124,7 +124,7 @@ def _tables(found: Exploration) -> dict[str, Any]:
         "kernelError": found.kernel_error,
         "kernelChangeError": KERNEL_CHANGE_ERROR,
         "kernelResolutionError": found.kernel_resolution_error,
-        "fewRelative": FEW_PHOTONS**-0.5,
+        "fewRelative": FEW_TERMS**-0.5,
         "sameNm": SAME_NM,
         "restRange": _rest_range(scene),
         "colours": [_colour(one) for one in found.colours],

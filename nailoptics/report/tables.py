@@ -65,7 +65,7 @@ def path_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
     mean, stderr = result.mean_path_mm, result.mean_path_mm_stderr
     if not np.isfinite(mean).any():
         return ""
-    passed = (mean + 2 * stderr >= LEAST_PATH_MM).any(("led", "photodiode"))
+    passed = (mean + 2 * stderr.fillna(0) >= LEAST_PATH_MM).any(("led", "photodiode"))
     mean, stderr = mean.sel(absorber=passed), stderr.sel(absorber=passed)
     names = {bed_zone_name(k): f"bed, {escaped(zone)}" for k, zone in enumerate(result.zone.values)}
     head = ["Photodiode", *(f"{names.get(str(a), escaped(a))}<br>[mm]" for a in mean.absorber.values)]

@@ -5,14 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
+from small_scenes import SMALL_FINGER
 
 import nailoptics as nail
 from nailoptics import io
 from nailoptics.errors import InputError
-from nailoptics.light import ReweightWarning, Transfer, records
+from nailoptics.light import ReweightWarning, Transfer, optics, records
+from nailoptics.light.layered_walk import LayeredTracer
 from nailoptics.light.records import LedTrace
 from nailoptics.scene import Scene, parse_scene
-from nailoptics.statistics import stderr_of_mean
+from nailoptics.statistics import Z95, stderr_of_mean
 
 
 def two_layers(*, upper: float = 0.05, lower: float = 0.1, photodiodes: int = 2, extra: str = "") -> Scene:
@@ -226,6 +229,95 @@ def test_files_that_are_no_transfer_are_refused_in_one_line(tmp_path):
         assert len(str(caught.value).splitlines()) == 1
     with pytest.raises(InputError, match="cannot be written"):
         by_hand(small(np.ones(3), np.ones((3, 2)))).save(tmp_path / "text.nc" / "below.nc")
+
+
+@pytest.fixture(scope="module")
+def finger() -> Transfer:
+    """A finger whose light was made up, to be read in any blood state."""
+    scene = parse_scene(SMALL_FINGER)
+    rng, count = np.random.default_rng(0), len(optics.absorbers(scene))
+    trace = small(rng.random(200), rng.exponential(1.0, (200, count)))
+    return Transfer(scene, (trace,), "none", versions={"nailoptics": "0"})
+
+
+def test_states_of_blood_and_saturation_are_a_dimension(finger):
+    blood, so2 = [[0.03, 0.03], [0.02, 0.05], [0.01, 0.0]], [0.9, 0.95, 0.97]
+    both, one, other = finger.at(blood, so2), finger.at(so2=so2), finger.at(blood_fraction=blood)
+    for seen, states in (
+        (both, zip(blood, so2, strict=True)),
+        (one, ((None, each) for each in so2)),
+        (other, ((each, None) for each in blood)),
+        (finger.at([0.03, 0.02], so2), (([0.03, 0.02], each) for each in so2)),
+    ):
+        assert seen.sizes["state"] == 3 and seen.wavelength_nm.dims == ("led",)
+        for k, state in enumerate(states):
+            assert seen.isel(state=k).identical(finger.at(*state))
+    assert finger.at(so2=[0.9]).sizes["state"] == 1 and "state" not in finger.at(so2=0.9).dims
+
+
+@pytest.mark.parametrize(
+    ("blood", "so2"),
+    [
+        ([[0.03, 0.02]] * 3, [0.9, 0.8]),
+        (np.full((2, 2, 2), 0.03), None),
+        (None, [[0.9]]),
+        (None, []),
+        (None, [0.9, 1.2]),
+        ([0.03, 0.02, 0.01], None),
+        (0.03, None),
+        ([[0.03], [0.02, 0.01]], None),
+        ([0.03, float("nan")], None),
+    ],
+)
+def test_blood_of_another_shape_is_refused_in_one_line(finger, blood, so2):
+    with pytest.raises(InputError, match="blood_fraction|so2") as caught:
+        finger.at(blood, so2)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_no_standard_error_is_given_of_what_few_photons_tell():
+    """0 +- 0 passes for exact: of a dark photodiode, of an absorber that few photons visit, of light that was lost."""
+    rng, photons = np.random.default_rng(0), 100_000
+    path = rng.exponential(3.0, (400, 2))
+    path[20:, 0] = 0.0
+    lit = small(rng.random(400), path, photons=photons)
+    lit = replace(lit, energy=lit.energy | {"lost": (0.0, 0.0), "reflected": (3.0, 3.0)})
+    transfer = Transfer(two_layers(photodiodes=2), (lit,), "none", versions={"nailoptics": "0"})
+    seen = transfer.at().squeeze()
+    lit, dark = seen.isel(photodiode=0), seen.isel(photodiode=1)
+    assert float(lit.detected_fraction_stderr) > 0 and np.isnan(lit.upper_limit_95)
+    for name in ("mean_path_mm_stderr", "derivative_mm_stderr"):
+        assert np.isnan(lit[name][0]) and lit[name][1] > 0, name
+        assert np.isnan(dark[name]).all(), name
+    assert float(dark.detected_fraction) == 0 and np.isnan(dark.detected_fraction_stderr)
+    assert float(dark.upper_limit_95) == pytest.approx(3 / photons, rel=0.01)
+    energy = transfer.energy()
+    assert energy["lost"]["stderr"] == pytest.approx(3 / photons / Z95, rel=0.01)
+    assert energy["reflected"]["stderr"] == pytest.approx(np.sqrt(3) / photons, rel=0.01)
+
+
+@pytest.mark.jit
+def test_intervals_of_95_percent_hold_for_few_photons(jit_backend):
+    """Readings, mean paths and derivatives of 200 traces so short that some photodiodes see a handful of photons."""
+    scene = two_layers(upper=0.3, photodiodes=4)
+    tracer, count, low, high, known = LayeredTracer(scene), 200, 0, 0, 0
+    fields = ("photons", "photodiode", "weight", "path_mm", "energy")
+    runs = []
+    for seed in range(count):
+        batch = tracer.batch(0, photons=1 << 11, seed=seed)
+        own = {name: getattr(batch, name) for name in fields}
+        trace = LedTrace(**own, mu_a=tracer.mu_a(0), seeds=(seed,))
+        runs.append(Transfer(scene, (trace,), "llvm", versions={"nailoptics": "0"}))
+    merged = runs[0]
+    for run in runs[1:]:
+        merged = merged.merge(run)
+    truth, seen = merged.at(), xr.concat([run.at() for run in runs], "run")
+    for name in ("detected_fraction", "mean_path_mm", "derivative_mm"):
+        off = ((seen[name] - truth[name]) / seen[f"{name}_stderr"]).values
+        known += np.isfinite(off).sum()
+        low, high = low + (off < -Z95).sum(), high + (off > Z95).sum()
+    assert known > 1000 and np.isnan(seen.detected_fraction_stderr).any()
+    assert 0.92 < 1 - (low + high) / known < 0.97
 
 
 def _rewrite(path, change) -> None:

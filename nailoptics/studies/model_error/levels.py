@@ -17,10 +17,9 @@ from ...light import backend as backends
 from ...light.course import course, read_replicates
 from ...light.diffusion import DiffusionModel
 from ...light.tracing import unseen
-from ...light.transfer import FEW_PHOTONS
 from ...options import BackendName, TraceOptions
 from ...scene import Scene
-from ...statistics import farther_end, jackknife
+from ...statistics import FEW_TERMS, farther_end, jackknife
 from . import literature, paired
 from .answers import MORE, Bias, Cost, Level, in_words
 from .literature import FORMULAS
@@ -260,7 +259,7 @@ def _mapped(bench: Bench) -> Level:
         relative = np.stack([jackknife(one) for one in read[..., 0]]) / level
         changes = read[..., 1:] @ more[-1] / read[..., 0]
         noise = np.stack([jackknife(one) for one in changes])
-    few = ~(relative**2 < 1 / FEW_PHOTONS)
+    few = ~(relative**2 < 1 / FEW_TERMS)
     each = cpu_seconds(lambda: found.read(full))
     return Level(
         name=MAP,

@@ -13,10 +13,9 @@ from ...light import ProgressCallback, TraceProgress, Transfer, optics, trace
 from ...light.records import LedTrace
 from ...light.reweight import transmissions
 from ...light.tracing import INTERRUPTED, photons_engine
-from ...light.transfer import FEW_PHOTONS
 from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
-from ...statistics import farther_end
+from ...statistics import FEW_TERMS, farther_end
 from ..blood_states import largest_force_n, steady_blood
 
 PILOT_PHOTONS = 1 << 17
@@ -65,16 +64,16 @@ class PairedReadings:
 
     @cached_property
     def relative_stderr(self) -> np.ndarray:
-        """Relative standard error of the level; inf where fewer than ten effective photons were seen."""
+        """Relative standard error of the level; inf where fewer than 25 effective photons were seen."""
         photons = np.array([trace.photons for trace in self.transfer.traces])[:, None]
         square = self.sums(0, 2)
         with np.errstate(divide="ignore", invalid="ignore"):
             relative = np.sqrt(np.maximum(square - self.level**2 / photons, 0)) / self.level
-            return np.where(self.level**2 >= FEW_PHOTONS * square, relative, np.inf)
+            return np.where(self.level**2 >= FEW_TERMS * square, relative, np.inf)
 
     @cached_property
     def modulation_stderr(self) -> np.ndarray:
-        """Standard error of the modulation; inf where fewer than ten effective photons were seen."""
+        """Standard error of the modulation; inf where fewer than 25 effective photons were seen."""
         count, spread = len(self.transfer.photodiodes), []
         for one, part, level, modulation in zip(
             self.transfer.traces, self.parts, self.level, self.modulation, strict=True

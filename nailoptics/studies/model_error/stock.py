@@ -9,14 +9,13 @@ import numpy as np
 from ... import geometry
 from ...light import backend as backends
 from ...light import optics
-from ...light.transfer import FEW_PHOTONS
 from ...light.volpath.integrate import FingerPaths
 from ...light.volpath.led_readings import bed_absorption
 from ...light.volpath.mitsuba_scene import check_pattern
 from ...options import BackendName
 from ...scene import Scene
 from ...scene.parts import check_flat
-from ...statistics import seed_of
+from ...statistics import FEW_TERMS, seed_of
 
 # Photodiodes that share a pass, told apart by its colours.
 TOGETHER = 3
@@ -81,4 +80,4 @@ class StockPass:
         shared = np.sqrt((self.stderr**2).sum() / expected.sum() / expected)
         with np.errstate(divide="ignore", invalid="ignore"):
             own = self.stderr / self.level
-            return np.where(own**2 * FEW_PHOTONS <= 1, own, shared)
+            return np.where(own**2 * FEW_TERMS <= 1, own, shared)

@@ -13,9 +13,8 @@ import xarray as xr
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, PhotonMap, blood_point, readings
 from ...light.identity import light_scene
 from ...light.store import LightStore
-from ...light.transfer import FEW_PHOTONS
 from ...scene import Photodiode, Scene
-from ...statistics import Z95, jackknife, left_out, seed_of, stderr_of_mean
+from ...statistics import FEW_TERMS, Z95, jackknife, left_out, seed_of, stderr_of_mean
 from ...variables import Variables, variable
 from ..ambient import SOURCES, photocurrents_a
 from . import boards
@@ -262,7 +261,7 @@ def _led_places(setup: _Setup, maps: list[list[PhotonMap]], mean: np.ndarray, er
         fraction.append(np.moveaxis(each[..., 0], -1, 1))
         # Where hardly any light comes only what was known before is told, the same by every group of photons.
         all_light = each[..., 0].sum(-1)
-        seen = jackknife(all_light) ** 2 < all_light[0] ** 2 / FEW_PHOTONS
+        seen = jackknife(all_light) ** 2 < all_light[0] ** 2 / FEW_TERMS
         told = setup.force_resolution_n([setup.response(i, each, replicates=True)])
         unread = setup.force_resolution_n([setup.response(i, np.zeros_like(each))])
         resolution.append(np.where(seen & (told[0] < KNOWN_BEFORE * unread[0]), told, np.nan))

@@ -7,11 +7,11 @@ import numpy as np
 import xarray as xr
 
 from ...light.board_map import PhotonMap, map_dataset
-from ...light.transfer import FEW_PHOTONS, provenance
+from ...light.transfer import provenance
 from ...scene import Scene, parse_scene, to_toml
 from ...scene.outlines import Outline
 from ...scene.positions import PlacedPart
-from ...statistics import jackknife, left_out
+from ...statistics import FEW_TERMS, jackknife, left_out
 from ...variables import Variables, variable
 from . import fisher
 from .boards import CandidateLayout, rules, straightened
@@ -167,7 +167,7 @@ def _sites(searched: Sequence[SearchedSite]) -> Variables:
 def _predicted(by_led: Sequence[Response]) -> Variables:
     """What each photodiode of the best layout reads, by the map of its bare board.
 
-    Of fewer than ten effective photons no standard error is known.
+    Of fewer than 25 effective photons no standard error is known.
     """
     found: Variables = {}
     dims = ("led", "best_photodiode")
@@ -179,7 +179,7 @@ def _predicted(by_led: Sequence[Response]) -> Variables:
         replicates = [getattr(read, name) for read in by_led]
         values, errors = np.array([one[0] for one in replicates]), np.array([jackknife(one) for one in replicates])
         # Where no photon came the dark current alone is read, the same by every group of them.
-        known = (errors > ROUNDING * np.abs(values)) & (FEW_PHOTONS * errors**2 <= values**2)
+        known = (errors > ROUNDING * np.abs(values)) & (FEW_TERMS * errors**2 <= values**2)
         errors = np.where(known, errors, np.nan)
         found |= variable(f"predicted_{name}", over, values, text, units=units, stderr=errors)
     noise, text = [read.noise_v[0] for read in by_led], "noise of one sample by the map, rms"
