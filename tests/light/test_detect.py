@@ -102,8 +102,8 @@ def test_a_photodiode_that_saw_nothing_has_no_error_rather_than_none_at_all():
     assert "0.02" in detect._reached(np.array([0.01, 0.02]))
 
 
-@pytest.mark.parametrize(("photons", "known"), [(9, False), (11, True)])
-def test_of_fewer_than_ten_photons_no_standard_error_is_known(photons, known):
+@pytest.mark.parametrize(("photons", "known"), [(24, False), (26, True)])
+def test_of_fewer_than_25_photons_no_standard_error_is_known(photons, known):
     scene = finger()
     path = np.ones((photons, len(optics.absorbers(scene))), np.float32)
     trace = LedTrace(

@@ -80,7 +80,8 @@ def test_slabs_meet_published_tables(jit_backend, a, b, g, n, reflected, transmi
     value, stderr = reflected_transmitted(slab(a=a, b=b, g=g, n=n), photons=1 << 21)
     exact = np.array([reflected, transmitted])
     assert np.all(abs(value - exact) < 3 * stderr + 2e-5)
-    assert np.all(stderr < 0.003 * exact + 1e-12)
+    # Of light that none of two million photons showed, the error is that of its upper limit.
+    assert np.all(stderr < 0.003 * exact + 1e-6)
 
 
 def test_slabs_meet_adding_doubling_over_a_grid(jit_backend):
