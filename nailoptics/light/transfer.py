@@ -122,9 +122,9 @@ class Transfer:
         """
         states = _states(blood_fraction, so2)
         if states is not None:
-            each = [self.at(*one, mu_a_per_mm=mu_a_per_mm) for one in states]
-            change = [name for name in each[0] if name not in ("wavelength_nm", "error_correlation")]
-            return xr.concat(each, "state", data_vars=change, coords="minimal", compat="override", join="override")
+            readings = [self.at(*one, mu_a_per_mm=mu_a_per_mm) for one in states]
+            change = [name for name in readings[0] if name not in ("wavelength_nm", "error_correlation")]
+            return xr.concat(readings, "state", data_vars=change, coords="minimal", compat="override", join="override")
         moments = self.moments_at(blood_fraction, so2, mu_a_per_mm)
         effective, fraction, stderr = (
             np.array([getattr(m, name) for m in moments]) for name in ("effective_photons", "fraction", "stderr")
@@ -177,7 +177,7 @@ class Transfer:
         return np.array(found)
 
     def moments_at(
-        self, blood_fraction: ArrayLike | None, so2: float | None, mu_a_per_mm: Mapping[str, float] | None = None
+        self, blood_fraction: ArrayLike | None, so2: ArrayLike | None, mu_a_per_mm: Mapping[str, float] | None = None
     ) -> list[Moments]:
         """What `at` reads, as sums over the photons of each LED."""
         return [
