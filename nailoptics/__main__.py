@@ -8,21 +8,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def main() -> None:
-    """Run the command line, which processes that a batch spawns, and which load this file too, have no use for."""
-    is_heard = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if is_heard:
-        signal.signal(signal.SIGINT, _end)
+    """Run the command line; processes that a batch spawns, which load this file too, do not."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        # A Ctrl-C while the program is loaded or ends makes no traceback.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     from .cli import main as run
 
-    if is_heard:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
     run()
-
-
-def _end(number: int, frame: object) -> None:
-    """End at once: an exception in the midst of an import becomes a traceback, or another error."""
-    os.write(2, b"nailoptics: interrupted; no result was written.\n")
-    os._exit(130)
 
 
 if __name__ == "__main__":

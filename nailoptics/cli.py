@@ -2,27 +2,18 @@
 
 import gc
 import math
-import signal
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
+from dataclasses import replace
 from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import App, CycloptsError, Parameter
 
 from . import __version__
-from .command_time import (
-    COMPARISON_LEAST_CPU_S,
-    EXPLANATION_LEAST_CPU_S,
-    EXPLORATION_LEAST_CPU_S,
-    PLACEMENT_LEAST_CPU_S,
-    TRADEOFF_LEAST_CPU_S,
-    CommandTime,
-)
 from .commit import commit
-from .endings import end_at_once, interrupted, told
 from .errors import (
     InputError,
     NailopticsError,
@@ -30,26 +21,29 @@ from .errors import (
     RequirementError,
     WriteError,
     as_far_as_reached,
+    exit_message,
 )
-from .io import check_writable, files_noted, leave_dask_out, make_folder
+from .interrupts import counted
+from .io import check_writable, leave_dask_out, make_folder
 from .options import TraceOptions
 from .terminal import (
-    StopAtOnce,
     batch_progress,
-    hard_interrupts,
-    kept_warnings,
+    collected_warnings,
+    escaped,
+    interruptible,
     plain_messages,
     print_json,
     say,
     silence_stdout,
-    soft_interrupts,
     text_lines,
     trace_progress,
-    written_out,
 )
 
 if TYPE_CHECKING:
     from .scene import Scene
+
+# Of --max-seconds, the part that is left for starting and for writing the results; the rest bounds the tracing.
+RESERVE = 0.1
 
 
 def _version() -> str:
@@ -68,7 +62,6 @@ ScenePath = Annotated[str, Parameter(help="A scene file (TOML), or the name of a
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print one JSON object on stdout, nothing else.")]
 Options = Annotated[TraceOptions, Parameter(name="*")]
 USUAL = TraceOptions()
-command_time = CommandTime()
 Folder = Annotated[
     Path | None, Parameter(name=["--output", "-o"], help="Folder for the results; results/SCENE if not given.")
 ]
@@ -76,45 +69,33 @@ File = Annotated[Path | None, Parameter(name=["--output", "-o"], help="File to w
 
 
 def main() -> None:
-    """Run the command line; ends the process with 0 done, 2 the user's input, 3 not reached, 1 our fault."""
+    """Run the command line and end the process; `errors` lists the exit codes."""
     leave_dask_out()
     for stream in (sys.stdout, sys.stderr):  # names may hold letters that the terminal's encoding lacks
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     # Nearly all that a command makes lives as long as it does: to look for garbage among it is a tenth of its time.
     gc.set_threshold(100_000)
-    code = run(sys.argv[1:], own_process=True)
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        # All is written and said: a Ctrl-C while Python ends is no traceback.
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-    sys.exit(code)
+    sys.exit(run(sys.argv[1:]))
 
 
-def run(arguments: list[str], *, own_process: bool = False) -> int:
-    """Run one command and return its exit code; errors are one line on stderr.
-
-    own_process : whether this process was started for it, so that its time counts from there on.
-    """
-    command_time.begin(with_process=own_process)
-    with (
-        plain_messages(),
-        files_noted() as files,
-        hard_interrupts((lambda: end_at_once(files)) if own_process else None) as is_interrupted,
-    ):
+def run(arguments: list[str]) -> int:
+    """Run one command and return its exit code; errors are one line on stderr."""
+    with plain_messages(), counted() as interrupts:
         try:
             app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
             if sys.stdout:
                 sys.stdout.flush()
             return 0
-        except (KeyboardInterrupt, StopAtOnce) as error:
-            line, code = interrupted(str(error), files), 130
         except BrokenPipeError:
             silence_stdout()
             return 0
-        except NotReachedError as error:  # which may tell of an interrupt, and what is kept
-            line, code = told(error)
-        except Exception as error:
-            line, code = (interrupted("", files), 130) if is_interrupted() else told(error)
+        except (KeyboardInterrupt, Exception) as error:
+            if isinstance(error, CycloptsError):
+                error = InputError(f"{error} (nailoptics --help lists commands and options)")
+            elif isinstance(error, OSError):
+                silence_stdout()
+            line, code = exit_message(error, interrupted=bool(interrupts))
         say(line)
         return code
 
@@ -130,11 +111,11 @@ def simulate(
     json_: Json = False,
     options: Options = USUAL,
 ) -> None:
-    """Simulate a touch: force to volts over time, traced light beside the paper's (8) and (9).
+    """Simulate a touch: force to volts over time, traced light beside the paper's Taylor (9) and Beer-Lambert (8).
 
     Writes result.nc and report.html.
     """
-    from .report.result_files import SIMULATION, SIMULATION_CPU_S, write_recording, write_simulation
+    from .report.result_files import SIMULATION, write_recording, write_simulation
     from .report.summaries import simulation_lines, simulation_summary
     from .studies.force.virtual_recording import record
     from .studies.simulate import simulate as study
@@ -142,14 +123,12 @@ def simulate(
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, SIMULATION)
     _check_file(recording)
-    limited = command_time.left_for_light(options, loaded, pages_cpu_s=SIMULATION_CPU_S)
-    result, unmet = _watched(study, loaded, picture=True, **limited.fields)
+    result, unmet = _traced(study, loaded, picture=True, options=options)
     paths = write_simulation(result, folder)
     if recording is not None:
         paths |= write_recording(record(loaded, result, seed=options.seed), recording)
     summary = simulation_summary(result)
-    _show(summary, simulation_lines(summary), paths, json_, unmet)
-    _end(unmet, folder)
+    _finish(summary, simulation_lines(summary), paths, json_, unmet, folder)
 
 
 @app.command
@@ -162,11 +141,10 @@ def trace(scene: ScenePath, *, output: File = None, json_: Json = False, options
     if output is not None and engine == "volpath":
         raise InputError(f"{output}: volpath traces readings, not a transfer that could be saved; leave -o out.")
     _check_file(output)
-    rest, unmet = _watched(read_rest, loaded, **command_time.left_for_light(options, loaded).fields)
+    rest, unmet = _traced(read_rest, loaded, options=options)
     if output is not None and rest.transfer is not None:
         rest.transfer.save(output)
-    _show(rest.as_dict(), rest_lines(rest), {}, json_, unmet)
-    _end(unmet, output)
+    _finish(rest.as_dict(), rest_lines(rest), {}, json_, unmet, output)
 
 
 @app.command
@@ -187,10 +165,13 @@ def colour(
     light: Annotated[
         Literal["sky", "lamp"] | None, Parameter(help="From all sides, or at 45 degrees all round.")
     ] = None,
-    gloss: Annotated[bool | None, Parameter(help="Count what the surface mirrors, too.")] = None,
+    gloss: Annotated[bool | None, Parameter(help="Include the light that the surface mirrors.")] = None,
     photograph: Annotated[
-        bool, Parameter(help="Render the finger at rest and pressed, which takes half a minute.")
-    ] = True,
+        bool | None,
+        Parameter(
+            help="Render the finger at rest and pressed (half a minute); by default unless --max-seconds is given."
+        ),
+    ] = None,
     tolerance: Annotated[float | None, Parameter(help="Standard error of every place's colour (CIEDE2000).")] = None,
     change_tolerance: Annotated[
         float | None, Parameter(help="Standard error of every change by force (CIEDE2000).")
@@ -200,34 +181,41 @@ def colour(
 ) -> None:
     """Trace the colour of the bare nail and the skin around it under force, as in the paper's Fig. 2.
 
-    What is not given, the scene's [colour] says. Writes colour.nc, colour.html, the strip of nails, photographs at
-    rest and pressed, and a press as an animation.
+    Defaults are those of the scene's [colour]. Writes colour.nc, colour.html, the strip of nails, photographs at rest
+    and pressed, and a press as an animation.
     """
     from .report.result_files import COLOUR, write_colour
     from .studies.colour.nail_colour import colour as study
-    from .studies.colour.nail_colour import colour_lines, colour_summary, with_scenes_effort
-    from .studies.colour.pictures import photographs
+    from .studies.colour.nail_colour import colour_lines, colour_summary
 
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, COLOUR)
     view: dict[str, Any] = {"illuminant": illuminant, "observer": observer, "lit_by": light, "gloss": gloss}
     view |= {"forces_n": force, "tolerance": tolerance, "change_tolerance": change_tolerance}
-    limited, photograph = command_time.left_for_colour(
-        with_scenes_effort(options, loaded), loaded, photograph=photograph
-    )
-    result, unmet = _watched(study, loaded, **view, **limited.fields)
+    result, unmet = _traced(study, loaded, **view, options=options)
     pictures: list[Any] = []
-    with soft_interrupts() as is_interrupted:
-        for state in dict.fromkeys((0, -1 % result.sizes["state"])) if photograph and result.sizes["tile"] > 0 else ():
-            if is_interrupted():
-                pictures, unmet = [], unmet or NotReachedError("interrupted; photographs are left out.")
-                break
-            pictures += photographs(loaded, result, states=[state], backend=options.backend)
+    try:
+        if options.max_seconds is None if photograph is None else photograph:
+            pictures = [] if unmet else _photographs(loaded, result, options)
+    except KeyboardInterrupt:
+        unmet = NotReachedError("interrupted; photographs are left out.")
     assert loaded.finger is not None
     paths = write_colour(result, folder, photographs=pictures, width_mm=loaded.finger.nail_width_mm)
     summary = colour_summary(result)
-    _show(summary, colour_lines(summary), paths, json_)
-    _end(unmet, folder)
+    _finish(summary, colour_lines(summary), paths, json_, unmet, folder)
+
+
+def _photographs(scene: "Scene", result: Any, options: TraceOptions) -> list[Any]:
+    """Pictures of the finger at rest and under the last force; raises KeyboardInterrupt between them."""
+    from .studies.colour.pictures import photographs
+
+    pictures: list[Any] = []
+    with interruptible() as check:
+        for state in dict.fromkeys((0, -1 % result.sizes["state"])) if result.sizes["tile"] > 0 else ():
+            check()
+            pictures += photographs(scene, result, states=[state], backend=options.backend)
+        check()
+    return pictures
 
 
 @app.command
@@ -257,7 +245,7 @@ def compare(
 
     Writes compare.nc and compare.html.
     """
-    from .report.result_files import COMPARISON, COMPARISON_CPU_S, write_comparison
+    from .report.result_files import COMPARISON, write_comparison
     from .studies.comparison.compare import compare as study
     from .studies.comparison.verdict import summary, verdict
 
@@ -265,14 +253,17 @@ def compare(
     if require is not None and not 0 < require < math.inf:
         raise InputError(f"--require {require:g} must be a part of the swing above 0, such as 0.05.")
     folder = _results(output, scene, COMPARISON)
-    limited = command_time.left(options, least_cpu_s=COMPARISON_LEAST_CPU_S, pages_cpu_s=COMPARISON_CPU_S)
-    result, unmet = _watched(study, loaded, over=over, wavelengths_nm=wavelength_nm, **limited.fields)
+    result, unmet = _traced(study, loaded, over=over, wavelengths_nm=wavelength_nm, options=options)
     paths = write_comparison(result, folder)
     judged = verdict(result, 0.05 if require is None else require, model=model)
-    _show(summary(result) | {"verdict": vars(judged)}, [judged], paths, json_, unmet)
-    if require is not None and judged.outcome == "missed":
+    missed = require is not None and judged.outcome == "missed"
+    try:
+        _finish(summary(result) | {"verdict": vars(judged)}, [judged], paths, json_, unmet, folder)
+    except NotReachedError:
+        if not missed:
+            raise
+    if missed:
         raise RequirementError(f"{judged}")
-    _end(unmet, folder)
     if require is not None and judged.outcome == "undecided":
         raise NotReachedError(f"{judged}")
 
@@ -292,18 +283,16 @@ def place(
 
     Writes place.nc, ranking.csv, place.html, and the best layout as best.toml, best.csv (KiCad), outline and best.glb.
     """
-    from .report.result_files import PLACEMENT, PLACEMENT_CPU_S, write_placement
+    from .report.result_files import PLACEMENT, write_placement
     from .report.summaries import placement_lines, placement_summary
     from .studies.placement.place import place as study
 
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, PLACEMENT)
-    limited = _within_scenes_limit(options, loaded, least_cpu_s=PLACEMENT_LEAST_CPU_S, pages_cpu_s=PLACEMENT_CPU_S)
-    result, unmet = _watched(study, loaded, **limited.fields)
+    result, unmet = _traced(study, loaded, options=options)
     paths = write_placement(result, folder, negate_x_on_bottom=negate_x_on_bottom)
-    summary = placement_summary(result)
-    _show(summary | {"folder": str(folder)}, placement_lines(summary), paths, json_, unmet)
-    _end(unmet, folder)
+    summary = placement_summary(result) | {"folder": str(folder)}
+    _finish(summary, placement_lines(summary), paths, json_, unmet, folder)
 
 
 @app.command
@@ -318,22 +307,20 @@ def explore(
 
     It is one file, which any browser opens from disk. Photons are those of each of the scene's wavelengths.
     """
-    from .report.explore_page import EXPLORATION_CPU_S, write_exploration
+    from .report.explore_page import write_exploration
     from .studies.exploration.explore import explore as study
 
     if output.suffix != ".html":
         raise InputError(f"{output}: a page ends in .html; rename it.")
     loaded, _ = _load(scene, options)
     _check_file(output)
-    limited = _within_scenes_limit(options, loaded, least_cpu_s=EXPLORATION_LEAST_CPU_S, pages_cpu_s=EXPLORATION_CPU_S)
-    found, unmet = _watched(study, loaded, **limited.fields)
+    found, unmet = _traced(study, loaded, options=options)
     make_folder(output.parent)
     write_exploration(found, output)
-    told = {name: found.attributes[name] for name in ("photons", "cpu_seconds", "wall_seconds")}
-    size = output.stat().st_size
-    line = f"{found.attributes['photons']} photons at {len(found.colours)} wavelengths, {size / 1e6:.1f} MB"
-    _show(told | {"bytes": size}, [line], {"page": output}, json_, unmet)
-    _end(unmet, output)
+    summary = {name: found.attributes[name] for name in ("photons", "cpu_seconds", "wall_seconds")}
+    summary["bytes"] = size = output.stat().st_size
+    line = f"{summary['photons']} photons at {len(found.colours)} wavelengths, {size / 1e6:.1f} MB"
+    _finish(summary, [line], {"page": output}, json_, unmet, output)
 
 
 @app.command
@@ -343,14 +330,14 @@ def batch(
     output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="Folder of the batch.")] = None,
     workers: Annotated[int | None, Parameter(help="Processes on this machine; one per core if not given.")] = None,
     scheduler: Annotated[str | None, Parameter(help="Dask scheduler in their place, such as tcp://host:8786.")] = None,
-    shard: Annotated[str | None, Parameter(help="I/N: do only the I-th of N parts, for job arrays.")] = None,
-    dry_run: Annotated[bool, Parameter(negative="", help="Estimate processor time and disk, and end.")] = False,
-    retry_failed: Annotated[bool, Parameter(negative="", help="Try again what failed before.")] = False,
-    status: Annotated[bool, Parameter(negative="", help="Show how far a batch is, and end.")] = False,
+    shard: Annotated[str | None, Parameter(help="I/N: run only the I-th of N parts, for job arrays.")] = None,
+    dry_run: Annotated[bool, Parameter(negative="", help="Estimate processor time and disk, and exit.")] = False,
+    retry_failed: Annotated[bool, Parameter(negative="", help="Retry the scenes that failed before.")] = False,
+    status: Annotated[bool, Parameter(negative="", help="Show the batch's progress and exit.")] = False,
     json_: Json = False,
     options: Options = USUAL,
 ) -> None:
-    """Do all scenes of a sweep, or what is left of them; a run that was killed goes on where it was.
+    """Run the remaining scenes of a sweep; a run that was killed is resumed where it was.
 
     Writes table.csv and report.html beside the results; nailoptics.open_results(DIR) opens them in Python.
     """
@@ -359,26 +346,26 @@ def batch(
 
     if status:
         found = batches.status(output or sweep)
-        return _show(vars(found) | {"left": found.left}, [found], {}, json_)
+        return _finish(vars(found) | {"left": found.left}, [found], {}, json_)
     planned = batches.load_sweep(sweep)
     if dry_run:
         cost = batches.estimate(planned, **options.fields)
-        return _show(vars(cost), [cost], {}, json_)
+        return _finish(vars(cost), [cost], {}, json_)
     if output is None:
         raise InputError("batch needs -o DIR, a folder for its results.")
-    how = {"workers": workers, "scheduler": scheduler, "shard": shard, "retry_failed": retry_failed}
+    how: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "shard": shard, "retry_failed": retry_failed}
     unmet = None
     try:
-        limited = command_time.left(options, least_cpu_s=0.0).fields
-        outcome, unmet = _watched(batches.run_batch, planned, output, shown=batch_progress, **how, **limited)
+        with batch_progress() as progress:
+            how |= {"progress": progress, **_limited(options).fields}
+            outcome, unmet = as_far_as_reached(batches.run_batch, planned, output, **how)
         paths = write_sweep(batches.open_results(output), output, failures=outcome.failed)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"interrupted; what is done is kept in {output}, run again to go on.") from None
+        raise KeyboardInterrupt(f"interrupted; finished scenes are in {output}, run again to resume.") from None
     except InputError as error:  # a full disk ended the batch, too, which said so
         raise unmet or error from None
-    there = f"{len(outcome.done)} scenes done, {len(outcome.kept)} were there before; {outcome.lights} traces for all"
-    _show(vars(outcome) | {"results": str(output)}, [there], paths, json_)
-    _end(unmet)
+    line = f"{len(outcome.done)} scenes done, {len(outcome.kept)} were there before; {outcome.lights} traces for all"
+    _finish(vars(outcome) | {"results": str(output)}, [line], paths, json_, unmet)
 
 
 @app.command
@@ -398,7 +385,7 @@ def explain(
     options: Options = USUAL,
 ) -> None:
     """Explain what a scene models and what it leaves out, and measure how far each of these moves the readings."""
-    from .report.result_files import EXPLANATION_CPU_S, write_explanation
+    from .report.result_files import write_explanation
     from .studies.model_error.explain import explain as study
 
     if output is not None and output.suffix != ".toml":
@@ -406,12 +393,9 @@ def explain(
     loaded, _ = _load(scene, options)
     if output is not None:
         check_writable(output.parent, output.name, output.with_suffix(".html").name)
-    pages_cpu_s = EXPLANATION_CPU_S if output else 0.0
-    limited = command_time.left(options, least_cpu_s=EXPLANATION_LEAST_CPU_S, pages_cpu_s=pages_cpu_s)
-    found, unmet = _watched(study, loaded, tolerance=tolerance, **limited.fields)
+    found, unmet = _traced(study, loaded, tolerance=tolerance, options=options)
     paths = write_explanation(found, output) if output else {}
-    _show({"scene": None} | found.as_dict(), [found], paths, json_)
-    _end(unmet)
+    _finish({"scene": None} | found.as_dict(), [found], paths, json_, unmet)
 
 
 @app.command
@@ -419,9 +403,10 @@ def tradeoff(
     scene: ScenePath,
     *,
     output: Folder = None,
-    tolerance: Annotated[float, Parameter(help="Error that an answer may have on the worst photodiode.")] = 0.02,
+    tolerance: Annotated[float, Parameter(help="Largest error of the worst photodiode.")] = 0.02,
     judge: Annotated[
-        Literal["reading", "signal", "both"], Parameter(help="What that is an error of: reading, its change, or both.")
+        Literal["reading", "signal", "both"],
+        Parameter(help="Quantity the tolerance applies to: reading, signal (change), or both."),
     ] = "both",
     json_: Json = False,
     options: Options = USUAL,
@@ -432,17 +417,15 @@ def tradeoff(
     tolerance in that time, the best one within it. Writes tradeoff.json, tradeoff.nc and tradeoff.html, tradeoff.png
     for a README, and scene.toml: the scene at the level that is named.
     """
-    from .report.result_files import TRADEOFF, TRADEOFF_CPU_S, write_tradeoff
+    from .report.result_files import TRADEOFF, write_tradeoff
     from .studies.model_error.tradeoff import tradeoff as study
 
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, TRADEOFF)
-    limited = command_time.left(options, least_cpu_s=TRADEOFF_LEAST_CPU_S, pages_cpu_s=TRADEOFF_CPU_S).fields
     how: dict[str, Any] = {"tolerance": tolerance, "judge": judge, "answer_seconds": options.max_seconds}
-    found, unmet = _watched(study, loaded, **how, **limited)
+    found, unmet = _traced(study, loaded, **how, options=options)
     paths = write_tradeoff(found, folder)
-    _show(found.as_dict(), [found], paths, json_)
-    _end(unmet, folder)
+    _finish(found.as_dict(), [found], paths, json_, unmet, folder)
 
 
 @app.command
@@ -459,7 +442,7 @@ def check(
     from .report.summaries import check_lines
     from .studies.scene_check import check_scene
 
-    with kept_warnings() as warnings:
+    with collected_warnings() as warnings:
         loaded = _scene(scene)
     try:
         report: dict[str, Any] = {"scene": scene, "valid": True, **check_scene(loaded)}
@@ -476,7 +459,7 @@ def check(
                 report |= {**vars(found), "valid": bool(found.passed)}
     except InputError as error:
         raise InputError(f"{scene}: {error}") from None
-    _show(report, check_lines(report), {}, json_)
+    _finish(report, check_lines(report), {}, json_)
     if not report["valid"]:
         raise NailopticsError(f"{scene}: its geometry leaks; please report the scene.")
 
@@ -488,7 +471,7 @@ def export(
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="File, or folder where a format needs several.")],
     format_: Annotated[
         Literal["glb", "ply", "mmc", "mcx", "mitsuba"] | None,
-        Parameter(name="--format", help="What to write; the ending of a file's name tells it, too."),
+        Parameter(name="--format", help="What to write, unless the ending of the file's name says it."),
     ] = None,
     voxel_mm: Annotated[float | None, Parameter(help="Side of mcx's voxels; 0.1 if not given. [mm]")] = None,
     json_: Json = False,
@@ -505,7 +488,7 @@ def export(
         raise
     except InputError as error:
         raise InputError(f"{scene}: {error}") from None
-    _show({}, [], paths, json_)
+    _finish({}, [], paths, json_)
 
 
 @app.command
@@ -515,16 +498,15 @@ def compare_with(
     json_: Json = False,
     options: Options = USUAL,
 ) -> None:
-    """Set what another program detected of an exported scene beside our own trace of it, with chi^2.
+    """Compare what another program detected of an exported scene with our own trace of it, with chi^2.
 
-    Readings, their change with the blood and mean paths, each with its standard error and how many of these apart.
+    Readings, their change with the blood and mean paths, each with its standard error and the z score of the
+    difference.
     """
     from .exports.other_program import compare_with as study
-    from .exports.other_program import read_detected
 
-    found, unmet = _watched(study, file, **command_time.left_for_light(options, read_detected(file).scene).fields)
-    _show(found.as_dict(), found.lines(), {}, json_)
-    _end(unmet)
+    found, unmet = _traced(study, file, options=options)
+    _finish(found.as_dict(), found.lines(), {}, json_, unmet)
 
 
 @app.command
@@ -568,12 +550,8 @@ def figures(
             pictures += [draw_fig2(_scene("nail_colour"), output, name=name) for name in named]
         else:
             say("Fig. 2 is left out: it needs a backend that compiles kernels (nailoptics doctor).")
-    _show(
-        {"claims": as_rows(judged), "pictures": list(map(str, pictures))},
-        [*as_text(judged).splitlines(), *pictures],
-        {},
-        json_,
-    )
+    claims = {"claims": as_rows(judged), "pictures": list(map(str, pictures))}
+    _finish(claims, [*as_text(judged).splitlines(), *pictures], {}, json_)
 
 
 @app.command
@@ -594,7 +572,7 @@ def calibrate(
     """Calibrate a person's sensor with recordings of a known force: gains, offsets, vessels, with their errors.
 
     A recording has columns time_s, force_n, one of volts for each reading, and site (proximal, distal or even). Writes
-    the subject file and a page beside it. --max-seconds ends the trace; the fit to the recordings follows.
+    the subject file and a page beside it. --max-seconds bounds the trace; the fit to the recordings follows.
     """
     from .report.result_files import write_calibration
     from .studies.force.calibrate import calibrate as study
@@ -604,15 +582,12 @@ def calibrate(
         raise InputError(f"{output}: a subject file ends in .toml; rename it.")
     loaded, _ = _load(scene, options)
     check_writable(output.parent, output.name, output.with_suffix(".html").name)
-    # The fit that follows takes as long as its recordings are: the limit is that of the light.
-    limited = command_time.left_for_light(options, loaded)
-    result, unmet = _watched(study, loaded, recordings, model=model, **limited.fields)
+    result, unmet = _traced(study, loaded, recordings, model=model, options=options)
     summary = calibration_summary(result)
     for line in summary["warnings"]:
         say(line)
-    text = [f"force told from these recordings: rms {1e3 * summary['rms_n']:.0f} mN"]
-    _show(summary, text, write_calibration(result, output), json_)
-    _end(unmet, output)
+    text = [f"rms error on the calibration recordings: {1e3 * summary['rms_n']:.0f} mN"]
+    _finish(summary, text, write_calibration(result, output), json_, unmet, output)
 
 
 @app.command
@@ -631,7 +606,7 @@ def predict(
     smooth: Annotated[bool, Parameter(help="Use the samples after each as well, not only those before it.")] = False,
     json_: Json = False,
 ) -> None:
-    """Tell force over time, with its 95 % interval, from a calibrated person's readings.
+    """Estimate force over time, with its 95 % interval, from a calibrated person's readings.
 
     Writes predict.csv, predict.nc, predict.html and predict.png; with - each line is answered at once on stdout.
     """
@@ -642,7 +617,7 @@ def predict(
     from .studies.force.subject import read_subject
 
     if readings.startswith("-") and readings != "-":
-        raise InputError(f"Unknown option: {readings} (nailoptics predict --help shows what is known)")
+        raise InputError(f"Unknown option: {readings} (nailoptics predict --help lists the options)")
     calibrated = read_subject(subject)
     if readings == "-":
         if json_ or smooth or output is not None:
@@ -656,14 +631,15 @@ def predict(
     folder = _results(output, readings, PREDICTION)
     result = study(calibrated, readings, press_n=press, release_n=release, smooth=smooth)
     summary, paths = prediction_summary(result), write_prediction(result, folder)
-    lines = [f"{result.sizes['time']} samples; open above from {summary['open_above_n']:.2f} N"]
+    upper = f"no upper bound above {summary['open_above_n']:.2f} N (vessels closed)"
+    lines = [f"{result.sizes['time']} samples; {upper}"]
     if math.isfinite(summary["rms_n"]):
         lines.append(f"rms {1e3 * summary['rms_n']:.0f} mN, {summary['coverage_95']:.0%} inside their 95 % interval")
     for line in summary["warnings"]:
         say(line)
     if not summary["consistent"]:
-        say(f"the readings do not fit this subject: {summary['misfit']}.")
-    _show(summary, lines, paths, json_)
+        say(f"the readings are inconsistent with this subject: {summary['misfit']}.")
+    _finish(summary, lines, paths, json_)
 
 
 @app.command
@@ -672,7 +648,7 @@ def oximeter(
     *,
     output: Folder = None,
     readings: Annotated[
-        Path | None, Parameter(help="A recording (CSV): tell its oxygen over time, by the scene's curve.")
+        Path | None, Parameter(help="A recording (CSV): estimate its oxygen over time, by the scene's curve.")
     ] = None,
     recording: Annotated[
         Path | None, Parameter(help="Write what the oximeter would record, noise included, to this CSV file, too.")
@@ -688,7 +664,6 @@ def oximeter(
     """
     from .report.result_files import (
         OXIMETER,
-        OXIMETER_CPU_S,
         OXYGEN,
         write_oximeter_recording,
         write_oximeter_result,
@@ -696,7 +671,7 @@ def oximeter(
     )
     from .report.summaries import oximeter_lines, oxygen_lines
     from .studies.oximetry.oxygen import oximeter as study
-    from .studies.oximetry.oxygen import summary
+    from .studies.oximetry.oxygen import summary as oximeter_summary
     from .studies.oximetry.read_recording import read_for, read_oxygen, simulated
     from .studies.oximetry.spo2_over_time import recording_summary
 
@@ -704,21 +679,19 @@ def oximeter(
     given = None if readings is None else read_for(loaded, readings)
     folder = _results(output, scene, OXIMETER if given is None else (*OXIMETER, *OXYGEN))
     _check_file(recording)
-    limited = command_time.left_for_light(options, loaded, pages_cpu_s=OXIMETER_CPU_S)
-    result, unmet = _watched(study, loaded, **limited.fields)
+    result, unmet = _traced(study, loaded, options=options)
     for line in result.attrs["warnings"]:
         say(line)
-    found, paths = summary(result), write_oximeter_result(result, folder)
-    lines = oximeter_lines(found)
+    summary, paths = oximeter_summary(result), write_oximeter_result(result, folder)
+    lines = oximeter_lines(summary)
     if recording is not None:
         made = simulated(loaded, result, seed=options.seed)
         paths |= write_oximeter_recording(made, (str(result.led.values[0]), str(result.led.values[1])), recording)
     if given is not None:
-        told = read_oxygen(loaded, result, given)
-        found |= {"recording": recording_summary(told)}
-        lines, paths = oxygen_lines(found["recording"]), paths | write_oxygen(told, folder)
-    _show(found, lines, paths, json_)
-    _end(unmet, folder)
+        oxygen = read_oxygen(loaded, result, given)
+        summary |= {"recording": recording_summary(oxygen)}
+        lines, paths = oxygen_lines(summary["recording"]), paths | write_oxygen(oxygen, folder)
+    _finish(summary, lines, paths, json_, unmet, folder)
 
 
 @app.command
@@ -737,17 +710,17 @@ def schema(
 def show_store(
     *,
     list_: Annotated[
-        bool, Parameter(name="--list", negative="", help="List what is there, longest unused first.")
+        bool, Parameter(name="--list", negative="", help="List what is stored, longest unused first.")
     ] = False,
     clear: Annotated[bool, Parameter(negative="", help="Remove all of it.")] = False,
     json_: Json = False,
 ) -> None:
-    """Show where the light that was traced is kept, and how much; NAILOPTICS_STORE names another folder, or off."""
+    """Show the folder and size of the cache of traced light; NAILOPTICS_STORE names another folder, or off."""
     from .light.store import VARIABLE, LightStore, entries, remove
 
     store = LightStore.of_user()
     if store is None:
-        raise InputError(f"{VARIABLE} = off: no light is kept; unset it, or set it to a folder.")
+        raise InputError(f"{VARIABLE} = off: no light is stored; unset it, or set it to a folder.")
     found = entries(store)
     if clear:
         for folder in store.folders():
@@ -757,12 +730,12 @@ def show_store(
     shown = [vars(entry) for entry in found] if list_ else []
     line = f"{store.root}: {len(found)} lights, {size / 1e6:.1f} MB of at most {store.most_bytes / 1e6:.0f}"
     lines = [*(found if list_ else []), line + (", removed" if clear else "")]
-    _show(summary | ({"entries": shown} if list_ else {}) | {"cleared": clear}, lines, {}, json_)
+    _finish(summary | ({"entries": shown} if list_ else {}) | {"cleared": clear}, lines, {}, json_)
 
 
 @app.command
 def doctor(*, json_: Json = False) -> None:
-    """Show the backends of this machine, the engines that each can run, and why it was taken or not."""
+    """Show the backends of this machine, the engines that each can run, and why each was or was not selected."""
     from .light import backend as backends
 
     chosen, stock, findings = backends.choose("auto"), backends.choose("auto", volpath=True), backends.findings()
@@ -772,18 +745,18 @@ def doctor(*, json_: Json = False) -> None:
     for f in findings:
         row = {name: getattr(f, name) for name in ("library", "usable", "engines", "why")}
         summary["findings"].append({"backend": f.name} | row)
-        taken = "taken" if (f.name, f.library) == (chosen.name, chosen.library) else ""
+        selected = "selected" if (f.name, f.library) == (chosen.name, chosen.library) else ""
         engines = ", ".join(f.engines) or "not usable"
-        lines.append(f"  {f.name:<7} {engines:<17} {taken:<6} {f.library or ''} {f.why}".rstrip())
-    serves = f"photons runs on {chosen.name}" if chosen.jit else "photons cannot run here"
+        lines.append(f"  {f.name:<7} {engines:<17} {selected:<9}{f.library or ''} {f.why}".rstrip())
+    photons = f"photons runs on {chosen.name}" if chosen.jit else "photons cannot run here"
     lines = [
-        f"{serves}: the engine of every command",
-        f"volpath runs on {stock.name}: stock Mitsuba, the check of simulate, trace and batch",
-        "what was found on this machine, and the engines that it can run:",
+        f"{photons}: the engine of every command",
+        f"volpath runs on {stock.name}: stock Mitsuba, the reference of simulate, trace and batch",
+        "backends found on this machine, and the engines that each can run:",
         *lines,
     ]
     lines += dict.fromkeys(one.advice for one in (chosen, stock) if one.advice)
-    _show(summary, lines, {}, json_)
+    _finish(summary, lines, {}, json_)
 
 
 def _load(name: str, options: TraceOptions) -> "tuple[Scene, str]":
@@ -817,41 +790,42 @@ def _check_file(path: Path | None) -> None:
         check_writable(path.parent, path.name)
 
 
-def _watched(
-    study: Callable[..., Any],
-    *arguments: Any,
-    shown: Callable[[], AbstractContextManager[Callable[[Any], None]]] = trace_progress,
-    **options: Any,
+def _traced(
+    study: Callable[..., Any], *arguments: Any, options: TraceOptions, **parameters: Any
 ) -> tuple[Any, NotReachedError | None]:
-    """What a study reaches, and why not all of it, while the terminal shows how far it is."""
-    with shown() as progress:
-        return as_far_as_reached(study, *arguments, progress=progress, **options)
+    """The result of a study as far as it was reached, and why not all of it, with its progress on the terminal."""
+    with trace_progress() as progress:
+        return as_far_as_reached(study, *arguments, progress=progress, **parameters, **_limited(options).fields)
 
 
-def _within_scenes_limit(options: TraceOptions, scene: "Scene", **needed_cpu_s: float) -> TraceOptions:
-    """The options with what is left of max_seconds, or of the scene's where they name none."""
-    return command_time.left(options, limit_s=options.max_seconds or scene.accuracy.max_seconds, **needed_cpu_s)
+def _limited(options: TraceOptions) -> TraceOptions:
+    """The options with the part of max_seconds that bounds the tracing."""
+    limit_s = options.max_seconds
+    return options if limit_s is None else replace(options, max_seconds=(1 - RESERVE) * limit_s)
 
 
-def _show(
+def _finish(
     summary: Mapping[str, Any],
     text: Iterable[object],
     paths: Mapping[str, Path],
     as_json: bool,
     unmet: NotReachedError | None = None,
+    where: Path | None = None,
 ) -> None:
-    """Print a result and where it lies: one JSON object, or lines of text; first why it ended early, if it did."""
+    """Print a result and where it lies, as one JSON object or lines of text, and raise what was not reached.
+
+    where : what the error calls the place of the results.
+    """
+    cut_off = {"cut_off": str(unmet)} if unmet else {}
     if as_json:
-        cut_off = {"cut_off": str(unmet)} if unmet else {}
         print_json({**summary, **cut_off, **{name: str(path) for name, path in paths.items()}})
     else:
-        told = [*([f"Cut off: {unmet}"] if unmet else []), *text, *paths.values()]
         # A study's own table has several lines; a text or a path, and what is called so, one.
-        print(*(written_out(str(one), lines=not isinstance(one, str | Path)) for one in told), sep="\n")
-
-
-def _end(unmet: NotReachedError | None, where: Path | None = None) -> None:
-    """End with the error's exit code if what was requested was not reached; where is what was reached."""
+        shown = [escaped(str(one), lines=not isinstance(one, str | Path)) for one in (*text, *paths.values())]
+        if unmet and not shown[0].startswith("Cut off: "):
+            shown.insert(0, escaped(f"Cut off: {unmet}"))
+        print(*shown, sep="\n")
     if unmet:
-        text = f"{unmet} What was reached is in {where}." if where else str(unmet)
-        raise NotReachedError(text, full=unmet.exit_code == 1)
+        raise NotReachedError(
+            f"{unmet} What was reached is in {where}." if where else str(unmet), full=unmet.exit_code == 1
+        )

@@ -1,5 +1,10 @@
-"""What can go wrong, in the user's words: one line, and the exit code it ends with."""
+"""What can go wrong: one line in the user's words, and the exit code of the command.
 
+Exit codes: 0 done; 1 an internal error, or a full disk; 2 the user's input; 3 a tolerance or time limit not reached, or
+interrupted with a result; 4 a requirement that was checked and missed; 130 interrupted without a result.
+"""
+
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -57,3 +62,25 @@ class WriteError(InputError):
     def __init__(self, message: str, *, full: bool = False) -> None:
         super().__init__(message)
         self.exit_code = 1 if full else InputError.exit_code
+
+
+def exit_message(error: BaseException, *, interrupted: bool) -> tuple[str, int]:
+    """What a command says of an error, in one line, and its exit code.
+
+    interrupted : whether Ctrl-C was pressed, of which imports and compiled code make errors of their own.
+
+    Raises: the error itself where it is internal and NAILOPTICS_DEBUG is set.
+    """
+    if isinstance(error, KeyboardInterrupt) or (interrupted and not isinstance(error, NotReachedError)):
+        why = str(error) if isinstance(error, KeyboardInterrupt) else ""
+        return why or "interrupted; every file that was written is complete.", 130
+    if isinstance(error, NailopticsError):
+        return str(error), error.exit_code
+    if isinstance(error, OSError):
+        return f"{error.filename or 'the output'}: {error.strerror or error}.", 1
+    if isinstance(error, MemoryError):
+        return "not enough memory; request fewer samples (touch.sample_rate_hz) or photons.", 1
+    if os.environ.get("NAILOPTICS_DEBUG"):
+        raise error
+    what = f"{type(error).__name__}: {error}"
+    return f"internal error (please report): {what} (NAILOPTICS_DEBUG=1 shows where)", 1

@@ -3,17 +3,14 @@
 import contextlib
 import errno
 import json
-import math
 import os
 import secrets
 import stat
-import struct
 import sys
 import time
 import zlib
 from collections.abc import Iterator, Mapping
-from functools import lru_cache
-from io import BytesIO, FileIO, RawIOBase
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,8 +29,6 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 # The end of an archive, its checksum in hexadecimal.
 _CHECKSUM = 8
 _NUMBERS = "biuf"
-# HDF5's bookkeeping is written in pieces of at most this size. [bytes]
-_SMALL_PIECE = 1 << 20
 CONVENTIONS = "CF-1.11"
 # What an axis of names is in words, where a dataset does not say it itself.
 AXES = {
@@ -69,48 +64,46 @@ AXES = {
 }
 # What a spreadsheet takes for the beginning of a formula.
 FORMULA = ("=", "+", "-", "@", "\t", "\r")
-# What a file is: a result of the user's, or light that is kept for the next time.
-RESULT, LIGHT = "result", "light"
-# Those who note what is finished.
-_NOTES: list[list[tuple[str, Path]]] = []
-# New files that have not taken their places yet.
-_ASIDE: list[Path] = []
 # What writers that were killed left in a folder goes with the next write into it when it is so old. [s]
 LEFTOVER_S = 86400.0
 _SWEPT: set[Path] = set()
-# What a member of an archive begins with, and the flag of one whose size is told after it.
-_MEMBER, _SIZE_FOLLOWS = b"PK\x03\x04", 8
 
 
 class CorruptError(Exception):
     """A file is not what was written."""
 
 
-@contextlib.contextmanager
-def files_noted() -> Iterator[list[tuple[str, Path]]]:
-    """What the files are, and their paths, that this process finishes meanwhile, in their order."""
-    noted: list[tuple[str, Path]] = []
-    _NOTES.append(noted)
-    try:
-        yield noted
-    finally:
-        _NOTES.pop()
-
-
-def write_bytes(path: Path, data: bytes | memoryview, *, flush: bool = False, what: str = RESULT) -> None:
+def write_bytes(path: Path, data: bytes | memoryview, *, flush: bool = False) -> None:
     """Write a file whole or not at all: whatever happens, what lies at path is the old file or the new one.
 
     The data go to a new file of a random name in the same folder, which then takes the place of the old one. A
     symbolic link at path is replaced, and what it points to stays as it was. The new file has the old one's mode.
 
     flush : whether it must be on disk before this returns, so that a power cut cannot undo it.
-    what : what the file is, for those who note it.
 
     Raises: WriteError where the file cannot be written.
     """
+    sweep_leftovers(path.parent)
+    aside = path.with_name(f".nailoptics-{secrets.token_hex(8)}.part")
     try:
-        with _in_place_of(path, flush=flush, what=what) as file:
-            _write_all(file, data)
+        if path.exists() and not path.is_file():
+            raise WriteError(f"{path}: is a folder or device where a file is to be written; choose another name.")
+        mode = None if path.is_symlink() or not path.exists() else path.stat().st_mode & 0o777
+        # Exclusive creation opens no file of another and follows no link.
+        file = open(aside, "xb", opener=lambda name, flags: os.open(name, flags, 0o666 if mode is None else 0o600))
+        try:
+            with file:
+                if mode is not None:
+                    with contextlib.suppress(OSError):  # a file system without modes
+                        os.chmod(aside, mode)
+                file.write(data)
+                if flush:
+                    file.flush()
+                    os.fsync(file.fileno())
+            os.replace(aside, path)
+        except BaseException:
+            aside.unlink(missing_ok=True)
+            raise
         if flush and hasattr(os, "O_DIRECTORY"):
             handle = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
             try:
@@ -119,42 +112,6 @@ def write_bytes(path: Path, data: bytes | memoryview, *, flush: bool = False, wh
                 os.close(handle)
     except OSError as error:
         raise _refused(path, error, size=len(data)) from None
-
-
-def _write_all(file: FileIO, data: Any) -> None:
-    left = memoryview(data).cast("B")
-    while left.nbytes:
-        left = left[file.write(left) :]
-
-
-@contextlib.contextmanager
-def _in_place_of(path: Path, *, flush: bool = False, what: str = RESULT) -> Iterator[FileIO]:
-    """A new file aside, unbuffered, which takes the place of that at path if the block ends well, and else goes."""
-    sweep_leftovers(path.parent)
-    aside = path.with_name(f".nailoptics-{secrets.token_hex(8)}.part")
-    if path.exists() and not path.is_file():
-        raise WriteError(f"{path}: is a folder or device where a file is to be written; choose another name.")
-    mode = None if path.is_symlink() or not path.exists() else path.stat().st_mode & 0o777
-    # Exclusive creation opens no file of another and follows no link.
-    file = FileIO(aside, "x+", opener=lambda name, flags: os.open(name, flags, 0o666 if mode is None else 0o600))
-    _ASIDE.append(aside)
-    try:
-        with file:
-            if mode is not None:
-                with contextlib.suppress(OSError):  # a file system without modes
-                    os.chmod(aside, mode)
-            yield file
-            if flush:
-                os.fsync(file.fileno())
-        os.replace(aside, path)
-        for noted in _NOTES:
-            noted.append((what, path))
-    except BaseException:
-        with contextlib.suppress(OSError):
-            aside.unlink(missing_ok=True)
-        raise
-    finally:
-        _ASIDE.remove(aside)
 
 
 def sweep_leftovers(folder: Path) -> None:
@@ -167,13 +124,6 @@ def sweep_leftovers(folder: Path) -> None:
         for path in folder.glob(".nailoptics-*.part"):
             if stat.S_ISREG(path.lstat().st_mode) and path.lstat().st_mtime < old:
                 path.unlink(missing_ok=True)
-
-
-def abandon_files() -> None:
-    """Remove what is half written, before a process ends where it is."""
-    for aside in _ASIDE:
-        with contextlib.suppress(OSError):
-            aside.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -265,95 +215,12 @@ def cache_folder() -> Path:
 def write_dataset(dataset: "xr.Dataset", path: Path) -> None:
     """Write a dataset to NetCDF by the CF conventions, and make its folder; raises WriteError.
 
-    HDF5 writes piece by piece: the dataset is never copied as a whole. Of what is worked out when it is read there is
-    one variable at a time.
+    It is made in memory: HDF5 ends the process where a disk is full.
     """
+    data = BytesIO()
+    _as_cf(dataset).to_netcdf(data, engine="h5netcdf")
     make_folder(path.parent)
-    try:
-        with _in_place_of(path) as file:
-            patient = _Patient(file)
-            for number, part in enumerate(_parts(_as_cf(dataset))):
-                try:
-                    part.to_netcdf(patient, mode="a" if number else "w", engine="h5netcdf")
-                finally:
-                    if patient.refused is not None:
-                        raise patient.refused
-    except OSError as error:
-        raise _refused(path, error, size=dataset.nbytes) from None
-
-
-def _parts(dataset: "xr.Dataset") -> "Iterator[xr.Dataset]":
-    """A dataset in parts whose variables follow each other as in the whole, the first with all coordinates.
-
-    xarray works out all that it is to write before it writes: each part has one variable at most that is not in memory.
-    """
-    begin, names = 0, list(dataset.data_vars)
-    ends = [k + 1 for k, name in enumerate(names) if not dataset[name].variable._in_memory]
-    for end in dict.fromkeys([*ends, len(names)]):
-        if begin:
-            yield dataset[names[begin:end]].drop_attrs(deep=False).drop_vars(dataset.indexes, errors="ignore")
-        else:
-            yield dataset.drop_vars(names[end:])
-        begin = end
-
-
-class _Patient(RawIOBase):
-    """A file that takes whatever is written and remembers that the disk refused: HDF5 does not outlive a full one.
-
-    From then on its bookkeeping, small pieces that it reads again, is kept in memory; the data themselves are dropped.
-    """
-
-    def __init__(self, file: FileIO) -> None:
-        self.file, self.at, self.end = file, 0, 0
-        self.refused: OSError | None = None
-        self.pieces: list[tuple[int, bytes]] = []
-
-    def write(self, data: Any) -> int:
-        """Write all of it; once a write was refused, keep it if it is small."""
-        size = memoryview(data).nbytes
-        if self.refused is None:
-            try:
-                self.file.seek(self.at)
-                _write_all(self.file, data)
-            except OSError as error:
-                self.refused = error
-        if self.refused is not None and size <= _SMALL_PIECE:
-            self.pieces.append((self.at, bytes(data)))
-        self.at += size
-        self.end = max(self.end, self.at)
-        return size
-
-    def readinto(self, buffer: Any) -> int:
-        """What was last written at the place."""
-        memory = memoryview(buffer).cast("B")
-        size = memory.nbytes
-        self.file.seek(self.at)
-        memory[:] = self.file.read(size).ljust(size, b"\0")
-        for at, piece in self.pieces:
-            first, last = max(at, self.at), min(at + len(piece), self.at + size)
-            if first < last:
-                memory[first - self.at : last - self.at] = piece[first - at : last - at]
-        self.at += size
-        return size
-
-    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Go to a place."""
-        self.at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self.at, os.SEEK_END: self.end}[whence]
-        return self.at
-
-    def tell(self) -> int:
-        """The place."""
-        return self.at
-
-    def truncate(self, size: int | None = None) -> int:
-        """Set the file's length."""
-        self.end = self.at if size is None else size
-        try:
-            if self.refused is None:
-                self.file.truncate(self.end)
-        except OSError as error:
-            self.refused = error
-        return self.end
+    write_bytes(path, data.getbuffer())
 
 
 def _as_cf(dataset: "xr.Dataset") -> "xr.Dataset":
@@ -420,58 +287,22 @@ def unpack(data: bytes | memoryview, *, arrays: bool = True) -> tuple[dict[str, 
 
     arrays : whether they are wanted; the header alone takes a tenth of the time.
     """
+    import numpy as np
+
     data = memoryview(data)
     if f"{zlib.crc32(data[:-_CHECKSUM]):0{_CHECKSUM}x}".encode() != data[-_CHECKSUM:]:
         raise CorruptError("its checksum does not hold")
     try:
-        found = {}
-        for name, array in _members(data):
-            found[name] = array
-            if not arrays and name == "header":
-                break
-        header = json.loads(found.pop("header").tobytes())
+        with np.load(BytesIO(data), allow_pickle=False) as file:
+            header = json.loads(file["header"].tobytes())
+            found = {name: file[name] for name in file.files if arrays and name != "header"}
     except Exception as error:  # what is no archive of ours fails in many ways
         raise CorruptError(f"it is no archive of numbers ({error})") from None
     if not isinstance(header, dict):
         raise CorruptError("its header is no table")
+    if others := [name for name, array in found.items() if array.dtype.kind not in _NUMBERS]:
+        raise CorruptError(f"it is no archive of numbers ({others[0]} holds {found[others[0]].dtype})")
     return header, found
-
-
-def _members(data: memoryview) -> "Iterator[tuple[str, np.ndarray]]":
-    """The arrays of an archive that `pack` wrote, one after the other.
-
-    Ten times as fast as `numpy.load`, which looks every member up and parses its description anew.
-    """
-    import numpy as np
-
-    at = 0
-    while data[at : at + 4] == _MEMBER:
-        flags, method = struct.unpack_from("<HH", data, at + 6)
-        name, extra = struct.unpack_from("<HH", data, at + 26)
-        if method or flags & _SIZE_FOLLOWS:
-            raise ValueError("it is compressed")
-        first = at + 30 + name + extra
-        (length,) = struct.unpack_from("<H", data, first + 8)
-        body = first + 10 + length
-        dtype, shape, fortran = _described(bytes(data[first:body]))
-        array = np.frombuffer(data, dtype, math.prod(shape), body)
-        array = array.reshape(shape[::-1]).T.copy("F") if fortran else array.reshape(shape).copy()
-        yield str(data[at + 30 : at + 30 + name], "utf-8").removesuffix(".npy"), array
-        at = body + array.nbytes
-
-
-@lru_cache(maxsize=4096)
-def _described(head: bytes) -> "tuple[np.dtype[Any], tuple[int, ...], bool]":
-    """Type, shape and whether columns come first, of an array's description; many files share theirs."""
-    from numpy.lib import format as npy
-
-    file = BytesIO(head)
-    if npy.read_magic(file) != (1, 0):
-        raise ValueError("it is described in another version")
-    shape, fortran, dtype = npy.read_array_header_1_0(file)
-    if dtype.kind not in _NUMBERS:
-        raise ValueError(f"it holds {dtype}, which is no number")
-    return dtype, shape, fortran
 
 
 def _refused(path: Path, error: OSError, *, size: int = 0) -> WriteError:

@@ -10,18 +10,16 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from small_scenes import SMALL_FINGER
 
 import nailoptics
-from nailoptics import cli, command_time
+from nailoptics import cli
 from nailoptics.cli import run
 from nailoptics.commit import commit
 from nailoptics.errors import InputError
 from nailoptics.light import Transfer, backend
-from nailoptics.options import TraceOptions
 
 ROOT = Path(nailoptics.__file__).parents[1]
 PROTOTYPE = (ROOT / "scenes/prototype.toml").read_text(encoding="utf-8")
@@ -461,7 +459,7 @@ def test_schema_and_doctor_print_json(folder, capfd):
         assert name in serving or (name is None and not serving)
     assert run(["doctor"]) == 0
     text = capfd.readouterr().out
-    assert "taken" in text and "scalar" in text
+    assert "selected" in text and "scalar" in text
 
 
 def test_figures_draws_a_set_and_judges_it(folder, capfd):
@@ -533,7 +531,7 @@ def test_a_library_that_aborts_at_volpath_alone_leaves_it_the_scalar_backend(fol
         pytest.skip("CUDA works here, so no libLLVM is asked")
     assert found["backend"] == "llvm" and found["engines"] == {"photons": "llvm", "volpath": "scalar"}
     told = spawn("doctor", env=environment).stdout
-    assert "taken for volpath" in told and "libllvm19" in told.splitlines()[-1]
+    assert "selected for volpath" in told and "libllvm19" in told.splitlines()[-1]
     for name in ("auto", "llvm"):
         done = spawn("trace", "stock.toml", "--json", "--photons", "2000", "--backend", name, env=environment)
         assert done.returncode == 0, done.stderr
@@ -603,48 +601,6 @@ def test_ctrl_c_keeps_what_was_traced(folder, chosen_jit, store):
     assert out.startswith("Cut off: interrupted")
 
 
-def test_a_time_limit_is_that_of_the_whole_command(monkeypatch, capsys):
-    """Expected: its study gets what starting has left, less what is done before its first photon, the pages and the end
-    of the process, all as much slower than they once were as starting was. Where that is less than its least, it gets
-    hardly any time, and one line says what the command would need."""
-    clock = SimpleNamespace(perf_counter=lambda: 100.0)
-    monkeypatch.setattr(command_time, "time", clock)
-    command = command_time.CommandTime()
-    slowness = 4.0
-    clock.perf_counter = lambda: 100.0 + slowness * command_time.STARTING_CPU_S
-    asked, needs = (
-        TraceOptions(max_seconds=60.0, seed=3),
-        {"opening_cpu_s": 1.0, "least_cpu_s": 2.0, "pages_cpu_s": 3.0},
-    )
-    left_s = 60.0 - slowness * (command_time.STARTING_CPU_S + 1.0 + 3.0 + command_time.ENDING_CPU_S)
-    assert command.left(asked, **needs).max_seconds == pytest.approx(left_s) and command.left(asked, **needs).seed == 3
-    assert command.left(TraceOptions(photons=7), **needs) == TraceOptions(photons=7)
-    # The scene's limit counts as its own does.
-    assert command.left(TraceOptions(photons=7), limit_s=60.0, **needs).max_seconds == pytest.approx(left_s)
-    assert not capsys.readouterr().err
-    assert command.left(TraceOptions(max_seconds=5.0), **needs).max_seconds == command_time.NO_TIME_S
-    least_s = slowness * (command_time.STARTING_CPU_S + 2.0 + 3.0 + command_time.ENDING_CPU_S)
-    assert (
-        f"max_seconds = 5 is too short: the least of this command takes about {least_s:.0f} s"
-        in capsys.readouterr().err
-    )
-    # A machine on which starting took hardly any time is taken for one that is as fast as the usual one.
-    command.begin()
-    assert command.left(asked, least_cpu_s=2.0).max_seconds == pytest.approx(60.0 - command_time.ENDING_CPU_S)
-
-
-def test_a_command_of_its_own_counts_from_the_start_of_its_process(monkeypatch):
-    """Expected: the age of the process, which the system tells, goes into what is spent; here it is older than a
-    second's thousandth and younger than this machine."""
-    age_s = command_time._age_of_process_s()
-    assert 1e-3 < age_s < time.clock_gettime(time.CLOCK_BOOTTIME)
-    command = command_time.CommandTime()
-    monkeypatch.setattr(command_time, "_age_of_process_s", lambda: 7.0)
-    command.begin(with_process=True)
-    left_s = command.left(TraceOptions(max_seconds=60.0), least_cpu_s=0.0).max_seconds
-    assert left_s == pytest.approx(60.0 - 7.0 * (1 + command_time.ENDING_CPU_S / command_time.STARTING_CPU_S), abs=1.0)
-
-
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -662,33 +618,31 @@ def test_a_command_of_its_own_counts_from_the_start_of_its_process(monkeypatch):
     ],
     ids=lambda arguments: arguments[0],
 )
-def test_every_study_gets_what_starting_and_its_pages_leave_of_the_time(arguments, monkeypatch, folder):
-    """Expected: less than the limit by what has gone and by the end of the process at least, and not nearly all of it
-    gone before it began."""
+def test_max_seconds_bounds_the_tracing_with_a_reserve_for_the_rest(arguments, monkeypatch, folder):
     given: list[float] = []
 
     def ended(*_, **options):
         given.append(options["max_seconds"])
         raise InputError("enough")
 
-    monkeypatch.setattr(cli, "_watched", ended)
+    monkeypatch.setattr(cli, "as_far_as_reached", ended)
     assert run([*arguments, "--max-seconds", "600", "--backend", "scalar"]) == 2
-    assert 100 < given[0] < 600 - command_time.ENDING_CPU_S
+    assert given == [600 * (1 - cli.RESERVE)]
 
 
-def test_photographs_are_left_out_where_they_alone_take_longer_than_the_time(monkeypatch, folder, capsys):
-    """Expected: the rays get the time in their place, and one line says so."""
-    given: list[float] = []
-    monkeypatch.setattr(command_time, "STARTING_CPU_S", 1e3)  # as if this machine were as fast as the usual one
+@pytest.mark.parametrize(
+    ("options", "made"),
+    [([], 1), (["--max-seconds", "60"], 0), (["--max-seconds", "60", "--photograph"], 1), (["--no-photograph"], 0)],
+    ids=str,
+)
+def test_photographs_are_made_unless_there_is_a_time_limit(options, made, monkeypatch, folder):
+    calls: list[int] = []
 
-    def ended(*_, **options):
-        given.append(options["max_seconds"])
+    def ended(*_, **__):
         raise InputError("enough")
 
-    monkeypatch.setattr(cli, "_watched", ended)
-    for seconds in ("120", "30"):
-        run(["colour", "nail_colour", "--max-seconds", seconds, "--backend", "scalar"])
-    long, short = given
-    told = capsys.readouterr().err
-    assert told.count("photographs are left out: with them this command takes about") == 1
-    assert 120 - long == pytest.approx(30 - short + command_time.PHOTOGRAPHS_CPU_S, abs=5.0) and short > 10
+    monkeypatch.setattr(cli, "as_far_as_reached", lambda *_, **__: (None, None))
+    monkeypatch.setattr(cli, "_photographs", lambda *_: calls.append(1))
+    monkeypatch.setattr("nailoptics.report.result_files.write_colour", ended)
+    assert run(["colour", "nail_colour", "--backend", "scalar", *options]) == 2
+    assert len(calls) == made

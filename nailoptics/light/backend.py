@@ -70,7 +70,7 @@ _answers: dict[str, tuple[tuple[str, ...], str]] = {}
 
 @dataclass(frozen=True)
 class Backend:
-    """One of Mitsuba's backends with one library, the engines that it can run here, and why it is taken or not.
+    """One of Mitsuba's backends with one library, the engines that it can run here, and why it is selected or not.
 
     advice : What would be faster.
     """
@@ -118,14 +118,14 @@ def choose(requested: str = "auto", *, volpath: bool = False) -> Backend:
 
 
 def findings() -> list[Backend]:
-    """Every candidate of every backend, in the order they are tried, and why it is taken or not."""
+    """Every candidate of every backend, in the order they are tried, and why it is selected or not."""
     candidates: list[Backend] = []
     taken: Backend | None = None
     for found in (one for name in NAMES for one in _look(name)):
         if found.usable:
-            what = f"not needed, {taken.name} ({taken.library}) comes first" if taken else "taken"
+            what = f"not needed, {taken.name} ({taken.library}) comes first" if taken else "selected"
             if taken and found.name == "scalar" and "volpath" not in taken.engines:
-                what = "taken for volpath"
+                what = "selected for volpath"
             found = replace(found, why=f"{found.why}; {what}")
             taken = taken or found
         candidates.append(found)
@@ -346,7 +346,7 @@ def _remember(key: str, engines: tuple[str, ...], why: str) -> None:
     try:
         make_folder(_cache_file().parent)
         answers = _read_cache() | {key: {"engines": engines, "why": why}}
-        write_bytes(_cache_file(), json.dumps(answers, indent=1).encode(), what="answer")
+        write_bytes(_cache_file(), json.dumps(answers, indent=1).encode())
     except (RuntimeError, WriteError) as error:
         log.debug("backends are not remembered: %s", error)
 

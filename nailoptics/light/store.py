@@ -123,7 +123,7 @@ class LightStore:
         for attempt in range(WRITE_ATTEMPTS):
             try:
                 io.make_folder(path.parent)
-                io.write_bytes(path, data, what=io.LIGHT)
+                io.write_bytes(path, data)
                 break
             except WriteError as error:
                 # Another process that makes room may have removed the folder in between.

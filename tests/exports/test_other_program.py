@@ -7,7 +7,6 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from nailoptics import cli, command_time
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
@@ -121,17 +120,3 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused_before_it_is(scene, tmp
         read_detected(path)
     assert tracemalloc.get_traced_memory()[1] < 10_000_000
     tracemalloc.stop()
-
-
-def test_our_trace_gets_what_starting_leaves_of_the_time(scene, tmp_path, monkeypatch):
-    """Expected: less than the limit, by what has gone, what comes before the first photon and the end at least."""
-    given = []
-
-    def ended(*_, **options):
-        given.append(options["max_seconds"])
-        raise InputError("enough")
-
-    monkeypatch.setattr(cli, "_watched", ended)
-    write(tmp_path / "detected.npz", scene)
-    assert run(["compare-with", str(tmp_path / "detected.npz"), "--max-seconds", "600"]) == 2
-    assert 100 < given[0] < 600 - command_time.FINGER_OPENING_CPU_S - command_time.ENDING_CPU_S

@@ -75,8 +75,8 @@ def test_volpath_takes_the_scalar_backend_where_only_photons_compile(library, fr
         assert "SIGABRT" in stock.why and stock.advice == backend.VOLPATH_ADVICE
     assert "libllvm19" in backend.VOLPATH_ADVICE and "\n" not in backend.VOLPATH_ADVICE
     assert {f.name: f.why.rpartition("; ")[2] for f in backend.findings() if f.usable} == {
-        "llvm": "taken",
-        "scalar": "taken for volpath",
+        "llvm": "selected",
+        "scalar": "selected for volpath",
     }
     assert json.loads(fresh.read_text()).popitem()[1]["engines"] == ["photons"]
     with pytest.raises(InputError, match=f"{library.name}.*scalar") as caught, integrate.stock_mitsuba(chosen):
@@ -149,7 +149,7 @@ def test_findings_name_one_backend_as_taken(fresh, monkeypatch):
         ("llvm", "c", True),
         ("scalar", None, True),
     ]
-    assert [f.why.endswith("taken") for f in findings] == [False, False, True, False, False]
+    assert [f.why.endswith("selected") for f in findings] == [False, False, True, False, False]
     assert backend.choose().library == "b"
 
 
