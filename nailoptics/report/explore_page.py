@@ -36,9 +36,6 @@ TEST_CURRENT_A = 1e-6
 FARTHEST_MM = 1e3
 # More pairs of an LED and a photodiode than this, or a longer scene, would hold up a browser.
 MOST_PAIRS, MOST_SCENE_BYTES = 4000, 1_000_000
-# Processor time of what follows the last photon of a page: the tables of its last wavelength, light from outside and
-# the file. [s]
-EXPLORATION_CPU_S = 3.0
 LIBRARIES = (
     ("uPlot", "uPlot.iife.min.js", "https://github.com/leeoniya/uPlot"),
     ("interact.js", "interact.min.js", "https://github.com/taye/interact.js"),

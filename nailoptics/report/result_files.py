@@ -38,14 +38,6 @@ COLOUR = ("colour.nc", "colour.html", "strip.png", "rest.png", "pressed.png", "p
 PREDICTION = ("predict.nc", "predict.csv", "predict.html", "predict.png")
 OXIMETER = ("oximeter.nc", "oximeter.html", "oximeter.png")
 OXYGEN = ("oxygen.nc", "oxygen.csv", "oxygen.html")
-# Processor time that writing them takes, with all that is imported for it. [s]
-COMPARISON_CPU_S, PLACEMENT_CPU_S, TRADEOFF_CPU_S, EXPLANATION_CPU_S = 2.7, 3.0, 2.0, 0.6
-# The same of a simulated touch, its fits, picture of the section and spread included. [s]
-SIMULATION_CPU_S = 2.5
-# The same of a colour without photographs, its press and release included. [s]
-COLOUR_CPU_S = 3.6
-# The same of an oximeter, with its curves and the light that leaks in. [s]
-OXIMETER_CPU_S = 5.3
 
 Paths = dict[str, Path]
 
