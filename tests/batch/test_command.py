@@ -20,7 +20,7 @@ def test_a_batch_from_the_command_line(jit_backend, tmp_path, capsys):
     lines = (tmp_path / "b" / "table.csv").read_text().splitlines()
     assert len(lines) == 4 and lines[0].startswith("thickness_mm,led,photodiode,")
     page = (tmp_path / "b" / "report.html").read_text()
-    assert "3 scenes: 3 done" in page and "<svg" in page and "http" not in page.replace("http://www.w3.org", "")
+    assert "3 scenes: 3 done" in page and "<svg" in page and "://" not in page.replace("http://www.w3.org", "")
     for form in (["--status", folder], [sweep, "-o", folder, "--status"]):
         assert cli.run(["batch", *form, "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["done"] == 3
