@@ -22,8 +22,8 @@ class BentBoard:
 
     layout : The flat board.
     radius_mm : Radius of the underside. [mm]
-    heights_mm : (n + 3,) float. Heights above the nail: faces of parts that stand out of the underside, the underside,
-        film and cover. [mm]
+    heights_mm : (n + 3,) float, or one more with a layer of air. Heights above the nail: the air, faces of parts that
+        stand out of the underside, the underside, film and cover. [mm]
     rim : The outline with the rim of opaque epoxy around it, as far as the nail carries it.
     parts : Region, rectangle and height below the underside of each part: LEDs, photodiodes, unwired elements.
     regions : Names of all regions.
@@ -33,14 +33,15 @@ class BentBoard:
     def __init__(self, scene: Scene, surfaces: FingerSurfaces) -> None:
         board, layout = scene.board, scene.layout
         self.scene, self.layout = scene, layout
-        height_mm = (board.clear_epoxy_um + board.adhesive_um) * 1e-3  # below the underside
+        height_mm = board.height_mm
         stands_out = [*(led.height_um for led in scene.leds), *(e.photodiode.height_um for e in layout.photodiodes)]
         stands_out += [layout.unwired_height_um] * len(layout.unwired)
         # Depths below the underside where a part's face or the walls above it begin, the deepest first.
         depths = {round(1e-3 * h - less, 3) for h in stands_out if h for less in (0.0, FACE_MM)}
         self.depths_mm = sorted((depth for depth in depths if depth > 0), reverse=True)
         above = np.array([0.0, board.kapton_um, board.kapton_um + board.cover_um]) * 1e-3
-        self.heights_mm = height_mm + np.concatenate([-np.array(self.depths_mm), above])
+        heights = height_mm + np.concatenate([-np.array(self.depths_mm), above])
+        self.heights_mm = heights if board.air_gap_um is None else np.append(1e-3 * board.air_gap_um, heights)
         self.radius_mm = surfaces.finger.nail_radius_mm + height_mm
         outline, v_end = layout.outline, surfaces.nail_end - EDGE_MM
         u_end = surfaces.nail_half_angle * self.radius_mm - EDGE_MM
@@ -85,4 +86,6 @@ class BentBoard:
             for k, (below, above) in enumerate(zip(self.depths_mm, [*self.depths_mm, 0.0][1:], strict=True), start=1):
                 if below <= height_mm:
                     result[cells, k] = region if above >= height_mm - FACE_MM - 1e-9 else SILICON
+        if self.scene.board.air_gap_um is not None:
+            result = np.concatenate([np.full_like(result[..., :1], AIR), result], axis=2)
         return result

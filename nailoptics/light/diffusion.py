@@ -156,7 +156,7 @@ class DiffusionModel:
         self.scene, layout = scene, scene.layout
         self._deep_mm = np.array([scene.finger.nail_thickness_mm, scene.finger.bed_thickness_mm])
         self._cells = _Cells(layout)
-        height = (scene.board.clear_epoxy_um + scene.board.adhesive_um) * 1e-3
+        height = scene.board.height_mm
         dies, areas = layout.leds, layout.photodiode_areas
         self._emitted = [np.fft.rfft2(self._cells.seen(die, height) / die.area_mm2) for die in dies]
         self._seen = np.stack([np.fft.rfft2(self._cells.seen(area, height)) for area in areas])

@@ -318,7 +318,7 @@ def _board(scene: Scene) -> dict[str, Any]:
         "center": list(board.center_mm),
         "nailMm": [finger.nail_width_mm, finger.nail_length_mm],
         "zoneEdgeMm": scene.zone_edges_mm[0],
-        "epoxyMm": 1e-3 * (board.clear_epoxy_um + board.adhesive_um),
+        "epoxyMm": board.height_mm,
         "plateMm": finger.nail_thickness_mm,
         "bedMm": finger.bed_thickness_mm,
         "covered": board.cover_um > 0,

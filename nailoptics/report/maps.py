@@ -269,7 +269,7 @@ def _close_view(scene: Scene | None, cut: _Cut) -> tuple[float, float, float, fl
     if scene is None:
         return low_y, high_y, low_z, high_z
     outline, board = scene.layout.outline, scene.board
-    cover = (board.adhesive_um + board.clear_epoxy_um + board.kapton_um + board.cover_um) * 1e-3
+    cover = board.height_mm + (board.kapton_um + board.cover_um) * 1e-3
     return max(low_y, outline.v_min - 1.5), min(high_y, outline.v_max + 1.5), max(low_z, -4.2), cover + 0.75
 
 

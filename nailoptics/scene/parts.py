@@ -234,6 +234,9 @@ class Board(Table):
     """Depth of the clear epoxy under the board. [um]"""
     adhesive_um: Annotated[float, Field(ge=0, le=1000)] = 50.0
     """Thickness of the clear adhesive on the nail; it has the epoxy's index. [um]"""
+    air_gap_um: Annotated[float, Field(ge=1, le=1000)] | None = None
+    """Thickness of a layer of air between the nail and the adhesive, of a board that is lifted off or not bonded; none
+    if not given. [um]"""
     barrier: bool = True
     """A wall of opaque epoxy between LEDs and photodiodes, from the board to the nail."""
     barrier_um: Annotated[float, Field(ge=20, le=2000)] = 150.0
@@ -247,6 +250,11 @@ class Board(Table):
     """Thickness of the opaque cover on top; 0 leaves it away, and light passes through the film. [um]"""
     opaque_reflectance: Fraction = 0.04
     """Diffuse reflectance of the opaque epoxy: barrier, rim and cover."""
+
+    @property
+    def height_mm(self) -> float:
+        """Height of the board's underside above the nail: clear epoxy, adhesive and air. [mm]"""
+        return (self.clear_epoxy_um + self.adhesive_um + (self.air_gap_um or 0.0)) * 1e-3
 
     @model_validator(mode="after")
     def _parts_are_of_a_file(self) -> Self:

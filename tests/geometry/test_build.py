@@ -99,6 +99,24 @@ def test_the_board_stands_on_the_nail_layer_by_layer(geometry):
     assert at(1.05, 0, 0.2) == at(-1.2, 4.55, 0.2) == "cover"
 
 
+def test_air_under_the_board_lifts_all_of_it(sensor):
+    whole, lifted = build(sensor()), build(sensor(board="air_gap_um = 50"))
+    assert lifted.board_radius_mm == pytest.approx(whole.board_radius_mm + 0.05)
+
+    def at(geometry, u, v, height):
+        angle, r = u / geometry.board_radius_mm, geometry.nail_radius_mm + height
+        return region(geometry, r * np.sin(angle), v, r * np.cos(angle) - geometry.nail_radius_mm)
+
+    # Below the epoxy, the wall and the rim.
+    for u, above in ((-0.9, "epoxy"), (-0.7875, "barrier"), (1.05, "cover")):
+        assert at(lifted, u, 0, 0.045) == "air" and at(lifted, u, 0, 0.055) == above == at(whole, u, 0, 0.005)
+    assert at(lifted, -1.2, 0, 0.51) == "led:led0"
+    assert build(sensor(board="air_gap_um = 50")).leds[0].area_mm2 == pytest.approx(whole.leds[0].area_mm2, rel=1e-3)
+    names = [{lifted.regions[low], lifted.regions[high]} for low, high in lifted.interfaces()]
+    assert {"air", "epoxy"} in names and {"plate", "epoxy"} not in names
+    assert check_watertight(lifted, crossings=20_000, seed=1).passed
+
+
 def test_no_clear_epoxy_meets_the_air(geometry):
     pairs = geometry.interfaces()
     epoxy = geometry.regions.index("epoxy")

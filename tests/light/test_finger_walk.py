@@ -63,9 +63,14 @@ NEAREST = ((15,), ())
 
 @pytest.mark.jit
 @pytest.mark.parametrize(
-    "index_steps", [pytest.param(True, marks=pytest.mark.long), pytest.param(False, marks=pytest.mark.slow)]
+    ("index_steps", "air_gap_um"),
+    [
+        pytest.param(True, None, marks=pytest.mark.long),
+        pytest.param(True, 50.0, marks=pytest.mark.long),
+        pytest.param(False, None, marks=pytest.mark.slow),
+    ],
 )
-def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_finger(jit_backend, index_steps):
+def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_finger(jit_backend, index_steps, air_gap_um):
     """Within 3 combined standard errors at 3 % each.
 
     The array has four times larger elements, of which the one next to the LED is read: more light settles in fewer
@@ -74,7 +79,8 @@ def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_finger(jit_bac
     """
     scene = prototype(index_steps=index_steps)
     large = {"elements": 4, "pitch_mm": 1.0, "size_mm": (1.0, 1.0), "wired": (3,)}
-    scene = scene.model_copy(update={"photodiodes": (scene.photodiodes[0].model_copy(update=large),)})
+    board = scene.board.model_copy(update={"air_gap_um": air_gap_um})
+    scene = scene.model_copy(update={"board": board, "photodiodes": (scene.photodiodes[0].model_copy(update=large),)})
     seen = nail.trace(scene, relative_error=0.015, seed=1).at().isel(led=0, photodiode=0)
     shape = geometry.build(scene)
     found = optics.finger_media(scene, shape.regions, 800.0)
