@@ -16,36 +16,11 @@ if TYPE_CHECKING:
 # How far an arc or a spline may lie from the lines that take its place.
 FLAT_MM = 0.002
 FLAT_PART = 1e-5  # of its size, where that is more: no curve becomes more than some hundred lines
-MOST_ENTITIES = 100_000
-# One drawing unit by $INSUNITS. [mm]
-UNITS_MM = {
-    0: 1.0,  # no unit: boards are drawn in millimetres, if nobody says otherwise
-    1: 25.4,
-    2: 304.8,
-    3: 1609344.0,
-    4: 1.0,
-    5: 10.0,
-    6: 1e3,
-    7: 1e6,
-    8: 25.4e-6,
-    9: 0.0254,
-    10: 914.4,
-    11: 1e-7,
-    12: 1e-6,
-    13: 1e-3,
-    14: 100.0,
-    15: 1e4,
-    16: 1e5,
-    17: 1e12,
-    18: 1.495978707e14,
-    19: 9.4607304725808e18,
-    20: 3.0856775814913673e19,
-    # The survey foot of 1200/3937 m, its inch, yard and mile.
-    21: 1.2e6 / 3937,
-    22: 1e5 / 3937,
-    23: 3.6e6 / 3937,
-    24: 5280 * 1.2e6 / 3937,
-}
+# Things that a drawing shows, and points of their lines; a board's outline has some hundred.
+MOST_ENTITIES, MOST_POINTS = 20_000, 200_000
+# One drawing unit by $INSUNITS: inch, foot, mm, cm, m, microinch, mil, yard, angstrom, nm, um, dm. [mm]
+UNITS_MM = {1: 25.4, 2: 304.8, 4: 1.0, 5: 10.0, 6: 1e3, 8: 25.4e-6, 9: 0.0254, 10: 914.4, 11: 1e-7, 12: 1e-6, 13: 1e-3}
+UNITS_MM |= {14: 100.0}
 # Layers to which layout programs write a board's outline.
 OUTLINE_LAYERS = ("edge.cuts", "edge_cuts", "boardoutline", "board_outline", "outline", "dimension", "profile")
 # What an entity needs to be a line; ezdxf puts zeros where a file leaves it out.
@@ -71,10 +46,13 @@ def dxf_lines(path: Path, *, unit_mm: float = 1.0) -> tuple[list[Polygon], list[
     """
     drawing = _open(path)
     # $MEASUREMENT tells nothing: programs leave it at inches in drawings in millimetres.
-    told = int(drawing.header.get("$INSUNITS", 0) or 0)
-    unit_mm = UNITS_MM[told] if told in UNITS_MM and told else unit_mm
+    if unit := int(drawing.header.get("$INSUNITS", 0) or 0):
+        if unit not in UNITS_MM:
+            raise InputError(f"{path}: its unit ($INSUNITS = {unit}) is none of boards; export it in millimetres.")
+        unit_mm = UNITS_MM[unit]
     layers: dict[str, list[Polygon]] = {}
     others: Counter[str] = Counter()
+    points = 0
     try:
         for entity in _entities(drawing.modelspace(), path):
             kind = entity.dxftype()
@@ -82,6 +60,8 @@ def dxf_lines(path: Path, *, unit_mm: float = 1.0) -> tuple[list[Polygon], list[
                 raise InputError(f"{path}: a {kind} lacks one of {', '.join(NEEDED[kind])}; export the outline again.")
             if kind in NEEDED and (line := _flat(entity, unit_mm)):
                 layers.setdefault(str(entity.dxf.layer).lower(), []).append(line)
+                if (points := points + len(line)) > MOST_POINTS:
+                    raise InputError(f"{path}: has more than {MOST_POINTS} points; export the outline alone.")
             else:
                 others[kind] += 1
     except InputError:
@@ -125,7 +105,7 @@ def _entities(space: Iterable[Any], path: Path) -> Iterator[Any]:
         if count > MOST_ENTITIES or len(stack) > 64:
             raise InputError(f"{path}: draws more than {MOST_ENTITIES} things; export the outline (Edge.Cuts) alone.")
         if entity.dxftype() == "INSERT":
-            stack.append(one for insert in entity.multi_insert() for one in insert.virtual_entities())
+            stack.append(iter(entity.multi_insert() if entity.mcount > 1 else entity.virtual_entities()))
         elif not entity.dxf.invisible:
             yield entity
 

@@ -1,10 +1,10 @@
 """Outlines of boards: lines in any order joined into a border and its holes, and room within them."""
 
 import math
-from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,8 +13,15 @@ from ..io import write_text
 from .base import Point, Polygon
 from .text_files import finite_number, read_rows
 
+if TYPE_CHECKING:
+    import shapely
+
 # Ends of lines that lie closer meet; layout programs chain a board's outline with the same tolerance.
 SAME_PLACE_MM = 0.01
+NEAREST = 4
+# Pairs of lines that meet, beyond each one's neighbours; they are counted for so many of the lines.
+MOST_MEETINGS, COUNTED = 100_000, 200
+GRID_MM = 1e-6  # to which crossings of lines are rounded, as KiCad's own coordinates are
 LEAST_AREA_MM2 = 1e-3
 # Farther from its origin no board reaches, and a unit is wrong.
 FARTHEST_MM = 1e6
@@ -93,147 +100,129 @@ def join(
 ) -> Outline:
     """The outline that a drawing's lines make, in any order and direction: the largest closed line and the holes in it.
 
-    Where lines branch, the border is what can be walked round on the outside. Of a border drawn as the two edges of a
-    pen's stroke the inner one is taken. Ends that lead nowhere, and closed lines outside or in a hole, are counted as
-    ignored.
+    Where lines branch, the border goes round all the areas that they enclose together; of boards that share an edge,
+    round those on which parts lie. Of a border drawn as the two edges of a pen's stroke the inner one is taken. Lines
+    that enclose nothing, and closed lines outside or in a hole, are counted as ignored.
 
     lines : points of each. [mm]
     name : what the message begins with.
     ignored : what of the drawing was no line.
-    around : points that the border must hold, where a drawing has several boards. [mm]
+    around : points of the parts, where a drawing has several boards. [mm]
 
-    Raises: InputError where nothing is closed, or an open line is larger than what is.
+    Raises: InputError where nothing is closed, an open line is larger than what is, or shapely is missing.
     """
-    places, neighbours = _graph(lines, name)
-    loose = _cut_loose_ends(neighbours)
-    loops = sorted(_loops(places, neighbours), key=lambda loop: -abs(area_mm2(loop)))
-    loops = [loop for loop in loops if abs(area_mm2(loop)) >= LEAST_AREA_MM2]
-    _check_closed(places, loose, loops, name)
-    border, elsewhere = next((loop for loop in loops if all(within(p, loop) for p in around)), loops[0]), 0
-    holes: list[Polygon] = []
-    unused = [*ignored]
-    if (inner := next((loop for loop in loops if _is_stroke(border, loop)), None)) is not None:
-        loops.remove(border)
-        border = inner
+    try:
+        import shapely
+    except ImportError:
+        raise InputError(f"{name}: reading an outline needs shapely: pip install 'nailoptics[cad]'.") from None
+    areas, loose = _areas(lines, name)
+    _check_closed(areas, loose, name)
+    border, unused, beside = _border(areas, around), [*ignored], 0
+    inside = [area for area, held in zip(areas, shapely.covers(border, areas), strict=True) if held]
+    holes = [shapely.Polygon(ring) for area in _outermost(inside) for ring in area.interiors]
+    if stroke := [hole for hole in holes if _is_stroke(border, hole)]:
         unused.append("the outer edge of the stroke that draws the border")
-    for loop in loops:
-        if loop is border:
-            continue
-        if within(loop[0], border) and not any(within(loop[0], hole) for hole in holes):
-            holes.append(loop)
-        else:
-            elsewhere += 1
-    if elsewhere:
-        unused.append(f"{elsewhere} closed lines beside the largest one or in its holes")
+        border, beside = stroke[0], -1
+        inside = [area for area, held in zip(areas, shapely.covers(border, areas), strict=True) if held]
+        holes = [shapely.Polygon(ring) for area in _outermost(inside) for ring in area.interiors]
+    beside += len(areas) - len(inside) + sum(len(area.interiors) for area in inside) - len(holes)
+    if beside:
+        unused.append(f"{beside} closed lines beside the largest one or in its holes")
     if loose:
         unused.append(f"{len(loose)} open lines")
-    return Outline(border, tuple(holes), tuple(unused))
+    return Outline(_corners(border), tuple(map(_corners, holes)), tuple(unused))
 
 
-def _graph(lines: Iterable[Sequence[Point]], name: str) -> tuple[list[Point], list[set[int]]]:
-    """The places where lines bend or end, one for all that lie together, and the neighbours of each."""
-    places: list[Point] = []
-    cells: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
-    neighbours: list[set[int]] = []
+def _areas(lines: Iterable[Sequence[Point]], name: str) -> tuple[list["shapely.Polygon"], list["shapely.LineString"]]:
+    """The areas that lines enclose, each without those in it, the largest first, and the lines that enclose none."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+    from shapely import LineString, STRtree, get_parts, line_merge, polygonize_full, unary_union
 
-    def place(point: Point) -> int:
-        x, y = point
-        if not (abs(x) <= FARTHEST_MM and abs(y) <= FARTHEST_MM):
-            raise InputError(f"{name}: the outline reaches ({x:g}, {y:g}) mm; check its units.")
-        i, j = int(x // SAME_PLACE_MM), int(y // SAME_PLACE_MM)
-        around = (k for a in (0, -1, 1) for b in (0, -1, 1) for k in cells.get((i + a, j + b), ()))
-        nearest = min(around, key=lambda k: math.dist(places[k], point), default=None)
-        if nearest is not None and math.dist(places[nearest], point) < SAME_PLACE_MM:
-            return nearest
-        cells[i, j].append(len(places))
-        places.append((x, y))
-        neighbours.append(set())
-        return len(places) - 1
-
-    for line in lines:
-        # Ends decide where lines meet, and so are places before the points between them.
-        ends = [place(line[0]), place(line[-1])] if line else []
-        stops = [ends[0], *map(place, line[1:-1]), ends[1]] if line else []
-        for a, b in zip(stops, stops[1:], strict=False):
-            if a != b:
-                neighbours[a].add(b)
-                neighbours[b].add(a)
-    return places, neighbours
-
-
-def _cut_loose_ends(neighbours: list[set[int]]) -> list[list[int]]:
-    """Take away what leads nowhere, end by end; returns the lines that were taken away."""
-    lines = []
-    for end in range(len(neighbours)):
-        line = [end]
-        while len(neighbours[line[-1]]) == 1:
-            (following,) = neighbours[line[-1]]
-            neighbours[line[-1]].clear()
-            neighbours[following].discard(line[-1])
-            line.append(following)
-        if len(line) > 1:
-            lines.append(line)
-    return lines
+    points = [np.asarray(line, float).reshape(-1, 2) for line in lines if len(line) > 1]
+    for x, y in (point for line in points for point in line[~(np.abs(line) <= FARTHEST_MM).all(1)]):
+        raise InputError(f"{name}: the outline reaches ({x:g}, {y:g}) mm; check its units.")
+    if points:
+        # Ends that nearly meet are one place; that each is joined to its nearest few bounds the work.
+        ends, of_line = np.unique(np.concatenate([line[[0, -1]] for line in points]), axis=0, return_inverse=True)
+        _, near = KDTree(ends).query(ends, k=NEAREST, distance_upper_bound=SAME_PLACE_MM)
+        rows, columns = np.nonzero(near < len(ends))
+        graph = coo_array((np.ones(len(rows)), (rows, near[rows, columns])), shape=(len(ends),) * 2)
+        _, place = connected_components(graph, directed=False)
+        _, first = np.unique(place, return_index=True)
+        for line, both in zip(points, first[place][of_line.reshape(-1, 2)], strict=True):
+            line[[0, -1]] = ends[both]
+    drawn = [LineString(line) for line in points if np.ptp(line, axis=0).any()]
+    some = drawn[:: max(1, len(drawn) // COUNTED)]
+    meetings = len(STRtree(drawn).query(some, predicate="intersects")[0]) if some else 0
+    if meetings * len(drawn) > (MOST_MEETINGS + 5 * len(drawn)) * len(some):
+        raise InputError(f"{name}: its {len(drawn)} lines cross one another too often; give the outline alone.")
+    enclosed, cuts, dangles, _ = polygonize_full(get_parts(unary_union(drawn, grid_size=GRID_MM)))
+    areas = [area for area in get_parts(enclosed) if _corners_area(area) >= LEAST_AREA_MM2]
+    loose = line_merge(unary_union([cuts, dangles]))
+    return sorted(areas, key=_corners_area, reverse=True), [one for one in get_parts(loose) if one.length]
 
 
-def _loops(places: list[Point], neighbours: list[set[int]]) -> Iterator[Polygon]:
-    """What hangs together, walked round on its outside against the clock from its lowest place."""
-    seen = [False] * len(places)
-    for first, beside in enumerate(neighbours):
-        if seen[first] or not beside:
-            continue
-        seen[first], together = True, [first]
-        for k in together:
-            fresh = [one for one in neighbours[k] if not seen[one]]
-            together += fresh
-            for one in fresh:
-                seen[one] = True
-        yield tuple(places[k] for k in _walk_outside(places, neighbours, min(together, key=lambda k: places[k][::-1])))
+def _outermost(areas: Iterable["shapely.Polygon"]) -> list["shapely.Polygon"]:
+    """Those of some areas that lie in no hole of another."""
+    from shapely import Polygon, STRtree
+
+    areas = [*areas]
+    holes = STRtree([Polygon(ring) for area in areas for ring in area.interiors])
+    inner = {*holes.query(areas, predicate="covered_by")[0].tolist()}
+    return [area for i, area in enumerate(areas) if i not in inner]
 
 
-def _walk_outside(places: list[Point], neighbours: list[set[int]], lowest: int) -> list[int]:
-    def direction(a: int, b: int) -> float:
-        return math.atan2(places[b][1] - places[a][1], places[b][0] - places[a][0])
+def _border(areas: list["shapely.Polygon"], around: Sequence[Point]) -> "shapely.Polygon":
+    """The outside of the areas in which points lie, or of all that hang together, of those that do the largest."""
+    from shapely import MultiPoint, Polygon, get_parts, unary_union
 
-    def following(at: int, back: float) -> int:
-        """The next place against the clock from the direction back."""
-        return min(neighbours[at], key=lambda b: (direction(at, b) - back - 1e-12) % math.tau)
-
-    walked, at = [lowest], following(lowest, -math.pi / 2)
-    second = at
-    while True:
-        walked.append(at)
-        at = following(at, direction(at, walked[-2]))
-        if walked[-1] == lowest and at == second:
-            return walked[:-1]
+    points = MultiPoint(around)
+    solid = [Polygon(area.exterior) for area in _outermost(areas)]
+    own = unary_union([area for area in solid if area.intersects(points)])
+    if own.geom_type == "Polygon" and not own.is_empty and own.covers(points):
+        return Polygon(own.exterior)
+    together = sorted(get_parts(unary_union(solid)), key=_corners_area, reverse=True)
+    return Polygon(next((one for one in together if one.covers(points)), together[0]).exterior)
 
 
-def _check_closed(places: list[Point], loose: list[list[int]], loops: list[Polygon], name: str) -> None:
-    """Raise InputError unless the largest closed line is larger than every open one."""
-    if not loops and not loose:
+def _corners_area(polygon: "shapely.Polygon") -> float:
+    """Area of a polygon with what is in its holes. [mm^2]"""
+    return abs(area_mm2(polygon.exterior.coords[:-1]))
+
+
+def _corners(polygon: "shapely.Polygon") -> Polygon:
+    """The corners of a polygon against the clock from its lowest one. [mm]"""
+    corners = [(float(x), float(y)) for x, y in polygon.exterior.coords[:-1]]
+    corners = corners if area_mm2(corners) > 0 else corners[::-1]
+    lowest = min(range(len(corners)), key=lambda k: corners[k][::-1])
+    return (*corners[lowest:], *corners[:lowest])
+
+
+def _check_closed(areas: list["shapely.Polygon"], loose: list["shapely.LineString"], name: str) -> None:
+    """Raise InputError unless the largest area is larger than every open line."""
+    if not areas and not loose:
         raise InputError(f"{name}: the outline has no area; give a closed line.")
 
-    def size(points: Sequence[Point]) -> float:
-        xs, ys = zip(*points, strict=True)
-        return math.hypot(max(xs) - min(xs), max(ys) - min(ys))
+    def size(shape: "shapely.Polygon | shapely.LineString") -> float:
+        low_x, low_y, high_x, high_y = shape.bounds
+        return math.hypot(high_x - low_x, high_y - low_y)
 
-    largest = max(loose, key=lambda line: size([places[k] for k in line]), default=[])
-    if largest and (not loops or size([places[k] for k in largest]) > size(loops[0])):
-        x, y = places[largest[0]]
-        ends = [math.dist((x, y), places[line[0]]) for line in loose if line is not largest]
-        ends += [math.dist((x, y), places[line[-1]]) for line in loose]
+    largest = max(loose, key=size, default=None)
+    if largest is not None and (not areas or size(largest) > size(areas[0])):
+        (x, y), *others = [
+            line.coords[k] for line in (largest, *(one for one in loose if one is not largest)) for k in (0, -1)
+        ]
         raise InputError(
-            f"{name}: the outline is open at ({x:g}, {y:g}) mm, from where it is {min(ends):.3g} mm to the next end of "
-            "a line; close it."
+            f"{name}: the outline is open at ({x:g}, {y:g}) mm, from where it is "
+            f"{min(math.dist((x, y), other) for other in others):.3g} mm to the next end of a line; close it."
         )
 
 
-def _is_stroke(outer: Polygon, inner: Polygon) -> bool:
+def _is_stroke(outer: "shapely.Polygon", inner: "shapely.Polygon") -> bool:
     """Whether two closed lines are the edges of one stroke around a board."""
-    areas = [abs(area_mm2(line)) for line in (outer, inner)]
-    length_mm = sum(math.dist(a, b) for line in (outer, inner) for a, b in zip(line, (*line[1:], line[0]), strict=True))
-    thin = 0 < areas[0] - areas[1] < PEN_MM * length_mm / 2 and areas[1] > areas[0] / 2
-    return thin and within(inner[0], outer)
+    return 0 < outer.area - inner.area < PEN_MM * (outer.length + inner.length) / 2 and inner.area > outer.area / 2
 
 
 def area_mm2(corners: Sequence[Point]) -> float:

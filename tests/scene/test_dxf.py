@@ -7,7 +7,6 @@ import pytest
 from ezdxf.enums import InsertUnits
 
 from nailoptics.errors import InputError
-from nailoptics.scene import dxf
 from nailoptics.scene.dxf import OUTLINE_LAYERS, UNITS_MM
 from nailoptics.scene.outlines import Outline, area_mm2, read_outline, write_outline
 
@@ -81,19 +80,27 @@ def test_blocks_are_taken_apart_where_they_are_put(tmp_path):
 
 
 @pytest.mark.parametrize("units", InsertUnits)
-def test_every_unit_is_known(tmp_path, units):
-    assert set(UNITS_MM) == {int(one) for one in InsertUnits}
-    unit_mm = UNITS_MM[int(units)]
+def test_every_unit_of_boards_is_known_and_others_are_refused(tmp_path, units):
+    unit_mm = UNITS_MM.get(int(units), 1.0)
     corners = [(x / unit_mm, y / unit_mm) for x, y in SQUARE]
+    if units and int(units) not in UNITS_MM:
+        assert (
+            unit_mm == 1
+            and units.name[:5]
+            in "Miles Kilometers Decameters Hectometers Gigameters Astronomical Lightyears Parsecs USSurvey"
+        )
+        with pytest.raises(InputError, match="is none of boards"):
+            drawn(tmp_path, lambda _, space: space.add_lwpolyline(corners, close=True), units=int(units))
+        return
     found = drawn(tmp_path, lambda _, space: space.add_lwpolyline(corners, close=True), units=int(units))
-    assert [c for corner in found.corners_mm for c in corner] == pytest.approx([c for p in SQUARE for c in p])
+    assert [c for corner in found.corners_mm for c in corner] == pytest.approx([c for p in SQUARE for c in p], abs=2e-6)
 
 
 def test_units_agree_with_those_of_ezdxf():
-    """Where ezdxf converts; its foot and light year are rounded."""
-    for unit in (1, 2, 5, 6, 7, 13, 14):
+    """Where ezdxf converts; it rounds in the 10th digit, and knows no mil and no microinch."""
+    for unit in UNITS_MM.keys() - {8, 9}:
         factor = ezdxf.units.conversion_factor(InsertUnits(unit), InsertUnits.Millimeters)
-        assert UNITS_MM[unit] == pytest.approx(factor, rel=1e-8)
+        assert UNITS_MM[unit] == pytest.approx(factor, rel=1e-9)
 
 
 def test_of_several_layers_that_of_the_outline_counts(tmp_path):
@@ -127,16 +134,24 @@ def test_a_block_that_holds_itself_ends(tmp_path):
         drawn(tmp_path, draw)
 
 
-def test_a_drawing_of_countless_things_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(dxf, "MOST_ENTITIES", 1000)
-
-    def draw(drawing, space):
-        drawing.blocks.new("A").add_line((0, 0), (1, 1))
+@pytest.mark.parametrize(
+    ("draw", "words"),
+    [
+        (lambda block: block.add_line((0, 0), (1, 1)), "more than 20000 things"),
+        (lambda block: None, "more than 20000 things"),
+        (lambda block: block.add_circle((0, 0), 1000), "more than 200000 points"),
+    ],
+    ids=["lines", "nothing", "curves"],
+)
+def test_a_drawing_of_countless_things_is_refused(tmp_path, draw, words):
+    def blocks(drawing, space):
+        draw(drawing.blocks.new("A"))
         grid = {"row_count": 30000, "column_count": 30000, "row_spacing": 1, "column_spacing": 1}
-        space.add_blockref("A", (0, 0), dxfattribs=grid)
+        drawing.blocks.new("B").add_blockref("A", (0, 0), dxfattribs=grid)
+        space.add_blockref("B", (0, 0), dxfattribs=grid)
 
-    with pytest.raises(InputError, match="more than 1000 things"):
-        drawn(tmp_path, draw)
+    with pytest.raises(InputError, match=words):
+        drawn(tmp_path, blocks)
 
 
 @pytest.mark.parametrize(

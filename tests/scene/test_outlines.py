@@ -79,18 +79,43 @@ def test_what_is_neither_border_nor_hole_is_counted():
     assert found.ignored == ("2 TEXT", "2 closed lines beside the largest one or in its holes", "2 open lines")
 
 
-def test_the_work_grows_with_the_lines_not_with_their_square(monkeypatch):
-    calls = []
-    distance = math.dist
-    monkeypatch.setattr(math, "dist", lambda *points: calls.append(1) or distance(*points))
-    counts = []
-    for count in (1000, 4000):
-        lines = sides(ring(count, radius=count / 10))
-        random.Random(2).shuffle(lines)
-        calls.clear()
-        assert len(join(lines, "x").corners_mm) == count
-        counts.append(len(calls))
-    assert counts[1] < 5 * counts[0] and counts[1] < 10 * 4000
+@pytest.mark.parametrize(
+    ("around", "area"), [([], 130), ([(2, 2)], 100), ([(12, 5)], 30), ([(2, 2), (12, 5)], 130), ([(50, 50)], 130)]
+)
+def test_of_boards_that_share_part_of_an_edge_that_with_the_parts_is_taken(around, area):
+    panel = [((0, 0), (10, 0), (10, 10), (0, 10)), ((10, 0), (15, 0), (15, 6), (10, 6))]
+    found = join([line for board in panel for line in sides(board)], "x", around=around)
+    assert area_mm2(found.corners_mm) == pytest.approx(area) and not found.holes_mm
+
+
+def test_any_lines_make_an_outline_or_an_error():
+    """Rectangles that overlap and share edges, with lines across them; the border holds every rectangle or is refused
+    because a line outside is longer."""
+    draw = random.Random(1)
+    for _ in range(300):
+        corners = [(*(draw.randint(0, 6) for _ in range(2)), *(draw.randint(1, 5) for _ in range(2))) for _ in "abc"]
+        boxes = [((x, y), (x + w, y), (x + w, y + h), (x, y + h)) for x, y, w, h in corners[: draw.randint(1, 3)]]
+        lines = [line for box in boxes for line in sides(box)]
+        lines += [tuple((draw.randint(0, 8), draw.randint(0, 8)) for _ in "ab") for _ in range(draw.randint(0, 4))]
+        try:
+            found = join(lines, "x")
+        except InputError as error:
+            assert "open at" in str(error)
+        else:
+            assert area_mm2(found.corners_mm) >= max(map(area_mm2, boxes)) - 1e-9
+
+
+def test_a_thousand_lines_that_cross_one_another_are_refused():
+    lines = [line for k in range(500) for line in (((0, k), (500, k)), ((k, 0), (k, 500)))]
+    with pytest.raises(InputError, match="1000 lines cross one another"):
+        join(lines, "x")
+
+
+def test_ten_thousand_holes_are_found():
+    holes = [[(x + 0.2 * a, y + 0.2 * b) for a, b in HOLE] for x in range(100) for y in range(100)]
+    lines = [line for one in (((-1, -1), (100, -1), (100, 100), (-1, 100)), *holes) for line in sides(one)]
+    found = join(lines, "x")
+    assert len(found.holes_mm) == 10_000 and not found.ignored
 
 
 @pytest.mark.parametrize(
