@@ -1,4 +1,4 @@
-"""Draw coordinates.svg from the prototype's own geometry: the board rolled flat, bent onto the nail, and cut.
+"""Draw coordinates.svg from the prototype's geometry: the flat board, bent onto the nail, and sections.
 
 python docs/pictures/coordinates.py docs/pictures/coordinates.svg
 """
@@ -21,16 +21,16 @@ LED, PHOTODIODE, ARROW = maps.LED, "#4a6fa5", "#b3261e"
 
 
 def region_colour(name: str) -> str:
-    """The colour of a region; its own for each LED and photodiode."""
+    """The colour of a region, with one for all LEDs and one for all photodiodes."""
     return LED if name.startswith("led:") else PHOTODIODE if name.startswith("photodiode:") else maps.TISSUE[name]
 
 
 def draw_regions(
-    axes: Axes, horizontal: np.ndarray, vertical: np.ndarray, geometry: Geometry, found: np.ndarray
+    axes: Axes, horizontal: np.ndarray, vertical: np.ndarray, geometry: Geometry, regions: np.ndarray
 ) -> None:
-    """Fill each region of a cut, (vertical, horizontal) int."""
-    for index in np.unique(found[found > 0]):
-        inside = (found == index).astype(float)
+    """Fill each region of a section, (vertical, horizontal) int."""
+    for index in np.unique(regions[regions > 0]):
+        inside = (regions == index).astype(float)
         axes.contourf(horizontal, vertical, inside, levels=[0.5, 1.5], colors=[region_colour(geometry.regions[index])])
     axes.set(aspect="equal")
     axes.grid(False)
@@ -39,14 +39,14 @@ def draw_regions(
 def arrow(
     axes: Axes, start: tuple[float, float], end: tuple[float, float], name: str, *, at: tuple[float, float]
 ) -> None:
-    """An axis from its origin, with its name beside the arrow's head."""
+    """An axis from its origin, with its name at the arrow's head."""
     look = {"arrowstyle": "-|>", "color": ARROW, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", end, start, arrowprops=look, zorder=9)
     axes.text(end[0] + at[0], end[1] + at[1], name, color=ARROW, fontsize=9, ha="center", va="center", zorder=9)
 
 
 def draw_flat(axes: Axes, scene: Scene) -> None:
-    """The board rolled flat, seen from above, through it onto the nail."""
+    """The flat board seen from above, and the nail through it."""
     assert scene.finger is not None
     layout, finger = scene.layout, scene.finger
     half_u, half_v = finger.nail_width_mm / 2, finger.nail_length_mm / 2
@@ -71,12 +71,12 @@ def draw_flat(axes: Axes, scene: Scene) -> None:
     element = layout.photodiodes[-1].area.center_mm
     axes.annotate("photodiode\nelement", element, (2.6, 3.1), fontsize=8, arrowprops={"arrowstyle": "-", "lw": 0.6})
     axes.set(xlim=(-6.6, 6.6), ylim=(-7.4, 7.4), aspect="equal", xlabel="u, across the nail [mm]")
-    axes.set(ylabel="v, along the nail [mm]", title="The board rolled flat, seen from above")
+    axes.set(ylabel="v, along the nail [mm]", title="The flat board, seen from above")
     axes.grid(False)
 
 
 def draw_across(axes: Axes, geometry: Geometry) -> None:
-    """The finger cut across at v = 0, seen from the hand towards the tip: u is an arc length on the underside."""
+    """The cross section at v = 0, seen from the hand towards the tip: u is an arc length on the underside."""
     x, z = np.linspace(-9.4, 9.4, 470), np.linspace(-4.6, 1.9, 260)
     points = np.stack(np.broadcast_arrays(x[None, :], 0.013, z[:, None]), axis=-1)
     draw_regions(axes, x, z, geometry, geometry.region_at(points.reshape(-1, 3)).reshape(len(z), len(x)))
@@ -86,19 +86,19 @@ def draw_across(axes: Axes, geometry: Geometry) -> None:
     axes.plot(*arc, color=ARROW, lw=1.6)
     arrow(axes, (arc[0][-2], arc[1][-2]), (arc[0][-1], arc[1][-1]), "u", at=(0.5, -0.1))
     arrow(axes, (0, 0), (0, 1.75), "z", at=(0.4, 0))
-    axes.set(xlabel="x [mm]", ylabel="z [mm]", title="Bent onto the nail: cut across at v = 0, seen from the hand")
+    axes.set(xlabel="x [mm]", ylabel="z [mm]", title="Bent onto the nail: cross section at v = 0, seen from the hand")
     axes.set(xlim=(x[0], x[-1]), ylim=(z[0], z[-1]))
 
 
 def draw_along(axes: Axes, geometry: Geometry) -> None:
-    """The finger cut lengthwise at u = 0, the tip on the right."""
+    """The lengthwise section at u = 0, the tip on the right."""
     y, z = np.linspace(-9.5, 10.5, 420), np.linspace(-13.6, 1.9, 320)
     draw_regions(axes, y, z, geometry, geometry.section(y, z).T)
     arrow(axes, (0, 0), (6.4, 0), "v = y", at=(0.3, 0.75))
     arrow(axes, (0, 0), (0, 1.75), "z", at=(0.5, 0))
     for text, at in (("bone", (-4.5, -4.6)), ("pulp", (2.5, -8.5)), ("bed", (-3.2, -1.4)), ("board", (-6.6, 1.2))):
         axes.text(*at, text, fontsize=8, ha="center", va="center")
-    axes.set(xlabel="y [mm]", ylabel="z [mm]", title="Cut lengthwise at u = 0")
+    axes.set(xlabel="y [mm]", ylabel="z [mm]", title="Lengthwise section at u = 0")
     axes.set(xlim=(y[0], y[-1]), ylim=(z[0], z[-1]))
 
 

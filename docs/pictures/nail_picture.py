@@ -1,4 +1,4 @@
-"""Make the README's first picture: the finger at rest and pressed, the nail under force, and what the board reads.
+"""Draw the README's first picture: the finger at rest and pressed, the nail under force, and the readings.
 
     python docs/pictures/nail_picture.py COLOUR_FOLDER result.nc docs/pictures/nail_colour.png
 
@@ -17,7 +17,7 @@ from nailoptics.scene import parse_scene
 
 
 def nail_picture(folder: Path, readings: xr.Dataset, path: Path) -> None:
-    """Write one wide picture; the suffix of path says which kind."""
+    """Write one wide picture, in the format of the suffix."""
     colours = xr.load_dataset(folder / "colour.nc", engine="h5netcdf")
     finger = parse_scene(str(colours.attrs["scene"])).finger
     assert finger is not None
@@ -35,7 +35,7 @@ def nail_picture(folder: Path, readings: xr.Dataset, path: Path) -> None:
         below.supxlabel(f"Traced; {colour_figures.seen_by(colours)}", fontsize=7, color=style.MUTED)
         axes = right.subplots()
         simulate_figures.draw_change(axes, readings, parse_scene(str(readings.attrs["scene"])), led=0)
-        axes.set_title("What the board's photodiodes read while the finger presses")
+        axes.set_title("Photodiode readings during the press")
         style.write_figure(figure, path, dpi=110, facecolor="white")
 
 

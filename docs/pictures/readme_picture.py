@@ -1,4 +1,7 @@
-"""Make the README's picture of a result, by the names of both files: board, section with light, and readings."""
+"""Draw the picture of a result: board, section with light, and readings.
+
+python docs/pictures/readme_picture.py result.nc docs/pictures/prototype.png
+"""
 
 import sys
 from pathlib import Path
@@ -11,10 +14,10 @@ from nailoptics.scene import parse_scene
 
 
 def readme_picture(result: xr.Dataset, path: Path) -> None:
-    """Write one wide picture of what `simulate` returned; the suffix of path says which kind (.png, .svg)."""
+    """Write one wide picture of a result of `simulate`, in the format of the suffix (.png, .svg)."""
     scene = parse_scene(str(result.attrs["scene"]))
     with style.drawing():
-        # The page's paper would be transparent, which dark surroundings make unreadable.
+        # A transparent background is unreadable on a dark page.
         figure = Figure(figsize=(12.0, 6.0), layout="constrained", facecolor="white")
         places = [["board", "section"], ["board", "change"]]
         axes = figure.subplot_mosaic(places, width_ratios=[5.2, 6.6], height_ratios=[1.0, 1.05])
@@ -22,8 +25,8 @@ def readme_picture(result: xr.Dataset, path: Path) -> None:
         maps.draw_section(axes["section"], scene, result, led=0)
         simulate_figures.draw_change(axes["change"], result, scene, led=0)
         axes["board"].set_title("The board on the nail")
-        axes["section"].set_title("Its light in the finger, cut lengthwise")
-        axes["change"].set_title("What the photodiodes read while the finger presses")
+        axes["section"].set_title("Light in the finger, lengthwise section")
+        axes["change"].set_title("Photodiode readings during the press")
         style.write_figure(figure, path, dpi=110, facecolor="white")
 
 

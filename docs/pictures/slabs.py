@@ -1,4 +1,4 @@
-"""Draw slabs.png: reflectance and transmittance of slabs, traced, beside published tables and adding-doubling.
+"""Draw slabs.png: traced reflectance and transmittance of slabs against published tables and adding-doubling.
 
     python docs/pictures/slabs.py docs/pictures/slabs.png
 
@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 import nailoptics as nail
 from nailoptics.report import style
 
-# Single scattering albedo, optical thickness, g, n, and where R and T are from.
+# Single scattering albedo, optical thickness, g, n, source, and R and T if published.
 SLABS = [
     (0.9, 2.0, 0.75, 1.0, "van de Hulst 1980", (0.09739, 0.66096)),
     (0.9, np.inf, 0.0, 1.5, "Giovanelli 1955", (0.2600, 0.0)),
@@ -64,13 +64,13 @@ def draw(path: Path) -> None:
     with style.drawing():
         figure = Figure(figsize=(9.0, 4.2), layout="constrained", facecolor="white")
         axes = figure.subplots()
-        off = [100 * (value / reference - 1) for _, reference, value, _ in rows]
+        difference = [100 * (value / reference - 1) for _, reference, value, _ in rows]
         error = [100 * 1.96 * one / reference for _, reference, _, one in rows]
-        axes.errorbar(off, range(len(rows)), xerr=error, fmt="o", ms=4, capsize=3)
+        axes.errorbar(difference, range(len(rows)), xerr=error, fmt="o", ms=4, capsize=3)
         axes.axvline(0, color=style.DARK_INK, lw=0.8)
         axes.set_yticks(range(len(rows)), [name for name, *_ in rows])
         axes.set(
-            xlabel="traced less reference [% of it], with its 95 % interval", title="Slabs: traced light and tables"
+            xlabel="traced minus reference [% of reference], 95 % interval", title="Slabs: validation of traced light"
         )
         axes.invert_yaxis()
         style.write_figure(figure, path, dpi=110, facecolor="white")
