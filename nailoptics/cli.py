@@ -672,7 +672,7 @@ def oximeter(
     from .report.summaries import oximeter_lines, oxygen_lines
     from .studies.oximetry.oxygen import oximeter as study
     from .studies.oximetry.oxygen import summary as oximeter_summary
-    from .studies.oximetry.read_recording import read_for, read_oxygen, simulated
+    from .studies.oximetry.recording import read_for, read_oxygen, simulated
     from .studies.oximetry.spo2_over_time import recording_summary
 
     loaded, _ = _load(scene, options)

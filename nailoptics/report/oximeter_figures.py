@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from ..statistics import Z95
-from ..studies.oximetry.calibration_line import MEASURED, TEXTBOOK
+from ..studies.oximetry.ratio import MEASURED, TEXTBOOK
 from . import style
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def overview(result: xr.Dataset) -> "Figure":
     curve.set_title("Saturation from the ratio of ratios")
     _disturbance(force, result, "touch_force_n", style.place_colours(result.sizes["photodiode"]))
     force.set_title("What a touch does to it")
-    force.set_ylabel("shown less true [%]")
+    force.set_ylabel("bias of SpO2 [%]")
     return figure
 
 
@@ -97,7 +97,7 @@ def disturbances(result: xr.Dataset) -> "Figure":
     for panel in axes.flat[len(names) :]:
         panel.set_axis_off()
     for row in axes:
-        row[0].set_ylabel("shown less true [%]")
+        row[0].set_ylabel("bias of SpO2 [%]")
     style.legend_above(figure, axes[0, 0], ncols=len(colours))
     return figure
 

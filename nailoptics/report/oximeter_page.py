@@ -21,8 +21,8 @@ CURVE = (
     "between the line of textbooks and one that was measured on fingers."
 )
 DISTURB = (
-    "Shown less true saturation, were the oximeter calibrated with the scene as it is, as one thing changes, with the "
-    "95 % interval of the trace."
+    "Bias of SpO2, displayed less true saturation, of an oximeter calibrated with the scene as it is, as one thing "
+    "changes, with the 95 % interval of the trace."
 )
 
 
@@ -109,8 +109,8 @@ def _calibrations(result: xr.Dataset) -> str:
     at = f"R({result.attrs['so2']:g})"
     head = ["Photodiode", "Intercept", "Slope", "Misses [%]", "Quadratic", "Misses [%]", at, "Path ratio"]
     return table(head, rows) + small(
-        "Lines are fitted from 70 to 100 %. The path ratio is the red light's mean path in the beating blood over the "
-        "infrared's: R is in proportion to it."
+        "Lines are fitted from 70 to 100 %. The path ratio is the red light's mean path in the pulsatile blood over "
+        "the infrared's: R is in proportion to it."
     )
 
 

@@ -11,7 +11,7 @@ from ..light import optics
 from ..light.diffusion import DiffusionModel
 from ..scene import Scene
 from .blood_states import blood_over_touch, forces_with_two_balances_n
-from .oximetry.path_balance import warnings_without_light
+from .oximetry.disturbances import warnings_without_light
 from .placement import boards
 
 # Layered diffusion tells a reading within about 40 %: from this part of the range on it may be full.

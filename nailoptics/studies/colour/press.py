@@ -10,7 +10,7 @@ from ...scene import Scene, Touch, Viewing
 from ...statistics import jackknife
 from ...variables import variable
 from ..blood_states import blood_over_touch
-from ..oximetry.beating_blood import beat_at
+from ..pulsatile_blood import beat_at
 from .colorimetry import Viewer, delta_e_2000
 from .enough_rays import Places, look_of
 from .reflectance import ColourRays

@@ -15,15 +15,32 @@ from ...options import Requested, TraceOptions
 from ...scene import Oximeter, Scene
 from ...statistics import jackknife, seed_of
 from ...variables import Variables, variable
-from .beating_blood import BloodBeat, beat_at, oximeter_leds, rate_per_min, rest_force_n
-from .calibration_line import FIT_FROM, FIT_POINTS, FIT_TO, Calibration, calibrate_curve
-from .disturbances import SUN_LUX, Curve, Shown, curves, melanin_bound
-from .leaking_light import Leak, leaks, source_of
-from .path_balance import path_warnings
-from .pulsation import Pulsation, SaturationCurve, estimate, path_ratios, read_pulsations, read_states
+from ..pulsatile_blood import BloodBeat, beat_at, heart_rate_per_min, oximeter_leds, rest_force_n
+from .disturbances import (
+    SUN_LUX,
+    AmbientPhotocurrent,
+    CalibratedOximeter,
+    SensitivityCurve,
+    ambient_leakage,
+    ambient_source,
+    melanin_bound,
+    path_warnings,
+    sensitivity_curves,
+)
+from .ratio import (
+    FIT_SO2,
+    Calibration,
+    Pulsation,
+    SaturationCurve,
+    calibrate_curve,
+    estimate,
+    path_length_ratios,
+    read_pulsations,
+    read_states,
+)
 from .ratio_trace import trace_for_ratio
-from .simulated_recording import light_of_touch
-from .slots import AVERAGE_S, CAUSES, Stage, ratio_stderr, stages_of
+from .recording import light_of_touch
+from .slots import AVERAGE_S, CAUSES, SampledFrontEnd, front_ends_of, ratio_stderr
 
 Array = NDArray[np.float64]
 
@@ -33,9 +50,9 @@ NAILS_MM = (0.35, 0.55, 0.70)
 NAIL_SHARE, LEAST_NAIL_PHOTONS = 0.15, 1 << 17
 # Part of the time, where it is limited, for the scene itself; the nails have equal parts of the rest.
 OWN_TIME = 0.7
-# What of one slot's light may be left in the next.
-MOST_CARRIED = 0.01
-_GROUPS, _LEAK, _NAIL = 51, 52, 53
+# Part of one slot's light that may be left in the next.
+MOST_CROSSTALK = 0.01
+_GROUPS, _LEAKAGE, _NAIL = 51, 52, 53
 
 
 def oximeter(scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> xr.Dataset:
@@ -85,27 +102,26 @@ def oximeter_from(
     scene, leds, seed = transfer.scene, oximeter_leds(transfer.scene), seed_of(options.seed, _GROUPS)
     low, high = min(SO2[0], scene.blood.so2), 1.0
     curve = SaturationCurve(transfer, leds, beat, low=low, high=high, seed=seed)
-    shown = Shown(transfer, leds, SO2, curve.at(SO2).ratio, curve.at(scene.blood.so2), seed)
-    fits = calibrate_curve(
-        np.linspace(FIT_FROM, FIT_TO, FIT_POINTS), curve.at(np.linspace(FIT_FROM, FIT_TO, FIT_POINTS)).ratio
-    )
-    inside, sun = _ambient(scene, options)
-    stages = stages_of(scene, leds, inside.current_a)
-    paths = path_ratios(transfer, leds, beat, seed=seed)
-    data = _curve_variables(curve, shown.own, fits, paths)
+    nominal = curve.at(scene.blood.so2)
+    calibrated = CalibratedOximeter(transfer, leds, SO2, curve.at(SO2).ratio, nominal, seed)
+    fits = calibrate_curve(FIT_SO2, curve.at(FIT_SO2).ratio)
+    ambient, sun = _ambient(scene, options)
+    front_ends = front_ends_of(scene, leds, ambient.current_a)
+    paths = path_length_ratios(transfer, leds, beat, seed=seed)
+    data = _curve_variables(curve, nominal, fits, paths)
     time_s, light = light_of_touch(scene, transfer, leds, seed=seed)
-    volts = _volts(transfer, leds, beat, stages, seed)
+    volts = _volts(transfer, leds, beat, front_ends, seed)
     text = "detected fraction of the emitted power over the touch, frame by frame"
     data |= variable("detected_fraction", ("led", "photodiode", "time"), light, text)
-    data |= volts | _error_variables(shown, fits, stages, beat, volts)
-    found = [*curves(shown, stages, sun.current_a), *_nail_curve(shown, nails)]
-    for one in found:
-        data |= _disturbance_variables(one)
-    met, most = melanin_bound(shown)
+    data |= volts | _error_variables(calibrated, fits, front_ends, volts)
+    disturbances = [*sensitivity_curves(calibrated, front_ends, sun.current_a), *_nail_curve(calibrated, nails)]
+    for disturbance in disturbances:
+        data |= _disturbance_variables(disturbance)
+    met, most = melanin_bound(calibrated)
     data |= variable("epidermis_part_bound", "photodiode", met, "part of the light that met epidermis, at most (95 %)")
     data |= variable("melanin_bound", "photodiode", most, "change by melanin, at most (95 %)", units="percent")
-    for name, leak, text in (("ambient_a", inside, "light from outside"), ("sun_a", sun, "full sun")):
-        data |= variable(name, "photodiode", leak.current_a, f"photocurrent of {text}", units="A", stderr=leak.stderr_a)
+    for name, one, text in (("ambient_a", ambient, "ambient light"), ("sun_a", sun, "full sun")):
+        data |= variable(name, "photodiode", one.current_a, f"photocurrent of {text}", units="A", stderr=one.stderr_a)
     names = {
         "photodiode": list(transfer.photodiodes),
         "led": [scene.leds[i].name for i in leds],
@@ -114,23 +130,25 @@ def oximeter_from(
         "beat_time": ("beat_time", beat.time_s, {"units": "s", "long_name": "time from the start of a beat"}),
         "time": ("time", time_s, {"units": "s", "long_name": "time from the start of the touch"}),
     }
-    told = _warnings(shown, stages, paths[1])
+    warnings = _warnings(calibrated, front_ends, paths[1])
     # A photodiode that sees no light has no error.
     best = str(transfer.photodiodes[int(np.nan_to_num(data["spo2_stderr"][1], nan=np.inf).argmin())])
-    about = {"title": "nailoptics: oxygen from volts", "seed": options.seed, "warnings": told, "best": best}
-    about |= {"so2": scene.blood.so2, "disturbances": [one.name for one in found], "rate_per_min": rate_per_min(scene)}
+    about = {"title": "nailoptics: oxygen from volts", "seed": options.seed, "warnings": warnings, "best": best}
+    about |= {"so2": scene.blood.so2, "disturbances": [disturbance.name for disturbance in disturbances]}
+    about["rate_per_min"] = heart_rate_per_min(scene)
     return xr.Dataset(data, names, transfer.attributes() | about)
 
 
-def _ambient(scene: Scene, options: TraceOptions) -> tuple[Leak, Leak]:
-    """The light from outside that the scene names, and full sun."""
-    own = source_of(scene.oximeter or Oximeter())
-    sun = source_of(Oximeter(ambient_light="sun", ambient_lux=float(SUN_LUX[-1])))
+def _ambient(scene: Scene, options: TraceOptions) -> tuple[AmbientPhotocurrent, AmbientPhotocurrent]:
+    """Photocurrents of the ambient light that the scene names, and of full sun."""
+    own = ambient_source(scene.oximeter or Oximeter())
+    sun = ambient_source(Oximeter(ambient_light="sun", ambient_lux=float(SUN_LUX[-1])))
     store = LightStore.of_user() if options.store else None
-    one, two = leaks(scene, [own, sun], backend=options.backend, seed=seed_of(options.seed, _LEAK), store=store)
+    seed = seed_of(options.seed, _LEAKAGE)
+    first, second = ambient_leakage(scene, [own, sun], backend=options.backend, seed=seed, store=store)
     if store is not None:
         store.close()
-    return one, two
+    return first, second
 
 
 def _nails(transfer: Transfer, options: TraceOptions, progress: ProgressCallback | None) -> dict[float, Transfer]:
@@ -161,85 +179,88 @@ def _missing(nails: dict[float, Transfer]) -> str:
     return "" if len(nails) == len(NAILS_MM) else f"{INTERRUPTED}: {done}"
 
 
-def _nail_curve(shown: Shown, nails: dict[float, Transfer]) -> list[Curve]:
+def _nail_curve(calibrated: CalibratedOximeter, nails: dict[float, Transfer]) -> list[SensitivityCurve]:
     if not nails:
         return []
-    finger, rows = shown.scene.finger, []
+    finger, rows = calibrated.scene.finger, []
     assert finger is not None
     for light in nails.values():
         beat = beat_at(light.scene, rest_force_n(light.scene))
-        ratio = read_pulsations(light, shown.leds, [(light.scene.blood.so2, beat)], seed=shown.seed).ratio
-        rows.append(shown.off(ratio, independent=True))
-    off, stderr = (np.concatenate(each, -1) for each in zip(*rows, strict=True))
-    own = np.zeros((len(off), 1))
-    thickness, off = np.append(list(nails), finger.nail_thickness_mm), np.hstack([off, own])
-    order, stderr = np.argsort(thickness), np.hstack([stderr, own])
+        state = (light.scene.blood.so2, beat)
+        ratio = read_pulsations(light, calibrated.leds, [state], seed=calibrated.seed).ratio
+        rows.append(calibrated.bias(ratio, independent=True))
+    bias, stderr = (np.concatenate(parts, -1) for parts in zip(*rows, strict=True))
+    none = np.zeros((len(bias), 1))
+    thickness, bias = np.append(list(nails), finger.nail_thickness_mm), np.hstack([bias, none])
+    order, stderr = np.argsort(thickness), np.hstack([stderr, none])
     text = "thickness of the nail plate"
-    return [Curve("nail_thickness_mm", text, "mm", thickness[order], off[:, order], stderr[:, order])]
+    return [SensitivityCurve("nail_thickness_mm", text, "mm", thickness[order], bias[:, order], stderr[:, order])]
 
 
 def _curve_variables(
-    curve: SaturationCurve, own: Pulsation, fits: Calibration, paths: tuple[Array, Array]
+    curve: SaturationCurve, nominal: Pulsation, fits: Calibration, paths: tuple[Array, Array]
 ) -> Variables:
     pair, over = ("led", "photodiode"), ("photodiode", "so2")
     value, error = estimate(curve.at(SO2).ratio)
     data = variable("ratio", over, value, "ratio of ratios R", stderr=error)
-    value, error = estimate(own.ratio[..., 0])
+    value, error = estimate(nominal.ratio[..., 0])
     data |= variable("ratio_at_rest", "photodiode", value, "R at the scene's saturation", stderr=error)
-    value, error = estimate(own.perfusion_index[..., 0])
+    value, error = estimate(nominal.perfusion_index[..., 0])
     data |= variable("perfusion_index", pair, value, "perfusion index, ac over dc", stderr=error)
     for name, text in (("linear", "a and b of SpO2 = a + b R"), ("quadratic", "a, b, c of SpO2 = a + b R + c R^2")):
         values = getattr(fits, name)
         over = ("photodiode", f"{name}_term")
         data |= variable(name, over, values, text, units="percent", stderr=getattr(fits, f"{name}_stderr"))
-        text = f"the most by which the {name} calibration misses from 0.70 to 1.00"
+        text = f"largest residual of the {name} calibration from 0.70 to 1.00"
         data |= variable(f"{name}_miss", "photodiode", getattr(fits, f"{name}_miss"), text, units="percent")
-    (value, error), text = estimate(paths[0]), "mean path in the blood that beats"
+    (value, error), text = estimate(paths[0]), "mean path in the pulsatile blood"
     data |= variable("pulse_path_mm", pair, value, text, units="mm", stderr=error)
     value, error = estimate(paths[1])
     return data | variable("path_ratio", "photodiode", value, "red mean path over infrared's", stderr=error)
 
 
-def _volts(transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, stages: list[Stage], seed: int) -> Variables:
+def _volts(
+    transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, front_ends: list[SampledFrontEnd], seed: int
+) -> Variables:
     """Both LEDs' readings over a beat, less the dark slot's, and the volts of every slot."""
     scene = transfer.scene
     states = [(scene.blood.so2, beat.resting, beat.pulse)]
     light = np.stack([read_states(transfer, led, states, seed=seed) for led in leds], -1)
-    slots = np.stack([stage.slot_volts(light[:, j])[0] for j, stage in enumerate(stages)], 1)
-    full = np.stack([stage.slot_volts(light[0, j])[1].any((0, 1)) for j, stage in enumerate(stages)])
-    weights = np.stack([stage.weights for stage in stages])
-    each = np.einsum("gjts,jls->gljt", slots, weights)
-    over, (value, error) = ("led", "photodiode", "beat_time"), estimate(each)
+    slots = np.stack([one.slot_volts(light[:, j])[0] for j, one in enumerate(front_ends)], 1)
+    full = np.stack([one.slot_volts(light[0, j])[1].any((0, 1)) for j, one in enumerate(front_ends)])
+    weights = np.stack([one.weights for one in front_ends])
+    volts = np.einsum("gjts,jls->gljt", slots, weights)
+    over, (value, error) = ("led", "photodiode", "beat_time"), estimate(volts)
     data = variable("volts", over, value, "reading over a beat, dark slot taken away", units="V", stderr=error)
-    change, error = estimate(each - each.mean(-1, keepdims=True))
+    change, error = estimate(volts - volts.mean(-1, keepdims=True))
     data |= variable("volts_pulse", over, change, "reading less its mean over a beat", units="V", stderr=error)
     text = "volts of every slot at the mean of a beat"
     data |= variable("slot_volts", ("photodiode", "slot"), slots[0].mean(1), text, units="V")
     data |= variable("saturated", "photodiode", full, "converter at its limit in some slot")
-    own = [slot.light for slot in (scene.oximeter or Oximeter()).schedule([scene.leds[i] for i in leds])]
-    return data | variable("slot", "slot", np.array(own), "what is lit in a slot")
+    return data | variable("slot", "slot", np.array(front_ends[0].slot_names), "what is lit in a slot")
 
 
 def _error_variables(
-    shown: Shown, fits: Calibration, stages: list[Stage], beat: BloodBeat, volts: Variables
+    calibrated: CalibratedOximeter, fits: Calibration, front_ends: list[SampledFrontEnd], volts: Variables
 ) -> Variables:
     """Error of SpO2 by its cause, for one beat and for 8 s. [percent]"""
-    ratio, index = shown.own.ratio[0, :, 0], shown.own.perfusion_index[0, ..., 0].T
+    scene, nominal = calibrated.scene, calibrated.nominal
+    ratio, index = nominal.ratio[0, :, 0], nominal.perfusion_index[0, ..., 0].T
     level_v = volts["volts"][1].mean(-1).T
     pulse = volts["volts_pulse"][1][1]
     shape = pulse.std(-1) / np.ptp(pulse, axis=-1)
-    frame_hz = (shown.scene.oximeter or Oximeter()).frame_hz
-    spans = {"beat": 60.0 / rate_per_min(shown.scene), "": AVERAGE_S}
-    detected = shown.own.dc[0, ..., 0].T
+    frame_hz = (scene.oximeter or Oximeter()).frame_hz
+    spans = {"beat": 60.0 / heart_rate_per_min(scene), "": AVERAGE_S}
+    detected = nominal.dc[0, ..., 0].T
     slope = np.abs(fits.linear[:, 1])
     data: Variables = {}
     for span, seconds in spans.items():
         rows = []
         for name in CAUSES:
-            noise = np.stack([stage.reading_noise_v2(f)[name] for stage, f in zip(stages, detected, strict=True)])
+            noise = np.stack([one.reading_noise_v2(f)[name] for one, f in zip(front_ends, detected, strict=True)])
             how = {"shape_rms": shape, "frames": seconds * frame_hz}
             rows.append(slope * ratio_stderr(ratio, index, level_v, noise, **how))
-        rows.append(slope * jackknife(shown.own.ratio[..., 0]))
+        rows.append(slope * jackknife(nominal.ratio[..., 0]))
         each, end = np.array(rows), f"_{span}" if span else ""
         text = f"standard error of SpO2 over {seconds:.3g} s"
         data |= variable(f"spo2_stderr{end}_by_cause", ("cause", "photodiode"), each, text, units="percent")
@@ -248,28 +269,28 @@ def _error_variables(
     return data
 
 
-def _disturbance_variables(curve: Curve) -> Variables:
+def _disturbance_variables(curve: SensitivityCurve) -> Variables:
     over = ("photodiode", curve.name)
-    text = f"shown less true saturation over: {curve.long_name}"
-    data = variable(f"off_by_{curve.name}", over, curve.off, text, units="percent", stderr=curve.off_stderr)
+    text = f"bias of SpO2 over: {curve.long_name}"
+    data = variable(f"off_by_{curve.name}", over, curve.bias, text, units="percent", stderr=curve.bias_stderr)
     return data | variable(curve.name, curve.name, curve.values, curve.long_name, units=curve.units)
 
 
-def _warnings(shown: Shown, stages: list[Stage], path_ratio: Array) -> list[str]:
-    scene, own = shown.scene, shown.own
-    lines = path_warnings(scene, own.ratio[0, :, 0], path_ratio[0])
-    for stage, name, j in zip(stages, shown.transfer.photodiodes, range(len(stages)), strict=True):
-        _, full = stage.slot_volts(own.dc[0, :, j, 0])
-        lit = [slot for slot, over in zip(stage.slot_names, full, strict=True) if over]
+def _warnings(calibrated: CalibratedOximeter, front_ends: list[SampledFrontEnd], path_length_ratio: Array) -> list[str]:
+    scene, nominal = calibrated.scene, calibrated.nominal
+    lines = path_warnings(scene, nominal.ratio[0, :, 0], path_length_ratio[0])
+    for j, (front_end, name) in enumerate(zip(front_ends, calibrated.transfer.photodiodes, strict=True)):
+        _, full = front_end.slot_volts(nominal.dc[0, :, j, 0])
+        lit = [slot for slot, over in zip(front_end.slot_names, full, strict=True) if over]
         if lit:
             lines.append(
-                f'photodiode "{name}" saturates in slot "{lit[0]}": its volts do not tell the light; lower the '
+                f'photodiode "{name}" saturates in slot "{lit[0]}": its volts do not measure the light; lower the '
                 "LED's flux_mw or electronics.feedback_ohm"
             )
-    carried = float(np.abs(stages[0].corrected - np.eye(2)).max())
-    if carried > MOST_CARRIED:
+    crosstalk = float(np.abs(front_ends[0].corrected - np.eye(2)).max())
+    if crosstalk > MOST_CROSSTALK:
         lines.append(
-            f"slots: {100 * carried:.1f} % of a reading is not its own LED's settled light; raise "
+            f"slots: {100 * crosstalk:.1f} % of a reading is not its own LED's settled light; raise "
             "electronics.bandwidth_hz or oximeter.settle, or lengthen the slots"
         )
     return lines

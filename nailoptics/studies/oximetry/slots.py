@@ -1,4 +1,4 @@
-"""From light to the volts of an oximeter's slots: settling, averaging, sample-and-hold, noise by its cause."""
+"""Sampled front end: from light to the volts of an oximeter's slots, with settling, averaging and noise by cause."""
 
 from dataclasses import dataclass
 
@@ -17,12 +17,12 @@ CAUSES = ("electronics", "converter", "ambient light")
 
 
 @dataclass(frozen=True)
-class Stage:
-    """One photodiode's stage under an oximeter's schedule.
+class SampledFrontEnd:
+    """A photodiode's transimpedance stage, sampled in an oximeter's slots.
 
     photodiode : whose light it amplifies.
     leds : numbers of the red and the infrared LED.
-    ambient_a : photocurrent by light from outside. [A]
+    ambient_a : photocurrent by ambient light. [A]
     """
 
     scene: Scene
@@ -185,11 +185,11 @@ class Stage:
         return self.oximeter.schedule([self.scene.leds[i] for i in self.leds])
 
 
-def stages_of(scene: Scene, leds: tuple[int, int], ambient_a: Array | None = None) -> list[Stage]:
-    """The stage of every photodiode; ambient_a : (photodiodes,) float, photocurrent by light from outside. [A]"""
+def front_ends_of(scene: Scene, leds: tuple[int, int], ambient_a: Array | None = None) -> list[SampledFrontEnd]:
+    """The front end of every photodiode; ambient_a : (photodiodes,) float, photocurrent by ambient light. [A]"""
     elements = scene.layout.photodiodes
     currents = np.zeros(len(elements)) if ambient_a is None else ambient_a
-    return [Stage(scene, one.photodiode, leds, float(a)) for one, a in zip(elements, currents, strict=True)]
+    return [SampledFrontEnd(scene, one.photodiode, leds, float(a)) for one, a in zip(elements, currents, strict=True)]
 
 
 def ratio_stderr(

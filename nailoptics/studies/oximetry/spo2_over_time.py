@@ -14,7 +14,7 @@ from ...scene import Scene
 from ...scene.slot_recordings import OximeterRecording
 from ...statistics import Z95
 from ...variables import variable
-from .calibration_line import saturation_of
+from .ratio import saturation_of
 from .slots import AVERAGE_S
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ LEAST_STILL = 0.5
 
 
 @dataclass(frozen=True)
-class KnownCurve:
+class CalibrationCurve:
     """What a scene says of its photodiodes, to read recordings by.
 
     so2 : (n,) float, rising. ratio, ratio_stderr : (photodiodes, n) float, at these saturations.
@@ -46,10 +46,10 @@ class KnownCurve:
     ratio_stderr: Array
 
     @staticmethod
-    def of(result: xr.Dataset) -> "KnownCurve":
+    def of(result: xr.Dataset) -> "CalibrationCurve":
         """From what `oximeter` returned."""
         names = tuple(str(name) for name in result.photodiode.values)
-        return KnownCurve(names, result.so2.values, result.ratio.values, result.ratio_stderr.values)
+        return CalibrationCurve(names, result.so2.values, result.ratio.values, result.ratio_stderr.values)
 
     def spo2(self, photodiode: str, ratio: Array, stderr: Array) -> tuple[Array, Array]:
         """SpO2 and its standard error, that of the curve included. [percent]"""
@@ -62,7 +62,7 @@ class KnownCurve:
 
 
 def spo2_over_time(
-    recording: OximeterRecording, known: KnownCurve, scene: Scene, *, window_s: float = AVERAGE_S
+    recording: OximeterRecording, known: CalibrationCurve, scene: Scene, *, window_s: float = AVERAGE_S
 ) -> xr.Dataset:
     """Oxygen over time from a recording.
 

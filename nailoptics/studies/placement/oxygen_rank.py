@@ -10,8 +10,8 @@ from ... import tissue
 from ...errors import InputError
 from ...scene import FingerCase, Oximeter, Scene
 from ...scene.oximeter import two_leds
-from ..oximetry.beating_blood import beat_at, oximeter_leds
 from ..oximetry.slots import AVERAGE_S
+from ..pulsatile_blood import beat_at, oximeter_leds
 from . import boards
 from .fisher import Response
 

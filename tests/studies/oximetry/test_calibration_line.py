@@ -5,8 +5,8 @@ import numpy as np
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.scene import Scene
-from nailoptics.studies.oximetry.calibration_line import calibrate_curve, evaluate, saturation_of
-from nailoptics.studies.oximetry.path_balance import misread, path_warnings, warnings_without_light
+from nailoptics.studies.oximetry.disturbances import literature_bias, path_warnings, warnings_without_light
+from nailoptics.studies.oximetry.ratio import calibrate_curve, evaluate, saturation_of
 
 SO2 = np.linspace(0.7, 1.0, 31)
 
@@ -35,9 +35,9 @@ def test_a_curve_is_read_backwards_and_goes_on_beyond_its_ends():
 
 
 def test_what_both_lines_miss_is_the_nearer_ones_error():
-    assert abs(misread(np.array([0.52]), 0.97)[0]) < 1e-9
-    assert abs(misread(np.array([0.419]), 0.97)[0]) < 0.1
-    assert misread(np.array([0.18]), 0.97)[0] > 7.0
+    assert abs(literature_bias(np.array([0.52]), 0.97)[0]) < 1e-9
+    assert abs(literature_bias(np.array([0.419]), 0.97)[0]) < 0.1
+    assert literature_bias(np.array([0.18]), 0.97)[0] > 7.0
 
 
 def along_the_nail(scene: Scene) -> Scene:

@@ -19,16 +19,16 @@ from nailoptics.report.result_files import OXIMETER
 from nailoptics.scene import Scene
 from nailoptics.statistics import jackknife
 from nailoptics.studies.oximetry import oxygen, ratio_trace
-from nailoptics.studies.oximetry.beating_blood import BloodBeat, beat_at
 from nailoptics.studies.oximetry.oxygen import oximeter, oximeter_from, summary
-from nailoptics.studies.oximetry.pulsation import (
+from nailoptics.studies.oximetry.ratio import (
     SaturationCurve,
     estimate,
     read_pulsations,
     read_states,
     with_saturation,
 )
-from nailoptics.studies.oximetry.read_recording import read_oxygen, simulated
+from nailoptics.studies.oximetry.recording import read_oxygen, simulated
+from nailoptics.studies.pulsatile_blood import BloodBeat, beat_at
 
 pytestmark = pytest.mark.jit
 SEED = 11

@@ -7,8 +7,8 @@ from nailoptics import electronics, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.scene import Scene, parse_scene
-from nailoptics.studies.oximetry.beating_blood import oximeter_leds
-from nailoptics.studies.oximetry.slots import Stage, ratio_stderr, stages_of
+from nailoptics.studies.oximetry.slots import SampledFrontEnd, front_ends_of, ratio_stderr
+from nailoptics.studies.pulsatile_blood import oximeter_leds
 
 TEXT = (data_dir("scenes") / "pulse_oximeter.toml").read_text(encoding="utf-8")
 LIGHT = np.array([4e-3, 5e-3])
@@ -18,8 +18,8 @@ def shipped() -> Scene:
     return load_scene(data_dir("scenes") / "pulse_oximeter.toml")
 
 
-def stage(scene: Scene, ambient_a: float = 0.0) -> Stage:
-    return stages_of(scene, (0, 1), np.full(3, ambient_a))[0]
+def stage(scene: Scene, ambient_a: float = 0.0) -> SampledFrontEnd:
+    return front_ends_of(scene, (0, 1), np.full(3, ambient_a))[0]
 
 
 def test_settled_slots_read_their_own_light_and_the_dark_one_takes_ambient_light_away():

@@ -10,15 +10,15 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import cardiac_pressure
 from nailoptics.scene.slot_recordings import OximeterRecording, oximeter_csv
-from nailoptics.studies.oximetry.read_recording import read_for
-from nailoptics.studies.oximetry.spo2_over_time import KnownCurve, recording_summary, spo2_over_time, spo2_rows
+from nailoptics.studies.oximetry.recording import read_for
+from nailoptics.studies.oximetry.spo2_over_time import CalibrationCurve, recording_summary, spo2_over_time, spo2_rows
 
 SCENE = load_scene(data_dir("scenes") / "pulse_oximeter.toml")
 NAMES = ("axis.1", "axis.3")
 SO2 = np.linspace(0.5, 1.0, 51)
 # The line measured on fingers, and one of longer red paths; each known within 1 %.
 RATIO = np.stack([(110.9 - 100 * SO2) / 33.2, (110.9 - 100 * SO2) / 28.0])
-KNOWN = KnownCurve(NAMES, SO2, RATIO, 0.01 * RATIO)
+KNOWN = CalibrationCurve(NAMES, SO2, RATIO, 0.01 * RATIO)
 LEVEL_V = np.array([[1.1, 0.5], [1.8, 0.9]])
 
 

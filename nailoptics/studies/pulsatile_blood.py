@@ -1,22 +1,20 @@
-"""How the blood in the bed's zones beats with the heart while a force is held."""
+"""Pulsatile blood: one beat of the blood in the bed's zones while a force is held."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import InputError
-from ...scene import Body, Scene, Touch, digest
-from ...scene.oximeter import two_leds
-from ..blood_states import blood_over_touch, force_course
+from ..errors import InputError
+from ..scene import Body, Scene, Touch
+from ..scene.oximeter import two_leds
+from .blood_states import blood_over_touch, force_course
 
 Array = NDArray[np.float64]
 
-_beats: dict[str, "BloodBeat"] = {}
-
-# Over a beat the blood is sampled so often: its extremes are missed by less than 0.3 % of the pulse.
+# Of one beat: its extremes are missed by less than 0.3 % of the pulse.
 SAMPLES_PER_BEAT = 64
-BEATS_KEPT = 64
 CONTACT = ("contact_area_mm2", "proximal_share", "proximal_area_mm2", "distal_area_mm2")
 
 
@@ -44,8 +42,8 @@ class BloodBeat:
     @property
     def extremes(self) -> Array:
         """The pulse when all zones together hold least blood and when they hold most, (2, zones) float."""
-        together = self.blood_fraction.sum(0)
-        return self.pulse[[int(together.argmin()), int(together.argmax())]]
+        total = self.blood_fraction.sum(0)
+        return self.pulse[[int(total.argmin()), int(total.argmax())]]
 
 
 def oximeter_leds(scene: Scene) -> tuple[int, int]:
@@ -59,11 +57,11 @@ def oximeter_leds(scene: Scene) -> tuple[int, int]:
         leds = two_leds(scene.leds, scene.oximeter.slots if scene.oximeter else None)
     except ValueError as error:
         raise InputError(f"leds: {error}.") from None
-    rate_per_min(scene)
+    heart_rate_per_min(scene)
     return leds
 
 
-def rate_per_min(scene: Scene) -> float:
+def heart_rate_per_min(scene: Scene) -> float:
     """Beats in a minute of a scene's heart.
 
     Raises: InputError where it does not beat.
@@ -72,7 +70,7 @@ def rate_per_min(scene: Scene) -> float:
     if heart is None or heart.pulse_pressure_pa == 0:
         what = "a heart without a pulse" if heart else "no [body.heartbeat]"
         raise InputError(
-            f"body: the scene has {what}, and without a pulse no light tells the arteries' oxygen; "
+            f"body: the scene has {what}, and without a pulse the arterial saturation cannot be measured; "
             "give [body.heartbeat] with pulse_pressure_pa above 0, such as 2000."
         )
     return heart.rate_per_min
@@ -86,26 +84,24 @@ def rest_force_n(scene: Scene) -> float:
 def beat_at(scene: Scene, force_n: float) -> BloodBeat:
     """A beat of the scene's heart, always alike, while a force is held where its touch presses.
 
-    Breath and slower waves are left out: what is between beats is no part of a pulse.
+    Breathing and vasomotion are left out: what is slower than a beat is no part of a pulse.
 
     Raises: InputError where the heart does not beat.
     """
-    rate = rate_per_min(scene)
+    rate = heart_rate_per_min(scene)
     assert scene.body is not None and scene.body.heartbeat is not None
     even = Body(heartbeat=scene.body.heartbeat.model_copy(update={"rate_variability": 0.0}))
-    contact = {name: getattr(scene.touch, name) for name in CONTACT}
     held = Touch(
         profile="hold",
         force_n=force_n,
         duration_s=60.0 / rate,
         sample_rate_hz=SAMPLES_PER_BEAT * rate / 60.0,
-        **contact,
+        **{name: getattr(scene.touch, name) for name in CONTACT},
     )
-    scene = scene.model_copy(update={"touch": held, "body": even})
-    # A study asks again and again for that of the scene itself.
-    if (key := digest(scene)) not in _beats:
-        if len(_beats) >= BEATS_KEPT:
-            _beats.clear()
-        one = blood_over_touch(scene).isel(time=slice(0, SAMPLES_PER_BEAT))
-        _beats[key] = BloodBeat(one.time.values, one.blood_fraction.values)
-    return _beats[key]
+    return _beat(scene.model_copy(update={"touch": held, "body": even, "placement": None}))
+
+
+@lru_cache(64)
+def _beat(scene: Scene) -> BloodBeat:
+    beat = blood_over_touch(scene).isel(time=slice(0, SAMPLES_PER_BEAT))
+    return BloodBeat(beat.time.values, beat.blood_fraction.values)
