@@ -31,7 +31,7 @@ def _pattern(value: object) -> object:
 
 
 class LedPart(Table):
-    """An LED die: its line, power and angular pattern."""
+    """An LED die: spectrum, power and angular pattern."""
 
     kind: Literal["led"]
     peak_nm: Annotated[
@@ -39,13 +39,13 @@ class LedPart(Table):
     ]
     """Peak wavelength. [nm]"""
     fwhm_nm: Annotated[float, Field(ge=0, le=200)]
-    """Full width at half maximum of the spectrum; 0 makes a single line. [nm]"""
+    """Full width at half maximum of the spectrum; 0 for monochromatic light. [nm]"""
     flux_mw: Positive
     """Radiant flux. [mW]"""
     die_size_mm: Annotated[Size, Field(serialization_alias="size_mm")] = (0.25, 0.25)
     """Size of the die across the nail (u) and along it (v). [mm]"""
     height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
-    """How far the die stands out of the board's underside. [um]"""
+    """Height by which the die protrudes from the board's underside. [um]"""
     pattern: Annotated[Literal["lambertian"] | tuple[tuple[float, float], ...], BeforeValidator(_pattern)] = (
         "lambertian"
     )
@@ -69,23 +69,23 @@ class PhotodiodePart(Table):
     element_size_mm: Annotated[Size, Field(serialization_alias="size_mm")]
     """Size of the sensitive area of an element across the nail (u) and along it (v). [mm]"""
     pitch_mm: Positive | None = None
-    """From centre to centre, along v; their size if not given. [mm]"""
+    """Pitch, centre to centre, along v; the elements' size if not given. [mm]"""
     quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.85
-    """Electrons per photon that arrives."""
+    """Electrons per incident photon."""
     responsivity: tuple[tuple[Positive, NonNegative], ...] | None = None
-    """Rows [wavelength_nm, A/W], in place of one quantum efficiency; linear between them, nothing beyond."""
+    """Rows [wavelength_nm, A/W], instead of one quantum efficiency; linear interpolation, zero outside."""
     angular_response: tuple[tuple[Annotated[float, Field(ge=0, le=90)], NonNegative], ...] | None = None
-    """Rows [angle_deg, relative], of a beam of one irradiance across itself; follows the cosine if not given."""
+    """Rows [angle_deg, relative], for a collimated beam of one irradiance; the cosine if not given."""
     dark_current_na: NonNegative
     """Dark current of one element. [nA]"""
     dark_current_doubling_k: Positive | None = None
-    """Warming that doubles the dark current, which then holds at 25 degrees Celsius; constant if not given. [K]"""
+    """Temperature rise that doubles the dark current, given at 25 degrees Celsius; constant if not given. [K]"""
     shunt_ohm: Positive = 1e9
     """Shunt resistance of one element. [ohm]"""
     capacitance_pf: NonNegative = 0.0
-    """Capacitance of one element, besides that of the amplifier's input. [pF]"""
+    """Capacitance of one element, in addition to that of the amplifier's input. [pF]"""
     height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
-    """How far the sensitive face stands out of the board's underside. [um]"""
+    """Height by which the sensitive face protrudes from the board's underside. [um]"""
 
     @model_validator(mode="after")
     def _rows_are_physical(self) -> Self:
@@ -126,13 +126,13 @@ def check_angular_response(rows: tuple[tuple[float, float], ...] | None) -> None
 
 
 class ModuleLed(LedPart):
-    """An LED in a module, at its place in the package."""
+    """An LED in a module, at its position in the package."""
 
     kind: Literal["led"] = "led"
     name: Name
     """Name of the LED, after that of the module."""
     position_mm: Point
-    """Place of the die from the middle of the package, its pins as in the footprint. [mm]"""
+    """Position of the die relative to the centre of the package, oriented as in the footprint. [mm]"""
 
     def scene_fields(self) -> dict[str, Any]:
         """The part under the names that an LED has in a scene."""
@@ -140,13 +140,13 @@ class ModuleLed(LedPart):
 
 
 class ModulePhotodiode(PhotodiodePart):
-    """A photodiode in a module, at its place in the package."""
+    """A photodiode in a module, at its position in the package."""
 
     kind: Literal["photodiode"] = "photodiode"
     name: Name
     """Name of the photodiode, after that of the module."""
     position_mm: Point
-    """Place of its middle from that of the package. [mm]"""
+    """Position of its centre relative to that of the package. [mm]"""
 
     def scene_fields(self) -> dict[str, Any]:
         """The part under the names that a photodiode has in a scene."""

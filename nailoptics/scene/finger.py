@@ -29,7 +29,7 @@ BEYOND_NAIL_MM = 4.0
 
 
 class Finger(Table):
-    """A fingertip: a digit sets every size that is not given. Lengths in mm."""
+    """A fingertip; the digit sets the default of every size. Lengths in mm."""
 
     digit: Literal["thumb", "index", "middle", "ring", "little"] = "index"
     """Which digit; sets the sizes from anatomy."""
@@ -52,17 +52,17 @@ class Finger(Table):
     epidermis_thickness_mm: Annotated[float, Field(ge=0.02, le=1)] = 0.1
     """Thickness of the epidermis outside the nail. [mm]"""
     length_mm: Positive = ANATOMY["index"]["nail_length_mm"] + BEYOND_NAIL_MM
-    """Length of finger that is modelled, from the tip; the nail's and 4 mm if not given. [mm]"""
+    """Modelled length of the finger from the tip; if not given the nail's length plus 4 mm. [mm]"""
     melanin_fraction: Fraction = USUAL_MELANIN_FRACTION
     """Volume fraction of melanosomes in the epidermis."""
     dermis: DermisAbsorption = "jacques_baseline"
-    """What the nail bed absorbs without blood; the two measured ex vivo absorb two and five times as much."""
+    """Absorption of the bloodless nail bed; the two tables measured ex vivo are two and five times the default."""
     plate_absorption: Factor = 1.0
     """Factor on the nail plate's absorption."""
     plate_scattering: Factor = 1.0
     """Factor on the nail plate's scattering."""
     bed_absorption: Factor = 1.0
-    """Factor on what the nail bed absorbs without blood."""
+    """Factor on the absorption of the bloodless nail bed."""
     bed_scattering: Factor = 1.0
     """Factor on the nail bed's scattering."""
     bone_absorption: Factor = 1.0
@@ -70,7 +70,7 @@ class Finger(Table):
     bone_scattering: Factor = 1.0
     """Factor on the bone's scattering."""
     pulp_absorption: Factor = 1.0
-    """Factor on what the pulp absorbs without blood."""
+    """Factor on the absorption of the bloodless pulp."""
     pulp_scattering: Factor = 1.0
     """Factor on the pulp's scattering."""
 

@@ -45,7 +45,7 @@ class Layer(Table):
 
 
 class Phantom(Table):
-    """A laterally infinite stack of layers in place of the finger, its top face at z = 0."""
+    """A laterally infinite stack of layers instead of the finger, its top face at z = 0."""
 
     n_above: Annotated[float, Field(ge=1, le=4)] = 1.0
     """Refractive index above the stack."""
@@ -66,7 +66,7 @@ class Phantom(Table):
 
 
 class Electronics(Table):
-    """The transimpedance stage and the converter behind each photodiode."""
+    """The transimpedance amplifier and the converter of each photodiode."""
 
     feedback_ohm: Positive = 1e6
     """Feedback resistance: the gain from photocurrent to volts. [ohm]"""
@@ -88,33 +88,33 @@ class Light(Table):
     """How the light is traced."""
 
     engine: Literal["auto", "photons", "volpath"] = "auto"
-    """photons: forward walk, one trace for every blood state; volpath: stock Mitsuba, the check and the fallback."""
+    """photons: forward walk, one trace for every blood state; volpath: stock Mitsuba, reference and fallback."""
     index_steps: bool = True
     """Refraction and Fresnel reflection where the refractive index changes."""
     similarity: bool = False
-    """Isotropic scattering of equal mu_s (1 - g) in a finger: ten times fewer scatterings, wrong near the LED."""
+    """Isotropic scattering with equal mu_s (1 - g) in a finger: ten times fewer scatterings, biased near the LED."""
     left_out: tuple[Literal["bone", "epidermis", "kapton"], ...] = ()
-    """Parts that take the optics of what they lie in: bone and epidermis those of the pulp, Kapton those of epoxy."""
+    """Parts with the optics of their surroundings: bone and epidermis those of the pulp, Kapton those of epoxy."""
 
 
 class Accuracy(Table):
-    """What the answer must reach."""
+    """Required accuracy."""
 
     relative_error: Annotated[float, Field(gt=0, le=1)] | None = None
-    """Relative standard error that every reading must reach."""
+    """Required relative standard error of every reading."""
     max_seconds: Positive | None = None
     """Wall time after which tracing stops. [s]"""
     photons: Annotated[int, Field(ge=1, le=10_000_000_000)] | None = None
-    """Photons per LED wavelength, in place of a tolerance."""
+    """Photons per LED wavelength, instead of a tolerance."""
 
 
 class Scene(Table):
-    """What was requested: everything that determines the answer, in one frozen model."""
+    """A scene: everything that determines the result."""
 
     schema_version: Literal[1]
     """Version of this format."""
     phantom: Phantom | None = None
-    """A stack of layers in place of the finger."""
+    """A stack of layers instead of the finger."""
     finger: Finger | None = None
     """The finger."""
     blood: Blood = Blood()
@@ -122,27 +122,27 @@ class Scene(Table):
     touch: Touch = Touch()
     """Force over time."""
     body: Body | None = None
-    """What moves readings beside the touch; nothing if not given."""
+    """Physiological noise, drift and motion; none if not given."""
     board: Board = Board()
     """The board on the nail."""
     leds: Annotated[tuple[Led, ...], Field(min_length=1, max_length=64)]
-    """The LEDs, lit in turn."""
+    """The LEDs, multiplexed in time."""
     photodiodes: Annotated[tuple[Photodiode, ...], Field(max_length=MOST_PHOTODIODES)] = ()
     """The photodiodes."""
     electronics: Electronics = Electronics()
     """Amplifier and converter."""
     oximeter: Oximeter | None = None
-    """Which LED is lit when, for the oxygen saturation."""
+    """LED timing of the pulse oximeter."""
     colour: Viewing = Viewing()
-    """How the colour of the bare nail is seen."""
+    """Viewing conditions for the colour of the bare nail."""
     light: Light = Light()
     """How the light is traced."""
     accuracy: Accuracy = Accuracy()
-    """What the answer must reach."""
+    """Required accuracy."""
     priors: Priors = Priors()
-    """What is unknown of the finger, over which answers spread."""
+    """Prior uncertainty of the finger."""
     placement: Placement | None = None
-    """Where LEDs and photodiodes may go, for the search of a layout."""
+    """Constraints and objective of the layout search."""
 
     @model_validator(mode="before")
     @classmethod
@@ -257,7 +257,7 @@ class Scene(Table):
 
     @property
     def zone_edges_mm(self) -> tuple[float, ...]:
-        """Where blood zones meet, along the nail from its centre, from the most proximal on. [mm]"""
+        """Boundaries of the blood zones along the nail, relative to its centre, the most proximal first. [mm]"""
         count = self.blood.zones
         if count is None or self.finger is None:
             return self.blood.zone_edges_mm

@@ -15,10 +15,10 @@ LEAST_APART_NM = 20.0
 
 
 class Slot(Table):
-    """A part of a frame in which one LED is lit, or none."""
+    """A part of a frame with one LED lit, or none."""
 
     light: Name
-    """Name of the LED that is lit; "dark" where none is, which tells the ambient light."""
+    """Name of the LED that is lit; "dark" for none, to measure ambient light."""
     start_ms: NonNegative
     """From the start of the frame. [ms]"""
     length_ms: Positive
@@ -26,22 +26,22 @@ class Slot(Table):
 
 
 class Oximeter(Table):
-    """The schedule of a pulse oximeter, which repeats itself frame by frame."""
+    """The timing of a pulse oximeter, repeated every frame."""
 
     frame_hz: Annotated[float, Field(ge=10, le=10_000)] = 100.0
-    """Frames in a second: each gives one reading of each LED. [Hz]"""
+    """Frame rate: each frame gives one reading of each LED. [Hz]"""
     slots: Annotated[tuple[Slot, ...], Field(min_length=2, max_length=66)] | None = None
-    """Slots in order of time; if not given one for each of both LEDs and a dark one, each a third of the frame."""
+    """Slots in order of time; if not given one for each LED and a dark one, each a third of the frame."""
     settle: Annotated[float, Field(ge=0, lt=1)] = 0.5
-    """Part of a slot at its start in which the stage settles and nothing is sampled."""
+    """Fraction of a slot at its start in which the amplifier settles and nothing is sampled."""
     samples: Annotated[int, Field(ge=1, le=1000)] = 4
-    """Samples that are averaged over the rest of a slot."""
+    """Number of samples averaged over the rest of a slot."""
     hold_pf: Positive = 10.0
-    """Capacitor of the sample-and-hold, whose thermal noise each sample has. [pF]"""
+    """Capacitor of the sample-and-hold, which adds its thermal noise to each sample. [pF]"""
     ambient_light: Literal["lamp", "sun"] = "lamp"
-    """Spectrum of the light from outside."""
+    """Spectrum of the ambient light."""
     ambient_lux: NonNegative = 1000.0
-    """Illuminance of the skin from outside. [lux]"""
+    """Illuminance of the skin by ambient light. [lux]"""
 
     @model_validator(mode="after")
     def _slots_follow_each_other(self) -> Self:

@@ -56,9 +56,9 @@ class Led(Table):
     name: Name
     """Name of the LED, unique in the scene."""
     reference: str | None = None
-    """What the board's file calls it, and a written board will; filled from kicad or positions."""
+    """Its reference in the board's file and in exported boards; filled from kicad or positions."""
     part: str | None = None
-    """A part from assets/parts or beside the scene; fills the fields that are not given."""
+    """A part from assets/parts or the scene's folder; fills the fields that are not given."""
     wavelength_nm: Wavelength
     """Peak wavelength. [nm]"""
     fwhm_nm: NonNegative = 0.0
@@ -76,9 +76,9 @@ class Led(Table):
     size_mm: Size = (0.25, 0.25)
     """Size of the die (u, v); a pencil beam has none. [mm]"""
     rotation_deg: Rotation = 0.0
-    """How far the die is turned on the board, against the clock. [deg]"""
+    """Rotation of the die on the board, counterclockwise. [deg]"""
     height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
-    """How far the die stands out of the board's underside. [um]"""
+    """Height by which the die protrudes from the board's underside. [um]"""
 
     @model_validator(mode="before")
     @classmethod
@@ -106,17 +106,17 @@ class Photodiode(Table):
     name: Name
     """Name, unique in the scene; the elements of an array are called name.0, name.1 and so on."""
     reference: str | None = None
-    """What the board's file calls it, and a written board will; filled from kicad or positions."""
+    """Its reference in the board's file and in exported boards; filled from kicad or positions."""
     part: str | None = None
-    """A photodiode from assets/parts or beside the scene; fills the fields that are not given."""
+    """A photodiode from assets/parts or the scene's folder; fills the fields that are not given."""
     array: str | None = None
-    """The same under its old name, which is read as part."""
+    """Old name of part."""
     wired: tuple[Annotated[int, Field(ge=0)], ...] | None = None
-    """Which elements of the array are read, from 0 at the proximal end; all of them if not given."""
+    """Wired elements of the array, counted from 0 at the proximal end; all if not given."""
     elements: Annotated[int, Field(ge=1, le=MOST_PHOTODIODES)] = 1
     """Number of elements in a row along v."""
     pitch_mm: Positive | None = None
-    """Distance from element to element; their size along v if not given. [mm]"""
+    """Pitch of the elements; their size along v if not given. [mm]"""
     aperture: bool = False
     """Counts all light that leaves the top face of a phantom through it, at every angle."""
     position_mm: Point
@@ -124,23 +124,23 @@ class Photodiode(Table):
     size_mm: Size = (1.0, 1.0)
     """Size of one element (u, v). [mm]"""
     rotation_deg: Rotation = 0.0
-    """How far it is turned on the board around its centre, an array as a whole, against the clock. [deg]"""
+    """Rotation on the board around its centre, of an array as a whole, counterclockwise. [deg]"""
     height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
-    """How far it stands out of the board's underside. [um]"""
+    """Height by which the sensitive face protrudes from the board's underside. [um]"""
     quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.85
-    """Electrons per photon that arrives."""
+    """Electrons per incident photon."""
     responsivity: tuple[tuple[Positive, NonNegative], ...] | None = None
-    """Rows [wavelength_nm, A/W], in place of one quantum efficiency; linear between them, nothing beyond."""
+    """Rows [wavelength_nm, A/W], instead of one quantum efficiency; linear interpolation, zero outside."""
     angular_response: tuple[tuple[Annotated[float, Field(ge=0, le=90)], NonNegative], ...] | None = None
-    """Rows [angle_deg, relative], of a beam of one irradiance across itself; follows the cosine if not given."""
+    """Rows [angle_deg, relative], for a collimated beam of one irradiance; the cosine if not given."""
     dark_current_na: NonNegative = 0.1
     """Dark current of one element. [nA]"""
     dark_current_doubling_k: Positive | None = None
-    """Warming that doubles the dark current, which then holds at 25 degrees Celsius; constant if not given. [K]"""
+    """Temperature rise that doubles the dark current, given at 25 degrees Celsius; constant if not given. [K]"""
     shunt_mohm: Positive = 1000.0
     """Shunt resistance of one element. [Mohm]"""
     capacitance_pf: NonNegative = 0.0
-    """Capacitance of one element, besides that of the amplifier's input. [pF]"""
+    """Capacitance of one element, in addition to that of the amplifier's input. [pF]"""
 
     def dark_current_a(self, temperature_k: float) -> float:
         """Dark current of one element at a temperature. [A]"""
@@ -199,29 +199,30 @@ def check_flat(photodiodes: Iterable[Photodiode], what: str) -> None:
 
 
 class Board(Table):
-    """The flexible board that is bent onto the nail, and what fills the space below it."""
+    """The flexible board bent onto the nail, and the layers below it."""
 
     size_mm: Size | None = None
-    """Size of the board (u, v) around its origin; enough for its parts if not given. [mm]"""
+    """Size of the board (u, v) around its origin; if not given large enough for its parts. [mm]"""
     center_mm: Point = (0.0, 0.0)
-    """Where the board's origin lies on the nail, from the nail's centre (u, v). [mm]"""
+    """Position of the board's origin relative to the nail's centre (u, v). [mm]"""
     kicad: str | None = None
-    """A KiCad board beside the scene, whose parts and outline are taken as [board.parts] says."""
+    """A KiCad board in the scene's folder; its parts are mapped by [board.parts], its outline is used."""
     positions: str | None = None
-    """A position file beside the scene in place of one, of KiCad or an assembler."""
+    """A position file of KiCad or an assembler in the scene's folder, instead of a KiCad board."""
     parts: dict[str, dict[str, Any]] | None = None
-    """What the file's references are, such as D1 = { led = "led_660" } or U2 = { photodiode = "bpw34" }."""
+    """Map from the file's references to parts, such as D1 = { led = "led_660" } or U2 = { photodiode = "bpw34" }."""
     origin: Literal["auxiliary", "grid", "outline"] | Point | None = None
-    """Point of the file that is the board's origin: of drill and position files, of the grid, the outline's middle, or
-    (x, y) as the layout program shows it; the first of these that there is, the grid aside, if not given. [mm]"""
+    """Point of the file that is the board's origin: the auxiliary origin of drill and position files, the grid's, the
+    outline's centre, or (x, y) as shown by the layout program; if not given the first of these that exists, except the
+    grid's. [mm]"""
     faces_nail: Literal["top", "bottom"] | None = None
-    """Side of the file's board that looks at the nail; that of its parts if not given."""
+    """Side of the file's board that faces the nail; that of its parts if not given."""
     turn_deg: Rotation = 0.0
-    """How far the file's board is turned on the nail, against the clock seen from above. [deg]"""
+    """Rotation of the file's board on the nail, counterclockwise seen from above. [deg]"""
     negate_x_on_bottom: bool = False
     """The position file was written with "negate bottom side X"; undo that."""
     positions_unit: FileUnit | None = None
-    """Unit of the position file where it names none, as KiCad's CSV; mm if not given."""
+    """Unit of a position file that does not state it, such as KiCad's CSV; mm if not given."""
     unmapped: tuple[str, ...] | None = None
     """References of the file that parts does not name; filled from it."""
     outline_mm: tuple[Point, ...] | None = None
@@ -231,7 +232,7 @@ class Board(Table):
     kapton_um: Annotated[float, Field(ge=5, le=500)] = 25.0
     """Thickness of the Kapton film. [um]"""
     clear_epoxy_um: Annotated[float, Field(ge=20, le=3000)] = 400.0
-    """Depth of the clear epoxy under the board. [um]"""
+    """Thickness of the clear epoxy under the board. [um]"""
     adhesive_um: Annotated[float, Field(ge=0, le=1000)] = 50.0
     """Thickness of the clear adhesive on the nail; it has the epoxy's index. [um]"""
     air_gap_um: Annotated[float, Field(ge=1, le=1000)] | None = None
@@ -242,12 +243,12 @@ class Board(Table):
     barrier_um: Annotated[float, Field(ge=20, le=2000)] = 150.0
     """Thickness of that wall. [um]"""
     barrier_side: Literal["left", "right", "below", "above"] | None = None
-    """Side of the photodiodes where the wall stands and every LED lies behind it; of each LED the side on which it is
-    farthest from them if not given."""
+    """Side of the photodiodes where the wall is, with every LED behind it; if not given, for each LED the side where
+    it is farthest from them."""
     barrier_gap_mm: Annotated[float, Field(ge=0.02, le=5)] | None = None
     """Distance from the nearest LED to that wall; midway to the photodiodes if not given. [mm]"""
     cover_um: Annotated[float, Field(ge=0, le=5000)] = 500.0
-    """Thickness of the opaque cover on top; 0 leaves it away, and light passes through the film. [um]"""
+    """Thickness of the opaque cover on top; with 0 there is none, and light passes through the film. [um]"""
     opaque_reflectance: Fraction = 0.04
     """Diffuse reflectance of the opaque epoxy: barrier, rim and cover."""
 

@@ -18,17 +18,17 @@ Aim = Literal["worst", "mean", "share", "oxygen"]
 
 
 class Candidate(Table):
-    """One layout: places of the LEDs and photodiodes on the flat board, from the nail's centre."""
+    """One layout: positions of the LEDs and photodiodes on the flat board, relative to the nail's centre."""
 
     name: Name
     """Name of the layout."""
     positions: str | None = None
-    """Position file beside the scene, of KiCad or an assembler; without parts, Refs D1 or LED1 are LEDs, PD1 are
-    photodiodes, and the others are ignored."""
+    """Position file of KiCad or an assembler in the scene's folder; without parts, references such as D1 or LED1 are
+    LEDs, PD1 photodiodes, and others are ignored."""
     kicad: str | None = None
-    """A KiCad board beside the scene, in place of a position file."""
+    """A KiCad board in the scene's folder, instead of a position file."""
     parts: dict[str, dict[str, Any]] | None = None
-    """What the file's references are, as in [board.parts], which is taken if not given."""
+    """Map from the file's references to parts, as in [board.parts], which is used if not given."""
     origin: Literal["auxiliary", "grid", "outline"] | Point | None = None
     """As in [board]."""
     faces_nail: Literal["top", "bottom"] | None = None
@@ -42,25 +42,25 @@ class Candidate(Table):
     positions_unit: FileUnit | None = None
     """As in [board]."""
     leds_mm: tuple[Point, ...] = ()
-    """Places of the LEDs (u, v), in the order of the scene; filled from positions. [mm]"""
+    """Positions of the LEDs (u, v), in the order of the scene; filled from positions. [mm]"""
     photodiodes_mm: tuple[Point, ...] = ()
-    """Places of the photodiodes (u, v); filled from positions. [mm]"""
+    """Positions of the photodiodes (u, v); filled from positions. [mm]"""
     leds_turned: tuple[bool, ...] = ()
-    """Which LEDs lie turned by 90 degrees; none if not given."""
+    """LEDs rotated by 90 degrees; none if not given."""
     photodiodes_turned: tuple[bool, ...] = ()
-    """Which photodiodes lie turned by 90 degrees; none if not given."""
+    """Photodiodes rotated by 90 degrees; none if not given."""
     leds_deg: tuple[Rotation, ...] = ()
-    """How far each LED is turned, in place of leds_turned; filled from positions. [deg]"""
+    """Rotation of each LED, instead of leds_turned; filled from positions. [deg]"""
     photodiodes_deg: tuple[Rotation, ...] = ()
-    """How far each photodiode is turned; filled from positions. [deg]"""
+    """Rotation of each photodiode; filled from positions. [deg]"""
     led_refs: tuple[tuple[str, str], ...] = ()
-    """Reference and value of each LED in the file, of which one names it; filled from positions."""
+    """Reference and value of each LED in the file, one of which is its name; filled from positions."""
     photodiode_refs: tuple[str, ...] = ()
     """References of the photodiodes; filled from positions."""
     leds: tuple[Led, ...] = ()
-    """The LEDs as parts say, each with its own size; filled from the file."""
+    """The LEDs according to parts, with their sizes; filled from the file."""
     photodiodes: tuple[Photodiode, ...] = ()
-    """The photodiodes as parts say; filled from the file."""
+    """The photodiodes according to parts; filled from the file."""
 
     @model_validator(mode="before")
     @classmethod
@@ -111,7 +111,7 @@ class Candidate(Table):
 
 
 class FingerCase(Table):
-    """A finger that the layout must serve; what is not given is the scene's."""
+    """A finger on which layouts are evaluated; fields not given are those of the scene's finger."""
 
     name: Name
     """Name of the case."""
@@ -124,56 +124,55 @@ class FingerCase(Table):
     melanin_fraction: Fraction | None = None
     """Volume fraction of melanosomes in the epidermis."""
     dermis: DermisAbsorption | None = None
-    """What the bed absorbs without blood."""
+    """Absorption of the bloodless bed."""
 
 
 class Placement(Table):
-    """The rules of a search for a layout."""
+    """Constraints and objective of the layout search."""
 
     candidates: Annotated[tuple[Candidate, ...], Field(max_length=200)] = ()
     """Layouts to rank."""
     search: bool = True
-    """Search places of the LED and the photodiodes, too."""
+    """Also search for positions of the LED and the photodiodes."""
     outline: str | None = None
-    """Board outline beside the scene, a DXF or a CSV with columns x_mm, y_mm; [board] if not given."""
+    """Board outline in the scene's folder, a DXF or a CSV with columns x_mm, y_mm; that of [board] if not given."""
     outline_origin: Literal["middle"] | Point | None = None
-    """Point of that drawing on the nail's centre: the outline's middle, or (x, y); (0, 0) if not given. [mm]"""
+    """Point of that drawing on the nail's centre: the outline's centre, or (x, y); (0, 0) if not given. [mm]"""
     outline_unit: FileUnit | None = None
-    """Unit of a DXF that names none, as KiCad's up to version 6; mm if not given."""
+    """Unit of a DXF that does not state it, as KiCad's up to version 6; mm if not given."""
     outline_mm: tuple[Point, ...] | None = None
     """Corners of the outline (u, v); filled from outline. [mm]"""
     outline_holes_mm: tuple[tuple[Point, ...], ...] = ()
-    """Corners of each hole in the outline, over which no part lies; filled from outline. [mm]"""
+    """Corners of each hole in the outline, which is kept free of parts; filled from outline. [mm]"""
     keep_out_mm: tuple[Polygon, ...] = ()
-    """Corners (u, v) of each area where the search puts no part. [mm]"""
+    """Corners (u, v) of each area that is kept free of parts. [mm]"""
     fixed: tuple[Name, ...] = ()
-    """Names of the scene's LEDs and photodiodes that the search leaves where they are."""
+    """Names of the scene's LEDs and photodiodes that the search does not move."""
     wire: bool = False
-    """Choose which elements of the scene's photodiodes and arrays are wired, where they are, in place of new places."""
+    """Select which elements of the scene's photodiodes and arrays are wired, instead of searching positions."""
     photodiodes: Annotated[int, Field(ge=1, le=32)] = 8
-    """How many photodiodes a searched layout has, fixed ones among them; those it places are like the scene's first."""
+    """Number of photodiodes of a searched layout, including fixed ones; the others are like the scene's first."""
     force_n: Annotated[float, Field(gt=0, le=20)] = 0.5
-    """Force at which the resolution is judged. [N]"""
+    """Force at which the resolution is evaluated. [N]"""
     since_rest_s: Annotated[float, Field(gt=0, le=86400)] = 60.0
-    """Time since the untouched finger was read, in which readings drift as [body.drift] says. [s]"""
+    """Time since the last rest reading, over which readings drift according to [body.drift]. [s]"""
     rank_by: Literal["worst", "mean", "share", "oxygen", "oxygen_and_force"] | dict[Aim, Positive] = "worst"
-    """What the search looks for and layouts are ranked by, less is better. worst, mean: the force resolution on the
-    worst finger, or the mean over the fingers; share: how well the part of the force that presses proximally is told
-    (1 is all), worst finger; oxygen: the error of SpO2 of two LEDs on the worst finger, with a heart that beats;
-    oxygen_and_force: oxygen and worst alike. Or a table of weights, such as { worst = 2, oxygen = 1 }: the mean of
-    these by their weights, of logarithms, as their units differ."""
+    """Objective of search and ranking, to be minimized. worst, mean: the force resolution for the worst finger, or the
+    mean over the fingers; share: standard error of the proximal share of the force, worst finger; oxygen: uncertainty
+    of SpO2 of two LEDs for the worst finger, with a heartbeat; oxygen_and_force: oxygen and worst with equal weights.
+    Or a table of weights, such as { worst = 2, oxygen = 1 }: the weighted mean of logarithms."""
     fingers: Annotated[tuple[FingerCase, ...], Field(max_length=16)] = ()
-    """Fingers that the layout must serve; the scene's own if none is given."""
+    """Fingers over which layouts are evaluated; the scene's finger if none is given."""
     edge_mm: NonNegative = 0.3
-    """Least distance of any part from the board's edge. [mm]"""
+    """Minimum distance of any part from the board's edge. [mm]"""
     clearance_mm: NonNegative = 0.1
-    """Least gap between two photodiodes or two LEDs, and between a photodiode and the barrier. [mm]"""
+    """Minimum gap between two photodiodes or two LEDs, and between a photodiode and the barrier. [mm]"""
     bond_wire_mm: Annotated[float, Field(ge=0.02, le=3)] = 0.4
-    """Room beside an LED for its bond wire: the gap to the barrier, and to photodiodes without one. [mm]"""
+    """Space next to an LED for its bond wire: the gap to the barrier, or without one to photodiodes. [mm]"""
     led_step_mm: Annotated[float, Field(ge=0.25, le=5)] = 2.0
-    """Spacing of the first LED places; the search then halves it around the best, and tries LEDs side by side. [mm]"""
+    """Initial spacing of LED positions; the search then halves it around the best, and tries LEDs side by side. [mm]"""
     photodiode_step_mm: Annotated[float, Field(ge=0.05, le=2)] = 0.25
-    """Spacing of photodiode places. [mm]"""
+    """Spacing of photodiode positions. [mm]"""
 
     @model_validator(mode="before")
     @classmethod

@@ -11,7 +11,7 @@ from .base import Positive, Table, check_unique
 
 
 class PriorRange(Table):
-    """The range of one unknown field, in place of the shipped one."""
+    """The prior range of one field, which replaces the shipped one."""
 
     field: str
     """The field, such as finger.plate_absorption."""
@@ -39,16 +39,16 @@ class Prior(PriorRange):
 
 
 class Priors(Table):
-    """How answers are spread over what is unknown of the finger; the ranges are shipped, with their sources."""
+    """Prior uncertainty of the results; the ranges are shipped, with their sources."""
 
     spread: bool = True
-    """Tell of every answer how far it spreads over what is unknown, beside its standard error."""
+    """Report the prior uncertainty of every result in addition to its standard error."""
     own_traces: bool = False
-    """Do so for scattering and thickness, too, each of which takes two traces more; else for what only absorbs."""
+    """Include scattering and thickness, each of which takes two more traces; else absorption only."""
     known: tuple[str, ...] = ()
-    """Fields that are known to be as the scene has them, such as "blood.so2"."""
+    """Fields whose value in the scene is known exactly, such as "blood.so2"."""
     ranges: Annotated[tuple[PriorRange, ...], Field(max_length=100)] = ()
-    """Ranges in place of the shipped ones."""
+    """Ranges that replace the shipped ones."""
 
     @model_validator(mode="after")
     def _names_unknowns(self) -> Self:

@@ -32,10 +32,10 @@ Spaced = tuple[float, float, Count]
 
 
 class AxisTable(Table):
-    """One axis of a sweep: a place in the scene and what it takes there."""
+    """One axis of a sweep: a field of the scene and its values."""
 
     path: str
-    """Place in the scene, such as blood.so2, leds[0].flux_mw or leds.ir.position_mm."""
+    """Path of the field, such as blood.so2, leds[0].flux_mw or leds.ir.position_mm."""
     name: str | None = None
     """Name of the axis in the results; the last part of the path if not given."""
     values: Annotated[tuple[Any, ...], Field(min_length=1)] | None = None
@@ -43,7 +43,7 @@ class AxisTable(Table):
     linspace: Spaced | None = None
     """[low, high, count]: evenly spaced values."""
     logspace: Spaced | None = None
-    """[low, high, count]: values of even ratio."""
+    """[low, high, count]: logarithmically spaced values."""
     range: tuple[float, float] | None = None
     """[low, high] of a Latin hypercube."""
 
@@ -94,24 +94,24 @@ class AxisTable(Table):
 
 
 class SweepFile(Table):
-    """A sweep as the user wrote it."""
+    """A sweep."""
 
     schema_version: Literal[1]
     """Version of this format."""
     study: StudyName = "simulate"
-    """What is done with every scene: touch to volts, light alone, a pulse oximeter, or colours and photographs."""
+    """The study of every scene: touch to volts, light only, a pulse oximeter, or colours and photographs."""
     base: str | dict[str, Any] | None = None
-    """The scene that every axis changes: a scene file, a shipped scene's name, or a table."""
+    """The base scene, modified by every axis: a scene file, a shipped scene's name, or a table."""
     scenes: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
-    """Scene files, in place of one base."""
+    """Scene files, instead of one base."""
     combine: Literal["product", "zip", "latin_hypercube"] = "product"
-    """product: every pair of values; zip: all axes together; latin_hypercube: samples spread evenly over all axes."""
+    """product: every combination of values; zip: all axes together; latin_hypercube: random samples of all ranges."""
     samples: Count | None = None
     """Number of scenes of a Latin hypercube."""
     seed: Annotated[int, Field(ge=0)] | None = None
     """Seed of a Latin hypercube; 0 if not given."""
     axes: tuple[AxisTable, ...] = ()
-    """What is varied; the last axis of a product varies fastest."""
+    """The fields that vary; the last axis of a product varies fastest."""
 
     @model_validator(mode="before")
     @classmethod

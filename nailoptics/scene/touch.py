@@ -26,40 +26,40 @@ class ForceStep(Table):
     """One of a list of steps."""
 
     start_s: NonNegative
-    """When the force jumps to force_n. [s]"""
+    """Time at which the force steps to force_n. [s]"""
     force_n: Force
     """Force until the next step. [N]"""
 
 
 class Touch(Table):
-    """Force on the fingertip over time, and how it spreads over the pulp."""
+    """Force on the fingertip over time, and its distribution over the pulp."""
 
     profile: Literal["step", "ramp", "hold", "cycle", "steps", "recorded"] = "step"
-    """step: force_n from start_s to release_s; ramp: with linear edges; hold: constant; cycle: from 0 to force_n and
-    back, over and over; steps: a list of them; recorded: from a CSV."""
+    """step: force_n from start_s to release_s; ramp: with linear edges; hold: constant; cycle: periodic between 0 and
+    force_n; steps: a list of them; recorded: from a CSV."""
     force_n: Force = 1.0
     """Force of the step, ramp or hold, and the largest of a cycle. [N]"""
     start_s: NonNegative = 0.25
-    """When the force starts. [s]"""
+    """Start of the force. [s]"""
     ramp_s: Positive = 1.0
     """Duration of a ramp's rise, and of its fall. [s]"""
     release_s: NonNegative = 2.25
-    """When the force is released (a ramp begins to fall). [s]"""
+    """Release of the force (a ramp begins to fall). [s]"""
     period_s: Positive | None = None
     """Duration of one cycle; 20 if not given, the paper's. [s]"""
     cycles: Annotated[int, Field(ge=1, le=10_000)] | None = None
     """Number of cycles; 3 if not given, the paper's."""
     waveform: Literal["sine", "triangle"] | None = None
-    """Shape of a cycle: (1 - cos)/2, or straight up and straight down; sine if not given."""
+    """Shape of a cycle: (1 - cos)/2 or triangular; sine if not given."""
     steps: Annotated[tuple[ForceStep, ...], Field(min_length=1, max_length=10_000)] | None = None
     """The list of steps, in order of time; before the first the force is 0."""
     duration_s: Annotated[float, Field(gt=0, le=86400)] = 4.0
-    """Length of the simulated time; if not given 4, the end of a cycle's last, or 2 after the last of the steps. [s]"""
+    """Simulated time; if not given 4, the end of the last cycle, or 2 after the last step. [s]"""
     sample_rate_hz: Annotated[float, Field(gt=0, le=100_000)] = 100.0
     """Samples per second of the results; the touch itself does not depend on it. [Hz]"""
     file: str | None = None
-    """Recorded touch beside the scene file: a CSV with columns time_s and force_n, or time_s, proximal_pressure_pa and
-    distal_pressure_pa, or all of them; shear_n may stand there, too."""
+    """Recorded touch in the scene's folder: a CSV with columns time_s and force_n, or time_s, proximal_pressure_pa and
+    distal_pressure_pa, or all of them; optionally shear_n."""
     recorded_time_s: tuple[float, ...] | None = None
     """The recorded times; filled from file. [s]"""
     recorded_force_n: tuple[NonNegative, ...] | None = None
@@ -71,28 +71,28 @@ class Touch(Table):
     recorded_shear_n: tuple[float, ...] | None = None
     """The recorded longitudinal forces; filled from file. [N]"""
     contact_area_mm2: Positive = USUAL_CONTACT_AREA_MM2
-    """Area of the whole touch: on one side it presses there with all of it, evenly with half of it on each. [mm^2]"""
+    """Area of the whole touch: a one-sided touch presses on all of it, an even one on half of it per side. [mm^2]"""
     site: Literal["proximal", "distal", "even"] | None = None
-    """Where the force presses: it sets proximal_share to 1, 0 or 0.5."""
+    """Side of the touch: sets proximal_share to 1, 0 or 0.5."""
     proximal_share: Fraction = 0.5
     """Share of the force that presses on the proximal pulp (the veins); the rest presses distally."""
     proximal_area_mm2: Positive | None = None
-    """Area on which the proximal share presses; by default its part of the contact, but at least half. [mm^2]"""
+    """Area on which the proximal share presses; by default its share of contact_area_mm2, but at least half. [mm^2]"""
     distal_area_mm2: Positive | None = None
-    """Area on which the distal share presses; by default its part of the contact, but at least half. [mm^2]"""
+    """Area on which the distal share presses; by default its share of contact_area_mm2, but at least half. [mm^2]"""
     distal_relaxation_s: Positive | None = None
-    """Time constant with which the distal pulp, which yields at once, recovers where the touch presses less: 0.2 makes
-    the distal reading as slow on release as the paper's. If not given it recovers at once. [s]"""
+    """Time constant of the distal pulp's recovery on release; it yields immediately on loading. 0.2 makes the distal
+    reading as slow on release as in the paper. If not given it recovers immediately. [s]"""
     # A fingerpad that is held down pushes back less and less, within seconds (Pawluk and Howe 1999, J. Biomech. Eng.
     # 121:605): under a constant force it spreads. By how much the contact grows is an assumption; 0.1 in 2 s is usual.
     creep: Annotated[float, Field(ge=0, lt=1)] | None = None
-    """Part of its pressure that a touch loses in the end as the pulp spreads under it; none if not given."""
+    """Fraction of its pressure that a held touch loses by creep of the pulp; none if not given."""
     creep_s: Positive = 2.0
-    """Time constant of that creep, and of the pulp's return. [s]"""
+    """Time constant of the creep, and of its recovery. [s]"""
     shear_n: Annotated[float, Field(ge=-100, le=100)] | None = None
-    """Longitudinal force where the force is largest, positive towards the tip; it rises and falls with the force. Of it
-    the paper says only that it widens the white band: here it presses on the distal capillaries besides the force, by
-    its amount over the distal area, whichever way it points. [N]"""
+    """Longitudinal force at the largest normal force, positive towards the tip; proportional to the normal force. The
+    paper says only that it widens the white band: here its magnitude over the distal area is an additional pressure on
+    the distal capillaries. [N]"""
 
     @model_validator(mode="before")
     @classmethod

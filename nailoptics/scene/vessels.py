@@ -12,16 +12,16 @@ MOST_ZONES = 32
 
 
 class Tuning(Table):
-    """Own constants of the vessels in place of those of the named set."""
+    """Constants of the vessels that replace those of the named set."""
 
     capillary_stiffness_n_per_m: Positive | None = None
     """Stiffness k_C of a capillary wall. [N/m]"""
     vein_stiffness_n_per_m: Positive | None = None
     """Stiffness k_V of the vein's wall. [N/m]"""
     capillary_mass_kg: Positive | None = None
-    """Mass of a capillary wall; only the inertial model, a check, reads it. [kg]"""
+    """Mass m_C of a capillary wall; used by the inertial model only. [kg]"""
     vein_mass_kg: Positive | None = None
-    """Mass of the vein's wall; only the inertial model, a check, reads it. [kg]"""
+    """Mass m_V of the vein's wall; used by the inertial model only. [kg]"""
     capillary_damping_n_s_per_m: Positive | None = None
     """Damping b_C of a capillary wall. [N s/m]"""
     vein_damping_n_s_per_m: Positive | None = None
@@ -51,7 +51,7 @@ class Tuning(Table):
     venous_pressure_pa: float | None = None
     """Venous pressure P_L. [Pa]"""
     factors: dict[str, Positive] | None = None
-    """Factors on constants of the named set, by their names, in place of own values."""
+    """Factors on constants of the named set, by their names, instead of values."""
 
     @model_validator(mode="after")
     def _factors_are_of_constants(self) -> Self:
@@ -86,23 +86,24 @@ class Blood(Table):
     parameters: str = "listed"
     """Named set of hemodynamic parameters."""
     tuning: Tuning | None = None
-    """Own values of parameters of the named set, or factors on them."""
+    """Values of parameters that replace those of the named set, or factors on them."""
     rest_blood_fraction: Fraction = USUAL_BLOOD_FRACTION
     """Volume fraction of blood in the nail bed at rest."""
     so2: Fraction = USUAL_SO2
-    """Oxygen saturation of the blood; of arterial blood where venous_so2 is given."""
+    """Oxygen saturation of the blood; of arterial blood if venous_so2 is given."""
     venous_so2: Fraction | None = None
-    """Oxygen saturation of venous blood. Given, the bed at rest holds the mean of both, and what pools beyond is
-    arterial; 0.86 is usual in a finger whose arteries have 0.95. If not given all blood has so2."""
+    """Oxygen saturation of venous blood. If given, the bed at rest contains a mixture of half arterial, half venous
+    blood, and additional blood that pools is arterial; 0.86 is typical of a finger with an arterial saturation of
+    0.95. If not given all blood has so2."""
     zones: Annotated[int, Field(ge=2, le=MOST_ZONES)] | None = None
-    """Number of equal blood zones along the nail, in place of zone_edges_mm."""
+    """Number of equal blood zones along the nail, instead of zone_edges_mm."""
     zone_edges_mm: Annotated[tuple[float, ...], Field(min_length=1, max_length=MOST_ZONES - 1)] = (0.0,)
-    """Where blood zones meet, along the nail from its centre, from the most proximal on. [mm]"""
+    """Boundaries of the blood zones along the nail, relative to its centre, the most proximal first. [mm]"""
     zone_width_mm: Positive = 2.0
-    """Width of the smooth passage from zone to zone; no more than a zone where zones tells their number. [mm]"""
+    """Width of the smooth transition between zones; at most one zone if their number is given by zones. [mm]"""
     decay_length: Annotated[float, Field(ge=0.01, le=100)] | None = None
-    """Reach of the distal pressure, in lengths of the nail: it falls off as exp(-d/decay_length) with the distance d
-    from the tip. If not given, the distal one of two zones feels it alone; with more zones 0.4."""
+    """Decay length of the distal pressure, in lengths of the nail: it decreases as exp(-d/decay_length) with the
+    distance d from the tip. If not given, it acts on the distal one of two zones only; with more zones 0.4."""
 
     @model_validator(mode="after")
     def _zones_are_said_once_and_apart(self) -> Self:

@@ -14,23 +14,23 @@ Force = Annotated[float, Field(ge=0, le=100)]
 
 
 class Viewing(Table):
-    """How the colour of the bare nail is seen, for nailoptics colour."""
+    """Viewing conditions for the colour of the bare nail, for nailoptics colour."""
 
     forces_n: Annotated[tuple[Force, ...], Field(min_length=1, max_length=20)] = (0.0, 0.3, 1.0, 2.0, 4.0)
-    """Forces, each held until nothing moves; the first is what the others are compared with. [N]"""
+    """Forces, each held to the steady state; the first is the reference. [N]"""
     illuminant: Illuminant = "D65"
     """D65 is daylight, A an incandescent lamp, LED-B3 a white LED of 4103 K (CIE 015:2018)."""
     observer: Observer = "2"
     """Field of the standard observer, in degrees."""
     lit_by: LightFrom = "sky"
-    """sky: from all sides; lamp: at 45 degrees all round. The eye looks down from above."""
+    """sky: diffuse illumination; lamp: at 45 degrees from all azimuths. Viewed from above."""
     gloss: bool = False
-    """Whether what the surface mirrors is part of the colour."""
+    """Whether specular reflection is included in the colour."""
     tolerance: Positive = 0.3
-    """Standard error that the colour of every place must reach. [CIEDE2000]"""
+    """Required standard error of the colour at every position. [CIEDE2000]"""
     change_tolerance: Positive = 0.05
-    """Standard error that every change of colour by force must reach. [CIEDE2000]"""
+    """Required standard error of every change of colour with force. [CIEDE2000]"""
     photograph_px: tuple[Pixels, Pixels] = (800, 600)
     """Width and height of a photograph. [px]"""
     camera_mm: tuple[float, float, float] = (-12.0, 38.0, 58.0)
-    """From where a photograph is taken: across, towards the tip, and above the middle of the nail. [mm]"""
+    """Camera position of a photograph, from the nail's centre: across, towards the tip, and above. [mm]"""
