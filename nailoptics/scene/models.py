@@ -275,11 +275,14 @@ class Scene(Table):
     def layout(self) -> Layout:
         """Where everything lies on a finger scene's board.
 
-        Raises: ValueError where the parts of a copy of the scene do not fit; InputError for a phantom.
+        Raises: InputError where the parts of a copy of the scene do not fit, or for a phantom.
         """
         if self.finger is None:
             raise InputError("a phantom has no board to lay out; give a scene with [finger].")
-        return lay_out(self.finger, self.board, self.leds, self.photodiodes)
+        try:
+            return lay_out(self.finger, self.board, self.leds, self.photodiodes)
+        except ValueError as error:
+            raise InputError(f"{error}.") from None
 
 
 def _with_map(placement: object, parts: object) -> object:

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import re
 import stat
 import tomllib
 from pathlib import Path
@@ -11,8 +12,12 @@ from ..errors import InputError
 
 # A recording of a million samples has a tenth of it. [bytes]
 MOST_BYTES = 500e6
+# Of TOML, which takes some thirty times as much memory; a recorded touch of a million samples is as long.
+MOST_TOML_BYTES = 40e6
 # Tables and arrays in each other; a scene has five.
 MOST_DEPTH = 30
+# A key of more parts than that: tomllib's memory grows with the square of them.
+DEEP_KEY = re.compile(rf"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{MOST_DEPTH}}}""")
 # Of a whole number; Python writes none that is much longer.
 MOST_BITS = 8192
 
@@ -82,7 +87,13 @@ def read_rows(path: Path, wanted: str, *, shown: str | None = None) -> list[tupl
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
     """TOML's tables, with tuples for its arrays, which is what frozen models hold; raises InputError."""
+    if len(text) > MOST_TOML_BYTES:
+        raise InputError(
+            f"{name}: has {len(text) / 1e6:.0f} MB of TOML, more than {MOST_TOML_BYTES / 1e6:g}; shorten it."
+        )
     try:
+        if DEEP_KEY.search(text):
+            raise RecursionError
         return {key: frozen(value, 1) for key, value in tomllib.loads(text).items()}
     except ValueError as error:
         digits = "a number has thousands of digits; shorten it"

@@ -62,11 +62,34 @@ def moved_light(
 def moved_boards(scene: Scene) -> list[tuple[str, float, Board]]:
     """The boards to be traced beside the scene's own: motion, distance [um] and board."""
     motion, board = _motion(scene), scene.board
-    u, v = board.center_mm
-    lifted = board.model_copy(update={"adhesive_um": board.adhesive_um + LIFT_UM})
-    slid = board.model_copy(update={"center_mm": (u, v + 1e-3 * SLIDE_UM)})
-    asked = (("lift", motion.lift_um, LIFT_UM, lifted), ("slide", motion.slide_um, SLIDE_UM, slid))
-    return [(name, distance_um, moved) for name, rms_um, distance_um, moved in asked if rms_um > 0]
+    moved = []
+    if motion.lift_um > 0:
+        moved.append(("lift", LIFT_UM, board.model_copy(update={"adhesive_um": board.adhesive_um + LIFT_UM})))
+    if motion.slide_um > 0:
+        moved.append(("slide", *_slid(scene)))
+    return moved
+
+
+def _slid(scene: Scene) -> tuple[float, Board]:
+    """How far the board is slid along the nail [um], and the board; where the nail is no longer, it ends at its edge.
+
+    Raises: InputError where the parts lie too near to both of the nail's ends.
+    """
+    (u, v), outline = scene.board.center_mm, scene.layout.outline
+    corners = tuple((x - u, y - v) for x, y in outline.corners_mm)
+    for cut in ({}, {"size_mm": None, "outline_mm": corners, "outline_holes_mm": ()}):
+        for distance_um in (SLIDE_UM, -SLIDE_UM):
+            update = cut | {"center_mm": (u, v + 1e-3 * distance_um)}
+            slid = scene.model_copy(update={"board": scene.board.model_copy(update=update)})
+            try:
+                _ = slid.layout
+            except InputError:
+                continue
+            return distance_um, slid.board
+    raise InputError(
+        f"body.motion.slide_um: the parts lie within {1e-3 * SLIDE_UM:g} mm of both ends of the nail, which leaves no "
+        "room to slide the sensor; move them, or set slide_um = 0."
+    )
 
 
 def sensor_course(scene: Scene, time_s: Array) -> xr.Dataset:

@@ -207,9 +207,12 @@ def test_what_a_dxf_lacks_is_told(tmp_path, text, words):
         ("a = " + "[" * 400 + "]" * 400, "nested too deep"),
         ("a = " + "[" * 9000 + "]" * 9000, "nested too deep"),
         ("[" + ".".join("a" * 200) + "]", "nested too deep"),
+        (".".join("a" * 20_000) + " = 1", "nested too deep"),
+        ("x = { " + " . ".join(['"a"'] * 20_000) + " = 1 }", "nested too deep"),
+        ("#" * 41_000_000, "has 41 MB of TOML, more than 40"),
         ('schema_version = 1\n[finger]\n[[leds]]\nname = "ir"\npart = "' + "x" * 5000 + '"', "is unknown"),
     ],
-    ids=["digits", "hexadecimal", "deep", "deeper", "tables", "name"],
+    ids=["digits", "hexadecimal", "deep", "deeper", "tables", "keys", "quoted", "long", "name"],
 )
 def test_toml_beyond_all_bounds_is_told(tmp_path, text, words):
     (tmp_path / "s.toml").write_text(text)

@@ -39,7 +39,7 @@ def test_elements_carry_their_names_and_photodiodes(scene):
 
 def test_impossible_copies_and_phantoms_have_none(scene):
     wide = scene.board.model_copy(update={"size_mm": (100.0, 11.0)})
-    with pytest.raises(ValueError, match="does not fit on the nail"):
+    with pytest.raises(InputError, match="does not fit on the nail"):
         _ = scene.model_copy(update={"board": wide}).layout
     with pytest.raises(InputError, match="phantom has no board"):
         _ = load_scene(data_dir("scenes") / "phantom.toml").layout
@@ -47,7 +47,7 @@ def test_impossible_copies_and_phantoms_have_none(scene):
 
 def test_a_die_as_high_as_the_epoxy_is_refused(scene):
     high = tuple(led.model_copy(update={"height_um": 390.0}) for led in scene.leds)
-    with pytest.raises(ValueError, match='leds "ir": height_um = 390 leaves less than 20 um of the clear epoxy'):
+    with pytest.raises(InputError, match='leds "ir": height_um = 390 leaves less than 20 um of the clear epoxy'):
         _ = scene.model_copy(update={"leds": high}).layout
 
 

@@ -20,6 +20,32 @@ def test_a_still_body_moves_no_sensor():
     assert not sensor_course(worn(), np.arange(3.0)).data_vars and moved_boards(worn()) == []
 
 
+def slid(board="", led_v=0.0):
+    text = SMALL_FINGER.replace("[-1.2, 0.0]", f"[-1.2, {led_v}]") + f"[board]\n{board}\n[body.motion]\nlift_um = 0.0"
+    scene = parse_scene(text)
+    ((name, distance_um, moved),) = moved_boards(scene)
+    there = scene.model_copy(update={"board": moved}).layout
+    assert name == "slide"
+    assert there.leds[0].v_min - scene.layout.leds[0].v_min == pytest.approx(1e-3 * distance_um)
+    return distance_um, scene.layout.outline, there.outline
+
+
+def test_a_board_as_long_as_the_nail_is_slid_and_ends_at_the_nails_edge():
+    distance_um, outline, there = slid()
+    assert distance_um == 250 and there.v_max == outline.v_max + 0.25
+    # 11.8 of 12 mm: 0.05 mm short of the edge the board ends.
+    distance_um, outline, there = slid("size_mm = [9.0, 11.8]")
+    assert distance_um == 250 and (there.v_min, there.v_max) == pytest.approx((-5.65, 5.95))
+    # With a part at the tip it is slid the other way; with one at the root, too, there is none.
+    assert slid("size_mm = [9.0, 11.8]", led_v=5.7)[0] == -250
+    both = parse_scene(
+        SMALL_FINGER.replace("[-1.2, 0.0]", "[-1.2, 5.7]").replace("[0.5, 0.0]", "[0.5, -5.3]")
+        + "[board]\nsize_mm = [9.0, 11.8]\n[body.motion]"
+    )
+    with pytest.raises(InputError, match="body.motion.slide_um: the parts lie within 0.25 mm of both ends"):
+        moved_boards(both)
+
+
 def test_drifts_spread_as_stated_after_a_minute_and_begin_at_none():
     drift, time_s = Drift(led_per_rt_min=0.01, reading_per_rt_min=0.002), np.array([0.0, 60.0])
     made = [sensor_course(worn(seed, drift=drift), time_s) for seed in range(300)]

@@ -350,8 +350,8 @@ def check(scene: Scene, name: str) -> None:
     """Raise InputError unless the scene's board can be laid out, and read from a map."""
     try:
         _ = scene.layout
-    except ValueError as error:
-        raise InputError(f'layout "{name}": {error}.') from None
+    except InputError as error:
+        raise InputError(f'layout "{name}": {error}') from None
     check_one_response(scene.photodiodes)
 
 

@@ -17,14 +17,14 @@ def scene():
 def test_every_prior_is_a_change_to_the_end_that_is_farther(scene):
     found = {change.name: change for change in unknown_changes(scene)}
     assert len(found) == len(scene.priors.of_finger()) and all(change.unknown for change in found.values())
-    assert found["plate absorption"].changes == {"finger": {"plate_absorption": 2.0}}
+    assert found["plate absorption"].changes == {"finger": {"plate_absorption": 0.1}}
     # From 3 % of blood 1 % is farther than 5 %.
     assert found["blood at rest"].changes == {"blood": {"rest_blood_fraction": 0.01}}
     # A plate that scatters a fifth as much is farther than one that scatters 1.667 times as much.
     assert found["plate scattering"].changes == {"finger": {"plate_scattering": 0.2}}
     assert found["plate absorption"].same_photons and not found["plate scattering"].same_photons
     clear = at_value(scene, "finger.plate_absorption", 1.9)
-    assert next(unknown_changes(clear)).changes == {"finger": {"plate_absorption": 0.5}}
+    assert next(unknown_changes(clear)).changes == {"finger": {"plate_absorption": 0.1}}
     assert list(unknown_changes(scene.model_copy(update={"priors": Priors(spread=False)}))) == []
 
 

@@ -1,0 +1,54 @@
+"""What one command writes runs in every command that reads its kind: layouts of place, boards and drawings of them."""
+
+from pathlib import Path
+
+import pytest
+
+import nailoptics as nail
+from nailoptics.assets import data_dir
+from nailoptics.report.result_files import write_placement
+from nailoptics.scene import Scene, load_scene, parse_scene, to_toml
+from nailoptics.scene.kicad import read_board
+from nailoptics.scene.outlines import read_outline
+from nailoptics.scene.positions import read_positions
+from nailoptics.studies.scene_check import check_scene
+from nailoptics.studies.simulate import simulate
+
+FINGERS = [path.stem for path in sorted(data_dir("scenes").glob("*.toml")) if load_scene(path).finger is not None]
+
+
+def is_read(scene: Scene) -> None:
+    check_scene(scene)
+    assert simulate(scene, photons=2000, seed=1).detected_fraction.notnull().all()
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(
+    "name", [pytest.param(one, marks=pytest.mark.long if one == "placement" else pytest.mark.slow) for one in FINGERS]
+)
+def test_every_file_of_place_is_read(jit_backend, tmp_path: Path, name: str):
+    """Few photons rank layouts badly, and are enough to write them."""
+    scene = load_scene(data_dir("scenes") / f"{name}.toml")
+    try:
+        result = nail.place(scene, photons=2000, seed=1)
+    except nail.NotReachedError as short:
+        result = short.result
+    write_placement(result, tmp_path)
+    best = load_scene(tmp_path / "best.toml")
+    is_read(best)
+    assert parse_scene(to_toml(best)) == best
+    outline = read_outline(tmp_path / "outline.dxf")
+    assert len(outline.corners_mm) >= 4
+    one = best.layout.photodiodes[0].photodiode
+    size = f"size_mm = [{one.size_mm[0]}, {one.size_mm[1]}]"
+    for key, file in (("kicad", "best.kicad_pcb"), ("positions", "best.csv")):
+        placed = read_positions(tmp_path / file) if key == "positions" else read_board(tmp_path / file).footprints
+        uses = [f"parts.{p.ref} = {{ photodiode = true, {size} }}" for p in placed[len(best.leds) :]]
+        uses += [f"parts.{p.ref} = {{ led = true, wavelength_nm = 800.0 }}" for p in placed[: len(best.leds)]]
+        digit = f'digit = "{best.finger.digit}"'
+        text = "\n".join(
+            ["schema_version = 1", "[finger]", digit, "[board]", f'{key} = "{file}"', "barrier = false", *uses]
+        )
+        again = parse_scene(text, folder=tmp_path)
+        check_scene(again)
+        assert len(again.layout.photodiodes) == len(best.layout.photodiodes)
