@@ -30,13 +30,18 @@ class InputError(NailopticsError):
 
 
 class NotReachedError(NailopticsError):
-    """A tolerance or a time limit could not be met; `result` is what was reached. On a full disk the exit code is 1."""
+    """A tolerance or a time limit could not be met; `result` is what was reached. On a full disk the exit code is 1.
+
+    interrupted : whether the user ended it.
+    """
 
     exit_code = 3
 
-    def __init__(self, message: str, *, result: object = None, full: bool = False) -> None:
+    def __init__(
+        self, message: str, *, result: object = None, full: bool = False, interrupted: bool = False
+    ) -> None:
         super().__init__(message)
-        self.result = result
+        self.result, self.interrupted = result, interrupted
         self.exit_code = 1 if full else NotReachedError.exit_code
 
 

@@ -19,7 +19,7 @@ from ..light import ReweightWarning, Transfer
 from ..light import backend as backends
 from ..light.records import LedBatches
 from ..light.store import LightStore
-from ..light.tracing import PHOTONS_ENGINE, LightEngine, StoppingRule, accuracy, extend, led_sources
+from ..light.tracing import PHOTONS_ENGINE, LightEngine, LedTrigger, accuracy, extend, led_sources
 from ..light.transfer import current_versions
 from ..options import BackendName, TraceOptions
 from ..scene import Accuracy, Scene, to_toml
@@ -254,14 +254,14 @@ class _Light:
         engine = LightEngine(first, backends.choose_jit(asked.backend, PHOTONS_ENGINE))
         stores = settings.stores(lambda path, why: report.corrupt.append(path.parent.name))
         self.leds: list[LedBatches] = []
-        self.rules: list[dict[Any, StoppingRule]] = []
+        self.rules: list[dict[Any, LedTrigger]] = []
         for led, source in enumerate(led_sources(first, engine, stores, seed=asked.seed, backend=asked.backend)):
             # Scenes that differ only in what comes after the light need the same of it.
-            rules: dict[Any, StoppingRule] = {}
+            rules: dict[Any, LedTrigger] = {}
             for scene in (*scenes, *job.also):
                 need = self._need(scene, led)
                 if need not in rules:
-                    rules[need] = StoppingRule(scene, led, settings.required(scene), source.mu_a, full=engine.full)
+                    rules[need] = LedTrigger(scene, led, settings.required(scene), source.mu_a, full=engine.full)
             self.leds.append(extend(source, list(rules.values()), stop=settings.is_late))
             self.rules.append(rules)
 
@@ -277,15 +277,14 @@ class _Light:
         errors: list[float | None] = []
         for led, (batches, rules) in enumerate(zip(self.leds, self.rules, strict=True)):
             rule = rules[self._need(scene, led)]
-            if rule.unseen:
-                raise NotReachedError(rule.unseen)
-            sizes, met = rule.settled(batches.pieces)
+            if rule.unlit:
+                raise NotReachedError(rule.unlit)
+            sizes, met = rule.accepted_batches(batches.pieces)
             if not sizes or (not met and settings.is_late()):
                 return None
             reached &= met
             errors.append(rule.errors[len(sizes) - 1] if sizes[-1] == rule.full else None)
-            factors = rule.factors if met else None
-            traces.append(batches.trace(sizes, seed=settings.options.seed, led=led, rest=rule.rest, factors=factors))
+            traces.append(batches.trace(sizes, seed=settings.options.seed, led=led, rest=rule.rest))
         worst = None if None in errors else max(error for error in errors if error is not None)
         return Transfer(scene, tuple(traces), settings.options.backend), reached, worst
 

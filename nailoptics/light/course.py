@@ -56,7 +56,7 @@ def course(
     blood_fraction : (t, K) float in 0-1. Blood of each zone in each state; of single precision, readings are, too.
     electrons : weigh the LED's line by the photodiode's response, relative to that at the peak wavelength.
 
-    Warns: ReweightWarning where fewer than 100 effective photons stand behind a reading of some state, or fewer than 25
+    Warns: ReweightWarning where fewer than 400 effective photons stand behind a reading of some state, or fewer than 25
     behind the standard error of one that is brighter than the traced state.
     """
     found = _course(transfer, blood_fraction, so2, electrons)

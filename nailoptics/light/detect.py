@@ -332,8 +332,9 @@ def _light_by_volpath(
 
 def _unless_short(result: T, traced: Sequence[StateReadings]) -> T:
     """What was made of volpath's readings; raises NotReachedError with it if some fall short of what is required."""
-    if short := next((one.fell_short for one in traced if one.fell_short), None):
-        raise NotReachedError(short, result=result)
+    unmet = next((one for one in traced if one.unmet_reason), None)
+    if unmet and unmet.unmet_reason:
+        raise NotReachedError(unmet.unmet_reason, result=result, interrupted=unmet.interrupted)
     return result
 
 

@@ -1,6 +1,6 @@
 """Sums over the photons of each photodiode at one state, and how those of all photons sharpen those of a sample."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -46,11 +46,6 @@ class Moments:
 
     def __add__(self, other: "Moments") -> "Moments":
         return Moments(**{name: value + getattr(other, name) for name, value in vars(self).items()})
-
-    def times(self, factor: float) -> "Moments":
-        """The sums where every photon's weight is multiplied by a factor."""
-        power = {"weight": 1, "path": 1, "fourth": 4} | dict.fromkeys(("square", "path_square", "path_cross"), 2)
-        return replace(self, **{name: getattr(self, name) * factor**n for name, n in power.items()})
 
     @property
     def fraction(self) -> np.ndarray:

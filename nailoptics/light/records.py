@@ -136,15 +136,6 @@ class LedTrace:
         weight = thin.weight * (self.keep / keep)
         return replace(thin, weight=weight, keep=keep, rest=self.rest, full=self._sums_at_rest())
 
-    def times(self, factor: float) -> "LedTrace":
-        """The trace where every photon's weight is multiplied by a factor."""
-        if factor == 1:
-            return self
-        full = None if self.full is None else self.full.times(factor)
-        energy, absorbed = _times(self.energy, factor), _times(self.absorbed, factor)
-        sums = {"energy": energy, "absorbed": absorbed, "pairs": _times(self.pairs, factor**2)}
-        return replace(self, weight=self.weight * factor, full=full, **sums)  # type: ignore[arg-type]
-
     def moments(self, mu_a: np.ndarray, share: np.ndarray, *, count: int) -> Moments:
         """Sums over the photons of `count` photodiodes at a state.
 
@@ -225,10 +216,6 @@ def _added(sums: Sequence[Mapping[str, tuple[float, float]]]) -> dict[str, tuple
     return {name: (sum(s.get(name, none)[0] for s in sums), sum(s.get(name, none)[1] for s in sums)) for name in names}
 
 
-def _times(sums: Mapping[str, tuple[float, float]], factor: float) -> dict[str, tuple[float, float]]:
-    return {name: (total * factor, square * factor**2) for name, (total, square) in sums.items()}
-
-
 def _differ(a: RestState | None, b: RestState | None) -> bool:
     if a is None or b is None:
         return a is not b
@@ -246,17 +233,12 @@ class LedBatches:
     mu_a: np.ndarray
     pieces: Mapping[tuple[int, int], Batch]
 
-    def trace(
-        self, sizes: Sequence[int], *, seed: int, led: int, rest: RestState, factors: np.ndarray | None = None
-    ) -> LedTrace:
-        """The batches of these sizes as one trace, exact at rest however many records it keeps.
-
-        factors : (batches,) float. What the weights in each are multiplied by, if by anything.
-        """
+    def trace(self, sizes: Sequence[int], *, seed: int, led: int, rest: RestState) -> LedTrace:
+        """The batches of these sizes as one trace, exact at rest however many records it keeps."""
         found = LedRecords(self.mu_a, rest, seed=seed, led=led)
         for number, size in enumerate(sizes):
             found.add(number, self.pieces[number, size])
-        return found.trace(factors)
+        return found.trace()
 
 
 class LedRecords:
@@ -277,7 +259,6 @@ class LedRecords:
         if keep < self._keep:
             self._keep, self._batches = keep, [trace.kept(keep) for trace in self._batches]
 
-    def trace(self, factors: np.ndarray | None = None) -> LedTrace:
-        """All batches so far as one, the weights in each multiplied by a factor if any are given, (batches,) float."""
-        factors = np.ones(len(self._batches)) if factors is None else factors
-        return joined([trace.times(float(factor)) for trace, factor in zip(self._batches, factors, strict=True)])
+    def trace(self) -> LedTrace:
+        """All batches so far as one."""
+        return joined(self._batches)

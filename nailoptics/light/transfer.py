@@ -25,7 +25,7 @@ from .moments import Moments, RestState, moments_of
 from .records import COLUMNS, SUMS, LedTrace, check_arrays, joined
 
 # A reading that rests on fewer effective photons than this has no trustworthy standard error.
-MIN_EFFECTIVE_PHOTONS = 100.0
+MIN_EFFECTIVE_PHOTONS = 400.0
 # Of a phantom's photodiodes, whose standard errors alone would not say it.
 SHARED_ERROR = (
     "photodiodes share their error, wholly where they lie at one distance from the LED, because a phantom's light is "
@@ -117,7 +117,7 @@ class Transfer:
         that the LED emits. A standard error is NaN, not known, where it rests on fewer than 25 effective photons; of a
         reading of 0, upper_limit_95 is what the fraction does not exceed.
 
-        Warns: ReweightWarning where fewer than 100 effective photons stand behind a reading of this state, or, of a
+        Warns: ReweightWarning where fewer than 400 effective photons stand behind a reading of this state, or, of a
         brighter state than the traced one, fewer than 25 behind its standard error.
         """
         states = _states(blood_fraction, so2)

@@ -40,7 +40,7 @@ def by_volpath(scene: Scene, *, relative_error: float, seed: int) -> tuple[np.nd
         led=0,
         options=TraceOptions(relative_error=relative_error, max_seconds=900.0, seed=seed),
     )
-    assert found.fell_short is None
+    assert found.unmet_reason is None
     return found.fraction[:, 0], found.fraction_stderr[:, 0]
 
 

@@ -302,7 +302,7 @@ def test_states_of_every_photodiode_within_a_time_or_a_tolerance(finger, by_scal
     heard = []
     options = TraceOptions(relative_error=0.25, max_seconds=60.0, seed=1, backend="scalar")
     result = states.finger_states(scene, shape, media, bed, led=0, options=options, progress=heard.append)
-    assert result.fell_short is None and result.fraction.shape == result.ratio_stderr.shape == (1, 3)
+    assert result.unmet_reason is None and result.fraction.shape == result.ratio_stderr.shape == (1, 3)
     assert np.all(result.fraction_stderr < 0.3 * result.fraction)
     assert np.all(result.ratio[:, 0] == 1) and np.all(result.ratio_stderr[:, 0] < 1e-12)
     other, other_error = states.ratio_to_first(by_scalar)
@@ -311,7 +311,7 @@ def test_states_of_every_photodiode_within_a_time_or_a_tolerance(finger, by_scal
     assert heard[-1].relative_error <= 0.25 and len(heard) >= result.batches
     options = replace(options, relative_error=1e-4, max_seconds=0.1)
     hurried = states.finger_states(scene, shape, media, bed, led=0, options=options)
-    assert "max_seconds" in hurried.fell_short and hurried.batches >= states.RATIO_BATCHES
+    assert "max_seconds" in hurried.unmet_reason and hurried.batches >= states.RATIO_BATCHES
 
 
 def test_an_interrupt_keeps_the_batches_that_are_there(finger, monkeypatch):
@@ -326,7 +326,7 @@ def test_an_interrupt_keeps_the_batches_that_are_there(finger, monkeypatch):
 
     options = TraceOptions(relative_error=1e-4, max_seconds=600.0, seed=1, backend="scalar")
     kept = states.finger_states(scene, shape, media, bed, led=0, options=options, progress=interrupt)
-    assert kept.fell_short.startswith("interrupted") and kept.batches == len(heard)
+    assert kept.unmet_reason.startswith("interrupted") and kept.batches == len(heard)
     assert np.all(np.isfinite(kept.fraction_stderr))
 
 

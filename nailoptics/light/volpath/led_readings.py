@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from ...statistics import seed_of
 from .. import optics
 from ..backend import choose
 from ..course import Course
-from ..tracing import INTERRUPTED, ProgressCallback, TraceProgress, out_of_time, share_of_time
+from ..tracing import Ending, ProgressCallback, TraceProgress, Trigger, out_of_time, run_until, share_of_time
 from .integrate import phantom_fractions
 from .mitsuba_scene import LEAVING, BedAbsorption, Window
 from .states import StateReadings, finger_states
@@ -43,7 +43,7 @@ def read_leds(scene: Scene, options: TraceOptions, read: Callable[..., StateRead
     for led in range(len(scene.leds)):
         share = share_of_time(options.max_seconds, begin, len(scene.leds) - led)
         traced.append(read(led, replace(options, max_seconds=max(share, LEAST_SECONDS))))
-        if (traced[-1].fell_short or "").startswith(INTERRUPTED) and led + 1 < len(scene.leds):
+        if traced[-1].interrupted and led + 1 < len(scene.leds):
             raise KeyboardInterrupt  # nothing is known of the other LEDs
     return traced
 
@@ -78,27 +78,40 @@ def phantom_readings(scene: Scene, progress: ProgressCallback | None, led: int, 
     Paths are traced in rounds, each as long as all before it; the first always runs, and none begins after max_seconds.
     """
     name, target, max_seconds = scene.leds[led].name, options.relative_error, options.max_seconds or math.inf
-    begin = time.perf_counter()
-    rounds: list[np.ndarray] = []
-    sizes: list[int] = []
-    paths, met, share = 0, False, 0.0
-    while share < 1:
-        missing = options.photons - paths if options.photons else max(paths, FIRST_ROUND)
-        sizes.append(min(math.ceil(missing / ROUND_BATCHES), MAX_BATCH_PATHS))
-        rounds.append(_phantom_round(scene, led, len(rounds), sizes[-1], options))
-        paths += sizes[-1] * ROUND_BATCHES
-        # Row by row: photodiodes, reflected, transmitted, both of these.
-        *values, reflected, transmitted, out = (_pooled(list(row), sizes) for row in zip(*rounds, strict=True))
-        error = max((stderr / value if value > 0 else math.inf for value, stderr in values), default=0.0)
-        seconds = time.perf_counter() - begin
-        if options.photons:
-            share = paths / options.photons
-        elif target:
-            share = min(1.0, (target / error) ** 2) if error > 0 else 1.0
-        met = share >= 1 or not (options.photons or target)
-        share = min(1.0, max(share, seconds / max_seconds))
+    begin, rounds, sizes = time.perf_counter(), list[np.ndarray](), list[int]()
+    # Without a tolerance or a number the time alone ends it.
+    trigger = Trigger(target=target or 0.0, first=FIRST_ROUND, growth=1.0)
+
+    def pooled() -> list[tuple[float, float]]:
+        """Row by row: photodiodes, light reflected, transmitted, both of these."""
+        return [_pooled(list(row), sizes) for row in zip(*rounds, strict=True)]
+
+    def worst() -> float:
+        return max((stderr / value if value > 0 else math.inf for value, stderr in pooled()[:-3]), default=0.0)
+
+    def paths() -> int:
+        return ROUND_BATCHES * sum(sizes)
+
+    def needed() -> Iterator[int]:
+        while more := options.photons - paths() if options.photons else trigger.needed(paths(), worst()):
+            yield more
+
+    def sample(more: int) -> None:
+        size = min(math.ceil(more / ROUND_BATCHES), MAX_BATCH_PATHS)
+        rounds.append(_phantom_round(scene, led, len(rounds), size, options))
+        sizes.append(size)
+
+    def report() -> None:
         if progress:
-            progress(TraceProgress(name, paths, error, target, share, seconds))
+            error, seconds = worst(), time.perf_counter() - begin
+            share = paths() / options.photons if options.photons else trigger.share_done(error)
+            share = min(1.0, max(share, seconds / max_seconds))
+            progress(TraceProgress(name, paths(), error, target, share, seconds))
+
+    late = lambda more: bool(rounds) and time.perf_counter() - begin >= max_seconds  # noqa: E731
+    ending = run_until(needed(), sample, is_late=late, report=report)
+    *values, reflected, transmitted, out = pooled()
+    met = ending is Ending.MET or not (options.photons or target)
     fraction, fraction_stderr = np.array(values).reshape(-1, 2, 1).swapaxes(0, 1)
     return StateReadings(
         fraction=fraction,
@@ -106,8 +119,9 @@ def phantom_readings(scene: Scene, progress: ProgressCallback | None, led: int, 
         ratio=np.ones_like(fraction),
         ratio_stderr=np.zeros_like(fraction),
         batches=len(rounds) * ROUND_BATCHES,
-        paths=paths,
-        fell_short=None if met else out_of_time(name, f"relative error {error:.3g}"),
+        paths=paths(),
+        unmet_reason=None if met else out_of_time(name, f"relative error {worst():.3g}"),
+        interrupted=ending is Ending.INTERRUPTED,
         energy={
             "reflected": reflected,
             "transmitted": transmitted,

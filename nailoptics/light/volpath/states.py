@@ -2,8 +2,8 @@
 
 import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -16,7 +16,7 @@ from ...scene.parts import check_flat
 from ...statistics import seed_of
 from ..backend import choose
 from ..optics import Media
-from ..tracing import INTERRUPTED, ProgressCallback, TraceProgress, out_of_time, unseen
+from ..tracing import Ending, ProgressCallback, TraceProgress, Trigger, out_of_time, run_until, unlit
 from .integrate import BedAbsorption, FingerPaths
 from .mitsuba_scene import check_pattern
 
@@ -28,8 +28,8 @@ BATCH_SECONDS = 1.5
 # before so many, and what is still needed is decided in few rounds.
 LEAST_BATCHES = 30
 ROUND_FACTOR = 4.0
-# A photodiode that so many batches saw nothing of is taken for unseen.
-UNSEEN_BATCHES = 400
+# A photodiode that so many batches saw nothing of is taken for unlit.
+UNLIT_BATCHES = 400
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,8 @@ class StateReadings:
         where nothing was seen.
     ratio, ratio_stderr : (photodiodes, states) float. Reading over that of the first state; far less noisy than either.
     batches, paths : How many in all.
-    fell_short : Why some fraction does not have the relative error that was required; None if all have.
+    unmet_reason : Why some fraction does not have the relative error that was required; None if all have.
+    interrupted : Whether that is because the user ended it.
     energy : Where the light went, with standard errors; None where that is not known.
     """
 
@@ -50,8 +51,9 @@ class StateReadings:
     ratio_stderr: NDArray[np.float64]
     batches: int
     paths: int
-    fell_short: str | None
+    unmet_reason: str | None
     energy: dict[str, tuple[float, float]] | None = None
+    interrupted: bool = False
 
 
 def finger_states(
@@ -80,7 +82,7 @@ def finger_states(
     tracer = partial(FingerPaths, geometry, media, led=led, backend=backend)
     batches = _Batches(tracer, bed, geometry, led, options, progress)
     ratio, ratio_stderr = batches.settle_ratios()
-    fell_short = batches.settle_levels()
+    reason = batches.settle_levels()
     mean = np.array([np.mean(values) for values in batches.level])
     relative = np.array([relative_stderr(values) for values in batches.level])
     fraction = mean[:, None] * ratio
@@ -88,7 +90,8 @@ def finger_states(
     seen = mean > 0
     error[seen] = fraction[seen] * np.hypot(relative[seen, None], ratio_stderr[seen] / ratio[seen])
     paths = batches.done * batches.paths
-    return StateReadings(fraction, error, ratio, ratio_stderr, batches.done, paths, fell_short)
+    readings = StateReadings(fraction, error, ratio, ratio_stderr, batches.done, paths, reason)
+    return replace(readings, interrupted=batches.interrupted)
 
 
 class _Batches:
@@ -113,6 +116,8 @@ class _Batches:
         self.seed = seed_of(options.seed, led)
         self.start, self.done, self.paths = time.perf_counter(), 0, 0
         self.level: list[list[float]] = [[] for _ in self.photodiodes]
+        self.trigger = Trigger(target=self.target or 1e-9, first=LEAST_BATCHES, margin=1.05, growth=ROUND_FACTOR - 1)
+        self.interrupted = False
 
     def settle_ratios(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Each state's reading over that of the first state, and its standard error, (photodiodes, states) float."""
@@ -123,6 +128,7 @@ class _Batches:
             self.paths = self.paths or traced.paths_for(min(BATCH_SECONDS, share))
             for _ in range(RATIO_BATCHES):
                 rows.append(self._trace(traced, (i,)))
+                self._report()
             found.append(ratio_to_first(np.stack(rows)))
         ratio, stderr = np.reshape(found, (len(found), 2, -1)).swapaxes(0, 1)
         return ratio, stderr
@@ -134,24 +140,39 @@ class _Batches:
         order = sorted(range(len(self.level)), key=lambda i: relative_stderr(self.level[i]))
         groups = [tuple(order[k : k + 3]) for k in range(0, len(order), 3)]
         tracers: dict[tuple[int, ...], FingerPaths] = {}
-        planned, fell_short = dict.fromkeys(groups, LEAST_BATCHES), None
-        try:
+        planned, reasons = dict.fromkeys(groups, LEAST_BATCHES), []
+
+        def needed() -> Iterator[tuple[int, ...]]:
             while unfinished := [group for group in groups if len(self.level[group[0]]) < planned[group]]:
-                if time.perf_counter() - self.start >= self.max_seconds:
-                    return out_of_time(self.led, f"relative error {self.worst:.3g}, {self.target:g} requested")
-                group = max(unfinished, key=lambda group: planned[group] / len(self.level[group[0]]))
-                if group not in tracers:
-                    tracers[group] = self.tracer(bed=rest, photodiodes=group)
-                self._trace(tracers[group], group)
-                if len(self.level[group[0]]) == planned[group]:
-                    blind = [i for i in group if not any(self.level[i])]
-                    if blind and planned[group] >= UNSEEN_BATCHES:
-                        fell_short = unseen(self.led, self.photodiodes[blind[0]], planned[group] * self.paths)
-                    else:
-                        planned[group] = max(batches_for(self.target, self.level[i]) for i in group)
-        except KeyboardInterrupt:
-            return f'{INTERRUPTED}: LED "{self.led}" has {self.done} batches.'
-        return fell_short
+                yield max(unfinished, key=lambda group: planned[group] / len(self.level[group[0]]))
+
+        def sample(group: tuple[int, ...]) -> None:
+            if group not in tracers:
+                tracers[group] = self.tracer(bed=rest, photodiodes=group)
+            self._trace(tracers[group], group)
+            count = len(self.level[group[0]])
+            if count < planned[group]:
+                return
+            dark = [i for i in group if not any(self.level[i])]
+            if dark and count >= UNLIT_BATCHES:
+                reasons.append(unlit(self.led, self.photodiodes[dark[0]], count * self.paths))
+            else:
+                planned[group] += max(self.trigger.needed(count, relative_stderr(self.level[i])) for i in group)
+
+        ending = run_until(
+            needed(), sample, is_late=lambda group: self.seconds >= self.max_seconds, report=self._report
+        )
+        if ending is Ending.OUT_OF_TIME:
+            return out_of_time(self.led, f"relative error {self.worst:.3g}, {self.target:g} requested")
+        if ending is Ending.INTERRUPTED:
+            self.interrupted = True
+            return f'interrupted: LED "{self.led}" has {self.done} batches.'
+        return reasons[0] if reasons else None
+
+    @property
+    def seconds(self) -> float:
+        """Time since the first batch began. [s]"""
+        return time.perf_counter() - self.start
 
     def _trace(self, traced: FingerPaths, photodiodes: tuple[int, ...]) -> NDArray[np.float64]:
         """Add one batch to the levels; its first readings are those of the photodiodes in the first state."""
@@ -159,23 +180,18 @@ class _Batches:
         for i, value in zip(photodiodes, values, strict=False):
             self.level[i].append(float(value))
         self.done += 1
-        if self.progress:
-            worst, seconds = self.worst, time.perf_counter() - self.start
-            # The error falls with the root of the time.
-            share = min(1.0, max((self.target / worst) ** 2 if worst > 0 else 1.0, seconds / self.max_seconds))
-            self.progress(TraceProgress(self.led, 0, worst, self.target, share, seconds))
         return values
+
+    def _report(self) -> None:
+        if self.progress:
+            worst = self.worst
+            share = min(1.0, max(self.trigger.share_done(worst), self.seconds / self.max_seconds))
+            self.progress(TraceProgress(self.led, 0, worst, self.target, share, self.seconds))
 
     @property
     def worst(self) -> float:
         """The largest relative standard error so far."""
         return max(relative_stderr(values) for values in self.level)
-
-
-def batches_for(relative_error: float, values: list[float]) -> int:
-    """Batches in all that should reach a relative error, judged by those that are there; at most so many times more."""
-    factor = (relative_stderr(values) / relative_error) ** 2
-    return len(values) if factor <= 1 else math.ceil(len(values) * min(1.05 * factor, ROUND_FACTOR))
 
 
 def ratio_to_first(batches: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -12,7 +12,7 @@ from ...light.bare_nail import BareNail, Patch
 from ...options import TraceOptions
 from ...scene import Scene, Viewing
 from ...statistics import jackknife, seed_of
-from ..stage_progress import StageProgress
+from ...light.tracing import StageProgress
 from .colorimetry import Viewer, delta_e_2000
 from .reflectance import ColourRays, walk_colour
 

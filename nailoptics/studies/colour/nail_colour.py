@@ -23,7 +23,7 @@ from ...scene.viewing import Illuminant, LightFrom, Observer
 from ...statistics import jackknife
 from ...variables import variable
 from ..blood_states import steady_blood
-from ..stage_progress import StageProgress
+from ...light.tracing import StageProgress
 from .colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
 from .colour_spread import spread_of_colours
 from .enough_rays import TILE_MM, Places, look_of, places_of, stderr_of_colour, walk_until_known

@@ -17,7 +17,7 @@ from ...options import TraceOptions
 from ...scene import Scene, Viewing
 from ...scene.viewing import LightFrom
 from ...statistics import left_out, seed_of
-from ..stage_progress import StageProgress
+from ...light.tracing import StageProgress
 from .colorimetry import WAVELENGTHS_NM
 from .enough_rays import Places
 from .reflectance import GROUPS

@@ -37,7 +37,7 @@ from ...scene import Led, Scene, digest, to_toml
 from ...statistics import seed_of
 from ..placement import boards
 from ..placement.photon_maps import QUICK_DISTANCE_MM
-from ..stage_progress import StageProgress
+from ...light.tracing import StageProgress
 from .blood_polynomial import BloodPolynomial
 from .blood_ratio import RatioBasis, ratio_basis
 from .colour_table import BLOCKS, ColourSums, ColourTable

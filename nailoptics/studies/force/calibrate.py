@@ -18,7 +18,7 @@ from ...scene import Scene, Touch, digest, to_toml
 from ...scene.sensor_recordings import SATURATED, SITES, Recording, read_sensor_recording
 from ...variables import variable
 from ..blood_states import vessels
-from ..stage_progress import StageProgress
+from ...light.tracing import StageProgress
 from .baselines import Regression, component_regression, linear_regression, whole_samples
 from .body_noise import learn_noise
 from .correction import Correction, learn_correction, no_correction

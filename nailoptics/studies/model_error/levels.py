@@ -16,7 +16,7 @@ from ...light import ProgressCallback, optics
 from ...light import backend as backends
 from ...light.course import course, read_replicates
 from ...light.diffusion import DiffusionModel
-from ...light.tracing import unseen
+from ...light.tracing import unlit
 from ...options import BackendName, TraceOptions
 from ...scene import Scene
 from ...statistics import FEW_TERMS, farther_end, jackknife
@@ -101,7 +101,7 @@ class Bench:
         base = tracer.trace(full)
         found = base.transfer
         for led, photodiode in np.argwhere(~(base.level > 0)):
-            raise NotReachedError(unseen(found.leds[led], found.photodiodes[photodiode], found.traces[led].photons))
+            raise NotReachedError(unlit(found.leds[led], found.photodiodes[photodiode], found.traces[led].photons))
         return cls(full, changes, others, stock, stock_seconds, options, tracer, base)
 
     def levels(self) -> Iterator[Level]:

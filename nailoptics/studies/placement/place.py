@@ -17,7 +17,7 @@ from ...light import backend as backends
 from ...light.store import LightStore
 from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, load_scene
-from ..stage_progress import StageProgress
+from ...light.tracing import StageProgress
 from . import boards, search
 from .boards import CandidateLayout
 from .fisher import operating_point

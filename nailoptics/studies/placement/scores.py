@@ -9,7 +9,7 @@ import numpy as np
 from ...errors import NotReachedError
 from ...scene import digest
 from ...statistics import jackknife, t95
-from ..stage_progress import StageProgress
+from ...light.tracing import StageProgress
 from .boards import CandidateLayout
 from .fisher import (
     Response,

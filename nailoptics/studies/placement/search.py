@@ -11,7 +11,7 @@ from ...light.board_map import PhotonMap
 from ...scene import Placement, Scene
 from ...scene.base import Point
 from ...scene.rectangles import Rectangle
-from ..stage_progress import StageProgress
+from ...light.tracing import StageProgress
 from . import boards
 from .boards import CandidateLayout
 from .exchange import Tables, Together

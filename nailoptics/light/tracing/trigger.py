@@ -1,0 +1,186 @@
+"""Triggers, the stopping criteria of all sampling: a tolerance on an estimate's error, a number of photons, or the time.
+
+A run that stops when its own error is small enough is biased: where rare heavy photons are missing, reading and error
+come out too small. Checks are seldom and begin at 400 effective photons, which leaves a few hundredths of a standard
+error, at most a fifth where a thousandth of the photons carries a tenth of the light; nothing is corrected.
+
+References: Romano et al. 2015, Ann. Nucl. Energy 82, 90 (OpenMC's tally triggers).
+"""
+
+import math
+import time
+from collections.abc import Container
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...scene import Accuracy, Scene
+from ...statistics import stderr_of_mean
+from ..records import Batch
+from ..reweight import transmission
+from ..transfer import MIN_EFFECTIVE_PHOTONS, photodiode_names, rest_state
+from .driver import TraceProgress
+
+# A photodiode that none of so many photons reached is taken for unlit, unless a time limit says otherwise.
+UNLIT_PHOTONS = 100_000_000
+# Errors are checked after so many batches, each time a quarter more: seldom enough that stopping hardly favours luck.
+# The numbers are fixed, so that a trace that is continued stops where one that was never interrupted stops.
+CHECK_GROWTH = 1.25
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trigger:
+    """A tolerance on an error that falls with the root of the number of samples.
+
+    target : the error to reach; 0 is never reached, so that only the time ends it.
+    first, least : samples of the first round, and at least of every other.
+    margin : more samples than follow from the error so far, which is itself uncertain.
+    growth : samples of a round, at most, as a multiple of those before it.
+    """
+
+    target: float
+    first: int
+    least: int = 1
+    margin: float = 1.0
+    growth: float = math.inf
+
+    def needed(self, samples: int, error: float) -> int:
+        """Samples of the next round; 0 where the error of those so far is small enough."""
+        if not samples:
+            return self.first
+        if error <= self.target:
+            return 0
+        known = self.target > 0 and math.isfinite(error)
+        more = samples * (self.margin * (error / self.target) ** 2 - 1) if known else samples
+        return math.ceil(max(min(more, self.growth * samples), self.least))
+
+    def share_done(self, error: float) -> float:
+        """The part of the samples that are there, 0 to 1."""
+        return min(1.0, (self.target / error) ** 2) if error > 0 else 1.0
+
+
+class LedTrigger:
+    """When the trace of one LED may end: what a scene requires of it, held against the batches as they come.
+
+    photons, or the relative standard error of every photodiode at rest, checked by `check_schedule`; or the time; or
+    very many photons of which some photodiode has seen none, which no number of photons will mend.
+    """
+
+    def __init__(self, scene: Scene, led: int, required: Accuracy, mu_a: np.ndarray, *, full: int) -> None:
+        """mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
+
+        full : photons of a full batch.
+        """
+        self.led, self.required, self.full = led, required, full
+        self.name, self.photodiodes = scene.leds[led].name, photodiode_names(scene)
+        # For this LED. [s]
+        self.seconds = required.max_seconds / len(scene.leds) if required.max_seconds else math.inf
+        self.rest, self._mu_a = rest_state(scene, led), mu_a
+        # Weights of all batches and their squares by photodiode.
+        self._total = np.zeros((2, len(self.photodiodes)))
+        self.photons = 0
+        self.errors: list[float] = []
+        # Why no number of photons will do.
+        self.unlit = ""
+        self._batches: int | None = None
+
+    @property
+    def error(self) -> float:
+        """The largest relative standard error so far."""
+        return self.errors[-1] if self.errors else math.inf
+
+    def add(self, batch: Batch) -> None:
+        """Take in the next batch."""
+        weight = batch.weight * transmission(batch.path_mm, self.rest.mu_a - self._mu_a, self.rest.share)
+        count = len(self.photodiodes)
+        self._total += [np.bincount(batch.photodiode, weight**k, minlength=count) for k in (1, 2)]
+        self.photons += batch.photons
+        self.errors.append(float(_largest_error(self._total, self.photons)))
+        target = None if self.required.photons is not None else self.required.relative_error
+        due = self._batches is None and check_schedule(len(self.errors))
+        if due and target is not None and self.error <= target:
+            self._batches = len(self.errors)
+        endless = self.required.photons is None and math.isinf(self.seconds)
+        if endless and not self.unlit and self.photons >= UNLIT_PHOTONS and not self._total[0].all():
+            self.unlit = unlit(self.name, self.photodiodes[int(np.argmin(self._total[0]))], self.photons)
+
+    def sizes(self) -> list[int] | None:
+        """Photons of the batches that meet the requirement; None while that is not known."""
+        if self.required.photons is not None:
+            whole, rest = divmod(self.required.photons, self.full)
+            return [self.full] * whole + ([rest] if rest else [])
+        return None if self._batches is None else [self.full] * self._batches
+
+    def needs_batch(self, number: int) -> bool:
+        """Whether the full batch of this number is needed."""
+        sizes = self.sizes()
+        return (sizes is None and not self.unlit) or (sizes or [])[number : number + 1] == [self.full]
+
+    def accepted_batches(self, pieces: Container[tuple[int, int]]) -> tuple[list[int], bool]:
+        """Photons of the batches to read, and whether they meet the requirement; all that there are if they do not."""
+        sizes = self.sizes()
+        if sizes is not None and all(piece in pieces for piece in enumerate(sizes)):
+            return sizes, True
+        timed = self.required.photons is None and self.required.relative_error is None
+        return [self.full] * len(self.errors), timed
+
+    def unmet_reason(self) -> str | None:
+        """Why what was traced falls short of what is required, if it does."""
+        target, photons = self.required.relative_error, self.required.photons
+        if self.unlit:
+            return self.unlit
+        if photons is None and target is None or self._batches or (target and self.error <= target):
+            return None
+        if photons is not None and self.photons >= photons:
+            return None
+        known = f"relative error {self.error:.3g}, {target:g} requested" if target else f"{self.photons} photons"
+        return out_of_time(self.name, known)
+
+    def progress(self, seconds: float) -> TraceProgress:
+        """How far the trace is after some time."""
+        target, share = self.required.relative_error, seconds / max(self.seconds, 1e-9)
+        if self.required.photons is not None:
+            share = self.photons / self.required.photons
+        elif target is not None:
+            # While nothing is known of the error, the end is as far as that of a photodiode that no light reaches.
+            known = self.photons / UNLIT_PHOTONS if math.isinf(self.error) else (target / max(self.error, 1e-99)) ** 2
+            share = max(share, known)
+        return TraceProgress(self.name, self.photons, self.error, target, min(share, 1.0), seconds)
+
+
+def check_schedule(batches: int) -> bool:
+    """Whether errors are checked after so many batches."""
+    check = 1
+    while check < batches:
+        check = max(check + 1, math.floor(check * CHECK_GROWTH))
+    return check == batches
+
+
+def share_of_time(max_seconds: float | None, begin: float, leds: int) -> float:
+    """A fair share, for each of the LEDs that are left, of the time since `begin` of the performance counter. [s]"""
+    return math.inf if max_seconds is None else (max_seconds - (time.perf_counter() - begin)) / leds
+
+
+def out_of_time(led: str, reached: str) -> str:
+    """Why a trace ends with what it has reached."""
+    return f'max_seconds ended the trace of LED "{led}" at {reached}; allow more time or require less.'
+
+
+def unlit(led: str, photodiode: str, photons: int) -> str:
+    """Why a trace ends without an error for one of its photodiodes."""
+    return (
+        f'of {photons} photons of LED "{led}" none reached photodiode "{photodiode}", so no error is '
+        "known there; move it nearer, leave it out, or set max_seconds or photons."
+    )
+
+
+def _largest_error(sums: np.ndarray, photons: int) -> float:
+    """Largest relative standard error; inf as long as a photodiode has too few effective photons for one.
+
+    sums : (2, photodiodes) float. Of weights and of their squares.
+    """
+    weight, square = sums
+    few = (weight**2 < MIN_EFFECTIVE_PHOTONS * square) | (square == 0)
+    mean = np.divide(weight, photons, out=np.ones_like(weight), where=~few)
+    error = np.where(few, math.inf, stderr_of_mean(weight, square, photons) / mean)
+    return float(error.max(initial=0.0))
