@@ -37,9 +37,7 @@ class NotReachedError(NailopticsError):
 
     exit_code = 3
 
-    def __init__(
-        self, message: str, *, result: object = None, full: bool = False, interrupted: bool = False
-    ) -> None:
+    def __init__(self, message: str, *, result: object = None, full: bool = False, interrupted: bool = False) -> None:
         super().__init__(message)
         self.result, self.interrupted = result, interrupted
         self.exit_code = 1 if full else NotReachedError.exit_code

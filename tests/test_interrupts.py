@@ -64,7 +64,7 @@ def test_an_interrupt_between_two_results_leaves_the_first_whole(folder, chosen_
 @pytest.mark.jit
 def test_a_second_interrupt_ends_the_command_at_once(folder, chosen_jit, store):
     """It comes before the first batch is traced, or when one is to take its place in the store."""
-    for place in ("nailoptics.light.tracing:_take_batches", "nailoptics.io:os.replace"):
+    for place in ("nailoptics.light.tracing.trace_scene:take_batches", "nailoptics.io:os.replace"):
         ended = interrupted_at(place, *SIMULATE, twice=True)
         assert ended.code == 130 and ended.said[-1] == COMPLETE
         assert not list(folder.rglob("*.part")) and not list(store.rglob("*.dat")) and not written(folder / "out")
@@ -125,7 +125,7 @@ def test_a_calibration_is_not_made_of_a_part_of_its_light(folder, chosen_jit, st
 @pytest.mark.jit
 def test_a_command_in_the_background_of_a_script_hears_no_interrupt(folder, chosen_jit, store):
     """A shell lets it ignore SIGINT, which is for the script; expected: it goes on to its end."""
-    ended = interrupted_at("nailoptics.light.tracing:_take_batches", *SIMULATE, ignored=True)
+    ended = interrupted_at("nailoptics.light.tracing.trace_scene:take_batches", *SIMULATE, ignored=True)
     assert ended.code == 0 and written(folder / "out") == set(SIMULATION)
     assert not [line for line in ended.said if "interrupt" in line or "stopping" in line]
 

@@ -19,7 +19,7 @@ from ..light import ReweightWarning, Transfer
 from ..light import backend as backends
 from ..light.records import LedBatches
 from ..light.store import LightStore
-from ..light.tracing import PHOTONS_ENGINE, LightEngine, LedTrigger, accuracy, extend, led_sources
+from ..light.tracing import PHOTONS_ENGINE, LedTrigger, LightEngine, accuracy, extend, led_sources
 from ..light.transfer import current_versions
 from ..options import BackendName, TraceOptions
 from ..scene import Accuracy, Scene, to_toml

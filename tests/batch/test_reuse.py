@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import nailoptics as nail
-from nailoptics.light import tracing
 from nailoptics.light.identity import light_digest, light_scene
 from nailoptics.light.store import LedSource, LightStore, made_of
-from nailoptics.light.tracing import StoppingRule, batch_photons, check_schedule, extend, photons_engine
+from nailoptics.light.tracing import LedTrigger, batch_photons, extend, photons_engine, trigger
+from nailoptics.light.tracing.trigger import check_schedule
 from nailoptics.light.transfer import Transfer, rest_state
 from nailoptics.scene import Accuracy, load_scene, parse_scene
 from nailoptics.scene.placement import Placement
@@ -67,10 +67,10 @@ def grown(scene, *, asked, stored=(), seed=0):
             return super().batch(led, photons=photons, seed=seed)
 
     engine = Counting(light_scene(scene))
-    rule = StoppingRule(scene, 0, asked, engine.mu_a(0), full=batch_photons(scene))
+    rule = LedTrigger(scene, 0, asked, engine.mu_a(0), full=batch_photons(scene))
     source = LedSource(lambda: engine, 0, engine.mu_a(0), photodiodes=1, seed=seed, stored=stored)
     batches = extend(source, [rule], stop=lambda: False)
-    sizes, met = rule.settled(batches.pieces)
+    sizes, met = rule.accepted_batches(batches.pieces)
     assert met
     return batches, sizes, traced
 
@@ -143,19 +143,19 @@ def test_the_light_of_a_scene_is_its_own_light():
 @pytest.mark.jit
 def test_a_photodiode_that_no_light_reaches_ends_the_trace_with_a_word(jit_backend, tmp_path, monkeypatch):
     """However many other scenes go on tracing, and seen or not by their photons later."""
-    monkeypatch.setattr(tracing, "UNSEEN_PHOTONS", 1_000_000)
+    monkeypatch.setattr(trigger, "UNLIT_PHOTONS", 1_000_000)
     scene = phantoms(tmp_path, 2, path="photodiodes.p.position_mm[0]", high=500.0).scenes[1]
     kind = photons_engine(scene, "auto")
     mu_a = kind(light_scene(scene)).mu_a(0)
     far, more = (
-        StoppingRule(scene, 0, asked, mu_a, full=batch_photons(scene))
+        LedTrigger(scene, 0, asked, mu_a, full=batch_photons(scene))
         for asked in (Accuracy(relative_error=0.01), Accuracy(photons=1 << 22))
     )
     engine = kind(light_scene(scene))
     stored = [LightStore(tmp_path / "store").light(made_of(scene, 0, seed=0, backend=jit_backend.name))]
     source = LedSource(lambda: engine, 0, mu_a, photodiodes=1, seed=0, stored=stored)
     batches = extend(source, [far], stop=lambda: False)
-    assert sum(size for _, size in batches.pieces) < 2_000_000 and 'none reached photodiode "p"' in far.unseen
-    again = StoppingRule(scene, 0, Accuracy(relative_error=0.01), mu_a, full=batch_photons(scene))
+    assert sum(size for _, size in batches.pieces) < 2_000_000 and 'none reached photodiode "p"' in far.unlit
+    again = LedTrigger(scene, 0, Accuracy(relative_error=0.01), mu_a, full=batch_photons(scene))
     assert len(extend(source, [again, more], stop=lambda: False).pieces) == 8
-    assert again.unseen == far.unseen and not more.unseen
+    assert again.unseen == far.unlit and not more.unseen

@@ -22,7 +22,7 @@ from nailoptics.batch.plan import as_json, left, of_shard, parse_shard, plan
 from nailoptics.batch.work import JobReport, Settings, meets, work
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.light import read_rest
-from nailoptics.light.tracing import StoppingRule
+from nailoptics.light.tracing import LedTrigger
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Accuracy
 
@@ -267,14 +267,14 @@ def test_a_scene_that_needs_too_much_memory_fails_alone(jit_backend, tmp_path):
 def test_a_light_that_one_scene_cannot_have_is_there_for_the_others(jit_backend, tmp_path, monkeypatch):
     """One scene's share of the common light needs too much memory; those that share it are done without it."""
     sweep = phantoms(tmp_path, 4, path="leds.beam.flux_mw")
-    greedy, rule = sweep.scenes[0], StoppingRule
+    greedy, rule = sweep.scenes[0], LedTrigger
 
     def limited(scene, *arguments, **more):
         if scene == greedy:
             raise MemoryError("Unable to allocate 99 TiB")
         return rule(scene, *arguments, **more)
 
-    monkeypatch.setattr("nailoptics.batch.work.StoppingRule", limited)
+    monkeypatch.setattr("nailoptics.batch.work.LedTrigger", limited)
     [report] = done_here(sweep, Settings(tmp_path / "b", TraceOptions(backend=jit_backend.name)))
     [why] = report.failed.values()
     assert len(report.done) == 3 and "not enough memory for it (Unable to allocate 99 TiB)" in why

@@ -15,7 +15,7 @@ from nailoptics.light.course import course, read_replicates
 from nailoptics.light.finger_walk import FingerTracer
 from nailoptics.light.records import Batch, LedTrace, joined
 from nailoptics.light.store import LedSource
-from nailoptics.light.tracing import StoppingRule, extend
+from nailoptics.light.tracing import LedTrigger, extend
 from nailoptics.paper.reduced_optics import fit_curve
 from nailoptics.scene import Accuracy, Scene, parse_scene
 from nailoptics.statistics import jackknife, left_out, stderr_of_mean
@@ -222,11 +222,11 @@ class Urn:
 def stopped(seed: int, target: float) -> tuple[float, float]:
     """Relative departure from the truth, and relative standard error, of a run that stops at a tolerance."""
     urn = Urn()
-    rule = StoppingRule(urn.scene, 0, Accuracy(relative_error=target), urn.mu_a(0), full=urn.batch_photons)
+    rule = LedTrigger(urn.scene, 0, Accuracy(relative_error=target), urn.mu_a(0), full=urn.batch_photons)
     batches = extend(LedSource(lambda: urn, 0, urn.mu_a(0), photodiodes=1, seed=seed), [rule], stop=lambda: False)
-    sizes, met = rule.settled(batches.pieces)
+    sizes, met = rule.accepted_batches(batches.pieces)
     assert met
-    trace = batches.trace(sizes, seed=seed, led=0, rest=rule.rest, factors=rule.factors)
+    trace = batches.trace(sizes, seed=seed, led=0, rest=rule.rest)
     total = trace.weight.sum()
     error = stderr_of_mean(total, (trace.weight**2).sum(), trace.photons) * trace.photons / total
     return float(total / trace.photons / Urn.truth - 1), float(error)

@@ -14,9 +14,9 @@ import nailoptics as nail
 from nailoptics import io
 from nailoptics.io import pack
 from nailoptics.light import store as store_module
-from nailoptics.light import tracing
 from nailoptics.light.layered_walk import LayeredTracer
 from nailoptics.light.store import LightStore, StoredEntry, entries, made_of, user_folder
+from nailoptics.light.tracing import trace_scene, trigger
 from nailoptics.scene import Scene, parse_scene
 
 SLAB = """
@@ -64,7 +64,7 @@ def same_bits(one, other) -> bool:
 
 @pytest.fixture
 def small_batches(jit_backend, monkeypatch):
-    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 12)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
 
 
 @pytest.mark.jit
@@ -109,7 +109,8 @@ def test_opening_the_engine_is_no_part_of_the_time_for_tracing(small_batches, mo
     monkeypatch.setattr(LayeredTracer, "__init__", slowly)
     monkeypatch.setattr(LayeredTracer, "batch", second)
     clock = SimpleNamespace(perf_counter=lambda: now[0], process_time=lambda: now[0])
-    monkeypatch.setattr(tracing, "time", clock)
+    monkeypatch.setattr(trace_scene, "time", clock)
+    monkeypatch.setattr(trigger, "time", clock)
     transfer = nail.trace(slab(), max_seconds=10.0, store=False)
     assert [trace.photons for trace in transfer.traces] == [5 << 12, 5 << 12]
     assert (transfer.setup_seconds, transfer.cpu_seconds, transfer.wall_seconds) == (60.0, 10.0, 10.0)

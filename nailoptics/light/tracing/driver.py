@@ -1,4 +1,4 @@
-"""The one loop that samples until enough is known, time is over or the user interrupts, and what it reports meanwhile."""
+"""The loop of all sampling: until enough is known, time is over or the user interrupts; and what it reports."""
 
 import math
 import time

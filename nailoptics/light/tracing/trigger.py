@@ -1,4 +1,4 @@
-"""Triggers, the stopping criteria of all sampling: a tolerance on an estimate's error, a number of photons, or the time.
+"""Triggers, the stopping criteria of all sampling: a tolerance on an error, a number of photons, or the time.
 
 A run that stops when its own error is small enough is biased: where rare heavy photons are missing, reading and error
 come out too small. Checks are seldom and begin at 400 effective photons, which leaves a few hundredths of a standard

@@ -93,7 +93,7 @@ def phantom_readings(scene: Scene, progress: ProgressCallback | None, led: int, 
         return ROUND_BATCHES * sum(sizes)
 
     def needed() -> Iterator[int]:
-        while more := options.photons - paths() if options.photons else trigger.needed(paths(), worst()):
+        while more := max(options.photons - paths(), 0) if options.photons else trigger.needed(paths(), worst()):
             yield more
 
     def sample(more: int) -> None:

@@ -116,7 +116,7 @@ class _Batches:
         self.seed = seed_of(options.seed, led)
         self.start, self.done, self.paths = time.perf_counter(), 0, 0
         self.level: list[list[float]] = [[] for _ in self.photodiodes]
-        self.trigger = Trigger(target=self.target or 1e-9, first=LEAST_BATCHES, margin=1.05, growth=ROUND_FACTOR - 1)
+        self.trigger = Trigger(target=self.target, first=LEAST_BATCHES, margin=1.05, growth=ROUND_FACTOR - 1)
         self.interrupted = False
 
     def settle_ratios(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

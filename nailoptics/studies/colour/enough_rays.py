@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...light.bare_nail import BareNail, Patch
+from ...light.tracing import StageProgress
 from ...options import TraceOptions
 from ...scene import Scene, Viewing
 from ...statistics import jackknife, seed_of
-from ...light.tracing import StageProgress
 from .colorimetry import Viewer, delta_e_2000
 from .reflectance import ColourRays, walk_colour
 

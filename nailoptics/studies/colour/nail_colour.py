@@ -16,6 +16,7 @@ from ...errors import InputError, NotReachedError
 from ...light import ProgressCallback, backend
 from ...light.bare_nail import BareNail
 from ...light.store import LightStore
+from ...light.tracing import StageProgress
 from ...light.transfer import provenance
 from ...options import Requested, TraceOptions
 from ...scene import Scene, Viewing
@@ -23,7 +24,6 @@ from ...scene.viewing import Illuminant, LightFrom, Observer
 from ...statistics import jackknife
 from ...variables import variable
 from ..blood_states import steady_blood
-from ...light.tracing import StageProgress
 from .colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
 from .colour_spread import spread_of_colours
 from .enough_rays import TILE_MM, Places, look_of, places_of, stderr_of_colour, walk_until_known

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...light.backend import Backend
 from ...light.bare_nail import as_seen
+from ...light.tracing import StageProgress
 from ...light.volpath.mitsuba_scene import FILM
 from ...light.volpath.nail_camera import NailCamera
 from ...options import TraceOptions
 from ...scene import Scene, Viewing
 from ...scene.viewing import LightFrom
 from ...statistics import left_out, seed_of
-from ...light.tracing import StageProgress
 from .colorimetry import WAVELENGTHS_NM
 from .enough_rays import Places
 from .reflectance import GROUPS

@@ -32,12 +32,12 @@ from ...errors import InputError, NotReachedError
 from ...light import ProgressCallback
 from ...light.board_map import BoardTracer
 from ...light.pair_kernel import PairBasis, PairProjection, RadialFunction, pair_basis
+from ...light.tracing import Ending, StageProgress, run_until, seconds_per_sample
 from ...options import BackendName, Requested, TraceOptions
 from ...scene import Led, Scene, digest, to_toml
 from ...statistics import seed_of
 from ..placement import boards
 from ..placement.photon_maps import QUICK_DISTANCE_MM
-from ...light.tracing import StageProgress
 from .blood_polynomial import BloodPolynomial
 from .blood_ratio import RatioBasis, ratio_basis
 from .colour_table import BLOCKS, ColourSums, ColourTable
@@ -164,7 +164,8 @@ def _traced(
         end, most = (number + 1) / len(sources), usual if number < own else usual // 2
         each = min(sums.tracer.batch_photons, max(LEAST_BATCH, most // BLOCKS))
         if not math.isinf(report.limit_s):
-            pace_s = pace_s or _seconds_per_photon(ColourSums(lit, number, basis, polynomial, **how, radial=None))
+            pilot = ColourSums(lit, number, basis, polynomial, **how, radial=None)
+            pace_s = pace_s or seconds_per_sample(pilot.trace, LEAST_BATCH, lambda first_s: PACE_PHOTONS)
             each = min(each, _fitting(end * report.limit_s - report.seconds, pace_s))
         batches = max(BLOCKS, round(most / each))
         _trace(sums, each, batches, led, report, begin=number / len(sources), end=end)
@@ -187,14 +188,6 @@ def _traced(
     return first, tables, cut_off
 
 
-def _seconds_per_photon(pilot: ColourSums) -> float:
-    """The pace of photons that count for nothing else, once their kernels are compiled. [s]"""
-    pilot.trace(LEAST_BATCH)
-    begin = time.perf_counter()
-    pilot.trace(PACE_PHOTONS)
-    return (time.perf_counter() - begin) / PACE_PHOTONS
-
-
 def _fitting(left_s: float, pace_s: float) -> int:
     """Photons of a batch such that each group has its first well within a time, by their pace. [s]"""
     return max(LEAST_BATCH, int(FIRST_ROUND * left_s / (BLOCKS * pace_s)))
@@ -207,11 +200,16 @@ def _trace(
 
     An interrupt of the user ends it, whatever it has.
     """
-    for k in range(batches):
-        if report.interrupted or (k >= BLOCKS and report.is_late(end)):
-            break
+
+    def is_late(k: int) -> bool:
+        return report.interrupted or (k >= BLOCKS and report.is_late(end))
+
+    def sample(k: int) -> None:
         sums.trace(each)
         report(f"{led.wavelength_nm:g} nm", begin + (end - begin) * (k + 1) / batches)
+
+    if run_until(range(batches), sample, is_late=is_late) is Ending.INTERRUPTED:
+        report.interrupted = True
 
 
 def _check(scene: Scene) -> None:

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...hemodynamics import steady_state
 from ...light import ProgressCallback, open_light
-from ...light.tracing import INTERRUPTED
+from ...light.tracing import StageProgress
 from ...options import Requested
 from ...scene import Scene, Touch, digest, to_toml
 from ...scene.sensor_recordings import SATURATED, SITES, Recording, read_sensor_recording
 from ...variables import variable
 from ..blood_states import vessels
-from ...light.tracing import StageProgress
 from .baselines import Regression, component_regression, linear_regression, whole_samples
 from .body_noise import learn_noise
 from .correction import Correction, learn_correction, no_correction
@@ -53,7 +52,7 @@ FITTED, PROFILED = 0.4, 0.5
 QUICKLY_S = 0.2
 # What the paper tunes by hand beside offset and scale: time constants.
 PAPER_FACTORS = ("vein_damping", "capillary_damping")
-NO_SUBJECT = f"{INTERRUPTED}; no subject was written."
+NO_SUBJECT = "interrupted; no subject was written."
 
 
 def calibrate(
@@ -82,7 +81,7 @@ def calibrate(
     if not given:
         raise InputError("calibrate needs at least one recording of a known force.")
     (scene, table), unmet = as_far_as_reached(open_table, scene, model=model, progress=progress, **requested)
-    if str(unmet).startswith(INTERRUPTED):
+    if unmet and unmet.interrupted:
         raise KeyboardInterrupt(NO_SUBJECT)
     result = calibrate_with(scene, table, given, model=model, progress=progress)
     if unmet:

@@ -12,7 +12,7 @@ from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...light import ProgressCallback, TraceProgress, Transfer, optics, trace
 from ...light.records import LedTrace
 from ...light.reweight import transmissions
-from ...light.tracing import INTERRUPTED, photons_engine
+from ...light.tracing import photons_engine, seconds_per_sample
 from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
 from ...statistics import FEW_TERMS, farther_end
@@ -178,18 +178,19 @@ class PairedTracer:
             fields = replace(options, max_seconds=share).fields
             pilot, unmet = as_far_as_reached(trace, scene, kept=geometry.AROUND, progress=self.progress, **fields)
             self.shortfall = str(unmet) if unmet else None
-            if self.shortfall and self.shortfall.startswith(INTERRUPTED):
-                raise NotReachedError(self.shortfall)
+            if unmet and unmet.interrupted:
+                raise NotReachedError(str(unmet), interrupted=True)
             return max(led.photons for led in pilot.traces)
         # The first trace loads the engine and compiles; what a photon costs is what it costs from then on.
         photons_engine(scene, options.backend)
-        first_s = self._traced(scene, None, LEAST_PHOTONS, store=False).transfer.wall_seconds
-        if self.seconds_left < 0:
-            return LEAST_PHOTONS
-        affordable = PILOT_SHARE * self._planned_seconds / max(first_s, 1e-9) * LEAST_PHOTONS
-        pilot, begin = int(min(max(affordable, 2 * LEAST_PHOTONS), PILOT_PHOTONS)), time.perf_counter()
-        self._traced(scene, None, pilot, store=False)
-        each_s = (time.perf_counter() - begin) / pilot
+
+        def pilot_photons(first_s: float) -> int:
+            affordable = PILOT_SHARE * self._planned_seconds / max(first_s, 1e-9) * LEAST_PHOTONS
+            return int(min(max(affordable, 2 * LEAST_PHOTONS), PILOT_PHOTONS))
+
+        each_s = seconds_per_sample(
+            lambda photons: self._traced(scene, None, photons, store=False), LEAST_PHOTONS, pilot_photons
+        )
         share = (PLANNED_SHARE * self._planned_seconds - self.shapes * self._opening_s) / self.scenes
         return max(LEAST_PHOTONS, int(share / each_s))
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from ...errors import InputError, NotReachedError
 from ...light import ProgressCallback
-from ...light.tracing import INTERRUPTED
 from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...variables import Variables, variable
@@ -239,7 +238,7 @@ def tradeoff(
             measured.append(level)
         batches = bench.batches()
     except (NotReachedError, KeyboardInterrupt) as error:
-        unmet = f"{str(error).rstrip('.') or INTERRUPTED}; {len(measured)} levels were measured before."
+        unmet = f"{str(error).rstrip('.') or 'interrupted'}; {len(measured)} levels were measured before."
     result = _chosen(
         scene, bench, measured, tolerance, judge, answer_seconds or options.max_seconds, time.perf_counter() - start
     )

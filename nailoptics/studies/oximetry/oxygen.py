@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...errors import NotReachedError, as_far_as_reached
 from ...light import ProgressCallback, Transfer, trace
 from ...light.store import LightStore
-from ...light.tracing import INTERRUPTED, accuracy
+from ...light.tracing import accuracy
 from ...options import Requested, TraceOptions
 from ...scene import Oximeter, Scene
 from ...statistics import jackknife, seed_of
@@ -167,7 +167,7 @@ def _nails(transfer: Transfer, options: TraceOptions, progress: ProgressCallback
         seed = seed_of(options.seed, _NAIL, k) >> 1
         how = TraceOptions(seed=seed, backend=options.backend, photons=photons, max_seconds=each_s)
         light, unmet = as_far_as_reached(trace, other, progress=progress, **how.fields)
-        if str(unmet).startswith(INTERRUPTED):
+        if unmet and unmet.interrupted:
             break
         found[thickness_mm] = light
     return found
@@ -176,7 +176,7 @@ def _nails(transfer: Transfer, options: TraceOptions, progress: ProgressCallback
 def _missing(nails: dict[float, Transfer]) -> str:
     """What an interrupt left out, if it did."""
     done = f"{len(nails)} of {len(NAILS_MM)} other thicknesses of the nail plate are traced."
-    return "" if len(nails) == len(NAILS_MM) else f"{INTERRUPTED}: {done}"
+    return "" if len(nails) == len(NAILS_MM) else f"interrupted: {done}"
 
 
 def _nail_curve(calibrated: CalibratedOximeter, nails: dict[float, Transfer]) -> list[SensitivityCurve]:

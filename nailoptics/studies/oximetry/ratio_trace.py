@@ -1,7 +1,7 @@
 """Traces the light of an oximeter until the ratio of ratios is as sharp as was requested."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...errors import NotReachedError
 from ...light import ProgressCallback, Transfer, trace
-from ...light.tracing import accuracy
+from ...light.tracing import Ending, Trigger, accuracy, run_until
 from ...options import TraceOptions
 from ...scene import Scene
 from ...statistics import seed_of
@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 
 # The first round, whose error tells how many more photons are needed.
 FIRST_PHOTONS = 1 << 19
-# Rounds have seeds of their own; a round asks for a little more than the error so far says, which is itself uncertain.
-_ROUND, MARGIN, MOST_GROWTH, MOST_ROUNDS = 41, 1.15, 16, 40
+# Rounds have seeds of their own.
+_ROUND, MOST_ROUNDS = 41, 40
 
 
 def trace_for_ratio(
@@ -42,25 +42,37 @@ def trace_for_ratio(
     if required.relative_error is None:
         asked = replace(options, relative_error=None, max_seconds=max_seconds, photons=required.photons)
         return replace(trace(plain, progress=progress, **asked.fields), scene=scene)
-    begin, photons = time.perf_counter(), FIRST_PHOTONS
-    found, cut = _as_far(
-        plain, replace(options, relative_error=None, max_seconds=max_seconds, photons=photons), progress
+    begin, cut, rounds = time.perf_counter(), False, list[Transfer]()
+    trigger = Trigger(
+        target=required.relative_error, first=FIRST_PHOTONS, least=FIRST_PHOTONS // 4, margin=1.15, growth=16
     )
-    number, found = 0, replace(found, scene=scene)
-    while True:
-        number, error = number + 1, error_of(found)
-        if error <= required.relative_error:
-            return found
-        left_s = None if max_seconds is None else max_seconds - (time.perf_counter() - begin)
-        if cut or number > MOST_ROUNDS or (left_s is not None and left_s <= 0):
-            raise NotReachedError(_why(found, error, required.relative_error), result=found)
-        have = found.photons // len(scene.leds)
-        needed = have * (MARGIN * (error / required.relative_error) ** 2 - 1) if np.isfinite(error) else have
-        photons = int(min(max(needed, FIRST_PHOTONS / 4), MOST_GROWTH * have))
-        seed = seed_of(options.seed, _ROUND, number) >> 1
-        asked = replace(options, seed=seed, relative_error=None, max_seconds=left_s, photons=photons)
+
+    def left_s() -> float | None:
+        return None if max_seconds is None else max_seconds - (time.perf_counter() - begin)
+
+    def needed() -> Iterator[int]:
+        yield trigger.first
+        while photons := trigger.needed(rounds[-1].photons // len(scene.leds), error_of(rounds[-1])):
+            yield photons
+
+    def sample(photons: int) -> None:
+        nonlocal cut
+        seed = seed_of(options.seed, _ROUND, len(rounds)) >> 1 if rounds else options.seed
+        asked = replace(options, seed=seed, relative_error=None, max_seconds=left_s(), photons=photons)
         more, cut = _as_far(plain, asked, progress)
-        found = found.merge(replace(more, scene=scene))
+        more = replace(more, scene=scene)
+        rounds.append(rounds[-1].merge(more) if rounds else more)
+
+    def is_late(photons: int) -> bool:
+        left = left_s()
+        return bool(rounds) and (cut or len(rounds) > MOST_ROUNDS or (left is not None and left <= 0))
+
+    ending = run_until(needed(), sample, is_late=is_late)
+    found = rounds[-1]
+    if ending is not Ending.MET:
+        why = _why(found, error_of(found), trigger.target)
+        raise NotReachedError(why, result=found, interrupted=ending is Ending.INTERRUPTED)
+    return found
 
 
 def _as_far(scene: Scene, options: TraceOptions, progress: ProgressCallback | None) -> tuple[Transfer, bool]:

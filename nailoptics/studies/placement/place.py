@@ -15,9 +15,9 @@ from ...errors import InputError, NotReachedError
 from ...light import ProgressCallback
 from ...light import backend as backends
 from ...light.store import LightStore
+from ...light.tracing import StageProgress
 from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, load_scene
-from ...light.tracing import StageProgress
 from . import boards, search
 from .boards import CandidateLayout
 from .fisher import operating_point

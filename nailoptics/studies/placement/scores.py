@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import NotReachedError
+from ...light.tracing import StageProgress
 from ...scene import digest
 from ...statistics import jackknife, t95
-from ...light.tracing import StageProgress
 from .boards import CandidateLayout
 from .fisher import (
     Response,

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...light.board_map import PhotonMap
+from ...light.tracing import StageProgress
 from ...scene import Placement, Scene
 from ...scene.base import Point
 from ...scene.rectangles import Rectangle
-from ...light.tracing import StageProgress
 from . import boards
 from .boards import CandidateLayout
 from .exchange import Tables, Together
