@@ -1,7 +1,7 @@
 """Rays into a bare nail until every place's colour, and every change of it by force, is as sure as is required."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...light.bare_nail import BareNail, Patch
-from ...light.tracing import StageProgress
+from ...light.tracing import Ending, StageProgress, run_until
 from ...options import TraceOptions
 from ...scene import Scene, Viewing
 from ...statistics import jackknife, seed_of
@@ -74,22 +74,29 @@ def walk_until_known(
     With photons requested, so many go to the places, each alike; else each place gets what it needs.
     """
     walk = _Walk(nail, options, stage)
-    wanted = options.photons or PILOT
-    walk.add(places.patches, wanted)
-    while True:
-        assert walk.rays is not None
-        error, change = errors_of(walk.rays, places, states, viewer, viewing)
-        short = f"{error.max():.2g} (CIEDE2000), {viewing.tolerance:g} requested"
-        if stage.interrupted:
-            return walk.rays, f"interrupted at a standard error of {short}."
-        needed = np.maximum((error / viewing.tolerance) ** 2, (change / viewing.change_tolerance) ** 2)
-        if options.photons is not None or needed.max() <= 1:
-            return walk.rays, ""
-        if stage.is_late(1.0):
-            return walk.rays, f"max_seconds ended the rays at a standard error of {short}."
-        shares, wanted = _dealt(walk.rays, places, needed)
-        walk.error, walk.target = float(error.max()), viewing.tolerance
-        walk.add([replace(one, share=n) for one, n in zip(places.patches, shares, strict=True)], wanted)
+
+    def needed() -> Iterator[tuple[Sequence[Patch], int]]:
+        yield places.patches, options.photons or PILOT
+        while True:
+            assert walk.rays is not None
+            error, change = errors_of(walk.rays, places, states, viewer, viewing)
+            walk.error = float(error.max())
+            rounds = np.maximum((error / viewing.tolerance) ** 2, (change / viewing.change_tolerance) ** 2)
+            if options.photons is not None or rounds.max() <= 1:
+                return
+            shares, rays = _allocated(walk.rays, places, rounds)
+            walk.target = viewing.tolerance
+            yield [replace(one, share=n) for one, n in zip(places.patches, shares, strict=True)], rays
+
+    def is_late(round: tuple[Sequence[Patch], int]) -> bool:
+        return walk.rays is not None and (stage.interrupted or stage.is_late(1.0))
+
+    ending = run_until(needed(), lambda round: walk.add(*round), is_late=is_late)
+    assert walk.rays is not None
+    short = f"{walk.error:.2g} (CIEDE2000), {viewing.tolerance:g} requested"
+    if stage.interrupted or ending is Ending.INTERRUPTED:
+        return walk.rays, f"interrupted at a standard error of {short}."
+    return walk.rays, "" if ending is Ending.MET else f"max_seconds ended the rays at a standard error of {short}."
 
 
 @dataclass
@@ -157,7 +164,7 @@ def stderr_of_colour(lab: Array) -> Array:
     return np.asarray(np.sqrt((len(away) - 1) / len(away) * (away**2).sum(0)))
 
 
-def _dealt(rays: ColourRays, places: Places, needed: Array) -> tuple[list[int], int]:
+def _allocated(rays: ColourRays, places: Places, needed: Array) -> tuple[list[int], int]:
     """How many shares of the next rays each patch has, and how many rays of all nodes there are.
 
     needed : (along,) float. How many times as many rays as now each place needs.

@@ -1,13 +1,13 @@
 """How finely layouts resolve force: a layout's score from traced light, and more light where the best is undecided."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...errors import NotReachedError
-from ...light.tracing import StageProgress
+from ...light.tracing import Ending, StageProgress, Trigger, run_until
 from ...scene import digest
 from ...statistics import jackknife, t95
 from .boards import CandidateLayout
@@ -158,25 +158,40 @@ def score_layouts(
     every, layouts = len(layouts), [layout for layout in layouts if cache.is_traced(layout.board)]
     if not layouts:
         raise NotReachedError(f"{report_progress.why} before one layout was traced on every finger; allow more time.")
-    while True:
-        scores = [score_layout(layout, cache, objective) for layout in layouts]
-        by_name = {layout.name: score for layout, score in zip(layouts, scores, strict=True)}
-        highest = min(scores, key=lambda score: float(score.ranked[0])).ranked_interval[1]
-        errors = {name: score.relative_error for name, score in by_name.items() if score.ranked_interval[0] <= highest}
-        worst = max(errors.values())
-        done = min(1.0, (relative_error / worst) ** 2) if len(errors) > 1 else 1.0
-        report_progress("judge", done, worst, relative_error)
-        left = f"{len(errors)} layouts tied at relative error {worst:.3g}, {relative_error:g} requested"
-        if report_progress.interrupted:
-            return layouts, scores, f"interrupted: {len(layouts)} of {every} layouts traced, {left}."
-        if not complete or len(layouts) < every:
-            return layouts, scores, f"max_seconds ended with {len(layouts)} of {every} layouts traced, {left}."
-        if photons or len(errors) == 1 or worst <= relative_error:
-            return layouts, scores, None
-        undecided = {name for name, error in errors.items() if error > relative_error}
-        more = max(JUDGE_PHOTONS, max(traced[name] for name in undecided) // 2)
-        if not _extend(layouts, cache, undecided, more, traced, report_progress):
-            return layouts, scores, f"max_seconds ended with {left}; allow more time or ask for less."
+    trigger = Trigger(target=relative_error, first=JUDGE_PHOTONS, least=JUDGE_PHOTONS, growth=0.5)
+    scores: list[LayoutScore] = []
+    left = ""
+
+    def needed() -> Iterator[tuple[set[str], int]]:
+        nonlocal scores, left
+        while True:
+            scores = [score_layout(layout, cache, objective) for layout in layouts]
+            highest = min(scores, key=lambda score: float(score.ranked[0])).ranked_interval[1]
+            by_name = {layout.name: score for layout, score in zip(layouts, scores, strict=True)}
+            tied = {
+                name: score.relative_error for name, score in by_name.items() if score.ranked_interval[0] <= highest
+            }
+            worst = max(tied.values())
+            report_progress("judge", trigger.share_done(worst) if len(tied) > 1 else 1.0, worst, relative_error)
+            left = f"{len(tied)} layouts tied at relative error {worst:.3g}, {relative_error:g} requested"
+            if photons or len(tied) == 1 or worst <= relative_error:
+                return
+            undecided = {name for name, error in tied.items() if error > relative_error}
+            yield undecided, trigger.needed(max(traced[name] for name in undecided), worst)
+
+    def sample(more: tuple[set[str], int]) -> None:
+        nonlocal complete
+        complete = _extend(layouts, cache, *more, traced, report_progress)
+
+    def is_late(more: tuple[set[str], int]) -> bool:
+        return report_progress.interrupted or not complete or len(layouts) < every
+
+    ending = run_until(needed(), sample, is_late=is_late)
+    if report_progress.interrupted or ending is Ending.INTERRUPTED:
+        return layouts, scores, f"interrupted: {len(layouts)} of {every} layouts traced, {left}."
+    if not complete or len(layouts) < every:
+        return layouts, scores, f"max_seconds ended with {len(layouts)} of {every} layouts traced, {left}."
+    return layouts, scores, None
 
 
 def _extend(
