@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from nailoptics.errors import InputError
+from nailoptics.light.tracing import driver
 from nailoptics.options import TraceOptions
-from nailoptics.studies import stage_progress
 from nailoptics.studies.colour import enough_rays
 from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
 from nailoptics.studies.colour.enough_rays import stderr_of_colour
@@ -107,7 +107,7 @@ def test_refill_is_the_time_until_no_eye_sees_a_difference():
 def test_parts_of_rays_fit_into_what_is_left_of_the_time(monkeypatch, pace_s):
     """Expected: rays end within the time, which the first, of unknown pace, leave a tenth of at least."""
     clock = SimpleNamespace(now=0.0)
-    monkeypatch.setattr(stage_progress, "time", SimpleNamespace(perf_counter=lambda: clock.now))
+    monkeypatch.setattr(driver, "time", SimpleNamespace(perf_counter=lambda: clock.now))
 
     def walk_colour(*_, photons, **__):
         clock.now += photons * pace_s
@@ -118,10 +118,10 @@ def test_parts_of_rays_fit_into_what_is_left_of_the_time(monkeypatch, pace_s):
 
     monkeypatch.setattr(enough_rays, "walk_colour", walk_colour)
     limit_s = 10 * enough_rays.PILOT * pace_s
-    walk = enough_rays._Walk(None, TraceOptions(), stage_progress.StageProgress(None, limit_s))
+    walk = enough_rays._Walk(None, TraceOptions(), driver.StageProgress(None, limit_s))
     walk.add((), 10**8)
     assert 0.9 * limit_s < clock.now < 1.2 * limit_s
     # Without a limit all are walked.
-    walk = enough_rays._Walk(None, TraceOptions(), stage_progress.StageProgress(None))
+    walk = enough_rays._Walk(None, TraceOptions(), driver.StageProgress(None))
     walk.add((), 3 * enough_rays.MOST_AT_ONCE)
     assert walk.rays.photons == 3 * enough_rays.MOST_AT_ONCE and walk.parts == 3

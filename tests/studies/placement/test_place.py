@@ -16,6 +16,7 @@ from nailoptics.io import write_dataset
 from nailoptics.light.board_map import Arrivals, PhotonMap
 from nailoptics.light.finger_walk import FingerTracer
 from nailoptics.light.store import LightStore
+from nailoptics.light.tracing import StageProgress
 from nailoptics.report import result_files
 from nailoptics.report.place_page import write_placement
 from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
@@ -25,7 +26,6 @@ from nailoptics.scene.rectangles import Rectangle
 from nailoptics.statistics import jackknife, left_out
 from nailoptics.studies.placement import boards, exchange, fisher, photon_maps, place, result, scores, search, sites
 from nailoptics.studies.placement.objective import Objective
-from nailoptics.studies.stage_progress import StageProgress
 from nailoptics.tissue import BloodZones
 
 AT = fisher.OperatingPoint(

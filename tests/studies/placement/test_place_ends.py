@@ -6,10 +6,10 @@ import pytest
 from small_scenes import TWO_LAYOUTS as SCENE
 
 from nailoptics.errors import NotReachedError
+from nailoptics.light.tracing import StageProgress
 from nailoptics.report import result_files
 from nailoptics.scene import FingerCase, Scene, parse_scene
 from nailoptics.studies.placement import boards, inspection, place, scores, search
-from nailoptics.studies.stage_progress import StageProgress
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,12 @@ from small_scenes import PLACEMENT
 
 from nailoptics.errors import InputError
 from nailoptics.light.board_map import PhotonMap
+from nailoptics.light.tracing import StageProgress
 from nailoptics.scene import FingerCase, Placement, Scene, digest, parse_scene
 from nailoptics.studies.placement import boards, fisher, search
 from nailoptics.studies.placement.exchange import STARTS, Tables
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.photon_maps import FingerCondition
-from nailoptics.studies.stage_progress import StageProgress
 from nailoptics.tissue import BloodZones
 
 from .test_place import AT
