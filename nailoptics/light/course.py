@@ -10,6 +10,7 @@ from .. import checks
 from ..errors import InputError
 from ..statistics import left_out, stderr_of_mean
 from . import optics
+from .interpolation import ChebyshevBox
 from .moments import slope_of
 from .reweight import attenuation, transmissions
 from .transfer import Transfer
@@ -145,8 +146,8 @@ def _read(reading: _Reading, which: np.ndarray) -> None:
     if len(which) <= math.prod(counts):
         reading.put(which, reading.sums(reading.states[which].astype(float)))
         return
-    box = (nearest, farthest, counts)
-    nodes = _nodes(*box)
+    box = ChebyshevBox(nearest, farthest, counts)
+    nodes = box.nodes
     if few:
         at_nodes = np.repeat(reading.states[which[:1]].astype(float), len(nodes), 0)
         at_nodes[:, varies] = nodes
@@ -155,7 +156,7 @@ def _read(reading: _Reading, which: np.ndarray) -> None:
     fraction, stderr, change, change_stderr = reading.sums(at_nodes, None if few else (low, high))
     of_nodes = fraction, stderr**2, change, change_stderr**2
     for part, block in reading.blocks(which):
-        weights = _weights((block - centre) @ directions, *box).T
+        weights = box.weights((block - centre) @ directions).T
         values = [one @ weights for one in of_nodes]
         reading.put(part, [np.sqrt(np.maximum(one, 0)) if k % 2 else one for k, one in enumerate(values)])
 
@@ -197,31 +198,6 @@ def _nodes_needed(transfer: Transfer, direction: np.ndarray, span: float, so2: f
         count += 1
         error = 2 * (depth / 2) ** count / math.factorial(count)
     return count
-
-
-def _nodes(low: np.ndarray, high: np.ndarray, counts: list[int]) -> np.ndarray:
-    """Chebyshev nodes over a box, (m, d) float."""
-    axes = [(a + b) / 2 + (b - a) / 2 * np.cos(_angles(n)) for a, b, n in zip(low, high, counts, strict=True)]
-    return np.stack([grid.ravel() for grid in np.meshgrid(*axes, indexing="ij")], -1).reshape(-1, len(low))
-
-
-def _weights(places: np.ndarray, low: np.ndarray, high: np.ndarray, counts: list[int]) -> np.ndarray:
-    """Each place's weights on the nodes of a box, (t, m) float (Berrut, Trefethen 2004)."""
-    weights = np.ones((len(places), 1))
-    for column, a, b, n in zip(places.T, low, high, counts, strict=True):
-        if n == 1:
-            continue
-        sign = np.sin(_angles(n)) * (-1.0) ** np.arange(n)
-        away = column[:, None] - ((a + b) / 2 + (b - a) / 2 * np.cos(_angles(n)))
-        on_node = np.abs(away) < 1e-14 * (b - a)
-        share = sign / np.where(on_node, 1, away)
-        share = np.where(on_node.any(1, keepdims=True), on_node, share / share.sum(1, keepdims=True))
-        weights = (weights[:, :, None] * share[:, None, :]).reshape(len(places), -1)
-    return weights
-
-
-def _angles(n: int) -> np.ndarray:
-    return (2 * np.arange(n) + 1) * np.pi / (2 * n)
 
 
 def _sums(

@@ -22,6 +22,7 @@ from ..scene import Scene
 from ..scene.layout import Layout
 from ..scene.rectangles import Rectangle
 from . import optics
+from .interpolation import ChebyshevBox
 
 REGIONS = ("plate", "bed", "bone", "epoxy")
 # The nail is computed in cells and repeats itself beyond the board with a gap that no light crosses. [mm]
@@ -176,17 +177,14 @@ class DiffusionModel:
 
     def _over(self, led: int, blood: Array) -> Array:
         """Readings of one LED where each photodiode sees one blood fraction in each state, (photodiode, states)."""
-        low, span = blood.min(), max(float(np.ptp(blood)), TINY)
-        angle = (np.arange(NODES) + 0.5) * np.pi / NODES
-        nodes = low + span * (1 + np.cos(angle)) / 2
         beds = optics.bed_columns(self.scene)
+        low = float(blood.min())
+        box = ChebyshevBox([low], [low + max(float(np.ptp(blood)), TINY)], [NODES])
         mu_a = optics.absorption(
-            self.scene, self.scene.leds[led].wavelength_nm, blood_fraction=np.repeat(nodes[:, None], len(beds), 1)
+            self.scene, self.scene.leds[led].wavelength_nm, blood_fraction=np.repeat(box.nodes, len(beds), 1)
         )
         logarithm = np.log([self._read(led, bed) for bed in mu_a[:, 0, beds[0]]])
-        curves = np.polynomial.chebyshev.chebfit(np.cos(angle), logarithm, NODES - 1)
-        place = 2 * (blood - low) / span - 1
-        return np.exp([np.polynomial.chebyshev.chebval(x, curve) for x, curve in zip(place.T, curves.T, strict=True)])
+        return np.exp([box.weights(one) @ curve for one, curve in zip(blood.T, logarithm.T, strict=True)])
 
     def _stack(self, wavelength_nm: float) -> DiffusiveStack:
         """The layers with the blood at rest."""

@@ -158,4 +158,4 @@ def test_a_photodiode_that_no_light_reaches_ends_the_trace_with_a_word(jit_backe
     assert sum(size for _, size in batches.pieces) < 2_000_000 and 'none reached photodiode "p"' in far.unlit
     again = LedTrigger(scene, 0, Accuracy(relative_error=0.01), mu_a, full=batch_photons(scene))
     assert len(extend(source, [again, more], stop=lambda: False).pieces) == 8
-    assert again.unseen == far.unlit and not more.unseen
+    assert again.unlit == far.unlit and not more.unlit

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ...light import optics
 from ...light.bare_nail import BareNail, Patch, ReflectedLight
 from ...light.identity import light_scene
+from ...light.interpolation import ChebyshevBox
 from ...light.reweight import attenuation
 from ...scene import Scene
 from ...scene.viewing import LightFrom
@@ -31,21 +32,20 @@ LAMP_COSINES = (np.cos(np.radians(50.0)), np.cos(np.radians(40.0)))
 CHUNK = 8192
 
 
-def nodes_nm(count: int = NODES) -> Array:
-    """The wavelengths at which rays are walked. [nm]"""
+def log_wavelengths(count: int = NODES) -> ChebyshevBox:
+    """Nodes in the logarithm of the wavelength, at which rays are walked and between which they are interpolated."""
     low, high = np.log(WAVELENGTHS_NM[[0, -1]])
-    at = np.cos((2 * np.arange(count) + 1) * np.pi / (2 * count))[::-1]
-    return np.asarray(np.exp((low + high) / 2 + (high - low) / 2 * at))
+    return ChebyshevBox([low], [high], [count])
 
 
-def interpolation(nodes: Array, wavelength_nm: Array) -> Array:
-    """Weight of each node at each wavelength, (nodes, q) float: Lagrange's, in the logarithm of the wavelength."""
-    at, x = np.log(nodes), np.log(wavelength_nm)
-    weights = np.ones((len(at), len(x)))
-    for k, own in enumerate(at):
-        for other in np.delete(at, k):
-            weights[k] *= (x - other) / (own - other)
-    return weights
+def nodes_nm(count: int = NODES) -> Array:
+    """The wavelengths at which rays are walked, rising. [nm]"""
+    return np.asarray(np.exp(log_wavelengths(count).nodes[::-1, 0]))
+
+
+def interpolation(count: int, wavelength_nm: Array) -> Array:
+    """Weight of each of so many nodes at each wavelength, (nodes, q) float."""
+    return log_wavelengths(count).weights(np.log(wavelength_nm))[:, ::-1].T
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class ColourRays:
         """
         absorbing = self.scene if scene is None else scene
         mu_a = optics.absorption(absorbing, WAVELENGTHS_NM, blood_fraction=states)
-        weights = interpolation(nodes_nm(len(self.light)), WAVELENGTHS_NM)
+        weights = interpolation(len(self.light), WAVELENGTHS_NM)
         wanted = np.arange(len(self.patches)) if patches is None else np.asarray(patches)
         sums = [_sums(_seen(one, lit_by, gloss), mu_a, wanted) for one in self.light]
         return left_out(sum(one * weight for one, weight in zip(sums, weights, strict=True)))

@@ -9,6 +9,7 @@ from ... import tissue
 from ...errors import InputError
 from ...light import Transfer, optics
 from ...light.course import read_replicates
+from ...light.interpolation import ChebyshevBox
 from ...scene import Scene
 from ...statistics import jackknife
 from ..pulsatile_blood import BloodBeat
@@ -121,8 +122,8 @@ class SaturationCurve:
         seed: int,
     ) -> None:
         self.low, self.high = low, high
-        self._nodes = np.cos((np.arange(NODES) + 0.5) * np.pi / NODES)
-        so2 = low + (high - low) * (1 + self._nodes) / 2
+        self._range = ChebyshevBox([low], [high], [NODES])
+        so2 = self._range.nodes[:, 0]
         self._at_nodes = read_pulsations(transfer, leds, [(float(s), beat) for s in so2], seed=seed)
 
     def at(self, so2: ArrayLike) -> Pulsation:
@@ -133,10 +134,7 @@ class SaturationCurve:
         saturation = np.atleast_1d(np.asarray(so2, float))
         if not np.all((saturation >= self.low - 1e-12) & (saturation <= self.high + 1e-12)):
             raise InputError(f"so2 must lie in {self.low:g} to {self.high:g}, where the curve is known.")
-        places = 2 * (saturation - self.low) / (self.high - self.low) - 1
-        weights = np.polynomial.chebyshev.chebvander(places, NODES - 1) @ np.linalg.inv(
-            np.polynomial.chebyshev.chebvander(self._nodes, NODES - 1)
-        )
+        weights = self._range.weights(saturation)
         return Pulsation(ac=self._at_nodes.ac @ weights.T, dc=self._at_nodes.dc @ weights.T)
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ... import electronics
 from ...light import Transfer
+from ...light.interpolation import ChebyshevBox
 from ...scene import Oximeter, Scene
 from ...scene.oximeter import DARK
 from ...scene.slot_recordings import OximeterRecording, read_oximeter_recording
@@ -21,10 +22,8 @@ from .spo2_over_time import CalibrationCurve, pulses_over_time, spo2_over_time
 
 Array = NDArray[np.float64]
 
-# States of the blood over a touch that are read; the logarithm of the light lies on a parabola through them.
-STATES = 40
-# Principal components of the zones' blood.
-COMPONENTS = 2
+# Nodes along the first principal components of the zones' blood, between which light is interpolated.
+NODES = (8, 4)
 _NOISE = 61
 
 
@@ -68,24 +67,12 @@ def light_over(transfer: Transfer, leds: tuple[int, int], so2: float, blood: Arr
     """
     resting = np.median(blood, axis=0)
     away = blood - resting
-    components = np.linalg.eigh(away.T @ away)[1][:, ::-1][:, :COMPONENTS]
+    components = np.linalg.eigh(away.T @ away)[1][:, ::-1][:, : len(NODES)]
     places = away @ components
-    size = np.maximum(np.abs(places).max(0), 1e-12)
-    order = np.argsort(places[:, 0], kind="stable")
-    chosen = order[np.unique(np.linspace(0, len(order) - 1, STATES).astype(int))]
-    light = []
-    for led in leds:
-        read = read_states(transfer, led, [(so2, resting, away[chosen])], seed=seed)[0]
-        terms = np.linalg.lstsq(_terms(places[chosen] / size), np.log(read).T, rcond=None)[0]
-        light.append(np.exp(_terms(places / size) @ terms).T)
-    return np.stack(light)
-
-
-def _terms(places: Array) -> Array:
-    """Terms of a parabola over (n, d) places."""
-    d = places.shape[1]
-    square = [places[:, a] * places[:, b] for a in range(d) for b in range(a, d)]
-    return np.column_stack([np.ones(len(places)), places, *square])
+    box = ChebyshevBox(places.min(0), places.max(0) + 1e-12, NODES[: places.shape[1]])
+    weights = box.weights(places).T
+    pulses = box.nodes @ components.T
+    return np.stack([read_states(transfer, led, [(so2, resting, pulses)], seed=seed)[0] @ weights for led in leds])
 
 
 def read_for(scene: Scene, path: str | Path) -> OximeterRecording:

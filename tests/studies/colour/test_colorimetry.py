@@ -47,7 +47,7 @@ def test_an_unknown_light_is_refused_in_one_line():
 
 
 def test_between_the_nodes_a_parabola_in_the_logarithm_is_exact():
-    weights, x = interpolation(nodes_nm(), WAVELENGTHS_NM), np.log(WAVELENGTHS_NM / 550)
+    weights, x = interpolation(NODES, WAVELENGTHS_NM), np.log(WAVELENGTHS_NM / 550)
     assert weights.sum(0) == pytest.approx(np.ones(len(x)), abs=1e-9)
     parabola = np.polynomial.Polynomial([0.3, -0.2, 0.5])
     assert parabola(np.log(nodes_nm() / 550)) @ weights == pytest.approx(parabola(x), abs=1e-9)
@@ -69,7 +69,7 @@ def test_so_many_nodes_are_walked_as_the_colours_error_asks_for_and_one_fewer_wo
     for count in (NODES - 1, NODES):
         nodes = nodes_nm(count)
         each = np.array([reflected(4.6 * (node / 500) ** -1.421) for node in nodes])
-        found.append(float(delta_e_2000(viewer.lab((interpolation(nodes, WAVELENGTHS_NM) * each).sum(0)), exact)))
+        found.append(float(delta_e_2000(viewer.lab((interpolation(count, WAVELENGTHS_NM) * each).sum(0)), exact)))
     # A hundredth of the standard error that colours are traced to.
     assert found[1] < 0.003 < found[0], found
 

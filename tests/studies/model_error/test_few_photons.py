@@ -34,7 +34,14 @@ def drawn(draw: np.random.Generator, *, arrive: float, carry: float, depth: floa
 
 @pytest.mark.parametrize(
     ("arrive", "carry", "depth"),
-    [(60, 0.05, 1.0), (150, 0.02, 0.5), (400, 0.02, np.inf), (60, 0.15, np.inf), (200, 1.0, 1e-3), (1000, 0.1, 0.1)],
+    [
+        (120, 0.025, 1.0),
+        (150, 0.02, 0.5),
+        (400, 0.02, np.inf),
+        (120, 0.075, np.inf),
+        (200, 1.0, 1e-3),
+        (1000, 0.1, 0.1),
+    ],
 )
 def test_errors_and_bounds_of_what_few_photons_carry(arrive, carry, depth):
     """Rationale: of some three carriers the error is seen as badly as the value is. Expected: of 2000 photodiodes,
