@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _WIDTH_IN = 9.5
 # The line at 1 N or 1 N/cm^2, where the paper's veins are shut.
 _VEINS_SHUT: Any = {"color": style.MUTED, "lw": 0.9, "ls": (0, (4, 3))}
-_READING = "change, eq. (9) [rest blood]"
+_READING = "change, Taylor (9) [rest blood]"
 _SIDES = ("proximal", "distal")
 # The phases of a step on and off, one after the other. [s]
 _TIME_S = np.concatenate([PHASE_S, ON_S + PHASE_S])
@@ -94,7 +94,7 @@ def _figure_10(r: Responses) -> "Figure":
 def _figure_11(r: Responses) -> "Figure":
     width = np.concatenate([r.both_on, r.both_off], axis=-1)
     change = 1.0 - (width / width[:, :, :1]) ** 2
-    labels = [f"change of $V_{{P{i + 1}}}$, eq. (9) [rest blood]" for i in range(2)]
+    labels = [f"change of $V_{{P{i + 1}}}$, Taylor (9) [rest blood]" for i in range(2)]
     return _steps_over_time([("Proximal reading", labels[0], change[0]), ("Distal reading", labels[1], change[1])])
 
 

@@ -84,7 +84,7 @@ def error_parts(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
             for k, part in enumerate(result.part.values):
                 here = one.sel(part=part).isel(photodiode=j, point=at)
                 _dot(axes, here, row + 0.17 * (k - 1.5), labelled=row == 0)
-        axes.set(title=WAY_TITLES[str(way)], xscale="log", xlabel="error of Taylor (9) [% of swing], without its sign")
+        axes.set(title=WAY_TITLES[str(way)], xscale="log", xlabel="absolute error of Taylor (9)\n[% of swing]")
         axes.minorticks_off()
         for tolerance in (1, 5):
             axes.axvline(tolerance, color=style.INK, lw=0.8, ls=(0, (4, 2)))
@@ -135,7 +135,7 @@ def alpha_d2(result: xr.Dataset, *, led: int) -> "Figure":
     axes.set_xscale("log")
     _name_rows(axes, result, places)
     axes.set_ylim(len(places) - 0.4, -0.7)
-    axes.set_xlabel(f"αD² of all the blood in the bed: bars, its range over {first.sweep.values}")
+    axes.set_xlabel(f"αD² of all the blood in the bed: bars, its range over {first.sweep.values} [1]")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3)
     axes.xaxis.set_minor_locator(LogLocator(subs=(2, 4)))
     axes.xaxis.set_major_formatter("{x:g}")
@@ -152,7 +152,7 @@ def _limits_of_taylor(axes: "Axes", fails: xr.Dataset, y: float, *, labelled: bo
         if not here.limit_ends:
             axes.plot(value, y, ">", ms=5, color=style.INK, markerfacecolor=style.PAPER)
             break
-        label = f"Taylor (9) errs by {100 * within:g} % of swing, over {fails.sweep.values}" if labelled else None
+        label = f"error of Taylor (9): {100 * within:g} % of swing, over {fails.sweep.values}" if labelled else None
         axes.plot(value, y, mark, ms=5, color=style.INK, label=label)
 
 
@@ -166,8 +166,8 @@ def changes(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     x = one.setting.values * scale(sweep)
     models = (
         ("predicted", "beer_lambert", style.MUTED, (0, (1, 1.5)), "Beer–Lambert (8), no fit, own zone"),
-        ("predicted_both", "beer_lambert", style.VEIN, (0, (6, 2)), "the same, both zones"),
-        ("fitted", "taylor", style.INK, (0, (4, 2)), "Taylor (9) fitted"),
+        ("predicted_both", "beer_lambert", style.VEIN, (0, (6, 2)), "Beer–Lambert (8), no fit, both zones"),
+        ("fitted", "taylor", style.INK, (0, (4, 2)), "Taylor (9), fitted"),
     )
     room = style.Room(left=0.65, top=0.6, across=0.45, down=0.3)
     figure, grid = style.panels(9.6, 0.6 + 2.0 * rows, rows, columns, room_in=room, sharex=True, squeeze=False)

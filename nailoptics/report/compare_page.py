@@ -7,7 +7,6 @@ import numpy as np
 import xarray as xr
 
 from ..io import write_text
-from ..statistics import Z95
 from ..studies.comparison.verdict import claim, verdict
 from . import compare_figures
 from .html import document, escaped, figure, section, small, table
@@ -27,20 +26,20 @@ SPLIT = (
 READINGS = "Traced readings and models, as change from the start of the sweep."
 ALPHA = (
     "αD² is the mean path in the bed times the absorption of its blood: the exponent of Beer–Lambert (8). Below each "
-    "bar, with 95 % intervals, where Taylor (9) errs by 1 % (circle) and 5 % (square) of the swing over {}. An open "
-    "arrow: it stays within that over the whole sweep, and lies at its end."
+    "bar, with 95 % intervals, where the error of Taylor (9) reaches 1 % (circle) and 5 % (square) of the swing over "
+    "{}. An open arrow: it stays below that over the whole sweep, and lies at its end."
 )
 
 
 def write_comparison(result: xr.Dataset, path: Path) -> None:
     """Write the page, whole or not at all; raises WriteError."""
-    met, total = _counts(result, "taylor", 0.05)
-    sweep = str(result.sweep.values[0])
+    judged = verdict(result, 0.05)
+    met, total, sweep = judged.surely_within, judged.readings, judged.sweep
     over = "range of saturation" if sweep == "saturation" else f"{sweep} range"
     text = document(
         kicker="reduced optics against traced light",
         title=f"Taylor (9) holds to 5 % for {met} of {total} readings over the whole {over}",
-        lead=str(verdict(result, 0.05)).replace("+-", "±"),
+        lead=str(judged),
         cards=_cards(result),
         body=[_led_section(result, led) for led in range(result.sizes["led"])],
         attributes=result.attrs,
@@ -62,23 +61,16 @@ def _led_section(result: xr.Dataset, led: int) -> str:
     return section(f"How far the models hold: {escaped(led_name(result, led))}", *lines)
 
 
-def _counts(result: xr.Dataset, model: str, within: float) -> tuple[int, int]:
-    """Readings that a fitted model meets for sure over the whole first sweep, and all readings."""
-    one = result.isel(sweep=0, point=-1).sel(way="fitted", model=model)
-    return int(np.sum((one.range_error + Z95 * one.range_error_stderr).values <= within)), one.range_error.size
-
-
 def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
     found = claim(result)["bed_alpha_d2"]["at_start"]
-    sweep = result.sweep.values[0]
+    sweep = str(result.sweep.values[0])
     words = f"αD² where the {sweep} starts, over all photodiodes; the paper says about 0.01"
     cards = [(f"{significant(found['least'], 2)} – {significant(found['largest'], 2)}", words)]
     for within in (0.01, 0.05):
-        taylor, total = _counts(result, "taylor", within)
-        exact, _ = _counts(result, "beer_lambert", within)
-        part = f"{100 * within:g} % of their swing over the {sweep}"
-        words = f"readings that fitted Taylor (9), and Beer–Lambert (8), meet within {part}"
-        cards.append((f"{taylor} and {exact} of {total}", words))
+        taylor, exact = (verdict(result, within, model=model) for model in ("taylor", "beer_lambert"))
+        words = f"readings that fitted Taylor (9), and Beer–Lambert (8), meet within {100 * within:g} % of their swing "
+        words += f"over the {taylor.sweep}"
+        cards.append((f"{taylor.surely_within} and {exact.surely_within} of {taylor.readings}", words))
     if "blood" in result.sweep.values:
         one = result.sel(sweep="blood", way="fitted", model="taylor", within=0.01)
         low, high = (significant(100 * float(f(one.limit)), 2) for f in (np.min, np.max))
@@ -97,9 +89,9 @@ def _limits(result: xr.Dataset, led: int) -> str:
     head, rows = ["Photodiode", "Swing<br>[% of reading]", "Mean path<br>in own<br>zone [mm]"], []
     columns = list(product(map(str, result.sweep.values), compare_figures.FORMULAS, result.within.values))
     for sweep, model, within in columns:
-        unit = "N" if sweep == "force" else "%"
-        head.append(f"{compare_figures.FORMULAS[model]}<br>to {100 * within:g} %<br>{escaped(sweep)} [{unit}]")
-    head += ["αD² at which<br>Taylor (9)<br>errs by 1 %", "at which it<br>errs by 5 %"]
+        formula, unit = compare_figures.FORMULAS[model].replace(" ", "<br>"), "N" if sweep == "force" else "%"
+        head.append(f"{formula}<br>to {100 * within:g} %<br>{escaped(sweep)} [{unit}]")
+    head += ["αD² at which<br>Taylor (9)<br>errs by 1 %", "at which<br>Taylor (9)<br>errs by 5 %"]
     for j in compare_figures.order(result):
         one = result.isel(led=led, photodiode=j)
         first = one.isel(sweep=0)

@@ -111,7 +111,7 @@ def _signs(found: Sequence[Reading], result: xr.Dataset) -> tuple[str, str]:
 
 
 def _models(found: Sequence[Reading], result: xr.Dataset) -> tuple[str, str]:
-    """How far (8) and (9) are from the traced light at worst, beside the noise."""
+    """How far Beer-Lambert (8) and Taylor (9) are from the traced light at worst, beside the noise."""
     told = ~result.saturated.any("time")
     worst = [float(result[f"{model}_residual_rms_v"].where(told).max()) for model in ("beer_lambert", "taylor")]
     noise = max((r.noise_rms_v for r in found), default=0.0)

@@ -76,10 +76,10 @@ def profiles(result: xr.Dataset) -> "Figure":
         panel.axhline(Z95**2, color=style.INK, linewidth=0.7)
         panel.set_ylim(0.0, MOST_DEVIANCE)
         panel.set_title(style.plain(name.replace("_", " ")))
-        panel.set_xlabel("factor on the scene's")
+        panel.set_xlabel("factor on the scene's [1]")
     for panel in axes.flat[len(names) :]:
         panel.set_axis_off()
-    axes[0, 0].set_ylabel("squared residuals")
+    axes[0, 0].set_ylabel("squared residuals [1]")
     return figure
 
 
@@ -116,7 +116,7 @@ def share(result: xr.Dataset) -> "Figure":
     told = np.where(high - low < 0.9, part.proximal_share, np.nan)
     place.plot(part.time, told, color=style.ZONES[0])
     place.set_ylim(-0.05, 1.05)
-    place.set_title("Proximal share of the force; blank where it cannot be told")
+    place.set_title("Proximal share of the force [1]; blank where it cannot be told")
     body.plot(part.time, part.arterial_change_pa, color=style.VEIN)
     # A body that is still is no noise to look into.
     body.set_ylim(min(body.get_ylim()[0], -10.0), max(body.get_ylim()[1], 10.0))
@@ -125,6 +125,6 @@ def share(result: xr.Dataset) -> "Figure":
     outlier = part.outlier.values.astype(bool)
     fits.plot(part.time[outlier], part.surprise[outlier], ".", color=style.ZONES[0], markersize=3)
     fits.set_yscale("log")
-    fits.set_title("Squared distance of a sample from its prediction; outliers are dots")
+    fits.set_title("Squared distance of a sample from its prediction [1]; outliers are dots")
     fits.set_xlabel("time [s]")
     return figure

@@ -1,12 +1,20 @@
 """Numbers for people: rounded to their uncertainty, in a prefix of the unit that suits them."""
 
 import math
+import re
 from collections.abc import Iterable
 
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MINUS = "−"
 TINY = 1e-290  # what is less has no power of ten to divide by
+ROUNDING = 1e-9  # of a number: what sums of millions of double-precision numbers may leave
+UNITS = {
+    **{name: name for name in ("nm", "mm", "m", "s", "kg", "lux")},
+    **{"um": "µm", "mm2": "mm²", "m2": "m²", "m3": "m³", "ms": "ms", "deg": "°", "percent": "%", "px": "pixels"},
+    **{"n": "N", "pa": "Pa", "pa_s": "Pa s", "n_s": "N s", "hz": "Hz", "rt_hz": "√Hz", "rt_min": "√min", "min": "min"},
+    **{"v": "V", "nv": "nV", "na": "nA", "ohm": "Ω", "mohm": "MΩ", "pf": "pF", "mw": "mW", "w": "W", "k": "K"},
+}
 
 
 def prefix(magnitude: float, *, digits: int = 3) -> tuple[float, str]:
@@ -44,14 +52,18 @@ def significant(value: float, digits: int = 3, *, sign: bool = False) -> str:
     return f"{fixed(value / 10.0**power, digits - 1, sign=sign)} × 10{str(power).translate(_SUPERSCRIPT)}"
 
 
-def with_error(value: float, error: float, *, sign: bool = False) -> str:
+def with_error(value: float, error: float, *, sign: bool = False, scale: float = 0.0) -> str:
     """Value ± standard error, both rounded to two digits of the error; powers of ten where needed.
 
-    An error that is not known is shown as "± ?".
+    An error that is not known is shown as "± ?"; one that is rounding of the computer's numbers is left out.
+
+    scale : Size of what the value is a difference or a part of, beside which rounding is 0.
     """
     if not math.isfinite(value):
         return "–"
-    if error < TINY:
+    if abs(value) <= ROUNDING * scale and not ROUNDING * scale < error < math.inf:
+        return "0"
+    if error <= max(TINY, ROUNDING * abs(value)):
         return significant(value, 4, sign=sign)
     if not math.isfinite(error):
         return f"{significant(value, 3, sign=sign)} ± ?"
@@ -61,6 +73,15 @@ def with_error(value: float, error: float, *, sign: bool = False) -> str:
     decimals = min(max(1 - math.floor(math.log10(error / scale)), 0), 9)
     text = f"{fixed(value / scale, decimals, sign=sign)} ± {fixed(error / scale, decimals)}"
     return f"({text}){tail}" if tail else text
+
+
+def unit_of(field: str) -> str:
+    """The unit that a field's name ends with: "N/m" of blood.tuning.vein_stiffness_n_per_m; "1" where it has none."""
+    head, *below = re.sub(r"\[\d+\]", "", field).rpartition(".")[2].split("_per_")
+    words = head.split("_")
+    ends = ("_".join(words[-count:]) for count in (2, 1) if count < len(words))
+    above = next((UNITS[end] for end in ends if end in UNITS), "1")
+    return "/".join([above, *(UNITS.get(one, one) for one in below)])
 
 
 def polynomial(coefficients: Iterable[float], variable: str) -> str:

@@ -63,7 +63,7 @@ def draw_calibration(axes: "Axes", result: xr.Dataset) -> None:
         text = f"{label}: {a:g} − {-b:g} R"
         axes.plot(ratio, a + b * ratio, color=style.INK, linewidth=1.1, linestyle=(0, dashes), label=text)
     axes.set_ylim(48, 102)
-    axes.set_xlabel("ratio of ratios R")
+    axes.set_xlabel("ratio of ratios R [1]")
     axes.set_ylabel("arterial saturation [%]")
     axes.legend(loc="upper right")
 
@@ -114,14 +114,7 @@ def _disturbance(panel: "Axes", result: xr.Dataset, name: str, colours: list[str
     low, high = panel.get_ylim()
     panel.set_ylim(min(low, -0.5), max(high, 0.5))
     words = result[name].attrs["long_name"]
-    panel.set_xlabel(_in_lines(words + ("" if units == "1" else f" [{units}]")), fontsize=8)
-
-
-def _in_lines(text: str, width: int = 30) -> str:
-    """A text in lines of at most about so many letters."""
-    import textwrap
-
-    return "\n".join(textwrap.wrap(text, width))
+    panel.set_xlabel(style.in_lines(words + ("" if units == "1" else f" [{units}]")), fontsize=8)
 
 
 @style.drawing()

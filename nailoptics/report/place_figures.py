@@ -66,7 +66,7 @@ def count_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     for name, purpose, text, colour, mark in kinds:
         value, error = (1e3 * result[f"{name}{end}"].sel(chosen_for=purpose).to_numpy() for end in ("", "_stderr"))
         axes.errorbar(counts, value, Z95 * error, fmt=mark, color=colour, ms=4, lw=1.4, capsize=2, label=text)
-    axes.set(xscale="log", yscale="log", xlabel="photodiodes", ylabel="force resolution [mN]")
+    axes.set(xscale="log", yscale="log", xlabel="photodiodes [1]", ylabel="force resolution [mN]")
     axes.set_xticks(counts, [str(count) for count in counts], minor=False)
     axes.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
     style.plain_log(axes.yaxis)

@@ -110,7 +110,7 @@ def _models_section(result: xr.Dataset, scene: Scene | None, found: list[Reading
     lines = [
         "<p>Each photodiode's traced volts with Beer–Lambert (8), V = V<sub>0</sub> + V<sub>1</sub> exp(−αD²), and "
         "Taylor (9), V = V′<sub>0</sub> − V′<sub>1</sub>D², fitted to them over the capillary diameter D of the "
-        "photodiode's own zone. Below each, what they miss (model minus traced light), on one scale for all, with the "
+        "photodiode's own zone. Below each, the residuals (model minus traced light), on one scale for all, with the "
         "noise of one sample in grey.</p>",
     ]
     text = (

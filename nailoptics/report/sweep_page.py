@@ -12,7 +12,7 @@ from . import style
 from .colour_page import A_PICTURE
 from .contact_sheet import MOST_SCENES, contact_sheet
 from .html import document, escaped, figure, section, small, table
-from .numbers import prefix, significant
+from .numbers import prefix, significant, unit_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -69,6 +69,11 @@ def _axes_table(results: xr.Dataset) -> str:
     return table(["Axis", "Place in the scene", "Values", "From, to"], rows)
 
 
+def coordinate_path(results: xr.Dataset, name: str) -> str:
+    """The place in the scene of an axis' values; its name where it has several."""
+    return str(results[name].attrs.get("long_name", name))
+
+
 def _figures(results: xr.Dataset) -> str:
     quantity = next((q for q in _QUANTITIES if q in results), None)
     if quantity is None:
@@ -116,8 +121,10 @@ def _along(results: xr.Dataset, quantity: str, name: str) -> "Figure":
         label = style.plain(f"{values.led.values[i]} → {values.photodiode.values[j]}")
         axes.errorbar(x, y, error, color=colour, label=label, **look)
     unit = str(results[quantity].attrs["units"])
-    axes.set_ylabel(f"[{letter}{unit}]" if unit != "1" else (f"[10^{round(np.log10(scale))}]" if letter else "[1]"))
-    axes.set_xlabel(style.plain(name))
+    of = f"{letter}{unit}" if unit != "1" else significant(scale, 1)
+    axes.set_ylabel(style.plain(style.in_lines(f"{results[quantity].attrs['long_name']} [{of}]", 34)))
+    unit = f" [{unit_of(coordinate_path(results, name))}]" if numeric else ""
+    axes.set_xlabel(style.plain(f"{name}{unit}"))
     if not numeric:
         axes.set_xticks(x, [style.plain(str(v)[:24]) for v in coordinate])
     if pairs:

@@ -107,14 +107,16 @@ def fit_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
         note = str(result.fit_note.isel(here).item())
         mark = marks.setdefault(note, chr(ord("a") + len(marks) % 26)) if note else ""
         cells = [name + (f" <sup>{mark}</sup>" if mark else "")]
+        level_v = abs(float(result.taylor_v0_v.isel(here)))
         for field, _, unit in fields:
             value, text = float(result[field].isel(here)), ""
             if f"{field}_stderr" in result:
-                text = with_error(value / unit, float(result[f"{field}_stderr"].isel(here)) / unit)
+                level = level_v / (largest_m2 if field.endswith("_per_m2") else 1.0) / unit
+                text = with_error(value / unit, float(result[f"{field}_stderr"].isel(here)) / unit, scale=level)
             if text.endswith("?") and field.startswith("beer_lambert"):
                 alpha_d2 = float(result.beer_lambert_alpha_per_m2.isel(here)) * largest_m2
                 text = "straight" if 0 < alpha_d2 < STRAIGHT else "not known"
-            cells.append(number(value, text or significant(value / unit)))
+            cells.append(number(value, text or with_error(value / unit, 0.0, scale=level_v / unit)))
         rows.append(cells)
     notes = small(
         "± is the trace's standard error, whose noise all samples of a reading share; the misfit is no part of it."

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from nailoptics.report import style
-from nailoptics.report.numbers import fixed, polynomial, prefix, quantity, significant, with_error
+from nailoptics.report.numbers import fixed, polynomial, prefix, quantity, significant, unit_of, with_error
 from nailoptics.report.style import spread
 
 
@@ -22,10 +22,41 @@ from nailoptics.report.style import spread
         (5.0, 0.0, "5.000"),
         (5.0, math.inf, "5.00 ± ?"),
         (math.nan, 1.0, "–"),
+        (235.908955401, 1e-13, "235.9"),
     ],
 )
 def test_a_value_is_rounded_to_its_error(value, error, text):
     assert with_error(value, error) == text
+
+
+@pytest.mark.parametrize(
+    "value, error, text",
+    [
+        (-5.09e-14, math.inf, "0"),
+        (-5.09e-14, 3e-15, "0"),
+        (1e-5, 2e-6, "(1.00 ± 0.20) × 10⁻⁵"),
+        (0.5, math.inf, "0.500 ± ?"),
+    ],
+)
+def test_what_is_rounding_beside_what_it_is_a_part_of_is_nothing(value, error, text):
+    assert with_error(value, error, scale=235.9) == text
+
+
+@pytest.mark.parametrize(
+    "field, unit",
+    [
+        ("touch.force_n", "N"),
+        ("leds[0].position_mm[1]", "mm"),
+        ("blood.tuning.vein_stiffness_n_per_m", "N/m"),
+        ("blood.tuning.viscosity_pa_s", "Pa s"),
+        ("body.drift.led_per_rt_min", "1/√min"),
+        ("electronics.noise_nv_per_rt_hz", "nV/√Hz"),
+        ("blood.so2", "1"),
+        ("blood.zones", "1"),
+    ],
+)
+def test_a_fields_name_ends_with_its_unit(field, unit):
+    assert unit_of(field) == unit
 
 
 @pytest.mark.parametrize(

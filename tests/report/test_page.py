@@ -23,7 +23,7 @@ class Page(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.tables, self.tags, self.open, self.rows, self.in_svg = {}, [], [], None, 0
+        self.tables, self.tags, self.open, self.rows, self.in_svg, self.said = {}, [], [], None, 0, ""
         self.feed(text)
         self.close()
         assert not self.open
@@ -49,6 +49,7 @@ class Page(HTMLParser):
             self.rows = None
 
     def handle_data(self, data):
+        self.said += data
         if self.rows and data.strip():
             self.rows[-1][0].append(data.strip())
 
@@ -131,6 +132,22 @@ def test_what_was_not_computed_is_left_out(undrawn, make, left_out):
     text = page(make().drop_vars(left_out))
     assert len(body_rows(Page(text).tables["readings"])) == 8
     assert ("was not computed" in text) == ("section_region" in left_out)
+
+
+def test_equations_have_their_names(make):
+    text = Page(page(make(section=False)))
+    said = re.findall(r"(.{14})\((?:8|9)\)", text.said)
+    assert len(said) > 4 and all(one.endswith(("Beer–Lambert ", "Taylor ")) for one in said), said
+
+
+def test_a_touch_that_changes_nothing_has_no_constants_of_rounding(undrawn, make):
+    result = make(swing=0.0, section=False)
+    for name in ("taylor_v1_v_per_m2", "taylor_residual_rms_v"):
+        result[name] = result[name] * 0 + 5.09e-14 * (1e11 if name.endswith("m2") else 1)
+    result["taylor_v1_v_per_m2_stderr"] = result.taylor_v1_v_per_m2 * np.inf
+    result["taylor_v0_v_stderr"] = result.taylor_v0_v * 1e-15
+    for texts, _ in body_rows(Page(page(result)).tables["fits"]):
+        assert texts[-2:] == ["0", "0"] and "±" not in texts[-3]
 
 
 def test_one_moment_and_readings_that_do_not_change(make):

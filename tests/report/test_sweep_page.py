@@ -4,12 +4,14 @@ import csv
 from html.parser import HTMLParser
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
 
 from nailoptics.batch import write_table
+from nailoptics.report import style
 from nailoptics.report.sweep_page import write_sweep_page
 
 HOSTILE = ["<script>alert(1)</script>$a_b^{c$ & <b>", '"><img src=x onerror=y>', "</title><svg onload=z>"]
@@ -48,6 +50,17 @@ def test_names_failures_and_titles_are_text_on_the_page(tmp_path: Path):
     text = (tmp_path / "p.html").read_text()
     assert not Tags(text).found & {"script", "img", "b>", "onerror", "onload"}
     assert "&lt;script&gt;alert(1)" in text and "&quot;&gt;&lt;img" in text
+
+
+def test_the_axes_of_a_figure_have_names_and_units(monkeypatch, tmp_path: Path):
+    names = ["a", "b", "c"]
+    sweep = results(names).assign_coords(base=("base", [0.0, 0.5, 1.0], {"long_name": "touch.force_n"}))
+    sweep.volts_start.attrs["long_name"] = "voltage at rest"
+    drawn: list[Any] = []
+    monkeypatch.setattr(style, "to_svg", lambda figure, **_: drawn.append(figure) or "<svg></svg>")
+    write_sweep_page(sweep, tmp_path / "p.html", failures={})
+    (axes,) = drawn[0].axes
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("base [N]", "voltage at rest [V]")
 
 
 @pytest.mark.parametrize("axis", ["base", "=1+1"])

@@ -17,6 +17,7 @@ class Verdict:
     """Whether a fitted model stays within a tolerance for every LED and photodiode over a whole sweep.
 
     sure : probability with which it does so, or does not, by the traces' noise; readings : how many were judged.
+    surely_within : how many of these stay within it, each with a probability of 95 %.
     worst_error, worst_stderr : of the reading that is furthest off, in parts of its swing.
     worst_low, worst_high : what the largest error of all readings lies between, 95 % sure.
     """
@@ -33,20 +34,20 @@ class Verdict:
     sweep: str
     sure: float
     readings: int
+    surely_within: int
 
     def __str__(self) -> str:
-        worst, low, high = (f"{100 * one:.2f} %" for one in (self.worst_error, self.worst_low, self.worst_high))
-        found = f"{worst} of the swing ({low} to {high}, 95 % sure)"
-        where = f"LED {self.led}, photodiode {self.photodiode}, over {self.sweep}"
+        largest, low, high = (f"{100 * x:.3g}" for x in (self.worst_error, self.worst_low, self.worst_high))
         name = {"taylor": "Taylor (9)", "beer_lambert": "Beer-Lambert (8)"}[self.model]
-        words = {
-            "met": "stays within",
-            "missed": "misses",
-            "undecided": "cannot be told to meet or to miss (trace more photons)",
-        }
+        of = f"{100 * self.tolerance:g} % of the swing of all {self.readings} readings over the {self.sweep}"
         percent = "over 99.9" if self.sure > 0.999 else f"{100 * self.sure:.3g}"
-        sure = f"{percent} % sure over {self.readings} readings"
-        return f"{name} {words[self.outcome]} {100 * self.tolerance:g} % ({sure}): at worst {found}, {where}."
+        words = {
+            "met": f"{name} stays within {of} ({percent} % confidence)",
+            "missed": f"{name} does not stay within {of} ({percent} % confidence)",
+            "undecided": f"Whether {name} stays within {of} is undecided; trace more photons",
+        }
+        where = f"LED {self.led}, photodiode {self.photodiode}"
+        return f"{words[self.outcome]}. Largest error: {largest} % (95 % interval {low} to {high} %), {where}."
 
 
 def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> Verdict:
@@ -82,6 +83,7 @@ def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> V
         sweep=sweep,
         sure=max(met, missed),
         readings=error.size,
+        surely_within=int(np.sum(below >= SURE)),
     )
 
 
