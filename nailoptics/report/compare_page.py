@@ -89,7 +89,7 @@ def _limits(result: xr.Dataset, led: int) -> str:
     head, rows = ["Photodiode", "Swing<br>[% of reading]", "Mean path<br>in own<br>zone [mm]"], []
     columns = list(product(map(str, result.sweep.values), compare_figures.FORMULAS, result.within.values))
     for sweep, model, within in columns:
-        formula, unit = compare_figures.FORMULAS[model].replace(" ", "<br>"), "N" if sweep == "force" else "%"
+        formula, unit = compare_figures.FORMULAS[model].replace("–", "–<br>"), "N" if sweep == "force" else "%"
         head.append(f"{formula}<br>to {100 * within:g} %<br>{escaped(sweep)} [{unit}]")
     head += ["αD² at which<br>Taylor (9)<br>errs by 1 %", "at which<br>Taylor (9)<br>errs by 5 %"]
     for j in compare_figures.order(result):
