@@ -307,7 +307,7 @@ def explore(
 
     It is one file, which any browser opens from disk. Photons are those of each of the scene's wavelengths.
     """
-    from .report.explore_page import write_exploration
+    from .report.pages.explore.page import write_exploration
     from .studies.exploration.explore import explore as study
 
     if output.suffix != ".html":
@@ -438,7 +438,7 @@ def check(
     json_: Json = False,
 ) -> None:
     """Check a scene: what was read, what is lit, distances, what is ignored, and what any command would refuse."""
-    from .report.scene_words import blood_words, body_words, touch_words
+    from .report.scene_description import blood_words, body_words, touch_words
     from .report.summaries import check_lines
     from .studies.scene_check import check_scene
 
@@ -528,9 +528,8 @@ def figures(
     from . import hemodynamics
     from .paper.claims_table import as_rows, as_text, judge
     from .paper.responses import pressed, simulate_responses
-    from .report.blood_figures import draw
-    from .report.colour_figures import draw_fig2
-    from .report.haemoglobin_figure import draw_haemoglobins
+    from .report.pages.colour import draw_fig2
+    from .report.pages.paper import draw, draw_haemoglobins
     from .scene.touch import read_recording
 
     course = None if touch is None else [np.asarray(column) for column in read_recording(touch)]

@@ -56,7 +56,7 @@ def test_explore_keeps_the_wavelengths_that_it_knows(folder, chosen_jit):
 
 @pytest.mark.jit
 def test_an_interrupt_between_two_results_leaves_the_first_whole(folder, chosen_jit, store):
-    ended = interrupted_at("nailoptics.report.simulate_page:write_report", *SIMULATE)
+    ended = interrupted_at("nailoptics.report.pages.simulate.page:write_report", *SIMULATE)
     assert ended.code == 130 and written(folder / "out") == {SIMULATION[0]} and ended.said == [COMPLETE]
     assert xr.load_dataset(folder / "out" / SIMULATION[0]).sizes["time"] > 0
 

@@ -12,7 +12,9 @@ import xarray as xr
 from matplotlib.figure import Figure
 from PIL import Image
 
-from nailoptics.report import colour_figures, simulate_figures, style
+from nailoptics.report import style
+from nailoptics.report.pages import colour as colour_page
+from nailoptics.report.pages.simulate.figures import draw_change
 from nailoptics.scene import parse_scene
 
 
@@ -31,10 +33,10 @@ def nail_picture(folder: Path, readings: xr.Dataset, path: Path) -> None:
             force = float(colours.force_n[0 if name == "rest" else -1])
             panel.set_title("At rest" if name == "rest" else f"Pressed by {force:g} N", loc="center")
         panels = below.subplots(1, colours.sizes["state"])
-        colour_figures.draw_strip(panels, colours, width_mm=finger.nail_width_mm)
-        below.supxlabel(f"Traced; {colour_figures.seen_by(colours)}", fontsize=7, color=style.MUTED)
+        colour_page.draw_strip(panels, colours, width_mm=finger.nail_width_mm)
+        below.supxlabel(f"Traced; {colour_page.seen_by(colours)}", fontsize=7, color=style.MUTED)
         axes = right.subplots()
-        simulate_figures.draw_change(axes, readings, parse_scene(str(readings.attrs["scene"])), led=0)
+        draw_change(axes, readings, parse_scene(str(readings.attrs["scene"])), led=0)
         axes.set_title("Photodiode readings during the press")
         style.write_figure(figure, path, dpi=110, facecolor="white")
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import xarray as xr
 from matplotlib.figure import Figure
 
-from nailoptics.report import maps, simulate_figures, style
+from nailoptics.report import maps, style
+from nailoptics.report.pages.simulate.figures import draw_change
 from nailoptics.scene import parse_scene
 
 
@@ -23,7 +24,7 @@ def readme_picture(result: xr.Dataset, path: Path) -> None:
         axes = figure.subplot_mosaic(places, width_ratios=[5.2, 6.6], height_ratios=[1.0, 1.05])
         maps.draw_top_view(axes["board"], scene)
         maps.draw_section(axes["section"], scene, result, led=0)
-        simulate_figures.draw_change(axes["change"], result, scene, led=0)
+        draw_change(axes["change"], result, scene, led=0)
         axes["board"].set_title("The board on the nail")
         axes["section"].set_title("Light in the finger, lengthwise section")
         axes["change"].set_title("Photodiode readings during the press")

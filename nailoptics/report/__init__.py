@@ -1,5 +1,5 @@
 """PICTURES AND WORDS: figures of a result and one self-contained page of them."""
 
-from .simulate_page import write_report
+from .pages.simulate.page import write_report
 
 __all__ = ["write_report"]

@@ -3,6 +3,7 @@
 import base64
 import hashlib
 import html
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from typing import TYPE_CHECKING, Any
@@ -111,6 +112,12 @@ def table(
             lines.append(f'<tr class="group"><th colspan="{len(head)}">{escaped(shown)}</th></tr>')
         lines.append(f'<tr><th scope="row">{first}</th>' + "".join(f"<td>{cell}</td>" for cell in rest) + "</tr>")
     return "\n".join([*lines, "</tbody></table></div>"])
+
+
+def number(value: float, text: str) -> str:
+    """A number for people with its exact value for machines."""
+    shown = escaped(text)
+    return f'<data value="{value!r}">{shown}</data>' if math.isfinite(value) else shown
 
 
 def small(text: str) -> str:

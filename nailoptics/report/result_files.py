@@ -44,16 +44,16 @@ Paths = dict[str, Path]
 
 def write_simulation(result: "xr.Dataset", folder: Path) -> Paths:
     """Write a simulated touch and its report; returns their paths. Raises WriteError, as all functions here."""
-    from .simulate_page import write_report
+    from .pages.simulate.page import write_report
 
     return _write(result, folder, SIMULATION, write_report)
 
 
 def write_comparison(result: "xr.Dataset", folder: Path) -> Paths:
     """Write a comparison and its report; returns their paths."""
-    from . import compare_page
+    from .pages.compare import write_comparison as write_page
 
-    return _write(result, folder, COMPARISON, compare_page.write_comparison)
+    return _write(result, folder, COMPARISON, write_page)
 
 
 def _write(result: "xr.Dataset", folder: Path, names: tuple[str, str], write_page: Callable[..., None]) -> Paths:
@@ -76,7 +76,7 @@ def write_placement(result: "xr.Dataset", folder: Path, *, negate_x_on_bottom: b
     from ..scene.outlines import write_outline
     from ..scene.positions import write_positions
     from ..studies.placement.result import chosen, kicad_parts, outline, rows
-    from . import place_page
+    from .pages.place.page import write_placement as write_page
 
     data, ranking, page, best_scene, positions, mesh, outline_file, board = (folder / name for name in PLACEMENT)
     best, table = chosen(result), StringIO(newline="")
@@ -93,13 +93,13 @@ def write_placement(result: "xr.Dataset", folder: Path, *, negate_x_on_bottom: b
         write_outline(outline_file, outline(result))
         write_board(board, placed, sizes, outline(result))
         export_mesh(build(best), mesh)
-        place_page.write_placement(result, page)
+        write_page(result, page)
     return {"report": page, "scene": best_scene}
 
 
 def write_explanation(found: "Explanation", path: Path) -> Paths:
     """Write the scene with only what it requires, and the page of an explanation beside it; returns their paths."""
-    from .explain_page import write_explanation_page
+    from .pages.explain import write_explanation_page
 
     page = path.with_suffix(".html")
     with turn(path.parent):
@@ -110,15 +110,16 @@ def write_explanation(found: "Explanation", path: Path) -> Paths:
 
 def write_tradeoff(found: "Tradeoff", folder: Path) -> Paths:
     """Write a tradeoff as JSON, Dataset, page and picture, and the chosen level's scene; returns report and scene."""
-    from . import tradeoff_page
+    from .pages.tradeoff import draw
+    from .pages.tradeoff import write_tradeoff as write_page
     from .style import write_figure
 
     data, dataset, page, picture, scene = (folder / name for name in TRADEOFF)
     with turn(folder):
         write_text(data, to_json(found.as_dict()) + "\n")
         write_dataset(found.dataset(), dataset)
-        drawing = tradeoff_page.draw(found)
-        tradeoff_page.write_tradeoff(found, drawing, page)
+        drawing = draw(found)
+        write_page(found, drawing, page)
         # Once is enough to find room for the labels.
         drawing.set_layout_engine("none")
         write_figure(drawing, picture, dpi=120, facecolor="white")
@@ -133,17 +134,16 @@ def write_colour(
 
     width_mm : of the nail.
     """
-    from . import colour_figures
-    from .colour_page import write_colour_page
+    from .pages.colour import animation, strip_figure, write_colour_page
     from .style import write_figure
 
     data, page, strip, rest, pressed, press = (folder / name for name in COLOUR)
     pictures = [png(one) for one in photographs]
-    moving = colour_figures.animation(result, width_mm=width_mm) if "press_lab" in result else None
+    moving = animation(result, width_mm=width_mm) if "press_lab" in result else None
     with turn(folder):
         write_dataset(result, data)
         write_colour_page(result, pictures, moving, page)
-        write_figure(colour_figures.strip(result, width_mm=width_mm), strip, dpi=150, facecolor="white")
+        write_figure(strip_figure(result, width_mm=width_mm), strip, dpi=150, facecolor="white")
         for path, picture in zip((rest, pressed), pictures, strict=False):
             write_bytes(path, picture)
         if moving:
@@ -168,14 +168,14 @@ def _cut_off(attributes: Mapping[Any, Any]) -> str:
 def write_sweep(results: "xr.Dataset", folder: Path, *, failures: Mapping[str, str]) -> Paths:
     """Write the table and the page of a sweep, of what `batch.open_results` returns; returns their paths."""
     from ..batch import write_table
-    from .sweep_page import write_sweep_page
+    from .pages.sweep import write_sweep_page
 
     table, page = folder / "table.csv", folder / "report.html"
     write_table(results, table)
     write_sweep_page(results, page, failures=failures)
     if "photograph" not in results:
         return {"report": page, "table": table}
-    from .contact_sheet import contact_sheet
+    from .pages.sweep import contact_sheet
     from .style import write_figure
 
     sheet = folder / "contact_sheet.png"
@@ -193,7 +193,7 @@ def write_recording(recording: Recording, path: Path) -> Paths:
 def write_calibration(result: "xr.Dataset", subject: Path) -> Paths:
     """Write a subject file and, beside it, its page; returns their paths."""
     from ..studies.force.calibrate import calibration_summary
-    from .force_pages import write_calibration_page
+    from .pages.force import write_calibration_page
 
     page = subject.with_suffix(".html")
     make_folder(subject.parent)
@@ -205,8 +205,7 @@ def write_calibration(result: "xr.Dataset", subject: Path) -> Paths:
 def write_prediction(result: "xr.Dataset", folder: Path) -> Paths:
     """Write a prediction as NetCDF, CSV, page and picture; returns the paths of the first three."""
     from ..studies.force.predict import csv_rows, prediction_summary
-    from .force_figures import force
-    from .force_pages import write_prediction_page
+    from .pages.force import force_figure, write_prediction_page
     from .style import write_figure
 
     data, rows, page, picture = (folder / name for name in PREDICTION)
@@ -214,21 +213,20 @@ def write_prediction(result: "xr.Dataset", folder: Path) -> Paths:
         write_dataset(result, data)
         write_text(rows, "".join(f"{row}\n" for row in csv_rows(result)))
         write_prediction_page(result, prediction_summary(result), page)
-        write_figure(force(result), picture, dpi=120, facecolor="white")
+        write_figure(force_figure(result), picture, dpi=120, facecolor="white")
     return {"report": page, "result": data, "csv": rows}
 
 
 def write_oximeter_result(result: "xr.Dataset", folder: Path) -> Paths:
     """Write an oximeter, its page and a picture; returns the paths of page and dataset."""
-    from .oximeter_figures import overview
-    from .oximeter_page import write_oximeter
+    from .pages.oximeter import overview_figure, write_oximeter
     from .style import write_figure
 
     data, page, picture = (folder / name for name in OXIMETER)
     with turn(folder):
         write_dataset(result, data)
         write_oximeter(result, page)
-        write_figure(overview(result), picture, dpi=110, facecolor="white")
+        write_figure(overview_figure(result), picture, dpi=110, facecolor="white")
     return {"report": page, "result": data}
 
 
@@ -242,7 +240,7 @@ def write_oximeter_recording(recording: OximeterRecording, leds: tuple[str, str]
 def write_oxygen(result: "xr.Dataset", folder: Path) -> Paths:
     """Write what a recording of an oximeter tells as NetCDF, CSV and page; returns their paths."""
     from ..studies.oximetry.spo2_over_time import recording_summary, spo2_rows
-    from .oximeter_page import write_oxygen_recording
+    from .pages.oximeter import write_oxygen_recording
 
     data, rows, page = (folder / name for name in OXYGEN)
     with turn(folder):

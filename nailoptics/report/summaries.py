@@ -4,7 +4,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from .readings import hold_end, photodiode_readings
-from .spread_section import spread_summary
+from .uncertainty_section import spread_summary
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -200,7 +200,7 @@ def test_subjects_force_has_their_time_constants():
 
 
 def test_figures_are_drawn_for_any_set(tmp_path, responses):
-    from nailoptics.report.blood_figures import draw
+    from nailoptics.report.pages.paper import draw
 
     time = np.linspace(0.0, 2.0, 201)
     force = 0.5 * (time > 1.0)

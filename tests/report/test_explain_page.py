@@ -8,7 +8,7 @@ import pytest
 
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
-from nailoptics.report import explain_page
+from nailoptics.report.pages import explain
 from nailoptics.report.result_files import write_explanation
 from nailoptics.studies.model_error import bounds
 from nailoptics.studies.model_error.effect import Effect
@@ -57,7 +57,7 @@ def test_what_cannot_be_told_to_matter_is_no_headline_beside_what_surely_does(fo
 
 
 def test_the_picture_names_every_effect_that_is_known(found):
-    axes = explain_page.draw(found).axes[0]
+    axes = explain.draw(found).axes[0]
     names = [text.get_text() for text in axes.get_yticklabels()]
     assert names == [one.name for one in found.effects if np.isfinite(one.change)]
     dots = sorted(

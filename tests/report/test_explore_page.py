@@ -12,7 +12,7 @@ from nailoptics import electronics, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.io import FORMULA
-from nailoptics.report.explore_page import page
+from nailoptics.report.pages.explore.page import page
 from nailoptics.scene import to_toml
 from nailoptics.scene.files import parse_scene
 from nailoptics.scene.positions import read_positions

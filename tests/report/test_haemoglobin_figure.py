@@ -1,6 +1,6 @@
 """The paper's Fig. 4 from the shipped tables."""
 
-from nailoptics.report.haemoglobin_figure import CROSSES_BETWEEN_NM, crossing_nm, draw_haemoglobins
+from nailoptics.report.pages.paper import CROSSES_BETWEEN_NM, crossing_nm, draw_haemoglobins
 
 
 def test_both_haemoglobins_cross_where_the_table_says():

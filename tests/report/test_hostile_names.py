@@ -9,7 +9,9 @@ from hostile_names import HOSTILE, Tags, assert_text_alone
 from matplotlib.figure import Figure
 
 from nailoptics.assets import data_dir
-from nailoptics.report import force_pages, html, oximeter_page, place_page, tradeoff_page
+from nailoptics.report import html
+from nailoptics.report.pages import force, oximeter, tradeoff
+from nailoptics.report.pages.place import page as place
 from nailoptics.scene import load_scene, to_toml
 
 
@@ -58,18 +60,18 @@ def test_tables_of_layouts_persons_and_readings_show_a_name_as_text(name):
     numbers += ["share_resolution", "share_resolution_stderr"]
     row = dict.fromkeys(numbers, 1.0) | {"layout": name, "rank": 1, "tied": False}
     # An underscore in a layout's name is a space on the page.
-    assert_text_alone(place_page._table([row]), name.replace("_", " "))
+    assert_text_alone(place._table([row]), name.replace("_", " "))
     person = {"value": 1.0, "stderr": 0.1, "prior": name, "informed": True, "what": name}
-    assert_text_alone(force_pages._factors_table({"parameters": {name: person}}), name)
+    assert_text_alone(force._factors_table({"parameters": {name: person}}), name)
     result = xr.Dataset(
         {"spo2_stderr_by_cause": (("photodiode", "cause"), np.ones((1, 1)))}
         | {key: ("photodiode", np.ones(1)) for key in ("spo2_stderr", "spo2_stderr_beat")},
         coords={"photodiode": [name], "cause": [name]},
     )
-    assert_text_alone(oximeter_page._errors(result), name)
+    assert_text_alone(oximeter._errors(result), name)
     level = SimpleNamespace(name=name, beforehand=name, lines=(name,), call=name)
     found = SimpleNamespace(levels=[level])
-    assert_text_alone(tradeoff_page._needs(found), name)
+    assert_text_alone(tradeoff._needs(found), name)
 
 
 @pytest.mark.parametrize("name", HOSTILE)
@@ -88,7 +90,7 @@ def test_the_page_of_a_calibration_shows_names_of_readings_files_and_factors_as_
     factor = {"value": 1.0, "stderr": 0.1, "prior": name, "informed": True, "what": name}
     summary = {"rms_n": 0.1, "chi2_per_dof": 1.0, "widening": 1.0, "warnings": [name]}
     summary |= {"parameters": {name: factor}, "readings": {name: dict.fromkeys(numbers, 1.0)}}
-    force_pages.write_calibration_page(result, summary, tmp_path / "page.html")
+    force.write_calibration_page(result, summary, tmp_path / "page.html")
     assert_text_alone((tmp_path / "page.html").read_text(encoding="utf-8"), name)
 
 
@@ -101,5 +103,5 @@ def test_the_page_of_a_prediction_shows_warnings_misfits_and_events_as_text(name
     summary = {"warnings": [name], "consistent": False, "misfit": name, "open_above_n": 1.0, "rms_n": 0.1}
     summary |= {"coverage_95": 0.9, "baseline_rms_n": {"linear": 0.1, "components": 0.1}}
     summary |= {"events": [{"kind": name, "time_s": 1.0, "latency_s": 0.1}]}
-    force_pages.write_prediction_page(result, summary, tmp_path / "page.html")
+    force.write_prediction_page(result, summary, tmp_path / "page.html")
     assert_text_alone((tmp_path / "page.html").read_text(encoding="utf-8"), name)

@@ -11,8 +11,7 @@ import pytest
 
 from nailoptics.errors import InputError
 from nailoptics.report import style, write_report
-from nailoptics.report.light_ends import light_ends
-from nailoptics.report.simulate_page import page
+from nailoptics.report.pages.simulate.page import _light_ends, page
 from nailoptics.studies.per_sample import _PerSample, per_sample
 
 VOID = {"meta", "br"}
@@ -240,13 +239,13 @@ def test_signs_are_judged_by_where_a_zone_lies_whatever_its_name(undrawn, make):
 
 def test_where_the_light_ends_is_shown_where_it_is_known(make, monkeypatch):
     result = make(leds=2)
-    assert light_ends(result) == ""
+    assert _light_ends(result) == ""
     energy, absorbed = {"reflected": 0.1, "transmitted": 0.02, "absorbed": 0.88, "lost": 0.0}, [0.5, 0.3799, 0.00009]
     for name, axis, values in (("energy", "part", [*energy.values()]), ("absorbed", "region", absorbed)):
         result[f"{name}_fraction"] = (("led", axis), np.array([values, values]))
         result[f"{name}_fraction_stderr"] = (("led", axis), np.full((2, len(values)), 1e-3))
     result = result.assign_coords(part=list(energy), region=["bed", "barrier", "bone"])
-    ends = light_ends(result)
+    ends = _light_ends(result)
     assert 'aria-label="Where the light of each LED ends' in ends
     for words, count in (("50.00 ± 0.10 %", 2), ("37.99 ± 0.10 %", 2), ("10.00 ± 0.10 %", 2), ("leaves to the air", 1)):
         assert ends.count(words) == count, words
@@ -268,7 +267,7 @@ def test_it_is_written_whole_or_not_at_all(undrawn, make, tmp_path, monkeypatch)
     write_report(result, path)
     before = path.read_text(encoding="utf-8")
     assert before.endswith("</html>\n")
-    monkeypatch.setattr("nailoptics.report.simulate_page.page", lambda _: "another")
+    monkeypatch.setattr("nailoptics.report.pages.simulate.page.page", lambda _: "another")
     assert os.listdir(tmp_path) == ["report.html"]
     monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
     with pytest.raises(InputError, match="No space left"):

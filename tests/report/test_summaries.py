@@ -3,8 +3,8 @@
 import numpy as np
 
 from nailoptics.report.readings import hold_end, photodiode_readings
-from nailoptics.report.spread_section import conclusions
 from nailoptics.report.summaries import check_lines, simulation_lines, simulation_summary
+from nailoptics.report.uncertainty_section import conclusions
 
 
 def test_the_terminal_and_the_page_have_one_definition_of_a_change(make):

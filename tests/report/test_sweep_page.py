@@ -12,7 +12,7 @@ import xarray as xr
 
 from nailoptics.batch import write_table
 from nailoptics.report import style
-from nailoptics.report.sweep_page import write_sweep_page
+from nailoptics.report.pages.sweep import write_sweep_page
 
 HOSTILE = ["<script>alert(1)</script>$a_b^{c$ & <b>", '"><img src=x onerror=y>', "</title><svg onload=z>"]
 FORMULAS = ["=cmd|' /C calc'!A0", "+1+1", "-2+3", "@SUM(A1)", "\t=1", "plain"]

@@ -15,8 +15,8 @@ from nailoptics.light import Transfer, optics
 from nailoptics.light.course import GROUPS, read_replicates
 from nailoptics.light.records import LedTrace
 from nailoptics.options import TraceOptions
-from nailoptics.report import compare_page
-from nailoptics.report.compare_page import write_comparison
+from nailoptics.report.pages import compare as compare_page
+from nailoptics.report.pages.compare import write_comparison
 from nailoptics.scene import Scene
 from nailoptics.statistics import Z95, jackknife
 from nailoptics.studies.comparison import formula_errors

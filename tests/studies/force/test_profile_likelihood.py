@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from nailoptics.report import force_figures
+from nailoptics.report.pages.force import profiles_figure
 from nailoptics.studies.blood_states import vessels
 from nailoptics.studies.force.calibrate import _dataset
 from nailoptics.studies.force.fit import Fit
@@ -55,7 +55,7 @@ def test_all_other_factors_follow_the_one_that_is_held(fit: Fit) -> None:
         found = 2.0 * least_squares(whole, best[others], slopes).cost - least
         assert profile.deviance[held, place] == pytest.approx(found, rel=0.05, abs=0.02)
     drawn = _dataset(fit.recordings, fitted, profile).assign_attrs(bent_factors=[FREE[0], FREE[2]])
-    assert len([axes for axes in force_figures.profiles(drawn).axes if axes.get_title(loc="left")]) == 2
+    assert len([axes for axes in profiles_figure(drawn).axes if axes.get_title(loc="left")]) == 2
 
 
 @pytest.mark.parametrize(

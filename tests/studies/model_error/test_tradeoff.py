@@ -11,7 +11,8 @@ import nailoptics as nail
 from nailoptics import cli, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
-from nailoptics.report import result_files, tradeoff_page
+from nailoptics.report import result_files
+from nailoptics.report.pages import tradeoff as tradeoff_page
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.statistics import jackknife
 from nailoptics.studies.model_error import levels, literature, paired

@@ -14,7 +14,7 @@ from nailoptics.errors import InputError
 from nailoptics.io import to_json, write_dataset
 from nailoptics.light import Transfer
 from nailoptics.options import TraceOptions
-from nailoptics.report.oximeter_page import page_of_oximeter
+from nailoptics.report.pages.oximeter import page_of_oximeter
 from nailoptics.report.result_files import OXIMETER
 from nailoptics.scene import Scene
 from nailoptics.statistics import jackknife

@@ -9,7 +9,7 @@ from small_scenes import TWO_LAYOUTS
 from nailoptics import hemodynamics
 from nailoptics.hemodynamics.waves import pressure_lines
 from nailoptics.report import summaries
-from nailoptics.report.place_page import write_placement
+from nailoptics.report.pages.place.page import write_placement
 from nailoptics.scene import Placement, parse_scene
 from nailoptics.statistics import left_out
 from nailoptics.studies.blood_states import blood_by_arterial_pressure, steady_blood_at, touch_pressures_pa

@@ -8,7 +8,7 @@ import pytest
 
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
-from nailoptics.report.spread_section import conclusions, spread_section
+from nailoptics.report.uncertainty_section import conclusions, spread_section
 from nailoptics.scene import Placement, Priors
 from nailoptics.scene.priors import PriorRange
 from nailoptics.studies.placement import boards

@@ -18,7 +18,7 @@ from nailoptics.light.finger_walk import FingerTracer
 from nailoptics.light.store import LightStore
 from nailoptics.light.tracing import StageProgress
 from nailoptics.report import result_files
-from nailoptics.report.place_page import write_placement
+from nailoptics.report.pages.place.page import write_placement
 from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
 from nailoptics.scene.outlines import Outline, read_outline, write_outline
 from nailoptics.scene.positions import read_positions

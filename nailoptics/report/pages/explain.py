@@ -1,4 +1,4 @@
-"""The page of an explanation: what moves the readings, which of it the scene needs, and what is only known at most."""
+"""The page of an explanation: by how much every effect and every unknown changes the readings."""
 
 import math
 from pathlib import Path
@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..io import write_text
-from ..statistics import Z95
-from ..studies.model_error.effect import Effect
-from ..studies.model_error.explain import Explanation, name_of
-from ..studies.model_error.variants import lines_of
-from . import style
-from .html import document, escaped, figure, section, small, table
-from .numbers import significant, with_error
+from ...io import write_text
+from ...statistics import Z95
+from ...studies.model_error.effect import Effect
+from ...studies.model_error.explain import Explanation, name_of
+from ...studies.model_error.variants import lines_of
+from .. import style
+from ..html import document, escaped, figure, section, small, table
+from ..numbers import significant, with_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

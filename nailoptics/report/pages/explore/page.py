@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from .. import electronics
-from ..io import FORMULA, write_text
-from ..light.pair_kernel import NEAREST_MM
-from ..scene import Led, Photodiode, Scene
-from ..scene.base import MOST_PHOTODIODES
-from ..scene.rectangles import Rectangle
-from ..statistics import FEW_TERMS
-from ..studies.ambient import SOURCES
-from ..studies.exploration.explore import (
+from .... import electronics
+from ....io import FORMULA, write_text
+from ....light.pair_kernel import NEAREST_MM
+from ....scene import Led, Photodiode, Scene
+from ....scene.base import MOST_PHOTODIODES
+from ....scene.rectangles import Rectangle
+from ....statistics import FEW_TERMS
+from ....studies.ambient import SOURCES
+from ....studies.exploration.explore import (
     BLOCKS,
     BLOOD_RANGE,
     KERNEL_CHANGE_ERROR,
@@ -24,7 +24,7 @@ from ..studies.exploration.explore import (
     Exploration,
     fluence_edges,
 )
-from .html import document, escaped, section
+from ...html import document, escaped, section
 
 # What of a part is its place in a layout, and not the part.
 PLACED = {"name", "reference", "position_mm", "rotation_deg", "wired"}
@@ -65,7 +65,7 @@ def page(found: Exploration) -> str:
 
 
 def _text(*name: str) -> str:
-    return resources.files(__package__).joinpath("explore", *name).read_text(encoding="utf-8")
+    return resources.files(__package__).joinpath(*name).read_text(encoding="utf-8")
 
 
 def _library(name: str, file: str) -> str:

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
-from ..io import write_text
-from ..studies.model_error.answers import MORE, Answer, Bias, Effort, Judge, Level, in_words
-from ..studies.model_error.tradeoff import ERRORS, SECONDS, WORDS, Tradeoff
-from . import style
-from .html import document, escaped, figure, section, small, table
-from .numbers import significant, with_error
+from ...io import write_text
+from ...studies.model_error.answers import MORE, Answer, Bias, Effort, Judge, Level, in_words
+from ...studies.model_error.tradeoff import ERRORS, SECONDS, WORDS, Tradeoff
+from .. import style
+from ..html import document, escaped, figure, section, small, table
+from ..numbers import significant, with_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,18 +1,15 @@
-"""Figures of a placement: the ranking, maps on the board, where each photodiode looks, and places of the LEDs.
-
-What shows one LED takes a result of that LED alone, `result.isel(led=[i])`.
-"""
+"""Figures of a placement: the ranking, the board, maps of light, noise and resolution, and sensitivity volumes."""
 
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
-from ..scene import Scene
-from ..scene.layout import Rectangle
-from ..statistics import Z95
-from . import maps, style
-from .readings import coloured_along_nail
+from ....scene import Scene
+from ....scene.layout import Rectangle
+from ....statistics import Z95
+from ... import maps, style
+from ...readings import coloured_along_nail
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,4 +1,4 @@
-"""The page of a placement: which layout tells force best, how sure that is, and where on the board the light tells."""
+"""The page of a placement: which layout resolves force best, how sure that is, and where the light is informative."""
 
 import math
 from pathlib import Path
@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from ..io import write_text
-from ..scene import Placement, Scene, parse_scene
-from ..studies.ambient import SOURCES
-from ..studies.placement import boards
-from ..studies.placement.body_waves import LIFT_PER_UM
-from ..studies.placement.result import chosen, gain, rough_words, rows
-from . import place_figures as figures
-from .html import document, escaped, figure, section, small, table
-from .numbers import quantity, significant, with_error
-from .scene_words import body_words
-from .spread_section import spread_section
+from ....io import write_text
+from ....scene import Placement, Scene, parse_scene
+from ....studies.ambient import SOURCES
+from ....studies.placement import boards
+from ....studies.placement.body_waves import LIFT_PER_UM
+from ....studies.placement.result import chosen, gain, rough_words, rows
+from ...html import document, escaped, figure, section, small, table
+from ...numbers import quantity, significant, with_error
+from ...scene_description import body_words
+from ...uncertainty_section import spread_section
+from . import figures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

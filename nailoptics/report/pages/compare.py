@@ -1,17 +1,130 @@
-"""Figures of a comparison: how far Beer-Lambert (8) and Taylor (9) hold, what they leave out, alpha D^2."""
+"""The page of a comparison: how far Beer-Lambert (8) and Taylor (9) hold on a scene, and why not further."""
 
+from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
-from ..statistics import Z95
-from . import style
-from .numbers import significant
+from ...io import write_text
+from ...statistics import Z95
+from ...studies.comparison.verdict import claim, verdict
+from .. import style
+from ..html import document, escaped, figure, section, small, table
+from ..numbers import significant, with_error
+from ..readings import led_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+HOLDS = (
+    "Each model is fitted anew to every range from the start; its largest distance from the trace is given as a part "
+    "of the reading's swing over that range. Warm colours are proximal, cool ones distal; bands are 95 % intervals of "
+    "the light tracing."
+)
+SPLIT = (
+    "The error of Taylor (9), split where it is largest. Hollow marks cannot be told from 0. The first three add up to "
+    "the error against the trace; that blood scatters too is in neither, and comes on top. What changes the mean path "
+    "with the blood is the spread of paths: one path for all light."
+)
+READINGS = "Traced readings and models, as change from the start of the sweep."
+ALPHA = (
+    "αD² is the mean path in the bed times the absorption of its blood: the exponent of Beer–Lambert (8). Below each "
+    "bar, with 95 % intervals, where the error of Taylor (9) reaches 1 % (circle) and 5 % (square) of the swing over "
+    "{}. An open arrow: it stays below that over the whole sweep, and lies at its end."
+)
+
+
+def write_comparison(result: xr.Dataset, path: Path) -> None:
+    """Write the page, whole or not at all; raises WriteError."""
+    judged = verdict(result, 0.05)
+    met, total, sweep = judged.surely_within, judged.readings, judged.sweep
+    over = "range of saturation" if sweep == "saturation" else f"{sweep} range"
+    text = document(
+        kicker="reduced optics against traced light",
+        title=f"Taylor (9) holds to 5 % for {met} of {total} readings over the whole {over}",
+        lead=str(judged),
+        cards=_cards(result),
+        body=[_led_section(result, led) for led in range(result.sizes["led"])],
+        attributes=result.attrs,
+    )
+    write_text(path, text)
+
+
+def _led_section(result: xr.Dataset, led: int) -> str:
+    """How far the models hold under one LED, and why not further."""
+    alpha = ALPHA.format(result.sweep.values[-1])
+    lines = [figure(_range_errors_figure(result, led=led), f"holds{led}", HOLDS), _limits(result, led)]
+    for sweep in (str(s) for s in result.sweep.values):
+        lines += [
+            f"<h3>What Taylor (9) leaves out, over {escaped(sweep)}</h3>",
+            figure(_error_parts_figure(result, led=led, sweep=sweep), f"split{led}{sweep}", SPLIT),
+            figure(_changes_figure(result, led=led, sweep=sweep), f"readings{led}{sweep}", READINGS),
+        ]
+    lines += ["<h3>How large αD² is</h3>", figure(_alpha_d2_figure(result, led=led), f"alpha{led}", alpha)]
+    return section(f"How far the models hold: {escaped(led_name(result, led))}", *lines)
+
+
+def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
+    found = claim(result)["bed_alpha_d2"]["at_start"]
+    sweep = str(result.sweep.values[0])
+    words = f"αD² where the {sweep} starts, over all photodiodes; the paper says about 0.01"
+    cards = [(f"{significant(found['least'], 2)} – {significant(found['largest'], 2)}", words)]
+    for within in (0.01, 0.05):
+        taylor, exact = (verdict(result, within, model=model) for model in ("taylor", "beer_lambert"))
+        words = f"readings that fitted Taylor (9), and Beer–Lambert (8), meet within {100 * within:g} % of their swing "
+        words += f"over the {taylor.sweep}"
+        cards.append((f"{taylor.surely_within} and {exact.surely_within} of {taylor.readings}", words))
+    if "blood" in result.sweep.values:
+        one = result.sel(sweep="blood", way="fitted", model="taylor", within=0.01)
+        low, high = (significant(100 * float(f(one.limit)), 2) for f in (np.min, np.max))
+        cards.append((f"{low} – {high} %", "blood fraction up to which Taylor (9) errs by less than 1 %"))
+    parts = np.abs(result.isel(sweep=0, point=-1).sel(way="fitted").part_error).median(("led", "photodiode"))
+    # A part that no time was left to trace is not known.
+    if not (known := parts.dropna("part")).size:
+        return cards
+    worst, *_ = PARTS[str(known.part.values[int(known.values.argmax())])]
+    words = f"of the swing: the largest part of the error of Taylor (9), by the median of all readings: “{worst}”"
+    return [*cards, (f"{significant(100 * float(known.max()), 2)} %", words)]
+
+
+def _limits(result: xr.Dataset, led: int) -> str:
+    """Up to what force, blood and alpha D^2 each fitted model stays within 1 % and 5 %."""
+    head, rows = ["Photodiode", "Swing<br>[% of reading]", "Mean path<br>in own<br>zone [mm]"], []
+    columns = list(product(map(str, result.sweep.values), FORMULAS, result.within.values))
+    for sweep, model, within in columns:
+        formula, unit = FORMULAS[model].replace("–", "–<br>"), "N" if sweep == "force" else "%"
+        head.append(f"{formula}<br>to {100 * within:g} %<br>{escaped(sweep)} [{unit}]")
+    head += ["αD² at which<br>Taylor (9)<br>errs by 1 %", "at which<br>Taylor (9)<br>errs by 5 %"]
+    for j in _photodiode_order(result):
+        one = result.isel(led=led, photodiode=j)
+        first = one.isel(sweep=0)
+        swing = with_error(*(100 * float(first[f"relative_swing{end}"]) for end in ("", "_stderr")))
+        path_mm = with_error(float(first.path_mm), float(first.path_mm_stderr))
+        cells = [escaped(one.photodiode.values), swing, path_mm]
+        for sweep, model, within in columns:
+            at = one.sel(sweep=sweep, way="fitted", model=model, within=within)
+            cells.append(_interval(at, "limit", _display_scale(sweep)))
+        for within in result.within.values:
+            at = one.isel(sweep=-1).sel(way="fitted", model="taylor", within=within)
+            cells.append(_interval(at, "limit_bed_alpha_d2", 1.0))
+        rows.append(cells)
+    note = (
+        "Numbers in brackets are 95 % intervals; “all” means the whole sweep. αD² is that of all the blood in the bed, "
+        f"over {escaped(result.sweep.values[-1])}."
+    )
+    return table(head, rows, kind="dense") + small(note)
+
+
+def _interval(one: xr.Dataset, name: str, by: float) -> str:
+    value, low, high = (by * float(one[f"{name}{suffix}"]) for suffix in ("", "_low", "_high"))
+    if not bool(one.limit_ends):
+        return "all" if name == "limit" else f"&gt; {significant(value, 2)}"
+    low, high = max(min(low, high), 0.0), max(low, high)
+    return f"{significant(value, 2)}<br><span class='small'>({significant(low, 2)}–{significant(high, 2)})</span>"
+
 
 X_LABELS = {"force": "force [N]", "blood": "blood fraction of both zones [%]", "saturation": "oxygen saturation [%]"}
 # Name, colour and mark of each part of the error of Taylor (9).
@@ -30,27 +143,27 @@ FORMULAS = {"taylor": "Taylor (9)", "beer_lambert": "Beer–Lambert (8)"}
 _FLOOR, _CEILING = 0.01, 150.0
 
 
-def scale(sweep: str) -> float:
+def _display_scale(sweep: str) -> float:
     """What a sweep's settings are multiplied by to be shown."""
     return 1.0 if sweep == "force" else 100.0
 
 
-def order(result: xr.Dataset) -> list[int]:
+def _photodiode_order(result: xr.Dataset) -> list[int]:
     """Photodiodes as the figures list them: proximal ones first, in the scene's order."""
     return [int(i) for i in np.argsort(result.zone_of_photodiode.values, kind="stable")]
 
 
 @style.drawing()
-def range_errors(result: xr.Dataset, *, led: int) -> "Figure":
+def _range_errors_figure(result: xr.Dataset, *, led: int) -> "Figure":
     """The error of fitted (9) and (8) over each range from the sweep's start with 95 % intervals, beside 1 and 5 %."""
-    places, sweeps = order(result), [str(s) for s in result.sweep.values]
+    places, sweeps = _photodiode_order(result), [str(s) for s in result.sweep.values]
     height_in = 0.9 + 3.0 * len(sweeps)
     room, how = style.Room(left=0.65, top=0.6, across=0.35, down=0.65), {"sharey": True, "sharex": "row"}
     figure, grid = style.panels(9.6, height_in, len(sweeps), 2, room_in=room, squeeze=False, **how)
     for row, sweep in zip(grid, sweeps, strict=True):
         for axes, (model, formula) in zip(row, FORMULAS.items(), strict=True):
             one = result.sel(sweep=sweep, way="fitted", model=model).isel(led=led)
-            x = one.setting.values * scale(sweep)
+            x = one.setting.values * _display_scale(sweep)
             for colour, j in zip(style.place_colours(len(places)), places, strict=True):
                 error, stderr = 100 * one.range_error.values[j], 100 * one.range_error_stderr.values[j]
                 low, high = (np.clip(error + k * Z95 * stderr, _FLOOR, _CEILING) for k in (-1, 1))
@@ -71,9 +184,9 @@ def range_errors(result: xr.Dataset, *, led: int) -> "Figure":
 
 
 @style.drawing()
-def error_parts(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
+def _error_parts_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     """What the error of (9) is made of, photodiode by photodiode, where it is largest."""
-    places = order(result)
+    places = _photodiode_order(result)
     height_in, count = 1.3 + 0.42 * len(places), result.sizes["way"]
     figure, panels = style.panels(9.6, height_in, 1, count, sharey=True, sharex=True, squeeze=False)
     for axes, way in zip(panels[0], result.way.values, strict=True):
@@ -116,11 +229,11 @@ def _dot(axes: "Axes", part: xr.Dataset, y: float, *, labelled: bool) -> None:
 
 
 @style.drawing()
-def alpha_d2(result: xr.Dataset, *, led: int) -> "Figure":
+def _alpha_d2_figure(result: xr.Dataset, *, led: int) -> "Figure":
     """How large alpha D^2 is over the first sweep and up to which (9) holds over the last, beside the paper's 1e-2."""
     from matplotlib.ticker import LogLocator
 
-    places = order(result)
+    places = _photodiode_order(result)
     first = result.isel(led=led, sweep=0)
     fails = result.isel(led=led, sweep=-1).sel(way="fitted", model="taylor")
     figure, axes = style.panels(9.6, 1.3 + 0.4 * len(places))
@@ -157,13 +270,13 @@ def _limits_of_taylor(axes: "Axes", fails: xr.Dataset, y: float, *, labelled: bo
 
 
 @style.drawing()
-def changes(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
+def _changes_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     """Every photodiode's traced change over a sweep beside the models, in percent of its reading at the start."""
-    places = order(result)
+    places = _photodiode_order(result)
     columns = min(4, len(places))
     rows = -(-len(places) // columns)
     one = result.sel(sweep=sweep).isel(led=led)
-    x = one.setting.values * scale(sweep)
+    x = one.setting.values * _display_scale(sweep)
     models = (
         ("predicted", "beer_lambert", style.MUTED, (0, (1, 1.5)), "Beer–Lambert (8), no fit, own zone"),
         ("predicted_both", "beer_lambert", style.VEIN, (0, (6, 2)), "Beer–Lambert (8), no fit, both zones"),

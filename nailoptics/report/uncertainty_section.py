@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from .html import escaped, section, small, table
+from .html import escaped, number, section, small, table
 from .numbers import significant, with_error
-from .tables import number
 
 # A scene is off a prior's mean by more than so many of its standard deviations.
 OFF_CENTRE = 0.5

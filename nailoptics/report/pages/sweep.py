@@ -1,4 +1,4 @@
-"""One self-contained HTML page of a sweep: what is done, plots over its axes, and its failures."""
+"""The page of a sweep: what is done, plots over its axes, its failures, and photographs on a contact sheet."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from ..io import write_text
-from . import style
-from .colour_page import A_PICTURE
-from .contact_sheet import MOST_SCENES, contact_sheet
-from .html import document, escaped, figure, section, small, table
-from .numbers import prefix, significant, unit_of
+from ...io import write_text
+from .. import style
+from ..html import document, escaped, figure, section, small, table
+from ..numbers import prefix, significant, unit_of
+from .colour import A_PICTURE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -130,3 +129,42 @@ def _along(results: xr.Dataset, quantity: str, name: str) -> "Figure":
     if pairs:
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return drawing
+
+
+# More scenes would be too small to see, or too large a picture.
+MOST_SCENES = 48
+# Of one photograph, and of the words beside a row. [inch]
+WIDTH, WORDS = 1.5, 1.9
+
+
+@style.drawing()
+def contact_sheet(results: xr.Dataset) -> "Figure":
+    """Photographs of up to 48 scenes in the order of the sweep; what is not done is left empty.
+
+    results : what `batch.open_results` returns for a sweep of colours.
+    """
+    dims = results.state.dims
+    rows = list(np.ndindex(*results.state.shape))[:MOST_SCENES]
+    forces, high, wide = (results.sizes[name] for name in ("force", "row", "column"))
+    tall = WIDTH * high / wide
+    size = (WORDS + WIDTH * forces, 0.35 + tall * len(rows))
+    figure, panels = style.panels(*size, len(rows), forces, squeeze=False)
+    axes = [
+        name for name in results.coords if set(results[name].dims) & set(dims) and np.unique(results[name]).size > 1
+    ]
+    for index, row in zip(rows, panels, strict=True):
+        one = results.isel(dict(zip(dims, index, strict=True)))
+        for k, panel in enumerate(row):
+            panel.set_axis_off()
+            if one.state.item() == "done":
+                panel.imshow(one.photograph.values[k])
+                panel.set_title(f"{float(one.force_n[k]):g} N", loc="center", fontsize=7, pad=2)
+        words = [f"{name} = {_short(one[name].item())}" for name in axes]
+        if one.state.item() != "done":
+            words.append(str(one.state.item()))
+        row[0].text(-0.05, 0.5, style.plain("\n".join(words)), transform=row[0].transAxes, ha="right", va="center")
+    return figure
+
+
+def _short(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)[:28]
