@@ -585,8 +585,16 @@ def calibrate(
     summary = calibration_summary(result)
     for line in summary["warnings"]:
         say(line)
-    text = [f"rms error on the calibration recordings: {1e3 * summary['rms_n']:.0f} mN"]
+    text = [
+        f"rms error on the calibration recordings {1e3 * summary['rms_n']:.0f} mN; "
+        f"95 % interval of a touch {_half_width(summary['half_width_n'])}"
+    ]
     _finish(summary, text, write_calibration(result, output), json_, unmet, output)
+
+
+def _half_width(half_width_n: float) -> str:
+    """Half the width of most intervals in words."""
+    return f"+- {1e3 * half_width_n:.0f} mN (median)" if math.isfinite(half_width_n) else "mostly without upper bound"
 
 
 @app.command
@@ -611,8 +619,8 @@ def predict(
     """
     from .report.result_files import PREDICTION, write_prediction
     from .studies.force.live import live
+    from .studies.force.predict import TOUCH_N, prediction_summary
     from .studies.force.predict import predict as study
-    from .studies.force.predict import prediction_summary
     from .studies.force.subject import read_subject
 
     if readings.startswith("-") and readings != "-":
@@ -634,6 +642,11 @@ def predict(
     lines = [f"{result.sizes['time']} samples; {upper}"]
     if math.isfinite(summary["rms_n"]):
         lines.append(f"rms {1e3 * summary['rms_n']:.0f} mN, {summary['coverage_95']:.0%} inside their 95 % interval")
+    if math.isfinite(summary["touch_rms_n"]):
+        lines.append(
+            f"touches of {TOUCH_N:g} N or more: rms {1e3 * summary['touch_rms_n']:.0f} mN, "
+            f"{summary['touch_coverage_95']:.0%} inside; interval {_half_width(summary['half_width_n'])}"
+        )
     for line in summary["warnings"]:
         say(line)
     if not summary["consistent"]:

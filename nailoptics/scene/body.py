@@ -43,8 +43,8 @@ class Vasomotion(Table):
     # 0.07 to 0.2 Hz were seen in the capillaries of the nailfold, too (Mahler 1979, Am. J. Physiol. 236:H888).
     amplitude_pa: NonNegative = 600.0
     """Standard deviation of the pressure. [Pa]"""
-    band_hz: tuple[Positive, Positive] = (0.05, 0.15)
-    """Lowest and highest frequency of the waves. [Hz]"""
+    band_hz: tuple[Positive, Annotated[float, Field(gt=0, le=5)]] = (0.05, 0.15)
+    """Lowest and highest frequency of the waves, at most 5, as fast as a heart beats. [Hz]"""
 
     @model_validator(mode="after")
     def _band_rises(self) -> Self:

@@ -53,7 +53,7 @@ def read_outline(path: Path, *, unit_mm: float = 1.0) -> Outline:
 
         lines, ignored = dxf_lines(path, unit_mm=unit_mm)
         return join(lines, str(path), ignored=ignored)
-    rows = read_rows(path, "an outline")
+    rows = list(read_rows(path, "an outline"))
     if not rows or [name.strip().lower() for name in rows[0][1][:2]] != ["x_mm", "y_mm"]:
         raise InputError(f"{path}: is no outline; give a DXF, or a CSV whose first line is x_mm,y_mm.")
     corners = []

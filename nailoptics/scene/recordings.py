@@ -1,5 +1,6 @@
 """Recordings that a scene names: columns of a CSV over time, checked sample by sample."""
 
+from array import array
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -36,18 +37,18 @@ def read_columns(path: Path, name: str, known: Sequence[str], *, either: Sequenc
     shown = f"{name} {str(path)!r}"
     wanted = " and ".join(["time_s", *either[0]])
     lines = read_rows(path, f"a CSV with columns {wanted.replace(' and ', ',')}", shown=shown)
-    header = [cell.strip() for cell in lines[0][1]] if lines else []
+    header = [cell.strip() for cell in next(lines, (0, []))[1]]
     if "time_s" not in header or not any(set(names) <= set(header) for names in either):
         others = "".join(f", or time_s and {' and '.join(names)}" for names in either[1:])
         raise InputError(f"{shown} needs a header with {wanted}{others}; write one, or give another file.")
     found = ["time_s", *(name for name in known if name in header)]
-    places, rows = [header.index(name) for name in found], []
-    for number, row in lines[1:]:
+    places, rows = [header.index(name) for name in found], array("d")
+    for number, row in lines:
         try:
-            rows.append([float(row[place]) for place in places])
+            rows.extend([float(row[place]) for place in places])
         except (ValueError, IndexError):
             raise InputError(f"{shown} line {number}: {','.join(row)!r} is not {_WORDS[len(found)]}.") from None
-    columns = {name: tuple(row[i] for row in rows) for i, name in enumerate(found)}
+    columns = {name: tuple(rows[i :: len(found)]) for i, name in enumerate(found)}
     if "force_n" in columns:
         columns["force_n"] = tuple(unloaded(columns["force_n"]).tolist())
     check_columns(columns, shown)
@@ -73,7 +74,7 @@ def check_columns(columns: Mapping[str, Sequence[float]], name: str) -> None:
     if falling.size:
         at = int(falling[0]) + 1
         raise InputError(
-            f"{name}: time_s must rise, but sample {at + 1} ({time_s[at]:g}) follows {time_s[at - 1]:g}; "
+            f"{name}: time_s must rise, but sample {at + 1} ({time_s[at]:.15g}) follows {time_s[at - 1]:.15g}; "
             "sort or remove it."
         )
     for column_name, (low, high, unit) in RANGES.items():

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .recordings import RANGES, unloaded
-from .text_files import read_rows
+from .text_files import Rows, number_columns, read_rows
 from .touch import PRESSURES
 
 Array = NDArray[np.float64]
@@ -59,29 +59,26 @@ def read_sensor_recording(path: str | Path) -> Recording:
     Raises: InputError that names the column, the line, the value and what to do.
     """
     path = Path(path)
-    lines = read_rows(path, "a recording: a CSV with columns time_s, force_n and one for each reading in volts")
-    if not lines:
-        raise InputError(f"{path}: is empty; give a CSV with time_s, force_n and the readings in volts.")
-    header, rows, name = [cell.strip() for cell in lines[0][1]], lines[1:], str(path)
+    rows = read_rows(path, "a recording: a CSV with columns time_s, force_n and one for each reading in volts")
+    name, header = str(path), [cell.strip() for cell in next(rows, (0, [""]))[1]]
     # Spreadsheets end lines with commas.
     while header and not header[-1]:
         header.pop()
     check_header(header, name)
-    for line, row in rows:
-        if any(cell.strip() for cell in row[len(header) :]):
-            raise InputError(
-                f"{name} line {line}: has {len(row)} cells for {len(header)} columns; "
-                "write numbers with a decimal point."
-            )
-    columns = {title: k for k, title in enumerate(header)}
-    time_s = _column(rows, columns["time_s"], "time_s", name, gaps=False)
+    readings = reading_columns(header)
+    wanted = ["time_s", *(title for title in ("force_n", "site") if title in header), *readings]
+    positions = {title: header.index(title) for title in wanted}
+    whole = _without_more_cells(rows, len(header), name)
+    line, columns = number_columns(whole, positions, name, codes={"site": SITES})
+    time_s = columns["time_s"]
     if len(time_s) < 2:
         raise InputError(f"{name}: has {len(time_s)} sample{'' if len(time_s) else 's'}; two or more are needed.")
     backwards = np.flatnonzero(np.diff(time_s) <= 0)
     if backwards.size:
         at = int(backwards[0]) + 1
         raise InputError(
-            f"{name} line {rows[at][0]}: time_s = {time_s[at]:g} does not come after {time_s[at - 1]:g}; sort the rows."
+            f"{name} line {line[at]}: time_s = {time_s[at]:.15g} does not come after {time_s[at - 1]:.15g}; "
+            "sort the rows."
         )
     step_s = float(np.median(np.diff(time_s)))
     if not LEAST_STEP_S <= step_s <= MOST_STEP_S or np.abs(time_s).max() > MOST_TIME_S:
@@ -89,9 +86,8 @@ def read_sensor_recording(path: str | Path) -> Recording:
             f"{name}: time_s reaches {np.abs(time_s).max():g} in steps of {step_s:g}; give it in seconds, "
             f"{LEAST_STEP_S:g} to {MOST_STEP_S:g} from sample to sample."
         )
-    readings = reading_columns(header)
-    volts = np.array([_column(rows, columns[title], title, name, gaps=True) for title in readings])
-    force_n = _column(rows, columns["force_n"], "force_n", name, gaps=True) if "force_n" in columns else None
+    volts = np.array([columns[title] for title in readings])
+    force_n = columns.get("force_n")
     if force_n is not None:
         force_n = unloaded(force_n)
         most_n = RANGES["force_n"][1]
@@ -99,11 +95,20 @@ def read_sensor_recording(path: str | Path) -> Recording:
         if wrong.size:
             at = int(wrong[0])
             raise InputError(
-                f"{name} line {rows[at][0]}: force_n = {force_n[at]:g} must lie in 0 to {most_n:g} N; "
+                f"{name} line {line[at]}: force_n = {force_n[at]:g} must lie in 0 to {most_n:g} N; "
                 "check its sign and unit."
             )
-    site = _sites(rows, columns["site"], name) if "site" in columns else None
-    return Recording(name, readings, time_s, volts, force_n, site)
+    return Recording(name, readings, time_s, volts, force_n, columns.get("site"))
+
+
+def _without_more_cells(rows: Rows, count: int, name: str) -> Rows:
+    """The same rows; raises InputError at one with more cells than there are columns."""
+    for line, row in rows:
+        if any(cell.strip() for cell in row[count:]):
+            raise InputError(
+                f"{name} line {line}: has {len(row)} cells for {count} columns; write numbers with a decimal point."
+            )
+        yield line, row
 
 
 def reading_columns(header: Sequence[str]) -> tuple[str, ...]:
@@ -163,33 +168,6 @@ def check_volts(volts: Array, names: Sequence[str], label: str) -> None:
             )
 
 
-def _column(rows: list[tuple[int, list[str]]], at: int, title: str, name: str, *, gaps: bool) -> Array:
-    """One column of numbers; NaN where a cell is empty and gaps are allowed."""
-    out = np.full(len(rows), np.nan)
-    for k, (line, row) in enumerate(rows):
-        text = row[at].strip() if at < len(row) else ""
-        if not text and gaps:
-            continue
-        try:
-            out[k] = float(text)
-        except ValueError:
-            out[k] = np.nan
-        if not np.isfinite(out[k]):
-            what = "an empty cell is a gap" if gaps else "every row needs one"
-            raise InputError(f"{name} line {line}: {title} = {text[:40]!r} is no finite number; {what}.")
-    return out
-
-
-def _sites(rows: list[tuple[int, list[str]]], at: int, name: str) -> Array:
-    out = np.full(len(rows), np.nan)
-    for k, (line, row) in enumerate(rows):
-        text = row[at].strip() if at < len(row) else ""
-        if text not in SITES:
-            raise InputError(f"{name} line {line}: site = {text[:40]!r} is none; choose from {', '.join(SITES)}.")
-        out[k] = SITES[text]
-    return out
-
-
 def recording_csv(recording: Recording) -> str:
     """A recording as the text of its file."""
     named = {value: name for name, value in SITES.items() if np.isfinite(value)}
@@ -199,7 +177,7 @@ def recording_csv(recording: Recording) -> str:
     known = [*(["force_n"] if force is not None else []), *(["site"] if site is not None else [])]
     rows.writerow(["time_s", *known, *recording.names])
     for k, time_s in enumerate(recording.time_s):
-        cells = [f"{time_s:.6g}"]
+        cells = [repr(float(time_s))]
         cells += [f"{force[k]:.6g}"] if force is not None else []
         cells += [named.get(site[k], "even")] if site is not None else []
         rows.writerow([*cells, *("" if np.isnan(v) else f"{v:.7g}" for v in recording.volts[:, k])])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from .oximeter import DARK
 from .sensor_recordings import check_volts
-from .text_files import read_rows
+from .text_files import Rows, number_columns, read_rows
 
 Array = NDArray[np.float64]
 
@@ -46,16 +46,15 @@ def read_oximeter_recording(
 
     Raises: InputError that names the column, the line, the value and what to do.
     """
-    lines, name = read_rows(Path(path), WHAT), str(path)
-    if not lines:
+    rows, name = read_rows(Path(path), WHAT), str(path)
+    header = [cell.strip() for cell in next(rows, (0, []))[1]]
+    if not header:
         raise InputError(f"{name}: is empty; give {WHAT}.")
-    header = [cell.strip() for cell in lines[0][1]]
     if "time_s" not in header:
         raise InputError(f"{name}: has no column time_s (it has {', '.join(header)[:80]}); add the times in seconds.")
     twice = next((title for title in header if header.count(title) > 1), None)
     if twice is not None:
         raise InputError(f"{name}: column {twice!r} is there twice; rename one.")
-    rows = lines[1:]
     if "slot" in header:
         series, found = _of_slots(header, rows, name, leds=leds, photodiodes=photodiodes)
     else:
@@ -79,35 +78,41 @@ Series = dict[str, tuple[Array, Array]]
 
 def _of_columns(
     header: Sequence[str],
-    rows: list[tuple[int, list[str]]],
+    rows: Rows,
     name: str,
     *,
     leds: tuple[str, str],
     photodiodes: Sequence[str],
     delays_s: Mapping[str, float],
 ) -> tuple[Series, tuple[str, ...]]:
-    time_s = _times(header, rows, name)
     found = tuple(one for one in photodiodes if any(f"{light}:{one}" in header for light in leds))
     if not found:
         raise InputError(
             f"{name}: has no column such as '{leds[0]}:{photodiodes[0]}' (it has {', '.join(header)[:80]}); name the "
             "readings LED:PHOTODIODE as the scene does."
         )
-    series: Series = {}
-    for light in (*leds, DARK):
-        titles = [f"{light}:{one}" for one in found]
-        missing = [title for title in titles if title not in header]
-        if missing and (light != DARK or len(missing) < len(titles)):
-            raise InputError(f"{name}: has no column {missing[0]!r}; an oximeter needs both LEDs on each photodiode.")
-        if not missing:
-            volts = np.array([_column(rows, header.index(title), title, name) for title in titles])
-            series[light] = time_s + delays_s.get(light, 0.0), volts
+    titles = {light: [f"{light}:{one}" for one in found] for light in (*leds, DARK)}
+    missing = {light: [title for title in own if title not in header] for light, own in titles.items()}
+    if len(missing[DARK]) == len(found):
+        del titles[DARK]
+    for light in titles:
+        if missing[light]:
+            raise InputError(
+                f"{name}: has no column {missing[light][0]!r}; an oximeter needs both LEDs on each photodiode."
+            )
+    wanted = ["time_s", *(title for own in titles.values() for title in own)]
+    line, columns = number_columns(rows, {title: header.index(title) for title in wanted}, name, codes={})
+    time_s = _checked_times(columns["time_s"], line, name)
+    series: Series = {
+        light: (time_s + delays_s.get(light, 0.0), np.array([columns[title] for title in own]))
+        for light, own in titles.items()
+    }
     return series, found
 
 
 def _of_slots(
     header: Sequence[str],
-    rows: list[tuple[int, list[str]]],
+    rows: Rows,
     name: str,
     *,
     leds: tuple[str, str],
@@ -116,25 +121,18 @@ def _of_slots(
     found = tuple(one for one in photodiodes if one in header)
     if not found:
         raise InputError(f"{name}: has no column of a photodiode; known here: {', '.join(photodiodes)}.")
-    at = header.index("slot")
-    lit: dict[str, list[tuple[int, list[str]]]] = {}
-    for line, row in rows:
-        text = row[at].strip() if at < len(row) else ""
-        if text not in (*leds, DARK):
-            raise InputError(
-                f"{name} line {line}: slot = {text[:40]!r} is none; choose from {', '.join(leds)}, {DARK}."
-            )
-        lit.setdefault(text, []).append((line, row))
-    missing = [light for light in leds if light not in lit]
-    if missing:
-        raise InputError(f'{name}: has no slot "{missing[0]}"; an oximeter needs both LEDs.')
-    series = {
-        light: (
-            _times(header, own, name),
-            np.array([_column(own, header.index(title), title, name) for title in found]),
-        )
-        for light, own in lit.items()
-    }
+    lights = (*leds, DARK)
+    positions = {title: header.index(title) for title in ("time_s", "slot", *found)}
+    codes = {"slot": {light: float(k) for k, light in enumerate(lights)}}
+    line, columns = number_columns(rows, positions, name, codes=codes)
+    series: Series = {}
+    for k, light in enumerate(lights):
+        lit = columns["slot"] == k
+        if lit.any():
+            time_s = _checked_times(columns["time_s"][lit], line[lit], name)
+            series[light] = time_s, np.array([columns[one][lit] for one in found])
+        elif light != DARK:
+            raise InputError(f'{name}: has no slot "{light}"; an oximeter needs both LEDs.')
     return series, found
 
 
@@ -151,40 +149,26 @@ def _aligned(series: Series, found: tuple[str, ...], name: str, leds: tuple[str,
     return recording_of(name, photodiodes=found, time_s=time_s, volts=volts, dark_v=dark_v)
 
 
-def _times(header: Sequence[str], rows: list[tuple[int, list[str]]], name: str) -> Array:
-    time_s = _column(rows, header.index("time_s"), "time_s", name)
+def _checked_times(time_s: Array, line: NDArray[np.int64], name: str) -> Array:
+    """The times, if there are two or more and they rise."""
     if len(time_s) < 2:
         raise InputError(f"{name}: has {len(time_s)} sample; a recording needs three beats or more.")
     backwards = np.flatnonzero(~(np.diff(time_s) > 0))
     if backwards.size:
         at = int(backwards[0]) + 1
         raise InputError(
-            f"{name} line {rows[at][0]}: time_s = {time_s[at]:g} does not come after {time_s[at - 1]:g}; sort the rows."
+            f"{name} line {line[at]}: time_s = {time_s[at]:.15g} does not come after {time_s[at - 1]:.15g}; "
+            "sort the rows."
         )
     return time_s
-
-
-def _column(rows: list[tuple[int, list[str]]], at: int, title: str, name: str) -> Array:
-    """One column of numbers; NaN in gaps, which are empty cells."""
-    out = np.full(len(rows), np.nan)
-    for k, (line, row) in enumerate(rows):
-        text = row[at].strip() if at < len(row) else ""
-        if not text and title != "time_s":
-            continue
-        try:
-            out[k] = float(text)
-        except ValueError:
-            out[k] = np.inf
-        if not np.isfinite(out[k]):
-            raise InputError(
-                f"{name} line {line}: {title} = {text[:40]!r} is no finite number; an empty cell is a gap."
-            )
-    return out
 
 
 def oximeter_csv(recording: OximeterRecording, leds: tuple[str, str]) -> str:
     """A recording as the text of its file, a column for each LED, and the dark slot, on each photodiode."""
     titles = ["time_s", *(f"{light}:{one}" for light in (*leds, DARK) for one in recording.photodiodes)]
     columns = np.concatenate([recording.time_s[None], *recording.volts, recording.dark_v])
-    lines = [",".join("" if np.isnan(x) else f"{x:.9g}" for x in row) for row in columns.T]
+    lines = [
+        ",".join([repr(float(time_s)), *("" if np.isnan(x) else f"{x:.9g}" for x in volts)])
+        for time_s, *volts in columns.T
+    ]
     return "\n".join([",".join(titles), *lines]) + "\n"

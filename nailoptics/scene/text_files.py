@@ -5,8 +5,13 @@ import math
 import re
 import stat
 import tomllib
+from array import array
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError
 
@@ -14,6 +19,8 @@ from ..errors import InputError
 MOST_BYTES = 500e6
 # Of TOML, which takes some thirty times as much memory; a recorded touch of a million samples is as long.
 MOST_TOML_BYTES = 40e6
+# Rows of a table, each with its line number.
+Rows = Iterator[tuple[int, list[str]]]
 # Tables and arrays in each other; a scene has five.
 MOST_DEPTH = 30
 # A key of more parts than that: tomllib's memory grows with the square of them.
@@ -54,17 +61,23 @@ def read_bytes(path: Path, wanted: str, *, shown: str | None = None) -> bytes:
     """All that is in an ordinary file of bounded size; arguments as for `read_text`. Raises: InputError."""
     name = shown or str(path)
     try:
-        found = path.stat()
-        if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
-            # A pipe would be waited for without end.
-            raise InputError(f"{name}: is no ordinary file; give {wanted}.")
-        if found.st_size > MOST_BYTES:
-            raise InputError(f"{name}: has {found.st_size / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:g}; shorten it.")
+        _check_size(path, wanted, name)
         return path.read_bytes()
     except OSError as error:
         raise InputError(f"{short(name)}: cannot be read: {error.strerror}; give {wanted}.") from None
+
+
+def _check_size(path: Path, wanted: str, name: str) -> None:
+    """Raise InputError unless the path is an ordinary file of bounded size; OSError where it cannot be asked."""
+    try:
+        found = path.stat()
     except ValueError:  # a path with a character that none may have
         raise InputError(f"{short(repr(name))}: is no path; give {wanted}.") from None
+    if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
+        # A pipe would be waited for without end.
+        raise InputError(f"{name}: is no ordinary file; give {wanted}.")
+    if found.st_size > MOST_BYTES:
+        raise InputError(f"{name}: has {found.st_size / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:g}; shorten it.")
 
 
 def is_there(path: Path) -> bool:
@@ -75,14 +88,61 @@ def is_there(path: Path) -> bool:
         return False
 
 
-def read_rows(path: Path, wanted: str, *, shown: str | None = None) -> list[tuple[int, list[str]]]:
-    """Rows of a CSV with their line numbers, without empty lines and comments; raises InputError as `read_text`."""
-    reader = csv.reader(read_text(path, wanted, shown=shown).splitlines())
+def read_rows(path: Path, wanted: str, *, shown: str | None = None) -> Rows:
+    """Rows of a CSV with their line numbers, one at a time, without empty lines and comments.
+
+    Raises: InputError as `read_text`.
+    """
+    name = shown or str(path)
     try:
-        numbered = [(reader.line_num, row) for row in reader]
+        _check_size(path, wanted, name)
+        with path.open(encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            for row in reader:
+                if any(cell.strip() for cell in row) and row[0].lstrip()[:1] != "#":
+                    yield reader.line_num, row
+    except UnicodeDecodeError:
+        raise InputError(f"{name}: is not a text file; give {wanted}.") from None
+    except OSError as error:
+        raise InputError(f"{short(name)}: cannot be read: {error.strerror}; give {wanted}.") from None
     except csv.Error as error:
-        raise InputError(f"{shown or path} line {reader.line_num}: is no line of a table ({error}).") from None
-    return [(n, row) for n, row in numbered if any(cell.strip() for cell in row) and row[0].lstrip()[:1] != "#"]
+        raise InputError(f"{name} line {reader.line_num}: is no line of a table ({error}).") from None
+
+
+def number_columns(
+    rows: Rows,
+    columns: Mapping[str, int],
+    name: str,
+    *,
+    codes: Mapping[str, Mapping[str, float]],
+) -> tuple[NDArray[np.int64], dict[str, NDArray[np.float64]]]:
+    """Line numbers (T,) of rows, and their columns (T,) as numbers, NaN where a cell is empty; time_s has none empty.
+
+    columns : the position of each column in a row. codes : the numbers of words, for columns that hold words.
+
+    Raises: InputError for a cell that is neither.
+    """
+    lines, numbers = array("q"), array("d")
+    for line, row in rows:
+        lines.append(line)
+        for title, position in columns.items():
+            text = row[position].strip() if position < len(row) else ""
+            if title in codes:
+                if text not in codes[title]:
+                    known = ", ".join(codes[title])
+                    raise InputError(f"{name} line {line}: {title} = {text[:40]!r} is none; choose from {known}.")
+                numbers.append(codes[title][text])
+                continue
+            try:
+                value = float(text) if text or title == "time_s" else None
+            except ValueError:
+                value = math.nan
+            if value is not None and not math.isfinite(value):
+                what = "every row needs one" if title == "time_s" else "an empty cell is a gap"
+                raise InputError(f"{name} line {line}: {title} = {text[:40]!r} is no finite number; {what}.")
+            numbers.append(math.nan if value is None else value)
+    table = np.array(numbers).reshape(-1, len(columns)).T.copy()
+    return np.array(lines), dict(zip(columns, table, strict=True))
 
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:

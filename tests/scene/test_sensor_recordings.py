@@ -1,5 +1,6 @@
 """Recordings of a worn sensor: what is read, and one line for everything that is none."""
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -64,6 +65,29 @@ def test_what_is_no_recording_is_said_in_one_line(tmp_path: Path, text: str, mes
         _read(tmp_path, text)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_times_of_a_clock_keep_all_their_digits(tmp_path: Path) -> None:
+    file = tmp_path / "recording.csv"
+    time_s = 1763900000.0 + np.arange(3) / 1000
+    file.write_text("time_s,a\n" + "".join(f"{t!r},{k}\n" for k, t in enumerate(time_s.tolist())))
+    found = read_sensor_recording(file)
+    file.write_text(recording_csv(found))
+    np.testing.assert_array_equal(read_sensor_recording(file).time_s, time_s)
+    file.write_text("time_s,a\n1763900000.002,1\n1763900000.001,2\n")
+    with pytest.raises(InputError, match=r"1763900000\.001 does not come after 1763900000\.002"):
+        read_sensor_recording(file)
+
+
+def test_reading_takes_memory_for_numbers_not_for_text(tmp_path: Path) -> None:
+    file, samples = tmp_path / "recording.csv", 20_000
+    file.write_text("time_s,a,b,c\n" + "".join(f"{k / 100},0.5,1.25,{k}e-4\n" for k in range(samples)))
+    tracemalloc.start()
+    read_sensor_recording(file)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # Four numbers of 8 bytes and the line's, some of them twice; as lists of strings they took 1.2 kB a sample.
+    assert peak < 150 * samples
 
 
 def test_readings_of_another_board_are_named(tmp_path: Path) -> None:

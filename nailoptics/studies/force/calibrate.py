@@ -26,6 +26,7 @@ from .force_interval import ForceInterval
 from .network import closure_of
 from .observer import Observer, PressureEstimate, pressure_of
 from .person import NAMES, PRIORS, RIGID_PULP, USUAL_DISTAL_REACH, USUAL_PULP, Person
+from .predict import TOUCH_N
 from .profile_likelihood import Profile, profile_of
 from .pulp import Pulp
 from .reading_table import ReadingTable, nodes_of, paper_table, reading_names, reading_table
@@ -163,13 +164,14 @@ def calibrate_with(
         raise InputError(
             f"{recordings[0].name}: is no recording of this scene's board ({error}); check units, columns and scene."
         ) from None
-    subject = _judged(subject, recordings)
+    subject, half_width_n = _judged(subject, recordings)
     report(1.0)
     return _dataset(recordings, fitted, profile).assign_attrs(
         title="nailoptics: a person's sensor, calibrated",
         digest=subject.scene_digest,
         scene=to_toml(scene),
         subject=subject_toml(subject),
+        half_width_n=half_width_n,
         bent_factors=list(profile.bent),
         recordings=[one.name for one in recordings],
         warnings=_warnings(subject, recordings),
@@ -218,6 +220,7 @@ def calibration_summary(result: xr.Dataset) -> dict[str, Any]:
         "parameters": {name: one | {"quadratic": name not in bent} for name, one in subject.factors().items()},
         "chi2_per_dof": subject.chi2_per_dof,
         "rms_n": subject.rms_n,
+        "half_width_n": result.attrs["half_width_n"],
         "widening": subject.widening,
         "warnings": list(result.attrs["warnings"]),
     }
@@ -247,12 +250,25 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
         if any(_let_go_quickly(one) for one in recordings):
             advice = "those that are let go quickly do not tell it, either; record more of them"
         found.append(f"how fast the vessels refill is not told, quick touches rest on priors: {advice}.")
+    if subject.is_wrong:
+        linear_n = _linear_rms_n(subject, recordings)
+        found.append(
+            f"the force of the calibration's own touches is {1e3 * subject.rms_n:.0f} mN off (rms; linear regression "
+            f"{1e3 * linear_n:.0f} mN): this subject does not fit them; check scene, sites and units."
+        )
     if subject.widening > 2:
         found.append(
             f"intervals had to be made {subject.widening:.1f} times as wide to cover the calibration's own touches: "
             "the model misses something."
         )
     return found
+
+
+def _linear_rms_n(subject: Subject, recordings: Sequence[Recording]) -> float:
+    """Rms error of linear regression on its own recordings. [N]"""
+    linear = subject.baselines["linear"]
+    off = np.concatenate([linear.force_n(one.volts) - np.asarray(one.force_n) for one in recordings])
+    return float(np.sqrt(np.nanmean(off**2)))
 
 
 def _let_go_quickly(recording: Recording) -> bool:
@@ -276,8 +292,11 @@ def _two_balances_n(subject: Subject) -> dict[str, Array]:
     return found
 
 
-def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
-    """The subject with what its own readings teach: a correction, the force's error, intervals that cover it."""
+def _judged(subject: Subject, recordings: Sequence[Recording]) -> tuple[Subject, float]:
+    """The subject with what its own readings teach: a correction, the force's error, intervals that cover it.
+
+    And the median half width of these intervals over touches, infinite where most have no upper bound. [N]
+    """
     seen = []
     for one in recordings:
         observer = Observer(subject.calibrated, subject.noise)
@@ -285,20 +304,22 @@ def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
         seen.append([observer.see(volts, dt) for volts, dt in zip(one.volts.T, since, strict=True)])
     subject = replace(subject, correction=_correction(subject.person(), recordings, seen))
     interval = ForceInterval(subject)
-    error, ratio = [], []
+    error, ratio, width = [], [], []
     for one, estimates in zip(recordings, seen, strict=True):
         told, force = interval.tell(estimates), np.asarray(one.force_n)
         # At rest an interval ends at 0, wherever the estimate lies: that says nothing of its width.
         judged = np.isfinite(told.high_n) & (force >= REST_FORCE_N)
+        width.append((told.high_n - told.low_n)[force >= TOUCH_N])
         off = (told.force_n - force)[judged]
         half = np.where(off < 0, (told.high_n - told.force_n)[judged], (told.force_n - told.low_n)[judged])
         error.append(off)
         ratio.append(np.abs(off)[half > 0] / half[half > 0])
+    half_width_n = 0.5 * float(np.median(np.concatenate(width)))
     if not (everything := np.concatenate(error)).size:
-        return subject
+        return subject, half_width_n
     ratios = np.concatenate(ratio)
     widening = max(1.0, float(np.quantile(ratios, COVERED)) / BY_CHANCE) if ratios.size else 1.0
-    return replace(subject, rms_n=float(np.sqrt(np.mean(everything**2))), widening=widening)
+    return replace(subject, rms_n=float(np.sqrt(np.mean(everything**2))), widening=widening), half_width_n * widening
 
 
 def _correction(who: Person, recordings: Sequence[Recording], seen: Sequence[Sequence[PressureEstimate]]) -> Correction:

@@ -273,7 +273,9 @@ class Fit:
         curvature = slopes.T @ slopes
         free, count = len(self.free), design.shape[-1]
         spread = np.concatenate([SPREAD_LN[self.free], self._spread(count).ravel()])
-        inverse = np.linalg.inv(curvature + np.diag(1 / spread**2))
+        # In units of the priors: their numbers differ by many orders, and the inverse's rounding with them.
+        scale = np.outer(spread, spread)
+        inverse = scale * np.linalg.inv(scale * curvature + np.eye(len(spread)))
         # The body's waves move all readings at once, and most where the vessels are about to shut, which is where
         # stiffness and area are told from: the sandwich of Huber and White, with what a wave does as the filling.
         each = slopes.reshape(readings, -1, slopes.shape[1])
@@ -289,7 +291,7 @@ class Fit:
         out = np.diag(np.concatenate([SPREAD_LN**2, np.zeros(LINEAR * readings)]))
         place = np.r_[self.free, len(NAMES) : len(NAMES) + LINEAR * readings]
         out[np.ix_(place, place)] = inverse[np.ix_(kept, kept)]
-        return np.asarray(out)
+        return np.asarray(0.5 * (out + out.T))
 
     def _wave(self, white: Array, response: Array) -> Array:
         """What a standard deviation of the arterial pressure does to each whitened sample, (R, T); memory is left out.

@@ -82,7 +82,7 @@ def _told(
     interval = ForceInterval(subject)
     for time_s, volts in samples:
         if last is not None and time_s <= last:
-            raise InputError(f"{NAME}: time_s = {time_s:g} does not come after {last:g}; times must rise.")
+            raise InputError(f"{NAME}: time_s = {time_s:.15g} does not come after {last:.15g}; times must rise.")
         # A converter at its limit tells nothing.
         seen = np.where(volts >= SATURATED * subject.table.range_v, np.nan, volts)
         estimate = observer.see(seen, None if last is None else time_s - last)

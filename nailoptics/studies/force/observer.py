@@ -140,16 +140,21 @@ def going_on(since_s: float) -> Array:
     return np.asarray(np.diag(stay - leave) + leave[:, None])
 
 
-def within(state: Array, covariance: Array, touches: tuple[Array, Array]) -> Array:
-    """The likeliest state whose touch lies in a range, if the given one's does not."""
+def within(state: Array, covariance: Array, touches: tuple[Array, Array], drift: slice) -> Array:
+    """The likeliest state whose touch lies in a range and whose drift is the given one's.
+
+    Were the drift to follow, every touch let go would push it the same way, and rest would end up far from 0.
+    """
     bounded = np.clip(state[TOUCH], *touches)
     off = np.flatnonzero(bounded != state[TOUCH])
     if not off.size:
         return state.copy()
     place = off + TOUCH.start
-    return state + covariance[:, place] @ np.linalg.solve(
+    moved = state + covariance[:, place] @ np.linalg.solve(
         covariance[np.ix_(place, place)], (bounded - state[TOUCH])[off]
     )
+    moved[drift] = state[drift]
+    return np.asarray(moved)
 
 
 class Observer:
@@ -374,7 +379,7 @@ class Observer:
         apart = moves - ways @ moves
         self.ways, self.state = ways, state.copy()
         self.covariance = np.einsum("m,mij->ij", ways, kept) + (ways * apart.T) @ apart
-        self.state = within(self.state, self.covariance, self.touches)
+        self.state = within(self.state, self.covariance, self.touches, self.drift)
         self.state[WIDTHS] = np.maximum(self.state[WIDTHS], 1e-3)
         self.state[LEFT] = np.clip(self.state[LEFT], 0.0, self.touches[1][1])
         return surprise

@@ -26,6 +26,8 @@ MOST_OUTLIERS, MOST_CHI2 = 0.03, 1.5
 # Outliers count where force has hardly changed for a while: no person's vessels follow a sudden touch quite as the
 # model's do. [N, s]
 STILL_N, SETTLING_S = 0.1, 0.5
+# Samples of this force or more are of a touch: at rest an interval from 0 covers by itself. [N]
+TOUCH_N = 0.15
 # The regressions that a force is compared with, in words.
 REGRESSIONS = {"linear": "linear in the readings", "components": "on their principal components"}
 # Patterns of a misfit are named where they explain this part of it.
@@ -68,6 +70,15 @@ def predict(
     told, above_n = interval.tell(estimates), interval.open_above_n
     result = _dataset(subject, recording, observer, estimates, told, press_n=press_n, release_n=release_n)
     by_side = {f"open_above_{side}_n": force_n for side, force_n in above_n.items()}
+    if subject.is_wrong:
+        warnings.append(
+            f"the calibration itself was {1e3 * subject.rms_n:.0f} mN off on its own touches (rms): calibrate again."
+        )
+    if result.attrs["touch_open_above"] > 0.5:
+        warnings.append(
+            f"{result.attrs['touch_open_above']:.0%} of the touches' intervals have no upper bound: that they cover "
+            "the force says little."
+        )
     return result.assign_attrs(by_side, open_above_n=min(above_n.values()), warnings=warnings)
 
 
@@ -111,12 +122,15 @@ def csv_row(
 ) -> str:
     """One line of predict.csv."""
     bound, is_open = ("", 1) if np.isinf(high_n) else (f"{high_n:.4f}", 0)
-    return f"{time_s:.6g},{force_n:.4f},{low_n:.4f},{bound},{is_open},{share:.3f},{low:.3f},{high:.3f},{int(outlier)}"
+    return (
+        f"{float(time_s)!r},{force_n:.4f},{low_n:.4f},{bound},{is_open},{share:.3f},{low:.3f},{high:.3f},{int(outlier)}"
+    )
 
 
 def prediction_summary(result: xr.Dataset) -> dict[str, Any]:
     """What a prediction's result says in few numbers, ready for JSON."""
     names = ("rms_n", "coverage_95", "chi2_per_dof", "open_above_n", "outliers", "misfit")
+    names += ("touch_rms_n", "touch_coverage_95", "half_width_n", "touch_open_above")
     return {name: result.attrs[name] for name in names} | {
         "open_above_by_side_n": {side: float(result.attrs[f"open_above_{side}_n"]) for side in ("proximal", "distal")},
         "consistent": bool(result.attrs["consistent"]),
@@ -168,9 +182,15 @@ def _dataset(
     consistent, misfit = _consistency(subject, recording, observer, estimates, told.force_n)
     inside = (known >= told.low_n) & (known <= told.high_n)
     judged = np.isfinite(known)
+    touching = (told.force_n if recording.force_n is None else known) >= TOUCH_N
+    half_width = 0.5 * (told.high_n - told.low_n)[touching]
     attributes = {
         "rms_n": _rms(told.force_n - known),
-        "coverage_95": float(inside[judged].mean()) if judged.any() else float("nan"),
+        "coverage_95": _mean(inside[judged]),
+        "touch_rms_n": _rms((told.force_n - known)[touching]),
+        "touch_coverage_95": _mean(inside[touching & judged]),
+        "half_width_n": float(np.median(half_width)) if half_width.size else float("nan"),
+        "touch_open_above": _mean(np.isinf(half_width)),
         "chi2_per_dof": float(surprise.sum() / max(sum(one.count for one in estimates), 1)),
         "outliers": float(outlier.mean()),
         "consistent": int(consistent),
@@ -234,6 +254,10 @@ def _without_saturated(subject: Subject, recording: Recording) -> tuple[Recordin
         if full.any():
             found.append(f"{name} is saturated in {int(full.sum())} of {seen} samples, which count as gaps.")
     return replace(recording, volts=np.where(saturated, np.nan, recording.volts)), found
+
+
+def _mean(values: NDArray[np.bool_]) -> float:
+    return float(values.mean()) if values.size else float("nan")
 
 
 def _rms(off: Array) -> float:

@@ -51,7 +51,7 @@ def smoothed_estimates(observer: Observer, samples: Iterable[tuple[Array, float 
             known = one.state, one.covariance, one.ways
         else:
             state, covariance, ways = _back(one, later, known)
-            known = within(state, covariance, observer.touches), covariance, ways
+            known = within(state, covariance, observer.touches, observer.drift), covariance, ways
         later = one
         out.append(
             replace(

@@ -30,6 +30,8 @@ MOST_FACTOR, MOST_GAIN = 100.0, 1e4
 ROUNDING = 1e-3
 # Nor regressions: newtons for each volt.
 MOST_WEIGHT = 1e9
+# A calibration whose own touches come out further off than this, rms, does not fit its person. [N]
+MOST_RMS_N = 0.15
 Model = Literal["network", "paper"]
 
 
@@ -167,6 +169,11 @@ class Subject:
             raise ValueError("covariance is not symmetric")
         if np.linalg.eigvalsh(0.5 * (correlation + correlation.T)).min() < -ROUNDING:
             raise ValueError("covariance has a direction of negative variance")
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether the force of the calibration's own touches came out so far off that no other can be trusted."""
+        return self.rms_n > MOST_RMS_N
 
     @property
     def calibrated(self) -> Calibrated:

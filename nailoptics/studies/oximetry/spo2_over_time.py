@@ -295,5 +295,5 @@ def spo2_rows(result: xr.Dataset) -> list[str]:
         one = result.sel(photodiode=name)
         for k, time_s in enumerate(one.time.values):
             cells = [float(one[column].values[k]) for column in (*CSV_COLUMNS, "motion")]
-            lines.append(f"{time_s:.6g},{name}," + ",".join("" if np.isnan(x) else f"{x:.6g}" for x in cells))
+            lines.append(f"{float(time_s)!r},{name}," + ",".join("" if np.isnan(x) else f"{x:.6g}" for x in cells))
     return lines

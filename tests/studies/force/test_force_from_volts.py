@@ -141,6 +141,30 @@ def test_a_touch_that_was_not_calibrated_is_told_with_an_interval_that_covers_it
     assert abs(float(told.proximal_share.values[held.values].mean()) - SITES[site]) < 0.15
 
 
+def test_a_prediction_says_how_wide_its_intervals_of_touches_are(subject: Subject, table: ReadingTable) -> None:
+    told = predict(subject, _record(table, _steps(), "proximal", seed=8, pulse_pa=500.0))
+    summary, touching = prediction_summary(told), (told.known_force_n >= 0.15).values
+    half_n = 0.5 * (told.force_high_n - told.force_low_n).values[touching]
+    assert summary["half_width_n"] == np.median(half_n) < 0.3
+    assert summary["touch_rms_n"] > summary["rms_n"] and 0.8 < summary["touch_coverage_95"] <= 1.0
+    assert not any("upper bound" in one for one in summary["warnings"])
+    # Of touches past closure: all are covered, by intervals that say nothing.
+    open_above = prediction_summary(predict(subject, _record(table, _cycle(4.0), "proximal", seed=9)))
+    assert open_above["half_width_n"] == np.inf
+    assert any("have no upper bound" in one for one in open_above["warnings"])
+
+
+def test_a_calibration_that_is_wrong_of_its_own_touches_says_so_here_and_later(
+    subject: Subject, table: ReadingTable
+) -> None:
+    recorded = _record(table, _cycle(2.0), "proximal", seed=0)
+    assert not any("off" in one for one in _warnings(subject, [recorded]))
+    wrong = replace(subject, rms_n=0.238)
+    said = "calibration's own touches is 238 mN off (rms; linear regression"
+    assert any(said in one for one in _warnings(wrong, [recorded]))
+    assert any("the calibration itself was 238 mN off" in one for one in predict(wrong, recorded).attrs["warnings"])
+
+
 def test_past_closure_the_interval_is_open_above(subject: Subject, table: ReadingTable) -> None:
     told = predict(subject, _record(table, _cycle(3.0), "proximal", seed=9))
     assert told.attrs["versions"].startswith("nailoptics=")
@@ -248,9 +272,9 @@ def test_lines_that_come_one_by_one_are_answered_as_a_file_is(subject: Subject, 
     answers = live(subject, lines)
     assert next(answers) == next(rows := csv_rows(predict(subject, recorded)))
     # The first sample is answered before the second is read.
-    assert next(answers).split(",")[0] == "0"
+    assert next(answers).split(",")[0] == "0.0"
     assert len(list(lines)) == len(recorded.time_s) - 1
-    assert next(rows).split(",")[0] == "0"
+    assert next(rows).split(",")[0] == "0.0"
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+from io import StringIO
 from pathlib import Path
 
 import made_sensor
@@ -13,6 +14,7 @@ from nailoptics.scene.sensor_recordings import recording_csv
 from nailoptics.studies.force.live import live
 from nailoptics.studies.force.predict import csv_rows, predict
 from nailoptics.studies.force.subject import Subject, parse_subject
+from nailoptics.terminal import text_lines
 
 NAMES = made_sensor.table().names
 
@@ -97,6 +99,29 @@ def _cells(line: str, last: str) -> str:
     return ",".join([*line.rstrip("\n").split(",")[:-1], last]) + "\n"
 
 
+def test_times_of_a_clock_keep_all_their_digits(subject: Subject, folder: Path, lines: list[str]) -> None:
+    times = [str(1763900000 + k / 1000) for k in range(len(lines) - 1)]
+    by_clock = [lines[0], *(",".join([t, *line.split(",")[1:]]) for t, line in zip(times, lines[1:], strict=True))]
+    (folder / "clock.csv").write_text("".join(by_clock))
+    for answers in (live(subject, by_clock), csv_rows(predict(subject, folder / "clock.csv"))):
+        assert [line.split(",")[0] for line in answers][1:] == times
+
+
+def test_a_line_without_end_is_refused_before_it_fills_the_memory() -> None:
+    class Endless(StringIO):
+        read_characters = 0
+
+        def readline(self, size: int | None = -1, /) -> str:
+            assert size is not None and 0 < size <= 1_000_000
+            self.read_characters += size
+            return "1" * size
+
+    stream = Endless()
+    with pytest.raises(InputError, match="stdin: has a line of 100000 characters"):
+        list(text_lines(stream))
+    assert stream.read_characters <= 1_000_000
+
+
 def _started(folder: Path) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "nailoptics", "predict", str(folder / "me.toml"), "-"]
     pipe = subprocess.PIPE
@@ -108,7 +133,7 @@ def test_ctrl_c_ends_a_running_command_cleanly(folder: Path, lines: list[str]) -
         assert running.stdin is not None and running.stdout is not None and running.stderr is not None
         running.stdin.write("".join(lines[:3]).encode())
         running.stdin.flush()
-        assert [running.stdout.readline().split(b",")[0] for _ in range(3)] == [b"time_s", b"0", b"0.02"]
+        assert [running.stdout.readline().split(b",")[0] for _ in range(3)] == [b"time_s", b"0.0", b"0.02"]
         running.send_signal(signal.SIGINT)
         assert running.wait(60) == 0
         assert running.stdout.read() == running.stderr.read() == b""

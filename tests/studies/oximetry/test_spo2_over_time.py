@@ -65,6 +65,15 @@ def test_rate_perfusion_and_saturation_are_told_in_every_window():
     assert len(lines) == 1 + 2 * told.sizes["time"] and lines[0].startswith("time_s,photodiode,ratio,spo2")
 
 
+def test_times_of_a_clock_keep_all_their_digits():
+    here = recorded(0.9, seed=5)
+    by_clock = replace(here, time_s=here.time_s + 1763900000.0)
+    rows = oximeter_csv(by_clock, ("red", "infrared")).splitlines()[1:]
+    assert [float(row.split(",")[0]) for row in rows] == by_clock.time_s.tolist()
+    told = spo2_over_time(by_clock, KNOWN, SCENE)
+    assert [float(row.split(",")[0]) for row in spo2_rows(told)[1:]] == 2 * told.time.values.tolist()
+
+
 def test_motion_is_marked_where_it_was_and_nowhere_else():
     still, moved = (spo2_over_time(recorded(0.9, seed=5, moved=one), KNOWN, SCENE) for one in (False, True))
     with_it = abs(moved.time - 18.5) < 3.5
