@@ -129,8 +129,8 @@ def csv_row(
 
 def prediction_summary(result: xr.Dataset) -> dict[str, Any]:
     """What a prediction's result says in few numbers, ready for JSON."""
-    names = ("rms_n", "coverage_95", "chi2_per_dof", "open_above_n", "outliers", "misfit")
-    names += ("touch_rms_n", "touch_coverage_95", "half_width_n", "touch_open_above")
+    names = ["rms_n", "coverage_95", "chi2_per_dof", "open_above_n", "outliers", "misfit"]
+    names += ["touch_rms_n", "touch_coverage_95", "half_width_n", "touch_open_above"]
     return {name: result.attrs[name] for name in names} | {
         "open_above_by_side_n": {side: float(result.attrs[f"open_above_{side}_n"]) for side in ("proximal", "distal")},
         "consistent": bool(result.attrs["consistent"]),
