@@ -728,7 +728,7 @@ def show_store(
     json_: Json = False,
 ) -> None:
     """Show the folder and size of the cache of traced light; NAILOPTICS_STORE names another folder, or off."""
-    from .light.store import VARIABLE, LightStore, entries, remove
+    from .light.tracing.store import VARIABLE, LightStore, entries, remove
 
     store = LightStore.of_user()
     if store is None:

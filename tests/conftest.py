@@ -70,7 +70,8 @@ def activated(chosen: backend.Backend) -> backend.Backend:
 
 def keep_shapes() -> None:
     """Let this process keep the shapes that it builds: many tests trace the same few fingers."""
-    from nailoptics.light import bare_nail, finger_walk
+    from nailoptics.light.walk import finger as finger_walk
+    from nailoptics.light.walk import nail_reflectance as bare_nail
 
     for module in (bare_nail, finger_walk):
         if module._built.cache_parameters()["maxsize"] < SHAPES_KEPT:

@@ -89,7 +89,7 @@ def test_the_rays_that_a_colour_waits_for_are_given_up(folder, chosen_jit):
     """Expected: at the second wavelength of the second round, of ten times as many rays, the first's are kept."""
     Path("finger.toml").write_text(SMALL_FINGER_BEST + "[priors]\nspread = false\n")
     command = ("colour", "finger.toml", "--no-photograph", "--tolerance", "0.01", "-o", "out")
-    ended = interrupted_at("nailoptics.light.bare_nail:BareNail.reflect", *command, call=NODES + 2)
+    ended = interrupted_at("nailoptics.light.walk.nail_reflectance:BareNail.reflect", *command, call=NODES + 2)
     assert (ended.code, ended.later) == (3, 0) and "interrupted at a standard error of" in ended.said[-1]
     assert xr.load_dataset("out/colour.nc").attrs["photons"] < 2 * PILOT
 
@@ -116,7 +116,7 @@ def test_a_calibration_is_not_made_of_a_part_of_its_light(folder, chosen_jit, st
     recording.write_text("\n".join([names, *lines]) + "\n")
     command = ("calibrate", "prototype", str(recording), "-o", "me.toml", "--photons", "20000")
     for twice in (True, False):
-        ended = interrupted_at("nailoptics.light.store:LedSource.batch", *command, twice=twice)
+        ended = interrupted_at("nailoptics.light.tracing.store:LedSource.batch", *command, twice=twice)
         assert (ended.code, ended.later) == (130, 0)
         assert ended.said[-1] in (COMPLETE, "nailoptics: interrupted; no subject was written.")
         assert written(folder) - {"recording.csv"} == {str(path.relative_to(folder)) for path in store.rglob("*.dat")}

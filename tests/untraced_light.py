@@ -6,7 +6,7 @@ import numpy as np
 
 from nailoptics import electronics
 from nailoptics.light import optics
-from nailoptics.light.course import Course
+from nailoptics.light.transfer.series import Course
 from nailoptics.scene import Scene
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
 

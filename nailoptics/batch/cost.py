@@ -12,8 +12,8 @@ import numpy as np
 from ..io import pack
 from ..light import Transfer, trace
 from ..light.detect import VOLPATH_RELATIVE_ERROR
-from ..light.store import LightStore
 from ..light.tracing import batch_photons
+from ..light.tracing.store import LightStore
 from ..options import Requested, TraceOptions
 from ..scene import Scene
 from ..scene.sweep import Sweep

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import xarray as xr
 
 from ..errors import as_far_as_reached
-from ..light.store import LightStore
+from ..light.tracing.store import LightStore
 from ..options import TraceOptions
 from ..scene import Scene
 from ..variables import variable

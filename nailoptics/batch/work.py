@@ -17,10 +17,10 @@ from ..errors import InputError, NailopticsError, NotReachedError, WriteError
 from ..io import CorruptError, pack, write_bytes
 from ..light import ReweightWarning, Transfer
 from ..light import backend as backends
-from ..light.records import LedBatches
-from ..light.store import LightStore
 from ..light.tracing import PHOTONS_ENGINE, LedTrigger, LightEngine, accuracy, extend, led_sources
+from ..light.tracing.store import LightStore
 from ..light.transfer import current_versions
+from ..light.transfer.records import LedBatches
 from ..options import BackendName, TraceOptions
 from ..scene import Accuracy, Scene, to_toml
 from ..scene.sweep import StudyName

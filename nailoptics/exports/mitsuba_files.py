@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 from ..geometry import build
 from ..io import make_folder, write_bytes, write_text
 from ..light import optics
-from ..light.volpath.mitsuba_scene import finger_scene
+from ..light.reference.mitsuba_scene import finger_scene
 from ..scene import Scene, to_toml
 from .carried import Lost, as_seen, checked_finger, lost_everywhere, page
 

@@ -11,9 +11,9 @@ import numpy as np
 from .. import light
 from ..errors import InputError, as_far_as_reached
 from ..light import ProgressCallback, optics
-from ..light.moments import Moments, moments_of
-from ..light.records import LedTrace
-from ..light.reweight import transmission
+from ..light.transfer.moments import Moments, moments_of
+from ..light.transfer.records import LedTrace
+from ..light.transfer.reweight import transmission
 from ..options import Requested
 from ..scene import Scene, parse_scene
 

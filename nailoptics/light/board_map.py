@@ -20,13 +20,13 @@ from ..statistics import stderr_of_mean
 from ..variables import Variables, variable
 from . import backend as backends
 from . import optics
-from .records import FINGER_BATCH_PHOTONS, check_arrays
-from .reweight import attenuation
-from .store import LightStore, made_of
+from .tracing.store import LightStore, made_of
+from .transfer.records import FINGER_BATCH_PHOTONS, check_arrays
+from .transfer.reweight import attenuation
 
 if TYPE_CHECKING:
-    from .finger_walk import FingerTracer
-    from .tallies.sensitivity import VoxelGrid
+    from .walk.finger import FingerTracer
+    from .walk.tallies import VoxelGrid
 
 T = TypeVar("T")
 
@@ -133,7 +133,7 @@ class BoardTracer:
     def tracer(self) -> "FingerTracer":
         """What walks the photons; it takes a second to make, and is not made where all light is stored."""
         backends.activate(self.backend)
-        from .finger_walk import FingerTracer
+        from .walk.finger import FingerTracer
 
         # Light arrives on the film between the parts, whatever becomes of it there.
         return FingerTracer(self.scene, spacing_mm=self.spacing_mm, kept=("kapton",))
@@ -230,7 +230,7 @@ class BoardTracer:
 
         radius_mm, depth_mm : edges, evenly spaced. [mm]
         """
-        from .tallies.fluence import FluenceTally
+        from .walk.tallies import FluenceTally
 
         backends.activate(self.backend)
         tally = FluenceTally(self.tracer.geometry, self.scene.layout.leds[led].center_mm, radius_mm, depth_mm)
@@ -241,8 +241,8 @@ class BoardTracer:
         self, led: int, face: Face | None, photons: int, seed: int
     ) -> tuple[Arrivals, np.ndarray, Arrivals]:
         """Light that arrives, every angle counting alike; the cosines of its angles; and light that leaves."""
-        from .sampling import TOP
-        from .tallies.board_tally import BoardTally
+        from .walk.sampling import TOP
+        from .walk.tallies import BoardTally
 
         backends.activate(self.backend)
         angles = any(one.angular_response is not None for one in self.scene.photodiodes)
@@ -259,7 +259,7 @@ class BoardTracer:
 
     def _accepted(self, photodiode: int, cos: np.ndarray) -> np.ndarray:
         """What a photodiode makes of light at angles of these cosines, (n,) float."""
-        from .acceptance import accepted
+        from .walk.acceptance import accepted
 
         return accepted(self.scene.layout.photodiodes[photodiode].photodiode, cos)
 
@@ -289,9 +289,9 @@ class BoardTracer:
     def _detected(
         self, led: int, point: "BloodPoint", *, photons: int, seed: int, cells: "VoxelGrid"
     ) -> tuple[np.ndarray, np.ndarray]:
-        from .acceptance import acceptance_of
-        from .surroundings import DETECTED
-        from .tallies.sensitivity import SensitivityTally
+        from .walk.acceptance import acceptance_of
+        from .walk.interfaces import DETECTED
+        from .walk.tallies import SensitivityTally
 
         backends.activate(self.backend)
         walked = self.tracer.walk(led, photons=photons, seed=seed, acceptance=acceptance_of(self.scene.photodiodes))
@@ -313,7 +313,7 @@ class BoardTracer:
     def cells(self) -> "VoxelGrid":
         """Cells under the nail of this finger, for `detected`."""
         backends.activate(self.backend)
-        from .tallies.sensitivity import VoxelGrid
+        from .walk.tallies import VoxelGrid
 
         return VoxelGrid.under_nail(self.scene, self.tracer.geometry)
 

@@ -21,14 +21,14 @@ from ..statistics import upper_limit_95
 from ..variables import from_record, to_record, variable
 from . import backend as backends
 from . import optics
-from .course import Course, course
 from .identity import led_digest, light_scene
-from .records import check_arrays
-from .store import LightStore, made_of
+from .reference import led_readings as volpath
+from .reference.states import StateReadings
 from .tracing import ProgressCallback, accuracy, trace
+from .tracing.store import LightStore, made_of
 from .transfer import Transfer, mean_of_leds, photodiode_names, provenance
-from .volpath import led_readings as volpath
-from .volpath.states import StateReadings
+from .transfer.records import check_arrays
+from .transfer.series import Course, course
 
 T = TypeVar("T")
 
@@ -266,8 +266,8 @@ def _section(scene: Scene, options: TraceOptions, finger: Geometry | None = None
     if finger is None:
         # Light from the store needed no Mitsuba so far.
         backends.activate_jit(options.backend, "the picture of the light")
-        from .finger_walk import FingerTracer
-        from .tallies.section import Section
+        from .walk.finger import FingerTracer
+        from .walk.tallies import Section
 
         tracer = FingerTracer(scene)
         finger = tracer.geometry

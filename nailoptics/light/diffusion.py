@@ -22,7 +22,7 @@ from ..scene import Scene
 from ..scene.layout import Layout
 from ..scene.rectangles import Rectangle
 from . import optics
-from .interpolation import ChebyshevBox
+from .transfer.interpolation import ChebyshevBox
 
 REGIONS = ("plate", "bed", "bone", "epoxy")
 # The nail is computed in cells and repeats itself beyond the board with a gap that no light crosses. [mm]

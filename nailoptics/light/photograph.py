@@ -13,8 +13,8 @@ from .. import geometry as finger_geometry
 from ..errors import InputError
 from ..scene import Scene
 from .backend import choose
-from .bare_nail import as_seen
-from .volpath.integrate import stock_mitsuba
+from .reference.integrate import stock_mitsuba
+from .walk.nail_reflectance import as_seen
 
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]

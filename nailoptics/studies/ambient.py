@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import electronics, tissue
 from ..light import optics
 from ..light.board_map import Arrivals
-from ..light.reweight import attenuation
+from ..light.transfer.reweight import attenuation
 from ..scene import Photodiode, Scene
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ import xarray as xr
 
 from ..errors import as_far_as_reached
 from ..light import ProgressCallback, Transfer, optics, trace
-from ..light.course import read_replicates
 from ..light.identity import light_digest
+from ..light.transfer.series import read_replicates
 from ..options import TraceOptions
 from ..scene import Prior, Scene
 from ..statistics import Z95, jackknife

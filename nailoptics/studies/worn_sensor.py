@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, NotReachedError, as_far_as_reached
 from ..light import DetectedLight, ProgressCallback, open_light
-from ..light.course import Course
+from ..light.transfer.series import Course
 from ..options import Requested
 from ..scene import Board, Scene
 from ..scene.body import Motion

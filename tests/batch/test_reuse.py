@@ -5,8 +5,8 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.light.identity import light_digest, light_scene
-from nailoptics.light.store import LedSource, LightStore, made_of
 from nailoptics.light.tracing import LedTrigger, batch_photons, extend, photons_engine, trigger
+from nailoptics.light.tracing.store import LedSource, LightStore, made_of
 from nailoptics.light.tracing.trigger import check_schedule
 from nailoptics.light.transfer import Transfer, rest_state
 from nailoptics.scene import Accuracy, load_scene, parse_scene

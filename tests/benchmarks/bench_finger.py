@@ -14,7 +14,7 @@ import nailoptics as nail
 from nailoptics import geometry
 from nailoptics.assets import data_dir
 from nailoptics.light import backend, optics
-from nailoptics.light.course import course
+from nailoptics.light.transfer.series import course
 
 PHOTODIODE = 1
 MORE_BLOOD = 1.1
@@ -45,8 +45,8 @@ def modulation(scene: nail.Scene, walk: nail.Transfer) -> None:
     shape, zones = geometry.build(scene), optics.zones(scene)
     led = scene.leds[0].wavelength_nm
     v = np.linspace(-15, 10, 501)
-    from nailoptics.light.volpath.integrate import FingerPaths
-    from nailoptics.light.volpath.mitsuba_scene import BedAbsorption
+    from nailoptics.light.reference.integrate import FingerPaths
+    from nailoptics.light.reference.mitsuba_scene import BedAbsorption
 
     means, variances, cpu = [], [], 0.0
     for k, state in enumerate(states):

@@ -33,7 +33,7 @@ def main() -> None:
 def photons() -> None:
     """Set-up, and the median over batches that the cases walk in turns."""
     backend.activate_jit("auto", "the benchmark")
-    from nailoptics.light import finger_walk
+    from nailoptics.light.walk import finger as finger_walk
 
     scene = load_scene(data_dir("scenes") / "prototype.toml")
     every = tuple(AROUND)

@@ -22,9 +22,9 @@ backend.activate(backend.choose("auto"))
 import mitsuba as mi  # noqa: E402
 
 from nailoptics.light.board_map import BoardTracer  # noqa: E402
-from nailoptics.light.finger_walk import FingerTracer  # noqa: E402
-from nailoptics.light.sampling import henyey_greenstein, rotate_direction  # noqa: E402
-from nailoptics.light.surroundings import DETECTED  # noqa: E402
+from nailoptics.light.walk.finger import FingerTracer  # noqa: E402
+from nailoptics.light.walk.interfaces import DETECTED  # noqa: E402
+from nailoptics.light.walk.sampling import henyey_greenstein, rotate_direction  # noqa: E402
 
 THICKNESS_MM, MU_A, MU_S, G = 10.0, 0.05, 10.0, 0.9
 LOW, HIGH = (1.5, -0.5), (2.5, 0.5)

@@ -94,7 +94,7 @@ def states(count: int) -> Callable[[], object]:
     import numpy as np
 
     import nailoptics as nail
-    from nailoptics.light.course import course
+    from nailoptics.light.transfer.series import course
 
     transfer = nail.trace(shipped(), photons=200_000)
     blood = np.random.default_rng(1).uniform(0.01, 0.05, (count, 2))

@@ -11,7 +11,7 @@ from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.exports.other_program import MOST_UNPACKED, OtherDetection, compared, read_detected
-from nailoptics.light.records import LedTrace
+from nailoptics.light.transfer.records import LedTrace
 from nailoptics.scene import load_scene, to_toml
 
 PHOTONS = 20_000

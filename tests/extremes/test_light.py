@@ -308,7 +308,7 @@ def test_meshes_from_coarse_to_a_million_triangles_are_closed(resolution, least)
 @pytest.mark.slow
 def test_readings_do_not_hang_on_the_fineness_of_the_mesh(jit_backend, monkeypatch):
     """A million triangles in place of ten thousand: the same readings within the error, and nothing more lost."""
-    from nailoptics.light import finger_walk
+    from nailoptics.light.walk import finger as finger_walk
 
     scene, build = prototype_with(), geometry.build
     found = []

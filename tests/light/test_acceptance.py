@@ -7,7 +7,7 @@ import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.light.board_map import BoardTracer, blood_point, readings
-from nailoptics.light.volpath.states import finger_states
+from nailoptics.light.reference.states import finger_states
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, load_scene
 from nailoptics.statistics import stderr_of_mean
@@ -47,11 +47,11 @@ def test_a_face_under_even_radiance_collects_two_over_one_more_than_the_power(ji
     import drjit as dr
     import mitsuba as mi
 
-    from nailoptics.light.acceptance import acceptance_of
-    from nailoptics.light.finger_walk import FingerTracer, FingerWalk
-    from nailoptics.light.sampling import LAMBERTIAN, PhotonEnds, lanes
-    from nailoptics.light.splitting import Reach, Splitting
-    from nailoptics.light.surroundings import Emitter, ZoneEdges
+    from nailoptics.light.walk.acceptance import acceptance_of
+    from nailoptics.light.walk.finger import FingerTracer, FingerWalk
+    from nailoptics.light.walk.interfaces import Emitter, ZoneEdges
+    from nailoptics.light.walk.sampling import LAMBERTIAN, PhotonEnds, lanes
+    from nailoptics.light.walk.splitting import Reach, Splitting
 
     scene = with_response(None, power_of_cosine(power))
     tracer, photons = FingerTracer(scene), 1 << 17

@@ -10,7 +10,7 @@ import pytest
 
 from nailoptics.errors import InputError
 from nailoptics.light import backend
-from nailoptics.light.volpath import integrate
+from nailoptics.light.reference import integrate
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import pytest
 import nailoptics as nail
 from nailoptics.errors import InputError
 from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, map_dataset, readings
-from nailoptics.light.course import course
+from nailoptics.light.transfer.series import course
 from nailoptics.scene import parse_scene, to_toml
 from nailoptics.scene.rectangles import Rectangle
 

@@ -8,9 +8,9 @@ import pytest
 import nailoptics as nail
 from nailoptics.errors import InputError
 from nailoptics.light import ReweightWarning, Transfer, optics
-from nailoptics.light import course as course_module
-from nailoptics.light.course import MAX_ZONES_BETWEEN_NODES, course
-from nailoptics.light.records import LedTrace
+from nailoptics.light.transfer import series as course_module
+from nailoptics.light.transfer.records import LedTrace
+from nailoptics.light.transfer.series import MAX_ZONES_BETWEEN_NODES, course
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.studies.blood_states import blood_over_touch
 

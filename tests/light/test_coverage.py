@@ -11,11 +11,11 @@ import nailoptics as nail
 from nailoptics import tissue
 from nailoptics.light import Transfer, optics, read_rest, tracing
 from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
-from nailoptics.light.course import course, read_replicates
-from nailoptics.light.finger_walk import FingerTracer
-from nailoptics.light.records import Batch, LedTrace, joined
-from nailoptics.light.store import LedSource
 from nailoptics.light.tracing import LedTrigger, extend
+from nailoptics.light.tracing.store import LedSource
+from nailoptics.light.transfer.records import Batch, LedTrace, joined
+from nailoptics.light.transfer.series import course, read_replicates
+from nailoptics.light.walk.finger import FingerTracer
 from nailoptics.paper.reduced_optics import fit_curve
 from nailoptics.scene import Accuracy, Scene, parse_scene
 from nailoptics.statistics import jackknife, left_out, stderr_of_mean

@@ -7,9 +7,9 @@ import nailoptics as nail
 from nailoptics import geometry
 from nailoptics.assets import data_dir
 from nailoptics.light import backend, optics
-from nailoptics.light.finger_walk import FingerTracer
-from nailoptics.light.tallies.section import Section
-from nailoptics.light.volpath import integrate, mitsuba_scene, states
+from nailoptics.light.reference import integrate, mitsuba_scene, states
+from nailoptics.light.walk.finger import FingerTracer
+from nailoptics.light.walk.tallies import Section
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, load_scene
 from nailoptics.statistics import seed_of

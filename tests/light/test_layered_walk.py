@@ -7,9 +7,9 @@ from scipy import special, stats
 
 import nailoptics as nail
 from nailoptics.light import Transfer
-from nailoptics.light.layered_walk import LayeredTracer, arc_share, walk_layers
-from nailoptics.light.records import LedTrace
-from nailoptics.light.sampling import TOP
+from nailoptics.light.transfer.records import LedTrace
+from nailoptics.light.walk.layered import LayeredTracer, arc_share, walk_layers
+from nailoptics.light.walk.sampling import TOP
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.statistics import seed_of
 

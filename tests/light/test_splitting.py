@@ -5,7 +5,7 @@ import pytest
 
 from nailoptics import geometry
 from nailoptics.assets import data_dir
-from nailoptics.light.splitting import CELL_MM, REACH_MM, STRIDE_CELL_MM, STRIDE_MM, near_photodiodes, strides_made
+from nailoptics.light.walk.splitting import CELL_MM, REACH_MM, STRIDE_CELL_MM, STRIDE_MM, near_photodiodes, strides_made
 from nailoptics.scene import load_scene
 from nailoptics.statistics import stderr_of_mean
 
@@ -65,8 +65,8 @@ def test_there_are_no_strides_to_near_photodiodes_nor_where_light_comes_straight
 def test_photons_split_on_the_way_read_what_plain_ones_read_and_state_true_errors(jit_backend, prototype):
     """Two levels on the way and one at the photodiodes. Light, and light times its path in the bed, in 16 values of
     which 45 is one in 1e4; errors beside the spread of 32 batches, in 8 values that share photons."""
-    from nailoptics.light.finger_walk import FingerTracer
-    from nailoptics.light.surroundings import DETECTED
+    from nailoptics.light.walk.finger import FingerTracer
+    from nailoptics.light.walk.interfaces import DETECTED
 
     tracer = FingerTracer(with_led_at(prototype, -3.2))
     count, photons, batches = len(tracer.photodiodes), 1 << 14, 32
@@ -101,8 +101,8 @@ def test_split_photons_read_what_plain_ones_read(jit_backend, prototype):
 
     chi^2 of 24 dependent values: 60 is one in more than 1e4 even of 24 independent ones.
     """
-    from nailoptics.light.finger_walk import FingerTracer
-    from nailoptics.light.surroundings import DETECTED
+    from nailoptics.light.walk.finger import FingerTracer
+    from nailoptics.light.walk.interfaces import DETECTED
 
     tracer = FingerTracer(prototype)
     photons, count = 1 << 19, len(tracer.photodiodes)

@@ -13,10 +13,10 @@ import pytest
 import nailoptics as nail
 from nailoptics import io
 from nailoptics.io import pack
-from nailoptics.light import store as store_module
-from nailoptics.light.layered_walk import LayeredTracer
-from nailoptics.light.store import LightStore, StoredEntry, entries, made_of, user_folder
+from nailoptics.light.tracing import store as store_module
 from nailoptics.light.tracing import trace_scene, trigger
+from nailoptics.light.tracing.store import LightStore, StoredEntry, entries, made_of, user_folder
+from nailoptics.light.walk.layered import LayeredTracer
 from nailoptics.scene import Scene, parse_scene
 
 SLAB = """

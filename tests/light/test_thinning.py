@@ -9,10 +9,10 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.errors import NotReachedError
-from nailoptics.light import Transfer, optics, records, tracing
-from nailoptics.light.course import course
-from nailoptics.light.records import LedTrace, joined
-from nailoptics.light.transfer import rest_state
+from nailoptics.light import Transfer, optics, tracing
+from nailoptics.light.transfer import records, rest_state
+from nailoptics.light.transfer.records import LedTrace, joined
+from nailoptics.light.transfer.series import course
 from nailoptics.scene import Scene, parse_scene
 
 PHANTOM = """

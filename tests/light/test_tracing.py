@@ -12,7 +12,7 @@ import pytest
 import nailoptics as nail
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.light import TraceProgress, tracing
-from nailoptics.light.layered_walk import LayeredTracer
+from nailoptics.light.walk.layered import LayeredTracer
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.statistics import seed_of

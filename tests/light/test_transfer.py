@@ -11,9 +11,10 @@ from small_scenes import SMALL_FINGER
 import nailoptics as nail
 from nailoptics import io
 from nailoptics.errors import InputError
-from nailoptics.light import ReweightWarning, Transfer, optics, records
-from nailoptics.light.layered_walk import LayeredTracer
-from nailoptics.light.records import LedTrace
+from nailoptics.light import ReweightWarning, Transfer, optics
+from nailoptics.light.transfer import records
+from nailoptics.light.transfer.records import LedTrace
+from nailoptics.light.walk.layered import LayeredTracer
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.statistics import Z95, stderr_of_mean
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from nailoptics.light.records import Batch, LedRecords
 from nailoptics.light.tracing import Ending, LedTrigger, Trigger, run_until, seconds_per_sample
+from nailoptics.light.transfer.records import Batch, LedRecords
 from nailoptics.scene import Accuracy, parse_scene
 from nailoptics.statistics import Z95, stderr_of_mean
 

@@ -9,8 +9,8 @@ from nailoptics import geometry
 from nailoptics.errors import InputError
 from nailoptics.light import backend
 from nailoptics.light.optics import finger_media
-from nailoptics.light.volpath import integrate, mitsuba_scene, states
-from nailoptics.light.volpath.mitsuba_scene import EVERYTHING, LEAVING, BedAbsorption, Window
+from nailoptics.light.reference import integrate, mitsuba_scene, states
+from nailoptics.light.reference.mitsuba_scene import EVERYTHING, LEAVING, BedAbsorption, Window
 from nailoptics.options import TraceOptions
 from nailoptics.scene import parse_scene
 from nailoptics.statistics import seed_of

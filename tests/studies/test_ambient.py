@@ -9,7 +9,7 @@ import pytest
 from nailoptics import geometry
 from nailoptics.light import backend, optics
 from nailoptics.light.board_map import Arrivals, BoardTracer
-from nailoptics.light.volpath import integrate, mitsuba_scene
+from nailoptics.light.reference import integrate, mitsuba_scene
 from nailoptics.scene import parse_scene
 from nailoptics.studies.ambient import SOURCES, Ambient, collecting_area_mm2, photocurrents_a
 

@@ -10,8 +10,8 @@ from nailoptics import load_scene, parse_scene, simulate, to_toml
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.light import ReweightWarning, Transfer, optics, trace
-from nailoptics.light.course import course
-from nailoptics.light.records import LedTrace
+from nailoptics.light.transfer.records import LedTrace
+from nailoptics.light.transfer.series import course
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Priors, Scene
 from nailoptics.scene.priors import Prior, PriorRange, shipped_priors

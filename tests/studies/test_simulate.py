@@ -15,7 +15,7 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.io import write_dataset
 from nailoptics.light import detect, open_light
-from nailoptics.light.volpath import states
+from nailoptics.light.reference import states
 from nailoptics.scene import Scene, digest, load_scene, parse_scene
 from nailoptics.studies.blood_states import blood_over_touch
 from nailoptics.studies.simulate import simulate, simulate_from

@@ -5,7 +5,7 @@ import pytest
 from small_scenes import SMALL_FINGER
 
 from nailoptics.errors import InputError
-from nailoptics.light.course import Course
+from nailoptics.light.transfer.series import Course
 from nailoptics.scene import Body, Drift, Motion, parse_scene
 from nailoptics.studies.simulate import simulate
 from nailoptics.studies.worn_sensor import MovedLight, by_motion, moved_boards, sensor_course

@@ -13,10 +13,10 @@ from ...scene import Accuracy, Scene
 from .. import backend as backends
 from .. import optics
 from ..identity import light_scene
-from ..records import FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS, Batch, LedBatches, LedRecords
-from ..store import LedSource, LightStore, made_of
 from ..transfer import Transfer, photodiode_names
+from ..transfer.records import FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS, Batch, LedBatches, LedRecords
 from .driver import Ending, ProgressCallback, run_until
+from .store import LedSource, LightStore, made_of
 from .trigger import LedTrigger, share_of_time
 
 DEFAULT_PHOTONS = 1_000_000
@@ -87,10 +87,10 @@ def photons_engine(scene: Scene, backend: str) -> Any:
     """
     backends.activate_jit(backend, PHOTONS_ENGINE)
     if scene.phantom is not None:
-        from ..layered_walk import LayeredTracer
+        from ..walk.layered import LayeredTracer
 
         return LayeredTracer
-    from ..finger_walk import FingerTracer
+    from ..walk.finger import FingerTracer
 
     return FingerTracer
 

@@ -16,9 +16,9 @@ import numpy as np
 
 from ...scene import Accuracy, Scene
 from ...statistics import stderr_of_mean
-from ..records import Batch
-from ..reweight import transmission
 from ..transfer import MIN_EFFECTIVE_PHOTONS, photodiode_names, rest_state
+from ..transfer.records import Batch
+from ..transfer.reweight import transmission
 from .driver import TraceProgress
 
 # A photodiode that none of so many photons reached is taken for unlit, unless a time limit says otherwise.

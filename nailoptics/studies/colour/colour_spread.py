@@ -4,8 +4,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from ...light.bare_nail import BareNail
 from ...light.identity import light_digest
+from ...light.walk.nail_reflectance import BareNail
 from ...scene import Scene, Viewing
 from ...statistics import seed_of
 from ...variables import variable

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...light.bare_nail import BareNail, Patch
 from ...light.tracing import Ending, StageProgress, run_until
+from ...light.walk.nail_reflectance import BareNail, Patch
 from ...options import TraceOptions
 from ...scene import Scene, Viewing
 from ...statistics import jackknife, seed_of

@@ -14,10 +14,10 @@ from pydantic import ValidationError
 from ...checks import explain
 from ...errors import InputError, NotReachedError
 from ...light import ProgressCallback, backend
-from ...light.bare_nail import BareNail
-from ...light.store import LightStore
 from ...light.tracing import StageProgress
+from ...light.tracing.store import LightStore
 from ...light.transfer import provenance
+from ...light.walk.nail_reflectance import BareNail
 from ...options import Requested, TraceOptions
 from ...scene import Scene, Viewing
 from ...scene.viewing import Illuminant, LightFrom, Observer

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...light import optics
-from ...light.bare_nail import BareNail, Patch, ReflectedLight
 from ...light.identity import light_scene
-from ...light.interpolation import ChebyshevBox
-from ...light.reweight import attenuation
+from ...light.transfer.interpolation import ChebyshevBox
+from ...light.transfer.reweight import attenuation
+from ...light.walk.nail_reflectance import BareNail, Patch, ReflectedLight
 from ...scene import Scene
 from ...scene.viewing import LightFrom
 from ...statistics import left_out

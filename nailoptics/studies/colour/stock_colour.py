@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...light.backend import Backend
-from ...light.bare_nail import as_seen
+from ...light.reference.mitsuba_scene import FILM
+from ...light.reference.nail_camera import NailCamera
 from ...light.tracing import StageProgress
-from ...light.volpath.mitsuba_scene import FILM
-from ...light.volpath.nail_camera import NailCamera
+from ...light.walk.nail_reflectance import as_seen
 from ...options import TraceOptions
 from ...scene import Scene, Viewing
 from ...scene.viewing import LightFrom

@@ -12,7 +12,7 @@ import xarray as xr
 from ... import tissue
 from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...light import ProgressCallback, Transfer, optics, trace
-from ...light.course import read_replicates
+from ...light.transfer.series import read_replicates
 from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...scene.files import scene_of

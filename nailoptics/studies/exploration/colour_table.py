@@ -9,7 +9,7 @@ from ...geometry import underside
 from ...light import optics
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, blood_point
 from ...light.pair_kernel import PairBasis, PairProjection, RadialFunction, line_nodes
-from ...light.reweight import transmissions
+from ...light.transfer.reweight import transmissions
 from ...options import BackendName
 from ...scene import Led, Scene
 from ...statistics import seed_of

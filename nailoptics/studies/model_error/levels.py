@@ -14,9 +14,9 @@ from ... import tissue
 from ...errors import InputError, NotReachedError
 from ...light import ProgressCallback, optics
 from ...light import backend as backends
-from ...light.course import course, read_replicates
 from ...light.diffusion import DiffusionModel
 from ...light.tracing import unlit
+from ...light.transfer.series import course, read_replicates
 from ...options import BackendName, TraceOptions
 from ...scene import Scene
 from ...statistics import FEW_TERMS, farther_end, jackknife

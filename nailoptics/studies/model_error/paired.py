@@ -10,9 +10,9 @@ import numpy as np
 from ... import geometry
 from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...light import ProgressCallback, TraceProgress, Transfer, optics, trace
-from ...light.records import LedTrace
-from ...light.reweight import transmissions
 from ...light.tracing import photons_engine, seconds_per_sample
+from ...light.transfer.records import LedTrace
+from ...light.transfer.reweight import transmissions
 from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
 from ...statistics import FEW_TERMS, farther_end

@@ -9,9 +9,9 @@ import numpy as np
 from ... import geometry
 from ...light import backend as backends
 from ...light import optics
-from ...light.volpath.integrate import FingerPaths
-from ...light.volpath.led_readings import bed_absorption
-from ...light.volpath.mitsuba_scene import check_pattern
+from ...light.reference.integrate import FingerPaths
+from ...light.reference.led_readings import bed_absorption
+from ...light.reference.mitsuba_scene import check_pattern
 from ...options import BackendName
 from ...scene import Scene
 from ...scene.parts import check_flat

@@ -12,7 +12,7 @@ from ...light import Transfer, optics
 from ...light.board_map import BoardTracer
 from ...light.diffusion import DiffusionModel
 from ...light.identity import light_scene
-from ...light.store import LightStore
+from ...light.tracing.store import LightStore
 from ...scene import Oximeter, Scene
 from ...scene.oximeter import two_leds
 from ...statistics import Z95, jackknife, seed_of

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from ...errors import NotReachedError, as_far_as_reached
 from ...light import ProgressCallback, Transfer, trace
-from ...light.store import LightStore
 from ...light.tracing import accuracy
+from ...light.tracing.store import LightStore
 from ...options import Requested, TraceOptions
 from ...scene import Oximeter, Scene
 from ...statistics import jackknife, seed_of

@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from ... import tissue
 from ...errors import InputError
 from ...light import Transfer, optics
-from ...light.course import read_replicates
-from ...light.interpolation import ChebyshevBox
+from ...light.transfer.interpolation import ChebyshevBox
+from ...light.transfer.series import read_replicates
 from ...scene import Scene
 from ...statistics import jackknife
 from ..pulsatile_blood import BloodBeat

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ... import electronics
 from ...light import Transfer
-from ...light.interpolation import ChebyshevBox
+from ...light.transfer.interpolation import ChebyshevBox
 from ...scene import Oximeter, Scene
 from ...scene.oximeter import DARK
 from ...scene.slot_recordings import OximeterRecording, read_oximeter_recording

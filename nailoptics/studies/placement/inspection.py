@@ -12,7 +12,7 @@ import xarray as xr
 
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, PhotonMap, blood_point, readings
 from ...light.identity import light_scene
-from ...light.store import LightStore
+from ...light.tracing.store import LightStore
 from ...scene import Photodiode, Scene
 from ...statistics import FEW_TERMS, Z95, jackknife, left_out, seed_of, stderr_of_mean
 from ...variables import Variables, variable

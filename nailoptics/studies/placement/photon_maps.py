@@ -9,7 +9,7 @@ import numpy as np
 from ...geometry import SPACING_MM
 from ...light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point
 from ...light.identity import light_digest, light_scene
-from ...light.store import LightStore
+from ...light.tracing.store import LightStore
 from ...scene import FingerCase, Led, Scene, digest
 from ...scene.rectangles import Rectangle
 from ...statistics import left_out, seed_of

@@ -14,8 +14,8 @@ from ...assets import data_dir
 from ...errors import InputError, NotReachedError
 from ...light import ProgressCallback
 from ...light import backend as backends
-from ...light.store import LightStore
 from ...light.tracing import StageProgress
+from ...light.tracing.store import LightStore
 from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, load_scene
 from . import boards, search

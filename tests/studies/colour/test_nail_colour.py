@@ -11,9 +11,9 @@ import nailoptics as nail
 from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.light import optics
-from nailoptics.light.bare_nail import BareNail, Patch
 from nailoptics.light.photograph import photograph
-from nailoptics.light.store import LightStore
+from nailoptics.light.tracing.store import LightStore
+from nailoptics.light.walk.nail_reflectance import BareNail, Patch
 from nailoptics.scene import load_scene, parse_scene
 from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
 from nailoptics.studies.colour.measured_colours import MEASURED

@@ -9,8 +9,8 @@ from nailoptics.errors import InputError
 from nailoptics.geometry import DistanceGrid, Geometry
 from nailoptics.geometry.regions import BARRIER, BED, CUT, PLATE, REGIONS
 from nailoptics.light import backend, optics
-from nailoptics.light.bare_nail import BareNail, Patch
-from nailoptics.light.volpath.nail_camera import NailCamera
+from nailoptics.light.reference.nail_camera import NailCamera
+from nailoptics.light.walk.nail_reflectance import BareNail, Patch
 from nailoptics.scene import parse_scene
 from nailoptics.statistics import jackknife, seed_of
 from nailoptics.studies.colour import stock_colour

@@ -12,8 +12,8 @@ from nailoptics import cli, load_scene, tissue
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.light import Transfer, optics
-from nailoptics.light.course import GROUPS, read_replicates
-from nailoptics.light.records import LedTrace
+from nailoptics.light.transfer.records import LedTrace
+from nailoptics.light.transfer.series import GROUPS, read_replicates
 from nailoptics.options import TraceOptions
 from nailoptics.report.pages import compare as compare_page
 from nailoptics.report.pages.compare import write_comparison

@@ -11,7 +11,7 @@ from nailoptics import cli, load_scene, tissue
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.light import Transfer, optics
-from nailoptics.light.records import LedTrace
+from nailoptics.light.transfer.records import LedTrace
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.statistics import Z95, farther_end

@@ -12,8 +12,8 @@ from nailoptics.assets import data_dir
 from nailoptics.geometry import build
 from nailoptics.light import optics
 from nailoptics.light.backend import choose
-from nailoptics.light.volpath.integrate import FingerPaths
-from nailoptics.light.volpath.led_readings import bed_absorption
+from nailoptics.light.reference.integrate import FingerPaths
+from nailoptics.light.reference.led_readings import bed_absorption
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene
 from nailoptics.statistics import Z95, jackknife

@@ -9,8 +9,8 @@ import xarray as xr
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import as_far_as_reached
-from nailoptics.light import finger_walk
 from nailoptics.light.board_map import BoardTracer
+from nailoptics.light.walk import finger as finger_walk
 from nailoptics.scene import Candidate, Placement, Priors, Scene
 from nailoptics.statistics import Z95, jackknife
 from nailoptics.studies.placement import boards, photodiode_count, place

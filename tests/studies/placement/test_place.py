@@ -14,9 +14,9 @@ from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.io import write_dataset
 from nailoptics.light.board_map import Arrivals, PhotonMap
-from nailoptics.light.finger_walk import FingerTracer
-from nailoptics.light.store import LightStore
 from nailoptics.light.tracing import StageProgress
+from nailoptics.light.tracing.store import LightStore
+from nailoptics.light.walk.finger import FingerTracer
 from nailoptics.report import result_files
 from nailoptics.report.pages.place.page import write_placement
 from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml

@@ -7,8 +7,8 @@ import pytest
 import xarray as xr
 from small_scenes import PLACEMENT
 
-from nailoptics.light import finger_walk
 from nailoptics.light.board_map import BoardTracer
+from nailoptics.light.walk import finger as finger_walk
 from nailoptics.scene import Priors, Scene, parse_scene
 from nailoptics.studies.placement import inspection
 from nailoptics.studies.placement.place import place

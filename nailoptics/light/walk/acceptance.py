@@ -7,7 +7,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..scene import Photodiode
+from ...scene import Photodiode
 from .arithmetic import clip, minimum
 
 # Steps of a table over the squared cosine, in which a Lambertian photodiode's light is spread evenly.

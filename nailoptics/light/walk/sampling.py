@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..scene import Led
+from ...scene import Led
 from .arithmetic import clip, minimum, safe_sqrt
 
 # Absorption ends a photon at half its rate; the other half only dims it. Ending it all the way makes long paths

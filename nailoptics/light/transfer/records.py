@@ -7,9 +7,9 @@ from operator import add
 
 import numpy as np
 
-from ..errors import InputError
-from ..io import CorruptError
-from ..statistics import FEW_TERMS, Z95, effective_count, seed_of, stderr_of_mean, upper_limit_95
+from ...errors import InputError
+from ...io import CorruptError
+from ...statistics import FEW_TERMS, Z95, effective_count, seed_of, stderr_of_mean, upper_limit_95
 from .moments import Moments, RestState, moments_of, moments_of_sample
 from .reweight import transmission
 

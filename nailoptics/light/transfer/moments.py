@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..statistics import effective_count, known_from, stderr_of_mean
+from ...statistics import effective_count, known_from, stderr_of_mean
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..geometry import DistanceGrid, Face, Geometry
-from ..geometry.distance import NORMAL_STEPS, PLANE_REACH_MM, PLANE_STEP_MM
-from ..tissue import BloodZones
-from . import optics
+from ...geometry import DistanceGrid, Face, Geometry
+from ...geometry.distance import NORMAL_STEPS, PLANE_REACH_MM, PLANE_STEP_MM
+from ...tissue import BloodZones
+from .. import optics
 from .arithmetic import clip, maximum, minimum, safe_sqrt
 from .sampling import BOTTOM, FAR, OPAQUE, Photon, emission_cosine, rotate_direction, starts
 

@@ -14,7 +14,7 @@ from ...scene import Scene
 from ...statistics import seed_of
 from .. import optics
 from ..backend import Backend
-from ..bare_nail import Patch
+from ..walk.nail_reflectance import Patch
 from .integrate import SEEDS, stock_mitsuba
 from .mitsuba_scene import FILM, RGB_FILM, BedAbsorption, finger_scene
 

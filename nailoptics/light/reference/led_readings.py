@@ -14,8 +14,8 @@ from ...scene import Scene
 from ...statistics import seed_of
 from .. import optics
 from ..backend import choose
-from ..course import Course
 from ..tracing import Ending, ProgressCallback, TraceProgress, Trigger, out_of_time, run_until, share_of_time
+from ..transfer.series import Course
 from .integrate import phantom_fractions
 from .mitsuba_scene import LEAVING, BedAbsorption, Window
 from .states import StateReadings, finger_states

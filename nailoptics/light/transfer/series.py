@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import checks
-from ..errors import InputError
-from ..statistics import left_out, stderr_of_mean
-from . import optics
+from ... import checks
+from ...errors import InputError
+from ...statistics import left_out, stderr_of_mean
+from .. import optics
 from .interpolation import ChebyshevBox
 from .moments import slope_of
 from .reweight import attenuation, transmissions

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import Array
+from ...checks import Array
 
 
 @dataclass(frozen=True)

@@ -13,18 +13,18 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import geometry as finger_geometry
-from ..geometry import DistanceGrid, Geometry
-from ..io import CorruptError
-from ..scene import Board, Led, Light, Scene, digest
-from ..statistics import seed_of
-from . import optics
-from .finger_walk import FingerTracer, FingerWalk
-from .identity import light_scene
-from .records import check_arrays
+from ... import geometry as finger_geometry
+from ...geometry import DistanceGrid, Geometry
+from ...io import CorruptError
+from ...scene import Board, Led, Light, Scene, digest
+from ...statistics import seed_of
+from .. import optics
+from ..identity import light_scene
+from ..tracing.store import LightStore, made_by
+from ..transfer.records import check_arrays
+from .finger import FingerTracer, FingerWalk
+from .interfaces import Interfaces, Regions, ZoneEdges, table_of_rows
 from .sampling import TOP, Photon, PhotonEnds, lanes
-from .store import LightStore, made_by
-from .surroundings import Interfaces, Regions, ZoneEdges, table_of_rows
 
 # Photons walked at once.
 BATCH = 1 << 18

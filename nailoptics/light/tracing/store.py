@@ -17,14 +17,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from .. import io
-from ..assets import data_dir
-from ..errors import InputError, WriteError
-from ..scene import Scene
-from ..statistics import seed_of
-from .identity import led_digest, usual_layer_name
-from .records import SUMS, Batch, check_records
-from .transfer import current_versions
+from ... import io
+from ...assets import data_dir
+from ...errors import InputError, WriteError
+from ...scene import Scene
+from ...statistics import seed_of
+from ..identity import led_digest, usual_layer_name
+from ..transfer import current_versions
+from ..transfer.records import SUMS, Batch, check_records
 
 T = TypeVar("T")
 
@@ -46,7 +46,7 @@ _COLUMNS = ("photodiode", "weight", "path_mm")
 @cache
 def program_digest() -> str:
     """Digest of the code and the spectra that decide a photon's way; versions alone miss changes between releases."""
-    package, found = Path(__file__).parents[1], hashlib.sha256()
+    package, found = Path(__file__).parents[2], hashlib.sha256()
     code = [path for room in _ROOMS for path in package.glob(f"{room}/**/*.py")]
     for path in (package / "statistics.py", *sorted(code), *sorted((data_dir("assets") / "spectra").glob("*.csv"))):
         found.update(path.read_bytes())

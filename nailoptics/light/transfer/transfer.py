@@ -13,14 +13,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from .. import checks, io
-from ..commit import code_attributes
-from ..errors import InputError
-from ..scene import Scene, digest, parse_scene, to_toml
-from ..statistics import FEW_TERMS, upper_limit_95
-from ..variables import Variables, variable
-from . import optics
-from .identity import light_digest
+from ... import checks, io
+from ...commit import code_attributes
+from ...errors import InputError
+from ...scene import Scene, digest, parse_scene, to_toml
+from ...statistics import FEW_TERMS, upper_limit_95
+from ...variables import Variables, variable
+from .. import optics
+from ..identity import light_digest
 from .moments import Moments, RestState, moments_of
 from .records import COLUMNS, SUMS, LedTrace, check_arrays, joined
 

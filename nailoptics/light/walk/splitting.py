@@ -6,8 +6,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..geometry import Face, Geometry
-from .tallies.cell_grid import CellGrid
+from ...geometry import Face, Geometry
+from .tallies import CellGrid
 
 # A photon that comes within reach of a photodiode, in plate or epoxy, is walked there as so many copies of equal shares
 # of its weight. On the prototype the figure of merit of readings, and of their changes with blood, is 2 to 3 times that

@@ -9,12 +9,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import geometry as finger_geometry
-from ..geometry import SPACING_MM, DistanceGrid, Face, Geometry
-from ..scene import Scene
-from . import optics
+from ... import geometry as finger_geometry
+from ...geometry import SPACING_MM, DistanceGrid, Face, Geometry
+from ...scene import Scene
+from .. import optics
+from ..transfer.records import FINGER_BATCH_PHOTONS, Batch
 from .acceptance import Acceptance, acceptance_of
-from .records import FINGER_BATCH_PHOTONS, Batch
+from .interfaces import DETECTED, Emitter, FingerPhoton, Interfaces, Medium, Regions, ZoneEdges, off_surface
 from .sampling import (
     ABSORBED,
     LAMBERTIAN,
@@ -33,11 +34,7 @@ from .sampling import (
     state_of,
 )
 from .splitting import Reach, Splitting
-from .surroundings import DETECTED, Emitter, FingerPhoton, Interfaces, Medium, Regions, ZoneEdges, off_surface
-from .tallies.board_tally import BoardTally
-from .tallies.fluence import FluenceTally
-from .tallies.section import Section
-from .tallies.sensitivity import SensitivityTally
+from .tallies import BoardTally, FluenceTally, Section, SensitivityTally
 
 # Scatterings without a ray before lanes wait for each other; more leave lanes idle, fewer cast rays for few lanes.
 FREE_EVENTS = 6

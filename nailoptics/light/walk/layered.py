@@ -9,9 +9,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..scene import Led, Phantom, Scene
+from ...scene import Led, Phantom, Scene
+from ..transfer.records import Batch
 from .arithmetic import maximum, minimum, safe_sqrt
-from .records import Batch
 from .sampling import (
     ABSORBED,
     BOTTOM,

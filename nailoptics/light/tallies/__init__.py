@@ -1,1 +1,0 @@
-"""What a walk keeps of its photons on their way."""

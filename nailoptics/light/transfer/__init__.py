@@ -1,0 +1,23 @@
+"""Traced light that can be read in any state of the blood: records, their sums, interpolation between states."""
+
+from .transfer import (
+    MIN_EFFECTIVE_PHOTONS,
+    ReweightWarning,
+    Transfer,
+    current_versions,
+    mean_of_leds,
+    photodiode_names,
+    provenance,
+    rest_state,
+)
+
+__all__ = [
+    "MIN_EFFECTIVE_PHOTONS",
+    "ReweightWarning",
+    "Transfer",
+    "current_versions",
+    "mean_of_leds",
+    "photodiode_names",
+    "provenance",
+    "rest_state",
+]

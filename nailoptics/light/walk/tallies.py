@@ -1,0 +1,202 @@
+"""Tallies of a walk: what it keeps of photons on their way, and where they arrive on the board."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ...geometry import Geometry
+from ...scene import Scene
+from .arithmetic import atan2
+from .interfaces import FingerPhoton
+from .sampling import Photon, remaining
+
+
+class CellGrid:
+    """Cells of equal size along each axis, from a lowest corner on."""
+
+    def __init__(self, low_mm: Iterable[float], cell_mm: Iterable[float], count: Iterable[int]) -> None:
+        self.low = [dr.opaque(mi.Float, float(low)) for low in low_mm]
+        self.per_mm = [dr.opaque(mi.Float, float(1 / size)) for size in cell_mm]
+        self.count = [dr.opaque(mi.UInt32, int(n)) for n in count]
+
+    def cell(self, place: Sequence[Any], active: Any) -> tuple[Any, Any]:
+        """Index of the cell at a place, the last axis counting fastest, and whether there is one."""
+        index, inside = mi.UInt32(0), mi.Bool(active)
+        for value, low, per_mm, count in zip(place, self.low, self.per_mm, self.count, strict=True):
+            cell = mi.Int32(dr.floor((value - low) * per_mm))
+            inside &= (cell >= 0) & (mi.UInt32(cell) < count)
+            index = index * count + mi.UInt32(cell)
+        return index, inside
+
+
+# The bare board sends back a few percent, so that a photon may arrive again; a fifth time one in a million does.
+ARRIVALS = 4
+
+
+class BoardTally:
+    """Place, weight and paths of every arrival at the underside, in slots of their photon.
+
+    angles : whether the angles at which they meet it are kept, too.
+    """
+
+    def __init__(self, geometry: Geometry, *, photons: int, paths: int, angles: bool = False) -> None:
+        self.nail_mm, self.board_mm = (
+            dr.opaque(mi.Float, r) for r in (geometry.nail_radius_mm, geometry.board_radius_mm)
+        )
+        self.columns = [dr.zeros(mi.Float, photons * ARRIVALS) for _ in range(3 + paths)]
+        self.cosines = dr.zeros(mi.Float, photons * ARRIVALS) if angles else None
+
+    def add(self, photon: FingerPhoton, cos: Any, active: Any) -> None:
+        """Keep a photon that arrives once more, at an angle of this cosine."""
+        slot, inside = photon.index * ARRIVALS + photon.arrivals, active & (photon.arrivals < ARRIVALS)
+        u = self.board_mm * atan2(photon.p.x, photon.p.z + self.nail_mm)
+        values = (u, photon.p.y, photon.weight * remaining(photon.tau), *photon.path)
+        for column, value in zip(self.columns, values, strict=True):
+            dr.scatter(column, value, slot, inside)
+        if self.cosines is not None:
+            dr.scatter(self.cosines, cos, slot, inside)
+
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Photon (n,), place (n, 2) [mm], weight (n,), paths (t, n) [mm] and cosine (n,), in the order of the photons;
+        all cosines are 1 where angles are not kept."""
+        dr.eval(self.columns)
+        slot = np.flatnonzero(np.array(self.columns[2]))
+        u, v, weight, *paths = (np.array(column)[slot] for column in self.columns)
+        cos = np.ones(len(slot)) if self.cosines is None else np.array(self.cosines)[slot].astype(float)
+        return slot // ARRIVALS, np.stack([u, v], -1).astype(float), weight.astype(float), np.stack(paths), cos
+
+
+class FluenceTally:
+    """Sums of paths on rings around a place, by depth below the nail plate's outer face; above it is negative.
+
+    place_mm : (u, v) on the flat board. [mm]
+    radius_mm, depth_mm : edges, evenly spaced. [mm]
+    """
+
+    def __init__(
+        self, geometry: Geometry, place_mm: tuple[float, float], radius_mm: np.ndarray, depth_mm: np.ndarray
+    ) -> None:
+        self.radius_mm, self.depth_mm = radius_mm, depth_mm
+        self.nail, self.board, self.u, self.v = (
+            dr.opaque(mi.Float, float(x)) for x in (geometry.nail_radius_mm, geometry.board_radius_mm, *place_mm)
+        )
+        edges = (radius_mm, depth_mm)
+        self.shape = tuple(len(edge) - 1 for edge in edges)
+        self.grid = CellGrid([e[0] for e in edges], [e[1] - e[0] for e in edges], self.shape)
+        self.values = dr.zeros(mi.Float64, int(np.prod(self.shape)))
+
+    def add(self, photon: Photon, p: Any, path: Any, weight: Any, active: Any) -> None:
+        """Add a photon's path, of a middle p and a weight there. [mm]"""
+        height = p.z + self.nail
+        across, along = self.board * atan2(p.x, height) - self.u, p.y - self.v
+        place = dr.sqrt(across * across + along * along), self.nail - dr.sqrt(p.x * p.x + height * height)
+        cell, inside = self.grid.cell(place, active)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.values, mi.Float64(path * weight), cell, inside)
+
+    def density(self, photons: int) -> np.ndarray:
+        """Fluence rate per emitted power, (radius, depth) float. [mm^-2]"""
+        ring = np.pi * np.diff(self.radius_mm**2)[:, None] * np.diff(self.depth_mm)[None]
+        return np.array(self.values).reshape(self.shape) / (photons * ring)
+
+
+class Section:
+    """The light's path density on the longitudinal section, summed over the finger's width."""
+
+    def __init__(self, y_mm: np.ndarray, z_mm: np.ndarray) -> None:
+        self.y_mm, self.z_mm, self.spacing_mm = y_mm, z_mm, float(y_mm[1] - y_mm[0])
+        self.values = dr.zeros(mi.Float64, len(y_mm) * len(z_mm))
+        low = [float(axis[0] - self.spacing_mm / 2) for axis in (y_mm, z_mm)]
+        self.grid = CellGrid(low, [self.spacing_mm] * 2, [len(y_mm), len(z_mm)])
+
+    def add(self, photon: Photon, p: Any, path: Any, weight: Any, active: Any) -> None:
+        """Add a photon's path, of a middle p and a weight there. [mm]"""
+        cell, inside = self.grid.cell((p.y, p.z), active)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.values, mi.Float64(path * weight), cell, inside)
+
+    def density(self, photons: int) -> np.ndarray:
+        """Path per area of the section and emitted photon, (y, z) float. [mm^-1]"""
+        return np.array(self.values).reshape(len(self.y_mm), len(self.z_mm)) / (photons * self.spacing_mm**2)
+
+
+ACROSS_MM, ALONG_MM = 0.3, 0.2
+# Cells through the depth of the bed, and below it.
+BED_CELLS, DEEPER_CELLS = 16, 8
+
+
+@dataclass(frozen=True)
+class VoxelGrid:
+    """Cells under the nail, in its own coordinates: u across (as on the board), v along, depth below the plate's face.
+
+    u_mm, v_mm, depth_mm : edges, evenly spaced; the bed's faces are among those of the depth. [mm]
+    """
+
+    u_mm: np.ndarray
+    v_mm: np.ndarray
+    depth_mm: np.ndarray
+    nail_radius_mm: float
+    board_radius_mm: float
+
+    @staticmethod
+    def under_nail(scene: Scene, geometry: Geometry) -> "VoxelGrid":
+        """Cells from the plate through the bed into what lies below, over the whole nail."""
+        finger = scene.finger
+        assert finger is not None
+        half_u = finger.nail_width_mm / 2 * geometry.board_radius_mm / geometry.nail_radius_mm
+        half_v, step = finger.nail_length_mm / 2, finger.bed_thickness_mm / BED_CELLS
+        above = int(finger.nail_thickness_mm / step)
+        return VoxelGrid(
+            np.linspace(-half_u, half_u, max(2, round(2 * half_u / ACROSS_MM) + 1)),
+            np.linspace(-half_v, half_v, max(2, round(2 * half_v / ALONG_MM) + 1)),
+            finger.nail_thickness_mm + step * np.arange(-above, BED_CELLS + DEEPER_CELLS + 1),
+            geometry.nail_radius_mm,
+            geometry.board_radius_mm,
+        )
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """How many cells in u, v and depth."""
+        return len(self.u_mm) - 1, len(self.v_mm) - 1, len(self.depth_mm) - 1
+
+    @cached_property
+    def volume_mm3(self) -> np.ndarray:
+        """Volume of the cells, which narrow with the depth, (1, 1, depth) float. [mm^3]"""
+        radius = self.nail_radius_mm - (self.depth_mm[1:] + self.depth_mm[:-1]) / 2
+        area = (self.u_mm[1] - self.u_mm[0]) * (self.v_mm[1] - self.v_mm[0])
+        return (area * (self.depth_mm[1] - self.depth_mm[0]) * radius / self.board_radius_mm)[None, None]
+
+
+class SensitivityTally:
+    """Sums of paths on cells, each times what its photon counts for, in several groups of photons.
+
+    weight, group : (photons,) What each photon of the walk counts for, and in which group.
+    """
+
+    def __init__(self, cells: VoxelGrid, weight: np.ndarray, group: np.ndarray, groups: int) -> None:
+        self.cells, self.groups = cells, groups
+        self.weight, self.group = mi.Float(weight.astype(np.float32)), mi.UInt32(group.astype(np.uint32))
+        self.values = dr.zeros(mi.Float64, groups * int(np.prod(cells.shape)))
+        self.per_group = dr.opaque(mi.UInt32, int(np.prod(cells.shape)))
+        self.radii = [dr.opaque(mi.Float, r) for r in (cells.nail_radius_mm, cells.board_radius_mm)]
+        edges = (cells.u_mm, cells.v_mm, cells.depth_mm)
+        self.grid = CellGrid([e[0] for e in edges], [e[1] - e[0] for e in edges], cells.shape)
+
+    def add(self, photon: Photon, p: Any, path: Any, weight: Any, active: Any) -> None:
+        """Add a photon's path, of a middle p, times what it counts for in the end, whatever it weighs there. [mm]"""
+        nail, board = self.radii
+        height = p.z + nail
+        place = (board * atan2(p.x, height), p.y, nail - dr.sqrt(p.x * p.x + height * height))
+        cell, inside = self.grid.cell(place, active)
+        group = dr.gather(mi.UInt32, self.group, photon.index, active)
+        counts = dr.gather(mi.Float, self.weight, photon.index, active)
+        dr.scatter_reduce(
+            dr.ReduceOp.Add, self.values, mi.Float64(path * counts), group * self.per_group + cell, inside
+        )
+
+    def sums(self) -> np.ndarray:
+        """Sums in each group and cell, (groups, u, v, depth) float. [mm]"""
+        return np.array(self.values).reshape(self.groups, *self.cells.shape)
