@@ -56,6 +56,7 @@ app = App(
     version=_version,
     suppress_keyboard_interrupt=False,
     help="Simulate an optical sensor on a fingernail: touch, blood, traced light, photodiode volts.",
+    help_epilogue="Terms and symbols: docs/glossary.md in the repository.",
 )
 
 ScenePath = Annotated[str, Parameter(help="A scene file (TOML), or the name of a shipped one such as prototype.")]

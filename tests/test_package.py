@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 # What only some users need, each an extra of its own.
 EXTRAS = PROJECT["project"]["optional-dependencies"]
-OPTIONAL = [one for name in ("cluster", "cad", "judges") for one in EXTRAS[name]]
+OPTIONAL = [one for name in ("cluster", "cad", "validation") for one in EXTRAS[name]]
 # Packages whose distribution has another name.
 DISTRIBUTION = {"PIL": "pillow", "colour": "colour-science", "dask": "distributed"}
 
