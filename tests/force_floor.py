@@ -9,12 +9,13 @@ import numpy as np
 from force_scores import VirtualPerson, asked_of
 
 from nailoptics.hemodynamics import cardiac_pressure
+from nailoptics.hemodynamics.for_scene import arterial_waveform
 from nailoptics.hemodynamics.steady import solve_walls
 from nailoptics.hemodynamics.waves import CardiacOscillator, DampedOscillator
 from nailoptics.scene import Scene
 from nailoptics.scene.body import Heartbeat
 from nailoptics.scene.sensor_recordings import SITES, Recording
-from nailoptics.studies.blood_states import arterial_waveform
+from nailoptics.sensor.drift_motion import sensor_course
 from nailoptics.studies.force.body_noise import HARMONICS, HEIGHT_SPREAD, passed
 from nailoptics.studies.force.correction import no_correction
 from nailoptics.studies.force.network import touch_on_walls, widths_over
@@ -22,7 +23,6 @@ from nailoptics.studies.force.person import Person
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject
 from nailoptics.studies.force.virtual_people import TOUCHES, Site, touch_of
-from nailoptics.studies.worn_sensor import sensor_course
 
 # Steps of derivatives by pressures [N/cm^2, N/cm^2, Pa], and what is known of the touch's before any reading.
 STEPS, TOUCH_SPREAD = np.array([0.01, 0.01, 50.0]), 0.5

@@ -4,7 +4,7 @@ import numpy as np
 
 from nailoptics.light.pair_kernel import RadialFunction, pair_basis
 from nailoptics.scene import Scene
-from nailoptics.studies.ambient import SOURCES
+from nailoptics.sensor.ambient import SOURCES
 from nailoptics.studies.exploration.blood_polynomial import BloodPolynomial
 from nailoptics.studies.exploration.blood_ratio import ratio_basis
 from nailoptics.studies.exploration.colour_table import BLOCKS, ColourTable

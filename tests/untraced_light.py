@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from nailoptics import electronics
 from nailoptics.light import optics
 from nailoptics.light.transfer.series import Course
 from nailoptics.scene import Scene
+from nailoptics.sensor import electronics
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
 
 # How strongly the logarithm of a reading falls with the blood of the two halves of the bed, as traced light has it for

@@ -52,7 +52,7 @@ def _at_rest(transfer: Transfer) -> xr.Dataset:
 
 
 def _simulate(transfer: Transfer, seed: int) -> xr.Dataset:
-    from ..studies.blood_states import blood_over_touch
+    from ..hemodynamics.for_scene import blood_over_touch
     from ..studies.simulate import simulate_from
 
     course = blood_over_touch(transfer.scene)

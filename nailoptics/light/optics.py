@@ -7,9 +7,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import checks, hemodynamics, tissue
+from .. import checks, tissue
 from ..errors import InputError
 from ..geometry import AROUND
+from ..hemodynamics.for_scene import zone_so2
 from ..scene import Led, Scene
 
 # Regions of a finger's geometry that light scatters in or passes; all others are opaque, but for the air.
@@ -139,19 +140,6 @@ def absorption(
         column = base + blood * np.asarray(mixed.per_blood_fraction_per_mm)
         columns.append(np.broadcast_to(column, (*shape, len(wavelength))))
     return np.stack(columns, -1)
-
-
-def zone_so2(scene: Scene, blood_fraction: np.ndarray) -> np.ndarray:
-    """Oxygen saturation of the bed's blood, from how much of it there is, any shape. [1]"""
-    blood = scene.blood
-    if blood.venous_so2 is None:
-        return np.full(np.shape(blood_fraction), blood.so2)
-    return hemodynamics.saturation(
-        blood_fraction,
-        rest_blood_fraction=blood.rest_blood_fraction,
-        arterial_so2=blood.so2,
-        venous_so2=blood.venous_so2,
-    )
 
 
 def spectrum(led: Led, points: int = 5) -> tuple[np.ndarray, np.ndarray]:

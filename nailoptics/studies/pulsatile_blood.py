@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..hemodynamics.for_scene import blood_over_touch, force_course
 from ..scene import Body, Scene, Touch
 from ..scene.oximeter import two_leds
-from .blood_states import blood_over_touch, force_course
 
 Array = NDArray[np.float64]
 

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from .. import electronics
 from ..errors import InputError
+from ..hemodynamics.for_scene import blood_over_touch, forces_with_two_balances_n
 from ..light import optics
 from ..light.diffusion import DiffusionModel
 from ..scene import Scene
-from .blood_states import blood_over_touch, forces_with_two_balances_n
+from ..sensor import electronics
 from .oximetry.disturbances import warnings_without_light
 from .placement import boards
 

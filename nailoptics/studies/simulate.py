@@ -9,19 +9,19 @@ from typing import Unpack
 import numpy as np
 import xarray as xr
 
-from .. import electronics
 from ..errors import InputError, NotReachedError, as_far_as_reached
+from ..hemodynamics.for_scene import blood_over_touch, zones_of_photodiodes
 from ..light import DetectedLight, ProgressCallback, Transfer, open_light, optics, section
 from ..light.tracing import accuracy
 from ..memory import give_back
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import OpticsFit, fit_beer_lambert, fit_taylor
 from ..scene import Photodiode, Scene
+from ..sensor import electronics
+from ..sensor.drift_motion import MovedLight, by_motion, moved_boards, moved_light, sensor_course
 from ..variables import Variables, precision, variable
-from .blood_states import blood_over_touch, zones_of_photodiodes
 from .per_sample import per_sample
 from .prior_uncertainty import read_by_groups, readings_over_priors
-from .worn_sensor import MovedLight, by_motion, moved_boards, moved_light, sensor_course
 
 COORDINATES = {
     "time": "time from the start of the simulation",

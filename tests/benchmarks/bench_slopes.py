@@ -103,8 +103,8 @@ def states(count: int) -> Callable[[], object]:
 
 def samples(count: int, name: str = "prototype", zones: int = 2) -> Callable[[], object]:
     """Ten seconds at a higher rate: the vessels, the readings and the fits, without the photons."""
+    from nailoptics.hemodynamics.for_scene import blood_over_touch
     from nailoptics.light import open_light
-    from nailoptics.studies.blood_states import blood_over_touch
     from nailoptics.studies.simulate import simulate_from
 
     asked = shipped(name)

@@ -7,12 +7,12 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.errors import InputError
+from nailoptics.hemodynamics.for_scene import blood_over_touch
 from nailoptics.light import ReweightWarning, Transfer, optics
 from nailoptics.light.transfer import series as course_module
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.light.transfer.series import MAX_ZONES_BETWEEN_NODES, course
 from nailoptics.scene import Scene, parse_scene
-from nailoptics.studies.blood_states import blood_over_touch
 
 FINGER = """
 schema_version = 1

@@ -18,8 +18,8 @@ from nailoptics.light.transfer.series import course, read_replicates
 from nailoptics.light.walk.finger import FingerTracer
 from nailoptics.paper.reduced_optics import fit_curve
 from nailoptics.scene import Accuracy, Scene, parse_scene
+from nailoptics.sensor import information
 from nailoptics.statistics import jackknife, left_out, stderr_of_mean
-from nailoptics.studies.placement import fisher
 
 FINGER = """
 schema_version = 1
@@ -139,7 +139,7 @@ def test_intervals_of_everything_read_from_a_trace_of_a_finger(jit_backend, runs
 def test_intervals_of_the_map_and_of_the_force_that_a_layout_resolves(jit_backend, runs):
     """Expected: sums over a rectangle by photons, cells of the map by blocks, the resolution by their jackknife."""
     scene = parse_scene(FINGER)
-    tracer, point, at = BoardTracer(scene), blood_point(scene, 0), fisher.operating_point(scene, 0.5)
+    tracer, point, at = BoardTracer(scene), blood_point(scene, 0), information.operating_point(scene, 0.5)
     areas, outline = list(scene.layout.photodiode_areas), scene.layout.outline
 
     def mapped(several: list[Arrivals]) -> Estimates:
@@ -151,8 +151,8 @@ def test_intervals_of_the_map_and_of_the_force_that_a_layout_resolves(jit_backen
         numbers = np.concatenate([a.photon + i * photons for i, a in enumerate(several)])
         together = Arrivals(photons * len(several), numbers, *columns)
         left = left_out(one.over(areas))
-        volts = fisher.response(left, scene.leds[0], scene.photodiodes[0], scene.electronics, at)
-        resolution = fisher.force_resolution_n(fisher.fisher_information(volts).sum(-2), at)
+        volts = information.response(left, scene.leds[0], scene.photodiodes[0], scene.electronics, at)
+        resolution = information.force_resolution_n(information.fisher_information(volts).sum(-2), at)
         mean, error = one.per_mm2()
         # The cell in which the first photodiode's centre lies.
         u, v = areas[0].center_mm

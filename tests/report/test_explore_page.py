@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 from made_exploration import made_exploration
 
-from nailoptics import electronics, load_scene
+from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
+from nailoptics.hemodynamics.for_scene import steady_blood
 from nailoptics.io import FORMULA
 from nailoptics.report.pages.explore.page import page
 from nailoptics.scene import to_toml
 from nailoptics.scene.files import parse_scene
 from nailoptics.scene.positions import read_positions
-from nailoptics.studies.blood_states import steady_blood
+from nailoptics.sensor import electronics
+from nailoptics.sensor.information import Response, force_resolution_n, operating_point, total_information
 from nailoptics.studies.exploration.explore import Exploration
-from nailoptics.studies.placement.fisher import Response, force_resolution_n, operating_point, total_information
 from nailoptics.studies.placement.result import kicad_parts
 
 

@@ -5,9 +5,9 @@ import pytest
 
 from nailoptics import scene
 from nailoptics.assets import asset_path, data_dir
-from nailoptics.electronics import photodiode_responsivity_a_per_w
 from nailoptics.errors import InputError
 from nailoptics.scene.catalogue import LedPart, ModulePart, PhotodiodePart, load_part
+from nailoptics.sensor.electronics import photodiode_responsivity_a_per_w
 
 PARTS = sorted(path.name for path in (data_dir("assets") / "parts").glob("*.toml"))
 LED = 'kind = "led"\npeak_nm = 805\nfwhm_nm = 30\nflux_mw = 2\n'

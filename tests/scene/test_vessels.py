@@ -7,9 +7,9 @@ from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import Parameters, parameters
+from nailoptics.hemodynamics.for_scene import blood_over_touch, forces_with_two_balances_n, vessels
 from nailoptics.report.summaries import check_lines
 from nailoptics.scene import Tuning, parse_scene
-from nailoptics.studies.blood_states import blood_over_touch, forces_with_two_balances_n, vessels
 
 DISTAL = """profile = "hold"
 force_n = 1.0

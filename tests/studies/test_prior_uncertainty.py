@@ -9,6 +9,7 @@ import pytest
 from nailoptics import load_scene, parse_scene, simulate, to_toml
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
+from nailoptics.hemodynamics.for_scene import steady_blood
 from nailoptics.light import ReweightWarning, Transfer, optics, trace
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.light.transfer.series import course
@@ -16,7 +17,6 @@ from nailoptics.options import TraceOptions
 from nailoptics.scene import Priors, Scene
 from nailoptics.scene.priors import Prior, PriorRange, shipped_priors
 from nailoptics.statistics import Z95, jackknife
-from nailoptics.studies.blood_states import steady_blood
 from nailoptics.studies.prior_uncertainty import (
     WEIGHTS,
     PriorSensitivity,

@@ -5,9 +5,9 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.assets import data_dir
+from nailoptics.hemodynamics.for_scene import blood_over_touch
 from nailoptics.scene import load_scene, parse_scene, to_toml
 from nailoptics.scene.sweep import load_sweep
-from nailoptics.studies.blood_states import blood_over_touch
 
 
 def scene(name):

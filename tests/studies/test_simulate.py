@@ -13,11 +13,11 @@ import xarray as xr
 from nailoptics import variables
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
+from nailoptics.hemodynamics.for_scene import blood_over_touch
 from nailoptics.io import write_dataset
 from nailoptics.light import detect, open_light
 from nailoptics.light.reference import states
 from nailoptics.scene import Scene, digest, load_scene, parse_scene
-from nailoptics.studies.blood_states import blood_over_touch
 from nailoptics.studies.simulate import simulate, simulate_from
 
 

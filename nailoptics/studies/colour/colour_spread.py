@@ -4,12 +4,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from ...hemodynamics.for_scene import steady_blood
 from ...light.identity import light_digest
 from ...light.walk.nail_reflectance import BareNail
 from ...scene import Scene, Viewing
 from ...statistics import seed_of
 from ...variables import variable
-from ..blood_states import steady_blood
 from ..prior_uncertainty import only_absorbs, over_priors
 from .colorimetry import Viewer
 from .enough_rays import Places, look_of

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from ...checks import explain
 from ...errors import InputError, NotReachedError
+from ...hemodynamics.for_scene import steady_blood
 from ...light import ProgressCallback, backend
 from ...light.tracing import StageProgress
 from ...light.tracing.store import LightStore
@@ -23,7 +24,6 @@ from ...scene import Scene, Viewing
 from ...scene.viewing import Illuminant, LightFrom, Observer
 from ...statistics import jackknife
 from ...variables import variable
-from ..blood_states import steady_blood
 from .colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
 from .colour_spread import spread_of_colours
 from .enough_rays import TILE_MM, Places, look_of, places_of, stderr_of_colour, walk_until_known

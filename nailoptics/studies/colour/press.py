@@ -6,10 +6,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from ...hemodynamics.for_scene import blood_over_touch
 from ...scene import Scene, Touch, Viewing
 from ...statistics import jackknife
 from ...variables import variable
-from ..blood_states import blood_over_touch
 from ..pulsatile_blood import beat_at
 from .colorimetry import Viewer, delta_e_2000
 from .enough_rays import Places, look_of

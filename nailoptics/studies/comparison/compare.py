@@ -11,6 +11,7 @@ import xarray as xr
 
 from ... import tissue
 from ...errors import InputError, NotReachedError, as_far_as_reached
+from ...hemodynamics.for_scene import capillary_zones, largest_force_n, steady_blood, zones_of_photodiodes
 from ...light import ProgressCallback, Transfer, optics, trace
 from ...light.transfer.series import read_replicates
 from ...options import Requested, TraceOptions
@@ -18,7 +19,6 @@ from ...scene import Scene
 from ...scene.files import scene_of
 from ...statistics import seed_of
 from ...variables import Variables, variable
-from ..blood_states import capillary_zones, largest_force_n, steady_blood, zones_of_photodiodes
 from .formula_errors import MODELS, PARTS, TOLERANCES, WAYS, Over, StateSweep, TracedSweep, formula_errors
 
 OVER: tuple[Over, ...] = ("force", "blood", "saturation")

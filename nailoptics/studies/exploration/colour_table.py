@@ -12,8 +12,8 @@ from ...light.pair_kernel import PairBasis, PairProjection, RadialFunction, line
 from ...light.transfer.reweight import transmissions
 from ...options import BackendName
 from ...scene import Led, Scene
+from ...sensor.ambient import SOURCES, photocurrents_a
 from ...statistics import seed_of
-from ..ambient import SOURCES, photocurrents_a
 from .blood_polynomial import BloodPolynomial
 from .blood_ratio import RatioSums, at_edge, ratio_basis, traced_edges_mm
 

@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
+from ...hemodynamics.for_scene import largest_force_n, touch_areas_mm2, touch_pressures_pa
 from ...scene import Scene
-from ..blood_states import largest_force_n, touch_areas_mm2, touch_pressures_pa
+from ...sensor.information import PRIOR_PA, operating_point
+from ...sensor.physiological_noise import LIFT_PER_UM
 from ..placement import boards
-from ..placement.body_waves import LIFT_PER_UM
-from ..placement.fisher import PRIOR_PA, operating_point
 
 # Forces at which the blood is computed, denser where it changes more, up to this or a quarter beyond the scene's touch.
 FORCES, LEAST_REACH_N = 33, 4.0

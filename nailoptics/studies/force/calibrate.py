@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...hemodynamics import steady_state
+from ...hemodynamics.for_scene import vessels
 from ...light import ProgressCallback, open_light
 from ...light.tracing import StageProgress
 from ...options import Requested
 from ...scene import Scene, Touch, digest, to_toml
 from ...scene.sensor_recordings import SATURATED, SITES, Recording, read_sensor_recording
 from ...variables import variable
-from ..blood_states import vessels
 from .baselines import Regression, component_regression, linear_regression, whole_samples
 from .body_noise import learn_noise
 from .correction import Correction, learn_correction, no_correction

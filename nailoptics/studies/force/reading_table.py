@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import electronics
 from ...errors import InputError
+from ...hemodynamics.for_scene import zones_of_photodiodes
 from ...light import DetectedLight
 from ...scene import Scene
-from ..blood_states import zones_of_photodiodes
+from ...sensor import electronics
 
 Array = NDArray[np.float64]
 

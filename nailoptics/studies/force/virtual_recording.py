@@ -5,12 +5,12 @@ from typing import Literal
 import numpy as np
 import xarray as xr
 
-from ... import electronics
+from ...hemodynamics.for_scene import blood_over_touch
 from ...light import DetectedLight
 from ...scene import Scene, Touch
 from ...scene.sensor_recordings import SITES, Recording
+from ...sensor import electronics
 from ...statistics import seed_of
-from ..blood_states import blood_over_touch
 from ..simulate import simulate_from
 from .reading_table import reading_names
 

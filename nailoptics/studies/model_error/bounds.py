@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from ... import electronics, tissue
+from ... import tissue
 from ...light import optics
 from ...scene import Scene
 from ...scene.files import scene_of
 from ...scene.rectangles import Rectangle
+from ...sensor import electronics
+from ...sensor.ambient import SOURCES, collecting_area_mm2
 from ...statistics import Z95
-from ..ambient import SOURCES, collecting_area_mm2
 from .effect import Change, Effect, effect_of
 from .paired import UNSEEN, Difference, PairedReadings, difference, end_states
 from .variants import revised

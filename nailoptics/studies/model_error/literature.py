@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 
 from ... import tissue
+from ...hemodynamics.for_scene import zones_of_photodiodes
 from ...scene import Scene
-from ..blood_states import zones_of_photodiodes
 
 # Mean path of detected light over the distance from source to detector: adult forearm, 807 nm, distances of
 # centimetres: 4.16 +- 0.78 (Duncan et al. 1995, Phys. Med. Biol. 40, 295). None was found for a finger or millimetres.

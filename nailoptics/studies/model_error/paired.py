@@ -9,6 +9,7 @@ import numpy as np
 
 from ... import geometry
 from ...errors import InputError, NotReachedError, as_far_as_reached
+from ...hemodynamics.for_scene import largest_force_n, steady_blood
 from ...light import ProgressCallback, TraceProgress, Transfer, optics, trace
 from ...light.tracing import photons_engine, seconds_per_sample
 from ...light.transfer.records import LedTrace
@@ -16,7 +17,6 @@ from ...light.transfer.reweight import transmissions
 from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
 from ...statistics import FEW_TERMS, farther_end
-from ..blood_states import largest_force_n, steady_blood
 
 PILOT_PHOTONS = 1 << 17
 LEAST_PHOTONS = 1 << 14

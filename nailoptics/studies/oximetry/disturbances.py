@@ -15,11 +15,11 @@ from ...light.identity import light_scene
 from ...light.tracing.store import LightStore
 from ...scene import Oximeter, Scene
 from ...scene.oximeter import two_leds
+from ...sensor.ambient import SOURCES, Ambient, photocurrents_a
+from ...sensor.front_end import SampledFrontEnd
 from ...statistics import Z95, jackknife, seed_of
-from ..ambient import SOURCES, Ambient, photocurrents_a
 from ..pulsatile_blood import BloodBeat, beat_at, rest_force_n
 from .ratio import MEASURED, TEXTBOOK, Pulsation, estimate, evaluate, in_scene, read_pulsations, saturation_of
-from .slots import SampledFrontEnd
 
 Array = NDArray[np.float64]
 

@@ -13,6 +13,7 @@ from ...light.tracing import accuracy
 from ...light.tracing.store import LightStore
 from ...options import Requested, TraceOptions
 from ...scene import Oximeter, Scene
+from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_ends_of, ratio_stderr
 from ...statistics import jackknife, seed_of
 from ...variables import Variables, variable
 from ..pulsatile_blood import BloodBeat, beat_at, heart_rate_per_min, oximeter_leds, rest_force_n
@@ -40,7 +41,6 @@ from .ratio import (
 )
 from .ratio_trace import trace_for_ratio
 from .recording import light_of_touch
-from .slots import AVERAGE_S, CAUSES, SampledFrontEnd, front_ends_of, ratio_stderr
 
 Array = NDArray[np.float64]
 

@@ -7,17 +7,17 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from ... import electronics
+from ...hemodynamics.for_scene import blood_over_touch
 from ...light import Transfer
 from ...light.transfer.interpolation import ChebyshevBox
 from ...scene import Oximeter, Scene
 from ...scene.oximeter import DARK
 from ...scene.slot_recordings import OximeterRecording, read_oximeter_recording
+from ...sensor import electronics
+from ...sensor.front_end import SampledFrontEnd, front_ends_of
 from ...statistics import seed_of
-from ..blood_states import blood_over_touch
 from ..pulsatile_blood import oximeter_leds
 from .ratio import read_states
-from .slots import SampledFrontEnd, front_ends_of
 from .spo2_over_time import CalibrationCurve, pulses_over_time, spo2_over_time
 
 Array = NDArray[np.float64]

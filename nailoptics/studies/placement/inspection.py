@@ -14,11 +14,11 @@ from ...light.board_map import Arrivals, BloodPoint, BoardTracer, PhotonMap, blo
 from ...light.identity import light_scene
 from ...light.tracing.store import LightStore
 from ...scene import Photodiode, Scene
+from ...sensor.ambient import SOURCES, photocurrents_a
+from ...sensor.information import Response, force_resolution_n, responses, total_information
 from ...statistics import FEW_TERMS, Z95, jackknife, left_out, seed_of, stderr_of_mean
 from ...variables import Variables, variable
-from ..ambient import SOURCES, photocurrents_a
 from . import boards
-from .fisher import Response, force_resolution_n, responses, total_information
 from .photon_maps import FingerCondition
 
 LEAST_BATCHES = 8

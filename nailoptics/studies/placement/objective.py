@@ -7,7 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...scene import Placement
-from .fisher import OperatingPoint, Response, fisher_information, force_resolution_n, over_fingers, share_resolution
+from ...sensor.information import (
+    OperatingPoint,
+    Response,
+    fisher_information,
+    force_resolution_n,
+    over_fingers,
+    share_resolution,
+)
 from .oxygen_rank import OxygenRule
 
 Array = NDArray[np.float64]

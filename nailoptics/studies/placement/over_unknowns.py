@@ -9,12 +9,19 @@ import xarray as xr
 from ...light.board_map import Arrivals, BoardTracer, blood_point, readings
 from ...light.identity import light_digest, light_scene
 from ...scene import FingerCase, Placement, Prior, Scene
+from ...sensor.information import (
+    OperatingPoint,
+    force_resolution_n,
+    operating_point,
+    over_fingers,
+    responses,
+    total_information,
+)
 from ...statistics import Z95, jackknife, left_out
 from ...variables import variable
 from ..prior_uncertainty import PriorSensitivity, at_value, nodes_of, only_absorbs, prior_variables
 from . import boards
 from .boards import CandidateLayout
-from .fisher import OperatingPoint, force_resolution_n, operating_point, over_fingers, responses, total_information
 from .photon_maps import PhotonMapCache, batch_seed
 
 # The best layouts that are read again at every node of every prior, from so many blocks of photons.

@@ -10,10 +10,10 @@ from ... import tissue
 from ...errors import InputError
 from ...scene import FingerCase, Oximeter, Scene
 from ...scene.oximeter import two_leds
-from ..oximetry.slots import AVERAGE_S
+from ...sensor.front_end import AVERAGE_S
+from ...sensor.information import Response
 from ..pulsatile_blood import beat_at, oximeter_leds
 from . import boards
-from .fisher import Response
 
 Array = NDArray[np.float64]
 

@@ -7,12 +7,12 @@ import xarray as xr
 
 from ...light.board_map import PhotonMap
 from ...scene import Scene
+from ...sensor.information import Response, fisher_information, responses
 from ...statistics import jackknife, left_out
 from ...variables import variable
 from . import boards
 from .boards import CandidateLayout
 from .exchange import exchange
-from .fisher import Response, fisher_information, responses
 from .objective import Objective
 from .photon_maps import PhotonMapCache
 from .sites import PhotodiodePlaces, Sites

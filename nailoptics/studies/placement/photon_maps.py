@@ -12,9 +12,9 @@ from ...light.identity import light_digest, light_scene
 from ...light.tracing.store import LightStore
 from ...scene import FingerCase, Led, Scene, digest
 from ...scene.rectangles import Rectangle
+from ...sensor.information import OperatingPoint, Response, responses
 from ...statistics import left_out, seed_of
 from . import boards
-from .fisher import OperatingPoint, Response, responses
 
 # Cells of the distances that the walk asks for, of boards that are traced for a second or two each: made in 0.3 s of
 # processor time less than the usual ones, a tenth slower to walk.

@@ -18,9 +18,9 @@ from ...light.tracing import StageProgress
 from ...light.tracing.store import LightStore
 from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, load_scene
+from ...sensor.information import operating_point
 from . import boards, search
 from .boards import CandidateLayout
-from .fisher import operating_point
 from .inspection import inspect_layout
 from .objective import Objective
 from .over_unknowns import resolution_over_unknowns

@@ -11,11 +11,11 @@ from ...light.transfer import provenance
 from ...scene import Scene, parse_scene, to_toml
 from ...scene.outlines import Outline
 from ...scene.positions import PlacedPart
+from ...sensor import information
+from ...sensor.information import OperatingPoint, Response
 from ...statistics import FEW_TERMS, jackknife, left_out
 from ...variables import Variables, variable
-from . import fisher
 from .boards import CandidateLayout, rules, straightened
-from .fisher import OperatingPoint, Response
 from .photon_maps import FingerCondition
 from .scores import LayoutScore, resolution_stderr_n
 from .search import SearchedSite
@@ -98,18 +98,18 @@ def _ranking(
     found["origin"] = (one, np.array(origin), {"long_name": "given, searched or the paper's"})
     found["scene"] = (one, np.array(scenes), {"long_name": "the layout as a scene"})
     value, text = of_all_photons("resolution_n"), "force resolution on each finger"
-    feigned = np.array([fisher.feigned_force_n(condition.point) for condition in conditions])
+    feigned = np.array([information.feigned_force_n(condition.point) for condition in conditions])
     errors = [resolution_stderr_n(score.resolution_n, feigned) for score in scores]
     found |= variable("finger_resolution_n", both, value, text, units="N", stderr=errors)
-    information, text = of_all_photons("information_per_pa2"), "force resolution if the split of the force is known"
-    fixed = [fisher.fixed_ratio_resolution_n(information[:, k], one.point) for k, one in enumerate(conditions)]
+    per_pa2, text = of_all_photons("information_per_pa2"), "force resolution if the split of the force is known"
+    fixed = [information.fixed_ratio_resolution_n(per_pa2[:, k], one.point) for k, one in enumerate(conditions)]
     found |= variable("fixed_ratio_resolution_n", both, np.stack(fixed, 1), text, units="N")
-    value, text = fisher.pressure_resolution_pa(information), "resolution of each pressure"
+    value, text = information.pressure_resolution_pa(per_pa2), "resolution of each pressure"
     found |= variable("pressure_resolution_pa", pressures, value, text, units="Pa")
-    value = information[..., [[0, 1], [1, 2]]]
+    value = per_pa2[..., [[0, 1], [1, 2]]]
     text = "Fisher information of the two pressures in one sample of all readings"
     found |= variable("fisher_information_per_pa2", (*pressures, "pressure_too"), value, text, units="Pa-2")
-    numbers = [[max(map(fisher.condition_number, by_led)) for by_led in score.responses] for score in scores]
+    numbers = [[max(map(information.condition_number, by_led)) for by_led in score.responses] for score in scores]
     text = "condition number of the matrix of readings by blood zones"
     return found | variable("condition_number", both, numbers, text)
 
@@ -127,7 +127,7 @@ def _still(scores: Sequence[LayoutScore], conditions: Sequence[FingerCondition])
     text, over = "force resolution by the noise of the electronics alone on each finger", ("layout", "finger")
     by_finger = [resolution_stderr_n(score.electronics_resolution_n) for score in scores]
     found |= variable("finger_electronics_resolution_n", over, each, text, units="N", stderr=by_finger)
-    feigned = [fisher.feigned_force_n(condition.point) for condition in conditions]
+    feigned = [information.feigned_force_n(condition.point) for condition in conditions]
     text = "force, rms, that waves of the arterial pressure feign: no layout resolves finer"
     return found | variable("feigned_force_n", "finger", feigned, text, units="N")
 
@@ -197,10 +197,10 @@ def _photodiode_anywhere(scene: Scene, maps: Sequence[PhotonMap], point: Operati
     noise, resolution, error = [], [], []
     for k, (led, one) in enumerate(zip(scene.leds, maps, strict=True)):
         values, amplifier = left_out(one.over(areas)), scene.electronics
-        read = fisher.response(values, led, photodiode, amplifier, point, number=k, replicates=True)
+        read = information.response(values, led, photodiode, amplifier, point, number=k, replicates=True)
         noise.append(read.noise_v[0].reshape(u.shape))
         with np.errstate(divide="ignore", invalid="ignore"):
-            replicates = fisher.fixed_ratio_resolution_n(fisher.fisher_information(read), point)
+            replicates = information.fixed_ratio_resolution_n(information.fisher_information(read), point)
             error.append((replicates[0] * jackknife(np.log(replicates))).reshape(u.shape))
         resolution.append(replicates[0].reshape(u.shape))
     dims = ("led", "place_u", "place_v")

@@ -9,9 +9,7 @@ import numpy as np
 from ...errors import NotReachedError
 from ...light.tracing import Ending, StageProgress, Trigger, run_until
 from ...scene import digest
-from ...statistics import jackknife, t95
-from .boards import CandidateLayout
-from .fisher import (
+from ...sensor.information import (
     Response,
     feigned_force_n,
     force_resolution_n,
@@ -19,6 +17,8 @@ from .fisher import (
     pressure_information,
     total_information,
 )
+from ...statistics import jackknife, t95
+from .boards import CandidateLayout
 from .objective import Objective, weighted
 from .photon_maps import PhotonMapCache
 

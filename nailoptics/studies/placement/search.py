@@ -12,10 +12,10 @@ from ...light.tracing import StageProgress
 from ...scene import Placement, Scene
 from ...scene.base import Point
 from ...scene.rectangles import Rectangle
+from ...sensor.information import responses
 from . import boards
 from .boards import CandidateLayout
 from .exchange import Tables, Together
-from .fisher import responses
 from .objective import Objective
 from .photon_maps import PhotonMapCache
 from .sites import LedRow, LedSite, PhotodiodePlaces, Sites

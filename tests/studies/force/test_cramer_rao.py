@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from nailoptics.hemodynamics import parameters
+from nailoptics.sensor import information
 from nailoptics.studies.force.correction import no_correction
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject, parse_subject
-from nailoptics.studies.placement import fisher
 
 
 @pytest.fixture(scope="module")
@@ -48,12 +48,12 @@ def test_a_held_touch_is_told_as_finely_as_placement_promises(known: Subject, si
     """
     force_n, light, scene = 0.5, made_sensor.table(), made_sensor.scene()
     touch = scene.touch.model_copy(update={"proximal_share": share, "contact_area_mm2": 100.0})
-    point = fisher.operating_point(scene.model_copy(update={"touch": touch, "body": None}), force_n)
+    point = information.operating_point(scene.model_copy(update={"touch": touch, "body": None}), force_n)
     volts, by_blood = light.slopes(point.blood_fraction)
-    read = fisher.Response(volts, light.noise_v**2, by_blood @ point.blood_per_pa, by_blood, np.zeros(len(volts)))
+    read = information.Response(volts, light.noise_v**2, by_blood @ point.blood_per_pa, by_blood, np.zeros(len(volts)))
     # Of a touch on one side, force is the pressure there on the whole contact.
     side = replace(point, force_per_pa=1e-4 * np.array([share, 1.0 - share]))
-    bound_n = float(fisher.force_resolution_n(fisher.total_information([read]), side))
+    bound_n = float(information.force_resolution_n(information.total_information([read]), side))
     time_s = made_sensor.STEP_S * np.arange(500)
     held = force_n * np.where(time_s < 1, 0.0, 1 - np.exp(-np.maximum(time_s - 1, 0) / 0.3))
     told = predict(known, made_sensor.record(held, site, seed=5))

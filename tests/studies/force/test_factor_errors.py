@@ -6,9 +6,9 @@ from untraced_light import untraced, untraced_table
 
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
+from nailoptics.hemodynamics.for_scene import vessels
 from nailoptics.scene import Scene
 from nailoptics.statistics import Z95
-from nailoptics.studies.blood_states import vessels
 from nailoptics.studies.force.fit import Fit
 from nailoptics.studies.force.person import NAMES, PRIORS, SPREAD_LN
 from nailoptics.studies.force.virtual_people import SIDES, TOUCHES, load_person, touch_of

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from nailoptics.hemodynamics.for_scene import vessels
 from nailoptics.report.pages.force import profiles_figure
-from nailoptics.studies.blood_states import vessels
 from nailoptics.studies.force.calibrate import _dataset
 from nailoptics.studies.force.fit import Fit
 from nailoptics.studies.force.person import NAMES

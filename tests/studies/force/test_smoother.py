@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from force_floor import exactly_known, modelled
 
+from nailoptics.hemodynamics.for_scene import force_course
 from nailoptics.scene.sensor_recordings import SITES, Recording
 from nailoptics.scene.touch import value_at
-from nailoptics.studies.blood_states import force_course
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject, parse_subject
 from nailoptics.studies.force.virtual_people import SIDES, Site, load_person, steps, touch_of

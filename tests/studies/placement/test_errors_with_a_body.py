@@ -12,9 +12,9 @@ from nailoptics.errors import as_far_as_reached
 from nailoptics.light.board_map import BoardTracer
 from nailoptics.light.walk import finger as finger_walk
 from nailoptics.scene import Candidate, Placement, Priors, Scene
+from nailoptics.sensor.information import force_resolution_n
 from nailoptics.statistics import Z95, jackknife
 from nailoptics.studies.placement import boards, photodiode_count, place
-from nailoptics.studies.placement.fisher import force_resolution_n
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.photon_maps import PhotonMapCache
 from nailoptics.studies.placement.result import rough_words, rows

@@ -8,8 +8,8 @@ from nailoptics import load_scene, place
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, as_far_as_reached
 from nailoptics.scene import Candidate, FingerCase, Placement, Priors, Scene
-from nailoptics.studies.oximetry.slots import ratio_stderr
-from nailoptics.studies.placement.fisher import Response
+from nailoptics.sensor.front_end import ratio_stderr
+from nailoptics.sensor.information import Response
 from nailoptics.studies.placement.oxygen_rank import oxygen_rule
 
 

@@ -9,7 +9,6 @@ import pytest
 import xarray as xr
 from small_scenes import TWO_LAYOUTS as SCENE
 
-from nailoptics import electronics
 from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.io import write_dataset
@@ -23,12 +22,13 @@ from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
 from nailoptics.scene.outlines import Outline, read_outline, write_outline
 from nailoptics.scene.positions import read_positions
 from nailoptics.scene.rectangles import Rectangle
+from nailoptics.sensor import electronics, information
 from nailoptics.statistics import jackknife, left_out
-from nailoptics.studies.placement import boards, exchange, fisher, photon_maps, place, result, scores, search, sites
+from nailoptics.studies.placement import boards, exchange, photon_maps, place, result, scores, search, sites
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.tissue import BloodZones
 
-AT = fisher.OperatingPoint(
+AT = information.OperatingPoint(
     blood_fraction=np.array([0.03, 0.03]),
     blood_per_pa=np.array([[1e-6, 0.0], [0.0, -1e-6]]),
     force_n=0.5,
@@ -57,22 +57,22 @@ def test_resolution_is_the_error_of_a_least_squares_fit():
     """Many noisy readings of known pressures, fitted: the force's spread is what the information says."""
     rng = np.random.default_rng(0)
     slope, noise = rng.normal(size=(5, 2)) * 1e-6, rng.uniform(1e-6, 3e-6, 5)
-    read = fisher.Response(np.ones(5), noise**2, slope, slope, np.zeros(5))
-    total = fisher.fisher_information(read).sum(0)
+    read = information.Response(np.ones(5), noise**2, slope, slope, np.zeros(5))
+    total = information.fisher_information(read).sum(0)
     samples = rng.normal(size=(20000, 5)) * noise
     fitted = np.linalg.lstsq(slope / noise[:, None], (samples / noise).T, rcond=None)[0]
     spread = (AT.force_per_pa @ fitted).std()
     # 20 000 samples know a standard deviation to 0.5 %.
-    assert fisher.force_resolution_n(total, AT) == pytest.approx(spread, rel=0.02)
+    assert information.force_resolution_n(total, AT) == pytest.approx(spread, rel=0.02)
     one = (slope / noise[:, None]) @ AT.pressure_per_n
-    assert fisher.fixed_ratio_resolution_n(total, AT) == pytest.approx(1 / np.linalg.norm(one), rel=1e-12)
-    assert fisher.fixed_ratio_resolution_n(total, AT) <= fisher.force_resolution_n(total, AT)
+    assert information.fixed_ratio_resolution_n(total, AT) == pytest.approx(1 / np.linalg.norm(one), rel=1e-12)
+    assert information.fixed_ratio_resolution_n(total, AT) <= information.force_resolution_n(total, AT)
 
 
 def test_a_saturated_reading_tells_nothing(scene):
     led, photodiode = scene.leds[0], scene.photodiodes[0]
     values = np.array([[1e-4, 0, -1e-3, -1e-3], [0.5, 0, -1.0, -1.0]])
-    read = fisher.response(values, led, photodiode, scene.electronics, AT)
+    read = information.response(values, led, photodiode, scene.electronics, AT)
     assert np.any(read.slope_v_per_pa[0] != 0) and np.all(read.slope_v_per_pa[1] == 0)
 
 
@@ -90,7 +90,10 @@ def test_a_reading_that_may_be_saturated_tells_as_much_as_it_is_likely_to(scene)
         blocks[:, 0, 0] = limit * (0.98 + 0.02 * np.sqrt(32) * rng.standard_normal(32))
         blocks[:, 0, 2:] = -limit
         how = led, photodiode, scene.electronics, AT
-        read, below = fisher.response(left_out(blocks), *how, replicates=True), fisher.response(blocks[0] * 0.1, *how)
+        read, below = (
+            information.response(left_out(blocks), *how, replicates=True),
+            information.response(blocks[0] * 0.1, *how),
+        )
         each = (read.slope_v_per_pa[:, 0, 0] / below.slope_v_per_pa[0, 0] / 10) ** 2
         told.append(each[0])
         errors.append(float(jackknife(each)))
@@ -101,7 +104,7 @@ def test_a_reading_that_may_be_saturated_tells_as_much_as_it_is_likely_to(scene)
 
 def test_blood_changes_with_pressure_as_steady_states_do(scene):
     """Operating slopes beside a step of 1 % of the pressure, in the zone that each pressure acts on."""
-    at, more = fisher.operating_point(scene, 0.5), fisher.operating_point(scene, 0.505)
+    at, more = information.operating_point(scene, 0.5), information.operating_point(scene, 0.505)
     change = (more.blood_fraction - at.blood_fraction) / 0.005
     assert np.allclose(at.blood_per_pa @ at.pressure_per_n, change, rtol=0.05)
     assert at.blood_per_pa[0, 0] > 0 > at.blood_per_pa[1, 1]
@@ -109,11 +112,11 @@ def test_blood_changes_with_pressure_as_steady_states_do(scene):
 
 def test_a_touch_on_one_side_presses_on_that_sides_area(scene):
     touched = {share: scene.touch.model_copy(update={"proximal_share": share}) for share in (1.0, 0.5)}
-    one, even = (fisher.operating_point(scene.model_copy(update={"touch": t}), 0.5) for t in touched.values())
+    one, even = (information.operating_point(scene.model_copy(update={"touch": t}), 0.5) for t in touched.values())
     assert np.allclose(one.pressure_per_n, [1e4, 0.0]) and np.allclose(one.force_per_pa, [1e-4, 5e-5])
     assert np.allclose(even.pressure_per_n, 1e4) and np.allclose(even.force_per_pa, 5e-5)
     stated = touched[1.0].model_copy(update={"proximal_area_mm2": 50.0})
-    assert np.allclose(fisher.operating_point(scene.model_copy(update={"touch": stated}), 0.5).force_per_pa, 5e-5)
+    assert np.allclose(information.operating_point(scene.model_copy(update={"touch": stated}), 0.5).force_per_pa, 5e-5)
 
 
 def test_a_planted_optimum_is_found():
@@ -129,18 +132,18 @@ def test_a_planted_optimum_is_found():
     places = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1).reshape(-1, 2)
     areas = np.column_stack([places[:, 0] - 0.25, places[:, 0] + 0.25, places[:, 1] - 0.25, places[:, 1] + 0.25])
     scene = parse_scene(SCENE)
-    read = fisher.response(plane.over(areas)[0], scene.leds[0], scene.photodiodes[0], scene.electronics, AT)
+    read = information.response(plane.over(areas)[0], scene.leds[0], scene.photodiodes[0], scene.electronics, AT)
     chosen, reached = exchange.exchange(
-        fisher.fisher_information(read)[None],
+        information.fisher_information(read)[None],
         places,
         count=2,
         spacing_mm=(0.5, 0.5),
-        score=lambda total: fisher.force_resolution_n(total[0], AT),
+        score=lambda total: information.force_resolution_n(total[0], AT),
     )
     assert np.all(np.abs(np.sort(places[chosen], 0) - np.sort(spots, 0)) <= 0.25)
     # No pair of places on the grid does better.
-    every = fisher.fisher_information(read)
-    pairs = fisher.force_resolution_n(every[:, None] + every[None], AT)
+    every = information.fisher_information(read)
+    pairs = information.force_resolution_n(every[:, None] + every[None], AT)
     apart = np.any(np.abs(places[:, None] - places[None]) >= 0.5 - 1e-9, axis=-1)
     assert reached == pytest.approx(pairs[apart].min(), rel=1e-9)
 
@@ -265,7 +268,7 @@ def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
     text = text[: text.index("[placement]")] + "[placement]\nphotodiodes = 2\nled_step_mm = 3.0\n"
     asked = parse_scene(text)
     base, rules = boards.base_board(asked), boards.rules(asked)
-    planted = fisher.OperatingPoint(
+    planted = information.OperatingPoint(
         blood_fraction=np.array([0.03, 0.03]),
         blood_per_pa=np.array([[0.0, 0.0], [0.0, -1e-6]]),
         force_n=0.5,
@@ -290,17 +293,20 @@ def test_each_photodiode_reads_as_what_it_is(scene, body):
     kinds, rng = [one, other, one, other, other], np.random.default_rng(0)
     values = rng.uniform(1e-5, 1e-4, (9, 5, 4)) * [1.0, 0.3, -2.0, -1.0]
     asked = parse_scene(SCENE + ("[body.drift]\n[body.breathing]\n" if body else ""))
-    point = fisher.operating_point(asked, 0.5)
+    point = information.operating_point(asked, 0.5)
     assert (point.body is not None) == body
     how = {"ambient_a": rng.uniform(0, 1e-8, 5), "replicates": True}
-    together = fisher.responses(values, led, kinds, scene.electronics, point, **how)
+    together = information.responses(values, led, kinds, scene.electronics, point, **how)
     for i, kind in enumerate(kinds):
         alone = how | {"ambient_a": how["ambient_a"][[i]]}
-        single = fisher.response(values[:, [i]], led, kind, scene.electronics, point, **alone)
-        told = fisher.fisher_information(together)[:, [i]]
-        assert told == pytest.approx(fisher.fisher_information(single), rel=1e-9)
+        single = information.response(values[:, [i]], led, kind, scene.electronics, point, **alone)
+        told = information.fisher_information(together)[:, [i]]
+        assert told == pytest.approx(information.fisher_information(single), rel=1e-9)
         assert together.volts[:, [i]] == pytest.approx(single.volts, rel=1e-12)
-    assert together.volts[0, 1] != fisher.responses(values, led, [one] * 5, scene.electronics, point, **how).volts[0, 1]
+    assert (
+        together.volts[0, 1]
+        != information.responses(values, led, [one] * 5, scene.electronics, point, **how).volts[0, 1]
+    )
 
 
 def test_intervals_allow_for_errors_that_few_blocks_tell():
@@ -322,7 +328,7 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
     # One more that is nearly as good as the first, for a pair that is hard to tell apart.
     middle = boards.with_parts(base, [(-3.0, 0.0)], [(-0.9, v) for v in (-2.0, -1.0, 1.0, 2.0)], name="middle")
     layouts.append(boards.CandidateLayout("middle", middle, layouts[0].board, "given"))
-    conditions = [photon_maps.FingerCondition(FingerCase(name="one"), fisher.operating_point(base, 0.5))]
+    conditions = [photon_maps.FingerCondition(FingerCase(name="one"), information.operating_point(base, 0.5))]
     judged, worst = [], Objective(boards.rules(scene), [condition.point for condition in conditions])
     for seed in range(20):
         cache = photon_map_cache(conditions, seed=seed, stream=1, blocks=32)
@@ -374,7 +380,7 @@ def test_places_of_several_leds_stand_beside_a_best_layout_of_one():
 def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene):
     """Must reach: under 50 ms."""
     base = boards.base_board(scene)
-    conditions = [photon_maps.FingerCondition(FingerCase(name="one"), fisher.operating_point(base, 0.5))]
+    conditions = [photon_maps.FingerCondition(FingerCase(name="one"), information.operating_point(base, 0.5))]
     cache = photon_maps.PhotonMapCache(conditions, seed=0, stream=1, backend="auto", blocks=32)
     layouts = place.given(base, boards.rules(scene))
     assert layouts[0].board == layouts[1].board

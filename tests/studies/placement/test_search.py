@@ -10,7 +10,8 @@ from nailoptics.errors import InputError
 from nailoptics.light.board_map import PhotonMap
 from nailoptics.light.tracing import StageProgress
 from nailoptics.scene import FingerCase, Placement, Scene, digest, parse_scene
-from nailoptics.studies.placement import boards, fisher, search
+from nailoptics.sensor import information
+from nailoptics.studies.placement import boards, search
 from nailoptics.studies.placement.exchange import STARTS, Tables
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.photon_maps import FingerCondition
@@ -92,8 +93,8 @@ def test_exchange_of_leds_and_photodiodes_finds_the_best_of_all_layouts(seed):
         light = np.exp(-away / reach_mm[led])
         slope = light[:, None] * zones.weights((places[:, 1] + place[1]) / 2) * [1e-6, -1e-6] * away[:, None]
         one = np.ones(len(places))
-        read = fisher.Response(one, (1e-4 + 1e-3 * light) ** 2, slope, slope, 0 * one)
-        return fisher.fisher_information(read)[None]
+        read = information.Response(one, (1e-4 + 1e-3 * light) ** 2, slope, slope, 0 * one)
+        return information.fisher_information(read)[None]
 
     columns = [{at: told(led, at) for at in range(5)} for led in range(3)]
     rules = Placement(rank_by={"worst": 2.0, "share": 1.0} if seed % 2 else "worst")
@@ -239,8 +240,8 @@ def test_rules_that_make_no_sense_are_one_line(rules, words):
 
 def test_the_share_of_a_force_is_told_as_well_as_pressures_scatter():
     """Pressures that scatter as the information says: the spread of the proximal part of the force they make."""
-    information = np.array([4e-4, 1e-4, 2e-4])
-    point = fisher.OperatingPoint(
+    per_pa2 = np.array([4e-4, 1e-4, 2e-4])
+    point = information.OperatingPoint(
         AT.blood_fraction, AT.blood_per_pa, 0.5, np.array([4e-5, 6e-5]), np.array([1.3e4, 8e3])
     )
     covariance = np.linalg.inv([[4e-4 + 1e-10, 1e-4], [1e-4, 2e-4 + 1e-10]])
@@ -248,12 +249,12 @@ def test_the_share_of_a_force_is_told_as_well_as_pressures_scatter():
     forces = pressures * point.force_per_pa
     spread = (forces[:, 0] / forces.sum(1)).std()
     # A hundred thousand samples know a standard deviation to 0.2 %.
-    assert fisher.share_resolution(information, point) == pytest.approx(spread, rel=0.01)
+    assert information.share_resolution(per_pa2, point) == pytest.approx(spread, rel=0.01)
 
 
 def test_weights_are_a_mean_of_logarithms_and_a_word_is_a_weight():
     assert Placement(rank_by="oxygen_and_force").weights == Placement(rank_by={"worst": 2.0, "oxygen": 2.0}).weights
-    rules, information = Placement(rank_by={"worst": 1.0, "share": 3.0}), np.array([[4e-4, 1e-4, 2e-4]])
+    rules, per_pa2 = Placement(rank_by={"worst": 1.0, "share": 3.0}), np.array([[4e-4, 1e-4, 2e-4]])
     objective = Objective(rules, [AT])
-    force, share = (one(information[0], AT) for one in (fisher.force_resolution_n, fisher.share_resolution))
-    assert objective.score(information) == pytest.approx(force**0.25 * share**0.75)
+    force, share = (one(per_pa2[0], AT) for one in (information.force_resolution_n, information.share_resolution))
+    assert objective.score(per_pa2) == pytest.approx(force**0.25 * share**0.75)

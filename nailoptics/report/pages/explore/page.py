@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from .... import electronics
 from ....io import FORMULA, write_text
 from ....light.pair_kernel import NEAREST_MM
 from ....scene import Led, Photodiode, Scene
 from ....scene.base import MOST_PHOTODIODES
 from ....scene.rectangles import Rectangle
+from ....sensor import electronics
+from ....sensor.ambient import SOURCES
 from ....statistics import FEW_TERMS
-from ....studies.ambient import SOURCES
 from ....studies.exploration.explore import (
     BLOCKS,
     BLOOD_RANGE,

@@ -9,9 +9,9 @@ import xarray as xr
 
 from ....io import write_text
 from ....scene import Placement, Scene, parse_scene
-from ....studies.ambient import SOURCES
+from ....sensor.ambient import SOURCES
+from ....sensor.physiological_noise import LIFT_PER_UM
 from ....studies.placement import boards
-from ....studies.placement.body_waves import LIFT_PER_UM
 from ....studies.placement.result import chosen, gain, rough_words, rows
 from ...html import document, escaped, figure, section, small, table
 from ...numbers import quantity, significant, with_error

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...hemodynamics.waves import pressure_lines
-from ...scene import Scene
-from ...scene.body import Drift
-from ..blood_states import blood_by_arterial_pressure
+from ..hemodynamics.for_scene import blood_by_arterial_pressure
+from ..hemodynamics.waves import pressure_lines
+from ..scene import Scene
+from ..scene.body import Drift
 
 Array = NDArray[np.float64]
 

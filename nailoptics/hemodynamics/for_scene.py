@@ -8,12 +8,11 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from .. import hemodynamics
-from ..hemodynamics.waves import fastest_hz, waves_pressure
-from ..light import optics
 from ..scene import Body, Scene, Touch
 from ..scene.base import USUAL_DECAY_LENGTH
 from ..scene.touch import PRESSURES, value_at
 from ..variables import Variables, precision, variable
+from .waves import fastest_hz, waves_pressure
 
 # A body begins to beat so long before the touch. [s]
 WARM_UP_S = 5.0
@@ -196,11 +195,24 @@ def _blood_variables(scene: Scene, fraction: np.ndarray) -> Variables:
     over = ("zone", "time")
     data = variable("blood_fraction", over, fraction, "blood fraction of the nail bed")
     if scene.blood.venous_so2 is not None:
-        data |= variable("so2", over, optics.zone_so2(scene, fraction), "oxygen saturation of the nail bed's blood")
+        data |= variable("so2", over, zone_so2(scene, fraction), "oxygen saturation of the nail bed's blood")
     if len(fraction) > 2:
         text = "width of the band at the tip that holds less than half of its blood at rest"
         data |= variable("white_band_mm", "time", white_band_mm(scene, fraction), text, units="mm")
     return data
+
+
+def zone_so2(scene: Scene, blood_fraction: np.ndarray) -> np.ndarray:
+    """Oxygen saturation of the bed's blood, from how much of it there is, any shape. [1]"""
+    blood = scene.blood
+    if blood.venous_so2 is None:
+        return np.full(np.shape(blood_fraction), blood.so2)
+    return hemodynamics.saturation(
+        blood_fraction,
+        rest_blood_fraction=blood.rest_blood_fraction,
+        arterial_so2=blood.so2,
+        venous_so2=blood.venous_so2,
+    )
 
 
 def white_band_mm(scene: Scene, blood_fraction: np.ndarray) -> np.ndarray:

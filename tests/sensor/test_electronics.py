@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from nailoptics.electronics import PHOTON_NM_PER_V, lsb_v, noise_budget, read, responsivity_a_per_w
 from nailoptics.errors import InputError
 from nailoptics.scene import Electronics, Led, Photodiode
+from nailoptics.sensor.electronics import PHOTON_NM_PER_V, lsb_v, noise_budget, read, responsivity_a_per_w
 
 # Of one watt, so that a detected fraction is a power in watts.
 LED = Led(name="watt", wavelength_nm=800, flux_mw=1000)

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ... import electronics
-from ...scene import Electronics, Oximeter, Photodiode, Scene, Slot
-from ...scene.oximeter import DARK
+from ..scene import Electronics, Oximeter, Photodiode, Scene, Slot
+from ..scene.oximeter import DARK
+from . import electronics
 
 Array = NDArray[np.float64]
 

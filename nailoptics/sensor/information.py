@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from ... import electronics
-from ...scene import Electronics, Led, Photodiode, Scene
-from ...scene.parts import ELECTRICAL
-from ...statistics import jackknife
-from ..blood_states import steady_blood_at, touch_areas_mm2, touch_pressures_pa
-from .body_waves import BodyNoise, body_noise
+from ..hemodynamics.for_scene import steady_blood_at, touch_areas_mm2, touch_pressures_pa
+from ..scene import Electronics, Led, Photodiode, Scene
+from ..scene.parts import ELECTRICAL
+from ..statistics import jackknife
+from . import electronics
+from .physiological_noise import BodyNoise, body_noise
 
 Array = NDArray[np.float64]
 

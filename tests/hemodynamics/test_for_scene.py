@@ -7,10 +7,7 @@ from small_scenes import SMALL_FINGER_BEST
 import nailoptics as nail
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import PAPER_ZONES, zones
-from nailoptics.light.identity import light_digest
-from nailoptics.scene import parse_scene
-from nailoptics.scene.base import USUAL_DECAY_LENGTH
-from nailoptics.studies.blood_states import (
+from nailoptics.hemodynamics.for_scene import (
     blood_over_touch,
     capillary_zones,
     largest_force_n,
@@ -21,6 +18,9 @@ from nailoptics.studies.blood_states import (
     white_band_mm,
     zones_of_photodiodes,
 )
+from nailoptics.light.identity import light_digest
+from nailoptics.scene import parse_scene
+from nailoptics.scene.base import USUAL_DECAY_LENGTH
 
 
 def scene_with(text, folder=None):

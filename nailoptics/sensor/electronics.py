@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import Array, fraction, not_negative
-from .errors import InputError
-from .scene.base import PHOTON_NM_PER_V
-from .scene.models import Electronics, Led, Photodiode
+from ..checks import Array, fraction, not_negative
+from ..errors import InputError
+from ..scene.base import PHOTON_NM_PER_V
+from ..scene.models import Electronics, Led, Photodiode
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 BOLTZMANN_J_PER_K = 1.380649e-23

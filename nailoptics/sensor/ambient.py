@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import electronics, tissue
+from .. import tissue
 from ..light import optics
 from ..light.board_map import Arrivals
 from ..light.transfer.reweight import attenuation
 from ..scene import Photodiode, Scene
+from . import electronics
 
 Array = NDArray[np.float64]
 

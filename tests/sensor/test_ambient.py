@@ -11,7 +11,7 @@ from nailoptics.light import backend, optics
 from nailoptics.light.board_map import Arrivals, BoardTracer
 from nailoptics.light.reference import integrate, mitsuba_scene
 from nailoptics.scene import parse_scene
-from nailoptics.studies.ambient import SOURCES, Ambient, collecting_area_mm2, photocurrents_a
+from nailoptics.sensor.ambient import SOURCES, Ambient, collecting_area_mm2, photocurrents_a
 
 SCENE = """
 schema_version = 1

@@ -7,8 +7,8 @@ from small_scenes import SMALL_FINGER
 from nailoptics.errors import InputError
 from nailoptics.light.transfer.series import Course
 from nailoptics.scene import Body, Drift, Motion, parse_scene
+from nailoptics.sensor.drift_motion import MovedLight, by_motion, moved_boards, sensor_course
 from nailoptics.studies.simulate import simulate
-from nailoptics.studies.worn_sensor import MovedLight, by_motion, moved_boards, sensor_course
 
 
 def worn(seed=0, **parts):

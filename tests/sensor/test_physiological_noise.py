@@ -7,14 +7,15 @@ import pytest
 from small_scenes import TWO_LAYOUTS
 
 from nailoptics import hemodynamics
+from nailoptics.hemodynamics.for_scene import blood_by_arterial_pressure, steady_blood_at, touch_pressures_pa
 from nailoptics.hemodynamics.waves import pressure_lines
 from nailoptics.report import summaries
 from nailoptics.report.pages.place.page import write_placement
 from nailoptics.scene import Placement, parse_scene
+from nailoptics.sensor import information
+from nailoptics.sensor.physiological_noise import BodyNoise, body_noise
 from nailoptics.statistics import left_out
-from nailoptics.studies.blood_states import blood_by_arterial_pressure, steady_blood_at, touch_pressures_pa
-from nailoptics.studies.placement import fisher, place, result, scores
-from nailoptics.studies.placement.body_waves import BodyNoise, body_noise
+from nailoptics.studies.placement import place, result, scores
 from nailoptics.studies.placement.objective import Objective
 
 SCENE = TWO_LAYOUTS.replace("[board]", "[body.heartbeat]\n[body.breathing]\n[body.vasomotion]\n[board]")
@@ -22,9 +23,9 @@ BLOOD_PER_PA = np.array([[1.5e-6, -2e-7], [1.8e-6, -3e-6]])
 FORCE_PER_PA = np.full(2, 5e-5)
 
 
-def _point(blood: np.ndarray | None, *, gain: float = 0.0, reading_gain: float = 0.0) -> fisher.OperatingPoint:
+def _point(blood: np.ndarray | None, *, gain: float = 0.0, reading_gain: float = 0.0) -> information.OperatingPoint:
     body = None if blood is None else BodyNoise(blood=blood, led_gain=np.array([[gain]]), reading_gain=reading_gain)
-    return fisher.OperatingPoint(
+    return information.OperatingPoint(
         blood_fraction=np.array([0.035, 0.025]),
         blood_per_pa=BLOOD_PER_PA,
         force_n=0.5,
@@ -34,11 +35,11 @@ def _point(blood: np.ndarray | None, *, gain: float = 0.0, reading_gain: float =
     )
 
 
-def _read(point: fisher.OperatingPoint, *, count: int = 6, noise_v: float = 4e-5) -> fisher.Response:
+def _read(point: information.OperatingPoint, *, count: int = 6, noise_v: float = 4e-5) -> information.Response:
     """Photodiodes along the nail, each of which reads both zones in its own proportion."""
     zone_v = -np.column_stack([np.linspace(1.5, 0.3, count), np.linspace(0.2, 1.4, count)])
     light_v = 0.1 + 0.2 * np.linspace(-1.0, 1.0, count) ** 2
-    return fisher.Response(
+    return information.Response(
         volts=light_v,
         noise_v2=np.full(count, noise_v**2),
         slope_v_per_pa=zone_v @ point.blood_per_pa,
@@ -59,42 +60,42 @@ def test_what_is_marginalised_is_what_a_covariance_of_the_readings_says():
     covariance = np.diag(own_v2) + read.body_v @ read.body_v.T
     assert covariance[0, 0] > 1.5 * read.noise_v2[0]
     exact = read.slope_v_per_pa.T @ np.linalg.solve(covariance, read.slope_v_per_pa)
-    total = fisher.fisher_information(read).sum(0)
-    assert np.allclose(fisher.pressure_information(total), exact[[0, 0, 1], [0, 1, 1]], rtol=1e-6)
+    total = information.fisher_information(read).sum(0)
+    assert np.allclose(information.pressure_information(total), exact[[0, 0, 1], [0, 1, 1]], rtol=1e-6)
     rng = np.random.default_rng(0)
     samples = rng.normal(size=(20_000, 6)) * np.sqrt(own_v2) + rng.normal(size=(20_000, 3)) @ read.body_v.T
     fitted = np.linalg.solve(exact, read.slope_v_per_pa.T @ np.linalg.solve(covariance, samples.T))
     # 20 000 samples know a standard deviation to 0.5 %; the pressures are known beforehand to 1e5 Pa.
-    assert fisher.force_resolution_n(total, point) == pytest.approx((FORCE_PER_PA @ fitted).std(), rel=0.02)
+    assert information.force_resolution_n(total, point) == pytest.approx((FORCE_PER_PA @ fitted).std(), rel=0.02)
 
 
 def test_a_body_that_becomes_still_leaves_the_electronics():
     still = _point(None)
-    alone = fisher.total_information([_read(still)])
+    alone = information.total_information([_read(still)])
     assert alone.shape == (3,)
     for strength in (1e-3, 1e-7):
         point = _point(strength * np.array([[1.0, 0.0], [0.8, 0.1]]))
         moving = [_read(point)]
-        assert np.array_equal(fisher.total_information(moving, electronics_alone=True), alone)
-        ratio = fisher.force_resolution_n(fisher.total_information(moving), point) / fisher.force_resolution_n(
-            alone, still
-        )
+        assert np.array_equal(information.total_information(moving, electronics_alone=True), alone)
+        ratio = information.force_resolution_n(
+            information.total_information(moving), point
+        ) / information.force_resolution_n(alone, still)
         assert ratio > 5 if strength == 1e-3 else ratio == pytest.approx(1.0, abs=1e-4)
 
 
 def test_light_without_end_resolves_what_the_waves_feign_and_no_more():
     """The body's part is the same for all layouts that see both zones, and adds to the electronics' in squares."""
     point = _point(1e-4 * np.array([[7.0, 0.5], [6.0, 0.7]]))
-    feigned = fisher.feigned_force_n(point)
+    feigned = information.feigned_force_n(point)
     assert feigned > 1e-3
     for count, noise_v in ((2, 1e-7), (6, 4e-5), (12, 4e-5)):
         read = _read(point, count=count, noise_v=noise_v)
         through, alone = (
-            fisher.force_resolution_n(fisher.total_information([read], electronics_alone=still), point)
+            information.force_resolution_n(information.total_information([read], electronics_alone=still), point)
             for still in (False, True)
         )
         assert through == pytest.approx(np.hypot(alone, feigned), rel=1e-3)
-    assert fisher.feigned_force_n(_point(None)) == 0.0
+    assert information.feigned_force_n(_point(None)) == 0.0
 
 
 def test_a_touch_of_known_split_stands_apart_from_waves_of_one_shape():
@@ -107,7 +108,7 @@ def test_a_touch_of_known_split_stands_apart_from_waves_of_one_shape():
     noise_v = np.sqrt(read.noise_v2[0])
     touch, pulse = (read.zone_v @ BLOOD_PER_PA) @ point.pressure_per_n / noise_v, read.body_v[:, 0] / noise_v
     apart = touch - pulse * (touch @ pulse) / (pulse @ pulse)
-    told = fisher.fixed_ratio_resolution_n(fisher.total_information([read]), point)
+    told = information.fixed_ratio_resolution_n(information.total_information([read]), point)
     assert told == pytest.approx(1 / np.linalg.norm(apart), rel=1e-3)
 
 
@@ -119,10 +120,10 @@ def test_a_gain_that_all_readings_share_leaves_their_ratios():
     light, slopes = read.volts / noise_v, read.slope_v_per_pa / noise_v
     ratios = slopes - np.outer(light, light @ slopes) / (light @ light)
     spread_pa = np.linalg.inv(ratios.T @ ratios)
-    told = fisher.force_resolution_n(fisher.total_information([read]), point)
+    told = information.force_resolution_n(information.total_information([read]), point)
     assert told == pytest.approx(np.sqrt(FORCE_PER_PA @ spread_pa @ FORCE_PER_PA), rel=1e-3)
-    two = fisher.total_information([_read(point, count=2)])
-    assert fisher.force_resolution_n(two, point) > 0.5 * 1e5 * FORCE_PER_PA[0]
+    two = information.total_information([_read(point, count=2)])
+    assert information.force_resolution_n(two, point) > 0.5 * 1e5 * FORCE_PER_PA[0]
 
 
 def test_readings_of_two_leds_drift_apart_and_lift_together():
@@ -214,19 +215,19 @@ def test_intervals_through_the_body_hold_the_truth_as_often_as_they_say():
     of the means in 90 to 98 % of them, and standard errors are the scatter, though most of the score is the body's.
     """
     scene = parse_scene(SCENE.replace("[body.heartbeat]", "[body.drift]\n[body.motion]\n[body.heartbeat]"))
-    point = fisher.operating_point(scene, 0.5)
+    point = information.operating_point(scene, 0.5)
     blood = np.column_stack([np.linspace(16.0, 4.0, 4), np.linspace(3.0, 12.0, 4)])
     light = np.array([2e-5, 6e-5, 5e-5, 2e-5])
     mean = np.column_stack([light, 0.3 * light, -light[:, None] * blood])
     layout = SimpleNamespace(scene=scene, board=scene)
 
     def judged(blocks: np.ndarray) -> scores.LayoutScore:
-        read = fisher.response(left_out(blocks), scene.leds[0], scene.photodiodes[0], scene.electronics, point)
+        read = information.response(left_out(blocks), scene.leds[0], scene.photodiodes[0], scene.electronics, point)
         cache = SimpleNamespace(read=lambda *_: [[read]], conditions=[SimpleNamespace(point=point)])
         return scores.score_layout(layout, cache, Objective(Placement(), [point]))
 
     true_n = float(judged(np.repeat(mean[None], 2, axis=0)).score_n[0])
-    assert true_n < 1.1 * fisher.feigned_force_n(point)
+    assert true_n < 1.1 * information.feigned_force_n(point)
     rng = np.random.default_rng(4)
     # Blocks of one photon map that scatter by 30 %, so that their mean is known to 5 %.
     every = [judged(mean * (1 + 0.3 * rng.normal(size=(32, *mean.shape)))) for _ in range(300)]

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from nailoptics import electronics, load_scene
+from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.scene import Scene, parse_scene
-from nailoptics.studies.oximetry.slots import SampledFrontEnd, front_ends_of, ratio_stderr
+from nailoptics.sensor import electronics
+from nailoptics.sensor.front_end import SampledFrontEnd, front_ends_of, ratio_stderr
 from nailoptics.studies.pulsatile_blood import oximeter_leds
 
 TEXT = (data_dir("scenes") / "pulse_oximeter.toml").read_text(encoding="utf-8")

@@ -1,0 +1,1 @@
+"""LIGHT -> VOLTS: electronics, sampling, drift and motion, ambient light, and what readings tell of force."""
