@@ -71,9 +71,9 @@ def activated(chosen: backend.Backend) -> backend.Backend:
 def keep_shapes() -> None:
     """Let this process keep the shapes that it builds: many tests trace the same few fingers."""
     from nailoptics.light.walk import finger as finger_walk
-    from nailoptics.light.walk import nail_reflectance as bare_nail
+    from nailoptics.light.walk import nail_reflectance as nail_reflectance
 
-    for module in (bare_nail, finger_walk):
+    for module in (nail_reflectance, finger_walk):
         if module._built.cache_parameters()["maxsize"] < SHAPES_KEPT:
             module._built = lru_cache(SHAPES_KEPT)(module._built.__wrapped__)
 

@@ -117,7 +117,7 @@ class VirtualPerson:
         """The force past which readings stay as they are, were it held. [N]"""
         force_n = np.linspace(0.0, MOST_SEARCHED_N, 201)
         touched = self.scene.model_copy(update={"touch": record.touch_of(self.scene, record.TOUCHES["slow"], site)})
-        readings = np.log(self.light.over(steady_blood(touched, force_n)).fraction).reshape(-1, force_n.size)
+        readings = np.log(self.light.readings_at(steady_blood(touched, force_n)).fraction).reshape(-1, force_n.size)
         left = np.linalg.norm(readings - readings[:, -1:], axis=0)
         return float(force_n[np.flatnonzero(left > LEFT_AT_CLOSURE * left[0])[-1]])
 

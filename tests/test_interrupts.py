@@ -89,7 +89,7 @@ def test_the_rays_that_a_colour_waits_for_are_given_up(folder, chosen_jit):
     """Expected: at the second wavelength of the second round, of ten times as many rays, the first's are kept."""
     Path("finger.toml").write_text(SMALL_FINGER_BEST + "[priors]\nspread = false\n")
     command = ("colour", "finger.toml", "--no-photograph", "--tolerance", "0.01", "-o", "out")
-    ended = interrupted_at("nailoptics.light.walk.nail_reflectance:BareNail.reflect", *command, call=NODES + 2)
+    ended = interrupted_at("nailoptics.light.walk.nail_reflectance:NailReflectance.reflect", *command, call=NODES + 2)
     assert (ended.code, ended.later) == (3, 0) and "interrupted at a standard error of" in ended.said[-1]
     assert xr.load_dataset("out/colour.nc").attrs["photons"] < 2 * PILOT
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from nailoptics.light import optics
-from nailoptics.light.transfer.series import Course
+from nailoptics.light.transfer.series import ReadingSeries
 from nailoptics.scene import Scene
 from nailoptics.sensor import electronics
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
@@ -22,13 +22,13 @@ def untraced(scene: Scene) -> SimpleNamespace:
     zones = len(scene.zone_edges_mm) + 1
     slopes = np.repeat(SLOPES / (zones / 2), zones // 2, axis=1)
 
-    def over(blood: np.ndarray) -> Course:
+    def readings_at(blood: np.ndarray) -> ReadingSeries:
         fraction = (LEVEL[:, None] * np.exp(slopes @ (blood - scene.blood.rest_blood_fraction).T))[None]
         zero = np.zeros_like(fraction)
-        return Course(fraction, zero, fraction - fraction[..., :1], zero)
+        return ReadingSeries(fraction, zero, fraction - fraction[..., :1], zero)
 
     paths = np.zeros((1, len(SLOPES), len(optics.absorbers(scene))))
-    return SimpleNamespace(over=over, mean_path=paths, mean_path_stderr=paths, attributes={})
+    return SimpleNamespace(readings_at=readings_at, mean_path=paths, mean_path_stderr=paths, attributes={})
 
 
 def untraced_table(scene: Scene) -> ReadingTable:

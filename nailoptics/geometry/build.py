@@ -72,16 +72,16 @@ def underside(geometry: Geometry) -> Face:
     return _face_of(geometry.grid, "underside", KAPTON, bare, film)
 
 
-def shaping(scene: Scene, *, kept: Collection[str] = ()) -> Scene:
+def shaping(scene: Scene, *, with_faces: Collection[str] = ()) -> Scene:
     """A scene with everything at its default that its geometry is not built from; equal for all of one geometry.
 
-    kept : Parts that the geometry has even where the scene leaves them out.
+    with_faces : Parts that the geometry has even where the scene leaves them out.
     """
     others = {name: field for name, field in Scene.model_fields.items() if name not in BUILT_FROM}
     usual: dict[str, object] = {name: f.default for name, f in others.items() if not f.is_required()}
     if scene.finger is not None:
         usual["finger"] = scene.finger.with_usual((*ABSORBING, *SCATTERING))
-    usual["light"] = Light(left_out=tuple(part for part in AROUND if part in {*scene.light.left_out} - {*kept}))
+    usual["light"] = Light(left_out=tuple(part for part in AROUND if part in {*scene.light.left_out} - {*with_faces}))
     usual["board"] = scene.board.model_copy(update={"opaque_reflectance": 0.0})
     usual["leds"] = tuple(led.model_copy(update=LED_LIGHT) for led in scene.leds)
     read_out = {name: Photodiode.model_fields[name].default for name in READ_OUT}

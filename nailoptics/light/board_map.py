@@ -61,11 +61,11 @@ class Arrivals:
         weight = self.weight.astype(np.float32)
         return {"photon": self.photon.astype(np.uint32), "weight": weight, "path_mm": self.path_mm} | place
 
-    def weighed(self, by: np.ndarray) -> "Arrivals":
+    def reweighted(self, by: np.ndarray) -> "Arrivals":
         """The same with every weight times another, (n,) float."""
         return replace(self, weight=self.weight * by)
 
-    def only(self, which: np.ndarray) -> "Arrivals":
+    def select(self, which: np.ndarray) -> "Arrivals":
         """Some of the arrivals of these photons, (n,) bool."""
         columns = (getattr(self, name)[which] for name in ("photon", "place_mm", "weight", "path_mm"))
         return Arrivals(self.photons, *columns)
@@ -80,9 +80,9 @@ class Arrivals:
         )
         return cls(int(first[-1]), photon, *columns)
 
-    def every(self, step: int, first: int) -> "Arrivals":
+    def thin(self, step: int, first: int) -> "Arrivals":
         """The arrivals of every so many photons, from one of the first on."""
-        return replace(self.only(self.photon % step == first), photons=len(range(first, self.photons, step)))
+        return replace(self.select(self.photon % step == first), photons=len(range(first, self.photons, step)))
 
     @classmethod
     def from_stored(cls, photons: int, absorbers: int, arrays: dict[str, np.ndarray]) -> "Arrivals":
@@ -136,7 +136,7 @@ class BoardTracer:
         from .walk.finger import FingerTracer
 
         # Light arrives on the film between the parts, whatever becomes of it there.
-        return FingerTracer(self.scene, spacing_mm=self.spacing_mm, kept=("kapton",))
+        return FingerTracer(self.scene, spacing_mm=self.spacing_mm, with_faces=("kapton",))
 
     def _stored(
         self,
@@ -168,7 +168,7 @@ class BoardTracer:
 
         def trace() -> dict[str, np.ndarray]:
             arrived, cos, _ = self._onto_board(led, None, photons, seed)
-            return arrived.weighed(self._accepted(0, cos)).stored()
+            return arrived.reweighted(self._accepted(0, cos)).stored()
 
         build = partial(Arrivals.from_stored, photons, self.absorbers)
         return self._stored(led, f"arrivals{seed}-{photons}", trace, build)
@@ -188,7 +188,7 @@ class BoardTracer:
             arrived, _, left = self._onto_board(led, face, photons, seed)
             if scene.layout.photodiodes[photodiode].photodiode.angular_response is not None:
                 sent = self._accepted(photodiode, self.tracer.starts(face, photons=photons, seed=seed)[1])
-                arrived, left = (one.weighed(sent[one.photon]) for one in (arrived, left))
+                arrived, left = (one.reweighted(sent[one.photon]) for one in (arrived, left))
             away = {f"left_{name}": array for name, array in left.stored(placed=False).items()}
             return arrived.stored() | away
 
@@ -219,10 +219,10 @@ class BoardTracer:
         starts, sent, quad = self.tracer.starts(face, photons=photons, seed=seed)
         arrived, cos, left = self._onto_board(led, face, photons, seed)
         counts = (np.average(dense, weights=face.areas_mm2) / dense)[quad]
-        arrived = arrived.weighed(counts[arrived.photon])
+        arrived = arrived.reweighted(counts[arrived.photon])
         sent = self._accepted(0, sent)
-        back, left = arrived.weighed(sent[arrived.photon]), left.weighed((counts * sent)[left.photon])
-        return starts, arrived.weighed(self._accepted(0, cos)), back, left
+        back, left = arrived.reweighted(sent[arrived.photon]), left.reweighted((counts * sent)[left.photon])
+        return starts, arrived.reweighted(self._accepted(0, cos)), back, left
 
     def fluence(self, led: int, radius_mm: np.ndarray, depth_mm: np.ndarray, *, photons: int, seed: int) -> np.ndarray:
         """How an LED's light spreads below it: its fluence rate per emitted power on rings around it, by depth below

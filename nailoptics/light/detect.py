@@ -28,7 +28,7 @@ from .tracing import ProgressCallback, accuracy, trace
 from .tracing.store import LightStore, made_of
 from .transfer import Transfer, mean_of_leds, photodiode_names, provenance
 from .transfer.records import check_arrays
-from .transfer.series import Course, course
+from .transfer.series import ReadingSeries, readings_over_states
 
 T = TypeVar("T")
 
@@ -48,12 +48,12 @@ VOLPATH_RELATIVE_ERROR = 0.05
 class DetectedLight:
     """Detected light of a finger scene, whatever engine traced it.
 
-    over : reads a course of blood states, (t, zones) float -> Course.
+    readings_at : reads a course of blood states, (t, zones) float -> ReadingSeries.
     mean_path, mean_path_stderr : (led, photodiode, absorber) float at rest; NaN where the engine cannot tell. [mm]
     transfer : the trace behind it; None where the engine keeps none.
     """
 
-    over: Callable[[np.ndarray], Course]
+    readings_at: Callable[[np.ndarray], ReadingSeries]
     mean_path: np.ndarray
     mean_path_stderr: np.ndarray
     attributes: dict[str, Any]
@@ -171,14 +171,14 @@ def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None) -> DetectedL
     with np.errstate(invalid="ignore", divide="ignore"):
         relative = rest.detected_fraction_stderr.values / rest.detected_fraction.values
 
-    def over(states: np.ndarray) -> Course:
-        seen = course(transfer, states, electrons=True)
+    def readings_at(states: np.ndarray) -> ReadingSeries:
+        seen = readings_over_states(transfer, states, weight_by_responsivity=True)
         # A sum of no photons, or of one, has no spread, which is not the same as no error.
         seen.stderr[blind] = seen.change_stderr[blind] = np.nan
         return seen
 
     return DetectedLight(
-        over=over,
+        readings_at=readings_at,
         mean_path=rest.mean_path_mm.values,
         mean_path_stderr=rest.mean_path_mm_stderr.values,
         attributes=transfer.attributes()
@@ -317,7 +317,9 @@ def _light_by_volpath(
     mean_path, mean_path_stderr = volpath.secant_paths(scene, corners, ratio, ratio_stderr)
     made: dict[str, Any] = {"engine": "volpath", "backend": options.backend, "seeds": str(options.seed)}
     light = DetectedLight(
-        over=lambda blood: volpath.between(rest, relative, ratio, ratio_stderr, corners, np.asarray(blood, float)),
+        readings_at=lambda blood: volpath.between(
+            rest, relative, ratio, ratio_stderr, corners, np.asarray(blood, float)
+        ),
         mean_path=mean_path,
         mean_path_stderr=mean_path_stderr,
         attributes=provenance(scene, photons=sum(one.paths for one in traced), **made)

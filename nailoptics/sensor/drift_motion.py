@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, NotReachedError, as_far_as_reached
 from ..light import DetectedLight, ProgressCallback, open_light
-from ..light.transfer.series import Course
+from ..light.transfer.series import ReadingSeries
 from ..options import Requested
 from ..scene import Board, Scene
 from ..scene.body import Motion
@@ -120,7 +120,9 @@ def sensor_course(scene: Scene, time_s: Array) -> xr.Dataset:
     return xr.Dataset(data)
 
 
-def by_motion(worn: xr.Dataset, seen: Course, moved: Sequence[MovedLight], blood: Array) -> tuple[Array, Variables]:
+def by_motion(
+    worn: xr.Dataset, seen: ReadingSeries, moved: Sequence[MovedLight], blood: Array
+) -> tuple[Array, Variables]:
     """What the sensor's motion makes of its readings: a factor on each, and how it comes about.
 
     worn : the scene's `sensor_course`. seen : what is read with the sensor in its place, over blood (t, zones).
@@ -141,7 +143,7 @@ def by_motion(worn: xr.Dataset, seen: Course, moved: Sequence[MovedLight], blood
                 f"body.motion.{name}_um: light under a sensor that moves is traced by simulate alone; leave it out."
             )
         one = traced[name]
-        there = one.light.over(blood)
+        there = one.light.readings_at(blood)
         with np.errstate(divide="ignore", invalid="ignore"):
             per_um = np.log(there.fraction / seen.fraction) / one.distance_um
             stderr = np.hypot(there.stderr / there.fraction, seen.stderr / seen.fraction) / one.distance_um

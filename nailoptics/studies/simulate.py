@@ -143,7 +143,7 @@ def _read_volts(
     scene: Scene, light: DetectedLight, blood: np.ndarray, worn: xr.Dataset, moved: Sequence[MovedLight]
 ) -> xr.Dataset:
     """Detected fractions and volts over the course, with standard errors and noise."""
-    readings = light.over(blood)
+    readings = light.readings_at(blood)
     motion, about_motion = by_motion(worn, readings, moved, blood)
     # Only the light that arrives is moved light; what an LED or amplifier makes of it comes after. Of a million samples
     # each array is large: what is 1 everywhere stays one number.

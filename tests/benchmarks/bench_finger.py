@@ -14,7 +14,7 @@ import nailoptics as nail
 from nailoptics import geometry
 from nailoptics.assets import data_dir
 from nailoptics.light import backend, optics
-from nailoptics.light.transfer.series import course
+from nailoptics.light.transfer.series import readings_over_states
 
 PHOTODIODE = 1
 MORE_BLOOD = 1.1
@@ -36,7 +36,7 @@ def modulation(scene: nail.Scene, walk: nail.Transfer) -> None:
     """Figure of merit of a 10 % change of the proximal blood: (change / its error)^2 per CPU second."""
     rest = np.full(2, scene.blood.rest_blood_fraction)
     states = np.stack([rest, rest * [MORE_BLOOD, 1]])
-    readings = course(walk, states)
+    readings = readings_over_states(walk, states)
     change, error = readings.change[0, PHOTODIODE, 1], readings.change_stderr[0, PHOTODIODE, 1]
     ours = (change / error) ** 2 / walk.cpu_seconds
     print(
@@ -85,7 +85,7 @@ def press(scene: nail.Scene) -> None:
     t = np.linspace(0, 1, 10_000)
     states = np.stack([0.03 * (1 + 0.8 * np.sin(6 * t)), 0.03 * (1 + 0.9 * np.cos(9 * t))], -1)
     start = time.perf_counter()
-    course(transfer, states, electrons=True)
+    readings_over_states(transfer, states, weight_by_responsivity=True)
     seen = sum(len(trace.weight) for trace in transfer.traces)
     print(
         f"press        10 000 states x 3 LEDs x 8 photodiodes in {time.perf_counter() - start:.2f} s ({seen} photons)"

@@ -45,7 +45,7 @@ def photons() -> None:
         for _ in range(3):
             finger_walk._built.cache_clear()
             start = time.process_time()
-            tracer = finger_walk.FingerTracer(lit, kept=kept)
+            tracer = finger_walk.FingerTracer(lit, with_faces=kept)
             spent.append(time.process_time() - start)
         tracers.append(tracer)
         setup.append(min(spent))

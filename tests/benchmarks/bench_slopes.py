@@ -94,11 +94,11 @@ def states(count: int) -> Callable[[], object]:
     import numpy as np
 
     import nailoptics as nail
-    from nailoptics.light.transfer.series import course
+    from nailoptics.light.transfer.series import readings_over_states
 
     transfer = nail.trace(shipped(), photons=200_000)
     blood = np.random.default_rng(1).uniform(0.01, 0.05, (count, 2))
-    return lambda: course(transfer, blood)
+    return lambda: readings_over_states(transfer, blood)
 
 
 def samples(count: int, name: str = "prototype", zones: int = 2) -> Callable[[], object]:

@@ -6,7 +6,7 @@ import pytest
 import nailoptics as nail
 from nailoptics.errors import InputError
 from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, map_dataset, readings
-from nailoptics.light.transfer.series import course
+from nailoptics.light.transfer.series import readings_over_states
 from nailoptics.scene import parse_scene, to_toml
 from nailoptics.scene.rectangles import Rectangle
 
@@ -62,7 +62,7 @@ def test_over_a_photodiode_the_map_reads_what_the_photodiode_reads(scene, arriva
     areas = list(scene.layout.photodiode_areas)
     point = blood_point(scene, 0)
     mean, error = together(arrivals, point, areas)
-    seen = course(transfer, np.array([[0.03, 0.03]]), electrons=True)
+    seen = readings_over_states(transfer, np.array([[0.03, 0.03]]), weight_by_responsivity=True)
     expected, spread = seen.fraction[0, :, 0], seen.stderr[0, :, 0]
     assert np.all(np.abs(mean[:, 0] - expected) < 4 * np.hypot(error[:, 0], spread))
     assert np.all(np.hypot(error[:, 0], spread) < [0.03, 0.06] * expected)
@@ -75,7 +75,7 @@ def test_sensitivities_are_the_finite_differences_of_a_trace(scene, arrivals, tr
     for zone in range(2):
         step = np.zeros(2)
         step[zone] = 3e-4
-        seen = course(transfer, np.array([0.03 - step / 2, 0.03 + step / 2]), electrons=True)
+        seen = readings_over_states(transfer, np.array([0.03 - step / 2, 0.03 + step / 2]), weight_by_responsivity=True)
         slope, spread = (part[0, :, 1] / 3e-4 for part in (seen.change, seen.change_stderr))
         assert np.all(np.abs(mean[:, 2 + zone] - slope) < 4 * np.hypot(error[:, 2 + zone], spread))
         assert np.all(np.hypot(error[:, 2 + zone], spread) < 0.1 * np.abs(mean[:, 2:].sum(1)))
@@ -110,7 +110,9 @@ def test_a_fresh_trace_with_more_blood_reads_what_the_map_foretells(scene, arriv
     areas = list(scene.layout.photodiode_areas)
     mean, error = together(arrivals, blood_point(scene, 0, blood_fraction=[0.05, 0.05]), areas)
     more = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": 0.05})})
-    seen = course(nail.trace(more, photons=3 << 18, seed=11), np.array([[0.05, 0.05]]), electrons=True)
+    seen = readings_over_states(
+        nail.trace(more, photons=3 << 18, seed=11), np.array([[0.05, 0.05]]), weight_by_responsivity=True
+    )
     assert np.all(np.abs(mean[:, 0] - seen.fraction[0, :, 0]) < 4 * np.hypot(error[:, 0], seen.stderr[0, :, 0]))
 
 
@@ -202,7 +204,9 @@ def test_a_turned_photodiode_reads_what_the_map_tells_of_its_true_rectangle(scen
     one = scene.model_copy(update={"photodiodes": (scene.photodiodes[0].model_copy(update=turned),)})
     (area,) = one.layout.photodiode_areas
     mean, error = together(arrivals, blood_point(scene, 0), [area])
-    seen = course(nail.trace(one, photons=2 << 18, seed=21), np.array([[0.03, 0.03]]), electrons=True)
+    seen = readings_over_states(
+        nail.trace(one, photons=2 << 18, seed=21), np.array([[0.03, 0.03]]), weight_by_responsivity=True
+    )
     expected, spread = seen.fraction[0, 0, 0], seen.stderr[0, 0, 0]
     assert abs(mean[0, 0] - expected) < 4 * np.hypot(error[0, 0], spread)
     assert np.hypot(error[0, 0], spread) < 0.04 * expected

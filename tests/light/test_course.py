@@ -11,7 +11,7 @@ from nailoptics.hemodynamics.for_scene import blood_over_touch
 from nailoptics.light import ReweightWarning, Transfer, optics
 from nailoptics.light.transfer import series as course_module
 from nailoptics.light.transfer.records import LedTrace
-from nailoptics.light.transfer.series import MAX_ZONES_BETWEEN_NODES, course
+from nailoptics.light.transfer.series import MAX_ZONES_BETWEEN_NODES, readings_over_states
 from nailoptics.scene import Scene, parse_scene
 
 FINGER = """
@@ -74,14 +74,14 @@ def test_between_its_nodes_a_course_is_what_each_state_reads_on_its_own(high):
     standard error; the states are so many that they are interpolated, and read directly they are few."""
     transfer = made_up()
     states = random_states(2000, low=0.02, high=high)
-    smooth = course(transfer, states)
+    smooth = readings_over_states(transfer, states)
     for k in (0, 1, 500, 1999):
         alone = transfer.at(blood_fraction=states[k])
         fraction, stderr = alone.detected_fraction.values, alone.detected_fraction_stderr.values
         assert np.all(abs(smooth.fraction[:, :, k] - fraction) < 1e-6 * fraction)
         assert np.all(abs(smooth.fraction[:, :, k] - fraction) < 1e-3 * stderr)
         assert np.allclose(smooth.stderr[:, :, k], stderr, rtol=1e-4)
-    direct = course(transfer, states[[0, 700, 1500]])
+    direct = readings_over_states(transfer, states[[0, 700, 1500]])
     assert np.allclose(smooth.change[..., [0, 700, 1500]], direct.change, rtol=0, atol=1e-6 * direct.fraction.max())
     assert np.allclose(smooth.change_stderr[..., [700, 1500]], direct.change_stderr[..., 1:], rtol=1e-3)
 
@@ -94,7 +94,7 @@ def test_zones_that_a_touch_moves_together_and_blood_that_turns_arterial_are_int
     states = blood_over_touch(transfer.scene).blood_fraction.values.T
     sums = course_module._sums
     monkeypatch.setattr(course_module, "_sums", lambda t, s, *a, **k: (seen.append(len(s)), sums(t, s, *a, **k))[1])
-    smooth = course(transfer, states)
+    smooth = readings_over_states(transfer, states)
     assert sum(seen) < len(states) / 2
     for k in (0, 505, 1200, 4490, 4600, 8000):
         alone = transfer.at(blood_fraction=states[k])
@@ -102,7 +102,7 @@ def test_zones_that_a_touch_moves_together_and_blood_that_turns_arterial_are_int
         assert np.all(abs(smooth.fraction[:, :, k] - fraction) < 1e-3 * stderr)
         assert np.allclose(smooth.stderr[:, :, k], stderr, rtol=1e-3)
     at = [0, 505, 4600]
-    direct = course(transfer, states[at])
+    direct = readings_over_states(transfer, states[at])
     assert np.allclose(smooth.change[..., at], direct.change, rtol=0, atol=1e-5 * direct.fraction.max())
     assert np.allclose(smooth.change_stderr[..., at[1:]], direct.change_stderr[..., 1:], rtol=2e-3)
 
@@ -110,14 +110,14 @@ def test_zones_that_a_touch_moves_together_and_blood_that_turns_arterial_are_int
 def test_one_zone_alone_may_move():
     transfer = made_up()
     states = np.column_stack([np.linspace(0.01, 0.05, 300), np.full(300, 0.03)])
-    smooth = course(transfer, states)
+    smooth = readings_over_states(transfer, states)
     for k in (0, 123, 299):
         direct = transfer.at(blood_fraction=states[k]).detected_fraction.values
         assert np.allclose(smooth.fraction[:, :, k], direct, rtol=1e-7)
 
 
 def test_states_that_are_all_alike_read_alike_and_do_not_change():
-    seen = course(made_up(), np.full((50, 2), 0.03))
+    seen = readings_over_states(made_up(), np.full((50, 2), 0.03))
     assert np.ptp(seen.fraction, axis=-1).max() == 0
     assert np.all(seen.change == 0) and np.all(seen.change_stderr == 0) and np.all(seen.stderr > 0)
 
@@ -127,7 +127,7 @@ def test_a_change_shares_its_noise_with_what_it_starts_from():
     fifth of the readings' standard error, and resampling photons gives the error that is stated."""
     transfer = made_up()
     states = np.array([[0.03, 0.03], [0.033, 0.03]])
-    seen = course(transfer, states)
+    seen = readings_over_states(transfer, states)
     assert np.all(seen.change_stderr[..., 1] < 0.2 * seen.stderr[..., 1])
     assert np.all(abs(seen.change[..., 1]) > 20 * seen.change_stderr[..., 1])
     trace = transfer.traces[0]
@@ -147,16 +147,18 @@ def test_electrons_weigh_each_wavelength_of_the_line_by_its_photons_per_watt():
     is left of it, and what is left is what the sum over the line says."""
     transfer = made_up()
     state = np.array([[0.03, 0.05]])
-    plain, electrons = (course(transfer, state, electrons=e) for e in (False, True))
+    plain, weight_by_responsivity = (
+        readings_over_states(transfer, state, weight_by_responsivity=e) for e in (False, True)
+    )
     wavelength, share = optics.spectrum(transfer.scene.leds[0])
     trace = transfer.traces[0]
     mu_a = optics.absorption(transfer.scene, wavelength, blood_fraction=state[0]) - trace.mu_a
     factor = np.exp(-(trace.path_mm.astype(float) @ mu_a.T))
-    for seen, weights in ((plain, share), (electrons, share * wavelength / 800.0)):
+    for seen, weights in ((plain, share), (weight_by_responsivity, share * wavelength / 800.0)):
         expected = np.bincount(trace.photodiode, trace.weight * (factor @ weights), minlength=2) / trace.photons
         assert np.allclose(seen.fraction[0, :, 0], expected, rtol=1e-9)
-    assert np.all(plain.fraction != electrons.fraction)
-    assert np.allclose(plain.fraction, electrons.fraction, rtol=0.01)
+    assert np.all(plain.fraction != weight_by_responsivity.fraction)
+    assert np.allclose(plain.fraction, weight_by_responsivity.fraction, rtol=0.01)
 
 
 def test_ten_thousand_states_take_little_longer_than_a_hundred():
@@ -167,7 +169,7 @@ def test_ten_thousand_states_take_little_longer_than_a_hundred():
     took = {}
     for count in (100, 10_000):
         start = time.process_time()
-        seen = course(transfer, states[:: len(states) // count])
+        seen = readings_over_states(transfer, states[:: len(states) // count])
         took[count] = time.process_time() - start
         assert seen.fraction.shape == (1, 2, count)
     assert took[10_000] < 5 and took[10_000] < 4 * took[100] + 1
@@ -176,25 +178,25 @@ def test_ten_thousand_states_take_little_longer_than_a_hundred():
 def test_a_course_into_states_too_far_away_warns():
     """Even where only one state of many is, and only between nodes; nearer ones say nothing (warnings are errors)."""
     trace = made_up(600)
-    course(trace, random_states(50, high=0.1))
+    readings_over_states(trace, random_states(50, high=0.1))
     states = np.full((200, 2), 0.03)
     states[77] = 1.0
     with pytest.warns(ReweightWarning, match='photodiode "(near|far)".*effective photons'):
-        course(trace, states)
+        readings_over_states(trace, states)
 
 
 def test_states_of_the_wrong_shape_are_refused_in_one_line():
     for states in (np.zeros(2), np.zeros((3, 3)), np.zeros((0, 2)), np.zeros((2, 2, 2))):
         with pytest.raises(InputError, match="one value for each zone") as caught:
-            course(made_up(10), states)
+            readings_over_states(made_up(10), states)
         assert "\n" not in str(caught.value)
     for value in (-0.01, 1.01, float("nan")):
         with pytest.raises(InputError, match="0 to 1"):
-            course(made_up(10), np.full((3, 2), value))
+            readings_over_states(made_up(10), np.full((3, 2), value))
 
 
 def test_a_trace_that_saw_nothing_reads_zero():
-    seen = course(made_up(0), random_states(500))
+    seen = readings_over_states(made_up(0), random_states(500))
     assert seen.fraction.shape == (1, 2, 500) and not seen.fraction.any() and not seen.stderr.any()
 
 
@@ -223,7 +225,7 @@ def test_reading_another_state_is_tracing_it_afresh(jit_backend, traced, blood, 
 @pytest.mark.jit
 def test_a_real_trace_is_interpolated_as_well_as_a_made_up_one(traced):
     states = random_states(1000, low=0.005, high=0.08)
-    smooth = course(traced, states)
+    smooth = readings_over_states(traced, states)
     assert len(states) > MAX_ZONES_BETWEEN_NODES
     for k in (3, 400, 999):
         alone = traced.at(blood_fraction=states[k])

@@ -9,12 +9,12 @@ import pytest
 
 import nailoptics as nail
 from nailoptics import tissue
-from nailoptics.light import Transfer, optics, read_rest, tracing
+from nailoptics.light import Transfer, optics, read_rest
 from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
-from nailoptics.light.tracing import LedTrigger, extend
+from nailoptics.light.tracing import LedTrigger, extend, trace_scene
 from nailoptics.light.tracing.store import LedSource
 from nailoptics.light.transfer.records import Batch, LedTrace, joined
-from nailoptics.light.transfer.series import course, read_replicates
+from nailoptics.light.transfer.series import read_replicates, readings_over_states
 from nailoptics.light.walk.finger import FingerTracer
 from nailoptics.paper.reduced_optics import fit_curve
 from nailoptics.scene import Accuracy, Scene, parse_scene
@@ -102,7 +102,7 @@ def of_trace(transfer: Transfer) -> Estimates:
     rest, other = transfer.at(), transfer.at(blood_fraction=[0.05, 0.01], so2=0.8)
     bed = {"absorber": "bed_1"}
     states = np.linspace([0.03, 0.03], [0.06, 0.015], 9)
-    moved = course(transfer, states, electrons=True)
+    moved = readings_over_states(transfer, states, weight_by_responsivity=True)
     out = {
         "reading": (rest.detected_fraction.values, rest.detected_fraction_stderr.values),
         "other state": (other.detected_fraction.values, other.detected_fraction_stderr.values),
@@ -185,7 +185,7 @@ def test_intervals_of_each_engine_on_a_phantom(jit_backend, engine):
 @pytest.mark.slow
 def test_intervals_of_a_trace_that_stopped_at_a_tolerance(jit_backend, monkeypatch):
     """Paths and a reread state of a trace that stopped by its reading, beside the reading."""
-    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 11)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 11)
     scene = parse_scene(SLAB.format(u=2.0))
 
     def estimates(transfer: Transfer) -> Estimates:

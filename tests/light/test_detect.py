@@ -115,7 +115,7 @@ def test_of_fewer_than_25_photons_no_standard_error_is_known(photons, known):
         energy={},
         seeds=(1,),
     )
-    seen = detect.light_of(Transfer(scene, (trace,), "llvm")).over(np.full((2, 2), 0.03))
+    seen = detect.light_of(Transfer(scene, (trace,), "llvm")).readings_at(np.full((2, 2), 0.03))
     assert np.all(seen.fraction > 0) and np.all(np.isfinite(seen.stderr) == known)
 
 

@@ -131,7 +131,7 @@ def test_parts_left_out_read_the_same_with_faces_that_light_passes_and_without_a
     scene = scene.model_copy(update={"light": scene.light.model_copy(update={"left_out": tuple(geometry.AROUND)})})
     found = []
     for seed, kept in enumerate((tuple(geometry.AROUND), ())):
-        tracer = FingerTracer(scene, kept=kept)
+        tracer = FingerTracer(scene, with_faces=kept)
         batch = tracer.batch(0, photons=photons, seed=seed)
         met = {*tracer.geometry.below.tolist(), *tracer.geometry.above.tolist()}
         assert all((tracer.geometry.regions.index(part) in met) == bool(kept) for part in geometry.AROUND)

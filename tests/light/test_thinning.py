@@ -9,10 +9,11 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.errors import NotReachedError
-from nailoptics.light import Transfer, optics, tracing
+from nailoptics.light import Transfer, optics
+from nailoptics.light.tracing import trace_scene
 from nailoptics.light.transfer import records, rest_state
 from nailoptics.light.transfer.records import LedTrace, joined
-from nailoptics.light.transfer.series import course
+from nailoptics.light.transfer.series import readings_over_states
 from nailoptics.scene import Scene, parse_scene
 
 PHANTOM = """
@@ -131,6 +132,7 @@ def test_a_thousand_million_photons_are_as_good_as_that_many(monkeypatch):
     assert float(seen.effective_photons) == pytest.approx(float(everything.effective_photons), rel=1e-9)
 
 
+@pytest.mark.filterwarnings("ignore::nailoptics.light.ReweightWarning")
 def test_errors_at_every_state_are_true(monkeypatch):
     """Expected: over many traces of 64 merges each, readings, paths and slopes lie around the truth as they state;
     near rest they are nearly as sharp as with all records, and far from it never worse than the sample alone."""
@@ -198,13 +200,13 @@ def test_a_course_reads_what_each_state_reads(monkeypatch):
         parts = [made_up(100 * run + i, 4_000_000, scene=scene) for i in range(20)]
         thin = light(joined(parts), scene)
         assert thin.traces[0].keep < 1
-        moved = course(thin, states)
+        moved = readings_over_states(thin, states)
         if run == 0:
             for k, state in enumerate(states):
                 one = thin.at(state).squeeze()
                 assert moved.fraction[0, 0, k] == pytest.approx(float(one.detected_fraction), rel=1e-9)
                 assert moved.stderr[0, 0, k] == pytest.approx(float(one.detected_fraction_stderr), rel=1e-6)
-            still = course(thin, np.array([[rest, rest], [0.1, 0.1]]))
+            still = readings_over_states(thin, np.array([[rest, rest], [0.1, 0.1]]))
             assert still.fraction[0, 0, 0] == pytest.approx(thin.traces[0].full.fraction[0], rel=1e-12)
             assert still.change[0, 0, 0] == still.change_stderr[0, 0, 0] == 0
         # The light is known: paths in both zones are exponential and independent.
@@ -235,7 +237,7 @@ def test_the_error_that_stops_a_trace_is_the_one_that_is_read(jit_backend, monke
     """With a broad line, too, over which the state at rest is not the traced one."""
     limited(monkeypatch, 300)
     scene, target = (phantom(), 0.01) if which == "phantom" else (parse_scene(FINGER.format(fwhm=50.0)), 0.016)
-    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 12)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     told = []
     traced = nail.trace(scene, relative_error=target, seed=2, progress=told.append)
     seen = traced.at().squeeze()
@@ -247,7 +249,7 @@ def test_the_error_that_stops_a_trace_is_the_one_that_is_read(jit_backend, monke
 @pytest.mark.jit
 def test_a_trace_out_of_time_tells_the_error_that_is_read(jit_backend, monkeypatch):
     limited(monkeypatch, 300)
-    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 12)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     told = []
     with pytest.raises(NotReachedError, match="max_seconds") as caught:
         nail.trace(phantom(), relative_error=1e-5, max_seconds=0.5, progress=told.append)
@@ -280,7 +282,7 @@ def plate_errors(traced: Transfer) -> list[float]:
 def test_a_clear_plate_far_past_the_limit(jit_backend, monkeypatch):
     """Expected: errors as small as the photons allow, and intervals that hold the plate's exact reflectance."""
     limited(monkeypatch, 1000)
-    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 12)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     scene = phantom(mu_a=0.0, mu_s=0.0, n=4.0, size=1000.0)
     z = []
     for seed in range(40):

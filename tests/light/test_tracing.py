@@ -11,7 +11,8 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.errors import InputError, NotReachedError
-from nailoptics.light import TraceProgress, tracing
+from nailoptics.light import TraceProgress
+from nailoptics.light.tracing import accuracy, trace_scene, trigger
 from nailoptics.light.walk.layered import LayeredTracer
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, parse_scene
@@ -50,7 +51,7 @@ def error_of(transfer) -> float:
 
 @pytest.mark.parametrize("target", [0.02, 0.003])
 def test_the_tolerance_is_met_and_not_far_overdone(jit_backend, monkeypatch, target):
-    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 14)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 14)
     transfer = nail.trace(slab(leds=2), relative_error=target, seed=4)
     seen = transfer.at()
     errors = (seen.detected_fraction_stderr / seen.detected_fraction).values
@@ -63,7 +64,7 @@ def test_the_tolerance_is_met_and_not_far_overdone(jit_backend, monkeypatch, tar
 def test_stopping_at_a_tolerance_hardly_favours_luck(jit_backend, monkeypatch):
     """Rationale: a rule that stops when the error looks small enough prefers runs that err low.
     Expected: 100 traces to a coarse tolerance agree on average with one of many photons."""
-    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 11)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 11)
     scene = slab()
     truth = nail.trace(scene, photons=1 << 20, seed=999).at().squeeze()
     runs = [nail.trace(scene, relative_error=0.05, seed=seed).at().squeeze() for seed in range(100)]
@@ -73,7 +74,7 @@ def test_stopping_at_a_tolerance_hardly_favours_luck(jit_backend, monkeypatch):
 
 @pytest.mark.parametrize("photons", [1, 2, 255, 8191, 8193, 50_001])
 def test_the_number_of_photons_is_exact(jit_backend, monkeypatch, photons):
-    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 14)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 14)
     transfer = nail.trace(slab(leds=2), photons=photons)
     assert [trace.photons for trace in transfer.traces] == [photons, photons] and transfer.photons == 2 * photons
     assert sum(part["value"] for part in transfer.energy().values()) == pytest.approx(1, abs=1e-9)
@@ -82,17 +83,18 @@ def test_the_number_of_photons_is_exact(jit_backend, monkeypatch, photons):
 
 def test_the_same_seed_in_other_batches_is_the_same_light(jit_backend, monkeypatch):
     whole = nail.trace(slab(), photons=1 << 17, seed=1).at().squeeze()
-    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 12)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     parts = nail.trace(slab(), photons=1 << 17, seed=1).at().squeeze()
     spread = np.hypot(whole.detected_fraction_stderr, parts.detected_fraction_stderr)
     assert abs(whole.detected_fraction - parts.detected_fraction) < 3.5 * spread
 
 
 def test_time_alone_ends_a_trace_without_complaint(jit_backend, monkeypatch):
-    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 14)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 14)
     clock = itertools.count(0.0, 0.01)
     seconds = SimpleNamespace(perf_counter=lambda: next(clock), process_time=time.process_time)
-    monkeypatch.setattr(tracing, "time", seconds)
+    monkeypatch.setattr(trace_scene, "time", seconds)
+    monkeypatch.setattr(trigger, "time", seconds)
     transfer = nail.trace(slab(leds=2), max_seconds=1.0)
     assert 1.0 <= next(clock) < 1.3
     shares = [trace.photons for trace in transfer.traces]
@@ -100,7 +102,7 @@ def test_time_alone_ends_a_trace_without_complaint(jit_backend, monkeypatch):
 
 
 def test_a_tolerance_out_of_reach_saves_what_was_reached(jit_backend, monkeypatch):
-    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 14)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 14)
     with pytest.raises(NotReachedError, match=r"max_seconds.*1e-06 requested") as caught:
         nail.trace(slab(leds=2), relative_error=1e-6, max_seconds=0.4)
     error = caught.value
@@ -110,14 +112,14 @@ def test_a_tolerance_out_of_reach_saves_what_was_reached(jit_backend, monkeypatc
 
 
 def test_photons_out_of_reach_say_how_many_there_were(jit_backend, monkeypatch):
-    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 14)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 14)
     with pytest.raises(NotReachedError, match="photons") as caught:
         nail.trace(slab(), photons=10**10, max_seconds=0.2)
     assert 0 < caught.value.result.photons < 10**10
 
 
 def test_a_photodiode_that_sees_nothing_does_not_pass_for_exact(jit_backend, monkeypatch):
-    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 12)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     with pytest.raises(NotReachedError, match="relative error inf"):
         nail.trace(slab(square=500.0), relative_error=0.5, max_seconds=0.3)
 
@@ -131,7 +133,7 @@ def test_an_interrupt_keeps_what_was_traced(jit_backend, monkeypatch):
             raise KeyboardInterrupt
         return batch(self, led, **more)
 
-    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 12)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     monkeypatch.setattr(LayeredTracer, "batch", interrupted)
     with pytest.raises(NotReachedError, match="interrupted") as caught:
         nail.trace(slab(), photons=1 << 16)
@@ -139,7 +141,7 @@ def test_an_interrupt_keeps_what_was_traced(jit_backend, monkeypatch):
 
 
 def test_progress_is_told_after_every_batch(jit_backend, monkeypatch):
-    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 13)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 13)
     told: list[TraceProgress] = []
     nail.trace(slab(leds=2), photons=5 << 13, progress=told.append)
     assert [p.led for p in told] == 5 * ["beam0"] + 5 * ["beam1"]
@@ -152,7 +154,7 @@ def test_progress_is_told_after_every_batch(jit_backend, monkeypatch):
 
 
 def test_progress_towards_a_tolerance_ends_at_one(jit_backend, monkeypatch):
-    monkeypatch.setattr(tracing, "PHANTOM_BATCH_PHOTONS", 1 << 12)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     told: list[TraceProgress] = []
     nail.trace(slab(), relative_error=0.01, progress=told.append)
     assert told[-1].fraction_done == 1 and told[-1].relative_error <= 0.01 == told[-1].target
@@ -177,11 +179,11 @@ def test_the_library_prints_nothing(jit_backend, capfd, caplog):
 )
 def test_what_is_asked_in_the_call_comes_before_the_scene(asked, expected):
     scene = slab(accuracy="relative_error = 0.1\nmax_seconds = 5.0")
-    assert tracing.accuracy(scene, TraceOptions(**asked)).model_dump(exclude_none=True) == expected
+    assert accuracy(scene, TraceOptions(**asked)).model_dump(exclude_none=True) == expected
 
 
 def test_a_million_photons_are_the_default():
-    assert tracing.accuracy(slab(), TraceOptions()).photons == 1_000_000
+    assert accuracy(slab(), TraceOptions()).photons == 1_000_000
 
 
 @pytest.mark.parametrize(
@@ -208,7 +210,7 @@ def test_seeds_of_leds_and_batches_are_all_different():
 
 @pytest.mark.jit
 def test_a_photodiode_that_no_light_reaches_ends_the_trace_with_a_word(chosen_jit, monkeypatch):
-    monkeypatch.setattr(tracing, "UNSEEN_PHOTONS", 1_000_000)
+    monkeypatch.setattr(trigger, "UNLIT_PHOTONS", 1_000_000)
     scene = nail.scene.parse_scene(
         "schema_version = 1\n[phantom]\n"
         'layers = [{name = "slab", thickness_mm = 1.0, mu_a_per_mm = 5.0, mu_s_per_mm = 1.0}]\n'

@@ -5,7 +5,7 @@ import pytest
 from small_scenes import SMALL_FINGER
 
 from nailoptics.errors import InputError
-from nailoptics.light.transfer.series import Course
+from nailoptics.light.transfer.series import ReadingSeries
 from nailoptics.scene import Body, Drift, Motion, parse_scene
 from nailoptics.sensor.drift_motion import MovedLight, by_motion, moved_boards, sensor_course
 from nailoptics.studies.simulate import simulate
@@ -70,11 +70,11 @@ def test_motion_has_the_stated_spread_and_memory_and_does_not_depend_on_the_samp
 def test_readings_go_with_the_distance_as_the_moved_light_says():
     scene, time_s = worn(1, motion=Motion(slide_um=0.0)), np.arange(4.0)
     fraction, zero = np.array([[[1.0, 1.0, 2.0, 2.0]]]), np.zeros((1, 1, 4))
-    here = Course(fraction, 0.01 * fraction, zero, zero)
+    here = ReadingSeries(fraction, 0.01 * fraction, zero, zero)
 
     class Lifted:
-        def over(self, blood):
-            return Course(0.8 * fraction, 0.01 * fraction, zero, zero)
+        def readings_at(self, blood):
+            return ReadingSeries(0.8 * fraction, 0.01 * fraction, zero, zero)
 
     course = sensor_course(scene, time_s)
     factor, data = by_motion(course, here, [MovedLight("lift", 40.0, Lifted())], np.zeros((4, 2)))

@@ -12,7 +12,7 @@ from nailoptics.errors import InputError
 from nailoptics.hemodynamics.for_scene import steady_blood
 from nailoptics.light import ReweightWarning, Transfer, optics, trace
 from nailoptics.light.transfer.records import LedTrace
-from nailoptics.light.transfer.series import course
+from nailoptics.light.transfer.series import readings_over_states
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Priors, Scene
 from nailoptics.scene.priors import Prior, PriorRange, shipped_priors
@@ -50,7 +50,7 @@ def traced(chosen_jit) -> Transfer:
 
 def relative(transfer: Transfer, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Reading at rest, its error, its change by 1 N as a part of it and the error of that, (photodiode,) each."""
-    found = course(replace(transfer, scene=scene), ends(scene), electrons=True)
+    found = readings_over_states(replace(transfer, scene=scene), ends(scene), weight_by_responsivity=True)
     level, change = found.fraction[0, :, 0], found.change[0, :, 1]
     return level, found.stderr[0, :, 0], change / level, found.change_stderr[0, :, 1] / level
 
@@ -137,7 +137,7 @@ def test_the_standard_error_of_a_spread_is_true(traced):
     of = np.random.default_rng(3).integers(parts, size=len(light.weight))
     each = []
     for k in range(parts):
-        part = replace(light.only(of == k), photons=light.photons // parts)
+        part = replace(light.select(of == k), photons=light.photons // parts)
         found = readings_over_priors(replace(traced, traces=(part,)), ends, options=OPTIONS, own_traces=False)
         each.append([(*one.total, one.own[0]) for one in (found.level, found.change, found.signal)])
     value, error = (np.array([[kind[j][0] for kind in one] for one in each]) for j in (0, 1))

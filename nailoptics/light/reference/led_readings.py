@@ -15,7 +15,7 @@ from ...statistics import seed_of
 from .. import optics
 from ..backend import choose
 from ..tracing import Ending, ProgressCallback, TraceProgress, Trigger, out_of_time, run_until, share_of_time
-from ..transfer.series import Course
+from ..transfer.series import ReadingSeries
 from .integrate import phantom_fractions
 from .mitsuba_scene import LEAVING, BedAbsorption, Window
 from .states import StateReadings, finger_states
@@ -181,7 +181,7 @@ def between(
     ratio_stderr: np.ndarray,
     corners: np.ndarray,
     blood: np.ndarray,
-) -> Course:
+) -> ReadingSeries:
     """Readings between the corner states: ln S is linear in the blood of each zone.
 
     The errors of the zones' ratios share noise of unknown sign, so they are added, which is an upper bound.
@@ -194,7 +194,7 @@ def between(
         spread, moved = (each @ np.abs(d).T for d in (x, x - x[0]))
         fraction, level = rest[..., None] * of_rest, relative[..., None]
         change = fraction - fraction[..., :1]
-        return Course(
+        return ReadingSeries(
             fraction=fraction,
             stderr=fraction * np.hypot(level, spread),
             change=change,

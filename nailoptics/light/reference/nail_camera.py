@@ -27,7 +27,7 @@ OPAQUE_PER_MM = 1e3
 class NailCamera:
     """Reflectance factors of patches of a bare nail by volpath, in up to three blood states at once.
 
-    scene : with what an eye sees (`bare_nail.as_seen`).
+    scene : with what an eye sees (`nail_reflectance.as_seen`).
     groups : of independent paths, by whose spread errors are known; FILM^2 is a multiple of it.
     """
 

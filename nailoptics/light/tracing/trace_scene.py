@@ -26,14 +26,14 @@ PHOTONS_ENGINE = "the photons engine"
 def trace(
     scene: Scene,
     *,
-    kept: Collection[str] = (),
+    with_faces: Collection[str] = (),
     progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
 ) -> Transfer:
     """Trace the light of every LED once; the result can be read at any blood state.
 
-    kept : parts whose faces are there even where the scene leaves them out. So photons that never meet them go the same
-        way, number by number, as in a scene that has them, which walks on other faces would not.
+    with_faces : parts whose faces are there even where the scene leaves them out. So photons that never meet them go
+        the same way, number by number, as in a scene that has them, which walks on other faces would not.
     requested : fields of `TraceOptions`; a million photons where neither they nor the scene say how far.
     progress : called after every batch.
 
@@ -43,7 +43,7 @@ def trace(
     begin, options = time.process_time(), TraceOptions(**requested)
     chosen = backends.choose_jit(options.backend, PHOTONS_ENGINE)
     required = accuracy(scene, options)
-    engine, store = LightEngine(scene, chosen, kept=kept), LightStore.of_user() if options.store else None
+    engine, store = LightEngine(scene, chosen, with_faces=with_faces), LightStore.of_user() if options.store else None
     sources = led_sources(scene, engine, [store], seed=options.seed, backend=chosen.name)
     start, cpu = time.perf_counter(), time.process_time()
     traces, events, complaint, interrupted = [], 0, None, False
@@ -105,14 +105,14 @@ class LightEngine:
 
     Until then Mitsuba is not even imported: light that is stored needs none.
 
-    kept : the parts that it has although the scene leaves them out.
+    with_faces : the parts that it has although the scene leaves them out.
     full : photons of a full batch.
     cpu_seconds, wall_seconds : what opening it took. [s]
     """
 
-    def __init__(self, scene: Scene, backend: backends.Backend, *, kept: Collection[str] = ()) -> None:
+    def __init__(self, scene: Scene, backend: backends.Backend, *, with_faces: Collection[str] = ()) -> None:
         self.scene, self.backend = light_scene(scene), backend
-        self.kept = sorted({*kept} & {*scene.light.left_out})
+        self.with_faces = sorted({*with_faces} & {*scene.light.left_out})
         self.full = batch_photons(scene)
         self.cpu_seconds = self.wall_seconds = 0.0
         self._opened: Any = None
@@ -122,7 +122,7 @@ class LightEngine:
         if self._opened is None:
             begin, cpu = time.perf_counter(), time.process_time()
             engine_class = photons_engine(self.scene, self.backend.name)
-            self._opened = engine_class(self.scene, **({"kept": self.kept} if self.kept else {}))
+            self._opened = engine_class(self.scene, **({"with_faces": self.with_faces} if self.with_faces else {}))
             self.wall_seconds, self.cpu_seconds = time.perf_counter() - begin, time.process_time() - cpu
         return self._opened
 
@@ -134,7 +134,9 @@ def led_sources(
     found, layers = [], [layer.name for layer in scene.phantom.layers] if scene.phantom else []
     for led, source in enumerate(scene.leds):
         mu_a = optics.absorption(engine.scene, source.wavelength_nm)[0]
-        made = made_of(scene, led, seed=seed, backend=backend) | ({"kept": engine.kept} if engine.kept else {})
+        made = made_of(scene, led, seed=seed, backend=backend) | (
+            {"kept": engine.with_faces} if engine.with_faces else {}
+        )
         stored = [store.light(made) for store in stores if store is not None]
         photodiodes = len(photodiode_names(scene))
         found.append(LedSource(engine, led, mu_a, photodiodes=photodiodes, seed=seed, stored=stored, layers=layers))

@@ -34,13 +34,13 @@ class Moments:
     fourth: np.ndarray  # (p,): sum of w^4
 
     @property
-    def table(self) -> np.ndarray:
+    def as_array(self) -> np.ndarray:
         """All sums side by side, (p, 3 + 3 r) float."""
         return np.column_stack([self.weight, self.square, self.path, self.path_square, self.path_cross, self.fourth])
 
     @classmethod
-    def of_table(cls, table: np.ndarray, photons: int) -> "Moments":
-        """The sums that `table` put side by side."""
+    def from_array(cls, table: np.ndarray, photons: int) -> "Moments":
+        """The sums that `as_array` put side by side."""
         path, path_square, path_cross = np.split(table[:, 2:-1], 3, axis=1)
         return cls(photons, table[:, 0], table[:, 1], path, path_square, path_cross, table[:, -1])
 

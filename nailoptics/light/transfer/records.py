@@ -116,22 +116,22 @@ class LedTrace:
     def check(self, *, photodiodes: int, absorbers: int) -> None:
         """Raise CorruptError unless what a file held can be such a trace."""
         check_records(self, photodiodes=photodiodes, absorbers=absorbers)
-        sums = {} if self.full is None else {"full": self.full.table}
+        sums = {} if self.full is None else {"full": self.full.as_array}
         shapes: dict[str, tuple[int, ...]] = {"weight": (-1,), "draw": (-1,), "mu_a": (absorbers,)}
         check_arrays(vars(self) | sums, shapes | dict.fromkeys(sums, (photodiodes, 3 + 3 * absorbers)))
         if not 0 < self.keep <= 1 or (self.draw >= self.keep).any() or any(not isinstance(s, int) for s in self.seeds):
             raise CorruptError("its probabilities or seeds are none")
 
-    def only(self, chosen: np.ndarray) -> "LedTrace":
+    def select(self, chosen: np.ndarray) -> "LedTrace":
         """Some of the records, (n,) bool, as a trace of as many photons; sums over all photons do not hold for them."""
         records = {name: getattr(self, name)[chosen] for name in COLUMNS}
         return replace(self, **records, rest=None, full=None)
 
-    def kept(self, keep: float) -> "LedTrace":
+    def thinned(self, keep: float) -> "LedTrace":
         """The records that a probability as low or lower keeps, and sums over all photons at rest."""
         if keep == self.keep:
             return self
-        thin = self.only(self.draw < keep)
+        thin = self.select(self.draw < keep)
         # Probabilities are powers of two, so that weights lose no bits.
         weight = thin.weight * (self.keep / keep)
         return replace(thin, weight=weight, keep=keep, rest=self.rest, full=self._sums_at_rest())
@@ -184,7 +184,7 @@ def joined(traces: Sequence[LedTrace]) -> LedTrace:
         raise InputError("these traces are of scenes that differ at rest; merge traces of one scene.")
     keep, full = _common_keep(traces), None
     if keep < 1:
-        traces = [trace.kept(keep) for trace in traces]
+        traces = [trace.thinned(keep) for trace in traces]
         sums = [trace.full for trace in traces if trace.full is not None]
         full = reduce(add, sums) if len(sums) == len(traces) else None
     return LedTrace(
@@ -254,10 +254,10 @@ class LedRecords:
         self.events += batch.events
         kept = {name: value for name, value in vars(batch).items() if name != "events"}
         seeds = (seed_of(self.seed, self.led, number),)
-        self._batches.append(LedTrace(**kept, mu_a=self.mu_a, seeds=seeds, rest=self.rest).kept(self._keep))
+        self._batches.append(LedTrace(**kept, mu_a=self.mu_a, seeds=seeds, rest=self.rest).thinned(self._keep))
         keep = _common_keep(self._batches)
         if keep < self._keep:
-            self._keep, self._batches = keep, [trace.kept(keep) for trace in self._batches]
+            self._keep, self._batches = keep, [trace.thinned(keep) for trace in self._batches]
 
     def trace(self) -> LedTrace:
         """All batches so far as one."""

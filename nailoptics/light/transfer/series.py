@@ -33,7 +33,7 @@ GROUP_CHUNK = 8192
 
 
 @dataclass(frozen=True)
-class Course:
+class ReadingSeries:
     """Readings over many states, (led, photodiode, state) float each, fractions of the emitted power.
 
     fraction, stderr : detected fraction and its standard error.
@@ -46,21 +46,21 @@ class Course:
     change_stderr: np.ndarray
 
 
-def course(
-    transfer: Transfer, blood_fraction: np.ndarray, *, so2: float | None = None, electrons: bool = False
-) -> Course:
+def readings_over_states(
+    transfer: Transfer, blood_fraction: np.ndarray, *, so2: float | None = None, weight_by_responsivity: bool = False
+) -> ReadingSeries:
     """Readings over a course of blood states; a press of ten thousand steps takes about as long as one of a hundred.
 
     Readings are smooth in the blood: they are taken at Chebyshev nodes over the range of states, as many as keep the
     error of interpolation below 1e-8 of a reading for all but the longest paths, and interpolated.
 
     blood_fraction : (t, K) float in 0-1. Blood of each zone in each state; of single precision, readings are, too.
-    electrons : weigh the LED's line by the photodiode's response, relative to that at the peak wavelength.
+    weight_by_responsivity : weigh the LED's line by the photodiode's response, relative to that at the peak wavelength.
 
     Warns: ReweightWarning where fewer than 400 effective photons stand behind a reading of some state, or fewer than 25
     behind the standard error of one that is brighter than the traced state.
     """
-    found = _course(transfer, blood_fraction, so2, electrons)
+    found = _readings(transfer, blood_fraction, so2, weight_by_responsivity)
     effective = np.empty(found.fraction.shape[:2])
     with np.errstate(invalid="ignore", divide="ignore"):
         # Of n equal photons the relative error is 1 / sqrt(n).
@@ -73,7 +73,9 @@ def course(
     return found
 
 
-def _course(transfer: Transfer, blood_fraction: np.ndarray, so2: float | None, electrons: bool) -> Course:
+def _readings(
+    transfer: Transfer, blood_fraction: np.ndarray, so2: float | None, weight_by_responsivity: bool
+) -> ReadingSeries:
     states = np.asarray(blood_fraction)
     states = states if states.dtype == np.float32 else states.astype(float, copy=False)
     count = optics.zones(transfer.scene).count
@@ -81,31 +83,33 @@ def _course(transfer: Transfer, blood_fraction: np.ndarray, so2: float | None, e
         raise InputError(f"blood_fraction has shape {states.shape}; give (states, {count}), one value for each zone.")
     blood, first = transfer.scene.blood, checks.fraction("blood_fraction", states)[0].copy()
     shape = (len(transfer.traces), len(transfer.photodiodes), len(states))
-    reading = _Reading(transfer, states, first, so2, electrons, [np.empty(shape, states.dtype) for _ in range(4)])
+    reading = _Reading(
+        transfer, states, first, so2, weight_by_responsivity, [np.empty(shape, states.dtype) for _ in range(4)]
+    )
     if so2 is not None or blood.venous_so2 is None:
         _read(reading, np.arange(len(states)))
-        return Course(*reading.out)
+        return ReadingSeries(*reading.out)
     # Absorption bends where blood begins to pool: between nodes on one side of that it is smooth.
     sides, side = np.unique(states > blood.rest_blood_fraction, axis=0, return_inverse=True)
     for k in range(len(sides)):
         _read(reading, np.flatnonzero(side == k))
-    return Course(*reading.out)
+    return ReadingSeries(*reading.out)
 
 
 @dataclass(frozen=True)
 class _Reading:
-    """What is read, (t, K) states and their changes from a first one, and where it is put, the arrays of a `Course`."""
+    """States to read, (t, K), the first one, from which changes count, and the arrays of a `ReadingSeries`."""
 
     transfer: Transfer
     states: np.ndarray
     first: np.ndarray
     so2: float | None
-    electrons: bool
+    weight_by_responsivity: bool
     out: list[np.ndarray]
 
     def sums(self, states: np.ndarray, line: tuple[np.ndarray, np.ndarray] | None = None) -> tuple[np.ndarray, ...]:
         """The four arrays in other states, from the photons."""
-        return _sums(self.transfer, states, self.first, self.so2, self.electrons, line=line)
+        return _sums(self.transfer, states, self.first, self.so2, self.weight_by_responsivity, line=line)
 
     def blocks(self, which: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Some of the states, as many at once as leave the memory alone: their numbers and themselves."""
@@ -205,7 +209,7 @@ def _sums(
     states: np.ndarray,
     first: np.ndarray,
     so2: float | None,
-    electrons: bool,
+    weight_by_responsivity: bool,
     *,
     line: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -217,7 +221,7 @@ def _sums(
     out = tuple(np.zeros(shape) for _ in range(4))
     for i, (trace, led) in enumerate(zip(transfer.traces, transfer.scene.leds, strict=True)):
         wavelength, share = optics.spectrum(led)
-        if electrons:
+        if weight_by_responsivity:
             share = share * wavelength / led.wavelength_nm
         mu_a = _absorption(transfer, wavelength, np.vstack([first, states]), so2, line) - trace.mu_a
         sums, full = np.zeros((4, *shape[1:])), trace.full

@@ -239,7 +239,7 @@ class Transfer:
         arrays = {name: np.concatenate([getattr(t, name) for t in self.traces]) for name in COLUMNS}
         arrays["mu_a_per_mm"] = np.array([t.mu_a for t in self.traces])
         no_sums = np.full((len(self.photodiodes), 3 + 3 * len(self.absorbers)), np.nan)
-        arrays["full"] = np.array([no_sums if t.full is None else t.full.table for t in self.traces])
+        arrays["full"] = np.array([no_sums if t.full is None else t.full.as_array for t in self.traces])
         path = Path(path)
         io.make_folder(path.parent)
         io.write_bytes(path, io.pack(header, arrays))
@@ -267,7 +267,7 @@ class Transfer:
                     seeds=tuple(led["seeds"]),
                     keep=led["keep"],
                     rest=rest_state(scene, i),
-                    full=None if np.isnan(sums).all() else Moments.of_table(sums, led["photons"]),
+                    full=None if np.isnan(sums).all() else Moments.from_array(sums, led["photons"]),
                     **made_of,
                 )
                 one.check(**count)

@@ -23,15 +23,15 @@ from .sampling import (
     TOP,
     PhotonEnds,
     WalkedPhotons,
-    absorption_depth,
     emission_table,
+    free_absorption_length,
     fresnel,
     henyey_greenstein,
     lanes,
+    loop_state,
     remaining,
     rotate_direction,
     roulette,
-    state_of,
 )
 from .splitting import Reach, Splitting
 from .tallies import BoardTally, FluenceTally, Section, SensitivityTally
@@ -60,13 +60,13 @@ class FingerTracer:
 
     batch_photons = FINGER_BATCH_PHOTONS
 
-    def __init__(self, scene: Scene, *, spacing_mm: float = SPACING_MM, kept: Collection[str] = ()) -> None:
+    def __init__(self, scene: Scene, *, spacing_mm: float = SPACING_MM, with_faces: Collection[str] = ()) -> None:
         """spacing_mm : Cells of the distances; wider ones are made sooner and let light skip less. [mm]
 
-        kept : Parts whose faces are there even where the scene leaves them out; light passes these as it came.
+        with_faces : Parts whose faces are there even where the scene leaves them out; light passes these as it came.
         """
         self.scene = scene
-        self.geometry, distances = _built(finger_geometry.shaping(scene, kept=kept), spacing_mm)
+        self.geometry, distances = _built(finger_geometry.shaping(scene, with_faces=with_faces), spacing_mm)
         self.photodiodes = tuple(face.name for face in self.geometry.photodiodes)
         self.interfaces = Interfaces(self.geometry, distances)
         self.regions = [
@@ -131,7 +131,7 @@ class FingerTracer:
         (rng, _), index = lanes(photons, seed), dr.arange(mi.UInt32, photons)
         lane, own = index % dr.width(rng.state), mi.PCG32(size=photons)  # type: ignore[operator]
         own.inc = dr.gather(mi.UInt64, rng.inc, lane) if dr.width(rng.inc) > 1 else rng.inc
-        own.state = state_of(dr.gather(mi.UInt64, rng.state, lane), index)
+        own.state = loop_state(dr.gather(mi.UInt64, rng.state, lane), index)
         p, _, cos, facet = Emitter(face, LAMBERTIAN, mi.UInt32(0)).emit_at_angle(own)
         return self.geometry.on_board(np.array(p).T), np.array(cos).astype(float), np.array(facet)
 
@@ -145,7 +145,7 @@ class FingerTracer:
 
 
 @dataclass
-class _Leg:
+class _Segment:
     """A photon's way through one region, up to an interface or to where it looks for one.
 
     step : The next step to come. [mm]
@@ -199,10 +199,10 @@ class FingerWalk:
         active = count > 0
         while dr.hint(active, label="finger walk"):
             medium = self.regions.medium(photon.region, active)
-            leg = self.scatter_freely(photon, medium, active)
-            casts = active & (leg.scatterings < FREE_EVENTS)
-            hit, triangle = self.step_to_interface(photon, leg, medium, casts)
-            events += leg.scatterings
+            segment = self.scatter_freely(photon, medium, active)
+            casts = active & (segment.scatterings < FREE_EVENTS)
+            hit, triangle = self.step_to_interface(photon, segment, medium, casts)
+            events += segment.scatterings
             region = mi.UInt32(photon.region)
             u, phi = photon.rng.next_float32(), 2 * dr.pi * photon.rng.next_float32()
             scattered = rotate_direction(photon.w, henyey_greenstein(medium.g, u), phi)
@@ -213,7 +213,7 @@ class FingerWalk:
             absorbed = photon.tau > photon.absorption_optical_depth
             photon.outcome = dr.select(absorbed, mi.UInt32(ABSORBED), photon.outcome)
             # Copies that are still to come start with the weight that this one had there.
-            roulette(photon, leg.scatterings + 1, dr.select(photon.is_last(), photon.stands_for(), 0))
+            roulette(photon, segment.scatterings + 1, dr.select(photon.is_last(), photon.statistical_weight(), 0))
             if self.splitting is None and self.acceptance is not None:
                 photon.weight = dr.select(photon.outcome >= DETECTED, photon.weight * accepted, photon.weight)
             if self.splitting is not None:
@@ -234,7 +234,7 @@ class FingerWalk:
 
     def launch(self, rng: Any, lane: Any, index: Any) -> FingerPhoton:
         """A new photon on the emitter."""
-        rng.state = state_of(lane, index)
+        rng.state = loop_state(lane, index)
         p, w = self.emitter.emit(rng, index)
         levels = len(self.splitting.reach.copies) if self.splitting is not None else 0
         return FingerPhoton(
@@ -243,58 +243,58 @@ class FingerWalk:
             p=p,
             w=w,
             region=mi.UInt32(self.emitter.region),
-            absorption_optical_depth=absorption_depth(rng.next_float32()),
+            absorption_optical_depth=free_absorption_length(rng.next_float32()),
             path=[mi.Float(0) for _ in self.ends.path],
             copies=[mi.UInt32(1) for _ in range(levels)],
             copies_left=[mi.UInt32(0) for _ in range(levels)],
         )
 
     @dr.syntax
-    def scatter_freely(self, photon: FingerPhoton, medium: Medium, active: Any) -> _Leg:
+    def scatter_freely(self, photon: FingerPhoton, medium: Medium, active: Any) -> _Segment:
         """Scatter while no interface can be on the next step, without asking where the interfaces are.
 
         What is free around its two ends is all of it, if together that is longer.
         """
         step = medium.free_path(photon.rng)
-        leg = _Leg(step, mi.Float(0), [mi.Float(0) for _ in self.zones.edges], mi.UInt32(0))
+        segment = _Segment(step, mi.Float(0), [mi.Float(0) for _ in self.zones.edges], mi.UInt32(0))
         free = self.interfaces.free(photon.p, active)
         ahead = self.interfaces.free(photon.p + photon.w * step, active)
-        while active & (leg.step < free + ahead) & (leg.scatterings < FREE_EVENTS):
-            self.advance(photon, leg, medium, True)
+        while active & (segment.step < free + ahead) & (segment.scatterings < FREE_EVENTS):
+            self.advance(photon, segment, medium, True)
             cos = henyey_greenstein(medium.g, photon.rng.next_float32())
             photon.w = mi.Vector3f(rotate_direction(photon.w, cos, 2 * dr.pi * photon.rng.next_float32()))
-            leg.step = medium.free_path(photon.rng)
+            segment.step = medium.free_path(photon.rng)
             free = mi.Float(ahead)
-            ahead = self.interfaces.free(photon.p + photon.w * leg.step, True)
-            leg.scatterings += 1
-        return leg
+            ahead = self.interfaces.free(photon.p + photon.w * segment.step, True)
+            segment.scatterings += 1
+        return segment
 
-    def advance(self, photon: FingerPhoton, leg: _Leg, medium: Medium, active: Any) -> None:
+    def advance(self, photon: FingerPhoton, segment: _Segment, medium: Medium, active: Any) -> None:
         """Move a photon by its next step, all inside one region."""
-        step = leg.step
+        step = segment.step
         beyond = self.zones.beyond(dr.fma(0.5 * step, photon.w.y, photon.p.y), step)
-        leg.beyond = [a + dr.select(medium.in_bed, b, 0) for a, b in zip(leg.beyond, beyond, strict=True)]
+        segment.beyond = [a + dr.select(medium.in_bed, b, 0) for a, b in zip(segment.beyond, beyond, strict=True)]
         if self.section is not None:
-            weight = photon.weight * remaining(dr.fma(leg.length, medium.mu_a, photon.tau))
+            weight = photon.weight * remaining(dr.fma(segment.length, medium.mu_a, photon.tau))
             self.section.add(photon, photon.p + photon.w * (0.5 * step), step, weight, active)
-        leg.length = leg.length + step
+        segment.length = segment.length + step
         photon.p = mi.Point3f(photon.p + photon.w * step)
 
-    def step_to_interface(self, photon: FingerPhoton, leg: _Leg, medium: Medium, casts: Any) -> tuple[Any, Any]:
-        """Take the next step of photons that cast a ray, up to the first interface on it, and close the leg.
+    def step_to_interface(self, photon: FingerPhoton, segment: _Segment, medium: Medium, casts: Any) -> tuple[Any, Any]:
+        """Take the next step of photons that cast a ray, up to the first interface on it, and close the segment.
 
         Returns: whether there was one, and which triangle.
         """
-        found = self.interfaces.first_hit(photon.p, photon.w, leg.step, casts)
+        found = self.interfaces.first_hit(photon.p, photon.w, segment.step, casts)
         hit = casts & found.is_valid()
         gone = casts & ~hit & ~medium.scatters
-        leg.step = dr.select(casts & ~gone, dr.select(hit, found.t, leg.step), 0)
-        self.advance(photon, leg, medium, casts)
-        leg.scatterings = leg.scatterings + dr.select(casts & ~hit & ~gone, mi.UInt32(1), mi.UInt32(0))
-        photon.tau = dr.fma(leg.length, medium.mu_a, photon.tau)
+        segment.step = dr.select(casts & ~gone, dr.select(hit, found.t, segment.step), 0)
+        self.advance(photon, segment, medium, casts)
+        segment.scatterings = segment.scatterings + dr.select(casts & ~hit & ~gone, mi.UInt32(1), mi.UInt32(0))
+        photon.tau = dr.fma(segment.length, medium.mu_a, photon.tau)
         tissue = dr.gather(mi.UInt32, self.regions.tissue, photon.region)
-        inside = [dr.select(tissue == k, leg.length, 0) for k in range(len(optics.TISSUES))]
-        photon.path = [path + more for path, more in zip(photon.path, [*inside, *leg.beyond], strict=True)]
+        inside = [dr.select(tissue == k, segment.length, 0) for k in range(len(optics.TISSUES))]
+        photon.path = [path + more for path, more in zip(photon.path, [*inside, *segment.beyond], strict=True)]
         # Whoever leaves for ever leaves from the air.
         left = dr.select(photon.region == self.regions.air, mi.UInt32(TOP), mi.UInt32(LOST))
         photon.outcome = dr.select(gone, left, photon.outcome)
@@ -331,7 +331,7 @@ class FingerWalk:
             place, tallied = self.tallied(photon.region)
             # Of a photon's copies the last one counts for all.
             tallied &= photon.is_last()
-            left = photon.weight * photon.stands_for() * remaining(photon.tau)
+            left = photon.weight * photon.statistical_weight() * remaining(photon.tau)
             self.ends.absorb(photon, place, left, ~reflected, tallied)
             end = dr.gather(mi.UInt32, regions.end, there)
             photon.outcome = dr.select(opaque & ~reflected, end, photon.outcome)
@@ -395,7 +395,7 @@ def _go_on(photon: FingerPhoton, fork: list[Any], done: Any, k: int) -> None:
         photon.p, photon.w, photon.region, photon.weight, photon.tau, photon.entered, path = dr.copy(fork)
         photon.path = path
         # What absorption leaves a photon knows nothing of how far it came.
-        photon.absorption_optical_depth = photon.tau + absorption_depth(photon.rng.next_float32())
+        photon.absorption_optical_depth = photon.tau + free_absorption_length(photon.rng.next_float32())
         photon.copies_left[k] -= 1
         photon.outcome = mi.UInt32(0)
 

@@ -62,7 +62,7 @@ class FingerPhoton(Photon):
             last &= left == 0
         return last
 
-    def stands_for(self) -> Any:
+    def statistical_weight(self) -> Any:
         """How many copies of its weight it was split into."""
         number = mi.Float(1)
         for copies in self.copies:

@@ -79,7 +79,7 @@ class ReflectedLight:
         return replace(self, rays=self.rays + other.rays, **joined)
 
 
-class BareNail:
+class NailReflectance:
     """The finger of a scene without its board, and rays from above into it; neither is made before it is needed."""
 
     def __init__(self, scene: Scene, *, backend: str = "auto", stores: Sequence[LightStore] = ()) -> None:

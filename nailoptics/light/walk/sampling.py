@@ -165,7 +165,7 @@ def lanes(photons: int, seed: int) -> tuple[Any, Any]:
     return rng, count
 
 
-def state_of(first: Any, photon: Any) -> Any:
+def loop_state(first: Any, photon: Any) -> Any:
     """The state of a lane's generator when one of its photons starts, whatever those before it drew.
 
     So two walks of one seed, in scenes that differ in one part, have all photons in common that never meet it.
@@ -173,7 +173,7 @@ def state_of(first: Any, photon: Any) -> Any:
     return first + mi.sample_tea_64(mi.UInt32(first), photon)  # type: ignore[call-overload]
 
 
-def absorption_depth(u: Any) -> Any:
+def free_absorption_length(u: Any) -> Any:
     """The optical depth of absorption at which a photon ends, for a uniform number u."""
     return -dr.log(1 - u) / KILLED_SHARE
 

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from ...hemodynamics.for_scene import steady_blood
 from ...light.identity import light_digest
-from ...light.walk.nail_reflectance import BareNail
+from ...light.walk.nail_reflectance import NailReflectance
 from ...scene import Scene, Viewing
 from ...statistics import seed_of
 from ...variables import variable
@@ -23,7 +23,7 @@ _SPREAD = 61
 
 
 def spread_of_colours(
-    nail: BareNail, rays: ColourRays, places: Places, viewer: Viewer, viewing: Viewing, *, seed: int
+    nail: NailReflectance, rays: ColourRays, places: Places, viewer: Viewer, viewing: Viewing, *, seed: int
 ) -> xr.Dataset:
     """Standard deviation of L*, a* and b* over each prior of the scene, and over all together.
 
@@ -42,7 +42,7 @@ def spread_of_colours(
         return np.asarray(viewer.lab(read)[:, :, 0])
 
     def walked(one: Scene) -> Array:
-        other = BareNail(one, backend=nail.backend, stores=nail.stores)
+        other = NailReflectance(one, backend=nail.backend, stores=nail.stores)
         patches = [places.patches[site] for site in sites]
         light = walk_colour(other, patches, photons=OWN_PHOTONS, seed=seed_of(seed, _SPREAD))
         return lab(light, one, (0, 1))

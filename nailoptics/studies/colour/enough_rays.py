@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...light.tracing import Ending, StageProgress, run_until
-from ...light.walk.nail_reflectance import BareNail, Patch
+from ...light.walk.nail_reflectance import NailReflectance, Patch
 from ...options import TraceOptions
 from ...scene import Scene, Viewing
 from ...statistics import jackknife, seed_of
@@ -59,7 +59,7 @@ def places_of(scene: Scene) -> Places:
 
 
 def walk_until_known(
-    nail: BareNail,
+    nail: NailReflectance,
     places: Places,
     states: Array,
     viewer: Viewer,
@@ -103,7 +103,7 @@ def walk_until_known(
 class _Walk:
     """Rays that grow, a part at a time."""
 
-    nail: BareNail
+    nail: NailReflectance
     options: TraceOptions
     stage: StageProgress
     rays: ColourRays | None = None

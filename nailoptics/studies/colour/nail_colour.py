@@ -18,7 +18,7 @@ from ...light import ProgressCallback, backend
 from ...light.tracing import StageProgress
 from ...light.tracing.store import LightStore
 from ...light.transfer import provenance
-from ...light.walk.nail_reflectance import BareNail
+from ...light.walk.nail_reflectance import NailReflectance
 from ...options import Requested, TraceOptions
 from ...scene import Scene, Viewing
 from ...scene.viewing import Illuminant, LightFrom, Observer
@@ -132,7 +132,7 @@ def _traced(
 ) -> tuple[xr.Dataset, int, str]:
     """Colours by rays, all of them; how many rays, and why they fall short, if they do."""
     backend.activate(chosen)
-    nail, places = BareNail(scene, backend=chosen.name, stores=stores), places_of(scene)
+    nail, places = NailReflectance(scene, backend=chosen.name, stores=stores), places_of(scene)
     rays, unmet = walk_until_known(nail, places, states, viewer, viewing, options, stage)
     result = _dataset(scene, rays, places, states, viewer, viewing)
     result = result.merge(press_and_release(scene, rays, places, viewer, viewing))

@@ -14,7 +14,7 @@ from ...light import optics
 from ...light.identity import light_scene
 from ...light.transfer.interpolation import ChebyshevBox
 from ...light.transfer.reweight import attenuation
-from ...light.walk.nail_reflectance import BareNail, Patch, ReflectedLight
+from ...light.walk.nail_reflectance import NailReflectance, Patch, ReflectedLight
 from ...scene import Scene
 from ...scene.viewing import LightFrom
 from ...statistics import left_out
@@ -138,7 +138,7 @@ def _sums(light: ReflectedLight, mu_a: Array, patches: np.ndarray) -> Array:
 
 
 def walk_colour(
-    nail: BareNail,
+    nail: NailReflectance,
     patches: Sequence[Patch],
     *,
     photons: int,

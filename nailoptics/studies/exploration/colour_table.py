@@ -121,7 +121,7 @@ class ColourSums:
             here, there = (self.density(places) for places in (starts[arrived.photon[went]], arrived.place_mm[went]))
             weights = tuple(weight * (2 * here / (here + there)) for weight in weights)
         ways = weights if self.basis.one_side else (np.where(forth, *weights),)
-        at_rest = self._add_ratios(block, x, y, arrived.only(went), ways)
+        at_rest = self._add_ratios(block, x, y, arrived.select(went), ways)
         self.waiting.append((block, x, y, at_rest))
         if self.number == 0 and self.batches < AMBIENT_BATCHES:
             self.left.append((starts[left.photon], left))

@@ -102,7 +102,7 @@ def reading_table(scene: Scene, light: DetectedLight, most_blood: float) -> Read
     nodes, rest = nodes_of(most_blood), scene.blood.rest_blood_fraction
     step = 0.5 * rest
     around = np.array([[rest, rest], [rest + step, rest], [rest, rest + step]])
-    found, near = light.over(nodes), light.over(around)
+    found, near = light.readings_at(nodes), light.readings_at(around)
     diodes = [element.photodiode for element in scene.layout.photodiodes]
     pairs = [(led, diode) for led in scene.leds for diode in diodes]
     per_fraction = np.array([electronics.volts_per_fraction(led, diode, scene.electronics) for led, diode in pairs])

@@ -16,7 +16,7 @@ from ...light import ProgressCallback, optics
 from ...light import backend as backends
 from ...light.diffusion import DiffusionModel
 from ...light.tracing import unlit
-from ...light.transfer.series import course, read_replicates
+from ...light.transfer.series import read_replicates, readings_over_states
 from ...options import BackendName, TraceOptions
 from ...scene import Scene
 from ...statistics import FEW_TERMS, farther_end, jackknife
@@ -152,7 +152,9 @@ class Bench:
         worst, spent = float(other.relative_stderr.max()), other.transfer.cpu_seconds
         worst_signal = float(other.modulation_stderr.max()) / self.largest_modulation
         kept = sum(t.weight.nbytes + t.path_mm.nbytes + t.photodiode.nbytes for t in other.transfer.traces)
-        reweighting = cpu_seconds(lambda: course(other.transfer, self.states, electrons=True))
+        reweighting = cpu_seconds(
+            lambda: readings_over_states(other.transfer, self.states, weight_by_responsivity=True)
+        )
         first = Cost(other.setup_seconds, 1.0)
         return Level(
             name=name,
@@ -231,7 +233,7 @@ def stored(bench: Bench) -> Iterator[Level]:
     plate_mm = bench.full.finger.nail_thickness_mm * THICKER if bench.full.finger else 0.0
     thicker = bench.tracer.trace(revised(bench.full, {"finger": {"nail_thickness_mm": plate_mm}}))
     level, rest = bench.measured(THICKER_PLATE, {}, thicker), bench.states[:1]
-    read = cpu_seconds(lambda: course(thicker.transfer, rest, electrons=True))
+    read = cpu_seconds(lambda: readings_over_states(thicker.transfer, rest, weight_by_responsivity=True))
     yield replace(
         level,
         first=Cost(read),

@@ -112,7 +112,7 @@ def end_states(scene: Scene) -> np.ndarray:
 
 def shape_of(scene: Scene) -> Scene:
     """What a scene's geometry is built from when it is traced in a pair: with all parts, so that paths are shared."""
-    return geometry.shaping(scene, kept=geometry.AROUND)
+    return geometry.shaping(scene, with_faces=geometry.AROUND)
 
 
 @dataclass
@@ -176,7 +176,7 @@ class PairedTracer:
         if options.relative_error is not None or options.photons is not None:
             share = None if options.max_seconds is None else self.seconds_left / (self.scenes + 1)
             fields = replace(options, max_seconds=share).fields
-            pilot, unmet = as_far_as_reached(trace, scene, kept=geometry.AROUND, progress=self.progress, **fields)
+            pilot, unmet = as_far_as_reached(trace, scene, with_faces=geometry.AROUND, progress=self.progress, **fields)
             self.shortfall = str(unmet) if unmet else None
             if unmet and unmet.interrupted:
                 raise NotReachedError(str(unmet), interrupted=True)
@@ -199,7 +199,7 @@ class PairedTracer:
         chosen, seed, store = backend or self.options.backend, self.options.seed, store and self.options.store
         try:
             how: Requested = {"photons": photons, "seed": seed, "backend": chosen, "store": store}
-            transfer = trace(scene, kept=geometry.AROUND, progress=self._report_progress, **how)
+            transfer = trace(scene, with_faces=geometry.AROUND, progress=self._report_progress, **how)
         except NotReachedError as error:
             # A part of one trace is of no use to those that are compared with it.
             raise NotReachedError(str(error)) from None

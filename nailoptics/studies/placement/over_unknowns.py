@@ -158,7 +158,7 @@ def _resolutions(
         blood = [blood_point(one, i, traced=traced, blood_fraction=point.blood_fraction) for one, point in shared]
         blocks = []
         for block in range(BLOCKS):
-            part = arrivals.every(BLOCKS, block)
+            part = arrivals.thin(BLOCKS, block)
             each = readings(part, np.concatenate([one.values(part) for one in blood], axis=1), areas)[0]
             blocks.append(each.reshape(len(areas), len(shared), -1))
         read.append(left_out(np.stack(blocks)))

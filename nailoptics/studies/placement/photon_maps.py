@@ -130,7 +130,7 @@ class PhotonMapCache:
             if areas := self._areas.get(key):
                 u, v = arrivals.place_mm.T
                 inside = np.any([area.holds(u, v) for area in areas], axis=0)
-                self._kept.setdefault((key, digit, led), []).append(arrivals.only(inside))
+                self._kept.setdefault((key, digit, led), []).append(arrivals.select(inside))
             for i, point in zip(members, points, strict=True):
                 self._maps[key][i][led].add(arrivals, point.values(arrivals))
 

@@ -13,7 +13,7 @@ from nailoptics.errors import InputError
 from nailoptics.light import optics
 from nailoptics.light.photograph import photograph
 from nailoptics.light.tracing.store import LightStore
-from nailoptics.light.walk.nail_reflectance import BareNail, Patch
+from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
 from nailoptics.scene import load_scene, parse_scene
 from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
 from nailoptics.studies.colour.measured_colours import MEASURED
@@ -33,7 +33,7 @@ def without_spread(scene):
 
 
 def walked(seed, photons=40_000):
-    return walk_colour(BareNail(SCENE), PATCHES, photons=photons, seed=seed)
+    return walk_colour(NailReflectance(SCENE), PATCHES, photons=photons, seed=seed)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def test_reflectance_at_a_wavelength_between_the_nodes_is_that_of_a_fresh_trace(
     rest = np.full((1, 2), 0.03)
     read = rays.reflectance(rest, **LOOK)
     for wavelength_nm in (450.0, 545.0, 680.0):
-        bare = BareNail(SCENE)
+        bare = NailReflectance(SCENE)
         at_rest = optics.absorption(bare.scene, wavelength_nm)[0]
         own = bare.reflect(wavelength_nm, PATCHES, palest_per_mm=at_rest, photons=60_000, seed=9, groups=GROUPS)
         cell = own.group.astype(int) * len(PATCHES) + own.patch
@@ -84,7 +84,7 @@ def test_blood_reddens_along_one_line_and_melanin_darkens_skin_along_another(ray
 
 
 def test_a_finger_that_absorbs_nothing_sends_back_almost_all_light(jit_backend):
-    bare = BareNail(SCENE)
+    bare = NailReflectance(SCENE)
     none = np.full(len(optics.absorbers(SCENE)), 1e-7)
     found = bare.reflect(700.0, PATCHES[:1], palest_per_mm=none, photons=4_000, seed=3, groups=GROUPS)
     # What does not come back has left by the cut end; nothing is gained or lost on the way.
@@ -126,7 +126,7 @@ def test_a_stored_colour_is_the_same_and_walks_no_ray(jit_backend, tmp_path, mon
     stores = [LightStore(tmp_path / "light")]
     quiet = without_spread(SCENE)
     first = colour(quiet, forces_n=(0.0, 4.0), photons=8_000, seed=4, stores=stores)
-    monkeypatch.setattr(BareNail, "_reflect", None)
+    monkeypatch.setattr(NailReflectance, "_reflect", None)
     again = colour(quiet, forces_n=(0.0, 4.0), photons=8_000, seed=4, stores=stores)
     assert np.array_equal(first.lab.values, again.lab.values)
     # Another skin, other blood and another lamp see by the same rays.

@@ -10,7 +10,7 @@ from nailoptics.geometry import DistanceGrid, Geometry
 from nailoptics.geometry.regions import BARRIER, BED, CUT, PLATE, REGIONS
 from nailoptics.light import backend, optics
 from nailoptics.light.reference.nail_camera import NailCamera
-from nailoptics.light.walk.nail_reflectance import BareNail, Patch
+from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
 from nailoptics.scene import parse_scene
 from nailoptics.statistics import jackknife, seed_of
 from nailoptics.studies.colour import stock_colour
@@ -27,7 +27,7 @@ THICKNESS_MM = {"plate": 0.45, "bed": 1.7}
 REST = np.full((1, 2), 0.03)
 
 
-class FlatStack(BareNail):
+class FlatStack(NailReflectance):
     """Nail plate and bed as layers 200 mm wide over something opaque, walked as a finger is."""
 
     def __init__(self, floor: int) -> None:
@@ -129,7 +129,7 @@ def test_a_white_and_a_black_phantom_have_their_exact_colours_and_no_light_is_lo
 def test_a_camera_of_stock_mitsuba_sees_the_same_colour_of_the_nail(chosen_jit):
     """volpath through real media under an even sky, gloss included, against the traced rays, at three wavelengths."""
     backend.activate(chosen_jit)
-    bare = BareNail(SCENE)
+    bare = NailReflectance(SCENE)
     rays = walk_colour(bare, MIDDLE, photons=320_000, seed=7)
     read = rays.reflectance(REST, lit_by="sky", gloss=True)[:, 0, 0]
     value, error = read[0], jackknife(read)

@@ -21,12 +21,12 @@ def prototype(*left_out: str) -> Scene:
 
 @pytest.fixture(scope="module")
 def whole(chosen_jit):
-    return nail.trace(prototype(), kept=AROUND, photons=60_000, seed=7)
+    return nail.trace(prototype(), with_faces=AROUND, photons=60_000, seed=7)
 
 
 @pytest.fixture(scope="module")
 def boneless(chosen_jit):
-    return nail.trace(prototype("bone"), kept=AROUND, photons=60_000, seed=7)
+    return nail.trace(prototype("bone"), with_faces=AROUND, photons=60_000, seed=7)
 
 
 def test_photons_that_never_meet_the_bone_are_the_same_without_it(whole, boneless):
@@ -54,7 +54,7 @@ def test_the_difference_of_traces_with_common_photons_is_that_of_independent_one
     paired, other = [], []
     for seed in range(20, 24):
         with_bone, without = (
-            nail.trace(prototype(*parts), kept=AROUND, photons=50_000, seed=seed) for parts in ((), ("bone",))
+            nail.trace(prototype(*parts), with_faces=AROUND, photons=50_000, seed=seed) for parts in ((), ("bone",))
         )
         alone = nail.trace(prototype("bone"), photons=50_000, seed=seed + 100)
         one = with_bone.at().detected_fraction.sum()
@@ -79,7 +79,7 @@ def test_a_trace_shares_all_with_itself(whole):
 def test_photons_that_look_alike_are_shared_one_by_one(whole):
     """Rationale: light that met no absorber leaves equal records. Expected: as many of them as both traces have."""
     trace = whole.traces[0]
-    same = trace.only(np.zeros(len(trace.weight), int))
-    three, two = same.only(np.arange(3)), same.only(np.arange(2))
+    same = trace.select(np.zeros(len(trace.weight), int))
+    three, two = same.select(np.arange(3)), same.select(np.arange(2))
     a, b = shared_photons(three, two)
     assert len(a) == len(b) == 2 == len(set(a.tolist())) == len(set(b.tolist()))

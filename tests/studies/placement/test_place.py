@@ -198,7 +198,8 @@ def test_each_photodiode_looks_where_the_blood_tells_it(found):
     slope = found.predicted_zone_v[0].values
     error = found.predicted_zone_v_stderr[0].values / np.abs(slope.sum(1, keepdims=True))
     foretold = slope / slope.sum(1, keepdims=True)
-    assert np.all(np.abs(share - foretold) < 4 * np.sqrt(2) * error + 0.02)
+    known = np.isfinite(error)
+    assert known.mean() > 0.8 and np.all((np.abs(share - foretold) < 4 * np.sqrt(2) * error + 0.02)[known])
     assert share[0, 0] > 0.7 and share[-1, 1] > 0.7
 
 
@@ -487,9 +488,9 @@ def test_the_command_writes_what_other_programs_read(chosen_jit, tmp_path, capsy
 
 
 def test_what_few_photons_tell_of_a_photodiode_has_no_error():
-    """Expected: of a hundred and of twenty blocks of equal photons an error, of five of a hundred none, nor of none."""
+    """Expected: of a hundred and of thirty blocks of equal photons an error, of five of a hundred none, nor of none."""
     groups = np.zeros((100, 4))
-    for photodiode, count in enumerate((100, 20, 5, 0)):
+    for photodiode, count in enumerate((100, 30, 5, 0)):
         groups[:count, photodiode] = np.linspace(0.9, 1.1, count)
     replicates = left_out(groups)
     read = SimpleNamespace(volts=replicates, shunted_fraction=replicates, zone_v=replicates[..., None])
