@@ -1,5 +1,6 @@
 """The page of `explore` in a real browser: its numbers are Python's, and a hand can use it."""
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -7,18 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 from made_exploration import made_exploration
+from scipy.interpolate import RegularGridInterpolator
 
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics.for_scene import steady_blood
 from nailoptics.io import FORMULA
-from nailoptics.report.pages.explore.page import page
+from nailoptics.report.pages.explore.page import MOST_POINTS, page
 from nailoptics.scene import to_toml
 from nailoptics.scene.files import parse_scene
 from nailoptics.scene.positions import read_positions
 from nailoptics.sensor import electronics
 from nailoptics.sensor.information import Response, force_resolution_n, operating_point, total_information
+from nailoptics.statistics import jackknife
 from nailoptics.studies.exploration.explore import Exploration
 from nailoptics.studies.placement.result import kicad_parts
 
@@ -81,21 +84,34 @@ def rows(shown: Any) -> list[dict[str, Any]]:
     return shown.evaluate("JSON.parse(JSON.stringify(workbench.result.rows))")
 
 
-def reading(explored: Exploration, colour: int, die: Any, area: Any, state: list[float]) -> float:
-    """What a photodiode reads, by sums over many more points than the page takes."""
-    t, weight = np.polynomial.legendre.leggauss(12)
-    table, found = explored.colours[colour], []
+def half(values: np.ndarray) -> np.ndarray:
+    """Numbers as they are in half precision."""
+    return values.astype(np.float16).astype(float)
+
+
+def reading(explored: Exploration, colour: int, die: Any, area: Any, state: list[float], *, points: int = 0) -> float:
+    """What a photodiode reads, from the tables at the precision in which the page has them.
+
+    points : Of Gauss quadrature along each side; as many as the page takes if 0.
+    """
+    table, nodes = explored.colours[colour], []
     for one in (die, area):
-        (width, length), turn = one["size"], np.radians(one["turn"])
-        x, y = (a.ravel() for a in np.meshgrid(t * width / 2, t * length / 2))
+        turn = np.radians(one["turn"])
+        rules = [
+            np.polynomial.legendre.leggauss(points or min(MOST_POINTS, max(1, math.ceil(side / 0.25))))
+            for side in one["size"]
+        ]
+        (tx, weight_x), (ty, weight_y) = rules
+        x, y = (a.ravel() for a in np.meshgrid(tx * one["size"][0] / 2, ty * one["size"][1] / 2, indexing="ij"))
         turned = np.stack([np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y], -1)
-        found.append((turned + one["at"], np.outer(weight, weight).ravel() / 4))
-    (x, wx), (y, wy) = found
+        nodes.append((turned + one["at"], np.outer(weight_x, weight_y).ravel() / 4))
+    (x, wx), (y, wy) = nodes
     pairs = np.repeat(x, len(y), 0), np.tile(y, (len(x), 1))
     at, value = explored.basis.at(*pairs)
     weights = np.outer(wx, wy).ravel() * area["size"][0] * area["size"][1] * explored.radial(*pairs)
-    at_rest = weights * (value * table.coefficients[at]).sum(1)
-    ratios = table.ratios @ explored.polynomial.monomials(np.array([state]))[0]
+    scale = np.sqrt(np.mean(table.coefficients**2))
+    at_rest = weights * (value * (scale * half(table.coefficients / scale))[at]).sum(1)
+    ratios = half(table.ratios) @ explored.polynomial.monomials(np.array([state]))[0]
     edge_mm = explored.scene.zone_edges_mm[0]
     return float(at_rest @ (explored.ratio.matrix(*pairs, edge_mm) @ ratios))
 
@@ -110,16 +126,17 @@ def test_readings_are_pythons_at_random_places_sizes_turns_and_states(shown: Any
         size, turn = rng.uniform(0.2, 1.2, 2).round(3).tolist(), float(rng.uniform(0, 180))
         state, colour = [*rng.uniform(0.0, 0.1, 2).tolist(), float(rng.uniform(0.7, 1.0))], int(rng.integers(3))
         die = {"at": x, "size": (0.25, 0.25), "turn": 0.0}
-        expected = reading(explored, colour, die, {"at": y, "size": size, "turn": turn}, state)
-        told = shown.evaluate(
+        area = {"at": y, "size": size, "turn": turn}
+        shown_fraction = shown.evaluate(
             """([colour, x, y, size, turn, state]) => dot(monomials(state), readPair(
                 {u: x[0], v: x[1], width: 0.25, length: 0.25, turn: 0},
                 {u: y[0], v: y[1], width: size[0], length: size[1], turn: turn * Math.PI / 180}, colours[colour]
             ).coefficients)""",
             [colour, x, y, size, turn, state],
         )
-        # Half precision keeps 5e-4 of each coefficient; beside kinks of C a few points miss some more.
-        assert told == pytest.approx(expected, rel=0.02)
+        assert shown_fraction == pytest.approx(reading(explored, colour, die, area, state), rel=1e-6)
+        # Beside kinks of the tables a few points miss some.
+        assert shown_fraction == pytest.approx(reading(explored, colour, die, area, state, points=12), rel=0.02)
 
 
 def test_volts_noise_and_the_converters_limit_are_pythons(shown: Any, explored: Exploration):
@@ -176,6 +193,44 @@ def test_the_blood_under_a_force_is_that_of_the_vessels(shown: Any, explored: Ex
     rest = explored.scene.blood.rest_blood_fraction
     told = shown.evaluate("([fs, rest]) => fs.map((f) => stateAt(f, rest, 0.97))", [force_n.tolist(), rest])
     assert np.array(told)[:, :2] == pytest.approx(expected, abs=0.01 * rest)
+
+
+def test_jackknife_polynomial_and_ambient_light_are_pythons(shown: Any, explored: Exploration):
+    rng, polynomial = np.random.default_rng(3), explored.polynomial
+    for _ in range(10):
+        values = rng.normal(size=explored.colours[0].blocks.shape[0])
+        replicates = np.concatenate([[values.mean()], values])
+        assert shown.evaluate("jackknife", values.tolist()) == pytest.approx(float(jackknife(replicates)), rel=1e-9)
+        state = np.array([*rng.uniform(0, 0.1, 2), rng.uniform(0.7, 1.0)])
+        expected = polynomial.monomials(state[None])[0]
+        assert shown.evaluate("(s) => monomials(s)", state.tolist()) == pytest.approx(expected.tolist(), abs=1e-9)
+        for zone in (0, 1):
+            step = 1e-6 * np.eye(3)[zone]
+            low, high = (polynomial.monomials((state + k * step)[None])[0] for k in (-1, 1))
+            slope = shown.evaluate("([s, zone]) => monomials(s, zone)", [state.tolist(), zone])
+            assert slope == pytest.approx(((high - low) / 2e-6).tolist(), rel=1e-5, abs=1e-5)
+        u, v = (float(rng.uniform(nodes[0], nodes[-1])) for nodes in explored.ambient_nodes)
+        table = RegularGridInterpolator(explored.ambient_nodes, explored.ambient_a_per_mm2[1])
+        current = shown.evaluate("([u, v]) => ambientCurrent({u, v, width: 0.5, length: 2}, 1)", [u, v])
+        assert current == pytest.approx(float(table([u, v])[0]), rel=1e-6)
+
+
+def test_what_the_page_calls_buildable_is_a_scene(shown: Any):
+    """Random moves of every part: what has no problem on the page is read by Python."""
+    rng, buildable = np.random.default_rng(4), 0
+    for _ in range(60):
+        moves = rng.normal(scale=10 ** rng.uniform(-2, 0.5), size=(40, 3)).tolist()
+        found, text = shown.evaluate(
+            """(moves) => { const layout = copy(tables.layout);
+            [...layout.leds, ...layout.photodiodes].forEach((part, k) => {
+                part.u += moves[k][0]; part.v += moves[k][1]; part.turn += 30 * moves[k][2]; });
+            return [problems(layout), smolToml.stringify(toScene(layout))]; }""",
+            moves,
+        )
+        if not found:
+            parse_scene(text, name="moved")
+            buildable += 1
+    assert 2 < buildable < 60
 
 
 def test_errors_are_those_of_the_groups_of_photons(shown: Any, explored: Exploration):
