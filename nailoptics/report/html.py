@@ -139,7 +139,7 @@ def _definitions(rows: Iterable[tuple[str, str]], *, opening: str = "<dl>") -> s
 def _provenance(attributes: Mapping[str, Any]) -> str:
     found = {label: attributes[name] for name, label in PROVENANCE.items() if name in attributes}
     rows = [(label, significant(value) if isinstance(value, float) else value) for label, value in found.items()]
-    lines = ["<section class='provenance'><h2>To make this again</h2>", _definitions(rows)]
+    lines = ["<section class='provenance'><h2>Reproduce this result</h2>", _definitions(rows)]
     if "scene" in attributes:
         scene = escaped(attributes["scene"])
         lines.append(f"<details><summary>The scene, complete</summary><pre>{scene}</pre></details>")

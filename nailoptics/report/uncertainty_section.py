@@ -1,4 +1,4 @@
-"""What is unknown of the finger, in words and tables: how far answers spread, and which conclusions hold over it."""
+"""Uncertainty due to unknown parameters of the finger, in words and tables: standard deviations over the priors."""
 
 import math
 from typing import Any
@@ -15,7 +15,7 @@ KINDS = {"reading": "Reading", "change": "Change", "resolution": "Resolution"}
 
 
 def spread_summary(result: xr.Dataset) -> dict[str, Any]:
-    """The priors with the largest spread that each makes, and what holds over all of them; empty without a spread."""
+    """The priors with the largest standard deviation due to each, and conclusions; empty where none was requested."""
     if "prior" not in result.dims:
         return {}
     rows = _rows(result)
@@ -23,12 +23,12 @@ def spread_summary(result: xr.Dataset) -> dict[str, Any]:
 
 
 def _kinds(result: xr.Dataset) -> list[str]:
-    """Of which answers a result tells the spread."""
+    """The quantities whose standard deviation over the priors a result has."""
     return [kind for kind in KINDS if f"prior_{kind}_spread" in result]
 
 
 def _rows(result: xr.Dataset) -> list[dict[str, Any]]:
-    """The priors, the one that makes most first, as they move the best layout or the photodiode that they move most."""
+    """The priors, the most influential first, by the best layout or the photodiode that each affects most."""
     rows = []
     # Without the rest of the result, which would be cut as often.
     priors = result[[name for name in result.data_vars if str(name).startswith("prior_")]]
@@ -51,13 +51,13 @@ def _rows(result: xr.Dataset) -> list[dict[str, Any]]:
 def conclusions(result: xr.Dataset, rows: list[dict[str, Any]] | None = None) -> list[str]:
     """What a designer may conclude over the priors of the finger.
 
-    rows : what `spread_summary` tells of each prior, if it is known already.
+    rows : of the priors, as `spread_summary` has them, if known already.
     """
     rows = _rows(result) if rows is None else rows
     traced = [row for row in rows if row["how"] != "not traced"]
     lines = (_of_layouts if "best_stays_best_at" in result else _of_readings)(result, traced)
     if left := [row["name"] for row in rows if row["how"] == "not traced"]:
-        lines.append(f"Not in it, for want of traces of their own ([priors] own_traces = true): {', '.join(left)}.")
+        lines.append(f"Not included, as each needs its own traces ([priors] own_traces = true): {', '.join(left)}.")
     return lines
 
 
@@ -84,40 +84,40 @@ def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
 
 
 def _of_layouts(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
-    """What holds of a ranking of layouts."""
+    """How robust a ranking of layouts is over the priors."""
     nodes, stays, beaten = (int(result[name]) for name in ("nodes", "best_stays_best_at", "best_surely_beaten_at"))
     compared = int(np.isfinite(result.resolution_spread.values).sum())
     lines = []
     if compared > 1 and nodes:
-        first = (
-            f"Of the {compared} foremost layouts {result.layout.values[0]} stays the best at {stays} of {nodes} values"
+        lines.append(
+            f"Of the {compared} top-ranked layouts {result.layout.values[0]} remains the best at {stays} of {nodes} "
+            f"values of the priors' parameters; another is significantly better at {beaten or 'none'} of them."
         )
-        lines.append(f"{first} of the priors' parameters; another is surely better at {beaten or 'none'} of them.")
     if traced:
         most = max(traced, key=lambda row: row["resolution_spread"])["name"]
         n = result.resolution_at_node_n.isel(layout=0).values
         ends = " to ".join(f"{1e3 * x:.3g}" for x in (np.nanmin(n), np.nanmax(n)))
         spread, error = (100 * float(result[f"resolution_spread{end}"][0]) for end in ("", "_stderr"))
-        text = f"Its force resolution spreads by {with_error(spread, error)} % (one standard deviation)"
-        lines.append(f"{text}, from {ends} mN as one of them goes to either side of its range, most by {most}.")
+        text = f"Its force resolution varies by {with_error(spread, error)} % (one standard deviation)"
+        lines.append(f"{text}, from {ends} mN at the ends of their ranges, one at a time, most with {most}.")
     return lines
 
 
 def _range(spread: xr.DataArray) -> str:
-    """A spread from the photodiode where it is least to that where it is most."""
+    """The range of a standard deviation over the photodiodes."""
     known = spread.values[np.isfinite(spread.values)]
     if not known.size:
-        return "an unknown part"
+        return "an unknown amount"
     least, most = (f"{100 * x:.0f}" for x in (known.min(), known.max()))
     return f"{least} %" if least == most else f"{least}-{most} %"
 
 
 def spread_section(result: xr.Dataset) -> str:
-    """The section of a page on what is unknown; empty without a spread."""
+    """The section of a page on uncertainty over the priors; empty where none was requested."""
     if "prior" not in result.dims:
         return ""
     kinds, rows = _kinds(result), _rows(result)
-    head = ["Unknown", "95 % within", *(f"{KINDS[kind]} spreads<br>at most [%]" for kind in kinds), "How"]
+    head = ["Parameter", "95 % range", *(f"{KINDS[kind]}, largest<br>std [%]" for kind in kinds), "Method"]
     lines = [
         [
             escaped(row["name"]),
@@ -130,12 +130,12 @@ def spread_section(result: xr.Dataset) -> str:
     said = "".join(f"<p>{escaped(line)}</p>" for line in conclusions(result, rows))
     sources = "; ".join(f"{row['name']}: {row['source']}" for row in rows)
     return section(
-        "What is unknown of the finger",
+        "Uncertainty over the priors",
         said,
         table(head, lines),
         small(
-            "Each spread is one standard deviation over the prior's range, at the photodiode that it moves most or of "
-            "the best layout; all together add in quadrature. Ranges of absorption and scattering are factors. "
+            "Each std is one standard deviation over the prior, at the photodiode that it affects most or of the best "
+            "layout; contributions add in quadrature. Ranges of absorption and scattering are factors. "
             f"{escaped(sources)}."
         ),
     )

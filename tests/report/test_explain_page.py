@@ -40,10 +40,10 @@ def test_the_page_begins_with_the_largest_effect_and_its_error(found, tmp_path):
     paths = write_explanation(found, tmp_path / "required.toml")
     page = paths["report"].read_text(encoding="utf-8")
     head, body = page.split("</header>")
-    assert "<h1>plate &lt;absorption&gt; moves ir proximal.6 by −62.0 ± 1.0\u00a0%</h1>" in head
+    assert "<h1>plate &lt;absorption&gt; changes ir proximal.6 by −62.0 ± 1.0\u00a0%</h1>" in head
     assert "−62.0 ± 1.0 %" in head and "+50.0 ± 2.0 %" in head and "−20.0 ± 1.0 %" in head and "0.70 %" in head
-    assert "[light] left_out = [&quot;bone&quot;]" in body and "moves no reading by more than 0.70 %" in body
-    assert "though it matters: cover." in body and "whether these matter: index steps, ambient light" in body
+    assert "[light] left_out = [&quot;bone&quot;]" in body and "changes no reading by more than 0.70 %" in body
+    assert "though it matters: cover." in body and "more photons are needed: index steps, ambient light" in body
     assert "not known" in body and "pooled" not in page
     assert load_scene(paths["scene"]) == found.required
 
@@ -53,7 +53,7 @@ def test_what_cannot_be_told_to_matter_is_no_headline_beside_what_surely_does(fo
     assert noisy.matters == "cannot tell"
     for effects, name in (((noisy, *found.effects), "plate &lt;absorption&gt;"), ((noisy,), "forward scattering")):
         page = write_explanation(replace(found, effects=effects), tmp_path / "required.toml")["report"]
-        assert f"<h1>{name} moves" in page.read_text(encoding="utf-8")
+        assert f"<h1>{name} changes" in page.read_text(encoding="utf-8")
 
 
 def test_the_picture_names_every_effect_that_is_known(found):

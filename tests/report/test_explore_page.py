@@ -380,7 +380,7 @@ def test_what_cannot_be_built_is_said_and_not_saved(shown: Any):
 def test_where_hardly_any_photons_came_the_page_says_so(shown: Any):
     shown.evaluate("colours[0].blocks = colours[0].blocks.map((x, i) => x * (i % tables.blocks ? 0 : 9))")
     shown.evaluate("caches.clear(); draw()")
-    assert "not enough photons here" in shown.inner_text("#readings").lower()
+    assert "too few photons" in shown.inner_text("#readings").lower()
 
 
 def link(shown: Any, edit: str) -> str:

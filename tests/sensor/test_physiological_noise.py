@@ -283,5 +283,5 @@ def test_more_photodiodes_help_the_electronics_and_hardly_the_body(found):
 def test_the_page_tells_the_bodys_part(found, tmp_path):
     write_placement(found, tmp_path / "place.html")
     text = (tmp_path / "place.html").read_text(encoding="utf-8")
-    assert "Through the body" in text and "Electronics<br>alone" in text and "heartbeat" in text
+    assert "Physiological noise" in text and "Electronics<br>alone" in text and "heartbeat" in text
     assert text.count("<svg") == 7

@@ -86,19 +86,17 @@ def write_colour_page(result: xr.Dataset, photographs: list[bytes], press: bytes
 
 
 def _beat(result: xr.Dataset) -> str:
-    """How far a heart that beats moves the colour."""
+    """The colour change of a heartbeat."""
     if "beat_delta_e_2000" not in result:
         return ""
     most = result.isel(place=int(np.argmax(result.beat_delta_e_2000.values)))
-    moved = with_error(float(most.beat_delta_e_2000), float(most.beat_delta_e_2000_stderr))
-    text = (
-        f"A beat of the scene's heart moves the colour by {moved} CIEDE2000 at most, {float(most.v_mm):+.1f} mm along."
-    )
+    change = with_error(float(most.beat_delta_e_2000), float(most.beat_delta_e_2000_stderr))
+    text = f"A heartbeat changes the colour by {change} CIEDE2000 at most, {float(most.v_mm):+.1f} mm along."
     return section("A beat", f"<p>{escaped(text)}</p>")
 
 
 def _unknowns(result: xr.Dataset) -> str:
-    """What is unknown of the finger, and what was measured on people."""
+    """Uncertainty over the priors, beside measurements on people."""
     if "lab_spread" not in result:
         return ""
     rows = []
@@ -110,10 +108,10 @@ def _unknowns(result: xr.Dataset) -> str:
         shown = [with_error(float(v), float(e)) for v, e in zip(values, errors, strict=True)]
         rows.append([escaped(str(one.prior.item())), f"{low:g} to {high:g}", *shown])
     sources = "; ".join(f"{one.name}: {one.source}" for one in MEASURED)
-    text = f"Squares are skin of people: {sources}. Of nails no table of L*a*b* was found."
+    text = f"Squares are skin of people: {sources}. No published table of L*a*b* of nails is known to us."
     drawn = figure(_ranges_figure(result), "ranges", "At rest; bars: 95 % of fingers, of people.")
     names = ["Prior", "Range", "L*", "a*", "b*"]
-    return section("What is unknown of the finger", drawn, table(names, rows), small(escaped(text)))
+    return section("Uncertainty over the priors", drawn, table(names, rows), small(escaped(text)))
 
 
 def _image(data: bytes, kind: str, caption: str) -> str:
@@ -286,7 +284,7 @@ def _press_figure(result: xr.Dataset) -> "Figure":
 
 @style.drawing()
 def _ranges_figure(result: xr.Dataset) -> "Figure":
-    """Colours of nail and skin at rest, how far they spread over what is unknown, and what was measured on people."""
+    """Colours of nail and skin at rest with their uncertainty over the priors, beside measurements on people."""
     from ..statistics import Z95
 
     figure, axes = style.panels(7.2, 3.0, 1, 2)

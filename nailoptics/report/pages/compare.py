@@ -25,7 +25,7 @@ HOLDS = (
     "the light tracing."
 )
 SPLIT = (
-    "The error of Taylor (9), split where it is largest. Hollow marks cannot be told from 0. The first three add up to "
+    "The error of Taylor (9), split where it is largest. Hollow marks are compatible with 0. The first three add up to "
     "the error against the trace; that blood scatters too is in neither, and comes on top. What changes the mean path "
     "with the blood is the spread of paths: one path for all light."
 )
@@ -129,10 +129,10 @@ def _interval(one: xr.Dataset, name: str, by: float) -> str:
 X_LABELS = {"force": "force [N]", "blood": "blood fraction of both zones [%]", "saturation": "oxygen saturation [%]"}
 # Name, colour and mark of each part of the error of Taylor (9).
 PARTS = {
-    "truncation": ("exponential cut to a line", "#e08a3c", "s"),
-    "one_path": ("one path for all light", "#7a5aa6", "D"),
-    "both_zones": ("both zones seen", "#2f7fc9", "o"),
-    "blood_scattering": ("blood scatters too", "#4b8b5a", "^"),
+    "truncation": ("truncation to first order", "#e08a3c", "s"),
+    "one_path": ("single path length", "#7a5aa6", "D"),
+    "both_zones": ("both zones contribute", "#2f7fc9", "o"),
+    "blood_scattering": ("scattering by blood", "#4b8b5a", "^"),
 }
 WAY_TITLES = {
     "fitted": "constants fitted to the readings",

@@ -26,14 +26,14 @@ KINDS = {
     "left out": style.ZONES[1],
 }
 CAPTION = (
-    "How far each effect moves the reading of the photodiode that it surely moves most (dot, with its 95 % interval), "
-    "and what it moves no reading more than (tick, 95 % sure). Dotted: the change that matters."
+    "Effect on the reading of the photodiode with the largest significant change (dot, with its 95 % interval), and "
+    "the upper bound of its effect on any reading (tick, 95 % confidence). Dotted: the tolerance."
 )
 NOTE = (
-    "Reading moves: the photodiode that is surely moved most, ± its standard error. At most: what no photodiode's "
-    "reading exceeds, and signal, the same for its change by touch as a part of the largest change, with 95 % "
-    "confidence each. (signal): it leaves the reading at rest as it is, and is judged by the signal. What is unknown "
-    "of the finger stands at the farther end of its range."
+    "Change of reading: at the photodiode with the largest significant change, ± its standard error. Upper bound: not "
+    "exceeded by the change of any photodiode's reading, and signal, the same for its change by touch relative to the "
+    "largest change, with 95 % confidence each. (signal): the reading at rest does not change, and the effect is "
+    "evaluated by the signal. Unknown parameters of the finger are set to the farther end of their range."
 )
 
 
@@ -41,13 +41,13 @@ def write_explanation_page(found: Explanation, path: Path) -> None:
     """Write the page, whole or not at all; raises WriteError."""
     known = [one for one in found.effects if math.isfinite(one.change)]
     text = document(
-        kicker="what moves the readings",
+        kicker="effects on the readings",
         title=_title(known),
-        lead=f"Each of {len(found.effects)} parts, effects and unknowns of the finger was changed by itself, with the "
-        f"same random numbers. Changes of a reading by more than {100 * found.tolerance:g} % matter.",
+        lead=f"Each of {len(found.effects)} parts, effects and unknown parameters was changed by itself, with "
+        f"common random numbers. Changes of a reading by more than {100 * found.tolerance:g} % matter.",
         cards=_cards(found, known),
         body=[
-            section("What moves the readings", figure(draw(found), "effects", CAPTION) if known else "", _table(found)),
+            section("Effects on the readings", figure(draw(found), "effects", CAPTION) if known else "", _table(found)),
             section("What the scene requires", *_requires(found)),
         ],
         attributes=found.attributes,
@@ -56,27 +56,27 @@ def write_explanation_page(found: Explanation, path: Path) -> None:
 
 
 def _title(known: list[Effect]) -> str:
-    """The effect that moves a reading most; of what surely matters, where anything does."""
+    """The largest effect on a reading; of those that certainly matter, where any does."""
     if not known:
-        return "Too few photons were seen to tell what moves the readings"
+        return "Too few photons to rank the effects on the readings"
     largest = next((one for one in known if one.matters == "yes"), known[0])
     what = "the signal of " if largest.of == "signal" else ""
-    return f"{largest.name} moves {what}{largest.photodiode} by {_moved(largest)}\u00a0%"
+    return f"{largest.name} changes {what}{largest.photodiode} by {_change(largest)}\u00a0%"
 
 
-def _moved(one: Effect) -> str:
+def _change(one: Effect) -> str:
     return with_error(100 * one.change, 100 * one.stderr, sign=True)
 
 
 def _cards(found: Explanation, known: list[Effect]) -> list[tuple[str, str]]:
-    """The largest of each kind, and what leaving out all that is not needed does."""
+    """The largest of each kind, and the effect of leaving out all that is not needed."""
     cards = []
     for kind in KINDS:
         if ofkind := [one for one in known if _kind(one) == kind]:
             one = ofkind[0]
-            cards.append((f"{_moved(one)} %", f"{one.name}, the largest {kind}: on {one.photodiode}"))
+            cards.append((f"{_change(one)} %", f"{one.name}, the largest {kind}: on {one.photodiode}"))
     if found.together:
-        words = "at most, on any reading, with all left out at once that is not needed"
+        words = "upper bound, on any reading, of leaving out everything that is not needed"
         cards.append((f"{significant(100 * found.together.bound, 2)} %", words))
     return cards
 
@@ -89,7 +89,7 @@ def _kind(one: Effect) -> str:
 
 @style.drawing()
 def draw(found: Explanation) -> "Figure":
-    """Every effect's change of a reading on a logarithmic axis, most moving first."""
+    """Every effect's change of a reading on a logarithmic axis, the largest first."""
     shown = [one for one in found.effects if math.isfinite(one.change) and one.bound > 0]
     drawing, axes = style.panels(9.0, 1.0 + ROW_IN * len(shown))
     for row, one in enumerate(shown):
@@ -112,8 +112,8 @@ def draw(found: Explanation) -> "Figure":
 
 
 def _table(found: Explanation) -> str:
-    """All effects, most moving first."""
-    head = ["Effect", "In scene", "Reading moves<br>[%]", "of", "At most<br>[%]", "Signal at most<br>[%]"]
+    """All effects, the largest first."""
+    head = ["Effect", "In scene", "Change of reading<br>[%]", "of", "Upper bound<br>[%]", "Signal, upper<br>bound [%]"]
     rows = [_row(one) for one in (*found.effects, *([found.together] if found.together else []))]
     return table([*head, "Matters", "Changed to"], rows, kind="effects dense") + small(NOTE)
 
@@ -122,24 +122,24 @@ def _row(one: Effect) -> list[str]:
     known = math.isfinite(one.change)
     signal = "–" if one.modulation_bound is None else significant(100 * one.modulation_bound, 2)
     of = escaped(one.photodiode) + (" (signal)" if one.of == "signal" else "")
-    told = [_moved(one), of] if known else ["not known", "–"]
+    change = [_change(one), of] if known else ["not known", "–"]
     modelled = "unknown" if one.unknown else "yes" if one.modelled else "no"
     most = significant(100 * one.bound, 2) if math.isfinite(one.bound) else "–"
-    return [escaped(one.name), modelled, *told, most, signal, one.matters, escaped(one.changed_to)]
+    return [escaped(one.name), modelled, *change, most, signal, one.matters, escaped(one.changed_to)]
 
 
 def _requires(found: Explanation) -> list[str]:
-    """What can be left out, what is missing, and what more photons would tell."""
+    """What can be left out, what is missing, and what needs more photons."""
     out = ["<p>All that the scene models matters, or may matter.</p>"]
     if found.needless:
         lines = "\n".join(escaped(line) for line in lines_of(found.without_needless))
         out = [f"<p>Not needed, each by itself; these lines leave all of it out:</p><pre>{lines}</pre>"]
     if found.together:
         most = significant(100 * found.together.bound, 2)
-        out.append(f"<p>Leaving all of it out at once moves no reading by more than {most} %, 95 % sure.</p>")
+        out.append(f"<p>Leaving all of it out at once changes no reading by more than {most} % (95 % confidence).</p>")
     if found.missing:
         names = escaped(", ".join(map(name_of, found.missing)))
         out.append(f"<p>Left out, though it matters: {names}.</p>")
     if unsure := [one.name for one in found.effects if one.matters == "cannot tell"]:
-        out.append(f"<p>More photons are needed to tell whether these matter: {escaped(', '.join(unsure))}.</p>")
+        out.append(f"<p>Undecided, more photons are needed: {escaped(', '.join(unsure))}.</p>")
     return out

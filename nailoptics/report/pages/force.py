@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORCE = (
-    "Force told from the readings, with its 95 % interval. Where the vessels are shut a harder touch reads the same: "
-    "the interval is open above, which the bar at the top shows."
+    "Force estimated from the readings, with its 95 % interval. Where the vessels are closed, readings do not depend "
+    "on the force: the interval has no upper bound, which the bar at the top shows."
 )
 PROFILES = (
-    "Squared residuals beyond those of the best fit while one factor is held and all others follow (coloured), and "
-    "what they were, were the fit quadratic (grey); between the crossings with the line lie 95 %."
+    "Profile likelihood: squared residuals beyond those of the best fit with one factor held and all others refitted "
+    "(coloured), and their quadratic approximation (grey); the crossings with the line bound the 95 % interval."
 )
 SHARE = (
-    "Top: how much of the force presses proximally, with its 95 % interval; where that spans everything, the place "
-    "cannot be told. Middle: the heartbeat and slower waves that the filter follows beside the touch. Bottom: how far "
-    "each sample lies from its prediction; about as much as there are readings is usual."
+    "Top: the proximal share of the force with its 95 % interval; where that covers everything, the share is not "
+    "identifiable. Middle: heartbeat and slower waves, estimated by the filter beside the touch. Bottom: normalized "
+    "innovation squared of each sample, whose mean is the number of readings if the model fits."
 )
 
 
@@ -37,16 +37,16 @@ def write_calibration_page(result: xr.Dataset, summary: dict[str, Any], path: Pa
     summary : what `calibration_summary` says of the result.
     """
     cards = [
-        (f"{significant(1e3 * summary['rms_n'], 2)} mN", "error of the force told from these recordings, rms"),
-        (significant(summary["chi2_per_dof"], 2), "squared residuals over what their own scatter explains"),
+        (f"{significant(1e3 * summary['rms_n'], 2)} mN", "rms error of the force on the calibration recordings"),
+        (significant(summary["chi2_per_dof"], 2), "chi-squared per degree of freedom"),
         (f"× {significant(summary['widening'], 2)}", "width of intervals over the usual, as these recordings need it"),
     ]
     caption = (
         "Each reading less its start: recorded (wide, coloured) and fitted (thin, dark), a column for each recording."
     )
     rest = (
-        "What the fit leaves of each reading, coloured from proximal (warm) to distal (cool). Noise and heartbeat are "
-        "meant to stay; what follows the touch is what the model misses, and intervals are as much wider."
+        "Residuals of each reading, coloured from proximal (warm) to distal (cool). Noise and heartbeat are expected "
+        "in them; residuals correlated with the touch are model error, by which intervals are widened."
     )
     text = document(
         kicker="calibration",
@@ -85,11 +85,9 @@ def _profiles(result: xr.Dataset) -> list[str]:
     """Where the fit is not quadratic in a factor: the factor's profile likelihood."""
     bent = [name.replace("_", " ") for name in result.attrs["bent_factors"]]
     if not bent:
-        return [small("In every factor the fit is quadratic to a quarter of a standard error: its error is symmetric.")]
+        return [small("In every factor the fit is quadratic to a quarter of a standard error.")]
     return [
-        small(
-            f"The fit is not quadratic in {escaped(', '.join(bent))}: there the curve, not the error, tells the range."
-        ),
+        small(f"The fit is not quadratic in {escaped(', '.join(bent))}: there the curve gives the interval."),
         figure(profiles_figure(result), "profiles", PROFILES),
     ]
 
@@ -124,7 +122,7 @@ def _readings_table(result: xr.Dataset, summary: dict[str, Any]) -> str:
         ]
         for name, one in summary["readings"].items()
     ]
-    return table(["Reading", "Gain", "Offset [mV]", "Left over, rms [mV]", "Noise, rms [µV]", most], rows)
+    return table(["Reading", "Gain", "Offset [mV]", "Residual, rms [mV]", "Noise, rms [µV]", most], rows)
 
 
 def write_prediction_page(result: xr.Dataset, summary: dict[str, Any], path: Path) -> None:
@@ -138,7 +136,7 @@ def write_prediction_page(result: xr.Dataset, summary: dict[str, Any], path: Pat
             f"These readings do not fit the subject: {summary['misfit']}. The force may be wrong; calibrate again."
         )
     is_open = float(np.isinf(result.force_high_n.values).mean())
-    cards = [(f"{significant(summary['open_above_n'], 2)} N", "force from which a touch may be any harder")]
+    cards = [(f"{significant(summary['open_above_n'], 2)} N", "force above which intervals have no upper bound")]
     if np.isfinite(summary["rms_n"]):
         cards = [
             (f"{significant(1e3 * summary['rms_n'], 2)} mN", "error of the force, rms"),
@@ -158,7 +156,7 @@ def write_prediction_page(result: xr.Dataset, summary: dict[str, Any], path: Pat
     text = document(
         kicker="prediction",
         title="Force from volts",
-        lead=f"{result.sizes['time']} samples; the interval is open above in {100 * is_open:.0f} % of them.",
+        lead=f"{result.sizes['time']} samples; the interval has no upper bound in {100 * is_open:.0f} % of them.",
         warnings=warnings,
         cards=cards,
         body=body,
@@ -172,7 +170,7 @@ def _methods(summary: dict[str, Any]) -> str:
     if not np.isfinite(summary["rms_n"]):
         return ""
     named = {"linear": "linear regression", "components": "principal component regression"}
-    errors = {"filter on the vessels": summary["rms_n"]}
+    errors = {"Kalman filter on the vessels": summary["rms_n"]}
     errors |= {named[name]: error for name, error in summary["baseline_rms_n"].items()}
     rows = [[name, significant(1e3 * error, 2)] for name, error in errors.items()]
     return table(["Force by", "Error, rms [mN]"], rows)
@@ -225,7 +223,7 @@ def _residual_figure(result: xr.Dataset) -> "Figure":
         for k, colour in enumerate(colours):
             panel.plot(part.time_s, 1e3 * (part.volts - part.volts_fitted).values[k], color=colour, linewidth=0.7)
         panel.set_xlabel("time [s]")
-    axes[0, 0].set_ylabel("recorded less fitted [mV]")
+    axes[0, 0].set_ylabel("residual [mV]")
     return figure
 
 
@@ -261,8 +259,8 @@ def force_figure(result: xr.Dataset) -> "Figure":
     axes.fill_between(part.time, part.force_low_n, high, color=style.ZONES[1], alpha=0.18, linewidth=0, label="95 %")
     if np.isinf(part.force_high_n.values).any():
         open_above = np.where(np.isinf(part.force_high_n.values), top, np.nan)
-        axes.plot(part.time, open_above, color=style.ZONES[1], linewidth=2.5, label="open above")
-    axes.plot(part.time, part.force_n, color=style.ZONES[1], label="told from the readings")
+        axes.plot(part.time, open_above, color=style.ZONES[1], linewidth=2.5, label="no upper bound")
+    axes.plot(part.time, part.force_n, color=style.ZONES[1], label="estimated")
     if np.isfinite(known).any():
         axes.plot(part.time, known, color=style.INK, linewidth=1.1, label="measured")
         axes.plot(part.time, part.force_linear_n, color=style.MUTED, linewidth=0.7, label="linear regression")
@@ -280,10 +278,10 @@ def _share_figure(result: xr.Dataset) -> "Figure":
     figure, (place, body, fits) = style.panels(7.2, 4.6, 3, sharex=True)
     low, high = part.proximal_share_low, part.proximal_share_high
     place.fill_between(part.time, low, high, color=style.ZONES[0], alpha=0.18, linewidth=0)
-    told = np.where(high - low < 0.9, part.proximal_share, np.nan)
-    place.plot(part.time, told, color=style.ZONES[0])
+    identified = np.where(high - low < 0.9, part.proximal_share, np.nan)
+    place.plot(part.time, identified, color=style.ZONES[0])
     place.set_ylim(-0.05, 1.05)
-    place.set_title("Proximal share of the force [1]; blank where it cannot be told")
+    place.set_title("Proximal share of the force [1]; blank where not identifiable")
     body.plot(part.time, part.arterial_change_pa, color=style.VEIN)
     # A body that is still is no noise to look into.
     body.set_ylim(min(body.get_ylim()[0], -10.0), max(body.get_ylim()[1], 10.0))
@@ -292,6 +290,6 @@ def _share_figure(result: xr.Dataset) -> "Figure":
     outlier = part.outlier.values.astype(bool)
     fits.plot(part.time[outlier], part.surprise[outlier], ".", color=style.ZONES[0], markersize=3)
     fits.set_yscale("log")
-    fits.set_title("Squared distance of a sample from its prediction [1]; outliers are dots")
+    fits.set_title("Normalized innovation squared [1]; outliers are dots")
     fits.set_xlabel("time [s]")
     return figure

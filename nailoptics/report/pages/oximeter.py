@@ -137,7 +137,7 @@ def _melanin(result: xr.Dataset) -> str:
     met = float(result.epidermis_part_bound.max())
     return (
         f"<p>Does light through the nail meet epidermis at all? At most {significant(100 * met, 2)} % of what a "
-        f"photodiode detects (95 %), so that no melanin moves SpO2 by more than {significant(worst, 2)} %.</p>"
+        f"photodiode detects (95 % confidence), so that melanin changes SpO2 by at most {significant(worst, 2)} %.</p>"
     )
 
 
@@ -147,7 +147,7 @@ def write_oxygen_recording(result: xr.Dataset, summary: dict[str, Any], path: Pa
     summary : what `recording_summary` says of the result.
     """
     best = summary["readings"][summary["best"]]
-    cards = [("unknown", "SpO2: in no window the finger was still")]
+    cards = [("unknown", "SpO2: no window without motion")]
     if best["spo2"] is not None:
         cards = [
             (f"{significant(best['spo2'], 3)} %", "SpO2, the middle of all still windows"),
@@ -168,7 +168,7 @@ def write_oxygen_recording(result: xr.Dataset, summary: dict[str, Any], path: Pa
         for name, one in summary["readings"].items()
     ]
     head = ["Photodiode", "SpO2 [%]", "±", "R", "Perfusion, red [%]", "infrared [%]", "Still windows"]
-    moved = f"the finger moved in {100 * best['motion']:.0f} % of the time"
+    moved = f"motion in {100 * best['motion']:.0f} % of the time"
     text = document(
         kicker="pulse oximeter",
         title="Oxygen from a recording",
@@ -180,8 +180,8 @@ def write_oxygen_recording(result: xr.Dataset, summary: dict[str, Any], path: Pa
                 figure(
                     _over_time_figure(result),
                     "time",
-                    f"Photodiode {result.attrs['best']}. Windows in which the finger moved for more than half of the "
-                    "time tell nothing.",
+                    f"Photodiode {result.attrs['best']}. Windows with motion for more than half of the time "
+                    "are left out.",
                 ),
             ),
             section("Photodiodes", table(head, rows)),

@@ -51,10 +51,11 @@ def write_tradeoff(found: Tradeoff, drawing: "Figure", path: Path) -> None:
         ),
         _levels(found),
         small(
-            "Off by: mean over the photodiodes, weighed by the reference's errors, ± its standard error; at most: what "
-            "no photodiode's exceeds, with 95 % confidence each. The error of an answer is that bound and the standard "
-            f"error of its worst photodiode together. Times are for {percent}, or for a tenth more than a level's own "
-            "bias where that is larger. The signal is the change by touch, as a part of the largest change."
+            "Bias: mean over the photodiodes, weighted by the reference's errors, ± its standard error; upper bound: "
+            "not exceeded by any photodiode's, with 95 % confidence each. The error of an answer is that bound and "
+            f"the standard error of its worst photodiode together. Times are for {percent}, or for a tenth more than "
+            "a level's own bias where that is larger. The signal is the change by touch, as a part of the largest "
+            "change."
         ),
         small(" ".join(f"{escaped(one.name)}: {escaped(one.remark)}." for one in found.levels if one.remark)),
         f"<p>What selects the chosen level: <code>{lines}</code></p>",
@@ -179,7 +180,7 @@ def _batches(found: Tradeoff) -> str:
 
 
 def _levels(found: Tradeoff) -> str:
-    head = ["Level", "Reading off by<br>[%]", "at most<br>[%]", "Signal off by<br>[%]", "at most<br>[%]"]
+    head = ["Level", "Bias of reading<br>[%]", "upper bound<br>[%]", "Bias of signal<br>[%]", "upper bound<br>[%]"]
     head += ["First<br>answer", f"{MORE} more<br>states", f"{MORE} more<br>layouts", "Memory<br>[MB]"]
     rows = []
     for one in found.levels:
@@ -193,7 +194,7 @@ def _levels(found: Tradeoff) -> str:
 
 
 def _needs(found: Tradeoff) -> str:
-    """What must be known for each level, and what selects it."""
+    """What each level requires, and what selects it."""
     rows = []
     for one in found.levels:
         how = "<br>".join(f"<code>{escaped(line)}</code>" for line in one.lines or ([one.call] if one.call else []))
@@ -216,8 +217,8 @@ def _within(found: Tradeoff) -> str:
 
 
 def _best_row(seconds: float, answer: Answer | None) -> list[str]:
-    told = [escaped(answer.level.name), significant(100 * answer.error, 2)] if answer else ["–", "–"]
-    return [in_words(seconds), *told]
+    cells = [escaped(answer.level.name), significant(100 * answer.error, 2)] if answer else ["–", "–"]
+    return [in_words(seconds), *cells]
 
 
 def _efforts(found: Tradeoff) -> str:

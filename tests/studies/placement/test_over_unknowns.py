@@ -84,7 +84,7 @@ def test_what_holds_is_said_in_words_and_on_the_page(ranked):
     assert "near stays the best at 6 of 6 values" in lines[0] and "none of them" in lines[0]
     assert "most by plate absorption" in lines[1] or "most by bloodless bed absorption" in lines[1]
     assert "bed scattering" in lines[-1] and "own_traces" in lines[-1]
-    assert "What is unknown of the finger" in spread_section(found)
+    assert "Uncertainty over the priors" in spread_section(found)
 
 
 def test_without_time_only_what_was_read_whole_is_told(ranked):

@@ -1,5 +1,5 @@
 // The page of `nailoptics explore`: any layout from tables that Python traced, at once.
-// Three parts: the light between two places and what it tells (physics), the layout that is shown (state), the page.
+// Two parts: the light between two places and the force resolution (physics), the layout (state). The page follows.
 "use strict";
 
 const tables = JSON.parse(document.getElementById("tables").textContent);
@@ -75,15 +75,15 @@ function radial(distance) {
 
 /** Gauss points of a turned rectangle: [u, v, part of its area]. */
 function points(rectangle, spacingMm) {
-  const { u, v, width, length, turn } = rectangle, cos = Math.cos(turn), sin = Math.sin(turn), found = [];
+  const { u, v, width, length, turn } = rectangle, cos = Math.cos(turn), sin = Math.sin(turn), nodes = [];
   const rule = (extent) => GAUSS[Math.min(GAUSS.length - 1, Math.max(1, Math.ceil(extent / spacingMm)))];
   for (const [a, wa] of rule(width)) {
     for (const [b, wb] of rule(length)) {
       const x = (a * width) / 2, y = (b * length) / 2;
-      found.push([u + cos * x - sin * y, v + sin * x + cos * y, (wa * wb) / 4]);
+      nodes.push([u + cos * x - sin * y, v + sin * x + cos * y, (wa * wb) / 4]);
     }
   }
-  return found;
+  return nodes;
 }
 
 /**
@@ -177,7 +177,7 @@ function forceResolution(readings, point, ledCount) {
     }
     for (let i = 0; i < n; i++) for (let j = 0; j < n; j++) total[i][j] += (unknown[i] * unknown[j]) / noise;
   }
-  // What the body does is known beforehand to its variance, 1, and so marginalised, one shape after the other.
+  // Physiological noise shapes have a prior variance of 1 and are marginalised, one after the other.
   for (let last = n - 1; last > 1; last--) {
     const own = 1 + total[last][last];
     for (let i = 0; i < last; i++) {
@@ -212,16 +212,16 @@ function ambientCurrent(element, source) {
 
 /** The elements that are read of a photodiode, or all of an array: rectangles with names. */
 function elementsOf(pd, wiredOnly = true) {
-  const turn = (pd.turn * Math.PI) / 180, pitch = pd.pitch || pd.length, found = [];
+  const turn = (pd.turn * Math.PI) / 180, pitch = pd.pitch || pd.length, elements = [];
   for (let i = 0; i < pd.elements; i++) {
     if (wiredOnly && pd.wired && !pd.wired.includes(i)) continue;
     const along = (i - (pd.elements - 1) / 2) * pitch;
-    found.push({
+    elements.push({
       name: pd.elements === 1 ? pd.name : `${pd.name}.${i}`, u: pd.u - Math.sin(turn) * along, v: pd.v + Math.cos(turn) * along,
       width: pd.width, length: pd.length, turn, kind: pd.kind, of: pd,
     });
   }
-  return found;
+  return elements;
 }
 
 function dieOf(led) {
@@ -229,7 +229,7 @@ function dieOf(led) {
   return { name: led.name, u: led.u, v: led.v, width: kind.widthMm, length: kind.lengthMm, turn: (led.turn * Math.PI) / 180 };
 }
 
-/** Everything that a layout reads under a force: one row for each LED and element, and the force that they resolve. */
+/** All readings of a layout under a force, one row for each LED and element, and their force resolution. */
 function evaluate(layout, cache = new Map()) {
   const rest = stateAt(0, layout.rest, layout.so2), state = stateAt(layout.force, layout.rest, layout.so2);
   const known = { rest: monomials(rest), state: monomials(state), slope: [monomials(state, 0), monomials(state, 1)] };
@@ -275,38 +275,38 @@ function readRow(pair, known, led, number, element, layout, state, rest) {
   };
 }
 
-/** The force that all rows resolve, through the body and by the electronics alone, each with its standard error. [N] */
+/** Force resolution of all rows, with physiological noise and of the electronics alone, with standard errors. [N] */
 function resolve(rows, force, rest, ledCount) {
-  const told = rows.filter((row) => !row.few), touch = tables.touch;
+  const usable = rows.filter((row) => !row.few), touch = tables.touch;
   const scaled = (values) => values.map((row) => row.map((x) => x * rest));
   const bloodPerPa = scaled(atForce(touch.bloodPerPa, force));
   const waves = atForce(touch.waves, force).map((row) => row.map((x) => x * rest * rest));
-  const found = {};
+  const resolutions = {};
   for (const [name, body] of [["throughBody", touch.hasBody], ["electronics", false]]) {
     const point = { bloodPerPa, waves, body };
-    const value = forceResolution(told, point, ledCount);
-    const left = Array.from({ length: blockCount }, (_, k) => Math.log(forceResolution(told.map((row) => ({
+    const value = forceResolution(usable, point, ledCount);
+    const left = Array.from({ length: blockCount }, (_, k) => Math.log(forceResolution(usable.map((row) => ({
       ...row, light: row.light * row.without[0][k], zone: row.zone.map((x, q) => x * row.without[q + 1][k]),
     })), point, ledCount)));
-    found[name] = { value, error: value * Math.hypot(jackknife(left), tables.kernelResolutionError) };
+    resolutions[name] = { value, error: value * Math.hypot(jackknife(left), tables.kernelResolutionError) };
   }
-  return found;
+  return resolutions;
 }
 
-/** What a layout must not do, in words: overlaps, edges, the wall. Nothing where it can be built. */
+/** Violated constraints of a layout, in words: overlaps, edges, the wall. Empty where it can be built. */
 function problems(layout) {
-  const [uMin, uMax, vMin, vMax] = tables.board.outline, found = [];
+  const [uMin, uMax, vMin, vMax] = tables.board.outline, violations = [];
   const parts = [...layout.leds.map(dieOf), ...layout.photodiodes.flatMap((pd) => elementsOf(pd, false))];
   for (const part of parts) {
-    if (corners(part).some(([u, v]) => u <= uMin || u >= uMax || v <= vMin || v >= vMax)) found.push(`${part.name} reaches over the board's edge`);
+    if (corners(part).some(([u, v]) => u <= uMin || u >= uMax || v <= vMin || v >= vMax)) violations.push(`${part.name} reaches over the board's edge`);
   }
-  for (let i = 0; i < parts.length; i++) for (let j = 0; j < i; j++) if (overlap(parts[i], parts[j])) found.push(`${parts[j].name} and ${parts[i].name} overlap`);
+  for (let i = 0; i < parts.length; i++) for (let j = 0; j < i; j++) if (overlap(parts[i], parts[j])) violations.push(`${parts[j].name} and ${parts[i].name} overlap`);
   const names = [...layout.leds, ...layout.photodiodes].map((part) => part.name);
-  if (new Set(names).size < names.length) found.push("two parts have one name");
-  if (!layout.leds.length) found.push("there is no LED");
-  if (!layout.photodiodes.length) found.push("there is no photodiode");
-  if (tables.board.wall && layout.leds.length && layout.photodiodes.length) found.push(...wallProblems(layout));
-  return [...new Set(found)];
+  if (new Set(names).size < names.length) violations.push("two parts have one name");
+  if (!layout.leds.length) violations.push("there is no LED");
+  if (!layout.photodiodes.length) violations.push("there is no photodiode");
+  if (tables.board.wall && layout.leds.length && layout.photodiodes.length) violations.push(...wallProblems(layout));
+  return [...new Set(violations)];
 }
 
 function box(parts) {
@@ -321,19 +321,19 @@ function gapsOf(led, diodes) {
 }
 
 function wallProblems(layout) {
-  const wall = tables.board.wall, diodes = box(layout.photodiodes.flatMap((pd) => elementsOf(pd, false))), found = [];
+  const wall = tables.board.wall, diodes = box(layout.photodiodes.flatMap((pd) => elementsOf(pd, false))), violations = [];
   const face = { left: wall.uMin, right: wall.uMax, below: wall.vMin, above: wall.vMax }[wall.side];
   for (const led of layout.leds) {
     const die = box([dieOf(led)]), gaps = gapsOf(led, diodes);
     const toWall = { left: face - die.uMax, right: die.uMin - face, below: face - die.vMax, above: die.vMin - face }[wall.side];
-    if (toWall < 0.02) found.push(`${led.name} is on the wall or behind it`);
+    if (toWall < 0.02) violations.push(`${led.name} is on the wall or behind it`);
     else if (Object.keys(gaps).some((side) => gaps[side] > gaps[wall.side] + 1e-9)) {
-      found.push(`${led.name} lies ${Object.keys(gaps).sort((a, b) => gaps[b] - gaps[a])[0]} all photodiodes, where a scene would put its wall`);
+      violations.push(`${led.name} lies ${Object.keys(gaps).sort((a, b) => gaps[b] - gaps[a])[0]} all photodiodes, where a scene would put its wall`);
     }
   }
   const beyond = { left: diodes.uMin - wall.uMax, right: wall.uMin - diodes.uMax, below: diodes.vMin - wall.vMax, above: wall.vMin - diodes.vMax }[wall.side];
-  if (beyond < 0.02) found.push("a photodiode is on the wall or before it");
-  return found;
+  if (beyond < 0.02) violations.push("a photodiode is on the wall or before it");
+  return violations;
 }
 
 function corners({ u, v, width, length, turn }) {
@@ -362,9 +362,9 @@ function cellAt(x, step, n) {
 
 /** Logarithm of the fluence rate around a source at a distance, at all depths, linear between the middles of cells. */
 function logFluence(colour, radius) {
-  const { ringMm, rings, depths } = tables.fluence, [i, a] = cellAt(radius, ringMm, rings), found = new Float64Array(depths);
-  for (let j = 0; j < depths; j++) found[j] = (1 - a) * colour.fluence[i * depths + j] + a * colour.fluence[(i + 1) * depths + j];
-  return found;
+  const { ringMm, rings, depths } = tables.fluence, [i, a] = cellAt(radius, ringMm, rings), values = new Float64Array(depths);
+  for (let j = 0; j < depths; j++) values[j] = (1 - a) * colour.fluence[i * depths + j] + a * colour.fluence[(i + 1) * depths + j];
+  return values;
 }
 
 // ---------------------------------------------------------------------------------------------------- the layout

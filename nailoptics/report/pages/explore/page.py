@@ -57,7 +57,7 @@ def page(found: Exploration) -> str:
     return document(
         kicker="explore",
         title="Drag LEDs and photodiodes on the nail",
-        lead="Every reading follows at once, from light that was traced all over the board.",
+        lead="All readings update at once, from light that was traced over the whole board.",
         body=[style, _text("workbench.html"), _licences(), data],
         attributes=found.attributes,
         scripts=[*(_library(name, file) for name, file, _ in LIBRARIES), own],

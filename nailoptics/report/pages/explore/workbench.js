@@ -1,10 +1,10 @@
-// The workbench: what is shown of a layout, and what a hand does to it.
+// The workbench: display and editing of a layout.
 
 const $ = (id) => document.getElementById(id);
 const workbench = { layout: null, chosen: { part: null, row: 0 }, past: [], future: [], result: null, milliseconds: 0 };
 const caches = new Map();
-// A layout that resolves no less than half of what is known before any reading tells nothing. [N]
-const NOTHING_N = 0.5 * tables.touch.priorPa * Math.hypot(...tables.touch.forcePerPa);
+// A force resolution above half of the prior's standard deviation is no information. [N]
+const PRIOR_ONLY_N = 0.5 * tables.touch.priorPa * Math.hypot(...tables.touch.forcePerPa);
 
 // ---- words and numbers
 
@@ -141,17 +141,17 @@ function drawPart(kind, part, row) {
 
 function drawCards() {
   const { result, layout } = workbench, row = result.rows[workbench.chosen.row], cards = [];
-  const resolution = (found) => (found.value > NOTHING_N ? ["Nothing", ""] : both(found.value, found.error, "N"));
+  const resolution = (one) => (one.value > PRIOR_ONLY_N ? ["None", ""] : both(one.value, one.error, "N"));
   const [value, error] = resolution(tables.touch.hasBody ? result.throughBody : result.electronics);
-  cards.push([value, error, tables.touch.hasBody ? "force resolved in one sample, through the body's noise" : "force resolved in one sample, by the electronics' noise"]);
-  if (tables.touch.hasBody) cards.push([...resolution(result.electronics), "by the electronics alone"]);
+  cards.push([value, error, tables.touch.hasBody ? "force resolution of one sample, with physiological noise" : "force resolution of one sample, limited by the electronics"]);
+  if (tables.touch.hasBody) cards.push([...resolution(result.electronics), "limited by the electronics alone"]);
   if (row) {
     const name = `${layout.leds[row.led].name} on ${row.element.name}`;
-    if (row.few) cards.push(["Not enough photons here", "", name]);
+    if (row.few) cards.push(["Too few photons", "", name]);
     else {
       cards.push([...(row.saturated ? ["Saturated", ""] : both(row.volts, row.voltsError, "V")), `${name}, now`]);
       cards.push([...both(row.change, row.changeError, "V"), `${name}, change under ${+layout.force.toFixed(3)} N`]);
-      cards.push([`${(100 * row.directShare).toFixed(0)} %`, "", "of that light never saw the bed"]);
+      cards.push([`${(100 * row.directShare).toFixed(0)} %`, "", "of that light is shunted: it bypassed the bed"]);
     }
   }
   $("cards").replaceChildren(...cards.map(([number, small, words]) => {
@@ -164,15 +164,15 @@ function drawCards() {
 
 function drawReadings() {
   const { result, layout } = workbench;
-  const head = ["Pair", "Distance [mm]", "Detected at rest", "Now [V]", "Change [mV]", "Noise [mV]", "Change / noise", "Never in the bed", "Outside [V]", ""];
+  const head = ["Pair", "Distance [mm]", "Detected at rest", "Now [V]", "Change [mV]", "Noise [mV]", "SNR of the change", "Shunted", "Ambient [V]", ""];
   const lines = result.rows.map((row, i) => {
-    const led = layout.leds[row.led], apart = Math.hypot(led.u - row.element.u, led.v - row.element.v), noise = Math.sqrt(row.noiseV2);
+    const led = layout.leds[row.led], separation = Math.hypot(led.u - row.element.u, led.v - row.element.v), noise = Math.sqrt(row.noiseV2);
     const scientific = (x) => x.toExponential(2).replace("e-", "·10⁻").replace(/⁻(\d+)/, (_, n) => `⁻${[...n].map((d) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[d]).join("")}`);
-    const cells = row.few ? ["", "", "", "", "", "", "", "not enough photons here"] : [
+    const cells = row.few ? ["", "", "", "", "", "", "", "too few photons"] : [
       `${scientific(row.fractionRest)} ± ${((100 * row.restError) / row.fractionRest).toFixed(1)} %`, withError(row.volts, row.voltsError, ""), withError(row.change, row.changeError, "", 1e3),
       (1e3 * noise).toPrecision(2), (Math.abs(row.change) / noise).toFixed(0), `${(100 * row.directShare).toFixed(0)} %`,
       row.ambientA ? (row.ambientA * tables.stage.feedbackOhm).toPrecision(2) : "0", row.saturated ? "saturated" : ""];
-    return [`${led.name} → ${row.element.name}`, apart.toFixed(2), ...cells];
+    return [`${led.name} → ${row.element.name}`, separation.toFixed(2), ...cells];
   });
   const table = $("readings");
   if (table.rows.length !== lines.length + 1) table.replaceChildren(element("thead", {}, tableRow(head.map((text) => element("th", {}, text)))), element("tbody", {}, ...lines.map(emptyLine)));
@@ -196,7 +196,7 @@ function drawReadings() {
   }
 }
 
-// ---- the section: the fluence of the LED times that of a photodiode that shines, which is where absorption counts
+// ---- the section: fluence of the LED times that of a photodiode as a source, which is the sensitivity to absorption
 
 // Of three decades, in steps that no eye sees.
 const SCALE = (() => {
@@ -207,15 +207,15 @@ const SCALE = (() => {
   });
 })();
 
-/** Paint where absorption takes from a pair's reading, three decades of it, on cells of three pixels. */
-function paintLight(context, colour, apart, { left, right, deep, x, y }) {
+/** Paint the sensitivity of a pair's reading to absorption, three decades of it, on cells of three pixels. */
+function paintLight(context, colour, separation, { left, right, deep, x, y }) {
   const columns = Math.max(2, Math.round((x(right) - x(left)) / 3)), rows = Math.max(2, Math.round((y(deep) - y(0)) / 3));
   const small = new OffscreenCanvas(columns, rows), picture = new ImageData(columns, rows), values = new Float64Array(columns * rows);
   const depths = Array.from({ length: rows }, (_, j) => ((j + 0.5) / rows) * deep);
   const cells = depths.map((depth) => cellAt(depth, tables.fluence.stepMm, tables.fluence.depths));
   let most = -Infinity;
   for (let i = 0; i < columns; i++) {
-    const s = left + ((i + 0.5) / columns) * (right - left), one = logFluence(colour, Math.abs(s)), other = logFluence(colour, Math.abs(s - apart));
+    const s = left + ((i + 0.5) / columns) * (right - left), one = logFluence(colour, Math.abs(s)), other = logFluence(colour, Math.abs(s - separation));
     for (let j = 0; j < rows; j++) {
       const [k, b] = cells[j], value = (1 - b) * (one[k] + other[k]) + b * (one[k + 1] + other[k + 1]);
       values[j * columns + i] = value;
@@ -237,11 +237,11 @@ function drawSection() {
   context.fillStyle = paper;
   context.fillRect(0, 0, canvas.width, canvas.height);
   if (!row) return;
-  const led = workbench.layout.leds[row.led], apart = Math.hypot(led.u - row.element.u, led.v - row.element.v);
+  const led = workbench.layout.leds[row.led], separation = Math.hypot(led.u - row.element.u, led.v - row.element.v);
   const { board, fluence } = tables, deep = fluence.depths * fluence.stepMm, top = board.epoxyMm + 0.6;
-  const perMm = Math.min(canvas.height / (deep + top), canvas.width / (apart + 2)), span = canvas.width / perMm;
-  const left = (apart - span) / 2, right = left + span, x = (s) => (s - left) * perMm, y = (depth) => (depth + top) * perMm;
-  paintLight(context, colours[tables.ledKinds[led.kind].colour], apart, { left, right, deep, x, y });
+  const perMm = Math.min(canvas.height / (deep + top), canvas.width / (separation + 2)), span = canvas.width / perMm;
+  const left = (separation - span) / 2, right = left + span, x = (s) => (s - left) * perMm, y = (depth) => (depth + top) * perMm;
+  paintLight(context, colours[tables.ledKinds[led.kind].colour], separation, { left, right, deep, x, y });
   context.strokeStyle = "#ffffffb0";
   context.lineWidth = 1.5;
   context.font = "15px system-ui, sans-serif";
@@ -263,8 +263,8 @@ function drawSection() {
     context.textAlign = "left";
   };
   drawDie(0, 0.25, "--led", led.name);
-  drawDie(apart, Math.min(row.element.width, row.element.length), "--diode", row.element.name);
-  $("section-words").textContent = `Through ${led.name} and ${row.element.name}, ${apart.toFixed(2)} mm apart: where absorption takes from this reading, over three decades (the product of how light spreads from both, as in the middle of a board without a wall).`;
+  drawDie(separation, Math.min(row.element.width, row.element.length), "--diode", row.element.name);
+  $("section-words").textContent = `Section through ${led.name} and ${row.element.name}, source-detector separation ${separation.toFixed(2)} mm: sensitivity of this reading to absorption, over three decades (the product of the fluence of both, as in the middle of a board without a wall).`;
 }
 
 // ---- over force
@@ -313,7 +313,7 @@ function drawPlots() {
     for (const force of forces) {
       const state = stateAt(force, layout.rest, layout.so2);
       values.push(1e3 * row.gain * (dot(monomials(state), row.pair.coefficients) - row.fractionRest));
-      // As many photons tell every force: their part of the error goes with what either zone changes.
+      // All forces share the same photons: their part of the error scales with the change of either zone.
       const gross = [0, 1].reduce((sum, k) => sum + Math.abs((state[k] - rest[k]) * row.slope[k]), 0);
       errors.push(2e3 * row.gain * gross * Math.hypot(counted, tables.kernelChangeError));
     }
@@ -323,7 +323,7 @@ function drawPlots() {
       { label: "low", stroke: "transparent", hidden: true, points: { show: false } }, { label: "high", stroke: "transparent", hidden: true, points: { show: false } },
     ], false, "Change [mV]", [{ series: [3, 2], fill: `${read("--chosen")}33` }]);
   }
-  const rows = result.rows.filter((one) => !one.few), told = { body: [], electronics: [] };
+  const rows = result.rows.filter((one) => !one.few), resolutions = { body: [], electronics: [] };
   for (const force of forces) {
     const state = stateAt(force, layout.rest, layout.so2), slopes = [monomials(state, 0), monomials(state, 1)], now = monomials(state);
     const there = rows.map((one) => {
@@ -335,26 +335,26 @@ function drawPlots() {
     const waves = atForce(tables.touch.waves, force).map((x) => x.map((y) => y * layout.rest ** 2));
     for (const [name, body] of [["body", tables.touch.hasBody], ["electronics", false]]) {
       const value = forceResolution(there, { bloodPerPa: scaled, waves, body }, layout.leds.length);
-      told[name].push(value < NOTHING_N ? 1e3 * value : null);
+      resolutions[name].push(value < PRIOR_ONLY_N ? 1e3 * value : null);
     }
   }
-  const lines = [{ label: "electronics alone", stroke: read("--diode"), width: 2, dash: tables.touch.hasBody ? [6, 4] : [], points: { show: false } }], data = [forces, told.electronics];
-  if (tables.touch.hasBody) { lines.unshift({ label: "through the body", stroke: read("--led"), width: 2, points: { show: false } }); data.splice(1, 0, told.body); }
+  const lines = [{ label: "electronics alone", stroke: read("--diode"), width: 2, dash: tables.touch.hasBody ? [6, 4] : [], points: { show: false } }], data = [forces, resolutions.electronics];
+  if (tables.touch.hasBody) { lines.unshift({ label: "with physiological noise", stroke: read("--led"), width: 2, points: { show: false } }); data.splice(1, 0, resolutions.body); }
   setPlot("resolution-plot", data, lines, true, "Resolution [mN]");
 }
 
 // ---- controls
 
 function drawProperties() {
-  const host = $("properties"), found = chosenPart();
-  if (host.contains(document.activeElement) && document.activeElement.matches("input, select") && host.dataset.name === (found ? found[1].name : "")) {
-    for (const input of host.querySelectorAll("input[data-key]")) if (input !== document.activeElement) input.value = +found[1][input.dataset.key].toFixed(4);
+  const host = $("properties"), selected = chosenPart();
+  if (host.contains(document.activeElement) && document.activeElement.matches("input, select") && host.dataset.name === (selected ? selected[1].name : "")) {
+    for (const input of host.querySelectorAll("input[data-key]")) if (input !== document.activeElement) input.value = +selected[1][input.dataset.key].toFixed(4);
     return;
   }
   host.replaceChildren();
-  host.dataset.name = found ? found[1].name : "";
-  if (!found) { host.append(element("span", { class: "small" }, "Choose a part to change it.")); return; }
-  const [kind, part] = found, edit = (key, value) => change((layout) => {
+  host.dataset.name = selected ? selected[1].name : "";
+  if (!selected) { host.append(element("span", { class: "small" }, "Select a part to edit it.")); return; }
+  const [kind, part] = selected, edit = (key, value) => change((layout) => {
     const target = [...layout.leds, ...layout.photodiodes].find((one) => one.name === part.name);
     target[key] = value;
     if (key === "elements") target.wired = null;
@@ -379,11 +379,11 @@ function drawProperties() {
 }
 
 function removeChosen() {
-  const found = chosenPart();
-  if (!found) return;
+  const selected = chosenPart();
+  if (!selected) return;
   change((layout) => {
-    layout.leds = layout.leds.filter((part) => part.name !== found[1].name);
-    layout.photodiodes = layout.photodiodes.filter((part) => part.name !== found[1].name);
+    layout.leds = layout.leds.filter((part) => part.name !== selected[1].name);
+    layout.photodiodes = layout.photodiodes.filter((part) => part.name !== selected[1].name);
   });
 }
 
@@ -412,7 +412,7 @@ function addPart(kind) {
     const free = tried.find(([, u, v]) => { made.u = +u.toFixed(3); made.v = +v.toFixed(3); return !problems({ ...layout, [kind === "led" ? "leds" : "photodiodes"]: [...list, made] }).some((text) => text.includes(made.name) || text.includes("wall")); });
     list.push(made);
     workbench.chosen.part = made.name;
-    if (!free) say("There is no free place left for it.");
+    if (!free) say("There is no free position left for it.");
   });
 }
 
@@ -457,7 +457,7 @@ function listen() {
   document.addEventListener("dragover", (event) => { event.preventDefault(); document.body.classList.add("dropping"); });
   document.addEventListener("dragleave", () => document.body.classList.remove("dropping"));
   document.addEventListener("drop", (event) => { event.preventDefault(); document.body.classList.remove("dropping"); if (event.dataTransfer.files[0]) openFile(event.dataTransfer.files[0]); });
-  window.addEventListener("hashchange", () => { try { const found = fromLink(location.hash.slice(1)); change((layout) => Object.assign(layout, found)); } catch (error) { say(`That link is of another page: ${error.message}.`); } });
+  window.addEventListener("hashchange", () => { try { const linked = fromLink(location.hash.slice(1)); change((layout) => Object.assign(layout, linked)); } catch (error) { say(`That link is of another page: ${error.message}.`); } });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { for (const id of Object.keys(plots)) { plots[id].destroy(); delete plots[id]; } draw(); });
   listenToKeys();
   listenToDrags();
@@ -472,10 +472,10 @@ function listenToKeys() {
   });
   $("board").addEventListener("focusin", (event) => { const part = event.target.closest(".part"); if (part && workbench.chosen.part !== part.dataset.name) choosePart(part.dataset.name); });
   $("board").addEventListener("keydown", (event) => {
-    const found = chosenPart(), far = event.shiftKey ? 0.5 : 0.05;
+    const selected = chosenPart(), far = event.shiftKey ? 0.5 : 0.05;
     const moves = { ArrowLeft: [-far, 0], ArrowRight: [far, 0], ArrowUp: [0, far], ArrowDown: [0, -far] };
-    if (!found) return;
-    const named = (layout) => [...layout.leds, ...layout.photodiodes].find((part) => part.name === found[1].name);
+    if (!selected) return;
+    const named = (layout) => [...layout.leds, ...layout.photodiodes].find((part) => part.name === selected[1].name);
     if (moves[event.key]) change((layout) => { const part = named(layout); part.u = +(part.u + moves[event.key][0]).toFixed(4); part.v = +(part.v + moves[event.key][1]).toFixed(4); });
     else if (event.key.toLowerCase() === "r") change((layout) => { const part = named(layout); part.turn = (part.turn + 15) % 180; });
     else if (event.key === "Delete" || event.key === "Backspace") removeChosen();
@@ -527,33 +527,33 @@ function save(name, text, type) {
 async function openFile(file) {
   try {
     if (file.size > tables.rules.mostBytes) throw new Error(`has ${(file.size / 1e6).toFixed(1)} MB, more than ${tables.rules.mostBytes / 1e6}; a scene has less.`);
-    const found = fromScene(smolToml.parse(await file.text()), workbench.layout);
-    change((layout) => Object.assign(layout, found));
+    const opened = fromScene(smolToml.parse(await file.text()), workbench.layout);
+    change((layout) => Object.assign(layout, opened));
     say(`${file.name}: its parts lie on this page's board; finger, vessels and board stay as they are here.`);
   } catch (error) { say(`${file.name}: ${error.message}`); }
 }
 
 function drawFixed() {
   const { board } = tables, quietest = 1e3 * Math.sqrt(Math.min(...tables.photodiodeKinds.map((kind) => kind.fixedNoiseV2))), lines = [
-    `The board's outline, ${(board.outline[1] - board.outline[0]).toFixed(1)} by ${(board.outline[3] - board.outline[2]).toFixed(1)} mm, its ${board.covered ? "cover" : "film without a cover"}, epoxy and the finger are held fixed.`,
-    board.wall ? `The wall stays where the scene has it: LEDs move ${{ left: "left of", right: "right of", below: "below", above: "above" }[board.wall.side]} it, photodiodes on its other side.` : "The board has no wall.",
-    "Blood is that of a touch that is held; how fast it comes there is not modelled here, simulate tells.",
-    tables.touch.hasBody ? "Force resolution goes through the body's noise of the scene, as place computes it, and beside it through that of the electronics alone." : "The scene has no body: force resolution is by the noise of the electronics alone.",
-    `One sample's noise is that of stage and converter, ${quietest.toPrecision(2)} mV in the dark, and the shot noise of its light; light from outside adds its own.`,
-    `Beyond their photons, readings are off by ${(100 * tables.kernelError).toFixed(1)} % (rms), changes by ${(100 * tables.kernelChangeError).toFixed(1)} % of what either zone's blood changes by itself, added up, and the force resolved by ${(100 * tables.kernelResolutionError).toFixed(1)} %: by what lies between the table's nodes and the few percent that photodiodes swallow and a bare board sends back. That is in their errors.`,
-    "Parts that stand out of the board's underside are taken for flush with it. Light from outside is that of the scene's own photodiode and cover.",
+    `The board's outline, ${(board.outline[1] - board.outline[0]).toFixed(1)} by ${(board.outline[3] - board.outline[2]).toFixed(1)} mm, its ${board.covered ? "cover" : "film without a cover"}, epoxy and the finger are fixed.`,
+    board.wall ? `The wall stays at its place: LEDs can be moved ${{ left: "left of", right: "right of", below: "below", above: "above" }[board.wall.side]} it, photodiodes on its other side.` : "The board has no wall.",
+    "Blood is that of a held touch, in steady state; simulate computes its dynamics.",
+    tables.touch.hasBody ? "Force resolution includes the scene's physiological noise, as in place, and is given for the electronics alone, too." : "The scene has no body: force resolution is limited by the noise of the electronics alone.",
+    `The noise of one sample is that of amplifier and converter, ${quietest.toPrecision(2)} mV in the dark, and the shot noise of its light, ambient light included.`,
+    `Beside photon noise, readings have an rms error of ${(100 * tables.kernelError).toFixed(1)} %, changes of ${(100 * tables.kernelChangeError).toFixed(1)} % of the sum of both zones' absolute contributions, and the force resolution of ${(100 * tables.kernelResolutionError).toFixed(1)} %, by interpolation between the table's nodes and the few percent of light that photodiodes absorb and a bare board reflects. The stated errors include this.`,
+    "Parts are taken to be flush with the board's underside. Ambient light is computed with the scene's own photodiode and cover.",
   ];
   $("fixed").replaceChildren(...lines.map((text) => element("li", {}, text)));
 }
 
 function draw() {
-  const begin = performance.now(), found = problems(workbench.layout);
+  const begin = performance.now(), violations = problems(workbench.layout);
   workbench.result = evaluate(workbench.layout, caches);
   workbench.chosen.row = Math.min(workbench.chosen.row, Math.max(0, workbench.result.rows.length - 1));
-  $("problem").hidden = !found.length;
-  $("problem").textContent = found.length ? `This cannot be built: ${found.slice(0, 3).join("; ")}.` : "";
-  $("workbench").classList.toggle("broken", found.length > 0);
-  for (const id of ["save-scene", "save-positions"]) $(id).disabled = found.length > 0;
+  $("problem").hidden = !violations.length;
+  $("problem").textContent = violations.length ? `This cannot be built: ${violations.slice(0, 3).join("; ")}.` : "";
+  $("workbench").classList.toggle("broken", violations.length > 0);
+  for (const id of ["save-scene", "save-positions"]) $(id).disabled = violations.length > 0;
   $("undo").disabled = !workbench.past.length;
   $("redo").disabled = !workbench.future.length;
   for (const update of sliders) update();

@@ -19,9 +19,9 @@ SHOWN = 20
 SMOOTH_CELLS = 2.0
 # The densest places that hold so much of what a photodiode sees are outlined.
 HELD = 0.5
-# A resolution whose relative error is larger is left blank: few photons make it look finer than it is.
+# A resolution whose relative error is larger is left blank: with few photons it is biased low.
 KNOWN = 0.25
-# Light that is so much less than the brightest is not told apart.
+# Dynamic range of the maps of light.
 DIMMEST = 3e4
 
 
@@ -58,7 +58,7 @@ def count_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     figure, (axes, board) = style.panels(9.2, 4.2, 1, 2, width_ratios=[1.6, 1.0])
     kinds = [("count_electronics_resolution_n", "electronics", "electronics alone", style.ZONES[0], "s-")]
     if "count_resolution_n" in result:
-        kinds.insert(0, ("count_resolution_n", "body", "through the body's noise", style.ZONES[1], "o-"))
+        kinds.insert(0, ("count_resolution_n", "body", "with physiological noise", style.ZONES[1], "o-"))
     counts = result.photodiode_count.to_numpy()
     for name, purpose, text, colour, mark in kinds:
         value, error = (1e3 * result[f"{name}{end}"].sel(chosen_for=purpose).to_numpy() for end in ("", "_stderr"))
@@ -100,13 +100,13 @@ def map_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     """Light and its direct part, and noise and resolution of one photodiode, over the board."""
     light, direct = (_smooth(result[name].isel(led=0).to_numpy()) for name in ("irradiance", "direct"))
     noise = 1e6 * result.place_noise_v.isel(led=0).to_numpy()
-    tells = 1e3 * _known(result, "place_resolution_n")
+    resolution = 1e3 * _known(result, "place_resolution_n")
     # Boards are narrow, and a title on one line would be cut off at the picture's edge.
     panels = (
         ("Light\n[1/mm²]", "u", light, "viridis", _bright(light)),
-        ("Never in the bed\n[1/mm²]", "u", direct, "viridis", _bright(direct)),
+        ("Shunted light\n[1/mm²]", "u", direct, "viridis", _bright(direct)),
         ("Noise of a photodiode\n[µV]", "place_u", noise, "viridis", (noise.min(), noise.max())),
-        ("Resolves by itself\n[mN]", "place_u", tells, "viridis_r", _fine(tells)),
+        ("Its own resolution\n[mN]", "place_u", resolution, "viridis_r", _fine(resolution)),
     )
     figure, grid = style.panels(9.2, 4.9, 1, 4) if slender(result) else style.panels(9.2, 8.4, 2, 2)
     for axes, (title, u, values, colours, span) in zip(grid.flat, panels, strict=True):
@@ -130,14 +130,14 @@ def _known(result: xr.Dataset, name: str) -> np.ndarray:
 
 
 def _bright(light: np.ndarray) -> tuple[float, float]:
-    """From the dimmest that is told apart to the brightest."""
+    """The colour scale of light: down to a fixed part of the brightest."""
     top = float(light.max()) or 1.0
     return top / DIMMEST, top
 
 
-def _fine(tells: np.ndarray) -> tuple[float, float]:
+def _fine(resolution: np.ndarray) -> tuple[float, float]:
     """From the finest resolution to a hundred times as much."""
-    finest = float(np.nanmin(tells)) if np.isfinite(tells).any() else 1.0
+    finest = float(np.nanmin(resolution)) if np.isfinite(resolution).any() else 1.0
     return finest, 100 * finest
 
 
@@ -147,7 +147,7 @@ def _plane(
     """A map with contours and the bar of its colours; blank where nothing is known.
 
     u : name of the coordinate across; that along has v in its place.
-    span : lowest and highest value that is told apart, on a logarithmic or an even scale.
+    span : lowest and highest value of the colour scale, logarithmic or linear.
     """
     from matplotlib.colors import LogNorm, Normalize
 
@@ -180,7 +180,7 @@ def sensitivity_figure(scene: Scene, result: xr.Dataset) -> "Figure":
 
 @style.drawing()
 def sites_figure(result: xr.Dataset) -> "Figure":
-    """Places of one LED by what the search found there; where several arrangements have it, by the finest."""
+    """Candidate positions of one LED by force resolution; of several arrangements with it, that of the best."""
     from matplotlib.colors import LogNorm
 
     figure, axes = style.panels(5.6, 4.8)
@@ -204,7 +204,7 @@ def sites_figure(result: xr.Dataset) -> "Figure":
 
 @style.drawing()
 def banana_figure(scene: Scene, result: xr.Dataset) -> "Figure":
-    """Where under the nail each photodiode looks: cut lengthwise, and the bed from above."""
+    """Sensitivity of each photodiode to absorption below the nail: cut lengthwise, and the bed from above."""
     assert scene.finger is not None
     finger, layout = scene.finger, scene.layout
     plate = finger.nail_thickness_mm
@@ -259,12 +259,12 @@ def _bananas(axes: "Axes", x: np.ndarray, y: np.ndarray, each: np.ndarray, colou
 def led_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     """What the photodiodes as they are would resolve with the LED elsewhere, by light that was traced from them."""
     light = result.led_place_fraction.isel(led=0).sum("best_photodiode").to_numpy()
-    tells = 1e3 * _known(result, "led_place_resolution_n")
+    resolution = 1e3 * _known(result, "led_place_resolution_n")
     # What is much worse than the finest is only what was known before any reading.
-    tells = np.where(tells < _fine(tells)[1], tells, np.nan)
+    resolution = np.where(resolution < _fine(resolution)[1], resolution, np.nan)
     panels = (
         ("Light on all photodiodes\n[of the LED's]", light, "viridis", _bright(light)),
-        ("Resolves with the\nLED here [mN]", tells, "viridis_r", _fine(tells)),
+        ("Resolution with the\nLED here [mN]", resolution, "viridis_r", _fine(resolution)),
     )
     figure, both = style.panels(5.6 if slender(result) else 9.2, 4.7, 1, 2)
     for axes, (title, values, colours, span) in zip(both, panels, strict=True):

@@ -1,4 +1,4 @@
-"""The page of a placement: which layout resolves force best, how sure that is, and where the light is informative."""
+"""The page of a placement: the ranking of layouts with its uncertainty, and maps of light, noise and resolution."""
 
 import math
 from pathlib import Path
@@ -24,35 +24,34 @@ if TYPE_CHECKING:
 
 # So near to the finest resolution more photodiodes are hardly worth their wires.
 NEARLY = 0.1
-# Beyond this nothing but what was known before is told.
+# A resolution beyond this is that of the prior alone.
 NOTHING_MN = 1e3
 CAPTIONS = {
-    "ranking": "Force resolution of each layout, smaller is finer, with its 95 % interval; those whose intervals "
-    "overlap that of the best are tied with it (filled). Small ticks are the single fingers; diamonds, where the "
-    "scene has a body, what the electronics alone would resolve. Layouts that the search found have the place of "
-    "their LEDs as name, in the scene's order: led m1.25 p0 left lies at u = −1.25 mm, v = +0 mm, left of its "
+    "ranking": "Force resolution of each layout (smaller is better) with its 95 % interval; layouts whose intervals "
+    "overlap that of the best are tied with it (filled). Small ticks are the individual fingers; diamonds, where the "
+    "scene has a body, the resolution limited by the electronics alone. Layouts from the search are named after the "
+    "position of their LEDs, in the scene's order: led m1.25 p0 left lies at u = −1.25 mm, v = +0 mm, left of its "
     "photodiodes.",
     "board": "The board from above, rolled flat: LED, barrier and photodiodes on the nail, whose tint shows the blood "
     "below.",
-    "bananas": "Where under the nail each photodiode looks: how much its reading falls by absorption there (shaded: "
-    "all of them, each by its share, over three decades). Outlined are the densest places that hold half of it, one "
+    "bananas": "Sensitivity of each photodiode's reading to absorption below the nail (shaded: the mean of all "
+    "photodiodes, each normalised, over three decades). Outlined is the densest region that holds half of it, one "
     "colour for each photodiode from proximal (warm) to distal (cool).",
     "maps": "On the flat board with this LED and wall, first finger, logarithmic scales with contours: light per "
-    "area; its part that was never in the bed; the noise of one more photodiode centred there, rms in one sample "
-    "(even scale); and what it would resolve by itself, were the split of the force known. Bright is fine; blank "
-    "where too few photons came and, round the LED, where it would be saturated.",
-    "count": "Left: the force that the best so many photodiodes on this board resolve, where the scene has a body "
-    "through its noise, and by the electronics alone, with 95 % intervals; half of the photons chose them, the others "
-    "judged. "
-    "Right: where they lie.",
-    "sensitivity": "How much the light at each place falls with blood in the proximal (left) and in the distal zone "
-    "(right), relative to the light there: percent for each percent of the bed that is blood. Blank where too few "
-    "photons came.",
-    "led": "The LED elsewhere, photodiodes and wall as they are: the light that it would bring to all of them, and "
-    "the force that they would resolve. One trace from each photodiode gives its reading of an LED at every place "
-    "(reciprocity); blank where too few photons came or little would be told.",
-    "tried": "Places of the LED that were tried: the force that the best photodiodes for each, of several LEDs with "
-    "the best places of the others, would resolve. Triangles point from the LED to its photodiodes.",
+    "area; its shunted part, which bypassed the bed; the noise of one more photodiode centred there, rms in one "
+    "sample (linear scale); and its own force resolution if the split of the force is known. Bright is good; blank "
+    "where too few photons arrived and, around the LED, where it would saturate.",
+    "count": "Left: force resolution of the best subset of so many photodiodes on this board, where the scene has a "
+    "body with its physiological noise, and limited by the electronics alone, with 95 % intervals; half of the photons "
+    "selected the subset, the other half evaluated it. Right: their positions.",
+    "sensitivity": "Relative sensitivity of the light at each place to blood in the proximal (left) and in the distal "
+    "zone (right): percent of the light for each percent of the bed that is blood. Blank where too few photons "
+    "arrived.",
+    "led": "The LED moved, photodiodes and wall as they are: the light on all photodiodes, and their force "
+    "resolution. One trace from each photodiode gives its reading of an LED at every place (reciprocity); blank where "
+    "too few photons arrived or the resolution is close to the prior.",
+    "tried": "Candidate positions of the LED: force resolution with the best photodiodes for each, of several LEDs "
+    "with the best positions of the others. Triangles point from the LED to its photodiodes.",
 }
 
 
@@ -62,12 +61,12 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
     layout = [_figure("board", figures.board_figure(best)), _photodiodes(result)]
     inspected = "checked_fraction" in result
     if inspected:
-        layout.append("<h3>Where each photodiode looks</h3>")
+        layout.append("<h3>Sensitivity of each photodiode</h3>")
         layout += [_of_led("bananas", figures.banana_figure(best, one), one, best) for one in _each_led(result)]
-        layout += ["<h3>Light from outside</h3>" + _ambient(result)]
-    checked = _check(result) if inspected else small("There was no time to trace the best layout once more by itself.")
+        layout += ["<h3>Ambient light</h3>" + _ambient(result)]
+    checked = _check(result) if inspected else small("No time was left to verify the best layout by its own trace.")
     text = document(
-        kicker="where to put them",
+        kicker="layout optimisation",
         title=f"{result.sizes['best_photodiode']} photodiodes on the nail",
         lead=_lead(result, ranking),
         cards=_cards(result, ranking),
@@ -82,7 +81,7 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
             _through_the_body(best, result),
             _how_many(best, result),
             section("The best layout", *layout),
-            section("Where on this board the light tells", *(_maps(best, one) for one in _each_led(result))),
+            section("Maps of this board", *(_maps(best, one) for one in _each_led(result))),
             spread_section(result),
         ],
         attributes=result.attrs,
@@ -132,9 +131,9 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
     force, low, high = (quantity(first[f"force_resolution_{end}n"], "N") for end in ("", "low_", "high_"))
     fingers = result.sizes["finger"]
     over = "" if fingers == 1 else f", {_rules(result).over_fingers} of {fingers} fingers"
-    others = f"{'One' if tied == 2 else tied - 1} more cannot be told from it."
+    others = f"{'One' if tied == 2 else tied - 1} more {'is' if tied == 2 else 'are'} tied with it."
     if tied == 1:
-        others = "No other layout comes near." if len(ranking) > 1 else "It is the only one that was judged."
+        others = "No other layout is tied with it." if len(ranking) > 1 else "It is the only one evaluated."
     through = body_words(chosen(result)) if "electronics_resolution_n" in result else ""
     return (
         f"Layout {first['layout']} resolves {force} of force in one sample{f' through {through}' if through else ''} "
@@ -144,44 +143,44 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
 
 
 def _rules(result: xr.Dataset) -> Placement:
-    """What the search was asked."""
+    """The rules of the search."""
     return boards.rules(parse_scene(str(result.attrs["scene"]), name="the scene"))
 
 
 def _ranked_by(result: xr.Dataset, first: dict[str, Any]) -> str:
-    """What layouts are ranked by, where that is not the force alone, and what the best one knows of it."""
-    weights, told = _rules(result).weights, []
+    """What layouts are ranked by, where that is not the force alone, and the best one's figures for it."""
+    weights, others = _rules(result).weights, []
     if "share" in weights:
         percent = with_error(100 * first["share_resolution"], 100 * first["share_resolution_stderr"])
-        told.append(f"that part to {percent} % of the force")
+        others.append(f"that part to {percent} % of the force")
     if "oxygen" in weights:
         error = with_error(first["spo2_error_percent"], first["spo2_error_percent_stderr"])
-        told.append(f"SpO2 to {error} % over 8 s by the electronics' noise")
-    if not told:
+        others.append(f"SpO2 to {error} % over 8 s with the electronics' noise")
+    if not others:
         return ""
     beside = ", beside the force" if {"worst", "mean"} & weights.keys() else ""
-    return f"It tells {' and '.join(told)}; layouts are ranked by this{beside}. "
+    return f"It resolves {' and '.join(others)}; layouts are ranked by this{beside}. "
 
 
 def _cards(result: xr.Dataset, ranking: list[dict[str, Any]]) -> list[tuple[str, str]]:
     first = ranking[0]
     cards = [(quantity(first["force_resolution_n"], "N"), "force resolved in one sample, rms")]
     if "electronics_resolution_n" in first:
-        cards.append((quantity(first["electronics_resolution_n"], "N"), "by the noise of the electronics alone"))
+        cards.append((quantity(first["electronics_resolution_n"], "N"), "limited by the electronics' noise alone"))
     better = gain(result)
     if better and first["layout"] != "paper":
         tied = sum(row["tied"] for row in ranking)
         beside = f"; {tied} layouts are tied with each other" if tied else ""
-        cards.append((f"{with_error(*better)} ×", f"as fine as the paper's layout{beside}"))
+        cards.append((f"{with_error(*better)} ×", f"better force resolution than the paper's layout{beside}"))
     cards.append((significant(first["condition_number"]), "condition number of readings by blood zones"))
     shunted = f"{100 * first['shunted_fraction']:.0f} %"
-    return [*cards, (shunted, "of a photodiode's light at most was never in the bed")]
+    return [*cards, (shunted, "shunted: the largest part of a photodiode's light that bypassed the bed")]
 
 
 def _table(ranking: list[dict[str, Any]]) -> str:
-    head = ["Layout", "Rank", "Resolves<br>[mN]", "Split known<br>[mN]", "Share<br>[%]"]
+    head = ["Layout", "Rank", "Resolution<br>[mN]", "Split known<br>[mN]", "Share<br>[%]"]
     head += ["Proximal, distal<br>pressure [Pa]"]
-    head += ["Condition", "Least<br>signal / noise", "Full scale /<br>reading", "Never in<br>bed [%]"]
+    head += ["Condition", "Lowest<br>SNR", "Full scale /<br>reading", "Shunted<br>[%]"]
     if "electronics_rank" in ranking[0]:
         head[3:3] = ["Electronics<br>alone [mN]", "Rank<br>by it"]
     lines = [
@@ -207,7 +206,7 @@ def _rough(ranking: list[dict[str, Any]]) -> str:
 
 
 def _electronics_alone(row: dict[str, Any]) -> list[str]:
-    """Two cells of the table: what a layout would resolve were the body still, and its rank by that."""
+    """Two cells of the table: the resolution limited by the electronics alone, and the rank by it."""
     if "electronics_rank" not in row:
         return []
     each = (1e3 * row[f"electronics_resolution_n{end}"] for end in ("", "_stderr"))
@@ -215,38 +214,39 @@ def _electronics_alone(row: dict[str, Any]) -> list[str]:
 
 
 def _through_the_body(best: Scene, result: xr.Dataset) -> str:
-    """What the body does to the resolution, and to the number and place of photodiodes; empty without a body."""
+    """The effect of physiological noise on the resolution; empty without a body."""
     if "electronics_resolution_n" not in result:
         return ""
-    bandwidth_hz, asked = result.attrs["bandwidth_hz"], parse_scene(str(result.attrs["scene"]), name="the scene")
+    bandwidth_hz, requested = result.attrs["bandwidth_hz"], parse_scene(str(result.attrs["scene"]), name="the scene")
     sample = f"a mean over {significant(500 / bandwidth_hz)} ms (a bandwidth of {bandwidth_hz:g} Hz)"
-    feigned = ", ".join(dict.fromkeys(significant(1e3 * float(one)) for one in result.feigned_force_n))
-    told = (
-        f"<p>One sample is {sample}, by itself: it has no memory of the samples before, in which "
-        f"{escaped(body_words(best))} could be followed, and waves slower than its bandwidth count in full. Through "
-        "the vessels such waves move the blood of both zones, each with the gain of its frequency. Light that sees "
-        "the blood of two zones cannot tell them from the two pressures that would move it alike: on every layout "
-        f"they feign a force of {feigned} mN rms, and no layout resolves finer. What drift and lift add depends on the "
-        f"layout; if the split of the touch is known, most of the waves stand apart from it, too. {_worn(asked)}</p>"
+    false_force = ", ".join(dict.fromkeys(significant(1e3 * float(one)) for one in result.feigned_force_n))
+    text = (
+        f"<p>One sample is {sample}. It is evaluated without the samples before it, from which "
+        f"{escaped(body_words(best))} could be estimated, so that waves slower than its bandwidth count in full. Such "
+        "waves change the blood of both zones, each with the gain of the vessels at its frequency. A sensor of the "
+        "blood in two zones cannot distinguish them from two pressures with the same effect: with every layout they "
+        f"produce a false force of {false_force} mN rms, a physiological noise floor. The contribution of drift and "
+        "lift depends on the layout; if the split of the touch is known, most of the waves can be separated from it, "
+        f"too. {_worn(requested)}</p>"
     )
-    told += small(
-        "nailoptics predict has that memory. Where its model fits and the electronics are the only noise, the force "
-        "that it tells lies within 1.3 times of the bound under electronics alone; what it reaches through a person's "
-        "body stands on the page of the calibration."
+    text += small(
+        "nailoptics predict uses the samples before. Where its model fits and the electronics are the only noise, the "
+        "error of its force estimate lies within 1.3 times the bound for electronics alone; its error with a person's "
+        "body is given on the page of the calibration."
     )
-    return section("Through the body's noise", told)
+    return section("Physiological noise", text)
 
 
 def _how_many(best: Scene, result: xr.Dataset) -> str:
-    """Force resolution against the number of photodiodes; empty where there was no time for it."""
+    """Force resolution against the number of photodiodes; empty where no time was left for it."""
     if "count_electronics_resolution_n" not in result:
         return ""
     drawn = _figure("count", figures.count_figure(best, result))
-    return section("How many photodiodes", _enough(result), drawn, _counts(result))
+    return section("Number of photodiodes", _enough(result), drawn, _counts(result))
 
 
 def _enough(result: xr.Dataset) -> str:
-    """The fewest photodiodes that resolve nearly as finely as the most."""
+    """The fewest photodiodes that resolve force nearly as well as the most."""
     has_body = "count_resolution_n" in result
     name, purpose = ("count_resolution_n", "body") if has_body else ("count_electronics_resolution_n", "electronics")
     at = result.sel(chosen_for=purpose).dropna("photodiode_count", subset=[name])
@@ -256,14 +256,14 @@ def _enough(result: xr.Dataset) -> str:
     few = int(counts[np.flatnonzero(at[name].to_numpy() <= (1 + NEARLY) * finest)[0]])
     return (
         f"<p>{few} photodiode{'s' if few > 1 else ''} resolve{'' if few > 1 else 's'} force within "
-        f"{100 * NEARLY:.0f} % of what {int(counts[-1])} do on the best layout's board under its LEDs, "
-        "each number where it is best. Another place of the LEDs may suit another number better: searching with "
-        f"placement.photodiodes = {few} tells.</p>"
+        f"{100 * NEARLY:.0f} % of what {int(counts[-1])} resolve on the best layout's board with its LEDs, each "
+        "number at its best positions. Other positions of the LEDs may suit that number better: search with "
+        f"placement.photodiodes = {few}.</p>"
     )
 
 
 def _worn(scene: Scene) -> str:
-    """What the sensor's own drift and motion are taken to do; empty where it does neither."""
+    """The assumed effect of the sensor's drift and motion; empty without either."""
     body, parts = scene.body, []
     if body is not None and body.drift is not None:
         since_s = boards.rules(scene).since_rest_s
@@ -272,24 +272,24 @@ def _worn(scene: Scene) -> str:
         )
         led, reading = map(significant, each)
         parts.append(
-            f"{significant(since_s)} s after the untouched finger was read, all readings of an LED have drifted by "
-            f"{led} % together and each by {reading} % by itself; more photodiodes average the latter."
+            f"{significant(since_s)} s after the last reading of the untouched finger, all readings of an LED have "
+            f"drifted by {led} % together and each independently by {reading} %; more photodiodes average the latter."
         )
     if body is not None and body.motion is not None:
         percent = significant(100 * LIFT_PER_UM * body.motion.lift_um)
         parts.append(
-            f"A lift of {body.motion.lift_um:g} µm is taken to move all readings by {percent} % together, near and far "
-            "ones alike; what a slide along the nail does is not in it."
+            f"A lift of {body.motion.lift_um:g} µm is assumed to change all readings by {percent} % together, at any "
+            "distance from the LED; sliding along the nail is not included."
         )
     return " ".join(parts)
 
 
 def _counts(result: xr.Dataset) -> str:
-    """Resolution against the number of photodiodes, chosen with the body's noise, if there is a body, and without."""
+    """Resolution against the number of photodiodes, selected with physiological noise, if there is any, and without."""
     kinds = [("Electronics<br>alone [mN]", "count_electronics_resolution_n", "electronics")]
     if "count_resolution_n" in result:
-        kinds.insert(0, ("Through the<br>body [mN]", "count_resolution_n", "body"))
-        text = "Those chosen for the<br>electronics, through<br>the body [mN]"
+        kinds.insert(0, ("With physiological<br>noise [mN]", "count_resolution_n", "body"))
+        text = "Selected for the<br>electronics, with physio-<br>logical noise [mN]"
         kinds.append((text, "count_resolution_n", "electronics"))
     head = ["Photodiodes", *(title for title, _, _ in kinds)]
     lines = []
@@ -309,15 +309,15 @@ def _check(result: xr.Dataset) -> str:
     fresh = with_error(*(1e3 * result.attrs[f"checked_resolution_n{end}"] for end in ("", "_stderr")))
     by_map = with_error(*(1e3 * float(result[f"finger_resolution_n{end}"][0, 0]) for end in ("", "_stderr")))
     return small(
-        "Layouts are read from maps of the bare board. The best was traced once more with its photodiodes on it: on "
-        f"the first finger it resolves {fresh} mN, {by_map} mN by the map."
+        "Layouts are evaluated on photon maps of the bare board. The best was verified by a trace with its photodiodes "
+        f"in place: on the first finger it resolves {fresh} mN, {by_map} mN by the map."
     )
 
 
 def _photodiodes(result: xr.Dataset) -> str:
-    """What each photodiode of the best layout reads of each LED on the first finger."""
-    head = ["Photodiode", "Reads<br>[V]", "Full scale /<br>reading", "Noise<br>[µV]", "Signal /<br>noise"]
-    head += ["Never in<br>bed [%]", "Proximal blood<br>[mV / %]", "Distal blood<br>[mV / %]", "Looks at depth<br>[mm]"]
+    """The readings of the best layout on the first finger: each photodiode under each LED."""
+    head = ["Photodiode", "Reading<br>[V]", "Full scale /<br>reading", "Noise<br>[µV]", "SNR"]
+    head += ["Shunted<br>[%]", "Proximal blood<br>[mV / %]", "Distal blood<br>[mV / %]", "Mean depth<br>[mm]"]
     lines: list[list[str]] = []
     names = chosen(result).layout.photodiode_names
     pairs = [(str(led), i) for led in result.led.values for i in range(len(names))]
@@ -339,7 +339,7 @@ def _photodiodes(result: xr.Dataset) -> str:
 
 def _ambient(result: xr.Dataset) -> str:
     """Sun and lamp, with and without the cover."""
-    head = ["", "Photocurrent<br>at most [µA]", "Output<br>at most [V]", "Noise<br>at most [µV]", "Resolves<br>[mN]"]
+    head = ["", "Photocurrent<br>at most [µA]", "Output<br>at most [V]", "Noise<br>at most [µV]", "Resolution<br>[mN]"]
     alone = [result.predicted_volts.max(), 1e6 * result.predicted_noise_v.max(), 1e3 * result.finger_resolution_n[0, 0]]
     lines = [["none", "0", *(significant(float(value)) for value in alone)]]
     for cover in result.cover.values:
@@ -355,15 +355,15 @@ def _ambient(result: xr.Dataset) -> str:
             resolves = significant(resolution_mn) if resolution_mn < NOTHING_MN else "nothing"
             lines.append([name, current, output, noise, resolves])
     return table(head, lines) + small(
-        "The largest of all photodiodes, upper end of the 95 % interval, for light from all sides with the spectrum of "
-        "a black body. A steady part can be subtracted; its noise and a saturated converter cannot."
+        "The largest of all photodiodes, upper end of the 95 % interval, for ambient light from all sides with the "
+        "spectrum of a black body. A steady part can be subtracted; its noise and a saturated converter cannot."
     )
 
 
 def _reciprocity(result: xr.Dataset) -> str:
-    """How far the two directions of light agree."""
+    """Agreement of the two directions of tracing."""
     ratio = with_error(*(result.attrs[f"reciprocity_ratio{end}"] for end in ("", "_stderr")))
     return small(
-        f"For the LED where it is, light back from all photodiodes foretells {ratio} times what they read of it in a "
-        "fresh trace."
+        f"For the LED at its position, light traced back from all photodiodes predicts {ratio} times their reading in "
+        "an independent trace."
     )

@@ -165,7 +165,7 @@ def _legend_columns(photodiodes: int) -> int:
 
 @style.drawing()
 def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
-    """One LED's readings, one panel per photodiode: traced volts with both errors, (8), (9) and what they miss.
+    """One LED's readings, one panel per photodiode: traced volts with errors, both reduced models and residuals.
 
     Proximal photodiodes are on the left, distal ones on the right. The inner band is the trace's standard error of
     the change from rest, the outer one the electronics' noise of one sample; the trace's error of the level, which
@@ -202,7 +202,7 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
             _line(main, one, one[f"volts_{name}"] / scale, label=label, **look)
             _line(below, one, (one[f"volts_{name}"] - one.volts) / missed_scale, **look)
         main.set_ylabel(f"volts [{letter}V]", fontsize=8)
-        below.set_ylabel(f"missed\n[{missed_letter}V]", fontsize=8)
+        below.set_ylabel(f"residual\n[{missed_letter}V]", fontsize=8)
         level = with_error(float(rest.volts[j]) / scale, float(rest.volts_stderr[j]) / scale)
         main.set_title(style.plain(one.photodiode.values), color=style.INK)
         style.remark(main, "saturated" if one.saturated.any() else f"at rest {level} {letter}V")

@@ -20,10 +20,10 @@ from ...scene_description import blood_words, body_words
 from ...uncertainty_section import spread_section
 from . import figures
 
-TOUCH = "The force over time, and the pressures that it puts on the vessels."
+TOUCH = "Force over time, and the pressures that it exerts on the vessels."
 VESSELS = (
-    "Pressure on the pulp's veins dams the blood up into the capillaries under the nail; pressure on the distal "
-    "capillaries squeezes it out of them."
+    "Pressure on the pulp's veins obstructs the return of blood, which pools in the capillaries under the nail; "
+    "pressure on the distal capillaries expels it from them."
 )
 log = logging.getLogger(__name__)
 
@@ -67,13 +67,13 @@ def _bed(result: xr.Dataset, scene: Scene | None) -> list[str]:
     """The blood along the nail, where it has more zones than a figure over time can show."""
     if scene is None or scene.finger is None or "white_band_mm" not in result or result.sizes["time"] < 2:
         return []
-    text = "Zones of the nail bed over time. Above the dashed line lies the white band, which lost half of its blood."
+    text = "Zones of the nail bed over time. Above the dashed line: the white band, with less than half of its blood."
     return [figure(figures.bed(result, scene), "bed", text)]
 
 
 def _readings_section(result: xr.Dataset, scene: Scene | None, found: list[Reading]) -> str:
     return section(
-        "What the photodiodes read",
+        "Readings of the photodiodes",
         figure(
             figures.overview(result, scene),
             "overview",
@@ -82,10 +82,10 @@ def _readings_section(result: xr.Dataset, scene: Scene | None, found: list[Readi
         ),
         _readings_table(found, float(result.time[hold_end(result)])),
         small(
-            "± is one standard error of the light tracing, and σ counts a change in them. Both states of a change are "
-            "read from one trace, so its error is far below that of a level. Noise is that of the electronics and the "
-            "converter in one sample; a sample resolves the force that equals its noise, by the mean slope from rest "
-            "to the end of the hold."
+            "± is one standard error of the light tracing; the z score is the change in standard errors. Both states "
+            "of a change are read from one trace, so its error is far below that of a level. Noise is that of the "
+            "electronics and the converter in one sample; the resolution is the force that equals it, by the mean "
+            "slope from rest to the end of the hold."
         ),
     )
 
@@ -143,9 +143,9 @@ def _models_section(result: xr.Dataset, scene: Scene | None, found: list[Reading
     paths = _path_table(result, found)
     if paths:
         lines += [
-            "<h3>Where the detected light has been</h3>",
-            "<p>Mean path, at rest, of the light that reaches each photodiode: this takes the place of the one path "
-            "length L of the reduced optics. A reading falls by this fraction per mm⁻¹ of absorption.</p>",
+            "<h3>Mean path of the detected light</h3>",
+            "<p>Mean path, at rest, of the light that reaches each photodiode, in place of the single path length L of "
+            "the reduced optics. A reading falls by this fraction per mm⁻¹ of absorption.</p>",
             paths,
         ]
     return section("Traced light beside the reduced optics", *lines)
@@ -188,7 +188,7 @@ def _sentence(scene: Scene | None, result: xr.Dataset) -> str:
 
 
 def _cards(found: Sequence[Reading], result: xr.Dataset) -> list[tuple[str, str]]:
-    """Key findings as (figure, words), the most wanted first."""
+    """Key figures as (number, words)."""
     lines: list[tuple[str, str]] = []
     several = result.sizes["led"] > 1
     found = [r for r in found if not r.saturated]
@@ -200,18 +200,18 @@ def _cards(found: Sequence[Reading], result: xr.Dataset) -> list[tuple[str, str]
         moved = [r for r in found if sign * r.change_v > 0]
         if moved:
             r = max(moved, key=lambda r: abs(r.change_v))
-            ratio = f"{significant(r.signal_to_noise)} times the noise of one sample"
+            ratio = f"signal-to-noise ratio {significant(r.signal_to_noise)}"
             words = f"largest {word}: {name(r)}, {significant(r.change_percent, sign=True)} %, {ratio}"
             lines.append((quantity(r.change_v, "V", sign=True), words))
     resolved = [r for r in found if math.isfinite(r.resolution_n) and r.resolution_n > 0]
     if resolved:
         r = min(resolved, key=lambda r: r.resolution_n)
-        words = f"force that one sample resolves at best (noise / slope): {name(r)}"
+        words = f"best force resolution of one sample (noise / slope): {name(r)}"
         lines.append((quantity(r.resolution_n, "N"), words))
     if any(r.change_v for r in found):
         lines.append(_signs(found, result))
     if "white_band_mm" in result:
-        words = "wide is the white band at the tip at the end of the hold, where the bed holds less than half its blood"
+        words = "width of the white band at the tip at the end of the hold, with less than half its blood"
         lines.append((f"{float(result.white_band_mm[hold_end(result)]):.1f}\u00a0mm", words))
     lines.append(_models(found, result))
     return lines
@@ -223,7 +223,7 @@ def _warnings(found: Sequence[Reading], result: xr.Dataset) -> list[str]:
     full = [f"{r.photodiode} under {r.led}" for r in found if r.saturated]
     if full:
         lines.append(
-            f"The converter is at its limit: {_list(full)}. These volts do not tell the light; lower "
+            f"The converter is at its limit: {_list(full)}. These volts do not measure the light; lower "
             "electronics.feedback_ohm or the LED's flux_mw, or raise electronics.adc_range_v."
         )
     if len(full) < len(found) and not any(r.change_v for r in found if not r.saturated):
@@ -245,10 +245,10 @@ def _reached(result: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def _signs(found: Sequence[Reading], result: xr.Dataset) -> tuple[str, str]:
-    """Whether the readings move the way that the paper saw: over the proximal half of the zones down, distally up."""
+    """Whether readings change as in the paper: down over the proximal half of the zones, up over the distal."""
     zones = [str(name) for name in result.zone.values]
     right = [r for r in found if np.sign(r.change_v) == (1 if 2 * zones.index(r.zone) >= len(zones) else -1)]
-    words = "readings move as in the paper, proximal ones down and distal ones up"
+    words = "readings change as in the paper: proximal ones fall, distal ones rise"
     least = min((r.sigmas for r in right), default=math.nan)
     if math.isfinite(least):
         words += f", by {significant(least, 2)} σ of the trace or more"
@@ -260,11 +260,11 @@ def _signs(found: Sequence[Reading], result: xr.Dataset) -> tuple[str, str]:
 
 def _models(found: Sequence[Reading], result: xr.Dataset) -> tuple[str, str]:
     """How far Beer-Lambert (8) and Taylor (9) are from the traced light at worst, beside the noise."""
-    told = ~result.saturated.any("time")
-    worst = [float(result[f"{model}_residual_rms_v"].where(told).max()) for model in ("beer_lambert", "taylor")]
+    usable = ~result.saturated.any("time")
+    worst = [float(result[f"{model}_residual_rms_v"].where(usable).max()) for model in ("beer_lambert", "taylor")]
     noise = max((r.noise_rms_v for r in found), default=0.0)
     one, other, limit = (quantity(value, "V", digits=2) for value in (*worst, noise))
-    return one, f"rms that Beer–Lambert (8) misses at worst; Taylor (9): {other}; noise of one sample: {limit}"
+    return one, f"largest rms residual of Beer–Lambert (8); Taylor (9): {other}; noise of one sample: {limit}"
 
 
 def _list(words: Sequence[str]) -> str:
@@ -284,12 +284,12 @@ def _readings_table(found: Sequence[Reading], hold_s: float) -> str:
     volts, letter = prefix(max((abs(r.rest_v) for r in found), default=0.0))
     change, change_letter = prefix(max((abs(r.peak_v) for r in found), default=0.0))
     noise, noise_letter = prefix(max((r.noise_rms_v for r in found), default=0.0))
-    head = ["Photodiode", "Blood<br>zone", "Away from<br>LED [mm]", f"At rest<br>[{letter}V]"]
-    head += [f"Change at<br>{significant(hold_s)} s [{change_letter}V]", "Change<br>[%]", "Sure by<br>[σ]"]
+    head = ["Photodiode", "Blood<br>zone", "Distance<br>to LED [mm]", f"At rest<br>[{letter}V]"]
+    head += [f"Change at<br>{significant(hold_s)} s [{change_letter}V]", "Change<br>[%]", "z score<br>[σ]"]
     head += [f"Largest<br>change [{change_letter}V]"]
     spread = any(math.isfinite(r.rest_spread) for r in found)
-    head += ["At rest<br>spreads [%]", "Change<br>spreads [%]"] if spread else []
-    head += [f"Noise,<br>rms [{noise_letter}V]", "Signal<br>to noise", "Resolves<br>[mN]"]
+    head += ["Prior spread<br>at rest [%]", "Prior spread<br>of change [%]"] if spread else []
+    head += [f"Noise,<br>rms [{noise_letter}V]", "SNR<br>[1]", "Resolution<br>[mN]"]
     rows = []
     for r, name in zip(found, _names(found), strict=True):
         distance = number(r.distance_mm, significant(r.distance_mm, 3))
@@ -314,7 +314,7 @@ def _readings_table(found: Sequence[Reading], hold_s: float) -> str:
 
 
 def _path_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
-    """Mean path of the detected light at rest in every absorber that it passes; empty where the engine cannot tell."""
+    """Mean path of the detected light at rest in every absorber; empty where the engine records no paths."""
     mean, stderr = result.mean_path_mm, result.mean_path_mm_stderr
     if not np.isfinite(mean).any():
         return ""
