@@ -149,6 +149,15 @@ def modules_imported(path: Path) -> set[str]:
     return {name if name in MODULES else name.rpartition(".")[0] for name in names} & MODULES.keys()
 
 
+@pytest.mark.parametrize("path", FILES, ids=lambda path: ".".join(module_name(path)))
+def test_every_module_that_is_imported_exists(path):
+    """Also those that only functions import: mypy takes a missing module for one without types."""
+    package = path.name == "__init__.py"
+    named = imported(path.read_text(encoding="utf-8"), module_name(path), package=package)
+    homes = {name.rpartition(".")[0] for name in named if name.startswith("nailoptics.")}
+    assert homes <= MODULES.keys()
+
+
 def circle(imports: dict[str, set[str]]) -> list[str]:
     """Modules that import each other in a ring, or nothing."""
     finished: set[str] = set()

@@ -10,6 +10,7 @@ import xarray as xr
 
 from ...io import write_text
 from ...scene import Scene, parse_scene
+from ...statistics import Z95
 from ...studies.colour.measured_colours import MEASURED
 from .. import style
 from ..html import document, escaped, figure, section, small, table
@@ -211,7 +212,7 @@ def draw_fig2(scene: Scene, directory: Path, *, name: str) -> Path:
 
     name : the set of vessels that the scene's nail gets. All sets share their rays.
     """
-    from ..studies.colour.nail_colour import colour
+    from ...studies.colour.nail_colour import colour
 
     assert scene.finger is not None
     update = {
@@ -229,8 +230,6 @@ def draw_fig2(scene: Scene, directory: Path, *, name: str) -> Path:
 def _along_figure(result: xr.Dataset) -> "Figure":
     """L*, a* and b* along the nail, for each force, with 95 % intervals."""
     from matplotlib import colormaps
-
-    from ..statistics import Z95
 
     figure, axes = style.panels(7.2, 5.6, 3, sharex=True)
     forces = result.force_n.values
@@ -251,7 +250,6 @@ def _along_figure(result: xr.Dataset) -> "Figure":
 @style.drawing()
 def _over_force_figure(result: xr.Dataset) -> "Figure":
     """Difference to rest and the white band, over force."""
-    from ..statistics import Z95
 
     figure, (change, band) = style.panels(7.2, 2.8, 1, 2)
     nail = range(*_nail(result).indices(result.sizes["place"]))
@@ -285,7 +283,6 @@ def _press_figure(result: xr.Dataset) -> "Figure":
 @style.drawing()
 def _ranges_figure(result: xr.Dataset) -> "Figure":
     """Colours of nail and skin at rest with their uncertainty over the priors, beside measurements on people."""
-    from ..statistics import Z95
 
     figure, axes = style.panels(7.2, 3.0, 1, 2)
     middle = result.sizes["place"] // 2
