@@ -1,10 +1,9 @@
 """MANY SCENES: sweeps planned, run on one machine or a cluster without losing anything, and opened as one dataset."""
 
 from ..scene.sweep import Axis, Sweep, load_sweep
-from .cost import Estimate, estimate
-from .results import open_results, write_table
+from .estimate import Estimate, estimate
+from .results import Status, open_results, status, write_table
 from .run import BatchProgress, Outcome, run_batch
-from .status import Status, status
 
 __all__ = [
     "Axis",

@@ -1,6 +1,8 @@
-"""The results of a batch as one dataset over the sweep's axes, and as a table."""
+"""The results of a batch as one dataset over the sweep's axes, as a table, and how far it is."""
 
 import logging
+import time
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,30 +12,21 @@ import xarray as xr
 
 from ..errors import InputError
 from ..io import CorruptError, plain_cell, write_text
-from .folder import Folder, ForeignError
-from .study_runs import STUDIES
-from .work import other_versions
+from .folder import Folder, ForeignError, Plan
+from .studies import STUDIES
 
 log = logging.getLogger(__name__)
 
-DONE, MISSING, FAILED, CORRUPT, FOREIGN = "done", "missing", "failed", "corrupt", "foreign"
-# A variable of one scene: dimensions, values, attributes.
-Stored = tuple[tuple[str, ...], np.ndarray, dict[str, Any]]
-# What a result's header says of it, in the table: its name there, units, text.
-_TOLD = (
+# What a result's header says of it, in the table: its name there and there, and in words.
+_ABOUT = (
     ("relative_error", "relative_error", "largest relative error"),
     ("photons", "photons_per_led", "photons per LED"),
     ("reached", "reached", "as accurate as requested"),
 )
-
-
-@dataclass(frozen=True)
-class _Result:
-    """One scene's result, taken apart: a dataset of its own for each would take most of the time."""
-
-    data: dict[str, Stored]
-    coords: dict[str, Stored]
-    attrs: dict[str, Any]
+# The pace is that of the results of the last minutes. [s]
+_WINDOW_S = 600.0
+# Dimensions, values, attributes.
+_Variable = tuple[tuple[str, ...], np.ndarray, dict[str, Any]]
 
 
 def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
@@ -48,47 +41,54 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
     """
     place = Folder(Path(folder))
     plan = place.read_plan()
-    dims, shape = tuple(plan["dims"]), tuple(plan["dims"].values())
-    names = {axis["name"] for axis in plan["axes"]}
+    dims, shape = tuple(plan.dims), tuple(plan.dims.values())
     states: list[str] = []
-    stack = _Stack(len(plan["scenes"]))
-    for number, digest in enumerate(plan["scenes"]):
-        one, state = None, DONE
+    data: dict[str, _Variable] = {}
+    coords: dict[str, _Variable] = {}
+    attributes: dict[str, Any] = {}
+    for number, digest in enumerate(plan.scenes):
+        state, stored = "done", None
         try:
-            stored = place.read_result(digest, made=plan["made"])
-            if stored:
-                one = _result(*stored, names, course)
-            else:
-                state = FAILED if place.has_failed(digest) else MISSING
+            stored = place.read_result(digest, made=plan.made)
         except ForeignError:
-            state = FOREIGN
+            state = "foreign"
         except CorruptError:
-            state = FAILED if place.has_failed(digest) else CORRUPT
+            state = "failed" if place.has_failed(digest) else "corrupt"
+        else:
+            state = "done" if stored else "failed" if place.has_failed(digest) else "missing"
         states.append(state)
-        if one is not None:
-            stack.add(number, one)
-    for state, why in ((CORRUPT, "damaged"), (FOREIGN, "another seed's, backend's or version's")):
+        if stored is None:
+            continue
+        values, own = _variables(*stored, {axis.name for axis in plan.axes}, course)
+        if not data:
+            coords, attributes = own, stored[0]["attrs"]
+            data = {name: (d, _empty(len(plan.scenes), v), a) for name, (d, v, a) in values.items()}
+        _check_same_coordinates(coords, own)
+        _put(data, number, values)
+    for state, why in (("corrupt", "damaged"), ("foreign", "another seed's, backend's or version's")):
         if count := states.count(state):
             log.warning("%s: %d results are %s and left out; run the batch again", place.root, count, why)
-    if moved := other_versions(plan["made"]):
+    if moved := plan.made.other_versions:
         log.warning("%s: was made with %s", place.root, moved)
-    dataset = stack.dataset(dims, shape)
     text = "done, missing, failed, corrupt or foreign"
-    dataset["state"] = (dims, np.array(states).reshape(shape), {"long_name": text})
-    dataset["digest"] = (dims, np.array(plan["scenes"]).reshape(shape), {"long_name": "digest of the scene"})
-    dataset = dataset.assign_coords(_coordinates(plan))
-    dataset.attrs |= {"title": f"nailoptics: batch {plan['sweep']}", "Conventions": "CF-1.11"}
-    dataset.attrs |= {name: plan["made"][name] for name in ("seed", "backend")} | {"study": plan["study"]}
-    return dataset
+    data["state"] = ((), np.array(states), {"long_name": text})
+    data["digest"] = ((), np.array(plan.scenes), {"long_name": "digest of the scene"})
+    whole = {name: ((*dims, *own), _over(full, shape), about) for name, (own, full, about) in data.items()}
+    dataset = xr.Dataset(whole, coords | _coordinates(plan))
+    dataset.attrs = {k: v for k, v in attributes.items() if k in ("engine", "versions")}
+    dataset.attrs |= {"title": f"nailoptics: batch {plan.sweep}", "Conventions": "CF-1.11"}
+    return dataset.assign_attrs(seed=plan.made.seed, backend=plan.made.backend, study=plan.study)
 
 
-def _result(header: dict[str, Any], arrays: dict[str, np.ndarray], axes: set[str], course: bool) -> _Result:
-    """A scene's result without what runs over time, unless that is wanted.
+def _variables(
+    header: dict[str, Any], arrays: dict[str, np.ndarray], axes: set[str], course: bool
+) -> tuple[dict[str, _Variable], dict[str, _Variable]]:
+    """A scene's variables and coordinates, without what runs over time unless that is requested.
 
     axes : names of the sweep's axes; a result that is called as one of them is renamed: leds.ir.wavelength_nm.
     """
-    data: dict[str, Stored] = {}
-    coords: dict[str, Stored] = {}
+    data: dict[str, _Variable] = {}
+    coords: dict[str, _Variable] = {}
     for name, entry in header["variables"].items():
         dims = tuple(entry["dims"])
         if not course and "time" in dims:
@@ -98,84 +98,62 @@ def _result(header: dict[str, Any], arrays: dict[str, np.ndarray], axes: set[str
             coords[name] = dims, values, entry["attrs"]
         else:
             data[f"{name}_result" if name in axes else name] = dims, values, entry["attrs"]
-    told = dict(header) | {"photons_per_led": float(header["photons_per_led"])}
-    told["relative_error"] = np.nan if header["relative_error"] is None else header["relative_error"]
-    for name, key, text in _TOLD:
-        label = f"{name}_result" if name in axes else name
-        data[label] = (), np.asarray(told[key]), {"units": "1", "long_name": text}
-    return _Result(data, coords, header["attrs"])
+    for name, key, text in _ABOUT:
+        value = np.nan if header[key] is None else header[key]
+        value = float(value) if key != "reached" else value
+        data[f"{name}_result" if name in axes else name] = (), np.asarray(value), {"units": "1", "long_name": text}
+    return data, coords
 
 
-class _Stack:
-    """One array per variable of the first result over all scenes; what a scene lacks stays empty.
-
-    Each result is copied as it comes: thousands of them, kept, would be searched for garbage again and again.
-    """
-
-    def __init__(self, scenes: int) -> None:
-        self.scenes = scenes
-        self.first: _Result | None = None
-        self.full: dict[str, np.ndarray] = {}
-
-    def add(self, number: int, one: _Result) -> None:
-        """Put in the result of a scene, by its number; raises InputError where it does not fit the first."""
-        if self.first is None:
-            self.first = one
-            self.full = {name: self._empty(values) for name, (_, values, _) in one.data.items()}
-        _check_same_coordinates(self.first, one)
-        for name, full in self.full.items():
-            if name not in one.data:
-                continue
-            values = one.data[name][1]
-            if values.shape != full.shape[1:]:
-                raise InputError(
-                    f'the scenes of this batch differ in the shape of their "{name}", so they are no one dataset; '
-                    "sweep scenes with as many of each."
-                )
-            full[number] = values
-
-    def _empty(self, values: np.ndarray) -> np.ndarray:
-        # A type that can say that nothing is there.
-        number = np.result_type(values.dtype, np.float32) if values.dtype.kind not in "bU" else None
-        kinds: dict[str, tuple[Any, Any]] = {"b": (False, bool), "U": ("", object), "u": (0, values.dtype)}
-        empty, holding = kinds.get(values.dtype.kind, (np.nan, number))
-        return np.full((self.scenes, *values.shape), empty, holding)
-
-    def dataset(self, dims: tuple[str, ...], shape: tuple[int, ...]) -> xr.Dataset:
-        """All of them over the sweep's dimensions."""
-        if self.first is None:
-            return xr.Dataset()
-        data = {}
-        for name, (own, values, attrs) in self.first.data.items():
-            whole = self.full[name]
-            whole = whole.astype(str) if whole.dtype.kind == "O" else whole
-            data[name] = ((*dims, *own), whole.reshape(*shape, *values.shape), attrs)
-        kept = {k: v for k, v in self.first.attrs.items() if k in ("engine", "versions")}
-        return xr.Dataset(data, coords=self.first.coords, attrs=kept)
+def _empty(scenes: int, values: np.ndarray) -> np.ndarray:
+    """An array for a variable of all scenes, of a type that can say that nothing is there."""
+    if values.dtype.kind in "bUu":
+        empty: Any = {"b": False, "U": "", "u": 0}[values.dtype.kind]
+        return np.full((scenes, *values.shape), empty, object if values.dtype.kind == "U" else values.dtype)
+    return np.full((scenes, *values.shape), np.nan, np.result_type(values.dtype, np.float32))
 
 
-def _check_same_coordinates(first: _Result, one: _Result) -> None:
+def _put(data: dict[str, _Variable], number: int, values: dict[str, _Variable]) -> None:
+    """Put in the variables of a scene, by its number; raises InputError where they do not fit the first's."""
+    for name, (_, full, _) in data.items():
+        if name not in values:
+            continue
+        if values[name][1].shape != full.shape[1:]:
+            raise InputError(
+                f'the scenes of this batch differ in the shape of their "{name}", so they are no one dataset; '
+                "sweep scenes with as many of each."
+            )
+        full[number] = values[name][1]
+
+
+def _over(full: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """A variable of all scenes over the sweep's dimensions."""
+    full = full.astype(str) if full.dtype.kind == "O" else full
+    return full.reshape(*shape, *full.shape[1:])
+
+
+def _check_same_coordinates(first: dict[str, _Variable], other: dict[str, _Variable]) -> None:
     """Raise InputError where two scenes do not fit one dataset."""
-    for name, (_, values, _) in first.coords.items():
-        other = one.coords[name][1] if name in one.coords else None
-        if other is None or other.shape != values.shape or not (other == values).all():
+    for name, (_, values, _) in first.items():
+        there = other[name][1] if name in other else None
+        if there is None or there.shape != values.shape or not (there == values).all():
             raise InputError(
                 f'the scenes of this batch differ in their "{name}", so they are no one dataset; '
                 + ("leave course out." if name == "time" else "sweep scenes with the same names.")
             )
 
 
-def _coordinates(plan: dict[str, Any]) -> dict[str, Any]:
+def _coordinates(plan: Plan) -> dict[str, Any]:
     """The axes as coordinates; values that are tables or arrays become text."""
     coordinates: dict[str, Any] = {}
-    for axis in plan["axes"]:
-        values = axis["values"]
+    for axis in plan.axes:
+        values: Any = list(axis.values)
         if not all(isinstance(v, bool) for v in values) and all(isinstance(v, int | float) for v in values):
             values = np.array(values)
         elif not all(isinstance(v, str) for v in values):
             values = np.array([str(v) for v in values])
-        dim = axis["name"] if axis["name"] in plan["dims"] else "sample"
-        coordinates[axis["name"]] = (dim, values, {"long_name": axis["path"]} if axis["path"] else {})
+        dim = axis.name if axis.name in plan.dims else "sample"
+        coordinates[axis.name] = (dim, values, {"long_name": axis.path} if axis.path else {})
     return coordinates
 
 
@@ -195,3 +173,64 @@ def write_table(results: xr.Dataset, path: str | Path) -> Path:
     table[texts] = table[texts].map(plain_cell)
     write_text(Path(path), table.rename(columns=plain_cell).to_csv(index=False))
     return Path(path)
+
+
+@dataclass(frozen=True)
+class Status:
+    """Counts of a batch's scenes; seconds_left at the pace of the last ten minutes, None where there was none.
+
+    below : results that are there, but not yet as accurate as requested.
+    other_versions : which versions made them that are others than here, in words.
+    """
+
+    total: int
+    lights: int
+    done: int
+    below: int
+    corrupt: int
+    foreign: int
+    failed: dict[str, str]
+    seconds_left: float | None
+    other_versions: str
+
+    @property
+    def left(self) -> int:
+        """Scenes that a run would still work on."""
+        return self.total - self.done - len(self.failed)
+
+    def __str__(self) -> str:
+        lines = [f"{self.done} of {self.total} scenes done, {self.left} left, {len(self.failed)} failed"]
+        if self.below:
+            lines.append(f"{self.below} of those left are there, but less accurate than requested")
+        if self.corrupt:
+            lines.append(f"{self.corrupt} results are damaged; the next run makes them again")
+        if self.foreign:
+            lines.append(
+                f"{self.foreign} results are another seed's, backend's or version's; the next run makes them again"
+            )
+        if self.other_versions:
+            lines.append(f"begun with {self.other_versions}; to resume, use that version, or another folder")
+        if self.left and self.seconds_left is not None:
+            lines.append(f"about {self.seconds_left / 60:.1f} min left at the pace of the last ten minutes")
+        lines += [f"failed: {digest[:12]} {why}" for digest, why in self.failed.items()]
+        return "\n".join(lines)
+
+
+def status(folder: str | Path) -> Status:
+    """How far a batch is; raises InputError where the folder holds none."""
+    place = Folder(Path(folder))
+    plan = place.read_plan()
+    required = dict(zip(plan.scenes, plan.asked, strict=True))
+    standing = {digest: place.standing(digest, accuracy, plan.made) for digest, accuracy in required.items()}
+    count, now = Counter(standing.values()), time.time()
+    times = [place.result(digest).stat().st_mtime for digest, how in standing.items() if how == "done"]
+    recent = [t for t in times if now - t < _WINDOW_S]
+    left = len(required) - count["done"] - count["failed"]
+    return Status(
+        total=len(required),
+        lights=plan.lights,
+        **{how: count[how] for how in ("done", "below", "corrupt", "foreign")},
+        failed={digest: place.why_failed(digest) for digest, how in standing.items() if how == "failed"},
+        seconds_left=left * max(now - min(recent), 1.0) / len(recent) if recent else None if left else 0.0,
+        other_versions=plan.made.other_versions,
+    )

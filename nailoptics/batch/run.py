@@ -1,29 +1,47 @@
-"""The driver of a batch: hands out jobs, takes reports, replaces dead workers, stops when all that can be is done."""
+"""The driver of a batch: plans jobs, hands them to workers here or on a cluster, and replaces workers that die."""
 
+import contextlib
+import hashlib
 import logging
+import multiprocessing
+import os
 import time
 from collections import Counter, deque
-from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from collections.abc import Callable, Iterator
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Unpack
 
-from ..errors import InputError, NotReachedError, WriteError
+from ..errors import InputError, NailopticsError, NotReachedError, WriteError
+from ..io import let_dask_in
+from ..light.identity import light_digest
+from ..local_worker import prepare
 from ..options import Requested, TraceOptions
+from ..scene import Scene, digest
 from ..scene.sweep import Sweep
-from . import plan as plans
-from .executors import ClusterSlots, LocalSlots, Slots, single_threaded_blas
-from .folder import Folder
-from .work import GONE, TAKES_NO_MORE, Job, JobReport, Settings, cores, standing, work
+from .folder import FORMAT, Folder, Plan, PlanError, PlannedAxis
+from .studies import STUDIES, by_volpath
+from .work import GONE, TAKES_NO_MORE, Job, JobReport, Settings, cores, work
 
 log = logging.getLogger(__name__)
 
+# Scenes of one light that one job studies.
+CHUNK = 16
 # A scene whose worker dies so often is recorded as failed, and after so many of one light all the others of it.
-DEATHS = 2
-FATAL = 3
-# What somebody else works on is asked for again after this time.
-_BUSY_WAIT_S = 0.5
+DEATHS, FATAL = 2, 3
+# How often the driver looks at the clock. [s]
+WAIT_S = 0.5
+# Read by NumPy's BLAS when a worker imports it; one thread each, so that sums are the same on every machine.
+_SINGLE = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
 @dataclass
@@ -54,6 +72,15 @@ class BatchProgress:
     news: str = ""
 
 
+@dataclass(frozen=True)
+class Planned:
+    """One scene of a batch: its digest, and the key of its light."""
+
+    digest: str
+    key: str
+    scene: Scene
+
+
 def run_batch(
     sweep: Sweep,
     folder: str | Path,
@@ -66,14 +93,14 @@ def run_batch(
     progress: Callable[[BatchProgress], None] | None = None,
     **requested: Unpack[Requested],
 ) -> Outcome:
-    """Do what is left of a sweep in a folder; what is there already is kept, or continued if it is not good enough.
+    """Run the remaining scenes of a sweep in a folder; what is there is kept, or continued if it is not good enough.
 
     workers : processes on this machine; one per core (on CUDA: one) if not given.
     threads : threads of each; the cores divided among the workers if not given.
     scheduler : address of a Dask scheduler in place of local workers; its workers must see the folder.
-    shard : I/N, to do the I-th of N parts.
-    retry_failed : try scenes again that failed before.
-    max_seconds : wall time after which the run stops; what was traced stays, and the next run goes on from there.
+    shard : I/N, to run the I-th of N parts.
+    retry_failed : retry scenes that failed before.
+    max_seconds : wall time after which the run stops; what was traced stays, and the next run resumes from there.
 
     Raises: InputError; NotReachedError, whose result is the Outcome, where scenes failed, missed their tolerance or
     were not reached.
@@ -85,156 +112,309 @@ def run_batch(
         raise InputError("--workers and --scheduler exclude each other; a scheduler has its own workers.")
     begin = time.time()
     settings = Settings.of(Path(folder), TraceOptions(**requested), sweep.study)
-    place, part = Folder(settings.folder), plans.parse_shard(shard)
-    planned = plans.plan(sweep, settings)
-    damage = plans.check_same(place, planned, settings)
+    place, part = Folder(settings.folder), parse_shard(shard)
+    planned = plan(sweep, settings)
+    damage = check_same(place, planned, settings)
     place.make()
-    place.write_plan(plans.as_json(sweep, planned, settings))
-    mine = plans.of_shard(planned, part)
-    todo = plans.left(mine, place, settings, retry_failed=retry_failed)
-    failed = {digest: place.why_failed(digest) for digest in todo.failed}
-    total, lights = len({p.digest for p in mine}), len({p.key for p in mine})
-    outcome = Outcome(total, lights, kept=todo.kept, failed=failed, corrupt=todo.corrupt + todo.foreign)
-    driver = _Driver(settings, todo.jobs, outcome, begin, progress)
+    place.write_plan(plan_of(sweep, planned, settings))
+    mine = of_shard(planned, part)
+    driver = _Driver(settings, mine, retry_failed, progress, begin)
     if damage:
         driver.show(f"plan.json was damaged and is written anew: {damage}")
-    for digest in todo.corrupt:
-        driver.show(f"result {digest[:12]} is damaged (checksum, name or content); made again")
-    for digest in todo.foreign:
-        driver.show(f"result {digest[:12]} is another seed's, backend's or version's; made again")
-    if todo.jobs:
-        with single_threaded_blas():
+    if driver.queue:
+        with _single_threaded_blas():
             workers = workers or (1 if settings.options.backend == "cuda" else cores())
             threads = threads or max(1, cores() // workers)
             driver.run(ClusterSlots(scheduler) if scheduler is not None else LocalSlots(workers, threads))
-        if driver.trouble and not place.gone():
-            _recount(outcome, driver.left, mine, place, settings)
-        elif place.gone():
-            outcome.done, outcome.kept = [], []
-            driver.trouble = GONE
-    outcome.seconds = time.time() - begin
-    return _judged(outcome, driver.trouble)
+    return driver.judged()
 
 
-def _recount(outcome: Outcome, left: set[str], planned: list[plans.Planned], place: Folder, settings: Settings) -> None:
-    """Count what workers did whose reports did not come any more."""
+def plan(sweep: Sweep, settings: Settings) -> list[Planned]:
+    """Digest and light of every scene, in the sweep's order."""
+    planned, study = [], settings.study
+    for scene in sweep.scenes:
+        # Another study of the same scene is another result.
+        own = digest(scene)
+        own = own if study == "simulate" else hashlib.sha256(f"{study} {own}".encode()).hexdigest()
+        key = f"{light_digest(scene)}{study if STUDIES[study].own_light else ''}"
+        stores_none = by_volpath(scene, settings.options.backend) and not STUDIES[study].own_light
+        planned.append(Planned(own, own if stores_none else key, scene))
+    return planned
+
+
+def parse_shard(text: str | None) -> tuple[int, int]:
+    """A shard I/N as numbers: I of 1 to N."""
+    if text is None:
+        return 1, 1
+    part, slash, count = text.partition("/")
+    if not (slash and part.isdigit() and count.isdigit() and 1 <= int(part) <= int(count)):
+        raise InputError(f"--shard {text}: must be I/N with I of 1 to N, such as 1/8 (job arrays that count from 1).")
+    return int(part), int(count)
+
+
+def of_shard(planned: list[Planned], shard: tuple[int, int]) -> list[Planned]:
+    """The scenes of one shard: whole groups, so that no light is traced by two shards."""
+    keys = {key: i for i, key in enumerate(dict.fromkeys(p.key for p in planned))}
+    return [p for p in planned if keys[p.key] % shard[1] == shard[0] - 1]
+
+
+def jobs_of(planned: list[Planned]) -> list[Job]:
+    """Jobs of at most 16 scenes of the same light; the first of every light come before any second."""
+    groups: dict[str, list[tuple[str, Scene]]] = {}
     for p in planned:
-        if p.digest in left and standing(place, p.digest, settings.required(p.scene), settings.made()) == "done":
-            left.discard(p.digest)
-            outcome.done.append(p.digest)
-    outcome.unfinished = len(left)
+        groups.setdefault(p.key, []).append((p.digest, p.scene))
+    parts = [
+        (i, Job(key, tuple(some[i : i + CHUNK]))) for key, some in groups.items() for i in range(0, len(some), CHUNK)
+    ]
+    return [job for _, job in sorted(parts, key=lambda part: part[0])]
 
 
-def _judged(outcome: Outcome, trouble: str) -> Outcome:
-    """The outcome, or NotReachedError with it as result where anything is missing."""
-    reasons = [trouble] if trouble else []
-    if outcome.failed:
-        first = next(iter(outcome.failed.values()))
-        reasons.append(
-            f"{len(outcome.failed)} failed (the first: {first.rstrip('.')}; --retry-failed tries them again)"
+def plan_of(sweep: Sweep, planned: list[Planned], settings: Settings) -> Plan:
+    """The plan for the folder."""
+    options = settings.options
+    return Plan(
+        format=FORMAT,
+        sweep=sweep.name,
+        study=settings.study,
+        dims=dict(sweep.dims),
+        axes=tuple(PlannedAxis(name=a.name, path=a.path, values=tuple(a.values)) for a in sweep.axes),
+        made=settings.made(),
+        photons=options.photons,
+        relative_error=options.relative_error,
+        scenes=tuple(p.digest for p in planned),
+        asked=tuple(settings.required(p.scene) for p in planned),
+        lights=len({p.key for p in planned}),
+    )
+
+
+def check_same(folder: Folder, planned: list[Planned], settings: Settings) -> str:
+    """Raise InputError where the folder was begun with another sweep, seed, backend or version.
+
+    A sweep may grow: one that holds all scenes that were planned before resumes in their folder.
+
+    Returns: what is wrong with the plan that lies there, and so will be written anew; empty if nothing is.
+    """
+    try:
+        old = folder.read_plan()
+    except PlanError as error:
+        return "" if folder.gone() else str(error)
+    made = settings.made()
+    for name in ("seed", "backend"):
+        if (then := getattr(old.made, name)) != (now := getattr(made, name)):
+            raise InputError(
+                f"{folder.root}: was begun with {name} {then}, and {now} is requested; "
+                f"use --{name} {then} or another folder."
+            )
+    if old.made != made:
+        raise InputError(
+            f"{folder.root}: was begun with {old.made.other_versions}; use that version, or another folder."
         )
-    if outcome.unmet:
-        reasons.append(f"{len(outcome.unmet)} missed their relative error in their time (run again to continue them)")
-    if outcome.unfinished and not trouble:
-        reasons.append(f"max_seconds ended the run with {outcome.unfinished} left (run again to go on)")
-    if reasons:
-        good = len(outcome.kept) + len(outcome.done)
-        text = f"{good} of {outcome.total} scenes are done; {'; '.join(reasons)}."
-        raise NotReachedError(text, result=outcome, full=trouble.startswith(TAKES_NO_MORE))
-    return outcome
+    others = len(set(old.scenes) - {p.digest for p in planned})
+    if others:
+        raise InputError(
+            f'{folder.root}: holds the sweep "{old.sweep}", and {others} of its {len(old.scenes)} scenes are not '
+            "in this one; use another folder."
+        )
+    return ""
 
 
-@dataclass
+class LocalSlots:
+    """Spawned processes of this machine, one per slot, so that a death tells which job it was."""
+
+    sharers = 0
+
+    def __init__(self, workers: int, threads: int) -> None:
+        self.threads = threads
+        # Mitsuba and forking do not mix.
+        self.context = multiprocessing.get_context("spawn")
+        self.executors: list[Executor] = [self._new() for _ in range(workers)]
+
+    def _new(self) -> Executor:
+        return ProcessPoolExecutor(1, mp_context=self.context, initializer=prepare, initargs=(self.threads,))
+
+    def start(self) -> None:
+        """Wait until all are ready."""
+        try:
+            for ready in [executor.submit(os.getpid) for executor in self.executors]:
+                ready.result()
+        except BrokenExecutor:
+            why = "in a script, run batches under if __name__ == '__main__': only"
+            raise NailopticsError(f"the worker processes die as they start; {why}.") from None
+
+    def renew(self, slot: int) -> None:
+        """Replace a slot whose worker died."""
+        self.executors[slot].shutdown(wait=False, cancel_futures=True)
+        self.executors[slot] = self._new()
+
+    def deserted(self) -> bool:
+        """Whether nobody is left to work."""
+        return False
+
+    def close(self, *, now: bool) -> None:
+        """Let the workers go; at once, with whatever they do, or when they are done."""
+        if now:
+            mine = {pid for e in self.executors for pid in (getattr(e, "_processes", None) or {})}
+            for child in multiprocessing.active_children():
+                if child.pid in mine:
+                    child.terminate()
+        for executor in self.executors:
+            executor.shutdown(wait=True, cancel_futures=True)
+
+
+class ClusterSlots(LocalSlots):
+    """The workers of a Dask scheduler, which replaces those that die."""
+
+    def __init__(self, address: str) -> None:
+        let_dask_in()
+        try:
+            from distributed import Client
+        except ImportError:
+            raise InputError("--scheduler needs Dask: pip install 'nailoptics[cluster]'.") from None
+        try:
+            self.client = Client(address, timeout="10s", set_as_default=False)
+        except (OSError, ValueError) as error:
+            why = str(error).splitlines()[0]
+            raise InputError(f"--scheduler {address}: cannot be reached ({why}); start dask scheduler first.") from None
+        found = self.client.nthreads()
+        if not found:
+            self.client.close()
+            raise InputError(f"--scheduler {address}: has no workers; start dask worker {address} --nthreads 1.")
+        # One more than there are workers, so that none waits for the driver.
+        self.executors = [self.client.get_executor(pure=False)] * (2 * sum(found.values()))
+        # Workers of one machine divide its cores.
+        self.sharers = max(Counter(address.rpartition(":")[0] for address in found).values())
+
+    def start(self) -> None:
+        """They are there."""
+
+    def renew(self, slot: int) -> None:
+        """The scheduler does."""
+
+    def deserted(self) -> bool:
+        """Whether nobody is left to work, though somebody may come."""
+        with contextlib.suppress(Exception):  # the scheduler went away, which its futures report
+            return not self.client.nthreads()
+        return False
+
+    def close(self, *, now: bool) -> None:
+        """Leave the cluster."""
+        self.client.close(timeout=5)
+
+
+@contextlib.contextmanager
+def _single_threaded_blas() -> Iterator[None]:
+    """Processes started meanwhile do linear algebra on one thread."""
+    before = {name: os.environ[name] for name in _SINGLE if name in os.environ}
+    os.environ.update(dict.fromkeys(_SINGLE, "1"))
+    try:
+        yield
+    finally:
+        for name in _SINGLE:
+            del os.environ[name]
+        os.environ.update(before)
+
+
 class _Driver:
     """The loop of one run."""
 
-    settings: Settings
-    jobs: list[Job]
-    outcome: Outcome
-    begin: float
-    progress: Callable[[BatchProgress], None] | None
-
-    def __post_init__(self) -> None:
-        self.queue = deque(plans.first_of(job) for job in self.jobs)
-        self.later = {job.key: plans.rest_of(job) for job in self.jobs}
+    def __init__(
+        self,
+        settings: Settings,
+        planned: list[Planned],
+        retry_failed: bool,
+        progress: Callable[[BatchProgress], None] | None,
+        begin: float,
+    ) -> None:
+        self.settings, self.progress, self.begin = settings, progress, begin
+        self.planned = list({p.digest: p for p in planned}.values())
+        self.outcome = Outcome(len(self.planned), len({p.key for p in planned}))
         self.running: dict[Future[JobReport], tuple[int, Job]] = {}
-        self.asleep: deque[tuple[float, Job]] = deque()
-        # Deaths by scene; and by light, scenes given up since one of it was reported.
+        # Deaths of each scene's worker, and scenes of each light that were given up.
         self.deaths: Counter[str] = Counter()
         self.fatal: Counter[str] = Counter()
-        self.left = {digest for job in self.jobs for digest, _ in job.scenes}
-        self.started = self.begin
-        self.reported, self.trouble, self.deserted = 0, "", False
+        self.trouble, self.deserted = "", False
+        self.left: set[str] = set()
+        self.queue = deque(jobs_of(self._remaining(retry_failed)))
+        self.started = time.time()
 
-    def run(self, slots: Slots) -> None:
+    def _remaining(self, retry_failed: bool) -> list[Planned]:
+        """What is left to do, checking every result that is there."""
+        why = {
+            "corrupt": "damaged (checksum, name or content)",
+            "foreign": "another seed's, backend's or version's",
+        }
+        folder, left = Folder(self.settings.folder), []
+        for p in self.planned:
+            standing = self._standing(p)
+            if standing == "done":
+                self.outcome.kept.append(p.digest)
+            elif standing == "failed" and not retry_failed:
+                self.outcome.failed[p.digest] = folder.why_failed(p.digest)
+            else:
+                left.append(p)
+                self.left.add(p.digest)
+            if standing in why:
+                self.outcome.corrupt.append(p.digest)
+                self.show(f"result {p.digest[:12]} is {why[standing]}; made again")
+        return left
+
+    def _standing(self, p: Planned) -> str:
+        return Folder(self.settings.folder).standing(p.digest, self.settings.required(p.scene), self.settings.made())
+
+    def run(self, slots: LocalSlots) -> None:
         """Hand out jobs until none is left, the time is over, or nothing more can be written."""
         free = deque(range(len(slots.executors)))
-        orderly = False
+        finished = False
         try:
             slots.start()
-            self.started = time.time()
-            while self.queue or self.running or self.asleep:
-                now = time.time()
+            while self.queue or self.running:
                 if self.settings.is_late() or self.trouble:
                     self.queue.clear()
-                    self.asleep.clear()
-                while self.asleep and self.asleep[0][0] <= now:
-                    self.queue.append(self.asleep.popleft()[1])
                 while free and self.queue:
-                    slot = free.popleft()
-                    job = self.queue.popleft()
-                    try:
-                        self.running[slots.executors[slot].submit(work, job, self.settings, slots.sharers)] = slot, job
-                    except BrokenExecutor:  # it died while idle
-                        slots.renew(slot)
-                        self.queue.appendleft(job)
-                        free.append(slot)
-                    except Exception as error:  # a scheduler that went away
-                        self._lost(error)
-                        break
-                if not self.running:
-                    time.sleep(0.05 if self.asleep else 0)
-                    continue
-                finished, _ = wait(self.running, timeout=_BUSY_WAIT_S, return_when=FIRST_COMPLETED)
-                if not finished:
+                    self._submit(slots, free)
+                done, _ = wait(self.running, timeout=WAIT_S, return_when=FIRST_COMPLETED)
+                if not done:
                     self._look_for_workers(slots)
-                for future in finished:
+                for future in done:
                     slot, job = self.running.pop(future)
                     free.append(slot)
                     self._book(future, slot, job, slots)
                 if self.trouble.startswith("the scheduler"):
-                    self.running.clear()
+                    break
                 self.show()
-            orderly = True
+            finished = True
         except KeyboardInterrupt:
-            self.trouble = "interrupted; what is done is kept, run again to go on"
+            self.trouble = "interrupted; what is done is kept, run again to resume"
         finally:
-            self.outcome.unfinished = len(self.left)
-            slots.close(now=not orderly)
+            slots.close(now=not finished)
 
-    def _book(self, future: "Future[JobReport]", slot: int, job: Job, slots: Slots) -> None:
+    def _submit(self, slots: LocalSlots, free: deque[int]) -> None:
+        slot, job = free.popleft(), self.queue.popleft()
+        try:
+            self.running[slots.executors[slot].submit(work, job, self.settings, slots.sharers)] = slot, job
+        except BrokenExecutor:  # it died while idle
+            slots.renew(slot)
+            self.queue.appendleft(job)
+            free.append(slot)
+        except Exception as error:  # a scheduler that went away
+            self._lost(error)
+
+    def _book(self, future: "Future[JobReport]", slot: int, job: Job, slots: LocalSlots) -> None:
         """Book a job's report, or its worker's death."""
         try:
             report = future.result()
         except BrokenExecutor:
             slots.renew(slot)
-            self._died(job)
-            return
+            return self._died(job)
         except (CancelledError, Exception) as error:
             if type(error).__name__ == "KilledWorker":  # of the cluster, and maybe for another job of that worker
-                self._died(job)
-            elif isinstance(error, CancelledError | OSError | TimeoutError) and not slots.own_process:
-                self._lost(error)
-            else:
-                raise
-            return
+                return self._died(job)
+            if isinstance(slots, ClusterSlots) and isinstance(error, CancelledError | OSError | TimeoutError):
+                return self._lost(error)
+            raise
         if report.busy:
-            self.asleep.append((time.time() + _BUSY_WAIT_S, job))
-            return
-        if report.storage:
-            self.trouble = report.storage
-            return
-        self.reported += len(report.done) + len(report.unmet) + len(report.failed)
+            self.queue.append(job)
+        self.trouble = report.storage or self.trouble
         self.outcome.done += report.done
         self.outcome.unmet += report.unmet
         self.outcome.failed |= report.failed
@@ -242,13 +422,10 @@ class _Driver:
         self.left -= {*report.done, *report.unmet, *report.failed}
         for name in report.corrupt:
             self.show(f"light {name[:12]} is damaged or another's (checksum, name); traced again")
-        for digest, why in report.failed.items():
-            self.show(f"scene {digest[:12]} failed: {why}")
-        # The others can read the light now.
-        self.fatal.pop(job.key, None)
-        self.queue.extendleft(reversed(self.later.pop(job.key, [])))
+        for digest_, why in report.failed.items():
+            self.show(f"scene {digest_[:12]} failed: {why}")
 
-    def _look_for_workers(self, slots: Slots) -> None:
+    def _look_for_workers(self, slots: LocalSlots) -> None:
         """Say once that nobody is left to work; nothing comes from them in time."""
         deserted = slots.deserted()
         if deserted and not self.deserted:
@@ -258,57 +435,75 @@ class _Driver:
             self.running.clear()
 
     def _died(self, job: Job) -> None:
-        """After a worker's death: the scenes of its light wait until one of them alone has come through.
+        """After a worker's death its scenes are tried one by one; one that kills again is given up.
 
-        A scene that kills again is given up, and so is a light that killed with several of its scenes.
+        So is a light that killed with several of its scenes.
         """
         self.outcome.deaths += 1
-        alone = len(job.scenes) == 1 and not job.also
-        others = [*job.scenes[1:], *(s for part in self.later.pop(job.key, []) for s in part.scenes)]
-        digest = job.scenes[0][0]
-        self.deaths[digest] += alone
-        if self.deaths[digest] < DEATHS:
-            self.queue.append(Job(job.key, job.scenes[:1]))
-            self.show(
-                f"a worker was killed; scene {digest[:12]} is tried again"
-                + ("" if alone else ", and those with it one by one")
-            )
-        else:
-            self._give_up([digest], f"its worker was killed {self.deaths[digest]} times; out of memory?")
-            self.fatal[job.key] += 1
-            if self.fatal[job.key] >= FATAL and others:
-                why = f"{FATAL} scenes with its light had their workers killed; out of memory?"
-                self._give_up([digest for digest, _ in others], why)
-                return
-            if others:
-                self.queue.append(Job(job.key, (others.pop(0),)))
-        if others:
-            self.later[job.key] = [Job(job.key, (scene,)) for scene in others]
+        if len(job.scenes) > 1:
+            self.queue.extend(Job(job.key, (one,)) for one in job.scenes)
+            return self.show("a worker was killed; its scenes are tried again one by one")
+        ((digest_, _),) = job.scenes
+        self.deaths[digest_] += 1
+        if self.deaths[digest_] < DEATHS:
+            self.queue.appendleft(job)
+            return self.show(f"a worker was killed; scene {digest_[:12]} is tried again")
+        self._give_up([digest_], f"its worker was killed {DEATHS} times; out of memory?")
+        self.fatal[job.key] += 1
+        if self.fatal[job.key] == FATAL:
+            others = [one for other in self.queue if other.key == job.key for one, _ in other.scenes]
+            self.queue = deque(other for other in self.queue if other.key != job.key)
+            self._give_up(others, f"{FATAL} scenes with its light had their workers killed; out of memory?")
 
     def _give_up(self, digests: list[str], why: str) -> None:
         """Record scenes as failed."""
-        for digest in digests:
+        for one in digests:
             try:
-                Folder(self.settings.folder).write_failure(digest, {"error": why, "time": time.time()})
+                Folder(self.settings.folder).write_failure(one, {"error": why, "time": time.time()})
             except WriteError as error:
                 self.trouble = f"{TAKES_NO_MORE}: {str(error).rstrip('.')}"
                 return
-            self.outcome.failed[digest] = why
-            self.left.discard(digest)
-            self.show(f"scene {digest[:12]} failed: {why}")
+            self.outcome.failed[one] = why
+            self.left.discard(one)
+            self.show(f"scene {one[:12]} failed: {why}")
 
     def _lost(self, error: BaseException) -> None:
         log.debug("scheduler lost: %r", error)
-        self.trouble = "the scheduler went away; what is done is kept, run again to go on"
+        self.trouble = "the scheduler went away; what is done is kept, run again to resume"
 
     def show(self, news: str = "") -> None:
         """Show how far the run is, and what just happened."""
         if self.progress is None:
             return
-        now, seconds_left = time.time(), None
-        if self.reported:
-            seconds_left = (now - self.started) / self.reported * len(self.left)
-        done = self.outcome.total - len(self.left) - len(self.outcome.failed)
-        self.progress(
-            BatchProgress(done, self.outcome.total, len(self.outcome.failed), now - self.begin, seconds_left, news)
-        )
+        now, outcome = time.time(), self.outcome
+        reported = len(outcome.done) + len(outcome.unmet)
+        seconds_left = (now - self.started) / reported * len(self.left) if reported else None
+        done = outcome.total - len(self.left) - len(outcome.failed)
+        self.progress(BatchProgress(done, outcome.total, len(outcome.failed), now - self.begin, seconds_left, news))
+
+    def judged(self) -> Outcome:
+        """The outcome, or NotReachedError with it as result where anything is missing."""
+        outcome, folder, trouble = self.outcome, Folder(self.settings.folder), self.trouble
+        if folder.gone():
+            outcome.done, outcome.kept, trouble = [], [], GONE
+        for p in self.planned if trouble else ():  # what workers did whose reports did not come any more
+            if (
+                p.digest in self.left
+                and folder.standing(p.digest, self.settings.required(p.scene), self.settings.made()) == "done"
+            ):
+                self.left.discard(p.digest)
+                outcome.done.append(p.digest)
+        outcome.unfinished, outcome.seconds = len(self.left), time.time() - self.begin
+        reasons = [trouble] if trouble else []
+        if outcome.failed:
+            first = next(iter(outcome.failed.values())).rstrip(".")
+            reasons.append(f"{len(outcome.failed)} failed (the first: {first}; --retry-failed tries them again)")
+        if outcome.unmet:
+            reasons.append(f"{len(outcome.unmet)} missed their relative error in their time (run again to continue)")
+        if outcome.unfinished and not trouble:
+            reasons.append(f"max_seconds ended the run with {outcome.unfinished} left (run again to resume)")
+        if reasons:
+            good = len(outcome.kept) + len(outcome.done)
+            text = f"{good} of {outcome.total} scenes are done; {'; '.join(reasons)}."
+            raise NotReachedError(text, result=outcome, full=trouble.startswith(TAKES_NO_MORE))
+        return outcome

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from nailoptics.batch import Sweep, load_sweep, run_batch
-from nailoptics.batch.executors import Slots
+from nailoptics.batch.run import LocalSlots
 
 PHANTOM = """
 schema_version = 1
@@ -83,10 +83,8 @@ class AtOnce(Executor):
         return future
 
 
-class Here(Slots):
+class Here(LocalSlots):
     """What a run without workers has in their place."""
-
-    own_process = True
 
     def __init__(self, workers: int, threads: int) -> None:
         assert workers == 1

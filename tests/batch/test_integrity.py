@@ -246,4 +246,4 @@ def test_a_second_interrupt_says_where_what_is_done_lies(calm, used, monkeypatch
 
     monkeypatch.setattr("nailoptics.report.result_files.write_sweep", interrupted)
     assert run(["batch", str(calm.file), "-o", str(used), "--workers", "1"]) == 130
-    assert f"what is done is kept in {used}" in capsys.readouterr().err
+    assert f"finished scenes are in {used}" in capsys.readouterr().err

@@ -1,7 +1,6 @@
 """A batch loses nothing: kills, failures, damage, full disks and rivals, and always the same bits."""
 
 import contextlib
-import itertools
 import json
 import multiprocessing
 import os
@@ -16,13 +15,12 @@ import numpy as np
 import pytest
 
 import nailoptics as nail
-from nailoptics.batch import BatchProgress, Outcome, Sweep, estimate, load_sweep, run_batch, status
-from nailoptics.batch.folder import Folder
-from nailoptics.batch.plan import as_json, left, of_shard, parse_shard, plan
-from nailoptics.batch.work import JobReport, Settings, meets, work
+from nailoptics.batch import BatchProgress, Outcome, Sweep, estimate, load_sweep, run_batch, status, studies
+from nailoptics.batch.folder import Folder, meets
+from nailoptics.batch.run import jobs_of, of_shard, parse_shard, plan, plan_of
+from nailoptics.batch.work import JobReport, Settings, work
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.light import read_rest
-from nailoptics.light.tracing import LedTrigger
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Accuracy
 
@@ -105,8 +103,8 @@ def done_here(sweep: Sweep, settings: Settings) -> list[JobReport]:
     """What workers do, without them: all that is left of a sweep."""
     folder, planned = Folder(settings.folder), plan(sweep, settings)
     folder.make()
-    folder.write_plan(as_json(sweep, planned, settings))
-    return [work(job, settings) for job in left(planned, folder, settings, retry_failed=False).jobs]
+    folder.write_plan(plan_of(sweep, planned, settings))
+    return [work(job, settings) for job in jobs_of(planned)]
 
 
 @pytest.mark.long
@@ -264,17 +262,16 @@ def test_a_scene_that_needs_too_much_memory_fails_alone(jit_backend, tmp_path):
     assert all("memory" in why for why in status(tmp_path / "b").failed.values())
 
 
-def test_a_light_that_one_scene_cannot_have_is_there_for_the_others(jit_backend, tmp_path, monkeypatch):
-    """One scene's share of the common light needs too much memory; those that share it are done without it."""
+def test_of_scenes_that_share_their_light_one_without_memory_fails_alone(jit_backend, tmp_path, monkeypatch):
     sweep = phantoms(tmp_path, 4, path="leds.beam.flux_mw")
-    greedy, rule = sweep.scenes[0], LedTrigger
+    trace = studies.trace
 
-    def limited(scene, *arguments, **more):
-        if scene == greedy:
+    def limited(scene, **options):
+        if scene == sweep.scenes[0]:
             raise MemoryError("Unable to allocate 99 TiB")
-        return rule(scene, *arguments, **more)
+        return trace(scene, **options)
 
-    monkeypatch.setattr("nailoptics.batch.work.LedTrigger", limited)
+    monkeypatch.setattr(studies, "trace", limited)
     [report] = done_here(sweep, Settings(tmp_path / "b", TraceOptions(backend=jit_backend.name)))
     [why] = report.failed.values()
     assert len(report.done) == 3 and "not enough memory for it (Unable to allocate 99 TiB)" in why
@@ -321,20 +318,17 @@ def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(jit_backend, here, tm
     assert len(run_batch(sweep, tmp_path / "b", workers=1).done) == 3
 
 
-def test_a_time_limit_keeps_the_light_and_the_next_run_continues_it(jit_backend, tmp_path, monkeypatch):
+def test_a_time_limit_keeps_the_light_and_the_next_run_continues_it(jit_backend, tmp_path):
     sweep = phantoms(tmp_path, 1, accuracy="photons = 4_000_000_000")
     with pytest.raises(NotReachedError, match="max_seconds") as caught:
-        run_batch(sweep, tmp_path / "b", workers=1, threads=1, max_seconds=1)
+        run_batch(sweep, tmp_path / "b", workers=1, threads=1, max_seconds=5)
     assert caught.value.result.unfinished == 1 and not bits(tmp_path / "b")
-    batches = []
-    for _ in range(2):
-        # The time of a run ends after two new batches, whatever the clock says.
-        asked = itertools.count()
-        monkeypatch.setattr(Settings, "is_late", lambda _, asked=asked: next(asked) >= 2)
-        [report] = done_here(sweep, Settings(tmp_path / "here", TraceOptions(backend=jit_backend.name)))
-        assert not report.done and not report.unmet and not report.failed and not bits(tmp_path / "here")
-        batches.append(len(list((tmp_path / "here" / "light").glob("*/*.dat"))))
-    assert batches == [2, 4]
+    [first] = (tmp_path / "b" / "light").iterdir()
+    traced = {path: path.read_bytes() for path in first.iterdir()}
+    with pytest.raises(NotReachedError, match="max_seconds"):
+        run_batch(sweep, tmp_path / "b", workers=1, threads=1, max_seconds=5)
+    again = {path: path.read_bytes() for path in first.iterdir()}
+    assert traced.items() < again.items() and not bits(tmp_path / "b")
 
 
 @pytest.mark.long

@@ -9,7 +9,7 @@ from small_scenes import SMALL_FINGER_BEST
 
 import nailoptics as nail
 from nailoptics.batch import load_sweep, run_batch
-from nailoptics.batch.plan import plan
+from nailoptics.batch.run import plan
 from nailoptics.batch.work import Settings
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.options import TraceOptions

@@ -15,7 +15,7 @@ from pathlib import Path
 from nailoptics.assets import data_dir
 from nailoptics.batch import load_sweep, run_batch
 from nailoptics.batch.folder import Folder
-from nailoptics.batch.plan import left, plan
+from nailoptics.batch.run import jobs_of, plan, plan_of
 from nailoptics.batch.work import Settings, work
 from nailoptics.light import backend
 from nailoptics.light.identity import light_scene
@@ -61,7 +61,9 @@ def overhead_and_memory(folder: Path, count: int) -> dict[str, object]:
     sweep, settings = sweep_of(folder, count, 1000), Settings(folder / "overhead", TraceOptions(backend=name))
     place = Folder(settings.folder)
     place.make()
-    jobs = left(plan(sweep, settings), place, settings, retry_failed=False).jobs
+    planned = plan(sweep, settings)
+    place.write_plan(plan_of(sweep, planned, settings))
+    jobs = jobs_of(planned)
     kind = photons_engine(sweep.scenes[0], name)
     backend.set_threads(1)
     work(jobs[0], settings)  # compiles

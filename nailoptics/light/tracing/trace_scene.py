@@ -27,6 +27,7 @@ def trace(
     scene: Scene,
     *,
     with_faces: Collection[str] = (),
+    stores: Sequence[LightStore] | None = None,
     progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
 ) -> Transfer:
@@ -34,6 +35,7 @@ def trace(
 
     with_faces : parts whose faces are there even where the scene leaves them out. So photons that never meet them go
         the same way, number by number, as in a scene that has them, which walks on other faces would not.
+    stores : where batches are looked for and, in the first, stored; that of the user if not given.
     requested : fields of `TraceOptions`; a million photons where neither they nor the scene say how far.
     progress : called after every batch.
 
@@ -43,8 +45,10 @@ def trace(
     begin, options = time.process_time(), TraceOptions(**requested)
     chosen = backends.choose_jit(options.backend, PHOTONS_ENGINE)
     required = accuracy(scene, options)
-    engine, store = LightEngine(scene, chosen, with_faces=with_faces), LightStore.of_user() if options.store else None
-    sources = led_sources(scene, engine, [store], seed=options.seed, backend=chosen.name)
+    engine = LightEngine(scene, chosen, with_faces=with_faces)
+    if stores is None:
+        stores = [own] if options.store and (own := LightStore.of_user()) else []
+    sources = led_sources(scene, engine, stores, seed=options.seed, backend=chosen.name)
     start, cpu = time.perf_counter(), time.process_time()
     traces, events, complaint, interrupted = [], 0, None, False
     for led, source in enumerate(sources):
@@ -63,7 +67,7 @@ def trace(
         complaint = complaint or reason
         events += records.events
         traces.append(records.trace())
-    if store is not None:
+    for store in stores:
         store.close()
     result = Transfer(
         scene,

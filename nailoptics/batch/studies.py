@@ -1,0 +1,187 @@
+"""The studies that a sweep may run on every scene; each answers with a dataset, whose dimensions all scenes share."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+
+from ..errors import as_far_as_reached
+from ..light import Transfer, read_rest, trace
+from ..light.detect import VOLPATH_RELATIVE_ERROR, light_of
+from ..light.store import LightStore
+from ..light.transfer import photodiode_names
+from ..options import TraceOptions
+from ..scene import Scene
+from ..scene.sweep import StudyName
+from ..variables import Variable, variable
+
+PAIR = ("led", "photodiode")
+# The dataset, its photons per LED, and whether it is as accurate as required.
+Answer = tuple[xr.Dataset, int, bool]
+
+
+@dataclass(frozen=True)
+class Study:
+    """One study.
+
+    run : its answer for a scene, with options, and stores in which its light is looked for and, in the first, stored.
+    excess : how many times the error of an answer is the required one.
+    rows : the dimensions over which the table of a sweep has rows.
+    own_light : whether scenes of the same light share it with those of this study alone.
+    """
+
+    run: Callable[[Scene, TraceOptions, Sequence[LightStore]], Answer]
+    excess: Callable[[xr.Dataset, Scene, TraceOptions], float]
+    rows: tuple[str, ...] = PAIR
+    own_light: bool = False
+
+
+def by_volpath(scene: Scene, backend: str) -> bool:
+    """Whether volpath traces a scene, which stores no light."""
+    return scene.light.engine == "volpath" or backend == "scalar"
+
+
+def relative_error(dataset: xr.Dataset) -> float:
+    """Largest relative standard error at rest; inf where it is unknown."""
+    if "detected_fraction_rest" not in dataset:
+        return math.inf
+    fraction, stderr = dataset["detected_fraction_rest"].values, dataset["detected_fraction_rest_stderr"].values
+    if np.any(fraction <= 0) or np.any(np.isnan(stderr)):
+        return math.inf
+    return float(np.max(stderr / fraction, initial=0.0))
+
+
+def _simulate(scene: Scene, options: TraceOptions, stores: Sequence[LightStore]) -> Answer:
+    """The simulated touch of a finger, or the readings of a phantom."""
+    if scene.phantom is not None:
+        return _trace(scene, options, stores)
+    from ..studies.blood_states import blood_over_touch
+    from ..studies.simulate import simulate, simulate_from
+
+    if by_volpath(scene, options.backend):
+        result, unmet = as_far_as_reached(simulate, scene, **options.fields)
+        names = [name for name in result.variables if not str(name).startswith(("section_", "path_density"))]
+        return _summarised(result[names]), int(result.attrs["photons"]), not unmet
+    transfer, photons, reached = _transfer(scene, options, stores)
+    result = simulate_from(scene, light_of(transfer), course=blood_over_touch(scene), seed=options.seed)
+    return _summarised(result), photons, reached
+
+
+def _trace(scene: Scene, options: TraceOptions, stores: Sequence[LightStore]) -> Answer:
+    """Readings at rest, mean paths and where the light ended."""
+    if by_volpath(scene, options.backend):
+        return _rest_by_volpath(scene, options)
+    transfer, photons, reached = _transfer(scene, options, stores)
+    rest, energy = transfer.at(), transfer.energy()
+    names = ("effective_photons", "mean_path_mm", "mean_path_mm_stderr")
+    fraction, pair = rest.variables["detected_fraction"], {"ancillary_variables": "detected_fraction_rest_stderr"}
+    value, stderr = ([part[name] for part in energy.values()] for name in ("value", "stderr"))
+    dataset = xr.Dataset(
+        {
+            "detected_fraction_rest": (fraction.dims, fraction.values, fraction.attrs | pair),
+            "detected_fraction_rest_stderr": rest.variables["detected_fraction_stderr"],
+            **{name: rest.variables[name] for name in names},
+            "wavelength_nm": rest.variables["wavelength_nm"],
+            **variable("energy", "part", value, "share of the emitted power", stderr=stderr),
+        },
+        coords={"part": list(energy)} | {name: rest.variables[name] for name in ("led", "photodiode", "absorber")},
+        attrs=rest.attrs,
+    )
+    return dataset, photons, reached
+
+
+def _transfer(scene: Scene, options: TraceOptions, stores: Sequence[LightStore]) -> tuple[Transfer, int, bool]:
+    """A scene's light, its photons per LED, and whether it is as accurate as required."""
+    transfer, unmet = as_far_as_reached(trace, scene, stores=stores, **options.fields)
+    if unmet and options.max_seconds is None:  # more time would not help
+        raise unmet
+    return transfer, min(led.photons for led in transfer.traces), not unmet
+
+
+def _rest_by_volpath(scene: Scene, options: TraceOptions) -> Answer:
+    rest, unmet = as_far_as_reached(read_rest, scene, **options.fields)
+    names = photodiode_names(scene)
+    fraction, stderr = (
+        np.reshape([row[column] for row in rest.readings], (len(scene.leds), len(names)))
+        for column in ("detected_fraction", "stderr")
+    )
+    text = "detected fraction of the emitted power"
+    dataset = xr.Dataset(
+        variable("detected_fraction_rest", PAIR, fraction, text, stderr=stderr),
+        coords={"led": [led.name for led in scene.leds], "photodiode": list(names)},
+        attrs={"engine": "volpath", "backend": rest.backend},
+    )
+    return dataset, rest.photons, not unmet
+
+
+def _summarised(result: xr.Dataset) -> xr.Dataset:
+    """A simulated touch with the numbers that a sweep is about: at the start, and where it changes most."""
+    start, peak = result.isel(time=0), result.isel(time=abs(result.volts_change).argmax("time"))
+
+    def of(moment: xr.Dataset, source: str, name: str, text: str) -> dict[str, Variable]:
+        values, stderr = moment[source].transpose(*PAIR), None
+        if f"{source}_stderr" in moment:
+            stderr = moment[f"{source}_stderr"].transpose(*PAIR).values
+        return variable(name, PAIR, values.values, text, units=values.attrs["units"], stderr=stderr)
+
+    saturated = result.saturated.any("time").values
+    return result.assign(
+        of(start, "detected_fraction", "detected_fraction_rest", "detected fraction at the start")
+        | of(start, "volts", "volts_start", "voltage at the start")
+        | of(peak, "volts_change", "volts_change_peak", "largest change of the voltage")
+        | of(peak, "volts_noise_rms", "volts_noise_peak", "electronic noise at the largest change, rms")
+        | variable("saturated_ever", PAIR, saturated, "converter at its limit at any time")
+    )
+
+
+def _excess_of_readings(dataset: xr.Dataset, scene: Scene, options: TraceOptions) -> float:
+    least = VOLPATH_RELATIVE_ERROR if scene.finger is not None and by_volpath(scene, options.backend) else 0.0
+    return relative_error(dataset) / max(options.relative_error or math.inf, least)
+
+
+def _colour(scene: Scene, options: TraceOptions, stores: Sequence[LightStore]) -> Answer:
+    """Colours of the nail under each force, and a photograph of each."""
+    from ..studies.colour.nail_colour import colour
+    from ..studies.colour.pictures import photographs
+
+    # The accuracy of a scene's readings is not that of its colours.
+    required = replace(options, relative_error=None).fields
+    result, unmet = as_far_as_reached(colour, scene, stores=stores, **required)
+    pictures = photographs(scene, result, states=range(result.sizes["state"]), backend=options.backend)
+    names = [name for name, one in result.variables.items() if not {"time", "beat_time", "tile"} & set(one.dims)]
+    # Forces and places are the scene's own, and "state" is what a batch calls its progress with a scene.
+    found = result[names].reset_coords(["force_n", "v_mm"]).rename_dims(state="force")
+    dims = ("force", "row", "column", "channel")
+    found = found.assign(variable("photograph", dims, pictures, "photograph of the finger, sRGB", units="1"))
+    return found.assign_attrs(result.attrs), int(result.attrs["photons"]), not unmet
+
+
+def _excess_of_colours(dataset: xr.Dataset, scene: Scene, options: TraceOptions) -> float:
+    tolerance = scene.colour
+    changes = dataset.delta_e_2000_stderr / tolerance.change_tolerance
+    return float(max((dataset.colour_stderr / tolerance.tolerance).max(), changes.max()))
+
+
+def _oximeter(scene: Scene, options: TraceOptions, stores: Sequence[LightStore]) -> Answer:
+    """Calibration, perfusion and errors of an oximeter; what runs over time or saturation is left out."""
+    from ..studies.oximetry.oxygen import oximeter
+
+    result, unmet = as_far_as_reached(oximeter, scene, **options.fields)
+    names = [name for name, one in result.data_vars.items() if set(one.dims) <= {"photodiode", "led", "cause"}]
+    at = result[["ratio", "ratio_stderr"]].interp(so2=scene.blood.so2).reset_coords(drop=True)
+    found = result[names].drop_dims([d for d in ("so2", "time", "beat_time") if d in result[names].dims])
+    return found.assign(at.data_vars), int(result.attrs["photons"]), not unmet
+
+
+def _excess_of_ratio(dataset: xr.Dataset, scene: Scene, options: TraceOptions) -> float:
+    return float((dataset.ratio_stderr / abs(dataset.ratio)).min()) / (options.relative_error or math.inf)
+
+
+STUDIES: dict[StudyName, Study] = {
+    "simulate": Study(_simulate, _excess_of_readings),
+    "trace": Study(_trace, _excess_of_readings),
+    "colour": Study(_colour, _excess_of_colours, ("force", "place"), own_light=True),
+    "oximeter": Study(_oximeter, _excess_of_ratio, ("photodiode",), own_light=True),
+}
