@@ -14,9 +14,8 @@ from ..options import Requested, TraceOptions
 from ..scene import Scene
 from ..scene.sweep import Sweep
 from ..variables import to_record
-from .run import plan
+from .jobs import Settings, plan
 from .studies import STUDIES, by_volpath
-from .work import Settings
 
 # Lights that are tried, evenly spaced in the sweep.
 SAMPLES = 3

@@ -1,13 +1,12 @@
 """The driver of a batch: plans jobs, hands them to workers here or on a cluster, and replaces workers that die."""
 
 import contextlib
-import hashlib
 import logging
 import multiprocessing
 import os
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -23,19 +22,15 @@ from typing import Unpack
 
 from ..errors import InputError, NailopticsError, NotReachedError, WriteError
 from ..io import let_dask_in
-from ..light.identity import light_digest
 from ..local_worker import prepare
 from ..options import Requested, TraceOptions
-from ..scene import Scene, digest
 from ..scene.sweep import Sweep
-from .folder import FORMAT, Folder, Plan, PlanError, PlannedAxis
-from .studies import STUDIES, by_volpath
-from .work import GONE, TAKES_NO_MORE, Job, JobReport, Settings, cores, work
+from .folder import Folder
+from .jobs import Job, Planned, Settings, check_same, jobs_of, of_shard, parse_shard, plan, plan_of
+from .work import GONE, TAKES_NO_MORE, JobReport, cores, work
 
 log = logging.getLogger(__name__)
 
-# Scenes of one light that one job studies.
-CHUNK = 16
 # A scene whose worker dies so often is recorded as failed, and after so many of one light all the others of it.
 DEATHS, FATAL = 2, 3
 # How often the driver looks at the clock. [s]
@@ -70,15 +65,6 @@ class BatchProgress:
     seconds: float
     seconds_left: float | None
     news: str = ""
-
-
-@dataclass(frozen=True)
-class Planned:
-    """One scene of a batch: its digest, and the key of its light."""
-
-    digest: str
-    key: str
-    scene: Scene
 
 
 def run_batch(
@@ -122,100 +108,10 @@ def run_batch(
     if damage:
         driver.show(f"plan.json was damaged and is written anew: {damage}")
     if driver.queue:
-        with _single_threaded_blas():
-            workers = workers or (1 if settings.options.backend == "cuda" else cores())
-            threads = threads or max(1, cores() // workers)
-            driver.run(ClusterSlots(scheduler) if scheduler is not None else LocalSlots(workers, threads))
+        workers = workers or (1 if settings.options.backend == "cuda" else cores())
+        threads = threads or max(1, cores() // workers)
+        driver.run(ClusterSlots(scheduler) if scheduler is not None else LocalSlots(workers, threads))
     return driver.judged()
-
-
-def plan(sweep: Sweep, settings: Settings) -> list[Planned]:
-    """Digest and light of every scene, in the sweep's order."""
-    planned, study = [], settings.study
-    for scene in sweep.scenes:
-        # Another study of the same scene is another result.
-        own = digest(scene)
-        own = own if study == "simulate" else hashlib.sha256(f"{study} {own}".encode()).hexdigest()
-        key = f"{light_digest(scene)}{study if STUDIES[study].own_light else ''}"
-        stores_none = by_volpath(scene, settings.options.backend) and not STUDIES[study].own_light
-        planned.append(Planned(own, own if stores_none else key, scene))
-    return planned
-
-
-def parse_shard(text: str | None) -> tuple[int, int]:
-    """A shard I/N as numbers: I of 1 to N."""
-    if text is None:
-        return 1, 1
-    part, slash, count = text.partition("/")
-    if not (slash and part.isdigit() and count.isdigit() and 1 <= int(part) <= int(count)):
-        raise InputError(f"--shard {text}: must be I/N with I of 1 to N, such as 1/8 (job arrays that count from 1).")
-    return int(part), int(count)
-
-
-def of_shard(planned: list[Planned], shard: tuple[int, int]) -> list[Planned]:
-    """The scenes of one shard: whole groups, so that no light is traced by two shards."""
-    keys = {key: i for i, key in enumerate(dict.fromkeys(p.key for p in planned))}
-    return [p for p in planned if keys[p.key] % shard[1] == shard[0] - 1]
-
-
-def jobs_of(planned: list[Planned]) -> list[Job]:
-    """Jobs of at most 16 scenes of the same light; the first of every light come before any second."""
-    groups: dict[str, list[tuple[str, Scene]]] = {}
-    for p in planned:
-        groups.setdefault(p.key, []).append((p.digest, p.scene))
-    parts = [
-        (i, Job(key, tuple(some[i : i + CHUNK]))) for key, some in groups.items() for i in range(0, len(some), CHUNK)
-    ]
-    return [job for _, job in sorted(parts, key=lambda part: part[0])]
-
-
-def plan_of(sweep: Sweep, planned: list[Planned], settings: Settings) -> Plan:
-    """The plan for the folder."""
-    options = settings.options
-    return Plan(
-        format=FORMAT,
-        sweep=sweep.name,
-        study=settings.study,
-        dims=dict(sweep.dims),
-        axes=tuple(PlannedAxis(name=a.name, path=a.path, values=tuple(a.values)) for a in sweep.axes),
-        made=settings.made(),
-        photons=options.photons,
-        relative_error=options.relative_error,
-        scenes=tuple(p.digest for p in planned),
-        asked=tuple(settings.required(p.scene) for p in planned),
-        lights=len({p.key for p in planned}),
-    )
-
-
-def check_same(folder: Folder, planned: list[Planned], settings: Settings) -> str:
-    """Raise InputError where the folder was begun with another sweep, seed, backend or version.
-
-    A sweep may grow: one that holds all scenes that were planned before resumes in their folder.
-
-    Returns: what is wrong with the plan that lies there, and so will be written anew; empty if nothing is.
-    """
-    try:
-        old = folder.read_plan()
-    except PlanError as error:
-        return "" if folder.gone() else str(error)
-    made = settings.made()
-    for name in ("seed", "backend"):
-        if (then := getattr(old.made, name)) != (now := getattr(made, name)):
-            raise InputError(
-                f"{folder.root}: was begun with {name} {then}, and {now} is requested; "
-                f"use --{name} {then} or another folder."
-            )
-    if old.made != made:
-        raise InputError(
-            f"{folder.root}: was begun with {old.made.other_versions}; use that version, or another folder."
-        )
-    others = len(set(old.scenes) - {p.digest for p in planned})
-    if others:
-        raise InputError(
-            f'{folder.root}: holds the sweep "{old.sweep}", and {others} of its {len(old.scenes)} scenes are not '
-            "in this one; use another folder."
-        )
-    return ""
 
 
 class LocalSlots:
@@ -225,6 +121,7 @@ class LocalSlots:
 
     def __init__(self, workers: int, threads: int) -> None:
         self.threads = threads
+        os.environ.update(dict.fromkeys(_SINGLE, "1"))
         # Mitsuba and forking do not mix.
         self.context = multiprocessing.get_context("spawn")
         self.executors: list[Executor] = [self._new() for _ in range(workers)]
@@ -301,19 +198,6 @@ class ClusterSlots(LocalSlots):
         self.client.close(timeout=5)
 
 
-@contextlib.contextmanager
-def _single_threaded_blas() -> Iterator[None]:
-    """Processes started meanwhile do linear algebra on one thread."""
-    before = {name: os.environ[name] for name in _SINGLE if name in os.environ}
-    os.environ.update(dict.fromkeys(_SINGLE, "1"))
-    try:
-        yield
-    finally:
-        for name in _SINGLE:
-            del os.environ[name]
-        os.environ.update(before)
-
-
 class _Driver:
     """The loop of one run."""
 
@@ -326,7 +210,7 @@ class _Driver:
         begin: float,
     ) -> None:
         self.settings, self.progress, self.begin = settings, progress, begin
-        self.planned = list({p.digest: p for p in planned}.values())
+        self.planned = {p.digest: p for p in planned}
         self.outcome = Outcome(len(self.planned), len({p.key for p in planned}))
         self.running: dict[Future[JobReport], tuple[int, Job]] = {}
         # Deaths of each scene's worker, and scenes of each light that were given up.
@@ -344,8 +228,8 @@ class _Driver:
             "foreign": "another seed's, backend's or version's",
         }
         folder, left = Folder(self.settings.folder), []
-        for p in self.planned:
-            standing = self._standing(p)
+        for p in self.planned.values():
+            standing = self._standing(p.digest)
             if standing == "done":
                 self.outcome.kept.append(p.digest)
             elif standing == "failed" and not retry_failed:
@@ -358,8 +242,16 @@ class _Driver:
                 self.show(f"result {p.digest[:12]} is {why[standing]}; made again")
         return left
 
-    def _standing(self, p: Planned) -> str:
-        return Folder(self.settings.folder).standing(p.digest, self.settings.required(p.scene), self.settings.made())
+    def _standing(self, digest_: str) -> str:
+        required = self.settings.required(self.planned[digest_].scene)
+        return Folder(self.settings.folder).standing(digest_, required, self.settings.made())
+
+    def _count_done(self, digests: Iterable[str]) -> None:
+        """Count scenes that are done although no report of them came."""
+        for one in digests:
+            if self._standing(one) == "done":
+                self.left.discard(one)
+                self.outcome.done.append(one)
 
     def run(self, slots: LocalSlots) -> None:
         """Hand out jobs until none is left, the time is over, or nothing more can be written."""
@@ -456,8 +348,9 @@ class _Driver:
             self._give_up(others, f"{FATAL} scenes with its light had their workers killed; out of memory?")
 
     def _give_up(self, digests: list[str], why: str) -> None:
-        """Record scenes as failed."""
-        for one in digests:
+        """Record scenes as failed, unless the worker died after its work."""
+        self._count_done(digests)
+        for one in self.left.intersection(digests):
             try:
                 Folder(self.settings.folder).write_failure(one, {"error": why, "time": time.time()})
             except WriteError as error:
@@ -486,13 +379,8 @@ class _Driver:
         outcome, folder, trouble = self.outcome, Folder(self.settings.folder), self.trouble
         if folder.gone():
             outcome.done, outcome.kept, trouble = [], [], GONE
-        for p in self.planned if trouble else ():  # what workers did whose reports did not come any more
-            if (
-                p.digest in self.left
-                and folder.standing(p.digest, self.settings.required(p.scene), self.settings.made()) == "done"
-            ):
-                self.left.discard(p.digest)
-                outcome.done.append(p.digest)
+        if trouble:
+            self._count_done(sorted(self.left))
         outcome.unfinished, outcome.seconds = len(self.left), time.time() - self.begin
         reasons = [trouble] if trouble else []
         if outcome.failed:

@@ -6,10 +6,8 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any, cast
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -17,14 +15,10 @@ from ..errors import InputError, NailopticsError, WriteError
 from ..io import pack, write_bytes
 from ..light import ReweightWarning
 from ..light import backend as backends
-from ..light.store import LightStore
-from ..light.tracing import accuracy
-from ..light.transfer import current_versions
-from ..options import BackendName, TraceOptions
-from ..scene import Accuracy, Scene, to_toml
-from ..scene.sweep import StudyName
+from ..scene import Scene, to_toml
 from ..variables import to_record
-from .folder import STORAGE, Folder, Made
+from .folder import STORAGE, Folder
+from .jobs import Job, Settings
 from .studies import STUDIES, relative_error
 
 # Mitsuba's variant is one per process, and so is a claim: a worker with several threads still does one job at a time.
@@ -34,67 +28,6 @@ TAKES_NO_MORE = "the folder takes no more"
 GONE = "the folder was removed during the run, and what was in it; run again to begin anew"
 # A worker waits so long where another traces the light that it needs. [s]
 BUSY_S = 0.5
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What all jobs of a batch share.
-
-    options : of every scene; the time that a run may take is in deadline, in seconds since the epoch.
-    study : what is done with every scene.
-    """
-
-    folder: Path
-    options: TraceOptions
-    deadline: float | None = None
-    study: StudyName = "simulate"
-
-    @classmethod
-    def of(cls, folder: Path, options: TraceOptions, study: StudyName = "simulate") -> "Settings":
-        """The settings of a run that begins now, with the backend that this machine offers."""
-        deadline = None if options.max_seconds is None else time.time() + options.max_seconds
-        chosen = cast(BackendName, backends.choose(options.backend).name)
-        if study == "colour" and options.relative_error is not None:
-            raise InputError("a sweep of colours has no --relative-error; give colour.tolerance in its base scene.")
-        return cls(folder.resolve(), replace(options, backend=chosen, max_seconds=None), deadline, study)
-
-    def required(self, scene: Scene) -> Accuracy:
-        """What a scene's light must reach."""
-        return accuracy(scene, self.options)
-
-    def options_of(self, scene: Scene) -> TraceOptions:
-        """The options of a scene's study, which takes no longer than the run has left."""
-        requested = self.options.photons or self.options.relative_error
-        own_light = STUDIES[self.study].own_light
-        required = scene.accuracy if own_light and not requested else self.required(scene)
-        if self.deadline is not None:
-            left = max(self.deadline - time.time(), 1e-3)
-            required = required.model_copy(update={"max_seconds": min(left, required.max_seconds or left)})
-        return replace(self.options, **required.model_dump())
-
-    def made(self) -> Made:
-        """What decides a scene's result beside the scene and how accurate it is to be."""
-        return Made(seed=self.options.seed, backend=self.options.backend, versions=dict(current_versions()))
-
-    def stores(self, tell: Callable[[Path, Exception], None] | None = None) -> list[LightStore]:
-        """Where light is stored, first that of the batch; what single commands traced is read, too."""
-        user = LightStore.of_user() if self.options.store else None
-        return [LightStore(Folder(self.folder).light, tell=tell), *([user] if user else [])]
-
-    def is_late(self) -> bool:
-        """Whether the run's time is over."""
-        return self.deadline is not None and time.time() >= self.deadline
-
-
-@dataclass(frozen=True)
-class Job:
-    """Scenes of the same light.
-
-    scenes : digest and scene of each.
-    """
-
-    key: str
-    scenes: tuple[tuple[str, Scene], ...]
 
 
 @dataclass

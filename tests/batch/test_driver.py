@@ -8,8 +8,9 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 import pytest
 
 from nailoptics.batch import run
-from nailoptics.batch.run import CHUNK, DEATHS, FATAL, LocalSlots, Outcome, Planned
-from nailoptics.batch.work import Job, JobReport, Settings
+from nailoptics.batch.jobs import CHUNK, Job, Planned, Settings
+from nailoptics.batch.run import DEATHS, FATAL, LocalSlots, Outcome
+from nailoptics.batch.work import JobReport
 from nailoptics.errors import NotReachedError
 from nailoptics.options import TraceOptions
 

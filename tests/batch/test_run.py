@@ -17,8 +17,8 @@ import pytest
 import nailoptics as nail
 from nailoptics.batch import BatchProgress, Outcome, Sweep, estimate, load_sweep, run_batch, status, studies
 from nailoptics.batch.folder import Folder, meets
-from nailoptics.batch.run import jobs_of, of_shard, parse_shard, plan, plan_of
-from nailoptics.batch.work import JobReport, Settings, work
+from nailoptics.batch.jobs import Settings, jobs_of, of_shard, parse_shard, plan, plan_of
+from nailoptics.batch.work import JobReport, work
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.light import read_rest
 from nailoptics.options import TraceOptions

@@ -9,8 +9,7 @@ from small_scenes import SMALL_FINGER_BEST
 
 import nailoptics as nail
 from nailoptics.batch import load_sweep, run_batch
-from nailoptics.batch.run import plan
-from nailoptics.batch.work import Settings
+from nailoptics.batch.jobs import Settings, plan
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.options import TraceOptions
 from nailoptics.report.result_files import write_sweep
