@@ -9,7 +9,7 @@ from typing import Unpack
 import numpy as np
 
 from ..io import pack
-from ..light.store import LightStore
+from ..light.tracing.store import LightStore
 from ..options import Requested, TraceOptions
 from ..scene import Scene
 from ..scene.sweep import Sweep

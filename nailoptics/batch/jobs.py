@@ -10,8 +10,8 @@ from typing import cast
 from ..errors import InputError
 from ..light import backend as backends
 from ..light.identity import light_digest
-from ..light.store import LightStore
 from ..light.tracing import accuracy
+from ..light.tracing.store import LightStore
 from ..light.transfer import current_versions
 from ..options import BackendName, TraceOptions
 from ..scene import Accuracy, Scene, digest

@@ -10,7 +10,7 @@ import xarray as xr
 from ..errors import as_far_as_reached
 from ..light import Transfer, read_rest, trace
 from ..light.detect import VOLPATH_RELATIVE_ERROR, light_of
-from ..light.store import LightStore
+from ..light.tracing.store import LightStore
 from ..light.transfer import photodiode_names
 from ..options import TraceOptions
 from ..scene import Scene
@@ -57,7 +57,7 @@ def _simulate(scene: Scene, options: TraceOptions, stores: Sequence[LightStore])
     """The simulated touch of a finger, or the readings of a phantom."""
     if scene.phantom is not None:
         return _trace(scene, options, stores)
-    from ..studies.blood_states import blood_over_touch
+    from ..hemodynamics.for_scene import blood_over_touch
     from ..studies.simulate import simulate, simulate_from
 
     if by_volpath(scene, options.backend):

@@ -9,7 +9,7 @@ import pytest
 import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.batch import load_sweep
-from nailoptics.batch.work import Settings
+from nailoptics.batch.jobs import Settings
 from nailoptics.options import TraceOptions
 from nailoptics.scene import load_scene, parse_scene
 
@@ -43,7 +43,8 @@ def test_a_shipped_sweep_runs_to_its_end(jit_backend, tmp_path, name):
     sweep = load_sweep(SWEEPS / f"{name}.toml")
     count = min(MOST_SCENES.get(name, 24), len(sweep.scenes))
     few = np.linspace(0, len(sweep.scenes) - 1, count).astype(int)
-    sweep = replace(sweep, scenes=tuple(sweep.scenes[i] for i in few))
+    scenes = tuple(sweep.scenes[i] for i in few)
+    sweep = replace(sweep, scenes=scenes, axes=(), dims={"scene": len(scenes)})
     options = TraceOptions(photons=2000, backend=jit_backend.name)
     reports = done_here(sweep, Settings.of(tmp_path / "b", options, sweep.study))
     assert [why for one in reports for why in one.failed.values()] == []
