@@ -386,6 +386,7 @@ def explain(
     options: Options = USUAL,
 ) -> None:
     """Explain what a scene models and what it leaves out, and measure how far each of these moves the readings."""
+    from .report.model_errors import explanation_lines, explanation_summary
     from .report.result_files import write_explanation
     from .studies.model_error.explain import explain as study
 
@@ -396,7 +397,7 @@ def explain(
         check_writable(output.parent, output.name, output.with_suffix(".html").name)
     found, unmet = _traced(study, loaded, tolerance=tolerance, options=options)
     paths = write_explanation(found, output) if output else {}
-    _finish({"scene": None} | found.as_dict(), [found], paths, json_, unmet)
+    _finish({"scene": None} | explanation_summary(found), explanation_lines(found), paths, json_, unmet)
 
 
 @app.command
@@ -405,10 +406,10 @@ def tradeoff(
     *,
     output: Folder = None,
     tolerance: Annotated[float, Parameter(help="Largest error of the worst photodiode.")] = 0.02,
-    judge: Annotated[
-        Literal["reading", "signal", "both"],
-        Parameter(help="Quantity the tolerance applies to: reading, signal (change), or both."),
-    ] = "both",
+    simultaneous: Annotated[
+        bool,
+        Parameter(negative="", help="Hold all readings and signals to it at once, with 95 % probability."),
+    ] = False,
     json_: Json = False,
     options: Options = USUAL,
 ) -> None:
@@ -418,15 +419,16 @@ def tradeoff(
     tolerance in that time, the best one within it. Writes tradeoff.json, tradeoff.nc and tradeoff.html, tradeoff.png
     for a README, and scene.toml: the scene at the level that is named.
     """
+    from .report.model_errors import tradeoff_lines, tradeoff_summary
     from .report.result_files import TRADEOFF, write_tradeoff
     from .studies.model_error.tradeoff import tradeoff as study
 
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, TRADEOFF)
-    how: dict[str, Any] = {"tolerance": tolerance, "judge": judge, "answer_seconds": options.max_seconds}
+    how: dict[str, Any] = {"tolerance": tolerance, "simultaneous": simultaneous, "answer_seconds": options.max_seconds}
     found, unmet = _traced(study, loaded, **how, options=options)
     paths = write_tradeoff(found, folder)
-    _finish(found.as_dict(), [found], paths, json_, unmet, folder)
+    _finish(tradeoff_summary(found), tradeoff_lines(found), paths, json_, unmet, folder)
 
 
 @app.command

@@ -110,13 +110,14 @@ def write_explanation(found: "Explanation", path: Path) -> Paths:
 
 def write_tradeoff(found: "Tradeoff", folder: Path) -> Paths:
     """Write a tradeoff as JSON, Dataset, page and picture, and the chosen level's scene; returns report and scene."""
+    from .model_errors import tradeoff_summary
     from .pages.tradeoff import draw
     from .pages.tradeoff import write_tradeoff as write_page
     from .style import write_figure
 
     data, dataset, page, picture, scene = (folder / name for name in TRADEOFF)
     with turn(folder):
-        write_text(data, to_json(found.as_dict()) + "\n")
+        write_text(data, to_json(tradeoff_summary(found)) + "\n")
         write_dataset(found.dataset(), dataset)
         drawing = draw(found)
         write_page(found, drawing, page)

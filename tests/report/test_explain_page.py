@@ -11,7 +11,7 @@ from nailoptics.assets import data_dir
 from nailoptics.report.pages import explain
 from nailoptics.report.result_files import write_explanation
 from nailoptics.studies.model_error import bounds
-from nailoptics.studies.model_error.effect import Effect
+from nailoptics.studies.model_error.effects import Effect
 from nailoptics.studies.model_error.explain import TOGETHER, Explanation
 
 

@@ -8,11 +8,12 @@ import numpy as np
 
 from ...io import write_text
 from ...statistics import Z95
-from ...studies.model_error.effect import Effect
-from ...studies.model_error.explain import Explanation, name_of
-from ...studies.model_error.variants import lines_of
+from ...studies.model_error.changes import lines_of
+from ...studies.model_error.effects import Effect
+from ...studies.model_error.explain import Explanation
 from .. import style
 from ..html import document, escaped, figure, section, small, table
+from ..model_errors import effect_name
 from ..numbers import significant, with_error
 
 if TYPE_CHECKING:
@@ -138,7 +139,7 @@ def _requires(found: Explanation) -> list[str]:
         most = significant(100 * found.together.bound, 2)
         out.append(f"<p>Leaving all of it out at once changes no reading by more than {most} % (95 % confidence).</p>")
     if found.missing:
-        names = escaped(", ".join(map(name_of, found.missing)))
+        names = escaped(", ".join(map(effect_name, found.missing)))
         out.append(f"<p>Left out, though it matters: {names}.</p>")
     if unsure := [one.name for one in found.effects if one.matters == "cannot tell"]:
         out.append(f"<p>Undecided, more photons are needed: {escaped(', '.join(unsure))}.</p>")

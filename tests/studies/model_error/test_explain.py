@@ -13,11 +13,26 @@ from nailoptics.errors import InputError, NotReachedError
 from nailoptics.light import Transfer, optics
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.options import TraceOptions
+from nailoptics.report.model_errors import explanation_lines
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.statistics import Z95, farther_end
-from nailoptics.studies.model_error import bounds, paired
-from nailoptics.studies.model_error.effect import Change, Effect, effect_of
-from nailoptics.studies.model_error.explain import Explanation, _merged, explain
+from nailoptics.studies.model_error import effects, paired
+from nailoptics.studies.model_error.changes import (
+    ONE_WAVELENGTH,
+    PART_WIDTH,
+    SCATTERING_FACTOR,
+    Change,
+    Changes,
+    changes_between,
+    denser,
+    farthest,
+    lines_of,
+    merged,
+    most_proximal,
+    revised,
+)
+from nailoptics.studies.model_error.effects import Effect, effect_of
+from nailoptics.studies.model_error.explain import Explanation, explain
 from nailoptics.studies.model_error.paired import (
     UNSEEN,
     Difference,
@@ -27,14 +42,6 @@ from nailoptics.studies.model_error.paired import (
     paired_readings,
     reweighted,
     weighted_mean,
-)
-from nailoptics.studies.model_error.variants import (
-    ONE_WAVELENGTH,
-    PART_WIDTH,
-    Changes,
-    changes_between,
-    lines_of,
-    revised,
 )
 
 TEXT = (data_dir("scenes") / "prototype.toml").read_text(encoding="utf-8")
@@ -85,8 +92,8 @@ def test_the_far_finger_returns_less_than_1e_4_of_a_reading_and_the_pulp_more(fo
 @pytest.mark.jit
 def test_what_is_not_needed_is_told_as_scene_lines_and_makes_the_scene_that_is_required(found):
     """Expected: the lines, pasted under their tables, make the required scene, which reads as the whole one does."""
-    lines = lines_of(_merged(found.needless))
-    assert all(f"  {line}" in str(found).splitlines() for line in lines)
+    lines = lines_of(merged(found.needless))
+    assert all(f"  {line}" in explanation_lines(found) for line in lines)
     assert {"[[leds]] fwhm_nm = 0.0", "[finger] length_mm = 16.0"} <= set(lines)
     tables = {"[finger]": 'digit = "index"', "[[leds]]": 'part = "led_800"', "[light]": "[light]"}
     text = TEXT.split("[light]")[0].replace("fwhm_nm = 0.0\n", "")
@@ -157,7 +164,7 @@ def test_effects_that_are_read_from_one_trace_have_true_errors(chosen_jit):
     def found(photons: int, seed: int) -> tuple[PairedReadings, list[Difference]]:
         base = traced(scene, photons=photons, seed=seed)
         every = [difference(base, reweighted(base.transfer, other)) for other in others]
-        return base, [*every, bounds.without_deep(base)]
+        return base, [*every, effects.without_deep(base)]
 
     def numbers(every: list[Difference]) -> np.ndarray:
         skews = [(d.ratio_skew, d.swing_skew) for d in every]
@@ -189,7 +196,7 @@ def test_effects_that_are_retraced_have_true_errors(chosen_jit, monkeypatch):
     weighted mean, hold the value of twenty times the photons as often as they say; so do those of what is derived from
     such traces, blood's scattering and light from outside."""
     others = [revised(whole(), {"light": {"left_out": ["bone"]}}), revised(whole(), {"light": {"index_steps": False}})]
-    others.append(bounds.denser(whole()))
+    others.append(denser(whole()))
 
     derived, beyond, printed = [], [], []
     differences: list[Difference] = []
@@ -198,18 +205,18 @@ def test_effects_that_are_retraced_have_true_errors(chosen_jit, monkeypatch):
         differences.append(found)
         return effect_of(change, found, *more, **named)
 
-    monkeypatch.setattr(bounds, "effect_of", kept)
-    past, turned = Change("past the end", False, ""), bounds.farthest(whole())
-    assert turned == bounds.most_proximal(whole())
+    monkeypatch.setattr(effects, "effect_of", kept)
+    past, turned = Change("past the end", False, ""), farthest(whole())
+    assert turned == most_proximal(whole())
 
     def found(photons: int, seed: int) -> np.ndarray:
         base, out = traced(whole(), photons=photons, seed=seed), []
         *_, denser = others_traced = [traced(other, photons=photons, seed=seed) for other in others]
         swapped = traced(turned, photons=photons, seed=seed)
-        effects = bounds.blood_scattering(whole(), base, denser, 0.02), bounds.ambient(whole(), base, swapped, 0.02)
-        derived.append([(effect.typical, effect.typical_stderr) for effect in effects])
+        made = effects.blood_scattering(0.02, base, denser), effects.ambient(0.02, base, swapped)
+        derived.append([(effect.typical, effect.typical_stderr) for effect in made])
         told = [(base, one) for one in differences[-2:]]
-        beyond.append(bounds.returning(past, base, base, swapped).bound)
+        beyond.append(effects.returning(past, base, base, swapped).bound)
         every = [difference(base, other) for other in others_traced]
         printed.append([*((base, d) for d in every), *told])
         for d in every:
@@ -278,8 +285,8 @@ def test_bloods_own_scattering_is_judged_by_the_signal_and_replaces_dermis(paths
     scatters less than the dermis whose place it takes. Expected: the slope of ln reading by ln mu_s', here 2, times the
     relative change of mu_s' along the path, as a part of the signal; beyond a tolerance of 2 % it matters."""
     scene = revised(prototype(), ONE_WAVELENGTH)
-    base, denser = made_up(scene, paths_mm, 1.0), made_up(scene, paths_mm, bounds.SCATTERING_FACTOR**2)
-    found = bounds.blood_scattering(scene, base, denser, 0.02)
+    base, denser = made_up(scene, paths_mm, 1.0), made_up(scene, paths_mm, SCATTERING_FACTOR**2)
+    found = effects.blood_scattering(0.02, base, denser)
     share, blood = np.array(paths_mm) / 4, np.diff(paired.end_states(scene), axis=0)[0]
     mu_a = float(tissue.blood_mu_a_per_mm(800.0, scene.blood.rest_so2))
     # Of skin at 800 nm mu_s' is 4.60 (800 / 500)^-1.421 per mm, of blood 1.34.
@@ -292,7 +299,7 @@ def test_bloods_own_scattering_is_judged_by_the_signal_and_replaces_dermis(paths
 
 def test_swapping_source_and_photodiode_keeps_the_board():
     scene = prototype()
-    for swapped in (bounds.farthest(scene), bounds.most_proximal(scene)):
+    for swapped in (farthest(scene), most_proximal(scene)):
         one, two = scene.layout, swapped.layout
         assert two.outline.center_mm == pytest.approx(one.outline.center_mm)
         assert two.photodiodes[0].area.center_mm == pytest.approx(one.leds[0].center_mm)
@@ -311,17 +318,17 @@ def test_changes_are_told_as_lines_that_make_them():
 
 
 def effect(name: str, changes: dict, *, modelled: bool = True) -> Effect:
-    return replace(bounds.nothing(name, "", 0.02), modelled=modelled, changes=changes)
+    return replace(effects.nothing(name, "", 0.02), modelled=modelled, changes=changes)
 
 
 def test_parts_that_are_not_needed_are_left_out_together():
     bone, skin = (effect(p, {"light": {"left_out": [p]}}) for p in ("bone", "epidermis"))
     melanin = effect("melanin", {"finger": {"melanin_fraction": 0.0}})
-    assert _merged([bone, melanin]) == {"light": {"left_out": ["bone"]}, "finger": {"melanin_fraction": 0.0}}
+    assert merged([bone, melanin]) == {"light": {"left_out": ["bone"]}, "finger": {"melanin_fraction": 0.0}}
     # Melanin goes with the epidermis.
-    assert _merged([bone, skin, melanin]) == {"light": {"left_out": ["bone", "epidermis"]}}
+    assert merged([bone, skin, melanin]) == {"light": {"left_out": ["bone", "epidermis"]}}
     back = effect("bone", {"light": {"left_out": ["kapton"]}}, modelled=False)
-    assert _merged([effect("x", {"light": {"left_out": ["bone", "kapton"]}}), back])["light"]["left_out"] == ["kapton"]
+    assert merged([effect("x", {"light": {"left_out": ["bone", "kapton"]}}), back])["light"]["left_out"] == ["kapton"]
 
 
 @pytest.mark.parametrize(
@@ -330,7 +337,7 @@ def test_parts_that_are_not_needed_are_left_out_together():
 )
 def test_an_effect_matters_only_if_that_is_sure(change, stderr, bound, matters):
     values = {"change": change, "stderr": stderr, "bound": bound, "typical": change, "typical_stderr": stderr}
-    assert replace(bounds.nothing("x", "", 0.02), **values).matters == matters
+    assert replace(effects.nothing("x", "", 0.02), **values).matters == matters
 
 
 def test_what_cannot_be_explained_is_one_line():

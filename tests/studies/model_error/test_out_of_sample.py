@@ -10,12 +10,11 @@ from nailoptics.light.diffusion import DiffusionModel
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene
 from nailoptics.studies.model_error import levels, paired
-from nailoptics.studies.model_error.answers import fastest
-from nailoptics.studies.model_error.tradeoff import Tradeoff, tradeoff
-from nailoptics.studies.model_error.variants import Changes, revised
+from nailoptics.studies.model_error.changes import Changes, revised
+from nailoptics.studies.model_error.tradeoff import Tradeoff, fastest, tradeoff
 
 pytestmark = [pytest.mark.slow, pytest.mark.jit]
-PHOTONS, JUDGES = 120_000, ("reading", "signal", "both")
+PHOTONS = 120_000
 # Of the levels that are named at any of these, and of all that are proven at what a designer asks for.
 TOLERANCES, ASKED = (0.5, 0.2, 0.1, 0.05, 0.02), (0.05, 0.02)
 SCENES: dict[str, tuple[str, Changes]] = {
@@ -29,18 +28,17 @@ SCENES: dict[str, tuple[str, Changes]] = {
 }
 
 
-def kept(found: Tradeoff) -> dict[str, list[tuple[str, float]]]:
-    """Levels of which something is said that photons could refute: what counts, and the tolerance that they keep."""
-    out: dict[str, set[tuple[str, float]]] = {}
-    for judge in JUDGES:
-        for tolerance in TOLERANCES:
-            answer = found.fastest(tolerance, judge=judge)
-            assert answer is not None
-            out.setdefault(answer.level.name, set()).add((judge, tolerance))
-            if tolerance in ASKED:
-                for level in found.levels:
-                    if not level.stored and level.bias(judge) <= tolerance:
-                        out.setdefault(level.name, set()).add((judge, tolerance))
+def within(found: Tradeoff) -> dict[str, list[float]]:
+    """Levels of which something is said that photons could refute, and the tolerances that they keep."""
+    out: dict[str, set[float]] = {}
+    for tolerance in TOLERANCES:
+        answer = found.fastest(tolerance)
+        assert answer is not None
+        out.setdefault(answer.level.name, set()).add(tolerance)
+        if tolerance in ASKED:
+            for level in found.levels:
+                if level.bound <= tolerance:
+                    out.setdefault(level.name, set()).add(tolerance)
     # Its bias against itself is 0, and constants of its own paths come with it.
     return {name: sorted(uses) for name, uses in out.items() if name != levels.REFERENCE and "traced" not in name}
 
@@ -49,15 +47,10 @@ def off(
     level: levels.Level, scene: Scene, base: paired.PairedReadings, tracer: paired.PairedTracer
 ) -> paired.Difference:
     """How far a level reads from the full model, with many photons of another seed."""
-    if level.first.per_second:
+    if level.traces:
         return paired.difference(base, tracer.trace(revised(scene, level.changes or {})))
-    states = paired.end_states(base.transfer.scene)
-    if level.reading is None:
-        name = level.name.removesuffix(", literature")
-        modulation, ratio = levels.literature.changes(base.transfer.scene, name, states)[..., 1], np.nan * base.level
-    else:
-        found = DiffusionModel(base.transfer.scene).readings(states)
-        modulation, ratio = found[..., 1] / found[..., 0] - 1, found[..., 0] / base.level - 1
+    found = DiffusionModel(base.transfer.scene).readings(paired.end_states(base.transfer.scene))
+    modulation, ratio = found[..., 1] / found[..., 0] - 1, found[..., 0] / base.level - 1
     unit = np.abs(base.modulation).max()
     swing, noise = (modulation - base.modulation) / unit, base.modulation_stderr / unit
     return paired.Difference(ratio, (1 + ratio) * base.relative_stderr, swing, noise)
@@ -67,8 +60,7 @@ def off(
 def studied(chosen_jit, request) -> tuple[str, Scene, Tradeoff]:
     """A scene and its tradeoff, without what is no first answer."""
     patch = pytest.MonkeyPatch()
-    patch.setattr(levels, "LEVELS", tuple(one for one in levels.LEVELS if one not in (levels.stored, levels.stock)))
-    patch.setattr(levels.Bench, "batches", lambda *_: {})
+    patch.setattr(levels, "LEVELS", tuple(one for one in levels.LEVELS if one is not levels.stock))
     file, changes = SCENES[request.param]
     scene = revised(load_scene(data_dir("scenes") / f"{file}.toml"), changes)
     try:
@@ -84,21 +76,20 @@ def test_what_keeps_a_tolerance_does_so_with_other_seeds_and_ten_times_the_photo
     name, scene, found = studied
     tracer = paired.PairedTracer(9, TraceOptions(photons=10 * PHOTONS, seed=1001), None)
     base = tracer.trace(revised(scene, levels.FULL))
-    by_name, told = {one.name: one for one in found.levels}, kept(found)
-    assert told
-    for level, uses in told.items():
+    by_name, named = {one.name: one for one in found.levels}, within(found)
+    assert named
+    for level, tolerances in named.items():
         far = off(by_name[level], scene, base, tracer)
-        for judge, tolerance in uses:
+        for tolerance in tolerances:
             for what, values, errors in (
                 ("reading", far.ratio, far.ratio_stderr),
                 ("signal", far.swing, far.swing_stderr),
             ):
-                if judge in (what, "both"):
-                    worst, error = np.abs(values).max(), np.max(errors)
-                    print(f"{name}: {level}, {what} within {tolerance:g}: {worst:.2%} +- {error:.2%}")
-                    assert (np.abs(values) - 3 * errors <= tolerance).all() and error < tolerance
+                worst, error = np.abs(values).max(), np.max(errors)
+                print(f"{name}: {level}, {what} within {tolerance:g}: {worst:.2%} +- {error:.2%}")
+                assert (np.abs(values) - 3 * errors <= tolerance).all() and error < tolerance
     for tolerance in ASKED:
-        answer = fastest([found.reference], tolerance, "both")
+        answer = fastest([found.reference], tolerance)
         assert answer is not None
         full = revised(scene, levels.FULL).model_copy(update={"accuracy": type(scene.accuracy)()})
         one = paired.paired_readings(nail.trace(full, relative_error=answer.relative_error, seed=2002))

@@ -7,20 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-import nailoptics as nail
 from nailoptics import cli, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.report import result_files
+from nailoptics.report.model_errors import duration, sentence, tradeoff_lines, tradeoff_summary
 from nailoptics.report.pages import tradeoff as tradeoff_page
 from nailoptics.scene import Scene, parse_scene
-from nailoptics.statistics import jackknife
-from nailoptics.studies.model_error import levels, literature, paired
-from nailoptics.studies.model_error.answers import Answer, Bias, Cost, Level, in_words
-from nailoptics.studies.model_error.levels import MAP, OWN, REFERENCE, THICKER_PLATE
-from nailoptics.studies.model_error.stored_map import StoredMap
-from nailoptics.studies.model_error.tradeoff import Tradeoff, _to_prove, tradeoff
-from nailoptics.studies.model_error.variants import changes_between, lines_of
+from nailoptics.studies.model_error import paired
+from nailoptics.studies.model_error.changes import changes_between, lines_of
+from nailoptics.studies.model_error.levels import FORMULAS, OWN, REFERENCE, Bias, Level, literature_changes
+from nailoptics.studies.model_error.tradeoff import Answer, Tradeoff, tradeoff
 
 
 def prototype() -> Scene:
@@ -32,25 +29,21 @@ def level(name: str, bound: float = 0.0, **changes: Any) -> Level:
         "backend": "llvm",
         "reading": Bias(bound, 0.0, bound),
         "signal": Bias(bound, 0.0, bound),
-        "first": Cost(2.0, 1.0),
-        "states": Cost(0.0, 0.01),
-        "layouts": Cost(2000.0, 1000.0),
+        "setup_seconds": 2.0,
         "reading_noise": 0.1,
         "signal_noise": 0.1,
     }
     return Level(name, **(values | changes))
 
 
-DIFFUSION = level("diffusion", 0.3, first=Cost(0.02), reading_noise=0.0, signal_noise=0.0, call="model(scene)")
-STORED = level("stored", 0.01, first=Cost(1e-4), reading_noise=0.0, signal_noise=0.0, stored=True)
+DIFFUSION = level("diffusion", 0.3, setup_seconds=0.02, reading_noise=0.0, signal_noise=0.0, call="model(scene)")
 
 
-def made(*measured: Level, chosen: Answer | None = None) -> Tradeoff:
+def made(*measured: Level, simultaneous: bool = False) -> Tradeoff:
     full = level(REFERENCE)
-    all_levels = (full, *measured)
     attributes = {"scene": "", "digest": "", "photons": 1}
-    answer = chosen or Answer(full, 25.0, 0.02)
-    return Tradeoff(all_levels, 0.02, "both", None, answer, prototype(), None, {1000: 1.0}, 1.0, attributes)
+    answer = Answer(full, 25.0, 0.02)
+    return Tradeoff((full, *measured), 0.02, simultaneous, None, answer, prototype(), 1.0, attributes)
 
 
 def test_few_dim_photons_do_not_pass_for_a_sure_small_reading():
@@ -60,36 +53,13 @@ def test_few_dim_photons_do_not_pass_for_a_sure_small_reading():
     assert np.allclose(error, np.hypot(0.01, 0.5) * np.array([1, 1, 2]))
 
 
-def test_a_stored_trace_is_nobody_s_first_answer():
-    found = made(DIFFUSION, STORED)
-    assert found.fastest(0.02).level.name == REFERENCE and found.fastest(0.5).level is DIFFUSION
-    assert found.fastest(0.02, "layouts").level is STORED
-    assert found.best(1.0).level is DIFFUSION and found.best(1e-5) is None
-
-
-def test_only_a_level_that_would_be_chosen_is_offered_for_proof():
-    """Rationale: a bias of 0.5 % is bounded by 5 % with few photons; for a bound of 2 %, a third as far above, nine
-    times the photons are needed. Expected: so many seconds where the level would then be faster than the one chosen;
-    nothing where it costs as much, where its bias may be too large, or where it is proven already."""
-    quick = {"first": Cost(0.5, 1.0), "reading_noise": 0.01, "signal_noise": 0.01}
-    unsure, wrong = Bias(0.005, 0.005, 0.05), Bias(0.018, 0.005, 0.05)
-    chosen = Answer(level(REFERENCE), 25.0, 0.02)
-
-    def seconds(name: str, **changes: Any) -> float | None:
-        return _to_prove([level(name, **changes)], chosen, 0.02, "both", 100.0)
-
-    assert seconds("quick", reading=unsure, signal=unsure, **quick) == pytest.approx(900.0)
-    assert seconds("as slow", reading=unsure, signal=unsure) is None
-    assert seconds("too far", reading=wrong, signal=unsure, **quick) is None
-    assert seconds("proven", bound=0.01, **quick) is None
-
-
 def test_the_sentence_names_a_time_for_each_error():
-    what = "reading and signal, 2.2 s (full); for 5 %, 6 s (full); for 1 %, 1.7 min (full); for 0.1 %, 2.8 h (full)."
-    assert made(DIFFUSION).sentence == f"For 20 % on {what}"
+    """Where no simpler level is faster than the full one, time is photons, and that is the sentence."""
+    times = "For 20 % 2.2 s, for 5 % 6 s, for 1 % 1.7 min, for 0.1 % 2.8 h."
+    assert sentence(made(DIFFUSION)) == f"Time is photons: no simpler level is faster at any of these errors. {times}"
     named = made(level("no Kapton", 0.15, reading_noise=0.01, signal_noise=0.01))
-    assert named.sentence.startswith("For 20 % on reading and signal, 2 s (no Kapton); for 5 %, 6 s (full)")
-    assert [in_words(s) for s in (3e-6, 0.0123, 1.0, 80.0, 95.0, 4000.0, 36000.0)] == [
+    assert sentence(named).startswith("For 20 % 2 s (no Kapton), for 5 % 6 s (full)")
+    assert [duration(s) for s in (3e-6, 0.0123, 1.0, 80.0, 95.0, 4000.0, 36000.0)] == [
         "3 us",
         "12 ms",
         "1 s",
@@ -100,62 +70,67 @@ def test_the_sentence_names_a_time_for_each_error():
     ]
 
 
-def test_json_and_dataset_tell_the_same(tmp_path):
-    found = made(DIFFUSION, STORED)
-    told, data = found.as_dict(), found.dataset()
-    assert json.loads(json.dumps(told))["fastest_within"]["0.5"]["first"]["level"] == "diffusion"
-    assert told["chosen"] == REFERENCE and told["lines"] == ["[accuracy] relative_error = 0.02"]
-    for row in told["levels"]:
+def test_the_tolerance_is_said_to_be_one_standard_error_or_that_of_all_at_once():
+    """Rationale: 2 % as one standard error of the worst photodiode is no bound on every reading and signal: of 19 runs
+    two were within it. Expected: it is named so, with what holding all of them takes; requested, that is the choice."""
+    found = made(DIFFUSION)
+    lines = "\n".join(tradeoff_lines(found))
+    assert "2 % as one standard error of the worst photodiode" in lines and "of every photodiode" not in lines
+    assert "as a part of the largest change of any photodiode" in lines
+    # Sixteen readings and signals at 5 % in all: 2.955 standard errors each, 8.7 times the photons.
+    assert found.coverage_factor == pytest.approx(2.955, abs=1e-3)
+    assert "with 95 % probability (8.7 times the photons of one standard error): 3.7 min, full." in lines
+    every = made(DIFFUSION, simultaneous=True)
+    assert every.fastest(0.02).photon_seconds == pytest.approx(25 * found.coverage_factor**2)
+    assert "2 % with 95 % probability" in "\n".join(tradeoff_lines(every))
+
+
+def test_json_and_dataset_hold_the_same(tmp_path):
+    found = made(DIFFUSION)
+    summary, data = tradeoff_summary(found), found.dataset()
+    assert json.loads(json.dumps(summary))["fastest_within"]["0.5"]["level"] == "diffusion"
+    assert summary["chosen"] == REFERENCE and summary["lines"] == ["[accuracy] relative_error = 0.02"]
+    for row in summary["levels"]:
         one = data.sel(level=row["name"])
         assert one.reading_bound == row["reading"]["bound"] and one.first_fixed == row["first"]["fixed"]
-        assert one.signal_bias == row["signal"]["value"] and one.layouts_per_second == row["layouts"]["per_second"]
-    assert np.allclose(data.full_reading_error, [one["reading_error"] for one in told["full"]])
-    assert np.allclose(sorted(data.full_reading_error)[:3], [0.001, 0.005, 0.02])
+        assert one.signal_bias == row["signal"]["value"]
     data.to_netcdf(tmp_path / "tradeoff.nc")
 
 
 def test_the_picture_names_every_level_and_the_page_says_what_each_needs(tmp_path):
-    found = made(DIFFUSION, STORED, level("biased", 0.05))
-    left, right = tradeoff_page.draw(found).axes
-    assert sorted(t.get_text() for t in left.texts) == ["biased", "diffusion", REFERENCE]
-    assert sorted(t.get_text() for t in right.texts) == ["biased", "diffusion", REFERENCE, "stored"]
+    found = made(DIFFUSION, level("biased", 0.05))
+    (axes,) = tradeoff_page.draw(found).axes
+    assert sorted(t.get_text() for t in axes.texts) == ["biased", "diffusion", REFERENCE]
     tradeoff_page.write_tradeoff(found, tradeoff_page.draw(found), tmp_path / "tradeoff.html")
     page = (tmp_path / "tradeoff.html").read_text(encoding="utf-8")
-    assert found.sentence in page and "model(scene)" in page and "relative_error = 0.02" in page
-    assert found.sentence in str(found) and "Number of batches" in page
+    assert sentence(found) in page and "model(scene)" in page and "relative_error = 0.02" in page
 
 
 def test_where_too_few_photons_came_to_judge_any_level_the_picture_is_empty():
     found = made(level("biased", np.inf))
     found = replace(found, levels=tuple(replace(one, reading_noise=np.inf) for one in found.levels))
-    left, right = tradeoff_page.draw(found).axes
-    assert not left.texts and not right.texts and left.get_xlim()[0] > 0
+    (axes,) = tradeoff_page.draw(found).axes
+    assert not axes.texts and axes.get_xlim()[0] > 0
 
 
 @pytest.fixture(scope="module")
 def found(chosen_jit):
-    patch = pytest.MonkeyPatch()
-    # These build geometries of their own; they are measured in the slow tests.
-    patch.setattr(levels, "LEVELS", tuple(one for one in levels.LEVELS if one is not levels.stored))
-    patch.setattr(levels.Bench, "batches", lambda *_: {})
-    try:
-        return tradeoff(prototype(), photons=40_000, tolerance=0.02)
-    finally:
-        patch.undo()
+    return tradeoff(prototype(), photons=40_000, tolerance=0.02)
 
 
 @pytest.mark.jit
 def test_what_is_named_is_within_the_tolerance_and_the_full_model_always_is(found):
     by_name = {one.name: one for one in found.levels}
     expected = {REFERENCE, OWN, "one wavelength", "similarity", "matched indices", "layered diffusion"}
-    assert expected | {f"{name}, literature" for name in literature.FORMULAS} <= by_name.keys()
+    assert expected | {f"{name}, literature" for name in FORMULAS} <= by_name.keys()
     full = by_name[REFERENCE]
-    assert full.bias("both") == 0 and found.chosen.error <= 0.02 * (1 + 1e-9)
-    assert found.chosen.seconds() <= found.fastest(0.02).seconds() * 1.12
+    assert full.bound == 0 and found.chosen.error <= 0.02 * (1 + 1e-9)
+    assert found.chosen.seconds <= found.fastest(0.02).seconds * 1.12
     # The line is read from the same photons.
-    assert by_name["one wavelength"].bias("both") < 0.02 and by_name["one wavelength"].first == full.first
+    assert by_name["one wavelength"].bound < 0.02
+    assert by_name["one wavelength"].setup_seconds == full.setup_seconds
     # Without forward scattering there is a tenth of the scatterings, and the readings are wrong.
-    assert by_name["similarity"].bias("both") > 0.02 and found.chosen.level.name != "similarity"
+    assert by_name["similarity"].bound > 0.02 and found.chosen.level.name != "similarity"
     # Photons that never meet epidermis or Kapton are the same: the error is a part of what two traces apart would have.
     assert by_name["no epidermis, no Kapton"].reading.stderr < 0.7 * by_name["matched indices"].reading.stderr
 
@@ -165,32 +140,17 @@ def test_levels_without_photons_answer_at_once_and_err_by_tens_of_percent(found)
     by_name = {one.name: one for one in found.levels}
     diffusion = by_name["layered diffusion"]
     # Of the largest signal, which is 2 % of a reading: a distal touch squeezes little blood out to 1 N.
-    assert 0.05 < diffusion.bias("signal") < 1.0 and 0.1 < diffusion.bias("reading") < 0.7
-    for name in literature.FORMULAS:
+    assert 0.05 < diffusion.signal.bound < 1.0 and 0.1 < diffusion.reading.bound < 0.7
+    for name in FORMULAS:
         formula, traced = by_name[f"{name}, literature"], by_name[f"{name}, traced"]
-        assert formula.reading is None and formula.bias("signal") > diffusion.bias("signal") > traced.bias("signal")
-        assert formula.first.at(0) < diffusion.first.at(0) < by_name[REFERENCE].first.fixed
-        assert traced.states.at(25.0) < by_name[REFERENCE].states.at(25.0)
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-def test_a_stored_map_reads_the_layout_that_the_scene_has(jit_backend):
-    """Expected: as the scene's own trace reads it, within the errors of both; twice the photons, half the variance."""
-    scene = prototype()
-    trace = paired.paired_readings(nail.trace(scene, photons=200_000, seed=2))
-    found = StoredMap.of(scene, photons=200_000, seed=3, backend="auto").read(scene)
-    assert found.shape == (1, 33, 8, 3)
-    error = np.hypot(jackknife(found[0, ..., 0]) / found[0, 0, :, 0], trace.relative_stderr[0])
-    assert (np.abs(found[0, 0, :, 0] / trace.level[0] - 1) < 4 * error).all() and (error < 0.5).all()
-    # More blood dims.
-    assert (found[0, 0, :, 1:] < 0).all()
+        assert formula.reading is None and formula.signal.bound > diffusion.signal.bound > traced.signal.bound
+        assert formula.setup_seconds < diffusion.setup_seconds < by_name[REFERENCE].setup_seconds
 
 
 def test_formulas_from_literature():
     """Expected: of a little more blood the same by both; the signs of the blood that each photodiode lies above."""
     scene, blood = prototype(), np.array([[0.03, 0.03], [0.0301, 0.0299], [0.05, 0.002]])
-    first, second = (literature.changes(scene, name, blood) for name in literature.FORMULAS)
+    first, second = (literature_changes(scene, name, blood) for name in FORMULAS)
     assert first.shape == (1, 8, 3) and (first[..., 0] == 0).all()
     assert np.allclose(first[..., 1], second[..., 1], rtol=2e-3)
     assert (first[0, :4, 1:] < 0).all() and (first[0, 4:, 1:] > 0).all()
@@ -222,8 +182,6 @@ def test_what_has_no_levels_is_one_line():
         tradeoff(load_scene(data_dir("scenes") / "phantom.toml"))
     with pytest.raises(InputError, match="tolerance"):
         tradeoff(prototype(), tolerance=0.0)
-    with pytest.raises(InputError, match="judge"):
-        tradeoff(prototype(), judge="light")
 
 
 @pytest.mark.jit
@@ -262,8 +220,8 @@ def test_the_command_writes_table_page_and_picture(jit_backend, tmp_path, capsys
     assert cli.run(["tradeoff", "prototype", "-o", str(tmp_path), "--json", "--max-seconds", "40"]) == 0
     printed = json.loads(capsys.readouterr().out)
     names = {row["name"] for row in printed["levels"]}
-    assert {REFERENCE, MAP, THICKER_PLATE, "stock Mitsuba, scalar"} <= names and printed["chosen"] in names
-    assert printed["answer"]["first_seconds"] <= 40 and len(printed["batches"]) == 3
+    assert {REFERENCE, "stock Mitsuba, scalar"} <= names and printed["chosen"] in names
+    assert printed["answer"]["first_seconds"] <= 40
     assert load_scene(tmp_path / "scene.toml").finger is not None
     assert json.loads((tmp_path / "tradeoff.json").read_text())["chosen"] == printed["chosen"]
     assert (tmp_path / "tradeoff.png").stat().st_size > 10_000
