@@ -10,7 +10,7 @@ from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.report.pages import explain
 from nailoptics.report.result_files import write_explanation
-from nailoptics.studies.model_error import bounds
+from nailoptics.studies.model_error import effects
 from nailoptics.studies.model_error.effects import Effect
 from nailoptics.studies.model_error.explain import TOGETHER, Explanation
 
@@ -18,7 +18,7 @@ from nailoptics.studies.model_error.explain import TOGETHER, Explanation
 def effect(name: str, change: float, stderr: float, **fields: Any) -> Effect:
     values: dict[str, Any] = {"change": change, "stderr": stderr, "bound": abs(change) + 3 * stderr}
     values |= {"modelled": True, "photodiode": "ir proximal.6", "modulation_bound": 0.1}
-    return replace(bounds.nothing(name, "other", 0.02), **(values | fields))
+    return replace(effects.nothing(name, "other", 0.02), **(values | fields))
 
 
 @pytest.fixture
@@ -51,8 +51,8 @@ def test_the_page_begins_with_the_largest_effect_and_its_error(found, tmp_path):
 def test_what_cannot_be_told_to_matter_is_no_headline_beside_what_surely_does(found, tmp_path):
     noisy = effect("forward scattering", -0.9, 0.4)
     assert noisy.matters == "cannot tell"
-    for effects, name in (((noisy, *found.effects), "plate &lt;absorption&gt;"), ((noisy,), "forward scattering")):
-        page = write_explanation(replace(found, effects=effects), tmp_path / "required.toml")["report"]
+    for shown, name in (((noisy, *found.effects), "plate &lt;absorption&gt;"), ((noisy,), "forward scattering")):
+        page = write_explanation(replace(found, effects=shown), tmp_path / "required.toml")["report"]
         assert f"<h1>{name} changes" in page.read_text(encoding="utf-8")
 
 
