@@ -11,9 +11,9 @@ import numpy as np
 from ... import tissue
 from ...light import optics
 from ...scene import Scene
-from ...statistics import Z95
 from ...sensor import electronics
 from ...sensor.ambient import SOURCES, collecting_area_mm2
+from ...statistics import Z95
 from .changes import (
     SCATTERING_FACTOR,
     Change,

@@ -12,15 +12,15 @@ from numpy.typing import ArrayLike
 
 from ... import tissue
 from ...errors import InputError, NotReachedError, as_far_as_reached
+from ...hemodynamics.for_scene import zones_of_photodiodes
 from ...light import ProgressCallback, optics, read_rest
 from ...light import backend as backends
-from ...light.transfer.series import read_replicates
 from ...light.diffusion import DiffusionModel
 from ...light.tracing import unlit
+from ...light.transfer.series import read_replicates
 from ...options import BackendName, TraceOptions
 from ...scene import Scene
 from ...statistics import farther_end, jackknife
-from ...hemodynamics.for_scene import zones_of_photodiodes
 from . import paired
 from .changes import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, lines_of, revised
 from .paired import PairedReadings, PairedTracer
