@@ -208,7 +208,7 @@ def colour(
 
 def _photographs(scene: "Scene", result: Any, options: TraceOptions) -> list[Any]:
     """Pictures of the finger at rest and under the last force; raises KeyboardInterrupt between them."""
-    from .studies.colour.pictures import photographs
+    from .studies.colour.views import photographs
 
     pictures: list[Any] = []
     with interruptible() as check:

@@ -76,7 +76,7 @@ def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, chosen_jit
     """While rays are walked, and while the first photograph is made; expected: no photograph is begun after it."""
     Path("finger.toml").write_text(SMALL_FINGER_BEST + "[priors]\nspread = false\n[colour]\nphotograph_px = [40, 30]\n")
     command = ("colour", "finger.toml", "--photons", "8000", "--force", "0", "--force", "1", "-o", "out")
-    for place in ("nailoptics.studies.colour.enough_rays:walk_colour", "nailoptics.studies.colour.pictures:photograph"):
+    for place in ("nailoptics.studies.colour.enough_rays:walk_colour", "nailoptics.studies.colour.views:photograph"):
         ended = interrupted_at(place, *command)
         assert (ended.code, ended.later) == (3, 0), ended.said
         assert ended.said[-1].endswith("What was reached is in out.") and "interrupted" in ended.said[-1]

@@ -1,7 +1,7 @@
 """Touch to blood: the paper's network of vessels under the nail, eq. (1)-(4), and the blood of eq. (7)."""
 
 from .arterial_gain import arterial_gain_m_per_pa
-from .blood import blood_fraction, saturation, tissue_volume_m3
+from .blood import blood_fraction, saturation, tissue_volume_m3, white_band_mm
 from .contact import creeping_pressure, pressures, side_areas_mm2, spreading_pressure
 from .drive import Waveform
 from .parameters import NAMES, Parameters, bounds, parameters
@@ -32,6 +32,7 @@ __all__ = [
     "steady_state",
     "tissue_volume_m3",
     "vasomotion_pressure",
+    "white_band_mm",
     "with_shear",
     "zones",
     "zones_between",

@@ -62,6 +62,25 @@ def saturation(
     return at_rest + (arterial_so2 - at_rest) * part
 
 
+def white_band_mm(v_mm: np.ndarray, part: np.ndarray, *, ends_mm: tuple[float, float]) -> np.ndarray:
+    """Width of the white band at the tip, where less than half of the value at rest is left, (..., s) float. [mm]
+
+    v_mm : (p,) float. Places along the nail, from the most proximal on. [mm]
+    part : (..., p, s) float. Blood, or the redness that it gives, at each place in each state, over that at rest;
+        linear between places.
+    ends_mm : where the nail begins and ends. [mm]
+    """
+    white = part[..., -1, :] < 0.5
+    width = np.where(white, ends_mm[1] - ends_mm[0], 0.0)
+    for k in range(len(v_mm) - 2, -1, -1):
+        ends_here = white & (part[..., k, :] >= 0.5)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = (part[..., k, :] - 0.5) / (part[..., k, :] - part[..., k + 1, :]) * (v_mm[k + 1] - v_mm[k])
+        width = np.where(ends_here, ends_mm[1] - v_mm[k] - step, width)
+        white &= ~ends_here
+    return width
+
+
 def tissue_volume_m3(parameters: Parameters, *, rest_blood_fraction: float = USUAL_BLOOD_FRACTION) -> float:
     """The volume of one half of the nail bed, V_tissue of eq. (7), from its blood fraction at rest. [m^3]
 

@@ -223,15 +223,7 @@ def white_band_mm(scene: Scene, blood_fraction: np.ndarray) -> np.ndarray:
     half_mm = _nail_length_mm(scene) / 2
     ends = np.array([-half_mm, *scene.zone_edges_mm, half_mm])
     middle, part = 0.5 * (ends[1:] + ends[:-1]), blood_fraction / scene.blood.rest_blood_fraction
-    found = np.where(part[-1] < 0.5, 2 * half_mm, 0.0)
-    white = part[-1] < 0.5
-    for k in range(len(part) - 2, -1, -1):
-        ends_here = white & (part[k] >= 0.5)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            step = (part[k] - 0.5) / (part[k] - part[k + 1]) * (middle[k + 1] - middle[k])
-        found = np.where(ends_here, half_mm - middle[k] - step, found)
-        white &= ~ends_here
-    return np.asarray(found)
+    return hemodynamics.white_band_mm(middle, part, ends_mm=(-half_mm, half_mm))
 
 
 def steady_blood(scene: Scene, force_n: ArrayLike) -> np.ndarray:

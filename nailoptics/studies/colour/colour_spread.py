@@ -12,7 +12,7 @@ from ...statistics import seed_of
 from ...variables import variable
 from ..prior_uncertainty import only_absorbs, over_priors
 from .colorimetry import Viewer
-from .enough_rays import Places, look_of
+from .enough_rays import Places, view
 from .reflectance import ColourRays, walk_colour
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ def spread_of_colours(
 
     def lab(light: ColourRays, one: Scene, chosen: tuple[int, ...]) -> Array:
         states = steady_blood(one, viewing.forces_n[:1])
-        read = light.reflectance(states, **look_of(viewing), scene=one, patches=chosen)
+        read = light.reflectance(states, **view(viewing), scene=one, patches=chosen)
         return np.asarray(viewer.lab(read)[:, :, 0])
 
     def walked(one: Scene) -> Array:

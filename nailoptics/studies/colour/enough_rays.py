@@ -145,13 +145,13 @@ class _Walk:
 
 def errors_of(rays: ColourRays, places: Places, states: Array, viewer: Viewer, viewing: Viewing) -> tuple[Array, Array]:
     """Largest standard errors over all states of each place's colour and of its change, (along,) each. [CIEDE2000]"""
-    lab = viewer.lab(rays.reflectance(states, **look_of(viewing), patches=range(places.along)))
+    lab = viewer.lab(rays.reflectance(states, **view(viewing), patches=range(places.along)))
     change = delta_e_2000(lab, lab[:, :, :1])
     return stderr_of_colour(lab).max(1), jackknife(change).max(1)
 
 
-def look_of(viewing: Viewing) -> dict[str, Any]:
-    """From where light comes and whether gloss counts, as `ColourRays.reflectance` takes it."""
+def view(viewing: Viewing) -> dict[str, Any]:
+    """Where light comes from and whether gloss counts, as `ColourRays.reflectance` takes it."""
     return {"lit_by": viewing.lit_by, "gloss": viewing.gloss}
 
 

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from ...checks import explain
 from ...errors import InputError, NotReachedError
+from ...hemodynamics import white_band_mm
 from ...hemodynamics.for_scene import steady_blood
 from ...light import ProgressCallback, backend
 from ...light.tracing import StageProgress
@@ -26,10 +27,9 @@ from ...statistics import jackknife
 from ...variables import variable
 from .colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
 from .colour_spread import spread_of_colours
-from .enough_rays import TILE_MM, Places, look_of, places_of, stderr_of_colour, walk_until_known
-from .press import beat, press_and_release
+from .enough_rays import TILE_MM, Places, places_of, stderr_of_colour, view, walk_until_known
 from .reflectance import ColourRays
-from .stock_colour import StockSight
+from .views import beat, press_and_release
 
 Array = NDArray[np.float64]
 
@@ -74,16 +74,13 @@ def colour(
     viewing = _viewing(scene, options, **asked, tolerance=tolerance, change_tolerance=change_tolerance)
     viewer = Viewer(viewing.illuminant, viewing.observer)
     cpu, begin = time.process_time(), time.perf_counter()
-    chosen = backend.choose(options.backend)
+    chosen = backend.choose_jit(options.backend, "colour")
     stage = StageProgress(progress, options.max_seconds or math.inf, unit="CIEDE2000")
     if stores is None:
         own = LightStore.of_user() if options.store else None
         stores = [own] if own else []
     states = steady_blood(scene, viewing.forces_n)
-    if chosen.jit:
-        result, photons, unmet = _traced(scene, states, viewer, viewing, options, stage, chosen, stores)
-    else:
-        result, photons, unmet = _seen(scene, states, viewer, viewing, options, stage)
+    result, photons, unmet = _traced(scene, states, viewer, viewing, options, stage, chosen, stores)
     for store in stores:
         store.close()
     result.attrs = _attributes(scene, viewing, options, chosen, photons) | {
@@ -100,8 +97,7 @@ def _attributes(
     scene: Scene, viewing: Viewing, options: TraceOptions, chosen: backend.Backend, photons: int
 ) -> dict[str, Any]:
     """What the result says of how it came about, but for the time that it took."""
-    engine = "photons" if chosen.jit else "volpath"
-    made: dict[str, Any] = {"engine": engine, "backend": chosen.name, "seeds": str(options.seed)}
+    made: dict[str, Any] = {"engine": "photons", "backend": chosen.name, "seeds": str(options.seed)}
     shown = viewing.model_dump(include={"illuminant", "observer", "lit_by", "tolerance", "change_tolerance"})
     return provenance(scene, photons=photons, **made) | {
         "title": "nailoptics: colour of the nail under force",
@@ -144,20 +140,6 @@ def _traced(
     return result, rays.photons, unmet
 
 
-def _seen(
-    scene: Scene, states: Array, viewer: Viewer, viewing: Viewing, options: TraceOptions, stage: StageProgress
-) -> tuple[xr.Dataset, int, str]:
-    """The same by stock Mitsuba, under each force alone: neither a press nor tiles for a photograph."""
-    everywhere = places_of(scene)
-    places = Places(everywhere.patches[: everywhere.along])
-    sight = StockSight(scene, places, viewing, options, stage, backend.choose(options.backend, volpath=True))
-    result = _dataset(scene, sight, places, states, viewer, viewing)
-    error = float(result.colour_stderr.max())
-    if options.photons is None and error > viewing.tolerance:
-        return result, sight.photons, f"a standard error of {error:.2g} (CIEDE2000), {viewing.tolerance:g} requested."
-    return result, sight.photons, ""
-
-
 def _viewing(scene: Scene, options: TraceOptions, **given: Any) -> Viewing:
     """How the nail is looked at: as the scene says, but for what is given; raises InputError."""
     if scene.finger is None:
@@ -173,29 +155,19 @@ def _viewing(scene: Scene, options: TraceOptions, **given: Any) -> Viewing:
         raise InputError(explain(error, Viewing)) from None
 
 
-def white_band_mm(v_mm: Array, redness: Array, pale: Array, *, tip_mm: float) -> Array:
-    """Width of the band before the free edge that has lost more than half of its blood's redness, (..., s) float.
+def _redness_left(redness: Array, pale: Array) -> Array:
+    """Part of its blood's redness that each place has in each state, (..., p, s) float; 1 where it never had any.
 
-    v_mm : (p,) float. Places on the nail, from the most proximal on. [mm]
-    redness : (..., p, s) float. a* of each state; the first is at rest.
-    pale : (..., p) float. a* of the nail without blood.
+    redness : (..., p, s) float. a* of each state; the first is at rest. pale : (..., p) float. a* without blood.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         part = (redness - pale[..., None]) / (redness[..., :1] - pale[..., None])
-    part = np.where(np.isfinite(part), part, 1.0)
-    white, width = part[..., -1, :] < 0.5, np.zeros(part[..., -1, :].shape)
-    width = np.where(white, tip_mm - v_mm[0], width)
-    for k in range(len(v_mm) - 2, -1, -1):
-        ends = white & (part[..., k, :] >= 0.5)
-        step = (part[..., k, :] - 0.5) / np.where(ends, part[..., k, :] - part[..., k + 1, :], 1.0)
-        width = np.where(ends, tip_mm - (v_mm[k] + step * (v_mm[k + 1] - v_mm[k])), width)
-        white &= ~ends
-    return np.asarray(width)
+    return np.where(np.isfinite(part), part, 1.0)
 
 
 def _dataset(
     scene: Scene,
-    rays: ColourRays | StockSight,
+    rays: ColourRays,
     places: Places,
     states: Array,
     viewer: Viewer,
@@ -204,13 +176,14 @@ def _dataset(
     """Colours in every state, with standard errors."""
     assert scene.finger is not None
     none = np.zeros((1, states.shape[1]))
-    read = rays.reflectance(np.vstack([states, none]), **look_of(viewing))
+    read = rays.reflectance(np.vstack([states, none]), **view(viewing))
     lab = viewer.lab(read)
     middle, pale, tiles = lab[:, : places.along, :-1], lab[:, : places.along, -1], read[0, places.along :, :-1]
     change = delta_e_2000(middle, middle[:, :, :1])
     on_nail = slice(1, places.along - 1)
     half = scene.finger.nail_length_mm / 2
-    band = white_band_mm(places.v_mm[on_nail], middle[:, on_nail, :, 1], pale[:, on_nail, 1], tip_mm=half)
+    part = _redness_left(middle[:, on_nail, :, 1], pale[:, on_nail, 1])
+    band = white_band_mm(places.v_mm[on_nail], part, ends_mm=(-half, half))
     each = ("place", "state")
     text = "reflectance factor, seen from above"
     reflected = read[:, : places.along, :-1]

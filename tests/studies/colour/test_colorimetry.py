@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from nailoptics.errors import InputError
+from nailoptics.hemodynamics import white_band_mm
 from nailoptics.light.tracing import driver
 from nailoptics.options import TraceOptions
 from nailoptics.studies.colour import enough_rays
 from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
 from nailoptics.studies.colour.enough_rays import stderr_of_colour
-from nailoptics.studies.colour.nail_colour import white_band_mm
-from nailoptics.studies.colour.press import refill_s
+from nailoptics.studies.colour.nail_colour import _redness_left
 from nailoptics.studies.colour.reflectance import NODES, interpolation, nodes_nm
+from nailoptics.studies.colour.views import capillary_refill_s
 
 
 @pytest.mark.parametrize("illuminant", ["D65", "A", "LED-B3"])
@@ -84,12 +85,13 @@ def test_the_error_of_a_colour_is_that_of_its_replicates():
 
 
 def test_a_white_band_ends_where_half_of_the_redness_is_gone():
-    v_mm, tip_mm = np.arange(-5.5, 6), 6.0
+    v_mm, ends_mm = np.arange(-5.5, 6), (-6.0, 6.0)
     rest, pale = np.full(12, 8.0), np.full(12, -2.0)
     # Pale from 2.5 mm on, as red as ever before 1.5 mm: half-way at 2.
     pressed = np.where(v_mm > 2, -2.0, 8.0)
     redness = np.stack([rest, pressed, pale], -1)
-    assert white_band_mm(v_mm, redness, pale, tip_mm=tip_mm) == pytest.approx([0.0, 4.0, 11.5])
+    part = _redness_left(redness, pale)
+    assert white_band_mm(v_mm, part, ends_mm=ends_mm) == pytest.approx([0.0, 4.0, 12.0])
 
 
 def test_refill_is_the_time_until_no_eye_sees_a_difference():
@@ -98,7 +100,7 @@ def test_refill_is_the_time_until_no_eye_sees_a_difference():
     away = np.where(time_s < 3.5, 4.0, 4.0 * np.exp(-(time_s - 3.5) / 0.5))
     away[0] = 0.0
     lab = np.stack([np.stack([50 + away, 0 * away, 0 * away], -1), np.full((801, 3), 50.0)])
-    found = refill_s(time_s, lab)
+    found = capillary_refill_s(time_s, lab)
     # CIEDE2000 weighs L* near 50 by about 1.
     assert found[0] == pytest.approx(0.5 * np.log(4), abs=0.03) and np.isnan(found[1])
 

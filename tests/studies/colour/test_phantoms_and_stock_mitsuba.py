@@ -3,17 +3,16 @@
 import iadpython
 import numpy as np
 import pytest
+from nail_camera import NailCamera
 from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.errors import InputError
 from nailoptics.geometry import DistanceGrid, Geometry
 from nailoptics.geometry.regions import BARRIER, BED, CUT, PLATE, REGIONS
 from nailoptics.light import backend, optics
-from nailoptics.light.reference.nail_camera import NailCamera
 from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
 from nailoptics.scene import parse_scene
 from nailoptics.statistics import jackknife, seed_of
-from nailoptics.studies.colour import stock_colour
 from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer
 from nailoptics.studies.colour.nail_colour import colour
 from nailoptics.studies.colour.reflectance import GROUPS, NODES, ColourRays, walk_colour
@@ -142,14 +141,6 @@ def test_a_camera_of_stock_mitsuba_sees_the_same_colour_of_the_nail(chosen_jit):
         assert abs(value[at] - seen) < 3 * both and both < 0.02 * seen, (wavelength_nm, value[at], seen, both)
 
 
-@pytest.mark.long
-def test_without_a_fast_backend_stock_mitsuba_looks_and_says_beforehand_how_long_it_takes(monkeypatch, caplog):
-    monkeypatch.setattr(stock_colour, "SEEN_NM", np.array([400.0, 550.0, 780.0]))
-    monkeypatch.setattr(stock_colour, "PILOT_SPP", 1)
-    found = colour(SCENE, forces_n=(0.0, 4.0), photons=1, backend="scalar", seed=1)
-    assert "about" in caplog.text and "minutes" in caplog.text
-    assert found.attrs["engine"] == "volpath" and found.sizes["tile"] == 0 and "press_lab" not in found
-    # A pink or grey thing of middling lightness, known to some per cent.
-    assert (abs(found.lab.isel(band=0) - 60) < 20).all() and float(found.colour_stderr.max()) < 6
-    with pytest.raises(InputError, match='lit_by = "lamp" needs a backend that compiles'):
-        colour(SCENE, lit_by="lamp", backend="scalar")
+def test_without_a_backend_that_compiles_kernels_colour_is_refused():
+    with pytest.raises(InputError, match="colour needs a JIT backend"):
+        colour(SCENE, backend="scalar")

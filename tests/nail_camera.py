@@ -1,7 +1,6 @@
-"""Stock Mitsuba's view of a bare nail from above, under an even sky: what checks the rays, and does without a JIT."""
+"""Stock Mitsuba's view of a bare nail from above, under an even sky: the reference for the traced colours."""
 
 import tempfile
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,19 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import geometry as finger_geometry
-from ...scene import Scene
-from ...statistics import seed_of
-from .. import optics
-from ..backend import Backend
-from ..walk.nail_reflectance import Patch
-from .integrate import SEEDS, stock_mitsuba
-from .mitsuba_scene import FILM, RGB_FILM, BedAbsorption, finger_scene
+from nailoptics import geometry as finger_geometry
+from nailoptics.light import optics
+from nailoptics.light.backend import Backend
+from nailoptics.light.reference.integrate import SEEDS, stock_mitsuba
+from nailoptics.light.reference.mitsuba_scene import FILM, RGB_FILM, BedAbsorption, finger_scene
+from nailoptics.light.walk.nail_reflectance import Patch
+from nailoptics.scene import Scene
+from nailoptics.statistics import seed_of
 
 # Cameras look from so far above the nail, and the bed's absorption is given on so many places. [mm, 1]
 ABOVE_MM, BED_PLACES = 2.0, 201
-# Of a film that absorbs what enters the finger, only what the surface mirrors is left. [mm^-1]
-OPAQUE_PER_MM = 1e3
 
 
 class NailCamera:
@@ -34,7 +31,6 @@ class NailCamera:
     def __init__(self, scene: Scene, patches: Sequence[Patch], *, groups: int, backend: Backend) -> None:
         self.scene, self.patches, self.groups, self.backend = scene, tuple(patches), groups, backend
         self.mesh = finger_geometry.build(scene, board=False)
-        self.seconds_per_path = 0.0
 
     def see(self, wavelength_nm: float, states: NDArray[np.float64], *, spp: int, seed: int) -> NDArray[np.float64]:
         """What each patch sends back, gloss included, (groups, patches, states) float.
@@ -49,18 +45,9 @@ class NailCamera:
         bed = BedAbsorption(v_mm, mu_a[:, list(optics.bed_columns(self.scene))] @ zones.weights(v_mm).T)
         return self._render(media, bed, spp=spp, seed=seed)[..., : len(states)]
 
-    def mirror(self, *, spp: int, seed: int) -> NDArray[np.float64]:
-        """What the surface of each patch mirrors, (groups, patches) float."""
-        media = optics.finger_media(self.scene, self.mesh.regions, 550.0)
-        dark = np.full_like(media.mu_a, OPAQUE_PER_MM) * (media.n > 1)
-        low, high = np.asarray(self.mesh.bounds_mm)[:, 1]
-        bed = BedAbsorption(np.linspace(low - 0.2, high + 0.2, 2), np.full((1, 2), OPAQUE_PER_MM))
-        black = optics.Media(media.opaque, media.reflectance, dark, np.zeros_like(dark), media.g, media.n)
-        return self._render(black, bed, spp=spp, seed=seed)[..., 0]
-
     def _render(self, media: optics.Media, bed: BedAbsorption, *, spp: int, seed: int) -> NDArray[np.float64]:
         """Radiance of each patch over that of the sky, in three colours, (groups, patches, 3) float."""
-        begin, found = time.perf_counter(), []
+        found = []
         with stock_mitsuba(self.backend) as mi, tempfile.TemporaryDirectory(prefix="nailoptics-") as folder:
             made = finger_scene(mi, self.mesh, media, bed, sensor=-1, emitters={}, folder=Path(folder))
             made["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": 1.0}}
@@ -69,7 +56,6 @@ class NailCamera:
             for i in range(len(self.patches)):
                 image = mi.render(loaded, sensor=i, spp=spp, seed=seed_of(seed, i) % SEEDS)
                 found.append(np.array(image, dtype=float).reshape(-1, 3))
-        self.seconds_per_path = (time.perf_counter() - begin) / (len(found) * spp * FILM**2)
         # Pixels of a group lie all over the patch, so that groups differ by chance alone.
         pixels = np.random.default_rng(0).permutation(FILM**2).reshape(self.groups, -1)
         return np.stack(found)[:, pixels].mean(2).swapaxes(0, 1)
