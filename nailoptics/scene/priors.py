@@ -1,4 +1,4 @@
-"""What is unknown of a finger: ranges of a scene's fields, shipped with their sources, and what a scene says of it."""
+"""Prior ranges of a scene's fields, shipped with their sources, and a scene's own [priors]."""
 
 import tomllib
 from functools import cache
@@ -57,11 +57,11 @@ class Priors(Table):
         fields = [one.field for one in shipped_priors()]
         for field in named:
             if field not in fields:
-                raise ValueError(f'"{field}" is not among what is unknown; choose from {", ".join(fields)}')
+                raise ValueError(f'"{field}" has no prior; choose from {", ".join(fields)}')
         return self
 
     def of_finger(self) -> tuple[Prior, ...]:
-        """What is unknown: the shipped priors without what is known, with the ranges given."""
+        """The shipped priors without the known fields, with the scene's own ranges."""
         own = {one.field: {"low": one.low, "high": one.high} for one in self.ranges}
         return tuple(
             one.model_copy(update=own.get(one.field, {})) for one in shipped_priors() if one.field not in self.known

@@ -173,7 +173,7 @@ def prior_variables(evaluated: Sequence[Prior], untraced: Sequence[Prior], scene
     data |= variable("prior_offset", "prior", offsets, text)
     how = ["reweighted" if only_absorbs(scene, one) else "retraced" for one in evaluated]
     data |= variable("prior_how", "prior", [*how, *["not traced"] * len(untraced)], "how it was evaluated")
-    names = ("prior", [one.name for one in priors], {"long_name": "unknown parameter of the finger"})
+    names = ("prior", [one.name for one in priors], {"long_name": "prior of a parameter of the finger"})
     return xr.Dataset(data, {"prior": names})
 
 

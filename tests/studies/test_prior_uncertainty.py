@@ -220,7 +220,7 @@ def test_a_simulated_touch_tells_its_spread_and_is_silent_where_that_is_off(chos
     [
         (
             'known = ["finger.plate"]',
-            '"finger.plate" is not among what is unknown; choose from finger.plate_absorption',
+            '"finger.plate" has no prior; choose from finger.plate_absorption',
         ),
         ('known = ["blood.so2", "blood.so2"]', "used twice"),
         ('[[priors.ranges]]\nfield = "blood.so2"\nlow = 0.9\nhigh = 0.8', "low = 0.9 must be below high = 0.8"),
