@@ -67,7 +67,8 @@ def test_the_nodes_of_a_prior_have_its_mean_and_standard_deviation(scale):
 
 def test_light_of_one_path_spreads_as_the_absorption_does():
     """Rationale: of one path L in the plate ln reading = -mu_a L f + const; f is lognormal with a known variance."""
-    scene, length_mm = prototype(*all_but("finger.plate_absorption")), 2.0
+    halved_to_doubled = PriorRange(field="finger.plate_absorption", low=0.5, high=2.0)
+    scene, length_mm = prototype(*all_but("finger.plate_absorption"), ranges=(halved_to_doubled,)), 2.0
     names = optics.absorbers(scene)
     path = np.zeros((8 * 400, len(names)), np.float32)
     path[:, names.index("plate")] = length_mm
