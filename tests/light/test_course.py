@@ -11,7 +11,7 @@ from nailoptics.hemodynamics.for_scene import blood_over_touch
 from nailoptics.light import ReweightWarning, Transfer, optics
 from nailoptics.light.transfer import series as course_module
 from nailoptics.light.transfer.records import LedTrace
-from nailoptics.light.transfer.series import MAX_ZONES_BETWEEN_NODES, readings_over_states
+from nailoptics.light.transfer.series import readings_over_states
 from nailoptics.scene import Scene, parse_scene
 
 FINGER = """
@@ -226,7 +226,7 @@ def test_reading_another_state_is_tracing_it_afresh(jit_backend, traced, blood, 
 def test_a_real_trace_is_interpolated_as_well_as_a_made_up_one(traced):
     states = random_states(1000, low=0.005, high=0.08)
     smooth = readings_over_states(traced, states)
-    assert len(states) > MAX_ZONES_BETWEEN_NODES
+    assert len(states) > 2
     for k in (3, 400, 999):
         alone = traced.at(blood_fraction=states[k])
         error = abs(smooth.fraction[:, :, k] - alone.detected_fraction.values)

@@ -15,12 +15,9 @@ from .moments import slope_of
 from .reweight import attenuation, transmissions
 from .transfer import Transfer
 
-# Readings over more zones than this are taken along the few directions in which they change together, since nodes grow
-# with the power of what changes by itself.
-MAX_ZONES_BETWEEN_NODES = 2
 # Interpolation may be off by this part of a reading; no trace has a standard error near it.
-INTERPOLATION_ERROR, INTERPOLATION_ERROR_OF_MANY = 1e-8, 1e-6
-# Of many zones, states that need more nodes than this are halved, and each half is read by itself.
+INTERPOLATION_ERROR = 1e-7
+# States that need more nodes than this are halved, and each half is read by itself.
 NODES_AT_ONCE = 64
 # States interpolated at once: their weights on the nodes fill the cache, not the memory.
 STATES_AT_ONCE = 1 << 13
@@ -52,7 +49,7 @@ def readings_over_states(
     """Readings over a course of blood states; a press of ten thousand steps takes about as long as one of a hundred.
 
     Readings are smooth in the blood: they are taken at Chebyshev nodes over the range of states, as many as keep the
-    error of interpolation below 1e-8 of a reading for all but the longest paths, and interpolated.
+    error of interpolation below 1e-7 of a reading for all but the longest paths, and interpolated.
 
     blood_fraction : (t, K) float in 0-1. Blood of each zone in each state; of single precision, readings are, too.
     weight_by_responsivity : weigh the LED's line by the photodiode's response, relative to that at the peak wavelength.
@@ -127,20 +124,15 @@ def _read(reading: _Reading, which: np.ndarray) -> None:
     """Read those states, by their numbers (n,), between which absorption is linear in the blood."""
     ends = np.array([(block.min(0), block.max(0)) for _, block in reading.blocks(which)])
     low, high = ends[:, 0].min(0), ends[:, 1].max(0)
-    varies = np.flatnonzero(high - low > 1e-12)
-    if not len(varies):
+    if not (high - low > 1e-12).any():
         reading.put(which, reading.sums(reading.states[which[:1]].astype(float)))
         return
-    few = len(varies) <= MAX_ZONES_BETWEEN_NODES
-    centre, directions = np.zeros(len(low)), np.eye(len(low))[:, varies]
-    if not few:
-        centre, directions = _principal(reading, which)
+    centre, directions = _principal(reading, which)
     places = np.array([(at.min(0), at.max(0)) for at in _places(reading, which, centre, directions)])
     nearest, farthest = places[:, 0].min(0), places[:, 1].max(0)
     spans = farthest - nearest
-    asked = [(reading.transfer, *each, reading.so2) for each in zip(directions.T, spans, strict=True)]
-    counts = [_nodes_needed(*one, few=few) for one in asked]
-    if not few and min(len(which), math.prod(counts)) > NODES_AT_ONCE:
+    counts = [_nodes_needed(reading.transfer, *each, reading.so2) for each in zip(directions.T, spans, strict=True)]
+    if min(len(which), math.prod(counts)) > NODES_AT_ONCE:
         # Half of them lie in far fewer directions: a short piece of a course is nearly straight.
         middle = nearest[0] + spans[0] / 2
         upper = np.concatenate([at[:, 0] > middle for at in _places(reading, which, centre, directions)])
@@ -151,13 +143,7 @@ def _read(reading: _Reading, which: np.ndarray) -> None:
         reading.put(which, reading.sums(reading.states[which].astype(float)))
         return
     box = ChebyshevBox(nearest, farthest, counts)
-    nodes = box.nodes
-    if few:
-        at_nodes = np.repeat(reading.states[which[:1]].astype(float), len(nodes), 0)
-        at_nodes[:, varies] = nodes
-    else:
-        at_nodes = centre + nodes @ directions.T
-    fraction, stderr, change, change_stderr = reading.sums(at_nodes, None if few else (low, high))
+    fraction, stderr, change, change_stderr = reading.sums(centre + box.nodes @ directions.T, (low, high))
     of_nodes = fraction, stderr**2, change, change_stderr**2
     for part, block in reading.blocks(which):
         weights = box.weights((block - centre) @ directions).T
@@ -179,11 +165,10 @@ def _principal(reading: _Reading, which: np.ndarray) -> tuple[np.ndarray, np.nda
     return centre, np.asarray(np.linalg.eigh(spread)[1][:, ::-1])
 
 
-def _nodes_needed(transfer: Transfer, direction: np.ndarray, span: float, so2: float | None, *, few: bool) -> int:
+def _nodes_needed(transfer: Transfer, direction: np.ndarray, span: float, so2: float | None) -> int:
     """Chebyshev nodes that interpolate exp(-x) over the optical depths that a range of blood in a direction spans.
 
     direction : (K,) float. Change of each zone's blood in one step; `span` is their number.
-    few : zones change one by one; of many, most directions hardly count.
     """
     depth, columns = 0.0, list(optics.bed_columns(transfer.scene))
     no_and_all = np.repeat([[0.0], [1.0]], optics.zones(transfer.scene).count, 1)
@@ -191,14 +176,11 @@ def _nodes_needed(transfer: Transfer, direction: np.ndarray, span: float, so2: f
         if len(trace.weight):
             mu_a = optics.absorption(transfer.scene, led.wavelength_nm, blood_fraction=no_and_all, so2=so2)
             slope = float(mu_a[1, 0, columns[0]] - mu_a[0, 0, columns[0]])
-            if few:
-                path = trace.path_mm[:, columns[int(np.flatnonzero(direction)[0])]]
-            else:
-                path = np.abs(trace.path_mm[:: 1 + len(trace.weight) // CHUNK, columns] @ direction)
+            path = np.abs(trace.path_mm[:: 1 + len(trace.weight) // CHUNK, columns] @ direction)
             depth = max(depth, slope * span * float(np.quantile(path, 0.999)))
     # The error of n nodes on exp over a range of depth d is (d / 4)^n 2 / n!; squares double the depth.
-    count, error = (2, math.inf) if few else (0, math.inf)
-    while error > (INTERPOLATION_ERROR if few else INTERPOLATION_ERROR_OF_MANY) and count < 24:
+    count, error = 0, math.inf
+    while error > INTERPOLATION_ERROR and count < 24:
         count += 1
         error = 2 * (depth / 2) ** count / math.factorial(count)
     return count
