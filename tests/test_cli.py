@@ -377,7 +377,7 @@ def test_a_photodiode_that_saw_nothing_is_told_as_such(folder, capfd, chosen_jit
     assert run(["simulate", "prototype", "--photons", "1000", "-o", "few", "--json"]) == 0
     out, err = capfd.readouterr()
     rows = json.loads(out)["readings"]
-    assert any(row["volts_start_stderr"] is None for row in rows) and "saw no light" in err
+    assert any(row["volts_start_stderr"] is None for row in rows) and "detected no light" in err
     # No reading is above 1, and of one photon it is not even sure that it is below 0.94.
     for photons, limit in (("100", -math.expm1(math.log(0.05) / 100)), ("1", 0.95)):
         assert run(["trace", "prototype", "--photons", photons, "--json"]) == 0
@@ -393,7 +393,7 @@ def test_the_error_of_a_few_photons_is_not_told(folder, capfd, chosen_jit):
         assert run(["trace", "phantom.toml", "--photons", photons, "--json"]) == 0
         out, err = capfd.readouterr()
         told = json.loads(out)
-        assert told["readings"][0]["stderr"] is None and "too few photons to tell a standard error" in err
+        assert told["readings"][0]["stderr"] is None and "too few photons to estimate a standard error" in err
         assert all((part["stderr"] is None) == (photons == "1") for part in told["energy"].values())
         assert run(["trace", "phantom.toml", "--photons", photons]) == 0
         reading = capfd.readouterr().out.splitlines()[0]

@@ -77,13 +77,13 @@ def test_light_is_traced_where_its_store_or_what_is_in_it_is_closed_to_the_user(
         path.chmod(0o000)
     found = commands(folder, *(f"{store} {trace}" for store in ("hidden", "listed", "shown", "hidden/deep", "open")))
     for code, said in found:
-        assert code == 0 and "what is traced is not kept" in said and "Permission denied" in said
+        assert code == 0 and "traced light is not stored" in said and "Permission denied" in said
     for path in (folder / "open").iterdir():
         path.chmod(0o700)
         for file in path.iterdir():
             file.chmod(0o000)
     ((code, said),) = commands(folder, f"open {trace}")
-    assert code == 0 and "open: light that is kept there cannot be read (Permission denied); traced again" in said
+    assert code == 0 and "open: stored light cannot be read (Permission denied); traced again" in said
 
 
 @pytest.mark.long

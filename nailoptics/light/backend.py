@@ -191,8 +191,8 @@ def _look(name: Name) -> Iterator[Backend]:
         return
     libraries = list(_cuda_libraries() if name == "cuda" else _llvm_libraries())
     if not libraries:
-        wanted = "NVIDIA driver and device" if name == "cuda" else "libLLVM"
-        yield Backend(name, None, (), f"no {wanted} found")
+        missing = "NVIDIA driver and device" if name == "cuda" else "libLLVM"
+        yield Backend(name, None, (), f"no {missing} found")
     for library in libraries:
         yield Backend(name, library, *_works(name, library))
 
@@ -272,7 +272,7 @@ def _key(name: Name, library: str) -> str:
 
 @cache
 def _packages() -> list[str]:
-    """Versions of the packages that compile and run kernels; looked for once, as every trace asks for the backend."""
+    """Versions of the packages that compile and run kernels; read once, since every trace chooses the backend."""
     return [one.version for name in ("drjit", "mitsuba") for one in metadata.distributions(name=name)]
 
 

@@ -100,7 +100,7 @@ class BoardTracer:
     """Traces a finger scene's LEDs onto its board, whatever its photodiodes.
 
     Give it `light_scene(scene)` for light that all scenes share which differ in blood, touch or electronics; who reads
-    it tells `blood_point` which scene was traced.
+    it gives `blood_point` the scene that was traced.
     """
 
     batch_photons = FINGER_BATCH_PHOTONS
@@ -114,9 +114,9 @@ class BoardTracer:
         store: LightStore | None = None,
         seed: int = 0,
     ) -> None:
-        """spacing_mm : cells of the distances that the walk asks for; wider ones are made sooner and walk slower.
+        """spacing_mm : cells of the distances that the walk looks up; wider ones are made sooner and walk slower.
 
-        store : where light is looked for, and kept.
+        store : the cache of light.
         seed : of the command, which stored light is listed with.
         """
         if scene.finger is None:
@@ -266,7 +266,7 @@ class BoardTracer:
     def detected(
         self, led: int, point: "BloodPoint", *, photons: int, seed: int, cells: "VoxelGrid"
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What the scene's own photodiodes read, and where in the finger each of them looks.
+        """What the scene's own photodiodes read, and the sensitivity of each of them by place in the finger.
 
         Returns: means of a BloodPoint's values, (photodiodes, 2 + K) float; and how the reading falls with absorption
         in each cell, per volume, (photodiodes, u, v, depth) float. [mm^-2]
@@ -302,9 +302,9 @@ class BoardTracer:
         means = np.stack([np.bincount(where, column, minlength=count) for column in values.T], -1) / photons
         if not len(ended):
             return means, np.zeros((count, *cells.shape))
-        counts, looks = np.zeros(photons), np.zeros(photons, int)
-        counts[ended], looks[ended] = values[:, 0], where
-        tally = SensitivityTally(cells, counts, looks, count)
+        counts, detector = np.zeros(photons), np.zeros(photons, int)
+        counts[ended], detector[ended] = values[:, 0], where
+        tally = SensitivityTally(cells, counts, detector, count)
         again = self.tracer.walk(led, photons=photons, seed=seed, which=ended, section=tally).outcome[ended]
         if np.count_nonzero(again != walked.outcome[ended]) > 1 + 0.01 * len(ended):
             raise RuntimeError("photons walked otherwise when they walked again; this backend does not repeat itself.")

@@ -49,7 +49,7 @@ class DetectedLight:
     """Detected light of a finger scene, whatever engine traced it.
 
     readings_at : reads a course of blood states, (t, zones) float -> ReadingSeries.
-    mean_path, mean_path_stderr : (led, photodiode, absorber) float at rest; NaN where the engine cannot tell. [mm]
+    mean_path, mean_path_stderr : (led, photodiode, absorber) float at rest; NaN where the engine does not record it. [mm]
     transfer : the trace behind it; None where the engine keeps none.
     """
 
@@ -62,7 +62,7 @@ class DetectedLight:
 
 @dataclass(frozen=True)
 class RestReadings:
-    """Readings of every LED and photodiode at rest, and where the light went (None where volpath cannot tell).
+    """Readings of every LED and photodiode at rest, and where the light went (None by volpath).
 
     The standard error of a reading is NaN where it rests on fewer than 25 effective photons.
     """
@@ -120,7 +120,7 @@ def open_light(
 
     def read(transfer: Transfer) -> DetectedLight:
         rest = transfer.at()
-        unknown = "saw no light or too few photons, so that nothing is known of their standard errors"
+        unknown = "detected no light or too few photons to estimate a standard error"
         _warn_of_few_photons(transfer, rest, unknown)
         return light_of(transfer, rest=rest)
 
@@ -215,7 +215,7 @@ def _reached(relative: np.ndarray) -> str:
     """The largest relative standard error at rest, in words; NaN or infinite where nothing was seen."""
     worst = float(np.max(relative))
     if not math.isfinite(worst):
-        return "some photodiode saw no light or too few photons"
+        return "some photodiode detected no light or too few photons"
     return f"relative standard error of every reading at rest at most {worst:.2g}"
 
 
@@ -296,7 +296,7 @@ def _light_by_volpath(
     """Trace rest and one changed state per zone; between them each zone dims as in Beer-Lambert (8)."""
     if optics.zones(scene).count > 2:
         raise InputError(
-            f"blood: volpath tells three blood states apart, enough for two zones, and the scene has "
+            f"blood: volpath reads three blood states, enough for two zones, and the scene has "
             f'{optics.zones(scene).count}; take light.engine = "photons", or two zones.'
         )
     options = replace(options, relative_error=max(options.relative_error or 0.0, VOLPATH_RELATIVE_ERROR))
@@ -343,7 +343,7 @@ def _unless_short(result: T, traced: Sequence[StateReadings]) -> T:
 def _rest_of(transfer: Transfer, *, begin: tuple[float, float]) -> RestReadings:
     """The readings of a trace at rest."""
     rest = transfer.at()
-    _warn_of_few_photons(transfer, rest, "saw too few photons to tell a standard error")
+    _warn_of_few_photons(transfer, rest, "detected too few photons to estimate a standard error")
     rows = []
     for i, led in enumerate(transfer.scene.leds):
         for j, photodiode in enumerate(transfer.photodiodes):
@@ -398,7 +398,7 @@ def _rest_by_volpath(
 
 
 def _row(led: Led, photodiode: str, fraction: Any, stderr: Any, photons: int) -> dict[str, Any]:
-    """One reading, of so many photons emitted, without the paths that only the photons engine tells."""
+    """One reading, of so many photons emitted, without the paths, which only the photons engine records."""
     row = {
         "led": led.name,
         "photodiode": photodiode,

@@ -98,7 +98,7 @@ def test_a_photodiode_that_saw_nothing_has_no_error_rather_than_none_at_all():
         np.zeros((1, 1)), np.full((1, 1), np.nan), nothing, np.full_like(nothing, np.inf), corners, corners
     )
     assert np.all(seen.fraction == 0) and not np.isfinite(seen.stderr).any()
-    assert detect._reached(np.array([0.01, np.nan])) == "some photodiode saw no light or too few photons"
+    assert detect._reached(np.array([0.01, np.nan])) == "some photodiode detected no light or too few photons"
     assert "0.02" in detect._reached(np.array([0.01, 0.02]))
 
 

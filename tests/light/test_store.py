@@ -266,7 +266,7 @@ def test_a_store_that_cannot_be_written_stops_no_trace_and_says_so_once(tmp_path
     light = LightStore(tmp_path / "store", optional=True).light({"light": 1})
     for _ in range(3):
         light.write("0-1", {}, {"x": np.zeros(3)})
-    assert len(caplog.records) == 1 and "not kept" in caplog.records[0].getMessage()
+    assert len(caplog.records) == 1 and "not stored" in caplog.records[0].getMessage()
 
 
 def test_entries_say_what_there_is(tmp_path):

@@ -39,7 +39,7 @@ def stock_mitsuba(backend: Backend | None) -> Iterator[Any]:
     backend = backend or choose(volpath=True)
     if "volpath" not in backend.engines:
         raise InputError(f"volpath cannot run on {backend.library}: its kernels abort there; take the scalar backend.")
-    # Dr.Jit looks for its library at import, so only `activate`, which knows the right one, may import it.
+    # Dr.Jit loads its library at import, so only `activate`, which knows the right one, may import it.
     loaded = sys.modules.get("mitsuba")
     before = loaded.variant() if loaded else None
     mi = activate(backend, VARIANTS)
@@ -115,7 +115,7 @@ class FingerPaths:
     ) -> None:
         states = len(bed.mu_a_per_mm)
         if not 1 <= len(photodiodes) <= 3 or (len(photodiodes) > 1 and states > 1):
-            raise ValueError("three colours can tell states or photodiodes apart, not both")
+            raise ValueError("three colour channels can separate states or photodiodes, not both")
         self.channels, die = max(states, len(photodiodes)), geometry.leds[led]
         colours = {geometry.photodiodes[p].region: [float(i == k) for k in range(3)] for i, p in enumerate(photodiodes)}
         if len(photodiodes) == 1:
@@ -149,6 +149,6 @@ class FingerPaths:
             self.batch(paths=paths, seed=1)
             spent = time.perf_counter() - start
             if spent > 0.1 * seconds or paths >= MAX_SPP * PIXELS:
-                wanted = int(paths * seconds / max(spent, 1e-6)) // PIXELS * PIXELS
-                return min(max(wanted, PIXELS), MAX_SPP * PIXELS)
+                batch_paths = int(paths * seconds / max(spent, 1e-6)) // PIXELS * PIXELS
+                return min(max(batch_paths, PIXELS), MAX_SPP * PIXELS)
             paths *= 4

@@ -1,7 +1,7 @@
 """Phantoms and fingers as Mitsuba scenes for the stock volpath integrator, as plain dicts.
 
 Roles are swapped: the LED is the sensor and the photodiode the emitter, which by reciprocity gives the same reading
-with less noise. All three colours of an rgb variant are plain floats here; they tell blood states or windows apart.
+with less noise. All three colours of an rgb variant are plain floats here; they separate blood states or windows.
 """
 
 import math
@@ -240,11 +240,11 @@ def finger_scene(
             if above == epoxy and below in looking:
                 inside = {"medium": {"type": "ref", "id": refs[epoxy]}} if refs[epoxy] else {}
                 meter = {"sensor": {"type": "irradiancemeter", "film": RGB_FILM} | inside}
-                looks = _looks(geometry, triangles, looking[below])
-                _write_mesh(geometry, triangles[looks], folder / f"{below}.ply")
+                facing = _facing(geometry, triangles, looking[below])
+                _write_mesh(geometry, triangles[facing], folder / f"{below}.ply")
                 scene[f"face_{below}"] = {"type": "ply", "filename": str(folder / f"{below}.ply")} | shape
                 scene[f"face_{below}"] |= meter if below == sensor else {"emitter": emitter(emitters[below])}
-                triangles = triangles[~looks]
+                triangles = triangles[~facing]
                 if not len(triangles):
                     continue
         else:
@@ -287,8 +287,8 @@ def _bounds_mm(geometry: Geometry, region: int) -> np.ndarray:
     return np.stack([points.min(axis=0) - 0.1, points.max(axis=0) + 0.1])
 
 
-def _looks(geometry: Geometry, triangles: np.ndarray, face: Face) -> NDArray[np.bool_]:
-    """Which triangles of a part belong to the face that looks at the nail, not to the sides, (n,) bool."""
+def _facing(geometry: Geometry, triangles: np.ndarray, face: Face) -> NDArray[np.bool_]:
+    """Which triangles of a part belong to the face towards the nail, not to the sides, (n,) bool."""
     corners = geometry.vertices[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

@@ -68,7 +68,7 @@ def finger_states(
 ) -> StateReadings:
     """Readings of all photodiodes in up to three blood states, until each has the relative error or time is up.
 
-    Colours first tell the states apart, photodiode by photodiode, which settles the ratios; then the photodiodes, three
+    Colour channels first separate the states, photodiode by photodiode, which settles the ratios; then the photodiodes, three
     in one trace, which settles the level. The first part always runs, whatever the time; an interrupt (from `progress`)
     in the second ends it with what is there.
 

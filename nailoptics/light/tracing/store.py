@@ -1,4 +1,4 @@
-"""What was traced is kept on disk: a folder for each light, named by the digest of all that decides its bits."""
+"""The cache of traced light on disk: a folder for each light, named by the digest of all that decides its bits."""
 
 import hashlib
 import json
@@ -84,14 +84,14 @@ class LightStore:
         *,
         most_bytes: float = math.inf,
         optional: bool = False,
-        tell: Callable[[Path, Exception], None] | None = None,
+        on_damage: Callable[[Path, Exception], None] | None = None,
     ) -> None:
         """most_bytes : what is oldest in use gives way to keep the store below it. [bytes]
 
         optional : whether light is traced all the same where nothing can be written.
-        tell : called with a file that is not what was written, and why.
+        on_damage : called with a file that is not what was written, and why.
         """
-        self.root, self.most_bytes, self.optional, self._tell = root, most_bytes, optional, tell
+        self.root, self.most_bytes, self.optional, self._on_damage = root, most_bytes, optional, on_damage
         self.closed = False
         self._unchecked = self._written = 0
 
@@ -107,11 +107,11 @@ class LightStore:
         return StoredLight(self, self.root / hashlib.sha256(text.encode()).hexdigest()[:_KEY], dict(made))
 
     def damaged(self, path: Path, why: Exception) -> None:
-        """Tell of a file that is not what was written."""
-        if self._tell is not None:
-            self._tell(path, why)
+        """Report a file that is not what was written."""
+        if self._on_damage is not None:
+            self._on_damage(path, why)
         elif isinstance(why, PermissionError):
-            log.warning("%s: light that is kept there cannot be read (%s); traced again", self.root, why.strerror)
+            log.warning("%s: stored light cannot be read (%s); traced again", self.root, why.strerror)
         else:
             log.warning("%s: is not what was stored there (%s); traced again", path, why)
 
@@ -132,7 +132,7 @@ class LightStore:
                 if not self.optional:
                     raise
                 self.closed = True
-                log.warning("what is traced is not kept: %s", error)
+                log.warning("traced light is not stored: %s", error)
                 return
         self._unchecked += len(data)
         self._written += len(data)

@@ -218,7 +218,7 @@ def take_batches(
         batch = source.batch(*piece)
         collect(piece[0], batch)
         for trigger in triggers:
-            # Of several only one has asked for a last, smaller batch.
+            # Of several triggers only one needs a last, smaller batch.
             if piece[1] == full or len(triggers) == 1:
                 trigger.add(batch)
 

@@ -65,8 +65,8 @@ def readings_over_states(
             each = np.square(found.fraction[pair] / found.stderr[pair])
             effective[pair] = np.nan_to_num(each, nan=np.inf).min()
     # Where there is least blood, single long paths weigh most.
-    palest = transfer.moments_at(np.min(blood_fraction, 0), so2)
-    transfer.warn_if_thin(effective, palest)
+    least_absorbing = transfer.moments_at(np.min(blood_fraction, 0), so2)
+    transfer.warn_if_thin(effective, least_absorbing)
     return found
 
 

@@ -301,14 +301,14 @@ class Transfer:
         count = len(self.photodiodes)
         return [t.full or moments_of(t.photons, t.photodiode, t.weight, t.path_mm, count) for t in self.traces]
 
-    def warn_if_thin(self, effective: np.ndarray, palest: Sequence[Moments]) -> None:
+    def warn_if_thin(self, effective: np.ndarray, least_absorbing: Sequence[Moments]) -> None:
         """Warn where few of the photons that were traced are left to bear a reading or its error.
 
         effective : (led, photodiode) float. Effective photons of each reading.
-        palest : sums of each LED in the state of least absorption. Where few long paths outweigh all others there,
-            both the reading and its error come out too small.
+        least_absorbing : sums of each LED in the state of least absorption. Where few long paths outweigh all others
+            there, both the reading and its error come out too small.
         """
-        for led, left, bright, traced in zip(self.leds, effective, palest, self._traced, strict=True):
+        for led, left, bright, traced in zip(self.leds, effective, least_absorbing, self._traced, strict=True):
             self._warn(led, "reading", left, traced.effective_photons, least=MIN_EFFECTIVE_PHOTONS)
             behind = np.where(bright.weight > traced.weight, bright.error_photons, np.inf)
             self._warn(led, "error", behind, traced.error_photons, least=FEW_TERMS)

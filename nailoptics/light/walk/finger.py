@@ -146,7 +146,7 @@ class FingerTracer:
 
 @dataclass
 class _Segment:
-    """A photon's way through one region, up to an interface or to where it looks for one.
+    """A photon's way through one region, up to an interface or to where it casts a ray for one.
 
     step : The next step to come. [mm]
     length : Length so far. [mm]

@@ -21,7 +21,7 @@ from .sampling import BOTTOM, FAR, OPAQUE, Photon, emission_cosine, rotate_direc
 OVER_BED = ("plate", "epoxy")
 # The number of a triangle's region below and that above share the 24 bits that a float32 holds exactly.
 REGION_BITS = 11
-# Distances take a signed byte: so many steps are the most that is told.
+# Distances take a signed byte: so many steps are the largest distance.
 MOST_STEPS = 127
 # Outcomes from here on name the photodiode that a photon reached; below, the opaque region.
 DETECTED = OPAQUE + (1 << REGION_BITS)
@@ -231,11 +231,11 @@ def table_of_rows(table: np.ndarray) -> Any:
 
 
 def _packed(distances: DistanceGrid) -> np.ndarray:
-    """What is told of each cell, in the bytes of one number: offset to its plane, normal, slack; or distance, 0."""
+    """The data of each cell, in the bytes of one number: offset to its plane, normal, slack; or distance, 0."""
     steps = np.minimum(distances.distance_mm / PLANE_STEP_MM, MOST_STEPS).astype(np.int8)
     steps = np.where(distances.slack_steps > 0, distances.offset_steps, steps)
-    told = [distances.slack_steps, distances.normal_steps[..., 1], distances.normal_steps[..., 0], steps]
-    return np.stack([one.astype(np.uint8).T.ravel() for one in told], -1).view("<u4").ravel().astype(np.uint32)
+    columns = [distances.slack_steps, distances.normal_steps[..., 1], distances.normal_steps[..., 0], steps]
+    return np.stack([one.astype(np.uint8).T.ravel() for one in columns], -1).view("<u4").ravel().astype(np.uint32)
 
 
 def _mesh_scene(geometry: Geometry) -> Any:

@@ -83,7 +83,7 @@ class NailReflectance:
     """The finger of a scene without its board, and rays from above into it; neither is made before it is needed."""
 
     def __init__(self, scene: Scene, *, backend: str = "auto", stores: Sequence[LightStore] = ()) -> None:
-        """backend : what walks the rays. stores : where rays are looked for; new ones go to the first."""
+        """backend : what walks the rays. stores : where rays may be stored; new ones go to the first."""
         self.scene = as_seen(scene)
         self.backend, self.stores = backend, stores
         self.zones = optics.zones(scene)
@@ -108,21 +108,21 @@ class NailReflectance:
         wavelength_nm: float,
         patches: Sequence[Patch],
         *,
-        palest_per_mm: np.ndarray,
+        least_mu_a_per_mm: np.ndarray,
         photons: int,
         seed: int,
         groups: int,
     ) -> ReflectedLight:
         """Rays of one wavelength to the patches: those that are stored, or new ones.
 
-        palest_per_mm : (r,) float. Absorption to trace, the least that will be read. [mm^-1]
+        least_mu_a_per_mm : (r,) float. Absorption to trace, the least that will be read. [mm^-1]
         photons : Rays in all; rounded up, so that each patch has its share in every group.
         """
-        asked = {"patches": [[*one.center_mm, *one.size_mm, one.share] for one in patches]}
-        asked["palest_per_mm"] = [[float(mu_a) for mu_a in palest_per_mm]]
-        made = made_by("colour", bare_digest(self.scene), wavelength_nm, seed=seed, backend=self.backend) | asked
+        parameters = {"patches": [[*one.center_mm, *one.size_mm, one.share] for one in patches]}
+        parameters["least_mu_a_per_mm"] = [[float(mu_a) for mu_a in least_mu_a_per_mm]]
+        made = made_by("colour", bare_digest(self.scene), wavelength_nm, seed=seed, backend=self.backend) | parameters
         lights = [store.light(made) for store in self.stores]
-        name, absorbers = f"{groups}-{photons}", len(palest_per_mm)
+        name, absorbers = f"{groups}-{photons}", len(least_mu_a_per_mm)
 
         def build(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> ReflectedLight:
             shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("patch", "group", "weight", "cosine", "gloss"), (-1,))
@@ -136,7 +136,7 @@ class NailReflectance:
             if found := light.read(name, build):
                 return found
         new = self._reflect(
-            wavelength_nm, patches, palest_per_mm=palest_per_mm, photons=photons, seed=seed, groups=groups
+            wavelength_nm, patches, least_mu_a_per_mm=least_mu_a_per_mm, photons=photons, seed=seed, groups=groups
         )
         if lights:
             lights[0].write(name, {}, vars(new))
@@ -147,15 +147,15 @@ class NailReflectance:
         wavelength_nm: float,
         patches: Sequence[Patch],
         *,
-        palest_per_mm: np.ndarray,
+        least_mu_a_per_mm: np.ndarray,
         photons: int,
         seed: int,
         groups: int,
     ) -> ReflectedLight:
         media = optics.finger_media(self.scene, self.geometry.regions, wavelength_nm)
         absorbers = [absorber.region for absorber in optics.absorbing(self.scene)]
-        palest = dict(zip(absorbers, palest_per_mm, strict=True))
-        mu_a = np.array([palest.get(name, 0.0) for name in self.geometry.regions])
+        least = dict(zip(absorbers, least_mu_a_per_mm, strict=True))
+        mu_a = np.array([least.get(name, 0.0) for name in self.geometry.regions])
         regions = Regions(self.geometry, replace(media, mu_a=mu_a))
         table = np.repeat(np.arange(len(patches)), [patch.share for patch in patches])
         cycle = len(table) * groups
@@ -173,7 +173,7 @@ class NailReflectance:
             group=(index // len(table) % groups).astype(np.uint8),
             weight=weight.astype(np.float32),
             path_mm=path,
-            mu_a=np.asarray(palest_per_mm, float),
+            mu_a=np.asarray(least_mu_a_per_mm, float),
             cosine=cosine,
             gloss=np.asarray(path.max(1) == 0),
         )

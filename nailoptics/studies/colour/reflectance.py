@@ -160,7 +160,7 @@ def walk_colour(
             nail.reflect(
                 float(wavelength_nm),
                 patches,
-                palest_per_mm=palest,
+                least_mu_a_per_mm=palest,
                 photons=photons // NODES,
                 seed=seed,
                 groups=GROUPS,

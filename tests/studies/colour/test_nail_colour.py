@@ -50,7 +50,7 @@ def test_reflectance_at_a_wavelength_between_the_nodes_is_that_of_a_fresh_trace(
     for wavelength_nm in (450.0, 545.0, 680.0):
         bare = NailReflectance(SCENE)
         at_rest = optics.absorption(bare.scene, wavelength_nm)[0]
-        own = bare.reflect(wavelength_nm, PATCHES, palest_per_mm=at_rest, photons=60_000, seed=9, groups=GROUPS)
+        own = bare.reflect(wavelength_nm, PATCHES, least_mu_a_per_mm=at_rest, photons=60_000, seed=9, groups=GROUPS)
         cell = own.group.astype(int) * len(PATCHES) + own.patch
         sums = np.bincount(cell, own.weight * ~own.gloss, GROUPS * len(PATCHES)).reshape(GROUPS, -1)
         fresh = sums * GROUPS / own.rays
@@ -86,7 +86,7 @@ def test_blood_reddens_along_one_line_and_melanin_darkens_skin_along_another(ray
 def test_a_finger_that_absorbs_nothing_sends_back_almost_all_light(jit_backend):
     bare = NailReflectance(SCENE)
     none = np.full(len(optics.absorbers(SCENE)), 1e-7)
-    found = bare.reflect(700.0, PATCHES[:1], palest_per_mm=none, photons=4_000, seed=3, groups=GROUPS)
+    found = bare.reflect(700.0, PATCHES[:1], least_mu_a_per_mm=none, photons=4_000, seed=3, groups=GROUPS)
     # What does not come back has left by the cut end; nothing is gained or lost on the way.
     assert found.weight == pytest.approx(np.ones(len(found.weight)), abs=1e-3)
     assert 0.75 < len(found.weight) / found.rays.sum() <= 1
