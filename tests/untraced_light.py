@@ -28,7 +28,9 @@ def untraced(scene: Scene) -> SimpleNamespace:
         return ReadingSeries(fraction, zero, fraction - fraction[..., :1], zero)
 
     paths = np.zeros((1, len(SLOPES), len(optics.absorbers(scene))))
-    return SimpleNamespace(readings_at=readings_at, mean_path=paths, mean_path_stderr=paths, attributes={})
+    return SimpleNamespace(
+        readings_at=readings_at, mean_path=paths, mean_path_stderr=paths, attributes={}, transfer=None
+    )
 
 
 def untraced_table(scene: Scene) -> ReadingTable:

@@ -49,7 +49,7 @@ class DetectedLight:
     """Detected light of a finger scene, whatever engine traced it.
 
     readings_at : reads a course of blood states, (t, zones) float -> ReadingSeries.
-    mean_path, mean_path_stderr : (led, photodiode, absorber) float at rest; NaN where the engine does not record it. [mm]
+    mean_path, mean_path_stderr : (led, photodiode, absorber) float at rest; NaN where the engine records none. [mm]
     transfer : the trace behind it; None where the engine keeps none.
     """
 

@@ -68,9 +68,9 @@ def finger_states(
 ) -> StateReadings:
     """Readings of all photodiodes in up to three blood states, until each has the relative error or time is up.
 
-    Colour channels first separate the states, photodiode by photodiode, which settles the ratios; then the photodiodes, three
-    in one trace, which settles the level. The first part always runs, whatever the time; an interrupt (from `progress`)
-    in the second ends it with what is there.
+    Colour channels first separate the states, photodiode by photodiode, which settles the ratios; then the
+    photodiodes, three in one trace, which settles the level. The first part always runs, whatever the time; an
+    interrupt (from `progress`) in the second ends it with what is there.
 
     options : with a relative error, which every reading must reach; no new batch begins after max_seconds.
 

@@ -109,8 +109,8 @@ def moments_of_sample(
     """Moments at a state from a sample of the photons, held against the sums over all photons at rest.
 
     Each sum is fitted by a multiple of the same sum at rest; all photons determine the fitted part, the sample only
-    what is left. At rest nothing is left, so that this returns `full`; far from rest the multiple is small and the sample
-    speaks alone.
+    what is left. At rest nothing is left, so that this returns `full`; far from rest the multiple is small and the
+    sample speaks alone.
 
     full : over all photons at rest.
     keep : probability with which each photon came into the sample.
