@@ -66,7 +66,7 @@ class Settings:
     def stores(self, tell: Callable[[Path, Exception], None] | None = None) -> list[LightStore]:
         """Where light is stored, first that of the batch; what single commands traced is read, too."""
         user = LightStore.of_user() if self.options.store else None
-        return [LightStore(Folder(self.folder).light, tell=tell), *([user] if user else [])]
+        return [LightStore(Folder(self.folder).light, on_damage=tell), *([user] if user else [])]
 
     def is_late(self) -> bool:
         """Whether the run's time is over."""

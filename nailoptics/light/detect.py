@@ -22,8 +22,8 @@ from ..variables import from_record, to_record, variable
 from . import backend as backends
 from . import optics
 from .identity import led_digest, light_scene
-from .reference import led_readings as volpath
-from .reference.states import StateReadings
+from .reference import readings as volpath
+from .reference.readings import StateReadings
 from .tracing import ProgressCallback, accuracy, trace
 from .tracing.store import LightStore, made_of
 from .transfer import Transfer, mean_of_leds, photodiode_names, provenance

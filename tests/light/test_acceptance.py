@@ -7,7 +7,7 @@ import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.light.board_map import BoardTracer, blood_point, readings
-from nailoptics.light.reference.states import finger_states
+from nailoptics.light.reference.readings import finger_states
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, load_scene
 from nailoptics.statistics import stderr_of_mean

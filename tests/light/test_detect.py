@@ -9,8 +9,8 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.light import backend, detect, open_light, optics, read_rest
 from nailoptics.light.detect import engine_for
-from nailoptics.light.reference.led_readings import between as read_between
-from nailoptics.light.reference.led_readings import corner_states, secant_paths
+from nailoptics.light.reference.readings import between as read_between
+from nailoptics.light.reference.readings import corner_states, secant_paths
 from nailoptics.light.transfer import Transfer
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.scene import Scene, parse_scene

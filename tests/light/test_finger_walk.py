@@ -7,7 +7,7 @@ import nailoptics as nail
 from nailoptics import geometry
 from nailoptics.assets import data_dir
 from nailoptics.light import backend, optics
-from nailoptics.light.reference import integrate, mitsuba_scene, states
+from nailoptics.light.reference import integrate, mitsuba_scene, readings
 from nailoptics.light.walk.finger import FingerTracer
 from nailoptics.light.walk.tallies import Section
 from nailoptics.options import TraceOptions
@@ -32,7 +32,7 @@ def by_volpath(scene: Scene, *, relative_error: float, seed: int) -> tuple[np.nd
     low, high = np.asarray(shape.bounds_mm)[:, 1]
     v = np.linspace(low - 0.2, high + 0.2, 101)
     rest = np.full((1, len(v)), found.mu_a[shape.regions.index("bed")])
-    found = states.finger_states(
+    found = readings.finger_states(
         scene,
         shape,
         found,
@@ -174,7 +174,7 @@ def test_a_bed_that_absorbs_more_dims_both_engines_alike(jit_backend):
     shape = geometry.build(scene)
     found = optics.finger_media(scene, shape.regions, 800.0)
     bed = float(found.mu_a[shape.regions.index("bed")])
-    found = states.finger_states(
+    found = readings.finger_states(
         scene,
         shape,
         found,

@@ -9,7 +9,7 @@ from nailoptics import geometry
 from nailoptics.errors import InputError
 from nailoptics.light import backend
 from nailoptics.light.optics import finger_media
-from nailoptics.light.reference import integrate, mitsuba_scene, states
+from nailoptics.light.reference import integrate, mitsuba_scene, readings
 from nailoptics.light.reference.mitsuba_scene import EVERYTHING, LEAVING, BedAbsorption, Window
 from nailoptics.options import TraceOptions
 from nailoptics.scene import parse_scene
@@ -298,33 +298,33 @@ size_mm = [1.0, 1.0]
 @pytest.mark.long
 def test_states_of_every_photodiode_within_a_time_or_a_tolerance(finger, by_scalar, monkeypatch):
     scene, shape, media, bed = finger
-    monkeypatch.setattr(states, "BATCH_SECONDS", 0.2)
+    monkeypatch.setattr(readings, "BATCH_SECONDS", 0.2)
     heard = []
     options = TraceOptions(relative_error=0.25, max_seconds=60.0, seed=1, backend="scalar")
-    result = states.finger_states(scene, shape, media, bed, led=0, options=options, progress=heard.append)
+    result = readings.finger_states(scene, shape, media, bed, led=0, options=options, progress=heard.append)
     assert result.unmet_reason is None and result.fraction.shape == result.ratio_stderr.shape == (1, 3)
     assert np.all(result.fraction_stderr < 0.3 * result.fraction)
     assert np.all(result.ratio[:, 0] == 1) and np.all(result.ratio_stderr[:, 0] < 1e-12)
-    other, other_error = states.ratio_to_first(by_scalar)
+    other, other_error = readings.ratio_to_first(by_scalar)
     assert np.all(abs(result.ratio[0] - other)[1:] < 4 * np.hypot(result.ratio_stderr[0], other_error)[1:])
     assert np.all(result.ratio_stderr < 0.03)
     assert heard[-1].relative_error <= 0.25 and len(heard) >= result.batches
     options = replace(options, relative_error=1e-4, max_seconds=0.1)
-    hurried = states.finger_states(scene, shape, media, bed, led=0, options=options)
-    assert "max_seconds" in hurried.unmet_reason and hurried.batches >= states.RATIO_BATCHES
+    hurried = readings.finger_states(scene, shape, media, bed, led=0, options=options)
+    assert "max_seconds" in hurried.unmet_reason and hurried.batches >= readings.RATIO_BATCHES
 
 
 def test_an_interrupt_keeps_the_batches_that_are_there(finger, monkeypatch):
     scene, shape, media, bed = finger
-    monkeypatch.setattr(states, "BATCH_SECONDS", 0.05)
+    monkeypatch.setattr(readings, "BATCH_SECONDS", 0.05)
     heard = []
 
     def interrupt(progress):
         heard.append(progress)
-        if len(heard) > states.RATIO_BATCHES + 2:
+        if len(heard) > readings.RATIO_BATCHES + 2:
             raise KeyboardInterrupt
 
     options = TraceOptions(relative_error=1e-4, max_seconds=600.0, seed=1, backend="scalar")
-    kept = states.finger_states(scene, shape, media, bed, led=0, options=options, progress=interrupt)
+    kept = readings.finger_states(scene, shape, media, bed, led=0, options=options, progress=interrupt)
     assert kept.unmet_reason.startswith("interrupted") and kept.batches == len(heard)
     assert np.all(np.isfinite(kept.fraction_stderr))

@@ -16,7 +16,7 @@ from nailoptics.errors import InputError, NotReachedError
 from nailoptics.hemodynamics.for_scene import blood_over_touch
 from nailoptics.io import write_dataset
 from nailoptics.light import detect, open_light
-from nailoptics.light.reference import states
+from nailoptics.light.reference import readings
 from nailoptics.scene import Scene, digest, load_scene, parse_scene
 from nailoptics.studies.simulate import simulate, simulate_from
 
@@ -285,7 +285,7 @@ def test_the_main_job_runs_without_a_jit_backend(monkeypatch, caplog):
     """Rationale: where no LLVM is usable, volpath in the scalar variant answers. Expected: the same dataset, errors no
     larger than asked, and the signs of the largest changes, of which the states share their noise."""
     monkeypatch.setattr(detect, "VOLPATH_RELATIVE_ERROR", 0.3)
-    monkeypatch.setattr(states, "BATCH_SECONDS", 0.3)
+    monkeypatch.setattr(readings, "BATCH_SECONDS", 0.3)
     scene = prototype()
     scene = scene.model_copy(
         update={
