@@ -117,7 +117,8 @@ def simulate(
     Writes result.nc and report.html.
     """
     from .report.result_files import SIMULATION, write_recording, write_simulation
-    from .report.summaries import simulation_lines, simulation_summary
+    from .report.summaries import simulation_summary
+    from .report.terminal_text import simulation_lines
     from .studies.force.virtual_recording import record
     from .studies.simulate import simulate as study
 
@@ -136,7 +137,7 @@ def simulate(
 def trace(scene: ScenePath, *, output: File = None, json_: Json = False, options: Options = USUAL) -> None:
     """Trace the light only: readings at the scene's rest state, and with -o the transfer for any other."""
     from .light import read_rest
-    from .report.summaries import rest_lines
+    from .report.terminal_text import rest_lines
 
     loaded, engine = _load(scene, options)
     if output is not None and engine == "volpath":
@@ -186,8 +187,9 @@ def colour(
     and pressed, and a press as an animation.
     """
     from .report.result_files import COLOUR, write_colour
+    from .report.summaries import colour_summary
+    from .report.terminal_text import colour_lines
     from .studies.colour.nail_colour import colour as study
-    from .studies.colour.nail_colour import colour_lines, colour_summary
 
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, COLOUR)
@@ -247,8 +249,9 @@ def compare(
     Writes compare.nc and compare.html.
     """
     from .report.result_files import COMPARISON, write_comparison
+    from .report.summaries import comparison_summary as summary
     from .studies.comparison.compare import compare as study
-    from .studies.comparison.verdict import summary, verdict
+    from .studies.comparison.verdict import verdict
 
     loaded, _ = _load(scene, options)
     if require is not None and not 0 < require < math.inf:
@@ -285,7 +288,8 @@ def place(
     Writes place.nc, ranking.csv, place.html, and the best layout as best.toml, best.csv (KiCad), outline and best.glb.
     """
     from .report.result_files import PLACEMENT, write_placement
-    from .report.summaries import placement_lines, placement_summary
+    from .report.summaries import placement_summary
+    from .report.terminal_text import placement_lines
     from .studies.placement.place import place as study
 
     loaded, _ = _load(scene, options)
@@ -442,7 +446,7 @@ def check(
 ) -> None:
     """Check a scene: what was read, what is lit, distances, what is ignored, and what any command would refuse."""
     from .report.scene_description import blood_words, body_words, touch_words
-    from .report.summaries import check_lines
+    from .report.terminal_text import check_lines
     from .studies.scene_check import check_scene
 
     with collected_warnings() as warnings:
@@ -577,8 +581,8 @@ def calibrate(
     the subject file and a page beside it. --max-seconds bounds the trace; the fit to the recordings follows.
     """
     from .report.result_files import write_calibration
+    from .report.summaries import calibration_summary
     from .studies.force.calibrate import calibrate as study
-    from .studies.force.calibrate import calibration_summary
 
     if output.suffix != ".toml":
         raise InputError(f"{output}: a subject file ends in .toml; rename it.")
@@ -621,8 +625,9 @@ def predict(
     Writes predict.csv, predict.nc, predict.html and predict.png; with - each line is answered at once on stdout.
     """
     from .report.result_files import PREDICTION, write_prediction
+    from .report.summaries import prediction_summary
     from .studies.force.live import live
-    from .studies.force.predict import TOUCH_N, prediction_summary
+    from .studies.force.predict import TOUCH_N
     from .studies.force.predict import predict as study
     from .studies.force.subject import read_subject
 
@@ -684,11 +689,10 @@ def oximeter(
         write_oximeter_result,
         write_oxygen,
     )
-    from .report.summaries import oximeter_lines, oxygen_lines
+    from .report.summaries import oximeter_summary, recording_summary
+    from .report.terminal_text import oximeter_lines, oxygen_lines
     from .studies.oximetry.oxygen import oximeter as study
-    from .studies.oximetry.oxygen import summary as oximeter_summary
     from .studies.oximetry.recording import read_for, read_oxygen, simulated
-    from .studies.oximetry.spo2_over_time import recording_summary
 
     loaded, _ = _load(scene, options)
     given = None if readings is None else read_for(loaded, readings)

@@ -23,7 +23,9 @@ PROVENANCE = {
     "engine": "Engine",
     "backend": "Backend",
     "versions": "Versions",
+    "accuracy_reached": "Accuracy reached",
     "cpu_seconds": "Processor time [s]",
+    "wall_seconds": "Time taken [s]",
     "references": "After",
 }
 # Unicode's categories of characters that nobody sees: they control, turn the writing round, or are no text at all.
@@ -37,19 +39,19 @@ def document(
     lead: str,
     body: Iterable[str],
     attributes: Mapping[str, Any],
-    warnings: Iterable[str] = (),
+    warnings: str | Iterable[str] = (),
     cards: Sequence[tuple[str, str]] = (),
-    facts: Iterable[tuple[str, str]] = (),
     scripts: Sequence[str] = (),
 ) -> str:
     """A whole page as text; body holds HTML, everything else plain words.
 
     attributes : of the result, from which the page says what makes it again, and whether it was cut off.
     cards : figures in large type, each with what it is.
-    facts : names and values in one line below them.
     scripts : JavaScript that runs at the end of the page; no other does, nor does the page load anything.
     """
     css = resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
+    # A file keeps a list of one text as that text.
+    warnings = [warnings] if isinstance(warnings, str) else warnings
     cut_off = [f"Cut off: {attributes['cut_off']}"] if attributes.get("cut_off") else []
     items = [f"<li><b>{escaped(number)}</b><span>{escaped(words)}</span></li>" for number, words in cards]
     parts = [
@@ -57,7 +59,6 @@ def document(
         f"<p class='lead'>{escaped(lead)}</p>",
         *(f"<p class='warning'>{escaped(line)}</p>" for line in (*cut_off, *warnings)),
         *(["<ul class='findings'>", *items, "</ul>"] if items else []),
-        _definitions(facts, opening="<dl class='reached'>"),
         "</header>",
         *body,
         _provenance(attributes),
@@ -131,9 +132,9 @@ def escaped(text: object) -> str:
     return html.escape("".join(seen))
 
 
-def _definitions(rows: Iterable[tuple[str, str]], *, opening: str = "<dl>") -> str:
+def _definitions(rows: Iterable[tuple[str, str]]) -> str:
     inside = "".join(f"<div><dt>{escaped(name)}</dt><dd>{escaped(value)}</dd></div>" for name, value in rows)
-    return f"{opening}{inside}</dl>" if inside else ""
+    return f"<dl>{inside}</dl>" if inside else ""
 
 
 def _provenance(attributes: Mapping[str, Any]) -> str:

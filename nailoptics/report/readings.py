@@ -1,4 +1,4 @@
-"""What each photodiode tells about the touch: rest, change at the end of the hold, noise, resolution."""
+"""The readings of each photodiode during a touch: rest, change at the end of the hold, noise, resolution."""
 
 import math
 from dataclasses import dataclass
@@ -37,10 +37,10 @@ class Reading:
 
     @property
     def spreads_v(self) -> dict[str, float]:
-        """How far reading and change spread over what is unknown of the finger; empty where nobody asked. [V]"""
-        told = {"start_spread": abs(self.rest_v) * self.rest_spread}
-        told["change_spread"] = abs(self.change_v) * self.change_spread
-        return {} if math.isnan(self.rest_spread) else told
+        """Standard deviations of reading and change over the priors of the finger; empty where not requested. [V]"""
+        spreads = {"start_spread": abs(self.rest_v) * self.rest_spread}
+        spreads["change_spread"] = abs(self.change_v) * self.change_spread
+        return {} if math.isnan(self.rest_spread) else spreads
 
     @property
     def change_percent(self) -> float:
@@ -49,7 +49,7 @@ class Reading:
 
     @property
     def sigmas(self) -> float:
-        """Change in standard errors of the trace: how sure its sign is."""
+        """Change in standard errors of the trace: the z score of its sign."""
         return _ratio(abs(self.change_v), self.change_stderr_v)
 
     @property
@@ -78,8 +78,8 @@ def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> list[Reading
     swings = [[int(np.nanargmax(np.abs(one))) for one in of_led] for of_led in result.volts_change]
     largest = xr.DataArray(swings, dims=("led", "photodiode"))
     peak = result[["volts_change", "volts_change_stderr"]].isel(time=largest)
-    told = {"rest_spread": "reading_spread", "change_spread": "change_spread"}
-    spreads = {name: result[told[name]].values for name in told if told[name] in result}
+    names = {"rest_spread": "reading_spread", "change_spread": "change_spread"}
+    spreads = {field: result[name].values for field, name in names.items() if name in result}
     found = []
     for i, j in product(range(result.sizes["led"]), order_along_nail(scene, result.sizes["photodiode"])):
         distance_mm = math.nan

@@ -193,8 +193,8 @@ def write_recording(recording: Recording, path: Path) -> Paths:
 
 def write_calibration(result: "xr.Dataset", subject: Path) -> Paths:
     """Write a subject file and, beside it, its page; returns their paths."""
-    from ..studies.force.calibrate import calibration_summary
     from .pages.force import write_calibration_page
+    from .summaries import calibration_summary
 
     page = subject.with_suffix(".html")
     make_folder(subject.parent)
@@ -205,9 +205,10 @@ def write_calibration(result: "xr.Dataset", subject: Path) -> Paths:
 
 def write_prediction(result: "xr.Dataset", folder: Path) -> Paths:
     """Write a prediction as NetCDF, CSV, page and picture; returns the paths of the first three."""
-    from ..studies.force.predict import csv_rows, prediction_summary
+    from ..studies.force.predict import csv_rows
     from .pages.force import force_figure, write_prediction_page
     from .style import write_figure
+    from .summaries import prediction_summary
 
     data, rows, page, picture = (folder / name for name in PREDICTION)
     with turn(folder):
@@ -239,9 +240,10 @@ def write_oximeter_recording(recording: OximeterRecording, leds: tuple[str, str]
 
 
 def write_oxygen(result: "xr.Dataset", folder: Path) -> Paths:
-    """Write what a recording of an oximeter tells as NetCDF, CSV and page; returns their paths."""
-    from ..studies.oximetry.spo2_over_time import recording_summary, spo2_rows
+    """Write SpO2 over time from an oximeter's recording as NetCDF, CSV and page; returns their paths."""
+    from ..studies.oximetry.spo2_over_time import spo2_rows
     from .pages.oximeter import write_oxygen_recording
+    from .summaries import recording_summary
 
     data, rows, page = (folder / name for name in OXYGEN)
     with turn(folder):

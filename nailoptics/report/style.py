@@ -1,4 +1,4 @@
-"""How every figure looks: colours that mean one thing each, type, and SVG that follows the page's light or dark."""
+"""The style of all figures: colours with one meaning each, fonts, and SVG that follows the page's light or dark."""
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -23,7 +23,7 @@ _VARIABLES = {INK: "--ink", MUTED: "--muted", GRID: "--grid", PAPER: "--paper"}
 # On coloured surfaces, which stay as they are in the dark.
 DARK_INK = "#22262b"
 
-# Warm is proximal, cool is distal; of middling lightness throughout, to be seen on white and on black, and told apart
+# Warm is proximal, cool is distal; of middling lightness throughout, visible on white and on black, and distinguished
 # by lightness too where red and green are not.
 _PLACES = ("#a31f34", "#d0482f", "#e08a3c", "#5fa8dc", "#2f7fc9", "#3a55b0")
 ZONES = (_PLACES[0], _PLACES[-1])

@@ -1,7 +1,8 @@
-"""What a command prints of a result: one object for JSON, or lines of text."""
+"""The summary of every result as plain numbers and texts, ready for JSON."""
 
-import math
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from .readings import hold_end, photodiode_readings
 from .uncertainty_section import spread_summary
@@ -9,11 +10,9 @@ from .uncertainty_section import spread_summary
 if TYPE_CHECKING:
     import xarray as xr
 
-    from ..light import RestReadings
-
 
 def simulation_summary(result: "xr.Dataset") -> dict[str, Any]:
-    """Volts at the start, their change from there to the end of the hold, the largest one, and their noise."""
+    """Volts at the start, their change to the end of the hold, the largest change, and their noise."""
     rows = [
         {
             "led": r.led,
@@ -57,146 +56,8 @@ def _absorbed(result: "xr.Dataset") -> dict[str, dict[str, dict[str, float]]]:
     }
 
 
-def simulation_lines(summary: dict[str, Any]) -> list[str]:
-    """The readings of a `simulation_summary` as a table."""
-    spread = f" {'spread':>8}" if any("volts_start_spread" in row for row in summary["readings"]) else ""
-    head = f"{'LED':>10} {'photodiode':<14} {'start V':>9} {'+-':>8}{spread} {'change mV':>10} {'+-':>7}{spread}"
-    lines = [f"{head} {'peak mV':>9} {'noise mV':>9}"]
-    for row in summary["readings"]:
-        line = f"{row['led']:>10} {row['photodiode']:<14} {row['volts_start']:9.4f} "
-        if row["saturated"]:
-            line += "saturated: the converter is at its limit, these volts do not tell the light"
-        else:
-            line += f"{row['volts_start_stderr']:8.4f}" + (
-                f" {row.get('volts_start_spread', math.nan):8.4f}" if spread else ""
-            )
-            line += f" {1e3 * row['volts_change']:10.3f} {1e3 * row['volts_change_stderr']:7.3f}"
-            line += f" {1e3 * row.get('volts_change_spread', math.nan):8.3f}" if spread else ""
-            line += f" {1e3 * row['volts_change_peak']:9.3f} {1e3 * row['volts_noise_rms']:9.4f}"
-        lines.append(line)
-    hold_s = summary["readings"][0]["time_of_change_s"]
-    lines.append(
-        f"start: the first sample; change: from there to the end of the hold, at {hold_s:.3g} s; peak: the largest one"
-    )
-    if spread:
-        lines.append(
-            "+-: the trace's standard error; spread: one standard deviation over what is unknown of the finger"
-        )
-    return [*lines, *absorbed_lines(summary.get("absorbed", {})), *summary.get("conclusions", [])]
-
-
-def check_lines(report: dict[str, Any]) -> list[str]:
-    """What `check` found out about a scene, for people."""
-    lines = [f"{report['scene']}: nothing in it would be refused"]
-    lines += [_led_line(led) for led in report.get("leds", ())]
-    if "photodiodes" in report:
-        u, v = report["board_mm"]
-        of = f", and {report['not_wired']} that are not wired" if report["not_wired"] else ""
-        lines.append(f"photodiodes: {len(report['photodiodes'])}{of}, on a board of {u:.3g} x {v:.3g} mm")
-        lines += ["  LED to photodiode, place (u, v), distance, reading at rest by layered diffusion (within 40 %):"]
-        places = {one["name"]: "({:.3g}, {:.3g}) mm".format(*one["position_mm"]) for one in report["photodiodes"]}
-        lines += [
-            f"  {one['led']:>10} to {name:<16} {places[name]:<18} {one['distance_mm']:5.2f} mm {one['volts']:8.4f} V"
-            for one in report["pairs"]
-            for name in [one["photodiode"]]
-        ]
-    for one in report.get("candidates", ()):
-        lines.append(f"layout {one['name']}: {one['leds']} LEDs, {one['photodiodes']} photodiodes")
-    lines += [f"{name}: {report[name]}" for name in ("touch", "blood", "body") if report.get(name)]
-    for file, refs in report.get("ignored", {}).items():
-        parts = "part" if len(refs) == 1 else "parts"
-        shown = ", ".join(refs[:8]) + (", ..." if len(refs) > 8 else "")
-        lines.append(f"ignored: {len(refs)} {parts} of {file} ({shown})" if refs else f"ignored: nothing of {file}")
-    if "crossings" in report:
-        names = ", ".join(name for name in report["regions"] if name != "air")
-        lines += [
-            f"geometry: {report['triangles']} triangles between the air and {names}",
-            f"closed: {'yes' if report['valid'] else 'NO'}; of {report['crossings']} times that a random ray crossed a "
-            f"surface, it came into another region than that surface says {report['disagreements']} times; volumes by "
-            f"surfaces and by cells agree within {report['volume_error']:.0e} of the whole",
-        ]
-    lines += [f"warning: {line}" for line in report.get("warnings", ())]
-    if report.get("two_balances_n"):
-        low, high = report["two_balances_n"]
-        lines.append(
-            f"warning: between {low:g} and {high:g} N these vessels can rest in two states, so that unloading may "
-            "end elsewhere than loading began; simulate follows them, steady states are the wider of the two"
-        )
-    return lines
-
-
-def oximeter_lines(summary: dict[str, Any]) -> list[str]:
-    """An oximeter's calibration and its error, photodiode by photodiode."""
-    lines = [
-        f"{'photodiode':<14} {'SpO2 in percent':<20} {'R at rest':>9} {'+-':>7} {'path ratio':>10} {'error, 8 s':>10}"
-    ]
-    for name, one in summary["readings"].items():
-        fit, rest = one["fit"], one["ratio_at_rest"]
-        line = f"{fit['intercept']:.1f} - {-fit['slope']:.1f} R"
-        lines.append(
-            f"{name:<14} {line:<20} {rest['value']:9.4f} {rest['stderr']:7.4f} {one['path_ratio']:10.3f} "
-            f"{one['spo2_stderr']:8.2f} %"
-        )
-    best = summary["readings"][summary["best"]]
-    index = ", ".join(f"{led} {100 * value:.3f} %" for led, value in best["perfusion_index"].items())
-    lines.append(f"best photodiode: {summary['best']}; perfusion index {index}")
-    for name, one in best["disturbances"].items():
-        worst = max(one["spo2_off"], key=abs)
-        lines.append(f"  {name} from {one['values'][0]:g} to {one['values'][-1]:g}: off by at most {worst:+.2f} %")
-    return lines
-
-
-def oxygen_lines(summary: dict[str, Any]) -> list[str]:
-    """What a recording of an oximeter tells, photodiode by photodiode."""
-    lines = []
-    for name, one in summary["readings"].items():
-        told = "SpO2 unknown"
-        if one["spo2"] is not None:
-            told = f"SpO2 {one['spo2']:.1f} % ({one['spo2_low']:.1f} to {one['spo2_high']:.1f})"
-        rate = "rate unknown" if one["rate_per_min"] is None else f"{one['rate_per_min']:.1f} beats a minute"
-        moved = f"moved in {100 * one['motion']:.0f} % of the time"
-        lines.append(f"{name:<14} {told}, {rate}, {moved}{', best' if name == summary['best'] else ''}")
-    return lines
-
-
-def _led_line(led: dict[str, Any]) -> str:
-    part = f" ({led['part']})" if "part" in led else ""
-    (u, v), width = led["position_mm"], f", {led['fwhm_nm']:g} nm wide" if led["fwhm_nm"] else ""
-    return f"LED {led['name']}{part}: {led['wavelength_nm']:g} nm{width}, {led['flux_mw']:g} mW, at ({u:g}, {v:g}) mm"
-
-
-def rest_lines(rest: "RestReadings") -> list[str]:
-    """The readings of a trace, and where its light went."""
-    lines = []
-    for row in rest.readings:
-        error = _plus_minus(row["stderr"], ".1e")
-        if "upper_limit_95" in row:
-            error = f"below {row['upper_limit_95']:.1e} (95 %)"
-        lines.append(f"{row['led']:>10} {row['photodiode']:<16} {row['detected_fraction']:.4e} {error}")
-    for part, share in (rest.energy or {}).items():
-        lines.append(f"{part:>11} {share['value']:.5f} {_plus_minus(share['stderr'], '.5f')}")
-    lines += absorbed_lines(rest.transfer.absorbed()) if rest.transfer else []
-    return lines + ([rest.note] if rest.note else [])
-
-
-def absorbed_lines(absorbed: dict[str, dict[str, dict[str, float]]]) -> list[str]:
-    """Where each LED's absorbed light ended, the largest part first, with the largest standard error."""
-    lines = []
-    for led, regions in absorbed.items():
-        parts = sorted(((part["value"], name) for name, part in regions.items() if part["value"] > 0), reverse=True)
-        if parts:
-            error = 100 * max(part["stderr"] for part in regions.values())
-            each = ", ".join(f"{name} {100 * value:.2f} %" for value, name in parts)
-            lines.append(f"{led:>10} absorbed in {each} ({_plus_minus(error, '.2f')} % or less)")
-    return lines
-
-
-def _plus_minus(stderr: float, form: str) -> str:
-    return "+- unknown" if math.isnan(stderr) else f"+- {stderr:{form}}"
-
-
 def placement_summary(result: "xr.Dataset") -> dict[str, Any]:
-    """The ranking of layouts, and how much finer than the paper's the best resolves force."""
+    """The ranking of layouts, and the gain in force resolution over the paper's layout."""
     from ..studies.placement.result import gain, rows
 
     better = gain(result)
@@ -210,51 +71,201 @@ def placement_summary(result: "xr.Dataset") -> dict[str, Any]:
     } | {name: result.attrs[name] for name in kept}
 
 
-def placement_lines(summary: dict[str, Any]) -> list[str]:
-    """The ranking of a `placement_summary` as a table, best first."""
-    from ..studies.placement.result import rough_words
-
-    lines = [
-        f"{row['rank']:>3} {row['layout']:<28} {1e3 * row['force_resolution_n']:9.3f} mN "
-        f"+- {1e3 * row['force_resolution_n_stderr']:.3f}{_still(row)}{_spread(row)}{_oxygen(row)}"
-        f"{_share(row, summary['rank_by'])}{'  tied' if row['tied'] else ''}"
-        for row in summary["ranking"]
-    ]
-    if better := summary["gain_over_paper"]:
-        times = f"{better['value']:.2f} +- {better['stderr']:.2f} times"
-        tied = sum(row["tied"] for row in summary["ranking"])
-        beside = f"; {tied} layouts are tied with each other" if tied else ""
-        lines.append(f"the best resolves force {times} as finely as the paper's layout{beside}")
-    if rough := rough_words(summary["ranking"]):
-        lines.append(rough)
-    return [*lines, *summary.get("conclusions", [])]
+def comparison_summary(result: "xr.Dataset") -> dict[str, Any]:
+    """A comparison: readings by sweep, LED and photodiode, and the paper's claim."""
+    places = np.ndindex(*(result.sizes[name] for name in _COMPARISON_DIMS))
+    rows = [_comparison_row(result.isel(dict(zip(_COMPARISON_DIMS, at, strict=True)))) for at in places]
+    kept = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest")
+    found = {"comparisons": rows, "claim": paper_claim(result), "cut_off": result.attrs.get("cut_off")}
+    found |= {"reused": bool(result.attrs.get("reused", 0))}
+    return found | {name: result.attrs[name] for name in kept}
 
 
-def _still(row: dict[str, Any]) -> str:
-    """What a layout would resolve were the body still, and its rank by that, where the scene has a body."""
-    if "electronics_rank" not in row:
-        return ""
-    value, error = (1e3 * row[f"electronics_resolution_n{end}"] for end in ("", "_stderr"))
-    return f", electronics alone {value:.3f} mN +- {error:.3f} (rank {row['electronics_rank']})"
+_COMPARISON_DIMS = ("sweep", "led", "photodiode")
 
 
-def _oxygen(row: dict[str, Any]) -> str:
-    """The error of SpO2, where that ranks layouts."""
-    if "spo2_error_percent" not in row:
-        return ""
-    return f", SpO2 {row['spo2_error_percent']:.3f} % +- {row['spo2_error_percent_stderr']:.3f}"
+_ALPHA_D2 = ("alpha_d2", "bed_alpha_d2")
 
 
-def _share(row: dict[str, Any], rank_by: str) -> str:
-    """How well the proximal share of the force is told, where that ranks layouts."""
-    if "share" not in rank_by:
-        return ""
-    return f", share {100 * row['share_resolution']:.3f} % +- {100 * row['share_resolution_stderr']:.3f}"
+def _comparison_row(one: "xr.Dataset") -> dict[str, Any]:
+    """One photodiode under one LED over one sweep."""
+    row: dict[str, Any] = {name: str(one[name].values) for name in _COMPARISON_DIMS}
+    row |= {"swing_of_reading": float(one.swing / one.reading[0]), "path_mm": _with_stderr(one, "path_mm")}
+    for name in _ALPHA_D2:
+        row |= {f"{name}_{end}": _with_stderr(one.isel(point=at), name) for end, at in (("start", 0), ("end", -1))}
+    for way in (str(w) for w in one.way.values):
+        for model in (str(m) for m in one.model.values):
+            here = one.sel(way=way, model=model)
+            error = _with_stderr(here.isel(point=-1), "range_error")
+            limits = {f"{within:g}": _comparison_limit(here.sel(within=within)) for within in one.within.values}
+            row[f"{model}_{way}"] = {"error_of_swing": error, "holds_to": limits}
+        worst = int(np.abs(one.error.sel(way=way, model="taylor").values).argmax())
+        parts = one.sel(way=way).isel(point=worst)
+        row[f"parts_{way}"] = {str(p): _with_stderr(parts.sel(part=p), "part_error") for p in one.part.values}
+    return row
 
 
-def _spread(row: dict[str, Any]) -> str:
-    """How far a layout's resolution spreads over what is unknown of the finger, where that is known."""
-    spread_n = row.get("force_resolution_spread_n", math.nan)
-    if math.isnan(spread_n):
-        return ""
-    return f", spread {1e3 * spread_n:.3f} +- {1e3 * row['force_resolution_spread_n_stderr']:.3f}"
+def _comparison_limit(here: "xr.Dataset") -> dict[str, Any]:
+    """Up to where a model holds, in every measure."""
+    limits: dict[str, Any] = {"ends_within_sweep": bool(here.limit_ends)}
+    for name in ("setting", "blood_fraction", *_ALPHA_D2):
+        limit = "limit" if name == "setting" else f"limit_{name}"
+        limits[name] = {"value": float(here[limit])} | {end: float(here[f"{limit}_{end}"]) for end in ("low", "high")}
+    return limits
+
+
+def paper_claim(result: "xr.Dataset") -> dict[str, Any]:
+    """How large alpha D^2 is over the first sweep, beside the paper's 1e-2."""
+    first = result.isel(sweep=0)
+    found: dict[str, Any] = {"paper": 0.01, "sweep": str(result.sweep.values[0])}
+    for name in _ALPHA_D2:
+        start, error = first[name].isel(point=0), first[f"{name}_stderr"].isel(point=0)
+        found[name] = {
+            "at_start": {"least": float(start.min()), "largest": float(start.max()), "stderr": float(error.max())},
+            "over_sweep": {"least": float(first[name].min()), "largest": float(first[name].max())},
+        }
+    return found
+
+
+def _with_stderr(one: "xr.Dataset", name: str) -> dict[str, float]:
+    """A value and its standard error."""
+    return {"value": float(one[name]), "stderr": float(one[f"{name}_stderr"])}
+
+
+def colour_summary(result: "xr.Dataset") -> dict[str, Any]:
+    """Colours by force and place, with the largest standard errors, refill and spread over priors."""
+    states = []
+    for s, force_n in enumerate(result.force_n.values):
+        one = result.isel(state=s)
+        places = [
+            {
+                "v_mm": float(one.v_mm[p]),
+                "lab": one.lab.values[p].tolist(),
+                "lab_stderr": one.lab_stderr.values[p].tolist(),
+                "srgb": one.srgb.values[p].tolist(),
+                "delta_e_2000": float(one.delta_e_2000[p]),
+                "delta_e_2000_stderr": float(one.delta_e_2000_stderr[p]),
+            }
+            for p in range(result.sizes["place"])
+        ]
+        band = {"white_band_mm": float(one.white_band_mm), "white_band_stderr_mm": float(one.white_band_mm_stderr)}
+        states.append({"force_n": float(force_n), "places": places, **band})
+    found: dict[str, Any] = {
+        "illuminant": result.attrs["illuminant"],
+        "observer": result.attrs["observer"],
+        "states": states,
+        "lab_stderr": result.lab_stderr.max(("place", "state")).values.tolist(),
+        "colour_stderr": float(result.colour_stderr.max()),
+        "change_stderr": float(result.delta_e_2000_stderr.max()),
+    }
+    found["refill_s"] = found["refill_stderr_s"] = None
+    if "refill_s" in result and not np.isnan(result.refill_s).all():
+        slowest = result.isel(place=int(np.nanargmax(result.refill_s)))
+        found |= {"refill_s": float(slowest.refill_s), "refill_stderr_s": float(slowest.refill_s_stderr)}
+    if "beat_delta_e_2000" in result:
+        moved = result.isel(place=int(np.argmax(result.beat_delta_e_2000.values)))
+        found["beat_delta_e_2000"] = float(moved.beat_delta_e_2000)
+        found["beat_delta_e_2000_stderr"] = float(moved.beat_delta_e_2000_stderr)
+    if "lab_spread" in result:
+        spread = result.lab_spread.transpose("site", "band").values.tolist()
+        found["lab_spread"] = dict(zip(result.site.values.tolist(), spread, strict=True))
+    return found | {name: result.attrs[name] for name in ("photons", "backend", "cpu_seconds", "wall_seconds")}
+
+
+def oximeter_summary(result: "xr.Dataset") -> dict[str, Any]:
+    """Calibration and errors of an oximeter; so2 in parts of 1, everything called SpO2 in percent."""
+    scene_so2, leds = float(result.attrs["so2"]), [str(name) for name in result.led.values]
+    readings = {}
+    for name in result.photodiode.values:
+        one = result.sel(photodiode=name)
+        terms, errors = one.linear.values.tolist(), one.linear_stderr.values.tolist()
+        readings[str(name)] = {
+            "so2": one.so2.values.tolist(),
+            "ratio": one.ratio.values.tolist(),
+            "ratio_stderr": one.ratio_stderr.values.tolist(),
+            "ratio_at_rest": {
+                "so2": scene_so2,
+                "value": float(one.ratio_at_rest),
+                "stderr": float(one.ratio_at_rest_stderr),
+            },
+            "fit": {"intercept": terms[0], "slope": terms[1], "intercept_stderr": errors[0], "slope_stderr": errors[1]}
+            | {"miss": float(one.linear_miss), "quadratic": one.quadratic.values.tolist()},
+            "perfusion_index": dict(zip(leds, one.perfusion_index.values.tolist(), strict=True)),
+            "perfusion_index_stderr": dict(zip(leds, one.perfusion_index_stderr.values.tolist(), strict=True)),
+            "path_ratio": float(one.path_ratio),
+            "path_ratio_stderr": float(one.path_ratio_stderr),
+            "spo2_stderr": float(one.spo2_stderr),
+            "spo2_stderr_beat": float(one.spo2_stderr_beat),
+            "spo2_stderr_by_cause": dict(
+                zip(map(str, one.cause.values), one.spo2_stderr_by_cause.values.tolist(), strict=True)
+            ),
+            "saturated": bool(one.saturated),
+            "melanin_bound": float(one.melanin_bound),
+            "disturbances": {
+                key: {
+                    "values": one[key].values.tolist(),
+                    "spo2_off": one[f"off_by_{key}"].values.tolist(),
+                    "stderr": one[f"off_by_{key}_stderr"].values.tolist(),
+                }
+                for key in result.attrs["disturbances"]
+            },
+        }
+    kept = ("best", "warnings", "photons", "engine", "backend", "cpu_seconds", "wall_seconds", "digest")
+    return {"readings": readings} | {name: result.attrs[name] for name in kept}
+
+
+def recording_summary(result: "xr.Dataset") -> dict[str, Any]:
+    """Medians over the windows without motion of an oximeter's recording, SpO2 in percent."""
+    readings = {}
+    for name in result.photodiode.values:
+        one = result.sel(photodiode=name)
+        there = np.isfinite(one.spo2.values)
+        row = {"windows": int(one.sizes["time"]), "still": int(there.sum()), "motion": float(one.motion.mean())}
+        for key in ("ratio", "ratio_stderr", "spo2", "spo2_stderr", "spo2_low", "spo2_high", "rate_per_min"):
+            values = one[key].values[np.isfinite(one[key].values)]
+            row[key] = float(np.median(values)) if len(values) else None  # type: ignore[assignment]
+        index = {k: one[f"perfusion_index_{k}"].values[there] for k in ("red", "infrared")}
+        readings[str(name)] = row | {
+            "perfusion_index": {k: float(np.nanmedian(v)) if len(v) else None for k, v in index.items()}
+        }
+    best = result.attrs["best"]
+    return {
+        "readings": readings,
+        "best": best,
+        **{k: readings[best][k] for k in ("spo2", "spo2_low", "spo2_high", "rate_per_min")},
+    }
+
+
+def calibration_summary(result: "xr.Dataset") -> dict[str, Any]:
+    """Readings, factors, fit and warnings of a calibration."""
+    from ..studies.force.subject import parse_subject
+
+    subject = parse_subject(result.attrs["subject"])
+    bent = set(result.attrs["bent_factors"])
+    return {
+        "readings": subject.readings(),
+        "parameters": {name: one | {"quadratic": name not in bent} for name, one in subject.factors().items()},
+        "chi2_per_dof": subject.chi2_per_dof,
+        "rms_n": subject.rms_n,
+        "half_width_n": result.attrs["half_width_n"],
+        "widening": subject.widening,
+        "warnings": list(result.attrs["warnings"]),
+    }
+
+
+def prediction_summary(result: "xr.Dataset") -> dict[str, Any]:
+    """Errors, coverage, consistency and events of a prediction."""
+    names = ["rms_n", "coverage_95", "chi2_per_dof", "open_above_n", "outliers", "misfit"]
+    names += ["touch_rms_n", "touch_coverage_95", "half_width_n", "touch_open_above"]
+    return {name: result.attrs[name] for name in names} | {
+        "open_above_by_side_n": {side: float(result.attrs[f"open_above_{side}_n"]) for side in ("proximal", "distal")},
+        "consistent": bool(result.attrs["consistent"]),
+        "warnings": list(result.attrs["warnings"]),
+        "baseline_rms_n": {name: result.attrs[f"rms_{name}_n"] for name in ("linear", "components")},
+        "events": [
+            {"time_s": float(time), "kind": str(kind), "latency_s": float(latency)}
+            for time, kind, latency in zip(
+                result.event_time_s.values, result.event_kind.values, result.event_latency_s.values, strict=True
+            )
+        ],
+    }

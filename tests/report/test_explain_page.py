@@ -48,7 +48,7 @@ def test_the_page_begins_with_the_largest_effect_and_its_error(found, tmp_path):
     assert load_scene(paths["scene"]) == found.required
 
 
-def test_what_cannot_be_told_to_matter_is_no_headline_beside_what_surely_does(found, tmp_path):
+def test_an_undecided_effect_is_no_headline_beside_a_significant_one(found, tmp_path):
     noisy = effect("forward scattering", -0.9, 0.4)
     assert noisy.matters == "cannot tell"
     for shown, name in (((noisy, *found.effects), "plate &lt;absorption&gt;"), ((noisy,), "forward scattering")):

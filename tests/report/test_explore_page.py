@@ -59,20 +59,20 @@ def tab(browser: Any) -> Iterator[Any]:
 @pytest.fixture
 def shown(tab: Any, file: Path) -> Iterator[Any]:
     """The page as it opens; it must not complain and must ask nothing of any other file or server."""
-    complaints, asked = [], []
+    complaints, requested = [], []
     hear = {
         "pageerror": lambda error: complaints.append(str(error)),
         "console": lambda message: complaints.append(message.text) if message.type == "error" else None,
-        "request": lambda request: asked.append(request.url),
+        "request": lambda request: requested.append(request.url),
     }
-    for event, told in hear.items():
-        tab.on(event, told)
+    for event, note in hear.items():
+        tab.on(event, note)
     tab.goto(file.as_uri())
     yield tab
     assert complaints == []
-    assert {url for url in asked if not url.startswith("blob:")} <= {file.as_uri()}
-    for event, told in hear.items():
-        tab.remove_listener(event, told)
+    assert {url for url in requested if not url.startswith("blob:")} <= {file.as_uri()}
+    for event, note in hear.items():
+        tab.remove_listener(event, note)
 
 
 def test_the_page_is_one_file_of_at_most_five_megabytes(file: Path):
@@ -149,12 +149,12 @@ def test_volts_noise_and_the_converters_limit_are_pythons(shown: Any, explored: 
     for fraction in (0.0, 1e-5, 1e-3, 0.5, last):
         expected = electronics.read(fraction, led, photodiode, scene.electronics)
         current = fraction * led.flux_mw * 1e-3
-        told = shown.evaluate(
+        displayed = shown.evaluate(
             "x => stage(tables.photodiodeKinds[0], x * tables.photodiodeKinds[0].responsivity[0])", current
         )
-        assert told["volts"] == pytest.approx(float(expected.volts), rel=1e-9)
-        assert told["noiseV2"] == pytest.approx(float(expected.noise_v2), rel=1e-6)
-        assert told["saturated"] == bool(expected.saturated)
+        assert displayed["volts"] == pytest.approx(float(expected.volts), rel=1e-9)
+        assert displayed["noiseV2"] == pytest.approx(float(expected.noise_v2), rel=1e-6)
+        assert displayed["saturated"] == bool(expected.saturated)
 
 
 def test_the_force_that_readings_resolve_is_that_of_place(shown: Any, explored: Exploration):
@@ -178,21 +178,21 @@ def test_the_force_that_readings_resolve_is_that_of_place(shown: Any, explored: 
             {"led": 0, "light": a, "zone": b, "noiseV2": c, "saturated": d}
             for a, b, c, d in zip(light.tolist(), zone.tolist(), noise_v2.tolist(), limit.tolist(), strict=True)
         ]
-        told = shown.evaluate(
+        displayed = shown.evaluate(
             """([rows, force, rest]) => forceResolution(rows, {body: tables.touch.hasBody,
                 bloodPerPa: atForce(tables.touch.bloodPerPa, force).map((row) => row.map((x) => x * rest)),
                 waves: atForce(tables.touch.waves, force).map((row) => row.map((x) => x * rest * rest))}, 1)""",
             [given, force_n, scene.blood.rest_blood_fraction],
         )
-        assert told == pytest.approx(expected, rel=1e-6)
+        assert displayed == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_blood_under_a_force_is_that_of_the_vessels(shown: Any, explored: Exploration):
     force_n = np.linspace(0.0, 3.5, 15)
     expected = steady_blood(explored.scene, force_n)
     rest = explored.scene.blood.rest_blood_fraction
-    told = shown.evaluate("([fs, rest]) => fs.map((f) => stateAt(f, rest, 0.97))", [force_n.tolist(), rest])
-    assert np.array(told)[:, :2] == pytest.approx(expected, abs=0.01 * rest)
+    displayed = shown.evaluate("([fs, rest]) => fs.map((f) => stateAt(f, rest, 0.97))", [force_n.tolist(), rest])
+    assert np.array(displayed)[:, :2] == pytest.approx(expected, abs=0.01 * rest)
 
 
 def test_jackknife_polynomial_and_ambient_light_are_pythons(shown: Any, explored: Exploration):
@@ -258,7 +258,7 @@ def saved(shown: Any, button: str, folder: Path) -> Path:
     return path
 
 
-def test_a_dragged_led_and_a_typed_force_come_back_as_a_scene_and_as_positions(
+def test_a_dragged_led_and_a_typed_force_are_saved_as_scene_and_positions(
     shown: Any, explored: Exploration, tmp_path: Path
 ):
     before, start = rows(shown), explored.scene.layout.leds[0].center_mm

@@ -9,7 +9,7 @@ from hostile_names import HOSTILE, Tags, assert_text_alone
 from matplotlib.figure import Figure
 
 from nailoptics.assets import data_dir
-from nailoptics.report import html
+from nailoptics.report import html, write_report
 from nailoptics.report.pages import force, oximeter, tradeoff
 from nailoptics.report.pages.place import page as place
 from nailoptics.scene import load_scene, to_toml
@@ -36,6 +36,27 @@ def test_what_nobody_sees_is_written_out_on_a_page():
     text = html.document(kicker="k", title=name, lead="l", cards=[(name, name)], body=[], attributes={"scene": name})
     assert shown in Tags(text).said and text.encode()
     assert not any(c in text for c in "\x1b\u202e\udcff")
+
+
+def test_a_browser_runs_and_loads_nothing_of_a_name(browser, make, tmp_path):
+    """In every slot, table and figure of a page, and on the page of a touch: no dialog, no complaint, no request."""
+    name, drawing = "".join(HOSTILE), Figure()
+    drawing.subplots().set_title(name.replace("$", r"\$"))
+    body = [html.table([html.escaped(name)], [[html.escaped(name)]], groups=[name]), html.figure(drawing, "one", name)]
+    given = {"kicker": name, "title": name, "lead": name, "warnings": name, "cards": [(name, name)], "body": body}
+    about = dict.fromkeys(("scene", "cut_off", *html.PROVENANCE), name)
+    (tmp_path / "parts.html").write_text(html.document(**given, attributes=about), encoding="utf-8")
+    result = make(section=False).assign_coords(led=[name], photodiode=[f"{name}{i}" for i in range(8)])
+    write_report(result.assign_attrs(versions=name, seeds=name, backend=name), tmp_path / "touch.html")
+    view, heard = browser.new_page(), []
+    for event in ("console", "pageerror", "dialog", "request"):
+        view.on(event, lambda what, event=event: heard.append((event, getattr(what, "url", what))))
+    for page in ("parts.html", "touch.html"):
+        view.goto((tmp_path / page).as_uri())
+        assert "alert(1)" in view.inner_text("h1" if page == "parts.html" else "table")
+        assert view.evaluate("document.querySelectorAll('script, img, [onerror], [onload]').length") == 0
+    assert heard == [("request", (tmp_path / page).as_uri()) for page in ("parts.html", "touch.html")]
+    view.close()
 
 
 @pytest.mark.parametrize("name", HOSTILE)
@@ -75,7 +96,7 @@ def test_tables_of_layouts_persons_and_readings_show_a_name_as_text(name):
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_the_page_of_a_calibration_shows_names_of_readings_files_and_factors_as_text(name, tmp_path):
+def test_hostile_names_are_text_on_the_page_of_a_calibration(name, tmp_path):
     over = ("reading", "sample")
     volts = 1.0 + np.linspace(0.0, 1e-3, 8)[None]
     profile = ("factor", "step")
@@ -95,7 +116,7 @@ def test_the_page_of_a_calibration_shows_names_of_readings_files_and_factors_as_
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_the_page_of_a_prediction_shows_warnings_misfits_and_events_as_text(name, tmp_path):
+def test_hostile_names_are_text_on_the_page_of_a_prediction(name, tmp_path):
     numbers = ["force_n", "force_low_n", "force_high_n", "force_linear_n", "known_force_n", "surprise"]
     numbers += ["proximal_share", "proximal_share_low", "proximal_share_high", "arterial_change_pa"]
     data = {one: ("time", np.linspace(0.1, 1.0, 8)) for one in numbers} | {"outlier": ("time", np.zeros(8, bool))}

@@ -172,7 +172,7 @@ def test_saturation_is_said_at_the_top(undrawn, make):
     assert text.index("at its limit: proximal.12 under ir") < text.index("<h2>")
 
 
-def test_a_saturated_reading_is_no_finding_and_has_no_numbers_but_its_limit(undrawn, make):
+def test_a_saturated_reading_is_no_key_figure_and_shows_only_its_limit(undrawn, make):
     result = make(section=False)
     largest = int(abs(result.volts_change.values[0]).max(axis=-1).argmax())
     name = str(result.photodiode.values[largest])

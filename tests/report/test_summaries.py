@@ -3,7 +3,8 @@
 import numpy as np
 
 from nailoptics.report.readings import hold_end, photodiode_readings
-from nailoptics.report.summaries import check_lines, simulation_lines, simulation_summary
+from nailoptics.report.summaries import simulation_summary
+from nailoptics.report.terminal_text import check_lines, simulation_lines
 from nailoptics.report.uncertainty_section import conclusions
 
 
@@ -74,7 +75,7 @@ def test_a_check_is_reported_in_sentences():
     }
     lines = check_lines({"scene": "phantom", "valid": True, "leds": [led]})
     assert lines == [
-        "phantom: nothing in it would be refused",
+        "phantom: the scene is valid",
         "LED ir (led_800): 800 nm, 33 nm wide, 2 mW, at (1, 2) mm",
     ]
     pair = {"led": "ir", "photodiode": "a", "distance_mm": 1.5, "volts": 0.25}
@@ -90,4 +91,6 @@ def test_a_check_is_reported_in_sentences():
     assert "ignored: 9 parts of x.kicad_pcb (R0, R1, R2, R3, R4, R5, R6, R7, ...)" in lines
     shape = {"regions": ["air", "plate"], "triangles": 12, "crossings": 70, "disagreements": 0, "volume_error": 1e-15}
     geometry, closed = check_lines({"scene": "mine", "valid": True} | shape)[-2:]
-    assert "12 triangles between the air and plate" in geometry and closed.startswith("closed: yes; of 70 times")
+    assert "12 triangles between the air and plate" in geometry and closed.startswith(
+        "watertight: yes; 0 of 70 surface crossings"
+    )

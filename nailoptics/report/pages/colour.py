@@ -239,7 +239,9 @@ def _along_figure(result: xr.Dataset) -> "Figure":
             value, error = result.lab.values[:, s, k], Z95 * result.lab_stderr.values[:, s, k]
             panel.plot(result.v_mm, value, color=colour, label=f"{force:g} N")
             panel.fill_between(result.v_mm, value - error, value + error, color=colour, alpha=0.15, linewidth=0)
-    for k, (panel, words) in enumerate(zip(axes, ("lightness L*", "redness a* [1]", "yellowness b*"), strict=True)):
+    for k, (panel, words) in enumerate(
+        zip(axes, ("lightness L* [1]", "redness a* [1]", "yellowness b* [1]"), strict=True)
+    ):
         panel.plot(result.v_mm, result.lab_without_blood.values[:, k], ":", color=style.MUTED, label="no blood")
         panel.set_title(words)
     axes[-1].set_xlabel("place along the nail, towards the tip [mm]; the outermost two are skin")
@@ -299,7 +301,7 @@ def _ranges_figure(result: xr.Dataset) -> "Figure":
             else:
                 panel.errorbar(mean[0][1], mean[0][k], Z95 * sd[k], Z95 * sd[1], **look, label=one.name)
         panel.set_xlabel("redness a* [1]")
-        panel.set_title(f"{'lightness' if k == 0 else 'yellowness'} {name}")
+        panel.set_title(f"{'lightness' if k == 0 else 'yellowness'} {name} [1]")
     style.legend_above(figure, axes[0], ncols=2)
     return figure
 

@@ -9,11 +9,12 @@ import xarray as xr
 
 from ...io import write_text
 from ...statistics import Z95
-from ...studies.comparison.verdict import claim, verdict
+from ...studies.comparison.verdict import verdict
 from .. import style
 from ..html import document, escaped, figure, section, small, table
 from ..numbers import significant, with_error
 from ..readings import led_name
+from ..summaries import paper_claim
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -68,7 +69,7 @@ def _led_section(result: xr.Dataset, led: int) -> str:
 
 
 def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
-    found = claim(result)["bed_alpha_d2"]["at_start"]
+    found = paper_claim(result)["bed_alpha_d2"]["at_start"]
     sweep = str(result.sweep.values[0])
     words = f"αD² where the {sweep} starts, over all photodiodes; the paper says about 0.01"
     cards = [(f"{significant(found['least'], 2)} – {significant(found['largest'], 2)}", words)]

@@ -39,7 +39,10 @@ def write_calibration_page(result: xr.Dataset, summary: dict[str, Any], path: Pa
     cards = [
         (f"{significant(1e3 * summary['rms_n'], 2)} mN", "rms error of the force on the calibration recordings"),
         (significant(summary["chi2_per_dof"], 2), "chi-squared per degree of freedom"),
-        (f"× {significant(summary['widening'], 2)}", "width of intervals over the usual, as these recordings need it"),
+        (
+            f"× {significant(summary['widening'], 2)}",
+            "coverage factor: width of intervals relative to nominal, from these recordings",
+        ),
     ]
     caption = (
         "Each reading less its start: recorded (wide, coloured) and fitted (thin, dark), a column for each recording."

@@ -62,13 +62,13 @@ def page_of_oximeter(result: xr.Dataset) -> str:
         body=[
             section("The pulse in volts", figure(_pulse_figure(result), "pulse", PULSE), *_board(result)),
             section(
-                "From R to saturation",
+                "Calibration: from R to saturation",
                 figure(_calibration_figure(result), "calibration", CURVE),
                 _calibrations(result),
             ),
-            section("How well it knows", _errors(result), small(_ERRORS)),
+            section("Uncertainty of SpO2", _errors(result), small(_ERRORS)),
             section(
-                "What disturbs it",
+                "Sensitivity to disturbances",
                 figure(_disturbances_figure(result), "disturbances", DISTURB),
                 _melanin(result),
                 small(
@@ -84,7 +84,7 @@ def page_of_oximeter(result: xr.Dataset) -> str:
 
 _ERRORS = (
     "Electronics: shot and thermal noise and that of the sample-and-hold. Ambient light: the shot noise that it adds. "
-    "Trace: what more photons would take away."
+    "Trace: photon noise of the simulation, which more photons reduce."
 )
 
 
@@ -114,7 +114,7 @@ def _calibrations(result: xr.Dataset) -> str:
             ]
         )
     at = f"R({result.attrs['so2']:g})"
-    head = ["Photodiode", "Intercept", "Slope", "Misses [%]", "Quadratic", "Misses [%]", at, "Path ratio"]
+    head = ["Photodiode", "Intercept", "Slope", "Residual [%]", "Quadratic", "Residual [%]", at, "Path ratio"]
     return table(head, rows) + small(
         "Lines are fitted from 70 to 100 %. The path ratio is the red light's mean path in the pulsatile blood over "
         "the infrared's: R is in proportion to it."
@@ -122,7 +122,12 @@ def _calibrations(result: xr.Dataset) -> str:
 
 
 def _errors(result: xr.Dataset) -> str:
-    head = ["Photodiode", *(escaped(cause) for cause in result.cause.values), "All, 8 s [%]", "All, one beat [%]"]
+    head = [
+        "Photodiode",
+        *(f"{escaped(cause)} [%]" for cause in result.cause.values),
+        "All, 8 s [%]",
+        "All, one beat [%]",
+    ]
     rows = []
     for name in result.photodiode.values:
         one = result.sel(photodiode=name)
@@ -258,7 +263,7 @@ def overview_figure(result: xr.Dataset) -> "Figure":
     _draw_calibration(curve, result)
     curve.set_title("Saturation from the ratio of ratios")
     _disturbance(force, result, "touch_force_n", style.place_colours(result.sizes["photodiode"]))
-    force.set_title("What a touch does to it")
+    force.set_title("Effect of a touch")
     force.set_ylabel("bias of SpO2 [%]")
     return figure
 
@@ -292,7 +297,7 @@ def _disturbance(panel: "Axes", result: xr.Dataset, name: str, colours: list[str
     low, high = panel.get_ylim()
     panel.set_ylim(min(low, -0.5), max(high, 0.5))
     words = result[name].attrs["long_name"]
-    panel.set_xlabel(style.in_lines(words + ("" if units == "1" else f" [{units}]")), fontsize=8)
+    panel.set_xlabel(style.in_lines(f"{words} [{units}]"), fontsize=8)
 
 
 @style.drawing()

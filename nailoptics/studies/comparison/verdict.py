@@ -1,7 +1,7 @@
 """What a comparison comes to: does a model hold, how far, and how large alpha D^2 really is."""
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -97,62 +97,3 @@ def _worst(error: np.ndarray, stderr: np.ndarray) -> tuple[float, float]:
     low, high = error - float(ndtri(1 - (1 - SURE) / 2 / error.size)) * stderr, error + Z95 * stderr
     known = np.isfinite(low)
     return float(np.max(low, where=known, initial=0.0)), float(np.max(high)) if known.all() else float("inf")
-
-
-def summary(result: xr.Dataset) -> dict[str, Any]:
-    """The comparison in plain numbers, ready for JSON: readings by sweep, LED and photodiode, and the paper's claim."""
-    places = np.ndindex(*(result.sizes[name] for name in _PAIRS))
-    rows = [_row(result.isel(dict(zip(_PAIRS, at, strict=True)))) for at in places]
-    kept = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest")
-    found = {"comparisons": rows, "claim": claim(result), "cut_off": result.attrs.get("cut_off")}
-    found |= {"reused": bool(result.attrs.get("reused", 0))}
-    return found | {name: result.attrs[name] for name in kept}
-
-
-_PAIRS = ("sweep", "led", "photodiode")
-_ALPHA_D2 = ("alpha_d2", "bed_alpha_d2")
-
-
-def _row(one: xr.Dataset) -> dict[str, Any]:
-    """One photodiode under one LED over one sweep."""
-    row: dict[str, Any] = {name: str(one[name].values) for name in _PAIRS}
-    row |= {"swing_of_reading": float(one.swing / one.reading[0]), "path_mm": _pair(one, "path_mm")}
-    for name in _ALPHA_D2:
-        row |= {f"{name}_{end}": _pair(one.isel(point=at), name) for end, at in (("start", 0), ("end", -1))}
-    for way in (str(w) for w in one.way.values):
-        for model in (str(m) for m in one.model.values):
-            here = one.sel(way=way, model=model)
-            error = _pair(here.isel(point=-1), "range_error")
-            limits = {f"{within:g}": _limit(here.sel(within=within)) for within in one.within.values}
-            row[f"{model}_{way}"] = {"error_of_swing": error, "holds_to": limits}
-        worst = int(np.abs(one.error.sel(way=way, model="taylor").values).argmax())
-        parts = one.sel(way=way).isel(point=worst)
-        row[f"parts_{way}"] = {str(p): _pair(parts.sel(part=p), "part_error") for p in one.part.values}
-    return row
-
-
-def _limit(here: xr.Dataset) -> dict[str, Any]:
-    """Up to where a model holds, in every measure."""
-    limits: dict[str, Any] = {"ends_within_sweep": bool(here.limit_ends)}
-    for name in ("setting", "blood_fraction", *_ALPHA_D2):
-        limit = "limit" if name == "setting" else f"limit_{name}"
-        limits[name] = {"value": float(here[limit])} | {end: float(here[f"{limit}_{end}"]) for end in ("low", "high")}
-    return limits
-
-
-def claim(result: xr.Dataset) -> dict[str, Any]:
-    """How large alpha D^2 is over the first sweep, beside the paper's 1e-2."""
-    first = result.isel(sweep=0)
-    found: dict[str, Any] = {"paper": 0.01, "sweep": str(result.sweep.values[0])}
-    for name in _ALPHA_D2:
-        start, error = first[name].isel(point=0), first[f"{name}_stderr"].isel(point=0)
-        found[name] = {
-            "at_start": {"least": float(start.min()), "largest": float(start.max()), "stderr": float(error.max())},
-            "over_sweep": {"least": float(first[name].min()), "largest": float(first[name].max())},
-        }
-    return found
-
-
-def _pair(one: xr.Dataset, name: str) -> dict[str, float]:
-    """A value and its standard error."""
-    return {"value": float(one[name]), "stderr": float(one[f"{name}_stderr"])}

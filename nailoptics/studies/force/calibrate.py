@@ -30,7 +30,7 @@ from .predict import TOUCH_N
 from .profile_likelihood import Profile, profile_of
 from .pulp import Pulp
 from .reading_table import ReadingTable, nodes_of, paper_table, reading_names, reading_table
-from .subject import Model, Subject, parse_subject, subject_toml
+from .subject import Model, Subject, subject_toml
 
 Array = NDArray[np.float64]
 
@@ -209,21 +209,6 @@ def _pulp(touch: Touch, model: Model) -> Pulp:
         creep_s=touch.creep_s,
         recovery_s=USUAL_PULP.recovery_s if recovery_s is None else recovery_s,
     )
-
-
-def calibration_summary(result: xr.Dataset) -> dict[str, Any]:
-    """What a calibration says in few numbers, ready for JSON."""
-    subject = parse_subject(result.attrs["subject"])
-    bent = set(result.attrs["bent_factors"])
-    return {
-        "readings": subject.readings(),
-        "parameters": {name: one | {"quadratic": name not in bent} for name, one in subject.factors().items()},
-        "chi2_per_dof": subject.chi2_per_dof,
-        "rms_n": subject.rms_n,
-        "half_width_n": result.attrs["half_width_n"],
-        "widening": subject.widening,
-        "warnings": list(result.attrs["warnings"]),
-    }
 
 
 def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:

@@ -127,24 +127,6 @@ def csv_row(
     )
 
 
-def prediction_summary(result: xr.Dataset) -> dict[str, Any]:
-    """What a prediction's result says in few numbers, ready for JSON."""
-    names = ["rms_n", "coverage_95", "chi2_per_dof", "open_above_n", "outliers", "misfit"]
-    names += ["touch_rms_n", "touch_coverage_95", "half_width_n", "touch_open_above"]
-    return {name: result.attrs[name] for name in names} | {
-        "open_above_by_side_n": {side: float(result.attrs[f"open_above_{side}_n"]) for side in ("proximal", "distal")},
-        "consistent": bool(result.attrs["consistent"]),
-        "warnings": list(result.attrs["warnings"]),
-        "baseline_rms_n": {name: result.attrs[f"rms_{name}_n"] for name in ("linear", "components")},
-        "events": [
-            {"time_s": float(time), "kind": str(kind), "latency_s": float(latency)}
-            for time, kind, latency in zip(
-                result.event_time_s.values, result.event_kind.values, result.event_latency_s.values, strict=True
-            )
-        ],
-    }
-
-
 def _dataset(
     subject: Subject,
     recording: Recording,

@@ -1,7 +1,7 @@
 """A pulse oximeter from touch to SpO2: R against saturation, its calibration, its error, and what disturbs it."""
 
 import time
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 import xarray as xr
@@ -294,45 +294,3 @@ def _warnings(calibrated: CalibratedOximeter, front_ends: list[SampledFrontEnd],
             "electronics.bandwidth_hz or oximeter.settle, or lengthen the slots"
         )
     return lines
-
-
-def summary(result: xr.Dataset) -> dict[str, Any]:
-    """What an oximeter's result says, ready for JSON; so2 in parts of 1, everything called SpO2 in percent."""
-    scene_so2, leds = float(result.attrs["so2"]), [str(name) for name in result.led.values]
-    readings = {}
-    for name in result.photodiode.values:
-        one = result.sel(photodiode=name)
-        terms, errors = one.linear.values.tolist(), one.linear_stderr.values.tolist()
-        readings[str(name)] = {
-            "so2": one.so2.values.tolist(),
-            "ratio": one.ratio.values.tolist(),
-            "ratio_stderr": one.ratio_stderr.values.tolist(),
-            "ratio_at_rest": {
-                "so2": scene_so2,
-                "value": float(one.ratio_at_rest),
-                "stderr": float(one.ratio_at_rest_stderr),
-            },
-            "fit": {"intercept": terms[0], "slope": terms[1], "intercept_stderr": errors[0], "slope_stderr": errors[1]}
-            | {"miss": float(one.linear_miss), "quadratic": one.quadratic.values.tolist()},
-            "perfusion_index": dict(zip(leds, one.perfusion_index.values.tolist(), strict=True)),
-            "perfusion_index_stderr": dict(zip(leds, one.perfusion_index_stderr.values.tolist(), strict=True)),
-            "path_ratio": float(one.path_ratio),
-            "path_ratio_stderr": float(one.path_ratio_stderr),
-            "spo2_stderr": float(one.spo2_stderr),
-            "spo2_stderr_beat": float(one.spo2_stderr_beat),
-            "spo2_stderr_by_cause": dict(
-                zip(map(str, one.cause.values), one.spo2_stderr_by_cause.values.tolist(), strict=True)
-            ),
-            "saturated": bool(one.saturated),
-            "melanin_bound": float(one.melanin_bound),
-            "disturbances": {
-                key: {
-                    "values": one[key].values.tolist(),
-                    "spo2_off": one[f"off_by_{key}"].values.tolist(),
-                    "stderr": one[f"off_by_{key}_stderr"].values.tolist(),
-                }
-                for key in result.attrs["disturbances"]
-            },
-        }
-    kept = ("best", "warnings", "photons", "engine", "backend", "cpu_seconds", "wall_seconds", "digest")
-    return {"readings": readings} | {name: result.attrs[name] for name in kept}

@@ -255,28 +255,6 @@ def _dataset(
     return xr.Dataset(data, times | {"photodiode": list(recording.photodiodes)}, about)
 
 
-def recording_summary(result: xr.Dataset) -> dict[str, Any]:
-    """What a recording says in few numbers, ready for JSON; medians over its still windows, SpO2 in percent."""
-    readings = {}
-    for name in result.photodiode.values:
-        one = result.sel(photodiode=name)
-        there = np.isfinite(one.spo2.values)
-        told = {"windows": int(one.sizes["time"]), "still": int(there.sum()), "motion": float(one.motion.mean())}
-        for key in ("ratio", "ratio_stderr", "spo2", "spo2_stderr", "spo2_low", "spo2_high", "rate_per_min"):
-            values = one[key].values[np.isfinite(one[key].values)]
-            told[key] = float(np.median(values)) if len(values) else None  # type: ignore[assignment]
-        index = {k: one[f"perfusion_index_{k}"].values[there] for k in ("red", "infrared")}
-        readings[str(name)] = told | {
-            "perfusion_index": {k: float(np.nanmedian(v)) if len(v) else None for k, v in index.items()}
-        }
-    best = result.attrs["best"]
-    return {
-        "readings": readings,
-        "best": best,
-        **{k: readings[best][k] for k in ("spo2", "spo2_low", "spo2_high", "rate_per_min")},
-    }
-
-
 CSV_COLUMNS = (
     "ratio",
     "spo2",

@@ -14,10 +14,11 @@ from nailoptics.light import optics
 from nailoptics.light.photograph import photograph
 from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
+from nailoptics.report.summaries import colour_summary
 from nailoptics.scene import load_scene, parse_scene
 from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
 from nailoptics.studies.colour.measured_colours import MEASURED
-from nailoptics.studies.colour.nail_colour import colour, colour_summary
+from nailoptics.studies.colour.nail_colour import colour
 from nailoptics.studies.colour.reflectance import GROUPS, walk_colour
 from nailoptics.tissue import properties
 

@@ -17,12 +17,13 @@ from nailoptics.light.transfer.series import GROUPS, read_replicates
 from nailoptics.options import TraceOptions
 from nailoptics.report.pages import compare as compare_page
 from nailoptics.report.pages.compare import write_comparison
+from nailoptics.report.summaries import comparison_summary as summary
 from nailoptics.scene import Scene
 from nailoptics.statistics import Z95, jackknife
 from nailoptics.studies.comparison import formula_errors
 from nailoptics.studies.comparison.compare import _scattering_slopes, compare, compare_transfer, state_sweep
 from nailoptics.studies.comparison.formula_errors import Over
-from nailoptics.studies.comparison.verdict import summary, verdict
+from nailoptics.studies.comparison.verdict import verdict
 
 NO_SCATTERING = np.zeros((2, 1, 8))
 

@@ -10,14 +10,15 @@ from made_sensor import on_rigid_pulp
 from nailoptics import hemodynamics, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
+from nailoptics.report.summaries import calibration_summary, prediction_summary
 from nailoptics.scene.sensor_recordings import SITES, Recording, recording_csv
 from nailoptics.studies.force.body_noise import MOVED_ERROR
-from nailoptics.studies.force.calibrate import PAPER_FACTORS, _checked, _warnings, calibrate_with, calibration_summary
+from nailoptics.studies.force.calibrate import PAPER_FACTORS, _checked, _warnings, calibrate_with
 from nailoptics.studies.force.fit import Fit
 from nailoptics.studies.force.live import live
 from nailoptics.studies.force.observer import READING_LASTS_S, RUN_AWAY, WIDTHS, Observer
 from nailoptics.studies.force.person import NAMES, PRIORS, force_of, person
-from nailoptics.studies.force.predict import csv_rows, events, predict, prediction_summary
+from nailoptics.studies.force.predict import csv_rows, events, predict
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
 from nailoptics.studies.force.subject import Subject, parse_subject
 

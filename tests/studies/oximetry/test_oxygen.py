@@ -16,10 +16,11 @@ from nailoptics.light import Transfer
 from nailoptics.options import TraceOptions
 from nailoptics.report.pages.oximeter import page_of_oximeter
 from nailoptics.report.result_files import OXIMETER
+from nailoptics.report.summaries import oximeter_summary as summary
 from nailoptics.scene import Scene
 from nailoptics.statistics import jackknife
 from nailoptics.studies.oximetry import oxygen, ratio_trace
-from nailoptics.studies.oximetry.oxygen import oximeter, oximeter_from, summary
+from nailoptics.studies.oximetry.oxygen import oximeter, oximeter_from
 from nailoptics.studies.oximetry.ratio import (
     SaturationCurve,
     estimate,

@@ -9,9 +9,10 @@ from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import cardiac_pressure
+from nailoptics.report.summaries import recording_summary
 from nailoptics.scene.slot_recordings import OximeterRecording, oximeter_csv
 from nailoptics.studies.oximetry.recording import read_for
-from nailoptics.studies.oximetry.spo2_over_time import CalibrationCurve, recording_summary, spo2_over_time, spo2_rows
+from nailoptics.studies.oximetry.spo2_over_time import CalibrationCurve, spo2_over_time, spo2_rows
 
 SCENE = load_scene(data_dir("scenes") / "pulse_oximeter.toml")
 NAMES = ("axis.1", "axis.3")

@@ -136,7 +136,7 @@ def _bright(light: np.ndarray) -> tuple[float, float]:
 
 
 def _fine(resolution: np.ndarray) -> tuple[float, float]:
-    """From the finest resolution to a hundred times as much."""
+    """The colour scale of resolution: from the best to a hundred times as much."""
     finest = float(np.nanmin(resolution)) if np.isfinite(resolution).any() else 1.0
     return finest, 100 * finest
 
@@ -260,7 +260,7 @@ def led_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     """What the photodiodes as they are would resolve with the LED elsewhere, by light that was traced from them."""
     light = result.led_place_fraction.isel(led=0).sum("best_photodiode").to_numpy()
     resolution = 1e3 * _known(result, "led_place_resolution_n")
-    # What is much worse than the finest is only what was known before any reading.
+    # A resolution much worse than the best is that of the prior alone.
     resolution = np.where(resolution < _fine(resolution)[1], resolution, np.nan)
     panels = (
         ("Light on all photodiodes\n[of the LED's]", light, "viridis", _bright(light)),

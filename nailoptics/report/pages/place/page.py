@@ -22,7 +22,7 @@ from . import figures
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# So near to the finest resolution more photodiodes are hardly worth their wires.
+# Within this part of the best resolution more photodiodes are hardly worth their wires.
 NEARLY = 0.1
 # A resolution beyond this is that of the prior alone.
 NOTHING_MN = 1e3
@@ -134,11 +134,11 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
     others = f"{'One' if tied == 2 else tied - 1} more {'is' if tied == 2 else 'are'} tied with it."
     if tied == 1:
         others = "No other layout is tied with it." if len(ranking) > 1 else "It is the only one evaluated."
-    through = body_words(chosen(result)) if "electronics_resolution_n" in result else ""
+    noise = body_words(chosen(result)) if "electronics_resolution_n" in result else ""
     return (
-        f"Layout {first['layout']} resolves {force} of force in one sample{f' through {through}' if through else ''} "
-        f"(rms{over}, 95 % interval {low} to {high}), "
-        f"whatever part of it presses proximally. {_ranked_by(result, first)}{others}"
+        f"Layout {first['layout']} resolves {force} of force in one sample (rms{over}, 95 % interval {low} to {high}), "
+        f"for any split between the proximal and the distal side{f', with {noise}' if noise else ''}. "
+        f"{_ranked_by(result, first)}{others}"
     )
 
 
@@ -164,7 +164,7 @@ def _ranked_by(result: xr.Dataset, first: dict[str, Any]) -> str:
 
 def _cards(result: xr.Dataset, ranking: list[dict[str, Any]]) -> list[tuple[str, str]]:
     first = ranking[0]
-    cards = [(quantity(first["force_resolution_n"], "N"), "force resolved in one sample, rms")]
+    cards = [(quantity(first["force_resolution_n"], "N"), "force resolution of one sample, rms")]
     if "electronics_resolution_n" in first:
         cards.append((quantity(first["electronics_resolution_n"], "N"), "limited by the electronics' noise alone"))
     better = gain(result)

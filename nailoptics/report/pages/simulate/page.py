@@ -51,7 +51,6 @@ def page(result: xr.Dataset) -> str:
         lead=_sentence(scene, result),
         warnings=_warnings(found, result),
         cards=_cards(found, result),
-        facts=_reached(result),
         body=[
             _readings_section(result, scene, found),
             section("The touch and the blood", touch, vessels, *_bed(result, scene)),
@@ -184,7 +183,8 @@ def _sentence(scene: Scene | None, result: xr.Dataset) -> str:
         text += blood_words(scene)
         if body := body_words(scene):
             text += f"; {body}"
-    return text + "."
+    accuracy = result.attrs.get("accuracy_reached")
+    return f"{text}. Light traced to: {accuracy}." if accuracy else f"{text}."
 
 
 def _cards(found: Sequence[Reading], result: xr.Dataset) -> list[tuple[str, str]]:
@@ -229,19 +229,6 @@ def _warnings(found: Sequence[Reading], result: xr.Dataset) -> list[str]:
     if len(full) < len(found) and not any(r.change_v for r in found if not r.saturated):
         lines.append("No reading changes: the force does not change within the simulated time, or no blood moves.")
     return lines
-
-
-def _reached(result: xr.Dataset) -> list[tuple[str, str]]:
-    """What was reached and what it took, as (name, value)."""
-    attrs = result.attrs
-    rows = {"Accuracy reached": str(attrs.get("accuracy_reached", ""))}
-    if "photons" in attrs:
-        rows["Photons"] = f"{int(attrs['photons']):,}".replace(",", "\u202f")
-    rows["Engine"] = " on ".join(str(attrs[key]) for key in ("engine", "backend") if key in attrs)
-    for key, label in (("wall_seconds", "Time taken"), ("cpu_seconds", "Processor time")):
-        if key in attrs:
-            rows[label] = f"{float(attrs[key]):.3g} s"
-    return [(label, value) for label, value in rows.items() if value]
 
 
 def _signs(found: Sequence[Reading], result: xr.Dataset) -> tuple[str, str]:
