@@ -14,7 +14,7 @@ from nailoptics.hemodynamics.steady import solve_walls
 from nailoptics.hemodynamics.waves import CardiacOscillator, DampedOscillator
 from nailoptics.scene import Scene
 from nailoptics.scene.body import Heartbeat
-from nailoptics.scene.sensor_recordings import SITES, Recording
+from nailoptics.scene.importers.sensor_recordings import SITES, Recording
 from nailoptics.sensor.drift_motion import sensor_course
 from nailoptics.studies.force.body_noise import HARMONICS, HEIGHT_SPREAD, passed
 from nailoptics.studies.force.correction import no_correction

@@ -18,7 +18,7 @@ from nailoptics.hemodynamics.for_scene import steady_blood
 from nailoptics.io import write_text
 from nailoptics.light import DetectedLight
 from nailoptics.scene import Scene, digest
-from nailoptics.scene.sensor_recordings import Recording, read_sensor_recording, recording_csv
+from nailoptics.scene.importers.sensor_recordings import Recording, read_sensor_recording, recording_csv
 from nailoptics.studies import force
 from nailoptics.studies.force import virtual_people as record
 from nailoptics.studies.force.calibrate import calibrate_with

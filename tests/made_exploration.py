@@ -5,16 +5,15 @@ import numpy as np
 from nailoptics.light.pair_kernel import RadialFunction, pair_basis
 from nailoptics.scene import Scene
 from nailoptics.sensor.ambient import SOURCES
-from nailoptics.studies.exploration.blood_polynomial import BloodPolynomial
-from nailoptics.studies.exploration.blood_ratio import ratio_basis
+from nailoptics.studies.exploration.blood_ratio import BloodPolynomial, ratio_basis
 from nailoptics.studies.exploration.colour_table import BLOCKS, ColourTable
 from nailoptics.studies.exploration.explore import (
     Exploration,
     colours,
     explored_board,
     fluence_edges,
+    touch_table,
 )
-from nailoptics.studies.exploration.touch_table import touch_table
 
 
 def made_exploration(scene: Scene, *, seed: int = 0) -> Exploration:

@@ -8,7 +8,7 @@ from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.hemodynamics import parameters
 from nailoptics.scene import Scene
-from nailoptics.scene.sensor_recordings import SITES, Recording
+from nailoptics.scene.importers.sensor_recordings import SITES, Recording
 from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.network import widths_over
 from nailoptics.studies.force.person import RIGID_PULP, person

@@ -8,9 +8,9 @@ import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.report.result_files import write_placement
 from nailoptics.scene import Scene, load_scene, parse_scene, to_toml
-from nailoptics.scene.kicad import read_board
-from nailoptics.scene.outlines import read_outline
-from nailoptics.scene.positions import read_positions
+from nailoptics.scene.importers.kicad import read_board
+from nailoptics.scene.importers.outlines import read_outline
+from nailoptics.scene.importers.positions import read_positions
 from nailoptics.studies.scene_check import check_scene
 from nailoptics.studies.simulate import simulate
 

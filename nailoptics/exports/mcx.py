@@ -10,7 +10,7 @@ from ..geometry import Geometry, build
 from ..io import make_folder, write_bytes, write_text
 from ..light import optics
 from ..scene import Scene, to_toml
-from ..scene.positions import turned
+from ..scene.rectangles import turned
 from .carried import (
     Lost,
     absorber_of,

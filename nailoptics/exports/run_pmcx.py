@@ -84,21 +84,21 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--opencl", action="store_true", help="run pmcxcl in place of pmcx")
     parser.add_argument("-o", "--output", type=Path, default=Path("detected.npz"))
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
 
-    if asked.opencl:
+    if arguments.opencl:
         program = importlib.import_module("pmcxcl")
     else:
         import pmcx
 
         program = pmcx
-    session, folder = json.loads(asked.session.read_text(encoding="utf-8")), asked.session.parent
-    found = program.run(**config(session, folder, photons=asked.photons, seed=asked.seed))
+    session, folder = json.loads(arguments.session.read_text(encoding="utf-8")), arguments.session.parent
+    found = program.run(**config(session, folder, photons=arguments.photons, seed=arguments.seed))
     which, paths = kept(session, np.asarray(found["detp"], float))
-    same = {"photons": asked.photons, "seed": asked.seed, "program": program.__name__}
+    same = {"photons": arguments.photons, "seed": arguments.seed, "program": program.__name__}
     own = session["nailoptics"]
-    np.savez(asked.output, photodiode=which, path_mm=paths, led=own["led"], scene=own["scene"], **same)
-    print(f"{len(which)} of {asked.photons} photons reached photodiodes: {asked.output}")
+    np.savez(arguments.output, photodiode=which, path_mm=paths, led=own["led"], scene=own["scene"], **same)
+    print(f"{len(which)} of {arguments.photons} photons reached photodiodes: {arguments.output}")
 
 
 if __name__ == "__main__":

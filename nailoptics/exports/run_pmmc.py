@@ -40,7 +40,7 @@ def config(session: dict[str, Any], *, source: int, photons: int, seed: int, thr
         "issavedet": 1,
         "issaveexit": 1,
         "issave2pt": 0,
-        # A photon that roulette lets live is not told from others among those detected.
+        # A photon that roulette lets live cannot be distinguished from others among those detected.
         "minenergy": 0.0,
         "compute": "sse",
         "method": "elem",
@@ -101,11 +101,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=0, help="of the processor; all if not given")
     parser.add_argument("-o", "--output", type=Path, default=Path("detected.npz"))
-    asked = parser.parse_args()
-    session = json.loads(asked.session.read_text(encoding="utf-8"))
-    found = detected(session, photons=asked.photons, seed=asked.seed, threads=asked.threads)
-    np.savez(asked.output, **found)
-    print(f"{len(found['photodiode'])} of {found['photons']} photons reached photodiodes: {asked.output}")
+    arguments = parser.parse_args()
+    session = json.loads(arguments.session.read_text(encoding="utf-8"))
+    found = detected(session, photons=arguments.photons, seed=arguments.seed, threads=arguments.threads)
+    np.savez(arguments.output, **found)
+    print(f"{len(found['photodiode'])} of {found['photons']} photons reached photodiodes: {arguments.output}")
 
 
 if __name__ == "__main__":

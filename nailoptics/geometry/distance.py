@@ -42,7 +42,7 @@ class DistanceGrid:
     normal_steps : (nx, ny, nz, 2) int8. Components along x and y of the plane's upward normal, in 1 / NORMAL_STEPS.
     origin_mm : (3,) float. Lowest corner of the first cell; its centre lies half a spacing further. [mm]
     spacing_mm : Edge of the cubic cells. [mm]
-    cap_mm : Distances beyond it are not told apart. [mm]
+    cap_mm : Larger distances are capped. [mm]
 
     From a point p in a cell of centre c, the distance is at least distance_mm - |p - c|. In a cell with a plane it is
     also at least p's distance to the plane less the slack, or PLANE_REACH_MM if that is less.
@@ -67,7 +67,7 @@ def distance_grid(
     """Lower bounds on the distance to the nearest interface.
 
     bounds_mm : (2, 3) float. Lowest and highest corner; the whole geometry if not given. [mm]
-    cap_mm : Distances beyond it are not told apart; light seldom goes further before it scatters. [mm]
+    cap_mm : Larger distances are capped; light seldom goes further before it scatters. [mm]
 
     The bound is short by at most 2 % and 0.3 spacings, or 0.4 spacings where an interface is closer than half of one.
 
@@ -84,7 +84,7 @@ def distance_grid(
     corners = geometry.vertices[geometry.triangles]
     plate = [region for region, name in enumerate(geometry.regions) if name == "plate"]
     of_plate = np.isin(geometry.below, plate) | np.isin(geometry.above, plate)
-    # What lies farther from the cells than distances are told is nearest to none of them.
+    # What lies farther from the cells than the cap is nearest to none of them.
     reach = 2 * cap_mm + COARSE * spacing_mm
     close = ((corners.max(axis=1) > low - reach) & (corners.min(axis=1) < high + reach)).all(axis=1)
     corners, of_plate = corners[close], of_plate[close]

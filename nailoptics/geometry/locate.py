@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .boxes import Boxes
+from .cast import Boxes
 from .grid import Array, Grid, Indices
 from .regions import AIR
 

@@ -1,5 +1,6 @@
 """Grid lines and nodes of a finger with a board: columns around it, rows along it, layers outward."""
 
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -7,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .board import BentBoard
-from .lines import grid_lines
 from .regions import AIR, BED, BONE, CUT, EPIDERMIS, PLATE, PULP
 from .surfaces import BONE_ROUNDING_MM, Array, FingerSurfaces, signed_angle, smooth_step
 
@@ -68,7 +68,11 @@ class Nodes:
             required.append(surfaces.bone_end)
         pieces = int(np.ceil(9 * self.resolution))
         arc = np.sin(np.pi / 2 * np.arange(1, pieces) / pieces)
-        wanted = [-end - 0.5, *(end + surfaces.beyond_nail * arc), *(surfaces.bone_end - BONE_ROUNDING_MM * (1 - arc))]
+        optional = [
+            -end - 0.5,
+            *(end + surfaces.beyond_nail * arc),
+            *(surfaces.bone_end - BONE_ROUNDING_MM * (1 - arc)),
+        ]
 
         def step(place: float) -> float:
             if place < surfaces.cut:
@@ -77,7 +81,7 @@ class Nodes:
             return size / self.resolution
 
         dies = [(r.v_min, r.v_max) for r in self.board.layout.leds]
-        return grid_lines(required, wanted=wanted, step=step, closed=dies)
+        return grid_lines(required, optional=optional, step=step, closed=dies)
 
     @cached_property
     def _depths(self) -> tuple[Array, Array, bool]:
@@ -190,3 +194,44 @@ class Nodes:
 def _direction(angle: Array) -> Array:
     """Unit vectors (..., 2) in (x, z) at angles from z towards x."""
     return np.stack([np.sin(angle), np.cos(angle)], axis=-1)
+
+
+MERGE_MM = 1e-3
+"""Edges closer than this share a line, so that no cell is thinner. [mm]"""
+
+
+def grid_lines(
+    required: Iterable[float],
+    *,
+    optional: Iterable[float] = (),
+    step: Callable[[float], float],
+    closed: Sequence[tuple[float, float]] = (),
+) -> NDArray[np.float64]:
+    """Lines through every required place, with gaps of at most a step between them.
+
+    required : Places that get a line; the first of several within MERGE_MM stands for all. [mm]
+    optional : Places that get a line unless it would come closer than a quarter step to another. [mm]
+    step : Largest gap as a function of place. [mm]
+    closed : Spans (low, high) that get no line but a required one. [mm]
+
+    Returns: (n,) float, rising. [mm]
+    """
+    lines: list[float] = []
+    for place in sorted(required):
+        if not lines or place - lines[-1] > MERGE_MM:
+            lines.append(place)
+
+    def is_closed(place: float) -> bool:
+        return any(low < place < high for low, high in closed)
+
+    for place in sorted(optional):
+        clear = min(abs(place - line) for line in lines) > 0.25 * step(place)
+        if lines[0] < place < lines[-1] and clear and not is_closed(place):
+            lines.append(place)
+    lines.sort()
+    result = lines[:1]
+    for low, high in zip(lines, lines[1:], strict=False):
+        middle = (low + high) / 2
+        pieces = 1 if is_closed(middle) else int(np.ceil((high - low) / step(middle) - 1e-9))
+        result += [low + (high - low) * i / pieces for i in range(1, pieces)] + [high]
+    return np.array(result)

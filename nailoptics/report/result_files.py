@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from ..io import make_folder, plain_cell, to_json, turn, write_bytes, write_dataset, write_text
 from ..memory import give_back
 from ..scene import to_toml
-from ..scene.sensor_recordings import Recording, recording_csv
-from ..scene.slot_recordings import OximeterRecording, oximeter_csv
+from ..scene.importers.sensor_recordings import Recording, recording_csv
+from ..scene.importers.slot_recordings import OximeterRecording, oximeter_csv
 
 if TYPE_CHECKING:
     import numpy as np
@@ -72,9 +72,9 @@ def write_placement(result: "xr.Dataset", folder: Path, *, negate_x_on_bottom: b
     """
     from ..exports.mesh_files import export_mesh
     from ..geometry import build
-    from ..scene.kicad import write_board
-    from ..scene.outlines import write_outline
-    from ..scene.positions import write_positions
+    from ..scene.importers.kicad import write_board
+    from ..scene.importers.outlines import write_outline
+    from ..scene.importers.positions import write_positions
     from ..studies.placement.result import chosen, kicad_parts, outline, rows
     from .pages.place.page import write_placement as write_page
 

@@ -6,7 +6,7 @@ from typing import Annotated, Self
 from pydantic import Field, ValidationInfo, model_validator
 
 from .base import NonNegative, Positive, Table
-from .recordings import check_columns, read_columns
+from .importers.recordings import check_columns, read_columns
 
 
 class Heartbeat(Table):

@@ -192,8 +192,8 @@ def load_part(name: str, beside: Path | str | None = None, *, expect: type[Part]
     except ValidationError as error:
         raise InputError(one_line(f"{shown}: {explain(error, KINDS[kind])}")) from None
     if expect is not None and not isinstance(part, expect):
-        wanted = next(kind for kind, model in KINDS.items() if model is expect)
-        raise InputError(f'part "{name}" has kind "{part.kind}", and "{wanted}" is needed here; name another part')
+        needed = next(kind for kind, model in KINDS.items() if model is expect)
+        raise InputError(f'part "{name}" has kind "{part.kind}", and "{needed}" is needed here; name another part')
     return part
 
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from .finger import Finger
 from .parts import Board, Led, Photodiode
-from .positions import turned
-from .rectangles import Rectangle
+from .rectangles import Rectangle, turned
 
 ROUNDING_MM = 1e-6  # what parts may overlap without a complaint
 BOARD_MARGIN_MM = 0.5  # from the outermost parts to the edge of a board whose size is not given

@@ -73,7 +73,7 @@ class Oximeter(Table):
 
 
 def two_leds(leds: Sequence[Led], slots: Sequence[Slot] | None) -> tuple[int, int]:
-    """The numbers of the red and the infrared LED, told by their wavelengths, among those that have slots.
+    """The numbers of the red and the infrared LED, distinguished by their wavelengths, among those that have slots.
 
     Raises: ValueError where there are not two of different wavelengths.
     """

@@ -8,7 +8,7 @@ from pydantic import Field, ValidationInfo, model_validator
 from ..errors import InputError
 from .base import MOST_PHOTODIODES, Fraction, Name, NonNegative, Point, Positive, Size, Table
 from .catalogue import LedPart, ModulePart, PhotodiodePart, check_angular_response, check_responsivity, load_part
-from .positions import FileUnit
+from .importers.positions import FileUnit
 
 Wavelength = Annotated[float, Field(ge=200, le=3000)]
 Rotation = Annotated[float, Field(ge=-360, le=360)]

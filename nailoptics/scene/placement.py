@@ -7,13 +7,13 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from ..errors import InputError
 from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Table, check_unique
-from .board_files import read_board_file
 from .finger import DermisAbsorption
-from .outlines import is_point, middle, read_outline
+from .importers.board_files import read_board_file
+from .importers.outlines import is_point, middle, read_outline
+from .importers.positions import UNITS_MM, FileUnit, check_each_once, read_positions, reading_of, warn_of_mirrored
 from .parts import Led, Photodiode, Rotation
-from .positions import UNITS_MM, FileUnit, check_each_once, read_positions, reading_of, warn_of_mirrored
 
-# What layouts can be ranked by, and what of it is told alone or together.
+# What layouts can be ranked by, and which of these may be combined.
 Aim = Literal["worst", "mean", "share", "oxygen"]
 
 

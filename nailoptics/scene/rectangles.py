@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .base import Point
-from .positions import turned
 
 # A turned rectangle is cut into strips along the board's axes on lines of this spacing, the same for all, so that
 # neighbours that touch share their steps. Light changes over a multiple of it, the depth of the epoxy.
@@ -121,3 +120,15 @@ def _area(corners: Sequence[Point]) -> float:
 def _center_u(corners: Sequence[Point], area: float) -> float:
     sides = zip(corners, (*corners[1:], *corners[:1]), strict=True)
     return sum((a + c) * (a * d - c * b) for (a, b), (c, d) in sides) / (6 * area)
+
+
+def turned(point: tuple[float, float], angle_deg: float) -> tuple[float, float]:
+    """A point turned around the origin, against the clock; exact for multiples of 90 degrees."""
+    quarters, rest = divmod(angle_deg, 90.0)
+    x, y = point
+    for _ in range(int(quarters) % 4):
+        x, y = -y, x
+    if rest:
+        cos, sin = math.cos(math.radians(rest)), math.sin(math.radians(rest))
+        x, y = cos * x - sin * y, sin * x + cos * y
+    return x, y

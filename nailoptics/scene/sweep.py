@@ -281,6 +281,6 @@ def _place(items: Any, step: str | int, path: str) -> int:
         return step
     if step in names:
         return names.index(step)
-    told = [name for name in names if isinstance(name, str)]
-    known = f"0 to {len(items) - 1}" + (f" or {', '.join(told)}" if told else "")
+    named = [name for name in names if isinstance(name, str)]
+    known = f"0 to {len(items) - 1}" + (f" or {', '.join(named)}" if named else "")
     raise InputError(short(f'axis path "{path}": there is no item {step} here; known: {known}', 300) + ".")

@@ -29,10 +29,10 @@ DEEP_KEY = re.compile(rf"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ 
 MOST_BITS = 8192
 
 
-def read_text(path: Path, wanted: str, *, shown: str | None = None, any_encoding: bool = False) -> str:
+def read_text(path: Path, expected: str, *, shown: str | None = None, any_encoding: bool = False) -> str:
     """The text of a file, with or without a byte order mark, which some editors and spreadsheets write.
 
-    wanted : what to give instead, for the message, such as "a position file".
+    expected : what to give instead, for the message, such as "a position file".
     shown : how the message names the file; its path if not given.
     any_encoding : whether it may be UTF-16 or Windows' own text, too, as other programs write it.
 
@@ -40,10 +40,10 @@ def read_text(path: Path, wanted: str, *, shown: str | None = None, any_encoding
     """
     name = shown or str(path)
     try:
-        data = read_bytes(path, wanted, shown=shown)
+        data = read_bytes(path, expected, shown=shown)
         text = decoded(data) if any_encoding else data.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError(f"{name}: is not a text file; give {wanted}.") from None
+        raise InputError(f"{name}: is not a text file; give {expected}.") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -57,25 +57,25 @@ def decoded(data: bytes) -> str:
         return data.decode("cp1252")
 
 
-def read_bytes(path: Path, wanted: str, *, shown: str | None = None) -> bytes:
+def read_bytes(path: Path, expected: str, *, shown: str | None = None) -> bytes:
     """All that is in an ordinary file of bounded size; arguments as for `read_text`. Raises: InputError."""
     name = shown or str(path)
     try:
-        _check_size(path, wanted, name)
+        _check_size(path, expected, name)
         return path.read_bytes()
     except OSError as error:
-        raise InputError(f"{short(name)}: cannot be read: {error.strerror}; give {wanted}.") from None
+        raise InputError(f"{short(name)}: cannot be read: {error.strerror}; give {expected}.") from None
 
 
-def _check_size(path: Path, wanted: str, name: str) -> None:
-    """Raise InputError unless the path is an ordinary file of bounded size; OSError where it cannot be asked."""
+def _check_size(path: Path, expected: str, name: str) -> None:
+    """Raise InputError unless the path is an ordinary file of bounded size; OSError where it cannot be examined."""
     try:
         found = path.stat()
     except ValueError:  # a path with a character that none may have
-        raise InputError(f"{short(repr(name))}: is no path; give {wanted}.") from None
+        raise InputError(f"{short(repr(name))}: is no path; give {expected}.") from None
     if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
         # A pipe would be waited for without end.
-        raise InputError(f"{name}: is no ordinary file; give {wanted}.")
+        raise InputError(f"{name}: is no ordinary file; give {expected}.")
     if found.st_size > MOST_BYTES:
         raise InputError(f"{name}: has {found.st_size / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:g}; shorten it.")
 
@@ -88,23 +88,23 @@ def is_there(path: Path) -> bool:
         return False
 
 
-def read_rows(path: Path, wanted: str, *, shown: str | None = None) -> Rows:
+def read_rows(path: Path, expected: str, *, shown: str | None = None) -> Rows:
     """Rows of a CSV with their line numbers, one at a time, without empty lines and comments.
 
     Raises: InputError as `read_text`.
     """
     name = shown or str(path)
     try:
-        _check_size(path, wanted, name)
+        _check_size(path, expected, name)
         with path.open(encoding="utf-8-sig") as file:
             reader = csv.reader(file)
             for row in reader:
                 if any(cell.strip() for cell in row) and row[0].lstrip()[:1] != "#":
                     yield reader.line_num, row
     except UnicodeDecodeError:
-        raise InputError(f"{name}: is not a text file; give {wanted}.") from None
+        raise InputError(f"{name}: is not a text file; give {expected}.") from None
     except OSError as error:
-        raise InputError(f"{short(name)}: cannot be read: {error.strerror}; give {wanted}.") from None
+        raise InputError(f"{short(name)}: cannot be read: {error.strerror}; give {expected}.") from None
     except csv.Error as error:
         raise InputError(f"{name} line {reader.line_num}: is no line of a table ({error}).") from None
 

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
 from .base import USUAL_CONTACT_AREA_MM2, Fraction, NonNegative, Positive, Table
-from .recordings import check_columns, read_columns
+from .importers.recordings import check_columns, read_columns
 
 SHARES = {"proximal": 1.0, "distal": 0.0, "even": 0.5}
 # The paper's subjects pressed slowly, at 0.05 Hz, and its readings are means of three cycles.

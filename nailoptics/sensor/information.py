@@ -20,7 +20,7 @@ from ..scene import Electronics, Led, Photodiode, Scene
 from ..scene.parts import ELECTRICAL
 from ..statistics import jackknife
 from . import electronics
-from .physiological_noise import BodyNoise, body_noise
+from .physiological_noise import PhysiologicalNoise, physiological_noise
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class OperatingPoint:
     force_n: float
     force_per_pa: Array
     pressure_per_n: Array
-    body: BodyNoise | None = None
+    body: PhysiologicalNoise | None = None
 
 
 def operating_point(scene: Scene, force_n: float, *, since_rest_s: float = 60.0) -> OperatingPoint:
@@ -67,7 +67,7 @@ def operating_point(scene: Scene, force_n: float, *, since_rest_s: float = 60.0)
         force_n=force_n,
         force_per_pa=np.array(touch_areas_mm2(scene)) * 1e-6,
         pressure_per_n=per_n,
-        body=body_noise(scene, force_n, since_rest_s=since_rest_s),
+        body=physiological_noise(scene, force_n, since_rest_s=since_rest_s),
     )
 
 
@@ -76,13 +76,13 @@ class Response:
     """What photodiodes read and how it changes, any shape (...).
 
     volts, noise_v2 : reading and the variance that the electronics give one sample. [V], [V^2]
-    slope_v_per_pa : (..., 2) float. Change with either pressure, times the root of `telling`. [V/Pa]
+    slope_v_per_pa : (..., 2) float. Change with either pressure, times the root of `unsaturated`. [V/Pa]
     zone_v : (..., 2) float. Change with the blood of either zone. [V]
     shunted_fraction : (...) float. Part of the light that was never in the bed.
     body_v : (..., k) float. What each of the body's k shapes adds, rms, to all readings at once, times the root of
-        `telling`; None without a body. [V]
-    own_v2 : what the body adds to each reading by itself. [V^2]
-    telling : (...) float. Probability that the converter is below its limit, at which a reading tells nothing.
+        `unsaturated`; None without a body. [V]
+    independent_v2 : what the body adds to each reading by itself. [V^2]
+    unsaturated : (...) float. Probability that the converter is below its limit, at which a reading tells nothing.
     """
 
     volts: Array
@@ -91,8 +91,8 @@ class Response:
     zone_v: Array
     shunted_fraction: Array
     body_v: Array | None = None
-    own_v2: Array | float = 0.0
-    telling: Array | float = 1.0
+    independent_v2: Array | float = 0.0
+    unsaturated: Array | float = 1.0
 
     @property
     def noise_v(self) -> Array:
@@ -125,13 +125,13 @@ def response(
     zone, light_v = values[..., 2:] * per_fraction, detected * per_fraction
     with np.errstate(invalid="ignore", divide="ignore"):
         shunted = np.where(values[..., 0] > 0, values[..., 1] / values[..., 0], 0.0)
-    telling = np.where(read.saturated, 0.0, 1.0)
+    unsaturated = np.where(read.saturated, 0.0, 1.0)
     if replicates:
         stderr_v, below_v = jackknife(read.amplified_v), electronics.limit_v(amplifier) - read.amplified_v
         with np.errstate(invalid="ignore", divide="ignore"):
-            telling = np.where(stderr_v > 0, ndtr(below_v / stderr_v), telling)
+            unsaturated = np.where(stderr_v > 0, ndtr(below_v / stderr_v), unsaturated)
     # Information is of second degree in these.
-    tells = np.sqrt(telling)[..., None]
+    tells = np.sqrt(unsaturated)[..., None]
     return Response(
         volts=read.amplified_v,
         noise_v2=read.noise_v2,
@@ -139,8 +139,8 @@ def response(
         zone_v=zone,
         shunted_fraction=shunted,
         body_v=None if point.body is None else point.body.shapes_v(zone, light_v, number) * tells,
-        own_v2=0.0 if point.body is None else (point.body.reading_gain * light_v) ** 2,
-        telling=telling,
+        independent_v2=0.0 if point.body is None else (point.body.reading_gain * light_v) ** 2,
+        unsaturated=unsaturated,
     )
 
 
@@ -178,7 +178,7 @@ def responses(
     matrices = {name: together(name, -2) for name in ("slope_v_per_pa", "zone_v")}
     if point.body is not None:
         matrices["body_v"] = together("body_v", -2)
-    names = ("volts", "noise_v2", "shunted_fraction", "own_v2", "telling")
+    names = ("volts", "noise_v2", "shunted_fraction", "independent_v2", "unsaturated")
     return Response(**{name: together(name, -1) for name in names}, **matrices)
 
 
@@ -192,7 +192,7 @@ def fisher_information(read: Response, *, electronics_alone: bool = False) -> Ar
     unknown, noise_v2 = [read.slope_v_per_pa[..., 0], read.slope_v_per_pa[..., 1]], read.noise_v2
     if read.body_v is not None and not electronics_alone:
         unknown += [read.body_v[..., k] for k in range(read.body_v.shape[-1])]
-        noise_v2 = noise_v2 + read.own_v2
+        noise_v2 = noise_v2 + read.independent_v2
     return np.stack([a * b for i, a in enumerate(unknown) for b in unknown[i:]], -1) / noise_v2[..., None]
 
 
@@ -221,7 +221,7 @@ def pressure_information(information: Array) -> Array:
 
 
 def force_resolution_n(information: Array, point: OperatingPoint) -> Array:
-    """Standard deviation of the force told by one sample of all readings, whatever its split. [N]
+    """Standard error of the force estimated from one sample of all readings, whatever its split. [N]
 
     information : Of all readings, as `fisher_information`. It makes the matrix J of the two pressures; the force w . P
         has the variance w^T J^-1 w (Cramer-Rao), with w the area of the side for each pressure.
@@ -230,7 +230,7 @@ def force_resolution_n(information: Array, point: OperatingPoint) -> Array:
 
 
 def share_resolution(information: Array, point: OperatingPoint) -> Array:
-    """Standard deviation of the part of the force that presses proximally, told by one sample of all readings.
+    """Standard error of the proximal share of the force, estimated from one sample of all readings.
 
     That part is w_1 P_1 / (w . P), of which small errors are w_1 w_2 (P_2 dP_1 - P_1 dP_2) / (w . P)^2.
     """
@@ -251,7 +251,7 @@ def fixed_ratio_resolution_n(information: Array, point: OperatingPoint) -> Array
     return 1 / np.sqrt(a * a * one + 2 * a * b * both + b * b * two)
 
 
-def feigned_force_n(point: OperatingPoint) -> float:
+def physiological_noise_force_n(point: OperatingPoint) -> float:
     """Force, rms, that waves of the arterial pressure look like where light tells the blood of both zones exactly. [N]
 
     Their blood b is what the pressures B^-1 b would make of it: light that sees two zones cannot tell them apart, so

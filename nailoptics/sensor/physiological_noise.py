@@ -18,7 +18,7 @@ LIFT_PER_UM = 0.001
 
 
 @dataclass(frozen=True)
-class BodyNoise:
+class PhysiologicalNoise:
     """What the body adds to one sample of all readings at a steady touch.
 
     blood : (2, 2) float. Excursions of the proximal and distal zone's blood, in columns: two independent ones, each
@@ -39,7 +39,7 @@ class BodyNoise:
         return np.concatenate([zone_v @ self.blood, light_v[..., None] * self.led_gain[led]], -1)
 
 
-def body_noise(scene: Scene, force_n: float, *, since_rest_s: float) -> BodyNoise | None:
+def physiological_noise(scene: Scene, force_n: float, *, since_rest_s: float) -> PhysiologicalNoise | None:
     """The body's noise while a force is held; None where the scene has no body, or one that is still.
 
     since_rest_s : for so long readings have drifted. [s]
@@ -57,7 +57,7 @@ def body_noise(scene: Scene, force_n: float, *, since_rest_s: float) -> BodyNois
     )
     each, all_leds = drift.led_per_rt_min * np.sqrt(minutes), LIFT_PER_UM * (motion.lift_um if motion else 0.0)
     leds = len(scene.leds)
-    return BodyNoise(
+    return PhysiologicalNoise(
         blood=_root(_blood_covariance(scene, force_n) if body.moves else np.zeros((2, 2))),
         led_gain=_root(each**2 * np.eye(leds) + all_leds**2),
         reading_gain=float(drift.reading_per_rt_min * np.sqrt(minutes)),

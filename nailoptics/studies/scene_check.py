@@ -12,16 +12,16 @@ from ..light.diffusion import DiffusionModel
 from ..scene import Scene
 from ..sensor import electronics
 from .oximetry.disturbances import warnings_without_light
-from .placement import boards
+from .placement import boards, candidates, search_space
 
-# Layered diffusion tells a reading within about 40 %: from this part of the range on it may be full.
+# Layered diffusion predicts a reading within about 40 %: from this part of the range on it may be full.
 MAY_BE_FULL = 0.6
 
 
 def check_scene(scene: Scene) -> dict[str, Any]:
     """What a scene reads, lights and ignores, and what may not be as its author wants it.
 
-    Returns: leds, photodiodes, pairs (distances between them and readings as layered diffusion foretells them),
+    Returns: leds, photodiodes, pairs (distances between them and readings as layered diffusion predicts them),
         candidates, ignored references of files, and warnings in words.
 
     Raises: InputError for what simulate, trace, compare or place would refuse, with the field of the scene.
@@ -101,10 +101,10 @@ def _pairs(scene: Scene, blood_fraction: np.ndarray) -> tuple[list[dict[str, Any
 def _candidates(scene: Scene) -> list[dict[str, Any]]:
     """The layouts that a search would rank; raises InputError for what it would refuse."""
     base, rules, found = boards.base_board(scene), boards.rules(scene), []
-    boards.check_search(base, rules)
+    search_space.check_search(base, rules)
     for i, one in enumerate(rules.candidates):
         try:
-            layout = boards.candidate(one.name, boards.candidate_scene(base, one), "given").scene.layout
+            layout = candidates.candidate(one.name, candidates.candidate_scene(base, one), "given").scene.layout
         except InputError as error:
             raise InputError(f"placement.candidates[{i}]: {error}") from None
         found.append({"name": one.name, "leds": len(layout.leds), "photodiodes": len(layout.photodiodes)})

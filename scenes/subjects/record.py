@@ -21,7 +21,7 @@ import argparse
 from pathlib import Path
 
 from nailoptics.io import write_text
-from nailoptics.scene.sensor_recordings import recording_csv
+from nailoptics.scene.importers.sensor_recordings import recording_csv
 from nailoptics.studies.force.virtual_people import (
     PHOTONS,
     SIDES,

@@ -16,7 +16,7 @@ import xarray as xr
 import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.errors import NotReachedError
-from nailoptics.studies.placement import boards, photon_maps, place, result, scores
+from nailoptics.studies.placement import boards, candidates, photon_maps, place, result, scores
 from nailoptics.studies.placement.objective import Objective
 
 CANDIDATES = 20
@@ -50,7 +50,7 @@ def further(scene: nail.Scene, found: xr.Dataset) -> float:
     rules, base = boards.rules(scene), boards.base_board(scene)
     conditions = [place.finger_condition(base, case, rules) for case in boards.fingers(scene)]
     best = result.chosen(found)
-    board = boards.bare(boards.explicit(best, "best"))
+    board = boards.bare_board(boards.with_explicit_walls(best, "best"))
     cache = photon_maps.PhotonMapCache(conditions, seed=1, stream=1, backend="auto", blocks=place.BLOCKS)
     cache.extend(board, 1 << 18)
     places = [area.center_mm for area in best.layout.photodiode_areas]
@@ -58,8 +58,8 @@ def further(scene: nail.Scene, found: xr.Dataset) -> float:
     for i in range(CANDIDATES):
         begin = time.perf_counter()
         moved = [(u, v + 0.01 * i) for u, v in places]
-        layout = boards.with_parts(base, [r.center_mm for r in best.layout.leds], moved, name="one")
-        scores.score_layout(boards.CandidateLayout("one", layout, board, "given"), cache, objective)
+        layout = candidates.with_parts(base, [r.center_mm for r in best.layout.leds], moved, name="one")
+        scores.score_layout(candidates.CandidateLayout("one", layout, board, "given"), cache, objective)
         spent.append(time.perf_counter() - begin)
     return statistics.median(spent[1:])
 

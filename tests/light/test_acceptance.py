@@ -11,7 +11,7 @@ from nailoptics.light.reference.readings import finger_states
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, load_scene
 from nailoptics.statistics import stderr_of_mean
-from nailoptics.studies.placement import boards
+from nailoptics.studies.placement import boards, candidates
 
 FLAT = ((0.0, 1.0), (60.0, 0.5), (90.0, 0.0))
 
@@ -131,7 +131,8 @@ def test_maps_and_reciprocity_read_a_narrow_response_as_a_trace_does(jit_backend
     traced = nail.trace(scene, photons=1 << 18, seed=3).at().isel(led=0)
     expected, error = (traced[name].values for name in ("detected_fraction", "detected_fraction_stderr"))
     areas, die = scene.layout.photodiode_areas, scene.layout.leds
-    bare, own = (BoardTracer(one, spacing_mm=0.3) for one in (boards.bare(boards.explicit(scene, "")), scene))
+    board = boards.bare_board(boards.with_explicit_walls(scene, ""))
+    bare, own = (BoardTracer(one, spacing_mm=0.3) for one in (board, scene))
     point, photons = blood_point(scene, 0), 1 << 18
     arrived = bare.arrivals(0, photons=photons, seed=1)
     by_map = [column[:, 0] for column in readings(arrived, point.values(arrived), areas)]
@@ -173,6 +174,6 @@ def test_what_cannot_weigh_angles_says_so():
     with pytest.raises(InputError, match='"proximal" and "distal" differ in angular_response'):
         BoardTracer(scene).arrivals(0, photons=1, seed=0)
     with pytest.raises(InputError, match="differ in angular_response"):
-        boards.check(scene, "mixed")
+        candidates.check(scene, "mixed")
     with pytest.raises(InputError, match="angular_response is not known to volpath"):
         finger_states(scene, None, None, None, led=0, options=TraceOptions())  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ from nailoptics.light import optics
 from nailoptics.light.identity import light_digest
 from nailoptics.scene import FingerCase, load_scene
 from nailoptics.scene.finger import ABSORBING, SCATTERING
-from nailoptics.studies.placement.boards import on_finger
+from nailoptics.studies.placement.boards import worn_on
 
 REGIONS = ("plate", "bed", "bone", "pulp", "epidermis", "epoxy", "kapton", "cover", "air")
 
@@ -56,9 +56,9 @@ def test_a_dermis_is_chosen_in_the_finger_and_a_case_of_a_search_may_choose_anot
     # Salomatina's bloodless dermis less the baseline at 800 nm. [mm^-1]
     assert dark - usual == pytest.approx(0.122 - 0.0262, abs=5e-4)
     case = FingerCase(name="dark", dermis="salomatina")
-    assert on_finger(scene, case).finger.dermis == "salomatina"
-    assert on_finger(with_finger(scene, dermis="shimojo"), FingerCase(name="own")).finger.dermis == "shimojo"
-    thumb = on_finger(with_finger(scene, plate_absorption=0.7), FingerCase(name="thumb", digit="thumb"))
+    assert worn_on(scene, case).finger.dermis == "salomatina"
+    assert worn_on(with_finger(scene, dermis="shimojo"), FingerCase(name="own")).finger.dermis == "shimojo"
+    thumb = worn_on(with_finger(scene, plate_absorption=0.7), FingerCase(name="thumb", digit="thumb"))
     assert thumb.finger.plate_absorption == 0.7 and thumb.finger.nail_radius_mm == 11.4
 
 

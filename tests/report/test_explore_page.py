@@ -18,7 +18,7 @@ from nailoptics.io import FORMULA
 from nailoptics.report.pages.explore.page import MOST_POINTS, page
 from nailoptics.scene import to_toml
 from nailoptics.scene.files import parse_scene
-from nailoptics.scene.positions import read_positions
+from nailoptics.scene.importers.positions import read_positions
 from nailoptics.sensor import electronics
 from nailoptics.sensor.information import Response, force_resolution_n, operating_point, total_information
 from nailoptics.statistics import jackknife
@@ -171,7 +171,7 @@ def test_the_force_that_readings_resolve_is_that_of_place(shown: Any, explored: 
             zone_v=zone,
             shunted_fraction=0 * light,
             body_v=None if point.body is None else point.body.shapes_v(zone, light, 0) * tells,
-            own_v2=0.0 if point.body is None else (point.body.reading_gain * light) ** 2,
+            independent_v2=0.0 if point.body is None else (point.body.reading_gain * light) ** 2,
         )
         expected = float(force_resolution_n(total_information([read]), point))
         given = [

@@ -14,9 +14,9 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.scene import load_scene
 from nailoptics.scene.catalogue import load_part
-from nailoptics.scene.kicad import read_board
-from nailoptics.scene.outlines import read_outline
-from nailoptics.scene.positions import COLUMNS, read_positions
+from nailoptics.scene.importers.kicad import read_board
+from nailoptics.scene.importers.outlines import read_outline
+from nailoptics.scene.importers.positions import COLUMNS, read_positions
 from nailoptics.scene.sweep import load_sweep
 from nailoptics.scene.touch import read_touch
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from nailoptics.scene import parse_scene
-from nailoptics.scene.dxf import dxf_lines
-from nailoptics.scene.kicad import read_board
-from nailoptics.scene.outlines import area_mm2, join
-from nailoptics.scene.positions import read_positions
+from nailoptics.scene.importers.dxf import dxf_lines
+from nailoptics.scene.importers.kicad import read_board
+from nailoptics.scene.importers.outlines import area_mm2, join
+from nailoptics.scene.importers.positions import read_positions
 
 FILES = Path(__file__).parent / "of_kicad"
 ORIGIN = (105.5, -104.25)

@@ -7,7 +7,7 @@ import pytest
 from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.scene import load_scene
-from nailoptics.scene.outlines import Outline, write_outline
+from nailoptics.scene.importers.outlines import Outline, write_outline
 
 # As `kicad-cli pcb export pos --format csv --units mm --side both` writes it.
 POSITIONS = """Ref,Val,Package,PosX,PosY,Rot,Side

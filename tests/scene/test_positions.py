@@ -5,14 +5,14 @@ import csv
 import pytest
 
 from nailoptics.errors import InputError
-from nailoptics.scene.positions import (
+from nailoptics.scene.importers.positions import (
     PlacedPart,
     check_each_once,
     read_positions,
-    turned,
     warn_of_mirrored,
     write_positions,
 )
+from nailoptics.scene.rectangles import turned
 
 # As `kicad-cli pcb export pos --format csv --units mm --side both` writes it.
 POSITIONS = """Ref,Val,Package,PosX,PosY,Rot,Side

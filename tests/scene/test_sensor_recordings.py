@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from nailoptics.errors import InputError
-from nailoptics.scene.sensor_recordings import read_sensor_recording, recording_csv
+from nailoptics.scene.importers.sensor_recordings import read_sensor_recording, recording_csv
 
 GOOD = "time_s,force_n,site,a,b\n0,0,proximal,1.0,2.0\n0.01,0.1,proximal,,2.1\n0.03,0.2,even,1.2,2.2\n"
 

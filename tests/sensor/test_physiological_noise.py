@@ -13,7 +13,7 @@ from nailoptics.report import summaries, terminal_text
 from nailoptics.report.pages.place.page import write_placement
 from nailoptics.scene import Placement, parse_scene
 from nailoptics.sensor import information
-from nailoptics.sensor.physiological_noise import BodyNoise, body_noise
+from nailoptics.sensor.physiological_noise import PhysiologicalNoise, physiological_noise
 from nailoptics.statistics import left_out
 from nailoptics.studies.placement import place, result, scores
 from nailoptics.studies.placement.objective import Objective
@@ -24,7 +24,8 @@ FORCE_PER_PA = np.full(2, 5e-5)
 
 
 def _point(blood: np.ndarray | None, *, gain: float = 0.0, reading_gain: float = 0.0) -> information.OperatingPoint:
-    body = None if blood is None else BodyNoise(blood=blood, led_gain=np.array([[gain]]), reading_gain=reading_gain)
+    gains = np.array([[gain]])
+    body = None if blood is None else PhysiologicalNoise(blood=blood, led_gain=gains, reading_gain=reading_gain)
     return information.OperatingPoint(
         blood_fraction=np.array([0.035, 0.025]),
         blood_per_pa=BLOOD_PER_PA,
@@ -46,7 +47,7 @@ def _read(point: information.OperatingPoint, *, count: int = 6, noise_v: float =
         zone_v=zone_v,
         shunted_fraction=np.zeros(count),
         body_v=None if point.body is None else point.body.shapes_v(zone_v, light_v, 0),
-        own_v2=0.0 if point.body is None else (point.body.reading_gain * light_v) ** 2,
+        independent_v2=0.0 if point.body is None else (point.body.reading_gain * light_v) ** 2,
     )
 
 
@@ -56,14 +57,14 @@ def test_what_is_marginalised_is_what_a_covariance_of_the_readings_says():
     """
     point = _point(1e-4 * np.array([[7.0, 1.0], [6.0, -2.0]]), gain=2e-3, reading_gain=5e-4)
     read = _read(point)
-    own_v2 = read.noise_v2 + read.own_v2
-    covariance = np.diag(own_v2) + read.body_v @ read.body_v.T
+    independent_v2 = read.noise_v2 + read.independent_v2
+    covariance = np.diag(independent_v2) + read.body_v @ read.body_v.T
     assert covariance[0, 0] > 1.5 * read.noise_v2[0]
     exact = read.slope_v_per_pa.T @ np.linalg.solve(covariance, read.slope_v_per_pa)
     total = information.fisher_information(read).sum(0)
     assert np.allclose(information.pressure_information(total), exact[[0, 0, 1], [0, 1, 1]], rtol=1e-6)
     rng = np.random.default_rng(0)
-    samples = rng.normal(size=(20_000, 6)) * np.sqrt(own_v2) + rng.normal(size=(20_000, 3)) @ read.body_v.T
+    samples = rng.normal(size=(20_000, 6)) * np.sqrt(independent_v2) + rng.normal(size=(20_000, 3)) @ read.body_v.T
     fitted = np.linalg.solve(exact, read.slope_v_per_pa.T @ np.linalg.solve(covariance, samples.T))
     # 20 000 samples know a standard deviation to 0.5 %; the pressures are known beforehand to 1e5 Pa.
     assert information.force_resolution_n(total, point) == pytest.approx((FORCE_PER_PA @ fitted).std(), rel=0.02)
@@ -83,19 +84,19 @@ def test_a_body_that_becomes_still_leaves_the_electronics():
         assert ratio > 5 if strength == 1e-3 else ratio == pytest.approx(1.0, abs=1e-4)
 
 
-def test_light_without_end_resolves_what_the_waves_feign_and_no_more():
+def test_light_without_end_resolves_to_the_noise_floor_of_the_waves():
     """The body's part is the same for all layouts that see both zones, and adds to the electronics' in squares."""
     point = _point(1e-4 * np.array([[7.0, 0.5], [6.0, 0.7]]))
-    feigned = information.feigned_force_n(point)
-    assert feigned > 1e-3
+    floor_n = information.physiological_noise_force_n(point)
+    assert floor_n > 1e-3
     for count, noise_v in ((2, 1e-7), (6, 4e-5), (12, 4e-5)):
         read = _read(point, count=count, noise_v=noise_v)
         through, alone = (
             information.force_resolution_n(information.total_information([read], electronics_alone=still), point)
             for still in (False, True)
         )
-        assert through == pytest.approx(np.hypot(alone, feigned), rel=1e-3)
-    assert information.feigned_force_n(_point(None)) == 0.0
+        assert through == pytest.approx(np.hypot(alone, floor_n), rel=1e-3)
+    assert information.physiological_noise_force_n(_point(None)) == 0.0
 
 
 def test_a_touch_of_known_split_stands_apart_from_waves_of_one_shape():
@@ -131,7 +132,7 @@ def test_readings_of_two_leds_drift_apart_and_lift_together():
     text = text.replace(
         "[body.heartbeat]", "[body.drift]\nled_per_rt_min = 0.004\n[body.motion]\nlift_um = 1.5\n[body.heartbeat]"
     )
-    body = body_noise(parse_scene(text), 0.5, since_rest_s=15.0)
+    body = physiological_noise(parse_scene(text), 0.5, since_rest_s=15.0)
     gain = body.led_gain @ body.led_gain.T
     # A quarter of a minute, of which a random walk makes half.
     assert gain[0, 0] == pytest.approx(gain[1, 1]) == pytest.approx(0.002**2 + 0.0015**2)
@@ -205,9 +206,9 @@ def test_waves_faster_than_the_stage_are_left_out():
     usual = parse_scene(SCENE)
     slow = usual.model_copy(update={"electronics": usual.electronics.model_copy(update={"bandwidth_hz": 0.2})})
     without_beat = parse_scene(_with_body("[body.vasomotion]"))
-    found, expected = (body_noise(one, 0.5, since_rest_s=60.0) for one in (slow, without_beat))
+    found, expected = (physiological_noise(one, 0.5, since_rest_s=60.0) for one in (slow, without_beat))
     assert np.allclose(found.blood @ found.blood.T, expected.blood @ expected.blood.T)
-    assert body_noise(parse_scene(_with_body("[body]")), 0.5, since_rest_s=60.0) is None
+    assert physiological_noise(parse_scene(_with_body("[body]")), 0.5, since_rest_s=60.0) is None
 
 
 def test_intervals_through_the_body_hold_the_truth_as_often_as_they_say():
@@ -227,7 +228,7 @@ def test_intervals_through_the_body_hold_the_truth_as_often_as_they_say():
         return scores.score_layout(layout, cache, Objective(Placement(), [point]))
 
     true_n = float(judged(np.repeat(mean[None], 2, axis=0)).score_n[0])
-    assert true_n < 1.1 * information.feigned_force_n(point)
+    assert true_n < 1.1 * information.physiological_noise_force_n(point)
     rng = np.random.default_rng(4)
     # Blocks of one photon map that scatter by 30 %, so that their mean is known to 5 %.
     every = [judged(mean * (1 + 0.3 * rng.normal(size=(32, *mean.shape)))) for _ in range(300)]
@@ -248,12 +249,12 @@ def found(chosen_jit, fewer_photons):
 def test_a_placement_with_a_body_ranks_through_it_and_tells_the_electronics_beside(found):
     rows = result.rows(found)
     assert [row["layout"] for row in rows if row["layout"] != "paper"] == ["near", "far"]
-    feigned = float(found.feigned_force_n[0])
+    floor_n = float(found.physiological_noise_force_n[0])
     for row in rows:
-        both = np.hypot(row["electronics_resolution_n"], feigned)
+        both = np.hypot(row["electronics_resolution_n"], floor_n)
         assert row["force_resolution_n"] == pytest.approx(both, rel=0.01)
         low, high = float(row["force_resolution_low_n"]), float(row["force_resolution_high_n"])
-        assert feigned < low < row["force_resolution_n"] < high
+        assert floor_n < low < row["force_resolution_n"] < high
         # The body's own part has no error: what is left is the electronics', as much less as it adds.
         share = row["electronics_resolution_n"] / row["force_resolution_n"]
         error = share * row["electronics_resolution_n_stderr"]
@@ -275,7 +276,7 @@ def test_more_photodiodes_help_the_electronics_and_hardly_the_body(found):
     assert (np.diff(counts.values[there]) < 2 * error.values[there][1:]).all()
     assert counts.values[4] < 0.75 * counts.values[0]
     through = found.count_resolution_n.sel(chosen_for="body").values[there]
-    assert through.min() >= float(found.feigned_force_n[0])
+    assert through.min() >= float(found.physiological_noise_force_n[0])
     assert through[0] < 1.1 * through[4]
 
 

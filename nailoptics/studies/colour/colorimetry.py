@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
-from ...scene.viewing import Illuminant, Observer
+from ...scene.models import Illuminant, Observer
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from ...light.transfer import provenance
 from ...light.walk.nail_reflectance import NailReflectance
 from ...options import Requested, TraceOptions
 from ...scene import Scene, Viewing
-from ...scene.viewing import Illuminant, LightFrom, Observer
+from ...scene.models import Illuminant, LightFrom, Observer
 from ...statistics import jackknife
 from ...variables import variable
 from .colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000

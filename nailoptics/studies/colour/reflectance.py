@@ -16,7 +16,7 @@ from ...light.transfer.interpolation import ChebyshevBox
 from ...light.transfer.reweight import attenuation
 from ...light.walk.nail_reflectance import NailReflectance, Patch, ReflectedLight
 from ...scene import Scene
-from ...scene.viewing import LightFrom
+from ...scene.models import LightFrom
 from ...statistics import left_out
 from .colorimetry import WAVELENGTHS_NM
 

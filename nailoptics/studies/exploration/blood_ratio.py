@@ -1,4 +1,4 @@
-"""What blood makes of a reading, as a part of the reading at rest: smooth over pairs of places, told by photons' paths.
+"""What blood makes of a reading, as a part of the reading at rest: smooth over pairs of places, by regression.
 
 The mean, over the photons of a pair of places, of what absorption makes of each of them depends on how far both places
 lie apart, on where along the nail their middle lies from the edge at which the zones of blood meet, and little on where
@@ -15,6 +15,7 @@ So light is traced with several edges, and each photon counts at the distance of
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,48 @@ from ...light.pair_kernel import PairBasis, node_products
 from ...scene import Scene
 
 Array = NDArray[np.float64]
+
+# Degrees in the blood of both zones together, in the saturation, and in all.
+BLOOD_DEGREE, SO2_DEGREE, DEGREE = 4, 2, 4
+
+
+@dataclass(frozen=True)
+class BloodPolynomial:
+    """Polynomials in the blood of both zones and the saturation, over a box of states.
+
+    blood_fraction, so2 : lowest and highest of the box.
+    """
+
+    blood_fraction: tuple[float, float]
+    so2: tuple[float, float]
+
+    @property
+    def exponents(self) -> list[tuple[int, int, int]]:
+        """Exponents of both zones' blood and of the saturation in each monomial, all scaled to -1 to 1."""
+        blood, so2 = range(BLOOD_DEGREE + 1), range(SO2_DEGREE + 1)
+        return [e for e in product(blood, blood, so2) if e[0] + e[1] <= BLOOD_DEGREE and sum(e) <= DEGREE]
+
+    @property
+    def states(self) -> Array:
+        """Where a reading must be known, (n, 3): blood of both zones and saturation, denser towards the box's faces."""
+        blood, so2 = (
+            low + (high - low) * (0.5 - 0.5 * np.cos(np.pi * np.arange(count) / (count - 1)))
+            for (low, high), count in ((self.blood_fraction, BLOOD_DEGREE + 1), (self.so2, SO2_DEGREE + 1))
+        )
+        return np.array(list(product(blood, blood, so2)))
+
+    def monomials(self, states: Array) -> Array:
+        """Each monomial at states (n, 3), (n, monomials) float."""
+        bounds = np.array([self.blood_fraction, self.blood_fraction, self.so2])
+        scaled = 2 * (states - bounds[:, 0]) / (bounds[:, 1] - bounds[:, 0]) - 1
+        powers = np.array(self.exponents)
+        return np.asarray(np.prod(scaled[:, None, :] ** powers[None], axis=-1))
+
+    @property
+    def coefficients(self) -> Array:
+        """What makes the coefficients from values in all states, (monomials, states) float: least squares."""
+        return np.asarray(np.linalg.pinv(self.monomials(self.states)), float)
+
 
 # Nodes of how far a pair lies apart across and along the nail; the board's size is the last. [mm]
 APART_MM = (0.0, 0.5, 0.9, 1.3, 1.7, 2.2, 2.8, 3.6, 5.0, 7.0)

@@ -14,8 +14,7 @@ from ...options import BackendName
 from ...scene import Led, Scene
 from ...sensor.ambient import SOURCES, photocurrents_a
 from ...statistics import seed_of
-from .blood_polynomial import BloodPolynomial
-from .blood_ratio import RatioSums, at_edge, ratio_basis, traced_edges_mm
+from .blood_ratio import BloodPolynomial, RatioSums, at_edge, ratio_basis, traced_edges_mm
 
 Array = NDArray[np.float64]
 
@@ -117,7 +116,7 @@ class ColourSums:
         # With a wall one end is the photodiode's, without one either.
         weights: tuple[Array, ...] = (arrived.weight[went], sent.weight[went])
         if self.density is not None:
-            # Light between two places is told by photons from either, in proportion to how many there are.
+            # Light between two places is estimated from photons of either, in proportion to how many there are.
             here, there = (self.density(places) for places in (starts[arrived.photon[went]], arrived.place_mm[went]))
             weights = tuple(weight * (2 * here / (here + there)) for weight in weights)
         ways = weights if self.basis.one_side else (np.where(forth, *weights),)

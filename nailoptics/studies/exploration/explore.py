@@ -4,7 +4,7 @@ What a photodiode reads of an LED is a function of both their places, of their s
 blood of two zones and its saturation: some ten numbers. It factors. The light between two places is a smooth kernel
 (`light.pair_kernel`) of some 1200 coefficients for each wavelength; integrals over die and photodiode are sums over a
 few Gauss points of each; and what blood makes of a reading at rest is smooth over pairs of places (`blood_ratio`, some
-4000 nodes), a polynomial of 31 terms in blood and saturation at each (`blood_polynomial`). In half precision, with the
+4000 nodes), a polynomial of 31 terms in blood and saturation at each (`BloodPolynomial`). In half precision, with the
 groups of photons that tell the standard errors, that is 0.6 MB for a wavelength.
 
 Places of LEDs by reciprocity or a grid of traces: both are one here, as photons start all over the board and count both
@@ -29,19 +29,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError, NotReachedError
+from ...hemodynamics.for_scene import largest_force_n, touch_areas_mm2, touch_pressures_pa
 from ...light import ProgressCallback
 from ...light.board_map import BoardTracer
 from ...light.pair_kernel import PairBasis, PairProjection, RadialFunction, pair_basis
 from ...light.tracing import Ending, StageProgress, run_until, seconds_per_sample
 from ...options import BackendName, Requested, TraceOptions
 from ...scene import Led, Scene, digest, to_toml
+from ...sensor.information import PRIOR_PA, operating_point
+from ...sensor.physiological_noise import LIFT_PER_UM
 from ...statistics import seed_of
-from ..placement import boards
+from ..placement import boards, candidates
 from ..placement.photon_maps import QUICK_DISTANCE_MM
-from .blood_polynomial import BloodPolynomial
-from .blood_ratio import RatioBasis, ratio_basis
+from .blood_ratio import BloodPolynomial, RatioBasis, ratio_basis
 from .colour_table import BLOCKS, ColourSums, ColourTable
-from .touch_table import touch_table
 
 Array = NDArray[np.float64]
 
@@ -151,7 +152,7 @@ def _traced(
 
     Raises: KeyboardInterrupt where the scene's own wavelengths are not known by then.
     """
-    bare, sources = boards.bare(base), colours(base)
+    bare, sources = boards.bare_board(base), colours(base)
     own = len({(led.wavelength_nm, led.fwhm_nm) for led in base.leds})
     usual = options.photons or base.accuracy.photons or (OPEN_PHOTONS if basis.one_side else WALL_PHOTONS)
     how: dict[str, Any] = {"backend": options.backend, "seed": options.seed}
@@ -248,7 +249,7 @@ def explored_board(scene: Scene) -> Scene:
 
     parts = {"leds": tuple(map(moved, base.leds)), "photodiodes": tuple(map(moved, base.photodiodes))}
     base = base.model_copy(update=parts)
-    boards.check(base, "explore")
+    candidates.check(base, "explore")
     return base
 
 
@@ -275,7 +276,7 @@ def _polynomial(base: Scene, touch: dict[str, Any]) -> BloodPolynomial:
 
 
 def fluence_edges(scene: Scene) -> tuple[Array, Array]:
-    """Edges of the rings and of the depths on which the fluence is told. [mm]"""
+    """Edges of the rings and of the depths of the fluence's table. [mm]"""
     assert scene.finger is not None
     deepest = scene.finger.nail_thickness_mm + scene.finger.bed_thickness_mm + BELOW_BED_MM
     return np.arange(0.0, FLUENCE_RADIUS_MM + RING_MM / 2, RING_MM), np.arange(0.0, deepest, DEPTH_STEP_MM)
@@ -285,6 +286,38 @@ def _fluence(base: Scene, led: Led, *, seed: int, backend: BackendName) -> Array
     """How the light of a die in the middle of a board without a wall spreads, (radius, depth) float. [mm^-2]"""
     board = base.board.model_copy(update={"barrier": False, "barrier_gap_mm": None})
     die = _as(base.leds[0], led).model_copy(update={"position_mm": (0.0, 0.0), "rotation_deg": 0.0})
-    scene = boards.bare(base.model_copy(update={"board": board, "leds": (die,)}))
+    scene = boards.bare_board(base.model_copy(update={"board": board, "leds": (die,)}))
     tracer = BoardTracer(scene, backend=backend, spacing_mm=QUICK_DISTANCE_MM)
     return tracer.fluence(0, *fluence_edges(base), photons=FLUENCE_PHOTONS, seed=seed)
+
+
+# Forces at which the blood is computed, denser where it changes more, up to this or a quarter beyond the scene's touch.
+FORCES, LEAST_REACH_N = 33, 4.0
+
+
+def touch_table(scene: Scene) -> dict[str, Any]:
+    """Blood of both zones in parts of that at rest, its change with both pressures, and the body's noise, by force.
+
+    All blood goes with that at rest, so that each is per unit of it.
+    """
+    reach_n = max(LEAST_REACH_N, 1.25 * largest_force_n(scene))
+    force_n = reach_n * np.linspace(0.0, 1.0, FORCES) ** 1.5
+    since_rest_s = boards.rules(scene).since_rest_s
+    points = [operating_point(scene, float(force), since_rest_s=since_rest_s) for force in force_n]
+    rest = scene.blood.rest_blood_fraction
+    waves = [np.zeros((2, 2)) if p.body is None else p.body.blood @ p.body.blood.T for p in points]
+    body, minutes = scene.body, since_rest_s / 60
+    drift, motion = (body.drift, body.motion) if body else (None, None)
+    return {
+        "force_n": force_n,
+        "blood": np.array([p.blood_fraction for p in points]) / rest,
+        "blood_per_pa": np.array([p.blood_per_pa for p in points]) / rest,
+        "waves": np.array(waves) / rest**2,
+        "force_per_pa": np.array(touch_areas_mm2(scene)) * 1e-6,
+        "pressure_per_n": np.array(touch_pressures_pa(scene, 1.0)),
+        "prior_pa": PRIOR_PA,
+        "has_body": points[0].body is not None,
+        "led_drift": drift.led_per_rt_min * np.sqrt(minutes) if drift else 0.0,
+        "reading_drift": drift.reading_per_rt_min * np.sqrt(minutes) if drift else 0.0,
+        "lift": LIFT_PER_UM * motion.lift_um if motion else 0.0,
+    }

@@ -14,7 +14,7 @@ from ...hemodynamics.beat_detection import beats_per_second
 from ...hemodynamics.steady import solve_walls
 from ...hemodynamics.stepping import step
 from ...hemodynamics.waves import HARMONIC_BAND, WAVES, CardiacOscillator, DampedOscillator, resolved_harmonics
-from ...scene.sensor_recordings import Recording
+from ...scene.importers.sensor_recordings import Recording
 from .network import widths_over
 from .observer import Noise
 from .person import Person

@@ -16,7 +16,7 @@ from ...light import ProgressCallback, open_light
 from ...light.tracing import StageProgress
 from ...options import Requested
 from ...scene import Scene, Touch, digest, to_toml
-from ...scene.sensor_recordings import SATURATED, SITES, Recording, read_sensor_recording
+from ...scene.importers.sensor_recordings import SATURATED, SITES, Recording, read_sensor_recording
 from ...variables import variable
 from .baselines import Regression, component_regression, linear_regression, whole_samples
 from .body_noise import learn_noise

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from ...hemodynamics.parameters import Parameters
-from ...scene.sensor_recordings import Recording
+from ...scene.importers.sensor_recordings import Recording
 from .body_noise import arterial_response
 from .network import LONGEST_STEP_S, widths_over
 from .observer import LINEAR

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
-from ...scene.sensor_recordings import MOST_VOLTS, SATURATED, check_header, check_known, reading_columns
+from ...scene.importers.sensor_recordings import MOST_VOLTS, SATURATED, check_header, check_known, reading_columns
 from .force_interval import ForceEstimate, ForceInterval
 from .observer import Observer, PressureEstimate
 from .predict import CSV_COLUMNS, csv_row

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...commit import code_attributes
 from ...errors import InputError
-from ...scene.sensor_recordings import SATURATED, Recording, read_sensor_recording
+from ...scene.importers.sensor_recordings import SATURATED, Recording, read_sensor_recording
 from ...variables import variable
 from .force_interval import ForceEstimate, ForceInterval
 from .observer import Observer, PressureEstimate

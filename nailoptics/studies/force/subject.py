@@ -12,7 +12,7 @@ from ... import hemodynamics
 from ...errors import InputError
 from ...hemodynamics.parameters import Parameters
 from ...hemodynamics.waves import CardiacOscillator, DampedOscillator
-from ...scene.sensor_recordings import MOST_VOLTS
+from ...scene.importers.sensor_recordings import MOST_VOLTS
 from ...scene.text_files import parse_toml, read_text
 from .baselines import Regression
 from .correction import Correction

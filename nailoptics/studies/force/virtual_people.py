@@ -15,7 +15,7 @@ from ...light import DetectedLight, trace
 from ...light.detect import light_of
 from ...light.transfer import Transfer
 from ...scene import Scene, Touch, digest, load_scene
-from ...scene.sensor_recordings import Recording
+from ...scene.importers.sensor_recordings import Recording
 from .virtual_recording import record_touch
 
 Array = NDArray[np.float64]

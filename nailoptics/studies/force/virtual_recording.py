@@ -8,7 +8,7 @@ import xarray as xr
 from ...hemodynamics.for_scene import blood_over_touch
 from ...light import DetectedLight
 from ...scene import Scene, Touch
-from ...scene.sensor_recordings import SITES, Recording
+from ...scene.importers.sensor_recordings import SITES, Recording
 from ...sensor import electronics
 from ...statistics import seed_of
 from ..simulate import simulate_from

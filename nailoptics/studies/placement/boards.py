@@ -1,50 +1,20 @@
-"""Layouts as scenes: boards with an explicit outline and wall, with photodiodes or bare, on every finger."""
+"""The board of a search or a given layout: on every finger, with its outline and wall spelled out, and bare."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import count
-from typing import Any, TypeVar
-
-import numpy as np
 
 from ...errors import InputError
-from ...scene import Board, Candidate, Finger, FingerCase, Led, Photodiode, Placement, Scene
+from ...scene import Board, Finger, FingerCase, Led, Photodiode, Placement, Scene
 from ...scene.base import Point
 from ...scene.finger import ABSORBING, SCATTERING
-from ...scene.layout import lay_elements
-from ...scene.parts import check_one_response
-from ...scene.rectangles import Rectangle
-
-Places = Sequence[tuple[float, float]]
-PartT = TypeVar("PartT", Led, Photodiode)
-
-# LEDs that a search places together.
-MOST_LEDS = 4
 
 NAIL_MARGIN_MM = 0.1
 # No board that bears an LED and a photodiode is narrower.
 LEAST_BOARD_MM = 1.0
 # A bare board carries one photodiode, because every scene has one; this one is too small to matter.
 SPECK_MM = 0.05
-FAR_SIDE = {"left": (1, 0), "right": (-1, 0), "below": (0, 1), "above": (0, -1)}
 # One die in place of an array.
 SINGLE = {"reference": None, "part": None, "wired": None, "elements": 1, "pitch_mm": None}
-
-
-@dataclass(frozen=True)
-class CandidateLayout:
-    """A layout to judge: the whole scene, the bare board whose light it reads, and where it came from."""
-
-    name: str
-    scene: Scene
-    board: Scene
-    origin: str
-
-
-def candidate(name: str, scene: Scene, origin: str) -> CandidateLayout:
-    """A layout with its bare board; origin is "given" or "searched"."""
-    return CandidateLayout(name, scene, bare(explicit(scene, name)), origin)
+FAR_SIDE = {"left": (1, 0), "right": (-1, 0), "below": (0, 1), "above": (0, -1)}
 
 
 def rules(scene: Scene) -> Placement:
@@ -64,7 +34,7 @@ def fingers(scene: Scene) -> tuple[FingerCase, ...]:
     return rules(scene).fingers or (FingerCase(name=scene.finger.digit),)
 
 
-def on_finger(scene: Scene, case: FingerCase, *, light_only: bool = False) -> Scene:
+def worn_on(scene: Scene, case: FingerCase, *, light_only: bool = False) -> Scene:
     """The scene on one of the fingers.
 
     light_only : change what decides where light goes, sizes, and leave what only dims it.
@@ -106,7 +76,7 @@ def base_board(scene: Scene) -> Scene:
 
 def _smallest_nail_mm(scene: Scene) -> Point:
     """Size of what every finger's nail has room for. [mm]"""
-    nails = [on_finger(scene, case).finger for case in fingers(scene)]
+    nails = [worn_on(scene, case).finger for case in fingers(scene)]
     widths, lengths = zip(*((n.nail_width_mm, n.nail_length_mm) for n in nails if n), strict=True)
     return min(widths) - 2 * NAIL_MARGIN_MM, min(lengths) - 2 * NAIL_MARGIN_MM
 
@@ -137,225 +107,7 @@ def _around(board: Board, center_mm: Point, size_mm: Point) -> dict[str, object]
     return update | {"outline_mm": corners, "outline_holes_mm": tuple(holes)}
 
 
-def candidate_scene(base: Scene, one: Candidate) -> Scene:
-    """A candidate's layout on the board: its own parts where it says what they are, else like the scene's.
-
-    Raises: InputError where the layout is impossible, or its LEDs are not the scene's by name.
-    """
-    wanted = [led.name for led in base.leds]
-    if not one.leds:
-        leds_deg, photodiodes_deg = (
-            getattr(one, f"{kind}_deg") or [90.0 * turned for turned in getattr(one, f"{kind}_turned")]
-            for kind in ("leds", "photodiodes")
-        )
-        order = _named_as(base, one) if one.led_refs else list(range(len(one.leds_mm)))
-        return with_parts(
-            base,
-            [one.leds_mm[i] for i in order],
-            one.photodiodes_mm,
-            name=one.name,
-            leds_deg=[leds_deg[i] for i in order] if leds_deg else (),
-            photodiodes_deg=photodiodes_deg,
-            led_refs=[one.led_refs[i][0] for i in order] if one.led_refs else (),
-            photodiode_refs=one.photodiode_refs,
-        )
-    by_name = {led.name: led for led in one.leds}
-    if set(by_name) != set(wanted):
-        raise InputError(
-            f'layout "{one.name}" places the LEDs {", ".join(by_name)}, but the scene has {", ".join(wanted)}; give '
-            'each its name in parts, as D1 = { led = "led_660", name = "red" }.'
-        )
-    (du, dv), leds = base.board.center_mm, [by_name[name] for name in wanted]
-
-    def moved(part: Led | Photodiode) -> Led | Photodiode:
-        return part.model_copy(update={"position_mm": (part.position_mm[0] - du, part.position_mm[1] - dv)})
-
-    scene = base.model_copy(update={"leds": tuple(map(moved, leds)), "photodiodes": tuple(map(moved, one.photodiodes))})
-    check(scene, one.name)
-    return scene
-
-
-def _named_as(base: Scene, one: Candidate) -> list[int]:
-    """Which of a file's LEDs is each of the scene's: by reference or value, the LED's name or part."""
-    if len(base.leds) == len(one.led_refs) == 1:
-        return [0]
-    found = []
-    for led in base.leds:
-        names = {led.name.lower(), (led.part or led.name).lower()}
-        same = [i for i, ref in enumerate(one.led_refs) if names & {word.lower() for word in ref}]
-        exact = [i for i in same if led.name.lower() in {word.lower() for word in one.led_refs[i]}] or same
-        if len(exact) != 1:
-            refs = ", ".join(f"{ref} ({value})" for ref, value in one.led_refs)
-            raise InputError(
-                f'layout "{one.name}": which of its LEDs {refs} is "{led.name}"? Name it so, or say it in parts, as '
-                f'D1 = {{ led = "PART", name = "{led.name}" }}.'
-            )
-        found.append(exact[0])
-    if len(found) < len(one.led_refs):
-        raise InputError(f'layout "{one.name}" places {len(one.led_refs)} LEDs, but the scene has {len(base.leds)}.')
-    return found
-
-
-def with_parts(
-    base: Scene,
-    leds_mm: Places,
-    photodiodes_mm: Places,
-    *,
-    name: str,
-    leds_deg: Sequence[float] = (),
-    photodiodes_deg: Sequence[float] = (),
-    led_refs: Sequence[str] = (),
-    photodiode_refs: Sequence[str] = (),
-) -> Scene:
-    """The board with its LEDs and photodiodes at places on the nail; photodiodes are all like the scene's first.
-
-    leds_deg, photodiodes_deg : how far each of them is turned from how the scene's lies; not at all if not given. [deg]
-    led_refs, photodiode_refs : references of a file, where they are known; the photodiodes are named so, else PD1 and
-        so on.
-
-    Raises: InputError where the layout is impossible.
-    """
-    if len(leds_mm) != len(base.leds):
-        raise InputError(f'layout "{name}" places {len(leds_mm)} LEDs, but the scene has {len(base.leds)}.')
-    du, dv = base.board.center_mm
-
-    def placed(parts: Sequence[Led | Photodiode], places: Places, turned_deg: Sequence[float]) -> tuple[Any, ...]:
-        out = []
-        for i, (part, (u, v)) in enumerate(zip(parts, places, strict=True)):
-            angle = (part.rotation_deg + (turned_deg[i] if turned_deg else 0.0)) % 360
-            out.append(part.model_copy(update={"position_mm": (u - du, v - dv), "rotation_deg": angle}))
-        return tuple(out)
-
-    single = base.photodiodes[0].model_copy(update=SINGLE)
-    names = photodiode_refs or [f"PD{i + 1}" for i in range(len(photodiodes_mm))]
-    named = [single.model_copy(update={"name": one, "reference": one if photodiode_refs else None}) for one in names]
-    refs: Sequence[str | None] = led_refs or [led.reference for led in base.leds]
-    lit = [led.model_copy(update={"reference": ref}) for led, ref in zip(base.leds, refs, strict=True)]
-    leds, photodiodes = placed(lit, leds_mm, leds_deg), placed(named, photodiodes_mm, photodiodes_deg)
-    scene = base.model_copy(update={"leds": leds, "photodiodes": photodiodes})
-    check(scene, name)
-    return scene
-
-
-def check_search(base: Scene, placement: Placement) -> None:
-    """Raise InputError where a search cannot place what the scene has."""
-    names = [*(led.name for led in base.leds), *(photodiode.name for photodiode in base.photodiodes)]
-    for name in placement.fixed:
-        if name not in names:
-            raise InputError(
-                f'placement.fixed: "{name}" is no LED or photodiode of the scene; it has {", ".join(names)}.'
-            )
-    check_one_response(base.photodiodes)
-    if not placement.search:
-        return
-    if len(base.leds) > MOST_LEDS:
-        raise InputError(
-            f"placement.search places up to {MOST_LEDS} LEDs, the scene has {len(base.leds)}; set search = false and "
-            "give candidates."
-        )
-    loose, asked = loose_photodiodes(base, placement), placement.photodiodes
-    kept = tuple(one for one in base.photodiodes if one.name in placement.fixed)
-    fixed = len(lay_elements(base.board, kept)[0])
-    if fixed > asked:
-        raise InputError(f"placement.photodiodes = {asked}, but fixed has {fixed} of them; ask for more.")
-    if placement.wire and asked - fixed > (most := sum(photodiode.elements for photodiode in loose)):
-        raise InputError(
-            f"placement.wire: the scene has {most} elements to choose from, and photodiodes asks for {asked - fixed}; "
-            "ask for fewer."
-        )
-
-
-def loose_photodiodes(base: Scene, placement: Placement) -> list[Photodiode]:
-    """The scene's photodiodes that are not fixed."""
-    return [photodiode for photodiode in base.photodiodes if photodiode.name not in placement.fixed]
-
-
-def searchable(base: Scene, placement: Placement) -> Scene:
-    """The board whose parts, those aside that stay where they are, lie along or across the nail."""
-    stay = {*placement.fixed, *((one.name for one in base.photodiodes) if placement.wire else ())}
-    leds = tuple(one if one.name in stay else straightened(one) for one in base.leds)
-    photodiodes = tuple(one if one.name in stay else straightened(one) for one in base.photodiodes)
-    return base.model_copy(update={"leds": leds, "photodiodes": photodiodes})
-
-
-def straightened(part: PartT) -> PartT:
-    """A part that lies along or across the nail, whichever is nearer."""
-    across = round(part.rotation_deg / 90) % 2
-    return part.model_copy(update={"rotation_deg": 0.0, "size_mm": part.size_mm[:: -1 if across else 1]})
-
-
-def way_of(side: str) -> int:
-    """Which way photodiodes lie from LEDs on a side of them: 1 towards higher, -1 towards lower u or v."""
-    return sum(FAR_SIDE[side])
-
-
-def searched(
-    base: Scene,
-    placement: Placement,
-    leds_mm: Places,
-    photodiodes: Sequence[Rectangle],
-    *,
-    side: str | None,
-    name: str,
-) -> Scene:
-    """The board with its LEDs at places on the nail, and what a search found beside the photodiodes that are fixed.
-
-    photodiodes : areas of new ones, or where elements are wired, those by name.
-    side : of the photodiodes on which the LEDs lie behind their wall; None without a wall.
-    """
-    du, dv = base.board.center_mm
-    leds = tuple(
-        led.model_copy(update={"position_mm": (u - du, v - dv)}) for led, (u, v) in zip(base.leds, leds_mm, strict=True)
-    )
-    kept = [one for one in base.photodiodes if one.name in placement.fixed]
-    if placement.wire:
-        wanted = {area.name for area in photodiodes}
-        for one in loose_photodiodes(base, placement):
-            wired = tuple(i for i, element in enumerate(one.element_names()) if element in wanted)
-            if wired:
-                kept.append(one.model_copy(update={"wired": wired if len(wired) < one.elements else None}))
-    else:
-        like = straightened(base.photodiodes[0]).model_copy(update=SINGLE)
-        areas = sorted(photodiodes, key=lambda area: area.center_mm[::-1])
-        for area, (name, ref) in zip(areas, _named(base, placement, areas), strict=True):
-            place = (area.center_mm[0] - du, area.center_mm[1] - dv)
-            kept.append(like.model_copy(update={"name": name, "reference": ref, "position_mm": place}))
-    board = base.board.model_copy(update={"barrier_side": side})
-    scene = base.model_copy(update={"leds": leds, "photodiodes": tuple(kept), "board": board})
-    check(scene, name)
-    return scene
-
-
-def _named(base: Scene, placement: Placement, areas: Sequence[Rectangle]) -> list[tuple[str, str | None]]:
-    """Names and references of new photodiodes: each is the nearest of a board's file that is like them, else new."""
-    from scipy.optimize import linear_sum_assignment
-
-    loose, like, (du, dv) = loose_photodiodes(base, placement), base.photodiodes[0], base.board.center_mm
-    same = (1, like.part, like.size_mm)
-    alike = [one for one in loose if one.reference and (one.elements, one.part, one.size_mm) == same]
-    kept = [one for one in base.photodiodes if one not in loose]
-    taken = {word for one in (*kept, *alike) for word in (one.name, one.reference)}
-    apart = np.array(
-        [[math.dist(area.center_mm, np.add(one.position_mm, (du, dv))) for one in alike] for area in areas]
-    )
-    nearest = dict(zip(*linear_sum_assignment(apart.reshape(len(areas), len(alike))), strict=True))
-    new = (name for name in (f"PD{i}" for i in count(1)) if name not in taken)
-    return [
-        (alike[nearest[i]].name, alike[nearest[i]].reference) if i in nearest else (next(new), None)
-        for i in range(len(areas))
-    ]
-
-
-def check(scene: Scene, name: str) -> None:
-    """Raise InputError unless the scene's board can be laid out, and read from a map."""
-    try:
-        _ = scene.layout
-    except InputError as error:
-        raise InputError(f'layout "{name}": {error}') from None
-    check_one_response(scene.photodiodes)
-
-
-def explicit(scene: Scene, name: str) -> Scene:
+def with_explicit_walls(scene: Scene, name: str) -> Scene:
     """The same layout with outline and wall spelled out, so that they stay when its photodiodes are taken away."""
     layout = scene.layout
     (u, v), (du, dv) = layout.outline.center_mm, scene.board.center_mm
@@ -374,7 +126,7 @@ def explicit(scene: Scene, name: str) -> Scene:
     return scene.model_copy(update={"board": board, "placement": None} | parts)
 
 
-def bare(scene: Scene, *, side: str | None = None) -> Scene:
+def bare_board(scene: Scene, *, side: str | None = None) -> Scene:
     """A board of explicit outline and wall without its photodiodes, the same for all layouts that share its light.
 
     side : on which side of the photodiodes its LEDs lie; as in the scene's layout if not given. Needed with a wall.

@@ -105,7 +105,7 @@ class PhotonMapCache:
             if (key, digit) not in self._tracers:
                 if self.stop():
                     return
-                traced = boards.on_finger(board, self.conditions[members[0]].case, light_only=True)
+                traced = boards.worn_on(board, self.conditions[members[0]].case, light_only=True)
                 how: dict[str, Any] = {"backend": self.backend, "store": self.store, "seed": self.seed}
                 self._tracers[key, digit] = BoardTracer(light_scene(traced), spacing_mm=self.distance_mm, **how)
             for led in range(len(board.leds)):
@@ -117,7 +117,7 @@ class PhotonMapCache:
         """Trace one LED on one digit and add its light to the maps of all conditions of that digit."""
         points, digit = [], self.conditions[members[0]].case.digit
         for condition in (self.conditions[i] for i in members):
-            scene, blood = boards.on_finger(board, condition.case), condition.point.blood_fraction
+            scene, blood = boards.worn_on(board, condition.case), condition.point.blood_fraction
             points.append(blood_point(scene, led, traced=tracer.scene, blood_fraction=blood))
         each = self.batch_photons or tracer.batch_photons
         first = self._maps[key][members[0]][led].photons // each

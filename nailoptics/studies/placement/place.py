@@ -19,16 +19,14 @@ from ...light.tracing.store import LightStore
 from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, load_scene
 from ...sensor.information import operating_point
-from . import boards, search
-from .boards import CandidateLayout
-from .inspection import inspect_layout
-from .objective import Objective
-from .over_unknowns import resolution_over_unknowns
-from .oxygen_rank import oxygen_rule
-from .photodiode_count import resolution_by_count
+from . import boards, candidates, search, search_space
+from .candidates import CandidateLayout
+from .objective import Objective, spo2_objective
 from .photon_maps import FingerCondition, PhotonMapCache
 from .result import as_dataset
+from .robustness import resolution_over_priors, resolution_vs_count
 from .scores import JUDGE_SHARE, score_layouts
+from .verification import verify_layout
 
 log = logging.getLogger(__name__)
 
@@ -38,21 +36,22 @@ BLOCKS = 32
 # The best layout is looked at closely if so much time is left. [s]
 CHECK_S = 10.0
 # Part of the time left that this takes at most; the rest is for what is unknown of the finger.
-INSPECT_SHARE = 0.7
+VERIFY_SHARE = 0.7
 
 
 def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> xr.Dataset:
     """Rank layouts of a finger scene by the force that they resolve; `result.chosen` is the best as a scene.
 
     photons : per layout, LED and finger, in place of a tolerance.
-    relative_error : judging ends when the best is told from all others or every score is known so well; 0.02 if
-        nothing is requested.
+    relative_error : judging ends when the best is distinguished from all others or every score is known so
+        well; 0.02 if nothing is requested.
     max_seconds : wall time after which it ends in any case; 480 if nothing is requested. [s]
 
     Returns: Dataset over layout (best first), finger, photodiode and, for the best, the plane of the board.
 
     Raises: InputError; NotReachedError, with the Dataset as result, where time ran out or the user interrupted before
-    the best was told from the others or the tolerance was met; interrupted, what is found so far is finished roughly.
+    the best was distinguished from the others or the tolerance was met; interrupted, what was found is finished
+    roughly.
     """
     _check_scene(scene)
     options, accuracy, cpu = TraceOptions(**requested), scene.accuracy, time.process_time()
@@ -71,8 +70,8 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     judging = PhotonMapCache(conditions, **light, stream=1, blocks=BLOCKS)
     layouts, searched = _candidates(base, rules, objective, searching, report_progress)
     judging.stop = partial(_judged_enough, judging, bool(searched), report_progress)
-    wanted = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
-    how: dict[str, Any] = {"objective": objective, "relative_error": wanted, "report_progress": report_progress}
+    target = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
+    how: dict[str, Any] = {"objective": objective, "relative_error": target, "report_progress": report_progress}
     for layout in layouts:
         judging.keep(layout.board, layout.scene.layout.photodiode_areas)
     layouts, scores, unmet = score_layouts(layouts, judging, photons=photons, **how)
@@ -80,22 +79,22 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     layouts, scores = [layouts[i] for i in order], [scores[i] for i in order]
     maps = judging.maps(layouts[0].board)[0]
     closer = light | {"stop": partial(report_progress.is_over, 1.0)}
-    inspected, over = xr.Dataset(), xr.Dataset()
+    verified, over = xr.Dataset(), xr.Dataset()
     if (left_s := report_progress.seconds_left) > CHECK_S:
-        limits: dict[str, Any] = {"photons": maps[0].photons, "max_seconds": INSPECT_SHARE * left_s}
-        inspected = inspect_layout(layouts[0].scene, conditions[0], **limits, **closer)
+        limits: dict[str, Any] = {"photons": maps[0].photons, "max_seconds": VERIFY_SHARE * left_s}
+        verified = verify_layout(layouts[0].scene, conditions[0], **limits, **closer)
     report_progress("check", 1.0, scores[0].relative_error)
     if not report_progress.is_late(1.0):
-        over = resolution_by_count(layouts[0], boards.searchable(base, rules), judging, objective)
+        over = resolution_vs_count(layouts[0], search_space.searchable_board(base, rules), judging, objective)
     if scene.priors.spread and report_progress.seconds_left > CHECK_S:
-        over = over.merge(resolution_over_unknowns(layouts, rules, judging, stop=closer["stop"]))
+        over = over.merge(resolution_over_priors(layouts, rules, judging, stop=closer["stop"]))
     if store is not None:
         store.close()
     made |= {"photons": judging.photons + searching.photons, "rank_by": rules.rank_words}
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
-    result = as_dataset(scene, layouts, scores, conditions, maps, searched, inspected, made).merge(over)
+    result = as_dataset(scene, layouts, scores, conditions, maps, searched, verified, made).merge(over)
     spread = "resolution_spread" in over or not scene.priors.spread
-    for known, what in ((inspected, "looked at closely"), (spread, "judged on other fingers")):
+    for known, what in ((verified, "looked at closely"), (spread, "judged on other fingers")):
         unmet = unmet or (None if known else f"{report_progress.why} before the best layout was {what}.")
     if unmet:
         result.attrs["cut_off"] = unmet
@@ -122,11 +121,11 @@ def _candidates(
     report_progress: StageProgress,
 ) -> tuple[list[CandidateLayout], list[search.SearchedSite]]:
     """All layouts to judge, given, searched and the paper's, and every site of the LEDs that the search tried."""
-    boards.check_search(base, rules)
+    search_space.check_search(base, rules)
     # The paper's layout has one LED, which tells no oxygen.
     layouts = given(base, rules)
     paper = None if "oxygen" in rules.weights else _paper_layout(base, cache.conditions)
-    straight = boards.searchable(base, rules)
+    straight = search_space.searchable_board(base, rules)
     searched = search.search(straight, rules, objective, cache, report_progress) if rules.search else []
     if rules.search and not searched and not report_progress.is_over(search.SEARCH_SHARE):
         log.warning(
@@ -136,7 +135,7 @@ def _candidates(
             rules.photodiodes,
         )
     # The search's best is judged even where time is over.
-    layouts = search.finalists(straight, rules, searched) + layouts + ([paper] if paper else [])
+    layouts = search.shortlist(straight, rules, searched) + layouts + ([paper] if paper else [])
     if not layouts and report_progress.is_over(search.SEARCH_SHARE):
         raise NotReachedError(f"{report_progress.why} before one place of the LEDs was tried; allow more time.")
     if not layouts:
@@ -159,13 +158,13 @@ def _judged_enough(cache: PhotonMapCache, found: bool, report_progress: StagePro
 def _objective(base: Scene, rules: Placement, conditions: Sequence[FingerCondition]) -> Objective:
     """What layouts are ranked by; raises InputError where that is oxygen and the scene has no two LEDs or no pulse."""
     cases = [condition.case for condition in conditions]
-    oxygen = oxygen_rule(base, cases, rules.force_n) if "oxygen" in rules.weights else None
+    oxygen = spo2_objective(base, cases, rules.force_n) if "oxygen" in rules.weights else None
     return Objective(rules, [condition.point for condition in conditions], oxygen)
 
 
 def finger_condition(base: Scene, case: FingerCase, rules: Placement) -> FingerCondition:
     """A finger of the placement with the touch at which it judges."""
-    scene = boards.on_finger(base, case)
+    scene = boards.worn_on(base, case)
     return FingerCondition(case, operating_point(scene, rules.force_n, since_rest_s=rules.since_rest_s))
 
 
@@ -173,8 +172,8 @@ def given(base: Scene, rules: Placement) -> list[CandidateLayout]:
     """The layouts that [placement] lists."""
     layouts = []
     for one in rules.candidates:
-        scene = boards.candidate_scene(base, one)
-        layouts.append(boards.candidate(one.name, scene, "given"))
+        scene = candidates.candidate_scene(base, one)
+        layouts.append(candidates.candidate(one.name, scene, "given"))
     return layouts
 
 
@@ -185,9 +184,9 @@ def _paper_layout(base: Scene, conditions: Sequence[FingerCondition]) -> Candida
     scene = prototype.model_copy(update={name: getattr(base, name) for name in kept})
     try:
         for condition in conditions:
-            boards.check(boards.on_finger(scene, condition.case, light_only=True), "paper")
+            candidates.check(boards.worn_on(scene, condition.case, light_only=True), "paper")
     except InputError as error:
         log.warning("the paper's layout is left out: %s", error)
         return None
-    scene = boards.explicit(scene, "paper")
-    return CandidateLayout("paper", scene, boards.bare(scene), "paper")
+    scene = boards.with_explicit_walls(scene, "paper")
+    return CandidateLayout("paper", scene, boards.bare_board(scene), "paper")

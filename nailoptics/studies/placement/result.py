@@ -9,16 +9,18 @@ import xarray as xr
 from ...light.board_map import PhotonMap, map_dataset
 from ...light.transfer import provenance
 from ...scene import Scene, parse_scene, to_toml
-from ...scene.outlines import Outline
-from ...scene.positions import PlacedPart
+from ...scene.importers.outlines import Outline
+from ...scene.importers.positions import PlacedPart
 from ...sensor import information
 from ...sensor.information import OperatingPoint, Response
 from ...statistics import FEW_TERMS, jackknife, left_out
 from ...variables import Variables, variable
-from .boards import CandidateLayout, rules, straightened
+from .boards import rules
+from .candidates import CandidateLayout
 from .photon_maps import FingerCondition
 from .scores import LayoutScore, resolution_stderr_n
 from .search import SearchedSite
+from .search_space import straightened
 
 # Spacing of the places at which one more photodiode is tried.
 PLACES_MM = 0.2
@@ -37,13 +39,13 @@ def as_dataset(
     conditions: Sequence[FingerCondition],
     maps: Sequence[PhotonMap],
     searched: Sequence[SearchedSite],
-    inspected: xr.Dataset,
+    verified: xr.Dataset,
     attributes: dict[str, Any],
 ) -> xr.Dataset:
     """Everything of a placement; layouts come best first.
 
     maps : of the best layout's bare board on the first finger, one per LED.
-    inspected : what `inspect_layout` says of the best layout on the first finger.
+    verified : what `verify_layout` says of the best layout on the first finger.
     """
     best = layouts[0].scene
     data = _ranking(layouts, scores, conditions) | _extremes(layouts, scores) | _sites(searched)
@@ -58,13 +60,13 @@ def as_dataset(
         **({"searched_led": [led.name for led in scene.leds]} if searched else {}),
     }
     result = xr.Dataset(data | _predicted(scores[0].responses[0]), coords=coordinates)
-    result = result.merge(map_dataset([led.name for led in best.leds], maps)).merge(inspected)
+    result = result.merge(map_dataset([led.name for led in best.leds], maps)).merge(verified)
     result = result.merge(_photodiode_anywhere(best, maps, conditions[0].point))
     traced = {name: attributes[name] for name in ("backend", "photons")}
     made = provenance(scene, engine="photons", seeds=str(attributes["seed"]), **traced)
     more = {"adc_range_v": best.electronics.adc_range_v, "title": "nailoptics: layouts ranked by force resolution"}
     more |= {"bandwidth_hz": best.electronics.bandwidth_hz}
-    result.attrs = made | attributes | inspected.attrs | more
+    result.attrs = made | attributes | verified.attrs | more
     return result
 
 
@@ -80,7 +82,7 @@ def _ranking(
 
     low, high = np.array([score.interval_n for score in scores]).T
     value = of_all_photons("score_n")
-    error = [resolution_stderr_n(score.score_n, score.feigned_n) for score in scores]
+    error = [resolution_stderr_n(score.score_n, score.noise_floor_n) for score in scores]
     text = "force resolution of one sample, rms, whatever the split of the force, over the fingers"
     found = variable("force_resolution_n", one, value, text, units="N", stderr=error)
     found |= variable("force_resolution_low_n", one, low, "lower end of its 95 % interval", units="N")
@@ -91,15 +93,15 @@ def _ranking(
     text = "resolution of the part of the force that presses proximally, one sample, rms, worst finger"
     found |= variable("share_resolution", one, value, text, stderr=errors)
     if all(score.spo2_percent is not None for score in scores):
-        told, text = of_all_photons("spo2_percent"), "standard error of SpO2 over 8 s, electronics alone, worst finger"
+        value, text = of_all_photons("spo2_percent"), "standard error of SpO2 over 8 s, electronics alone, worst finger"
         errors = [jackknife(score.spo2_percent) for score in scores if score.spo2_percent is not None]
-        found |= variable("spo2_error_percent", one, told, text, units="percent", stderr=errors)
+        found |= variable("spo2_error_percent", one, value, text, units="percent", stderr=errors)
     origin, scenes = [layout.origin for layout in layouts], [to_toml(layout.scene) for layout in layouts]
     found["origin"] = (one, np.array(origin), {"long_name": "given, searched or the paper's"})
     found["scene"] = (one, np.array(scenes), {"long_name": "the layout as a scene"})
     value, text = of_all_photons("resolution_n"), "force resolution on each finger"
-    feigned = np.array([information.feigned_force_n(condition.point) for condition in conditions])
-    errors = [resolution_stderr_n(score.resolution_n, feigned) for score in scores]
+    floors_n = np.array([information.physiological_noise_force_n(condition.point) for condition in conditions])
+    errors = [resolution_stderr_n(score.resolution_n, floors_n) for score in scores]
     found |= variable("finger_resolution_n", both, value, text, units="N", stderr=errors)
     per_pa2, text = of_all_photons("information_per_pa2"), "force resolution if the split of the force is known"
     fixed = [information.fixed_ratio_resolution_n(per_pa2[:, k], one.point) for k, one in enumerate(conditions)]
@@ -127,9 +129,9 @@ def _still(scores: Sequence[LayoutScore], conditions: Sequence[FingerCondition])
     text, over = "force resolution by the noise of the electronics alone on each finger", ("layout", "finger")
     by_finger = [resolution_stderr_n(score.electronics_resolution_n) for score in scores]
     found |= variable("finger_electronics_resolution_n", over, each, text, units="N", stderr=by_finger)
-    feigned = [information.feigned_force_n(condition.point) for condition in conditions]
-    text = "force, rms, that waves of the arterial pressure feign: no layout resolves finer"
-    return found | variable("feigned_force_n", "finger", feigned, text, units="N")
+    floors_n = [information.physiological_noise_force_n(condition.point) for condition in conditions]
+    text = "false force, rms, by waves of the arterial pressure: the noise floor of every layout"
+    return found | variable("physiological_noise_force_n", "finger", floors_n, text, units="N")
 
 
 def _extremes(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore]) -> Variables:

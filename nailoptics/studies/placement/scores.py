@@ -11,14 +11,14 @@ from ...light.tracing import Ending, StageProgress, Trigger, run_until
 from ...scene import digest
 from ...sensor.information import (
     Response,
-    feigned_force_n,
     force_resolution_n,
     over_fingers,
+    physiological_noise_force_n,
     pressure_information,
     total_information,
 )
 from ...statistics import jackknife, t95
-from .boards import CandidateLayout
+from .candidates import CandidateLayout
 from .objective import Objective, weighted
 from .photon_maps import PhotonMapCache
 
@@ -35,7 +35,7 @@ class LayoutScore:
     resolution_n : (1 + blocks, fingers) float. Whatever the split of the force, through the body's noise. [N]
     score_n : (1 + blocks,) float. Over the fingers. [N]
     electronics_resolution_n, electronics_score_n : the same, were the body still. [N]
-    feigned_n : float. Force that the body feigns on every layout, over the fingers: no score is less. [N]
+    noise_floor_n : float. False force by the body, the same with every layout, over the fingers: no score is less. [N]
     information_per_pa2 : (1 + blocks, fingers, 3) float. Of both pressures, whatever the body does. [Pa^-2]
     responses : by finger and LED, (1 + blocks, photodiodes).
     share : (1 + blocks,) float. Resolution of the proximal share of the force, on the worst finger.
@@ -49,7 +49,7 @@ class LayoutScore:
     score_n: np.ndarray
     electronics_resolution_n: np.ndarray
     electronics_score_n: np.ndarray
-    feigned_n: float
+    noise_floor_n: float
     information_per_pa2: np.ndarray
     responses: list[list[Response]]
     share: np.ndarray
@@ -68,7 +68,7 @@ class LayoutScore:
     @property
     def interval_n(self) -> tuple[float, float]:
         """95 % interval of the score. [N]"""
-        return resolution_interval_n(self.score_n, self.feigned_n)
+        return resolution_interval_n(self.score_n, self.noise_floor_n)
 
     @property
     def electronics_interval_n(self) -> tuple[float, float]:
@@ -81,29 +81,29 @@ class LayoutScore:
         return float(jackknife(np.log(self.ranked)))
 
 
-def resolution_stderr_n(resolution_n: np.ndarray, feigned_n: float | np.ndarray = 0.0) -> np.ndarray:
+def resolution_stderr_n(resolution_n: np.ndarray, noise_floor_n: float | np.ndarray = 0.0) -> np.ndarray:
     """Standard error of resolutions by all photons and without each block of them, (1 + blocks, ...) float. [N]
 
-    feigned_n : what of them is the body's own and has no error. [N]
+    noise_floor_n : what of them is the body's own and has no error. [N]
 
     It is the error of the logarithm of the rest, to first order. A resolution is the root of an inverse sum of squares,
     to which the photons' noise adds: where it comes out small, so does its error, and only their ratio is the scatter.
     """
-    above = _above(resolution_n, feigned_n)
+    above = _above(resolution_n, noise_floor_n)
     return np.asarray(above[0] ** 2 / resolution_n[0] * jackknife(np.log(above)))
 
 
-def resolution_interval_n(resolution_n: np.ndarray, feigned_n: float = 0.0) -> tuple[float, float]:
+def resolution_interval_n(resolution_n: np.ndarray, noise_floor_n: float = 0.0) -> tuple[float, float]:
     """95 % interval of one resolution, symmetric in the logarithm of what it is above the body's own part. [N]"""
-    above = _above(resolution_n, feigned_n)
+    above = _above(resolution_n, noise_floor_n)
     spread = t95(len(above) - 1) * float(jackknife(np.log(above)))
-    low, high = (math.hypot(float(above[0]) * math.exp(sign * spread), feigned_n) for sign in (-1, 1))
+    low, high = (math.hypot(float(above[0]) * math.exp(sign * spread), noise_floor_n) for sign in (-1, 1))
     return low, high
 
 
-def _above(resolution_n: np.ndarray, feigned_n: float | np.ndarray) -> np.ndarray:
-    """The part of resolutions that adds in squares to what the body feigns; all of them where that is not known. [N]"""
-    return np.asarray(np.sqrt(np.maximum(resolution_n**2 - np.nan_to_num(feigned_n) ** 2, np.finfo(float).tiny)))
+def _above(resolution_n: np.ndarray, noise_floor_n: float | np.ndarray) -> np.ndarray:
+    """The part of resolutions that adds in squares to the noise floor; all of them where that is not known. [N]"""
+    return np.asarray(np.sqrt(np.maximum(resolution_n**2 - np.nan_to_num(noise_floor_n) ** 2, np.finfo(float).tiny)))
 
 
 def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Objective) -> LayoutScore:
@@ -112,6 +112,7 @@ def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
     information = [total_information(by_led) for by_led in responses]
     still = [total_information(by_led, electronics_alone=True) for by_led in responses]
     points = [condition.point for condition in cache.conditions]
+    floors_n = np.array([[physiological_noise_force_n(point)] for point in points])
     resolution, electronics = (
         np.stack([force_resolution_n(*both) for both in zip(one, points, strict=True)]) for one in (information, still)
     )
@@ -124,7 +125,7 @@ def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
         score_n=score_n,
         electronics_resolution_n=electronics.T,
         electronics_score_n=over_fingers(electronics, over),
-        feigned_n=float(over_fingers(np.array([[feigned_force_n(point)] for point in points]), over)[0]),
+        noise_floor_n=float(over_fingers(floors_n, over)[0]),
         information_per_pa2=np.stack([pressure_information(one) for one in information], 1),
         responses=responses,
         share=share,
@@ -143,12 +144,12 @@ def score_layouts(
     relative_error: float,
     report_progress: StageProgress,
 ) -> tuple[list[CandidateLayout], list[LayoutScore], str | None]:
-    """Trace until the best is told from all others, more photons where that is undecided.
+    """Trace until the best is distinguished from all others, more photons where that is undecided.
 
     photons : per layout, LED and finger, in place of a tolerance.
     relative_error : of the scores of those tied with the best, at which tracing ends as well.
 
-    Returns: the layouts that were traced on every finger, their scores, and why the best was not told, if so.
+    Returns: the layouts that were traced on every finger, their scores, and why the best was not distinguished, if so.
 
     Raises: NotReachedError where time ends before one layout is traced.
     """

@@ -13,9 +13,9 @@ from ...scene import Placement, Scene
 from ...scene.base import Point
 from ...scene.rectangles import Rectangle
 from ...sensor.information import responses
-from . import boards
-from .boards import CandidateLayout
-from .exchange import Tables, Together
+from . import candidates, search_space
+from .candidates import CandidateLayout
+from .coordinate_exchange import Arrangement, DesignTables
 from .objective import Objective
 from .photon_maps import PhotonMapCache
 from .sites import LedRow, LedSite, PhotodiodePlaces, Sites
@@ -35,7 +35,7 @@ LAST_STARTS = 8
 # Part of the time for the search.
 SEARCH_SHARE = 0.55
 # Searched layouts that are judged with photons of their own beside those that were given.
-FINALISTS = 5
+SHORTLIST = 5
 # Sites around which LED places are searched more finely, and into how many parts a step is halved.
 REFINED, FINEST = 2, 4
 
@@ -71,7 +71,7 @@ class Search:
 
     def __init__(self, base: Scene, rules: Placement, objective: Objective, cache: PhotonMapCache) -> None:
         """base : a board whose parts lie straight. Raises: InputError for what a search cannot place."""
-        boards.check_search(base, rules)
+        search_space.check_search(base, rules)
         self.base, self.rules, self.objective, self.cache = base, rules, objective, cache
         self.sites = Sites(base, rules)
         self.found: dict[LedSite, SearchedSite] = {}
@@ -98,7 +98,7 @@ class Search:
                     return list(self.found.values())
             step /= 2
             waiting = self._around_the_best(step)
-        for best in ranked(self.found.values())[:FINALISTS]:
+        for best in ranked(self.found.values())[:SHORTLIST]:
             if report_progress.is_over(SEARCH_SHARE):
                 break
             self._choose_again(best.site)
@@ -157,12 +157,12 @@ class Search:
         areas = [*places.areas, *places.stay]
         photodiodes, amplifier = self.sites.kinds(places), self.base.electronics
 
-        def told(finger: int, one: PhotonMap) -> np.ndarray:
+        def columns_of(finger: int, one: PhotonMap) -> np.ndarray:
             point, values = self.cache.conditions[finger].point, one.over(areas).mean(0)
             read = responses(values, self.base.leds[led], photodiodes, amplifier, point, number=led)
             return self.objective.columns(finger, led, read)
 
-        return np.stack([told(k, by_led[0]) for k, by_led in enumerate(self.cache.maps(board))])
+        return np.stack([columns_of(k, by_led[0]) for k, by_led in enumerate(self.cache.maps(board))])
 
     def _evaluate(self, row: _Row) -> None:
         """Give every arrangement of a row's LEDs its photodiodes, as far as its light is traced."""
@@ -176,12 +176,12 @@ class Search:
 
     def _forget_all_but_the_best(self) -> None:
         """Free the maps that nothing will be added to."""
-        sites = [one.site for one in ranked(self.found.values())[:FINALISTS]]
+        sites = [one.site for one in ranked(self.found.values())[:SHORTLIST]]
         held = {(site.row, i, place) for site in sites for i, place in enumerate(site.places_mm)}
         for key in self._mapped.keys() - held:
             self.cache.forget(self._mapped.pop(key))
 
-    def _tables(self, row: _Row, *, starts: int = 1) -> Tables[Point]:
+    def _tables(self, row: _Row, *, starts: int = 1) -> DesignTables[Point]:
         centers = row.places.centers_mm
         is_walled, everywhere = row.row.side is not None, np.ones(len(centers), bool)
 
@@ -193,9 +193,9 @@ class Search:
 
         objective, apart = self.objective, row.places.apart_mm
         how = (objective.together, objective.score, centers, apart, self.sites.go_together, beside)
-        return Tables(row.columns, row.stay, *how, starts=starts)
+        return DesignTables(row.columns, row.stay, *how, starts=starts)
 
-    def _keep(self, row: _Row, tables: Tables[Point], one: Together[Point], photons: int) -> None:
+    def _keep(self, row: _Row, tables: DesignTables[Point], one: Arrangement[Point], photons: int) -> None:
         """Keep what was found for an arrangement of LEDs."""
         site = LedSite(one.leds, row.row)
         photodiodes = tuple(row.places.areas[k] for k in one.photodiodes)
@@ -204,13 +204,13 @@ class Search:
 
     def _around_the_best(self, step_mm: float) -> dict[LedRow, list[list[Point]]]:
         """Places beside those of the best sites: along their rows, beside another LED, and rows beside theirs."""
-        wanted: dict[LedRow, list[dict[Point, None]]] = {}
+        requested: dict[LedRow, list[dict[Point, None]]] = {}
 
         def want(row: LedRow, led: int, place: Point) -> None:
             rounded = (round(place[0], 4), round(place[1], 4))
             fixed = self.sites.is_fixed[led]
             if fixed or self.sites.may_lie(led, rounded):
-                each = wanted.setdefault(row, [{} for _ in self.base.leds])
+                each = requested.setdefault(row, [{} for _ in self.base.leds])
                 each[led][place if fixed else rounded] = None
 
         for best in ranked(self.found.values())[:REFINED]:
@@ -223,7 +223,7 @@ class Search:
                 for i, place in enumerate(site.places_mm):
                     along = place[1 if row.side in ("left", "right") else 0]
                     want(row, i, place if self.sites.is_fixed[i] else self.sites.in_row(i, row, along))
-        complete = {row: [list(one) for one in each] for row, each in wanted.items() if all(each)}
+        complete = {row: [list(one) for one in each] for row, each in requested.items() if all(each)}
         return {row: each for row, each in complete.items() if self._has_new(row, each) and self.sites.leaves_room(row)}
 
     def _has_new(self, row: LedRow, places: list[list[Point]]) -> bool:
@@ -262,7 +262,7 @@ class Search:
 def search(
     base: Scene, rules: Placement, objective: Objective, cache: PhotonMapCache, report_progress: StageProgress
 ) -> list[SearchedSite]:
-    """Every site of the LEDs that was tried with its best photodiodes; raises InputError as `boards.check_search`."""
+    """Every site of the LEDs that was tried, with its best photodiodes; raises InputError as `check_search`."""
     return Search(base, rules, objective, cache).run(report_progress)
 
 
@@ -271,16 +271,16 @@ def ranked(found: Iterable[SearchedSite]) -> list[SearchedSite]:
     return sorted(found, key=lambda one: one.reached)
 
 
-def foremost(found: Iterable[SearchedSite]) -> list[SearchedSite]:
+def top_ranked(found: Iterable[SearchedSite]) -> list[SearchedSite]:
     """Those to be judged, the best first: of few photons sites look better than they are, and come after the others."""
-    return sorted(found, key=lambda one: (-one.photons, one.reached))[:FINALISTS]
+    return sorted(found, key=lambda one: (-one.photons, one.reached))[:SHORTLIST]
 
 
-def finalists(base: Scene, rules: Placement, found: Sequence[SearchedSite]) -> list[CandidateLayout]:
+def shortlist(base: Scene, rules: Placement, found: Sequence[SearchedSite]) -> list[CandidateLayout]:
     """The best layouts of a search, to be judged with photons of their own."""
     layouts = []
-    for one in foremost(found):
+    for one in top_ranked(found):
         name = one.site.name
-        scene = boards.searched(base, rules, one.site.places_mm, one.photodiodes, side=one.site.row.side, name=name)
-        layouts.append(boards.candidate(name, scene, "searched"))
+        scene = candidates.searched(base, rules, one.site.places_mm, one.photodiodes, side=one.site.row.side, name=name)
+        layouts.append(candidates.candidate(name, scene, "searched"))
     return layouts

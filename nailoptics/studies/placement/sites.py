@@ -8,10 +8,10 @@ import numpy as np
 
 from ...scene import Led, Photodiode, Placement, Scene
 from ...scene.base import Point
+from ...scene.importers.outlines import has_room
 from ...scene.layout import lay_elements
-from ...scene.outlines import has_room
 from ...scene.rectangles import Rectangle
-from . import boards
+from . import boards, search_space
 
 # A wall that leaves less than this part of the board to the photodiodes is not tried.
 LEAST_ROOM = 0.4
@@ -93,7 +93,7 @@ class Sites:
     @cached_property
     def elements(self) -> tuple[Rectangle, ...]:
         """Of which the search wires some: all elements of the scene's photodiodes that are not fixed."""
-        loose = boards.loose_photodiodes(self.base, self.rules) if self.rules.wire else []
+        loose = search_space.loose_photodiodes(self.base, self.rules) if self.rules.wire else []
         return _all_elements(self.base, loose)
 
     @cached_property
@@ -177,8 +177,8 @@ class Sites:
 
     def _rows_at(self, side: str, middles: np.ndarray) -> Iterator[LedRow]:
         """Rows of a side with the first free LED's middle at each place, and one at the edge of what is fixed."""
-        foremost = self._foremost(side)
-        faces = [] if foremost is None else [foremost]
+        top_ranked = self._foremost(side)
+        faces = [] if top_ranked is None else [top_ranked]
         if len(middles):
             first = self.die(self.is_fixed.index(False), (0.0, 0.0))
             faces += [float(x) + _edge(first, side) for x in middles]
@@ -187,13 +187,13 @@ class Sites:
     def _foremost(self, side: str) -> float | None:
         """Of the LEDs that stay, the edge that is nearest to photodiodes; None if none does. [mm]"""
         edges = [_edge(self.die(i, self.place_of(i)), side) for i, fixed in enumerate(self.is_fixed) if fixed]
-        return max(edges, key=lambda x: boards.way_of(side) * x) if edges else None
+        return max(edges, key=lambda x: search_space.way_of(side) * x) if edges else None
 
     def is_before_fixed(self, row: LedRow) -> bool:
         """Whether no LED that stays lies nearer to the photodiodes than a row."""
-        if row.side is None or row.face_mm is None or (foremost := self._foremost(row.side)) is None:
+        if row.side is None or row.face_mm is None or (top_ranked := self._foremost(row.side)) is None:
             return True
-        return boards.way_of(row.side) * (row.face_mm - foremost) >= -ROUNDING_MM
+        return search_space.way_of(row.side) * (row.face_mm - top_ranked) >= -ROUNDING_MM
 
     def _with_room(self, found: dict[LedRow, list[list[Point]]]) -> dict[LedRow, list[list[Point]]]:
         """The rows whose wall leaves room, with the places where each LED may lie; a fixed one lies where it is."""
@@ -217,7 +217,7 @@ class Sites:
         """Whether a row's wall leaves photodiodes enough of the board, and lies before all that stay."""
         if row.side is None or row.face_mm is None:
             return True
-        o, way, far = self.outline, boards.way_of(row.side), _far_edge(self.outline, row.side)
+        o, way, far = self.outline, search_space.way_of(row.side), _far_edge(self.outline, row.side)
         size = o.size_mm[0 if row.side in ("left", "right") else 1]
         if way * (far - row.face_mm) <= LEAST_ROOM * size and not self.in_the_way:
             return False
@@ -233,12 +233,12 @@ class Sites:
         """The bare board with one of its LEDs at a place, and the wall of its row."""
         (du, dv), board, gap = self.base.board.center_mm, self.base.board, self._gap_mm
         if row.side is not None and row.face_mm is not None:
-            gap += boards.way_of(row.side) * (row.face_mm - _edge(self.die(led, place_mm), row.side))
+            gap += search_space.way_of(row.side) * (row.face_mm - _edge(self.die(led, place_mm), row.side))
             board = board.model_copy(update={"barrier_gap_mm": gap})
         # LEDs that shine alike share their light, whatever their names.
         update = {"position_mm": (place_mm[0] - du, place_mm[1] - dv), "name": "led"}
         one: Led = self.base.leds[led].model_copy(update=update)
-        return boards.bare(self.base.model_copy(update={"leds": (one,), "board": board}), side=row.side)
+        return boards.bare_board(self.base.model_copy(update={"leds": (one,), "board": board}), side=row.side)
 
     def photodiode_places(self, walls: Sequence[Rectangle], leds: Sequence[Rectangle]) -> PhotodiodePlaces:
         """The places that walls and, where there are none, LEDs leave to photodiodes."""
@@ -249,7 +249,7 @@ class Sites:
             size = self._size_mm
             areas, apart = list(self._grid_areas), (size[0] + gap, size[1] + gap)
             for wall in walls:
-                way, far, room = boards.way_of(wall.name), _far_edge(wall, wall.name), max(gap, WALL_ROOM_MM)
+                way, far, room = search_space.way_of(wall.name), _far_edge(wall, wall.name), max(gap, WALL_ROOM_MM)
                 areas = [a for a in areas if way * (_near_edge(a, wall.name) - far) >= room - ROUNDING_MM]
         return PhotodiodePlaces(tuple(a for a in areas if walled or self.is_beside(a, leds)), self.stay, apart)
 
@@ -279,7 +279,7 @@ class Sites:
     @property
     def _size_mm(self) -> Point:
         """Size of the photodiodes that are placed, which lie straight: that of the scene's first. [mm]"""
-        return boards.straightened(self.base.photodiodes[0]).size_mm
+        return search_space.straightened(self.base.photodiodes[0]).size_mm
 
 
 def has_room_for(area: Rectangle, rules: Placement) -> bool:

@@ -13,7 +13,7 @@ from nailoptics.light.tracing import driver
 from nailoptics.scene import Scene, load_scene
 from nailoptics.scene.rectangles import Rectangle
 from nailoptics.studies.exploration import explore as study
-from nailoptics.studies.exploration.blood_polynomial import BloodPolynomial
+from nailoptics.studies.exploration.blood_ratio import BloodPolynomial
 from nailoptics.studies.exploration.colour_table import BLOCKS
 from nailoptics.studies.exploration.explore import explore, explored_board
 

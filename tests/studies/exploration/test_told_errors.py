@@ -39,7 +39,7 @@ def read(explored: Exploration, die_mm: Any, size_mm: Any, places_mm: np.ndarray
 def traced(scene: Scene, die_mm: Any, places_mm: np.ndarray, *, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """The same by light of the die alone on the bare board, and its standard error."""
     led = scene.leds[0].model_copy(update={"position_mm": tuple(die_mm), "rotation_deg": 0.0})
-    lit = boards.bare(scene).model_copy(update={"leds": (led,)})
+    lit = boards.bare_board(scene).model_copy(update={"leds": (led,)})
     tracer = BoardTracer(lit, spacing_mm=QUICK_DISTANCE_MM)
     arrived = tracer.arrivals(0, photons=LED_PHOTONS, seed=seed)
     value, found = blood_point(lit, 0).values(arrived)[:, 0], []

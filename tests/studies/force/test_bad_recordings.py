@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.scene import to_toml
-from nailoptics.scene.sensor_recordings import recording_csv
+from nailoptics.scene.importers.sensor_recordings import recording_csv
 from nailoptics.studies.force import calibrate as calibrating
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import parse_subject

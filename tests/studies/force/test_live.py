@@ -10,7 +10,7 @@ import made_sensor
 import pytest
 
 from nailoptics.errors import InputError
-from nailoptics.scene.sensor_recordings import recording_csv
+from nailoptics.scene.importers.sensor_recordings import recording_csv
 from nailoptics.studies.force.live import live
 from nailoptics.studies.force.predict import csv_rows, predict
 from nailoptics.studies.force.subject import Subject, parse_subject

@@ -6,7 +6,7 @@ import pytest
 from force_floor import exactly_known, modelled
 
 from nailoptics.hemodynamics.for_scene import force_course
-from nailoptics.scene.sensor_recordings import SITES, Recording
+from nailoptics.scene.importers.sensor_recordings import SITES, Recording
 from nailoptics.scene.touch import value_at
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject, parse_subject

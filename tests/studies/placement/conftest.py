@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from nailoptics.light.board_map import BoardTracer
-from nailoptics.studies.placement import inspection
+from nailoptics.studies.placement import verification
 
 
 @pytest.fixture(scope="session")
@@ -30,7 +30,7 @@ def fewer_photons(shared_store: Path) -> Callable[[], AbstractContextManager[Non
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("NAILOPTICS_STORE", str(shared_store))
             patch.setattr(BoardTracer, "batch_photons", BoardTracer.batch_photons // 4)
-            patch.setattr(inspection, "BACK_PHOTONS", inspection.BACK_PHOTONS // 4)
+            patch.setattr(verification, "BACK_PHOTONS", verification.BACK_PHOTONS // 4)
             yield
 
     return fewer

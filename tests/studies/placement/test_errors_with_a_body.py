@@ -14,7 +14,7 @@ from nailoptics.light.walk import finger as finger_walk
 from nailoptics.scene import Candidate, Placement, Priors, Scene
 from nailoptics.sensor.information import force_resolution_n
 from nailoptics.statistics import Z95, jackknife
-from nailoptics.studies.placement import boards, photodiode_count, place
+from nailoptics.studies.placement import boards, place, robustness
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.photon_maps import PhotonMapCache
 from nailoptics.studies.placement.result import rough_words, rows
@@ -45,7 +45,7 @@ def made_once(chosen_jit):
     patch.setattr(BoardTracer, "batch_photons", BATCH)
     patch.setattr(finger_walk, "_built", lru_cache(maxsize=4)(finger_walk._built.__wrapped__))
     # The closer look at the best has its own test.
-    patch.setattr(place, "inspect_layout", lambda *_, **__: xr.Dataset())
+    patch.setattr(place, "verify_layout", lambda *_, **__: xr.Dataset())
     yield
     patch.undo()
 
@@ -56,9 +56,10 @@ def found(made_once) -> list[xr.Dataset]:
 
 
 def above_the_body(found: list[xr.Dataset], name: str) -> np.ndarray:
-    """What resolutions are above what the body feigns, to which it adds in squares; all where the body is still."""
-    feigned_n = 0.0 if name.startswith(("electronics", "finger_electronics")) else found[0].feigned_force_n.values
-    return np.sqrt(np.array([one[name].values for one in found]) ** 2 - feigned_n**2)
+    """What resolutions are above the noise floor, to which it adds in squares; all where the body is still."""
+    floor = found[0].physiological_noise_force_n.values
+    noise_floor_n = 0.0 if name.startswith(("electronics", "finger_electronics")) else floor
+    return np.sqrt(np.array([one[name].values for one in found]) ** 2 - noise_floor_n**2)
 
 
 @pytest.mark.parametrize("name", ["force_resolution", "electronics_resolution", "finger_electronics_resolution"])
@@ -104,10 +105,10 @@ def test_what_so_many_photodiodes_resolve_holds_at_the_places_that_were_chosen(f
     cache = PhotonMapCache(conditions, seed=999, stream=1, backend="auto", blocks=place.BLOCKS)
     cache.extend(layout.board, 16 * PHOTONS)
     points = [condition.point for condition in conditions]
-    places = photodiode_count._read(layout, base, cache, Objective(rules, points))
+    places = robustness._read(layout, base, cache, Objective(rules, points))
     z = []
     for alone, name in ((False, "count_resolution_n"), (True, "count_electronics_resolution_n")):
-        information = photodiode_count._information(places.judged_by, electronics_alone=alone)
+        information = robustness._information(places.judged_by, electronics_alone=alone)
         for one in found:
             for value, error, centers_mm in zip(
                 one[name].values.ravel(),

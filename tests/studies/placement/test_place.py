@@ -19,12 +19,22 @@ from nailoptics.light.walk.finger import FingerTracer
 from nailoptics.report import result_files
 from nailoptics.report.pages.place.page import write_placement
 from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
-from nailoptics.scene.outlines import Outline, read_outline, write_outline
-from nailoptics.scene.positions import read_positions
+from nailoptics.scene.importers.outlines import Outline, read_outline, write_outline
+from nailoptics.scene.importers.positions import read_positions
 from nailoptics.scene.rectangles import Rectangle
 from nailoptics.sensor import electronics, information
 from nailoptics.statistics import jackknife, left_out
-from nailoptics.studies.placement import boards, exchange, photon_maps, place, result, scores, search, sites
+from nailoptics.studies.placement import (
+    boards,
+    candidates,
+    coordinate_exchange,
+    photon_maps,
+    place,
+    result,
+    scores,
+    search,
+    sites,
+)
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.tissue import BloodZones
 
@@ -133,7 +143,7 @@ def test_a_planted_optimum_is_found():
     areas = np.column_stack([places[:, 0] - 0.25, places[:, 0] + 0.25, places[:, 1] - 0.25, places[:, 1] + 0.25])
     scene = parse_scene(SCENE)
     read = information.response(plane.over(areas)[0], scene.leds[0], scene.photodiodes[0], scene.electronics, AT)
-    chosen, reached = exchange.exchange(
+    chosen, reached = coordinate_exchange.coordinate_exchange(
         information.fisher_information(read)[None],
         places,
         count=2,
@@ -159,7 +169,7 @@ def test_places_keep_their_distances(scene):
         assert len(places) and np.abs(places[:, 0]).max() <= 4.5 - 0.3 - 0.5 + 1e-9
         edge = places[:, 0] - 0.5 - wall.u_max if side == "left" else places[:, 1] - 0.125 - wall.v_max
         assert edge.min() >= 0.1 - 1e-9
-        boards.with_parts(
+        candidates.with_parts(
             base.model_copy(update={"leds": board.leds}), [(-2.0, -2.0)], [tuple(places[0])], name="first"
         )
 
@@ -281,7 +291,7 @@ def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
     objective = Objective(rules, [planted])
     tried = search.search(base, rules, objective, cache, StageProgress(None))
     assert len(tried) >= 8 and min(one.site.places_mm[0][1] for one in tried) < -2.5
-    best = search.finalists(base, rules, tried)[0].scene.layout
+    best = search.shortlist(base, rules, tried)[0].scene.layout
     assert best.leds[0].center_mm[1] > 1.0
     assert all(e.area.center_mm[1] > 1.0 for e in best.photodiodes)
 
@@ -327,8 +337,8 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
     base = boards.base_board(scene)
     layouts = place.given(base, boards.rules(scene))
     # One more that is nearly as good as the first, for a pair that is hard to tell apart.
-    middle = boards.with_parts(base, [(-3.0, 0.0)], [(-0.9, v) for v in (-2.0, -1.0, 1.0, 2.0)], name="middle")
-    layouts.append(boards.CandidateLayout("middle", middle, layouts[0].board, "given"))
+    middle = candidates.with_parts(base, [(-3.0, 0.0)], [(-0.9, v) for v in (-2.0, -1.0, 1.0, 2.0)], name="middle")
+    layouts.append(candidates.CandidateLayout("middle", middle, layouts[0].board, "given"))
     conditions = [photon_maps.FingerCondition(FingerCase(name="one"), information.operating_point(base, 0.5))]
     judged, worst = [], Objective(boards.rules(scene), [condition.point for condition in conditions])
     for seed in range(20):

@@ -9,7 +9,7 @@ from nailoptics.errors import NotReachedError
 from nailoptics.light.tracing import StageProgress
 from nailoptics.report import result_files
 from nailoptics.scene import FingerCase, Scene, parse_scene
-from nailoptics.studies.placement import boards, inspection, place, scores, search
+from nailoptics.studies.placement import boards, place, scores, search, verification
 
 
 @pytest.fixture(scope="module")
@@ -56,13 +56,13 @@ def test_a_look_at_the_best_layout_ends_within_a_batch(chosen_jit, scene, monkey
     condition = place.finger_condition(layout.scene, FingerCase(name="one"), boards.rules(scene))
     looks, batches = itertools.count(), []
     for name in ("detected", "back"):
-        traced = getattr(inspection.BoardTracer, name)
+        traced = getattr(verification.BoardTracer, name)
         monkeypatch.setattr(
-            inspection.BoardTracer, name, lambda *at, _traced=traced, **how: batches.append(1) or _traced(*at, **how)
+            verification.BoardTracer, name, lambda *at, _traced=traced, **how: batches.append(1) or _traced(*at, **how)
         )
-    last = 3 if stage == "fresh" else inspection.LEAST_BATCHES + 2
+    last = 3 if stage == "fresh" else verification.LEAST_BATCHES + 2
     limits = {"photons": 1 << 15, "max_seconds": 1.0, "stop": lambda: next(looks) >= last}
-    assert not inspection.inspect_layout(layout.scene, condition, seed=0, backend="auto", **limits)
+    assert not verification.verify_layout(layout.scene, condition, seed=0, backend="auto", **limits)
     assert len(batches) <= last
 
 

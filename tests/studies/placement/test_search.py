@@ -11,8 +11,8 @@ from nailoptics.light.board_map import PhotonMap
 from nailoptics.light.tracing import StageProgress
 from nailoptics.scene import FingerCase, Placement, Scene, digest, parse_scene
 from nailoptics.sensor import information
-from nailoptics.studies.placement import boards, search
-from nailoptics.studies.placement.exchange import STARTS, Tables
+from nailoptics.studies.placement import boards, search, search_space
+from nailoptics.studies.placement.coordinate_exchange import STARTS, DesignTables
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.photon_maps import FingerCondition
 from nailoptics.tissue import BloodZones
@@ -74,7 +74,8 @@ class MadeLight:
 def searched(scene: Scene) -> tuple[search.Search, list[search.SearchedSite]]:
     rules = boards.rules(scene)
     cache = MadeLight([FingerCondition(FingerCase(name="one"), AT)])
-    one = search.Search(boards.searchable(boards.base_board(scene), rules), rules, Objective(rules, [AT]), cache)
+    base = search_space.searchable_board(boards.base_board(scene), rules)
+    one = search.Search(base, rules, Objective(rules, [AT]), cache)
     return one, one.run(StageProgress(None))
 
 
@@ -106,7 +107,7 @@ def test_exchange_of_leds_and_photodiodes_finds_the_best_of_all_layouts(seed):
         return len(set(leds)) == 3
 
     everywhere = np.ones(10, bool)
-    tables = Tables(
+    tables = DesignTables(
         columns, stay, objective.together, objective.score, places, apart, go_together, lambda leds: everywhere, 10
     )
     arrangements = [leds for leds in product(range(5), repeat=3) if go_together(leds)]
@@ -151,7 +152,7 @@ def test_the_search_of_two_leds_is_no_worse_than_every_layout_on_its_grid(barrie
                     every.append(float(one.objective.score((told[a] + told[b])[None])))
     assert len(every) > 100
     assert best.reached <= min(every) * (1 + 1e-9)
-    for layout in search.finalists(one.base, one.rules, found):
+    for layout in search.shortlist(one.base, one.rules, found):
         dies, areas = layout.scene.layout.leds, layout.scene.layout.photodiode_areas
         assert [led.name for led in layout.scene.leds] == ["ir", "red"] and len(areas) == 2
         assert -dies[0].overlap_mm(dies[1]) >= 0.2 - 1e-6 and -areas[0].overlap_mm(areas[1]) >= 0.2 - 1e-6
@@ -169,7 +170,7 @@ def test_as_many_leds_as_may_be_find_room_in_a_row_on_a_coarse_grid():
     )
     scene = two_leds("photodiodes = 2\nled_step_mm = 4.0\nphotodiode_step_mm = 2.0\n", photodiodes=more)
     one, found = searched(scene)
-    assert len(scene.leds) == boards.MOST_LEDS and len(one.sites.grid(4.0)[1]) < len(scene.leds)
+    assert len(scene.leds) == search_space.MOST_LEDS and len(one.sites.grid(4.0)[1]) < len(scene.leds)
     assert found and all(len(set(site.site.places_mm)) == 4 for site in found)
     assert all(one.sites.go_together(site.site.places_mm) for site in found)
 
@@ -181,7 +182,7 @@ def test_what_is_fixed_stays_and_what_is_kept_out_stays_empty():
     )
     one, found = searched(two_leds(rules))
     assert found
-    for layout in search.finalists(one.base, one.rules, found):
+    for layout in search.shortlist(one.base, one.rules, found):
         laid = layout.scene.layout
         assert laid.leds[0].center_mm == pytest.approx((-3.0, 0.0))
         assert laid.photodiode_names == ("pd", "PD1", "PD2")
@@ -197,7 +198,7 @@ def test_wiring_chooses_elements_where_they_are():
     scene = parse_scene(text + '[placement]\nphotodiodes = 3\nwire = true\nfixed = ["ir", "red"]\n')
     one, found = searched(scene)
     best = search.ranked(found)[0]
-    layout = search.finalists(one.base, one.rules, found)[0].scene
+    layout = search.shortlist(one.base, one.rules, found)[0].scene
     assert [p.name for p in layout.photodiodes] == ["array"] and len(layout.photodiodes[0].wired or ()) == 3
     assert len(layout.layout.unwired) == 5 and layout.photodiodes[0].position_mm == scene.photodiodes[0].position_mm
     row = one._rows[best.site.row]
@@ -212,13 +213,13 @@ def test_wiring_chooses_elements_where_they_are():
     ("rules", "words"),
     [
         ('fixed = ["x"]', 'placement.fixed: "x" is no LED or photodiode of the scene; it has ir, red, pd'),
-        ("wire = true", "placement.wire: the scene has 1 elements to choose from, and photodiodes asks for 8"),
+        ("wire = true", "placement.wire: the scene has 1 elements to choose from, fewer than the 8"),
     ],
 )
 def test_what_a_search_cannot_do_is_one_line(rules, words):
     scene = two_leds(rules)
     with pytest.raises(InputError, match=words) as caught:
-        boards.check_search(boards.base_board(scene), boards.rules(scene))
+        search_space.check_search(boards.base_board(scene), boards.rules(scene))
     assert "\n" not in str(caught.value)
 
 

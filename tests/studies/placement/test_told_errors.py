@@ -10,7 +10,7 @@ from small_scenes import PLACEMENT
 from nailoptics.light.board_map import BoardTracer
 from nailoptics.light.walk import finger as finger_walk
 from nailoptics.scene import Priors, Scene, parse_scene
-from nailoptics.studies.placement import inspection
+from nailoptics.studies.placement import verification
 from nailoptics.studies.placement.place import place
 from nailoptics.studies.placement.result import gain
 
@@ -39,10 +39,10 @@ def scene() -> Scene:
 def found(chosen_jit) -> list[xr.Dataset]:
     """The same placement with twenty seeds, in small batches; its four geometries are made once."""
     patch = pytest.MonkeyPatch()
-    patch.setattr(BoardTracer, "batch_photons", PHOTONS // inspection.LEAST_BATCHES)
+    patch.setattr(BoardTracer, "batch_photons", PHOTONS // verification.LEAST_BATCHES)
     patch.setattr(finger_walk, "_built", lru_cache(maxsize=8)(finger_walk._built.__wrapped__))
-    patch.setattr(inspection, "BACK_PHOTONS", 1 << 14)
-    patch.setattr(inspection, "BATCHES_PER_ROUND", 4)
+    patch.setattr(verification, "BACK_PHOTONS", 1 << 14)
+    patch.setattr(verification, "BATCHES_PER_ROUND", 4)
     try:
         return [place(scene(), photons=PHOTONS, seed=seed) for seed in SEEDS]
     finally:

@@ -219,7 +219,7 @@ def _through_the_body(best: Scene, result: xr.Dataset) -> str:
         return ""
     bandwidth_hz, requested = result.attrs["bandwidth_hz"], parse_scene(str(result.attrs["scene"]), name="the scene")
     sample = f"a mean over {significant(500 / bandwidth_hz)} ms (a bandwidth of {bandwidth_hz:g} Hz)"
-    false_force = ", ".join(dict.fromkeys(significant(1e3 * float(one)) for one in result.feigned_force_n))
+    false_force = ", ".join(dict.fromkeys(significant(1e3 * float(one)) for one in result.physiological_noise_force_n))
     text = (
         f"<p>One sample is {sample}. It is evaluated without the samples before it, from which "
         f"{escaped(body_words(best))} could be estimated, so that waves slower than its bandwidth count in full. Such "

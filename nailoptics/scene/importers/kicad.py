@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError
-from ..io import write_text
-from .base import Point, Polygon
+from ...errors import InputError
+from ...io import write_text
+from ..base import Point, Polygon
+from ..rectangles import turned
+from ..text_files import read_text
 from .outlines import Outline
-from .positions import PlacedPart, turned
-from .text_files import read_text
+from .positions import PlacedPart
 
 EDGE = "Edge.Cuts"
 # How far an arc may lie from the lines that take its place.

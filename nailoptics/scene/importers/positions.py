@@ -2,16 +2,15 @@
 
 import csv
 import logging
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from ..errors import InputError
-from ..io import of_plain_cell, plain_cell, write_text
-from .text_files import one_line, read_text, short
+from ...errors import InputError
+from ...io import of_plain_cell, plain_cell, write_text
+from ..text_files import one_line, read_text, short
 
 log = logging.getLogger(__name__)
 
@@ -202,16 +201,16 @@ def _columns(header: Sequence[str]) -> dict[str, int]:
 
 def _unit_told(line: str) -> float | None:
     """The unit that a line beside the table tells, as in "Units used: mil" or "# X,Y in mm". [mm]"""
-    told = re.search(r"(?:\bunits?(?:\s+used)?\s*[:=]|^#\s*x,\s*y in)\s*\"?(\w+)", line, re.IGNORECASE)
-    return UNITS_MM.get(told[1].lower()) if told else None
+    match = re.search(r"(?:\bunits?(?:\s+used)?\s*[:=]|^#\s*x,\s*y in)\s*\"?(\w+)", line, re.IGNORECASE)
+    return UNITS_MM.get(match[1].lower()) if match else None
 
 
 def _unit_of(title: str, path: Path) -> float | None:
     """The unit in the name of a column of lengths, as in "Center-X(mm)". [mm]"""
-    told = re.search(r"[(\[]\s*([^)\]]+?)\s*[)\]]$|[ _-](mm|mils?|in|inch|inches)$", title.strip().lower())
-    if told is None:
+    match = re.search(r"[(\[]\s*([^)\]]+?)\s*[)\]]$|[ _-](mm|mils?|in|inch|inches)$", title.strip().lower())
+    if match is None:
         return None
-    if (value := UNITS_MM.get(told[1] or told[2])) is None:
+    if (value := UNITS_MM.get(match[1] or match[2])) is None:
         raise InputError(f'{path}: the unit of its column "{short(title)}" is not known; use mm, mil or inch.')
     return value
 
@@ -244,15 +243,3 @@ def write_positions(path: Path, parts: Iterable[PlacedPart], *, negate_x_on_bott
         texts = (plain_cell(one_line(text)).replace('"', '""') for text in (part.ref, part.value, part.package))
         lines.append(",".join([*(f'"{text}"' for text in texts), numbers, part.side]))
     write_text(path, "\n".join(lines) + "\n")
-
-
-def turned(point: tuple[float, float], angle_deg: float) -> tuple[float, float]:
-    """A point turned around the origin, against the clock; exact for multiples of 90 degrees."""
-    quarters, rest = divmod(angle_deg, 90.0)
-    x, y = point
-    for _ in range(int(quarters) % 4):
-        x, y = -y, x
-    if rest:
-        cos, sin = math.cos(math.radians(rest)), math.sin(math.radians(rest))
-        x, y = cos * x - sin * y, sin * x + cos * y
-    return x, y

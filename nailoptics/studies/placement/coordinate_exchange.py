@@ -18,7 +18,7 @@ PlaceT = TypeVar("PlaceT", bound=Hashable)
 
 
 @dataclass(frozen=True)
-class Together(Generic[PlaceT]):
+class Arrangement(Generic[PlaceT]):
     """LED places, in order, with the best photodiodes that were found for them, by number, and what is reached."""
 
     leds: tuple[PlaceT, ...]
@@ -26,7 +26,7 @@ class Together(Generic[PlaceT]):
     reached: float
 
 
-def exchange(
+def coordinate_exchange(
     information: np.ndarray,
     places: np.ndarray,
     *,
@@ -97,7 +97,7 @@ def _apart(ranked: np.ndarray, places: np.ndarray, spacing_mm: tuple[float, floa
 
 
 @dataclass(frozen=True)
-class Tables(Generic[PlaceT]):
+class DesignTables(Generic[PlaceT]):
     """What LEDs at their places bring to photodiodes at theirs.
 
     columns : of each LED at each of its places, (fingers, m, c) float, the first m photodiodes by number.
@@ -107,7 +107,7 @@ class Tables(Generic[PlaceT]):
     places_mm : (m, 2) float. Centres of photodiodes.
     go_together : whether LEDs may have these places together.
     beside : (m,) bool. Which photodiodes may lie beside LEDs at these places.
-    starts : as of `exchange`.
+    starts : as of `coordinate_exchange`.
     """
 
     columns: Sequence[Mapping[PlaceT, np.ndarray]]
@@ -120,14 +120,14 @@ class Tables(Generic[PlaceT]):
     beside: Callable[[tuple[PlaceT, ...]], np.ndarray]
     starts: int = 1
 
-    def best_photodiodes(self, leds: tuple[PlaceT, ...], count: int) -> Together[PlaceT] | None:
+    def best_photodiodes(self, leds: tuple[PlaceT, ...], count: int) -> Arrangement[PlaceT] | None:
         """The best photodiodes for LEDs at given places; None where they find no room."""
-        told, stays = (
+        new, stays = (
             self.together([one[place] for one, place in zip(each, leds, strict=True)])
             for each in (self.columns, self.stay)
         )
-        chosen, reached = exchange(
-            told,
+        chosen, reached = coordinate_exchange(
+            new,
             self.places_mm,
             count=count,
             spacing_mm=self.spacing_mm,
@@ -136,9 +136,9 @@ class Tables(Generic[PlaceT]):
             allowed=self.beside(leds),
             starts=self.starts,
         )
-        return Together(leds, tuple(chosen), reached) if np.isfinite(reached) else None
+        return Arrangement(leds, tuple(chosen), reached) if np.isfinite(reached) else None
 
-    def best_leds(self, found: Together[PlaceT]) -> tuple[PlaceT, ...]:
+    def best_leds(self, found: Arrangement[PlaceT]) -> tuple[PlaceT, ...]:
         """The LEDs' places, one after the other moved to where it is best, for photodiodes that stay where they are."""
         leds, chosen, reached = found.leds, list(found.photodiodes), found.reached
         for i, own in enumerate(self.columns):
@@ -159,9 +159,9 @@ class Tables(Generic[PlaceT]):
         new = self.together([one[place][:, chosen] for one, place in zip(self.columns, leds, strict=True)])
         return new.sum(1) + self.together([one[p] for one, p in zip(self.stay, leds, strict=True)]).sum(1)
 
-    def improved(self, leds: tuple[PlaceT, ...], count: int) -> list[Together[PlaceT]]:
+    def improved(self, leds: tuple[PlaceT, ...], count: int) -> list[Arrangement[PlaceT]]:
         """What is found from one start, photodiodes and LEDs exchanged in turns; the best last."""
-        found: list[Together[PlaceT]] = []
+        found: list[Arrangement[PlaceT]] = []
         while (one := self.best_photodiodes(leds, count)) is not None:
             if found and one.reached >= found[-1].reached * (1 - 1e-6):
                 break
@@ -171,7 +171,7 @@ class Tables(Generic[PlaceT]):
                 break
         return found
 
-    def search(self, count: int, known: Sequence[tuple[PlaceT, ...]] = ()) -> list[Together[PlaceT]]:
+    def search(self, count: int, known: Sequence[tuple[PlaceT, ...]] = ()) -> list[Arrangement[PlaceT]]:
         """Every arrangement of LEDs that was given its photodiodes: of few each; of many what some of them lead to, and
         from the best of it on every step of one LED, or of two that change places, as long as that is better.
 
@@ -182,7 +182,7 @@ class Tables(Generic[PlaceT]):
             each = (self.best_photodiodes(leds, count) for leds in every if leds not in known)
             return [one for one in each if one is not None]
         picked = [every[i] for i in np.linspace(0, len(every) - 1, STARTS).astype(int)]
-        found: dict[tuple[PlaceT, ...], Together[PlaceT]] = {}
+        found: dict[tuple[PlaceT, ...], Arrangement[PlaceT]] = {}
         for leds in dict.fromkeys((*known[:1], *picked)):
             for one in self.improved(leds, count) if leds not in found else ():
                 found[one.leds] = one

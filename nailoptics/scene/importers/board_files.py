@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..assets import data_dir
-from .base import Point
-from .catalogue import ModulePart, load_part
+from ...assets import data_dir
+from ..base import Point
+from ..catalogue import ModulePart, load_part
+from ..rectangles import turned
 from .kicad import KicadBoard, read_board
 from .outlines import Outline, is_number, is_point, join, middle
-from .positions import PlacedPart, read_positions, reading_of, turned, warn_of_mirrored
+from .positions import PlacedPart, read_positions, reading_of, warn_of_mirrored
 
 KINDS = ("led", "photodiode", "module")
 NOT_IN_SCENE = {"offset_mm", "rotation_deg"}
@@ -145,8 +146,8 @@ def _origin(origin: Any, board: KicadBoard | None, outline: Outline | None, name
     named: dict[str, Point | None] = {"auxiliary": board.auxiliary_mm, "grid": board.grid_mm, "outline": None}
     if outline is not None:
         named["outline"] = middle(outline)
-    wanted = (origin,) if origin is not None else ("auxiliary", "outline")
-    point = next((point for one in wanted if (point := named.get(one)) is not None), None)
+    preferred = (origin,) if origin is not None else ("auxiliary", "outline")
+    point = next((point for one in preferred if (point := named.get(one)) is not None), None)
     if point is None:
         raise ValueError(
             f'{name} has no such origin; set it in KiCad, or give origin = "auxiliary", "grid", "outline" or [x, y]'
@@ -154,15 +155,15 @@ def _origin(origin: Any, board: KicadBoard | None, outline: Outline | None, name
     return point
 
 
-def _faces_nail(mapped: Sequence[PlacedPart], wanted: Any) -> str:
+def _faces_nail(mapped: Sequence[PlacedPart], side: Any) -> str:
     """The side of the board on which all its parts lie."""
     for part in mapped:
-        if part.side != (wanted or mapped[0].side):
+        if part.side != (side or mapped[0].side):
             raise ValueError(
-                f"parts.{part.ref} lies on the {part.side}, but the {wanted or mapped[0].side} of the board faces the "
+                f"parts.{part.ref} lies on the {part.side}, but the {side or mapped[0].side} of the board faces the "
                 "nail; parts on the other side see nothing: take it out of the parts"
             )
-    return str(wanted or mapped[0].side)
+    return str(side or mapped[0].side)
 
 
 def _tables(

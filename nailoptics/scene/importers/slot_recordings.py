@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
-from .oximeter import DARK
+from ...errors import InputError
+from ..oximeter import DARK
+from ..text_files import Rows, number_columns, read_rows
 from .sensor_recordings import check_volts
-from .text_files import Rows, number_columns, read_rows
 
 Array = NDArray[np.float64]
 
@@ -100,8 +100,8 @@ def _of_columns(
             raise InputError(
                 f"{name}: has no column {missing[light][0]!r}; an oximeter needs both LEDs on each photodiode."
             )
-    wanted = ["time_s", *(title for own in titles.values() for title in own)]
-    line, columns = number_columns(rows, {title: header.index(title) for title in wanted}, name, codes={})
+    columns_read = ["time_s", *(title for own in titles.values() for title in own)]
+    line, columns = number_columns(rows, {title: header.index(title) for title in columns_read}, name, codes={})
     time_s = _checked_times(columns["time_s"], line, name)
     series: Series = {
         light: (time_s + delays_s.get(light, 0.0), np.array([columns[title] for title in own]))

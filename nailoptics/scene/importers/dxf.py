@@ -6,9 +6,9 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import InputError
-from .base import Point, Polygon
-from .text_files import read_bytes
+from ...errors import InputError
+from ..base import Point, Polygon
+from ..text_files import read_bytes
 
 if TYPE_CHECKING:
     from ezdxf.document import Drawing

@@ -82,7 +82,7 @@ class _Setup:
         return force_resolution_n(total_information(responses), self.condition.point)
 
 
-def inspect_layout(
+def verify_layout(
     best: Scene,
     condition: FingerCondition,
     *,
@@ -97,11 +97,11 @@ def inspect_layout(
 
     photons : from each LED in the fresh trace, unless time runs out; some are traced in any case.
     max_seconds : half of it for the fresh trace, the rest for light the other way. [s]
-    stop : whether there is no time at all for one batch more; then nothing is told, and the Dataset is empty.
+    stop : whether there is no time at all for one batch more; then the Dataset is empty.
     store : where light is looked for, and kept.
     """
     begin = time.perf_counter()
-    scene = boards.on_finger(best, condition.case)
+    scene = boards.worn_on(best, condition.case)
     tracer = BoardTracer(light_scene(scene), backend=backend, store=store, seed=seed)
     at: dict[str, Any] = {"traced": tracer.scene, "blood_fraction": condition.point.blood_fraction}
     points = tuple(blood_point(scene, led, **at) for led in range(len(scene.leds)))
@@ -259,12 +259,12 @@ def _led_places(setup: _Setup, maps: list[list[PhotonMap]], mean: np.ndarray, er
         # From (photodiodes, values, blocks, u, v) to (blocks, u, v, photodiodes, values).
         each = left_out(np.moveaxis(each, (2, 0, 1), (0, -2, -1)))
         fraction.append(np.moveaxis(each[..., 0], -1, 1))
-        # Where hardly any light comes only what was known before is told, the same by every group of photons.
+        # Where hardly any light comes only the prior remains, the same by every group of photons.
         all_light = each[..., 0].sum(-1)
         seen = jackknife(all_light) ** 2 < all_light[0] ** 2 / FEW_TERMS
-        told = setup.force_resolution_n([setup.response(i, each, replicates=True)])
+        resolved = setup.force_resolution_n([setup.response(i, each, replicates=True)])
         unread = setup.force_resolution_n([setup.response(i, np.zeros_like(each))])
-        resolution.append(np.where(seen & (told[0] < KNOWN_BEFORE * unread[0]), told, np.nan))
+        resolution.append(np.where(seen & (resolved[0] < KNOWN_BEFORE * unread[0]), resolved, np.nan))
     text = "part of the light of an LED at this place on each photodiode, by reciprocity"
     value, errors = [f[0] for f in fraction], [jackknife(f) for f in fraction]
     found |= variable("led_place_fraction", (*pair, *places), value, text, stderr=errors)

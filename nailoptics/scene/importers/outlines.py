@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import InputError
-from ..io import write_text
-from .base import Point, Polygon
-from .text_files import finite_number, read_rows
+from ...errors import InputError
+from ...io import write_text
+from ..base import Point, Polygon
+from ..text_files import finite_number, read_rows
 
 if TYPE_CHECKING:
     import shapely

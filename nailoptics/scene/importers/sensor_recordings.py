@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ...errors import InputError
+from ..text_files import Rows, number_columns, read_rows
+from ..touch import PRESSURES
 from .recordings import RANGES, unloaded
-from .text_files import Rows, number_columns, read_rows
-from .touch import PRESSURES
 
 Array = NDArray[np.float64]
 
 SITES = {"proximal": 1.0, "distal": 0.0, "even": np.nan}
 # A converter's counts are whole numbers far above any voltage of a photodiode's stage.
 MOST_VOLTS = 50.0
-# A converter that reads so much of its range is taken to be at its limit: its last codes are not told apart.
+# A converter that reads so much of its range is taken to be at its limit: its last codes cannot be distinguished.
 SATURATED = 0.998
 # Samples of a touch lie so far apart, usually: what is outside is no time in seconds. [s]
 LEAST_STEP_S, MOST_STEP_S = 1e-5, 5.0
@@ -66,8 +66,8 @@ def read_sensor_recording(path: str | Path) -> Recording:
         header.pop()
     check_header(header, name)
     readings = reading_columns(header)
-    wanted = ["time_s", *(title for title in ("force_n", "site") if title in header), *readings]
-    positions = {title: header.index(title) for title in wanted}
+    titles = ["time_s", *(title for title in ("force_n", "site") if title in header), *readings]
+    positions = {title: header.index(title) for title in titles}
     whole = _without_more_cells(rows, len(header), name)
     line, columns = number_columns(whole, positions, name, codes={"site": SITES})
     time_s = columns["time_s"]

@@ -11,11 +11,11 @@ from nailoptics.assets import data_dir
 from nailoptics.report.uncertainty_section import conclusions, spread_section
 from nailoptics.scene import Placement, Priors
 from nailoptics.scene.priors import PriorRange
-from nailoptics.studies.placement import boards
+from nailoptics.studies.placement import boards, candidates
 from nailoptics.studies.placement.objective import Objective
-from nailoptics.studies.placement.over_unknowns import resolution_over_unknowns
 from nailoptics.studies.placement.photon_maps import PhotonMapCache
 from nailoptics.studies.placement.place import finger_condition
+from nailoptics.studies.placement.robustness import resolution_over_priors
 from nailoptics.studies.placement.scores import score_layout
 from nailoptics.studies.prior_uncertainty import at_value, nodes_of
 
@@ -27,7 +27,7 @@ FIELDS = ("finger.plate_absorption", "finger.bed_absorption", "finger.bed_scatte
 def ranked(chosen_jit):
     """Two layouts, photodiodes near the LED and far from it, and their resolution over three unknowns.
 
-    Of a body that is still: what waves of its pressure feign is the same on every finger and hides how light spreads.
+    Of a body that is still: the false force by waves of its pressure is the same on every finger and hides the rest.
     """
     scene = load_scene(data_dir("scenes") / "placement.toml")
     known = tuple(one.field for one in scene.priors.of_finger() if one.field not in FIELDS)
@@ -36,7 +36,7 @@ def ranked(chosen_jit):
     base = boards.base_board(scene)
     places = {"near": ((0.5, -1.5), (0.5, 1.5)), "far": ((2.5, -3.5), (2.5, 3.5))}
     layouts = [
-        boards.candidate(name, boards.with_parts(base, [(-2.0, 0.0)], where, name=name), "given")
+        candidates.candidate(name, candidates.with_parts(base, [(-2.0, 0.0)], where, name=name), "given")
         for name, where in places.items()
     ]
     conditions = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
@@ -45,7 +45,7 @@ def ranked(chosen_jit):
         judged.keep(layout.board, layout.scene.layout.photodiode_areas)
     # One board, whose light is traced once for both.
     judged.extend(layouts[0].board, 1 << 19)
-    found = resolution_over_unknowns(layouts, rules, judged, stop=lambda: False)
+    found = resolution_over_priors(layouts, rules, judged, stop=lambda: False)
     return base, rules, layouts, judged, found.assign_coords(layout=list(places))
 
 
@@ -66,7 +66,7 @@ def test_a_node_is_what_a_placement_of_that_finger_finds(ranked):
     base, rules, layouts, judged, found = ranked
     prior = next(one for one in base.priors.of_finger() if one.field == FIELDS[0])
     clear = at_value(base, prior.field, nodes_of(prior)[0])
-    layout = boards.candidate("near", at_value(layouts[0].scene, prior.field, nodes_of(prior)[0]), "given")
+    layout = candidates.candidate("near", at_value(layouts[0].scene, prior.field, nodes_of(prior)[0]), "given")
     cache = PhotonMapCache(
         [finger_condition(clear, judged.cases[0], rules)], seed=9, stream=1, backend="auto", blocks=16
     )
@@ -91,11 +91,11 @@ def test_without_time_only_what_was_read_whole_is_told(ranked):
     """Expected: all fingers of one digit share their light; the second layout is not begun."""
     _, rules, layouts, judged, _ = ranked
     looks = itertools.count()
-    found = resolution_over_unknowns(layouts, rules, judged, stop=lambda: next(looks) >= 1)
+    found = resolution_over_priors(layouts, rules, judged, stop=lambda: next(looks) >= 1)
     assert np.isfinite(found.resolution_spread.values).tolist() == [True, False]
     asked = next(looks)
     assert asked == 2
-    assert not resolution_over_unknowns(layouts, rules, judged, stop=lambda: True)
+    assert not resolution_over_priors(layouts, rules, judged, stop=lambda: True)
 
 
 def test_light_that_goes_otherwise_is_traced_by_itself(ranked):
@@ -108,7 +108,7 @@ def test_light_that_goes_otherwise_is_traced_by_itself(ranked):
     layout = replace(layouts[0], board=layouts[0].board.model_copy(update={"priors": priors}))
     judged.keep(layout.board, layout.scene.layout.photodiode_areas)
     judged.extend(layout.board, 1 << 19)
-    found = resolution_over_unknowns([layout], rules, judged, stop=lambda: False)
+    found = resolution_over_priors([layout], rules, judged, stop=lambda: False)
     told = found.isel(prior=found.prior_field.values.tolist().index(FIELDS[2]), layout=0)
     score = score_layout(layout, judged, Objective(rules, [one.point for one in judged.conditions]))
     assert str(told.prior_how.values) == "retraced"

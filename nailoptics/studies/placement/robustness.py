@@ -1,16 +1,19 @@
-"""Whether the best layout is the best whatever the finger: force resolution of the foremost over what is unknown."""
+"""How far the best layout stays the best: with fewer and more photodiodes, and over what is unknown of the finger."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from ...light.board_map import Arrivals, BoardTracer, blood_point, readings
+from ...light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
 from ...light.identity import light_digest, light_scene
 from ...scene import FingerCase, Placement, Prior, Scene
 from ...sensor.information import (
     OperatingPoint,
+    Response,
+    fisher_information,
     force_resolution_n,
     operating_point,
     over_fingers,
@@ -20,27 +23,133 @@ from ...sensor.information import (
 from ...statistics import Z95, jackknife, left_out
 from ...variables import variable
 from ..prior_uncertainty import PriorSensitivity, at_value, nodes_of, only_absorbs, prior_variables
-from . import boards
-from .boards import CandidateLayout
+from . import boards, search_space
+from .candidates import CandidateLayout
+from .coordinate_exchange import coordinate_exchange
+from .objective import Objective
 from .photon_maps import PhotonMapCache, batch_seed
+from .sites import PhotodiodePlaces, Sites
+
+COUNTS = (2, 3, 4, 6, 8, 12, 16)
+
+
+@dataclass(frozen=True)
+class _Read:
+    """What a photodiode at each place, then those that stay, would read, by finger and LED: (..., m + s)."""
+
+    places: PhotodiodePlaces
+    chosen_by: list[list[Response]]
+    judged_by: list[list[Response]]
+
+    def chosen(self, count: int, objective: Objective, *, electronics_alone: bool) -> list[int] | None:
+        """The photodiodes, by number, that with those that stay are best as so many; None where that is not possible.
+
+        Half of the photons choose, the others judge: what is chosen and judged by the same photons looks finer than it
+        is.
+        """
+        free = len(self.places.areas)
+        more = count - len(self.places.stay)
+        if not 0 <= more <= free:
+            return None
+        information = _information(self.chosen_by, electronics_alone=electronics_alone)
+        found, reached = coordinate_exchange(
+            information[:, :free],
+            self.places.centers_mm,
+            count=more,
+            spacing_mm=self.places.apart_mm,
+            score=objective.force_n,
+            given=information[:, free:].sum(1),
+        )
+        return [*found, *range(free, information.shape[1])] if np.isfinite(reached) else None
+
+
+def resolution_vs_count(
+    layout: CandidateLayout, base: Scene, cache: PhotonMapCache, objective: Objective
+) -> xr.Dataset:
+    """The force that so many photodiodes resolve on a layout's board, where they are best for it.
+
+    base : the scene that was searched, with what stays of it.
+
+    Returns: Dataset over chosen_for, the body's noise (if there is a body) and the electronics alone, and over
+    photodiode_count; counts that find no room are NaN.
+    """
+    read, has_body = _read(layout, base, cache, objective), any(point.body is not None for point in objective.points)
+    noises = ("body", "electronics") if has_body else ("electronics",)
+    counts = sorted({*COUNTS, len(layout.scene.layout.photodiodes)})
+    centers = np.array([area.center_mm for area in (*read.places.areas, *read.places.stay)])
+    shape = (len(noises), len(counts))
+    found, errors = np.full((2, *shape), np.nan), np.full((2, *shape), np.nan)
+    centers_mm = np.full((*shape, counts[-1], 2), np.nan)
+    judging = [_information(read.judged_by, electronics_alone=alone) for alone in (False, True)]
+    for i, purpose in enumerate(noises):
+        for j, count in enumerate(counts):
+            chosen = read.chosen(count, objective, electronics_alone=purpose == "electronics")
+            if chosen is None:
+                continue
+            centers_mm[i, j, :count] = centers[chosen]
+            for k, information in enumerate(judging):
+                replicates = objective.force_n(information[..., chosen, :].sum(-2))
+                found[k, i, j], errors[k, i, j] = replicates[0], replicates[0] * jackknife(np.log(replicates))
+    over = ("chosen_for", "photodiode_count")
+    text = "force resolution of so many photodiodes through the body's noise"
+    data = variable("count_resolution_n", over, found[0], text, units="N", stderr=errors[0]) if has_body else {}
+    text = "force resolution of so many photodiodes by the noise of the electronics alone"
+    data |= variable("count_electronics_resolution_n", over, found[1], text, units="N", stderr=errors[1])
+    data |= variable("count_place_mm", (*over, "count_place", "axis"), centers_mm, "their places", units="mm")
+    return xr.Dataset(data, {"chosen_for": list(noises), "photodiode_count": counts})
+
+
+def _read(layout: CandidateLayout, base: Scene, cache: PhotonMapCache, objective: Objective) -> _Read:
+    """What one photodiode reads wherever it may lie, by one half of the photons and, block by block, by the other."""
+    rules, board = objective.rules, layout.board.layout
+    # A given layout may lie on a board of its own.
+    own = (
+        base
+        if layout.origin == "searched"
+        else search_space.searchable_board(boards.with_explicit_walls(layout.scene, layout.name), rules)
+    )
+    sites = Sites(own, rules)
+    places = sites.photodiode_places(board.barriers, board.leds)
+    areas, photodiodes = [*places.areas, *places.stay], sites.kinds(places)
+
+    def read(finger: int, number: int, one: PhotonMap) -> tuple[Response, Response]:
+        blocks, led, amplifier = one.over(areas), layout.board.leds[number], layout.scene.electronics
+        how = (led, photodiodes, amplifier, objective.points[finger])
+        chosen_by = responses(blocks[::2].mean(0), *how, number=number)
+        return chosen_by, responses(left_out(blocks[1::2]), *how, number=number, replicates=True)
+
+    both = [[read(k, i, one) for i, one in enumerate(each)] for k, each in enumerate(cache.maps(layout.board))]
+    chosen_by, judged_by = ([[pair[k] for pair in by_led] for by_led in both] for k in range(2))
+    return _Read(places, chosen_by, judged_by)
+
+
+def _information(by_finger: list[list[Response]], *, electronics_alone: bool) -> np.ndarray:
+    """What a photodiode at each place tells under all LEDs, (fingers, ..., m, n) float, as `fisher_information`."""
+    return np.stack(
+        [
+            np.sum([fisher_information(read, electronics_alone=electronics_alone) for read in by_led], axis=0)
+            for by_led in by_finger
+        ]
+    )
+
 
 # The best layouts that are read again at every node of every prior, from so many blocks of photons.
-FOREMOST = 3
+TOP_RANKED = 3
 BLOCKS = 16
 # Batches of photons for each change that makes light go otherwise.
 OWN_BATCHES = 2
 
 
-def resolution_over_unknowns(
+def resolution_over_priors(
     layouts: Sequence[CandidateLayout],
     rules: Placement,
     judged: PhotonMapCache,
     *,
     stop: Callable[[], bool],
 ) -> xr.Dataset:
-    """Spread of the force resolution of the foremost layouts over the scene's priors, and which of them is best where.
+    """Uncertainty of the force resolution of the top-ranked layouts over the priors, and which is the best where.
 
-    layouts : best first, of one scene's priors; the paper's counts as foremost, too.
+    layouts : best first, of one scene's priors; the paper's counts as one of them, too.
     judged : has kept the light of every layout, by which all changes are read that only absorb.
     stop : whether there is no time for one layout, or one batch, more.
 
@@ -48,9 +157,9 @@ def resolution_over_unknowns(
     """
     scene = layouts[0].board
     priors = scene.priors.of_finger()
-    told = [one for one in priors if only_absorbs(scene, one)]
-    own = [one for one in priors if one not in told]
-    kept = (*told, *(own if scene.priors.own_traces else []))
+    reweighted = [one for one in priors if only_absorbs(scene, one)]
+    own = [one for one in priors if one not in reweighted]
+    kept = (*reweighted, *(own if scene.priors.own_traces else []))
     changes: list[tuple[str, float] | None] = [None, *((one.field, value) for one in kept for value in nodes_of(one))]
     # The touch is that of the finger, whatever lies on its nail.
     points = [
@@ -58,7 +167,7 @@ def resolution_over_unknowns(
         for case in judged.cases
     ]
     read: list[np.ndarray] = []
-    chosen = [i for i, one in enumerate(layouts) if i < FOREMOST or one.name == "paper"]
+    chosen = [i for i, one in enumerate(layouts) if i < TOP_RANKED or one.name == "paper"]
     for i in chosen:
         one = _log_resolutions(layouts[i], rules, changes, points, judged, stop=stop)
         if one is None:
@@ -121,7 +230,7 @@ def _light(
 
     most : batches.
     """
-    own, usual = light_scene(scene), light_scene(boards.on_finger(layout.board, case, light_only=True))
+    own, usual = light_scene(scene), light_scene(boards.worn_on(layout.board, case, light_only=True))
     batches = judged.kept(layout.board, case.digit, led)[:most]
     if own != usual:
         how: dict[str, Any] = {"backend": judged.backend, "store": judged.store, "seed": judged.seed}
@@ -136,7 +245,7 @@ def _light(
 
 def _changed(board: Scene, case: FingerCase, changes: Sequence[tuple[str, float] | None]) -> list[Scene]:
     """A board on one of the fingers with each change."""
-    base = boards.on_finger(board, case)
+    base = boards.worn_on(board, case)
     return [base if change is None else at_value(base, *change) for change in changes]
 
 
@@ -186,5 +295,5 @@ def _dataset(over: PriorSensitivity, chosen: Sequence[int], untraced: Sequence[P
     ahead, surely = (behind >= 0).all(-1), (behind + Z95 * noise < 0).any(-1)
     data |= variable("best_stays_best_at", (), int(ahead.sum()), "nodes at which the best layout is the best")
     data |= variable("best_surely_beaten_at", (), int(surely.sum()), "nodes at which another one is surely better")
-    data |= variable("nodes", (), len(apart), "nodes at which the foremost layouts were compared")
+    data |= variable("nodes", (), len(apart), "nodes at which the top-ranked layouts were compared")
     return xr.Dataset(data).merge(prior_variables(over.priors, untraced, scene))

@@ -10,7 +10,7 @@ from nailoptics.errors import InputError, as_far_as_reached
 from nailoptics.scene import Candidate, FingerCase, Placement, Priors, Scene
 from nailoptics.sensor.front_end import ratio_stderr
 from nailoptics.sensor.information import Response
-from nailoptics.studies.placement.oxygen_rank import oxygen_rule
+from nailoptics.studies.placement.objective import spo2_objective
 
 
 def shipped() -> Scene:
@@ -32,7 +32,7 @@ def test_the_error_is_that_of_the_ratio_of_ratios_in_saturation():
     """Expected: the error of R by `ratio_stderr`, through the slope of ln R, as made by hand for one photodiode; two
     alike are better by the root of 2, and one without light tells nothing."""
     scene = shipped()
-    rule = oxygen_rule(scene, [FingerCase(name="one")], 0.3)
+    rule = spo2_objective(scene, [FingerCase(name="one")], 0.3)
     volts, noise, zone = (1.0, 2.0), 1e-8, np.array([[[-0.5, 0.0]], [[-3.0, 0.0]]])
     by_led = [response([v], noise, z) for v, z in zip(volts, zone, strict=True)]
     told = rule.error_percent([by_led])
@@ -53,9 +53,9 @@ def test_the_error_is_that_of_the_ratio_of_ratios_in_saturation():
 def test_one_led_or_a_still_heart_ranks_no_oxygen():
     scene, case = shipped(), [FingerCase(name="one")]
     with pytest.raises(InputError, match="two LEDs"):
-        oxygen_rule(scene.model_copy(update={"oximeter": None, "leds": scene.leds[:1]}), case, 0.3)
+        spo2_objective(scene.model_copy(update={"oximeter": None, "leds": scene.leds[:1]}), case, 0.3)
     with pytest.raises(InputError, match="heartbeat"):
-        oxygen_rule(scene.model_copy(update={"body": None}), case, 0.3)
+        spo2_objective(scene.model_copy(update={"body": None}), case, 0.3)
 
 
 @pytest.mark.long
@@ -74,7 +74,7 @@ def test_a_placement_ranks_given_layouts_by_oxygen(chosen_jit, monkeypatch):
     )
     asked = scene.model_copy(update={"placement": rules, "photodiodes": (diode,), "priors": Priors(spread=False)})
     # The closer look at the best, which is of force, takes minutes.
-    for name in ("inspect_layout", "resolution_by_count"):
+    for name in ("verify_layout", "resolution_vs_count"):
         monkeypatch.setattr(f"nailoptics.studies.placement.place.{name}", lambda *_, **__: xr.Dataset())
     result, _ = as_far_as_reached(place, asked, photons=1 << 16, seed=3)
     error, stderr = result.spo2_error_percent.values, result.spo2_error_percent_stderr.values

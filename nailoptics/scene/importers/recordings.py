@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import InputError
-from .text_files import read_rows
+from ...errors import InputError
+from ..text_files import read_rows
 
 # What a column may hold, and its unit. A touch presses with less than 100 N/cm^2; an artery holds less than 60 kPa.
 RANGES: dict[str, tuple[float, float, str]] = {
@@ -35,12 +35,12 @@ def read_columns(path: Path, name: str, known: Sequence[str], *, either: Sequenc
     Raises: InputError, one line that names the file, the line and the value.
     """
     shown = f"{name} {str(path)!r}"
-    wanted = " and ".join(["time_s", *either[0]])
-    lines = read_rows(path, f"a CSV with columns {wanted.replace(' and ', ',')}", shown=shown)
+    needed = " and ".join(["time_s", *either[0]])
+    lines = read_rows(path, f"a CSV with columns {needed.replace(' and ', ',')}", shown=shown)
     header = [cell.strip() for cell in next(lines, (0, []))[1]]
     if "time_s" not in header or not any(set(names) <= set(header) for names in either):
         others = "".join(f", or time_s and {' and '.join(names)}" for names in either[1:])
-        raise InputError(f"{shown} needs a header with {wanted}{others}; write one, or give another file.")
+        raise InputError(f"{shown} needs a header with {needed}{others}; write one, or give another file.")
     found = ["time_s", *(name for name in known if name in header)]
     places, rows = [header.index(name) for name in found], array("d")
     for number, row in lines:

@@ -1,0 +1,1 @@
+"""Other programs' files into ours: boards, drawings, position files and recordings."""
