@@ -15,7 +15,7 @@ from nailoptics.hemodynamics.waves import CardiacOscillator, DampedOscillator
 from nailoptics.scene import Scene
 from nailoptics.scene.body import Heartbeat
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording
-from nailoptics.sensor.drift_motion import sensor_course
+from nailoptics.sensor.drift_motion import drift_and_motion
 from nailoptics.studies.force.body_noise import HARMONICS, HEIGHT_SPREAD, passed
 from nailoptics.studies.force.correction import no_correction
 from nailoptics.studies.force.network import touch_on_walls, widths_over
@@ -78,7 +78,7 @@ def modelled(subject: Subject, scene: Scene, touch: Recording, *, seed: int) -> 
     pressure = who.pressures(touch.force_n, touch.site)
     blood = who.blood(widths_over(who, time_s, pressure, arterial_pa=np.broadcast_to(arterial_pa, time_s.shape)))
     volts = subject.offset_v[:, None] + subject.gain[:, None] * subject.table.volts(blood)
-    worn = sensor_course(body, time_s)
+    worn = drift_and_motion(body, time_s)
     if "led_drift" in worn:
         volts = volts * (worn.led_drift.values[:, None] * worn.reading_drift.values).reshape(volts.shape)
     noise = np.random.default_rng(seed).normal(size=volts.shape)

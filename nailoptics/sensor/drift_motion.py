@@ -40,7 +40,7 @@ class MovedLight:
     light: DetectedLight
 
 
-def moved_light(
+def motion_traces(
     scene: Scene, *, states: Array, progress: ProgressCallback | None = None, **requested: Unpack[Requested]
 ) -> tuple[tuple[MovedLight, ...], NotReachedError | None]:
     """The light under the scene's sensor, lifted and slid as its body asks; nothing where it does not move.
@@ -92,7 +92,7 @@ def _slid(scene: Scene) -> tuple[float, Board]:
     )
 
 
-def sensor_course(scene: Scene, time_s: Array) -> xr.Dataset:
+def drift_and_motion(scene: Scene, time_s: Array) -> xr.Dataset:
     """What the body's seed makes of the sensor's drift and motion at times (t,); nothing of what the body leaves out.
 
     Drifts are factors on readings, 1 at the first time; motions lie about 0. [um]
@@ -103,9 +103,12 @@ def sensor_course(scene: Scene, time_s: Array) -> xr.Dataset:
     data: Variables = {}
     leds, photodiodes = len(scene.leds), len(scene.layout.photodiode_names)
     if body.drift is not None:
-        walk = _walks(leds, since_s, seed_of(body.seed, _LED_DRIFT)) * body.drift.led_per_rt_min
+        walk = _random_walks(leds, since_s, seed_of(body.seed, _LED_DRIFT)) * body.drift.led_per_rt_min
         data |= variable("led_drift", ("led", "time"), np.exp(walk), "drift of the LED, factor on its readings")
-        walk = _walks(leds * photodiodes, since_s, seed_of(body.seed, _READING_DRIFT)) * body.drift.reading_per_rt_min
+        walk = (
+            _random_walks(leds * photodiodes, since_s, seed_of(body.seed, _READING_DRIFT))
+            * body.drift.reading_per_rt_min
+        )
         walk = walk.reshape(leds, photodiodes, -1)
         text = "drift of a reading by itself, factor on it"
         data |= variable("reading_drift", ("led", "photodiode", "time"), np.exp(walk), text)
@@ -115,17 +118,17 @@ def sensor_course(scene: Scene, time_s: Array) -> xr.Dataset:
         ("slide", motion.slide_um, _SLIDE, "the sensor's place along the nail less its mean"),
     ):
         if rms_um > 0:
-            course = rms_um * _wandering(since_s, motion.correlation_s, seed_of(body.seed, stream))
+            course = rms_um * _ornstein_uhlenbeck(since_s, motion.correlation_s, seed_of(body.seed, stream))
             data |= variable(f"sensor_{name}_um", "time", course, text, units="um")
     return xr.Dataset(data)
 
 
-def by_motion(
+def motion_artefact(
     worn: xr.Dataset, seen: ReadingSeries, moved: Sequence[MovedLight], blood: Array
 ) -> tuple[Array, Variables]:
     """What the sensor's motion makes of its readings: a factor on each, and how it comes about.
 
-    worn : the scene's `sensor_course`. seen : what is read with the sensor in its place, over blood (t, zones).
+    worn : the scene's `drift_and_motion`. seen : what is read with the sensor in its place, over blood (t, zones).
     moved : the light under the sensor elsewhere. Between both the logarithm of a reading goes with the distance.
 
     Returns: the factor, (led, photodiode, t) or, where nothing moves, (1, 1, 1) float.
@@ -159,7 +162,7 @@ def _motion(scene: Scene) -> Motion:
     return still if scene.body is None or scene.body.motion is None else scene.body.motion
 
 
-def _walks(count: int, since_s: Array, seed: int) -> Array:
+def _random_walks(count: int, since_s: Array, seed: int) -> Array:
     """Random walks from 0 whose standard deviation is 1 after a minute, (count, t); a longer course only adds to it."""
     knots = int(np.ceil(since_s[-1] * KNOTS_PER_S)) + 1
     steps = np.random.default_rng(seed).standard_normal((knots, count)) / np.sqrt(60.0 * KNOTS_PER_S)
@@ -168,13 +171,13 @@ def _walks(count: int, since_s: Array, seed: int) -> Array:
     return np.array([np.interp(since_s, at, column) for column in walk.T])
 
 
-def _wandering(since_s: Array, correlation_s: float, seed: int) -> Array:
-    """A course of mean 0 and standard deviation 1 that forgets where it was (an Ornstein-Uhlenbeck process), (t,)."""
+def _ornstein_uhlenbeck(since_s: Array, correlation_s: float, seed: int) -> Array:
+    """An Ornstein-Uhlenbeck process of mean 0 and standard deviation 1, (t,) float."""
     knots = int(np.ceil(since_s[-1] * KNOTS_PER_S)) + 2
     drawn = np.random.default_rng(seed).standard_normal(knots)
-    kept = np.exp(-1.0 / (KNOTS_PER_S * correlation_s))
+    memory = np.exp(-1.0 / (KNOTS_PER_S * correlation_s))
     course = np.empty(knots)
     course[0] = drawn[0]
     for k in range(1, knots):
-        course[k] = kept * course[k - 1] + np.sqrt(1.0 - kept**2) * drawn[k]
+        course[k] = memory * course[k - 1] + np.sqrt(1.0 - memory**2) * drawn[k]
     return np.interp(since_s, np.arange(knots) / KNOTS_PER_S, course)

@@ -18,7 +18,7 @@ from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import OpticsFit, fit_beer_lambert, fit_taylor
 from ..scene import Photodiode, Scene
 from ..sensor import electronics
-from ..sensor.drift_motion import MovedLight, by_motion, moved_boards, moved_light, sensor_course
+from ..sensor.drift_motion import MovedLight, drift_and_motion, motion_artefact, motion_traces, moved_boards
 from ..variables import Variables, precision, variable
 from .per_sample import per_sample
 from .prior_uncertainty import read_by_groups, readings_over_priors
@@ -78,7 +78,7 @@ def simulate(
     if traces > 1 and (limit := accuracy(scene, options).max_seconds) is not None:
         requested = requested | Requested(max_seconds=limit / traces)
     light, unmet = as_far_as_reached(open_light, scene, states=states, progress=progress, **requested)
-    moved, short = moved_light(scene, states=states, progress=progress, **requested)
+    moved, short = motion_traces(scene, states=states, progress=progress, **requested)
     unmet = unmet or short
     give_back()
     result = simulate_from(scene, light, course=course, seed=options.seed, moved=moved)
@@ -102,7 +102,7 @@ def simulate_from(
 
     moved : the light under the sensor elsewhere, where the scene's body moves it.
     """
-    worn = sensor_course(scene, course.time.values)
+    worn = drift_and_motion(scene, course.time.values)
     result = course.merge(worn).merge(_read_volts(scene, light, course.blood_fraction.values.T, worn, moved))
     result = result.merge(_fit_reduced(result, light.transfer, seed))
     if precision(result.sizes["time"]) is np.float64:
@@ -144,7 +144,7 @@ def _read_volts(
 ) -> xr.Dataset:
     """Detected fractions and volts over the course, with standard errors and noise."""
     readings = light.readings_at(blood)
-    motion, about_motion = by_motion(worn, readings, moved, blood)
+    motion, about_motion = motion_artefact(worn, readings, moved, blood)
     # Only the light that arrives is moved light; what an LED or amplifier makes of it comes after. Of a million samples
     # each array is large: what is 1 everywhere stays one number.
     gain = worn.get("reading_drift", xr.DataArray([[[1.0]]])).values

@@ -7,7 +7,7 @@ from small_scenes import SMALL_FINGER
 from nailoptics.errors import InputError
 from nailoptics.light.transfer.series import ReadingSeries
 from nailoptics.scene import Body, Drift, Motion, parse_scene
-from nailoptics.sensor.drift_motion import MovedLight, by_motion, moved_boards, sensor_course
+from nailoptics.sensor.drift_motion import MovedLight, drift_and_motion, motion_artefact, moved_boards
 from nailoptics.studies.simulate import simulate
 
 
@@ -16,8 +16,8 @@ def worn(seed=0, **parts):
 
 
 def test_a_still_body_moves_no_sensor():
-    assert not sensor_course(parse_scene(SMALL_FINGER), np.arange(3.0)).data_vars
-    assert not sensor_course(worn(), np.arange(3.0)).data_vars and moved_boards(worn()) == []
+    assert not drift_and_motion(parse_scene(SMALL_FINGER), np.arange(3.0)).data_vars
+    assert not drift_and_motion(worn(), np.arange(3.0)).data_vars and moved_boards(worn()) == []
 
 
 def slid(board="", led_v=0.0):
@@ -48,7 +48,7 @@ def test_a_board_as_long_as_the_nail_is_slid_and_ends_at_the_nails_edge():
 
 def test_drifts_spread_as_stated_after_a_minute_and_begin_at_none():
     drift, time_s = Drift(led_per_rt_min=0.01, reading_per_rt_min=0.002), np.array([0.0, 60.0])
-    made = [sensor_course(worn(seed, drift=drift), time_s) for seed in range(300)]
+    made = [drift_and_motion(worn(seed, drift=drift), time_s) for seed in range(300)]
     for name, spread in (("led_drift", 0.01), ("reading_drift", 0.002)):
         walks = np.array([np.log(one[name].values).reshape(-1, 2)[0] for one in made])
         assert (walks[:, 0] == 0).all()
@@ -59,12 +59,12 @@ def test_drifts_spread_as_stated_after_a_minute_and_begin_at_none():
 def test_motion_has_the_stated_spread_and_memory_and_does_not_depend_on_the_samples():
     motion = Motion(lift_um=2.0, slide_um=0.0, correlation_s=1.0)
     time_s = np.arange(0.0, 3000.0, 0.1)
-    lift = sensor_course(worn(3, motion=motion), time_s).sensor_lift_um.values
+    lift = drift_and_motion(worn(3, motion=motion), time_s).sensor_lift_um.values
     # 3000 memories of 1 s tell a standard deviation to 2 %, a correlation of 0.37 to 2 %.
     assert lift.std() == pytest.approx(2.0, rel=0.08)
     assert np.corrcoef(lift[:-10], lift[10:])[0, 1] == pytest.approx(np.exp(-1.0), abs=0.08)
-    assert np.allclose(sensor_course(worn(3, motion=motion), time_s[:50:7]).sensor_lift_um, lift[:50:7])
-    assert "sensor_slide_um" not in sensor_course(worn(3, motion=motion), time_s[:5])
+    assert np.allclose(drift_and_motion(worn(3, motion=motion), time_s[:50:7]).sensor_lift_um, lift[:50:7])
+    assert "sensor_slide_um" not in drift_and_motion(worn(3, motion=motion), time_s[:5])
 
 
 def test_readings_go_with_the_distance_as_the_moved_light_says():
@@ -76,13 +76,13 @@ def test_readings_go_with_the_distance_as_the_moved_light_says():
         def readings_at(self, blood):
             return ReadingSeries(0.8 * fraction, 0.01 * fraction, zero, zero)
 
-    course = sensor_course(scene, time_s)
-    factor, data = by_motion(course, here, [MovedLight("lift", 40.0, Lifted())], np.zeros((4, 2)))
+    course = drift_and_motion(scene, time_s)
+    factor, data = motion_artefact(course, here, [MovedLight("lift", 40.0, Lifted())], np.zeros((4, 2)))
     assert factor[0, 0] == pytest.approx(0.8 ** (course.sensor_lift_um.values / 40.0))
     assert data["lift_per_um"][1] == pytest.approx(np.log(0.8) / 40.0)
     assert data["lift_per_um_stderr"][1] == pytest.approx(np.hypot(0.01, 0.0125) / 40.0)
     with pytest.raises(InputError, match="traced by simulate alone"):
-        by_motion(course, here, [], np.zeros((4, 2)))
+        motion_artefact(course, here, [], np.zeros((4, 2)))
 
 
 @pytest.mark.jit
