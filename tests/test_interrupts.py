@@ -12,7 +12,7 @@ from interrupted import ENVIRONMENT, interrupted_at
 from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.report.result_files import SIMULATION
-from nailoptics.studies.colour.enough_rays import PILOT
+from nailoptics.studies.colour.adaptive_sampling import PILOT
 from nailoptics.studies.colour.reflectance import NODES
 
 BATCH = "nailoptics.studies.exploration.colour_table:ColourSums.trace"
@@ -76,8 +76,11 @@ def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, chosen_jit
     """While rays are walked, and while the first photograph is made; expected: no photograph is begun after it."""
     Path("finger.toml").write_text(SMALL_FINGER_BEST + "[priors]\nspread = false\n[colour]\nphotograph_px = [40, 30]\n")
     command = ("colour", "finger.toml", "--photons", "8000", "--force", "0", "--force", "1", "-o", "out")
-    for place in ("nailoptics.studies.colour.enough_rays:walk_colour", "nailoptics.studies.colour.views:photograph"):
-        ended = interrupted_at(place, *command)
+    for place in (
+        "nailoptics.studies.colour.adaptive_sampling:walk_colour",
+        "nailoptics.studies.colour.views:photograph",
+    ):
+        ended = interrupted_at(f"nailoptics.studies.colour.{place}", *command)
         assert (ended.code, ended.later) == (3, 0), ended.said
         assert ended.said[-1].endswith("What was reached is in out.") and "interrupted" in ended.said[-1]
         assert written(folder / "out") == {"colour.nc", "colour.html", "strip.png", "press.gif"}

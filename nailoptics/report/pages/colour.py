@@ -11,7 +11,7 @@ import xarray as xr
 from ...io import write_text
 from ...scene import Scene, parse_scene
 from ...statistics import Z95
-from ...studies.colour.measured_colours import MEASURED
+from ...studies.colour.colorimetry import measured_colours
 from .. import style
 from ..html import document, escaped, figure, section, small, table
 from ..numbers import significant, with_error
@@ -108,7 +108,7 @@ def _unknowns(result: xr.Dataset) -> str:
         values, errors = (one[f"prior_lab_spread{end}"].sel(site="nail").values for end in ("", "_stderr"))
         shown = [with_error(float(v), float(e)) for v, e in zip(values, errors, strict=True)]
         rows.append([escaped(str(one.prior.item())), f"{low:g} to {high:g}", *shown])
-    sources = "; ".join(f"{one.name}: {one.source}" for one in MEASURED)
+    sources = "; ".join(f"{one.name}: {one.source}" for one in measured_colours())
     text = f"Squares are skin of people: {sources}. No published table of L*a*b* of nails is known to us."
     drawn = figure(_ranges_figure(result), "ranges", "At rest; bars: 95 % of fingers, of people.")
     names = ["Prior", "Range", "L*", "a*", "b*"]
@@ -293,7 +293,7 @@ def _ranges_figure(result: xr.Dataset) -> "Figure":
             x, y = float(result.lab[p, 0, 1]), float(result.lab[p, 0, k])
             spread = Z95 * result.lab_spread.sel(site=site).values
             panel.errorbar(x, y, spread[k], spread[1], color=colour, marker="o", label=f"{site}, 95 % over priors")
-        for one in MEASURED:
+        for one in measured_colours():
             mean, sd = one.lab, one.sd
             look = {"color": style.MUTED, "marker": "s", "markersize": 4, "linestyle": "none"}
             if sd is None:

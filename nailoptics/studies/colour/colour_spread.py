@@ -11,8 +11,8 @@ from ...scene import Scene, Viewing
 from ...statistics import seed_of
 from ...variables import variable
 from ..prior_uncertainty import only_absorbs, over_priors
+from .adaptive_sampling import Places, view
 from .colorimetry import Viewer
-from .enough_rays import Places, view
 from .reflectance import ColourRays, walk_colour
 
 Array = NDArray[np.float64]

@@ -25,9 +25,9 @@ from ...scene import Scene, Viewing
 from ...scene.models import Illuminant, LightFrom, Observer
 from ...statistics import jackknife
 from ...variables import variable
+from .adaptive_sampling import TILE_MM, Places, places_of, sample_until_tolerance, stderr_of_colour, view
 from .colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
 from .colour_spread import spread_of_colours
-from .enough_rays import TILE_MM, Places, places_of, stderr_of_colour, view, walk_until_known
 from .reflectance import ColourRays
 from .views import beat, press_and_release
 
@@ -129,7 +129,7 @@ def _traced(
     """Colours by rays, all of them; how many rays, and why they fall short, if they do."""
     backend.activate(chosen)
     nail, places = NailReflectance(scene, backend=chosen.name, stores=stores), places_of(scene)
-    rays, unmet = walk_until_known(nail, places, states, viewer, viewing, options, stage)
+    rays, unmet = sample_until_tolerance(nail, places, states, viewer, viewing, options, stage)
     result = _dataset(scene, rays, places, states, viewer, viewing)
     result = result.merge(press_and_release(scene, rays, places, viewer, viewing))
     result = result.merge(beat(scene, rays, places, viewer, viewing))

@@ -13,8 +13,8 @@ from ...scene import Scene, Touch, Viewing
 from ...statistics import jackknife
 from ...variables import variable
 from ..pulsatile_blood import beat_at
+from .adaptive_sampling import Places, view
 from .colorimetry import Viewer, delta_e_2000, linear
-from .enough_rays import Places, view
 from .reflectance import ColourRays
 
 Array = NDArray[np.float64]

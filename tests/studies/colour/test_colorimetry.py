@@ -9,9 +9,9 @@ from nailoptics.errors import InputError
 from nailoptics.hemodynamics import white_band_mm
 from nailoptics.light.tracing import driver
 from nailoptics.options import TraceOptions
-from nailoptics.studies.colour import enough_rays
+from nailoptics.studies.colour import adaptive_sampling
+from nailoptics.studies.colour.adaptive_sampling import stderr_of_colour
 from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
-from nailoptics.studies.colour.enough_rays import stderr_of_colour
 from nailoptics.studies.colour.nail_colour import _redness_left
 from nailoptics.studies.colour.reflectance import NODES, interpolation, nodes_nm
 from nailoptics.studies.colour.views import capillary_refill_s
@@ -118,12 +118,12 @@ def test_parts_of_rays_fit_into_what_is_left_of_the_time(monkeypatch, pace_s):
     def walked(photons):
         return SimpleNamespace(photons=photons, with_more=lambda more: walked(photons + more.photons))
 
-    monkeypatch.setattr(enough_rays, "walk_colour", walk_colour)
-    limit_s = 10 * enough_rays.PILOT * pace_s
-    walk = enough_rays._Walk(None, TraceOptions(), driver.StageProgress(None, limit_s))
+    monkeypatch.setattr(adaptive_sampling, "walk_colour", walk_colour)
+    limit_s = 10 * adaptive_sampling.PILOT * pace_s
+    walk = adaptive_sampling._Sampling(None, TraceOptions(), driver.StageProgress(None, limit_s))
     walk.add((), 10**8)
     assert 0.9 * limit_s < clock.now < 1.2 * limit_s
     # Without a limit all are walked.
-    walk = enough_rays._Walk(None, TraceOptions(), driver.StageProgress(None))
-    walk.add((), 3 * enough_rays.MOST_AT_ONCE)
-    assert walk.rays.photons == 3 * enough_rays.MOST_AT_ONCE and walk.parts == 3
+    walk = adaptive_sampling._Sampling(None, TraceOptions(), driver.StageProgress(None))
+    walk.add((), 3 * adaptive_sampling.MOST_AT_ONCE)
+    assert walk.rays.photons == 3 * adaptive_sampling.MOST_AT_ONCE and walk.parts == 3

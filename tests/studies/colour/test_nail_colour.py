@@ -16,8 +16,7 @@ from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
 from nailoptics.report.summaries import colour_summary
 from nailoptics.scene import load_scene, parse_scene
-from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
-from nailoptics.studies.colour.measured_colours import MEASURED
+from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000, measured_colours
 from nailoptics.studies.colour.nail_colour import colour
 from nailoptics.studies.colour.reflectance import GROUPS, walk_colour
 from nailoptics.tissue import properties
@@ -159,7 +158,7 @@ def test_the_priors_leave_nails_from_grey_to_pink_and_skin_among_that_of_people(
     assert redness[0] > 6 and redness[2] < 2
     # L* and b* of skin within the widest that was published, less and more two standard deviations of both.
     skin = found.lab.values[0, 0]
-    published = [(np.array(lab), 2 * np.array(one.sd or (0, 0, 0))) for one in MEASURED for lab in one.lab]
+    published = [(np.array(lab), 2 * np.array(one.sd or (0, 0, 0))) for one in measured_colours() for lab in one.lab]
     low = np.min([lab - sd for lab, sd in published], axis=0)
     high = np.max([lab + sd for lab, sd in published], axis=0)
     reach = 1.96 * found.lab_spread.sel(site="skin").values

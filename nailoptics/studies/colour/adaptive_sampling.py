@@ -1,4 +1,4 @@
-"""Rays into a bare nail until every place's colour, and every change of it by force, is as sure as is required."""
+"""Adaptive sampling: rays go to each place of a bare nail until its colour and its changes reach their tolerance."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -18,13 +18,13 @@ from .reflectance import ColourRays, walk_colour
 
 Array = NDArray[np.float64]
 
-# Rays of all nodes from which the number that each place needs is learned, and most of a part.
+# Rays of all nodes of the first round, from whose errors the allocation follows, and the most of one part.
 PILOT, MOST_AT_ONCE = 120_000, 1_200_000
 # A tenth more rays than follow from the errors so far, so that few places need a third round.
 MORE = 1.1
-# Rays are dealt out in this many parts at most.
+# Rays are allocated in this many parts at most.
 PARTS = 1000
-# Colours are told at so many places along the middle of the nail, each so far across and at most so far along, and on
+# Colours are given at so many places along the middle of the nail, each so far across and at most so far along, and on
 # skin behind and before it. [1, mm]
 PLACES, ACROSS_MM, SKIN_MM = 12, 2.0, 1.0
 # The photograph is coloured by tiles of this size over one half of the finger, each with fewer rays than a place. [mm]
@@ -33,7 +33,7 @@ TILE_MM, PLACE_SHARE = 1.5, 12
 
 @dataclass(frozen=True)
 class Places:
-    """Where colours are told: so many along the middle of the finger, and tiles for the photograph."""
+    """Where colours are given: so many along the middle of the finger, and tiles for the photograph."""
 
     patches: tuple[Patch, ...]
     along: int = PLACES + 2
@@ -58,7 +58,7 @@ def places_of(scene: Scene) -> Places:
     return Places((*along, *tiles))
 
 
-def walk_until_known(
+def sample_until_tolerance(
     nail: NailReflectance,
     places: Places,
     states: Array,
@@ -67,40 +67,40 @@ def walk_until_known(
     options: TraceOptions,
     stage: StageProgress,
 ) -> tuple[ColourRays, str]:
-    """Rays until colours and their changes are as sure as is required, and why they fall short, if they do.
+    """Rays until colours and their changes reach their tolerances, and why they do not, if so.
 
     states : (s, zones) float. Blood under each force; changes are from the first.
 
     With photons requested, so many go to the places, each alike; else each place gets what it needs.
     """
-    walk = _Walk(nail, options, stage)
+    sampling = _Sampling(nail, options, stage)
 
     def needed() -> Iterator[tuple[Sequence[Patch], int]]:
         yield places.patches, options.photons or PILOT
         while True:
-            assert walk.rays is not None
-            error, change = errors_of(walk.rays, places, states, viewer, viewing)
-            walk.error = float(error.max())
+            assert sampling.rays is not None
+            error, change = errors_of(sampling.rays, places, states, viewer, viewing)
+            sampling.error = float(error.max())
             rounds = np.maximum((error / viewing.tolerance) ** 2, (change / viewing.change_tolerance) ** 2)
             if options.photons is not None or rounds.max() <= 1:
                 return
-            shares, rays = _allocated(walk.rays, places, rounds)
-            walk.target = viewing.tolerance
+            shares, rays = _allocated(sampling.rays, places, rounds)
+            sampling.target = viewing.tolerance
             yield [replace(one, share=n) for one, n in zip(places.patches, shares, strict=True)], rays
 
     def is_late(round: tuple[Sequence[Patch], int]) -> bool:
-        return walk.rays is not None and (stage.interrupted or stage.is_late(1.0))
+        return sampling.rays is not None and (stage.interrupted or stage.is_late(1.0))
 
-    ending = run_until(needed(), lambda round: walk.add(*round), is_late=is_late)
-    assert walk.rays is not None
-    short = f"{walk.error:.2g} (CIEDE2000), {viewing.tolerance:g} requested"
+    ending = run_until(needed(), lambda round: sampling.add(*round), is_late=is_late)
+    assert sampling.rays is not None
+    short = f"{sampling.error:.2g} (CIEDE2000), {viewing.tolerance:g} requested"
     if stage.interrupted or ending is Ending.INTERRUPTED:
-        return walk.rays, f"interrupted at a standard error of {short}."
-    return walk.rays, "" if ending is Ending.MET else f"max_seconds ended the rays at a standard error of {short}."
+        return sampling.rays, f"interrupted at a standard error of {short}."
+    return sampling.rays, "" if ending is Ending.MET else f"max_seconds ended the rays at a standard error of {short}."
 
 
 @dataclass
-class _Walk:
+class _Sampling:
     """Rays that grow, a part at a time."""
 
     nail: NailReflectance
@@ -113,17 +113,17 @@ class _Walk:
     # Of each ray in the part before, the first with the compilation of its kernels. [s]
     pace_s: float = math.inf
 
-    def add(self, patches: Sequence[Patch], wanted: int) -> None:
-        """Walk so many rays more, fewer where time ends or the user interrupts: a part that is at work is given up."""
+    def add(self, patches: Sequence[Patch], rays_needed: int) -> None:
+        """Trace so many more rays, fewer where time ends or the user interrupts: the part at work is discarded."""
         begun = done = self.rays.photons if self.rays else 0
-        while done < begun + wanted and not (self.rays and self.stage.is_over(1.0)):
+        while done < begun + rays_needed and not (self.rays and self.stage.is_over(1.0)):
 
             def report(photons: int, base: int = done) -> None:
-                self.stage("colour", (base + photons) / (begun + wanted), self.error, self.target)
+                self.stage("colour", (base + photons) / (begun + rays_needed), self.error, self.target)
                 if self.stage.interrupted and self.rays:
                     raise KeyboardInterrupt
 
-            seed, count = seed_of(self.options.seed, self.parts), min(begun + wanted - done, self._most())
+            seed, count = seed_of(self.options.seed, self.parts), min(begun + rays_needed - done, self._most())
             before_s = self.stage.seconds
             try:
                 more = walk_colour(self.nail, patches, photons=count, seed=seed, progress=report)
