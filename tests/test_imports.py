@@ -30,7 +30,7 @@ PACKAGE = Path(__file__).parents[1] / "nailoptics"
 # Rooms in one entry do not import each other.
 ORDER = [
     {"errors", "interrupts"},
-    {"checks", "commit", "statistics", "variables", "io", "memory"},
+    {"checks", "commit", "statistics", "variables", "io"},
     {"options"},
     {"assets"},
     {"scene"},

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..io import make_folder, plain_cell, to_json, turn, write_bytes, write_dataset, write_text
-from ..memory import give_back
 from ..scene import to_toml
 from ..scene.importers.sensor_recordings import Recording, recording_csv
 from ..scene.importers.slot_recordings import OximeterRecording, oximeter_csv
@@ -60,7 +59,6 @@ def _write(result: "xr.Dataset", folder: Path, names: tuple[str, str], write_pag
     data, page = (folder / name for name in names)
     with turn(folder):
         write_dataset(result, data)
-        give_back()
         write_page(result, page)
     return {"report": page, "result": data}
 

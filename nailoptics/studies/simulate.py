@@ -2,8 +2,6 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
 from typing import Unpack
 
 import numpy as np
@@ -13,14 +11,12 @@ from ..errors import InputError, NotReachedError, as_far_as_reached
 from ..hemodynamics.for_scene import blood_over_touch, zones_of_photodiodes
 from ..light import DetectedLight, ProgressCallback, Transfer, open_light, optics, section
 from ..light.tracing import accuracy
-from ..memory import give_back
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import OpticsFit, fit_beer_lambert, fit_taylor
-from ..scene import Photodiode, Scene
+from ..scene import Scene
 from ..sensor import electronics
 from ..sensor.drift_motion import MovedLight, drift_and_motion, motion_artefact, motion_traces, moved_boards
-from ..variables import Variables, precision, variable
-from .per_sample import per_sample
+from ..variables import Variables, variable
 from .prior_uncertainty import read_by_groups, readings_over_priors
 
 COORDINATES = {
@@ -62,8 +58,7 @@ def simulate(
     Returns: Dataset over led, photodiode, zone and time with the force, pressures, vessel diameters, blood, detected
     fraction and volts, each estimate with its standard error, the fits of Beer-Lambert (8) and Taylor (9), where the
     light ended, and the uncertainty of readings and their largest change due to the finger's priors. Of more than
-    200 000 samples, readings and blood are of single precision, and what follows from readings, as volts do, is worked
-    out whenever it is read, as if from a file: `load()` keeps it.
+    200 000 samples, what there is of each is of single precision.
 
     Raises: InputError; NotReachedError, whose result is the Dataset as far as the accuracy went.
     """
@@ -73,14 +68,12 @@ def simulate(
         raise InputError("simulate needs a [finger] scene; a [phantom] has no blood, use trace for its light.")
     course = blood_over_touch(scene)
     states = course.blood_fraction.values.T
-    give_back()
     traces = 1 + len(moved_boards(scene))
     if traces > 1 and (limit := accuracy(scene, options).max_seconds) is not None:
         requested = requested | Requested(max_seconds=limit / traces)
     light, unmet = as_far_as_reached(open_light, scene, states=states, progress=progress, **requested)
     moved, short = motion_traces(scene, states=states, progress=progress, **requested)
     unmet = unmet or short
-    give_back()
     result = simulate_from(scene, light, course=course, seed=options.seed, moved=moved)
     if light.transfer is not None:
         result = result.merge(light.transfer.energy_by_led())
@@ -105,9 +98,6 @@ def simulate_from(
     worn = drift_and_motion(scene, course.time.values)
     result = course.merge(worn).merge(_read_volts(scene, light, course.blood_fraction.values.T, worn, moved))
     result = result.merge(_fit_reduced(result, light.transfer, seed))
-    if precision(result.sizes["time"]) is np.float64:
-        result.load()
-    give_back()
     for name, text in COORDINATES.items():
         result[name].attrs = {"long_name": text} | result[name].attrs
     result.attrs = light.attributes | {
@@ -145,34 +135,38 @@ def _read_volts(
     """Detected fractions and volts over the course, with standard errors and noise."""
     readings = light.readings_at(blood)
     motion, about_motion = motion_artefact(worn, readings, moved, blood)
-    # Only the light that arrives is moved light; what an LED or amplifier makes of it comes after. Of a million samples
-    # each array is large: what is 1 everywhere stays one number.
+    # Only the light that arrives is moved light; what an LED or amplifier makes of it comes after.
     gain = worn.get("reading_drift", xr.DataArray([[[1.0]]])).values
     gain = gain * worn.get("led_drift", xr.DataArray([[1.0]])).values[:, None]
     fraction, stderr, change_stderr = (
         np.multiply(motion, one, out=one) for one in (readings.fraction, readings.stderr, readings.change_stderr)
     )
     del readings
-    stages = _Stages(scene, fraction, stderr, np.broadcast_to(gain, fraction.shape))
+    gain = np.broadcast_to(gain, fraction.shape)
     # Drift and motion scale what is read: of its error they add their own part to the change's.
     scaled = np.broadcast_to(motion * gain / (motion * gain)[..., :1] - 1, fraction.shape)
+    volts, volts_stderr, change, noise = (np.empty_like(fraction) for _ in range(4))
+    saturated, responsivity_a_per_w = np.empty(fraction.shape, bool), np.empty(fraction.shape[:2])
     for i, j in np.ndindex(*fraction.shape[:2]):
-        change_stderr[i, j] = np.hypot(change_stderr[i, j], scaled[i, j] * stderr[i, j]) * stages.per_fraction(i, j)
+        led, diode = scene.leds[i], scene.layout.photodiodes[j].photodiode
+        read = electronics.read(gain[i, j] * fraction[i, j], led, diode, scene.electronics)
+        per_fraction_v = electronics.volts_per_fraction(led, diode, scene.electronics) * gain[i, j]
+        volts[i, j], noise[i, j], saturated[i, j] = read.volts, read.volts_noise_rms, read.saturated
+        change[i, j] = read.volts - read.volts[0]
+        volts_stderr[i, j] = stderr[i, j] * per_fraction_v
+        change_stderr[i, j] = np.hypot(change_stderr[i, j], scaled[i, j] * stderr[i, j]) * per_fraction_v
+        responsivity_a_per_w[i, j] = electronics.photodiode_responsivity_a_per_w(diode, led.wavelength_nm)
     pair = ("led", "photodiode")
     over, paths = (*pair, "time"), (*pair, "absorber")
-    volts, volts_stderr, change, noise = (
-        per_sample(row, like=fraction) for row in (stages.volts, stages.volts_stderr, stages.change, stages.noise)
-    )
     text = "detected fraction of the emitted power"
     data = about_motion | variable("detected_fraction", over, fraction, text, stderr=stderr)
     data |= variable("volts", over, volts, "photodiode voltage", units="V", stderr=volts_stderr)
     text = "change of the voltage from the start"
     data |= variable("volts_change", over, change, text, units="V", stderr=change_stderr)
     data |= variable("volts_noise_rms", over, noise, "electronic noise of one reading, rms", units="V")
-    saturated = per_sample(stages.saturated, like=fraction, dtype=bool)
     data |= variable("saturated", over, saturated, "converter at its limit")
     text = "responsivity at the LED's peak"
-    data |= variable("responsivity_a_per_w", pair, stages.responsivity_a_per_w(), text, units="A W-1")
+    data |= variable("responsivity_a_per_w", pair, responsivity_a_per_w, text, units="A W-1")
     text, error = "mean path of the light detected at rest", light.mean_path_stderr
     data |= variable("mean_path_mm", paths, light.mean_path, text, units="mm", stderr=error)
     text, zones = "blood zone above which it lies, 0 proximal", zones_of_photodiodes(scene)
@@ -181,58 +175,6 @@ def _read_volts(
     data |= variable("wavelength_nm", "led", wavelength_nm, "peak wavelength", units="nm")
     names = {"led": [led.name for led in scene.leds], "photodiode": list(scene.layout.photodiode_names)}
     return xr.Dataset(data, names | {"absorber": list(optics.absorbers(scene))})
-
-
-@dataclass(frozen=True)
-class _Stages:
-    """What the photodiodes' stages make of the light, for an LED i and a photodiode j at samples t, (t,) int.
-
-    fraction, stderr, gain : (led, photodiode, time) float. Detected fraction, its standard error, and drift.
-    """
-
-    scene: Scene
-    fraction: np.ndarray
-    stderr: np.ndarray
-    gain: np.ndarray
-
-    def read(self, i: int, j: int, t: np.ndarray) -> electronics.Output:
-        """The converter's readings."""
-        seen = self.gain[i, j, t] * self.fraction[i, j, t]
-        return electronics.read(seen, self.scene.leds[i], self._diode(j), self.scene.electronics)
-
-    def volts(self, i: int, j: int, t: np.ndarray) -> np.ndarray:
-        """Voltage. [V]"""
-        return self.read(i, j, t).volts
-
-    def change(self, i: int, j: int, t: np.ndarray) -> np.ndarray:
-        """Its change from the start. [V]"""
-        return self.volts(i, j, t) - self.volts(i, j, np.array([0]))
-
-    def noise(self, i: int, j: int, t: np.ndarray) -> np.ndarray:
-        """Noise of one reading, rms. [V]"""
-        return self.read(i, j, t).volts_noise_rms
-
-    def saturated(self, i: int, j: int, t: np.ndarray) -> np.ndarray:
-        """Whether the converter is at its limit."""
-        return self.read(i, j, t).saturated
-
-    def volts_stderr(self, i: int, j: int, t: np.ndarray) -> np.ndarray:
-        """Standard error of the voltage. [V]"""
-        return np.asarray(self.stderr[i, j, t] * self.per_fraction(i, j, t))
-
-    def per_fraction(self, i: int, j: int, t: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """What all of the LED's light would give. [V]"""
-        one = electronics.volts_per_fraction(self.scene.leds[i], self._diode(j), self.scene.electronics)
-        return np.asarray(one * self.gain[i, j, t])
-
-    def responsivity_a_per_w(self) -> np.ndarray:
-        """Of every pair, (led, photodiode) float. [A/W]"""
-        wavelength_nm = [led.wavelength_nm for led in self.scene.leds]
-        diodes = [self._diode(j) for j in range(self.fraction.shape[1])]
-        return np.stack([electronics.photodiode_responsivity_a_per_w(one, wavelength_nm) for one in diodes], -1)
-
-    def _diode(self, j: int) -> Photodiode:
-        return self.scene.layout.photodiodes[j].photodiode
 
 
 def _fit_reduced(result: xr.Dataset, transfer: Transfer | None, seed: int) -> xr.Dataset:
@@ -249,8 +191,8 @@ def _fit_reduced(result: xr.Dataset, transfer: Transfer | None, seed: int) -> xr
     data: Variables = {}
     for model, name, fit, constants in REDUCED_OPTICS:
         fits = [[fit(*one) for one in zip(diameter_m, volts, strict=True)] for volts in result.volts]
-        row = partial(_predicted, fits, diameter_m)
-        curves = per_sample(row, like=result.detected_fraction.values)
+        rows = [[one.predict(width_m) for one, width_m in zip(each, diameter_m, strict=True)] for each in fits]
+        curves = np.array(rows, result.volts.dtype)
         data |= variable(f"volts_{model}", (*pair, "time"), curves, f"voltage by {name}, fitted", units="V")
         errors = np.full((*shape, len(constants)), np.nan)
         for i, j in np.ndindex(shape):
@@ -277,8 +219,3 @@ def _replicates_v(result: xr.Dataset, transfer: Transfer, seed: int) -> np.ndarr
         per_fraction = (result.volts_stderr / result.detected_fraction_stderr).values[:, :, None]
         moved = (read / read[:, :, :1] - 1) * result.detected_fraction.values[:, :, None]
     return np.asarray(result.volts.values[:, :, None] + per_fraction * moved)
-
-
-def _predicted(fits: list[list[OpticsFit]], diameter_m: list[np.ndarray], i: int, j: int, t: np.ndarray) -> np.ndarray:
-    """Volts by the fit of an LED and a photodiode at some samples. [V]"""
-    return fits[i][j].predict(diameter_m[j][t])

@@ -12,7 +12,6 @@ import pytest
 from nailoptics.errors import InputError
 from nailoptics.report import style, write_report
 from nailoptics.report.pages.simulate.page import _light_ends, page
-from nailoptics.studies.per_sample import _PerSample, per_sample
 
 VOID = {"meta", "br"}
 
@@ -206,26 +205,6 @@ def test_a_result_that_was_cut_off_says_so_in_its_first_lines(undrawn, make):
     assert "Cut off" not in page(make(section=False))
     text = page(make(section=False).assign_attrs(cut_off="7 % instead of 1 % after 3 s."))
     assert text.index("Cut off: 7 % instead of 1 % after 3 s.") < text.index("<h2>")
-
-
-def test_values_that_are_worked_out_when_read_are_read_pair_by_pair(undrawn, make, monkeypatch):
-    """Rationale: of a million samples all readings at once are most of the memory."""
-    result, sizes = make(leds=2, times=600), []
-    for name, one in result.data_vars.items():
-        if one.dims == ("led", "photodiode", "time"):
-            values = one.values
-            row = per_sample(lambda i, j, t, v=values: v[i, j, t], like=values)
-            result[name] = (one.dims, row, one.attrs)
-    work_out = _PerSample._values
-
-    def noted(self, key):
-        found = work_out(self, key)
-        if found.dtype.kind == "f":
-            sizes.append(found.size)
-        return found
-
-    monkeypatch.setattr(_PerSample, "_values", noted)
-    assert page(result) and 0 < max(sizes) <= result.sizes["time"]
 
 
 def test_signs_are_judged_by_where_a_zone_lies_whatever_its_name(undrawn, make):
