@@ -148,7 +148,7 @@ BAD_COMMANDS = {
 
 
 @pytest.mark.parametrize("mistake", BAD_COMMANDS)
-def test_a_mistaken_command_is_one_line_and_exit_code_2_and_nothing_is_written(mistake, folder, capfd):
+def test_a_mistaken_command_ends_in_one_line_with_code_2(mistake, folder, capfd):
     arguments, word = BAD_COMMANDS[mistake]
     (folder / "existing").write_text("a file")
     (folder / "full/result.nc").mkdir(parents=True)
@@ -161,7 +161,7 @@ def test_a_mistaken_command_is_one_line_and_exit_code_2_and_nothing_is_written(m
     assert contents(folder) == before
 
 
-def test_a_folder_that_may_not_be_written_is_told_before_any_light_is_traced(folder, capfd, monkeypatch):
+def test_a_read_only_folder_is_refused_before_light_is_traced(folder, capfd, monkeypatch):
     """Rationale: the tests may run as root, whom no permission stops; so touching a file fails by order."""
 
     def refuse(self, *_, **__):
@@ -211,7 +211,7 @@ def test_names_that_the_terminals_encoding_lacks_are_written_out(folder):
     assert done.returncode == 0 and done.stdout.startswith(r"\u6307\u7532.toml: "), done.stderr
 
 
-def test_an_interrupt_before_anything_was_finished_is_one_line_and_exit_code_130(capfd, monkeypatch):
+def test_an_early_interrupt_is_one_line_and_exit_code_130(capfd, monkeypatch):
     def interrupt():
         raise KeyboardInterrupt
 
@@ -512,7 +512,7 @@ def test_a_library_that_aborts_cannot_take_the_main_job_with_it(folder):
 
 
 @pytest.mark.long
-def test_a_library_that_aborts_at_volpath_alone_leaves_it_the_scalar_backend(folder):
+def test_volpath_falls_back_to_scalar_where_its_library_aborts(folder):
     """Rationale: libLLVM 15 and 16 compile the photons engine, and abort at volpath. Expected: volpath's answer comes
     from the scalar backend, after one line that says so, and doctor tells the two engines apart."""
     (folder / "stock.toml").write_text(PHANTOM + '\n[light]\nengine = "volpath"\n')

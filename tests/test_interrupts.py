@@ -174,7 +174,7 @@ main()
     assert alone(code) == (-signal.SIGINT, "")
 
 
-def test_interrupts_reach_commands_of_tests_that_run_in_the_background():
+def test_interrupts_reach_commands_of_background_tests():
     """Tests that a script starts in its background begin with SIGINT ignored."""
     one = f"{__file__}::{test_an_interrupt_while_the_command_line_is_loaded_makes_no_traceback.__name__}"
     done = subprocess.run(

@@ -293,7 +293,7 @@ def test_processes_that_write_one_file_at_once_leave_one_whole_at_any_time(tmp_p
 
 
 @pytest.mark.long
-def test_commands_with_one_folder_at_once_all_end_well_with_the_files_of_one_of_them(jit_backend, store, tmp_path):
+def test_commands_that_share_a_folder_leave_the_files_of_one(jit_backend, store, tmp_path):
     """The page and the result that lie there in the end carry the same seeds. Stored light lets them meet there: they
     take as long as it takes to write."""
     (tmp_path / "finger.toml").write_text(SMALL_FINGER)

@@ -67,7 +67,7 @@ def folder(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_light_is_traced_where_its_store_or_what_is_in_it_is_closed_to_the_user(jit_backend, folder):
+def test_light_is_traced_where_its_store_may_not_be_read(jit_backend, folder):
     """Rationale: a store that could not be searched once ended every command."""
     trace = "trace slab.toml --photons 500"
     assert commands(folder, f"open {trace}")[0][0] == 0 and any((folder / "open").iterdir())
@@ -88,7 +88,7 @@ def test_light_is_traced_where_its_store_or_what_is_in_it_is_closed_to_the_user(
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_a_batch_overwrites_no_plan_that_it_may_not_read_and_makes_hidden_results_again(jit_backend, folder):
+def test_a_batch_overwrites_no_plan_that_it_may_not_read(jit_backend, folder):
     batch, out = "off batch sweep.toml -o out --photons 500 --workers 1", folder / "out"
     assert commands(folder, batch)[0][0] == 0
     before = (out / "plan.json").read_text()

@@ -98,7 +98,7 @@ def done_with(cluster: Cluster, calm: Calm, folder: Path, progress) -> None:
     assert len(outcome.done) == 30 and bits(folder) == calm.bits
 
 
-def test_a_cluster_gives_the_same_bits_and_loses_nothing_when_workers_or_scheduler_go(calm, cluster, tmp_path):
+def test_a_cluster_gives_the_same_bits_and_loses_nothing(calm, cluster, tmp_path):
     # A worker is killed.
     _, progress = once(8, lambda: cluster.end(cluster.workers[0]))
     done_with(cluster, calm, tmp_path / "workers", progress)

@@ -50,7 +50,7 @@ def again(calm: Calm, folder: Path, **options):
     return outcome, said
 
 
-def test_results_of_another_seed_backend_or_version_are_told_and_made_again(calm, used, caplog):
+def test_results_of_another_seed_or_version_are_made_again(calm, used, caplog):
     made = unpack(results_of(used)[0].read_bytes())[0]["made"]
     for path, other in zip(
         results_of(used),
@@ -131,7 +131,7 @@ def test_a_light_under_another_name_is_not_served(calm, used):
     assert len(outcome.corrupt) == 3 and sum("another's" in line for line in said) == 3
 
 
-def test_a_result_under_another_name_a_folder_a_loop_and_an_empty_header_are_told_and_the_rest_goes_on(calm, used):
+def test_a_damaged_results_folder_is_reported_and_the_rest_goes_on(calm, used):
     paths = results_of(used)
     shutil.copy(paths[0], paths[1])
     for path in paths[2:4]:

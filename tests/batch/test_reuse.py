@@ -115,7 +115,7 @@ def test_another_state_read_from_the_shared_trace_meets_its_own_trace(jit_backen
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_a_tighter_error_goes_on_from_what_is_there_and_ends_where_a_fresh_trace_ends(jit_backend, tmp_path):
+def test_a_tighter_error_continues_from_stored_light(jit_backend, tmp_path):
     scene = phantoms(tmp_path, 2).scenes[0]
     stored = [LightStore(tmp_path / "store").light(made_of(scene, 0, seed=0, backend=jit_backend.name))]
     coarse, coarse_sizes, _ = grown(scene, asked=Accuracy(relative_error=0.004), stored=stored)

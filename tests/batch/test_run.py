@@ -220,7 +220,7 @@ def test_a_damaged_result_and_damaged_light_are_found_said_and_made_again(jit_ba
     assert sum("damaged" in line for line in said) == 4
 
 
-def test_a_failed_scene_is_recorded_stops_no_other_and_is_retried_when_asked(jit_backend, here, tmp_path):
+def test_a_failed_scene_is_recorded_and_retried_on_request(jit_backend, here, tmp_path):
     (tmp_path / "s.toml").write_text(FAILING)
     sweep = load_sweep(tmp_path / "s.toml")
     with pytest.raises(NotReachedError, match="2 failed") as caught:

@@ -43,9 +43,7 @@ def colours(folder):
 
 
 @pytest.mark.long
-def test_a_sweep_of_photographs_is_resumed_after_a_kill_and_makes_one_dataset_and_one_sheet(
-    jit_backend, tmp_path, monkeypatch
-):
+def test_a_killed_sweep_of_photographs_is_resumed(jit_backend, tmp_path, monkeypatch):
     """The worker is killed (SIGKILL) once two of four results are there; the next run does the others alone."""
     sweep = colours(tmp_path)
     killed = []
@@ -121,7 +119,7 @@ def test_two_studies_of_one_scene_are_two_results(tmp_path):
     assert len({one.key for one in plan(sweep, studied)}) == 1
 
 
-def test_an_unknown_study_and_a_tolerance_that_colours_do_not_have_are_refused_in_one_line(tmp_path):
+def test_an_unknown_study_is_refused_in_one_line(tmp_path):
     sweep = colours(tmp_path)
     with pytest.raises(InputError, match="colours has no --relative-error; give colour.tolerance"):
         run_batch(sweep, tmp_path / "b", relative_error=0.1)

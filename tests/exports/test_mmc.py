@@ -62,7 +62,7 @@ def test_every_led_has_a_session_with_the_media_of_its_wavelength(oximeter, fold
     assert meshes[0] == meshes[1]
 
 
-def test_the_source_lies_in_the_epoxy_just_below_the_die_and_shines_out_of_it(oximeter, folder):
+def test_the_source_lies_in_the_epoxy_and_shines_out_of_the_die(oximeter, folder):
     geometry = build(oximeter)
     for number, die in enumerate(geometry.leds, start=1):
         session = read_session(folder, number)

@@ -47,7 +47,7 @@ def test_every_digit_builds_quickly_and_partitions_space(sensor, digit):
 
 
 @pytest.mark.parametrize("left_out", [("epidermis",), ("kapton",), ("bone",), ("epidermis", "kapton", "bone")])
-def test_what_a_scene_leaves_out_has_no_faces_and_its_place_is_that_of_what_is_around_it(sensor, left_out):
+def test_parts_left_out_have_no_faces_and_become_their_surroundings(sensor, left_out):
     scene = sensor()
     whole, without = build(scene), build(scene.model_copy(update={"light": scene.light.__class__(left_out=left_out)}))
     volumes, rest = whole.volumes_mm3(), without.volumes_mm3()

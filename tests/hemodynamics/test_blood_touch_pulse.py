@@ -90,7 +90,7 @@ def test_an_area_of_a_side_must_be_positive(name):
         pressures(1.0, **{name: 0.0})
 
 
-def test_the_pulp_yields_at_once_and_recovers_slowly_however_finely_it_is_sampled():
+def test_the_pulp_yields_at_once_and_recovers_slowly():
     coarse, fine = np.linspace(0.0, 4.0, 9), np.linspace(0.0, 4.0, 4001)
     corners = [0.0, 1.0, 1.5, 4.0], [0.0, 1e4, 2e3, 2e3]
     touches = [np.interp(time, *corners) for time in (coarse, fine)]
@@ -145,7 +145,7 @@ def test_an_uneven_heart_has_the_mean_and_the_spread_of_its_intervals():
     assert np.ptp(wave) == pytest.approx(2e3, rel=1e-3) and wave.mean() == pytest.approx(1e4, rel=1e-3)
 
 
-def test_what_moves_the_pressure_follows_from_the_seed_alone_however_long_or_fine_the_course():
+def test_waves_follow_from_the_seed_alone():
     short, fine = np.arange(0.0, 5.0, 0.5), np.arange(0.0, 50.0, 0.125)
     for wave in (
         lambda time, seed: cardiac_pressure(time, rate_variability=0.1, seed=seed),
@@ -165,7 +165,7 @@ def test_slow_waves_have_their_standard_deviation_and_stay_in_their_band():
     assert power[(frequency > 0.049) & (frequency < 0.151)].sum() > 0.999 * power.sum()
 
 
-def test_a_pulp_that_spreads_takes_its_part_of_a_step_by_and_by_and_does_not_depend_on_knots():
+def test_a_spreading_pulp_does_not_depend_on_knots():
     """Under a step of p the pressure is p (1 - c (1 - exp(-t / tau))); after it nothing is left to press."""
     coarse = [0.0, 1.0, 1.0, 4.0, 4.0, 9.0]
     step = spreading_pressure(coarse, [0.0, 0.0, 1e4, 1e4, 0.0, 0.0], part=0.2, time_constant_s=2.0)

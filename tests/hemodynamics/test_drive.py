@@ -33,7 +33,7 @@ def test_values_are_linear_between_samples():
     assert np.allclose(read(drive_of(time, values), probe), exact, rtol=1e-9, atol=1e-9)
 
 
-def test_a_line_has_no_stops_and_an_impulse_of_one_sample_has_all_of_its_own():
+def test_lines_have_no_stops_and_impulses_have_their_own():
     time = np.arange(0.0, 4.0, 1e-3)
     assert stops(drive_of(time, 5.0 * time[None])) == [0.0, time[-1]]
     impulse = np.zeros((1, time.size))
@@ -83,7 +83,7 @@ def test_a_smooth_curve_is_kept_however_finely_it_is_sampled(rate):
     assert len(drive.starts) <= min(time.size, 1e5)
 
 
-def test_a_waveform_jumps_between_two_knots_at_one_time_and_is_held_outside_of_its_knots():
+def test_a_waveform_jumps_at_double_knots_and_is_held_outside():
     step = Waveform(time_s=[1.0, 2.0, 2.0, 3.0], pressure_pa=[5.0, 7.0, 0.0, 1.0])
     times = np.array([0.0, 1.0, 1.5, 2.0, 2.5, 9.0])
     assert np.array_equal(step.at(times), [5.0, 5.0, 6.0, 0.0, 0.5, 1.0])

@@ -84,7 +84,7 @@ def test_zones_check_their_shapes_and_numbers():
         Zones(share=(2.0, 0.0), reach=((0.0,), (1.0,)), vein_reach=(1.0,))
 
 
-def test_reach_falls_off_from_the_tip_and_keeps_the_mean_of_the_distal_half():
+def test_reach_falls_off_from_the_tip():
     for count in (2, 5, 8, 9):
         cut = zones(count, decay_length=0.3)
         reach = [row[1] for row in cut.reach]

@@ -42,7 +42,7 @@ def test_a_response_that_follows_the_cosine_reads_the_bits_of_none(jit_backend):
 @pytest.mark.parametrize(
     "power", [pytest.param(1.0, marks=pytest.mark.long), 3.5, pytest.param(20.0, marks=pytest.mark.long)]
 )
-def test_a_face_under_even_radiance_collects_two_over_one_more_than_the_power(jit_backend, power):
+def test_a_face_under_even_radiance_collects_what_theory_says(jit_backend, power):
     """Of even radiance a response cos^m takes int cos^m dw / int cos dw = 2 / (m + 1) of what a flat face does."""
     import drjit as dr
     import mitsuba as mi
@@ -151,7 +151,7 @@ def test_maps_and_reciprocity_read_a_narrow_response_as_a_trace_does(jit_backend
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_light_between_places_counts_as_the_photodiode_at_its_end_counts_it(jit_backend):
+def test_light_is_weighed_by_the_photodiode_at_its_end(jit_backend):
     """Photons from everywhere, over pairs of places 1 to 3 mm apart: the light that comes with a narrow response, by
     where it arrives and by where it starts, which by reciprocity is the same."""
     tracer = BoardTracer(on_board(power_of_cosine(3.3), power_of_cosine(3.3)), spacing_mm=0.3)

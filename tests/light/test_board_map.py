@@ -198,7 +198,7 @@ def test_a_map_without_a_jit_backend_is_refused_in_one_line(scene):
 
 
 @pytest.mark.long
-def test_a_turned_photodiode_reads_what_the_map_tells_of_its_true_rectangle(scene, arrivals, chosen_jit):
+def test_a_turned_photodiode_reads_the_map_over_its_rectangle(scene, arrivals, chosen_jit):
     """In the geometry it is cut into strips; of the map's photons those count that came within its own edges."""
     turned = {"position_mm": (0.3, -0.5), "size_mm": (1.6, 0.6), "rotation_deg": 35.0}
     one = scene.model_copy(update={"photodiodes": (scene.photodiodes[0].model_copy(update=turned),)})

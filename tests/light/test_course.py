@@ -87,7 +87,7 @@ def test_between_its_nodes_a_course_is_what_each_state_reads_on_its_own(high):
 
 
 @pytest.mark.parametrize("blood", ["zones = 8", "zones = 8\nvenous_so2 = 0.6", "venous_so2 = 0.6"])
-def test_zones_that_a_touch_moves_together_and_blood_that_turns_arterial_are_interpolated_as_well(monkeypatch, blood):
+def test_joint_zones_and_arterial_blood_are_interpolated(monkeypatch, blood):
     """Expected: as each state reads on its own, to far less than the standard error, from fewer nodes than states."""
     text = '[blood]\nparameters = "best"\n' + blood + "\n[touch]\nforce_n = 4.0\nsample_rate_hz = 2000.0\n"
     transfer, seen = made_up(5000, blood=text), []
@@ -142,7 +142,7 @@ def test_a_change_shares_its_noise_with_what_it_starts_from():
     assert np.std(found) == pytest.approx(float(seen.change_stderr[0, 0, 1]), rel=0.15)
 
 
-def test_electrons_weigh_each_wavelength_of_the_line_by_its_photons_per_watt():
+def test_electrons_weigh_wavelengths_by_photons_per_watt():
     """A watt at wavelength l holds l / 800 times the photons of one at 800 nm; over a symmetrical line nearly nothing
     is left of it, and what is left is what the sum over the line says."""
     transfer = made_up()

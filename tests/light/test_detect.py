@@ -37,7 +37,7 @@ def finger(engine: str = "auto") -> Scene:
     return parse_scene(FINGER.format(engine=engine))
 
 
-def test_photons_are_taken_where_kernels_are_compiled_and_volpath_elsewhere():
+def test_photons_run_on_jit_backends_and_volpath_elsewhere():
     assert engine_for(finger(), LLVM) == engine_for(finger("photons"), LLVM) == "photons"
     assert engine_for(finger(), SCALAR) == engine_for(finger("volpath"), SCALAR) == "volpath"
     assert engine_for(finger("volpath"), LLVM) == "volpath"
@@ -53,7 +53,7 @@ def test_every_zone_gets_a_state_in_which_it_alone_is_far_from_rest():
 
 
 @pytest.mark.parametrize("rest", [0.0, 1e-4, 0.03, 0.9, 1.0])
-def test_blood_that_does_not_move_still_gets_states_that_differ_and_are_possible(rest):
+def test_blood_at_rest_still_gets_distinct_valid_states(rest):
     corners = corner_states(np.full((5, 2), rest))
     assert corners.shape == (3, 2) and np.all((corners >= 0) & (corners <= 1))
     away = np.diagonal(corners[1:]) - corners[0]
@@ -91,7 +91,7 @@ def test_a_change_is_counted_from_the_first_state_wherever_that_lies():
     assert seen.change_stderr[0, 0, 1] > 1e-3 * 0.001
 
 
-def test_a_photodiode_that_saw_nothing_has_no_error_rather_than_none_at_all():
+def test_an_unlit_photodiode_has_an_unknown_error():
     corners = np.array([[0.03, 0.03], [0.05, 0.03], [0.03, 0.01]])
     nothing = np.array([[[1.0, 1.0, 1.0]]])
     seen = read_between(
@@ -136,7 +136,7 @@ def test_secants_give_the_paths_that_made_them():
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_a_slab_with_several_photodiodes_and_leds_reads_the_same_in_both_engines(jit_backend):
+def test_both_engines_agree_on_a_slab_with_many_parts(jit_backend):
     """Also what `trace` prints beside the readings: where all the light went."""
     text = """
 schema_version = 1
@@ -192,7 +192,7 @@ engine = "%s"
 
 
 @pytest.mark.jit
-def test_seconds_count_from_the_scene_on_and_apart_from_those_of_the_photons(jit_backend):
+def test_seconds_count_from_the_scene_on(jit_backend):
     """Expected: processor time that the process spent, but for what its clock does not resolve."""
     before = time.process_time()
     found = read_rest(finger(), photons=1 << 14, seed=1)

@@ -102,7 +102,7 @@ def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_finger(jit_bac
 @pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize("index_steps", [True, False])
-def test_photons_and_volpath_read_the_same_on_every_photodiode_of_the_prototype(jit_backend, index_steps):
+def test_photons_and_volpath_agree_on_the_prototype(jit_backend, index_steps):
     """All eight, photons at 2 % and volpath, of which 2 % would take an hour, at 5 %.
 
     Of eight, one beyond 3.5 standard errors is a chance of 1 in 270.
@@ -124,7 +124,7 @@ def test_every_photon_is_accounted_for(jit_backend, index_steps):
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_parts_left_out_read_the_same_with_faces_that_light_passes_and_without_any(jit_backend):
+def test_parts_left_out_read_the_same_with_and_without_faces(jit_backend):
     """Rationale: `explain` keeps the faces of what is left out, so that two scenes share photons; nobody else does.
     Expected: independent traces of both agree at every photodiode, and know their sum to 2 %."""
     scene, photons = prototype(), 1 << 18
@@ -144,7 +144,7 @@ def test_parts_left_out_read_the_same_with_faces_that_light_passes_and_without_a
 
 
 @pytest.mark.jit
-def test_where_light_ends_is_tallied_region_by_region_and_a_region_left_out_is_missed(jit_backend, monkeypatch):
+def test_absorbed_light_is_tallied_by_region(jit_backend, monkeypatch):
     """Rationale: what is absorbed is not what is left, so that the balance can fail.
     Expected: each photon's parts make up all of it, and without the tally of the plate its share is lost."""
     scene = prototype()

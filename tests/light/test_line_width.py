@@ -46,7 +46,7 @@ def test_a_line_read_from_one_trace_is_the_sum_of_narrow_band_traces(chosen_jit,
 
 
 @pytest.mark.parametrize(("wavelength_nm", "most"), [(410.0, 8), (980.0, 16)])
-def test_a_line_beyond_the_tables_is_refused_and_the_widest_that_is_not_is_named(wavelength_nm, most):
+def test_a_line_wider_than_the_tables_is_refused(wavelength_nm, most):
     """Five nodes reach 2.0202 / (2 sqrt(ln 2)) = 1.2132 widths to each side: 8 of 10 nm, 16 of 20 nm."""
     scene = load_scene(data_dir("scenes") / "prototype.toml")
     led = scene.leds[0].model_copy(update={"wavelength_nm": wavelength_nm, "fwhm_nm": 5000.0})

@@ -24,7 +24,7 @@ def with_finger(scene, **fields):
 
 
 @pytest.mark.parametrize("part", ["plate", "bed", "bone", "pulp"])
-def test_a_factor_on_absorption_multiplies_what_a_part_absorbs_without_blood(scene, part):
+def test_a_factor_multiplies_the_bloodless_absorption(scene, part):
     bloodless = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": 0.0})})
     changed = with_finger(bloodless, **{f"{part}_absorption": 3.0})
     before, after = (optics.absorption(s, 800.0)[0] for s in (bloodless, changed))
@@ -50,7 +50,7 @@ def test_a_factor_on_scattering_multiplies_one_parts_mu_s_and_nothing_else(scene
     assert np.array_equal(before.mu_a, after.mu_a) and np.array_equal(before.g, after.g)
 
 
-def test_a_dermis_is_chosen_in_the_finger_and_a_case_of_a_search_may_choose_another(scene):
+def test_the_dermis_is_chosen_by_finger_or_case(scene):
     bed = optics.bed_columns(scene)[0]
     usual, dark = (optics.absorption(with_finger(scene, dermis=d), 800.0)[0, bed] for d in DERMIS)
     # Salomatina's bloodless dermis less the baseline at 800 nm. [mm^-1]

@@ -52,7 +52,7 @@ def test_strides_count_towards_a_photodiode(prototype):
     assert strides.max() == 2 and strides_of(prototype)[1].max() == 1
 
 
-def test_there_are_no_strides_to_near_photodiodes_nor_where_light_comes_straight(prototype):
+def test_no_strides_near_photodiodes_or_in_direct_light(prototype):
     wired = zip(prototype.photodiodes, ((12,), (3,)), strict=True)
     near = tuple(one.model_copy(update={"wired": elements}) for one, elements in wired)
     for scene in (prototype.model_copy(update={"photodiodes": near}), with_led_at(prototype, -3.2, barrier=False)):
@@ -62,7 +62,7 @@ def test_there_are_no_strides_to_near_photodiodes_nor_where_light_comes_straight
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_photons_split_on_the_way_read_what_plain_ones_read_and_state_true_errors(jit_backend, prototype):
+def test_split_photons_read_as_plain_ones_with_true_errors(jit_backend, prototype):
     """Two levels on the way and one at the photodiodes. Light, and light times its path in the bed, in 16 values of
     which 45 is one in 1e4; errors beside the spread of 32 batches, in 8 values that share photons."""
     from nailoptics.light.walk.finger import FingerTracer

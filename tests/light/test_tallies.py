@@ -68,7 +68,7 @@ def test_cells_of_a_zone_hold_the_sensitivity_to_its_absorption(scene, seen):
     assert np.all(depth >= 0)
 
 
-def test_a_fresh_trace_with_more_absorption_in_a_zone_falls_as_the_depth_map_foretells(scene, seen, chosen_jit):
+def test_more_absorption_in_a_zone_acts_as_the_depth_map_predicts(scene, seen, chosen_jit):
     """No photon is shared: derivatives to mu_a of either zone of the bed, within 4 standard errors of at most 5 %."""
     _, depth, cells = seen
     each = in_bed(depth, cells, scene)

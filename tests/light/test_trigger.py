@@ -54,7 +54,7 @@ def stopped(seed: int, *, spread: float, target: float) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(("spread", "bias"), [(0.0, 0.1), (0.7, 0.15)])
-def test_stopping_at_a_tolerance_biases_by_a_small_part_of_the_standard_error(spread, bias):
+def test_stopping_biases_by_a_small_part_of_the_standard_error(spread, bias):
     """Rationale: a run that stops by its own error prefers luck, most where it is loose and weights differ; those of
     photons in a photodiode of the prototype differ by some 0.7 in their logarithm.
     Expected: over seeds the mean is off by a small part of the error that is stated, and intervals of 95 % hold."""

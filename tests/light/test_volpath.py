@@ -102,7 +102,7 @@ def test_without_absorption_all_light_comes_out(led, engine):
     assert np.all(batches > 0.1)
 
 
-def test_three_blood_states_in_one_heterogeneous_medium_meet_adding_doubling(engine):
+def test_three_blood_states_of_one_medium_meet_adding_doubling(engine):
     """The colours of one path are three absorptions: R of each state on its own, from the grid that carries the bed."""
     iadpython = pytest.importorskip("iadpython")
     states, mu_s, g = np.array([0.05, 0.1, 0.2]), 12.0, 0.8

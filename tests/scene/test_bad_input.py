@@ -211,7 +211,7 @@ def test_a_scene_has_either_a_finger_or_a_phantom():
     assert "either [finger] or [phantom]" in complaint(FINGER + "[phantom]" + LAYERS)
 
 
-def test_what_belongs_to_a_phantom_is_refused_on_a_finger_and_the_other_way_round():
+def test_phantoms_and_fingers_refuse_each_others_fields():
     assert 'leds[0].pattern = "pencil" is for phantoms' in complaint(
         in_led('wavelength_nm = 800.0\npattern = "pencil"')
     )

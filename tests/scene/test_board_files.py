@@ -100,7 +100,7 @@ def test_position_files_serve_as_boards(tmp_path, caplog):
     assert caplog.text.count("add negate_x_on_bottom") == 1
 
 
-def test_check_tells_once_in_its_warnings_what_a_board_and_a_candidate_of_one_file_have(tmp_path, capsys):
+def test_check_warns_once_of_a_file_shared_by_board_and_candidate(tmp_path, capsys):
     path = write(tmp_path)
     (tmp_path / "pos.csv").write_text("Ref,PosX,PosY,Rot,Side\nD1,-3,1,90,bottom\nPD1,-1,-1,30,bottom\n")
     path.write_text(path.read_text().replace('kicad = "x.kicad_pcb"', 'positions = "pos.csv"'))
@@ -190,7 +190,7 @@ def test_a_search_keeps_to_the_boards_own_outline_and_off_its_holes(tmp_path):
     assert len(free) > 100 and len(near) == 0 and free[:, 0].max() == pytest.approx(4.5 - 0.3 - 0.5, abs=0.25)
 
 
-def test_a_written_board_bears_the_files_references_whatever_the_scene_calls_its_parts(tmp_path):
+def test_a_written_board_keeps_the_references_of_its_file(tmp_path):
     path = write(tmp_path)
     path.write_text(
         path.read_text()

@@ -51,7 +51,7 @@ def test_a_board_is_read_as_kicad_was_told_to_make_it(version):
     assert not outline.ignored
 
 
-def test_a_pad_beside_the_middle_of_a_turned_footprint_on_the_bottom_lies_where_kicad_puts_it():
+def test_a_pad_of_a_turned_bottom_footprint_lies_where_kicad_puts_it():
     # Of the library's pad 0.4 mm to the right and 0.1 mm down, as KiCad's python tells its places on this board.
     pads = {"D1": (103.29641, -101.713397), "PD1": (106.411642, -102.023474)}
     one = '{ photodiode = "bpw34", offset_mm = [0.4, -0.1] }'
@@ -88,7 +88,7 @@ def test_position_files_agree_with_the_board(name, how, within_mm):
         assert away_deg(part.rotation_deg - angle) < 1e-3
 
 
-def test_of_a_drawing_of_contours_in_inches_as_kicad_plots_it_the_inner_edge_of_the_border_is_taken():
+def test_the_inner_edge_of_a_plotted_border_is_the_outline():
     lines, ignored = dxf_lines(FILES / "contours.dxf")
     outline = join(lines, "x", ignored=ignored)
     side_mm = 20.0

@@ -65,7 +65,7 @@ outline = "board.dxf"
     ("unit", "more"),
     [(4, 'outline_origin = "middle"'), (1, "outline_origin = [100.0, -90.0]"), (0, 'outline_origin = "middle"')],
 )
-def test_the_scene_tells_which_point_of_a_drawing_lies_on_the_nails_centre_and_its_unit(tmp_path, unit, more):
+def test_the_scene_sets_a_drawings_origin_and_unit(tmp_path, unit, more):
     write_outline(tmp_path / "board.dxf", PAGE)
     drawn = (tmp_path / "board.dxf").read_text()
     scale = 1.0

@@ -45,7 +45,7 @@ def test_a_zip_walks_all_axes_together(tmp_path):
     assert [(s.touch.force_n, s.leds[0].flux_mw) for s in found.scenes] == [(0.5, 0.1), (1.0, pytest.approx(10.0))]
 
 
-def test_a_latin_hypercube_has_one_sample_in_every_stratum_and_repeats_with_its_seed(tmp_path):
+def test_a_latin_hypercube_has_one_sample_in_every_stratum(tmp_path):
     text = (
         'combine = "latin_hypercube"\nsamples = 20\nseed = {}\n'
         '[[axes]]\npath = "blood.so2"\nrange = [0.5, 1.0]\n'

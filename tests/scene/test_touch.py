@@ -52,7 +52,7 @@ def test_a_load_cell_that_reads_just_below_zero_is_not_pressed(tmp_path):
     assert touch.recorded_force_n == (0.0, 2.0, 0.0)
 
 
-def test_a_cycle_goes_to_its_force_and_back_as_often_as_asked_and_lasts_as_long():
+def test_a_cycle_reaches_its_force_the_requested_number_of_times():
     for waveform, quarter in (("sine", 1.0), ("triangle", 1.0)):
         touch = Touch(profile="cycle", force_n=2.0, start_s=1.0, period_s=4.0, cycles=2, waveform=waveform)
         assert touch.duration_s == 9.0

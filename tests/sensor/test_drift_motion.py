@@ -56,7 +56,7 @@ def test_drifts_spread_as_stated_after_a_minute_and_begin_at_none():
         assert walks[:, 1].std() == pytest.approx(spread, rel=0.16) and abs(walks[:, 1].mean()) < 4 * spread / 300**0.5
 
 
-def test_motion_has_the_stated_spread_and_memory_and_does_not_depend_on_the_samples():
+def test_motion_has_the_stated_spread_and_correlation_time():
     motion = Motion(lift_um=2.0, slide_um=0.0, correlation_s=1.0)
     time_s = np.arange(0.0, 3000.0, 0.1)
     lift = drift_and_motion(worn(3, motion=motion), time_s).sensor_lift_um.values
@@ -86,7 +86,7 @@ def test_readings_go_with_the_distance_as_the_moved_light_says():
 
 
 @pytest.mark.jit
-def test_a_worn_sensor_reads_what_its_light_its_motion_and_its_drift_make_of_it(chosen_jit):
+def test_a_worn_sensor_reads_light_times_motion_and_drift(chosen_jit):
     touch = "[touch]\nduration_s = 1.0\nsample_rate_hz = 20.0\nstart_s = 0.2\nrelease_s = 0.8\n"
     still = parse_scene(SMALL_FINGER + touch + "[electronics]\nfeedback_ohm = 1e5\n")
     body = Body(seed=2, drift=Drift(led_per_rt_min=0.1), motion=Motion(lift_um=50.0, slide_um=0.0))

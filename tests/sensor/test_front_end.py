@@ -23,7 +23,7 @@ def stage(scene: Scene, ambient_a: float = 0.0) -> SampledFrontEnd:
     return front_ends_of(scene, (0, 1), np.full(3, ambient_a))[0]
 
 
-def test_settled_slots_read_their_own_light_and_the_dark_one_takes_ambient_light_away():
+def test_settled_slots_read_their_own_light_less_the_dark_slot():
     bright = stage(shipped(), ambient_a=1e-6)
     weights, (volts, full) = bright.weights, bright.slot_volts(LIGHT)
     per_fraction = [

@@ -246,7 +246,7 @@ def found(chosen_jit, fewer_photons):
 
 
 @pytest.mark.long
-def test_a_placement_with_a_body_ranks_through_it_and_tells_the_electronics_beside(found):
+def test_a_placement_with_a_body_is_ranked_by_its_noise(found):
     rows = result.rows(found)
     assert [row["layout"] for row in rows if row["layout"] != "paper"] == ["near", "far"]
     floor_n = float(found.physiological_noise_force_n[0])

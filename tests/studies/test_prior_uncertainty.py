@@ -198,7 +198,7 @@ def test_the_shift_is_that_of_the_mean_over_the_priors_from_the_scene():
 
 
 @pytest.mark.slow
-def test_a_simulated_touch_tells_its_spread_and_is_silent_where_that_is_off(chosen_jit):
+def test_a_simulated_touch_reports_its_prior_uncertainty_if_enabled(chosen_jit):
     found = simulate(
         prototype("blood.so2", ranges=(PriorRange(field="finger.plate_absorption", low=0.9, high=1.1),)),
         photons=60_000,
@@ -235,7 +235,7 @@ def test_impossible_priors_are_refused_in_one_line(lines, words):
     assert "\n" not in str(caught.value)
 
 
-def test_every_prior_names_its_source_and_a_field_of_the_scene_within_its_range():
+def test_every_prior_has_a_source_and_a_field_in_its_range():
     scene = prototype()
     assert len({one.field for one in shipped_priors()}) == len(shipped_priors()) >= 12
     for prior in shipped_priors():

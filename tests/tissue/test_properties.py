@@ -118,7 +118,7 @@ def plate_transmission(mu_a_per_mm, mu_s_reduced_per_mm, thickness_mm):
     return float(slab.rt()[1])
 
 
-def test_the_nail_plate_passes_a_fifth_of_the_blue_more_of_the_red_and_hardly_any_uv():
+def test_the_nail_plate_transmits_red_more_than_blue_and_hardly_uv():
     # The facts and their sources stand in the header of assets/spectra/nail_plate.csv.
     table = read_table("spectra/nail_plate.csv")
     wavelength_nm = np.arange(400, 760, 50.0)

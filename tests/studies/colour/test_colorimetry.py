@@ -54,7 +54,7 @@ def test_between_the_nodes_a_parabola_in_the_logarithm_is_exact():
     assert parabola(np.log(nodes_nm() / 550)) @ weights == pytest.approx(parabola(x), abs=1e-9)
 
 
-def test_so_many_nodes_are_walked_as_the_colours_error_asks_for_and_one_fewer_would_err_more():
+def test_the_number_of_nodes_is_what_the_colours_error_needs():
     """Skin with blood by diffusion: its colour with the nodes' scattering, interpolated, against that with its own."""
     viewer, absorbed = Viewer(), 0.05 + 0.3 * np.exp(-((WAVELENGTHS_NM - 560) ** 2) / 800)
     fine = 4.6 * (WAVELENGTHS_NM / 500) ** -1.421

@@ -43,7 +43,7 @@ def rays(chosen_jit):
 
 
 @pytest.mark.long
-def test_reflectance_at_a_wavelength_between_the_nodes_is_that_of_a_fresh_trace(rays, jit_backend):
+def test_reflectance_between_the_nodes_is_that_of_a_fresh_trace(rays, jit_backend):
     """Rays of four wavelengths, dimmed and interpolated, against rays of this one with its own scattering."""
     rest = np.full((1, 2), 0.03)
     read = rays.reflectance(rest, **LOOK)
@@ -62,7 +62,7 @@ def test_reflectance_at_a_wavelength_between_the_nodes_is_that_of_a_fresh_trace(
 
 
 @pytest.mark.long
-def test_blood_reddens_along_one_line_and_melanin_darkens_skin_along_another(rays, monkeypatch):
+def test_blood_reddens_and_melanin_darkens_as_was_measured(rays, monkeypatch):
     viewer = Viewer()
     lab = viewer.lab(rays.reflectance([[0.02, 0.02], [0.04, 0.04]], **LOOK)[0])
     step = lab[0, 1] - lab[0, 0]
@@ -149,7 +149,7 @@ def test_a_heart_that_beats_moves_the_colour_a_little(jit_backend):
 
 
 @pytest.mark.long
-def test_the_priors_leave_nails_from_grey_to_pink_and_skin_among_that_of_people(jit_backend):
+def test_priors_span_grey_to_pink_nails_and_skin_of_people(jit_backend):
     """The shipped plate is the dry one; the prior reaches from there to a plate through which the bed is seen."""
     found = colour(parse_scene(SMALL_FINGER_BEST), forces_n=(0.0,), photons=60_000, seed=6)
     spread = found.lab_spread.sel(site="nail").values

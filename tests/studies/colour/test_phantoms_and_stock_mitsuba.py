@@ -109,7 +109,7 @@ def test_a_layered_phantom_meets_adding_doubling_at_eight_wavelengths(jit_backen
 
 
 @pytest.mark.jit
-def test_a_white_and_a_black_phantom_have_their_exact_colours_and_no_light_is_lost(jit_backend, monkeypatch):
+def test_white_and_black_phantoms_have_their_exact_colours(jit_backend, monkeypatch):
     viewer, absorbers = Viewer(), len(optics.absorbers(SCENE))
     stack = FlatStack(BARRIER)
     found = stack.reflect(

@@ -56,7 +56,7 @@ def test_check_warns_of_dies_along_the_nail_and_says_what_would_mend_it():
     assert warnings_without_light(scene.model_copy(update={"oximeter": None})) == []
 
 
-def test_a_photodiode_as_far_from_both_is_told_to_move_or_to_be_calibrated():
+def test_a_photodiode_as_far_from_both_leds_gets_its_own_advice():
     scene = load_scene(data_dir("scenes") / "pulse_oximeter.toml")
     told = path_warnings(scene, np.array([0.30, 0.45, 0.50]), np.array([0.9, 1.3, 1.45]))
     assert len(told) == 1 and '"axis.1"' in told[0] and "fit of this scene" in told[0]

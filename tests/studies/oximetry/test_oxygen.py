@@ -83,7 +83,7 @@ def test_the_command_writes_and_prints_what_was_found(found, monkeypatch, tmp_pa
     assert {path.name for path in folder.iterdir()} == set(OXIMETER) and len(worn.read_text().splitlines()) > 1000
 
 
-def test_more_blood_dims_infrared_more_and_light_falls_as_the_pulse_arrives(found):
+def test_the_pulse_dims_infrared_more_than_red(found):
     index = found.perfusion_index
     assert np.all(index.sel(led="infrared") > index.sel(led="red"))
     # Far photodiodes see deeper, where the blood is.
@@ -92,7 +92,7 @@ def test_more_blood_dims_infrared_more_and_light_falls_as_the_pulse_arrives(foun
     assert np.all(abs(least - least[0, 0]) <= 1)
 
 
-def test_a_hundred_saturations_come_from_one_trace_and_agree_with_those_read_one_by_one(light):
+def test_interpolated_saturations_agree_with_those_read_directly(light):
     beat = beat_at(shipped(), 0.0)
     curve = SaturationCurve(light, (0, 1), beat, seed=3)
     many = curve.at(np.linspace(0.5, 1.0, 100)).ratio

@@ -95,7 +95,7 @@ def test_the_error_of_what_is_told_of_oxygen(found):
     assert 0.5 < np.sqrt(np.mean(away**2)) < 1.5, np.sqrt(np.mean(away**2))
 
 
-def test_what_so_many_photodiodes_resolve_holds_at_the_places_that_were_chosen(found, made_once):
+def test_resolution_by_count_holds_at_the_chosen_places(found, made_once):
     """Rationale: every seed chooses places of its own. Expected: at these, sixteen times the photons resolve what was
     told, as often as errors say."""
     asked = scene()
