@@ -16,12 +16,11 @@ from nailoptics.scene import Scene
 from nailoptics.scene.body import Heartbeat
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording
 from nailoptics.sensor.drift_motion import drift_and_motion
-from nailoptics.studies.force.body_noise import HARMONICS, HEIGHT_SPREAD, passed
-from nailoptics.studies.force.correction import no_correction
-from nailoptics.studies.force.network import touch_on_walls, widths_over
-from nailoptics.studies.force.person import Person
+from nailoptics.studies.force.body_noise import HARMONICS, HEIGHT_SPREAD, pressure_to_blood_gain
+from nailoptics.studies.force.person import Person, touch_on_walls, widths_over
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject
+from nailoptics.studies.force.uncertainty import no_correction
 from nailoptics.studies.force.virtual_people import TOUCHES, Site, touch_of
 
 # Steps of derivatives by pressures [N/cm^2, N/cm^2, Pa], and what is known of the touch's before any reading.
@@ -51,7 +50,7 @@ def exactly_known(subject: Subject, scene: Scene) -> Subject:
         held_error=0.0,
     )
     nothing = np.zeros_like(subject.covariance)
-    return replace(subject, noise=own, covariance=nothing, correction=no_correction(), widening=1.0)
+    return replace(subject, noise=own, covariance=nothing, correction=no_correction(), coverage_factor=1.0)
 
 
 def _beat(heart: Heartbeat, who: Person) -> CardiacOscillator:
@@ -61,7 +60,7 @@ def _beat(heart: Heartbeat, who: Person) -> CardiacOscillator:
         np.arange(256) / (256 * rate_hz), pulse_pressure_pa=heart.pulse_pressure_pa, rate_per_min=heart.rate_per_min
     )
     rms_pa = np.abs(np.fft.rfft(course))[1 : 1 + HARMONICS] / 256 * np.sqrt(2)
-    reach = [passed(who, k * rate_hz) for k in range(1, 1 + HARMONICS)]
+    reach = [pressure_to_blood_gain(who, k * rate_hz) for k in range(1, 1 + HARMONICS)]
     return CardiacOscillator(rate_hz, tuple((rms_pa * reach).tolist()), HEIGHT_SPREAD)
 
 
@@ -101,7 +100,7 @@ def one_sample_n(subject: Subject, site: Site, force_n: float) -> float:
     Its noise is that of the readings, half a minute of drift, and the slow rhythms of the arterial pressure as the
     calibration saw them: a heartbeat is averaged out. Only samples before and after can tell the touch better.
     """
-    who, one, noise = subject.person(), subject.calibrated, subject.noise
+    who, one, noise = subject.person(), subject.sensor, subject.noise
     held = np.append(who.pressures(np.array([force_n]), np.array([SITES[site]]))[:, 0], 0.0)
     places = np.repeat(held[:, None], 6, axis=1)
     places[range(3), range(3)] += STEPS

@@ -22,7 +22,7 @@ from nailoptics.scene.importers.sensor_recordings import Recording, read_sensor_
 from nailoptics.studies import force
 from nailoptics.studies.force import virtual_people as record
 from nailoptics.studies.force.calibrate import calibrate_with
-from nailoptics.studies.force.observer import Observer
+from nailoptics.studies.force.kalman import KalmanFilter
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.reading_table import ReadingTable
 from nailoptics.studies.force.subject import Model, Subject
@@ -206,10 +206,10 @@ def presses_at_rest(subject: Subject, person: VirtualPerson, rest_s: float) -> i
 
 def seconds_per_sample(subject: Subject, recording: Recording) -> float:
     """Median processor time of one sample, read alone. [s]"""
-    observer, spent = Observer(subject.calibrated, subject.noise), []
+    observer, spent = KalmanFilter(subject.sensor, subject.noise), []
     for k, volts in enumerate(recording.volts.T[:500]):
         begin = time.process_time()
-        observer.see(volts, 0.01 if k else None)
+        observer.update_sample(volts, 0.01 if k else None)
         spent.append(time.process_time() - begin)
     return float(np.median(spent))
 

@@ -10,9 +10,7 @@ from nailoptics.hemodynamics import parameters
 from nailoptics.scene import Scene
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording
 from nailoptics.studies.force.calibrate import calibrate_with
-from nailoptics.studies.force.network import widths_over
-from nailoptics.studies.force.person import RIGID_PULP, person
-from nailoptics.studies.force.pulp import Pulp
+from nailoptics.studies.force.person import RIGID_PULP, Pulp, person, widths_over
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable, reading_names
 
 STEP_S = 0.02

@@ -7,7 +7,7 @@ from ..checks import finite
 from ..errors import InputError
 from .parameters import Parameters
 from .steady import solve_walls, wall_pressures
-from .walls import build_walls, massless_jacobian, massless_rates
+from .walls import Walls, build_walls, massless_jacobian, massless_rates
 from .zones import PAPER_ZONES, Zones
 
 
@@ -30,16 +30,27 @@ def arterial_gain_m_per_pa(
         raise InputError(
             f"frequency_hz must be above 0, got {frequency.min():g}; take steady_state for a pressure held."
         )
-    walls, n = build_walls(parameters, zones), zones.count
     outside = wall_pressures(zones, np.asarray(pressure_pa, dtype=float)[:, None])
-    high, low = parameters.arterial_pressure_pa, parameters.venous_pressure_pa
-    width, pressure = solve_walls(walls, outside, np.array([high]), np.array([low]))
+    ends = np.array([parameters.arterial_pressure_pa]), np.array([parameters.venous_pressure_pa])
+    return linear_response(build_walls(parameters, zones), frequency, outside, *ends)[:-1]
+
+
+def linear_response(
+    walls: Walls, frequency_hz: np.ndarray, outside_pa: np.ndarray, high_pa: np.ndarray, low_pa: np.ndarray
+) -> np.ndarray:
+    """Change of the diameter of every wall with a small wave of P_H, (N+1, F) complex. [m/Pa]
+
+    frequency_hz : (F,) float; 0 is a change that is held. outside_pa : (N+1, 1) float. Touch pressure on each wall.
+    high_pa, low_pa : (1,) float. P_H and P_L.
+    """
+    width, pressure = solve_walls(walls, outside_pa, high_pa, low_pa)
     free = np.where(width > np.array(walls.closed)[:, None] * (1.0 + 1e-9), 1.0, 0.0)
     diagonal, left, right = (
-        np.array(part)[:, 0] for part in massless_jacobian(walls, width, free, pressure, high, low)
+        np.array(part)[:, 0] for part in massless_jacobian(walls, width, free, pressure, high_pa, low_pa)
     )
     # Speeds are linear in P_H.
     _, by_high = massless_rates(walls, width, np.zeros_like(width), free, 1.0, 0.0)
-    slopes = np.diag(diagonal) + np.outer(left, right)
-    turning = 2j * np.pi * frequency[:, None, None] * np.eye(n + 1)
-    return np.linalg.solve(turning - slopes, np.broadcast_to(np.array(by_high), (frequency.size, n + 1, 1)))[:, :n, 0].T
+    slopes, count = np.diag(diagonal) + np.outer(left, right), len(width)
+    turning = 2j * np.pi * frequency_hz[:, None, None] * np.eye(count)
+    driven = np.broadcast_to(np.array(by_high), (frequency_hz.size, count, 1))
+    return np.linalg.solve(turning - slopes, driven)[..., 0].T

@@ -10,15 +10,13 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from ...errors import InputError
+from ...hemodynamics.arterial_gain import linear_response
 from ...hemodynamics.beat_detection import beats_per_second
-from ...hemodynamics.steady import solve_walls
-from ...hemodynamics.stepping import step
 from ...hemodynamics.waves import HARMONIC_BAND, WAVES, CardiacOscillator, DampedOscillator, resolved_harmonics
 from ...scene.importers.sensor_recordings import Recording
-from .network import widths_over
-from .observer import Noise
-from .person import Person
+from .person import Person, widths_over
 from .reading_table import ReadingTable
+from .state_space import Noise
 
 Array = NDArray[np.float64]
 
@@ -33,10 +31,8 @@ STEP_PA = 100.0
 # How far the arterial pressure and an LED's light wander at most, rms: where readings do not part them, a little of
 # both is likelier than much of both, one against the other. [Pa, 1]
 PRESSURE_SPREAD_PA, LIGHT_SPREAD = 3000.0, 0.03
-# How finely and for how long a rhythm is followed to see how much of it the vessels pass on.
-STEPS_PER_PERIOD, PERIODS, SETTLING_S = 40, 3, 2.0
-# A rhythm that the vessels pass on less than this is not seen well enough to be scaled by it.
-LEAST_PASSED = 0.05
+# A rhythm with less gain than this is not seen well enough to be scaled by it.
+LEAST_GAIN = 0.05
 # A finger rests below this force. Drift is seen from one rest to a later one: touches leave the model's own misfit. [N]
 REST_FORCE_N = 0.05
 # Drift in a minute of a reading and of an LED where a recording has one rest only, and the least that is believed.
@@ -66,23 +62,15 @@ def arterial_response(person: Person, table: ReadingTable, gain: Array, recordin
     return np.asarray((volts[:, 1] - volts[:, 0]) / STEP_PA)
 
 
-def passed(person: Person, frequency_hz: float) -> float:
-    """Part of a rhythm of the arterial pressure that the vessels at rest follow, over that of a slow one. [1]
+def pressure_to_blood_gain(person: Person, frequency_hz: float) -> float:
+    """Gain from a wave of the arterial pressure to the blood of both zones at rest, over that of a slow one. [1]
 
-    Blood of both zones together; the vessels are sluggish, so that a beat moves them less than a breath.
+    The vessels are sluggish, so that a heartbeat moves them less than a breath.
     """
-    step_s = min(0.02, 1.0 / (STEPS_PER_PERIOD * frequency_hz))
-    count = max(round(PERIODS / (frequency_hz * step_s)), round(SETTLING_S / step_s))
-    last = round(1.0 / (frequency_hz * step_s))
-    width, blood = person.rest_m, []
-    for k in range(count):
-        high = person.arterial_pa + STEP_PA * np.sin(2 * np.pi * frequency_hz * (k + 0.5) * step_s)
-        width = step(person.walls, width, np.zeros(3), high, person.venous_pa, step_s=step_s)
-        blood.append(float((width[:2] / person.rest_m[:2]).sum()))
-    swing = np.ptp(blood[-last:])
-    high = person.arterial_pa + STEP_PA * np.array([-1.0, 1.0])
-    slow, _ = solve_walls(person.walls, np.zeros((3, 2)), high, np.full(2, person.venous_pa))
-    return float(swing / np.ptp((slow[:2] / person.rest_m[:2, None]).sum(0)))
+    ends = np.array([person.arterial_pa]), np.array([person.venous_pa])
+    gain = linear_response(person.walls, np.array([0.0, frequency_hz]), np.zeros((3, 1)), *ends)
+    slow, fast = np.abs((gain[:2] / person.rest_m[:2, None]).sum(0))
+    return float(fast / slow)
 
 
 def learn_noise(
@@ -103,7 +91,7 @@ def learn_noise(
     for recording, residual in zip(recordings, residual_v, strict=True):
         response = arterial_response(person, table, gain, recording)
         step = float(np.median(np.diff(recording.time_s)))
-        pressure, light, left = _parted(response, leds, residual, white**2 + (1e-3 * rest_v) ** 2)
+        pressure, light, left = _decompose(response, leds, residual, white**2 + (1e-3 * rest_v) ** 2)
         # What follows the force is the model's misfit, not the body's.
         force_n = np.asarray(recording.force_n)
         degree = min(MISFIT_DEGREE, len(np.unique(force_n)) - 1)
@@ -116,8 +104,8 @@ def learn_noise(
         # A reading's own drift lies where neither pressure nor LED took it along.
         seen = len(left) / max(len(left) - 1 - leds.shape[1], 1)
         untouched = force_n < REST_FORCE_N
-        own2 += [seen * one for one in _walk2(left / rest_v[:, None], recording.time_s, untouched)]
-        led2 += _walk2(light, recording.time_s, untouched)
+        own2 += [seen * one for one in _random_walk_variance(left / rest_v[:, None], recording.time_s, untouched)]
+        led2 += _random_walk_variance(light, recording.time_s, untouched)
     frequency = spectra[int(np.argmax(spans))][0]
     power = np.mean([np.interp(frequency, *one) for one in spectra], axis=0)
     power = np.maximum(power - np.median(power[frequency > NOISE_FROM * frequency[-1]]), 0.0)
@@ -127,14 +115,14 @@ def learn_noise(
     )
     slow = [
         # What was seen is what the vessels passed on.
-        replace(one, rms_pa=one.rms_pa / max(passed(person, one.frequency_hz), LEAST_PASSED))
+        replace(one, rms_pa=one.rms_pa / max(pressure_to_blood_gain(person, one.frequency_hz), LEAST_GAIN))
         for one in _rhythms(frequency, power)
     ]
     beat = _cardiac_oscillator(float(np.median(rates_hz)), frequency, power) if rates_hz else None
     return Noise(white, drift, led_drift, beat, tuple(slow), TOUCH_RATE, MOVED_ERROR, HELD_ERROR)
 
 
-def _parted(response: Array, leds: Array, residual: Array, noise_v2: Array) -> tuple[Array, Array, Array]:
+def _decompose(response: Array, leds: Array, residual: Array, noise_v2: Array) -> tuple[Array, Array, Array]:
     """Residuals (R, T) as the arterial pressure (T,) [Pa], the light of each LED (L, T) [1], and what is left (R, T).
 
     response : (R, T) float, of every reading to the pressure. leds : (R, L) float, to the light. noise_v2 : (R,) float.
@@ -152,7 +140,7 @@ def _parted(response: Array, leds: Array, residual: Array, noise_v2: Array) -> t
     return found[:, 0], found[:, 1:].T, filled - np.einsum("trp,tp->rt", design, found)
 
 
-def _walk2(drifting: Array, time_s: Array, untouched: NDArray[np.bool_]) -> list[float]:
+def _random_walk_variance(drifting: Array, time_s: Array, untouched: NDArray[np.bool_]) -> list[float]:
     """Variances that random walks (N, T) gain in a minute, from each rest to the next."""
     ends = np.flatnonzero(np.diff(np.r_[False, untouched, False]))
     rests = [slice(start, stop) for start, stop in ends.reshape(-1, 2) if stop - start > 1]

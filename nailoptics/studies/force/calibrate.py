@@ -20,17 +20,14 @@ from ...scene.importers.sensor_recordings import SATURATED, SITES, Recording, re
 from ...variables import variable
 from .baselines import Regression, component_regression, linear_regression, whole_samples
 from .body_noise import learn_noise
-from .correction import Correction, learn_correction, no_correction
-from .fit import Fit, Fitted
-from .force_interval import ForceInterval
-from .network import closure_of
-from .observer import Observer, PressureEstimate, pressure_of
-from .person import NAMES, PRIORS, RIGID_PULP, USUAL_DISTAL_REACH, USUAL_PULP, Person
+from .fit import Fit, Fitted, Profile, profile_of
+from .kalman import KalmanFilter, PressureEstimate
+from .person import NAMES, PRIORS, RIGID_PULP, USUAL_DISTAL_REACH, USUAL_PULP, Person, Pulp, vessel_closure
 from .predict import TOUCH_N
-from .profile_likelihood import Profile, profile_of
-from .pulp import Pulp
 from .reading_table import ReadingTable, nodes_of, paper_table, reading_names, reading_table
+from .state_space import touch_pressure
 from .subject import Model, Subject, subject_toml
+from .uncertainty import Correction, fit_correction, no_correction
 
 Array = NDArray[np.float64]
 
@@ -150,7 +147,7 @@ def calibrate_with(
         residual_rms_v=np.sqrt(np.nanmean(np.concatenate(fitted.residual_v, axis=1) ** 2, axis=1)),
         noise=noise,
         correction=no_correction(),
-        widening=1.0,
+        coverage_factor=1.0,
         most_force_n=_most_force(recordings),
         chi2_per_dof=fitted.chi2_per_dof,
         rms_n=float("nan"),
@@ -214,14 +211,14 @@ def _pulp(touch: Touch, model: Model) -> Pulp:
 def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
     """What a user should know of a calibration before trusting it."""
     found = []
-    closure = closure_of(subject.person())
+    closure = vessel_closure(subject.person())
     who = subject.person()
     distal_cm2, proximal_cm2 = float(who.area_cm2), float(who.area_cm2 * who.proximal_area)
     for side, shut, area_cm2 in (("proximal", closure.proximal, proximal_cm2), ("distal", closure.distal, distal_cm2)):
         most = subject.most_force_n.get(side, subject.most_force_n.get("even", 0.0))
         reach = shut * area_cm2
         if most == 0:
-            found.append(f"no {side} touch was recorded: what is told of one rests on priors.")
+            found.append(f"no {side} touch was recorded: its estimates rely on priors.")
         elif most < 0.8 * reach:
             found.append(f"{side} touches reach {most:.2g} N, the vessels close at {reach:.2g} N: record harder ones.")
     for side, forces_n in _two_balances_n(subject).items():
@@ -229,22 +226,24 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
             f"{side} touches of {forces_n.min():.2g} to {forces_n.max():.2g} N could hold the vessels in two states: "
             "the same force may read differently as it grows and as it falls."
         )
-    told = subject.factors()
-    if not any(told[name]["informed"] for name in PAPER_FACTORS):
-        advice = f"record some that are let go within {QUICKLY_S:g} s, too"
+    factors = subject.factors()
+    if not any(factors[name]["informed"] for name in PAPER_FACTORS):
+        advice = f"record some that are released within {QUICKLY_S:g} s, too"
         if any(_let_go_quickly(one) for one in recordings):
-            advice = "those that are let go quickly do not tell it, either; record more of them"
-        found.append(f"how fast the vessels refill is not told, quick touches rest on priors: {advice}.")
+            advice = "those that are released quickly do not identify it, either; record more of them"
+        found.append(
+            f"the refill rate of the vessels is not identifiable, estimates of quick touches rely on priors: {advice}."
+        )
     if subject.is_wrong:
         linear_n = _linear_rms_n(subject, recordings)
         found.append(
             f"the force of the calibration's own touches is {1e3 * subject.rms_n:.0f} mN off (rms; linear regression "
             f"{1e3 * linear_n:.0f} mN): this subject does not fit them; check scene, sites and units."
         )
-    if subject.widening > 2:
+    if subject.coverage_factor > 2:
         found.append(
-            f"intervals had to be made {subject.widening:.1f} times as wide to cover the calibration's own touches: "
-            "the model misses something."
+            f"intervals had to be made {subject.coverage_factor:.1f} times as wide to cover the calibration's own "
+            "touches: the model misses something."
         )
     return found
 
@@ -278,47 +277,51 @@ def _two_balances_n(subject: Subject) -> dict[str, Array]:
 
 
 def _judged(subject: Subject, recordings: Sequence[Recording]) -> tuple[Subject, float]:
-    """The subject with what its own readings teach: a correction, the force's error, intervals that cover it.
+    """The subject with what its own recordings add: a correction, the force's error, intervals that cover it.
 
     And the median half width of these intervals over touches, infinite where most have no upper bound. [N]
     """
-    seen = []
+    estimates = []
     for one in recordings:
-        observer = Observer(subject.calibrated, subject.noise)
+        kalman = KalmanFilter(subject.sensor, subject.noise)
         since = [None, *np.diff(one.time_s)]
-        seen.append([observer.see(volts, dt) for volts, dt in zip(one.volts.T, since, strict=True)])
-    subject = replace(subject, correction=_correction(subject.person(), recordings, seen))
-    interval = ForceInterval(subject)
-    error, ratio, width = [], [], []
-    for one, estimates in zip(recordings, seen, strict=True):
-        told, force = interval.tell(estimates), np.asarray(one.force_n)
+        estimates.append([kalman.update_sample(volts, dt) for volts, dt in zip(one.volts.T, since, strict=True)])
+    subject = replace(subject, correction=_correction(subject.person(), recordings, estimates))
+    interval = subject.force_interval()
+    errors, ratios, widths = [], [], []
+    for one, of_one in zip(recordings, estimates, strict=True):
+        estimate, force = interval.of(of_one), np.asarray(one.force_n)
         # At rest an interval ends at 0, wherever the estimate lies: that says nothing of its width.
-        judged = np.isfinite(told.high_n) & (force >= REST_FORCE_N)
-        width.append((told.high_n - told.low_n)[force >= TOUCH_N])
-        off = (told.force_n - force)[judged]
-        half = np.where(off < 0, (told.high_n - told.force_n)[judged], (told.force_n - told.low_n)[judged])
-        error.append(off)
-        ratio.append(np.abs(off)[half > 0] / half[half > 0])
-    half_width_n = 0.5 * float(np.median(np.concatenate(width)))
-    if not (everything := np.concatenate(error)).size:
+        judged = np.isfinite(estimate.high_n) & (force >= REST_FORCE_N)
+        widths.append((estimate.high_n - estimate.low_n)[force >= TOUCH_N])
+        error = (estimate.force_n - force)[judged]
+        above, below = estimate.high_n - estimate.force_n, estimate.force_n - estimate.low_n
+        half = np.where(error < 0, above[judged], below[judged])
+        errors.append(error)
+        ratios.append(np.abs(error)[half > 0] / half[half > 0])
+    half_width_n = 0.5 * float(np.median(np.concatenate(widths)))
+    if not (error := np.concatenate(errors)).size:
         return subject, half_width_n
-    ratios = np.concatenate(ratio)
-    widening = max(1.0, float(np.quantile(ratios, COVERED)) / BY_CHANCE) if ratios.size else 1.0
-    return replace(subject, rms_n=float(np.sqrt(np.mean(everything**2))), widening=widening), half_width_n * widening
+    ratio = np.concatenate(ratios)
+    factor = max(1.0, float(np.quantile(ratio, COVERED)) / BY_CHANCE) if ratio.size else 1.0
+    rms_n = float(np.sqrt(np.mean(error**2)))
+    return replace(subject, rms_n=rms_n, coverage_factor=factor), half_width_n * factor
 
 
-def _correction(who: Person, recordings: Sequence[Recording], seen: Sequence[Sequence[PressureEstimate]]) -> Correction:
-    """The curve by which the pressures that were told of one-sided touches become those that pressed."""
+def _correction(
+    who: Person, recordings: Sequence[Recording], estimates: Sequence[Sequence[PressureEstimate]]
+) -> Correction:
+    """The curve from the estimated pressures of one-sided touches to those applied."""
     sides = []
     for side, site in enumerate((1.0, 0.0)):
-        time_s, told, pressed = [np.empty(0)], [np.empty(0)], [np.empty(0)]
-        for one, estimates in zip(recordings, seen, strict=True):
+        time_s, estimated, applied = [np.empty(0)], [np.empty(0)], [np.empty(0)]
+        for one, of_one in zip(recordings, estimates, strict=True):
             at = np.asarray(one.site) == site
             time_s.append(one.time_s[at])
-            told.append(pressure_of(np.array([estimate.touch[side] for estimate in estimates]))[at])
-            pressed.append(who.pressures(np.asarray(one.force_n), np.asarray(one.site))[side][at])
-        sides.append((np.concatenate(time_s), np.concatenate(told), np.concatenate(pressed)))
-    return learn_correction(closure_of(who), sides)
+            estimated.append(touch_pressure(np.array([estimate.touch[side] for estimate in of_one]))[at])
+            applied.append(who.pressures(np.asarray(one.force_n), np.asarray(one.site))[side][at])
+        sides.append((np.concatenate(time_s), np.concatenate(estimated), np.concatenate(applied)))
+    return fit_correction(vessel_closure(who), sides)
 
 
 def _checked(recording: Recording, scene: Scene) -> Recording:

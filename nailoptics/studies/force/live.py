@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...scene.importers.sensor_recordings import MOST_VOLTS, SATURATED, check_header, check_known, reading_columns
-from .force_interval import ForceEstimate, ForceInterval
-from .observer import Observer, PressureEstimate
+from .kalman import KalmanFilter, PressureEstimate
 from .predict import CSV_COLUMNS, csv_row
 from .subject import Subject
+from .uncertainty import ForceEstimate
 
 Array = NDArray[np.float64]
 
@@ -34,9 +34,9 @@ def live(subject: Subject, lines: Iterable[str]) -> Iterator[str]:
     check_known(reading_columns(header), names, NAME)
     places = [header.index(name) for name in ("time_s", *names)]
     yield ",".join(CSV_COLUMNS)
-    for time_s, told, estimate in _told(subject, _samples(given, places)):
-        share = (told.share[0], told.share_low[0], told.share_high[0])
-        yield csv_row(time_s, told.force_n[0], told.low_n[0], told.high_n[0], *share, estimate.outlier)
+    for time_s, force, estimate in _estimates(subject, _samples(given, places)):
+        share = (force.share[0], force.share_low[0], force.share_high[0])
+        yield csv_row(time_s, force.force_n[0], force.low_n[0], force.high_n[0], *share, estimate.outlier)
 
 
 def _counted(lines: Iterable[str]) -> Iterator[tuple[int, str]]:
@@ -75,16 +75,16 @@ def _sample(cells: list[str], places: list[int], shown: str) -> tuple[float, Arr
     return float(values[0]), values[1:]
 
 
-def _told(
+def _estimates(
     subject: Subject, samples: Iterable[tuple[float, Array]]
 ) -> Iterator[tuple[float, ForceEstimate, PressureEstimate]]:
-    observer, last = Observer(subject.calibrated, subject.noise), None
-    interval = ForceInterval(subject)
+    kalman, last = KalmanFilter(subject.sensor, subject.noise), None
+    interval = subject.force_interval()
     for time_s, volts in samples:
         if last is not None and time_s <= last:
             raise InputError(f"{NAME}: time_s = {time_s:.15g} does not come after {last:.15g}; times must rise.")
-        # A converter at its limit tells nothing.
-        seen = np.where(volts >= SATURATED * subject.table.range_v, np.nan, volts)
-        estimate = observer.see(seen, None if last is None else time_s - last)
+        # A converter at its limit holds no information.
+        valid_v = np.where(volts >= SATURATED * subject.table.range_v, np.nan, volts)
+        estimate = kalman.update_sample(valid_v, None if last is None else time_s - last)
         last = time_s
-        yield time_s, interval.tell([estimate]), estimate
+        yield time_s, interval.of([estimate]), estimate

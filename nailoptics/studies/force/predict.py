@@ -13,10 +13,10 @@ from ...commit import code_attributes
 from ...errors import InputError
 from ...scene.importers.sensor_recordings import SATURATED, Recording, read_sensor_recording
 from ...variables import variable
-from .force_interval import ForceEstimate, ForceInterval
-from .observer import Observer, PressureEstimate
-from .smoother import smoothed_estimates
+from .kalman import KalmanFilter, PressureEstimate, smoothed_estimates
+from .state_space import StateSpace
 from .subject import Subject, read_subject
+from .uncertainty import ForceEstimate
 
 Array = NDArray[np.float64]
 
@@ -49,9 +49,9 @@ def predict(
     press_n, release_n : the virtual switch closes above the first force and opens below the second. [N]
     smooth : use the samples after each as well, not only those before it.
 
-    Returns: Dataset over time: force_n with force_low_n and force_high_n (95 %; infinite where open above), proximal
-    share and pressures with theirs, arterial pressure, surprise and outlier of each sample, the regressions'
-    forces; its attributes hold what `prediction_summary` prints.
+    Returns: Dataset over time: force_n with force_low_n and force_high_n (95 %; infinite where the vessels are closed),
+    proximal share and pressures with theirs, arterial pressure, normalized innovation squared (`surprise`) and outlier
+    of each sample, the regressions' forces; its attributes hold what `prediction_summary` prints.
 
     Raises: InputError for readings of another board, or thresholds out of order.
     """
@@ -60,15 +60,15 @@ def predict(
     subject = subject if isinstance(subject, Subject) else read_subject(subject)
     recording = readings if isinstance(readings, Recording) else read_sensor_recording(readings)
     recording, warnings = _without_saturated(subject, recording.of(subject.table.names))
-    observer = Observer(subject.calibrated, subject.noise)
+    kalman = KalmanFilter(subject.sensor, subject.noise)
     samples = zip(recording.volts.T, [None, *np.diff(recording.time_s)], strict=True)
     if smooth:
-        estimates = smoothed_estimates(observer, samples)
+        estimates = smoothed_estimates(kalman, samples)
     else:
-        estimates = [observer.see(volts, since_s) for volts, since_s in samples]
-    interval = ForceInterval(subject)
-    told, above_n = interval.tell(estimates), interval.open_above_n
-    result = _dataset(subject, recording, observer, estimates, told, press_n=press_n, release_n=release_n)
+        estimates = [kalman.update_sample(volts, since_s) for volts, since_s in samples]
+    interval = subject.force_interval()
+    forces, above_n = interval.of(estimates), interval.saturated_above_n
+    result = _dataset(subject, recording, kalman, estimates, forces, press_n=press_n, release_n=release_n)
     by_side = {f"open_above_{side}_n": force_n for side, force_n in above_n.items()}
     if subject.is_wrong:
         warnings.append(
@@ -130,50 +130,56 @@ def csv_row(
 def _dataset(
     subject: Subject,
     recording: Recording,
-    observer: Observer,
+    kalman: KalmanFilter,
     estimates: list[PressureEstimate],
-    told: ForceEstimate,
+    estimate: ForceEstimate,
     *,
     press_n: float,
     release_n: float,
 ) -> xr.Dataset:
     time_s, over = recording.time_s, "time"
-    data = variable("force_n", over, told.force_n, "force, told from the readings", units="N")
-    data |= variable("force_low_n", over, told.low_n, "lower bound of the force, 95 %", units="N")
-    data |= variable("force_high_n", over, told.high_n, "upper bound of the force, 95 %; infinite if open", units="N")
-    data |= variable("proximal_share", over, told.share, "proximal share of the force")
-    data |= variable("proximal_share_low", over, told.share_low, "lower bound of the proximal share, 95 %")
-    data |= variable("proximal_share_high", over, told.share_high, "upper bound of the proximal share, 95 %")
+    data = variable("force_n", over, estimate.force_n, "force, estimated from the readings", units="N")
+    data |= variable("force_low_n", over, estimate.low_n, "lower bound of the force, 95 %", units="N")
+    data |= variable(
+        "force_high_n",
+        over,
+        estimate.high_n,
+        "upper bound of the force, 95 %; infinite where the vessels are closed",
+        units="N",
+    )
+    data |= variable("proximal_share", over, estimate.share, "proximal share of the force")
+    data |= variable("proximal_share_low", over, estimate.share_low, "lower bound of the proximal share, 95 %")
+    data |= variable("proximal_share_high", over, estimate.share_high, "upper bound of the proximal share, 95 %")
     for k, side in enumerate(("proximal", "distal")):
-        values, error = 1e4 * told.pressure[k], 1e4 * told.pressure_stderr[k]
+        values, error = 1e4 * estimate.pressure[k], 1e4 * estimate.pressure_stderr[k]
         data |= variable(f"{side}_pressure_pa", over, values, f"{side} touch pressure", units="Pa", stderr=error)
     arterial = np.array([one.arterial_pa for one in estimates])
     data |= variable("arterial_change_pa", over, arterial, "arterial pressure less its mean", units="Pa")
-    surprise = np.array([one.surprise for one in estimates])
-    data |= variable("surprise", over, surprise, "squared distance of the readings from their prediction")
+    nis = np.array([one.nis for one in estimates])
+    data |= variable("surprise", over, nis, "normalized innovation squared of the readings (NIS)")
     outlier = np.array([one.outlier for one in estimates])
-    data |= variable("outlier", over, outlier, "too far off to be believed")
+    data |= variable("outlier", over, outlier, "NIS too large to be chance")
     forces = {name: one.force_n(recording.volts) for name, one in subject.baselines.items()}
     for name, force in forces.items():
         data |= variable(f"force_{name}_n", over, force, f"force by regression, {REGRESSIONS[name]}", units="N")
     known = np.full(time_s.shape, np.nan) if recording.force_n is None else recording.force_n
     data |= variable("known_force_n", over, known, "known force", units="N")
-    found = events(time_s, told.force_n, press_n=press_n, release_n=release_n)
+    found = events(time_s, estimate.force_n, press_n=press_n, release_n=release_n)
     true = events(time_s, np.nan_to_num(known), press_n=press_n, release_n=release_n)
     data |= _event_variables(found, true if recording.force_n is not None else None)
-    consistent, misfit = _consistency(subject, recording, observer, estimates, told.force_n)
-    inside = (known >= told.low_n) & (known <= told.high_n)
+    consistent, misfit = _consistency(subject, recording, kalman, estimates, estimate.force_n)
+    inside = (known >= estimate.low_n) & (known <= estimate.high_n)
     judged = np.isfinite(known)
-    touching = (told.force_n if recording.force_n is None else known) >= TOUCH_N
-    half_width = 0.5 * (told.high_n - told.low_n)[touching]
+    touching = (estimate.force_n if recording.force_n is None else known) >= TOUCH_N
+    half_width = 0.5 * (estimate.high_n - estimate.low_n)[touching]
     attributes = {
-        "rms_n": _rms(told.force_n - known),
+        "rms_n": _rms(estimate.force_n - known),
         "coverage_95": _mean(inside[judged]),
-        "touch_rms_n": _rms((told.force_n - known)[touching]),
+        "touch_rms_n": _rms((estimate.force_n - known)[touching]),
         "touch_coverage_95": _mean(inside[touching & judged]),
         "half_width_n": float(np.median(half_width)) if half_width.size else float("nan"),
         "touch_open_above": _mean(np.isinf(half_width)),
-        "chi2_per_dof": float(surprise.sum() / max(sum(one.count for one in estimates), 1)),
+        "chi2_per_dof": float(nis.sum() / max(sum(one.count for one in estimates), 1)),
         "outliers": float(outlier.mean()),
         "consistent": int(consistent),
         "misfit": misfit,
@@ -197,7 +203,7 @@ def _event_variables(found: list[tuple[float, str]], true: list[tuple[float, str
 
 
 def _consistency(
-    subject: Subject, recording: Recording, observer: Observer, estimates: list[PressureEstimate], force_n: Array
+    subject: Subject, recording: Recording, kalman: KalmanFilter, estimates: list[PressureEstimate], force_n: Array
 ) -> tuple[bool, str]:
     """Whether the readings fit the subject; else in one word what it looks like."""
     outlier = np.array([one.outlier for one in estimates])
@@ -205,18 +211,18 @@ def _consistency(
     still = np.abs(force_n - before_n) < STILL_N
     outliers = float(outlier[still].mean()) if still.any() else 1.0
     usual = [one for one in estimates if not one.outlier]
-    chi2 = sum(one.surprise for one in usual) / max(sum(one.count for one in usual), 1)
+    chi2 = sum(one.nis for one in usual) / max(sum(one.count for one in usual), 1)
     if outliers <= MOST_OUTLIERS and chi2 <= MOST_CHI2:
         return True, ""
-    return False, _pattern(subject, recording, observer)
+    return False, _pattern(recording, kalman.model)
 
 
-def _pattern(subject: Subject, recording: Recording, observer: Observer) -> str:
-    """What a misfit looks like: more light on all alike, less of all in proportion, or neither."""
-    off = np.nanmedian(recording.volts, axis=1) - (observer.offset_v + observer.rest_volts)
+def _pattern(recording: Recording, model: StateSpace) -> str:
+    """The likely cause of a misfit: more light on all alike, less of all in proportion, or neither."""
+    off = np.nanmedian(recording.volts, axis=1) - (model.offset_v + model.rest_v)
     patterns = {
         "ambient light, or another person": np.ones_like(off),
-        "a lifted sensor or other gain, or another person": observer.rest_volts,
+        "a lifted sensor or other gain, or another person": model.rest_v,
     }
     for name, shape in patterns.items():
         along = (off @ shape) ** 2 / ((shape @ shape) * max(float(off @ off), 1e-30))

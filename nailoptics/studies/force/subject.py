@@ -15,11 +15,10 @@ from ...hemodynamics.waves import CardiacOscillator, DampedOscillator
 from ...scene.importers.sensor_recordings import MOST_VOLTS
 from ...scene.text_files import parse_toml, read_text
 from .baselines import Regression
-from .correction import Correction
-from .observer import LINEAR, Calibrated, Noise
-from .person import NAMES, PRIORS, SPREAD_LN, Person, person
-from .pulp import Pulp
+from .person import NAMES, PRIORS, SPREAD_LN, Person, Pulp, person
 from .reading_table import POWERS, ReadingTable
+from .state_space import LINEAR, CalibratedSensor, Noise
+from .uncertainty import Correction, ForceInterval
 
 Array = NDArray[np.float64]
 
@@ -45,8 +44,8 @@ class Subject:
     factors_ln : (P,) float. Logarithms of the factors by NAMES.
     gain, offset_v, residual_rms_v : (R,) float.
     covariance : (P + 4 R, P + 4 R) float. Of factors, gains, offsets, and steeper slopes by the blood of either zone.
-    correction : of the pressures that the observer tells.
-    widening : float. How much wider than usual intervals are, where the calibration's own touches need it.
+    correction : of the pressures that the filter estimates.
+    coverage_factor : float. How much wider than usual intervals are, where the calibration's own touches need it.
     most_force_n : the largest calibrated force by site.
     chi2_per_dof, rms_n : of the fit's whitened residuals, and of the force told from the calibration's own readings.
     """
@@ -67,7 +66,7 @@ class Subject:
     residual_rms_v: Array
     noise: Noise
     correction: Correction
-    widening: float
+    coverage_factor: float
     most_force_n: dict[str, float]
     chi2_per_dof: float
     rms_n: float
@@ -122,15 +121,15 @@ class Subject:
             "rest_blood_fraction": (self.rest_blood, 1e-6, 1.0),
             "contact_area_cm2": (self.area_cm2, 1e-3, 1e3),
             "proximal_share": (self.share, 0.0, 1.0),
-            "widening": (self.widening, 1e-3, MOST_GAIN),
+            "widening": (self.coverage_factor, 1e-3, MOST_GAIN),
             "distal_reach": (self.distal_reach, 0.0, 1.0),
             "creep": (self.pulp.creep, 0.0, 1.0),
             "creep_s": (self.pulp.creep_s, 1e-3, MOST_GAIN),
             "recovery_s": (self.pulp.recovery_s, 0.0, MOST_GAIN),
             "drift_per_min": (self.noise.drift_per_min, 0.0, 1.0),
             "led_drift_per_min": (self.noise.led_drift_per_min, 0.0, 1.0),
-            "correction": (np.stack([self.correction.told, self.correction.pressed]), 0.0, MOST_GAIN),
-            "correction, rising": (np.diff(self.correction.told), 1e-6, MOST_GAIN),
+            "correction": (np.stack([self.correction.estimated, self.correction.applied]), 0.0, MOST_GAIN),
+            "correction, rising": (np.diff(self.correction.estimated), 1e-6, MOST_GAIN),
             "touch_rate_n_per_cm2_rt_s": (self.noise.touch_rate, 1e-6, MOST_GAIN),
             "moved_error": (self.noise.moved_error, 0.0, 1.0),
             "held_error": (self.noise.held_error, 0.0, 1.0),
@@ -176,10 +175,14 @@ class Subject:
         return self.rms_n > MOST_RMS_N
 
     @property
-    def calibrated(self) -> Calibrated:
-        """What the observer takes."""
+    def sensor(self) -> CalibratedSensor:
+        """The sensor that the filter takes."""
         make: Callable[[Array], Person] = self.person
-        return Calibrated(make, self.table, self.factors_ln, self.gain, self.offset_v, self.covariance)
+        return CalibratedSensor(make, self.table, self.factors_ln, self.gain, self.offset_v, self.covariance)
+
+    def force_interval(self) -> ForceInterval:
+        """Forces with their intervals from the filter's estimates."""
+        return ForceInterval(self.sensor, self.noise, correction=self.correction, coverage_factor=self.coverage_factor)
 
     @property
     def stderr(self) -> Array:
@@ -231,7 +234,7 @@ def subject_toml(subject: Subject) -> str:
                 "quality": {
                     "chi2_per_dof": subject.chi2_per_dof,
                     "rms_n": subject.rms_n,
-                    "widening": subject.widening,
+                    "widening": subject.coverage_factor,
                     "most_force_n": subject.most_force_n,
                 },
                 "factors": subject.factors(),
@@ -248,7 +251,7 @@ def subject_toml(subject: Subject) -> str:
                 "correction": {
                     side: {"told_n_per_cm2": told.tolist(), "pressed_n_per_cm2": pressed.tolist()}
                     for side, told, pressed in zip(
-                        ("proximal", "distal"), subject.correction.told, subject.correction.pressed, strict=True
+                        ("proximal", "distal"), subject.correction.estimated, subject.correction.applied, strict=True
                     )
                 },
                 "baselines": {
@@ -298,7 +301,7 @@ def parse_subject(text: str, *, name: str = "subject") -> Subject:
     except (KeyError, TypeError, ValueError, AttributeError, InputError, OverflowError) as error:
         if isinstance(error, InputError) and str(error).startswith(name):
             raise
-        raise InputError(f"{name}: is no whole subject file ({error!r:.80}); calibrate again.") from None
+        raise InputError(f"{name}: is not a valid subject file ({error!r:.80}); calibrate again.") from None
 
 
 def _numbers(found: Any, place: str = "") -> Iterator[tuple[str, float]]:
@@ -355,7 +358,7 @@ def _subject(found: dict[str, Any]) -> Subject:
         residual_rms_v=each("residual_rms_v"),
         noise=_noise(noise, each("noise_v")),
         correction=_correction(found["correction"]),
-        widening=float(quality["widening"]),
+        coverage_factor=float(quality["widening"]),
         most_force_n=dict(quality["most_force_n"]),
         chi2_per_dof=float(quality["chi2_per_dof"]),
         rms_n=float(quality["rms_n"]),

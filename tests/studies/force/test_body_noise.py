@@ -5,7 +5,7 @@ import pytest
 
 from nailoptics import hemodynamics
 from nailoptics.hemodynamics.beat_detection import beats_per_second
-from nailoptics.studies.force.body_noise import _cardiac_oscillator, _parted, _walk2
+from nailoptics.studies.force.body_noise import _cardiac_oscillator, _decompose, _random_walk_variance
 
 STEP_S = 0.02
 
@@ -18,12 +18,12 @@ def test_pressure_light_and_own_drift_are_told_apart() -> None:
     light = 2e-3 * walk * np.cumsum(rng.normal(size=count))
     own = 5e-4 * walk * np.cumsum(rng.normal(size=(8, count)), axis=1)
     pressure = 600.0 * np.sin(2 * np.pi * 1.1 * STEP_S * np.arange(count))
-    found, led, left = _parted(response, leds, response * pressure + leds * light + own, np.full(8, 1e-6))
+    found, led, left = _decompose(response, leds, response * pressure + leds * light + own, np.full(8, 1e-6))
     assert np.std(found - pressure - (found - pressure).mean()) < 1500.0
     time_s = STEP_S * np.arange(count)
     rests = np.mod(time_s, 10.0) < 1.0
-    assert np.sqrt(np.mean(_walk2(led, time_s, rests))) == pytest.approx(2e-3, rel=0.3)
-    assert np.sqrt(8 / 6 * np.mean(_walk2(left, time_s, rests))) == pytest.approx(5e-4, rel=0.3)
+    assert np.sqrt(np.mean(_random_walk_variance(led, time_s, rests))) == pytest.approx(2e-3, rel=0.3)
+    assert np.sqrt(8 / 6 * np.mean(_random_walk_variance(left, time_s, rests))) == pytest.approx(5e-4, rel=0.3)
 
 
 def test_what_readings_do_not_part_is_not_taken_for_much_of_both() -> None:
@@ -32,7 +32,7 @@ def test_what_readings_do_not_part_is_not_taken_for_much_of_both() -> None:
     # The pressure moves all readings nearly alike, as the light does; what is left of a fit is 1 % of each reading.
     response = 1e-6 * (1.0 + 1e-4 * np.linspace(-1, 1, 8))[:, None] * np.ones(count)
     residual = 0.01 * np.linspace(-1, 1, 8)[:, None] * rng.choice([-1.0, 1.0], count)
-    pressure, light, _ = _parted(response, leds, residual, np.full(8, 1e-6))
+    pressure, light, _ = _decompose(response, leds, residual, np.full(8, 1e-6))
     assert np.std(pressure) < 3000.0 and np.std(light) < 0.03
 
 

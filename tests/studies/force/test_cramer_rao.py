@@ -8,9 +8,9 @@ import pytest
 
 from nailoptics.hemodynamics import parameters
 from nailoptics.sensor import information
-from nailoptics.studies.force.correction import no_correction
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject, parse_subject
+from nailoptics.studies.force.uncertainty import no_correction
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def known() -> Subject:
         offset_v=np.zeros_like(found.gain),
         covariance=1e-14 * np.eye(len(found.covariance)),
         distal_reach=0.0,
-        widening=1.0,
+        coverage_factor=1.0,
         correction=no_correction(),
         noise=replace(
             found.noise,

@@ -6,8 +6,7 @@ import made_sensor
 import numpy as np
 import pytest
 
-from nailoptics.studies.force.force_interval import ForceInterval
-from nailoptics.studies.force.observer import Observer, PressureEstimate
+from nailoptics.studies.force.kalman import KalmanFilter, PressureEstimate
 from nailoptics.studies.force.subject import parse_subject
 
 SAMPLES, BEFORE_TOUCH = 200, slice(40, 50)
@@ -21,12 +20,12 @@ def at_rest_n(touches: int) -> Iterator[float]:
     rest_v = volts[:, :40].mean(1, keepdims=True)
     unlike = np.where(np.arange(len(volts)) < len(volts) // 2, 0.9, 1.1)[:, None]
     volts = rest_v + (volts - rest_v) * unlike
-    observer, interval = Observer(subject.calibrated, subject.noise), ForceInterval(subject)
+    observer, interval = KalmanFilter(subject.sensor, subject.noise), subject.force_interval()
     for touch in range(touches):
         estimates: list[PressureEstimate] = []
         for k, sample_v in enumerate(volts.T):
-            estimates.append(observer.see(sample_v, made_sensor.STEP_S if touch or k else None))
-        yield float(interval.tell(estimates[BEFORE_TOUCH]).force_n.mean())
+            estimates.append(observer.update_sample(sample_v, made_sensor.STEP_S if touch or k else None))
+        yield float(interval.of(estimates[BEFORE_TOUCH]).force_n.mean())
 
 
 def test_touches_leave_the_zero_of_the_force_where_it_is() -> None:

@@ -15,8 +15,8 @@ from nailoptics.scene.importers.sensor_recordings import SITES, Recording, recor
 from nailoptics.studies.force.body_noise import MOVED_ERROR
 from nailoptics.studies.force.calibrate import PAPER_FACTORS, _checked, _warnings, calibrate_with
 from nailoptics.studies.force.fit import Fit
+from nailoptics.studies.force.kalman import DIVERGED, READING_CORRELATION_S, WIDTHS, KalmanFilter
 from nailoptics.studies.force.live import live
-from nailoptics.studies.force.observer import READING_LASTS_S, RUN_AWAY, WIDTHS, Observer
 from nailoptics.studies.force.person import NAMES, PRIORS, force_of, person
 from nailoptics.studies.force.predict import csv_rows, events, predict
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
@@ -199,7 +199,7 @@ def test_readings_that_are_a_little_off_while_the_blood_moves_are_no_outliers() 
     force = np.interp(time_s, [0.0, 1.0, 1.16, 3.0, 3.16, 5.0, 5.16, 7.0, 7.16], [0, 0, 0.5, 0.5, 0, 0, 1.5, 1.5, 0])
     recorded = made_sensor.record(force, "proximal", seed=4)
     # What no blood of two zones does: neighbours are off in opposite ways, and come back.
-    lagging = np.exp(-np.arange(time_s.size) * made_sensor.STEP_S / READING_LASTS_S)
+    lagging = np.exp(-np.arange(time_s.size) * made_sensor.STEP_S / READING_CORRELATION_S)
     moved = np.array([np.convolve(row, lagging)[: row.size] for row in np.diff(recorded.volts, prepend=0.5, axis=1)])
     moved[:, time_s < 1.0] = 0.0
     off = MOVED_ERROR * moved * np.where(np.arange(len(moved)) % 2, 1.0, -1.0)[:, None]
@@ -238,17 +238,17 @@ def test_quick_touches_are_asked_for_where_there_are_none(let_go_s: float, advic
 
 def test_a_filter_that_ran_away_starts_anew_and_its_readings_are_flagged(subject: Subject, table: ReadingTable) -> None:
     recorded = _record(table, _steps(), "proximal", seed=13)
-    fresh, observer = (Observer(subject.calibrated, subject.noise) for _ in range(2))
+    fresh, kalman = (KalmanFilter(subject.sensor, subject.noise) for _ in range(2))
     for volts in recorded.volts.T[:150]:
-        observer.see(volts, STEP_S)
+        kalman.update_sample(volts, STEP_S)
     # Past closure a soft vein is hardly known: the filter goes on nonetheless.
-    observer.covariance[2, 2] = 2.0**2
-    assert observer.foresee(STEP_S) is not None
-    assert (observer.state[WIDTHS] != 1.0).all()
-    observer.covariance[WIDTHS, WIDTHS] = (100 * RUN_AWAY) ** 2
-    assert observer.foresee(STEP_S) is None
-    np.testing.assert_array_equal(observer.state, fresh.state)
-    np.testing.assert_array_equal(observer.covariance, fresh.covariance)
+    kalman.covariance[2, 2] = 2.0**2
+    assert kalman.predict(STEP_S) is not None
+    assert (kalman.state[WIDTHS] != 1.0).all()
+    kalman.covariance[WIDTHS, WIDTHS] = (100 * DIVERGED) ** 2
+    assert kalman.predict(STEP_S) is None
+    np.testing.assert_array_equal(kalman.state, fresh.state)
+    np.testing.assert_array_equal(kalman.covariance, fresh.covariance)
     # Readings that no finger gives are answered to the end.
     wild = recorded.volts * np.random.default_rng(0).choice([0.01, 0.3, 1.0, 3.0], recorded.volts.shape)
     told = predict(subject, replace(recorded, volts=wild))

@@ -5,27 +5,25 @@ import pytest
 
 from nailoptics.hemodynamics import parameters
 from nailoptics.hemodynamics.steady import solve_walls
-from nailoptics.studies.force.heartbeat import PulsedBlood
-from nailoptics.studies.force.network import touch_on_walls
-from nailoptics.studies.force.person import person
+from nailoptics.studies.force.person import PulsatileGain, person, touch_on_walls
 
 
 @pytest.mark.parametrize("touch", [(0.0, 0.0), (0.25, 0.0), (0.0, 0.4), (0.13, 0.31)])
 def test_a_beat_moves_the_blood_as_a_slow_change_of_the_pressure_does(touch: tuple[float, float]) -> None:
     who = person(parameters("best"), {"distal_reach": 1.5}, rest_blood=0.03, area_cm2=1.0, share=0.5, distal_reach=0.2)
     highest = np.array([1.0, 2.0])
-    pulsed, held = PulsedBlood(who, highest), np.array(touch)
+    pulsed, held = PulsatileGain(who, highest), np.array(touch)
 
     def blood(touch: np.ndarray, higher_pa: float) -> np.ndarray:
         outside = touch_on_walls(touch[:, None], who.distal_reach)
         width, _ = solve_walls(who.walls, outside, np.array([who.arterial_pa + higher_pa]), np.array([who.venous_pa]))
         return who.blood(width / who.rest_m[:, None])[:, 0]
 
-    part, by_touch = pulsed.part(held)
+    part, by_touch = pulsed.at(held)
     # Straight between pressures an eighth of the highest apart.
     assert part == pytest.approx((blood(held, 10.0) - blood(held, -10.0)) / 20.0 / blood(held, 0.0), rel=0.03)
     step = 1e-4
-    moved = [(pulsed.part(held + one)[0] - pulsed.part(held)[0]) / step for one in step * np.eye(2)]
+    moved = [(pulsed.at(held + one)[0] - pulsed.at(held)[0]) / step for one in step * np.eye(2)]
     assert np.array(moved).T == pytest.approx(by_touch, rel=1e-6)
     # Past the highest it stays.
-    assert pulsed.part(2 * highest)[0] == pytest.approx(pulsed.part(highest)[0], rel=0.01)
+    assert pulsed.at(2 * highest)[0] == pytest.approx(pulsed.at(highest)[0], rel=0.01)

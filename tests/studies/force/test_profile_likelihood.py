@@ -10,9 +10,8 @@ from scipy.optimize import least_squares
 from nailoptics.hemodynamics.for_scene import vessels
 from nailoptics.report.pages.force import profiles_figure
 from nailoptics.studies.force.calibrate import _dataset
-from nailoptics.studies.force.fit import Fit
+from nailoptics.studies.force.fit import OFFSETS, Fit, Profile, profile_of
 from nailoptics.studies.force.person import NAMES
-from nailoptics.studies.force.profile_likelihood import OFFSETS, Profile, profile_of
 
 # Of finite differences, which all are worked out together.
 STEP = 1e-7

@@ -11,8 +11,7 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import creeping_pressure, spreading_pressure
 from nailoptics.studies.force.calibrate import calibrate_with
-from nailoptics.studies.force.person import USUAL_PULP
-from nailoptics.studies.force.pulp import Pulp
+from nailoptics.studies.force.person import USUAL_PULP, Pulp
 from nailoptics.studies.force.subject import parse_subject
 
 
@@ -44,7 +43,7 @@ def test_what_the_scene_states_of_the_pulp_is_kept() -> None:
 @pytest.mark.parametrize("name", ["creep", "creep_s", "recovery_s"])
 def test_a_subjects_pulp_that_is_no_number_is_refused(name: str, value: str) -> None:
     text = re.sub(rf"^{name} = .*$", f"{name} = {value}", made_sensor.subject(), flags=re.M)
-    with pytest.raises(InputError, match="is no whole subject file"):
+    with pytest.raises(InputError, match="is not a valid subject file"):
         parse_subject(text)
 
 

@@ -1,0 +1,306 @@
+"""Interacting-multiple-model (IMM) extended Kalman filter of the touch, and its Rauch-Tung-Striebel smoother.
+
+Modes are touches that move slowly and touches that step; they differ in the process noise of the touch pressures alone,
+and share one state, to which all are merged after each sample. In symbols of the textbook: x `state`, P `covariance`,
+F `transition`, H `jacobian`, nu `innovation`, S `innovation_covariance`, R `measurement_noise`, K `gain`,
+mu `mode_probability`, Pi `mode_transition`.
+
+References: Bar-Shalom, Li, Kirubarajan 2001, Estimation with Applications to Tracking and Navigation: sec. 5.2.3
+(Kalman filter, Joseph form), 5.4.2 (normalized innovation squared), 10.3 (extended), 10.5.2 (iterated), 11.6 (multiple
+models; merged once per sample as the first-order generalized pseudo-Bayesian estimator, with the mode transitions of
+the IMM, Blom and Bar-Shalom 1988). Smoother: Rauch, Tung, Striebel 1965, AIAA J. 3:1445; modes as in Kim 1994,
+J. Econometrics 60:1.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.linalg import cho_factor, cho_solve
+
+from .person import LONGEST_STEP_S
+from .state_space import ACTING, LEAST_WIDTH, PULP, TOUCH, WIDTHS, CalibratedSensor, Noise, StateSpace, touch_pressure
+
+Array = NDArray[np.float64]
+Sample = tuple[Array, float | None]
+
+# Modes: random walks of the touch of these times the usual rate, each kept for so long on average. [1, s]
+MODE_RATE, MODE_DURATION_S = np.array([1.0, 10.0]), np.array([2.0, 0.3])
+# Correlation time of the error of readings that follows the blood's movement. [s]
+READING_CORRELATION_S = 0.4
+# Iterations of the update at most, each of which moves a coordinate no further than this; they end below the last.
+ITERATIONS, FARTHEST, CONVERGED = 5, 0.3, 1e-3
+# A finger rests as often as it touches, with pressures of this range on either side: prior of rest. [N/cm^2]
+TOUCH_RANGE = 0.5
+# Standard error of the zero after a second of rest. [N/cm^2 sqrt(s)]
+ZERO_STDERR = 0.025
+# A sample whose normalized innovation squared lies above this quantile of chi-squared is an outlier.
+OUTLIER = 0.999
+# After gaps longer than this the filter starts anew. [s]
+LONGEST_GAP_S = 5.0
+# So does one that diverged: widths over rest that are known no better than this. A soft vein past closure is known to
+# no more than 2, and must not be taken for one: to start anew is to take it for rest.
+DIVERGED = 5.0
+# What rounding adds to a predicted variance in the smoother, in parts of it.
+ROUNDING = 1e-12
+
+
+@dataclass
+class PressureEstimate:
+    """Estimate of one sample.
+
+    touch : (2,) float. Coordinates of both pressures; `touch_pressure` makes pressures of them. [N/cm^2]
+    covariance : (2, 2) float. Of these, were the person known exactly.
+    arterial_pa : float. By how much P_H is off its mean. [Pa]
+    nis : float. Normalized innovation squared of the readings.
+    count : int. Readings that the sample has.
+    outlier : bool. Whether the NIS is too large to be chance.
+    """
+
+    touch: Array
+    covariance: Array
+    arterial_pa: float
+    nis: float
+    count: int
+    outlier: bool
+
+
+def mode_transition(since_s: float) -> Array:
+    """Probabilities (M, M) with which a touch of one mode is in each a while later."""
+    stay = np.exp(-since_s / MODE_DURATION_S)
+    leave = (1.0 - stay) / (len(MODE_RATE) - 1)
+    return np.asarray(np.diag(stay - leave) + leave[:, None])
+
+
+def rest_odds(touch: Array, covariance: Array) -> Array:
+    """Odds (...) of a resting finger over one that touches, for estimates (..., 2) of covariances (..., 2, 2)."""
+    mahalanobis2 = np.einsum("...i,...ij,...j->...", touch, np.linalg.inv(covariance), touch)
+    density = np.exp(-0.5 * mahalanobis2) / (2 * np.pi * np.sqrt(np.linalg.det(covariance)))
+    return np.asarray(TOUCH_RANGE**2 * density)
+
+
+class KalmanFilter:
+    """Estimates the touch from readings, one sample after the other.
+
+    state, covariance : merged over modes. mode_probability : (M,) float.
+    mode_covariance : (M, size, size) float. Predicted, of each mode.
+    crept : (2,) float. Pressures as the pulp has crept under them. [N/cm^2]
+    """
+
+    def __init__(self, sensor: CalibratedSensor, noise: Noise) -> None:
+        self.model = StateSpace(sensor, noise)
+        self.restart()
+
+    def restart(self) -> None:
+        """Start anew, from an untouched finger."""
+        self.state, self.covariance = self.model.initial()
+        self.crept = np.zeros(2)
+        # Part of the readings that the blood makes, and how far it has just moved. [V]
+        self._blood_v, self._moved_v = self.model.measurement(self.state)[0], np.zeros(len(self.model.gain))
+        self.mode_probability = np.full(len(MODE_RATE), 1.0 / len(MODE_RATE))
+        self.mode_covariance = np.repeat(self.covariance[None], len(MODE_RATE), axis=0)
+
+    def update_sample(self, volts: Array, since_s: float | None) -> PressureEstimate:
+        """Predict and update by one sample.
+
+        volts : (R,) float; NaN where a reading has a gap. [V]
+        since_s : time from the sample before it; None for the first. [s]
+        """
+        if since_s is not None:
+            self.predict(since_s)
+        return self.update(volts, since_s)
+
+    def predict(self, since_s: float) -> Array | None:
+        """Predict the next sample; returns the transition F from the one before, or None where the filter restarted."""
+        if since_s > LONGEST_GAP_S:
+            self.restart()
+            return None
+        self.model.resolve_harmonics(since_s)
+        self.mode_probability = self.mode_probability @ mode_transition(since_s)
+        self._moved_v = self._moved_v * np.exp(-since_s / READING_CORRELATION_S)
+        self.mode_covariance = np.repeat(self.covariance[None], len(MODE_RATE), axis=0)
+        transition, steps = np.eye(self.model.size), max(1, math.ceil(since_s / LONGEST_STEP_S - 1e-9))
+        with np.errstate(over="ignore", invalid="ignore"):
+            for _ in range(steps):
+                transition = self._predict_step(since_s / steps) @ transition
+        # Readings of another person can drive a filter out of all bounds: it then knows nothing.
+        variance = np.einsum("mii->mi", self.mode_covariance)
+        if not (np.isfinite(variance).all() and (variance[:, WIDTHS] < DIVERGED**2).all()):
+            self.restart()
+            return None
+        return transition
+
+    def _predict_step(self, step_s: float) -> Array:
+        """Predict state and covariance of each mode by one step of the network; returns its transition F."""
+        variance = np.einsum("m,mii->i", self.mode_probability, self.mode_covariance)[:ACTING]
+        after, transition, noise = self.model.process(self.state, np.sqrt(variance), self.crept, step_s)
+        pulp = self.model.person.pulp
+        self.crept = pulp.creep_step(self.crept, touch_pressure(self.state[TOUCH]), step_s)
+        before = self.mode_covariance.copy()
+        before[:, [3, 4], [3, 4]] += (step_s * (self.model.noise.touch_rate * MODE_RATE) ** 2)[:, None]
+        self.mode_covariance = transition @ before @ transition.T + noise
+        self.state = after
+        return transition
+
+    def update(self, volts: Array, since_s: float | None) -> PressureEstimate:
+        """Update the prediction by a sample (R,) [V], so long after the one before it."""
+        valid = np.isfinite(volts)
+        nis = self._update(volts, valid, self._measurement_variance(since_s))
+        self._update_zero(min(since_s or 0.0, LONGEST_GAP_S))
+        blood_v = self.model.measurement(self.state)[0] - self.model.rest_v * self.state[self.model.drift]
+        self._moved_v, self._blood_v = self._moved_v + blood_v - self._blood_v, blood_v
+        return PressureEstimate(
+            touch=self.model.sensed_touch(self.state, self.crept),
+            covariance=self.covariance[TOUCH, TOUCH].copy(),
+            arterial_pa=self.model.arterial_pa(self.state),
+            nis=nis,
+            count=int(valid.sum()),
+            outlier=nis > _chi2_quantile(int(valid.sum()), OUTLIER),
+        )
+
+    def _measurement_variance(self, since_s: float | None) -> Array:
+        """Measurement noise of each reading, (R,) float: white noise, and what the model misses of the blood. [V^2]"""
+        noise = self.model.noise
+        # Samples within the correlation time count as one.
+        correlated = max(1.0, READING_CORRELATION_S / since_s) if since_s else 1.0
+        held_v = self._blood_v - self.model.offset_v - self.model.rest_v
+        misfit_v2 = (noise.moved_error * self._moved_v) ** 2 + (noise.held_error * held_v) ** 2
+        return np.asarray(noise.reading_v**2 + correlated * misfit_v2)
+
+    def _update(self, volts: Array, valid: NDArray[np.bool_], variance: Array) -> float:
+        """Iterated update of all modes by the valid readings, merged; returns the normalized innovation squared."""
+        predicted = state = self.state
+        measurement_noise, nis, probability = np.diag(variance[valid]), 0.0, self.mode_probability
+        for iteration in range(ITERATIONS):
+            expected, jacobian = self.model.measurement(state)
+            innovation, jacobian = (volts - expected)[valid], jacobian[valid]
+            by_state = jacobian @ self.mode_covariance
+            innovation_covariance = by_state @ jacobian.T
+            if iteration == 0:
+                mode_nis, log_likelihood = _likelihood(innovation, innovation_covariance + measurement_noise)
+                probability = _posterior(probability, log_likelihood)
+                nis = float(probability @ mode_nis)
+                # Outliers count for less.
+                measurement_noise = measurement_noise * max(1.0, nis / _chi2_quantile(len(innovation), OUTLIER))
+            innovation_covariance = innovation_covariance + measurement_noise
+            gain = np.moveaxis(np.linalg.solve(innovation_covariance, by_state), 1, 2)
+            corrections = gain @ (innovation - jacobian @ (predicted - state))
+            moved = predicted + probability @ corrections - state
+            moved[:ACTING] = np.clip(moved[:ACTING], -FARTHEST, FARTHEST)
+            state = state + moved
+            if np.abs(moved[:ACTING]).max() < CONVERGED:
+                break
+        # Joseph form, which stays positive for any gain; merged with the spread of the modes' means.
+        rest = np.eye(self.model.size) - gain @ jacobian
+        updated = rest @ self.mode_covariance @ np.moveaxis(rest, 1, 2)
+        updated = updated + gain @ measurement_noise @ np.moveaxis(gain, 1, 2)
+        from_mean = corrections - probability @ corrections
+        self.mode_probability = probability
+        self.covariance = np.einsum("m,mij->ij", probability, updated) + (probability * from_mean.T) @ from_mean
+        self.state = self.model.bound_touch(state, self.covariance)
+        self.state[WIDTHS] = np.maximum(self.state[WIDTHS], LEAST_WIDTH)
+        self.state[PULP] = np.clip(self.state[PULP], 0.0, self.model.touch_bounds[1][1])
+        return nis
+
+    def _update_zero(self, since_s: float) -> None:
+        """Update by the knowledge that the touch is 0, weighted by the probability that the finger rests."""
+        touch, covariance = self.state[TOUCH], self.covariance[TOUCH, TOUCH]
+        odds = rest_odds(touch, covariance)
+        information = odds / (1.0 + odds) * since_s / ZERO_STDERR**2
+        gain = self.covariance[:, TOUCH] * information @ np.linalg.inv(np.eye(2) + covariance * information)
+        self.state = self.state - gain @ touch
+        self.covariance = self.covariance - gain @ self.covariance[TOUCH]
+
+
+class FilterStep(NamedTuple):
+    """A sample of the forward pass.
+
+    estimate, state, covariance, probability : after the update by its readings.
+    transition : F from the sample before; None where the filter restarted. since_s : time from it. [s]
+    predicted, mode_covariance, predicted_probability : before the update.
+    """
+
+    estimate: PressureEstimate
+    state: Array
+    covariance: Array
+    probability: Array
+    transition: Array | None
+    since_s: float
+    predicted: Array
+    mode_covariance: Array
+    predicted_probability: Array
+
+
+Smoothed = tuple[Array, Array, Array]
+
+
+def smoothed_estimates(kalman: KalmanFilter, samples: Iterable[Sample]) -> list[PressureEstimate]:
+    """Estimates of samples (volts and time from the sample before), each from all of them: fixed-interval smoothing.
+
+    A backward pass over the linearised steps. The covariance predicted for a sample is no less than what the step made
+    of that before it, so that a difference shrinks on its way back: the pass is stable.
+    """
+    steps = [_forward_step(kalman, volts, since_s) for volts, since_s in samples]
+    estimates: list[PressureEstimate] = []
+    later, smoothed = None, (np.empty(0),) * 3
+    for one in reversed(steps):
+        if later is None or later.transition is None:
+            smoothed = one.state, one.covariance, one.probability
+        else:
+            state, covariance, probability = rts_step(one, later, smoothed)
+            smoothed = kalman.model.bound_touch(state, covariance), covariance, probability
+        later = one
+        touch = one.estimate.touch + smoothed[0][TOUCH] - one.state[TOUCH]
+        arterial_pa = kalman.model.arterial_pa(smoothed[0])
+        estimates.append(
+            replace(one.estimate, touch=touch, covariance=smoothed[1][TOUCH, TOUCH].copy(), arterial_pa=arterial_pa)
+        )
+    return estimates[::-1]
+
+
+def _forward_step(kalman: KalmanFilter, volts: Array, since_s: float | None) -> FilterStep:
+    transition = None if since_s is None else kalman.predict(since_s)
+    predicted = kalman.state, kalman.mode_covariance, kalman.mode_probability
+    estimate = kalman.update(volts, since_s)
+    updated = kalman.state, kalman.covariance, kalman.mode_probability
+    return FilterStep(estimate, *updated, transition, since_s or 0.0, *predicted)
+
+
+def rts_step(one: FilterStep, later: FilterStep, smoothed: Smoothed) -> Smoothed:
+    """Smoothed state, covariance and mode probabilities of a sample from those of the sample after it."""
+    later_state, later_covariance, later_probability = smoothed
+    assert later.transition is not None
+    predicted_covariance = np.einsum("m,mij->ij", later_probability, later.mode_covariance)
+    # In standard deviations: pascals and widths lie far apart.
+    scale = np.sqrt(np.diag(predicted_covariance))
+    correlation = predicted_covariance / np.outer(scale, scale) + ROUNDING * np.eye(len(scale))
+    gain = cho_solve(cho_factor(correlation), (later.transition @ one.covariance) / scale[:, None]).T / scale
+    state = one.state + gain @ (later_state - later.predicted)
+    covariance = one.covariance + gain @ (later_covariance - predicted_covariance) @ gain.T
+    ratio = later_probability / np.maximum(later.predicted_probability, 1e-300)
+    probability = one.probability * (mode_transition(later.since_s) @ ratio)
+    return state, covariance, probability / probability.sum()
+
+
+def _likelihood(innovation: Array, innovation_covariance: Array) -> tuple[Array, Array]:
+    """Normalized innovations squared (M,) and log-likelihoods of an innovation (r,) of covariances (M, r, r)."""
+    root = np.linalg.cholesky(innovation_covariance)
+    columns = np.broadcast_to(innovation[:, None], (len(root), len(innovation), 1))
+    nis = (np.linalg.solve(root, columns) ** 2).sum((1, 2))
+    return nis, -0.5 * nis - np.log(np.einsum("mii->mi", root)).sum(1)
+
+
+def _posterior(probability: Array, log_likelihood: Array) -> Array:
+    """Mode probabilities (M,) after a sample."""
+    after = probability * np.exp(log_likelihood - log_likelihood.max())
+    return np.asarray(after / after.sum())
+
+
+@lru_cache
+def _chi2_quantile(readings: int, part: float) -> float:
+    return float(stats.chi2.ppf(part, max(readings, 1)))

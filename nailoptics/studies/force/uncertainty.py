@@ -1,0 +1,261 @@
+"""From the filter's estimates to a force with its 95 % interval: correction of the network, calibration uncertainty.
+
+The interval has no upper bound where the vessels are closed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm, qmc
+
+from ...hemodynamics.steady import solve_walls
+from .kalman import PressureEstimate, rest_odds
+from .person import NAMES, Person, VesselClosure, force_of, touch_on_walls, vessel_closure
+from .state_space import CalibratedSensor, Noise, touch_pressure
+
+Array = NDArray[np.float64]
+
+# The curve bends at these parts of the pressure at closure.
+BENDS = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0])
+# The curve is fitted to touches up to this part of closure.
+FITTED_TO = 0.8
+# Beforehand the network is trusted to this part of a pressure, and neighbouring bends differ by no more than that.
+SPREAD, SMOOTHNESS = 0.3, 0.15
+# Noise of an estimated pressure and its correlation time. [N/cm^2, s]
+NOISE, CORRELATION_S = 0.1, 1.0
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What a fitted network gets wrong of a touch: a curve from estimated to applied pressure for each side.
+
+    estimated, applied : (2, K) float. Proximal and distal, rising from 0; straight between them. [N/cm^2]
+    """
+
+    estimated: Array
+    applied: Array
+
+    def apply(self, estimated: Array) -> Array:
+        """Corrected pressures (2, *S) of estimated ones. [N/cm^2]"""
+        sides = zip(estimated, self.estimated, self.applied, strict=True)
+        # Past its end the curve goes on in proportion.
+        return np.stack([np.interp(one, bends, ends) * np.maximum(one / bends[-1], 1.0) for one, bends, ends in sides])
+
+
+def no_correction() -> Correction:
+    """The curve of a network that is exact."""
+    return Correction(np.tile(BENDS, (2, 1)), np.tile(BENDS, (2, 1)))
+
+
+def fit_correction(closure: VesselClosure, sides: Sequence[tuple[Array, Array, Array]]) -> Correction:
+    """The curve from touches of one side each.
+
+    sides : proximal and distal: times [s], estimated and applied pressures [N/cm^2], (T,) each; none without samples.
+    """
+    curves = [_curve(closed, *side) for closed, side in zip((closure.proximal, closure.distal), sides, strict=True)]
+    return Correction(*(np.stack(one) for one in zip(*curves, strict=True)))
+
+
+def _curve(closure: float, time_s: Array, estimated: Array, applied: Array) -> tuple[Array, Array]:
+    """One side's curve: least squares on its factors at the bends, held to 1 and to be smooth."""
+    bends = closure * BENDS
+    ones = np.eye(BENDS.size)
+    rows = [ones / SPREAD, np.diff(ones, axis=0) / SMOOTHNESS]
+    target = [np.full(BENDS.size, 1 / SPREAD), np.zeros(BENDS.size - 1)]
+    if time_s.size > 1:
+        # Past closure estimates do not depend on the force.
+        below = np.maximum(estimated, applied) < FITTED_TO * closure
+        correlated = max(1.0, CORRELATION_S / float(np.median(np.diff(time_s))))
+        hats = np.stack([np.interp(estimated[below], bends, one) for one in ones], axis=1)
+        rows.append(hats * bends / NOISE / np.sqrt(correlated))
+        target.append(applied[below] / NOISE / np.sqrt(correlated))
+    factor = np.linalg.lstsq(np.concatenate(rows), np.concatenate(target), rcond=None)[0]
+    # A harder touch is never estimated as a softer one.
+    return bends, np.maximum.accumulate(np.maximum(factor, 0.1) * bends)
+
+
+# Held touches of either side at which the error is found, in parts of closure.
+PARTS = np.array([0.0, 0.1, 0.25, 0.45, 0.7, 1.0])
+# Steps of derivatives: of the factors' logarithms, and of pressures in N/cm^2.
+STEP_LN, STEP = 0.05, 0.02
+# Prior of a pressure, where readings hardly depend on it. [N/cm^2]
+PRESSURE_PRIOR = 0.5
+AREAS = [NAMES.index("contact_area"), NAMES.index("proximal_area")]
+
+
+class CalibrationUncertainty:
+    """Errors of estimated pressures and contact areas by errors of a calibration: factors, gains, offsets, slopes.
+
+    A person who is not quite the calibrated one gives other readings under a held touch; the pressures that explain
+    them best, beside drift and noise, are off by so much.
+    """
+
+    def __init__(self, sensor: CalibratedSensor, noise: Noise) -> None:
+        self._sensor = sensor
+        closure = vessel_closure(sensor.make(sensor.factors_ln))
+        self._bends = np.array([closure.proximal, closure.distal])[:, None] * PARTS
+        rest_v = sensor.gain * sensor.table.slopes(sensor.make(sensor.factors_ln).blood(np.ones(2)))[0]
+        led = sensor.table.same_led() * rest_v[:, None]
+        drift = noise.drift_per_min**2 * np.diag(rest_v**2) + noise.led_drift_per_min**2 * led @ led.T
+        self._information = np.linalg.inv(drift + np.diag(noise.reading_v**2))
+        values, vectors = np.linalg.eigh(sensor.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        sides = [[self._jacobian(side, pressure) @ root for pressure in self._bends[side]] for side in range(2)]
+        self._root = np.array(sides)
+
+    def covariance(self, pressure: Array) -> Array:
+        """Covariance (T, 4, 4) of estimated pressures (2, T) and of the logarithms of the contact's areas."""
+        part = pressure[0] / np.maximum(pressure.sum(0), 1e-9)
+        root = np.zeros((pressure.shape[1], *self._root.shape[2:]))
+        for side, weight in enumerate((part, 1.0 - part)):
+            at = np.interp(pressure.sum(0), self._bends[side], np.arange(PARTS.size))
+            low = np.minimum(at.astype(int), PARTS.size - 2)
+            between = (at - low)[:, None, None]
+            found = self._root[side, low] * (1 - between) + self._root[side, low + 1] * between
+            root += weight[:, None, None] * found
+        return np.asarray(root @ np.moveaxis(root, 1, 2))
+
+    def _jacobian(self, side: int, pressure: float) -> Array:
+        """Derivatives (4, P + 4 R) of the estimate of a held touch by all parameters of the calibration."""
+        sensor, factors = self._sensor, np.repeat(self._sensor.factors_ln[:, None], 2 * len(NAMES), axis=1)
+        k = np.arange(len(NAMES))
+        factors[k, k] += STEP_LN
+        factors[k, k + len(NAMES)] -= STEP_LN
+        held = np.zeros(2)
+        held[side] = pressure
+        moved, _ = self._risen_v(sensor.make(factors), held[:, None])
+        by_factor = (moved[:, : len(NAMES)] - moved[:, len(NAMES) :]) / (2 * STEP_LN)
+        around = np.maximum(
+            held[:, None] + STEP * np.array([[1.0, 0.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, -1.0, 0.0]]), 0
+        )
+        near, steeper = self._risen_v(sensor.make(np.repeat(sensor.factors_ln[:, None], 5, axis=1)), around)
+        slopes = (near[:, :2] - near[:, 2:4]) / np.diag(around[:, :2] - around[:, 2:4])
+        by_slope = [np.diag(zone[:, 4]) for zone in steeper]
+        by_gain, by_offset = np.diag(near[:, 4] / sensor.gain), np.zeros((len(sensor.gain),) * 2)
+        by_parameter = np.column_stack([by_factor, by_gain, by_offset, *by_slope])
+        weighed = slopes.T @ self._information
+        by_touch = -np.linalg.solve(weighed @ slopes + np.eye(2) / PRESSURE_PRIOR**2, weighed @ by_parameter)
+        return np.vstack([by_touch, np.eye(by_parameter.shape[1])[AREAS]])
+
+    def _risen_v(self, who: Person, pressure: Array) -> tuple[Array, Array]:
+        """Volts of every reading over those at rest, (R, S), of many people under held pressures (2, S).
+
+        And what steeper slopes by the blood of either zone add to them, (2, R, S).
+        """
+        shape = who.rest_m.shape[1:]
+        outside = touch_on_walls(np.broadcast_to(pressure, (2, *shape)), who.distal_reach)
+        full = np.ones(shape)
+        held, _ = solve_walls(who.walls, outside, who.arterial_pa * full, who.venous_pa * full)
+        blood, rest = who.blood(held / who.rest_m), who.blood(np.ones_like(held))
+        volts = self._sensor.table.volts(blood)
+        risen = self._sensor.gain[:, None] * (volts - self._sensor.table.volts(rest))
+        return risen, volts * (blood - rest)[:, None]
+
+
+# Points that stand for the Gaussian of both pressures: quantiles to some 2 % of a spread.
+POINTS = 256
+QUANTILES = (0.025, 0.975)
+# Below this force, where pressures bend to 0, there may be no touch at all, and it has no place. [N]
+LEAST_FORCE_N = 0.03
+# Standard errors are this part of those of filter and calibration together, as both count some of what the model
+# misses: chosen on the virtual people, of whose touches the 95 % intervals otherwise cover 97 to 100 %.
+INTERVAL_SCALE = 0.82
+# An interval of the share as wide as this holds no information.
+UNKNOWN_SHARE = 0.9
+
+
+@dataclass(frozen=True)
+class ForceEstimate:
+    """Force of T samples.
+
+    force_n, low_n, high_n : (T,) float; high_n is infinite where the vessels are closed. [N]
+    share, share_low, share_high : (T,) float. Proximal part of it; 0 to 1 where it is not known.
+    pressure, pressure_stderr : (2, T) float. Proximal and distal. [N/cm^2]
+    """
+
+    force_n: Array
+    low_n: Array
+    high_n: Array
+    share: Array
+    share_low: Array
+    share_high: Array
+    pressure: Array
+    pressure_stderr: Array
+
+
+class ForceInterval:
+    """Forces with 95 % intervals of the filter's estimates, for one sample or many.
+
+    coverage_factor : how much wider than usual intervals are.
+    """
+
+    def __init__(
+        self, sensor: CalibratedSensor, noise: Noise, *, correction: Correction, coverage_factor: float
+    ) -> None:
+        person = sensor.make(sensor.factors_ln)
+        self.areas_cm2 = float(person.area_cm2) * np.array([float(person.proximal_area), 1.0])
+        self.person, self.correction = person, correction
+        self.scale = INTERVAL_SCALE * coverage_factor
+        closure = vessel_closure(person)
+        self._closed = self.correction.apply(np.array([[closure.proximal], [closure.distal]]))
+        self._calibration = CalibrationUncertainty(sensor, noise)
+        self._points = norm.ppf(qmc.Sobol(2, scramble=True, seed=0).random(POINTS)).T
+        ends = np.diag([closure.proximal, closure.distal])
+        part = np.sqrt(np.einsum("tii->ti", self._calibration_covariance(ends)[0]).diagonal()) / ends.diagonal()
+        # The least force that closes the vessels on either side. [N]
+        self._least_closing_n = self.areas_cm2 * self._closed[:, 0] * np.exp(-2 * part)
+
+    @property
+    def saturated_above_n(self) -> dict[str, float]:
+        """Force of a touch on either side from which its interval may have no upper bound. [N]"""
+        return dict(zip(("proximal", "distal"), (self.areas_cm2 * self._closed[:, 0]).tolist(), strict=True))
+
+    def of(self, estimates: list[PressureEstimate]) -> ForceEstimate:
+        """The forces of some samples."""
+        touch = np.array([one.touch for one in estimates])
+        by_calibration, pressure_by_calibration = self._calibration_covariance(touch_pressure(touch.T))
+        by_filter = np.array([one.covariance for one in estimates]) * self.scale**2
+        covariance = by_filter + by_calibration
+        values, vectors = np.linalg.eigh(covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+        cloud = np.einsum("tij,jp->itp", root, self._points)
+        pressures = self.correction.apply(touch_pressure(touch.T[:, :, None] + cloud))
+        area_cm2, proximal_area = float(self.person.area_cm2), float(self.person.proximal_area)
+        force, share = force_of(pressures, area_cm2, proximal_area)
+        low, high = np.quantile(force, QUANTILES, axis=1)
+        share_low, share_high = np.quantile(share, QUANTILES, axis=1)
+        pressure = self.correction.apply(touch_pressure(touch.T))
+        middle, middle_share = force_of(pressure, area_cm2, proximal_area)
+        closed = self._closed
+        highest = np.quantile(pressures, QUANTILES[1], axis=2)
+        saturated = (highest >= closed).any(0)
+        # Past closure a harder touch reads the same: neither bound lies above it.
+        floor = np.where(highest >= closed, self._least_closing_n[:, None], np.inf).min(0)
+        low = np.where(saturated, np.minimum(low, floor), low)
+        # Where rest is no less likely than the quantile, the bound is 0.
+        resting = rest_odds(touch, covariance)
+        low = np.where((low < LEAST_FORCE_N) | (resting > QUANTILES[0]), 0.0, low)
+        nowhere = (middle < LEAST_FORCE_N) | (share_high - share_low > UNKNOWN_SHARE)
+        return ForceEstimate(
+            force_n=middle,
+            low_n=np.minimum(low, middle),
+            high_n=np.where(saturated, np.inf, np.maximum(high, middle)),
+            share=middle_share,
+            share_low=np.where(nowhere, 0.0, share_low),
+            share_high=np.where(nowhere, 1.0, share_high),
+            pressure=pressure,
+            pressure_stderr=np.sqrt(np.maximum(np.einsum("tii->it", by_filter + pressure_by_calibration), 0.0)),
+        )
+
+    def _calibration_covariance(self, pressure: Array) -> tuple[Array, Array]:
+        """Covariances (T, 2, 2) of forces over the contact's areas, and of the pressures themselves.
+
+        An error of an area is one of the pressure, too, the other way: forces were known.
+        """
+        known = self._calibration.covariance(pressure) * self.scale**2
+        jacobian = np.zeros((pressure.shape[1], 2, 4))
+        jacobian[:, [0, 1], [0, 1]] = 1.0
+        jacobian[:, 0, 2], jacobian[:, 0, 3], jacobian[:, 1, 2] = pressure[0], pressure[0], pressure[1]
+        return jacobian @ known @ np.moveaxis(jacobian, 1, 2), known[:, :2, :2]
