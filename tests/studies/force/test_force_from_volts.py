@@ -224,7 +224,7 @@ def test_readings_that_do_not_fit_are_named(subject: Subject, table: ReadingTabl
 
 
 @pytest.mark.parametrize(
-    ("let_go_s", "advice"), [(1.0, "record some that are let go within 0.2 s, too"), (0.1, "record more of them")]
+    ("let_go_s", "advice"), [(1.0, "record some that are released within 0.2 s, too"), (0.1, "record more of them")]
 )
 def test_quick_touches_are_asked_for_where_there_are_none(let_go_s: float, advice: str) -> None:
     time_s = np.arange(0.0, 4.0, made_sensor.STEP_S)
