@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from force_scores import VirtualPerson, asked_of
+from record import TOUCHES, Site, touch_of
 
 from nailoptics.hemodynamics import cardiac_pressure
 from nailoptics.hemodynamics.for_scene import arterial_waveform
@@ -21,7 +22,6 @@ from nailoptics.studies.force.person import Person, touch_on_walls, widths_over
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject
 from nailoptics.studies.force.uncertainty import no_correction
-from nailoptics.studies.force.virtual_people import TOUCHES, Site, touch_of
 
 # Steps of derivatives by pressures [N/cm^2, N/cm^2, Pa], and what is known of the touch's before any reading.
 STEPS, TOUCH_SPREAD = np.array([0.01, 0.01, 50.0]), 0.5

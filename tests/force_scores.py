@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import record
 from numpy.typing import NDArray
 
 from nailoptics import load_scene
@@ -20,7 +21,6 @@ from nailoptics.light import DetectedLight
 from nailoptics.scene import Scene, digest
 from nailoptics.scene.importers.sensor_recordings import Recording, read_sensor_recording, recording_csv
 from nailoptics.studies import force
-from nailoptics.studies.force import virtual_people as record
 from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.kalman import KalmanFilter
 from nailoptics.studies.force.predict import predict

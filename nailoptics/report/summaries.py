@@ -248,7 +248,7 @@ def calibration_summary(result: "xr.Dataset") -> dict[str, Any]:
         "chi2_per_dof": subject.chi2_per_dof,
         "rms_n": subject.rms_n,
         "half_width_n": result.attrs["half_width_n"],
-        "widening": subject.widening,
+        "widening": subject.coverage_factor,
         "warnings": list(result.attrs["warnings"]),
     }
 

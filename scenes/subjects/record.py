@@ -18,19 +18,134 @@ massless walls, one wavelength, neither epidermis nor Kapton, a million photons 
 """
 
 import argparse
+import zlib
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
+from nailoptics.assets import data_dir
+from nailoptics.errors import InputError
 from nailoptics.io import write_text
-from nailoptics.scene.importers.sensor_recordings import recording_csv
-from nailoptics.studies.force.virtual_people import (
-    PHOTONS,
-    SIDES,
-    TOUCHES,
-    light_of_person,
-    load_person,
-    people,
-    record_person,
-)
+from nailoptics.light import DetectedLight, trace
+from nailoptics.light.detect import light_of
+from nailoptics.light.transfer import Transfer
+from nailoptics.scene import Scene, Touch, digest, load_scene
+from nailoptics.scene.importers.sensor_recordings import Recording, recording_csv
+from nailoptics.studies.force.virtual_recording import record_touch
+
+Array = NDArray[np.float64]
+Corners = tuple[Array, Array]
+Site = Literal["proximal", "distal"]
+
+PHOTONS, LIGHT_SEED = 2_000_000, 1001
+SIDES: tuple[Site, ...] = ("proximal", "distal")
+SAMPLE_RATE_HZ = 100.0
+# The finger rests before, between and after touches. [s]
+REST_S = 2.0
+# Slow touches go up and down as the paper's subjects did, at 0.05 Hz. [s]
+PERIOD_S, CORNERS_PER_PERIOD = 20.0, 256
+# Largest forces of three slow cycles: for calibration, and of others that no calibration has seen. [N]
+CALIBRATION_N, SLOW_N = (2.0, 2.0, 2.0), (0.4, 1.0, 2.0)
+# Steps are held and left for so long, and take so long to rise and to fall, as fast as the paper's fastest. [N, s]
+STEPS_N, HOLD_S, EDGE_S, CORNERS_PER_EDGE = (0.5, 0.15, 1.0, 0.3, 0.75), 2.0, 0.16, 16
+# Other steps, for calibrations that are to tell how fast the vessels refill. [N]
+QUICK_N = (0.8, 0.2, 1.2, 0.4, 0.6)
+
+
+def people() -> tuple[str, ...]:
+    """Names of the shipped people."""
+    return tuple(path.stem for path in sorted((data_dir("scenes") / "subjects").glob("*.toml")))
+
+
+def load_person(name: str) -> Scene:
+    """The scene of one of them."""
+    return load_scene(data_dir("scenes") / "subjects" / f"{name}.toml")
+
+
+def slow_cycles(peaks_n: tuple[float, ...]) -> Corners:
+    """Corners of cycles of some largest forces, times [s] and forces [N]."""
+    turns = np.arange(1, len(peaks_n) * CORNERS_PER_PERIOD + 1) / CORNERS_PER_PERIOD
+    peak = np.repeat(peaks_n, CORNERS_PER_PERIOD)
+    time_s = np.concatenate([[0.0], REST_S + PERIOD_S * np.append(0.0, turns)])
+    force_n = np.concatenate([[0.0, 0.0], peak * np.sin(np.pi * turns) ** 2])
+    return np.append(time_s, time_s[-1] + REST_S), np.append(force_n, 0.0)
+
+
+def steps(forces_n: tuple[float, ...]) -> Corners:
+    """Corners of steps with round edges, times [s] and forces [N]."""
+    edge = np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, CORNERS_PER_EDGE + 1)) ** 2
+    times, forces, start_s = [np.zeros(1)], [np.zeros(1)], REST_S
+    for force_n in forces_n:
+        for rising, at_s in ((edge, start_s), (edge[::-1], start_s + HOLD_S)):
+            times.append(at_s + EDGE_S * np.linspace(0.0, 1.0, edge.size))
+            forces.append(force_n * rising)
+        start_s += 2.0 * HOLD_S
+    return np.append(np.concatenate(times), start_s), np.append(np.concatenate(forces), 0.0)
+
+
+TOUCHES: dict[str, Corners] = {
+    "calibration": slow_cycles(CALIBRATION_N),
+    "slow": slow_cycles(SLOW_N),
+    "steps": steps(STEPS_N),
+    "quick": steps(QUICK_N),
+}
+
+
+def touch_of(scene: Scene, corners: Corners, site: Site, rate_hz: float = SAMPLE_RATE_HZ) -> Touch:
+    """A person's touch at one site, with the person's own contact, creep and recovery."""
+    time_s, force_n = (tuple(column.tolist()) for column in corners)
+    own = ("contact_area_mm2", "distal_relaxation_s", "creep", "creep_s")
+    return Touch.model_validate(
+        {"profile": "recorded", "recorded_time_s": time_s, "recorded_force_n": force_n}
+        | {"site": site, "sample_rate_hz": rate_hz}
+        | {name: getattr(scene.touch, name) for name in own}
+    )
+
+
+def light_of_person(scene: Scene, path: Path, *, photons: int = PHOTONS) -> DetectedLight:
+    """A person's light, traced unless it was before; kept at a path."""
+    if path.exists():
+        # What another version kept is traced again.
+        with suppress(InputError):
+            kept = Transfer.load(path)
+            if digest(_untouched(kept.scene)) == digest(_untouched(scene)) and kept.photons >= photons:
+                return light_of(replace(kept, scene=scene))
+    traced = trace(scene, photons=photons, seed=LIGHT_SEED)
+    traced.save(path)
+    return light_of(traced)
+
+
+def _untouched(scene: Scene) -> Scene:
+    """The scene without what moves its blood: it shares light with every other touch of the person."""
+    blood = scene.blood.model_copy(update={"parameters": "listed", "tuning": None, "decay_length": None})
+    return scene.model_copy(update={"touch": Touch(), "body": None, "blood": blood})
+
+
+def record_person(
+    scene: Scene,
+    light: DetectedLight,
+    kind: str,
+    site: Site,
+    *,
+    seed: int = 0,
+    model: Literal["massless", "inertial"] = "inertial",
+    rate_hz: float = SAMPLE_RATE_HZ,
+) -> Recording:
+    """What a person's sensor reads under one of `TOUCHES` on one side.
+
+    light : the person's, of `light_of_person`.
+    rate_hz : samples in a second.
+    model : the equations of the vessels; both agree within 1e-5 of a reading, and the massless are ten times as fast.
+    """
+    if kind not in TOUCHES:
+        raise InputError(f'kind = "{kind}" is no touch; choose from {", ".join(TOUCHES)}.')
+    # Another heartbeat, drift and noise for every person and recording.
+    own = zlib.crc32(f"{scene.body.seed if scene.body else 0} {kind} {site} {seed}".encode())
+    return record_touch(scene, light, touch_of(scene, TOUCHES[kind], site, rate_hz), seed=own, model=model)
 
 
 def main() -> None:

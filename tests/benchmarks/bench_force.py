@@ -36,10 +36,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import record
 
 from nailoptics import load_scene
 from nailoptics.scene import Scene
-from nailoptics.studies.force import virtual_people as record
 from nailoptics.studies.force.calibrate import open_table
 from nailoptics.studies.force.reading_table import ReadingTable
 from nailoptics.studies.force.subject import Model, Subject, parse_subject

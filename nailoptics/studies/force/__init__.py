@@ -1,1 +1,1 @@
-"""Force from volts: calibrate a person's sensor with a known force, then tell the force from its readings."""
+"""Force from volts: calibrate a person's sensor with a known force, then estimate the force from its readings."""

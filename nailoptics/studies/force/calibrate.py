@@ -176,7 +176,7 @@ def calibrate_with(
 
 
 def _reporter(progress: ProgressCallback | None) -> Callable[[float], None]:
-    """What is told which part of a calibration is done, and ends it where the user interrupted."""
+    """Reports the part of a calibration that is done, and ends it where the user interrupted."""
     stage = StageProgress(progress)
 
     def report(done: float) -> None:
@@ -210,7 +210,7 @@ def _pulp(touch: Touch, model: Model) -> Pulp:
 
 def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
     """What a user should know of a calibration before trusting it."""
-    found = []
+    warnings = []
     closure = vessel_closure(subject.person())
     who = subject.person()
     distal_cm2, proximal_cm2 = float(who.area_cm2), float(who.area_cm2 * who.proximal_area)
@@ -218,11 +218,13 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
         most = subject.most_force_n.get(side, subject.most_force_n.get("even", 0.0))
         reach = shut * area_cm2
         if most == 0:
-            found.append(f"no {side} touch was recorded: its estimates rely on priors.")
+            warnings.append(f"no {side} touch was recorded: its estimates rely on priors.")
         elif most < 0.8 * reach:
-            found.append(f"{side} touches reach {most:.2g} N, the vessels close at {reach:.2g} N: record harder ones.")
+            warnings.append(
+                f"{side} touches reach {most:.2g} N, the vessels close at {reach:.2g} N: record harder ones."
+            )
     for side, forces_n in _two_balances_n(subject).items():
-        found.append(
+        warnings.append(
             f"{side} touches of {forces_n.min():.2g} to {forces_n.max():.2g} N could hold the vessels in two states: "
             "the same force may read differently as it grows and as it falls."
         )
@@ -231,21 +233,21 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
         advice = f"record some that are released within {QUICKLY_S:g} s, too"
         if any(_let_go_quickly(one) for one in recordings):
             advice = "those that are released quickly do not identify it, either; record more of them"
-        found.append(
+        warnings.append(
             f"the refill rate of the vessels is not identifiable, estimates of quick touches rely on priors: {advice}."
         )
     if subject.is_wrong:
         linear_n = _linear_rms_n(subject, recordings)
-        found.append(
+        warnings.append(
             f"the force of the calibration's own touches is {1e3 * subject.rms_n:.0f} mN off (rms; linear regression "
             f"{1e3 * linear_n:.0f} mN): this subject does not fit them; check scene, sites and units."
         )
     if subject.coverage_factor > 2:
-        found.append(
+        warnings.append(
             f"intervals had to be made {subject.coverage_factor:.1f} times as wide to cover the calibration's own "
             "touches: the model misses something."
         )
-    return found
+    return warnings
 
 
 def _linear_rms_n(subject: Subject, recordings: Sequence[Recording]) -> float:

@@ -54,7 +54,7 @@ GAIN_SPREAD, OFFSET_PART = 0.7, 0.1
 
 @dataclass(frozen=True)
 class Fitted:
-    """What a fit found, R readings, K recordings.
+    """Result of a fit, R readings, K recordings.
 
     factors_ln : (P,) float. Logarithms of the factors by NAMES.
     covariance : (P + 4 R, P + 4 R) float. Of these, of gains, of offsets, and of steeper slopes by either zone's blood.
@@ -126,7 +126,7 @@ class Fit:
         return out
 
     def solve(self, report: Callable[[float], None] = lambda done: None) -> Fitted:
-        """Search the factors, from the best of several starts; report : told which part is done."""
+        """Search the factors, from the best of several starts; report : takes the part that is done."""
         found, searches = [], len(STARTS) + ROUNDS
         for number, one in enumerate(STARTS):
             report(number / searches)
@@ -275,7 +275,7 @@ class Fit:
         scale = np.outer(spread, spread)
         inverse = scale * np.linalg.inv(scale * curvature + np.eye(len(spread)))
         # The body's waves move all readings at once, and most where the vessels are about to shut, which is where
-        # stiffness and area are told from: the sandwich of Huber and White, with what a wave does as the filling.
+        # stiffness and area are identified: the sandwich of Huber and White, with what a wave does as the filling.
         each = slopes.reshape(readings, -1, slopes.shape[1])
         wave = self._wave(white.reshape(readings, -1), response)
         moved_by_wave = np.einsum("rtp,rt->tp", each, wave)
@@ -404,7 +404,7 @@ class Profile:
 
 
 def profile_of(fit: Fit, free_ln: Array, report: Callable[[float], None] = lambda done: None) -> Profile:
-    """The profiles about the best fit of some free factors' logarithms (P,); report : told which part is done."""
+    """The profiles about the best fit of some free factors' logarithms (P,); report : takes the part that is done."""
     own, slopes = fit.residuals(free_ln[:, None])
     least = float((own**2).sum())
     covariance = np.linalg.inv(slopes[:, 0].T @ slopes[:, 0])

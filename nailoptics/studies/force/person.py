@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 SHORTEST_S = 1e-9
 # Samples further apart are walked in as many steps of at most this length. [s]
 LONGEST_STEP_S = 0.05
-# A touch past which less than this part of the change by pressure is left cannot be told from a harder one.
+# A touch past which less than this part of the change by pressure is left cannot be distinguished from a harder one.
 LEFT_AT_CLOSURE = 0.05
 # Pressures at which closure is looked for. [N/cm^2]
 SEARCHED = np.linspace(0.0, 4.0, 401)

@@ -232,7 +232,7 @@ def _pattern(recording: Recording, model: StateSpace) -> str:
 
 
 def _without_saturated(subject: Subject, recording: Recording) -> tuple[Recording, list[str]]:
-    """The recording with gaps where a converter was at its limit and told nothing, and what there is to say of it."""
+    """The recording with gaps where a converter was at its limit, and warnings of them."""
     saturated = recording.volts >= SATURATED * subject.table.range_v
     found = []
     for name, volts, full in zip(recording.names, recording.volts, saturated, strict=True):

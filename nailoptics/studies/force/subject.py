@@ -1,4 +1,4 @@
-"""A calibrated person as a file: everything that telling force from volts takes, readable, in TOML."""
+"""A calibrated person as a file: everything that estimating force from volts takes, readable, in TOML."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -47,7 +47,7 @@ class Subject:
     correction : of the pressures that the filter estimates.
     coverage_factor : float. How much wider than usual intervals are, where the calibration's own touches need it.
     most_force_n : the largest calibrated force by site.
-    chi2_per_dof, rms_n : of the fit's whitened residuals, and of the force told from the calibration's own readings.
+    chi2_per_dof, rms_n : of the fit's whitened residuals, and of the force estimated from the calibration's readings.
     """
 
     scene_digest: str
@@ -249,8 +249,8 @@ def subject_toml(subject: Subject) -> str:
                     "rhythms": [vars(one) for one in subject.noise.rhythms],
                 },
                 "correction": {
-                    side: {"told_n_per_cm2": told.tolist(), "pressed_n_per_cm2": pressed.tolist()}
-                    for side, told, pressed in zip(
+                    side: {"told_n_per_cm2": estimated.tolist(), "pressed_n_per_cm2": applied.tolist()}
+                    for side, estimated, applied in zip(
                         ("proximal", "distal"), subject.correction.estimated, subject.correction.applied, strict=True
                     )
                 },
@@ -282,7 +282,7 @@ def subject_toml(subject: Subject) -> str:
 
 
 def read_subject(path: str | Path) -> Subject:
-    """Read a subject file; raises InputError where it is none, or not whole."""
+    """Read a subject file; raises InputError where it is none, or not complete."""
     return parse_subject(read_text(Path(path), "a subject file that nailoptics calibrate wrote"), name=str(path))
 
 
@@ -388,7 +388,7 @@ def _noise(found: dict[str, Any], reading_v: Array) -> Noise:
 
 def _correction(found: dict[str, dict[str, list[float]]]) -> Correction:
     sides = [found[side] for side in ("proximal", "distal")]
-    told, pressed = (
+    estimated, applied = (
         np.array([side[name] for side in sides], dtype=float) for name in ("told_n_per_cm2", "pressed_n_per_cm2")
     )
-    return Correction(told, pressed)
+    return Correction(estimated, applied)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from record import SIDES, TOUCHES, load_person, touch_of
 from untraced_light import untraced, untraced_table
 
 from nailoptics import load_scene
@@ -11,7 +12,6 @@ from nailoptics.scene import Scene
 from nailoptics.statistics import Z95
 from nailoptics.studies.force.fit import Fit
 from nailoptics.studies.force.person import NAMES, PRIORS, SPREAD_LN
-from nailoptics.studies.force.virtual_people import SIDES, TOUCHES, load_person, touch_of
 from nailoptics.studies.force.virtual_recording import record_touch
 
 PEOPLE = 24

@@ -4,13 +4,13 @@ import made_sensor
 import numpy as np
 import pytest
 from force_floor import exactly_known, modelled
+from record import SIDES, Site, load_person, steps, touch_of
 
 from nailoptics.hemodynamics.for_scene import force_course
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording
 from nailoptics.scene.touch import value_at
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject, parse_subject
-from nailoptics.studies.force.virtual_people import SIDES, Site, load_person, steps, touch_of
 
 # Held so that causal and smoothed estimates both have time to settle. [N]
 FORCES_N = (0.5, 0.2, 0.8)

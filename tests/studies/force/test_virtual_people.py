@@ -2,12 +2,7 @@
 
 import numpy as np
 import pytest
-from untraced_light import untraced
-
-from nailoptics import load_scene
-from nailoptics.assets import data_dir
-from nailoptics.errors import InputError
-from nailoptics.studies.force.virtual_people import (
+from record import (
     CALIBRATION_N,
     EDGE_S,
     SIDES,
@@ -18,6 +13,11 @@ from nailoptics.studies.force.virtual_people import (
     record_person,
     touch_of,
 )
+from untraced_light import untraced
+
+from nailoptics import load_scene
+from nailoptics.assets import data_dir
+from nailoptics.errors import InputError
 
 
 def test_eight_people_differ_in_all_that_the_papers_did():
