@@ -1,0 +1,26 @@
+"""What simulate records of every shipped finger calibrates a sensor, and that sensor reads it: files of one command run
+in the next."""
+
+from pathlib import Path
+
+import pytest
+
+from nailoptics import load_scene
+from nailoptics.assets import data_dir
+from nailoptics.cli import run
+from nailoptics.studies.force.predict import CSV_COLUMNS
+
+FINGERS = [path for path in sorted(data_dir("scenes").glob("*.toml")) if load_scene(path).finger is not None]
+PHOTONS = ["--photons", "100000", "--seed", "1"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("scene", FINGERS, ids=lambda path: path.stem)
+def test_a_shipped_finger_is_recorded_calibrated_and_predicted(chosen_jit: object, scene: Path, tmp_path: Path) -> None:
+    recording, subject, out = (str(tmp_path / name) for name in ("recording.csv", "me.toml", "out"))
+    assert run(["simulate", str(scene), "-o", str(tmp_path / "run"), "--recording", recording, *PHOTONS]) == 0
+    assert run(["calibrate", str(scene), recording, "-o", subject, *PHOTONS]) == 0
+    assert run(["predict", subject, recording, "-o", out]) == 0
+    rows = (Path(out) / "predict.csv").read_text().splitlines()
+    assert rows[0] == ",".join(CSV_COLUMNS)
+    assert len(rows) == len(Path(recording).read_text().splitlines())
