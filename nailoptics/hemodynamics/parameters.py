@@ -80,8 +80,8 @@ _SETS: dict[str, dict[str, float]] = {
         "vein_stiffness_n_per_m": 4e3,
         "capillary_count": 1.4e4,
     },
-    # Both by `paper.parameter_search`: evolutions from several starts, some 6e4 sets, rounded to three digits. Linear
-    # programs on the measures of its rules then moved the values of "best" by at most 45 %.
+    # Both by tests/benchmarks/parameter_search.py: evolutions from several starts, some 6e4 sets, rounded to three
+    # digits. Linear programs on the measures of its rules then moved the values of "best" by at most 45 %.
     "best": {
         "capillary_stiffness_n_per_m": 7.69e4,
         "vein_stiffness_n_per_m": 2.57e3,
@@ -119,10 +119,11 @@ def parameters(name: str = "listed") -> Parameters:
     - listed: the paper's orders of magnitude.
     - figures: every value within a factor 2 of the list; shows the paper's Fig. 10.
     - compromise: meets a part of Figs. 10, 11 and 12.
-    - best: found by global search within an order of magnitude of the list (`paper.parameter_search`). It meets 24 of
-      the 28 rules of `paper.claims`. Its capillaries are hardly slower on release than on loading (Fig. 10), V_P2
-      begins a little less steeply and levels off at higher pressure than in Fig. 12, and the proximal reading takes
-      0.153 s to follow a falling force, where 0.15 were allowed (Fig. 16).
+    - best: found by global search within an order of magnitude of the list
+      (`tests/benchmarks/parameter_search.py`). It meets 24 of the 28 rules of `paper.claims`. Its capillaries are
+      hardly slower on release than on loading (Fig. 10), V_P2 begins a little less steeply and levels off at higher
+      pressure than in Fig. 12, and the proximal reading takes 0.153 s to follow a falling force, where 0.15 were
+      allowed (Fig. 16).
     - sluggish: from the same search, with 24 rules, too: much slower capillaries on release (Fig. 10), for which the
       proximal reading takes 0.29 s to follow a falling force (Fig. 16) and the distal one overshoots under steps of
       both pressures (Fig. 11). No set was found without one of these.

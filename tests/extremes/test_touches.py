@@ -5,10 +5,10 @@ import logging
 import numpy as np
 import pytest
 import scipy.integrate
+from benchmarks.parameter_search import SEARCHED
 from scipy.integrate._ivp import ivp
 
 from nailoptics.hemodynamics import NAMES, Waveform, bounds, parameters, respond
-from nailoptics.paper.parameter_search import SEARCHED
 
 
 class Enough(Exception):

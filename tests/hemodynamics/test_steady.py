@@ -133,8 +133,9 @@ def unbalanced(p, touch, branch="wide"):
 
 @pytest.mark.parametrize("feedback", [pytest.param(1.0, marks=pytest.mark.long), 100.0])
 def test_any_set_within_bounds_balances_at_any_touch(feedback):
+    from benchmarks.parameter_search import SEARCHED
+
     from nailoptics.hemodynamics import bounds
-    from nailoptics.paper.parameter_search import SEARCHED
 
     rng = np.random.default_rng(int(feedback))
     limits = bounds()

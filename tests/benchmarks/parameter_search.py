@@ -8,10 +8,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..errors import InputError
-from ..hemodynamics.parameters import Parameters, bounds
-from .claims import RULES
-from .responses import Responses, simulate_responses_of_many
+from nailoptics.errors import InputError
+from nailoptics.hemodynamics.parameters import Parameters, bounds
+from nailoptics.paper.claims import RULES
+from nailoptics.paper.responses import Responses, simulate_responses_of_many
 
 _LOG = logging.getLogger(__name__)
 
