@@ -533,7 +533,7 @@ def figures(
     import numpy as np
 
     from . import hemodynamics
-    from .paper.claims_table import as_rows, as_text, judge
+    from .paper.claims import as_rows, as_text, judge
     from .paper.responses import pressed, simulate_responses
     from .report.pages.colour import draw_fig2
     from .report.pages.paper import draw, draw_haemoglobins

@@ -2,12 +2,14 @@
 
 Every rule stands for a sentence of the paper, in our words, and is judged under that figure's own touch. Where the
 paper gives a number it is used; where it gives a word ("much more slowly", "nearly linear") the bound is a choice,
-spelled out with the rule. Readings follow eq. (9): they fall with (D+x)^2, the blood under the photodiode.
+spelled out with the rule. Readings follow Taylor (9): they fall with (D+x)^2, the blood under the photodiode.
 """
 
 import dataclasses
 import math
-from collections.abc import Callable
+import textwrap
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -133,7 +135,7 @@ def _late_slope(curve: np.ndarray) -> np.ndarray:
 _WIDEN = "Pressing the proximal pulp narrows the vein and widens the capillaries."
 _REDDEN = "From some 0.3 N blood pools under the nail, which reddens, fully at about 1 N."
 _FIG_11 = "With both pressures the proximal reading falls, the distal one rises."
-_SMOOTH = "It goes from level to level; no overshoot is told of."
+_SMOOTH = "It goes from level to level; no overshoot is mentioned."
 _DISTAL_BOTH_WAYS = "The distal reading is nearly linear, and loads and unloads in equal times."
 _V_P1 = "V_P1 falls roughly linearly and levels off near 1 N/cm^2."
 _V_P2 = "V_P2 rises steeply to 0.1 N/cm^2, then linearly, and levels off just past 1."
@@ -204,3 +206,64 @@ RULES = (
          lambda r: r.white[..., 1] - r.white[..., 0], low=0.1),
 )
 # fmt: on
+
+
+@dataclasses.dataclass(frozen=True)
+class Claim:
+    """One rule, judged on one set. value : measured, in the rule's unit."""
+
+    rule: Rule
+    value: float
+
+    @property
+    def met(self) -> bool:
+        """Whether the value lies within the bounds."""
+        return self.rule.low <= self.value <= self.rule.high
+
+
+def judge(responses: Responses) -> list[Claim]:
+    """Every rule, measured on the responses of one set."""
+    return [Claim(rule, float(rule.measure(responses))) for rule in RULES]
+
+
+def bounds_in_words(rule: Rule) -> str:
+    """The bounds of a rule: from one to the other, or the only one."""
+    if math.isinf(rule.high):
+        return f">= {rule.low:.3g}"
+    if math.isinf(rule.low):
+        return f"<= {rule.high:.3g}"
+    return f"{rule.low:.3g} to {rule.high:.3g}"
+
+
+def as_rows(judged: Mapping[str, list[Claim]]) -> list[dict[str, Any]]:
+    """The table as plain rows: one for each rule, with value and verdict of each set."""
+    rows = []
+    for same in zip(*judged.values(), strict=True):
+        rule = same[0].rule
+        row = {"figure": rule.figure, "sentence": rule.sentence, "measure": rule.text, "unit": rule.unit}
+        sets = {name: {"value": claim.value, "met": claim.met} for name, claim in zip(judged, same, strict=True)}
+        rows.append(row | {"rule": bounds_in_words(rule), "sets": sets})
+    return rows
+
+
+def as_text(judged: Mapping[str, list[Claim]]) -> str:
+    """The table as text: below each sentence its rules, with the value of each set and whether it is met."""
+    rows = as_rows(judged)
+    measure_width = max(len(row["measure"]) for row in rows) + 2
+    rule_width = max(len(f"{row['rule']} {row['unit']}") for row in rows)
+    width = max(18, *(len(name) + 1 for name in judged))
+
+    def line(measure: str, rule: str, cells: Iterable[object]) -> str:
+        return f"  {measure:<{measure_width}}{rule:<{rule_width}}" + "".join(f"{cell!s:>{width}}" for cell in cells)
+
+    lines, said = [line("measure", "rule", judged)], ""
+    for row in rows:
+        sentence = f"{'Sec.' if row['figure'] == 'II' else 'Fig.'} {row['figure']}: {row['sentence']}"
+        if sentence != said:
+            lines += textwrap.wrap(sentence, 118)
+            said = sentence
+        # A negative zero reads as 0.
+        cells = [f"{s['value'] or 0.0:.3g} {'met    ' if s['met'] else 'not met'}" for s in row["sets"].values()]
+        lines.append(line(row["measure"], row["rule"] + (f" {row['unit']}" if row["unit"] != "1" else ""), cells))
+    met = [sum(claim.met for claim in claims) for claims in judged.values()]
+    return "\n".join([*lines, line(f"rules met of {len(rows)}", "", met)])

@@ -11,8 +11,7 @@ from benchmarks.parameter_search import SEARCHED, loss, misses, search
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import NAMES, bounds, parameters
-from nailoptics.paper.claims import RULES
-from nailoptics.paper.claims_table import as_rows, as_text, judge
+from nailoptics.paper.claims import RULES, as_rows, as_text, judge
 from nailoptics.paper.protocols import CURVE_PA, N_PER_CM2, RELAXATION_S, cycle, one_sided, press, steps, subject_force
 from nailoptics.paper.responses import pressed, simulate_responses, simulate_responses_of_many
 

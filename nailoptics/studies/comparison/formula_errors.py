@@ -129,7 +129,7 @@ def _range_errors(one: TracedSweep, readings: np.ndarray) -> np.ndarray:
 def _limits(found: dict[str, np.ndarray], sweep: StateSweep, own: int) -> dict[str, np.ndarray]:
     """How far each model holds, in the sweep's setting, in blood and in alpha D^2, with 95 % intervals."""
     shape = (len(WAYS), len(MODELS), len(TOLERANCES))
-    # Crossings are counted in points, then turned into whatever is wanted.
+    # Crossings are counted in points, then converted to each measure.
     points = np.arange(len(sweep.setting), dtype=float)
     error, stderr = found["range_error"], found["range_error_stderr"]
     limits = [limit(points, error[w, m], stderr[w, m], TOLERANCES[k]) for w, m, k in np.ndindex(shape)]

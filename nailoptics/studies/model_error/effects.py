@@ -26,7 +26,7 @@ from .changes import (
     shortened,
 )
 from .paired import (
-    UNSEEN,
+    UNDETECTED,
     Difference,
     PairedReadings,
     difference,
@@ -69,7 +69,7 @@ class Effect(Change):
 
     @property
     def matters(self) -> Literal["yes", "no", "cannot tell"]:
-        """Whether it moves a reading, or the signal, by more than the tolerance, as far as the traces can tell."""
+        """Whether it moves a reading, or the signal, by more than the tolerance, as far as the traces resolve it."""
         if self.bound <= self.tolerance:
             return "no"
         return "yes" if abs(self.change) - SURE * self.stderr > self.tolerance else "cannot tell"
@@ -99,7 +99,7 @@ def effect_of(
     if of == "signal":
         ratio, error, most = np.asarray(found.swing), np.asarray(found.swing_stderr), found.swing_bound
     known = np.isfinite(ratio) & np.isfinite(error)
-    # Where nothing was seen, anything may be.
+    # Where nothing was detected, anything may be.
     ratio, error = np.where(known, ratio, np.nan), np.where(known, error, np.nan)
     bounds = np.where(known, most, np.inf)
     # What is known best, not what is noisiest, says by how much readings move at least.
@@ -208,8 +208,8 @@ def ambient(tolerance: float, base: PairedReadings, swapped: PairedReadings) -> 
     per_mm2 = float(lamp.photocurrent_a_per_mm2(diode)[1].sum())
     escapes, led = swapped.transfer.energy()["reflected"], swapped.transfer.scene.leds[0]
     area_mm2, index = led.size_mm[0] * led.size_mm[1], index_of("epoxy", led.wavelength_nm)
-    # Of n photons one more may have left than were seen.
-    parts = [escapes["value"], math.hypot(escapes["stderr"], UNSEEN / swapped.transfer.photons)]
+    # Of n photons one more may have left than were counted.
+    parts = [escapes["value"], math.hypot(escapes["stderr"], UNDETECTED / swapped.transfer.photons)]
     current = [per_mm2 * float(collecting_area_mm2(part, area_mm2=area_mm2, n=index)) for part in parts]
     wavelength_nm = np.array([one.wavelength_nm for one in scene.leds])
     response = electronics.photodiode_responsivity_a_per_w(diode, wavelength_nm)
@@ -234,7 +234,7 @@ def without_deep(base: PairedReadings) -> Difference:
     """What readings would lose of themselves if the pulp swallowed all light that meets it."""
     pulp = base.transfer.absorbers.index("pulp")
     shallow = [trace.path_mm[:, [pulp]] <= 0 for trace in base.transfer.traces]
-    left = tuple(part * kept for part, kept in zip(base.parts, shallow, strict=True))
+    left = tuple(part * one for part, one in zip(base.parts, shallow, strict=True))
     return difference(base, replace(base, parts=left))
 
 

@@ -26,8 +26,8 @@ PILOT_SHARE = 0.03
 PLANNED_SHARE = 0.85
 # By this part of the time it may take longer.
 OVERRUN = 0.15
-# Standard error of a count of photons that is 0, 3 / Z95: of n photons none seen means, at 95 %, a part below 3 / n.
-UNSEEN = 1.53
+# Standard error of a count of photons that is 0, 3 / Z95: of n photons none detected is, at 95 %, a part below 3 / n.
+UNDETECTED = 1.53
 # Photons that are read at once, to bound the memory.
 CHUNK = 1 << 18
 
@@ -36,7 +36,7 @@ CHUNK = 1 << 18
 class PairedReadings:
     """What one scene reads, by photons that it may share with other scenes; (led, photodiode) float each.
 
-    parts : per LED (n, 2) float. What each kept photon adds to the reading at rest and at the touch's largest force,
+    parts : per LED (n, 2) float. What each recorded photon adds to the reading at rest and at the largest force,
         fractions of the emitted power, weighed by the photodiode's response over the LED's line.
     setup_seconds : processor time before the first photon, as if nothing of the scene's shape were there before.
     """
@@ -58,13 +58,13 @@ class PairedReadings:
 
     @cached_property
     def modulation(self) -> np.ndarray:
-        """Change by touch, as a part of the reading at rest; NaN where nothing was seen."""
+        """Change by touch, as a part of the reading at rest; NaN where nothing was detected."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return self.sums(1) / self.level - 1
 
     @cached_property
     def relative_stderr(self) -> np.ndarray:
-        """Relative standard error of the level; inf where fewer than 25 effective photons were seen."""
+        """Relative standard error of the level; inf where fewer than 25 effective photons were detected."""
         photons = np.array([trace.photons for trace in self.transfer.traces])[:, None]
         square = self.sums(0, 2)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -73,7 +73,7 @@ class PairedReadings:
 
     @cached_property
     def modulation_stderr(self) -> np.ndarray:
-        """Standard error of the modulation; inf where fewer than 25 effective photons were seen."""
+        """Standard error of the modulation; inf where fewer than 25 effective photons were detected."""
         count, spread = len(self.transfer.photodiodes), []
         for one, part, level, modulation in zip(
             self.transfer.traces, self.parts, self.level, self.modulation, strict=True
@@ -224,7 +224,7 @@ class PairedTracer:
 
 @dataclass(frozen=True)
 class Difference:
-    """How far one scene reads from another, (led, photodiode) float each; NaN and inf where too little was seen.
+    """How far one scene reads from another, (led, photodiode) float each; NaN and inf where too little was detected.
 
     ratio, ratio_stderr : relative change of the reading at rest.
     swing, swing_stderr : change of the modulation, as a part of the largest modulation; NaN where only the readings at
@@ -253,18 +253,18 @@ class Difference:
 def difference(base: PairedReadings, other: PairedReadings) -> Difference:
     """How far the other scene reads from the base; its noise is that of what each photon adds to the difference.
 
-    To the sums over the photons comes a term for photons that were not seen: where few carry the difference, one more
-    like them, and where none does, one that the difference takes away whole.
+    To the sums over the photons comes a term for undetected photons: where few carry the difference, one more like
+    them, and where none does, one that the difference takes away whole.
     """
-    seen = np.isfinite(base.relative_stderr) & np.isfinite(other.relative_stderr)
+    resolved = np.isfinite(base.relative_stderr) & np.isfinite(other.relative_stderr)
     unit = np.nanmax(np.abs(base.modulation)) if np.isfinite(base.modulation).any() else np.nan
     found = np.array([_by_photodiode(base, other, led) for led in range(len(base.parts))])
     ratio, ratio_stderr, ratio_skew, swing, swing_stderr, swing_skew = np.moveaxis(found, 1, 0)
     with np.errstate(invalid="ignore"):
-        ratio_stderr = np.where(seen, ratio_stderr, np.inf)
+        ratio_stderr = np.where(resolved, ratio_stderr, np.inf)
         largest = np.nanargmax(np.abs(base.modulation)) if np.isfinite(unit) else 0
         swing_stderr = np.where(
-            seen, np.hypot(swing_stderr, swing * base.modulation_stderr.flat[largest] / unit), np.inf
+            resolved, np.hypot(swing_stderr, swing * base.modulation_stderr.flat[largest] / unit), np.inf
         )
     return Difference(ratio, ratio_stderr, swing / unit, swing_stderr / unit, ratio_skew, swing_skew / unit)
 
@@ -289,12 +289,12 @@ def _by_photodiode(base: PairedReadings, other: PairedReadings, led: int) -> np.
         whole = np.maximum(square_a / level_a, square_b / level_b) * _part_of_next(carriers, taken) / level_a
         # By as much do single photons differ in their modulation.
         scatter = np.sqrt(total(own**2)) * level_a / np.sqrt(square_a)
-        unseen = np.fmax(whole, total(step**2) / total(step) / level_a)
-        unseen_swing = np.fmax(whole * scatter, total(carried**2) / total(carried))
+        undetected = np.fmax(whole, total(step**2) / total(step) / level_a)
+        undetected_swing = np.fmax(whole * scatter, total(carried**2) / total(carried))
         out = []
-        for value, each, one_more in ((gain - 1, moved, unseen), (swing_b - swing_a, swung, unseen_swing)):
+        for value, each, one_more in ((gain - 1, moved, undetected), (swing_b - swing_a, swung, undetected_swing)):
             square = total(each**2)
-            out += [value, np.sqrt(square + (UNSEEN * one_more) ** 2), np.nan_to_num(total(each**3) / square)]
+            out += [value, np.sqrt(square + (UNDETECTED * one_more) ** 2), np.nan_to_num(total(each**3) / square)]
         return np.stack(out)
 
 

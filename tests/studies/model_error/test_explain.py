@@ -34,7 +34,7 @@ from nailoptics.studies.model_error.changes import (
 from nailoptics.studies.model_error.effects import Effect, effect_of
 from nailoptics.studies.model_error.explain import Explanation, explain
 from nailoptics.studies.model_error.paired import (
-    UNSEEN,
+    UNDETECTED,
     Difference,
     PairedReadings,
     PairedTracer,
@@ -140,10 +140,10 @@ def test_a_difference_has_the_noise_of_the_photons_that_differ(jit_backend):
     independent = traced(whole(), photons=60_000, seed=6)
     away = difference(base, independent)
     assert (difference(base, bone).ratio_stderr < 0.7 * away.ratio_stderr).all()
-    assert (difference(base, skin).ratio_stderr > 0.1 * UNSEEN * base.relative_stderr**2).all()
+    assert (difference(base, skin).ratio_stderr > 0.1 * UNDETECTED * base.relative_stderr**2).all()
     # No photon met the epidermis: melanin changes nothing that was seen, and that is not a change of nothing.
     pale = difference(base, reweighted(base.transfer, revised(whole(), {"finger": {"melanin_fraction": 0.0}})))
-    assert (pale.ratio_stderr >= 0.99 * UNSEEN * base.relative_stderr**2)[pale.ratio == 0].all()
+    assert (pale.ratio_stderr >= 0.99 * UNDETECTED * base.relative_stderr**2)[pale.ratio == 0].all()
     # The same scene twice: nothing but noise, as large as is said.
     z = away.ratio / away.ratio_stderr
     assert np.abs(z).max() < 4 and np.sqrt(np.mean(z**2)) > 0.2

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from nailoptics.light import Transfer
 from nailoptics.statistics import Z95, farther_end
-from nailoptics.studies.model_error.paired import UNSEEN, Difference, PairedReadings, _part_of_next, difference
+from nailoptics.studies.model_error.paired import UNDETECTED, Difference, PairedReadings, _part_of_next, difference
 
 PHOTONS, DIODES = 20_000, 200
 
@@ -67,8 +67,8 @@ def test_the_bound_of_a_count_is_the_exact_one():
     one, from 1 on; of none, 3, which is the limit of one side (Garwood 1936, Biometrika 28, 437)."""
     counts = np.array([1, 2, 3, 5, 10, 30, 100, 1000, 10_000])
     exact = chi2.ppf(0.975, 2 * (counts + 1)) / 2
-    assert np.abs(farther_end(counts, np.hypot(np.sqrt(counts), UNSEEN), 1.0) - exact).max() < 0.52
-    assert farther_end(0, UNSEEN) == pytest.approx(-np.log(0.05), abs=0.01)
+    assert np.abs(farther_end(counts, np.hypot(np.sqrt(counts), UNDETECTED), 1.0) - exact).max() < 0.52
+    assert farther_end(0, UNDETECTED) == pytest.approx(-np.log(0.05), abs=0.01)
     # It is the same on either side of 0.
     assert np.isnan(farther_end(np.inf, np.inf)) and np.isinf(farther_end(1.0, np.inf))
     assert farther_end(-10.0, 3.0, -1.0) == farther_end(10.0, 3.0, 1.0) > farther_end(10.0, 3.0, -1.0)
