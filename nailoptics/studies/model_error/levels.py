@@ -345,7 +345,7 @@ def stock(study: ModelStudy) -> Iterator[Level]:
                 setup_seconds=0.0,
                 reading_noise=math.inf,
                 signal_noise=math.inf,
-                remark=f"not measured: takes --max-seconds {1.2 * STOCK_SECONDS / STOCK_SHARE:.0f} or more",
+                remark=f"not measured: takes max_seconds = {1.2 * STOCK_SECONDS / STOCK_SHARE:.0f} or more",
                 changes=STOCK,
             )
             yield replace(level, **_stock(study, backend.name)) if study.stock_seconds else level
