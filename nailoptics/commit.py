@@ -16,8 +16,8 @@ def code_attributes(versions: Mapping[str, str] | None = None) -> dict[str, str]
 
     versions : of packages; of nailoptics and NumPy if not given, for what traces no light of its own.
     """
-    told = versions or {name: metadata.version(name) for name in ("nailoptics", "numpy")}
-    attributes = {"versions": " ".join(f"{name}={number}" for name, number in told.items())}
+    numbers = versions or {name: metadata.version(name) for name in ("nailoptics", "numpy")}
+    attributes = {"versions": " ".join(f"{name}={number}" for name, number in numbers.items())}
     return attributes | ({"commit": known} if (known := commit()) else {})
 
 
@@ -25,7 +25,7 @@ def code_attributes(versions: Mapping[str, str] | None = None) -> dict[str, str]
 def commit() -> str | None:
     """The commit of the clone that this code runs from or was built from; None where neither is known.
 
-    Changes in the clone that were not committed are not told.
+    Changes in the clone that were not committed are not reported.
     """
     try:
         if _BUILT_FROM.is_file():
@@ -55,5 +55,5 @@ def _of_clone(root: Path) -> str | None:
 
 def _of_install() -> str | None:
     """The commit that pip wrote down when it installed from a repository."""
-    told = metadata.distribution("nailoptics").read_text("direct_url.json")
-    return json.loads(told)["vcs_info"]["commit_id"] if told else None
+    source = metadata.distribution("nailoptics").read_text("direct_url.json")
+    return json.loads(source)["vcs_info"]["commit_id"] if source else None

@@ -37,6 +37,9 @@ def test_every_file_of_place_is_read(jit_backend, tmp_path: Path, name: str):
     best = load_scene(tmp_path / "best.toml")
     is_read(best)
     assert parse_scene(to_toml(best)) == best
+    for name in ("glb", "mitsuba", "mmc"):
+        path = tmp_path / ("export.glb" if name == "glb" else name)
+        assert all(file.exists() for file in nail.export(best, path, format=name).values())
     outline = read_outline(tmp_path / "outline.dxf")
     assert len(outline.corners_mm) >= 4
     one = best.layout.photodiodes[0].photodiode

@@ -326,7 +326,7 @@ def _contact(scene: Scene) -> dict[str, Any]:
 
 
 def _recorded_pressures_pa(scene: Scene) -> np.ndarray | None:
-    """The recorded proximal and distal pressure, (2, k) float; None of a touch that is told by its force. [Pa]"""
+    """The recorded proximal and distal pressure, (2, k) float; None of a touch that is given by its force. [Pa]"""
     recorded = [getattr(scene.touch, f"recorded_{name}") for name in PRESSURES]
     return None if recorded[0] is None else np.array(recorded)
 

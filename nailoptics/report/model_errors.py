@@ -77,7 +77,7 @@ def explanation_lines(found: Explanation) -> list[str]:
     if found.missing:
         lines.append("Left out, though it matters: " + ", ".join(map(effect_name, found.missing)))
     if any(e.matters == "cannot tell" for e in found.effects):
-        lines.append("What cannot be told needs more photons: --max-seconds, --photons or --relative-error.")
+        lines.append("What is not resolved needs more photons: --max-seconds, --photons or --relative-error.")
     return lines
 
 

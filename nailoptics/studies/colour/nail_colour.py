@@ -63,8 +63,8 @@ def colour(
     requested : as for `trace`, but relative_error; photons are rays of all wavelengths together.
 
     Returns: Dataset over state (force), place, band (L*, a*, b*) and wavelength: reflectance, Lab, sRGB, difference to
-    the first state, width of the white band, each with its standard error; how far colours spread over what is unknown
-    of the finger; the press over time with the time that the colour takes to return; a beat of a scene with a heart;
+    the first state, width of the white band, each with its standard error; prior uncertainty of
+    colours; the press over time with the time that the colour takes to return; a beat of a scene with a heart;
     tiles for the photograph.
 
     Raises: InputError; NotReachedError, whose result is the Dataset so far, when time ends first.

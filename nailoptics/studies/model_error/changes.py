@@ -106,7 +106,7 @@ def merged(changed: Iterable[Change]) -> Changes:
 
 
 def changes_of(scene: Scene) -> Iterator[Change]:
-    """Every part and effect of a scene, then all that is unknown, each with what leaves it out, or puts it in."""
+    """Every part and effect of a scene, then all priors, each with what leaves it out, or puts it in."""
     yield from _parts(scene)
     if scene.priors.spread:
         yield from (_unknown(scene, prior) for prior in scene.priors.of_finger())

@@ -19,7 +19,7 @@ TOGETHER = "all that is not needed"
 
 @dataclass(frozen=True)
 class Explanation:
-    """All effects of a scene and all that is unknown of its finger, the most moving first; what it requires; its cost.
+    """All effects and priors of a scene, those that change readings most first; what it requires; its cost.
 
     together : what leaving out all that is not needed does to the readings; None where all is needed.
     required : the scene with that left out, and with what it leaves out although it matters.

@@ -19,9 +19,9 @@ from .ratio import saturation_of
 
 Array = NDArray[np.float64]
 
-# A new value is told so often. [s]
+# Interval between two estimates. [s]
 STEP_S = 1.0
-# Of a channel whose converter was at its limit in more samples than this nothing can be told.
+# Of a channel whose converter was at its limit in more samples than this nothing can be estimated.
 MOST_SATURATED = 0.01
 # Above this the heart has nothing to say, and what is there is noise. [Hz]
 NOISE_FROM_HZ = 12.0
@@ -115,8 +115,8 @@ def _photodiode(recording: OximeterRecording, j: int, window_s: float) -> tuple[
     moved |= _near(even_s, beats.peak_s[~beats.usual], 0.5 * 60.0 / beats.rate_per_min)
     noise = _noise_variance(both, rate_hz, high_hz - low_hz)
     centres = _centres(even_s, window_s)
-    told = [_window(pulse, moved, noise, beats, even_s, c, window_s, rate_hz, high_hz - low_hz) for c in centres]
-    return centres, {key: np.array([one[key] for one in told]) for key in told[0]}
+    estimates = [_window(pulse, moved, noise, beats, even_s, c, window_s, rate_hz, high_hz - low_hz) for c in centres]
+    return centres, {key: np.array([one[key] for one in estimates]) for key in estimates[0]}
 
 
 def _window(

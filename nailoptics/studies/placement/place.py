@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 DEFAULT_SECONDS = 480.0
 DEFAULT_RELATIVE_ERROR = 0.02
 BLOCKS = 32
-# The best layout is looked at closely if so much time is left. [s]
+# The best layout is verified by its own trace if so much time is left. [s]
 CHECK_S = 10.0
 # Part of the time left that this takes at most; the rest is for what is unknown of the finger.
 VERIFY_SHARE = 0.7
@@ -94,7 +94,7 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
     result = as_dataset(scene, layouts, scores, conditions, maps, searched, verified, made).merge(over)
     spread = "resolution_spread" in over or not scene.priors.spread
-    for known, what in ((verified, "looked at closely"), (spread, "judged on other fingers")):
+    for known, what in ((verified, "verified"), (spread, "judged on other fingers")):
         unmet = unmet or (None if known else f"{report_progress.why} before the best layout was {what}.")
     if unmet:
         result.attrs["cut_off"] = unmet

@@ -1,4 +1,4 @@
-"""How far the best layout stays the best: with fewer and more photodiodes, and over what is unknown of the finger."""
+"""How far the best layout stays the best: with fewer and more photodiodes, and over the priors of the finger."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
