@@ -2,7 +2,7 @@
 
 `WAVES` lists them, and all studies take them from there: `simulate` and `oximeter` their pressure over time, `place`
 their spectral lines, `predict` the band in which a recording shows them and the oscillator by which its filter follows
-them. A further wave is one more entry, and a table of its name in a scene's [body] for what users set of it.
+them. A further wave is one more entry here; what users set of it is a table and a name in `WAVES` of scene/body.py.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 # Height, instant (part of a beat) and sharpness of the systolic, the reflected and the dicrotic wave: chosen so that
 # their sum climbs faster than it falls and has the notch of a finger's pulse.
-_WAVES = ((1.0, 0.17, 12.0), (0.55, 0.33, 8.0), (0.35, 0.55, 6.0))
+_PULSE_COMPONENTS = ((1.0, 0.17, 12.0), (0.55, 0.33, 8.0), (0.35, 0.55, 6.0))
 
 MOST_VARIABILITY = 0.2
 # Streams of the seed.
@@ -130,7 +130,9 @@ def _uneven(beats: np.ndarray, variability: float, seed: int) -> np.ndarray:
 
 def _beat(phase: np.ndarray) -> np.ndarray:
     """The pulse before it is scaled, from the phase in beats."""
-    waves = [height * np.exp(sharp * (np.cos(2.0 * np.pi * (phase - at)) - 1.0)) for height, at, sharp in _WAVES]
+    waves = [
+        height * np.exp(sharp * (np.cos(2.0 * np.pi * (phase - at)) - 1.0)) for height, at, sharp in _PULSE_COMPONENTS
+    ]
     return sum(waves, start=np.zeros_like(phase))
 
 

@@ -79,6 +79,10 @@ class Motion(Table):
     """Time in which it forgets where it was (a factor e). [s]"""
 
 
+# Tables of the waves that hemodynamics.waves knows.
+WAVES = ("heartbeat", "breathing", "vasomotion")
+
+
 class Body(Table):
     """What moves readings beside the touch: the arterial pressure P_H, and the sensor itself; what is not given is
     still."""
@@ -119,7 +123,7 @@ class Body(Table):
             return self
         columns = {"time_s": self.recorded_time_s, "arterial_pressure_pa": self.recorded_arterial_pressure_pa}
         check_columns(columns, "body.file")
-        for name in ("heartbeat", "breathing", "vasomotion"):
+        for name in WAVES:
             if getattr(self, name) is not None:
                 raise ValueError(f"file holds the whole pressure; leave out [body.{name}], or file")
         return self
@@ -127,4 +131,4 @@ class Body(Table):
     @property
     def moves(self) -> bool:
         """Whether the arterial pressure changes over time at all."""
-        return any((self.heartbeat, self.breathing, self.vasomotion, self.recorded_time_s))
+        return self.recorded_time_s is not None or any(getattr(self, name) is not None for name in WAVES)

@@ -109,8 +109,7 @@ class SampledFrontEnd:
         lit = self._light_v(np.asarray(fraction, float))
         each = np.concatenate([lit, dark[..., :1]], -1)
         volts = each @ self.mixing.T
-        limit_v = self._amplifier.adc_range_v - electronics.lsb_v(self._amplifier)
-        return np.minimum(volts, self._amplifier.adc_range_v), volts >= limit_v
+        return np.minimum(volts, self._amplifier.adc_range_v), volts >= electronics.limit_v(self._amplifier)
 
     def _light_v(self, fraction: Array) -> Array:
         """The stage's output in either LED's light, settled and without a converter's limit, (..., 2) float. [V]"""

@@ -57,7 +57,7 @@ def _noisy(front_end: SampledFrontEnd, fraction: Array, rng: np.random.Generator
     slots, _ = front_end.slot_volts(fraction)
     variance = np.sum(list(front_end.slot_noise_v2(fraction.mean(0)).values()), axis=0)
     noisy = slots + np.sqrt(variance) * rng.standard_normal(slots.shape)
-    return np.clip(noisy, 0.0, front_end.scene.electronics.adc_range_v - electronics.lsb_v(front_end.scene.electronics))
+    return np.clip(noisy, 0.0, electronics.limit_v(front_end.scene.electronics))
 
 
 def light_over(transfer: Transfer, leds: tuple[int, int], so2: float, blood: Array, *, seed: int) -> Array:

@@ -11,6 +11,7 @@ from ...commit import code_attributes
 from ...errors import InputError
 from ...hemodynamics.beat_detection import BAND_HZ, LEAST_BEATS, Beats, Marks, band, find_beats, resampled
 from ...scene import Scene
+from ...scene.importers.sensor_recordings import SATURATED
 from ...scene.importers.slot_recordings import OximeterRecording
 from ...sensor.front_end import AVERAGE_S
 from ...statistics import Z95
@@ -220,7 +221,7 @@ def _centres(even_s: Array, window_s: float) -> Array:
 def _check_limit(recording: OximeterRecording, range_v: float) -> None:
     for k, light in enumerate(("red", "infrared")):
         for name, volts in zip(recording.photodiodes, recording.volts[k], strict=True):
-            full = float(np.mean(volts[np.isfinite(volts)] >= range_v * (1 - 1e-4)))
+            full = float(np.mean(volts[np.isfinite(volts)] >= SATURATED * range_v))
             if full > MOST_SATURATED:
                 raise InputError(
                     f'{recording.name}: photodiode "{name}" is saturated in {100 * full:.0f} % of its {light} readings '
