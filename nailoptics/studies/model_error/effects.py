@@ -191,8 +191,9 @@ def blood_scattering(tolerance: float, base: PairedReadings, denser: PairedReadi
         signal = more * np.log1p(both.ratio) / np.log(SCATTERING_FACTOR)
         each = more / (1 + both.ratio) / np.log(SCATTERING_FACTOR)
         error = np.hypot(each * both.ratio_stderr, signal * unit_stderr / unit)
+        skew = np.abs(each) * both.ratio_skew
     still = np.zeros_like(signal)
-    found = Difference(still, still, signal, error, swing_skew=np.abs(each) * both.ratio_skew)
+    found = Difference(still, still, signal, error, swing_skew=skew)
     text = f"replaces dermis, which scatters {1 / (1 + np.mean(contrast)):.2g} times as much"
     change = Change("blood's own scattering", False, text)
     return effect_of(change, found, base, tolerance=tolerance, of="signal")
