@@ -140,13 +140,8 @@ def _dataset(
     time_s, over = recording.time_s, "time"
     data = variable("force_n", over, estimate.force_n, "force, estimated from the readings", units="N")
     data |= variable("force_low_n", over, estimate.low_n, "lower bound of the force, 95 %", units="N")
-    data |= variable(
-        "force_high_n",
-        over,
-        estimate.high_n,
-        "upper bound of the force, 95 %; infinite where the vessels are closed",
-        units="N",
-    )
+    bound = "upper bound of the force, 95 %; infinite where the vessels are closed"
+    data |= variable("force_high_n", over, estimate.high_n, bound, units="N")
     data |= variable("proximal_share", over, estimate.share, "proximal share of the force")
     data |= variable("proximal_share_low", over, estimate.share_low, "lower bound of the proximal share, 95 %")
     data |= variable("proximal_share_high", over, estimate.share_high, "upper bound of the proximal share, 95 %")
