@@ -11,10 +11,9 @@ import numpy as np
 from ..io import pack
 from ..light.tracing.store import LightStore
 from ..options import Requested, TraceOptions
-from ..scene import Scene
 from ..scene.sweep import Sweep
 from ..variables import to_record
-from .jobs import Settings, plan
+from .jobs import Planned, Settings, plan
 from .studies import STUDIES, by_volpath
 
 # Lights that are tried, evenly spaced in the sweep.
@@ -56,7 +55,7 @@ def estimate(sweep: Sweep, **requested: Unpack[Requested]) -> Estimate:
     """Estimate a sweep's cost; compiling is not counted, as it happens once per worker."""
     settings = Settings.of(Path(), TraceOptions(**requested), sweep.study)
     planned = plan(sweep, settings)
-    first = {p.key: p.scene for p in reversed(planned)}
+    first = {p.key: p for p in reversed(planned)}
     lights = [first[key] for key in dict.fromkeys(p.key for p in planned)]
     picks = np.linspace(0, len(lights) - 1, min(SAMPLES, len(lights))).round().astype(int)
     costs = [_cost(lights[pick], settings) for pick in picks]
@@ -71,8 +70,9 @@ def estimate(sweep: Sweep, **requested: Unpack[Requested]) -> Estimate:
     )
 
 
-def _cost(scene: Scene, settings: Settings) -> tuple[float, float, float, float]:
+def _cost(planned: Planned, settings: Settings) -> tuple[float, float, float, float]:
     """Processor seconds of a scene's light and of its reading, and the bytes of both."""
+    scene, traced = planned.scene, planned.traced
     study, options = STUDIES[settings.study], settings.options_of(scene)
     volpath = by_volpath(scene, options.backend) and not study.own_light
     few = replace(options, relative_error=None, photons=PHOTONS, max_seconds=None, store=False)
@@ -82,10 +82,10 @@ def _cost(scene: Scene, settings: Settings) -> tuple[float, float, float, float]
     with TemporaryDirectory(prefix="nailoptics-") as folder:
         stores = [LightStore(Path(folder))]
         if not volpath:
-            study.run(scene, replace(few, photons=1024), [])  # imports and compiles
+            study.run(scene, replace(few, photons=1024), [], traced)  # imports and compiles
         for _ in range(1 if volpath else 2):
             begin = time.process_time()
-            dataset, photons, _ = study.run(scene, few, stores)
+            dataset, photons, _ = study.run(scene, few, stores, traced)
             spent.append(time.process_time() - begin)
         stored = sum(path.stat().st_size for path in Path(folder).rglob("*.dat"))
     if options.photons and photons:

@@ -9,7 +9,7 @@ from typing import cast
 
 from ..errors import InputError
 from ..light import backend as backends
-from ..light.identity import light_digest
+from ..light.identity import light_digest, traced_absorption
 from ..light.tracing import accuracy
 from ..light.tracing.store import LightStore
 from ..light.transfer import current_versions
@@ -78,31 +78,34 @@ class Job:
     """Scenes of the same light.
 
     scenes : digest and scene of each.
+    traced : the phantom that is traced for all of them; None where their own light is the same.
     """
 
     key: str
     scenes: tuple[tuple[str, Scene], ...]
+    traced: Scene | None = None
 
 
 @dataclass(frozen=True)
 class Planned:
-    """One scene of a batch: its digest, and the key of its light."""
+    """One scene of a batch: its digest, the key of its light, and what is traced in its place."""
 
     digest: str
     key: str
     scene: Scene
+    traced: Scene | None = None
 
 
 def plan(sweep: Sweep, settings: Settings) -> list[Planned]:
     """Digest and light of every scene, in the sweep's order."""
     planned, study = [], settings.study
-    for scene in sweep.scenes:
+    for scene, traced in zip(sweep.scenes, traced_absorption(sweep.scenes), strict=True):
         # Another study of the same scene is another result.
         own = digest(scene)
         own = own if study == "simulate" else hashlib.sha256(f"{study} {own}".encode()).hexdigest()
-        key = f"{light_digest(scene)}{study if STUDIES[study].own_light else ''}"
+        key = f"{light_digest(traced or scene)}{study if STUDIES[study].own_light else ''}"
         stores_none = by_volpath(scene, settings.options.backend) and not STUDIES[study].own_light
-        planned.append(Planned(own, own if stores_none else key, scene))
+        planned.append(Planned(own, own if stores_none else key, scene, None if stores_none else traced))
     return planned
 
 
@@ -125,10 +128,13 @@ def of_shard(planned: list[Planned], shard: tuple[int, int]) -> list[Planned]:
 def jobs_of(planned: list[Planned]) -> list[Job]:
     """Jobs of at most 16 scenes of the same light; the first of every light come before any second."""
     groups: dict[str, list[tuple[str, Scene]]] = {}
+    traced = {p.key: p.traced for p in planned}
     for p in planned:
         groups.setdefault(p.key, []).append((p.digest, p.scene))
     parts = [
-        (i, Job(key, tuple(some[i : i + CHUNK]))) for key, some in groups.items() for i in range(0, len(some), CHUNK)
+        (i, Job(key, tuple(some[i : i + CHUNK]), traced[key]))
+        for key, some in groups.items()
+        for i in range(0, len(some), CHUNK)
     ]
     return [job for _, job in sorted(parts, key=lambda part: part[0])]
 

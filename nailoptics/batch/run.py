@@ -16,7 +16,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Unpack
 
@@ -333,7 +333,7 @@ class _Driver:
         """
         self.outcome.deaths += 1
         if len(job.scenes) > 1:
-            self.queue.extend(Job(job.key, (one,)) for one in job.scenes)
+            self.queue.extend(replace(job, scenes=(one,)) for one in job.scenes)
             return self.show("a worker was killed; its scenes are tried again one by one")
         ((digest_, _),) = job.scenes
         self.deaths[digest_] += 1

@@ -61,14 +61,14 @@ def work(job: Job, settings: Settings, sharers: int = 0) -> JobReport:
         try:
             with folder.claimed(job.key) as mine:
                 if mine and not folder.gone():
-                    _study(job.scenes[0], settings, report)
+                    _study(job.scenes[0], job, settings, report)
             if not mine:
                 time.sleep(BUSY_S)
                 report.busy = True
                 return report
             for one in job.scenes[1:]:
                 if not folder.gone():
-                    _study(one, settings, report)
+                    _study(one, job, settings, report)
         except (OSError, WriteError) as error:
             if not folder.gone() and not _is_storage(error):
                 raise
@@ -79,14 +79,14 @@ def work(job: Job, settings: Settings, sharers: int = 0) -> JobReport:
     return report
 
 
-def _study(one: tuple[str, Scene], settings: Settings, report: JobReport) -> None:
-    """Study one scene, unless that is done, and write its result or why it failed; raises if the disk is at fault."""
+def _study(one: tuple[str, Scene], job: Job, settings: Settings, report: JobReport) -> None:
+    """Study a scene of a job, unless that is done, and write its result or why it failed; raises if the disk fails."""
     (digest, scene), folder, made = one, Folder(settings.folder), settings.made()
     try:
         if folder.standing(digest, settings.required(scene), made) == "done":
             report.done.append(digest)
             return
-        header, arrays = _result(scene, settings, report)
+        header, arrays = _result(scene, job, settings, report)
         if not header:
             return
         path = folder.result(digest)
@@ -112,7 +112,9 @@ def _is_storage(error: Exception) -> bool:
     return isinstance(error, WriteError) or (isinstance(error, OSError) and error.errno in STORAGE)
 
 
-def _result(scene: Scene, settings: Settings, report: JobReport) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _result(
+    scene: Scene, job: Job, settings: Settings, report: JobReport
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Header and arrays of a scene's result; both empty where the batch's time ended before its light was traced."""
     required, options = settings.required(scene), settings.options_of(scene)
     if settings.is_late():
@@ -120,7 +122,7 @@ def _result(scene: Scene, settings: Settings, report: JobReport) -> tuple[dict[s
     stores = settings.stores(lambda path, why: report.corrupt.append(path.parent.name))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ReweightWarning)
-        dataset, photons, reached = STUDIES[settings.study].run(scene, options, stores)
+        dataset, photons, reached = STUDIES[settings.study].run(scene, options, stores, job.traced)
     timed = required.photons is None and required.relative_error is None
     if options.max_seconds != required.max_seconds and settings.is_late() and (timed or not reached):
         return {}, {}

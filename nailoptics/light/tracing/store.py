@@ -24,7 +24,7 @@ from ...scene import Scene
 from ...statistics import seed_of
 from ..identity import led_digest, usual_layer_name
 from ..transfer import current_versions
-from ..transfer.records import SUMS, Batch, check_records
+from ..transfer.records import SUMS, Batch, check_records, read_escaping
 
 T = TypeVar("T")
 
@@ -226,15 +226,17 @@ class LedSource:
         seed: int,
         stored: Sequence[StoredLight] = (),
         layers: Sequence[str] = (),
+        read_mu_a: np.ndarray | None = None,
     ) -> None:
         """engine : makes the engine; called only if something has to be traced.
 
         photodiodes : how many there are.
         stored : where batches may lie; new ones go to the first.
         layers : names of a phantom's layers, which its light does not know.
+        read_mu_a : (r,) float. Absorption at which a phantom's energy is read, if its batches hold all escaping light.
         """
         self.engine, self.led, self.mu_a, self.seed, self.stored = engine, led, mu_a, seed, stored
-        self.photodiodes = photodiodes
+        self.photodiodes, self.read_mu_a = photodiodes, read_mu_a
         self.names = {usual_layer_name(i): name for i, name in enumerate(layers)}
         self.reused = self.traced = 0
 
@@ -250,7 +252,8 @@ class LedSource:
             columns: dict[str, Any] = {column: arrays[column] for column in _COLUMNS}
             columns |= {one: {part: (a, b) for part, (a, b) in about[one].items()} for one in SUMS}
             batch = Batch(photons=photons, events=int(about["events"]), **columns)
-            check_records(batch, photodiodes=self.photodiodes, absorbers=len(self.mu_a))
+            ends = 0 if self.read_mu_a is None else 2
+            check_records(batch, photodiodes=self.photodiodes + ends, absorbers=len(self.mu_a))
             return batch
 
         batch = next((found for one in self.stored if (found := one.read(name, build))), None)
@@ -262,6 +265,8 @@ class LedSource:
             if self.stored:
                 about = {"events": batch.events} | {one: getattr(batch, one) for one in SUMS}
                 self.stored[0].write(name, about, {column: getattr(batch, column) for column in _COLUMNS})
+        if self.read_mu_a is not None:
+            return read_escaping(batch, self.photodiodes, self.read_mu_a - self.mu_a)
         absorbed = {self.names.get(place, place): sums for place, sums in batch.absorbed.items()}
         return replace(batch, absorbed=absorbed)
 

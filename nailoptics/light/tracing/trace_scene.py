@@ -27,6 +27,7 @@ def trace(
     scene: Scene,
     *,
     with_faces: Collection[str] = (),
+    traced: Scene | None = None,
     stores: Sequence[LightStore] | None = None,
     progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
@@ -35,6 +36,8 @@ def trace(
 
     with_faces : parts whose faces are there even where the scene leaves them out. So photons that never meet them go
         the same way, number by number, as in a scene that has them, which walks on other faces would not.
+    traced : a phantom that absorbs less and is else the same: it is traced, and read as the scene; where in the
+        phantom light is absorbed is then not known.
     stores : where batches are looked for and, in the first, stored; that of the user if not given.
     requested : fields of `TraceOptions`; a million photons where neither they nor the scene say how far.
     progress : called after every batch.
@@ -45,7 +48,7 @@ def trace(
     begin, options = time.process_time(), TraceOptions(**requested)
     chosen = backends.choose_jit(options.backend, PHOTONS_ENGINE)
     required = accuracy(scene, options)
-    engine = LightEngine(scene, chosen, with_faces=with_faces)
+    engine = LightEngine(traced or scene, chosen, with_faces=with_faces, escaping=traced is not None)
     if stores is None:
         stores = [own] if options.store and (own := LightStore.of_user()) else []
     sources = led_sources(scene, engine, stores, seed=options.seed, backend=chosen.name)
@@ -110,13 +113,20 @@ class LightEngine:
     Until then Mitsuba is not even imported: light that is stored needs none.
 
     with_faces : the parts that it has although the scene leaves them out.
+    escaping : whether all light that leaves a phantom is recorded.
     full : photons of a full batch.
     cpu_seconds, wall_seconds : what opening it took. [s]
     """
 
-    def __init__(self, scene: Scene, backend: backends.Backend, *, with_faces: Collection[str] = ()) -> None:
+    def __init__(
+        self, scene: Scene, backend: backends.Backend, *, with_faces: Collection[str] = (), escaping: bool = False
+    ) -> None:
         self.scene, self.backend = light_scene(scene), backend
-        self.with_faces = sorted({*with_faces} & {*scene.light.left_out})
+        self.more: dict[str, Any] = {}
+        if faces := sorted({*with_faces} & {*scene.light.left_out}):
+            self.more["with_faces"] = faces
+        if escaping:
+            self.more["escaping"] = True
         self.full = batch_photons(scene)
         self.cpu_seconds = self.wall_seconds = 0.0
         self._opened: Any = None
@@ -126,7 +136,7 @@ class LightEngine:
         if self._opened is None:
             begin, cpu = time.perf_counter(), time.process_time()
             engine_class = photons_engine(self.scene, self.backend.name)
-            self._opened = engine_class(self.scene, **({"with_faces": self.with_faces} if self.with_faces else {}))
+            self._opened = engine_class(self.scene, **self.more)
             self.wall_seconds, self.cpu_seconds = time.perf_counter() - begin, time.process_time() - cpu
         return self._opened
 
@@ -138,12 +148,12 @@ def led_sources(
     found, layers = [], [layer.name for layer in scene.phantom.layers] if scene.phantom else []
     for led, source in enumerate(scene.leds):
         mu_a = optics.absorption(engine.scene, source.wavelength_nm)[0]
-        made = made_of(scene, led, seed=seed, backend=backend) | (
-            {"kept": engine.with_faces} if engine.with_faces else {}
-        )
+        read_mu_a = optics.absorption(scene, source.wavelength_nm)[0] if "escaping" in engine.more else None
+        made = made_of(engine.scene, led, seed=seed, backend=backend) | engine.more
         stored = [store.light(made) for store in stores if store is not None]
         photodiodes = len(photodiode_names(scene))
-        found.append(LedSource(engine, led, mu_a, photodiodes=photodiodes, seed=seed, stored=stored, layers=layers))
+        more: dict[str, Any] = {"stored": stored, "layers": layers, "read_mu_a": read_mu_a}
+        found.append(LedSource(engine, led, mu_a, photodiodes=photodiodes, seed=seed, **more))
     return found
 
 

@@ -11,7 +11,7 @@ from ...errors import InputError
 from ...io import CorruptError
 from ...statistics import FEW_TERMS, Z95, effective_count, seed_of, stderr_of_mean, upper_limit_95
 from .moments import Moments, RestState, moments_of, moments_of_sample
-from .reweight import transmission
+from .reweight import attenuation, transmission
 
 # What is kept of each detected photon.
 COLUMNS = ("photodiode", "weight", "path_mm", "draw")
@@ -42,6 +42,22 @@ class Batch:
     events: int
     absorbed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     pairs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+def read_escaping(batch: Batch, photodiodes: int, mu_a: np.ndarray) -> Batch:
+    """A batch of a phantom that also holds all light that left its top and bottom, as of two more photodiodes, without
+    these, but with the energy at another absorption that they give; where light is absorbed is then not known.
+
+    mu_a : (r,) float. Absorption, less that for which the weights hold. [mm^-1]
+    """
+    end = batch.photodiode.astype(int) - photodiodes
+    weight = batch.weight * attenuation(batch.path_mm, mu_a)
+    energy = {name: (weight[end == i].sum(), (weight[end == i] ** 2).sum()) for i, name in enumerate(ENERGY[:2])}
+    total, square = (sum(sums) for sums in zip(*energy.values(), strict=True))
+    lost = batch.energy["lost"]
+    energy |= {"absorbed": (batch.photons - total - lost[0], batch.photons - 2 * total + square), "lost": lost}
+    detected = {name: getattr(batch, name)[end < 0] for name in ("photodiode", "weight", "path_mm")}
+    return replace(batch, **detected, energy=energy, absorbed={})
 
 
 def check_arrays(arrays: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> None:

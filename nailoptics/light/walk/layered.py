@@ -39,8 +39,10 @@ TINY = 1e-12
 class LayeredTracer:
     """The photons engine for a phantom scene: walks the photons of its LEDs until each has ended."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, *, escaping: bool = False) -> None:
+        """escaping : whether all light that leaves is recorded, as that of two more photodiodes, top and bottom."""
         assert scene.phantom is not None
+        self.escaping = escaping
         self.scene, self.phantom = scene, scene.phantom
         self.photodiodes = tuple(photodiode.name for photodiode in scene.photodiodes)
         self.apertures = [
@@ -65,6 +67,12 @@ class LayeredTracer:
             weight.append(share[seen] * walked.weight[top[seen]])
             path.append(walked.path_mm[:, top[seen]].T)
             photon.append(seen)
+        pairs = pair_sums(photon, weight)
+        for i, end in enumerate((TOP, BOTTOM) if self.escaping else (), len(self.apertures)):
+            left = np.flatnonzero(walked.outcome == end)
+            photodiode.append(np.full(len(left), i, np.uint16))
+            weight.append(walked.weight[left])
+            path.append(walked.path_mm[:, left].T)
         return Batch(
             photons=photons,
             photodiode=np.concatenate([np.zeros(0, np.uint16), *photodiode]),
@@ -73,7 +81,7 @@ class LayeredTracer:
             energy=energy,
             absorbed=absorbed,
             events=walked.events,
-            pairs=pair_sums(photon, weight),
+            pairs=pairs,
         )
 
 
