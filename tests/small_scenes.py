@@ -1,4 +1,8 @@
-"""Fingers and boards as small as a scene can be, for tests to add tables to."""
+"""Fingers, boards and phantoms as small as a scene can be, for tests to add tables to."""
+
+import json
+from collections.abc import Sequence
+from typing import Any
 
 SMALL_FINGER = """
 schema_version = 1
@@ -47,3 +51,24 @@ leds_mm = [[-3.0, 0.0]]
 photodiodes_mm = [[3.0, -2.0], [3.0, -1.0], [3.0, 1.0], [3.0, 2.0]]
 """
 )
+
+
+def phantom(
+    *layers: dict[str, Any], leds: Sequence[dict[str, Any]] = ({},), photodiodes: Sequence[dict[str, Any]] = (), **faces
+) -> str:
+    """TOML of a phantom: each layer, LED and photodiode is one of usual values, but for those given.
+
+    layers : from the top down. faces : n_above and n_below. The usual LED is a pencil beam at the origin, the usual
+    photodiode a square aperture beside it.
+    """
+    layer = {"name": "slab", "thickness_mm": 10.0, "mu_a_per_mm": 0.05, "mu_s_per_mm": 5.0}
+    led = {"name": "beam", "wavelength_nm": 800.0, "pattern": "pencil"}
+    photodiode = {"name": "square", "aperture": True, "position_mm": [2.0, 0.0]}
+    tables = [("[phantom]", faces), *(("[[phantom.layers]]", layer | values) for values in layers)]
+    tables += [("[[leds]]", led | values) for values in leds]
+    tables += [("[[photodiodes]]", photodiode | values) for values in photodiodes]
+    lines = ["schema_version = 1"]
+    for header, values in tables:
+        # JSON writes numbers, texts and lists as TOML does, but for those that are not finite.
+        lines += [header, *(f"{k} = {v if isinstance(v, float) else json.dumps(v)}" for k, v in values.items())]
+    return "\n".join(lines) + "\n"

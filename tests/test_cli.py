@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
-from small_scenes import SMALL_FINGER
+from small_scenes import SMALL_FINGER, phantom
 
 import nailoptics
 from nailoptics import cli
@@ -23,26 +23,10 @@ from nailoptics.light import Transfer, backend
 
 ROOT = Path(nailoptics.__file__).parents[1]
 PROTOTYPE = (ROOT / "scenes/prototype.toml").read_text(encoding="utf-8")
-PHANTOM = """
-schema_version = 1
-[phantom]
-[[phantom.layers]]
-name = "slab"
-thickness_mm = 2.0
-mu_a_per_mm = 0.1
-mu_s_per_mm = 5.0
-g = 0.5
-n = 1.4
-[[leds]]
-name = "beam"
-wavelength_nm = 800.0
-pattern = "pencil"
-[[photodiodes]]
-name = "square"
-aperture = true
-position_mm = [1.0, 0.0]
-size_mm = [1.0, 1.0]
-"""
+PHANTOM = phantom(
+    {"thickness_mm": 2.0, "mu_a_per_mm": 0.1, "g": 0.5, "n": 1.4},
+    photodiodes=[{"position_mm": [1.0, 0.0], "size_mm": [1.0, 1.0]}],
+)
 
 
 @pytest.fixture(autouse=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from small_scenes import SMALL_FINGER
+from small_scenes import SMALL_FINGER, phantom
 
 import nailoptics
 from nailoptics import io
@@ -21,25 +21,10 @@ from nailoptics.errors import InputError, WriteError
 from nailoptics.scene import parse_scene
 
 ROOT = Path(__file__).parents[1]
-PHANTOM = """
-schema_version = 1
-[phantom]
-[[phantom.layers]]
-name = "slab"
-thickness_mm = 1.0
-mu_a_per_mm = 0.1
-mu_s_per_mm = 5.0
-g = 0.8
-n = 1.4
-[[leds]]
-name = "beam"
-wavelength_nm = 800.0
-pattern = "pencil"
-[[photodiodes]]
-name = "p"
-aperture = true
-position_mm = [1.0, 0.0]
-"""
+PHANTOM = phantom(
+    {"thickness_mm": 1.0, "mu_a_per_mm": 0.1, "g": 0.8, "n": 1.4},
+    photodiodes=[{"name": "p", "position_mm": [1.0, 0.0]}],
+)
 
 
 def here() -> dict[str, str]:

@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_scenes import phantom
 
 import nailoptics as nail
 from nailoptics import geometry
@@ -34,16 +35,11 @@ jit = pytest.mark.jit
 PROTOTYPE = Path(__file__).parents[2] / "scenes" / "prototype.toml"
 
 
-def stack(*layers: dict, n_above: float = 1.0, n_below: float = 1.0, led: str = "", apertures: str = "") -> Scene:
+def stack(*layers: dict, **more) -> Scene:
     """A phantom lit by a pencil beam at the origin, with a square aperture beside it."""
-    text = f"schema_version = 1\n[phantom]\nn_above = {n_above!r}\nn_below = {n_below!r}\n"
-    for i, layer in enumerate(layers):
-        values = {"thickness_mm": 1.0, "mu_a_per_mm": 0.0, "mu_s_per_mm": 0.0, "g": 0.0, "n": 1.0} | layer
-        text += f'[[phantom.layers]]\nname = "layer{i}"\n' + "".join(f"{k} = {v!r}\n" for k, v in values.items())
-    beam = 'name = "beam"\nwavelength_nm = 800.0\npattern = "pencil"\n'
-    text += f"[[leds]]\n{led or beam}"
-    square = '[[photodiodes]]\nname = "square"\naperture = true\nposition_mm = [2.0, 0.0]\nsize_mm = [1.0, 1.0]\n'
-    return parse_scene(text + (apertures or square))
+    clear = {"thickness_mm": 1.0, "mu_a_per_mm": 0.0, "mu_s_per_mm": 0.0, "g": 0.0, "n": 1.0}
+    named = [clear | {"name": f"layer{i}"} | layer for i, layer in enumerate(layers)]
+    return parse_scene(phantom(*named, **{"photodiodes": [{"size_mm": [1.0, 1.0]}]} | more))
 
 
 def energy(scene: Scene, photons: int = 200_000, seed: int = 1) -> dict[str, tuple[float, float]]:
@@ -140,8 +136,8 @@ def test_a_micrometre_under_a_metre_keeps_its_digits(jit_backend):
 def test_a_photodiode_that_sees_nothing_reads_zero_below_a_limit(jit_backend):
     from nailoptics.light import read_rest
 
-    blind = '[[photodiodes]]\nname = "far"\naperture = true\nposition_mm = [1e6, 0.0]\nsize_mm = [1.0, 1.0]\n'
-    rest = read_rest(stack({"mu_a_per_mm": 1.0, "mu_s_per_mm": 1.0}, apertures=blind), photons=10_000)
+    blind = {"name": "far", "position_mm": [1e6, 0.0], "size_mm": [1.0, 1.0]}
+    rest = read_rest(stack({"mu_a_per_mm": 1.0, "mu_s_per_mm": 1.0}, photodiodes=[blind]), photons=10_000)
     row = rest.readings[0]
     assert row["detected_fraction"] == 0 and (1 - row["upper_limit_95"]) ** 10_000 == pytest.approx(0.05)
     # A path of light that was not seen is unknown, in JSON null.
@@ -173,12 +169,9 @@ def test_a_billion_photons_lose_nothing_in_the_sum():
 @pytest.mark.parametrize("away_mm", [1000.0, -1000.0])
 def test_a_phantom_moved_a_metre_reads_the_same(jit_backend, away_mm):
     def reading(x: float) -> tuple[float, float]:
-        led = f'name = "beam"\nwavelength_nm = 800.0\npattern = "pencil"\nposition_mm = [{x!r}, {x!r}]\n'
-        square = (
-            f'[[photodiodes]]\nname = "s"\naperture = true\nposition_mm = [{x + 2.0!r}, {x!r}]\nsize_mm = [1.0, 1.0]\n'
-        )
+        beam, square = {"position_mm": [x, x]}, {"position_mm": [x + 2.0, x], "size_mm": [1.0, 1.0]}
         layer = {"thickness_mm": 10.0, "mu_a_per_mm": 0.05, "mu_s_per_mm": 10.0, "g": 0.9}
-        rest = nail.trace(stack(layer, led=led, apertures=square), photons=50_000, seed=3).at().squeeze()
+        rest = nail.trace(stack(layer, leds=[beam], photodiodes=[square]), photons=50_000, seed=3).at().squeeze()
         return float(rest.detected_fraction), float(rest.detected_fraction_stderr)
 
     # The same seed walks the same displacements, so that the two agree to rounding.
@@ -189,11 +182,11 @@ def test_a_phantom_moved_a_metre_reads_the_same(jit_backend, away_mm):
 def test_a_beam_inside_its_photodiode_and_dies_that_touch_it(jit_backend):
     """A photodiode that covers everything reads all that is reflected; one that ends at the beam, half of the rest."""
     layer = {"thickness_mm": 10.0, "mu_a_per_mm": 0.05, "mu_s_per_mm": 10.0, "g": 0.5}
-    both = (
-        '[[photodiodes]]\nname = "all"\naperture = true\nposition_mm = [0.0, 0.0]\nsize_mm = [1e5, 1e5]\n'
-        '[[photodiodes]]\nname = "half"\naperture = true\nposition_mm = [5e4, 0.0]\nsize_mm = [1e5, 1e5]\n'
-    )
-    transfer = nail.trace(stack(layer, apertures=both), photons=100_000)
+    both = [
+        {"name": "all", "position_mm": [0.0, 0.0], "size_mm": [1e5, 1e5]},
+        {"name": "half", "position_mm": [5e4, 0.0], "size_mm": [1e5, 1e5]},
+    ]
+    transfer = nail.trace(stack(layer, photodiodes=both), photons=100_000)
     everything, half = transfer.at().detected_fraction.values[0]
     assert everything == pytest.approx(transfer.energy()["reflected"]["value"], rel=1e-9)
     assert half == pytest.approx(everything / 2, rel=1e-6)
@@ -283,17 +276,9 @@ def test_overlapping_and_empty_parts_are_refused_in_one_line():
     ],
 )
 def test_layers_beyond_physics_are_refused_in_one_line(layer, field):
-    text = {k: ("nan" if isinstance(v, float) and math.isnan(v) else v) for k, v in layer.items()}
     with pytest.raises(InputError, match=rf"layers\[0\]\.{field}") as caught:
-        stack({k: _Bare(v) for k, v in text.items()})
+        stack(layer)
     assert len(str(caught.value).splitlines()) == 1
-
-
-class _Bare(str):
-    """A value that TOML reads as it stands."""
-
-    def __repr__(self) -> str:
-        return str(self)
 
 
 @pytest.mark.slow

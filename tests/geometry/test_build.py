@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from small_scenes import phantom
 
 from nailoptics.errors import InputError
 from nailoptics.geometry import AROUND, build, check_watertight
@@ -279,10 +280,7 @@ def test_impossible_fingers_get_one_clear_line(sensor, finger, words):
 
 
 def test_a_phantom_has_no_finger_to_build():
-    scene = parse_scene(
-        "schema_version = 1\n[phantom]\n[[phantom.layers]]\nname = 'a'\nthickness_mm = 1.0\nmu_a_per_mm = 0.1\n"
-        "mu_s_per_mm = 1.0\n[[leds]]\nname = 'beam'\nwavelength_nm = 800.0\npattern = 'pencil'\n"
-    )
+    scene = parse_scene(phantom({}))
     with pytest.raises(InputError, match="phantom"):
         build(scene)
 

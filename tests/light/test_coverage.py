@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from small_scenes import phantom
 
 import nailoptics as nail
 from nailoptics import tissue
@@ -44,30 +45,17 @@ barrier = false
 [electronics]
 feedback_ohm = 1e4
 """
-SLAB = """
-schema_version = 1
-[phantom]
-[[phantom.layers]]
-name = "slab"
-thickness_mm = 2.0
-mu_a_per_mm = 0.2
-mu_s_per_mm = 5.0
-g = 0.5
-[[leds]]
-name = "beam"
-wavelength_nm = 800.0
-pattern = "pencil"
-[[photodiodes]]
-name = "square"
-aperture = true
-position_mm = [{u}, 0.0]
-"""
 # A value and its standard error, each of any shape, by the estimator's name.
 Estimates = dict[str, tuple[np.ndarray, np.ndarray]]
 RUNS = [
     pytest.param(40, id="40 runs", marks=pytest.mark.long),
     pytest.param(300, id="300 runs", marks=pytest.mark.slow),
 ]
+
+
+def slab(u_mm: float, mu_a_per_mm: float = 0.2) -> Scene:
+    layer = {"thickness_mm": 2.0, "mu_a_per_mm": mu_a_per_mm, "g": 0.5}
+    return parse_scene(phantom(layer, photodiodes=[{"position_mm": [u_mm, 0.0]}]))
 
 
 def covers(runs: list[Estimates], truth: Estimates) -> None:
@@ -171,7 +159,7 @@ def test_intervals_of_the_map_and_of_the_force_that_a_layout_resolves(jit_backen
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["photons", "volpath"])
 def test_intervals_of_each_engine_on_a_phantom(jit_backend, engine):
-    scene = parse_scene(SLAB.format(u=0.8))
+    scene = slab(0.8)
     chosen = scene.model_copy(update={"light": scene.light.model_copy(update={"engine": engine})})
     truth = nail.trace(scene, photons=4_000_000, seed=10_000).at()
     photons, runs = 4000 if engine == "photons" else 8192, []
@@ -186,7 +174,7 @@ def test_intervals_of_each_engine_on_a_phantom(jit_backend, engine):
 def test_intervals_of_a_trace_that_stopped_at_a_tolerance(jit_backend, monkeypatch):
     """Paths and a reread state of a trace that stopped by its reading, beside the reading."""
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 11)
-    scene = parse_scene(SLAB.format(u=2.0))
+    scene = slab(2.0)
 
     def estimates(transfer: Transfer) -> Estimates:
         rest, other = transfer.at(), transfer.at(mu_a_per_mm={"slab": 0.4})
@@ -204,7 +192,7 @@ class Urn:
     """Stands for an engine whose truth is known: each photon is detected with one probability, at a skewed weight."""
 
     photodiodes = ("a",)
-    scene = parse_scene(SLAB.format(u=2.0).replace("mu_a_per_mm = 0.2", "mu_a_per_mm = 0.0"))
+    scene = slab(2.0, mu_a_per_mm=0.0)
     batch_photons = 1024
     probability = 0.05
     truth = probability / 4  # the mean of u^3

@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from small_scenes import phantom
 
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
@@ -138,46 +139,14 @@ def test_secants_give_the_paths_that_made_them():
 @pytest.mark.jit
 def test_both_engines_agree_on_a_slab_with_many_parts(jit_backend):
     """Also what `trace` prints beside the readings: where all the light went."""
-    text = """
-schema_version = 1
-[phantom]
-n_below = 1.33
-[[phantom.layers]]
-name = "upper"
-thickness_mm = 0.5
-mu_a_per_mm = 0.05
-mu_s_per_mm = 5.0
-g = 0.8
-n = 1.5
-[[phantom.layers]]
-name = "lower"
-thickness_mm = 2.0
-mu_a_per_mm = 0.1
-mu_s_per_mm = 8.0
-g = 0.8
-n = 1.4
-[[leds]]
-name = "beam"
-wavelength_nm = 660.0
-pattern = "pencil"
-[[leds]]
-name = "die"
-wavelength_nm = 940.0
-[[photodiodes]]
-name = "near"
-aperture = true
-position_mm = [1.5, 0.0]
-size_mm = [1.0, 2.0]
-[[photodiodes]]
-name = "far"
-aperture = true
-position_mm = [2.5, 0.0]
-size_mm = [1.0, 2.0]
-[light]
-engine = "%s"
-"""
+    upper = {"name": "upper", "thickness_mm": 0.5, "g": 0.8, "n": 1.5}
+    lower = {"name": "lower", "thickness_mm": 2.0, "mu_a_per_mm": 0.1, "mu_s_per_mm": 8.0, "g": 0.8, "n": 1.4}
+    leds = [{"wavelength_nm": 660.0}, {"name": "die", "wavelength_nm": 940.0, "pattern": "lambertian"}]
+    apertures = [{"name": k, "position_mm": [u, 0.0], "size_mm": [1.0, 2.0]} for k, u in (("near", 1.5), ("far", 2.5))]
+    text = phantom(upper, lower, leds=leds, photodiodes=apertures, n_below=1.33)
     ours, other = (
-        read_rest(parse_scene(text % engine), relative_error=0.05, seed=3) for engine in ("photons", "volpath")
+        read_rest(parse_scene(text + f'[light]\nengine = "{engine}"'), relative_error=0.05, seed=3)
+        for engine in ("photons", "volpath")
     )
     assert (ours.engine, other.engine) == ("photons", "volpath")
     assert [(r["led"], r["photodiode"]) for r in ours.readings] == [(r["led"], r["photodiode"]) for r in other.readings]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.special import j0
+from small_scenes import phantom
 
 from nailoptics import load_scene, trace
 from nailoptics.assets import data_dir
@@ -93,43 +94,15 @@ def test_diffuse_reflection_from_outside():
     assert fresnel_moments(1.0, n)[0] == pytest.approx(first + second - third + fourth, abs=1e-5)
 
 
-PHANTOM = """
-schema_version = 1
-[phantom]
-[[phantom.layers]]
-name = "plate"
-thickness_mm = 0.5
-mu_a_per_mm = 0.05
-mu_s_per_mm = 40.0
-g = 0.9
-n = 1.5
-[[phantom.layers]]
-name = "bed"
-thickness_mm = inf
-mu_a_per_mm = 0.03
-mu_s_per_mm = 20.0
-g = 0.9
-n = 1.38
-[[leds]]
-name = "beam"
-wavelength_nm = 800.0
-pattern = "pencil"
-"""
-APERTURE = """
-[[photodiodes]]
-name = "at_{0}"
-aperture = true
-position_mm = [{0}, 0.0]
-size_mm = [0.2, 0.2]
-"""
-
-
 @pytest.mark.jit
 def test_a_layered_phantom_against_the_photon_walk(jit_backend):
     """Rationale: a plate of two mean paths on a slab, a beam that becomes diffuse within the plate.
     Expected: near the beam the layers err, by tens of percent; from ten mean paths on, by few."""
     distances = np.array([0.5, 1.0, 2.0, 4.0])
-    scene = parse_scene(PHANTOM + "".join(APERTURE.format(x) for x in distances))
+    upper = {"name": "plate", "thickness_mm": 0.5, "mu_s_per_mm": 40.0, "g": 0.9, "n": 1.5}
+    lower = {"name": "bed", "thickness_mm": np.inf, "mu_a_per_mm": 0.03, "mu_s_per_mm": 20.0, "g": 0.9, "n": 1.38}
+    apertures = [{"name": f"at_{x}", "position_mm": [x, 0.0], "size_mm": [0.2, 0.2]} for x in distances]
+    scene = parse_scene(phantom(upper, lower, photodiodes=apertures))
     layers = scene.phantom.layers
     stack = DiffusiveStack(
         thickness_mm=np.array([layers[0].thickness_mm]),

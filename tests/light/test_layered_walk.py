@@ -4,6 +4,7 @@ import iadpython
 import numpy as np
 import pytest
 from scipy import special, stats
+from small_scenes import phantom
 
 import nailoptics as nail
 from nailoptics.light import Transfer
@@ -14,15 +15,7 @@ from nailoptics.scene import Scene, parse_scene
 from nailoptics.statistics import seed_of
 
 pytestmark = pytest.mark.jit
-SQUARE = """
-[[photodiodes]]
-name = "square"
-aperture = true
-position_mm = [2.0, 0.0]
-size_mm = [1.0, 1.0]
-"""
-PENCIL = 'pattern = "pencil"'
-DIE = 'pattern = "lambertian"\nposition_mm = [{x}, {y}]\nsize_mm = [{size}, {size}]'
+SQUARE = {"size_mm": [1.0, 1.0]}
 INF = float("inf")
 
 
@@ -30,20 +23,19 @@ def layer(*, thickness: float, mu_a: float, mu_s: float, g: float = 0.0, n: floa
     return {"thickness_mm": thickness, "mu_a_per_mm": mu_a, "mu_s_per_mm": mu_s, "g": g, "n": n}
 
 
-def phantom(
-    *layers: dict[str, float], led: str = PENCIL, photodiodes: str = "", n_above: float = 1.0, n_below: float = 1.0
-) -> Scene:
-    """A phantom scene of layers named l0, l1 and so on from the top down."""
-    stack = ""
-    for i, values in enumerate(layers):
-        stack += f'[[phantom.layers]]\nname = "l{i}"\n' + "".join(f"{k} = {v}\n" for k, v in values.items())
-    head = f"schema_version = 1\n[phantom]\nn_above = {n_above}\nn_below = {n_below}\n{stack}"
-    return parse_scene(f'{head}[[leds]]\nname = "led"\nwavelength_nm = 800.0\n{led}\n{photodiodes}')
+def die(u: float, v: float, size: float) -> dict:
+    return {"pattern": "lambertian", "position_mm": [u, v], "size_mm": [size, size]}
 
 
-def slab(*, a: float, b: float, g: float, n: float, **more: str) -> Scene:
+def stack(*layers: dict[str, float], led: dict | None = None, **more) -> Scene:
+    """A phantom of layers named l0, l1 and so on from the top down."""
+    named = [{"name": f"l{i}"} | values for i, values in enumerate(layers)]
+    return parse_scene(phantom(*named, leds=[{"name": "led"} | (led or {})], **more))
+
+
+def slab(*, a: float, b: float, g: float, n: float, **more) -> Scene:
     """A slab of albedo a and optical thickness b, 1 mm^-1 of extinction."""
-    return phantom(layer(thickness=b, mu_a=round(1 - a, 12), mu_s=a, g=g, n=n), **more)
+    return stack(layer(thickness=b, mu_a=round(1 - a, 12), mu_s=a, g=g, n=n), **more)
 
 
 def reflected_transmitted(scene: Scene, *, photons: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
@@ -105,7 +97,7 @@ def test_slabs_meet_adding_doubling_over_a_grid(jit_backend):
 
 def test_a_photodiode_sized_reading_meets_mesh_and_plain_monte_carlo(jit_backend):
     """Reference: 8.977(9)e-3 through the square and mean path 6.098(3) mm, R .521588, T .015927, by two codes each."""
-    scene = phantom(layer(thickness=10.0, mu_a=0.05, mu_s=10.0, g=0.9), photodiodes=SQUARE)
+    scene = stack(layer(thickness=10.0, mu_a=0.05, mu_s=10.0, g=0.9), photodiodes=[SQUARE])
     transfer = nail.trace(scene, photons=1 << 20, seed=3)
     seen, energy = transfer.at().squeeze(), transfer.energy()
     assert seen.detected_fraction_stderr < 0.003 * seen.detected_fraction
@@ -120,7 +112,7 @@ def test_a_photodiode_sized_reading_meets_mesh_and_plain_monte_carlo(jit_backend
     [
         slab(a=0.9, b=2.0, g=0.75, n=1.4),
         slab(a=0.9999, b=50.0, g=0.0, n=1.5),
-        phantom(
+        stack(
             layer(thickness=0.5, mu_a=3.0, mu_s=1.0, n=1.5), layer(thickness=INF, mu_a=0.001, mu_s=8.0, g=0.9, n=1.37)
         ),
     ],
@@ -135,7 +127,7 @@ def test_energy_is_accounted_for(jit_backend, scene):
 
 @pytest.mark.parametrize("n", [1.0, 1.5])
 def test_what_does_not_absorb_gives_all_light_back(jit_backend, n):
-    energy = nail.trace(phantom(layer(thickness=5.0, mu_a=0.0, mu_s=4.0, g=0.5, n=n)), photons=1 << 17, seed=1).energy()
+    energy = nail.trace(stack(layer(thickness=5.0, mu_a=0.0, mu_s=4.0, g=0.5, n=n)), photons=1 << 17, seed=1).energy()
     assert energy["reflected"]["value"] + energy["transmitted"]["value"] == pytest.approx(1, abs=1e-12)
     assert energy["absorbed"]["value"] == pytest.approx(0, abs=1e-12) and energy["lost"]["value"] == 0
 
@@ -143,7 +135,7 @@ def test_what_does_not_absorb_gives_all_light_back(jit_backend, n):
 def test_very_long_lives_end_without_bias(jit_backend):
     """Rationale: between total reflection and no absorption some photons scatter hundreds of thousands of times, and
     roulette ends those. Expected: all the light comes back on average, though single photons are worth 0 or 2."""
-    scene = phantom(layer(thickness=INF, mu_a=0.0, mu_s=10.0, g=0.0, n=1.5))
+    scene = stack(layer(thickness=INF, mu_a=0.0, mu_s=10.0, g=0.0, n=1.5))
     energy = nail.trace(scene, photons=1 << 12, seed=1).energy()
     assert energy["lost"]["stderr"] > 0
     assert abs(energy["lost"]["value"]) < 4 * energy["lost"]["stderr"]
@@ -152,9 +144,9 @@ def test_very_long_lives_end_without_bias(jit_backend):
 
 def test_a_layer_cut_in_three_is_the_same_layer(jit_backend):
     optics = {"mu_a": 0.1, "mu_s": 10.0, "g": 0.8, "n": 1.4}
-    whole = nail.trace(phantom(layer(thickness=3.0, **optics), photodiodes=SQUARE), photons=1 << 19, seed=1)
+    whole = nail.trace(stack(layer(thickness=3.0, **optics), photodiodes=[SQUARE]), photons=1 << 19, seed=1)
     parts = [layer(thickness=t, **optics) for t in (0.4, 0.001, 2.599)]
-    cut = nail.trace(phantom(*parts, photodiodes=SQUARE), photons=1 << 19, seed=2)
+    cut = nail.trace(stack(*parts, photodiodes=[SQUARE]), photons=1 << 19, seed=2)
     for part in ("reflected", "transmitted", "absorbed"):
         a, b = whole.energy()[part], cut.energy()[part]
         assert agree((a["value"], a["stderr"]), (b["value"], b["stderr"]))
@@ -171,22 +163,22 @@ def test_a_layer_cut_in_three_is_the_same_layer(jit_backend):
 def test_a_thin_layer_far_down_absorbs_exactly(jit_backend, depth):
     """Ten micrometres of 100 mm^-1 pass exp(-1) of a beam, however deep; ray epsilons of a mesh take 15 % off there."""
     above = [layer(thickness=depth, mu_a=0.0, mu_s=0.0)] if depth else []
-    value, stderr = reflected_transmitted(phantom(*above, layer(thickness=0.01, mu_a=100.0, mu_s=0.0)), photons=1 << 18)
+    value, stderr = reflected_transmitted(stack(*above, layer(thickness=0.01, mu_a=100.0, mu_s=0.0)), photons=1 << 18)
     assert abs(value[1] - np.exp(-1)) < 3.5 * stderr[1] and stderr[1] < 0.002
     assert value[0] == 0
 
 
 def test_fresnel_alone_gives_a_clear_plates_reflectance(jit_backend):
     """A clear plate of n 1.5 in air reflects 2 r / (1 + r) with r = 0.04, all orders of its ghosts together."""
-    value, stderr = reflected_transmitted(phantom(layer(thickness=1.0, mu_a=0.0, mu_s=0.0, n=1.5)), photons=1 << 18)
+    value, stderr = reflected_transmitted(stack(layer(thickness=1.0, mu_a=0.0, mu_s=0.0, n=1.5)), photons=1 << 18)
     assert abs(value[0] - 0.08 / 1.04) < 3.5 * stderr[0] and stderr[0] < 0.01 * value[0]
     assert value.sum() == pytest.approx(1, abs=1e-12)
 
 
 def test_an_infinite_layer_is_a_very_thick_one(jit_backend):
     optics = {"mu_a": 0.05, "mu_s": 10.0, "g": 0.9, "n": 1.4}
-    endless = reading(phantom(layer(thickness=INF, **optics), photodiodes=SQUARE), photons=1 << 19, seed=1)
-    thick = reading(phantom(layer(thickness=100.0, **optics), photodiodes=SQUARE), photons=1 << 19, seed=2)
+    endless = reading(stack(layer(thickness=INF, **optics), photodiodes=[SQUARE]), photons=1 << 19, seed=1)
+    thick = reading(stack(layer(thickness=100.0, **optics), photodiodes=[SQUARE]), photons=1 << 19, seed=2)
     for name in ("detected_fraction", "mean_path_mm"):
         assert agree((endless[name], endless[f"{name}_stderr"]), (thick[name], thick[f"{name}_stderr"]))
     assert endless.detected_fraction_stderr < 0.006 * endless.detected_fraction
@@ -197,9 +189,7 @@ def test_a_lambertian_die_through_an_absorbing_layer_meets_its_integral(jit_back
     """Without scattering a layer passes 2 E3(b) of diffuse light (matched), or the integral with Fresnel's law."""
     b, n = 0.7, 1.5
     value, stderr = reflected_transmitted(
-        phantom(
-            layer(thickness=b, mu_a=1.0, mu_s=0.0, n=n), led=DIE.format(x=0, y=0, size=0.25), n_above=n_above, n_below=n
-        ),
+        stack(layer(thickness=b, mu_a=1.0, mu_s=0.0, n=n), led=die(0.0, 0.0, 0.25), n_above=n_above, n_below=n),
         photons=1 << 19,
     )
     if n_above == n:
@@ -216,12 +206,9 @@ def test_a_lambertian_die_through_an_absorbing_layer_meets_its_integral(jit_back
 def test_a_measured_pattern_meets_its_integral(jit_backend):
     """Intensity as cos^2 without scattering: a layer of optical thickness b passes 3 E4(b)."""
     degrees = np.arange(0, 91)
-    pattern = f"""pattern = "measured"
-pattern_deg = {degrees.tolist()}
-pattern_relative = {(np.cos(np.radians(degrees)) ** 2).tolist()}"""
-    value, stderr = reflected_transmitted(
-        phantom(layer(thickness=0.7, mu_a=1.0, mu_s=0.0), led=pattern), photons=1 << 19
-    )
+    relative = (np.cos(np.radians(degrees)) ** 2).tolist()
+    pattern = {"pattern": "measured", "pattern_deg": degrees.tolist(), "pattern_relative": relative}
+    value, stderr = reflected_transmitted(stack(layer(thickness=0.7, mu_a=1.0, mu_s=0.0), led=pattern), photons=1 << 19)
     exact = 3 * special.expn(4, 0.7)
     assert abs(value[1] - exact) < 3.5 * stderr[1] + 1e-4 and stderr[1] < 0.003 * exact
 
@@ -229,9 +216,7 @@ pattern_relative = {(np.cos(np.radians(degrees)) ** 2).tolist()}"""
 @pytest.mark.parametrize("n", [1.0, 1.4])
 def test_a_lambertian_die_on_a_scattering_slab_meets_adding_doubling(jit_backend, n):
     exact = np.array(iadpython.Sample(a=0.95, b=3.0, g=0.6, n=n, quad_pts=20).rt()[2:])
-    value, stderr = reflected_transmitted(
-        slab(a=0.95, b=3.0, g=0.6, n=n, led=DIE.format(x=1, y=-2, size=0.5)), photons=1 << 19
-    )
+    value, stderr = reflected_transmitted(slab(a=0.95, b=3.0, g=0.6, n=n, led=die(1.0, -2.0, 0.5)), photons=1 << 19)
     assert np.all(abs(value - exact) < 3.5 * stderr) and np.all(stderr < 0.005 * exact)
 
 
@@ -265,17 +250,17 @@ def test_arc_share_of_corner_cases_is_exact():
 @pytest.mark.parametrize(
     ("led", "center"),
     [
-        (PENCIL, (0.0, 0.0)),
-        (DIE.format(x=0.3, y=-0.2, size=0.8), (0.3, -0.1)),
-        (DIE.format(x=-1.0, y=0.5, size=0.25), (0.5, 0.2)),
+        ({}, (0.0, 0.0)),
+        (die(0.3, -0.2, 0.8), (0.3, -0.1)),
+        (die(-1.0, 0.5, 0.25), (0.5, 0.2)),
     ],
     ids=["square around the beam", "square over the die", "square beside the die"],
 )
 def test_a_square_sees_what_counting_exits_in_it_gives(jit_backend, led, center):
     """Rationale: readings average over azimuth, which takes a symmetry for granted; counting takes nothing.
     Expected: equal within errors, of the same photons."""
-    square = SQUARE.replace("[2.0, 0.0]", str(list(center)))
-    scene = phantom(layer(thickness=2.0, mu_a=0.1, mu_s=5.0, g=0.7, n=1.4), led=led, photodiodes=square)
+    square = SQUARE | {"position_mm": list(center)}
+    scene = stack(layer(thickness=2.0, mu_a=0.1, mu_s=5.0, g=0.7, n=1.4), led=led, photodiodes=[square])
     photons = 1 << 19
     walked, start, shift = walk_layers(scene.phantom, scene.leds[0], photons=photons, seed=11)
     at = start + shift - center
@@ -289,7 +274,7 @@ def test_a_square_sees_what_counting_exits_in_it_gives(jit_backend, led, center)
 def test_each_layer_takes_what_lambert_says(jit_backend):
     """Light that nothing scatters loses 1 - exp(-mu_a d) of itself in each layer; the parts make up all of it."""
     first, second = layer(thickness=2.0, mu_a=0.4, mu_s=0.0), layer(thickness=3.0, mu_a=0.2, mu_s=0.0)
-    found = nail.trace(phantom(first, second, photodiodes=SQUARE), photons=1 << 18, seed=3)
+    found = nail.trace(stack(first, second, photodiodes=[SQUARE]), photons=1 << 18, seed=3)
     absorbed = found.absorbed()["led"]
     for name, exact in (("l0", 1 - np.exp(-0.8)), ("l1", np.exp(-0.8) - np.exp(-1.4))):
         assert abs(absorbed[name]["value"] - exact) < 4 * absorbed[name]["stderr"] < 0.01 * exact
@@ -300,24 +285,24 @@ def test_each_layer_takes_what_lambert_says(jit_backend):
 
 
 def test_photodiodes_at_one_distance_share_their_error_and_say_so(jit_backend):
-    beside = SQUARE.replace("square", "beside").replace("[2.0, 0.0]", "[0.0, 2.0]")
+    beside = SQUARE | {"name": "beside", "position_mm": [0.0, 2.0]}
     slab = layer(thickness=10.0, mu_a=0.05, mu_s=10.0, g=0.9)
-    seen = reading(phantom(slab, photodiodes=SQUARE + beside), photons=1 << 16)
+    seen = reading(stack(slab, photodiodes=[SQUARE, beside]), photons=1 << 16)
     assert seen.detected_fraction[0] == pytest.approx(float(seen.detected_fraction[1]), rel=1e-6)
     assert "share their error" in seen.detected_fraction_stderr.attrs["comment"]
-    alone = reading(phantom(slab, photodiodes=SQUARE), photons=1 << 12)
+    alone = reading(stack(slab, photodiodes=[SQUARE]), photons=1 << 12)
     assert "comment" not in alone.detected_fraction_stderr.attrs
 
 
 def test_averaging_over_azimuth_sharpens_a_distant_reading(jit_backend):
-    scene = phantom(layer(thickness=10.0, mu_a=0.05, mu_s=10.0, g=0.9), photodiodes=SQUARE)
+    scene = stack(layer(thickness=10.0, mu_a=0.05, mu_s=10.0, g=0.9), photodiodes=[SQUARE])
     seen = reading(scene, photons=1 << 17)
     analog = np.sqrt(seen.detected_fraction / (1 << 17))
     assert seen.detected_fraction_stderr < 0.5 * analog
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_one_others(jit_backend):
-    scene = phantom(layer(thickness=1.0, mu_a=0.1, mu_s=10.0, g=0.9, n=1.4), photodiodes=SQUARE)
+    scene = stack(layer(thickness=1.0, mu_a=0.1, mu_s=10.0, g=0.9, n=1.4), photodiodes=[SQUARE])
     first, again, other = (nail.trace(scene, photons=30_001, seed=seed).traces[0] for seed in (1, 1, 2))
     for name in ("photodiode", "weight", "path_mm"):
         assert getattr(first, name).tobytes() == getattr(again, name).tobytes()
@@ -343,7 +328,7 @@ def test_photons_of_a_batch_and_batches_of_a_seed_are_independent(jit_backend):
 def test_standard_errors_are_honest(jit_backend):
     """Rationale: a tolerance is worth what the standard error is worth; a heavy tail would make it lie.
     Expected: z-scores of 200 small runs against the reading of many photons are standard normal."""
-    scene = phantom(layer(thickness=10.0, mu_a=0.05, mu_s=10.0, g=0.9), photodiodes=SQUARE)
+    scene = stack(layer(thickness=10.0, mu_a=0.05, mu_s=10.0, g=0.9), photodiodes=[SQUARE])
     truth = reading(scene, photons=1 << 21, seed=1000)
     scores = {"detected_fraction": [], "mean_path_mm": [], "derivative_mm": []}
     for seed in range(200):
@@ -360,23 +345,8 @@ def test_the_errors_of_readings_are_correlated_as_told(jit_backend):
     """Two apertures at one distance, one a little beyond, one far away: over 300 seeds, their readings vary together as
     each trace says."""
     places = {"right": (1.0, 0.0), "above": (0.0, 1.0), "beside": (1.4, 0.0), "far": (3.5, 0.0)}
-    text = """
-schema_version = 1
-[phantom]
-[[phantom.layers]]
-name = "slab"
-thickness_mm = 2.0
-mu_a_per_mm = 0.1
-mu_s_per_mm = 5.0
-g = 0.5
-[[leds]]
-name = "beam"
-wavelength_nm = 800.0
-pattern = "pencil"
-"""
-    for name, place in places.items():
-        text += SQUARE.replace("square", name).replace("[2.0, 0.0]", str(list(place)))
-    scene = parse_scene(text)
+    squares = [SQUARE | {"name": name, "position_mm": place} for name, place in places.items()]
+    scene = parse_scene(phantom({"thickness_mm": 2.0, "mu_a_per_mm": 0.1, "g": 0.5}, photodiodes=squares))
     engine, runs, told, values = LayeredTracer(scene), 300, [], []
     for seed in range(runs):
         batch = engine.batch(0, photons=4096, seed=seed)

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from small_scenes import phantom
 
 import nailoptics as nail
 from nailoptics import io
@@ -19,35 +20,16 @@ from nailoptics.light.tracing.store import LightStore, StoredEntry, entries, mad
 from nailoptics.light.walk.layered import LayeredTracer
 from nailoptics.scene import Scene, parse_scene
 
-SLAB = """
-schema_version = 1
-[phantom]
-[[phantom.layers]]
-name = "{layer}"
-thickness_mm = 10.0
-mu_a_per_mm = 0.05
-mu_s_per_mm = 5.0
-g = 0.8
-[[leds]]
-name = "one"
-wavelength_nm = 800.0
-pattern = "pencil"
-flux_mw = {flux}
-[[leds]]
-name = "two"
-wavelength_nm = 800.0
-pattern = "pencil"
-position_mm = [{x}, 0.0]
-[[photodiodes]]
-name = "square"
-aperture = true
-position_mm = [2.0, 0.0]
-"""
 PHOTONS = 1 << 14
 
 
+def slab_text(*, layer: str = "slab", flux: float = 1.0, x: float = 0.5) -> str:
+    leds = [{"name": "one", "flux_mw": flux}, {"name": "two", "position_mm": [x, 0.0]}]
+    return phantom({"name": layer, "g": 0.8}, leds=leds, photodiodes=[{}])
+
+
 def slab(*, layer: str = "slab", flux: float = 1.0, x: float = 0.5) -> Scene:
-    return parse_scene(SLAB.format(layer=layer, flux=flux, x=x))
+    return parse_scene(slab_text(layer=layer, flux=flux, x=x))
 
 
 def same_bits(one, other) -> bool:
@@ -332,7 +314,7 @@ def test_the_store_from_the_command_line(jit_backend, store, tmp_path, capsys):
     from nailoptics.cli import run
 
     scene = tmp_path / "slab.toml"
-    scene.write_text(SLAB.format(layer="slab", flux=1.0, x=0.5))
+    scene.write_text(slab_text())
     reused = []
     for more in (["--photons", "500"], ["--photons", "500"], ["--photons", "500", "--no-store"]):
         assert run(["trace", str(scene), "--json", *more]) == 0

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from small_scenes import phantom
 
 import nailoptics as nail
 from nailoptics.errors import NotReachedError
@@ -16,26 +17,6 @@ from nailoptics.light.transfer.records import LedTrace, joined
 from nailoptics.light.transfer.series import readings_over_states
 from nailoptics.scene import Scene, parse_scene
 
-PHANTOM = """
-schema_version = 1
-[phantom]
-[[phantom.layers]]
-name = "layer"
-thickness_mm = {thickness}
-mu_a_per_mm = {mu_a}
-mu_s_per_mm = {mu_s}
-g = 0.0
-n = {n}
-[[leds]]
-name = "beam"
-wavelength_nm = 800.0
-pattern = "pencil"
-[[photodiodes]]
-name = "all"
-aperture = true
-position_mm = [0.0, 0.0]
-size_mm = [{size}, {size}]
-"""
 FINGER = """
 schema_version = 1
 [finger]
@@ -60,13 +41,15 @@ def limited(monkeypatch, count: int) -> None:
     monkeypatch.setattr(records, "MAX_RECORDS", count)
 
 
-def phantom(*, mu_a: float = TRACED, mu_s: float = 1.0, n: float = 1.4, size: float = 2.0) -> Scene:
-    return parse_scene(PHANTOM.format(thickness=1.0, mu_a=mu_a, mu_s=mu_s, n=n, size=size))
+def slab(*, mu_a: float = TRACED, mu_s: float = 1.0, n: float = 1.4, size: float = 2.0) -> Scene:
+    layer = {"name": "layer", "thickness_mm": 1.0, "mu_a_per_mm": mu_a, "mu_s_per_mm": mu_s, "n": n}
+    everywhere = {"name": "all", "position_mm": [0.0, 0.0], "size_mm": [size, size]}
+    return parse_scene(phantom(layer, photodiodes=[everywhere]))
 
 
 def made_up(seed: int, photons: int, *, scene: Scene | None = None) -> LedTrace:
     """A batch of light whose statistics are known: skewed weights, exponential paths, few photons detected."""
-    scene = scene or phantom()
+    scene = scene or slab()
     rng = np.random.default_rng(seed)
     count, absorbers = int(rng.binomial(photons, DETECTED)), optics.absorbers(scene)
     path = np.zeros((count, len(absorbers)), np.float32)
@@ -86,7 +69,7 @@ def made_up(seed: int, photons: int, *, scene: Scene | None = None) -> LedTrace:
 
 
 def light(trace: LedTrace, scene: Scene | None = None) -> Transfer:
-    return Transfer(scene or phantom(), (trace,), "none")
+    return Transfer(scene or slab(), (trace,), "none")
 
 
 def expected(mu_a: float) -> dict[str, float]:
@@ -236,7 +219,7 @@ def test_a_thinned_trace_is_stored_and_continued(monkeypatch, tmp_path):
 def test_the_error_that_stops_a_trace_is_the_one_that_is_read(jit_backend, monkeypatch, which):
     """With a broad line, too, over which the state at rest is not the traced one."""
     limited(monkeypatch, 300)
-    scene, target = (phantom(), 0.01) if which == "phantom" else (parse_scene(FINGER.format(fwhm=50.0)), 0.016)
+    scene, target = (slab(), 0.01) if which == "phantom" else (parse_scene(FINGER.format(fwhm=50.0)), 0.016)
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     told = []
     traced = nail.trace(scene, relative_error=target, seed=2, progress=told.append)
@@ -252,7 +235,7 @@ def test_a_trace_out_of_time_tells_the_error_that_is_read(jit_backend, monkeypat
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     told = []
     with pytest.raises(NotReachedError, match="max_seconds") as caught:
-        nail.trace(phantom(), relative_error=1e-5, max_seconds=0.5, progress=told.append)
+        nail.trace(slab(), relative_error=1e-5, max_seconds=0.5, progress=told.append)
     seen = caught.value.result.at().squeeze()
     error = float(seen.detected_fraction_stderr / seen.detected_fraction)
     assert error == pytest.approx(told[-1].relative_error, rel=1e-9)
@@ -283,7 +266,7 @@ def test_a_clear_plate_far_past_the_limit(jit_backend, monkeypatch):
     """Expected: errors as small as the photons allow, and intervals that hold the plate's exact reflectance."""
     limited(monkeypatch, 1000)
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
-    scene = phantom(mu_a=0.0, mu_s=0.0, n=4.0, size=1000.0)
+    scene = slab(mu_a=0.0, mu_s=0.0, n=4.0, size=1000.0)
     z = []
     for seed in range(40):
         traced = nail.trace(scene, photons=100_000, seed=seed)
@@ -297,6 +280,6 @@ def test_a_clear_plate_far_past_the_limit(jit_backend, monkeypatch):
 @pytest.mark.slow
 def test_a_clear_plate_past_the_real_limit(jit_backend):
     """6e7 photons, of which 3.2e7 are detected and 8e6 at most kept."""
-    traced = nail.trace(phantom(mu_a=0.0, mu_s=0.0, n=4.0, size=1000.0), photons=60_000_000, seed=1)
+    traced = nail.trace(slab(mu_a=0.0, mu_s=0.0, n=4.0, size=1000.0), photons=60_000_000, seed=1)
     assert traced.traces[0].keep == 1 / 4
     assert max(map(abs, plate_errors(traced))) < 4

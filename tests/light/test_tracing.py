@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from small_scenes import phantom
 
 import nailoptics as nail
 from nailoptics.errors import InputError, NotReachedError
@@ -19,29 +20,12 @@ from nailoptics.scene import Scene, parse_scene
 from nailoptics.statistics import seed_of
 
 pytestmark = pytest.mark.jit
-LED = '[[leds]]\nname = "{name}"\nwavelength_nm = 800.0\npattern = "pencil"\nposition_mm = [{x}, 0.0]\n'
 
 
 def slab(*, leds: int = 1, accuracy: str = "", square: float = 2.0) -> Scene:
-    beams = "".join(LED.format(name=f"beam{i}", x=0.5 * i) for i in range(leds))
-    return parse_scene(f"""
-schema_version = 1
-[phantom]
-[[phantom.layers]]
-name = "slab"
-thickness_mm = 10.0
-mu_a_per_mm = 0.05
-mu_s_per_mm = 5.0
-g = 0.8
-{beams}
-[[photodiodes]]
-name = "square"
-aperture = true
-position_mm = [{square}, 0.0]
-size_mm = [1.0, 1.0]
-[accuracy]
-{accuracy}
-""")
+    beams = [{"name": f"beam{i}", "position_mm": [0.5 * i, 0.0]} for i in range(leds)]
+    aperture = {"position_mm": [square, 0.0], "size_mm": [1.0, 1.0]}
+    return parse_scene(phantom({"g": 0.8}, leds=beams, photodiodes=[aperture]) + f"[accuracy]\n{accuracy}\n")
 
 
 def error_of(transfer) -> float:
@@ -211,12 +195,8 @@ def test_seeds_of_leds_and_batches_are_all_different():
 @pytest.mark.jit
 def test_a_photodiode_that_no_light_reaches_ends_the_trace_with_a_word(chosen_jit, monkeypatch):
     monkeypatch.setattr(trigger, "UNLIT_PHOTONS", 1_000_000)
-    scene = nail.scene.parse_scene(
-        "schema_version = 1\n[phantom]\n"
-        'layers = [{name = "slab", thickness_mm = 1.0, mu_a_per_mm = 5.0, mu_s_per_mm = 1.0}]\n'
-        '[[leds]]\nname = "beam"\nwavelength_nm = 800.0\npattern = "pencil"\n'
-        '[[photodiodes]]\nname = "far"\naperture = true\nposition_mm = [500.0, 0.0]\n'
-    )
+    layer = {"thickness_mm": 1.0, "mu_a_per_mm": 5.0, "mu_s_per_mm": 1.0}
+    scene = parse_scene(phantom(layer, photodiodes=[{"name": "far", "position_mm": [500.0, 0.0]}]))
     with pytest.raises(NotReachedError, match='none reached photodiode "far"') as caught:
         nail.trace(scene, relative_error=0.01)
     assert caught.value.result.at().detected_fraction.item() == 0

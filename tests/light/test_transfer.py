@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
-from small_scenes import SMALL_FINGER
+from small_scenes import SMALL_FINGER, phantom
 
 import nailoptics as nail
 from nailoptics import io
@@ -19,36 +19,15 @@ from nailoptics.scene import Scene, parse_scene
 from nailoptics.statistics import Z95, stderr_of_mean
 
 
-def two_layers(*, upper: float = 0.05, lower: float = 0.1, photodiodes: int = 2, extra: str = "") -> Scene:
+def two_layers(*, upper: float = 0.05, lower: float = 0.1, photodiodes: int = 2, led: dict | None = None) -> Scene:
     """A clear-ish plate on a deep bed, seen by squares 1.5 and 2.5 mm from a beam."""
-    text = f"""
-schema_version = 1
-[phantom]
-[[phantom.layers]]
-name = "upper"
-thickness_mm = 0.5
-mu_a_per_mm = {upper}
-mu_s_per_mm = 5.0
-g = 0.8
-n = 1.4
-[[phantom.layers]]
-name = "lower"
-thickness_mm = inf
-mu_a_per_mm = {lower}
-mu_s_per_mm = 8.0
-g = 0.8
-n = 1.4
-[[leds]]
-name = "beam"
-wavelength_nm = 800.0
-pattern = "pencil"
-{extra}
-"""
-    for i in range(photodiodes):
-        text += (
-            f'[[photodiodes]]\nname = "p{i}"\naperture = true\nposition_mm = [{1.5 + i}, 0.0]\nsize_mm = [1.0, 1.0]\n'
-        )
-    return parse_scene(text)
+    optics = {"g": 0.8, "n": 1.4}
+    layers = [
+        optics | {"name": "upper", "thickness_mm": 0.5, "mu_a_per_mm": upper},
+        optics | {"name": "lower", "thickness_mm": np.inf, "mu_a_per_mm": lower, "mu_s_per_mm": 8.0},
+    ]
+    squares = [{"name": f"p{i}", "position_mm": [1.5 + i, 0.0], "size_mm": [1.0, 1.0]} for i in range(photodiodes)]
+    return parse_scene(phantom(*layers, leds=[led or {}], photodiodes=squares))
 
 
 @pytest.fixture(scope="module")
@@ -178,7 +157,7 @@ def test_traces_that_share_a_seed_are_not_merged(jit_backend, traced):
 
 @pytest.mark.jit
 def test_traces_of_different_light_are_not_merged(jit_backend, traced):
-    for other in (two_layers(upper=0.06), two_layers(photodiodes=1), two_layers(extra="flux_mw = 2.0")):
+    for other in (two_layers(upper=0.06), two_layers(photodiodes=1), two_layers(led={"flux_mw": 2.0})):
         with pytest.raises(InputError, match="different scenes"):
             traced.merge(nail.trace(other, photons=1 << 10, seed=9))
     with pytest.raises(InputError, match="engines"):
@@ -362,26 +341,10 @@ def test_a_state_too_far_away_warns(traced):
         traced.at(mu_a_per_mm={"upper": 200.0, "lower": 50.0})
 
 
-DEEP = """
-schema_version = 1
-[phantom]
-[[phantom.layers]]
-name = "deep"
-thickness_mm = inf
-mu_a_per_mm = {mu_a}
-mu_s_per_mm = 10.0
-g = 0.9
-n = 1.0
-[[leds]]
-name = "beam"
-wavelength_nm = 800.0
-pattern = "pencil"
-[[photodiodes]]
-name = "all"
-aperture = true
-position_mm = [0.0, 0.0]
-size_mm = [1000.0, 1000.0]
-"""
+def deep_tissue(mu_a_per_mm: float) -> Scene:
+    layer = {"name": "deep", "thickness_mm": np.inf, "mu_a_per_mm": mu_a_per_mm, "mu_s_per_mm": 10.0, "g": 0.9}
+    everywhere = {"name": "all", "position_mm": [0.0, 0.0], "size_mm": [1000.0, 1000.0]}
+    return parse_scene(phantom(layer | {"n": 1.0}, photodiodes=[everywhere]))
 
 
 @pytest.mark.jit
@@ -389,7 +352,7 @@ def test_a_state_of_far_less_absorption_warns(jit_backend):
     """Rationale: without absorption all light comes back from deep tissue, much of it by paths so long that a trace
     with absorption has seen hardly any; the few that it has seen outweigh all others.
     Expected: a warning where reading and error are wrong, and none where both are right."""
-    deep = nail.trace(parse_scene(DEEP.format(mu_a=0.1)), photons=1 << 17, seed=3)
+    deep = nail.trace(deep_tissue(0.1), photons=1 << 17, seed=3)
     with pytest.warns(ReweightWarning, match='photodiode "all".*effective photons of .* bear its error'):
         wrong = deep.at(mu_a_per_mm={"deep": 0.0}).squeeze()
     # Nothing absorbs, so that all comes back.
@@ -398,7 +361,7 @@ def test_a_state_of_far_less_absorption_warns(jit_backend):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             reread = deep.at(mu_a_per_mm={"deep": near})
-        fresh = nail.trace(parse_scene(DEEP.format(mu_a=near)), photons=1 << 17, seed=4).at()
+        fresh = nail.trace(deep_tissue(near), photons=1 << 17, seed=4).at()
         spread = np.hypot(reread.detected_fraction_stderr, fresh.detected_fraction_stderr)
         assert abs(reread.detected_fraction - fresh.detected_fraction) < 4 * spread < 0.05 * fresh.detected_fraction
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from small_scenes import phantom
 
 from nailoptics.light.tracing import Ending, LedTrigger, Trigger, run_until, seconds_per_sample
 from nailoptics.light.transfer.records import Batch, LedRecords
@@ -11,24 +12,7 @@ from nailoptics.scene import Accuracy, parse_scene
 from nailoptics.statistics import Z95, stderr_of_mean
 
 PHOTONS, PROBABILITY = 4096, 0.02
-SCENE = parse_scene("""
-schema_version = 1
-[phantom]
-[[phantom.layers]]
-name = "slab"
-thickness_mm = 2.0
-mu_a_per_mm = 0.0
-mu_s_per_mm = 5.0
-g = 0.5
-[[leds]]
-name = "beam"
-wavelength_nm = 800.0
-pattern = "pencil"
-[[photodiodes]]
-name = "square"
-aperture = true
-position_mm = [2.0, 0.0]
-""")
+SCENE = parse_scene(phantom({"thickness_mm": 2.0, "mu_a_per_mm": 0.0, "g": 0.5}, photodiodes=[{}]))
 
 
 def stopped(seed: int, *, spread: float, target: float) -> tuple[float, float]:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_scenes import phantom
 
 from nailoptics import geometry
 from nailoptics.errors import InputError
@@ -17,13 +18,7 @@ from nailoptics.statistics import seed_of
 
 # Dermis, measured by Shimojo (mu_a), and reduced scattering 4.6 (lambda / 500)^-1.421 (Jacques 2013). [mm^-1]
 DERMIS = {660.0: (0.065, 3.10), 800.0: (0.050, 2.36), 940.0: (0.066, 1.88)}
-SQUARE = """
-[[photodiodes]]
-name = "square"
-aperture = true
-position_mm = [2.0, 0.0]
-size_mm = [1.0, 1.0]
-"""
+SQUARE = {"position_mm": [2.0, 0.0], "size_mm": [1.0, 1.0]}
 THROUGH_SQUARE = [Window((2.0, 0.0), (1.0, 1.0))]
 
 
@@ -42,24 +37,9 @@ def engine(request):
     return backend.choose("scalar") if request.param == "scalar" else request.getfixturevalue("jit_backend")
 
 
-def slab(*, mu_a, mu_s, g, n, thickness=1.0, n_below=1.0, led='pattern = "pencil"', wavelength=800.0, photodiode=""):
-    return parse_scene(f"""
-schema_version = 1
-[phantom]
-n_below = {n_below}
-[[phantom.layers]]
-name = "slab"
-thickness_mm = {thickness}
-mu_a_per_mm = {mu_a}
-mu_s_per_mm = {mu_s}
-g = {g}
-n = {n}
-[[leds]]
-name = "led"
-wavelength_nm = {wavelength}
-{led}
-{photodiode}
-""")
+def slab(*, mu_a, mu_s, g, n, thickness=1.0, n_below=1.0, led=None, photodiodes=()):
+    layer = {"thickness_mm": thickness, "mu_a_per_mm": mu_a, "mu_s_per_mm": mu_s, "g": g, "n": n}
+    return parse_scene(phantom(layer, leds=[led or {}], photodiodes=photodiodes, n_below=n_below))
 
 
 def statistics(batches):
@@ -75,7 +55,7 @@ def test_a_slab_at_each_wavelength_meets_adding_doubling(wavelength, n, engine):
     g = 0.8
     mu_s = reduced / (1 - g)
     exact = iadpython.Sample(a=mu_s / (mu_a + mu_s), b=mu_a + mu_s, g=g, n=n, quad_pts=20).rt()[:2]
-    scene = slab(mu_a=mu_a, mu_s=mu_s, g=g, n=n, wavelength=wavelength)
+    scene = slab(mu_a=mu_a, mu_s=mu_s, g=g, n=n, led={"wavelength_nm": wavelength})
     batches = integrate.phantom_fractions(scene, LEAVING, batches=16, paths_per_batch=4096, seed=1, backend=engine)
     mean, stderr = statistics(batches)
     assert np.all(abs(mean - exact) < 4 * stderr)
@@ -86,14 +66,14 @@ def test_a_lambertian_die_meets_adding_doubling(engine):
     """R and T of diffuse light from a die that lies on the slab, which proves the die's factor of pi."""
     iadpython = pytest.importorskip("iadpython")
     exact = iadpython.Sample(a=0.99, b=10, g=0.8, n=1.4, quad_pts=20).rt()[2:]
-    scene = slab(mu_a=0.1, mu_s=9.9, g=0.8, n=1.4, led="size_mm = [0.25, 0.25]")
+    scene = slab(mu_a=0.1, mu_s=9.9, g=0.8, n=1.4, led={"pattern": "lambertian", "size_mm": [0.25, 0.25]})
     batches = integrate.phantom_fractions(scene, LEAVING, batches=16, paths_per_batch=4096, seed=2, backend=engine)
     mean, stderr = statistics(batches)
     assert np.all(abs(mean - exact) < 4 * stderr)
     assert np.all(stderr < 0.01 * mean)
 
 
-@pytest.mark.parametrize("led", ['pattern = "pencil"', "size_mm = [0.5, 0.5]"])
+@pytest.mark.parametrize("led", [{}, {"pattern": "lambertian", "size_mm": [0.5, 0.5]}])
 def test_without_absorption_all_light_comes_out(led, engine):
     """R + T = 1 path by path, also where the index below differs: radiance over n squared is what is reciprocal."""
     scene = slab(mu_a=0.0, mu_s=8.0, g=0.5, n=1.5, n_below=1.33, led=led)
@@ -124,7 +104,7 @@ def test_three_blood_states_of_one_medium_meet_adding_doubling(engine):
 @pytest.mark.long
 def test_a_photodiode_sized_reading(engine):
     """8.977(9)e-3 through a 1 x 1 mm square 2 mm from a beam on 10 mm of matched medium: pmmc, MCX and plain C."""
-    scene = slab(mu_a=0.05, mu_s=10, g=0.9, n=1, thickness=10, photodiode=SQUARE)
+    scene = slab(mu_a=0.05, mu_s=10, g=0.9, n=1, thickness=10, photodiodes=[SQUARE])
     batches = integrate.phantom_fractions(
         scene, THROUGH_SQUARE, batches=20, paths_per_batch=5120, seed=4, backend=engine
     )
@@ -134,7 +114,7 @@ def test_a_photodiode_sized_reading(engine):
 
 def test_same_seed_same_bits_and_the_variant_is_given_back(engine):
     mi = backend.activate(backend.choose("scalar"))
-    scene = slab(mu_a=0.1, mu_s=1, g=0, n=1.3, photodiode=SQUARE)
+    scene = slab(mu_a=0.1, mu_s=1, g=0, n=1.3, photodiodes=[SQUARE])
     first, second, other = (
         integrate.phantom_fractions(scene, THROUGH_SQUARE, batches=2, paths_per_batch=512, seed=seed, backend=engine)
         for seed in (5, 5, 6)
@@ -149,14 +129,14 @@ def test_what_stock_mitsuba_cannot_do_is_said():
         mu_s=1,
         g=0,
         n=1,
-        led='pattern = "measured"\npattern_deg = [0.0, 90.0]\npattern_relative = [1.0, 0.5]',
-        photodiode=SQUARE,
+        led={"pattern": "measured", "pattern_deg": [0.0, 90.0], "pattern_relative": [1.0, 0.5]},
+        photodiodes=[SQUARE],
     )
     with pytest.raises(InputError, match="measured"):
         integrate.phantom_fractions(
             scene, THROUGH_SQUARE, batches=1, paths_per_batch=256, seed=1, backend=backend.choose("scalar")
         )
-    plain = slab(mu_a=0.1, mu_s=1, g=0, n=1, photodiode=SQUARE)
+    plain = slab(mu_a=0.1, mu_s=1, g=0, n=1, photodiodes=[SQUARE])
     with pytest.raises(ValueError, match="float32"):
         integrate.phantom_fractions(
             plain, THROUGH_SQUARE, batches=1, paths_per_batch=10**8, seed=1, backend=backend.choose("scalar")

@@ -5,6 +5,7 @@ import traceback
 from pathlib import Path
 
 import pytest
+from small_scenes import phantom
 
 from nailoptics.assets import WAVELENGTH_RANGE_NM
 from nailoptics.errors import InputError
@@ -23,19 +24,7 @@ position_mm = [-1.2, 0.0]
 array = "pd_array_4x1"
 position_mm = [0.0, 0.0]
 """
-PHANTOM = """
-schema_version = 1
-[phantom]
-[[phantom.layers]]
-name = "slab"
-thickness_mm = inf
-mu_a_per_mm = 0.1
-mu_s_per_mm = 1.0
-[[leds]]
-name = "beam"
-wavelength_nm = 800.0
-pattern = "pencil"
-"""
+PHANTOM = phantom({"thickness_mm": math.inf, "mu_a_per_mm": 0.1, "mu_s_per_mm": 1.0})
 FINGERLESS = FINGER.replace("[finger]", "")
 LAYERS = PHANTOM.split("[phantom]")[1].split("[[leds]]")[0]
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from small_scenes import phantom
 
 from nailoptics import variables
 from nailoptics.assets import data_dir
@@ -322,21 +323,8 @@ def test_both_engines_give_the_same_volts_over_time(chosen_jit):
 
 def test_what_cannot_be_simulated_is_refused_before_any_light_is_traced(monkeypatch):
     monkeypatch.setattr("nailoptics.studies.simulate.open_light", None)
-    phantom = parse_scene("""
-schema_version = 1
-[phantom]
-[[phantom.layers]]
-name = "slab"
-thickness_mm = 1.0
-mu_a_per_mm = 0.1
-mu_s_per_mm = 1.0
-[[leds]]
-name = "beam"
-wavelength_nm = 800.0
-pattern = "pencil"
-""")
     with pytest.raises(InputError, match="finger"):
-        simulate(phantom)
+        simulate(parse_scene(phantom({})))
     for seed in (-1, 2**63):
         with pytest.raises(InputError, match="seed"):
             simulate(prototype(), seed=seed)
