@@ -419,9 +419,8 @@ def tradeoff(
 ) -> None:
     """Measure error against processor time for every level of model; the fastest answer within a tolerance.
 
-    With --max-seconds the study takes about as long, and no answer is named that takes longer: where none keeps the
-    tolerance in that time, the best one within it. Writes tradeoff.json, tradeoff.nc and tradeoff.html, tradeoff.png
-    for a README, and scene.toml: the scene at the level that is named.
+    Writes tradeoff.json, tradeoff.nc and tradeoff.html, tradeoff.png for a README, and scene.toml: the scene at that
+    level.
     """
     from .report.model_errors import tradeoff_lines, tradeoff_summary
     from .report.result_files import TRADEOFF, write_tradeoff
@@ -429,8 +428,7 @@ def tradeoff(
 
     loaded, _ = _load(scene, options)
     folder = _results(output, scene, TRADEOFF)
-    how: dict[str, Any] = {"tolerance": tolerance, "simultaneous": simultaneous, "answer_seconds": options.max_seconds}
-    found, unmet = _traced(study, loaded, **how, options=options)
+    found, unmet = _traced(study, loaded, tolerance=tolerance, simultaneous=simultaneous, options=options)
     paths = write_tradeoff(found, folder)
     _finish(tradeoff_summary(found), tradeoff_lines(found), paths, json_, unmet, folder)
 

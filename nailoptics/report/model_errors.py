@@ -4,11 +4,9 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from ..studies.model_error.changes import lines_of
-from ..studies.model_error.effects import Effect
-from ..studies.model_error.explain import Explanation
-from ..studies.model_error.levels import OWN, REFERENCE, Bias, Level
-from ..studies.model_error.tradeoff import Answer, Tradeoff
+from ..studies.model_error.changes import lines_of, merged
+from ..studies.model_error.explain import Effect, Explanation
+from ..studies.model_error.tradeoff import OWN, REFERENCE, Answer, Bias, Level, Tradeoff
 
 # Errors for which the fastest answer is reported, and those that the sentence for a designer names.
 ERRORS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.001)
@@ -44,8 +42,7 @@ def explanation_summary(found: Explanation) -> dict[str, Any]:
     """Everything, ready for JSON."""
 
     def row(effect: Effect) -> dict[str, Any]:
-        measured = {name: value for name, value in vars(effect).items() if name != "same_photons"}
-        return measured | {"matters": effect.matters, "lines": effect.lines}
+        return vars(effect) | {"matters": effect.matters, "lines": effect.lines}
 
     return {
         "effects": [row(e) for e in found.effects],
@@ -70,7 +67,7 @@ def explanation_lines(found: Explanation) -> list[str]:
         lines.append(f"{text}{_percent(e.bound):>11} {signal:>8}  {e.matters:<11} {e.changed_to}")
     if found.needless:
         lines.append("Not needed each by itself; these scene lines leave all of it out:")
-        lines += [*(f"  {line}" for line in lines_of(found.without_needless))]
+        lines += [*(f"  {line}" for line in lines_of(merged(found.needless)))]
         if found.together:
             moved = f"moves a reading by at most {_percent(found.together.bound)}"
             lines.append(f"Leaving all of these out at once {moved}, all photodiodes, 95 % sure.")
@@ -114,7 +111,7 @@ def simultaneous_line(found: Tradeoff) -> str:
 
 def tradeoff_summary(found: Tradeoff) -> dict[str, Any]:
     """Everything, ready for JSON."""
-    kept = ("tolerance", "simultaneous", "max_seconds", "wall_seconds", "cut_off", "lines", "coverage_factor")
+    kept = ("tolerance", "simultaneous", "wall_seconds", "cut_off", "lines", "coverage_factor")
     return (
         {name: getattr(found, name) for name in kept}
         | {name: found.attributes[name] for name in ("digest", "photons")}
@@ -134,29 +131,21 @@ def _answer(answer: Answer | None) -> dict[str, Any] | None:
 def _level(found: Tradeoff, level: Level) -> dict[str, Any]:
     row = asdict(level) | {"lines": level.lines, "changes": level.changes or {}}
     row["first"] = {"fixed": row.pop("setup_seconds"), "per_second": float(level.traces)}
-    return row | {"within_tolerance": _answer(_within(found, level))}
-
-
-def _within(found: Tradeoff, level: Level) -> Answer | None:
-    """A level's answer within the tolerance; None where it gives none."""
-    coverage = found.coverage_factor if found.simultaneous else None
-    seconds = level.photon_seconds(found.tolerance, coverage)
-    return Answer(level, seconds, level.error(seconds, coverage)) if math.isfinite(seconds) else None
+    return row | {"within_tolerance": _answer(level.within(found.tolerance, found.coverage))}
 
 
 def time_within(found: Tradeoff, level: Level) -> str:
     """The time of a level's answer within the tolerance, or "-"."""
-    answer = _within(found, level)
+    answer = level.within(found.tolerance, found.coverage)
     return duration(answer.seconds) if answer else "-"
 
 
 def chosen_line(found: Tradeoff) -> str:
-    """The level to take, and in what sense."""
+    """The level to take."""
+    if math.isinf(found.chosen.error):
+        return f"Too few photons to judge any level: take {found.chosen.level.name}."
     answer = f"{found.chosen.level.name}, {duration(found.chosen.seconds)} of processor time"
-    if found.chosen.error <= found.tolerance * (1 + 1e-9):
-        return f"Fastest within the tolerance: {answer}."
-    limit = duration(found.max_seconds or 0.0)
-    return f"Best within {limit}: {answer}, to {100 * found.chosen.error:.3g} %; the tolerance takes longer."
+    return f"Fastest within the tolerance: {answer}."
 
 
 def tradeoff_lines(found: Tradeoff) -> list[str]:
@@ -166,8 +155,7 @@ def tradeoff_lines(found: Tradeoff) -> list[str]:
         f"{'level':<26} {'reading off by':>18} {'at most':>8} {'signal off by':>18} {'at most':>8} {'answer':>10}"
     )
     lines += [
-        f"{one.name:<26} {_bias(one.reading)} {_bias(one.signal)} {time_within(found, one):>10}  "
-        f"{one.beforehand or one.remark}"
+        f"{one.name:<26} {_bias(one.reading)} {_bias(one.signal)} {time_within(found, one):>10}  {one.beforehand}"
         for one in found.levels
     ]
     lines += [f"Tolerance: {meaning(found)}.", chosen_line(found), sentence(found)]

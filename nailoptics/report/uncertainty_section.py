@@ -67,10 +67,10 @@ def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
     usable = ~result.saturated.any("time")
     if not traced:
         return []
-    words = "Over their priors readings vary by {} and changes by {} (one standard deviation), most by {} and {}."
-    names = [max(traced, key=lambda row: row[f"{kind}_spread"])["name"] for kind in ("reading", "change")]
+    words = "Over their priors readings vary by {} and changes by {} (one standard deviation), most by {}."
+    names = dict.fromkeys(max(traced, key=lambda row: row[f"{kind}_spread"])["name"] for kind in ("reading", "change"))
     spreads = (_range(one.where(usable)) for one in (result.reading_spread, result.change_spread))
-    lines = [words.format(*spreads, *names)]
+    lines = [words.format(*spreads, " and ".join(names))]
     if off := [row["name"] for row in traced if abs(row["offset"]) > OFF_CENTRE]:
         shift = result.reading_shift.where(usable).values
         ends = " to ".join(f"{100 * x:+.0f} %" for x in (np.nanmin(shift), np.nanmax(shift)))

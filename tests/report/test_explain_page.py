@@ -10,15 +10,13 @@ from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.report.pages import explain
 from nailoptics.report.result_files import write_explanation
-from nailoptics.studies.model_error import effects
-from nailoptics.studies.model_error.effects import Effect
-from nailoptics.studies.model_error.explain import TOGETHER, Explanation
+from nailoptics.studies.model_error.explain import TOGETHER, Effect, Explanation, nothing
 
 
 def effect(name: str, change: float, stderr: float, **fields: Any) -> Effect:
     values: dict[str, Any] = {"change": change, "stderr": stderr, "bound": abs(change) + 3 * stderr}
     values |= {"modelled": True, "photodiode": "ir proximal.6", "modulation_bound": 0.1}
-    return replace(effects.nothing(name, "other", 0.02), **(values | fields))
+    return replace(nothing(name, "other", 0.02), **(values | fields))
 
 
 @pytest.fixture

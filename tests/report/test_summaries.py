@@ -57,6 +57,11 @@ def test_the_spread_names_what_is_not_in_it_and_claims_no_sign(make):
     assert "(plate absorption)" in line and "+10 % to +80 %" in line
 
 
+def test_a_prior_with_most_effect_on_readings_and_changes_is_named_once(make):
+    line = conclusions(with_priors(make(section=False), 0.0))[0]
+    assert line.endswith("(one standard deviation), most by plate absorption.")
+
+
 def test_a_saturated_reading_has_no_spread(make):
     result = with_priors(make(section=False), 0.0)
     assert "10-80 %" in conclusions(result)[0]

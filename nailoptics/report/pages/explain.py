@@ -8,9 +8,8 @@ import numpy as np
 
 from ...io import write_text
 from ...statistics import Z95
-from ...studies.model_error.changes import lines_of
-from ...studies.model_error.effects import Effect
-from ...studies.model_error.explain import Explanation
+from ...studies.model_error.changes import lines_of, merged
+from ...studies.model_error.explain import Effect, Explanation
 from .. import style
 from ..html import document, escaped, figure, section, small, table
 from ..model_errors import effect_name
@@ -133,7 +132,7 @@ def _requires(found: Explanation) -> list[str]:
     """What can be left out, what is missing, and what needs more photons."""
     out = ["<p>All that the scene models matters, or may matter.</p>"]
     if found.needless:
-        lines = "\n".join(escaped(line) for line in lines_of(found.without_needless))
+        lines = "\n".join(escaped(line) for line in lines_of(merged(found.needless)))
         out = [f"<p>Not needed, each by itself; these lines leave all of it out:</p><pre>{lines}</pre>"]
     if found.together:
         most = significant(100 * found.together.bound, 2)

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...io import write_text
-from ...studies.model_error.levels import Bias, Level
-from ...studies.model_error.tradeoff import Tradeoff
+from ...studies.model_error.tradeoff import Bias, Level, Tradeoff
 from .. import style
 from ..html import document, escaped, figure, section, small, table
 from ..model_errors import (
@@ -38,7 +37,6 @@ APART = 0.17
 def write_tradeoff(found: Tradeoff, drawing: "Figure", path: Path) -> None:
     """Write the page around what `draw` drew, whole or not at all; raises WriteError."""
     choice = found.chosen
-    within = choice.error <= found.tolerance * (1 + 1e-9)
     lines = "<br>".join(escaped(line) for line in found.lines) or escaped(choice.level.call) or "none is needed"
     caption = (
         "Error of the worst photodiode against processor time to the answer. A level's error falls with its photons to "
@@ -54,7 +52,6 @@ def write_tradeoff(found: Tradeoff, drawing: "Figure", path: Path) -> None:
         figure(drawing, "time", caption),
         _levels(found),
         small(escaped(note)),
-        small(" ".join(f"{escaped(one.name)}: {escaped(one.remark)}." for one in found.levels if one.remark)),
         f"<p>{escaped(chosen_line(found))} What selects it: <code>{lines}</code></p>",
         f"<p>{escaped(simultaneous_line(found))}</p>",
         "<h3>What each level needs</h3>",
@@ -62,10 +59,9 @@ def write_tradeoff(found: Tradeoff, drawing: "Figure", path: Path) -> None:
         "<h3>The fastest answer within an error</h3>",
         _within(found),
     )
-    percent = f"{100 * found.tolerance:g} %"
     text = document(
         kicker="speed against accuracy",
-        title=f"Within {percent}: {choice.level.name}" if within else f"Within {duration(found.max_seconds or 0.0)}",
+        title=f"Within {100 * found.tolerance:g} %: {choice.level.name}",
         lead=f"{sentence(found)} Every level of model on this scene, against the full one, measured in "
         f"{found.wall_seconds:.0f} s.",
         cards=[(choice.level.name, meaning(found)), (duration(choice.seconds), "of processor time to the answer")],
@@ -82,10 +78,9 @@ def draw(found: Tradeoff) -> "Figure":
     axes.set(yscale="log", ylim=(100 * LEAST, 100 * MOST), ylabel="error of the worst photodiode [%]")
     axes.set(xscale="log", xlabel="processor time to the answer [s]")
     style.plain_log(axes.yaxis)
-    coverage = found.coverage_factor if found.simultaneous else None
     ends, marks = [], []
     for level in found.levels:
-        curve = _curve(level, coverage)
+        curve = _curve(level, found.coverage)
         if len(curve) and level.traces:
             axes.plot(*curve.T, color=style.MUTED, lw=0.8, alpha=0.6, zorder=1)
             ends.append((level.name, curve[-1]))
@@ -145,9 +140,8 @@ def _levels(found: Tradeoff) -> str:
     rows = []
     for one in found.levels:
         name = escaped(one.name) + (" <b>✓</b>" if one.name == found.chosen.level.name else "")
-        memory = "–" if one.memory_mb is None or not np.isfinite(one.memory_mb) else significant(one.memory_mb, 2)
-        rows.append([name, *_cells(one.reading), *_cells(one.signal), time_within(found, one), memory])
-    return table([*head, "Answer within<br>the tolerance", "Memory at 1 %<br>[MB]"], rows)
+        rows.append([name, *_cells(one.reading), *_cells(one.signal), time_within(found, one)])
+    return table([*head, "Answer within<br>the tolerance"], rows)
 
 
 def _cells(bias: Bias | None) -> list[str]:

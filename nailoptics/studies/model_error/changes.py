@@ -1,6 +1,5 @@
 """What explain changes of a scene: every part and effect, all unknown parameters, and the scene lines that do so."""
 
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,9 +13,8 @@ from ...scene.files import scene_of
 from ...scene.finger import BEYOND_NAIL_MM
 from ...scene.layout import LEAST_EPOXY_UM
 from ...scene.rectangles import Rectangle
-from ..prior_uncertainty import only_absorbs, value_of
+from ..prior_uncertainty import value_of
 
-SCATTERING_FACTOR = 1.4
 AIR_UM = 25.0  # of a board that is lifted, or not bonded; what light meets there hardly depends on it
 DIE_UM = 150.0  # dies of LEDs and photodiodes are 100 to 250 um thick
 # Fields by table of the scene; those of "leds" and "photodiodes" are every one's, None stands for what its part says.
@@ -31,7 +29,6 @@ class Change:
     """One part or effect of a scene, whether the scene models it, and what the scene would have in its place.
 
     changes : what of the scene makes it so; nothing where no line can.
-    same_photons : whether it only dims light, so that photons traced without it read it too.
     unknown : whether it is no part but something unknown of the finger, at an end of its range, or of the sensor.
     """
 
@@ -39,7 +36,6 @@ class Change:
     modelled: bool
     changed_to: str
     changes: Changes = field(default_factory=dict)
-    same_photons: bool = False
     unknown: bool = False
 
 
@@ -117,8 +113,7 @@ def _unknown(scene: Scene, prior: Prior) -> Change:
     end = _farther_end(prior, value_of(scene, prior.field))
     table, name = prior.field.split(".")
     text = f"{name} = {end:g}, of {prior.low:g} to {prior.high:g}"
-    again = only_absorbs(scene, prior)
-    return Change(prior.name, True, text, {table: {name: end}}, same_photons=again, unknown=True)
+    return Change(prior.name, True, text, {table: {name: end}}, unknown=True)
 
 
 def _farther_end(prior: Prior, value: float) -> float:
@@ -132,7 +127,7 @@ def _parts(scene: Scene) -> Iterator[Change]:
     """The scene's parts and effects, each with what leaves it out, or puts it in."""
     assert scene.finger is not None
     light, board, finger = scene.light, scene.board, scene.finger
-    steps, similar = light.index_steps, light.similarity
+    steps, similar, melanin = light.index_steps, light.similarity, finger.melanin_fraction
     text = "one index everywhere" if steps else "refraction where the index changes"
     yield Change("index steps", steps, text, {"light": {"index_steps": not steps}})
     text = "Henyey-Greenstein" if similar else "isotropic with the same mu_s'"
@@ -140,19 +135,17 @@ def _parts(scene: Scene) -> Iterator[Change]:
     for part in ("bone", "epidermis", "kapton"):
         gone = part in light.left_out
         left = [p for p in light.left_out if p != part] if gone else [*light.left_out, part]
-        own = "optics of its own" + (", melanin" if part == "epidermis" else "")
-        text = own if gone else "optics of what surrounds it"
+        its_own = "optics of its own" + (", melanin" if part == "epidermis" else "")
+        text = its_own if gone else "optics of what surrounds it"
         yield Change(part, not gone, text, {"light": {"left_out": left}})
     if any(led.fwhm_nm for led in scene.leds):
-        yield Change("LED line width", True, "peak wavelength alone", ONE_WAVELENGTH, same_photons=True)
+        yield Change("LED line width", True, "peak wavelength alone", ONE_WAVELENGTH)
     elif any(part_width_nm(led) for led in scene.leds):
-        yield Change("LED line width", False, "as its part has", PART_WIDTH, same_photons=True)
+        yield Change("LED line width", False, "as its part has", PART_WIDTH)
     if "epidermis" not in light.left_out:
-        melanin = finger.melanin_fraction
         usual = type(finger).model_fields["melanin_fraction"].default
         text = "none" if melanin else f"{usual:.1%} of the epidermis"
-        other = {"finger": {"melanin_fraction": 0.0 if melanin else usual}}
-        yield Change("melanin", melanin > 0, text, other, same_photons=True)
+        yield Change("melanin", melanin > 0, text, {"finger": {"melanin_fraction": 0.0 if melanin else usual}})
     if board.opaque_reflectance:
         yield Change("opaque epoxy's reflection", True, "black", {"board": {"opaque_reflectance": 0.0}})
     if board.barrier:
@@ -162,13 +155,12 @@ def _parts(scene: Scene) -> Iterator[Change]:
     text = "flush with the board's underside" if stand_out else f"standing {height_um:g} um out of the board"
     if stand_out or height_um:
         # A scene that says nothing of it leaves it unknown: what it requires is not to be guessed.
-        changes: Changes = {table: {"height_um": height_um} for table in EACH}
-        yield Change("height of dies", True, text, changes, unknown=not stand_out)
-    if board.air_gap_um is None:
-        air: Changes = {"board": {"air_gap_um": AIR_UM}}
-        yield Change("air under the board", True, f"{AIR_UM:g} um of air on the nail", air, unknown=True)
-    else:
-        yield Change("air under the board", True, "adhesive on the nail", {"board": {"air_gap_um": None}})
+        heights: Changes = {table: {"height_um": height_um} for table in EACH}
+        yield Change("height of dies", True, text, heights, unknown=not stand_out)
+    bonded = board.air_gap_um is None
+    text = f"{AIR_UM:g} um of air on the nail" if bonded else "adhesive on the nail"
+    air: Changes = {"board": {"air_gap_um": AIR_UM if bonded else None}}
+    yield Change("air under the board", True, text, air, unknown=bonded)
     if not board.cover_um:
         cover = type(board).model_fields["cover_um"].default
         yield Change("cover and decorative nail", False, "opaque cover", {"board": {"cover_um": cover}})
@@ -184,25 +176,8 @@ def shortened(scene: Scene) -> Change | None:
     return Change(f"finger past {shortest:g} mm", True, "cut there", {"finger": {"length_mm": shortest}})
 
 
-def denser(scene: Scene) -> Scene:
-    """The scene with a bed that scatters more."""
-    assert scene.finger is not None
-    return revised(scene, {"finger": {"bed_scattering": SCATTERING_FACTOR * scene.finger.bed_scattering}})
-
-
-def farthest(scene: Scene) -> Scene:
-    """The photodiode farthest from the first LED, swapped with it."""
-    led_mm = scene.layout.leds[0].center_mm
-    return swapped(scene, max(scene.layout.photodiode_areas, key=lambda area: math.dist(area.center_mm, led_mm)))
-
-
-def most_proximal(scene: Scene) -> Scene:
-    """The photodiode nearest to the hand, swapped with the first LED."""
-    return swapped(scene, min(scene.layout.photodiode_areas, key=lambda area: area.center_mm[1]))
-
-
 def swapped(scene: Scene, far: Rectangle) -> Scene:
-    """A photodiode as a Lambertian LED, and a photodiode where the first LED was."""
+    """A photodiode, of this area, as a Lambertian LED, and a photodiode where the first LED was."""
     outline, tables = scene.layout.outline, scene.model_dump()
     # The board stays where it is, though its parts no longer span it evenly.
     center, (du, dv), (u, v) = outline.center_mm, scene.board.center_mm, scene.leds[0].position_mm

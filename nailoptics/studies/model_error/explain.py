@@ -2,19 +2,82 @@
 
 import math
 import time
-from dataclasses import dataclass, field
-from typing import Any, Unpack
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, Literal, Unpack
 
+import numpy as np
+
+from ... import tissue
 from ...errors import NotReachedError
-from ...light import ProgressCallback
+from ...light import ProgressCallback, optics
+from ...light.identity import light_digest
 from ...options import Requested, TraceOptions
 from ...scene import Scene
-from .changes import Change, Changes, merged, revised
-from .effects import Effect, by_trace, measurements
-from .paired import PairedTracer, check_study, shape_of
+from ...sensor import electronics
+from ...sensor.ambient import SOURCES, collecting_area_mm2
+from ...statistics import Z95
+from .changes import Change, changes_of, lines_of, merged, revised, shortened, swapped
+from .paired import (
+    UNDETECTED,
+    Difference,
+    PairedReadings,
+    PairedTracer,
+    check_study,
+    difference,
+    end_states,
+    reweighted,
+    shape_of,
+    weighted_mean,
+)
 
 DEFAULT_TOLERANCE = 0.02
 TOGETHER = "all that is not needed"
+# An effect is sure to matter if its change exceeds the tolerance by so many standard errors: by chance alone that
+# happens to one of 2000 changes, so that a study of a hundred is right about all of them in 19 of 20 cases.
+SURE = 3.5
+# A part that less of a reading returns from is cut off.
+RETURNING = 1e-4
+# The bed scatters so many times as much for the slope of a reading by its scattering.
+SCATTERING_FACTOR = 1.4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect(Change):
+    """A change that was measured: by how much readings move.
+
+    of : "reading" where it moves the reading at rest, "signal" where it moves the change by touch alone.
+    change, stderr : change of that, of the reading at rest relative and of the signal as a part of the largest, of the
+        photodiode named, which it surely moves most; the error counts that it was picked: its 95 % interval holds with
+        Bonferroni's correction for all photodiodes.
+    bound : what no photodiode's change exceeds, with 95 % confidence each.
+    typical, typical_stderr : change over all photodiodes, weighed by the errors of the scene's readings.
+    modulation_bound : the same bound on the modulation by touch, as a part of the largest modulation.
+    """
+
+    how: Literal["reweighted", "retraced", "derived"]
+    change: float
+    stderr: float
+    bound: float
+    photodiode: str
+    typical: float
+    typical_stderr: float
+    modulation_bound: float | None
+    tolerance: float
+    of: Literal["reading", "signal"] = "reading"
+
+    @property
+    def matters(self) -> Literal["yes", "no", "cannot tell"]:
+        """Whether it moves a reading, or the signal, by more than the tolerance, as far as the traces resolve it."""
+        if self.bound <= self.tolerance:
+            return "no"
+        return "yes" if abs(self.change) - SURE * self.stderr > self.tolerance else "cannot tell"
+
+    @property
+    def lines(self) -> list[str]:
+        """The scene lines that change it."""
+        return lines_of(self.changes)
 
 
 @dataclass(frozen=True)
@@ -44,17 +107,17 @@ class Explanation:
     @property
     def needless(self) -> list[Effect]:
         """What is modelled and surely moves no reading by more than the tolerance."""
-        return [e for e in self.effects if e.modelled and e.matters == "no" and e.changes and not e.unknown]
-
-    @property
-    def without_needless(self) -> Changes:
-        """What leaves all of that out at once."""
-        return merged(self.needless)
+        return needless(self.effects)
 
     @property
     def missing(self) -> list[Effect]:
         """What is left out and surely matters."""
         return [e for e in self.effects if not e.modelled and e.matters == "yes"]
+
+
+def needless(effects: Iterable[Effect]) -> list[Effect]:
+    """The effects that are modelled and surely do not matter; what is unknown stays as it is."""
+    return [e for e in effects if e.modelled and e.matters == "no" and e.changes and not e.unknown]
 
 
 def explain(
@@ -83,37 +146,226 @@ def explain(
     check_study(scene, limit if tolerance is None else tolerance, "explain", "is modelled as it is written")
     options, start = TraceOptions(**requested), time.perf_counter()
     planned = measurements(scene, limit)
-    traced = [one for each in planned for one in each.scenes]
-    # One more with what is not needed left out, for which the scene's own geometry is made again.
-    tracer = PairedTracer(2 + len(traced), options, progress, shapes=len({shape_of(one) for one in (scene, *traced)}))
+    # The scene itself, and what is not needed left out of it.
+    tracer = PairedTracer(2 + sum(len(one.scenes) for one in planned), options, progress)
     base = tracer.trace(scene)
     effects: list[Effect] = []
     together, unmet = None, tracer.shortfall
     try:
         for one in planned:
             effects.append(one.effect(base, *(tracer.trace(other) for other in one.scenes)))
-        if left := merged(_known(effects, modelled=True)):
-            other = tracer.trace(revised(scene, left))
-            together = by_trace(Change(TOGETHER, True, "left out", left), limit, base, other)
+        if left := merged(needless(effects)):
+            change = Change(TOGETHER, True, "left out", left)
+            together = by_change(change, limit, base, tracer.trace(revised(scene, left)))
     except NotReachedError as error:
         unmet = f"{str(error).rstrip('.')}; {len(effects)} effects were measured before."
     effects.sort(key=lambda e: -abs(e.change) if math.isfinite(e.change) else 0.0)
     result = Explanation(
         effects=tuple(effects),
         together=together,
-        required=revised(scene, merged([*_known(effects, modelled=True), *_known(effects, modelled=False)])),
+        required=scene,
         tolerance=limit,
         photons=base.transfer.traces[0].photons,
         backend=base.transfer.backend,
         wall_seconds=time.perf_counter() - start,
         attributes=base.transfer.attributes() | ({"cut_off": unmet} if unmet else {}),
     )
+    result = replace(result, required=revised(scene, merged([*result.needless, *result.missing])))
     if unmet:
         raise NotReachedError(unmet, result=result)
     return result
 
 
-def _known(effects: list[Effect], *, modelled: bool) -> list[Effect]:
-    """What is modelled and surely does not matter, or left out and does; what is unknown stays as it is."""
-    sure = "no" if modelled else "yes"
-    return [e for e in effects if e.modelled == modelled and e.matters == sure and not e.unknown]
+@dataclass(frozen=True)
+class Measurement:
+    """What is traced beside a scene for an effect, and what makes the effect of its readings and theirs."""
+
+    scenes: tuple[Scene, ...]
+    effect: Callable[..., Effect]
+
+
+def measurements(scene: Scene, tolerance: float) -> list[Measurement]:
+    """All effects of a scene; first those that need no trace, then those of its own geometry."""
+    finger, board_led = scene.finger, scene.layout.leds[0]
+    assert finger is not None
+    out = [Measurement((), from_deep)]
+    if scene.board.cover_um:
+        why = "it lies on the opaque cover, which no light leaves"
+        out.append(Measurement((), lambda _: nothing("decorative nail", why, tolerance)))
+    for change in changes_of(scene):
+        changed = revised(scene, change.changes)
+        same_light = light_digest(changed) == light_digest(scene)
+        out.append(Measurement(() if same_light else (changed,), partial(by_change, change, tolerance)))
+    denser = revised(scene, {"finger": {"bed_scattering": SCATTERING_FACTOR * finger.bed_scattering}})
+    out.append(Measurement((denser,), partial(blood_scattering, tolerance)))
+    areas = scene.layout.photodiode_areas
+    farthest = max(areas, key=lambda area: math.dist(area.center_mm, board_led.center_mm))
+    out.append(Measurement((swapped(scene, farthest),), partial(ambient, tolerance)))
+    proximal = min(areas, key=lambda area: area.center_mm[1])
+    past = Change(f"finger past {finger.length_mm:g} mm", False, "finger without an end")
+    out.append(Measurement((swapped(scene, proximal),), lambda base, back: returning(past, base, base, back)))
+    if (cut := shortened(scene)) is not None:
+        short = revised(scene, cut.changes)
+        out.append(Measurement((short, swapped(short, proximal)), partial(returning, cut)))
+    shape = shape_of(scene)
+    return sorted(out, key=lambda one: (len(one.scenes) > 0, any(shape_of(other) != shape for other in one.scenes)))
+
+
+def effect_of(
+    change: Change,
+    found: Difference,
+    base: PairedReadings,
+    *,
+    tolerance: float,
+    how: Literal["reweighted", "retraced", "derived"] = "derived",
+    of: Literal["reading", "signal"] = "reading",
+) -> Effect:
+    """An effect from the difference that its change makes; without a modulation where the difference has none.
+
+    of : what it is judged by.
+    """
+    from scipy.special import ndtri
+
+    ratio, error, most = found.ratio, found.ratio_stderr, found.ratio_bound
+    if of == "signal":
+        ratio, error, most = np.asarray(found.swing), np.asarray(found.swing_stderr), found.swing_bound
+    known = np.isfinite(ratio) & np.isfinite(error)
+    # Where nothing was detected, anything may be.
+    ratio, error = np.where(known, ratio, np.nan), np.where(known, error, np.nan)
+    bounds = np.where(known, most, np.inf)
+    # What is known best, not what is noisiest, says by how much readings move at least.
+    sure = np.where(known, np.abs(ratio) - SURE * error, -np.inf)
+    best = i, j = np.unravel_index(int(np.argmax(sure)), sure.shape)
+    picked = float(ndtri(1 - 0.025 / max(int(known.sum()), 1))) / Z95
+    mean, mean_stderr = weighted_mean(ratio, error, base)
+    swing = found.swing_bound
+    return Effect(
+        **vars(change),
+        how=how,
+        change=float(ratio[best]),
+        stderr=picked * float(error[best]),
+        bound=float(bounds.max()),
+        photodiode=f"{base.transfer.leds[i]} {base.transfer.photodiodes[j]}",
+        typical=mean,
+        typical_stderr=mean_stderr,
+        modulation_bound=float(np.max(swing)) if np.isfinite(swing).all() else None,
+        tolerance=tolerance,
+        of=of,
+    )
+
+
+def by_change(change: Change, tolerance: float, base: PairedReadings, *retraced: PairedReadings) -> Effect:
+    """What a change does: by a trace with it, or, of what only dims light, by the same photons with other weights."""
+    other = retraced[0] if retraced else reweighted(base, revised(base.transfer.scene, change.changes))
+    how: Literal["reweighted", "retraced"] = "retraced" if retraced else "reweighted"
+    return effect_of(change, difference(base, other), base, tolerance=tolerance, how=how)
+
+
+def blood_scattering(tolerance: float, base: PairedReadings, denser: PairedReadings) -> Effect:
+    """What the scattering of the blood that a touch moves would do to the signal; the model's stays as at rest.
+
+    Blood takes the place of dermis. The slope of a reading by the scattering is known for the whole bed; each zone gets
+    the part of it that the light's path has there.
+    """
+    scene = base.transfer.scene
+    assert scene.finger is not None
+    both, factor = difference(base, denser), scene.finger.bed_scattering
+    moved = np.diff(end_states(scene), axis=0)[0]
+    contrast = [tissue.blood_scattering_contrast(led.wavelength_nm, bed_scattering=factor) for led in scene.leds]
+    paths = np.stack(
+        [
+            [np.bincount(one.photodiode, part[:, 0] * path, minlength=base.level.shape[1]) for path in zones.T]
+            for one, part in zip(base.transfer.traces, base.parts, strict=True)
+            for zones in (one.path_mm[:, optics.bed_columns(scene)],)
+        ]
+    )
+    unit, unit_stderr = base.largest_modulation
+    with np.errstate(divide="ignore", invalid="ignore"):
+        more = np.array(contrast)[:, None] * np.tensordot(paths, moved, (1, 0)) / paths.sum(1) / unit
+        signal = more * np.log1p(both.ratio) / np.log(SCATTERING_FACTOR)
+        slope = more / (1 + both.ratio) / np.log(SCATTERING_FACTOR)
+        error = np.hypot(slope * both.ratio_stderr, signal * unit_stderr / unit)
+        skew = np.abs(slope) * both.ratio_skew
+    still = np.zeros_like(signal)
+    text = f"replaces dermis, which scatters {1 / (1 + np.mean(contrast)):.2g} times as much"
+    change, found = Change("blood's own scattering", False, text), Difference(still, still, signal, error, 0.0, skew)
+    return effect_of(change, found, base, tolerance=tolerance, of="signal")
+
+
+def ambient(tolerance: float, base: PairedReadings, back: PairedReadings) -> Effect:
+    """A lamp's light from all sides on the farthest photodiode through the skin, beside the LED's light there.
+
+    All of it is taken to be absorbed as the LED's light is, which is less than blood does to what is shorter.
+
+    back : of the photodiode's light, by reciprocity.
+    """
+    lamp, scene = SOURCES[-1], base.transfer.scene
+    diode = scene.photodiodes[0]
+    per_mm2 = float(lamp.photocurrent_a_per_mm2(diode)[1].sum())
+    escapes, led = back.transfer.energy()["reflected"], back.transfer.scene.leds[0]
+    area_mm2, index = led.size_mm[0] * led.size_mm[1], index_of("epoxy", led.wavelength_nm)
+    # Of n photons one more may have left than were counted.
+    parts = [escapes["value"], math.hypot(escapes["stderr"], UNDETECTED / back.transfer.photons)]
+    current = [per_mm2 * float(collecting_area_mm2(part, area_mm2=area_mm2, n=index)) for part in parts]
+    wavelength_nm = np.array([one.wavelength_nm for one in scene.leds])
+    response = electronics.photodiode_responsivity_a_per_w(diode, wavelength_nm)
+    full = 1e-3 * np.array([one.flux_mw for one in scene.leds]) * response
+    with np.errstate(divide="ignore"):
+        ratio, error = (np.where(base.level > 0, x / (base.level * full[:, None]), np.inf) for x in current)
+    found = Difference(ratio, np.hypot(error, ratio * base.relative_stderr))
+    text = f"{lamp.name} of {lamp.lux:g} lux on all sides; a reading with the LED off takes it away"
+    effect = effect_of(Change("ambient light", False, text), found, base, tolerance=tolerance)
+    # The light that leaves is one number for all photodiodes, so that its error does not shrink in their mean.
+    shared = effect.typical * parts[1] / (parts[0] or 1.0)
+    return replace(effect, typical_stderr=math.hypot(effect.typical_stderr, shared))
+
+
+def index_of(region: str, wavelength_nm: float) -> float:
+    """Refractive index of a region."""
+    return float(tissue.scattering(region, wavelength_nm)[2])  # type: ignore[arg-type]
+
+
+def without_deep(base: PairedReadings) -> Difference:
+    """What readings would lose of themselves if the pulp swallowed all light that meets it."""
+    pulp = base.transfer.absorbers.index("pulp")
+    shallow = [trace.path_mm[:, [pulp]] <= 0 for trace in base.transfer.traces]
+    left = tuple(part * one for part, one in zip(base.parts, shallow, strict=True))
+    return difference(base, replace(base, parts=left))
+
+
+def from_deep(base: PairedReadings) -> Effect:
+    """What of a reading comes back from the pulp, which lies under the bed and around the bone."""
+    change = Change("light back from the pulp", True, "pulp swallows all")
+    return effect_of(change, without_deep(base), base, tolerance=RETURNING)
+
+
+def returning(change: Change, base: PairedReadings, cut: PairedReadings, back: PairedReadings) -> Effect:
+    """Light that would come back from beyond a cut through the finger, at most.
+
+    cut, back : traces whose light left through the cut: from the LED, and (by reciprocity, from a Lambertian source
+        on the board) from the photodiode. Diffuse light from a cut of area A_cut reaches a photodiode of area A with
+        the probability that the photodiode's would reach the cut, times n^2 A / (n_cut^2 A_cut).
+    """
+    scene = base.transfer.scene
+    assert scene.finger is not None
+    area_mm2 = np.pi / 4 * scene.finger.width_mm * scene.finger.thickness_mm
+    diode = max(scene.layout.photodiode_areas, key=lambda r: r.area_mm2)
+    passed = 1.0
+    for one in (cut, back):
+        left = one.transfer.energy()["transmitted"]
+        # Of n photons none may have passed: with 95 % confidence the part is below 3 / n.
+        passed *= left["value"] + Z95 * left["stderr"] + 3 / one.transfer.photons
+    wavelength = scene.leds[0].wavelength_nm
+    ratio_of_indices = index_of("epoxy", wavelength) / index_of("bed", wavelength)
+    returned = passed * ratio_of_indices**2 * diode.area_mm2 / area_mm2
+    with np.errstate(divide="ignore"):
+        most = np.where(base.level > 0, returned / base.level, np.inf)
+    # All that is known is what it is at most.
+    return effect_of(change, Difference(np.zeros_like(most), most / Z95), base, tolerance=RETURNING)
+
+
+def nothing(name: str, why: str, tolerance: float) -> Effect:
+    """An effect that is none by construction."""
+    none: dict[str, Any] = dict.fromkeys(("change", "stderr", "bound", "typical", "typical_stderr"), 0.0)
+    none |= {"how": "derived", "photodiode": "", "modulation_bound": 0.0, "tolerance": tolerance}
+    return Effect(name=name, modelled=False, changed_to=why, **none)

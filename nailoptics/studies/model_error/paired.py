@@ -18,14 +18,12 @@ from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
 from ...statistics import FEW_TERMS, farther_end
 
-PILOT_PHOTONS = 1 << 17
-LEAST_PHOTONS = 1 << 14
-# Part of the time that is left which goes to learning what a photon costs, where so many photons would take longer.
-PILOT_SHARE = 0.03
-# Of the time that is left after the first traces, so much is planned; the rest is for what the plan does not know.
-PLANNED_SHARE = 0.85
-# By this part of the time it may take longer.
-OVERRUN = 0.15
+# All traces together take about so long where nothing is requested. [s]
+USUAL_SECONDS = 90.0
+# Part of the time that goes to learning what a photon costs, by photons in this range, and to the traces; the rest is
+# for what the plan does not know.
+PILOT_SHARE, LEAST_PHOTONS, PILOT_PHOTONS = 0.03, 1 << 14, 1 << 17
+PLANNED_SHARE = 0.8
 # Standard error of a count of photons that is 0, 3 / Z95: of n photons none detected is, at 95 %, a part below 3 / n.
 UNDETECTED = 1.53
 # Photons that are read at once, to bound the memory.
@@ -84,6 +82,14 @@ class PairedReadings:
                 spread.append(np.sqrt(np.bincount(one.photodiode, added**2, minlength=count)) / level)
         return np.where(np.isfinite(self.relative_stderr), np.stack(spread), np.inf)
 
+    @cached_property
+    def largest_modulation(self) -> tuple[float, float]:
+        """The largest change by touch, as a part of the reading at rest, and its standard error; NaN where unknown."""
+        if not np.isfinite(self.modulation).any():
+            return math.nan, math.nan
+        largest = int(np.nanargmax(np.abs(self.modulation)))
+        return abs(float(self.modulation.flat[largest])), float(self.modulation_stderr.flat[largest])
+
 
 def paired_readings(transfer: Transfer, setup_seconds: float = 0.0) -> PairedReadings:
     """Readings of a trace at rest and at the scene's largest force."""
@@ -100,9 +106,9 @@ def paired_readings(transfer: Transfer, setup_seconds: float = 0.0) -> PairedRea
     return PairedReadings(transfer, tuple(parts), setup_seconds)
 
 
-def reweighted(base: Transfer, scene: Scene) -> PairedReadings:
+def reweighted(base: PairedReadings, scene: Scene) -> PairedReadings:
     """Readings of a scene that differs from a traced one only in absorption or LED lines: the same photons."""
-    return paired_readings(replace(base, scene=scene))
+    return paired_readings(replace(base.transfer, scene=scene), base.setup_seconds)
 
 
 def end_states(scene: Scene) -> np.ndarray:
@@ -122,34 +128,21 @@ class PairedTracer:
     scenes : how many traces there will be, for the time that each gets and for the progress.
     options : photons for each LED of every scene; or relative_error for the first scene, whose photons all others get;
         or the photons follow from the time. After max_seconds no trace begins, and one that runs ends.
-    usual_seconds : for all traces together where nothing is requested.
-    shapes : how many of the scenes have to build a geometry that those before them have not, the first one aside.
-    reserved_s : seconds before max_seconds at which the traces end, for what comes after them.
     """
 
     scenes: int
     options: TraceOptions
     progress: ProgressCallback | None
-    usual_seconds: float = 90.0
-    shapes: int = 0
-    reserved_s: float = 0.0
     shortfall: str | None = field(default=None, init=False)
     _done: int = field(default=0, init=False)
-    _opening_s: float = field(default=0.0, init=False)
     _start: float = field(default_factory=time.perf_counter, init=False)
     _photons: int | None = field(default=None, init=False)
-    _setups: dict[Scene, float] = field(default_factory=dict, init=False)
+    _setup_s: float = field(default=0.0, init=False)
 
     @property
     def seconds_left(self) -> float:
         """Time until the traces are to end. [s]"""
-        return (self.options.max_seconds or math.inf) - self.reserved_s - (time.perf_counter() - self._start)
-
-    @property
-    def _planned_seconds(self) -> float:
-        """The same where a limit is given, else what is left of the usual time. [s]"""
-        limit_s = self.options.max_seconds or self.usual_seconds
-        return limit_s - self.reserved_s - (time.perf_counter() - self._start)
+        return (self.options.max_seconds or math.inf) - (time.perf_counter() - self._start)
 
     def trace(self, scene: Scene, *, backend: BackendName | None = None) -> PairedReadings:
         """Trace and read a scene; raises NotReachedError if interrupted or out of time."""
@@ -157,16 +150,11 @@ class PairedTracer:
         scene = scene.model_copy(update={"accuracy": type(scene.accuracy)()})
         if self._photons is None:
             self._photons = self._photons_for(scene)
-        else:
-            self.check_time()
+        elif self.seconds_left < 0:
+            raise NotReachedError(self._out_of_time())
         found = self._traced(scene, backend, self._photons)
         self._done += 1
         return found
-
-    def check_time(self) -> None:
-        """Raise NotReachedError where what begins now would end too late."""
-        if self.seconds_left < max(0.0, self._opening_s - OVERRUN * (self.options.max_seconds or math.inf)):
-            raise NotReachedError(self._out_of_time())
 
     def _photons_for(self, scene: Scene) -> int:
         """Photons of each trace, from what is requested and what the first scene's traces take."""
@@ -184,30 +172,30 @@ class PairedTracer:
         # The first trace loads the engine and compiles; what a photon costs is what it costs from then on.
         photons_engine(scene, options.backend)
 
+        def left_s() -> float:
+            return (options.max_seconds or USUAL_SECONDS) - (time.perf_counter() - self._start)
+
         def pilot_photons(first_s: float) -> int:
-            affordable = PILOT_SHARE * self._planned_seconds / max(first_s, 1e-9) * LEAST_PHOTONS
+            affordable = PILOT_SHARE * left_s() / max(first_s, 1e-9) * LEAST_PHOTONS
             return int(min(max(affordable, 2 * LEAST_PHOTONS), PILOT_PHOTONS))
 
         each_s = seconds_per_sample(
             lambda photons: self._traced(scene, None, photons, store=False), LEAST_PHOTONS, pilot_photons
         )
-        share = (PLANNED_SHARE * self._planned_seconds - self.shapes * self._opening_s) / self.scenes
-        return max(LEAST_PHOTONS, int(share / each_s))
+        return max(LEAST_PHOTONS, int(PLANNED_SHARE * left_s() / self.scenes / each_s))
 
     def _traced(self, scene: Scene, backend: BackendName | None, photons: int, *, store: bool = True) -> PairedReadings:
-        cpu, begin, shape = time.process_time(), time.perf_counter(), shape_of(scene)
-        chosen, seed, store = backend or self.options.backend, self.options.seed, store and self.options.store
+        options, cpu = self.options, time.process_time()
+        how: Requested = {"photons": photons, "seed": options.seed, "store": store and options.store}
+        how["backend"] = backend or options.backend
         try:
-            how: Requested = {"photons": photons, "seed": seed, "backend": chosen, "store": store}
             transfer = trace(scene, with_faces=geometry.AROUND, progress=self._report_progress, **how)
         except NotReachedError as error:
             # A part of one trace is of no use to those that are compared with it.
             raise NotReachedError(str(error)) from None
-        spent = time.process_time() - cpu - transfer.cpu_seconds
-        self._opening_s = max(self._opening_s, time.perf_counter() - begin - transfer.wall_seconds)
-        # What is there from an earlier trace of the shape was paid for then.
-        self._setups[shape] = max(spent, self._setups.get(shape, 0.0))
-        return paired_readings(transfer, self._setups[shape])
+        # What is there from earlier traces, the geometry and the engine, was paid for then.
+        self._setup_s = max(self._setup_s, time.process_time() - cpu - transfer.cpu_seconds)
+        return paired_readings(transfer, self._setup_s)
 
     def _out_of_time(self) -> str:
         return f"max_seconds ended the study after {self._done} of {self.scenes} traces"
@@ -257,15 +245,12 @@ def difference(base: PairedReadings, other: PairedReadings) -> Difference:
     them, and where none does, one that the difference takes away whole.
     """
     resolved = np.isfinite(base.relative_stderr) & np.isfinite(other.relative_stderr)
-    unit = np.nanmax(np.abs(base.modulation)) if np.isfinite(base.modulation).any() else np.nan
+    unit, unit_stderr = base.largest_modulation
     found = np.array([_by_photodiode(base, other, led) for led in range(len(base.parts))])
     ratio, ratio_stderr, ratio_skew, swing, swing_stderr, swing_skew = np.moveaxis(found, 1, 0)
     with np.errstate(invalid="ignore"):
         ratio_stderr = np.where(resolved, ratio_stderr, np.inf)
-        largest = np.nanargmax(np.abs(base.modulation)) if np.isfinite(unit) else 0
-        swing_stderr = np.where(
-            resolved, np.hypot(swing_stderr, swing * base.modulation_stderr.flat[largest] / unit), np.inf
-        )
+        swing_stderr = np.where(resolved, np.hypot(swing_stderr, swing * unit_stderr / unit), np.inf)
     return Difference(ratio, ratio_stderr, swing / unit, swing_stderr / unit, ratio_skew, swing_skew / unit)
 
 
@@ -355,11 +340,6 @@ def _keys(trace: LedTrace) -> np.ndarray:
     """All that is known of each photon, as one item of bytes, (n,)."""
     columns = np.column_stack([trace.photodiode, trace.weight, trace.path_mm]).astype(np.float32)
     return np.ascontiguousarray(columns).view(np.dtype((np.void, columns.dtype.itemsize * columns.shape[1]))).ravel()
-
-
-def error_of_ratio(ratio: np.ndarray, *relative_stderr: np.ndarray) -> np.ndarray:
-    """Error of a relative change; few paths that happen to be dim must not pass for a sure small reading."""
-    return np.asarray(np.maximum(1 + ratio, 1) * np.hypot(*relative_stderr))
 
 
 def weighted_mean(values: np.ndarray, error: np.ndarray, base: PairedReadings) -> tuple[float, float]:

@@ -1,27 +1,139 @@
-"""Error against processor time for every level of model, from a formula to many photons: the fastest in a tolerance."""
+"""Error against processor time of every level of model of a scene, from a formula to the full photon walk."""
 
+import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, TypeVar, Unpack
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from ... import tissue
 from ...errors import NotReachedError
-from ...light import ProgressCallback
-from ...options import Requested, TraceOptions
+from ...hemodynamics.for_scene import zones_of_photodiodes
+from ...light import ProgressCallback, optics
+from ...light import backend as backends
+from ...light.diffusion import DiffusionModel
+from ...light.tracing import unlit
+from ...light.transfer.series import read_replicates
+from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
+from ...statistics import farther_end, jackknife
 from ...variables import Variables, variable
-from .changes import changes_between, revised
-from .levels import OWN, REFERENCE, Level, ModelStudy
-from .paired import check_study
+from .changes import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, lines_of, revised
+from .paired import (
+    PairedReadings,
+    PairedTracer,
+    check_study,
+    difference,
+    end_states,
+    reweighted,
+    weighted_mean,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
 
+T = TypeVar("T")
+
 DEFAULT_TOLERANCE = 0.02
 # Costs of one level, measured twice, differ by about this part.
 COST_NOISE = 0.1
+REFERENCE, OWN = "full", "the scene itself"
+CHEAPER: dict[str, Changes] = {
+    "matched indices": {"light": {"index_steps": False}},
+    "similarity": {"light": {"similarity": True}},
+    "similarity, matched": {"light": {"similarity": True, "index_steps": False}},
+    "no epidermis, no Kapton": {"light": {"left_out": ["epidermis", "kapton"]}},
+    "no bone either": {"light": {"left_out": ["bone", "epidermis", "kapton"]}},
+}
+FULL: Changes = {"light": {"engine": "auto", "index_steps": True, "similarity": False, "left_out": ()}} | PART_WIDTH
+DIFFUSION_CALL = "nailoptics.light.diffusion.DiffusionModel(scene).readings(blood)"
+LITERATURE_CALL = "nailoptics.studies.model_error.tradeoff.literature_changes(scene, name, blood)"
+# Mean path of detected light over the distance from source to detector: adult forearm, 807 nm, distances of
+# centimetres: 4.16 +- 0.78 (Duncan et al. 1995, Phys. Med. Biol. 40, 295). None is published for a finger or
+# millimetres.
+PATH_FACTOR = 4.16
+# Relative change of a reading from the change of the optical depth along its path.
+FORMULAS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "Taylor (9)": np.negative,
+    "Beer-Lambert (8)": lambda depth: np.expm1(-depth),
+}
+
+
+@dataclass(frozen=True)
+class Bias:
+    """How far a level is from the reference, as a part of it.
+
+    value, stderr : mean over all photodiodes, weighed by the reference's errors.
+    bound : what no photodiode's exceeds, with 95 % confidence each.
+    """
+
+    value: float
+    stderr: float
+    bound: float
+
+
+@dataclass(frozen=True)
+class Level:
+    """One level of model, measured.
+
+    reading : bias of the reading at rest; None where the level has none.
+    signal : bias of the change by touch, as a part of the largest change of any photodiode.
+    setup_seconds : processor time of the first answer before its photons; all of it where none are traced. [s]
+    reading_noise, signal_noise : standard error of the worst reading, and of the worst change as a part of the largest,
+        after one processor second of photons; 0 where none are traced. [s^0.5]
+    beforehand : what must be known beside the scene's media and shape; empty where nothing must.
+    changes : what of the scene selects it; None where no line of a scene does, but the call.
+    """
+
+    name: str
+    backend: str
+    reading: Bias | None
+    signal: Bias
+    setup_seconds: float
+    reading_noise: float = 0.0
+    signal_noise: float = 0.0
+    beforehand: str = ""
+    changes: Changes | None = None
+    call: str = ""
+
+    @property
+    def lines(self) -> list[str]:
+        """The scene lines that select it."""
+        return lines_of(self.changes or {})
+
+    @property
+    def traces(self) -> bool:
+        """Whether its answers are made of photons."""
+        return self.reading_noise > 0
+
+    @property
+    def _bounds(self) -> tuple[float, float]:
+        return (self.reading.bound if self.reading else math.inf), self.signal.bound
+
+    @property
+    def bound(self) -> float:
+        """What the bias of no photodiode's reading or signal exceeds; inf where that is not known."""
+        return max(self._bounds)
+
+    def photon_seconds(self, error: float, coverage: float | None = None) -> float:
+        """Seconds of photons until the error of the worst photodiode is no more than this; inf where it never is. [s]
+
+        coverage : standard errors that are added to the bias; if not given, one standard error and the bias in squares.
+        """
+        needed = 0.0 if self.bound <= error else math.inf
+        for bound, noise in zip(self._bounds, (self.reading_noise, self.signal_noise), strict=True):
+            if noise and math.isfinite(needed):
+                left = error**2 - bound**2 if coverage is None else ((error - bound) / coverage) ** 2
+                needed = max(needed, noise**2 / left if left > 0 else math.inf)
+        return needed
+
+    def within(self, error: float, coverage: float | None = None) -> "Answer | None":
+        """The level with the fewest photons that keep it within an error; None where none do."""
+        seconds = self.photon_seconds(error, coverage)
+        return Answer(self, seconds, error if self.traces else self.bound) if math.isfinite(seconds) else None
 
 
 @dataclass(frozen=True)
@@ -46,21 +158,19 @@ class Answer:
 
 @dataclass(frozen=True)
 class Tradeoff:
-    """All levels of model, and the one to take, as a scene.
+    """All levels of model, and the fastest within a tolerance, as a scene.
 
     An error is that of the worst photodiode: of its reading at rest, relative, or of its change by touch, as a part of
     the largest change of any photodiode, whichever is larger; the bound on the level's bias and one standard error, in
     squares. With `simultaneous` it is what all readings and all changes stay within with 95 % probability.
 
-    levels : the cheapest for the tolerance first, then those that never keep it.
-    max_seconds : processor time that an answer may take; None without a limit.
-    chosen : the fastest within the tolerance, or the best within the time where that would take longer.
+    levels : the cheapest for the tolerance first, then those that never reach it.
+    chosen : the fastest within the tolerance; the full model where too few photons came to judge any.
     """
 
     levels: tuple[Level, ...]
     tolerance: float
     simultaneous: bool
-    max_seconds: float | None
     chosen: Answer
     scene: Scene
     wall_seconds: float
@@ -72,16 +182,16 @@ class Tradeoff:
         return self.attributes.get("cut_off")
 
     @property
-    def reference(self) -> Level:
-        """The full model."""
-        return next(level for level in self.levels if level.name == REFERENCE)
-
-    @property
     def coverage_factor(self) -> float:
         """Standard errors within which all readings and changes lie at once with 95 % probability (Bonferroni)."""
         from scipy.special import ndtri
 
         return float(ndtri(1 - 0.025 / (2 * len(self.scene.leds) * len(self.scene.layout.photodiode_names))))
+
+    @property
+    def coverage(self) -> float | None:
+        """Coverage, as in `Level.photon_seconds`, that the tolerance is held against."""
+        return self.coverage_factor if self.simultaneous else None
 
     def fastest(self, error: float, *, simultaneous: bool | None = None) -> Answer | None:
         """The cheapest answer within an error, in the sense of the tolerance if not said otherwise."""
@@ -99,12 +209,12 @@ class Tradeoff:
         import xarray as xr
 
         data: Variables = {}
-        nothing = (np.nan, np.nan, np.nan)
+        nothing = Bias(math.nan, math.nan, math.nan)
         for which, text in (("reading", "reading at rest"), ("signal", "change by touch, of the largest change")):
-            biases = [getattr(one, which) for one in self.levels]
-            rows = np.array([nothing if b is None else (b.value, b.stderr, b.bound) for b in biases])
-            data |= variable(f"{which}_bias", "level", rows[:, 0], f"bias of the {text}", stderr=rows[:, 1])
-            data |= variable(f"{which}_bound", "level", rows[:, 2], f"what no photodiode's bias exceeds, of the {text}")
+            biases = [getattr(one, which) or nothing for one in self.levels]
+            value, stderr, bound = np.array([(b.value, b.stderr, b.bound) for b in biases]).T
+            data |= variable(f"{which}_bias", "level", value, f"bias of the {text}", stderr=stderr)
+            data |= variable(f"{which}_bound", "level", bound, f"what no photodiode's bias exceeds, of the {text}")
             noise = [getattr(one, f"{which}_noise") for one in self.levels]
             text = f"standard error after one second of photons, of the {text}"
             data |= variable(f"{which}_noise", "level", noise, text)
@@ -118,27 +228,15 @@ def fastest(levels: Iterable[Level], error: float, coverage: float | None = None
 
     The scene itself, or else the full model, stays where none is cheaper beyond the noise of costs.
 
-    coverage : as in `Level.error`.
+    coverage : as in `Level.photon_seconds`.
     """
-    needed = [(one, one.photon_seconds(error, coverage)) for one in levels]
-    found = [Answer(one, seconds, one.error(seconds, coverage)) for one, seconds in needed if np.isfinite(seconds)]
-    least = min(found, key=lambda answer: answer.seconds, default=None)
+    answers = [answer for one in levels if (answer := one.within(error, coverage))]
+    least = min(answers, key=lambda answer: answer.seconds, default=None)
     for name in (OWN, REFERENCE):
-        for answer in found:
+        for answer in answers:
             if least and answer.level.name == name and (1 - COST_NOISE) * answer.seconds <= least.seconds:
                 return answer
     return least
-
-
-def best(levels: Iterable[Level], seconds: float, coverage: float | None = None) -> Answer | None:
-    """The answer with the least error that costs no more than so many processor seconds; None where none does."""
-    found = []
-    for one in levels:
-        photons = seconds - one.setup_seconds if one.traces else 0.0
-        error = one.error(photons, coverage)
-        if one.setup_seconds <= seconds and np.isfinite(error):
-            found.append(Answer(one, photons, error))
-    return min(found, key=lambda answer: answer.error, default=None)
 
 
 def tradeoff(
@@ -146,7 +244,6 @@ def tradeoff(
     *,
     tolerance: float = DEFAULT_TOLERANCE,
     simultaneous: bool = False,
-    answer_seconds: float | None = None,
     progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
 ) -> Tradeoff:
@@ -159,65 +256,176 @@ def tradeoff(
     simultaneous : whether all readings and changes shall stay within it with 95 % probability.
     photons : of each LED in each trace; or
     relative_error : of the full model's trace, all others having as many photons; or
-    max_seconds : for all levels together, about; 120 if nothing else is requested.
-    answer_seconds : processor time that the answer which is chosen may cost; max_seconds if not given. Where none keeps
-        the tolerance in that time it is the best one within it.
+    max_seconds : for all levels together, about; 90 if nothing else is requested.
 
-    Raises: InputError; NotReachedError, whose result is the Tradeoff as far as it was made, if interrupted.
+    Raises: InputError, also where no backend compiles kernels; NotReachedError where a photodiode saw nothing to
+        compare levels by, or, if interrupted, with the Tradeoff as far as it was made as result.
     """
     check_study(scene, tolerance, "tradeoff", "has one level, itself")
     options, start = TraceOptions(**requested), time.perf_counter()
-    study = ModelStudy.of(scene, options, progress=progress)
-    measured: list[Level] = []
+    # Each level's time is that of tracing it.
+    options = replace(options, backend=backends.activate_jit(options.backend, "tradeoff").name, store=False)
+    others: list[BackendName] = [
+        one.name for one in backends.findings() if one.usable and one.name not in (options.backend, "scalar")
+    ]
+    full = revised(scene, FULL)
+    simpler = {OWN: scene} if changes_between(full, scene) else {}
+    simpler |= {name: revised(full, changes) for name, changes in CHEAPER.items()}
+    tracer = PairedTracer(1 + len(simpler) + len(others), options, progress)
+    base = tracer.trace(full)
+    for led, photodiode in np.argwhere(~(base.level > 0)):
+        light = base.transfer
+        raise NotReachedError(unlit(light.leds[led], light.photodiodes[photodiode], light.traces[led].photons))
+
+    def measure() -> Iterator[Level]:
+        yield measured(scene, REFERENCE, base, base)
+        yield from formulas(scene, base, options.seed)
+        yield diffusion(base)
+        if any(led.fwhm_nm for led in full.leds):
+            # The same photons, so the same cost, whatever the noise of its error.
+            yield measured(scene, "one wavelength", base, reweighted(base, revised(full, ONE_WAVELENGTH)))
+        for name, one in simpler.items():
+            yield measured(scene, name, base, tracer.trace(one))
+        for backend in others:
+            yield measured(scene, f"{REFERENCE}, {backend}", base, tracer.trace(full, backend=backend))
+
+    levels: list[Level] = []
     unmet = None
     try:
-        for level in study.levels():
-            measured.append(level)
+        for level in measure():
+            levels.append(level)
     except (NotReachedError, KeyboardInterrupt) as error:
-        unmet = f"{str(error).rstrip('.') or 'interrupted'}; {len(measured)} levels were measured before."
-    result = _chosen(study, measured, tolerance, simultaneous, answer_seconds or options.max_seconds)
-    result = replace(result, wall_seconds=time.perf_counter() - start)
+        unmet = f"{str(error).rstrip('.') or 'interrupted'}; {len(levels)} levels were measured before."
+    about = base.transfer.attributes() | ({"cut_off": unmet} if unmet else {})
+    unjudged = Answer(levels[0], base.transfer.cpu_seconds, math.inf)
+    result = Tradeoff(tuple(levels), tolerance, simultaneous, unjudged, scene, time.perf_counter() - start, about)
+    result = _chosen(result)
     if unmet:
-        result = replace(result, attributes=result.attributes | {"cut_off": unmet})
         raise NotReachedError(unmet, result=result)
     return result
 
 
-def _chosen(
-    study: ModelStudy, measured: Sequence[Level], tolerance: float, simultaneous: bool, max_seconds: float | None
-) -> Tradeoff:
-    """What the measured levels come to, with the one to take."""
-    # Too few photons may have come for any standard error: then nothing is known to be better than the full model.
-    full = Answer(measured[0], study.base.transfer.cpu_seconds, np.inf)
-    result = Tradeoff(
-        levels=tuple(measured),
-        tolerance=tolerance,
-        simultaneous=simultaneous,
-        max_seconds=max_seconds,
-        chosen=full,
-        scene=study.full,
-        wall_seconds=0.0,
-        attributes=study.base.transfer.attributes(),
-    )
-    coverage = result.coverage_factor if simultaneous else None
-    found = result.fastest(tolerance)
-    if found is None or (max_seconds is not None and found.seconds > max_seconds):
-        found = best(measured, max_seconds or np.inf, coverage) or found or full
-    chosen = revised(study.full, found.level.changes or {})
-    if found.relative_error:
-        accuracy = type(chosen.accuracy)(relative_error=min(found.relative_error, 1.0))
-        chosen = chosen.model_copy(update={"accuracy": accuracy})
+def _chosen(result: Tradeoff) -> Tradeoff:
+    """The result with its levels in order, and the fastest within the tolerance as a scene."""
 
     def place(level: Level) -> tuple[float, float, bool]:
         # The full model first among those that cost the same.
-        seconds = level.setup_seconds + level.photon_seconds(tolerance, coverage)
+        seconds = level.setup_seconds + level.photon_seconds(result.tolerance, result.coverage)
         return seconds, level.setup_seconds, level.name != REFERENCE
 
-    def from_scene(level: Level) -> Level:
-        if level.changes is None:
-            return level
-        return replace(level, changes=changes_between(study.scene, revised(study.full, level.changes)))
+    answer = result.fastest(result.tolerance) or result.chosen
+    scene = revised(result.scene, answer.level.changes or {})
+    if answer.relative_error:
+        accuracy = type(scene.accuracy)(relative_error=min(answer.relative_error, 1.0))
+        scene = scene.model_copy(update={"accuracy": accuracy})
+    return replace(result, levels=tuple(sorted(result.levels, key=place)), chosen=answer, scene=scene)
 
-    levels = tuple(from_scene(level) for level in sorted(measured, key=place))
-    own = next(level for level in levels if level.name == found.level.name)
-    return replace(result, levels=levels, chosen=replace(found, level=own), scene=chosen)
+
+def measured(scene: Scene, name: str, base: PairedReadings, other: PairedReadings) -> Level:
+    """A traced level of a scene against the reference, which has no bias against itself."""
+    reading = signal = Bias(0.0, 0.0, 0.0)
+    if other is not base:
+        found = difference(base, other)
+        reading = bias_of(base, found.ratio, found.ratio_stderr, skew=found.ratio_skew)
+        signal = bias_of(base, np.asarray(found.swing), np.asarray(found.swing_stderr), skew=found.swing_skew)
+    root_s = math.sqrt(other.transfer.cpu_seconds)
+    return Level(
+        name=name,
+        backend=other.transfer.backend,
+        reading=reading,
+        signal=signal,
+        setup_seconds=other.setup_seconds,
+        reading_noise=float(other.relative_stderr.max()) * root_s,
+        signal_noise=float(other.modulation_stderr.max()) / base.largest_modulation[0] * root_s,
+        changes=changes_between(scene, other.transfer.scene),
+    )
+
+
+def bias_of(
+    base: PairedReadings, values: np.ndarray, error: np.ndarray, *, shared: float = 0.0, skew: ArrayLike = 0.0
+) -> Bias:
+    """The bias of a level from how far each of its readings is off, (led, photodiode) float, and the errors.
+
+    shared : relative error of what all of them are parts of.
+    skew : of each, its third moment over its variance.
+    """
+    bounds = farther_end(values, np.hypot(error, shared * values), skew)
+    bound = float(np.max(np.where(np.isfinite(bounds), bounds, np.inf)))
+    mean, stderr = weighted_mean(values, error, base)
+    if not np.isfinite(mean):
+        return Bias(mean, stderr, bound)
+    # The weights are estimates, too: of n photons a relative variance 1 / n is known to 1 / sqrt(n).
+    relative = base.relative_stderr
+    drift = float(np.linalg.norm((values - mean) / relative) / (relative**-2.0).sum())
+    return Bias(mean, math.hypot(stderr, shared * mean, drift), bound)
+
+
+def signal_bias(base: PairedReadings, modulation: np.ndarray) -> Bias:
+    """The bias of a signal that shares no photons with the reference, (led, photodiode) float."""
+    unit, stderr = base.largest_modulation
+    off = (modulation - base.modulation) / unit
+    return bias_of(base, off, base.modulation_stderr / unit, shared=stderr / unit)
+
+
+def timed(call: Callable[[], T]) -> tuple[T, float]:
+    """What a call returns, and its processor time. [s]"""
+    begin = time.process_time()
+    return call(), time.process_time() - begin
+
+
+def literature_changes(scene: Scene, name: str, blood_fraction: np.ndarray) -> np.ndarray:
+    """Relative change of every reading from the first blood state on, (led, photodiode, states) float.
+
+    By a formula with constants from literature alone: each photodiode sees the blood of the zone above which it lies,
+    along a path of 4.16 times its distance from the LED, at the LED's peak wavelength. The reading at rest, V0 + V1 of
+    the paper, is in no literature.
+
+    name : of `FORMULAS`.
+    blood_fraction : (states, zones) float in 0-1.
+    """
+    layout = scene.layout
+    path_mm = PATH_FACTOR * np.array(
+        [[math.dist(led.center_mm, area.center_mm) for area in layout.photodiode_areas] for led in layout.leds]
+    )
+    mu_a = np.array([tissue.blood_mu_a_per_mm(led.wavelength_nm, scene.blood.rest_so2) for led in scene.leds])
+    more = (blood_fraction - blood_fraction[0])[:, zones_of_photodiodes(scene)]
+    return FORMULAS[name]((path_mm * mu_a[:, None])[..., None] * more.T)
+
+
+def formulas(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
+    """Taylor (9) and Beer-Lambert (8), with constants from literature, and with those of the reference's mean paths.
+
+    With traced constants the reading at rest is the trace's, at what that costs; it is the signal that they may miss.
+
+    seed : of the groups of photons, from which errors come.
+    """
+    full = base.transfer.scene
+    ends, depths, traced = end_states(full), [], []
+    for i, led in enumerate(full.leds):
+        wavelength, share = optics.spectrum(led)
+        mu_a = optics.absorption(full, wavelength, blood_fraction=ends)
+        blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, full.blood.rest_so2))
+        read = read_replicates(base.transfer, i, mu_a, blood, seed=seed)
+        mean = float(np.average(blood, weights=share * wavelength))
+        depths.append(read.mean_path_mm @ ((ends[1] - ends[0]) * mean))
+        traced.append(read.reading[..., 1] / read.reading[..., 0] - 1)
+    unit, stderr = base.largest_modulation
+    for name, change in FORMULAS.items():
+        found, seconds = timed(lambda name=name: literature_changes(full, name, ends)[..., -1])  # type: ignore[misc]
+        signal = signal_bias(base, found)
+        more = {"beforehand": "one measured reading at rest", "call": LITERATURE_CALL}
+        yield Level(f"{name}, literature", "numpy", None, signal, seconds, **more)  # type: ignore[arg-type]
+        values = (change(np.stack(depths)) - np.stack(traced)) / unit
+        errors = np.stack([jackknife(one) for one in values])
+        signal = bias_of(base, values[:, 0], errors, shared=stderr / unit)
+        yield replace(measured(scene, f"{name}, traced", base, base), signal=signal)
+
+
+def diffusion(base: PairedReadings) -> Level:
+    """Layered diffusion, without a photon."""
+    full = base.transfer.scene
+    found, seconds = timed(lambda: DiffusionModel(full).readings(end_states(full)))
+    gain = found[..., 0] / base.level
+    reading = bias_of(base, gain - 1, gain * base.relative_stderr)
+    signal = signal_bias(base, found[..., 1] / found[..., 0] - 1)
+    return Level("layered diffusion", "numpy", reading, signal, seconds, call=DIFFUSION_CALL)

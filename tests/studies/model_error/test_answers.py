@@ -1,4 +1,4 @@
-"""What an answer of some error costs: bias and noise together, the fastest within an error, the best within a time."""
+"""What an answer of some error costs: bias and noise together, and the fastest within an error."""
 
 import math
 
@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from nailoptics.report.model_errors import percent
-from nailoptics.studies.model_error.levels import OWN, REFERENCE, Bias, Level
-from nailoptics.studies.model_error.tradeoff import best, fastest
+from nailoptics.studies.model_error.tradeoff import OWN, REFERENCE, Bias, Level, fastest
 
 
 def level(name: str, *, bound: float = 0.0, signal: float = 0.0, noise: float = 0.1, setup: float = 2.0) -> Level:
@@ -23,10 +22,10 @@ FORMULA = Level("formula", "numpy", None, Bias(0.3, 0.0, 0.3), 1e-5)
 
 def test_bias_and_standard_error_add_in_squares():
     biased = level("biased", bound=0.03, signal=0.01)
-    assert biased.error(100.0) == pytest.approx(math.hypot(0.03, 0.1 / 10))
     # As many photons as needed, and no more; below the bias no number is enough.
     for error in (0.05, 0.04):
-        assert biased.error(biased.photon_seconds(error)) == pytest.approx(error)
+        stderr = biased.reading_noise / math.sqrt(biased.photon_seconds(error))
+        assert math.hypot(0.03, stderr) == pytest.approx(error) == biased.within(error).error
     assert biased.photon_seconds(0.029) == math.inf and level("x", signal=0.04).photon_seconds(0.03) == math.inf
 
 
@@ -47,9 +46,9 @@ def test_coverage_is_that_of_all_readings_at_once():
 
 
 def test_a_level_without_a_reading_at_rest_answers_nothing():
-    assert FORMULA.photon_seconds(0.9) == math.inf and FORMULA.error(0.0) == math.inf
+    assert FORMULA.photon_seconds(0.9) == math.inf and FORMULA.within(0.9) is None
     assert DIFFUSION.photon_seconds(0.31) == 0 and DIFFUSION.photon_seconds(0.29) == math.inf
-    assert DIFFUSION.error(0.0) == 0.3
+    assert DIFFUSION.within(0.31).error == 0.3 and DIFFUSION.within(0.29) is None
 
 
 def test_the_fastest_within_an_error():
@@ -66,14 +65,6 @@ def test_the_usual_level_stays_unless_another_is_cheaper_beyond_the_noise_of_cos
     assert fastest([near, FULL], 0.02).level is FULL
     assert fastest([near, cheap, FULL], 0.02).level is cheap
     assert fastest([near, FULL, own], 0.02).level is own
-
-
-def test_the_best_within_a_time():
-    levels = [FULL, level("cheap", bound=0.03, noise=0.03), FORMULA, DIFFUSION]
-    assert best(levels, 1.0).level is DIFFUSION and best(levels, 0.01) is None
-    assert best(levels, 3.0).level.name == "cheap"
-    found = best(levels, 102.0)
-    assert found.level is FULL and found.error == pytest.approx(0.01) and found.seconds == pytest.approx(102.0)
 
 
 @pytest.mark.parametrize(

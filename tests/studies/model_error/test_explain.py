@@ -16,23 +16,20 @@ from nailoptics.options import TraceOptions
 from nailoptics.report.model_errors import explanation_lines
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.statistics import Z95, farther_end
-from nailoptics.studies.model_error import effects, paired
+from nailoptics.studies.model_error import explain as effects
+from nailoptics.studies.model_error import paired
 from nailoptics.studies.model_error.changes import (
     ONE_WAVELENGTH,
     PART_WIDTH,
-    SCATTERING_FACTOR,
     Change,
     Changes,
     changes_between,
-    denser,
-    farthest,
     lines_of,
     merged,
-    most_proximal,
     revised,
+    swapped,
 )
-from nailoptics.studies.model_error.effects import Effect, effect_of
-from nailoptics.studies.model_error.explain import Explanation, explain
+from nailoptics.studies.model_error.explain import SCATTERING_FACTOR, Effect, Explanation, effect_of, explain
 from nailoptics.studies.model_error.paired import (
     UNDETECTED,
     Difference,
@@ -122,7 +119,7 @@ def test_rereading_is_what_tracing_with_the_same_photons_would_give(jit_backend)
     """Rationale: what only dims light needs no new trace. Expected: the two agree to rounding."""
     narrow, wide = (revised(prototype(), width) for width in (ONE_WAVELENGTH, PART_WIDTH))
     base, other = (traced(scene, photons=60_000, seed=1) for scene in (wide, narrow))
-    again = reweighted(base.transfer, narrow)
+    again = reweighted(base, narrow)
     assert np.allclose(again.level, other.level, rtol=1e-6)
     assert 0 < np.abs(again.level / base.level - 1).max() < 0.01
 
@@ -142,7 +139,7 @@ def test_a_difference_has_the_noise_of_the_photons_that_differ(jit_backend):
     assert (difference(base, bone).ratio_stderr < 0.7 * away.ratio_stderr).all()
     assert (difference(base, skin).ratio_stderr > 0.1 * UNDETECTED * base.relative_stderr**2).all()
     # No photon met the epidermis: melanin changes nothing that was seen, and that is not a change of nothing.
-    pale = difference(base, reweighted(base.transfer, revised(whole(), {"finger": {"melanin_fraction": 0.0}})))
+    pale = difference(base, reweighted(base, revised(whole(), {"finger": {"melanin_fraction": 0.0}})))
     assert (pale.ratio_stderr >= 0.99 * UNDETECTED * base.relative_stderr**2)[pale.ratio == 0].all()
     # The same scene twice: nothing but noise, as large as is said.
     z = away.ratio / away.ratio_stderr
@@ -163,7 +160,7 @@ def test_effects_that_are_read_from_one_trace_have_true_errors(chosen_jit):
 
     def found(photons: int, seed: int) -> tuple[PairedReadings, list[Difference]]:
         base = traced(scene, photons=photons, seed=seed)
-        every = [difference(base, reweighted(base.transfer, other)) for other in others]
+        every = [difference(base, reweighted(base, other)) for other in others]
         return base, [*every, effects.without_deep(base)]
 
     def numbers(every: list[Difference]) -> np.ndarray:
@@ -196,7 +193,8 @@ def test_effects_that_are_retraced_have_true_errors(chosen_jit, monkeypatch):
     weighted mean, hold the value of twenty times the photons as often as they say; so do those of what is derived from
     such traces, blood's scattering and light from outside."""
     others = [revised(whole(), {"light": {"left_out": ["bone"]}}), revised(whole(), {"light": {"index_steps": False}})]
-    others.append(denser(whole()))
+    others.append(revised(whole(), {"finger": {"bed_scattering": SCATTERING_FACTOR}}))
+    assert whole().finger.bed_scattering == 1.0
 
     derived, beyond, printed = [], [], []
     differences: list[Difference] = []
@@ -206,8 +204,7 @@ def test_effects_that_are_retraced_have_true_errors(chosen_jit, monkeypatch):
         return effect_of(change, found, *more, **named)
 
     monkeypatch.setattr(effects, "effect_of", kept)
-    past, turned = Change("past the end", False, ""), farthest(whole())
-    assert turned == most_proximal(whole())
+    past, turned = Change("past the end", False, ""), swapped(whole(), whole().layout.photodiode_areas[0])
 
     def found(photons: int, seed: int) -> np.ndarray:
         base, out = traced(whole(), photons=photons, seed=seed), []
@@ -299,8 +296,8 @@ def test_bloods_own_scattering_is_judged_by_the_signal_and_replaces_dermis(paths
 
 def test_swapping_source_and_photodiode_keeps_the_board():
     scene = prototype()
-    for swapped in (farthest(scene), most_proximal(scene)):
-        one, two = scene.layout, swapped.layout
+    for far in scene.layout.photodiode_areas:
+        one, two = scene.layout, swapped(scene, far).layout
         assert two.outline.center_mm == pytest.approx(one.outline.center_mm)
         assert two.photodiodes[0].area.center_mm == pytest.approx(one.leds[0].center_mm)
         assert min(abs(two.leds[0].center_mm[1] - e.area.center_mm[1]) for e in one.photodiodes) < 1e-9

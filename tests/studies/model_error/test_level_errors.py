@@ -9,20 +9,11 @@ import pytest
 import nailoptics as nail
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
-from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene
 from nailoptics.statistics import Z95
-from nailoptics.studies.model_error.changes import revised
-from nailoptics.studies.model_error.levels import (
-    CHEAPER,
-    FULL,
-    Level,
-    ModelStudy,
-    diffusion,
-    formulas,
-    one_wavelength,
-)
-from nailoptics.studies.model_error.paired import PairedReadings, PairedTracer, paired_readings
+from nailoptics.studies.model_error.changes import ONE_WAVELENGTH, revised
+from nailoptics.studies.model_error.paired import PairedReadings, paired_readings, reweighted
+from nailoptics.studies.model_error.tradeoff import CHEAPER, FULL, Level, bias_of, diffusion, formulas, measured
 
 PHOTONS, SEEDS = 40_000, range(24)
 
@@ -43,15 +34,6 @@ def pull(values: np.ndarray, errors: np.ndarray) -> float:
     return float(np.sqrt(np.mean(away**2)))
 
 
-def benches(scene: Scene, traced: list[PairedReadings]) -> list[ModelStudy]:
-    """What levels are measured with, for every seed."""
-    made = []
-    for seed, base in zip(SEEDS, traced, strict=True):
-        options = TraceOptions(photons=PHOTONS, seed=seed)
-        made.append(ModelStudy(scene, scene, options, PairedTracer(1, options, None), base))
-    return made
-
-
 def assert_pull_of_one(found: list[dict[str, Level]], name: str, which: str) -> None:
     """A pull of 1 within the 45 % that three times the chance of 24 seeds is."""
     biases = [getattr(one[name], which) for one in found]
@@ -67,9 +49,8 @@ def test_a_bias_and_its_bound_hold_the_truth_as_often_as_they_say():
     for shared in (0.0, 0.3):
         for _ in range(400):
             base = cast(PairedReadings, SimpleNamespace(relative_stderr=errors))
-            bench = cast(ModelStudy, SimpleNamespace(base=base))
             noisy = truth * (1 + shared * draw.normal()) + errors * draw.normal(size=errors.shape)
-            found = ModelStudy.bias(bench, noisy, errors, shared=shared)
+            found = bias_of(base, noisy, errors, shared=shared)
             mean = float(np.average(truth, weights=errors**-2.0))
             held.append((abs(found.value - mean) < Z95 * found.stderr, found.bound >= np.abs(truth).max()))
     assert (np.mean(held, axis=0) > 0.93).all(), np.mean(held, axis=0)
@@ -89,8 +70,10 @@ def test_errors_of_readings_and_modulations(traced):
 @pytest.mark.jit
 def test_errors_of_what_formulas_and_diffusion_are_off_by(traced, scene):
     """Expected: the told errors are what other seeds scatter by, of every level without photons of its own."""
-    measures = (diffusion, formulas, one_wavelength)
-    found = [{one.name: one for m in measures for one in m(bench)} for bench in benches(scene, traced)]
+    found = []
+    for seed, base in zip(SEEDS, traced, strict=True):
+        narrow = measured(scene, "one wavelength", base, reweighted(base, revised(scene, ONE_WAVELENGTH)))
+        found.append({one.name: one for one in (diffusion(base), narrow, *formulas(scene, base, seed))})
     for which in ("reading", "signal"):
         assert_pull_of_one(found, "layered diffusion", which)
         assert_pull_of_one(found, "one wavelength", which)
@@ -106,8 +89,8 @@ def test_errors_of_what_walked_levels_are_off_by(traced, scene, name):
     """Expected: as above, for a level that shares most photons with the reference, and for one that shares none."""
     other = revised(scene, CHEAPER[name])
     found = []
-    for bench in benches(scene, traced):
-        walked = paired_readings(nail.trace(other, photons=PHOTONS, seed=bench.options.seed))
-        found.append({name: bench.measured(name, {}, walked)})
+    for seed, base in zip(SEEDS, traced, strict=True):
+        walked = paired_readings(nail.trace(other, photons=PHOTONS, seed=seed))
+        found.append({name: measured(scene, name, base, walked)})
     for which in ("reading", "signal"):
         assert_pull_of_one(found, name, which)

@@ -9,9 +9,9 @@ from nailoptics.assets import data_dir
 from nailoptics.light.diffusion import DiffusionModel
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene
-from nailoptics.studies.model_error import levels, paired
+from nailoptics.studies.model_error import paired
 from nailoptics.studies.model_error.changes import Changes, revised
-from nailoptics.studies.model_error.tradeoff import Tradeoff, fastest, tradeoff
+from nailoptics.studies.model_error.tradeoff import FULL, REFERENCE, Level, Tradeoff, fastest, tradeoff
 
 pytestmark = [pytest.mark.slow, pytest.mark.jit]
 PHOTONS = 120_000
@@ -40,12 +40,10 @@ def within(found: Tradeoff) -> dict[str, list[float]]:
                 if level.bound <= tolerance:
                     out.setdefault(level.name, set()).add(tolerance)
     # Its bias against itself is 0, and constants of its own paths come with it.
-    return {name: sorted(uses) for name, uses in out.items() if name != levels.REFERENCE and "traced" not in name}
+    return {name: sorted(uses) for name, uses in out.items() if name != REFERENCE and "traced" not in name}
 
 
-def off(
-    level: levels.Level, scene: Scene, base: paired.PairedReadings, tracer: paired.PairedTracer
-) -> paired.Difference:
+def off(level: Level, scene: Scene, base: paired.PairedReadings, tracer: paired.PairedTracer) -> paired.Difference:
     """How far a level reads from the full model, with many photons of another seed."""
     if level.traces:
         return paired.difference(base, tracer.trace(revised(scene, level.changes or {})))
@@ -58,15 +56,10 @@ def off(
 
 @pytest.fixture(scope="module", params=SCENES)
 def studied(chosen_jit, request) -> tuple[str, Scene, Tradeoff]:
-    """A scene and its tradeoff, without what is no first answer."""
-    patch = pytest.MonkeyPatch()
-    patch.setattr(levels, "LEVELS", tuple(one for one in levels.LEVELS if one is not levels.stock))
+    """A scene and its tradeoff."""
     file, changes = SCENES[request.param]
     scene = revised(load_scene(data_dir("scenes") / f"{file}.toml"), changes)
-    try:
-        return request.param, scene, tradeoff(scene, photons=PHOTONS, seed=1)
-    finally:
-        patch.undo()
+    return request.param, scene, tradeoff(scene, photons=PHOTONS, seed=1)
 
 
 def test_what_keeps_a_tolerance_does_so_with_other_seeds_and_ten_times_the_photons(studied):
@@ -75,7 +68,7 @@ def test_what_keeps_a_tolerance_does_so_with_other_seeds_and_ten_times_the_photo
     reading of the full model to the error that was named for 5 and 2 %, of another seed, is off by no more."""
     name, scene, found = studied
     tracer = paired.PairedTracer(9, TraceOptions(photons=10 * PHOTONS, seed=1001), None)
-    base = tracer.trace(revised(scene, levels.FULL))
+    base = tracer.trace(revised(scene, FULL))
     by_name, named = {one.name: one for one in found.levels}, within(found)
     assert named
     for level, tolerances in named.items():
@@ -89,9 +82,9 @@ def test_what_keeps_a_tolerance_does_so_with_other_seeds_and_ten_times_the_photo
                 print(f"{name}: {level}, {what} within {tolerance:g}: {worst:.2%} +- {error:.2%}")
                 assert (np.abs(values) - 3 * errors <= tolerance).all() and error < tolerance
     for tolerance in ASKED:
-        answer = fastest([found.reference], tolerance)
+        answer = fastest([by_name[REFERENCE]], tolerance)
         assert answer is not None
-        full = revised(scene, levels.FULL).model_copy(update={"accuracy": type(scene.accuracy)()})
+        full = revised(scene, FULL).model_copy(update={"accuracy": type(scene.accuracy)()})
         one = paired.paired_readings(nail.trace(full, relative_error=answer.relative_error, seed=2002))
         # The photons that it is held against have errors, too.
         away = (one.level / base.level - 1) / np.hypot(tolerance, base.relative_stderr)

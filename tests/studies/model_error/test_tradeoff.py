@@ -14,10 +14,18 @@ from nailoptics.report import result_files
 from nailoptics.report.model_errors import duration, sentence, tradeoff_lines, tradeoff_summary
 from nailoptics.report.pages import tradeoff as tradeoff_page
 from nailoptics.scene import Scene, parse_scene
-from nailoptics.studies.model_error import paired
 from nailoptics.studies.model_error.changes import changes_between, lines_of
-from nailoptics.studies.model_error.levels import FORMULAS, OWN, REFERENCE, Bias, Level, literature_changes
-from nailoptics.studies.model_error.tradeoff import Answer, Tradeoff, tradeoff
+from nailoptics.studies.model_error.tradeoff import (
+    FORMULAS,
+    OWN,
+    REFERENCE,
+    Answer,
+    Bias,
+    Level,
+    Tradeoff,
+    literature_changes,
+    tradeoff,
+)
 
 
 def prototype() -> Scene:
@@ -43,14 +51,7 @@ def made(*measured: Level, simultaneous: bool = False) -> Tradeoff:
     full = level(REFERENCE)
     attributes = {"scene": "", "digest": "", "photons": 1}
     answer = Answer(full, 25.0, 0.02)
-    return Tradeoff((full, *measured), 0.02, simultaneous, None, answer, prototype(), 1.0, attributes)
-
-
-def test_few_dim_photons_do_not_pass_for_a_sure_small_reading():
-    """Rationale: a level seen by few photons reads low more often than high, with an error that looks small.
-    Expected: its error is at least the relative one of both, whatever it reads."""
-    error = paired.error_of_ratio(np.array([-0.99, 0.0, 1.0]), np.full(3, 0.01), np.full(3, 0.5))
-    assert np.allclose(error, np.hypot(0.01, 0.5) * np.array([1, 1, 2]))
+    return Tradeoff((full, *measured), 0.02, simultaneous, answer, prototype(), 1.0, attributes)
 
 
 def test_the_sentence_names_a_time_for_each_error():
@@ -220,8 +221,7 @@ def test_the_command_writes_table_page_and_picture(jit_backend, tmp_path, capsys
     assert cli.run(["tradeoff", "prototype", "-o", str(tmp_path), "--json", "--max-seconds", "40"]) == 0
     printed = json.loads(capsys.readouterr().out)
     names = {row["name"] for row in printed["levels"]}
-    assert {REFERENCE, "stock Mitsuba, scalar"} <= names and printed["chosen"] in names
-    assert printed["answer"]["first_seconds"] <= 40
+    assert {REFERENCE, "similarity"} <= names and printed["chosen"] in names
     assert load_scene(tmp_path / "scene.toml").finger is not None
     assert json.loads((tmp_path / "tradeoff.json").read_text())["chosen"] == printed["chosen"]
     assert (tmp_path / "tradeoff.png").stat().st_size > 10_000
