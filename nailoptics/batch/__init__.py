@@ -1,8 +1,8 @@
 """MANY SCENES: sweeps planned, run on one machine or a cluster without losing anything, and opened as one dataset."""
 
 from ..scene.sweep import Axis, Sweep, load_sweep
-from .estimate import Estimate, estimate
-from .results import Status, open_results, status, write_table
+from .folder import Status, open_results, status, write_table
+from .jobs import Estimate, estimate
 from .run import BatchProgress, Outcome, run_batch
 
 __all__ = [

@@ -1,38 +1,42 @@
-"""A batch folder: where plan, traced light, results and failures lie, and who works on what."""
+"""A batch folder: where plan, traced light, results and failures lie, and its results as one dataset."""
 
 import errno
 import json
+import logging
 import math
 import os
+from collections import Counter
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
+import xarray as xr
 from pydantic import Field, ValidationError, model_validator
 
 from ..checks import explain
 from ..errors import InputError
-from ..io import CorruptError, check_writable, claimed, make_folder, unpack, write_bytes
+from ..io import CorruptError, check_writable, claimed, make_folder, plain_cell, unpack, write_bytes, write_text
 from ..light.transfer import current_versions
 from ..scene import Accuracy
 from ..scene.base import Table
 from ..scene.sweep import StudyName
+from ..variables import from_record
+from .studies import STUDIES
+
+log = logging.getLogger(__name__)
 
 FORMAT = 3
-# What makes a result's header.
-_RESULT = {"digest", "made", "variables", "attrs", "photons_per_led", "relative_error", "reached"}
-# Trouble of the disk, which is not that of one file.
+# Errors of the disk, which are not those of one file.
 STORAGE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.ESTALE}
+_SCENE = "the scene"  # a dimension that no result has
+# Results that are made again, and why.
+DAMAGE = {"corrupt": "damaged (checksum, name or content)", "foreign": "another seed's, backend's or version's"}
 
 
 class PlanError(InputError):
     """A plan is missing or damaged; a run writes it anew."""
-
-
-class ForeignError(CorruptError):
-    """A result is whole, but of another run: another seed, backend or version made it."""
 
 
 class PlannedAxis(Table):
@@ -86,6 +90,18 @@ class Plan(Table):
 
 
 @dataclass(frozen=True)
+class Result:
+    """A scene's result: what its header says of it, and its dataset."""
+
+    header: dict[str, Any]
+    dataset: xr.Dataset
+
+    def meets(self, required: Accuracy) -> bool:
+        """Whether it is at least as accurate as is required."""
+        return meets(self.header, required)
+
+
+@dataclass(frozen=True)
 class Folder:
     """The files of one batch; whatever is there is whole, and is data only."""
 
@@ -98,16 +114,16 @@ class Folder:
             check_writable(self.root / name)
 
     def result(self, digest: str) -> Path:
-        """The result of one scene."""
+        """The file of a scene's result."""
         return self.root / "results" / f"{digest}.dat"
 
     def failure(self, digest: str) -> Path:
-        """Why a scene failed."""
+        """The file that says why a scene failed."""
         return self.root / "failed" / f"{digest}.json"
 
     @property
     def light(self) -> Path:
-        """Where the traced light lies."""
+        """The folder of the traced light."""
         return self.root / "light"
 
     def read_plan(self) -> Plan:
@@ -137,55 +153,41 @@ class Folder:
 
     def write_plan(self, plan: Plan) -> None:
         """Write the plan, whole or not at all."""
-        text = plan.model_dump_json(exclude_none=False)
-        write_bytes(self.root / "plan.json", text.encode(), flush=True)
+        write_bytes(self.root / "plan.json", plan.model_dump_json(exclude_none=False).encode(), flush=True)
 
-    def read_result(self, digest: str, *, made: Made) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
-        """Header and arrays of a scene's result, or None; raises CorruptError where it is not what a run writes.
+    def read(self, digest: str, made: Made) -> tuple[str, Result | None]:
+        """State of a scene, and its result where that is done.
 
-        made : with which seed, backend and versions it must have been made; else ForeignError.
+        The state is done, failed, missing, corrupt (not what a run writes), or foreign: made with another seed, backend
+        or version. Raises OSError where the disk is at fault.
         """
+        result, state = None, "missing"
         try:
-            found = unpack(self.result(digest).read_bytes())
+            header, arrays = unpack(self.result(digest).read_bytes())
+            if header["digest"] != digest:
+                raise CorruptError("it belongs to another scene")
+            if header["made"] != made.model_dump():
+                return "foreign", None
+            result = Result(header, from_record(header, arrays))
+            if not result.dataset.data_vars or not header.keys() >= {"photons_per_led", "relative_error", "reached"}:
+                raise CorruptError("it is no result")
+            return "done", result
         except FileNotFoundError:
-            return None
+            pass
         except OSError as error:
             if error.errno in STORAGE:
                 raise
-            raise CorruptError(f"it cannot be read: {error.strerror}") from None
-        if not found[0].keys() >= _RESULT:
-            raise CorruptError("it is no result")
-        if found[0]["digest"] != digest:
-            raise CorruptError("it belongs to another scene")
-        if found[0]["made"] != made.model_dump():
-            raise ForeignError("it was made with another seed, backend or version")
-        try:
-            _check_result(*found)
-        except (ValueError, TypeError, KeyError, AttributeError) as error:
-            raise CorruptError(f"its content is no result's ({error})") from None
-        return found
+            state = "corrupt"
+        except Exception:  # what is no result of ours fails in many ways
+            state = "corrupt"
+        return ("failed" if os.path.exists(self.failure(digest)) else state), None
 
-    def standing(self, digest: str, required: Accuracy, made: Made) -> str:
-        """How a scene stands: done, below what is required, foreign, corrupt, failed or missing."""
-        try:
-            found = self.read_result(digest, made=made)
-        except ForeignError:
-            return "foreign"
-        except CorruptError:
-            return "failed" if self.has_failed(digest) else "corrupt"
-        if found is not None and meets(found[0], required):
-            return "done"
-        if self.has_failed(digest):
-            return "failed"
-        return "missing" if found is None else "below"
-
-    def gone(self) -> bool:
-        """Whether somebody removed the folder, or the plan in it, since the run began."""
-        return not os.path.exists(self.root / "plan.json")
-
-    def has_failed(self, digest: str) -> bool:
-        """Whether a scene failed, as far as can be seen."""
-        return os.path.exists(self.failure(digest))
+    def state(self, digest: str, required: Accuracy, made: Made) -> str:
+        """State of a scene as `read` says, or below: done, but less accurate than required."""
+        state, result = self.read(digest, made)
+        if result is None or result.meets(required):
+            return state
+        return "failed" if os.path.exists(self.failure(digest)) else "below"
 
     def why_failed(self, digest: str) -> str:
         """Why a scene failed, in one line."""
@@ -215,22 +217,153 @@ def meets(header: dict[str, Any], required: Accuracy) -> bool:
     return True
 
 
-def _check_result(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
-    """Raise ValueError, TypeError, KeyError or AttributeError unless a result's content makes a dataset of readings."""
-    sizes: dict[str, int] = {}
-    if not header["variables"] or arrays.keys() - header["variables"].keys():
-        raise ValueError("its variables are not those of its arrays")
-    for name, entry in header["variables"].items():
-        values = arrays[name] if name in arrays else np.array(entry["text"], dtype=str).reshape(entry["shape"])
-        for dim, size in zip(entry["dims"], values.shape, strict=True):
-            if sizes.setdefault(dim, size) != size:
-                raise ValueError(f"{name} has {size} along {dim}, others {sizes[dim]}")
-        if name == "detected_fraction_rest" and not (np.isfinite(values) & (values >= 0)).all():
-            raise ValueError(f"{name} is negative or not finite")
-        entry["attrs"].keys(), entry["coord"]
-    header["attrs"].keys()
-    error = header["relative_error"]
-    if not (error is None or math.isfinite(error)) or not math.isfinite(header["photons_per_led"]):
-        raise ValueError("its photons or their error are not finite")
-    if not isinstance(header["reached"], bool):
-        raise ValueError("it does not say whether it reached its accuracy")
+@dataclass(frozen=True)
+class Status:
+    """Counts of a batch's scenes.
+
+    below : results that are there, but not yet as accurate as requested.
+    other_versions : which versions made them that are others than here, in words.
+    """
+
+    total: int
+    lights: int
+    done: int
+    below: int
+    corrupt: int
+    foreign: int
+    failed: dict[str, str]
+    other_versions: str
+
+    @property
+    def left(self) -> int:
+        """Scenes that a run would still work on."""
+        return self.total - self.done - len(self.failed)
+
+    def __str__(self) -> str:
+        lines = [f"{self.done} of {self.total} scenes done, {self.left} left, {len(self.failed)} failed"]
+        if self.below:
+            lines.append(f"{self.below} of those left are there, but less accurate than requested")
+        for name, why in DAMAGE.items():
+            if count := getattr(self, name):
+                lines.append(f"{count} results are {why}; the next run makes them again")
+        if self.other_versions:
+            lines.append(f"begun with {self.other_versions}; to resume, use that version, or another folder")
+        return "\n".join([*lines, *(f"failed: {digest[:12]} {why}" for digest, why in self.failed.items())])
+
+
+def status(folder: str | Path) -> Status:
+    """How far a batch is; raises InputError where the folder holds none."""
+    place = Folder(Path(folder))
+    plan = place.read_plan()
+    required = dict(zip(plan.scenes, plan.asked, strict=True))
+    states = {digest: place.state(digest, accuracy, plan.made) for digest, accuracy in required.items()}
+    count = Counter(states.values())
+    return Status(
+        total=len(required),
+        lights=plan.lights,
+        **{state: count[state] for state in ("done", "below", "corrupt", "foreign")},
+        failed={digest: place.why_failed(digest) for digest, state in states.items() if state == "failed"},
+        other_versions=plan.made.other_versions,
+    )
+
+
+def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
+    """All results of a batch as one dataset, with the sweep's axes as its first dimensions and as coordinates.
+
+    Scenes without a result of this batch are NaN (numbers), False, empty text or black (photographs); `state` says why:
+    missing, failed, corrupt, or foreign, which is another seed's, backend's or version's.
+
+    course : also what runs over time (volts, blood, force), for which the scenes must share their times.
+
+    Raises: InputError where the folder holds no batch, or its scenes do not fit one dataset.
+    """
+    place = Folder(Path(folder))
+    plan = place.read_plan()
+    axes, dims = {axis.name for axis in plan.axes}, dict(plan.dims)
+    results = [place.read(digest, plan.made) for digest in plan.scenes]
+    states = [state for state, _ in results]
+    for state, why in DAMAGE.items():
+        if count := states.count(state):
+            log.warning("%s: %d results are %s and left out; run the batch again", place.root, count, why)
+    if moved := plan.made.other_versions:
+        log.warning("%s: was made with %s", place.root, moved)
+    scenes = {i: _of_scene(result, axes, course) for i, (_, result) in enumerate(results) if result is not None}
+    joined = _joined(scenes, len(results)) if scenes else xr.Dataset()
+    for label, texts, text in (
+        ("state", states, "done, missing, failed, corrupt or foreign"),
+        ("digest", plan.scenes, "digest of the scene"),
+    ):
+        joined[label] = _SCENE, list(texts), {"long_name": text}
+    dataset = xr.Dataset(
+        coords={name: one for name, one in joined.coords.items() if name != _SCENE} | _coordinates(plan)
+    )
+    for name, one in joined.data_vars.items():
+        values = one.transpose(_SCENE, ...).values.reshape(*dims.values(), *one.isel({_SCENE: 0}).shape)
+        dataset[name] = (*dims, *one.isel({_SCENE: 0}).dims), values, one.attrs
+    attributes = {k: v for k, v in joined.attrs.items() if k in ("engine", "versions")}
+    attributes |= {"title": f"nailoptics: batch {plan.sweep}", "Conventions": "CF-1.11"}
+    return dataset.assign_attrs(attributes, seed=plan.made.seed, backend=plan.made.backend, study=plan.study)
+
+
+def _of_scene(result: Result, axes: set[str], course: bool) -> xr.Dataset:
+    """A scene's dataset with what its header says of it, without what runs over time unless that is requested.
+
+    axes : names of the sweep's axes; a variable that is called as one of them is renamed, as of leds.ir.wavelength_nm.
+    """
+    dataset = result.dataset if course else result.dataset.drop_dims("time", errors="ignore")
+    for name, key, text in (
+        ("relative_error", "relative_error", "largest relative error"),
+        ("photons", "photons_per_led", "photons per LED"),
+        ("reached", "reached", "as accurate as requested"),
+    ):
+        value = result.header[key]
+        value = value if key == "reached" else float(np.nan if value is None else value)
+        dataset[name] = (), value, {"units": "1", "long_name": text}
+    return dataset.rename({name: f"{name}_result" for name in axes & {str(name) for name in dataset.data_vars}})
+
+
+def _joined(scenes: dict[int, xr.Dataset], count: int) -> xr.Dataset:
+    """The datasets of scenes, by their numbers among so many, as one; raises InputError where they do not fit."""
+    numbers = xr.Variable(_SCENE, list(scenes))
+    how: Any = {"data_vars": "all", "coords": "minimal", "compat": "equals", "join": "exact"}
+    try:
+        joined = xr.concat(scenes.values(), numbers, combine_attrs="override", **how)
+    except ValueError as error:
+        raise InputError(
+            f"the scenes of this batch make no one dataset: {str(error).splitlines()[0]}; sweep scenes with the same "
+            "names, as many of each and, for course, the same times."
+        ) from None
+    empty = {name: {"b": False, "U": "", "u": 0}.get(one.dtype.kind, np.nan) for name, one in joined.items()}
+    return joined.reindex({_SCENE: range(count)}, fill_value=empty)
+
+
+def _coordinates(plan: Plan) -> dict[str, Any]:
+    """The axes as coordinates; values that are tables or arrays become text."""
+    coordinates: dict[str, Any] = {}
+    for axis in plan.axes:
+        values: Any = list(axis.values)
+        if not all(isinstance(v, bool) for v in values) and all(isinstance(v, int | float) for v in values):
+            values = np.array(values)
+        elif not all(isinstance(v, str) for v in values):
+            values = np.array([str(v) for v in values])
+        dim = axis.name if axis.name in plan.dims else "sample"
+        coordinates[axis.name] = (dim, values, {"long_name": axis.path} if axis.path else {})
+    return coordinates
+
+
+def write_table(results: xr.Dataset, path: str | Path) -> Path:
+    """Write what `open_results` returns as CSV: a column per quantity, and a row per scene and what its study is over.
+
+    That is each LED and photodiode; for colours, each force and place.
+    """
+    for dim in ("absorber", "band"):
+        for name in [str(n) for n, v in results.data_vars.items() if dim in v.dims] if dim in results.coords else ():
+            columns = {f"{name}_{item}": results[name].sel({dim: item}, drop=True) for item in results[dim].values}
+            results = results.drop_vars(name).assign(columns)
+    study = STUDIES.get(results.attrs.get("study", ""))
+    rows = {*results.state.dims, *(study.rows if study else ("led", "photodiode"))}
+    table = results[[n for n, v in results.data_vars.items() if set(v.dims) <= rows]].to_dataframe().reset_index()
+    texts = [name for name in table if table[name].dtype.kind not in "biuf"]
+    table[texts] = table[texts].map(plain_cell)
+    write_text(Path(path), table.rename(columns=plain_cell).to_csv(index=False))
+    return Path(path)

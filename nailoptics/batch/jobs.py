@@ -1,21 +1,26 @@
-"""Which scenes of a batch belong together: digests, lights, shards and jobs; and what all jobs share."""
+"""Which scenes of a batch belong together, what all jobs share, and what they cost."""
 
 import hashlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from tempfile import TemporaryDirectory
+from typing import Unpack, cast
+
+import numpy as np
 
 from ..errors import InputError
+from ..io import pack
 from ..light import backend as backends
 from ..light.identity import light_digest, traced_absorption
 from ..light.tracing import accuracy
 from ..light.tracing.store import LightStore
 from ..light.transfer import current_versions
-from ..options import BackendName, TraceOptions
+from ..options import BackendName, Requested, TraceOptions
 from ..scene import Accuracy, Scene, digest
 from ..scene.sweep import StudyName, Sweep
+from ..variables import to_record
 from .folder import FORMAT, Folder, Made, Plan, PlanError, PlannedAxis
 from .studies import STUDIES, by_volpath
 
@@ -63,27 +68,14 @@ class Settings:
         """What decides a scene's result beside the scene and how accurate it is to be."""
         return Made(seed=self.options.seed, backend=self.options.backend, versions=dict(current_versions()))
 
-    def stores(self, tell: Callable[[Path, Exception], None] | None = None) -> list[LightStore]:
+    def stores(self, on_damage: Callable[[Path, Exception], None] | None = None) -> list[LightStore]:
         """Where light is stored, first that of the batch; what single commands traced is read, too."""
         user = LightStore.of_user() if self.options.store else None
-        return [LightStore(Folder(self.folder).light, on_damage=tell), *([user] if user else [])]
+        return [LightStore(Folder(self.folder).light, on_damage=on_damage), *([user] if user else [])]
 
     def is_late(self) -> bool:
         """Whether the run's time is over."""
         return self.deadline is not None and time.time() >= self.deadline
-
-
-@dataclass(frozen=True)
-class Job:
-    """Scenes of the same light.
-
-    scenes : digest and scene of each.
-    traced : the phantom that is traced for all of them; None where their own light is the same.
-    """
-
-    key: str
-    scenes: tuple[tuple[str, Scene], ...]
-    traced: Scene | None = None
 
 
 @dataclass(frozen=True)
@@ -94,6 +86,10 @@ class Planned:
     key: str
     scene: Scene
     traced: Scene | None = None
+
+
+# Scenes of the same light.
+Job = tuple[Planned, ...]
 
 
 def plan(sweep: Sweep, settings: Settings) -> list[Planned]:
@@ -125,23 +121,17 @@ def of_shard(planned: list[Planned], shard: tuple[int, int]) -> list[Planned]:
     return [p for p in planned if keys[p.key] % shard[1] == shard[0] - 1]
 
 
-def jobs_of(planned: list[Planned]) -> list[Job]:
+def jobs_of(planned: Iterable[Planned]) -> list[Job]:
     """Jobs of at most 16 scenes of the same light; the first of every light come before any second."""
-    groups: dict[str, list[tuple[str, Scene]]] = {}
-    traced = {p.key: p.traced for p in planned}
+    groups: dict[str, list[Planned]] = {}
     for p in planned:
-        groups.setdefault(p.key, []).append((p.digest, p.scene))
-    parts = [
-        (i, Job(key, tuple(some[i : i + CHUNK]), traced[key]))
-        for key, some in groups.items()
-        for i in range(0, len(some), CHUNK)
-    ]
+        groups.setdefault(p.key, []).append(p)
+    parts = [(i, tuple(group[i : i + CHUNK])) for group in groups.values() for i in range(0, len(group), CHUNK)]
     return [job for _, job in sorted(parts, key=lambda part: part[0])]
 
 
 def plan_of(sweep: Sweep, planned: list[Planned], settings: Settings) -> Plan:
     """The plan for the folder."""
-    options = settings.options
     return Plan(
         format=FORMAT,
         sweep=sweep.name,
@@ -149,8 +139,8 @@ def plan_of(sweep: Sweep, planned: list[Planned], settings: Settings) -> Plan:
         dims=dict(sweep.dims),
         axes=tuple(PlannedAxis(name=a.name, path=a.path, values=tuple(a.values)) for a in sweep.axes),
         made=settings.made(),
-        photons=options.photons,
-        relative_error=options.relative_error,
+        photons=settings.options.photons,
+        relative_error=settings.options.relative_error,
         scenes=tuple(p.digest for p in planned),
         asked=tuple(settings.required(p.scene) for p in planned),
         lights=len({p.key for p in planned}),
@@ -167,7 +157,7 @@ def check_same(folder: Folder, planned: list[Planned], settings: Settings) -> st
     try:
         old = folder.read_plan()
     except PlanError as error:
-        return "" if folder.gone() else str(error)
+        return str(error) if (folder.root / "plan.json").exists() else ""
     made = settings.made()
     for name in ("seed", "backend"):
         if (then := getattr(old.made, name)) != (now := getattr(made, name)):
@@ -186,3 +176,72 @@ def check_same(folder: Folder, planned: list[Planned], settings: Settings) -> st
             "in this one; use another folder."
         )
     return ""
+
+
+# Of an estimate: lights that are traced, evenly spaced in the sweep; photons of each LED, and time of volpath. [s]
+SAMPLES, PHOTONS, VOLPATH_SECONDS = 3, 60_000, 5.0
+# An error that is not known yet counts as so many times the required one.
+MOST_EXCESS = 100.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Scenes, traces, processor time and disk of a sweep, all of it and per scene without shared light. [s, bytes]"""
+
+    scenes: int
+    lights: int
+    cpu_seconds: float
+    cpu_seconds_without_sharing: float
+    disk_bytes: int
+
+    def __str__(self) -> str:
+        saved = self.cpu_seconds_without_sharing / self.cpu_seconds if self.cpu_seconds else 1.0
+        return (
+            f"{self.scenes} scenes, light traced {'once' if self.lights == 1 else f'{self.lights} times'}\n"
+            f"about {self.cpu_seconds / 60:.2g} min of processor time ({self.cpu_seconds_without_sharing / 60:.2g} min "
+            f"if every scene were traced: {saved:.1f} times as much)\n"
+            f"about {self.disk_bytes / 1e6:.1f} MB of disk"
+        )
+
+
+def estimate(sweep: Sweep, **requested: Unpack[Requested]) -> Estimate:
+    """Estimate a sweep's cost from some of its scenes with few photons; what workers compile once is not counted."""
+    settings = Settings.of(Path(), TraceOptions(**requested), sweep.study)
+    planned = plan(sweep, settings)
+    first = {p.key: p for p in reversed(planned)}
+    lights = [first[key] for key in dict.fromkeys(p.key for p in planned)]
+    picks = np.linspace(0, len(lights) - 1, min(SAMPLES, len(lights))).round().astype(int)
+    light_s, read_s, light_bytes, read_bytes = np.mean([_cost(lights[pick], settings) for pick in picks], axis=0)
+    scenes = len({p.digest for p in planned})
+    return Estimate(
+        scenes=scenes,
+        lights=len(lights),
+        cpu_seconds=float(len(lights) * light_s + scenes * read_s),
+        cpu_seconds_without_sharing=float(scenes * (light_s + read_s)),
+        disk_bytes=round(len(lights) * light_bytes + scenes * read_bytes),
+    )
+
+
+def _cost(planned: Planned, settings: Settings) -> tuple[float, float, float, float]:
+    """Processor seconds of a scene's light and of its reading, and the bytes of both."""
+    scene, traced = planned.scene, planned.traced
+    study, options = STUDIES[settings.study], settings.options_of(scene)
+    stores_none = by_volpath(scene, options.backend) and not study.own_light
+    few = replace(options, relative_error=None, photons=PHOTONS, max_seconds=None, store=False)
+    few = replace(few, max_seconds=VOLPATH_SECONDS) if stores_none else few
+    with TemporaryDirectory(prefix="nailoptics-") as folder:
+        stores = [LightStore(Path(folder))]
+        if not stores_none:
+            study.run(scene, replace(few, photons=1024), [], traced)  # imports and compiles
+        spent = []
+        for _ in range(1 if stores_none else 2):
+            begin = time.process_time()
+            dataset, photons, _ = study.run(scene, few, stores, traced)
+            spent.append(time.process_time() - begin)
+        stored = sum(path.stat().st_size for path in Path(folder).rglob("*.dat"))
+    if options.photons and photons:
+        more = options.photons / photons
+    else:
+        more = max(min(study.excess(dataset, scene, options), MOST_EXCESS) ** 2, 1.0)
+    read_s = 0.0 if stores_none else spent[1]
+    return max(spent[0] - read_s, 0.0) * more, read_s, stored * more, float(len(pack(*to_record(dataset))))

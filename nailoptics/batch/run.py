@@ -16,7 +16,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Unpack
 
@@ -25,9 +25,9 @@ from ..io import let_dask_in
 from ..local_worker import prepare
 from ..options import Requested, TraceOptions
 from ..scene.sweep import Sweep
-from .folder import Folder
+from .folder import DAMAGE, Folder
 from .jobs import Job, Planned, Settings, check_same, jobs_of, of_shard, parse_shard, plan, plan_of
-from .work import GONE, TAKES_NO_MORE, JobReport, cores, work
+from .work import TAKES_NO_MORE, JobReport, cores, work
 
 log = logging.getLogger(__name__)
 
@@ -144,7 +144,7 @@ class LocalSlots:
         self.executors[slot] = self._new()
 
     def deserted(self) -> bool:
-        """Whether nobody is left to work."""
+        """Whether nobody is left to work, so that nothing more comes from them."""
         return False
 
     def close(self, *, now: bool) -> None:
@@ -172,14 +172,14 @@ class ClusterSlots(LocalSlots):
         except (OSError, ValueError) as error:
             why = str(error).splitlines()[0]
             raise InputError(f"--scheduler {address}: cannot be reached ({why}); start dask scheduler first.") from None
-        found = self.client.nthreads()
-        if not found:
+        threads = self.client.nthreads()
+        if not threads:
             self.client.close()
             raise InputError(f"--scheduler {address}: has no workers; start dask worker {address} --nthreads 1.")
         # One more than there are workers, so that none waits for the driver.
-        self.executors = [self.client.get_executor(pure=False)] * (2 * sum(found.values()))
+        self.executors = [self.client.get_executor(pure=False)] * (2 * sum(threads.values()))
         # Workers of one machine divide its cores.
-        self.sharers = max(Counter(address.rpartition(":")[0] for address in found).values())
+        self.sharers = max(Counter(one.rpartition(":")[0] for one in threads).values())
 
     def start(self) -> None:
         """They are there."""
@@ -188,7 +188,7 @@ class ClusterSlots(LocalSlots):
         """The scheduler does."""
 
     def deserted(self) -> bool:
-        """Whether nobody is left to work, though somebody may come."""
+        """Whether all workers of the cluster are gone, though new ones may come."""
         with contextlib.suppress(Exception):  # the scheduler went away, which its futures report
             return not self.client.nthreads()
         return False
@@ -210,48 +210,37 @@ class _Driver:
         begin: float,
     ) -> None:
         self.settings, self.progress, self.begin = settings, progress, begin
-        self.planned = {p.digest: p for p in planned}
-        self.outcome = Outcome(len(self.planned), len({p.key for p in planned}))
+        self.folder, self.made = Folder(settings.folder), settings.made()
+        # Scenes that no report or result of this run has ended yet.
+        self.left = {p.digest: p for p in planned}
+        self.outcome = Outcome(len(self.left), len({p.key for p in planned}))
         self.running: dict[Future[JobReport], tuple[int, Job]] = {}
-        # Deaths of each scene's worker, and scenes of each light that were given up.
+        # Deaths of workers at each scene, and scenes of each light that were given up.
         self.deaths: Counter[str] = Counter()
         self.fatal: Counter[str] = Counter()
-        self.trouble, self.deserted = "", False
-        self.left: set[str] = set()
-        self.queue = deque(jobs_of(self._remaining(retry_failed)))
+        self.trouble = ""
+        for p in [*self.left.values()]:
+            self._check(p, retry_failed)
+        self.queue = deque(jobs_of(self.left.values()))
         self.started = time.time()
 
-    def _remaining(self, retry_failed: bool) -> list[Planned]:
-        """What is left to do, checking every result that is there."""
-        why = {
-            "corrupt": "damaged (checksum, name or content)",
-            "foreign": "another seed's, backend's or version's",
-        }
-        folder, left = Folder(self.settings.folder), []
-        for p in self.planned.values():
-            standing = self._standing(p.digest)
-            if standing == "done":
-                self.outcome.kept.append(p.digest)
-            elif standing == "failed" and not retry_failed:
-                self.outcome.failed[p.digest] = folder.why_failed(p.digest)
-            else:
-                left.append(p)
-                self.left.add(p.digest)
-            if standing in why:
-                self.outcome.corrupt.append(p.digest)
-                self.show(f"result {p.digest[:12]} is {why[standing]}; made again")
-        return left
+    def _state(self, p: Planned) -> str:
+        return self.folder.state(p.digest, self.settings.required(p.scene), self.made)
 
-    def _standing(self, digest_: str) -> str:
-        required = self.settings.required(self.planned[digest_].scene)
-        return Folder(self.settings.folder).standing(digest_, required, self.settings.made())
-
-    def _count_done(self, digests: Iterable[str]) -> None:
-        """Count scenes that are done although no report of them came."""
-        for one in digests:
-            if self._standing(one) == "done":
-                self.left.discard(one)
-                self.outcome.done.append(one)
+    def _check(self, p: Planned, retry_failed: bool) -> None:
+        """Take a scene out of those that are left if it was done before, or failed and is not to be retried."""
+        state = self._state(p)
+        if state == "done":
+            self.outcome.kept.append(p.digest)
+            del self.left[p.digest]
+        elif state == "failed" and not retry_failed:
+            self.outcome.failed[p.digest] = self.folder.why_failed(p.digest)
+            del self.left[p.digest]
+        elif state == "failed":
+            self.folder.failure(p.digest).unlink(missing_ok=True)
+        elif state in DAMAGE:
+            self.outcome.corrupt.append(p.digest)
+            self.show(f"result {p.digest[:12]} is {DAMAGE[state]}; made again")
 
     def run(self, slots: LocalSlots) -> None:
         """Hand out jobs until none is left, the time is over, or nothing more can be written."""
@@ -265,8 +254,8 @@ class _Driver:
                 while free and self.queue:
                     self._submit(slots, free)
                 done, _ = wait(self.running, timeout=WAIT_S, return_when=FIRST_COMPLETED)
-                if not done:
-                    self._look_for_workers(slots)
+                if not done and self.settings.is_late() and slots.deserted():
+                    break
                 for future in done:
                     slot, job = self.running.pop(future)
                     free.append(slot)
@@ -309,56 +298,62 @@ class _Driver:
         self.trouble = report.storage or self.trouble
         self.outcome.done += report.done
         self.outcome.unmet += report.unmet
-        self.outcome.failed |= report.failed
         self.outcome.corrupt += report.corrupt
-        self.left -= {*report.done, *report.unmet, *report.failed}
         for name in report.corrupt:
             self.show(f"light {name[:12]} is damaged or another's (checksum, name); traced again")
-        for digest_, why in report.failed.items():
-            self.show(f"scene {digest_[:12]} failed: {why}")
+        for digest, why in report.failed.items():
+            self._failed(digest, why)
+        for digest in (*report.done, *report.unmet):
+            self.left.pop(digest, None)
 
-    def _look_for_workers(self, slots: LocalSlots) -> None:
-        """Say once that nobody is left to work; nothing comes from them in time."""
-        deserted = slots.deserted()
-        if deserted and not self.deserted:
-            self.show("the cluster has no workers any more; waiting for new ones (Ctrl-C keeps what is done)")
-        self.deserted = deserted
-        if deserted and self.settings.is_late():
-            self.running.clear()
+    def _failed(self, digest: str, why: str) -> None:
+        self.outcome.failed[digest] = why
+        self.left.pop(digest, None)
+        self.show(f"scene {digest[:12]} failed: {why}")
+
+    def _count_unreported(self, scenes: Iterable[Planned]) -> list[Planned]:
+        """Count what became of scenes of which no report came; returns those of which nothing did."""
+        nothing = []
+        for p in scenes:
+            if (state := self._state(p)) == "done":
+                del self.left[p.digest]
+                self.outcome.done.append(p.digest)
+            elif state == "failed":
+                self._failed(p.digest, self.folder.why_failed(p.digest))
+            else:
+                nothing.append(p)
+        return nothing
 
     def _died(self, job: Job) -> None:
-        """After a worker's death its scenes are tried one by one; one that kills again is given up.
+        """A worker died at the first scene of a job that has no result: it is tried again, and given up the next time.
 
-        So is a light that killed with several of its scenes.
+        So are all scenes of a light that killed with several.
         """
         self.outcome.deaths += 1
-        if len(job.scenes) > 1:
-            self.queue.extend(replace(job, scenes=(one,)) for one in job.scenes)
-            return self.show("a worker was killed; its scenes are tried again one by one")
-        ((digest_, _),) = job.scenes
-        self.deaths[digest_] += 1
-        if self.deaths[digest_] < DEATHS:
-            self.queue.appendleft(job)
-            return self.show(f"a worker was killed; scene {digest_[:12]} is tried again")
-        self._give_up([digest_], f"its worker was killed {DEATHS} times; out of memory?")
-        self.fatal[job.key] += 1
-        if self.fatal[job.key] == FATAL:
-            others = [one for other in self.queue if other.key == job.key for one, _ in other.scenes]
-            self.queue = deque(other for other in self.queue if other.key != job.key)
-            self._give_up(others, f"{FATAL} scenes with its light had their workers killed; out of memory?")
+        rest = self._count_unreported(p for p in job if p.digest in self.left)
+        if not rest:
+            return
+        first, key = rest[0].digest, rest[0].key
+        self.deaths[first] += 1
+        if self.deaths[first] < DEATHS:
+            self.show(f"a worker was killed; scene {first[:12]} is tried again")
+            return self.queue.appendleft(tuple(rest))
+        self._give_up(first, f"its worker was killed {DEATHS} times; out of memory?")
+        self.fatal[key] += 1
+        if self.fatal[key] < FATAL:
+            return self.queue.appendleft(tuple(rest[1:])) if rest[1:] else None
+        others = [p for queued in self.queue if queued[0].key == key for p in queued]
+        self.queue = deque(queued for queued in self.queue if queued[0].key != key)
+        for p in (*rest[1:], *others):
+            self._give_up(p.digest, f"{FATAL} scenes with its light had their workers killed; out of memory?")
 
-    def _give_up(self, digests: list[str], why: str) -> None:
-        """Record scenes as failed, unless the worker died after its work."""
-        self._count_done(digests)
-        for one in self.left.intersection(digests):
-            try:
-                Folder(self.settings.folder).write_failure(one, {"error": why, "time": time.time()})
-            except WriteError as error:
-                self.trouble = f"{TAKES_NO_MORE}: {str(error).rstrip('.')}"
-                return
-            self.outcome.failed[one] = why
-            self.left.discard(one)
-            self.show(f"scene {one[:12]} failed: {why}")
+    def _give_up(self, digest: str, why: str) -> None:
+        """Record a scene as failed."""
+        try:
+            self.folder.write_failure(digest, {"error": why, "time": time.time()})
+            self._failed(digest, why)
+        except WriteError as error:
+            self.trouble = f"{TAKES_NO_MORE}: {str(error).rstrip('.')}"
 
     def _lost(self, error: BaseException) -> None:
         log.debug("scheduler lost: %r", error)
@@ -376,11 +371,9 @@ class _Driver:
 
     def judged(self) -> Outcome:
         """The outcome, or NotReachedError with it as result where anything is missing."""
-        outcome, folder, trouble = self.outcome, Folder(self.settings.folder), self.trouble
-        if folder.gone():
-            outcome.done, outcome.kept, trouble = [], [], GONE
+        outcome, trouble = self.outcome, self.trouble
         if trouble:
-            self._count_done(sorted(self.left))
+            self._count_unreported([*self.left.values()])
         outcome.unfinished, outcome.seconds = len(self.left), time.time() - self.begin
         reasons = [trouble] if trouble else []
         if outcome.failed:

@@ -15,17 +15,16 @@ from ..errors import InputError, NailopticsError, WriteError
 from ..io import pack, write_bytes
 from ..light import ReweightWarning
 from ..light import backend as backends
-from ..scene import Scene, to_toml
+from ..scene import to_toml
 from ..variables import to_record
 from .folder import STORAGE, Folder
-from .jobs import Job, Settings
+from .jobs import Job, Planned, Settings
 from .studies import STUDIES, relative_error
 
 # Mitsuba's variant is one per process, and so is a claim: a worker with several threads still does one job at a time.
 _one_job = threading.Lock()
 # How a run ends whose folder lies on a full disk, or is no longer there.
 TAKES_NO_MORE = "the folder takes no more"
-GONE = "the folder was removed during the run, and what was in it; run again to begin anew"
 # A worker waits so long where another traces the light that it needs. [s]
 BUSY_S = 0.5
 
@@ -59,70 +58,60 @@ def work(job: Job, settings: Settings, sharers: int = 0) -> JobReport:
         if sharers:
             backends.set_threads(max(1, cores() // sharers))
         try:
-            with folder.claimed(job.key) as mine:
-                if mine and not folder.gone():
-                    _study(job.scenes[0], job, settings, report)
+            with folder.claimed(job[0].key) as mine:
+                if mine:
+                    _study(job[0], settings, report)
             if not mine:
                 time.sleep(BUSY_S)
                 report.busy = True
                 return report
-            for one in job.scenes[1:]:
-                if not folder.gone():
-                    _study(one, job, settings, report)
-        except (OSError, WriteError) as error:
-            if not folder.gone() and not _is_storage(error):
-                raise
-            why = f"{error.strerror or error}; make room and run again" if isinstance(error, OSError) else str(error)
-            report.storage = f"{TAKES_NO_MORE}: {why.rstrip('.')}"
-        if folder.gone():
-            report.storage = GONE
+            for p in job[1:]:
+                _study(p, settings, report)
+        except WriteError as error:
+            report.storage = f"{TAKES_NO_MORE}: {str(error).rstrip('.')}"
+        except OSError as error:
+            report.storage = f"{TAKES_NO_MORE}: {error}; correct that and run again"
     return report
 
 
-def _study(one: tuple[str, Scene], job: Job, settings: Settings, report: JobReport) -> None:
-    """Study a scene of a job, unless that is done, and write its result or why it failed; raises if the disk fails."""
-    (digest, scene), folder, made = one, Folder(settings.folder), settings.made()
+def _study(p: Planned, settings: Settings, report: JobReport) -> None:
+    """Study one scene, unless that is done, and write its result or why it failed; raises if the disk is at fault."""
+    folder, made = Folder(settings.folder), settings.made()
     try:
-        if folder.standing(digest, settings.required(scene), made) == "done":
-            report.done.append(digest)
+        if folder.state(p.digest, settings.required(p.scene), made) == "done":
+            report.done.append(p.digest)
             return
-        header, arrays = _result(scene, job, settings, report)
+        header, arrays = _result(p, settings, report)
         if not header:
             return
-        path = folder.result(digest)
+        path = folder.result(p.digest)
         if path.is_dir():
             raise InputError(f"{path}: is a folder where a result is to be written; remove it")
-        path.parent.mkdir(exist_ok=True)
-        write_bytes(path, pack({"digest": digest, "made": made.model_dump()} | header, arrays), flush=True)
-        folder.failure(digest).unlink(missing_ok=True)
-        (report.done if header["reached"] else report.unmet).append(digest)
+        write_bytes(path, pack({"digest": p.digest, "made": made.model_dump()} | header, arrays), flush=True)
+        folder.failure(p.digest).unlink(missing_ok=True)
+        (report.done if header["reached"] else report.unmet).append(p.digest)
     except Exception as error:
-        if _is_storage(error):
+        # A disk at fault is nobody's among the scenes: it ends the batch.
+        if isinstance(error, WriteError) or (isinstance(error, OSError) and error.errno in STORAGE):
             raise
         why = str(error) if isinstance(error, NailopticsError) else f"{type(error).__name__}: {error}"
         if isinstance(error, MemoryError):
             why = f"not enough memory for it ({error})"
-        report.failed[digest] = why = " ".join(why.splitlines())
+        report.failed[p.digest] = why = " ".join(why.splitlines())
         record = {"error": why, "traceback": traceback.format_exception(error), "time": time.time()}
-        folder.write_failure(digest, record)
+        folder.write_failure(p.digest, record)
 
 
-def _is_storage(error: Exception) -> bool:
-    """Whether the disk is at fault, which is nobody's among the scenes: it ends the batch."""
-    return isinstance(error, WriteError) or (isinstance(error, OSError) and error.errno in STORAGE)
-
-
-def _result(
-    scene: Scene, job: Job, settings: Settings, report: JobReport
-) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _result(p: Planned, settings: Settings, report: JobReport) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Header and arrays of a scene's result; both empty where the batch's time ended before its light was traced."""
+    scene = p.scene
     required, options = settings.required(scene), settings.options_of(scene)
     if settings.is_late():
         return {}, {}
     stores = settings.stores(lambda path, why: report.corrupt.append(path.parent.name))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ReweightWarning)
-        dataset, photons, reached = STUDIES[settings.study].run(scene, options, stores, job.traced)
+        dataset, photons, reached = STUDIES[settings.study].run(scene, options, stores, p.traced)
     timed = required.photons is None and required.relative_error is None
     if options.max_seconds != required.max_seconds and settings.is_late() and (timed or not reached):
         return {}, {}

@@ -157,23 +157,15 @@ def bits_of_files(folder: Path) -> dict[str, bytes]:
 
 
 def test_results_of_wrong_content_and_a_right_checksum_are_made_again(calm, used):
-    header, arrays = unpack(results_of(used)[0].read_bytes())
+    header, _ = unpack(results_of(used)[0].read_bytes())
     name = "detected_fraction_rest"
-    fraction, entry = arrays[name], header["variables"][name]
+    entry = header["variables"][name]
     mutants = [
-        ({"photons_per_led": "many"}, {}),
-        ({"photons_per_led": None}, {}),
-        ({"relative_error": [1]}, {}),
-        ({"reached": "yes"}, {}),
         ({"variables": {}}, {}),
         ({"variables": [name]}, {}),
-        ({"attrs": None}, {}),
         ({"variables": header["variables"] | {name: {"dims": entry["dims"]}}}, {}),
         ({"variables": header["variables"] | {name: entry | {"dims": ["led"]}}}, {}),
-        ({}, {name: np.full_like(fraction, np.nan)}),
-        ({}, {name: -fraction}),
         ({}, {name: np.zeros((1, 7))}),
-        ({}, {"energy": np.zeros(1)}),
     ]
     for path, (about, others) in zip(results_of(used), mutants, strict=False):
         old, whole = unpack(path.read_bytes())
@@ -227,14 +219,14 @@ def test_another_version_is_refused(calm, used):
         again(calm, used)
 
 
-def test_a_folder_that_is_removed_during_a_run_is_said_to_be(calm, tmp_path):
+def test_a_folder_that_is_removed_ends_the_run(calm, tmp_path):
     folder = tmp_path / "b"
 
     def remove(p) -> None:
         if p.done >= 5 and folder.exists():
             shutil.rmtree(folder, ignore_errors=True)
 
-    with pytest.raises(NotReachedError, match="0 of 30 scenes are done; the folder was removed during the run"):
+    with pytest.raises(NotReachedError, match="the folder takes no more"):
         run_batch(calm.sweep, folder, workers=1, progress=remove)
 
 
