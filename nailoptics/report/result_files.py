@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..io import make_folder, plain_cell, to_json, turn, write_bytes, write_dataset, write_text
 from ..scene import to_toml
-from ..scene.importers.sensor_recordings import Recording, recording_csv
-from ..scene.importers.slot_recordings import OximeterRecording, oximeter_csv
+from ..scene.importers.sensor_recordings import OximeterRecording, Recording, oximeter_csv, recording_csv
 
 if TYPE_CHECKING:
     import numpy as np

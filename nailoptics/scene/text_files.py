@@ -114,33 +114,31 @@ def number_columns(
     columns: Mapping[str, int],
     name: str,
     *,
-    codes: Mapping[str, Mapping[str, float]],
+    codes: Mapping[str, Mapping[str, float]] | None = None,
+    gaps: bool = True,
 ) -> tuple[NDArray[np.int64], dict[str, NDArray[np.float64]]]:
     """Line numbers (T,) of rows, and their columns (T,) as numbers, NaN where a cell is empty; time_s has none empty.
 
     columns : the position of each column in a row. codes : the numbers of words, for columns that hold words.
+    gaps : whether cells may be empty.
 
     Raises: InputError for a cell that is neither.
     """
-    lines, numbers = array("q"), array("d")
+    lines, numbers, words = array("q"), array("d"), codes or {}
     for line, row in rows:
         lines.append(line)
         for title, position in columns.items():
             text = row[position].strip() if position < len(row) else ""
-            if title in codes:
-                if text not in codes[title]:
-                    known = ", ".join(codes[title])
+            if title in words:
+                if text not in words[title]:
+                    known = ", ".join(words[title])
                     raise InputError(f"{name} line {line}: {title} = {text[:40]!r} is none; choose from {known}.")
-                numbers.append(codes[title][text])
-                continue
-            try:
-                value = float(text) if text or title == "time_s" else None
-            except ValueError:
-                value = math.nan
-            if value is not None and not math.isfinite(value):
-                what = "every row needs one" if title == "time_s" else "an empty cell is a gap"
-                raise InputError(f"{name} line {line}: {title} = {text[:40]!r} is no finite number; {what}.")
-            numbers.append(math.nan if value is None else value)
+                numbers.append(words[title][text])
+            elif not text and gaps and title != "time_s":
+                numbers.append(math.nan)
+            else:
+                hint = "an empty cell is a gap" if gaps and title != "time_s" else "every row needs one"
+                numbers.append(finite_number(text, title, f"{name} line {line}", hint=hint))
     table = np.array(numbers).reshape(-1, len(columns)).T.copy()
     return np.array(lines), dict(zip(columns, table, strict=True))
 
@@ -174,14 +172,14 @@ def frozen(data: Any, depth: int = 0) -> Any:
     return tuple(frozen(item, depth + 1) for item in data) if isinstance(data, list) else data
 
 
-def finite_number(text: str, name: str, where: str) -> float:
+def finite_number(text: str, name: str, where: str, *, hint: str = "correct it") -> float:
     """The number that a text is; raises InputError."""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(f"{where}: {name} = {text!r} is not a number.")
+        raise InputError(f"{where}: {name} = {text[:40]!r} is no finite number; {hint}.")
     return value
 
 

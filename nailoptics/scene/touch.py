@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
 from .base import USUAL_CONTACT_AREA_MM2, Fraction, NonNegative, Positive, Table
-from .importers.recordings import check_columns, read_columns
+from .importers.recordings import PRESSURES, check_columns, read_columns
 
 SHARES = {"proximal": 1.0, "distal": 0.0, "even": 0.5}
 # The paper's subjects pressed slowly, at 0.05 Hz, and its readings are means of three cycles.
@@ -17,7 +17,7 @@ CYCLE: dict[str, Any] = {"period_s": 20.0, "cycles": 3, "waveform": "sine"}
 CORNERS_PER_PERIOD = 256
 # The last of a list of steps is held so long if no duration is given. [s]
 LAST_STEP_S = 2.0
-PRESSURES = ("proximal_pressure_pa", "distal_pressure_pa")
+
 
 Force = Annotated[float, Field(ge=0, le=100)]
 

@@ -53,7 +53,7 @@ def test_a_recorded_pressure_becomes_part_of_the_scene(tmp_path):
         ("time_s,force_n\n0,1\n4,1\n", "needs a header with time_s and arterial_pressure_pa; write one"),
         (
             "time_s,arterial_pressure_pa\n0,75\n4,7e4\n",
-            "must lie in -10000 to 60000 Pa, found 70000",
+            "line 3: arterial_pressure_pa = 70000 must lie in -10000 to 60000 Pa",
         ),
         ("time_s,arterial_pressure_pa\n0,1e4\n3,1e4\n", "reaches from 0 to 3 s, but the touch from 0 to 4 s"),
     ],

@@ -1,6 +1,5 @@
 """Recordings that a scene names: columns of a CSV over time, checked sample by sample."""
 
-from array import array
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -8,19 +7,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...errors import InputError
-from ..text_files import read_rows
+from ..text_files import number_columns, read_rows
 
+PRESSURES = ("proximal_pressure_pa", "distal_pressure_pa")
 # What a column may hold, and its unit. A touch presses with less than 100 N/cm^2; an artery holds less than 60 kPa.
 RANGES: dict[str, tuple[float, float, str]] = {
     "force_n": (0.0, 100.0, "N"),
     "shear_n": (-100.0, 100.0, "N"),
-    "proximal_pressure_pa": (0.0, 1e6, "Pa"),
-    "distal_pressure_pa": (0.0, 1e6, "Pa"),
+    **dict.fromkeys(PRESSURES, (0.0, 1e6, "Pa")),
     "arterial_pressure_pa": (-1e4, 6e4, "Pa"),
 }
 # A load cell that nothing presses reads a little on either side of zero: so far below it counts as none. [N]
 UNLOADED_N = 0.05
-_WORDS = {1: "one number", 2: "two numbers", 3: "three numbers", 4: "four numbers", 5: "five numbers"}
 
 Columns = dict[str, tuple[float, ...]]
 
@@ -35,24 +33,17 @@ def read_columns(path: Path, name: str, known: Sequence[str], *, either: Sequenc
     Raises: InputError, one line that names the file, the line and the value.
     """
     shown = f"{name} {str(path)!r}"
-    needed = " and ".join(["time_s", *either[0]])
-    lines = read_rows(path, f"a CSV with columns {needed.replace(' and ', ',')}", shown=shown)
-    header = [cell.strip() for cell in next(lines, (0, []))[1]]
+    rows = read_rows(path, f"a CSV with columns time_s,{','.join(either[0])}", shown=shown)
+    header = [cell.strip() for cell in next(rows, (0, []))[1]]
     if "time_s" not in header or not any(set(names) <= set(header) for names in either):
-        others = "".join(f", or time_s and {' and '.join(names)}" for names in either[1:])
-        raise InputError(f"{shown} needs a header with {needed}{others}; write one, or give another file.")
-    found = ["time_s", *(name for name in known if name in header)]
-    places, rows = [header.index(name) for name in found], array("d")
-    for number, row in lines:
-        try:
-            rows.extend([float(row[place]) for place in places])
-        except (ValueError, IndexError):
-            raise InputError(f"{shown} line {number}: {','.join(row)!r} is not {_WORDS[len(found)]}.") from None
-    columns = {name: tuple(rows[i :: len(found)]) for i, name in enumerate(found)}
+        needed = ", or ".join(" and ".join(["time_s", *names]) for names in either)
+        raise InputError(f"{shown} needs a header with {needed}; write one, or give another file.")
+    titles = ["time_s", *(title for title in known if title in header)]
+    line, columns = number_columns(rows, {title: header.index(title) for title in titles}, shown, gaps=False)
     if "force_n" in columns:
-        columns["force_n"] = tuple(unloaded(columns["force_n"]).tolist())
-    check_columns(columns, shown)
-    return columns
+        columns["force_n"] = unloaded(columns["force_n"])
+    check_columns(columns, shown, line)
+    return {title: tuple(column.tolist()) for title, column in columns.items()}
 
 
 def unloaded(force_n: ArrayLike) -> NDArray[np.float64]:
@@ -61,26 +52,25 @@ def unloaded(force_n: ArrayLike) -> NDArray[np.float64]:
     return np.where((force_n < 0.0) & (force_n >= -UNLOADED_N), 0.0, force_n)
 
 
-def check_columns(columns: Mapping[str, Sequence[float]], name: str) -> None:
-    """Raise InputError unless times rise, every column has a value for each, and all are finite and possible."""
-    time_s = columns["time_s"]
-    lengths = {len(column) for column in columns.values()}
-    if len(time_s) < 2 or len(lengths) > 1:
-        counts = ", ".join(f"{len(column)} of {column_name}" for column_name, column in columns.items())
-        raise InputError(f"{name} needs at least two samples, as many of each column, has {counts}.")
-    if not all(np.all(np.isfinite(column)) for column in columns.values()):
-        raise InputError(f"{name} holds a value that is not finite; remove the sample.")
-    falling = np.flatnonzero(np.diff(time_s) <= 0)
-    if falling.size:
-        at = int(falling[0]) + 1
-        raise InputError(
-            f"{name}: time_s must rise, but sample {at + 1} ({time_s[at]:.15g}) follows {time_s[at - 1]:.15g}; "
-            "sort or remove it."
-        )
-    for column_name, (low, high, unit) in RANGES.items():
-        column = columns.get(column_name, (low,))
-        if min(column) < low or max(column) > high:
-            wrong = min(column) if min(column) < low else max(column)
+def check_columns(columns: Mapping[str, ArrayLike], name: str, line: NDArray[np.int64] | None = None) -> None:
+    """Raise InputError unless there are two samples or more of each column, times rise, and values are possible.
+
+    line : (T,) int. Of each sample in its file, for messages; its number if not given.
+    """
+    arrays = {title: np.asarray(column, float) for title, column in columns.items()}
+    time_s, counts = arrays["time_s"], " and ".join(map(str, sorted({len(one) for one in arrays.values()})))
+
+    def at(sample: int) -> str:
+        return f"{name}: sample {sample + 1}:" if line is None else f"{name} line {line[sample]}:"
+
+    if len(time_s) < 2 or len(counts.split()) > 1:
+        what = "sample" if counts == "1" else "samples"
+        raise InputError(f"{name}: has {counts} {what}; two or more are needed, as many of each column.")
+    for k in np.flatnonzero(~(np.diff(time_s) > 0))[:1] + 1:
+        raise InputError(f"{at(k)} time_s = {time_s[k]:.15g} does not come after {time_s[k - 1]:.15g}; sort the rows.")
+    for title, (low, high, unit) in RANGES.items():
+        values = arrays.get(title, np.empty(0))
+        for k in np.flatnonzero((values < low) | (values > high))[:1]:
             raise InputError(
-                f"{name}: {column_name} must lie in {low:g} to {high:g} {unit}, found {wrong:g}; check sign and unit."
+                f"{at(k)} {title} = {values[k]:g} must lie in {low:g} to {high:g} {unit}; check its sign and unit."
             )

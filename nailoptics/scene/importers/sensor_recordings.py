@@ -1,7 +1,7 @@
-"""Recordings of a worn sensor: a CSV with time, readings in volts and, where it was measured, the force."""
+"""Recordings of a worn sensor or an oximeter: CSV files with time, readings in volts and, for a sensor, the force."""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
+from ..oximeter import DARK
 from ..text_files import Rows, number_columns, read_rows
-from ..touch import PRESSURES
-from .recordings import RANGES, unloaded
+from .recordings import PRESSURES, check_columns, unloaded
 
 Array = NDArray[np.float64]
 
@@ -58,28 +58,17 @@ def read_sensor_recording(path: str | Path) -> Recording:
 
     Raises: InputError that names the column, the line, the value and what to do.
     """
-    path = Path(path)
-    rows = read_rows(path, "a recording: a CSV with columns time_s, force_n and one for each reading in volts")
-    name, header = str(path), [cell.strip() for cell in next(rows, (0, [""]))[1]]
-    # Spreadsheets end lines with commas.
-    while header and not header[-1]:
-        header.pop()
+    name, header, rows = _table(
+        path, "a recording: a CSV with columns time_s, force_n and one for each reading in volts"
+    )
     check_header(header, name)
     readings = reading_columns(header)
     titles = ["time_s", *(title for title in ("force_n", "site") if title in header), *readings]
-    positions = {title: header.index(title) for title in titles}
-    whole = _without_more_cells(rows, len(header), name)
-    line, columns = number_columns(whole, positions, name, codes={"site": SITES})
+    line, columns = number_columns(rows, {title: header.index(title) for title in titles}, name, codes={"site": SITES})
+    if "force_n" in columns:
+        columns["force_n"] = unloaded(columns["force_n"])
+    check_columns(columns, name, line)
     time_s = columns["time_s"]
-    if len(time_s) < 2:
-        raise InputError(f"{name}: has {len(time_s)} sample{'' if len(time_s) else 's'}; two or more are needed.")
-    backwards = np.flatnonzero(np.diff(time_s) <= 0)
-    if backwards.size:
-        at = int(backwards[0]) + 1
-        raise InputError(
-            f"{name} line {line[at]}: time_s = {time_s[at]:.15g} does not come after {time_s[at - 1]:.15g}; "
-            "sort the rows."
-        )
     step_s = float(np.median(np.diff(time_s)))
     if not LEAST_STEP_S <= step_s <= MOST_STEP_S or np.abs(time_s).max() > MOST_TIME_S:
         raise InputError(
@@ -87,28 +76,27 @@ def read_sensor_recording(path: str | Path) -> Recording:
             f"{LEAST_STEP_S:g} to {MOST_STEP_S:g} from sample to sample."
         )
     volts = np.array([columns[title] for title in readings])
-    force_n = columns.get("force_n")
-    if force_n is not None:
-        force_n = unloaded(force_n)
-        most_n = RANGES["force_n"][1]
-        wrong = np.flatnonzero((force_n < 0) | (force_n > most_n))
-        if wrong.size:
-            at = int(wrong[0])
-            raise InputError(
-                f"{name} line {line[at]}: force_n = {force_n[at]:g} must lie in 0 to {most_n:g} N; "
-                "check its sign and unit."
-            )
-    return Recording(name, readings, time_s, volts, force_n, columns.get("site"))
+    return Recording(name, readings, time_s, volts, columns.get("force_n"), columns.get("site"))
 
 
-def _without_more_cells(rows: Rows, count: int, name: str) -> Rows:
-    """The same rows; raises InputError at one with more cells than there are columns."""
-    for line, row in rows:
-        if any(cell.strip() for cell in row[count:]):
-            raise InputError(
-                f"{name} line {line}: has {len(row)} cells for {count} columns; write numbers with a decimal point."
-            )
-        yield line, row
+def _table(path: str | Path, expected: str) -> tuple[str, list[str], Rows]:
+    """Name of a file for messages, its header, and its rows; raises InputError at one with more cells than columns."""
+    name, rows = str(path), read_rows(Path(path), expected)
+    header = [cell.strip() for cell in next(rows, (0, [""]))[1]]
+    # Spreadsheets end lines with commas.
+    while header and not header[-1]:
+        header.pop()
+
+    def checked() -> Rows:
+        for line, row in rows:
+            if any(cell.strip() for cell in row[len(header) :]):
+                raise InputError(
+                    f"{name} line {line}: has {len(row)} cells for {len(header)} columns; write numbers with a "
+                    "decimal point."
+                )
+            yield line, row
+
+    return name, header, checked()
 
 
 def reading_columns(header: Sequence[str]) -> tuple[str, ...]:
@@ -153,17 +141,17 @@ def check_known(found: Sequence[str], names: Sequence[str], label: str) -> None:
 def check_volts(volts: Array, names: Sequence[str], label: str) -> None:
     """Raise InputError for readings that are constant, empty, or counts of a converter."""
     for title, values in zip(names, volts, strict=True):
-        seen = values[np.isfinite(values)]
-        if not seen.size:
+        known = values[np.isfinite(values)]
+        if not known.size:
             raise InputError(f"{label}: column {title!r} is empty; leave it out or record it.")
-        if np.abs(seen).max() > MOST_VOLTS:
+        if np.abs(known).max() > MOST_VOLTS:
             raise InputError(
-                f"{label}: column {title!r} reaches {np.abs(seen).max():g} V, which looks like a converter's counts; "
+                f"{label}: column {title!r} reaches {np.abs(known).max():g} V, which looks like a converter's counts; "
                 "convert it to volts."
             )
-        if seen.size > 2 and np.ptp(seen) == 0:
+        if known.size > 2 and np.ptp(known) == 0:
             raise InputError(
-                f"{label}: column {title!r} is constant at {seen[0]:g} V; check its wiring, "
+                f"{label}: column {title!r} is constant at {known[0]:g} V; check its wiring, "
                 "or lower the LED's power if the converter ends there."
             )
 
@@ -182,3 +170,93 @@ def recording_csv(recording: Recording) -> str:
         cells += [named.get(site[k], "even")] if site is not None else []
         rows.writerow([*cells, *("" if np.isnan(v) else f"{v:.7g}" for v in recording.volts[:, k])])
     return out.getvalue()
+
+
+@dataclass(frozen=True)
+class OximeterRecording:
+    """Both LEDs' readings over time, at the times of the red ones.
+
+    name : what messages call it. photodiodes : (P,) str.
+    time_s : (T,) float, rising. [s]
+    volts : (2, P, T) float. Of the red and the infrared LED as they were read, dark light included; NaN in a gap. [V]
+    dark_v : (P, T) float. With no LED lit; 0 where that was not read. [V]
+    """
+
+    name: str
+    photodiodes: tuple[str, ...]
+    time_s: Array
+    volts: Array
+    dark_v: Array
+
+
+OXIMETER_CSV = "a CSV with time_s and LED:PHOTODIODE columns, or time_s, slot and one per photodiode"
+
+
+def read_oximeter_recording(
+    path: str | Path, *, leds: tuple[str, str], photodiodes: Sequence[str], delays_s: Mapping[str, float]
+) -> OximeterRecording:
+    """Read a recording whose rows are slots, or that has a column for each LED and photodiode.
+
+    leds : names of the red and the infrared LED.
+    photodiodes : names of the board's; the recording may hold fewer.
+    delays_s : how much later than the red slot each light's slot is, for columns of one time; rows of slots have times
+        of their own. [s]
+
+    Raises: InputError that names the column, the line, the value and what to do.
+    """
+    name, header, rows = _table(path, f"an oximeter's recording: {OXIMETER_CSV}")
+    check_header(header, name)
+    lights, by_slot = (*leds, DARK), "slot" in header
+    title = "{1}" if by_slot else "{0}:{1}"
+    there = tuple(one for one in photodiodes if any(title.format(led, one) in header for led in leds))
+    if not there:
+        example = title.format(leds[0], photodiodes[0])
+        raise InputError(f"{name}: has no column such as {example!r} of this scene; give {OXIMETER_CSV}.")
+    titles = {light: [title.format(light, one) for one in there] for light in lights}
+    if not any(one in header for one in titles[DARK]):
+        del titles[DARK]
+    for missing in (one for own in titles.values() for one in own if one not in header):
+        raise InputError(f"{name}: has no column {missing!r}; an oximeter needs both LEDs on each photodiode.")
+    numbers = dict.fromkeys(
+        ["time_s", *(["slot"] if by_slot else []), *(one for own in titles.values() for one in own)]
+    )
+    codes = {"slot": {light: float(k) for k, light in enumerate(lights)}}
+    line, columns = number_columns(rows, {one: header.index(one) for one in numbers}, name, codes=codes)
+    series: dict[str, tuple[Array, Array]] = {}
+    for k, (light, own) in enumerate(titles.items()):
+        lit = columns["slot"] == k if by_slot else np.ones(len(line), bool)
+        if by_slot and not lit.any() and light == DARK:
+            continue
+        check_columns({"time_s": columns["time_s"][lit]}, f"{name}, {light}", line[lit])
+        delay_s = 0.0 if by_slot else delays_s.get(light, 0.0)
+        series[light] = columns["time_s"][lit] + delay_s, np.array([columns[one][lit] for one in own])
+    # Everything at the times of the red readings, which are a few milliseconds from the others.
+    time_s, red = series[leds[0]]
+    infrared, *dark = (
+        np.array([np.interp(time_s, own_s, one) for one in volts])
+        for own_s, volts in (series[light] for light in lights[1:] if light in series)
+    )
+    volts = np.stack([red, infrared])
+    return recording_of(name, photodiodes=there, time_s=time_s, volts=volts, dark_v=dark[0] if dark else None)
+
+
+def recording_of(
+    name: str, *, photodiodes: Sequence[str], time_s: Array, volts: Array, dark_v: Array | None = None
+) -> OximeterRecording:
+    """A recording from arrays, checked as a file is; shapes as in `OximeterRecording`."""
+    time_s, volts = np.asarray(time_s, float), np.asarray(volts, float)
+    dark_v = np.zeros_like(volts[0]) if dark_v is None else np.asarray(dark_v, float)
+    for kind, one in (("red", volts[0]), ("infrared", volts[1])):
+        check_volts(one, [f"{kind}:{photodiode}" for photodiode in photodiodes], name)
+    return OximeterRecording(name, tuple(photodiodes), time_s, volts, dark_v)
+
+
+def oximeter_csv(recording: OximeterRecording, leds: tuple[str, str]) -> str:
+    """A recording as the text of its file, a column for each LED, and the dark slot, on each photodiode."""
+    titles = ["time_s", *(f"{light}:{one}" for light in (*leds, DARK) for one in recording.photodiodes)]
+    columns = np.concatenate([recording.time_s[None], *recording.volts, recording.dark_v])
+    lines = [
+        ",".join([repr(float(time_s)), *("" if np.isnan(x) else f"{x:.9g}" for x in volts)])
+        for time_s, *volts in columns.T
+    ]
+    return "\n".join([",".join(titles), *lines]) + "\n"

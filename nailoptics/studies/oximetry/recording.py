@@ -11,7 +11,7 @@ from ...hemodynamics.for_scene import blood_over_touch
 from ...light import Transfer
 from ...light.transfer.interpolation import ChebyshevBox
 from ...scene import Oximeter, Scene
-from ...scene.importers.slot_recordings import OximeterRecording, read_oximeter_recording
+from ...scene.importers.sensor_recordings import OximeterRecording, read_oximeter_recording
 from ...scene.oximeter import DARK
 from ...sensor import electronics
 from ...sensor.front_end import SampledFrontEnd, front_ends_of

@@ -11,8 +11,7 @@ from ...commit import code_attributes
 from ...errors import InputError
 from ...hemodynamics.beat_detection import BAND_HZ, LEAST_BEATS, Beats, Marks, band, find_beats, resampled
 from ...scene import Scene
-from ...scene.importers.sensor_recordings import SATURATED
-from ...scene.importers.slot_recordings import OximeterRecording
+from ...scene.importers.sensor_recordings import SATURATED, OximeterRecording
 from ...sensor.front_end import AVERAGE_S
 from ...statistics import Z95
 from ...variables import variable

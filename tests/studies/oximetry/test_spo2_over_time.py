@@ -10,7 +10,7 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import cardiac_pressure
 from nailoptics.report.summaries import recording_summary
-from nailoptics.scene.importers.slot_recordings import OximeterRecording, oximeter_csv
+from nailoptics.scene.importers.sensor_recordings import OximeterRecording, oximeter_csv
 from nailoptics.studies.oximetry.recording import read_for
 from nailoptics.studies.oximetry.spo2_over_time import CalibrationCurve, spo2_over_time, spo2_rows
 
