@@ -38,7 +38,7 @@ class TetMesh:
 
 def tetrahedra(geometry: Geometry) -> TetMesh:
     """The cells of a geometry, all but air, as tetrahedra; its interfaces are faces of theirs."""
-    corners, region, _ = geometry.grid.tetrahedra()
+    corners, region = geometry.grid.tetrahedra()
     solid = np.linalg.det(corners[:, 1:] - corners[:, :1]) > FLAT_MM3
     nodes, _, number = unique_rows(corners[solid].reshape(-1, 3))
     return TetMesh(nodes, number.reshape(-1, 4).astype(np.int32), region[solid])

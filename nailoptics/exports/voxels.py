@@ -6,7 +6,6 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry import Face, Geometry
-from ..geometry.cast import cast
 from ..geometry.grid import Array
 
 # A die's face is moved back by so much of a voxel, so that whatever starts on its true plane starts in the epoxy: half
@@ -60,12 +59,7 @@ def voxels(geometry: Geometry, side_mm: float) -> Voxels:
         )
     x, y, z = (low[k] + side_mm * (np.arange(count[k]) + 0.5) for k in range(3))
     places = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-    found = cast(geometry.vertices, geometry.triangles, places)
-    below, above = geometry.below[found.triangle], geometry.above[found.triangle]
-    # What the region's number grows by at each crossing, from the air below the finger on.
-    steps = np.zeros((len(places), len(z) + 1), np.int16)
-    np.add.at(steps, (found.ray, np.searchsorted(z, found.z)), np.where(found.forward, above - below, below - above))
-    region = np.cumsum(steps, axis=1, dtype=np.int16)[:, :-1].reshape(count)
+    region = geometry.columns(places, z).reshape(count)
     made = Voxels(region, low, side_mm)
     for face in geometry.photodiodes:
         # Where it is, as all that is opaque beside it: in a recess it would lie in its neighbours' shadow.

@@ -8,55 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Integers = NDArray[np.int64]
-
-PAIRS = 2_000_000  # at once, to keep the work arrays small
-
-
-@dataclass(frozen=True)
-class Boxes:
-    """Layers of bins x bins boxes, numbered row by row in each column, and the runs of them that items reach into.
-
-    item : (s,) int. The item of each run, rising; an item has one run in each column that it reaches into.
-    first, last : (s,) int. The first and the last box of each run.
-    """
-
-    bins: int
-    layers: int
-    item: NDArray[np.int32]
-    first: Integers
-    last: Integers
-
-    @classmethod
-    def sort(cls, first: Integers, last: Integers, *, bins: int, layer: Integers | int = 0, layers: int = 1) -> Self:
-        """Items by all boxes from the first to the last bin that each reaches, (n, 2) int, within its layer."""
-        count = last[:, 0] - first[:, 0] + 1
-        item = np.repeat(np.arange(len(count), dtype=np.int32), count)
-        rank = np.arange(len(item)) - np.repeat(np.cumsum(count) - count, count)
-        column = (np.broadcast_to(layer, count.shape)[item] * bins + first[item, 0] + rank) * bins
-        return cls(bins, layers, item, column + first[item, 1], column + last[item, 1])
-
-    def at(self, bins: Integers, layer: Integers | int = 0) -> Integers:
-        """Boxes (k,) at bins (k, 2) of a layer."""
-        return (layer * self.bins + bins[:, 0]) * self.bins + bins[:, 1]
-
-    def pairs(self, box: Integers) -> Iterator[tuple[NDArray[np.int32], Integers]]:
-        """All pairs of an item and of one of the places in boxes (k,) that it reaches into, in parts; items rise."""
-        order = np.argsort(box, kind="stable")
-        start = np.concatenate([[0], np.cumsum(np.bincount(box, minlength=self.layers * self.bins**2))])
-        begin, end = start[self.first], start[self.last + 1]
-        some = np.nonzero(end > begin)[0]
-        item, begin, count = self.item[some], begin[some], (end - begin)[some]
-        work = np.cumsum(count)
-        cuts = [0, *np.searchsorted(work, np.arange(PAIRS, work[-1] if len(work) else 0, PAIRS)), len(work)]
-        for low, high in zip(cuts[:-1], cuts[1:], strict=True):
-            n, ends = count[low:high], work[low:high]
-            done = work[low - 1] if low else 0
-            place = np.repeat(begin[low:high] - (ends - n - done), n) + np.arange(n.sum())
-            yield np.repeat(item[low:high], n), order[place]
-
-
 Array = NDArray[np.float64]
 Indices = NDArray[np.int32]
+
+PAIRS = 2_000_000  # at once, to keep the work arrays small
 
 
 @dataclass(frozen=True)
@@ -87,25 +42,50 @@ def cast(vertices: Array, triangles: Indices, rays: Array) -> Crossings:
     bins = int(np.clip(np.sqrt(len(triangles)), 1, 512))
     per_mm = bins / (high - low)
 
-    def bin_of(points: Array) -> NDArray[np.int64]:
+    def bin_of(points: Array) -> Integers:
         # Rounding is monotone, so a ray within a triangle's bounds falls within its bins.
         return np.floor((points - low) * per_mm).astype(np.int64)
 
-    boxes = Boxes.sort(bin_of(least), bin_of(most), bins=bins)
     at = bin_of(rays)
     over = np.nonzero(((at >= 0) & (at < bins)).all(axis=1))[0]
     edges = [_Edge.of(vertices, triangles[:, i], triangles[:, (i + 1) % 3]) for i in range(3)]
-    found = []
-    for triangle, place in boxes.pairs(boxes.at(at[over])):
+    crossings = []
+    for triangle, place in _pairs(bin_of(least), bin_of(most), at[over], bins):
         ray = over[place]
         triangle, ray, area, forward = _inside(edges, triangle, rays, ray)
         # The area over edge i belongs to the corner opposite to it.
         x, y, z = area / area.sum(axis=0)
         height = vertices[:, 2][triangles[triangle]]
-        found.append((ray, x * height[:, 2] + y * height[:, 0] + z * height[:, 1], triangle, forward))
-    ray, z, triangle, forward = (np.concatenate([f[i] for f in found]) for i in range(4))
+        crossings.append((ray, x * height[:, 2] + y * height[:, 0] + z * height[:, 1], triangle, forward))
+    ray, z, triangle, forward = (np.concatenate([part[i] for part in crossings]) for i in range(4))
     order = np.lexsort((z, ray))
     return Crossings(ray[order], z[order], triangle[order], forward[order])
+
+
+def _pairs(first: Integers, last: Integers, at: Integers, bins: int) -> Iterator[tuple[Indices, Integers]]:
+    """All pairs of a triangle and of a ray in one of its bins, in parts; triangles rise.
+
+    first, last : (n, 2) int. The first and the last bin along x and y that each triangle reaches into.
+    at : (k, 2) int. The bin of each ray.
+    """
+    box = at[:, 0] * bins + at[:, 1]
+    order = np.argsort(box, kind="stable")
+    start = np.concatenate([[0], np.cumsum(np.bincount(box, minlength=bins**2))])
+    # In each column of bins that a triangle reaches into, its bins are one run.
+    columns = last[:, 0] - first[:, 0] + 1
+    triangle = np.repeat(np.arange(len(columns), dtype=np.int32), columns)
+    rank = np.arange(len(triangle)) - np.repeat(np.cumsum(columns) - columns, columns)
+    column = (first[triangle, 0] + rank) * bins
+    begin, end = start[column + first[triangle, 1]], start[column + last[triangle, 1] + 1]
+    some = np.nonzero(end > begin)[0]
+    triangle, begin, count = triangle[some], begin[some], (end - begin)[some]
+    work = np.cumsum(count)
+    cuts = [0, *np.searchsorted(work, np.arange(PAIRS, work[-1] if len(work) else 0, PAIRS)), len(work)]
+    for low, high in zip(cuts[:-1], cuts[1:], strict=True):
+        n, ends = count[low:high], work[low:high]
+        done = work[low - 1] if low else 0
+        place = np.repeat(begin[low:high] - (ends - n - done), n) + np.arange(n.sum())
+        yield np.repeat(triangle[low:high], n), order[place]
 
 
 @dataclass(frozen=True)

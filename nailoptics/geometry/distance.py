@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .cast import Array, cast
+from .cast import Array
 from .model import Geometry
 from .regions import AIR
 
@@ -80,7 +80,9 @@ def distance_grid(
     result = np.zeros(shape, np.float32)
     slack, offset, normal = np.zeros(shape, np.uint8), np.zeros(shape, np.int8), np.zeros((*shape, 2), np.int8)
     grid = DistanceGrid(result, slack, offset, normal, low, spacing_mm, cap_mm)
-    cells = np.argwhere(_inside(geometry, grid))
+    x, y, z = (low[k] + spacing_mm * (np.arange(shape[k]) + 0.5) for k in range(3))
+    places = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+    cells = np.argwhere(geometry.columns(places, z).reshape(shape) != AIR)
     corners = geometry.vertices[geometry.triangles]
     plate = [region for region, name in enumerate(geometry.regions) if name == "plate"]
     of_plate = np.isin(geometry.below, plate) | np.isin(geometry.above, plate)
@@ -192,18 +194,3 @@ def _lattice(corners: Array, pieces: NDArray[np.int64]) -> tuple[Array, NDArray[
         found.append(np.einsum("sc,tcx->tsx", weights, corners[pieces == n]).reshape(-1, 3))
         triangles.append(np.repeat(np.flatnonzero(pieces == n), len(weights)))
     return np.concatenate(found), np.concatenate(triangles)
-
-
-def _inside(geometry: Geometry, grid: DistanceGrid) -> NDArray[np.bool_]:
-    """Which centres lie in some region other than air, (nx, ny, nz) bool."""
-    shape = grid.distance_mm.shape
-    rays = grid.origin_mm[:2] + grid.spacing_mm * (np.argwhere(np.ones(shape[:2])) + 0.5)
-    outer = (geometry.below == AIR) | (geometry.above == AIR)
-    triangles = geometry.triangles[outer]
-    found = cast(geometry.vertices, triangles, rays)
-    # The first centre above each crossing: from there on the column is on the crossing's other side.
-    first = np.ceil((found.z - grid.origin_mm[2]) / grid.spacing_mm - 0.5).clip(0, shape[2]).astype(np.int64)
-    enters = (geometry.below[outer][found.triangle] == AIR) == found.forward
-    steps = np.zeros((len(rays), shape[2] + 1), np.int32)
-    np.add.at(steps, (found.ray, first), np.where(enters, 1, -1))
-    return (np.cumsum(steps, axis=1)[:, :-1] > 0).reshape(shape)

@@ -32,11 +32,6 @@ class Grid:
     labels: Indices
 
     @property
-    def rows_mm(self) -> Array:
-        """Places of the planes between the rows, (n + 1,) float. [mm]"""
-        return self.nodes[0, :, 0, 1]
-
-    @property
     def least_volume_mm3(self) -> float:
         """The least volume of the `tetrahedra`, without making them: negative where the grid folds. [mm^3]"""
         nodes = np.moveaxis(np.concatenate([self.nodes, self.nodes[:1]]), -1, 0)
@@ -56,8 +51,8 @@ class Grid:
             least = min(least, float((volume if even else -volume)[solid].min()))
         return least
 
-    def tetrahedra(self) -> tuple[Array, Indices, Indices]:
-        """Corners (m, 4, 3) of all cells but air, region (m,) and row (m,) of each.
+    def tetrahedra(self) -> tuple[Array, Indices]:
+        """Corners (m, 4, 3) of all cells but air, and region (m,) of each.
 
         Their volume is positive where the grid does not fold.
         """
@@ -72,7 +67,7 @@ class Grid:
                 path[[1, 2]] = path[[2, 1]]
             corners.append(np.stack([self.nodes[(a + i) % around, n + j, k + m] for i, j, m in path], axis=1))
         labels = self.labels[cells].astype(np.int32)
-        return np.concatenate(corners), np.tile(labels, 6), np.tile(n.astype(np.int32), 6)
+        return np.concatenate(corners), np.tile(labels, 6)
 
     def interfaces(self) -> tuple[Array, Indices, Indices, Indices]:
         """Vertices (v, 3), triangles (m, 3), and the regions (m,) below and above each: every face between two once."""

@@ -1,14 +1,12 @@
 """What a geometry is: interfaces that know both sides, and the faces that emit and read."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from .cast import cast
+from .cast import Crossings, cast
 from .grid import Array, Grid, Indices
-from .locate import Locator
-from .regions import AIR
 
 
 @dataclass(frozen=True)
@@ -74,39 +72,39 @@ class Geometry:
         x, y, z = np.asarray(p_mm, float).T
         return np.stack([self.board_radius_mm * np.arctan2(x, z + self.nail_radius_mm), y], -1)
 
-    @cached_property
-    def _locator(self) -> Locator:
-        return Locator(self.grid)
-
     @property
     def bounds_mm(self) -> Array:
         """Lowest and highest corner of the whole, (2, 3) float. [mm]"""
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
 
     def region_at(self, points: Array) -> Indices:
-        """Region at each point, by arithmetic on the grid's cells, not by the triangles.
+        """Region at each point, from the triangles below it.
 
         points : (k, 3) float. [mm]
 
         Returns: (k,) int; a point on an interface gets either side.
         """
-        points, nodes = np.asarray(points, float).reshape(-1, 3), self.grid.nodes.reshape(-1, 3)
-        beyond = (points < nodes.min(axis=0)) | (points > nodes.max(axis=0))
-        # Around the grid there is air, and its cells are not made for it.
-        return np.full(len(points), AIR, np.int32) if beyond.any(axis=1).all() else self._locator.region_at(points)
+        points = np.asarray(points, float).reshape(-1, 3)
+        crossings, step = self._crossings(points[:, :2])
+        below = crossings.z < points[crossings.ray, 2]
+        return np.bincount(crossings.ray[below], step[below], len(points)).astype(np.int32)
 
-    def section(self, y_mm: Array, z_mm: Array) -> Indices:
-        """Region on the lengthwise section at x = 0, (y, z) int, from the triangles above and below each point.
+    def columns(self, places_mm: Array, z_mm: Array) -> NDArray[np.int16]:
+        """Region at places (r, 2) in x and y and at heights (k,), which rise, (r, k) int."""
+        crossings, step = self._crossings(places_mm)
+        steps = np.zeros((len(places_mm), len(z_mm) + 1), np.int16)
+        np.add.at(steps, (crossings.ray, np.searchsorted(z_mm, crossings.z)), step)
+        return np.cumsum(steps, axis=1, dtype=np.int16)[:, :-1]
 
-        y_mm, z_mm : places along the axes, rising. [mm]
-        """
-        found = cast(self.vertices, self.triangles, np.column_stack([np.zeros_like(y_mm), y_mm]))
-        below, above = self.below[found.triangle], self.above[found.triangle]
-        # What the region's number grows by at each crossing, from the air below the finger on.
-        step = np.where(found.forward, above - below, below - above)
-        steps = np.zeros((len(y_mm), len(z_mm) + 1), np.int32)
-        np.add.at(steps, (found.ray, np.searchsorted(z_mm, found.z)), step)
-        return np.cumsum(steps, axis=1, dtype=np.int32)[:, :-1]
+    def section(self, y_mm: Array, z_mm: Array) -> NDArray[np.int16]:
+        """Region on the lengthwise section at x = 0, (y, z) int, at places along the axes, which rise. [mm]"""
+        return self.columns(np.column_stack([np.zeros_like(y_mm), y_mm]), z_mm)
+
+    def _crossings(self, places_mm: Array) -> tuple[Crossings, Indices]:
+        """Crossings of rays upwards, and by how much each changes the number of the region, from air on."""
+        crossings = cast(self.vertices, self.triangles, places_mm)
+        below, above = self.below[crossings.triangle], self.above[crossings.triangle]
+        return crossings, np.where(crossings.forward, above - below, below - above)
 
     def volumes_mm3(self) -> dict[str, float]:
         """Volume of each region but air, from its faces by the divergence theorem. [mm^3]"""
