@@ -690,7 +690,7 @@ def oximeter(
     from .report.summaries import oximeter_summary, recording_summary
     from .report.terminal_text import oximeter_lines, oxygen_lines
     from .studies.oximetry.oxygen import oximeter as study
-    from .studies.oximetry.recording import read_for, read_oxygen, simulated
+    from .studies.oximetry.recording import read_for, simulated, spo2_over_time
 
     loaded, _ = _load(scene, options)
     given = None if readings is None else read_for(loaded, readings)
@@ -705,7 +705,7 @@ def oximeter(
         made = simulated(loaded, result, seed=options.seed)
         paths |= write_oximeter_recording(made, (str(result.led.values[0]), str(result.led.values[1])), recording)
     if given is not None:
-        oxygen = read_oxygen(loaded, result, given)
+        oxygen = spo2_over_time(given, result, loaded)
         summary |= {"recording": recording_summary(oxygen)}
         lines, paths = oxygen_lines(summary["recording"]), paths | write_oxygen(oxygen, folder)
     _finish(summary, lines, paths, json_, unmet, folder)

@@ -4,6 +4,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .statistics import jackknife
+
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -36,6 +38,13 @@ def variable(
         name: (dims, values, attributes | {"ancillary_variables": f"{name}_stderr"}),
         f"{name}_stderr": (dims, _as_array(stderr), beside),
     }
+
+
+def estimated(
+    name: str, dims: str | tuple[str, ...], replicates: np.ndarray, long_name: str, *, units: str = "1"
+) -> Variables:
+    """A variable made from all groups of photons and without each, (1 + groups, ...) float, and its standard error."""
+    return variable(name, dims, replicates[0], long_name, units=units, stderr=jackknife(replicates))
 
 
 def _as_array(values: Any) -> Any:

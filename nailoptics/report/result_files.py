@@ -238,7 +238,7 @@ def write_oximeter_recording(recording: OximeterRecording, leds: tuple[str, str]
 
 def write_oxygen(result: "xr.Dataset", folder: Path) -> Paths:
     """Write SpO2 over time from an oximeter's recording as NetCDF, CSV and page; returns their paths."""
-    from ..studies.oximetry.spo2_over_time import spo2_rows
+    from ..studies.oximetry.recording import spo2_rows
     from .pages.oximeter import write_oxygen_recording
     from .summaries import recording_summary
 

@@ -46,6 +46,14 @@ class BloodBeat:
         return self.pulse[[int(total.argmin()), int(total.argmax())]]
 
 
+def red_and_infrared(scene: Scene) -> tuple[int, int]:
+    """The numbers of a scene's red and infrared LED; raises InputError without two of different wavelengths."""
+    try:
+        return two_leds(scene.leds, scene.oximeter.slots if scene.oximeter else None)
+    except ValueError as error:
+        raise InputError(f"leds: {error}.") from None
+
+
 def oximeter_leds(scene: Scene) -> tuple[int, int]:
     """The numbers of a scene's red and infrared LED.
 
@@ -53,10 +61,7 @@ def oximeter_leds(scene: Scene) -> tuple[int, int]:
     """
     if scene.finger is None:
         raise InputError("oximeter needs a [finger] scene, whose blood beats; a [phantom] has none.")
-    try:
-        leds = two_leds(scene.leds, scene.oximeter.slots if scene.oximeter else None)
-    except ValueError as error:
-        raise InputError(f"leds: {error}.") from None
+    leds = red_and_infrared(scene)
     heart_rate_per_min(scene)
     return leds
 
@@ -79,6 +84,11 @@ def heart_rate_per_min(scene: Scene) -> float:
 def rest_force_n(scene: Scene) -> float:
     """The force with which a scene's touch begins, under which its oximeter is read. [N]"""
     return float(force_course(scene)[1][0])
+
+
+def rest_beat(scene: Scene) -> BloodBeat:
+    """A beat under the force with which the scene's touch begins."""
+    return beat_at(scene, rest_force_n(scene))
 
 
 def beat_at(scene: Scene, force_n: float) -> BloodBeat:

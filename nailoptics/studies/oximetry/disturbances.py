@@ -1,6 +1,5 @@
 """Disturbances of an oximeter: bias of SpO2 by touch, blood, melanin, the LEDs' lines, sunlight and unequal paths."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,12 +13,13 @@ from ...light.diffusion import DiffusionModel
 from ...light.identity import light_scene
 from ...light.tracing.store import LightStore
 from ...scene import Oximeter, Scene
-from ...scene.oximeter import two_leds
 from ...sensor.ambient import SOURCES, Ambient, photocurrents_a
 from ...sensor.front_end import SampledFrontEnd
 from ...statistics import Z95, jackknife, seed_of
-from ..pulsatile_blood import BloodBeat, beat_at, rest_force_n
-from .ratio import MEASURED, TEXTBOOK, Pulsation, estimate, evaluate, in_scene, read_pulsations, saturation_of
+from ...variables import Variables, variable
+from ..prior_uncertainty import at_value
+from ..pulsatile_blood import BloodBeat, beat_at, red_and_infrared, rest_beat
+from .ratio import MEASURED, TEXTBOOK, Pulsation, estimate, evaluate, read_pulsations, saturation_of
 
 Array = NDArray[np.float64]
 
@@ -43,22 +43,6 @@ LESS_BLOOD = 0.01
 LEAKAGE_PHOTONS = 1 << 16
 SPACING_MM = 0.2
 _BACK = 31
-
-
-@dataclass(frozen=True)
-class SensitivityCurve:
-    """Bias of SpO2 as one thing changes.
-
-    values : (n,) float, of what changes.
-    bias, bias_stderr : (photodiodes, n) float. Displayed less true saturation. [percent]
-    """
-
-    name: str
-    long_name: str
-    units: str
-    values: Array
-    bias: Array
-    bias_stderr: Array
 
 
 @dataclass(frozen=True)
@@ -96,17 +80,13 @@ class CalibratedOximeter:
                 out[g, j] = 100 * saturation_of(ratio[g, j], self.so2, self.curve[g, j])
         return out
 
-    def ratios(self, changes: list[tuple[Scene, BloodBeat]]) -> Array:
+    def ratio(self, changes: list[tuple[Scene, BloodBeat]]) -> Array:
         """Ratios of ratios in scenes that differ only in absorption and spectra, (1 + groups, photodiodes, n) float."""
         out = []
         for scene, beat in changes:
-            light = in_scene(self.transfer, scene)
+            light = replace(self.transfer, scene=scene)
             out.append(read_pulsations(light, self.leds, [(scene.blood.so2, beat)], seed=self.seed).ratio)
         return np.concatenate(out, -1)
-
-    def beat(self) -> BloodBeat:
-        """A beat of its scene at rest."""
-        return beat_at(self.scene, rest_force_n(self.scene))
 
     @property
     def scene(self) -> Scene:
@@ -114,60 +94,78 @@ class CalibratedOximeter:
         return self.transfer.scene
 
 
-# What a curve is over (name, long name, units, values), and the scene and beat of each value.
-Change = tuple[str, str, str, Array, list[tuple[Scene, BloodBeat]]]
-
-
 def sensitivity_curves(
-    oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], sun_a: Array
-) -> list[SensitivityCurve]:
-    """All curves that follow from the scene's own trace.
+    oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], sun_a: Array, nails: dict[float, Transfer]
+) -> dict[str, Variables]:
+    """Bias of SpO2 over each disturbance, by its name.
 
     sun_a : (photodiodes,) float. Photocurrent by full sun. [A]
+    nails : traces of the scene with a nail plate of other thicknesses, by thickness. [mm]
     """
-    curves = [
-        SensitivityCurve(name, text, units, values, *oximeter.bias(oximeter.ratios(changes)))
-        for name, text, units, values, changes in _changes(oximeter)
-    ]
-    return [*curves, _sunlight(oximeter, front_ends, sun_a)]
+    scene, leds, beat, curves = oximeter.scene, oximeter.leds, rest_beat(oximeter.scene), dict[str, Variables]()
 
+    def add(name: str, text: str, units: str, values: Array, changes: list[tuple[Scene, BloodBeat]]) -> None:
+        # Light scatters as at the wavelength that was traced, however an LED's line moves.
+        known = [_has_tissue_data(one, leds) for one, _ in changes]
+        bias = oximeter.bias(oximeter.ratio([one for one, inside in zip(changes, known, strict=True) if inside]))
+        curves[name] = _curve(name, text, units, values[known], *bias)
 
-def _changes(oximeter: CalibratedOximeter) -> Iterator[Change]:
-    scene, beat, leds = oximeter.scene, oximeter.beat(), oximeter.leds
-    assert scene.finger is not None
-    pressed = [(scene, beat_at(scene, float(force))) for force in FORCES_N]
-    yield "touch_force_n", "touch force", "N", FORCES_N, pressed
-    bloods = [_with_blood(scene, rest_blood_fraction=float(rest)) for rest in REST_BLOOD]
-    filled = [(one, beat_at(one, rest_force_n(one))) for one in bloods]
-    yield "rest_blood_fraction", "blood in the bed at rest", "1", REST_BLOOD, filled
-    fingers = [scene.finger.model_copy(update={"melanin_fraction": float(melanin)}) for melanin in MELANIN]
-    darker = [(scene.model_copy(update={"finger": one}), beat) for one in fingers]
-    yield "melanin_fraction", "melanin in the epidermis", "1", MELANIN, darker
-    # The light scatters as at the wavelength that was traced.
-    wider = [_with_lines(scene, leds, fwhm_nm=float(width)) for width in WIDTHS_NM]
-    inside = [_has_tissue_data(one, leds) for one in wider]
-    changes = [(one, beat) for one, known in zip(wider, inside, strict=True) if known]
-    yield "line_width_nm", "width of both LEDs' lines", "nm", WIDTHS_NM[inside], changes
+    def at(field: str, values: Array) -> list[tuple[Scene, BloodBeat]]:
+        return [(at_value(scene, field, float(value)), beat) for value in values]
+
+    def lines(**moved: Array) -> list[tuple[Scene, BloodBeat]]:
+        ((name, values),) = moved.items()
+        return [(_with_lines(scene, leds, **{name: float(value)}), beat) for value in values]
+
+    add("touch_force_n", "touch force", "N", FORCES_N, [(scene, beat_at(scene, float(x))) for x in FORCES_N])
+    filled = [(one, rest_beat(one)) for one, _ in at("blood.rest_blood_fraction", REST_BLOOD)]
+    add("rest_blood_fraction", "blood in the bed at rest", "1", REST_BLOOD, filled)
+    add("melanin_fraction", "melanin in the epidermis", "1", MELANIN, at("finger.melanin_fraction", MELANIN))
+    add("line_width_nm", "width of both LEDs' lines", "nm", WIDTHS_NM, lines(fwhm_nm=WIDTHS_NM))
     for drift in DRIFTS_NM_PER_K:
-        warmer = [_with_lines(scene, leds, shift_nm=drift * float(kelvin)) for kelvin in WARMER_K]
-        inside = [_has_tissue_data(one, leds) for one in warmer]
-        changes = [(one, beat) for one, known in zip(warmer, inside, strict=True) if known]
-        text = f"LEDs warmer, lines that drift by {drift:g} nm/K"
-        yield f"warmer_k_{round(1000 * drift)}_pm_per_k", text, "K", WARMER_K[inside], changes
-    so2 = scene.blood.so2
-    venous = [(_with_blood(scene, venous_so2=max(so2 - float(below), 0.0)), beat) for below in VENOUS_BELOW]
-    yield "venous_below_arterial", "venous saturation below the arterial one", "1", VENOUS_BELOW, venous
+        name, text = f"warmer_k_{round(1000 * drift)}_pm_per_k", f"LEDs warmer, lines that drift by {drift:g} nm/K"
+        add(name, text, "K", WARMER_K, lines(shift_nm=drift * WARMER_K))
+    text, venous = "venous saturation below the arterial one", np.maximum(scene.blood.so2 - VENOUS_BELOW, 0.0)
+    add("venous_below_arterial", text, "1", VENOUS_BELOW, at("blood.venous_so2", venous))
+    text, bias = "sunlight with the dark slot left out", _sunlight(oximeter, front_ends, sun_a)
+    curves["sunlight_lux"] = _curve("sunlight_lux", text, "lx", SUN_LUX, *bias)
+    if nails:
+        name = "nail_thickness_mm"
+        curves[name] = _curve(name, "thickness of the nail plate", "mm", *_nails(oximeter, nails))
+    return curves
 
 
-def _sunlight(oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], sun_a: Array) -> SensitivityCurve:
-    """Sunlight on an oximeter that takes no dark reading away: it adds to what is steady."""
+def _curve(name: str, text: str, units: str, values: Array, bias: Array, stderr: Array) -> Variables:
+    """Bias of SpO2 as one thing changes; values : (n,) float. bias, stderr : (photodiodes, n) float. [percent]"""
+    data = variable(
+        f"off_by_{name}", ("photodiode", name), bias, f"bias of SpO2 over: {text}", units="percent", stderr=stderr
+    )
+    return data | variable(name, name, values, text, units=units)
+
+
+def _sunlight(oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], sun_a: Array) -> tuple[Array, Array]:
+    """Bias by sunlight where no dark reading is taken away: it adds to what is steady."""
     nominal, ratios = oximeter.nominal, []
     for lux in SUN_LUX:
         level_a = np.stack([_photocurrent_a(one, nominal.dc[:, :, j, 0]) for j, one in enumerate(front_ends)], -1)
         diluted = nominal.perfusion_index[..., 0] * level_a / (level_a + sun_a * lux / SUN_LUX[-1])
         ratios.append(diluted[:, 0] / diluted[:, 1])
-    text, bias = "sunlight with the dark slot left out", oximeter.bias(np.stack(ratios, -1))
-    return SensitivityCurve("sunlight_lux", text, "lx", SUN_LUX, *bias)
+    return oximeter.bias(np.stack(ratios, -1))
+
+
+def _nails(oximeter: CalibratedOximeter, nails: dict[float, Transfer]) -> tuple[Array, Array, Array]:
+    """Thicknesses of the nail plate, the scene's among them, which has no bias, and the bias at each."""
+    finger = oximeter.scene.finger
+    assert finger is not None
+    none = np.zeros((len(oximeter.transfer.photodiodes), 1))
+    columns = [(none, none)]
+    for light in nails.values():
+        states = [(light.scene.blood.so2, rest_beat(light.scene))]
+        ratio = read_pulsations(light, oximeter.leds, states, seed=oximeter.seed).ratio
+        columns.append(oximeter.bias(ratio, independent=True))
+    thickness_mm, (bias, stderr) = np.array([finger.nail_thickness_mm, *nails]), np.concatenate(columns, -1)
+    order = np.argsort(thickness_mm)
+    return thickness_mm[order], bias[:, order], stderr[:, order]
 
 
 def _photocurrent_a(front_end: SampledFrontEnd, fraction: Array) -> Array:
@@ -217,10 +215,6 @@ def _has_tissue_data(scene: Scene, leds: tuple[int, int]) -> bool:
     return bool(wavelengths.min() >= low and wavelengths.max() <= high)
 
 
-def _with_blood(scene: Scene, **fields: float) -> Scene:
-    return scene.model_copy(update={"blood": scene.blood.model_copy(update=fields)})
-
-
 def _with_lines(scene: Scene, which: tuple[int, int], *, fwhm_nm: float | None = None, shift_nm: float = 0.0) -> Scene:
     leds = list(scene.leds)
     for i in which:
@@ -244,7 +238,7 @@ def path_warnings(scene: Scene, ratio: Array, path_length_ratio: Array, *, how: 
     ratio, path_length_ratio : (photodiodes,) float. At the scene's saturation.
     how : a remark on how the paths were computed.
     """
-    red, infrared = two_leds(scene.leds, scene.oximeter.slots if scene.oximeter else None)
+    red, infrared = red_and_infrared(scene)
     dies, lines = scene.layout.leds, []
     bias = literature_bias(ratio, scene.blood.so2)
     for element, r, paths, percent in zip(scene.layout.photodiodes, ratio, path_length_ratio, bias, strict=True):
@@ -275,7 +269,7 @@ def warnings_without_light(scene: Scene) -> list[str]:
     """
     if scene.oximeter is None or scene.finger is None:
         return []
-    red, infrared = two_leds(scene.leds, scene.oximeter.slots)
+    red, infrared = red_and_infrared(scene)
     paths = diffusion_paths_mm(scene)
     path_ratio = paths[red] / paths[infrared]
     mu = [float(tissue.blood_mu_a_per_mm(scene.leds[i].wavelength_nm, scene.blood.so2)) for i in (red, infrared)]
@@ -292,14 +286,6 @@ def diffusion_paths_mm(scene: Scene) -> Array:
     return np.asarray(np.log(readings[..., 1] / readings[..., 0]) / (mu[:, None] * rest * LESS_BLOOD))
 
 
-@dataclass(frozen=True)
-class AmbientPhotocurrent:
-    """Photocurrent by ambient light and its standard error, (photodiodes,) float each. [A]"""
-
-    current_a: Array
-    stderr_a: Array
-
-
 def ambient_source(oximeter: Oximeter) -> Ambient:
     """The ambient light that an oximeter's table names."""
     named = next(source for source in SOURCES if source.name == oximeter.ambient_light)
@@ -307,34 +293,27 @@ def ambient_source(oximeter: Oximeter) -> Ambient:
 
 
 def ambient_leakage(
-    scene: Scene,
-    sources: list[Ambient],
-    *,
-    backend: str,
-    seed: int,
-    photons: int = LEAKAGE_PHOTONS,
-    store: LightStore | None = None,
-) -> list[AmbientPhotocurrent]:
-    """Photocurrents of each ambient light on every photodiode, by reciprocity: from one trace of each photodiode's
-    own light.
+    scene: Scene, sources: list[Ambient], *, backend: str, seed: int, store: LightStore | None = None
+) -> Array:
+    """Photocurrents by each ambient light and their standard errors, (sources, 2, photodiodes) float. [A]
 
-    Where none of n photons left the finger, the standard error is that of one.
+    By reciprocity, from one trace of each photodiode's own light. Where none of n photons left the finger, the standard
+    error is that of one.
 
-    store : where light is looked for, and kept.
+    store : where light is looked for, and stored.
     """
     how: dict[str, Any] = {"backend": backend, "store": store, "seed": seed}
-    tracer, rows = BoardTracer(light_scene(scene), spacing_mm=SPACING_MM, **how), []
-    traced_nm = max(led.wavelength_nm for led in scene.leds)
-    led = next(i for i, one in enumerate(scene.leds) if one.wavelength_nm == traced_nm)
+    tracer = BoardTracer(light_scene(scene), spacing_mm=SPACING_MM, **how)
+    led = int(np.argmax([one.wavelength_nm for one in scene.leds]))
+    light: dict[str, Any] = {"traced": tracer.scene, "traced_nm": scene.leds[led].wavelength_nm}
+    found = np.zeros((len(sources), 2, len(scene.layout.photodiodes)))
     for j, element in enumerate(scene.layout.photodiodes):
-        _, left = tracer.back(j, led, photons=photons, seed=seed_of(seed, _BACK, j))
+        _, left = tracer.back(j, led, photons=LEAKAGE_PHOTONS, seed=seed_of(seed, _BACK, j))
         diode, area = element.photodiode, element.area.area_mm2
-        for source in sources:
-            light: dict[str, Any] = {"traced": tracer.scene, "traced_nm": traced_nm}
+        for k, source in enumerate(sources):
             each = photocurrents_a(left, scene, source, photodiode=diode, area_mm2=area, **light)
             whole = area * float(source.photocurrent_a_per_mm2(diode)[1].sum())
-            one = float(each.max(initial=0.0)) or whole / photons
+            one = float(each.max(initial=0.0)) or whole / LEAKAGE_PHOTONS
             total, square = float(each.sum()), float((each**2).sum())
-            rows.append((total, np.sqrt(max(square - total**2 / photons, one**2))))
-    found = np.array(rows).reshape(len(scene.layout.photodiodes), len(sources), 2)
-    return [AmbientPhotocurrent(found[:, k, 0], found[:, k, 1]) for k in range(len(sources))]
+            found[k, :, j] = total, np.sqrt(max(square - total**2 / LEAKAGE_PHOTONS, one**2))
+    return found

@@ -1,6 +1,7 @@
 """A pulse oximeter from touch to SpO2: R against saturation, its calibration, its error, and what disturbs it."""
 
 import time
+from dataclasses import replace
 from typing import Unpack
 
 import numpy as np
@@ -15,13 +16,12 @@ from ...options import Requested, TraceOptions
 from ...scene import Oximeter, Scene
 from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_ends_of, ratio_stderr
 from ...statistics import jackknife, seed_of
-from ...variables import Variables, variable
-from ..pulsatile_blood import BloodBeat, beat_at, heart_rate_per_min, oximeter_leds, rest_force_n
+from ...variables import Variables, estimated, variable
+from ..prior_uncertainty import at_value
+from ..pulsatile_blood import BloodBeat, heart_rate_per_min, oximeter_leds, rest_beat
 from .disturbances import (
     SUN_LUX,
-    AmbientPhotocurrent,
     CalibratedOximeter,
-    SensitivityCurve,
     ambient_leakage,
     ambient_source,
     melanin_bound,
@@ -30,16 +30,14 @@ from .disturbances import (
 )
 from .ratio import (
     FIT_SO2,
-    Calibration,
-    Pulsation,
     SaturationCurve,
     calibrate_curve,
     estimate,
     path_length_ratios,
     read_pulsations,
     read_states,
+    trace_for_ratio,
 )
-from .ratio_trace import trace_for_ratio
 from .recording import light_of_touch
 
 Array = NDArray[np.float64]
@@ -68,14 +66,11 @@ def oximeter(scene: Scene, *, progress: ProgressCallback | None = None, **reques
     Raises: InputError; NotReachedError, whose result is the Dataset as far as the light went.
     """
     cpu, begin = time.process_time(), time.perf_counter()
-    options = TraceOptions(**requested)
-    leds = oximeter_leds(scene)
-    beat = beat_at(scene, rest_force_n(scene))
-    groups = seed_of(options.seed, _GROUPS)
+    options, leds = TraceOptions(**requested), oximeter_leds(scene)
+    states, groups = [(scene.blood.so2, rest_beat(scene))], seed_of(options.seed, _GROUPS)
 
     def error_of(light: Transfer) -> float:
-        found = read_pulsations(light, leds, [(scene.blood.so2, beat)], seed=groups)
-        value, error = estimate(found.ratio[..., 0])
+        value, error = estimate(read_pulsations(light, leds, states, seed=groups).ratio[..., 0])
         return float(np.nanmin(np.where(value > 0, error / value, np.inf), initial=np.inf))
 
     limit_s = accuracy(scene, options).max_seconds
@@ -83,8 +78,10 @@ def oximeter(scene: Scene, *, progress: ProgressCallback | None = None, **reques
     how = {"max_seconds": own_s, "progress": progress}
     transfer, unmet = as_far_as_reached(trace_for_ratio, scene, error_of, options, **how)
     nails = {} if unmet else _nails(transfer, options, progress)
-    cut_off = str(unmet) if unmet else _missing(nails)
-    result = oximeter_from(transfer, beat, nails=nails, options=options)
+    cut_off = str(unmet) if unmet else ""
+    if not unmet and len(nails) < len(NAILS_MM):
+        cut_off = f"interrupted: {len(nails)} of {len(NAILS_MM)} other thicknesses of the nail plate are traced."
+    result = oximeter_from(transfer, nails=nails, options=options)
     result.attrs |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
     if cut_off:
         result.attrs["cut_off"] = cut_off
@@ -92,36 +89,58 @@ def oximeter(scene: Scene, *, progress: ProgressCallback | None = None, **reques
     return result
 
 
-def oximeter_from(
-    transfer: Transfer, beat: BloodBeat, *, nails: dict[float, Transfer], options: TraceOptions
-) -> xr.Dataset:
+def _nails(transfer: Transfer, options: TraceOptions, progress: ProgressCallback | None) -> dict[float, Transfer]:
+    """Traces of the scene with a nail plate of other thicknesses; of these nothing is missed if time ends them.
+
+    An interrupt leaves out the one at work and those after it.
+    """
+    scene, lights = transfer.scene, {}
+    limit_s = accuracy(scene, options).max_seconds
+    each_s = None if limit_s is None else (1 - OWN_TIME) * limit_s / len(NAILS_MM)
+    photons = max(LEAST_NAIL_PHOTONS, round(NAIL_SHARE * transfer.photons / len(scene.leds)))
+    how = TraceOptions(backend=options.backend, photons=photons, max_seconds=each_s)
+    for k, thickness_mm in enumerate(NAILS_MM):
+        other = at_value(scene, "finger.nail_thickness_mm", thickness_mm)
+        other = other.model_copy(update={"accuracy": type(scene.accuracy)()})
+        fields = replace(how, seed=seed_of(options.seed, _NAIL, k) >> 1).fields
+        light, unmet = as_far_as_reached(trace, other, progress=progress, **fields)
+        if unmet and unmet.interrupted:
+            break
+        lights[thickness_mm] = light
+    return lights
+
+
+def oximeter_from(transfer: Transfer, *, nails: dict[float, Transfer], options: TraceOptions) -> xr.Dataset:
     """What `oximeter` returns, from light that is already traced.
 
     nails : traces of the scene with a nail plate of other thicknesses, by thickness. [mm]
     """
     scene, leds, seed = transfer.scene, oximeter_leds(transfer.scene), seed_of(options.seed, _GROUPS)
-    low, high = min(SO2[0], scene.blood.so2), 1.0
-    curve = SaturationCurve(transfer, leds, beat, low=low, high=high, seed=seed)
-    nominal = curve.at(scene.blood.so2)
-    calibrated = CalibratedOximeter(transfer, leds, SO2, curve.at(SO2).ratio, nominal, seed)
-    fits = calibrate_curve(FIT_SO2, curve.at(FIT_SO2).ratio)
-    ambient, sun = _ambient(scene, options)
-    front_ends = front_ends_of(scene, leds, ambient.current_a)
-    paths = path_length_ratios(transfer, leds, beat, seed=seed)
-    data = _curve_variables(curve, nominal, fits, paths)
+    beat = rest_beat(scene)
+    curve = SaturationCurve(transfer, leds, beat, low=min(SO2[0], scene.blood.so2), high=1.0, seed=seed)
+    oximeter = CalibratedOximeter(transfer, leds, SO2, curve.at(SO2).ratio, curve.at(scene.blood.so2), seed)
+    (ambient_a, ambient_stderr_a), (sun_a, sun_stderr_a) = _ambient(scene, options)
+    front_ends = front_ends_of(scene, leds, ambient_a)
+    path_mm, path_ratio = path_length_ratios(transfer, leds, beat, seed=seed)
+    data = _ratio_variables(oximeter) | _volts(transfer, leds, beat, front_ends, seed)
+    text = "mean path in the pulsatile blood"
+    data |= estimated("pulse_path_mm", ("led", "photodiode"), path_mm, text, units="mm")
+    data |= estimated("path_ratio", "photodiode", path_ratio, "red mean path over infrared's")
+    fits, data_of_fits = _calibrations(curve)
+    data |= data_of_fits
     time_s, light = light_of_touch(scene, transfer, leds, seed=seed)
-    volts = _volts(transfer, leds, beat, front_ends, seed)
     text = "detected fraction of the emitted power over the touch, frame by frame"
     data |= variable("detected_fraction", ("led", "photodiode", "time"), light, text)
-    data |= volts | _error_variables(calibrated, fits, front_ends, volts)
-    disturbances = [*sensitivity_curves(calibrated, front_ends, sun.current_a), *_nail_curve(calibrated, nails)]
-    for disturbance in disturbances:
-        data |= _disturbance_variables(disturbance)
-    met, most = melanin_bound(calibrated)
+    data |= _error_variables(oximeter, np.abs(fits[:, 1]), front_ends, data)
+    disturbances = sensitivity_curves(oximeter, front_ends, sun_a, nails)
+    for curves in disturbances.values():
+        data |= curves
+    met, most = melanin_bound(oximeter)
     data |= variable("epidermis_part_bound", "photodiode", met, "part of the light that met epidermis, at most (95 %)")
     data |= variable("melanin_bound", "photodiode", most, "change by melanin, at most (95 %)", units="percent")
-    for name, one, text in (("ambient_a", ambient, "ambient light"), ("sun_a", sun, "full sun")):
-        data |= variable(name, "photodiode", one.current_a, f"photocurrent of {text}", units="A", stderr=one.stderr_a)
+    text = "photocurrent of ambient light"
+    data |= variable("ambient_a", "photodiode", ambient_a, text, units="A", stderr=ambient_stderr_a)
+    data |= variable("sun_a", "photodiode", sun_a, "photocurrent of full sun", units="A", stderr=sun_stderr_a)
     names = {
         "photodiode": list(transfer.photodiodes),
         "led": [scene.leds[i].name for i in leds],
@@ -130,110 +149,64 @@ def oximeter_from(
         "beat_time": ("beat_time", beat.time_s, {"units": "s", "long_name": "time from the start of a beat"}),
         "time": ("time", time_s, {"units": "s", "long_name": "time from the start of the touch"}),
     }
-    warnings = _warnings(calibrated, front_ends, paths[1])
     # A photodiode that sees no light has no error.
     best = str(transfer.photodiodes[int(np.nan_to_num(data["spo2_stderr"][1], nan=np.inf).argmin())])
-    about = {"title": "nailoptics: oxygen from volts", "seed": options.seed, "warnings": warnings, "best": best}
-    about |= {"so2": scene.blood.so2, "disturbances": [disturbance.name for disturbance in disturbances]}
-    about["rate_per_min"] = heart_rate_per_min(scene)
+    about = {
+        "title": "nailoptics: oxygen from volts",
+        "seed": options.seed,
+        "warnings": _warnings(oximeter, front_ends, path_ratio[0]),
+        "best": best,
+        "so2": scene.blood.so2,
+        "disturbances": list(disturbances),
+        "rate_per_min": heart_rate_per_min(scene),
+    }
     return xr.Dataset(data, names, transfer.attributes() | about)
 
 
-def _ambient(scene: Scene, options: TraceOptions) -> tuple[AmbientPhotocurrent, AmbientPhotocurrent]:
-    """Photocurrents of the ambient light that the scene names, and of full sun."""
-    own = ambient_source(scene.oximeter or Oximeter())
-    sun = ambient_source(Oximeter(ambient_light="sun", ambient_lux=float(SUN_LUX[-1])))
+def _ambient(scene: Scene, options: TraceOptions) -> Array:
+    """Photocurrents of the ambient light that the scene names, and of full sun, as `ambient_leakage`."""
+    named = scene.oximeter or Oximeter()
+    sun = named.model_copy(update={"ambient_light": "sun", "ambient_lux": float(SUN_LUX[-1])})
     store = LightStore.of_user() if options.store else None
-    seed = seed_of(options.seed, _LEAKAGE)
-    first, second = ambient_leakage(scene, [own, sun], backend=options.backend, seed=seed, store=store)
+    sources, seed = [ambient_source(named), ambient_source(sun)], seed_of(options.seed, _LEAKAGE)
+    currents = ambient_leakage(scene, sources, backend=options.backend, seed=seed, store=store)
     if store is not None:
         store.close()
-    return first, second
+    return currents
 
 
-def _nails(transfer: Transfer, options: TraceOptions, progress: ProgressCallback | None) -> dict[float, Transfer]:
-    """Traces of the scene with a nail plate of other thicknesses; of these nothing is missed if time ends them.
-
-    An interrupt leaves out the one at work and those after it.
-    """
-    scene, found = transfer.scene, {}
-    assert scene.finger is not None
-    limit_s = accuracy(scene, options).max_seconds
-    each_s = None if limit_s is None else (1 - OWN_TIME) * limit_s / len(NAILS_MM)
-    photons = max(LEAST_NAIL_PHOTONS, round(NAIL_SHARE * transfer.photons / len(scene.leds)))
-    for k, thickness_mm in enumerate(NAILS_MM):
-        finger = scene.finger.model_copy(update={"nail_thickness_mm": thickness_mm})
-        other = scene.model_copy(update={"finger": finger, "accuracy": type(scene.accuracy)()})
-        seed = seed_of(options.seed, _NAIL, k) >> 1
-        how = TraceOptions(seed=seed, backend=options.backend, photons=photons, max_seconds=each_s)
-        light, unmet = as_far_as_reached(trace, other, progress=progress, **how.fields)
-        if unmet and unmet.interrupted:
-            break
-        found[thickness_mm] = light
-    return found
+def _ratio_variables(oximeter: CalibratedOximeter) -> Variables:
+    nominal = oximeter.nominal
+    data = estimated("ratio", ("photodiode", "so2"), oximeter.curve, "ratio of ratios R")
+    data |= estimated("ratio_at_rest", "photodiode", nominal.ratio[..., 0], "R at the scene's saturation")
+    index = nominal.perfusion_index[..., 0]
+    return data | estimated("perfusion_index", ("led", "photodiode"), index, "perfusion index, ac over dc")
 
 
-def _missing(nails: dict[float, Transfer]) -> str:
-    """What an interrupt left out, if it did."""
-    done = f"{len(nails)} of {len(NAILS_MM)} other thicknesses of the nail plate are traced."
-    return "" if len(nails) == len(NAILS_MM) else f"interrupted: {done}"
-
-
-def _nail_curve(calibrated: CalibratedOximeter, nails: dict[float, Transfer]) -> list[SensitivityCurve]:
-    if not nails:
-        return []
-    finger, rows = calibrated.scene.finger, []
-    assert finger is not None
-    for light in nails.values():
-        beat = beat_at(light.scene, rest_force_n(light.scene))
-        state = (light.scene.blood.so2, beat)
-        ratio = read_pulsations(light, calibrated.leds, [state], seed=calibrated.seed).ratio
-        rows.append(calibrated.bias(ratio, independent=True))
-    bias, stderr = (np.concatenate(parts, -1) for parts in zip(*rows, strict=True))
-    none = np.zeros((len(bias), 1))
-    thickness, bias = np.append(list(nails), finger.nail_thickness_mm), np.hstack([bias, none])
-    order, stderr = np.argsort(thickness), np.hstack([stderr, none])
-    text = "thickness of the nail plate"
-    return [SensitivityCurve("nail_thickness_mm", text, "mm", thickness[order], bias[:, order], stderr[:, order])]
-
-
-def _curve_variables(
-    curve: SaturationCurve, nominal: Pulsation, fits: Calibration, paths: tuple[Array, Array]
-) -> Variables:
-    pair, over = ("led", "photodiode"), ("photodiode", "so2")
-    value, error = estimate(curve.at(SO2).ratio)
-    data = variable("ratio", over, value, "ratio of ratios R", stderr=error)
-    value, error = estimate(nominal.ratio[..., 0])
-    data |= variable("ratio_at_rest", "photodiode", value, "R at the scene's saturation", stderr=error)
-    value, error = estimate(nominal.perfusion_index[..., 0])
-    data |= variable("perfusion_index", pair, value, "perfusion index, ac over dc", stderr=error)
-    for name, text in (("linear", "a and b of SpO2 = a + b R"), ("quadratic", "a, b, c of SpO2 = a + b R + c R^2")):
-        values = getattr(fits, name)
-        over = ("photodiode", f"{name}_term")
-        data |= variable(name, over, values, text, units="percent", stderr=getattr(fits, f"{name}_stderr"))
+def _calibrations(curve: SaturationCurve) -> tuple[Array, Variables]:
+    """The line of every photodiode, (photodiodes, 2) float, and both fits as variables."""
+    data: Variables = {}
+    ratio = curve.at(FIT_SO2).ratio
+    for name, text in (("quadratic", "a, b, c of SpO2 = a + b R + c R^2"), ("linear", "a and b of SpO2 = a + b R")):
+        fits, miss = calibrate_curve(FIT_SO2, ratio, 2 if name == "quadratic" else 1)
+        data |= estimated(name, ("photodiode", f"{name}_term"), fits, text, units="percent")
         text = f"largest residual of the {name} calibration from 0.70 to 1.00"
-        data |= variable(f"{name}_miss", "photodiode", getattr(fits, f"{name}_miss"), text, units="percent")
-    (value, error), text = estimate(paths[0]), "mean path in the pulsatile blood"
-    data |= variable("pulse_path_mm", pair, value, text, units="mm", stderr=error)
-    value, error = estimate(paths[1])
-    return data | variable("path_ratio", "photodiode", value, "red mean path over infrared's", stderr=error)
+        data |= variable(f"{name}_miss", "photodiode", miss, text, units="percent")
+    return fits[0], data
 
 
 def _volts(
     transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, front_ends: list[SampledFrontEnd], seed: int
 ) -> Variables:
     """Both LEDs' readings over a beat, less the dark slot's, and the volts of every slot."""
-    scene = transfer.scene
-    states = [(scene.blood.so2, beat.resting, beat.pulse)]
+    states = [(transfer.scene.blood.so2, beat.resting, beat.pulse)]
     light = np.stack([read_states(transfer, led, states, seed=seed) for led in leds], -1)
     slots = np.stack([one.slot_volts(light[:, j])[0] for j, one in enumerate(front_ends)], 1)
     full = np.stack([one.slot_volts(light[0, j])[1].any((0, 1)) for j, one in enumerate(front_ends)])
-    weights = np.stack([one.weights for one in front_ends])
-    volts = np.einsum("gjts,jls->gljt", slots, weights)
-    over, (value, error) = ("led", "photodiode", "beat_time"), estimate(volts)
-    data = variable("volts", over, value, "reading over a beat, dark slot taken away", units="V", stderr=error)
-    change, error = estimate(volts - volts.mean(-1, keepdims=True))
-    data |= variable("volts_pulse", over, change, "reading less its mean over a beat", units="V", stderr=error)
+    volts = np.einsum("gjts,jls->gljt", slots, np.stack([one.weights for one in front_ends]))
+    pulse, dims = volts - volts.mean(-1, keepdims=True), ("led", "photodiode", "beat_time")
+    data = estimated("volts", dims, volts, "reading over a beat, dark slot taken away", units="V")
+    data |= estimated("volts_pulse", dims, pulse, "reading less its mean over a beat", units="V")
     text = "volts of every slot at the mean of a beat"
     data |= variable("slot_volts", ("photodiode", "slot"), slots[0].mean(1), text, units="V")
     data |= variable("saturated", "photodiode", full, "converter at its limit in some slot")
@@ -241,45 +214,36 @@ def _volts(
 
 
 def _error_variables(
-    calibrated: CalibratedOximeter, fits: Calibration, front_ends: list[SampledFrontEnd], volts: Variables
+    oximeter: CalibratedOximeter, slope: Array, front_ends: list[SampledFrontEnd], volts: Variables
 ) -> Variables:
-    """Error of SpO2 by its cause, for one beat and for 8 s. [percent]"""
-    scene, nominal = calibrated.scene, calibrated.nominal
+    """Error of SpO2 by its cause, for one beat and for 8 s. [percent]
+
+    slope : (photodiodes,) float. Of SpO2 over R. [percent]
+    """
+    scene, nominal = oximeter.scene, oximeter.nominal
     ratio, index = nominal.ratio[0, :, 0], nominal.perfusion_index[0, ..., 0].T
-    level_v = volts["volts"][1].mean(-1).T
-    pulse = volts["volts_pulse"][1][1]
+    level_v, pulse = volts["volts"][1].mean(-1).T, volts["volts_pulse"][1][1]
     shape = pulse.std(-1) / np.ptp(pulse, axis=-1)
     frame_hz = (scene.oximeter or Oximeter()).frame_hz
-    spans = {"beat": 60.0 / heart_rate_per_min(scene), "": AVERAGE_S}
-    detected = nominal.dc[0, ..., 0].T
-    slope = np.abs(fits.linear[:, 1])
+    noises = [one.reading_noise_v2(f) for one, f in zip(front_ends, nominal.dc[0, ..., 0].T, strict=True)]
     data: Variables = {}
-    for span, seconds in spans.items():
+    for end, seconds in (("_beat", 60.0 / heart_rate_per_min(scene)), ("", AVERAGE_S)):
         rows = []
         for name in CAUSES:
-            noise = np.stack([one.reading_noise_v2(f)[name] for one, f in zip(front_ends, detected, strict=True)])
             how = {"shape_rms": shape, "frames": seconds * frame_hz}
-            rows.append(slope * ratio_stderr(ratio, index, level_v, noise, **how))
+            rows.append(slope * ratio_stderr(ratio, index, level_v, np.stack([one[name] for one in noises]), **how))
         rows.append(slope * jackknife(nominal.ratio[..., 0]))
-        each, end = np.array(rows), f"_{span}" if span else ""
-        text = f"standard error of SpO2 over {seconds:.3g} s"
-        data |= variable(f"spo2_stderr{end}_by_cause", ("cause", "photodiode"), each, text, units="percent")
-        total = np.sqrt((each**2).sum(0))
+        by_cause, text = np.array(rows), f"standard error of SpO2 over {seconds:.3g} s"
+        data |= variable(f"spo2_stderr{end}_by_cause", ("cause", "photodiode"), by_cause, text, units="percent")
+        total = np.sqrt((by_cause**2).sum(0))
         data |= variable(f"spo2_stderr{end}", "photodiode", total, f"{text}, all causes", units="percent")
     return data
 
 
-def _disturbance_variables(curve: SensitivityCurve) -> Variables:
-    over = ("photodiode", curve.name)
-    text = f"bias of SpO2 over: {curve.long_name}"
-    data = variable(f"off_by_{curve.name}", over, curve.bias, text, units="percent", stderr=curve.bias_stderr)
-    return data | variable(curve.name, curve.name, curve.values, curve.long_name, units=curve.units)
-
-
-def _warnings(calibrated: CalibratedOximeter, front_ends: list[SampledFrontEnd], path_length_ratio: Array) -> list[str]:
-    scene, nominal = calibrated.scene, calibrated.nominal
-    lines = path_warnings(scene, nominal.ratio[0, :, 0], path_length_ratio[0])
-    for j, (front_end, name) in enumerate(zip(front_ends, calibrated.transfer.photodiodes, strict=True)):
+def _warnings(oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], path_ratio: Array) -> list[str]:
+    scene, nominal = oximeter.scene, oximeter.nominal
+    lines = path_warnings(scene, nominal.ratio[0, :, 0], path_ratio)
+    for j, (front_end, name) in enumerate(zip(front_ends, oximeter.transfer.photodiodes, strict=True)):
         _, full = front_end.slot_volts(nominal.dc[0, :, j, 0])
         lit = [slot for slot, over in zip(front_end.slot_names, full, strict=True) if over]
         if lit:

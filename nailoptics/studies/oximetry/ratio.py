@@ -1,17 +1,21 @@
-"""The ratio of ratios: the pulse in traced light at any saturation, and the lines from R to SpO2."""
+"""The ratio of ratios: light traced until it is known, the pulse at any saturation, and the lines from R to SpO2."""
 
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ... import tissue
-from ...errors import InputError
-from ...light import Transfer, optics
+from ...errors import InputError, NotReachedError, as_far_as_reached
+from ...light import ProgressCallback, Transfer, optics, trace
+from ...light.tracing import Ending, Trigger, accuracy, run_until
 from ...light.transfer.interpolation import ChebyshevBox
 from ...light.transfer.series import read_replicates
+from ...options import TraceOptions
 from ...scene import Scene
-from ...statistics import jackknife
+from ...statistics import jackknife, seed_of
 from ..pulsatile_blood import BloodBeat
 
 Array = NDArray[np.float64]
@@ -24,6 +28,65 @@ TEXTBOOK = (110.0, -25.0)
 MEASURED = (110.9, -33.2)
 # Saturations over which lines are fitted, those at which oximeters are tested.
 FIT_SO2 = np.linspace(0.70, 1.00, 31)
+# Photons of the first round, whose error tells how many more are needed; rounds have seeds of their own.
+FIRST_PHOTONS = 1 << 19
+_ROUND = 41
+
+
+def trace_for_ratio(
+    scene: Scene,
+    error_of: Callable[[Transfer], float],
+    options: TraceOptions,
+    *,
+    max_seconds: float | None,
+    progress: ProgressCallback | None = None,
+) -> Transfer:
+    """Light of every LED until an answer's relative error is that of the scene, or of the options.
+
+    error_of : relative standard error of the answer from what was traced; inf where it is not known.
+    max_seconds : wall time, in place of that of the scene and the options. [s]
+
+    Raises: NotReachedError with the Transfer so far.
+    """
+    required, begin = accuracy(scene, options), time.perf_counter()
+    plain, target = scene.model_copy(update={"accuracy": type(scene.accuracy)()}), required.relative_error
+    if target is None:
+        how = replace(options, relative_error=None, max_seconds=max_seconds, photons=required.photons)
+        return replace(trace(plain, progress=progress, **how.fields), scene=scene)
+    trigger = Trigger(target=target, first=FIRST_PHOTONS, least=FIRST_PHOTONS // 4, margin=1.15, growth=16)
+    rounds: list[Transfer] = []
+    unmet: NotReachedError | None = None
+
+    def left_s() -> float | None:
+        return None if max_seconds is None else max_seconds - (time.perf_counter() - begin)
+
+    def sample(photons: int) -> None:
+        nonlocal unmet
+        seed = seed_of(options.seed, _ROUND, len(rounds)) >> 1 if rounds else options.seed
+        how = replace(options, seed=seed, relative_error=None, max_seconds=left_s(), photons=photons)
+        more, unmet = as_far_as_reached(trace, plain, progress=progress, **how.fields)
+        more = replace(more, scene=scene)
+        rounds.append(rounds[-1].merge(more) if rounds else more)
+
+    def needed() -> Iterator[int]:
+        yield trigger.first
+        while photons := trigger.needed(rounds[-1].photons // len(scene.leds), error_of(rounds[-1])):
+            yield photons
+
+    def is_late(photons: int) -> bool:
+        left = left_s()
+        return unmet is not None or (bool(rounds) and left is not None and left <= 0)
+
+    ending = run_until(needed(), sample, is_late=is_late)
+    light = rounds[-1]
+    if ending is not Ending.MET:
+        why = (
+            f"the trace ended at {light.photons // len(light.leds)} photons for each LED with a relative error of "
+            f"{error_of(light):.3g} of the best photodiode's ratio of ratios, {target:g} requested; allow more time or "
+            "require less."
+        )
+        raise NotReachedError(why, result=light, interrupted=ending is Ending.INTERRUPTED)
+    return light
 
 
 @dataclass(frozen=True)
@@ -152,42 +215,19 @@ def path_length_ratios(transfer: Transfer, leds: tuple[int, int], beat: BloodBea
     return both, _quotient(both[:, 0], both[:, 1])
 
 
-def in_scene(transfer: Transfer, scene: Scene) -> Transfer:
-    """The same light in a scene that differs only in absorption and spectra."""
-    return replace(transfer, scene=scene)
+def calibrate_curve(so2: Array, ratio: Array, degree: int) -> tuple[Array, Array]:
+    """Polynomials, from the constant up, that make SpO2 in percent of R; what they miss at most. [percent]
 
+    so2 : (n,) float. In parts of 1.
+    ratio : (1 + groups, photodiodes, n) float. Ratios of ratios there.
 
-@dataclass(frozen=True)
-class Calibration:
-    """SpO2 = intercept + slope R and SpO2 = a + b R + c R^2, in percent, of each photodiode.
-
-    linear, linear_stderr : (photodiodes, 2) float. Intercept and slope.
-    quadratic, quadratic_stderr : (photodiodes, 3) float. a, b and c.
-    linear_miss, quadratic_miss : (photodiodes,) float. The largest residual over the curve. [percent]
+    Returns: (1 + groups, photodiodes, degree + 1) and (photodiodes,) float; NaN where a ratio is not known.
     """
-
-    linear: Array
-    linear_stderr: Array
-    quadratic: Array
-    quadratic_stderr: Array
-    linear_miss: Array
-    quadratic_miss: Array
-
-
-def calibrate_curve(so2: Array, ratio: Array) -> Calibration:
-    """Both fits to ratios of ratios, (1 + groups, photodiodes, n) float, at saturations, (n,) float in parts of 1."""
-    fields: dict[str, Array] = {}
-    for name, degree in (("linear", 1), ("quadratic", 2)):
-        fits = np.array([[_fit(one, so2, degree) for one in replicate] for replicate in ratio])
-        residual = [evaluate(fit, one) - 100 * so2 for fit, one in zip(fits[0], ratio[0], strict=True)]
-        fields |= {name: fits[0], f"{name}_stderr": jackknife(fits), f"{name}_miss": np.abs(residual).max(1)}
-    return Calibration(**fields)
-
-
-def _fit(ratio: Array, so2: Array, degree: int) -> Array:
-    if not np.isfinite(ratio).all():
-        return np.full(degree + 1, np.nan)
-    return np.asarray(np.polynomial.polynomial.polyfit(ratio, 100 * so2, degree), dtype=np.float64)
+    percent, fits = 100 * so2, np.full((*ratio.shape[:2], degree + 1), np.nan)
+    for at in np.argwhere(np.isfinite(ratio).all(-1)):
+        fits[tuple(at)] = np.polynomial.polynomial.polyfit(ratio[tuple(at)], percent, degree)
+    residual = [evaluate(fit, one) - percent for fit, one in zip(fits[0], ratio[0], strict=True)]
+    return fits, np.abs(residual).max(1)
 
 
 def evaluate(coefficients: ArrayLike, ratio: ArrayLike) -> Array:

@@ -1,30 +1,45 @@
-"""Recordings of an oximeter: simulated from a scene's result, slot by slot with noise, and read by its curve."""
+"""Recordings of an oximeter: simulated from a scene's result, slot by slot with noise, and read: SpO2 over time."""
 
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from ...commit import code_attributes
+from ...errors import InputError
+from ...hemodynamics.beat_detection import BAND_HZ, LEAST_BEATS, Beats, Marks, band, find_beats, resampled
 from ...hemodynamics.for_scene import blood_over_touch
 from ...light import Transfer
 from ...light.transfer.interpolation import ChebyshevBox
 from ...scene import Oximeter, Scene
-from ...scene.importers.sensor_recordings import OximeterRecording, read_oximeter_recording
+from ...scene.importers.sensor_recordings import SATURATED, OximeterRecording, read_oximeter_recording
 from ...scene.oximeter import DARK
 from ...sensor import electronics
-from ...sensor.front_end import SampledFrontEnd, front_ends_of
-from ...statistics import seed_of
+from ...sensor.front_end import AVERAGE_S, front_ends_of
+from ...statistics import Z95, seed_of
+from ...variables import variable
 from ..pulsatile_blood import oximeter_leds
-from .ratio import read_states
-from .spo2_over_time import CalibrationCurve, pulses_over_time, spo2_over_time
+from .ratio import read_states, saturation_of
 
 Array = NDArray[np.float64]
 
 # Nodes along the first principal components of the zones' blood, between which light is interpolated.
 NODES = (8, 4)
 _NOISE = 61
+# Interval between two estimates. [s]
+STEP_S = 1.0
+# Of a channel whose converter was at its limit in more samples than this nothing can be estimated.
+MOST_SATURATED = 0.01
+# Above this the heart has nothing to say, and what is there is noise. [Hz]
+NOISE_FROM_HZ = 12.0
+# A sample moved if what both LEDs do not share is so many times its usual size, or if light jumps by so many pulses.
+MOST_UNSHARED, MOST_JUMP = 6.0, 4.0
+# Around a sample that moved so much is marked, as filters spread it. [s]
+AROUND_S = 0.5
+# Of a window at least this part must be still.
+LEAST_STILL = 0.5
 
 
 def light_of_touch(scene: Scene, transfer: Transfer, leds: tuple[int, int], *, seed: int) -> tuple[Array, Array]:
@@ -34,30 +49,6 @@ def light_of_touch(scene: Scene, transfer: Transfer, leds: tuple[int, int], *, s
     touched = blood_over_touch(scene.model_copy(update={"touch": touch}))
     blood = touched.blood_fraction.values.T
     return touched.time.values, light_over(transfer, leds, scene.blood.so2, blood, seed=seed)
-
-
-def record_light(
-    front_ends: list[SampledFrontEnd], time_s: Array, light: Array, *, names: Sequence[str], seed: int
-) -> OximeterRecording:
-    """Record light over time; light : (2, photodiodes, t) float, detected fractions of the red and the infrared LED."""
-    rng = np.random.default_rng(seed_of(seed, _NOISE))
-    delay_s = front_ends[0].delays_s[front_ends[0].lights[1]]
-    later = np.stack([np.interp(time_s + delay_s, time_s, one) for one in light[1]])
-    volts, dark = [], []
-    for j, front_end in enumerate(front_ends):
-        slots = _noisy(front_end, np.stack([light[0, j], later[j]], -1), rng)
-        place = [front_end.slot_names.index(name) for name in front_end.lights[:2]]
-        volts.append(slots[:, place].T)
-        dark.append(slots[:, front_end.slot_names.index(DARK)] if front_end.has_dark_slot else np.zeros(len(time_s)))
-    return OximeterRecording("simulated", tuple(names), time_s, np.stack(volts, 1), np.stack(dark))
-
-
-def _noisy(front_end: SampledFrontEnd, fraction: Array, rng: np.random.Generator) -> Array:
-    """Volts of every slot over time with noise, (t, slots) float; fraction : (t, 2) float."""
-    slots, _ = front_end.slot_volts(fraction)
-    variance = np.sum(list(front_end.slot_noise_v2(fraction.mean(0)).values()), axis=0)
-    noisy = slots + np.sqrt(variance) * rng.standard_normal(slots.shape)
-    return np.clip(noisy, 0.0, electronics.limit_v(front_end.scene.electronics))
 
 
 def light_over(transfer: Transfer, leds: tuple[int, int], so2: float, blood: Array, *, seed: int) -> Array:
@@ -75,6 +66,33 @@ def light_over(transfer: Transfer, leds: tuple[int, int], so2: float, blood: Arr
     return np.stack([read_states(transfer, led, [(so2, resting, pulses)], seed=seed)[0] @ weights for led in leds])
 
 
+def simulated(scene: Scene, result: xr.Dataset, *, seed: int) -> OximeterRecording:
+    """What the oximeter would record of its scene's touch, in the ambient light that the scene names.
+
+    result : what `oximeter` returned for the scene.
+    """
+    front_ends = front_ends_of(scene, oximeter_leds(scene), np.asarray(result.ambient_a))
+    time_s, light, rng = (
+        result.time.values,
+        result.detected_fraction.values,
+        np.random.default_rng(seed_of(seed, _NOISE)),
+    )
+    first = front_ends[0]
+    delay_s, places = first.delays_s[first.lights[1]], [first.slot_names.index(name) for name in first.lights[:2]]
+    later = np.stack([np.interp(time_s + delay_s, time_s, one) for one in light[1]])
+    volts, dark = [], []
+    for j, front_end in enumerate(front_ends):
+        fraction = np.stack([light[0, j], later[j]], -1)
+        slots, _ = front_end.slot_volts(fraction)
+        variance = np.sum(list(front_end.slot_noise_v2(fraction.mean(0)).values()), axis=0)
+        noisy = slots + np.sqrt(variance) * rng.standard_normal(slots.shape)
+        noisy = np.clip(noisy, 0.0, electronics.limit_v(scene.electronics))
+        volts.append(noisy[:, places].T)
+        dark.append(noisy[:, first.slot_names.index(DARK)] if first.has_dark_slot else np.zeros(len(time_s)))
+    names = tuple(str(name) for name in result.photodiode.values)
+    return OximeterRecording("simulated", names, time_s, np.stack(volts, 1), np.stack(dark))
+
+
 def read_for(scene: Scene, path: str | Path) -> OximeterRecording:
     """Read a recording of a scene's oximeter; raises InputError, also where it holds no pulse."""
     leds = oximeter_leds(scene)
@@ -86,22 +104,190 @@ def read_for(scene: Scene, path: str | Path) -> OximeterRecording:
     return recording
 
 
-def read_oxygen(scene: Scene, result: xr.Dataset, recording: OximeterRecording | str | Path) -> xr.Dataset:
-    """Oxygen over time from a recording, or its file, by the curve of a scene.
+def spo2_over_time(recording: OximeterRecording, result: xr.Dataset, scene: Scene) -> xr.Dataset:
+    """Oxygen over time from a recording, each value of the 8 s around its time.
 
-    result : what `oximeter` returned for the scene.
+    result : what `oximeter` returned for the scene; its photodiodes include the recording's.
 
-    Returns and raises: as `spo2_over_time`.
+    Returns: Dataset over photodiode and time: ratio, spo2 with spo2_low and spo2_high (95 %), pulse rate, perfusion
+    index, motion; `best` in its attributes is the photodiode with the narrowest intervals.
+
+    Raises: InputError for fewer than three beats, a channel at the converter's limit, or no pulse.
     """
-    given = recording if isinstance(recording, OximeterRecording) else read_for(scene, recording)
-    return spo2_over_time(given, CalibrationCurve.of(result), scene)
+    known = [str(name) for name in result.photodiode.values]
+    unknown = [name for name in recording.photodiodes if name not in known]
+    if unknown:
+        raise InputError(f"{recording.name}: photodiode {unknown[0]!r} is none of {', '.join(known)}.")
+    times_s, rows = pulses_over_time(recording, scene)
+    found = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    spo2, error = np.zeros((2, *found["ratio"].shape))
+    for j, name in enumerate(recording.photodiodes):
+        so2, one = result.so2.values, result.sel(photodiode=name)
+        value = saturation_of(found["ratio"][j], so2, one.ratio.values)
+        slope = np.abs(np.interp(value, so2, np.gradient(so2, one.ratio.values)))
+        of_curve = np.interp(value, so2, one.ratio_stderr.values)
+        spo2[j], error[j] = 100 * value, 100 * slope * np.hypot(found["ratio_stderr"][j], of_curve)
+    over = ("photodiode", "time")
+    data = variable("ratio", over, found["ratio"], "ratio of ratios R", stderr=found["ratio_stderr"])
+    data |= variable("spo2", over, spo2, "oxygen saturation from the pulse", units="percent", stderr=error)
+    bounds = np.clip([spo2 - Z95 * error, spo2 + Z95 * error], 0.0, 100.0)
+    data |= variable("spo2_low", over, bounds[0], "lower bound of SpO2, 95 %", units="percent")
+    data |= variable("spo2_high", over, bounds[1], "upper bound of SpO2, 95 %", units="percent")
+    data |= variable("rate_per_min", over, found["rate_per_min"], "pulse rate", units="min-1")
+    for light in ("red", "infrared"):
+        index = found[f"perfusion_{light}"]
+        data |= variable(f"perfusion_index_{light}", over, index, f"perfusion index of the {light} LED")
+    data |= variable("motion", over, found["motion"], "part of the window in which the finger moved")
+    typical = [float(np.nanmedian(one)) if np.isfinite(one).any() else np.inf for one in error]
+    about: dict[str, Any] = {
+        "title": "oxygen from a recording",
+        "recording": recording.name,
+        "best": recording.photodiodes[int(np.argmin(typical))],
+        "window_s": AVERAGE_S,
+        "least_beats": LEAST_BEATS,
+        "so2": scene.blood.so2,
+    } | code_attributes()
+    times = variable("time", "time", times_s, "middle of the window", units="s")
+    return xr.Dataset(data, times | {"photodiode": list(recording.photodiodes)}, about)
 
 
-def simulated(scene: Scene, result: xr.Dataset, *, seed: int) -> OximeterRecording:
-    """What the oximeter would record of its scene's touch, in the ambient light that the scene names.
+def pulses_over_time(recording: OximeterRecording, scene: Scene) -> tuple[Array, list[dict[str, Array]]]:
+    """Times of the windows, and what each photodiode tells in them without any calibration.
 
-    result : what `oximeter` returned for the scene.
+    Raises: InputError as `spo2_over_time`.
     """
-    front_ends = front_ends_of(scene, oximeter_leds(scene), np.asarray(result.ambient_a))
-    names = [str(name) for name in result.photodiode.values]
-    return record_light(front_ends, result.time.values, result.detected_fraction.values, names=names, seed=seed)
+    _check_limit(recording, scene.electronics.adc_range_v)
+    found = [_photodiode(recording, j) for j in range(len(recording.photodiodes))]
+    return found[0][0], [row for _, row in found]
+
+
+def _photodiode(recording: OximeterRecording, j: int) -> tuple[Array, dict[str, Array]]:
+    """Times of the windows and what one photodiode tells in each."""
+    name = f"{recording.name}, photodiode {recording.photodiodes[j]}"
+    light = recording.volts[:, j] - recording.dark_v[j]
+    if np.nanmedian(light, axis=1).min() <= 0:
+        raise InputError(f"{name}: less its dark reading an LED gives no light; check the slots' names.")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        logarithm = -np.log(np.where(light > 0, light, np.nan))
+    even_s, _, rate_hz = resampled(recording.time_s, logarithm[0], name)
+    both = np.stack([resampled(recording.time_s, one, name)[1][: len(even_s)] for one in logarithm])
+    beats = find_beats(even_s, both[1], name)
+    low_hz, high_hz = max(BAND_HZ[0], 0.6 * beats.rate_per_min / 60.0), BAND_HZ[1]
+    pulse = band(both, rate_hz, low_hz, high_hz)
+    moved = _motion(recording, j, even_s, pulse)
+    moved |= _near(even_s, beats.peak_s[~beats.usual], 0.5 * 60.0 / beats.rate_per_min)
+    noise = _noise_variance(both, rate_hz, high_hz - low_hz)
+    length_s = float(even_s[-1] - even_s[0])
+    centres = np.array([(even_s[0] + even_s[-1]) / 2])
+    if length_s > AVERAGE_S:
+        centres = even_s[0] + AVERAGE_S / 2 + np.arange(int((length_s - AVERAGE_S) / STEP_S) + 1) * STEP_S
+    # Filtered noise is correlated: so many values of a sample are independent.
+    independent = 2 * (high_hz - low_hz) / rate_hz
+    estimates = [_window(pulse, moved, noise, beats, even_s, centre_s, independent) for centre_s in centres]
+    return centres, {key: np.array([one[key] for one in estimates]) for key in estimates[0]}
+
+
+def _window(
+    pulse: Array, moved: Marks, noise: Array, beats: Beats, even_s: Array, centre_s: float, independent: float
+) -> dict[str, float]:
+    """What one window tells: the slope of red over infrared where both have noise, and its standard error.
+
+    independent : how many independent values a sample has.
+    """
+    inside = np.abs(even_s - centre_s) <= AVERAGE_S / 2
+    still = inside & ~moved
+    out = {"motion": float(moved[inside].mean()), "rate_per_min": beats.rate_at(centre_s, AVERAGE_S)}
+    if still.sum() < LEAST_STILL * inside.sum():
+        return out | dict.fromkeys(("ratio", "ratio_stderr", "perfusion_red", "perfusion_infrared"), np.nan)
+    ratio, stderr = slope_of_two(pulse[0, still], pulse[1, still], noise, values=independent * still.sum())
+    # A pulse's height from the middle of its beats' own.
+    heights = [
+        np.ptp(pulse[:, one], axis=1)
+        for start, end in zip(beats.peak_s, beats.peak_s[1:], strict=False)
+        if (one := still & (beat := (even_s >= start) & (even_s < end))).sum() > 0.8 * beat.sum()
+    ]
+    index = np.median(heights, axis=0) if heights else np.full(2, np.nan)
+    return out | {"ratio": ratio, "ratio_stderr": stderr, "perfusion_red": index[0], "perfusion_infrared": index[1]}
+
+
+def slope_of_two(red: Array, infrared: Array, noise: Array, *, values: float) -> tuple[float, float]:
+    """Slope of red over infrared and its standard error, where both have noise.
+
+    red, infrared : (n,) float, of mean 0 or nearly.
+    noise : (2,) float. Variance of their noise: its ratio keeps the slope unbiased (Deming).
+    values : how many of them are independent, as filtered noise is correlated.
+
+    References: Fuller 1987, Measurement Error Models, ch. 1.3.
+    """
+    balance = float(noise[0] / noise[1]) if noise.min() > 0 else 1.0
+    yy, xx, xy = float(np.mean(red**2)), float(np.mean(infrared**2)), float(np.mean(red * infrared))
+    apart = yy - balance * xx
+    ratio = (apart + np.sqrt(apart**2 + 4 * balance * xy**2)) / (2 * xy) if xy > 0 else np.nan
+    left = float(np.mean((red - ratio * infrared) ** 2)) * values / max(values - 1, 1)
+    pulsating = max(xx - left / (balance + ratio**2), 0.0) if np.isfinite(ratio) else 0.0
+    if pulsating <= 0.1 * xx:
+        return np.nan, np.nan
+    # Of a slope between two noisy values the error of the values themselves adds (Fuller's second term).
+    own = left / (balance + ratio**2)
+    variance = (left * pulsating + balance * own**2) / (values * pulsating**2)
+    return float(ratio), float(np.sqrt(variance))
+
+
+def _noise_variance(both: Array, rate_hz: float, width_hz: float) -> Array:
+    """Variance of each LED's noise in the pulse's band, (2,) float, from what lies above all pulses."""
+    top_hz = 0.5 * rate_hz
+    if top_hz < 1.3 * NOISE_FROM_HZ:
+        return np.ones(2)
+    step_hz, power = 1.0 / (both.shape[1] / rate_hz), np.abs(np.fft.rfft(both - both.mean(1, keepdims=True))) ** 2
+    frequency = np.arange(power.shape[1]) * step_hz
+    above = power[:, (frequency > NOISE_FROM_HZ) & (frequency < 0.95 * top_hz)]
+    # The median of an exponential distribution is ln 2 of its mean; motion's few lines do not move it.
+    density = np.median(above, axis=1) / np.log(2) / both.shape[1] ** 2 * 2
+    return np.asarray(np.maximum(density * width_hz / step_hz, np.finfo(float).tiny))
+
+
+def _motion(recording: OximeterRecording, j: int, even_s: Array, pulse: Array) -> Marks:
+    """Where the finger moved: a gap, a jump of the light, or a change that both LEDs do not share as in a pulse."""
+    usual = np.median(np.abs(pulse), axis=1) / 0.6745
+    slope = float(np.median(np.abs(pulse[0]))) / max(float(np.median(np.abs(pulse[1]))), np.finfo(float).tiny)
+    unshared = pulse[0] - slope * pulse[1]
+    spread = np.median(np.abs(unshared - np.median(unshared))) / 0.6745
+    marks = np.abs(unshared) > MOST_UNSHARED * max(float(spread), np.finfo(float).tiny)
+    marks &= np.abs(unshared) > usual[0]
+    marks |= (np.abs(pulse) > MOST_JUMP * usual[:, None]).any(0)
+    gaps = recording.time_s[~np.isfinite(recording.volts[:, j]).all(0)]
+    return _near(even_s, np.concatenate([even_s[marks], gaps]), AROUND_S)
+
+
+def _near(even_s: Array, places_s: Array, within_s: float) -> Marks:
+    """Which times lie near some places."""
+    if not len(places_s):
+        return np.zeros(len(even_s), bool)
+    places = np.sort(places_s)
+    after = np.searchsorted(places, even_s)
+    before_s = np.abs(even_s - places[np.maximum(after - 1, 0)])
+    return np.asarray(np.minimum(before_s, np.abs(places[np.minimum(after, len(places) - 1)] - even_s)) <= within_s)
+
+
+def _check_limit(recording: OximeterRecording, range_v: float) -> None:
+    for k, light in enumerate(("red", "infrared")):
+        for name, volts in zip(recording.photodiodes, recording.volts[k], strict=True):
+            full = float(np.mean(volts[np.isfinite(volts)] >= SATURATED * range_v))
+            if full > MOST_SATURATED:
+                raise InputError(
+                    f'{recording.name}: photodiode "{name}" is saturated in {100 * full:.0f} % of its {light} readings '
+                    f"({range_v:g} V is the converter's limit); lower the LED's power and record again."
+                )
+
+
+def spo2_rows(result: xr.Dataset) -> list[str]:
+    """The lines of oxygen.csv; what is not known is left empty."""
+    names = ["ratio", "spo2", "spo2_low", "spo2_high", "rate_per_min"]
+    names += ["perfusion_index_red", "perfusion_index_infrared", "motion"]
+    lines = [",".join(("time_s", "photodiode", *names))]
+    for name in result.photodiode.values:
+        columns = zip(*(result[column].sel(photodiode=name).values for column in names), strict=True)
+        for time_s, cells in zip(result.time.values, columns, strict=True):
+            texts = ("" if np.isnan(x) else f"{x:.6g}" for x in cells)
+            lines.append(f"{float(time_s)!r},{name}," + ",".join(texts))
+    return lines

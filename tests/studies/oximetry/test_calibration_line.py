@@ -1,10 +1,13 @@
 """Lines between the ratio of ratios and saturation, and the warning where paths are too unequal for a textbook's."""
 
 import numpy as np
+import pytest
 
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
+from nailoptics.errors import InputError
 from nailoptics.scene import Scene
+from nailoptics.statistics import jackknife
 from nailoptics.studies.oximetry.disturbances import literature_bias, path_warnings, warnings_without_light
 from nailoptics.studies.oximetry.ratio import calibrate_curve, evaluate, saturation_of
 
@@ -13,17 +16,17 @@ SO2 = np.linspace(0.7, 1.0, 31)
 
 def test_a_line_is_found_with_the_error_of_its_noise():
     """Expected: of 40 replicates without a group each, the slope's error is that of many repeats."""
-    rng, slopes, told = np.random.default_rng(4), [], []
+    rng, slopes, errors = np.random.default_rng(4), [], []
     for _ in range(200):
         scale = 1 + 0.02 * np.sqrt(40) * rng.standard_normal(40)
         each = np.concatenate([[scale.mean()], (scale.sum() - scale) / 39])
         ratio = each[:, None, None] * ((110 - 100 * SO2) / 25)[None, None]
-        found = calibrate_curve(SO2, ratio)
-        slopes.append(found.linear[0, 1])
-        told.append(found.linear_stderr[0, 1])
+        fits, miss = calibrate_curve(SO2, ratio, 1)
+        slopes.append(fits[0, 0, 1])
+        errors.append(jackknife(fits)[0, 1])
     assert abs(np.mean(slopes) + 25) < 0.15
-    assert abs(np.mean(told) / np.std(slopes) - 1) < 0.15
-    assert found.linear_miss[0] < 1e-9 and found.quadratic_miss[0] < 1e-9
+    assert abs(np.mean(errors) / np.std(slopes) - 1) < 0.15
+    assert miss[0] < 1e-9 and calibrate_curve(SO2, ratio, 2)[1][0] < 1e-9
 
 
 def test_a_curve_is_read_backwards_and_goes_on_beyond_its_ends():
@@ -60,3 +63,14 @@ def test_a_photodiode_as_far_from_both_leds_gets_its_own_advice():
     scene = load_scene(data_dir("scenes") / "pulse_oximeter.toml")
     told = path_warnings(scene, np.array([0.30, 0.45, 0.50]), np.array([0.9, 1.3, 1.45]))
     assert len(told) == 1 and '"axis.1"' in told[0] and "fit of this scene" in told[0]
+
+
+def test_leds_that_were_changed_to_one_colour_are_refused_in_one_line():
+    """Rationale: a scene that was changed after it was read is not checked again by its model."""
+    scene = load_scene(data_dir("scenes") / "pulse_oximeter.toml")
+    leds = tuple(led.model_copy(update={"wavelength_nm": 660.0}) for led in scene.leds)
+    alike, ones = scene.model_copy(update={"leds": leds}), np.ones(len(scene.layout.photodiodes))
+    for refused in (lambda: warnings_without_light(alike), lambda: path_warnings(alike, ones, ones)):
+        with pytest.raises(InputError, match="see the same blood; take two") as error:
+            refused()
+        assert "\n" not in str(error.value)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
@@ -11,15 +12,18 @@ from nailoptics.errors import InputError
 from nailoptics.hemodynamics import cardiac_pressure
 from nailoptics.report.summaries import recording_summary
 from nailoptics.scene.importers.sensor_recordings import OximeterRecording, oximeter_csv
-from nailoptics.studies.oximetry.recording import read_for
-from nailoptics.studies.oximetry.spo2_over_time import CalibrationCurve, spo2_over_time, spo2_rows
+from nailoptics.studies.oximetry.recording import read_for, spo2_over_time, spo2_rows
+from nailoptics.variables import variable
 
 SCENE = load_scene(data_dir("scenes") / "pulse_oximeter.toml")
 NAMES = ("axis.1", "axis.3")
 SO2 = np.linspace(0.5, 1.0, 51)
 # The line measured on fingers, and one of longer red paths; each known within 1 %.
 RATIO = np.stack([(110.9 - 100 * SO2) / 33.2, (110.9 - 100 * SO2) / 28.0])
-KNOWN = CalibrationCurve(NAMES, SO2, RATIO, 0.01 * RATIO)
+KNOWN = xr.Dataset(
+    variable("ratio", ("photodiode", "so2"), RATIO, "ratio of ratios", stderr=0.01 * RATIO),
+    {"photodiode": list(NAMES), "so2": SO2},
+)
 LEVEL_V = np.array([[1.1, 0.5], [1.8, 0.9]])
 
 
