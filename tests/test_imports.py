@@ -30,8 +30,8 @@ PACKAGE = Path(__file__).parents[1] / "nailoptics"
 # Rooms in one entry do not import each other.
 ORDER = [
     {"errors", "interrupts"},
-    {"checks", "commit", "statistics", "variables", "io"},
-    {"options"},
+    {"checks", "commit", "statistics", "io"},
+    {"options", "variables"},
     {"assets"},
     {"scene"},
     {"hemodynamics"},
