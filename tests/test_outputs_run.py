@@ -14,7 +14,9 @@ from nailoptics.scene.importers.positions import read_positions
 from nailoptics.studies.scene_check import check_scene
 from nailoptics.studies.simulate import simulate
 
-FINGERS = [path.stem for path in sorted(data_dir("scenes").glob("*.toml")) if load_scene(path).finger is not None]
+SCENES = {path.stem: load_scene(path) for path in sorted(data_dir("scenes").glob("*.toml"))}
+FINGERS = [name for name, scene in SCENES.items() if scene.finger is not None and len(scene.zone_edges_mm) == 1]
+ZONED = [name for name, scene in SCENES.items() if len(scene.zone_edges_mm) > 1]
 
 
 def is_read(scene: Scene) -> None:
@@ -28,7 +30,7 @@ def is_read(scene: Scene) -> None:
 )
 def test_every_file_of_place_is_read(jit_backend, tmp_path: Path, name: str):
     """Few photons rank layouts badly, and are enough to write them."""
-    scene = load_scene(data_dir("scenes") / f"{name}.toml")
+    scene = SCENES[name]
     try:
         result = nail.place(scene, photons=2000, seed=1)
     except nail.NotReachedError as short:
@@ -55,3 +57,9 @@ def test_every_file_of_place_is_read(jit_backend, tmp_path: Path, name: str):
         again = parse_scene(text, folder=tmp_path)
         check_scene(again)
         assert len(again.layout.photodiodes) == len(best.layout.photodiodes)
+
+
+@pytest.mark.parametrize("name", ZONED)
+def test_place_refuses_more_than_two_blood_zones(name: str):
+    with pytest.raises(nail.InputError, match="two blood zones"):
+        nail.place(SCENES[name], photons=2000, seed=1)
