@@ -1,14 +1,22 @@
 """Touch to blood: the paper's network of vessels under the nail, eq. (1)-(4), and the blood of eq. (7)."""
 
-from .arterial_gain import arterial_gain_m_per_pa
 from .blood import blood_fraction, saturation, tissue_volume_m3, white_band_mm
-from .contact import creeping_pressure, pressures, side_areas_mm2, spreading_pressure
 from .drive import Waveform
 from .parameters import NAMES, Parameters, bounds, parameters
 from .respond import respond
-from .steady import SteadyState, steady_state
+from .steady import SteadyState, arterial_gain_m_per_pa, steady_state
+from .touch import (
+    PAPER_ZONES,
+    Zones,
+    creeping_pressure,
+    pressures,
+    side_areas_mm2,
+    spreading_pressure,
+    with_shear,
+    zones,
+    zones_between,
+)
 from .waves import breathing_pressure, cardiac_pressure, vasomotion_pressure
-from .zones import PAPER_ZONES, Zones, with_shear, zones, zones_between
 
 __all__ = [
     "NAMES",

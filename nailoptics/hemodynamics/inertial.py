@@ -33,20 +33,17 @@ def integrate(
     """
     from scipy.integrate import solve_ivp
 
-    area, mass = np.array(walls.area), np.array(walls.mass)
-    damping, stiffness = np.array(walls.damping), np.array(walls.stiffness)
-    rest, closed = np.array(walls.diameter), np.array(walls.closed)
-    n = rest.size
+    rest, closed, n = walls.diameter, walls.closed, walls.diameter.size
 
     def rates(time: float, state: np.ndarray, pieces: tuple[int, int]) -> np.ndarray:
         width, speed = state[:n] * rest, state[n:] * rest
         inputs = drive.at(time, *pieces)
         open_width = np.maximum(width, closed) if contact else width
-        pressure = np.array(inertial_pressures(walls, open_width, speed, inputs[0], inputs[1]))
-        force = area * (pressure - inputs[2:]) - stiffness * (width - rest) - damping * speed
+        pressure = inertial_pressures(walls, open_width, speed, inputs[0], inputs[1])
+        force = walls.area * (pressure - inputs[2:]) - walls.stiffness * (width - rest) - walls.damping * speed
         if contact:
-            force += _CONTACT_OVER_WALL * stiffness * np.maximum(closed - width, 0.0)
-        return np.concatenate([speed, force / mass]) / np.tile(rest, 2)
+            force += _CONTACT_OVER_WALL * walls.stiffness * np.maximum(closed - width, 0.0)
+        return np.concatenate([speed, force / walls.mass]) / np.tile(rest, 2)
 
     # Rates are linear in the speeds, and smooth in the diameters: fixed differences serve, where adaptive ones stall.
     steps = np.diag(np.repeat([_WIDTH_STEP, _SPEED_STEP], n))
@@ -60,25 +57,19 @@ def integrate(
     for first, last in drive.stretches:
         begin, end = drive.starts[first], drive.ends[last]
         inside = (time_s >= begin) & (time_s <= end)
-        wanted = np.unique(np.append(time_s[inside], end))
+        samples_s = np.unique(np.append(time_s[inside], end))
         errors = {"rtol": max(rtol, 3e-14), "atol": rtol}
-        solution = solve_ivp(rates, (begin, end), state, "Radau", wanted, args=((first, last),), jac=jacobian, **errors)
+        solution = solve_ivp(
+            rates, (begin, end), state, "Radau", samples_s, args=((first, last),), jac=jacobian, **errors
+        )
         if not solution.success:
             raise NotReachedError(
                 f"hemodynamics: the inertial model stopped at {begin:g} s ({solution.message}); raise rtol."
             )
         samples[:, inside] = solution.y[:, : np.count_nonzero(inside)]
         state = solution.y[:, -1]
-    return _read(walls, samples * np.tile(rest, 2)[:, None], inputs, contact=contact)
-
-
-def _read(
-    walls: Walls, samples: np.ndarray, inputs: np.ndarray, *, contact: bool
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What `integrate` returns, from diameters [m] and speeds [m/s] of the walls, (2 (N+1), T) float."""
-    width, speed = np.split(samples, 2)
-    closed = np.array(walls.closed)[:, None]
-    touching = contact & (width <= closed)
+    width, speed = np.split(samples * np.tile(rest, 2)[:, None], 2)
+    touching = contact & (width <= closed[:, None])
     if contact:
-        width = np.maximum(width, closed)
-    return width, np.array(inertial_pressures(walls, width, speed, *inputs[:2])), touching
+        width = np.maximum(width, closed[:, None])
+    return width, inertial_pressures(walls, width, speed, *inputs[:2]), touching

@@ -13,9 +13,9 @@ from ..variables import Variable, variable
 from . import inertial, massless
 from .drive import Drive, Waveform, waveform_of
 from .parameters import Parameters
-from .steady import solve_walls, touch_inputs, wall_pressures
-from .walls import Walls, build_walls
-from .zones import PAPER_ZONES, Zones
+from .steady import solve_walls
+from .touch import PAPER_ZONES, Zones
+from .walls import build_walls
 
 if TYPE_CHECKING:
     import xarray
@@ -68,50 +68,38 @@ def respond(
     """
     time = _times(time_s)
     _check_choices(model, start, contact=contact, rtol=rtol)
-    p, touches = parameters, touch_inputs(zones, proximal_pressure_pa, distal_pressure_pa, pressure_pa)
-    given = _vessel_pressures(p, arterial_pressure_pa, venous_pressure_pa) | touches
+    p = parameters
+    given = {
+        "arterial_pressure_pa": p.arterial_pressure_pa if arterial_pressure_pa is None else arterial_pressure_pa,
+        "venous_pressure_pa": p.venous_pressure_pa if venous_pressure_pa is None else venous_pressure_pa,
+    } | zones.named_inputs(proximal_pressure_pa, distal_pressure_pa, pressure_pa)
     waveforms = [waveform_of(name, value, time) for name, value in given.items()]
-    to_channels = partial(_to_channels, zones)
+
+    def to_channels(rows: np.ndarray) -> np.ndarray:
+        """P_H, P_L and the touch pressure on each wall, from P_H, P_L and the touch pressures."""
+        return np.vstack([rows[:2], zones.on_walls(rows[2:])])
+
     drive = Drive(waveforms, to_channels, begin_s=time[0], end_s=time[-1])
     over_time = np.array([waveform.at(time) for waveform in waveforms])
     walls = build_walls(p, zones)
-    begin = _balance(walls, to_channels(_first_pressures(waveforms, time[:1], touched=start == "steady")))
+    first = np.array([waveform.at(time[:1], before_jump=True) for waveform in waveforms])
+    if start == "untouched":
+        first[2:] = 0.0
+    high, low, *outside = to_channels(first)
+    begin = solve_walls(walls, np.array(outside), high, low)[0][:, 0]
     inputs = None if only_diameters and model == "massless" else to_channels(over_time)
     integrate: Any = massless.integrate if model == "massless" else partial(inertial.integrate, contact=contact)
-    width, *others = integrate(walls, drive, time, begin, inputs, rtol=rtol)
-    variables = _diameters(zones, width)
+    width, pressure, closed = integrate(walls, drive, time, begin, inputs, rtol=rtol)
+    n, over = zones.count, ("zone", "time")
+    data = variable("capillary_diameter_m", over, width[:n], "capillary diameter D_C + x_C", units="m")
+    data |= variable("vein_diameter_m", "time", width[n], "vein diameter D_V + x_V", units="m")
     if not only_diameters:
-        variables |= _state_variables(zones, *others) | _input_variables(zones, over_time)
-    return _dataset(variables, zones, time, {"model": model} | {f"parameter_{k}": v for k, v in p.as_dict().items()})
-
-
-def _vessel_pressures(
-    parameters: Parameters, arterial: ArrayLike | Waveform | None, venous: ArrayLike | Waveform | None
-) -> dict[str, ArrayLike | Waveform]:
-    """P_H and P_L by name; the parameters' where none is given. [Pa]"""
-    return {
-        "arterial_pressure_pa": parameters.arterial_pressure_pa if arterial is None else arterial,
-        "venous_pressure_pa": parameters.venous_pressure_pa if venous is None else venous,
-    }
-
-
-def _to_channels(zones: Zones, rows: np.ndarray) -> np.ndarray:
-    """P_H, P_L and the touch pressure on each wall, (N+3, T), from P_H, P_L and the touch pressures (2 + M, T). [Pa]"""
-    return np.vstack([rows[:2], wall_pressures(zones, rows[2:])])
-
-
-def _first_pressures(waveforms: list[Waveform], begin_s: np.ndarray, *, touched: bool) -> np.ndarray:
-    """P_H, P_L and the touch pressures before the start, (2 + M, 1) float; those of a touch are 0 without one. [Pa]"""
-    first = np.array([waveform.at(begin_s, before_jump=True) for waveform in waveforms])
-    if not touched:
-        first[2:] = 0.0
-    return first
-
-
-def _balance(walls: Walls, channels: np.ndarray) -> np.ndarray:
-    """Diameters at which the walls rest, (N+1,) float, under P_H, P_L and the pressure on each wall, (N+3, 1). [m]"""
-    high, low, *outside = channels
-    return np.asarray(solve_walls(walls, np.array(outside), high, low)[0][:, 0])
+        data |= variable("capillary_pressure_pa", over, pressure[:n], "capillary blood pressure", units="Pa")
+        data |= variable("capillary_closed", over, closed[:n], "capillary walls in contact")
+        data |= variable("vein_pressure_pa", "time", pressure[n], "vein blood pressure", units="Pa")
+        data |= variable("vein_closed", "time", closed[n], "vein walls in contact")
+        data |= _input_variables(zones, over_time)
+    return _dataset(data, zones, time, {"model": model} | {f"parameter_{k}": v for k, v in p.as_dict().items()})
 
 
 def _check_choices(model: str, start: str, *, contact: bool, rtol: float) -> None:
@@ -136,31 +124,20 @@ def _times(time_s: ArrayLike) -> np.ndarray:
     return time
 
 
-def _diameters(zones: Zones, width: np.ndarray) -> dict[str, Variable]:
-    n = zones.count
-    found = variable("capillary_diameter_m", ("zone", "time"), width[:n], "capillary diameter D_C + x_C", units="m")
-    return found | variable("vein_diameter_m", "time", width[n], "vein diameter D_V + x_V", units="m")
-
-
-def _state_variables(zones: Zones, pressure: np.ndarray, closed: np.ndarray) -> dict[str, Variable]:
-    n, over = zones.count, ("zone", "time")
-    return (
-        variable("capillary_pressure_pa", over, pressure[:n], "capillary blood pressure", units="Pa")
-        | variable("capillary_closed", over, closed[:n], "capillary walls in contact")
-        | variable("vein_pressure_pa", "time", pressure[n], "vein blood pressure", units="Pa")
-        | variable("vein_closed", "time", closed[n], "vein walls in contact")
-    )
-
-
 def _input_variables(zones: Zones, over_time: np.ndarray) -> dict[str, Variable]:
     high, low, *touch = over_time
-    found = variable("arterial_pressure_pa", "time", high, "arterial pressure P_H", units="Pa")
-    found |= variable("venous_pressure_pa", "time", low, "venous pressure P_L", units="Pa")
+    data = variable("arterial_pressure_pa", "time", high, "arterial pressure P_H", units="Pa")
+    data |= variable("venous_pressure_pa", "time", low, "venous pressure P_L", units="Pa")
     if zones.inputs != 2:
-        return found | variable("touch_pressure_pa", ("input", "time"), touch, "touch pressure inputs", units="Pa")
-    found |= variable("proximal_pressure_pa", "time", touch[0], "touch pressure on the vein P_F1", units="Pa")
+        return data | variable("touch_pressure_pa", ("input", "time"), touch, "touch pressure inputs", units="Pa")
+    return data | touch_variables(touch)
+
+
+def touch_variables(touch_pa: Sequence[np.ndarray] | np.ndarray) -> dict[str, Variable]:
+    """The proximal and the distal pressure of a touch over time."""
+    data = variable("proximal_pressure_pa", "time", touch_pa[0], "touch pressure on the vein P_F1", units="Pa")
     text = "touch pressure on the distal capillaries P_F2"
-    return found | variable("distal_pressure_pa", "time", touch[1], text, units="Pa")
+    return data | variable("distal_pressure_pa", "time", touch_pa[1], text, units="Pa")
 
 
 def _dataset(

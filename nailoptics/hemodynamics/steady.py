@@ -1,11 +1,12 @@
-"""Steady states: the diameters at which blood, wall and touch balance, for many touches at once.
+"""Steady states: the diameters at which blood, wall and touch balance, for many touches at once, and their response to
+small waves of the arterial pressure.
 
 Two nested roots, each bracketed: the pressure of the vein node, and at a given one the diameter of each unit.
 """
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,16 +14,16 @@ from numpy.typing import ArrayLike
 from ..checks import Array, finite
 from ..errors import InputError
 from .parameters import Parameters
-from .walls import CLOSED_FRACTION, Walls, build_walls
-from .zones import PAPER_ZONES, Zones
+from .touch import PAPER_ZONES, Zones
+from .walls import CLOSED_FRACTION, MasslessNetwork, Walls, build_walls
 
-Function = Callable[[Array], Array]
 Branch = Literal["wide", "narrow"]
 _BRANCHES: tuple[Branch, ...] = ("wide", "narrow")
 # Diameters over the listed ones that differ by less are the same. [1]
 _SAME = 1e-6
 # Where the pressure of the vein node is tried first, from P_L to P_H: crowded near both, where vessels shut. [1]
 _NODE_PARTS = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 12))
+_MOST_ITERATIONS = 100
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +63,6 @@ def steady_state(
     arterial_pressure_pa, venous_pressure_pa : P_H and P_L; None takes those of the parameters. [Pa]
     zones : Units along the nail and the reach of each pressure.
     pressure_pa : (M, *S) float. All touch pressures, for zones with other than two inputs. [Pa]
-
     branch : Which balance is returned where there are several: "wide", that of an untouched finger, whose vessels are
         all wider than in any other, or "narrow", whose vessels are all narrower.
 
@@ -72,20 +72,19 @@ def steady_state(
 
     Raises: InputError if a pressure is not finite, the shapes do not fit, or the branch is neither.
     """
-    if branch not in ("wide", "narrow"):
+    if branch not in _BRANCHES:
         raise InputError(f"branch must be 'wide' or 'narrow', got {branch!r}.")
     p = parameters
-    arterial_pressure_pa = p.arterial_pressure_pa if arterial_pressure_pa is None else arterial_pressure_pa
-    venous_pressure_pa = p.venous_pressure_pa if venous_pressure_pa is None else venous_pressure_pa
-    touch = touch_inputs(zones, proximal_pressure_pa, distal_pressure_pa, pressure_pa)
-    given = {"arterial_pressure_pa": arterial_pressure_pa, "venous_pressure_pa": venous_pressure_pa} | touch
-    high, low, *outer = np.broadcast_arrays(*[finite(name, value) for name, value in given.items()])
-    shape = high.shape
-    walls = build_walls(p, zones)
-    outside = wall_pressures(zones, np.array([pressure.ravel() for pressure in outer]))
+    given = {
+        "arterial_pressure_pa": p.arterial_pressure_pa if arterial_pressure_pa is None else arterial_pressure_pa,
+        "venous_pressure_pa": p.venous_pressure_pa if venous_pressure_pa is None else venous_pressure_pa,
+    } | zones.named_inputs(proximal_pressure_pa, distal_pressure_pa, pressure_pa)
+    high, low, *touch = np.broadcast_arrays(*[finite(name, value) for name, value in given.items()])
+    walls, n, shape = build_walls(p, zones), zones.count, high.shape
+    outside = zones.on_walls(np.array([pressure.ravel() for pressure in touch]))
     solved = {name: solve_walls(walls, outside, high.ravel(), low.ravel(), branch=name) for name in _BRANCHES}
-    n, (width, pressure) = zones.count, solved[branch]
-    gap = np.abs(solved["wide"][0] - solved["narrow"][0]) / np.array(walls.diameter)[:, None]
+    width, pressure = solved[branch]
+    gap = np.abs(solved["wide"][0] - solved["narrow"][0]) / walls.diameter[:, None]
     return SteadyState(
         capillary_diameter_m=width[:n].reshape((n, *shape)),
         vein_diameter_m=width[n].reshape(shape)[()],
@@ -96,24 +95,47 @@ def steady_state(
     )
 
 
-def touch_inputs(
-    zones: Zones, proximal_pressure_pa: Any, distal_pressure_pa: Any, pressure_pa: Any | None
-) -> dict[str, Any]:
-    """The value of each touch pressure that the zones take, under the name by which it was given."""
-    if pressure_pa is None:
-        if zones.inputs != 2:
-            raise InputError(f"zones take {zones.inputs} pressures, not 2; give them all in pressure_pa.")
-        return {"proximal_pressure_pa": proximal_pressure_pa, "distal_pressure_pa": distal_pressure_pa}
-    rows = pressure_pa if isinstance(pressure_pa, list | tuple) else np.atleast_1d(pressure_pa)
-    if len(rows) != zones.inputs:
-        raise InputError(f"pressure_pa must hold {zones.inputs} inputs on its first axis, got {len(rows)}.")
-    return {f"pressure_pa[{i}]": row for i, row in enumerate(rows)}
+def arterial_gain_m_per_pa(
+    parameters: Parameters, frequency_hz: ArrayLike, *, pressure_pa: ArrayLike, zones: Zones = PAPER_ZONES
+) -> np.ndarray:
+    """Change of every capillary unit's diameter with a small wave of P_H while a touch is held, (N, F) complex. [m/Pa]
+
+    frequency_hz : (F,) float, above 0. The slowest waves have the steady states' own change. [Hz]
+    pressure_pa : (M,) float. The touch pressures that are held; at P_H of the parameters. [Pa]
+    zones : Units along the nail and the reach of each pressure.
+
+    The absolute value is the amplitude of a unit's diameter over that of the wave, the angle its phase. The massless
+    network, linearised where it rests: a wall that touches does not move.
+
+    Raises: InputError for a frequency that is not positive and finite.
+    """
+    frequency = np.atleast_1d(finite("frequency_hz", frequency_hz))
+    if np.any(frequency <= 0.0):
+        raise InputError(
+            f"frequency_hz must be above 0, got {frequency.min():g}; take steady_state for a pressure held."
+        )
+    outside = zones.on_walls(np.asarray(pressure_pa, dtype=float)[:, None])
+    ends = np.array([parameters.arterial_pressure_pa]), np.array([parameters.venous_pressure_pa])
+    return linear_response(build_walls(parameters, zones), frequency, outside, *ends)[:-1]
 
 
-def wall_pressures(zones: Zones, touch_pa: np.ndarray) -> np.ndarray:
-    """The (N+1, S) touch pressure on each wall from the (M, S) inputs. [Pa]"""
-    rows = [*zones.reach, zones.vein_reach]
-    return np.array([sum(part * p for part, p in zip(row, touch_pa, strict=True)) for row in rows])
+def linear_response(
+    walls: Walls, frequency_hz: np.ndarray, outside_pa: np.ndarray, high_pa: np.ndarray, low_pa: np.ndarray
+) -> np.ndarray:
+    """Change of the diameter of every wall with a small wave of P_H, (N+1, F) complex. [m/Pa]
+
+    frequency_hz : (F,) float; 0 is a change that is held. outside_pa : (N+1, 1) float. Touch pressure on each wall.
+    high_pa, low_pa : (1,) float. P_H and P_L.
+    """
+    width, pressure = solve_walls(walls, outside_pa, high_pa, low_pa)
+    free = np.where(width > walls.with_axes(2).closed * (1.0 + 1e-9), 1.0, 0.0)
+    network = MasslessNetwork(walls, width, free)
+    diagonal, left, right = (part[:, 0] for part in network.jacobian(pressure, high_pa, low_pa))
+    # Speeds are linear in P_H.
+    by_high = network.speeds(np.zeros_like(width), 1.0, 0.0)
+    slopes, count = np.diag(diagonal) + np.outer(left, right), len(width)
+    turning = 2j * np.pi * frequency_hz[:, None, None] * np.eye(count)
+    return np.linalg.solve(turning - slopes, np.broadcast_to(by_high, (frequency_hz.size, count, 1)))[..., 0].T
 
 
 def solve_walls(
@@ -134,14 +156,10 @@ def solve_walls(
     The constants of `walls` may be arrays that broadcast to S.
     """
     # Along the last axis several pressures of the vein node are tried together.
+    walls = Walls(*(one[..., None] for one in walls.with_axes(outside.ndim).constants))
     n, (outside, high, low) = len(walls.venule), (values[..., None] for values in (outside, high, low))
-    constants = (walls.diameter, walls.stiffness, walls.area, walls.flow_factor, walls.venule)
-    one = np.ones((1,) * high.ndim)
-    rest, stiffness, area, factor, venule = (
-        np.stack([one * np.asarray(value)[..., None] for value in values]) for values in constants
-    )
-    tension = stiffness * rest / area
-    conductance = factor * rest**4
+    tension = walls.stiffness * walls.diameter / walls.area
+    conductance, venule = walls.flow_factor * walls.diameter**4, walls.venule
     barrier = venule / conductance[:n]
 
     def unit_opening(node: np.ndarray) -> np.ndarray:
@@ -171,7 +189,7 @@ def solve_walls(
     opening = unit_opening(node)
     arteriole = conductance[:n] * opening**4
     pressure = (arteriole * high + venule * node) / (arteriole + venule)
-    width = np.concatenate([opening, vein_opening(node)[None]]) * rest
+    width = np.concatenate([opening, vein_opening(node)[None]]) * walls.diameter
     return width[..., 0], np.concatenate([pressure, node[None]])[..., 0]
 
 
@@ -191,17 +209,10 @@ def _openings(
     barrier : R_A0/R_Vi, the capillary's resistance at its listed diameter over its venule's. [1]
     """
     tension, barrier, push, head = np.broadcast_arrays(tension, barrier, push, head)
-
     feedback = 4.0 * head * barrier
 
-    def balance(u: np.ndarray) -> np.ndarray:
-        u4 = u**4
-        return np.asarray(tension * (u - 1.0) - push - head * u4 / (u4 + barrier))
-
-    def balance_slope(u: np.ndarray) -> np.ndarray:
-        return np.asarray(tension - feedback * u**3 / (u**4 + barrier) ** 2)
-
-    def both(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def balance(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The wall's tension less what opens it, and its slope."""
         u4 = u**4
         below = u4 + barrier
         return tension * (u - 1.0) - push - head * u4 / below, tension - feedback * u**3 / below**2
@@ -213,22 +224,22 @@ def _openings(
     # lies right of the minimum of the balance, which lies right of the feedback's steepest point, u^4 = 3/5 barrier,
     # the narrowest left of the maximum, which lies left of it.
     steepest = (0.6 * barrier) ** 0.25
-    folded = balance_slope(steepest) < 0.0
+    folded = balance(steepest)[1] < 0.0
     if folded.any():
         with np.errstate(over="ignore"):
             far = np.maximum(steepest, top) + 1.0
             if branch == "wide":
-                turn = _bracketed_root(balance_slope, steepest, far, tolerance=tolerance * far)
-                exists = folded & (turn < top) & (balance(turn) <= 0.0)
+                turn = _bracketed_root(lambda u: balance(u)[1], steepest, far, tolerance=tolerance * far)
+                exists = folded & (turn < top) & (balance(turn)[0] <= 0.0)
                 bottom = np.where(exists, np.maximum(bottom, turn), bottom)
                 top = np.where(folded & ~exists, np.clip(steepest, bottom, top), top)
             else:
-                turn = _bracketed_root(lambda u: -balance_slope(u), 0.0 * far, steepest, tolerance=tolerance * far)
+                turn = _bracketed_root(lambda u: -balance(u)[1], 0.0 * far, steepest, tolerance=tolerance * far)
                 turn = np.maximum(turn, lowest)
-                exists = folded & (balance(turn) >= 0.0)
+                exists = folded & (balance(turn)[0] >= 0.0)
                 top = np.where(exists, np.clip(turn, bottom, top), top)
                 bottom = np.where(folded & ~exists, np.clip(steepest, bottom, top), bottom)
-    return _newton_root(both, bottom, top, tolerance=tolerance * top)
+    return _newton_root(balance, bottom, top, tolerance=tolerance * top)
 
 
 def _newton_root(
@@ -240,7 +251,7 @@ def _newton_root(
     """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         first, x, at_low = low, high, function(low)[0] >= 0.0
-        for _ in range(100):
+        for _ in range(_MOST_ITERATIONS):
             value, slope = function(x)
             low, high = np.where(value <= 0.0, x, low), np.where(value > 0.0, x, high)
             newton = x - value / slope
@@ -250,19 +261,19 @@ def _newton_root(
     return np.where(at_low, first, x)
 
 
-def _bracketed_root(function: Function, low: Array, high: Array, *, tolerance: Array) -> Array:
+def _bracketed_root(function: Callable[[Array], Array], low: Array, high: Array, *, tolerance: Array) -> Array:
     """A root of each component of a function that is <= 0 at low and >= 0 at high, by Chandrupatla's method.
 
-    Where the function is positive at low (or negative at high) already, that end is returned.
+    Where the function is positive at low (or negative at high) already, that end is returned. Of scipy,
+    `optimize.elementwise.find_root` is the same method, but its overhead is several times this search.
 
     References: Chandrupatla 1997, Adv. Eng. Software 28:145.
     """
     a, b = high.astype(float), low.astype(float)
     fa, fb = function(a), function(b)
     at_low, at_high = fb >= 0.0, fa <= 0.0
-    c, fc = a.copy(), fa.copy()
-    part = np.full(a.shape, 0.5)
-    for _ in range(100):
+    c, fc, part = a, fa, np.full(a.shape, 0.5)
+    for _ in range(_MOST_ITERATIONS):
         x = a + part * (b - a)
         fx = function(x)
         same = np.sign(fx) == np.sign(fa)
@@ -276,8 +287,7 @@ def _bracketed_root(function: Function, low: Array, high: Array, *, tolerance: A
         if done.all():
             break
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            xi = (a - b) / (c - b)
-            phi = (fa - fb) / (fc - fb)
+            xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)
             quadratic = (phi**2 < xi) & ((1.0 - phi) ** 2 < 1.0 - xi)
             guess = fa / (fb - fa) * fc / (fb - fc) + (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)
             smallest = tolerance / width

@@ -10,8 +10,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..hemodynamics.contact import creeping_pressure, pressures
-from ..hemodynamics.zones import zones
+from ..hemodynamics.touch import creeping_pressure, pressures, zones
 from ..scene.base import USUAL_DECAY_LENGTH
 
 # 1 N/cm^2, the paper's unit of pressure. [Pa]

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike
 
 from ..hemodynamics.parameters import Parameters
 from ..hemodynamics.respond import respond
-from ..hemodynamics.steady import solve_walls, steady_state, wall_pressures
-from ..hemodynamics.stepping import step
+from ..hemodynamics.rosenbrock import step
+from ..hemodynamics.steady import solve_walls, steady_state
+from ..hemodynamics.touch import PAPER_ZONES, Zones
 from ..hemodynamics.walls import Walls, build_walls
-from ..hemodynamics.zones import PAPER_ZONES, Zones
 from .protocols import CURVE_PA, FINGER_ZONES, N_PER_CM2, PHASE_S, Protocol, cycle, one_sided, press, steps
 
 # Steady widths from the (S,) proximal and distal pressures, and widths over time from a touch: (N+1, *B, S) or
@@ -87,7 +87,7 @@ def simulate_responses_of_many(values: dict[str, np.ndarray]) -> Responses:
     high, low = columns["arterial_pressure_pa"], columns["venous_pressure_pa"]
 
     def steady(proximal: np.ndarray, distal: np.ndarray, zones: Zones) -> np.ndarray:
-        outside = wall_pressures(zones, np.stack([proximal, distal]))[:, None]
+        outside = zones.on_walls(np.stack([proximal, distal]))[:, None]
         each = np.broadcast_shapes(high.shape, outside.shape[1:])
         pressures = np.broadcast_to(high, each), np.broadcast_to(low, each)
         return solve_walls(build_walls(given, zones), outside, *pressures, tolerance=1e-9)[0]
@@ -95,7 +95,7 @@ def simulate_responses_of_many(values: dict[str, np.ndarray]) -> Responses:
     def follow_all(touch: Protocol, zones: Zones) -> np.ndarray:
         none = np.zeros(touch.proximal_pa.shape[0])
         rest = steady(none[:1], none[:1], zones).repeat(none.size, axis=-1)
-        outside = wall_pressures(zones, np.stack([touch.proximal_pa, touch.distal_pa]))[:, None]
+        outside = zones.on_walls(np.stack([touch.proximal_pa, touch.distal_pa]))[:, None]
         return _march(build_walls(given, zones), rest, touch.time_s, outside, high, low)
 
     return _responses(steady, follow_all)

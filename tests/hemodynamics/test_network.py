@@ -5,7 +5,7 @@ import pytest
 from printed_equations import coefficients, resistances, state_matrices
 
 from nailoptics.hemodynamics import PAPER_ZONES, parameters, steady_state, zones
-from nailoptics.hemodynamics.walls import build_walls, inertial_pressures, massless_jacobian, massless_rates
+from nailoptics.hemodynamics.walls import MasslessNetwork, build_walls, inertial_pressures
 
 
 def kirchhoff(arteriole, venule, vein, injected, high, low):
@@ -77,37 +77,36 @@ def test_eliminations_agree_with_kirchhoff_for_any_number_of_units(count):
     walls = build_walls(parameters("listed"), zones(count, decay_length=0.3))
     n = count + 1
     for _ in range(100):
-        width = np.array(walls.diameter) * 10.0 ** rng.uniform(-1, 0.5, n)  # narrower, the direct solution loses digits
+        width = walls.diameter * 10.0 ** rng.uniform(-1, 0.5, n)  # narrower, the direct solution loses digits
         high, low = rng.uniform(0, 2e4, 2)
-        resistance = 1 / (np.array(walls.flow_factor) * width**4)
-        network = (resistance[:-1], 1 / np.array(walls.venule), resistance[-1])
+        resistance = 1 / (walls.flow_factor * width**4)
+        network = (resistance[:-1], 1 / walls.venule, resistance[-1])
         speed = rng.normal(0, 1e-5, n)
-        direct = kirchhoff(*network, -np.array(walls.area) * speed, high, low)
+        direct = kirchhoff(*network, -walls.area * speed, high, low)
         assert np.allclose(inertial_pressures(walls, width, speed, high, low), direct, rtol=1e-9, atol=1e-6)
 
-        load = np.array(walls.area) * rng.uniform(-1e4, 2e4, n)
+        load = walls.area * rng.uniform(-1e4, 2e4, n)
         free = np.where(rng.random(n) < 0.7, 1.0, 0.0)
-        pressure, speed = massless_rates(walls, width, load, free, high, low)
-        assert np.allclose(
-            pressure, kirchhoff(*network, -np.array(walls.area) * speed, high, low), rtol=1e-9, atol=1e-6
-        )
-        force = np.array(walls.area) * pressure - load
-        assert np.allclose(np.array(walls.damping) * speed, force * free, rtol=1e-9)
+        pressure, speed = MasslessNetwork(walls, width, free).rates(load, high, low)
+        assert np.allclose(pressure, kirchhoff(*network, -walls.area * speed, high, low), rtol=1e-9, atol=1e-6)
+        force = walls.area * pressure - load
+        assert np.allclose(walls.damping * speed, force * free, rtol=1e-9)
 
 
 def test_jacobian_agrees_with_finite_differences():
     rng = np.random.default_rng(5)
     walls = build_walls(parameters("figures"), PAPER_ZONES)
-    rest, stiffness = np.array(walls.diameter), np.array(walls.stiffness)
-    outside = np.array(walls.area) * rng.uniform(0, 1e4, 3)
+    rest, stiffness = walls.diameter, walls.stiffness
+    outside = walls.area * rng.uniform(0, 1e4, 3)
 
     def speed(width, free):
-        return np.array(massless_rates(walls, width, outside + stiffness * (width - rest), free, 1e4, 0.0)[1])
+        return MasslessNetwork(walls, width, free).speeds(outside + stiffness * (width - rest), 1e4, 0.0)
 
-    for free in ([1.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]):
+    for free in np.array([[1.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]]):
         width = rest * rng.uniform(0.3, 2.0, 3)
-        pressure = massless_rates(walls, width, outside + stiffness * (width - rest), free, 1e4, 0.0)[0]
-        diagonal, left, right = massless_jacobian(walls, width, free, pressure, 1e4, 0.0)
+        network = MasslessNetwork(walls, width, free)
+        pressure = network.rates(outside + stiffness * (width - rest), 1e4, 0.0)[0]
+        diagonal, left, right = network.jacobian(pressure, 1e4, 0.0)
         exact = np.diag(diagonal) + np.outer(left, right)
         step = 1e-5 * rest
         numeric = np.column_stack(
@@ -121,11 +120,11 @@ def test_massless_speeds_solve_the_printed_equations_without_mass():
     p = parameters("listed")
     walls = build_walls(p, PAPER_ZONES)
     width = np.array([1.3e-5, 0.8e-5, 1.7e-4])
-    stretch = width - np.array(walls.diameter)
+    stretch = width - walls.diameter
     inputs = np.array([1e4, 200.0, 3e3, 5e3])
     a, b = state_matrices(p, width)
-    load = np.array(walls.area) * [0.0, 5e3, 3e3] + np.array(walls.stiffness) * stretch
-    _, speed = massless_rates(walls, width, load, [1.0] * 3, 1e4, 200.0)
+    load = walls.area * [0.0, 5e3, 3e3] + walls.stiffness * stretch
+    speed = MasslessNetwork(walls, width, np.ones(3)).speeds(load, 1e4, 200.0)
     acceleration = (a @ np.concatenate([stretch, speed]) + b @ inputs)[3:]
     largest = np.abs(a[3:, 3:] @ speed).max()
     assert np.abs(acceleration).max() < 1e-12 * largest

@@ -6,7 +6,7 @@ import pytest
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import NAMES, Parameters, bounds, parameters, zones
-from nailoptics.hemodynamics.zones import Zones
+from nailoptics.hemodynamics.touch import Zones
 
 
 def test_listed_set_holds_the_values_of_the_paper():

@@ -18,8 +18,7 @@ from nailoptics.hemodynamics import (
     steady_state,
     zones,
 )
-from nailoptics.hemodynamics.steady import wall_pressures
-from nailoptics.hemodynamics.walls import build_walls, massless_rates
+from nailoptics.hemodynamics.walls import MasslessNetwork, build_walls
 
 TIME = np.arange(0.0, 4.0, 1e-3)
 
@@ -84,21 +83,24 @@ def test_tightening_the_tolerance_converges_in_proportion(touch):
 
 
 def test_one_step_has_the_order_of_the_method():
-    from nailoptics.hemodynamics import rodas
+    from nailoptics.hemodynamics.rosenbrock import RODAS, RODAS_CURVE, combine, interpolate, solver, stages
 
     # y' = -y^2 + t, as diag(d) + outer(p, q); local error of an order-4 method falls with h^5.
     def error(step_s):
-        middle, after, estimate, first, second = rodas.step(
-            lambda instant, state: [-(state[0] ** 2) + rodas.INSTANTS[instant] * step_s],
-            state=[1.0],
-            slope_in_time=[1.0],
-            jacobian=([-1.0], [-0.5], [2.0]),
+        jacobian = np.array([-1.0]), np.array([-0.5]), np.array([2.0])
+        done = stages(
+            RODAS,
+            lambda part, state: -(state**2) + part * step_s,
+            np.array([1.0]),
+            slope_in_time=np.array([1.0]),
+            solve=solver(jacobian, 1.0 / (RODAS.gamma * step_s)),
             step_s=step_s,
         )
+        after, estimate = combine(1.0, RODAS.result, done), done[-1]
+        middle = interpolate(1.0, after, *(combine(0.0, factors, done) for factors in RODAS_CURVE), 0.5)
         exact = solve_ivp(
             lambda t, y: -(y**2) + t, (0, step_s), [1.0], "DOP853", rtol=1e-13, atol=1e-15, t_eval=[step_s / 2, step_s]
         )
-        assert middle[0] == rodas.interpolate(1.0, after[0], first[0], second[0], 0.5)
         return abs(after[0] - exact.y[0, 1]), abs(estimate[0]), abs(middle[0] - exact.y[0, 0])
 
     steps = np.array([0.05, 0.025, 0.0125])
@@ -118,16 +120,14 @@ def energy(p, run):
     closed = np.vstack([run["capillary_closed"].values, run["vein_closed"].values])
     high, low = run["arterial_pressure_pa"].values, run["venous_pressure_pa"].values
     touch = np.vstack([run["proximal_pressure_pa"].values, run["distal_pressure_pa"].values])
-    outside = wall_pressures(PAPER_ZONES, touch)
+    outside = PAPER_ZONES.on_walls(touch)
     area, damping, stiffness, listed, factor = (
-        np.array(values)[:, None]
-        for values in (walls.area, walls.damping, walls.stiffness, walls.diameter, walls.flow_factor)
+        values[:, None] for values in (walls.area, walls.damping, walls.stiffness, walls.diameter, walls.flow_factor)
     )
     stretch = width - listed
     load = area * outside + stiffness * stretch
-    pressures, speeds = massless_rates(walls, list(width), list(load), list(np.where(closed, 0.0, 1.0)), high, low)
-    pressure, speed, conductance = np.array(pressures), np.array(speeds), factor * width**4
-    venule = np.array(walls.venule)[:, None]
+    pressure, speed = MasslessNetwork(walls, width, np.where(closed, 0.0, 1.0)).rates(load, high, low)
+    conductance, venule = factor * width**4, walls.venule[:, None]
     entering = (high - pressure[:2]) * conductance[:2]
     leaving = (pressure[2] - low) * conductance[2]
     work = high * entering.sum(axis=0) - low * leaving - (outside * area * speed).sum(axis=0)

@@ -115,20 +115,20 @@ def test_zones_with_other_inputs_take_all_pressures_together():
 def unbalanced(p, touch, branch="wide"):
     """Largest force that would still move a free wall, over that of the arterial pressure. [1]"""
     from nailoptics.hemodynamics import PAPER_ZONES
-    from nailoptics.hemodynamics.walls import build_walls, massless_rates
+    from nailoptics.hemodynamics.walls import MasslessNetwork, build_walls
 
     s = steady_state(p, proximal_pressure_pa=touch[0], distal_pressure_pa=touch[1], branch=branch)
     walls = build_walls(p, PAPER_ZONES)
     width = np.vstack([s.capillary_diameter_m, s.vein_diameter_m[None]])
     area, stiffness, rest, closed, damping = (
-        np.array(v)[:, None] for v in (walls.area, walls.stiffness, walls.diameter, walls.closed, walls.damping)
+        v[:, None] for v in (walls.area, walls.stiffness, walls.diameter, walls.closed, walls.damping)
     )
     free = np.where(width <= closed * (1 + 1e-12), 0.0, 1.0)
     load = area * np.stack([0.0 * touch[0], touch[1], touch[0]]) + stiffness * (width - rest)
-    pressure, speed = massless_rates(walls, list(width), list(load), list(free), 1e4, 0.0)
-    lift = area * np.array(pressure) - load
+    pressure, speed = MasslessNetwork(walls, width, free).rates(load, 1e4, 0.0)
+    lift = area * pressure - load
     assert np.all(lift[free == 0.0] <= 1e-9 * area.max() * 1e4)  # what is closed is pressed shut
-    return np.max(np.abs(np.array(speed)) * damping / (area * 1e4))
+    return np.max(np.abs(speed) * damping / (area * 1e4))
 
 
 @pytest.mark.parametrize("feedback", [pytest.param(1.0, marks=pytest.mark.long), 100.0])

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from nailoptics import hemodynamics
-from nailoptics.hemodynamics.stepping import step
-from nailoptics.hemodynamics.walls import build_walls, massless_jacobian, massless_rates
-from nailoptics.hemodynamics.zones import PAPER_ZONES, Zones
+from nailoptics.hemodynamics.rosenbrock import step
+from nailoptics.hemodynamics.touch import PAPER_ZONES
+from nailoptics.hemodynamics.walls import Walls, build_walls
 
 TIME_S = np.arange(0.0, 3.0, 0.01)
 
@@ -39,31 +39,12 @@ def test_many_networks_step_as_each_alone() -> None:
     rest = [hemodynamics.steady_state(one) for one in sets]
     widths = np.transpose([np.append(one.capillary_diameter_m, one.vein_diameter_m) for one in rest])
     each = [build_walls(one, PAPER_ZONES) for one in sets]
-    many = type(each[0])(
-        **{name: tuple(np.array(column) for column in zip(*(getattr(w, name) for w in each), strict=True))
-           for name in vars(each[0])}
-    )  # fmt: skip
+    many = Walls(*(np.stack(columns, axis=1) for columns in zip(*(one.constants for one in each), strict=True)))
     outside = np.repeat(np.array([[0.0], [3e3], [5e3]]), len(sets), axis=1)
     together = step(many, widths, outside, 1e4, 0.0, step_s=0.01)
     for k, walls in enumerate(each):
         alone = step(walls, widths[:, k], outside[:, k], 1e4, 0.0, step_s=0.01)
         np.testing.assert_array_equal(together[:, k], alone)
-
-
-@pytest.mark.parametrize("share", [(1.0, 1.0), (0.1, 0.2, 0.3, 0.6, 0.8)])
-def test_stacked_walls_have_the_bits_of_walls_one_by_one(share: tuple[float, ...]) -> None:
-    zones, count = Zones(share=share, reach=((1.0,),) * len(share), vein_reach=(1.0,)), len(share)
-    walls, draw = build_walls(hemodynamics.parameters("best"), zones), np.random.default_rng(1)
-    listed = np.array(walls.diameter)[:, None]
-    width, load = listed * draw.uniform(0.1, 1.2, (count + 1, 40)), draw.normal(0, 1e-2, (count + 1, 40))
-    free, high = draw.integers(0, 2, (count + 1, 40)).astype(float), draw.uniform(5e3, 2e4, 40)
-    stacked = walls.stacked(2)
-    rates = [massless_rates(w, width, load, free, high, 500.0) for w in (walls, stacked)]
-    jacobians = [massless_jacobian(w, width, free, rates[0][0], high, 500.0) for w in (walls, stacked)]
-    for one_by_one, at_once in (rates, jacobians):
-        for a, b in zip(one_by_one, at_once, strict=True):
-            assert np.ptp(b[:, :1] - b) > 0
-            np.testing.assert_array_equal(np.array(a), b)
 
 
 def test_steps_far_longer_than_a_wall_takes_end_in_the_steady_state() -> None:

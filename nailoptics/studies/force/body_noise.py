@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from ...errors import InputError
-from ...hemodynamics.arterial_gain import linear_response
 from ...hemodynamics.beat_detection import beats_per_second
+from ...hemodynamics.steady import linear_response
 from ...hemodynamics.waves import HARMONIC_BAND, WAVES, CardiacOscillator, DampedOscillator, resolved_harmonics
 from ...scene.importers.sensor_recordings import Recording
 from .person import Person, widths_over

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from ...hemodynamics import creeping_pressure, spreading_pressure
 from ...hemodynamics.parameters import Parameters
+from ...hemodynamics.rosenbrock import step
 from ...hemodynamics.steady import solve_walls
-from ...hemodynamics.stepping import step
+from ...hemodynamics.touch import PAPER_ZONES
 from ...hemodynamics.walls import Walls, build_walls
-from ...hemodynamics.zones import PAPER_ZONES
 
 Array = NDArray[np.float64]
 

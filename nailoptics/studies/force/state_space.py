@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from ...hemodynamics.stepping import step
+from ...hemodynamics.rosenbrock import step
 from ...hemodynamics.waves import CardiacOscillator, DampedOscillator
 from .person import NAMES, Person, PulsatileGain, touch_on_walls, vessel_closure
 from .reading_table import ReadingTable
