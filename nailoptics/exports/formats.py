@@ -1,66 +1,36 @@
 """Export a scene: the one table of formats that other programs read."""
 
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 from ..errors import InputError
-from ..io import check_writable, make_folder
+from ..io import check_writable
 from ..scene import Scene
 
 FormatName = Literal["glb", "ply", "mmc", "mcx", "mitsuba"]
 
 
-@dataclass(frozen=True)
-class Format:
+class Format(NamedTuple):
     """How a scene is written for other programs.
 
-    what : in a few words.
-    write : writes a scene to a path and returns the files by what they are.
-    folder : whether the path is a folder.
+    what : in a few words. module, write : the function that writes a scene to a path and returns the files by what
+    they are. folder : whether the path is a folder.
     """
 
     what: str
-    write: Callable[..., dict[str, Path]]
+    module: str
+    write: str
     folder: bool = True
 
 
-def _mesh(scene: Scene, path: Path) -> dict[str, Path]:
-    from ..geometry import build
-    from .carried import checked_finger
-    from .mesh_files import export_mesh
-
-    mesh = build(checked_finger(scene))
-    make_folder(path.parent)
-    return {"mesh": export_mesh(mesh, path)}
-
-
-def _mmc(scene: Scene, path: Path) -> dict[str, Path]:
-    from .mmc import write_mmc
-
-    return write_mmc(scene, path)
-
-
-def _mcx(scene: Scene, path: Path, *, voxel_mm: float | None = None) -> dict[str, Path]:
-    from .mcx import USUAL_VOXEL_MM, write_mcx
-
-    return write_mcx(scene, path, voxel_mm=USUAL_VOXEL_MM if voxel_mm is None else voxel_mm)
-
-
-def _mitsuba(scene: Scene, path: Path) -> dict[str, Path]:
-    from .mitsuba_files import write_mitsuba
-
-    return write_mitsuba(scene, path)
-
-
 FORMATS: dict[FormatName, Format] = {
-    "glb": Format("a mesh with one named part per region, for viewers and CAD", _mesh, folder=False),
-    "ply": Format("a mesh of the interfaces, with the regions on both sides of each face", _mesh, folder=False),
-    "mmc": Format("tetrahedra, media, source and detectors for MMC and pmmc", _mmc),
-    "mcx": Format("labelled voxels, media, source and detectors for MCX and pmcx", _mcx),
-    "mitsuba": Format("XML and meshes that plain Mitsuba renders", _mitsuba),
+    "glb": Format("a mesh with one named part per region, for viewers and CAD", "mesh_files", "write_mesh", False),
+    "ply": Format("a mesh of the interfaces, with the regions beside each face", "mesh_files", "write_mesh", False),
+    "mmc": Format("tetrahedra, media, source and detectors for MMC and pmmc", "mmc", "write_mmc"),
+    "mcx": Format("labelled voxels, media, source and detectors for MCX and pmcx", "mcx", "write_mcx"),
+    "mitsuba": Format("XML and meshes that plain Mitsuba renders", "mitsuba_files", "write_mitsuba"),
 }
 """Formats by name, as `nailoptics export --format` knows them."""
 
@@ -95,4 +65,11 @@ def export(
     if chosen.folder and os.path.exists(path) and not os.path.isdir(path):
         raise InputError(f"{path}: is a file where format {name} makes a folder; choose another name.")
     check_writable(path if chosen.folder else path.parent, *([] if chosen.folder else [path.name]))
-    return chosen.write(scene, path, **({} if voxel_mm is None else {"voxel_mm": voxel_mm}))
+    if scene.finger is None:
+        raise InputError(
+            "export: a phantom is laterally infinite and has no mesh; export a scene with [finger], or give its layers "
+            "to the other program by hand."
+        )
+    write = getattr(import_module(f".{chosen.module}", __package__), chosen.write)
+    paths: dict[str, Path] = write(scene, path, **({} if voxel_mm is None else {"voxel_mm": voxel_mm}))
+    return paths

@@ -1,32 +1,31 @@
 """A finger for MCX, the voxel Monte Carlo: label volume, sessions with media, source and detectors, and a runner."""
 
-import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..geometry import Geometry, build
-from ..io import make_folder, write_bytes, write_text
+from ..errors import InputError
+from ..geometry import Face, Geometry, build
+from ..geometry.grid import Array
 from ..light import optics
-from ..scene import Scene, to_toml
+from ..scene import Scene
 from ..scene.rectangles import turned
-from .carried import (
-    Lost,
+from .compatibility import (
     absorber_of,
     as_seen,
-    checked_finger,
+    compatibility,
     epoxy_index,
-    lost_everywhere,
-    lost_reflection,
-    lost_refraction,
+    led_file,
     media_table,
-    page,
+    medium,
+    session_of,
+    write_folder,
 )
-from .voxels import DIE_BACK, Voxels, voxels
+from .run_session import MCX_PHOTONS
 
 USUAL_VOXEL_MM = 0.1
-PHOTONS = 10_000_000
 LABELS = "labels.bin"
 # Light that has wandered for so long has been absorbed. [s]
 LONGEST_S = 1e-8
@@ -35,25 +34,108 @@ LONGEST_S = 1e-8
 INDEX_STEP = 1e-5
 # Detectors reach so much beyond the corners of their photodiode. [voxels]
 AROUND = 3.0
+# A die's face is moved back by so much of a voxel, so that whatever starts on its true plane starts in the epoxy: half
+# the diagonal of a voxel is 0.87 of its side. Faces are backed by so many voxels, as the film may be thinner than one.
+DIE_BACK, FACE_DEPTH = 0.87, 3.0
+# Voxels whose middle lies on the edge between two quads of a face, but for rounding, belong to it. [voxels]
+EDGE = 1e-6
+MOST_VOXELS = 200_000_000
+
+
+@dataclass(frozen=True)
+class Voxels:
+    """Cubes of one region each, x first.
+
+    region : (nx, ny, nz) int. As the geometry counts them; air around the finger.
+    origin_mm : (3,) float. Lowest corner. [mm]
+    side_mm : Side of a voxel. [mm]
+    """
+
+    region: np.ndarray
+    origin_mm: Array
+    side_mm: float
+
+    def place(self, points_mm: Array) -> Array:
+        """Points in voxels from the lowest corner, as the voxels' own program counts them."""
+        return np.asarray((points_mm - self.origin_mm) / self.side_mm)
+
+    def at(self, points_mm: Array) -> np.ndarray:
+        """Region of the voxel that each point (n, 3) lies in, (n,) int; the points must be inside."""
+        return np.asarray(self.region[tuple(np.floor(self.place(points_mm)).astype(int).T)])
+
+    def area_mm2(self, one: int, other: int) -> float:
+        """Area of the staircase between two regions. [mm^2]"""
+        faces = 0
+        for axis in range(3):
+            a, b = np.moveaxis(self.region, axis, 0)[:-1], np.moveaxis(self.region, axis, 0)[1:]
+            faces += int(np.count_nonzero((a == one) & (b == other)) + np.count_nonzero((a == other) & (b == one)))
+        return faces * self.side_mm**2
+
+
+def voxels(geometry: Geometry, side_mm: float) -> Voxels:
+    """Cut a geometry into voxels, each of the region at its middle; the faces of dies and photodiodes are kept whole.
+
+    Raises: InputError where that would be too many, or too few for the plate.
+    """
+    low, high = geometry.bounds_mm + [[-1.5 * side_mm], [1.5 * side_mm]]
+    count = np.ceil((high - low) / side_mm).astype(int) if 0 < side_mm < np.inf else np.zeros(3, int)
+    if not 0.01 <= side_mm <= 0.5 or np.prod(count.astype(float)) > MOST_VOXELS:
+        raise InputError(
+            f"voxel_mm = {side_mm:g}: must be between 0.01 and 0.5, and the finger at most {MOST_VOXELS:.0e} voxels."
+        )
+    x, y, z = (low[k] + side_mm * (np.arange(count[k]) + 0.5) for k in range(3))
+    places = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+    region = geometry.columns(places, z).reshape(count)
+    made = Voxels(region, low, side_mm)
+    for face in geometry.photodiodes:
+        # Where it is, as all that is opaque beside it: in a recess it would lie in its neighbours' shadow.
+        _paint(made, face, geometry.regions.index("epoxy"), back=0.0, beside=EDGE)
+    for face in geometry.leds:
+        _paint(made, face, geometry.regions.index("epoxy"), back=DIE_BACK, beside=DIE_BACK)
+    return made
+
+
+def _paint(made: Voxels, face: Face, epoxy: int, *, back: float, beside: float) -> None:
+    """Put epoxy before a part's face and the part in whole voxels behind it.
+
+    back : how far the face lies behind its true plane. [voxels]
+    beside : how far the epoxy reaches beyond the face's edges. [voxels]
+    """
+    for quad, normal in zip(face.quads, face.normal, strict=True):
+        reach = (FACE_DEPTH + 1) * made.side_mm
+        first = np.floor(made.place(quad.min(axis=0) - reach)).astype(int).clip(0)
+        last = np.ceil(made.place(quad.max(axis=0) + reach)).astype(int)
+        own = made.region[tuple(slice(a, b) for a, b in zip(first, last, strict=True))]
+        offset = made.origin_mm + made.side_mm * (np.moveaxis(np.indices(own.shape), 0, -1) + first + 0.5) - quad[0]
+        over = []
+        for side in (quad[1] - quad[0], quad[3] - quad[0]):
+            length = float(np.linalg.norm(side))
+            along = offset @ side / length
+            over.append(np.maximum(-along, along - length) / made.side_mm)
+        out, behind = np.maximum(*over), -(offset @ normal) / made.side_mm
+        own[(out < beside) & (behind >= -1) & (behind < back)] = epoxy
+        own[(out < EDGE) & (behind >= back) & (behind < back + FACE_DEPTH)] = face.region
 
 
 def write_mcx(scene: Scene, folder: Path, *, voxel_mm: float = USUAL_VOXEL_MM) -> dict[str, Path]:
     """Write labels, a session for each LED, a runner and a README to a folder; returns their paths by what they are."""
-    seen = as_seen(checked_finger(scene), reflecting=False)
+    seen = as_seen(scene, reflecting=False)
     geometry = build(seen)
     made = voxels(geometry, voxel_mm)
-    make_folder(folder)
-    paths = {"readme": folder / "README.md", "run": folder / "run_pmcx.py", "scene": folder / "scene.toml"}
-    paths["labels"] = folder / LABELS
-    write_bytes(paths["labels"], labels(seen, geometry, made).tobytes(order="F"))
-    for i, led in enumerate(seen.leds):
-        paths[f"led_{i + 1}"] = folder / f"{i + 1}_{led.name}.json"
-        write_text(paths[f"led_{i + 1}"], json.dumps(mcx_session(seen, geometry, made, i), indent=1))
-    write_text(paths["run"], Path(__file__).with_name("run_pmcx.py").read_text(encoding="utf-8"))
-    write_text(paths["scene"], to_toml(seen))
-    sessions = [path.name for name, path in paths.items() if name.startswith("led_")]
-    write_text(paths["readme"], _readme(scene, geometry, made, sessions))
-    return paths
+    sessions = {led_file(seen, i, ".json"): mcx_session(seen, geometry, made, i) for i in range(len(seen.leds))}
+    cubes = f"cubes of {made.side_mm:g} mm: faces lie along the axes, with more area and other normals (table above)"
+    behind = f"shine from there; swallow light {DIE_BACK * made.side_mm:.3f} mm or more behind"
+    own = [
+        ("shape", "tetrahedra that conform to the interfaces", cubes),
+        ("emission of the LEDs", "Lambertian, from the whole die", "the same: planar, focal length -inf"),
+        ("faces of dies", "where they are", behind),
+        ("faces of photodiodes", "where they are", "in whole voxels as all faces; their edges are exact"),
+    ]
+    rows, text = compatibility(scene, geometry, own=own), _readme(scene, geometry, made, [*sessions])
+    binary = {LABELS: labels(seen, geometry, made).tobytes(order="F")}
+    return write_folder(
+        folder, seen, sessions, title="For MCX", text=text, rows=rows, runner="run_pmcx.py", binary=binary
+    )
 
 
 def labels(scene: Scene, geometry: Geometry, made: Voxels) -> np.ndarray:
@@ -84,7 +166,7 @@ def mcx_session(scene: Scene, geometry: Geometry, made: Voxels, led: int) -> dic
     rows = [[0.0, 0.0, 1.0, opaque_index], *media_table(scene, geometry, led).tolist()]
     rows.append([0.0, 0.0, 1.0, 1.0])
     return {
-        "Session": {"ID": f"{led + 1}_{own.name}", "Photons": PHOTONS, "RNGSeed": 1, "DoMismatch": 1}
+        "Session": {"ID": led_file(scene, led, ""), "Photons": MCX_PHOTONS, "RNGSeed": 1, "DoMismatch": 1}
         # Photons leave the box of voxels without reflection.
         | {"BCFlags": "aaaaaa", "DoPartialPath": 1, "SaveDataMask": "DPXV", "DoSaveVolume": 0},
         "Forward": {"T0": 0.0, "T1": LONGEST_S, "Dt": LONGEST_S},
@@ -105,17 +187,14 @@ def mcx_session(scene: Scene, geometry: Geometry, made: Voxels, led: int) -> dic
             "OriginType": 1,
             "LengthUnit": made.side_mm,
             "MediaFormat": "byte",
-            "Media": [dict(zip(("mua", "mus", "g", "n"), row, strict=True)) for row in rows],
+            "Media": [medium(row) for row in rows],
         },
-        "nailoptics": {
-            "led": led,
-            "wavelength_nm": wavelength,
-            "origin_mm": made.origin_mm.tolist(),
-            "absorbers": list(optics.absorbers(scene)),
-            "photodiodes": [face.name for face in geometry.photodiodes],
-            "photodiode_quads": [made.place(face.quads).tolist() for face in geometry.photodiodes],
-            "scene": to_toml(scene),
-        },
+        "nailoptics": session_of(
+            scene,
+            led,
+            origin_mm=made.origin_mm.tolist(),
+            photodiode_quads=[made.place(face.quads).tolist() for face in geometry.photodiodes],
+        ),
     }
 
 
@@ -138,24 +217,10 @@ def staircase(geometry: Geometry, made: Voxels) -> list[str]:
     return lines + [f"| {name} | {a:.4g} {unit} | {b:.4g} {unit} | {b / a - 1:+.1%} |" for name, a, b, unit in rows]
 
 
-def _lost(scene: Scene, geometry: Geometry, made: Voxels) -> list[Lost]:
-    there = f"cubes of {made.side_mm:g} mm: faces lie along the axes, with more area and other normals (table above)"
-    behind = DIE_BACK * made.side_mm
-    return [
-        Lost("shape", "tetrahedra that conform to the interfaces", there),
-        Lost("emission of the LEDs", "Lambertian, from the whole die", "the same: planar, focal length -inf"),
-        Lost("faces of dies", "where they are", f"shine from there; swallow light {behind:.3f} mm or more behind"),
-        Lost("faces of photodiodes", "where they are", "in whole voxels as all faces; their edges are exact"),
-        *lost_everywhere(scene),
-        *lost_reflection(scene),
-        *lost_refraction(scene, geometry),
-    ]
-
-
-def _readme(scene: Scene, geometry: Geometry, made: Voxels, sessions: list[str]) -> str:
+def _readme(scene: Scene, geometry: Geometry, made: Voxels, sessions: list[str]) -> list[str]:
     names = ", ".join(f"{i} {name}" for i, name in enumerate(("opaque", *optics.absorbers(scene), "air")))
     shape = " x ".join(map(str, made.region.shape))
-    text = [
+    return [
         f"A fingertip with its sensor for MCX and pmcx (mcx.space): {shape} voxels of {made.side_mm:g} mm, x across "
         "the nail, y to the tip, z out of the nail. No export of this kind has been run in MCX, which needs a "
         "GPU. In pmcxcl, its sister for OpenCL, the eight readings of the prototype came to 9 % above ours in cubes of "
@@ -169,7 +234,7 @@ def _readme(scene: Scene, geometry: Geometry, made: Voxels, sessions: list[str])
         "- `scene.toml`: the scene as MCX gets it but for the staircase, for nailoptics",
         "",
         "```",
-        f"python run_pmcx.py {sessions[0]} --photons {PHOTONS} --seed 1 -o detected.npz    # --opencl: without a GPU",
+        f"python run_pmcx.py {sessions[0]} --photons {MCX_PHOTONS} --seed 1 -o detected.npz  # --opencl: no GPU",
         "nailoptics compare-with detected.npz        # its readings beside ours, with chi^2",
         f"mcx -f {sessions[0]}",
         "```",
@@ -178,4 +243,3 @@ def _readme(scene: Scene, geometry: Geometry, made: Voxels, sessions: list[str])
         "",
         *staircase(geometry, made),
     ]
-    return page("For MCX", text, _lost(scene, geometry, made))

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.model import Geometry
-from ..io import write_bytes
+from ..geometry import Geometry, build
+from ..io import make_folder, write_bytes
+from ..scene import Scene
 
 COLOURS = {
     "plate": (244, 221, 205),
@@ -25,6 +26,12 @@ COLOURS = {
 }
 # glTF counts in metres with y up; the finger lies in it with the nail up and the tip towards the viewer.
 TO_GLTF = np.array([[-1e-3, 0, 0, 0], [0, 0, 1e-3, 0], [0, 1e-3, 0, 0], [0, 0, 0, 1]])
+
+
+def write_mesh(scene: Scene, path: Path) -> dict[str, Path]:
+    """Write a scene's geometry as `export_mesh` does; returns the path by what it is."""
+    make_folder(path.parent)
+    return {"mesh": export_mesh(build(scene), path)}
 
 
 def export_mesh(geometry: Geometry, path: str | Path) -> Path:

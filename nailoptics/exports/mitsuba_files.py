@@ -5,11 +5,11 @@ from typing import Any
 from xml.etree import ElementTree
 
 from ..geometry import build
-from ..io import make_folder, write_bytes, write_text
+from ..io import make_folder
 from ..light import optics
 from ..light.reference.mitsuba_scene import finger_scene
-from ..scene import Scene, to_toml
-from .carried import Lost, as_seen, checked_finger, lost_everywhere, page
+from ..scene import Scene
+from .compatibility import as_seen, compatibility, led_file, write_folder
 
 # What an object of a scene is called in XML, by its type.
 TAGS = {"volpath": "integrator", "homogeneous": "medium", "hg": "phase", "ply": "shape", "area": "emitter"}
@@ -22,24 +22,24 @@ MESHES = "meshes"
 
 def write_mitsuba(scene: Scene, folder: Path) -> dict[str, Path]:
     """Write a scene for each LED, the meshes and a README to a folder; returns their paths by what they are."""
-    seen = as_seen(checked_finger(scene), reflecting=True)
+    seen = as_seen(scene, reflecting=True)
     geometry = build(seen)
-    names = [face.name for face in geometry.photodiodes]
-    paths = {"readme": folder / "README.md", "scene": folder / "scene.toml"}
+    names, files = [face.name for face in geometry.photodiodes], {}
+    # Which photodiode emits which colour is a parameter of the file.
+    colours: dict[int, Any] = {f.region: f"$photodiode_{k + 1}" for k, f in enumerate(geometry.photodiodes)}
     for i, led in enumerate(seen.leds):
-        meshes = folder / MESHES / f"{i + 1}_{led.name}"
+        meshes, sensor = folder / MESHES / led_file(seen, i, ""), geometry.leds[i].region
         make_folder(meshes)
         media = optics.finger_media(seen, geometry.regions, led.wavelength_nm)
-        # Which photodiode emits which colour is a parameter of the file.
-        colours: dict[int, Any] = {f.region: f"$photodiode_{k + 1}" for k, f in enumerate(geometry.photodiodes)}
-        sensor = geometry.leds[i].region
         made = finger_scene(None, geometry, media, None, sensor=sensor, emitters=colours, folder=meshes)
-        paths[f"led_{i + 1}"] = folder / f"{i + 1}_{led.name}.xml"
-        write_bytes(paths[f"led_{i + 1}"], _document(made, names, folder))
-    write_text(paths["scene"], to_toml(seen))
-    files = [path.name for name, path in paths.items() if name.startswith("led_")]
-    write_text(paths["readme"], _readme(scene, files, names))
-    return paths
+        files[led_file(seen, i, ".xml")] = _document(made, names, folder)
+    own = [
+        ("emission of the LEDs", "Lambertian, from the whole die", "the same, backwards"),
+        ("sides of dies and photodiodes in the film", "those of photodiodes detect, too", "black"),
+        ("paths in the tissue", "recorded for every photon", "none: render again for other absorption"),
+    ]
+    rows = compatibility(scene, geometry, own=own, reflecting=True)
+    return write_folder(folder, seen, files, title="For Mitsuba", text=_readme([*files], names), rows=rows)
 
 
 def _document(made: dict[str, Any], photodiodes: list[str], folder: Path) -> bytes:
@@ -78,8 +78,8 @@ def _add(parent: ElementTree.Element, name: str, value: Any, folder: Path, *, to
                 _add(child, key, part, folder)
 
 
-def _readme(scene: Scene, files: list[str], photodiodes: list[str]) -> str:
-    text = [
+def _readme(files: list[str], photodiodes: list[str]) -> list[str]:
+    return [
         "A fingertip with its sensor for Mitsuba 3.9 (mitsuba-renderer.org), without nailoptics. Roles are swapped: "
         "the LED is the sensor and each photodiode a lamp of radiance 1, which by reciprocity gives the same reading "
         "with less noise. Millimetres; x across the nail, y to the tip, z out of the nail, from its middle.",
@@ -102,14 +102,4 @@ def _readme(scene: Scene, files: list[str], photodiodes: list[str]) -> str:
         "```",
         "",
         f"Photodiodes: {', '.join(f'{k} {name}' for k, name in enumerate(photodiodes, start=1))}.",
-    ]
-    return page("For Mitsuba", text, _lost(scene))
-
-
-def _lost(scene: Scene) -> list[Lost]:
-    return [
-        Lost("emission of the LEDs", "Lambertian, from the whole die", "the same, backwards"),
-        Lost("sides of dies and photodiodes in the film", "those of photodiodes detect, too", "black"),
-        *lost_everywhere(scene),
-        Lost("paths in the tissue", "kept for every photon", "none: render again for other absorption"),
     ]

@@ -1,31 +1,28 @@
 """A finger for MMC, the mesh Monte Carlo: sessions with tetrahedra, media, source and detectors, and a runner."""
 
-import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..geometry import Face, Geometry, build
-from ..geometry.grid import Array
-from ..io import make_folder, write_text
+from ..geometry.grid import Array, Indices, unique_rows
 from ..light import optics
-from ..scene import Scene, to_toml
-from .carried import (
-    USUAL_PHOTONS,
-    Lost,
+from ..scene import Scene
+from .compatibility import (
     absorber_of,
     as_seen,
-    checked_finger,
+    compatibility,
     epoxy_index,
-    lost_everywhere,
-    lost_reflection,
-    lost_refraction,
+    led_file,
     media_table,
-    page,
+    medium,
+    session_of,
+    write_folder,
 )
-from .tetrahedra import TetMesh, tetrahedra
+from .run_session import MMC_PHOTONS
 
 # Cones that stand for a die: each is another run, which takes 0.3 s before its first photon.
 CONES = 64
@@ -37,22 +34,53 @@ BELOW_DIE_MM = 1e-4
 MARGIN = 1.01
 # Light that has wandered for so long has been absorbed. [s]
 LONGEST_S = 1e-7
+# Six times the volume of a tetrahedron that counts as flat: rounding of cells that have collapsed. [mm^3]
+FLAT_MM3 = 1e-14
+
+
+@dataclass(frozen=True)
+class TetMesh:
+    """Tetrahedra of one region each, which share whole faces or none.
+
+    nodes : (n, 3) float. [mm]
+    tetrahedra : (m, 4) int. Nodes of each, of positive volume.
+    region : (m,) int. Region of each, as the geometry counts them.
+    """
+
+    nodes: Array
+    tetrahedra: Indices
+    region: Indices
+
+    @property
+    def corners_mm(self) -> Array:
+        """Corners of all tetrahedra, (m, 4, 3) float. [mm]"""
+        return self.nodes[self.tetrahedra]
+
+    @property
+    def volumes_mm3(self) -> Array:
+        """Volume of each tetrahedron, (m,) float. [mm^3]"""
+        corners = self.corners_mm
+        return np.asarray(np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6)
+
+
+def tetrahedra(geometry: Geometry) -> TetMesh:
+    """The cells of a geometry, all but air, as tetrahedra; its interfaces are faces of theirs."""
+    corners, region = geometry.grid.tetrahedra()
+    solid = np.linalg.det(corners[:, 1:] - corners[:, :1]) > FLAT_MM3
+    nodes, _, number = unique_rows(corners[solid].reshape(-1, 3))
+    return TetMesh(nodes, number.reshape(-1, 4).astype(np.int32), region[solid])
 
 
 def write_mmc(scene: Scene, folder: Path) -> dict[str, Path]:
     """Write a session for each LED, a runner and a README to a folder; returns their paths by what they are."""
-    seen = as_seen(checked_finger(scene), reflecting=False)
+    seen = as_seen(scene, reflecting=False)
     geometry = build(seen)
     mesh = tetrahedra(geometry)
-    make_folder(folder)
-    paths = {"readme": folder / "README.md", "run": folder / "run_pmmc.py", "scene": folder / "scene.toml"}
-    for i, led in enumerate(seen.leds):
-        paths[f"led_{i + 1}"] = folder / f"{i + 1}_{led.name}.json"
-        write_text(paths[f"led_{i + 1}"], json.dumps(session(seen, geometry, mesh, i), separators=(",", ":")))
-    write_text(paths["run"], Path(__file__).with_name("run_pmmc.py").read_text(encoding="utf-8"))
-    write_text(paths["scene"], to_toml(seen))
-    write_text(paths["readme"], _readme(scene, geometry, mesh, [path.name for path in paths.values()][3:]))
-    return paths
+    sessions = {led_file(seen, i, ".json"): session(seen, geometry, mesh, i) for i in range(len(seen.leds))}
+    there = f"{CONES} cones from {CONES} places of the die, of equal weight: the nearest to it that MMC has"
+    own = [("emission of the LEDs", "Lambertian, from the whole die", there)]
+    rows, text = compatibility(scene, geometry, own=own), _readme(scene, mesh, [*sessions])
+    return write_folder(folder, seen, sessions, title="For MMC", text=text, rows=rows, runner="run_pmmc.py")
 
 
 def session(scene: Scene, geometry: Geometry, mesh: TetMesh, led: int) -> dict[str, Any]:
@@ -67,7 +95,7 @@ def session(scene: Scene, geometry: Geometry, mesh: TetMesh, led: int) -> dict[s
     normal = die.normal.mean(axis=0)
     elements = np.column_stack([mesh.tetrahedra + 1, label])
     return {
-        "Session": {"ID": f"{led + 1}_{scene.leds[led].name}", "Photons": USUAL_PHOTONS, "RNGSeed": 1}
+        "Session": {"ID": led_file(scene, led, ""), "Photons": MMC_PHOTONS, "RNGSeed": 1}
         | {"DoMismatch": 1, "DoPartialPath": 1, "DoSaveExit": 1, "DoSaveVolume": 0},
         "Forward": {"T0": 0.0, "T1": LONGEST_S, "Dt": LONGEST_S, "N0": 1.0},
         "Optode": {
@@ -75,27 +103,22 @@ def session(scene: Scene, geometry: Geometry, mesh: TetMesh, led: int) -> dict[s
             | {"Param1": [float(angles[0]), 0.0, 0.0, 0.0]},
             "Detector": [_sphere(face) for face in geometry.photodiodes],
         },
-        "Domain": {"Media": [dict(zip(("mua", "mus", "g", "n"), row, strict=True)) for row in media]},
+        "Domain": {"Media": [medium(row) for row in media]},
         "Mesh": {
-            "MeshID": f"{led + 1}_{scene.leds[led].name}",
+            "MeshID": led_file(scene, led, ""),
             "InitElem": int(_containing(mesh, geometry, places[:1])[0]) + 1,
             "LengthUnit": 1.0,
             "MeshNode": np.round(mesh.nodes, 7).tolist(),
             "MeshElem": elements.tolist(),
         },
-        "nailoptics": {
-            "led": led,
-            "wavelength_nm": wavelength,
-            "sources": sources,
-            "absorbers": list(optics.absorbers(scene)),
-            "photodiodes": [face.name for face in geometry.photodiodes],
-            "photodiode_elements": [
-                (np.flatnonzero(mesh.region == f.region) + 1).tolist() for f in geometry.photodiodes
-            ],
-            "regions": list(geometry.regions),
-            "region_of_element": mesh.region.tolist(),
-            "scene": to_toml(scene),
-        },
+        "nailoptics": session_of(
+            scene,
+            led,
+            sources=sources,
+            photodiode_elements=[(np.flatnonzero(mesh.region == f.region) + 1).tolist() for f in geometry.photodiodes],
+            regions=list(geometry.regions),
+            region_of_element=mesh.region.tolist(),
+        ),
     }
 
 
@@ -109,8 +132,7 @@ def cones(die: Face, count: int) -> tuple[Array, Array]:
     step = np.arange(count)
     u, v = ((step * factor % count + 0.5) / count for factor in LATTICE)
     quads = die.quads
-    area = np.linalg.norm(np.cross(quads[:, 1] - quads[:, 0], quads[:, 3] - quads[:, 0]), axis=1)
-    share = area / area.sum()
+    share = die.areas_mm2 / die.areas_mm2.sum()
     ends = np.cumsum(share)
     facet = np.minimum(np.searchsorted(ends, u, side="right"), len(quads) - 1)
     u, v = ((u - (ends - share)[facet]) / share[facet])[:, None], v[:, None]
@@ -136,19 +158,9 @@ def _containing(mesh: TetMesh, geometry: Geometry, places: Array) -> np.ndarray:
     return np.asarray(own[margin.argmax(-1)])
 
 
-def _lost(scene: Scene, geometry: Geometry) -> list[Lost]:
-    there = f"{CONES} cones from {CONES} places of the die, of equal weight: the nearest to it that MMC has"
-    return [
-        Lost("emission of the LEDs", "Lambertian, from the whole die", there),
-        *lost_everywhere(scene),
-        *lost_reflection(scene),
-        *lost_refraction(scene, geometry),
-    ]
-
-
-def _readme(scene: Scene, geometry: Geometry, mesh: TetMesh, sessions: list[str]) -> str:
+def _readme(scene: Scene, mesh: TetMesh, sessions: list[str]) -> list[str]:
     media = ", ".join(f"{i} {name}" for i, name in enumerate(("opaque", *optics.absorbers(scene))))
-    text = [
+    return [
         f"A fingertip with its sensor for MMC and pmmc (mcx.space): {len(mesh.tetrahedra)} tetrahedra, "
         f"{len(mesh.nodes)} nodes. Millimetres; x across the nail, y to the tip, z out of the nail, from its middle.",
         "",
@@ -160,7 +172,7 @@ def _readme(scene: Scene, geometry: Geometry, mesh: TetMesh, sessions: list[str]
         "`nailoptics.photodiode_elements`, from 1 on. What lies outside the mesh is air.",
         "",
         "```",
-        f"python run_pmmc.py {sessions[0]} --photons {USUAL_PHOTONS} --seed 1 -o detected.npz",
+        f"python run_pmmc.py {sessions[0]} --photons {MMC_PHOTONS} --seed 1 -o detected.npz",
         "nailoptics compare-with detected.npz        # its readings beside ours, with chi^2",
         f"mmc -f {sessions[0]} -c sse -M S              # the first of the cones alone",
         "```",
@@ -169,4 +181,3 @@ def _readme(scene: Scene, geometry: Geometry, mesh: TetMesh, sessions: list[str]
         "is none: install PoCL (Debian, Ubuntu: apt install pocl-opencl-icd). `-c sse`: MMC's OpenCL kernel sends a "
         "cone along +z, whatever its direction. MMC v2025.10 does so on the processor, too; take later sources.",
     ]
-    return page("For MMC", text, _lost(scene, geometry))

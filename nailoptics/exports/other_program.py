@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Unpack
-from zipfile import ZipFile
 
 import numpy as np
 
@@ -21,8 +20,6 @@ from ..scene import Scene, parse_scene
 FIELDS = ("photodiode", "path_mm", "photons", "led", "seed", "program", "scene")
 # Blood in all zones, of that at rest, to which readings are read over: from 3 % to 2 and 5 %.
 BLOOD_FACTORS = (2 / 3, 5 / 3)
-# Compressed arrays may take so much once they are unpacked, or as much as their file. [bytes]
-MOST_UNPACKED = 250_000_000
 # Readings of fewer photons by either program have no error that could be held against anything.
 LEAST_PHOTONS = 10
 
@@ -149,36 +146,31 @@ def compare_with(
 def read_detected(path: Path) -> OtherDetection:
     """Read the file that an export's runner wrote; raises InputError for another one."""
     try:
-        data = path.read_bytes()
+        with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as file:
+            fields = {name: file[name] for name in FIELDS}
+        which, paths = fields["photodiode"].astype(np.int64), fields["path_mm"].astype(np.float32)
+        photons, led, seed = (int(fields[name]) for name in ("photons", "led", "seed"))
     except OSError as error:
-        why = f"cannot be read: {error.strerror}; give the detected.npz of an export's runner."
+        why = f"cannot be read: {error.strerror or error}; give the detected.npz of an export's runner."
         raise InputError(f"{path}: {why}") from None
-    try:
-        unpacked = sum(member.file_size for member in ZipFile(BytesIO(data)).infolist())
-        if unpacked > max(MOST_UNPACKED, len(data)):
-            raise ValueError(f"{unpacked / 1e6:.0f} MB unpacked, of at most {MOST_UNPACKED / 1e6:.0f}")
-        with np.load(BytesIO(data), allow_pickle=False) as file:
-            found = {name: file[name] for name in FIELDS}
-        which, paths = found["photodiode"].astype(np.int64), found["path_mm"].astype(np.float32)
-        photons, led, seed = (int(found[name]) for name in ("photons", "led", "seed"))
     except Exception as error:  # what is no archive of arrays fails in many ways
         raise InputError(f"{path}: is not what an export's runner writes ({error}); give its detected.npz.") from None
-    scene = parse_scene(str(found["scene"]), name=f"{path}: its scene")
+    scene = parse_scene(str(fields["scene"]), name=f"{path}: its scene")
     if scene.finger is None or not 0 <= led < len(scene.leds):
         raise InputError(f"{path}: its scene has no finger, or no LED {led + 1}; export the scene again.")
     photodiodes, absorbers = len(scene.layout.photodiode_names), len(optics.absorbers(scene))
-    if which.ndim != 1 or paths.shape != (len(which), absorbers):
-        why = f"path_mm has shape {paths.shape} for {which.size} photons and {absorbers} absorbers"
-    elif len(which) and not (0 <= which.min() and which.max() < photodiodes):
-        why = f"photodiode goes from {which.min()} to {which.max()}, but the scene has {photodiodes}"
-    elif not (np.isfinite(paths).all() and (paths >= 0).all()):
-        why = "path_mm must be finite and not negative"
-    elif photons < max(2, len(which)):
-        why = f"photons = {photons}, fewer than the {len(which)} that were detected"
-    else:
-        trace = LedTrace(photons, np.zeros(absorbers), which, np.ones(len(which)), paths, {}, (seed,))
-        return OtherDetection(str(found["program"]), scene, led, trace)
-    raise InputError(f"{path}: {why}; run the export again.")
+    shape = (len(which), absorbers) if which.ndim == 1 else None
+    beyond = ((which < 0) | (which >= photodiodes)).any()
+    for wrong, why in (
+        (paths.shape != shape, f"path_mm has shape {paths.shape} for {which.size} photons and {absorbers} absorbers"),
+        (beyond, f"photodiode reaches {which.max(initial=0)}, but the scene has {photodiodes}"),
+        (not (np.isfinite(paths) & (paths >= 0)).all(), "path_mm must be finite and not negative"),
+        (photons < max(2, len(which)), f"photons = {photons}, fewer than the {len(which)} that were detected"),
+    ):
+        if wrong:
+            raise InputError(f"{path}: {why}; run the export again.")
+    trace = LedTrace(photons, np.zeros(absorbers), which, np.ones(len(which)), paths, {}, (seed,))
+    return OtherDetection(str(fields["program"]), scene, led, trace)
 
 
 def compared(ours: LedTrace, theirs: OtherDetection) -> ProgramComparison:

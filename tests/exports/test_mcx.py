@@ -11,10 +11,9 @@ import pytest
 import nailoptics
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
-from nailoptics.exports import run_pmcx
-from nailoptics.exports.carried import as_seen
-from nailoptics.exports.mcx import labels, staircase
-from nailoptics.exports.voxels import voxels
+from nailoptics.exports import run_session
+from nailoptics.exports.compatibility import as_seen
+from nailoptics.exports.mcx import labels, staircase, voxels
 from nailoptics.geometry import build
 from nailoptics.light import optics
 from nailoptics.scene import load_scene
@@ -60,7 +59,7 @@ def test_voxels_have_the_region_at_their_middle(geometry):
 
 def test_every_label_has_the_media_of_its_region(scene, folder, session):
     geometry = build(scene)
-    volume = run_pmcx.volume(session, folder, "labels.bin", np.uint8)
+    volume = run_session.volume(session, folder)
     media = optics.finger_media(scene, geometry.regions, scene.leds[0].wavelength_nm)
     rows = [[m[key] for key in ("mua", "mus", "g", "n")] for m in session["Domain"]["Media"]]
     random = np.random.default_rng(1)
@@ -80,7 +79,7 @@ def test_every_label_has_the_media_of_its_region(scene, folder, session):
 
 
 def test_all_of_the_die_shines_from_the_epoxy_and_nothing_stands_before_it(scene, folder, session):
-    made = run_pmcx.config(session, folder, photons=1, seed=1)
+    made = run_session.mcx_config(session, folder, photons=1, seed=1)
     source, sides = np.array(made["srcpos"]), np.array([made["srcparam1"][:3], made["srcparam2"][:3]])
     assert np.linalg.norm(sides, axis=1) * SIDE_MM == pytest.approx([0.25, 0.25])
     assert abs(sides[0] @ sides[1]) < 1e-9
@@ -105,7 +104,7 @@ def test_photodiodes_show_their_area_and_are_told_apart(scene, folder, session):
     light goes away from it; no photodiode in the shadow of what is opaque beside it.
     """
     geometry = build(scene)
-    volume = run_pmcx.volume(session, folder, "labels.bin", np.uint8)
+    volume = run_session.volume(session, folder)
     media, expected = len(session["Domain"]["Media"]) - 1, []
     spacing = 0.05  # voxels
     for k, face in enumerate(geometry.photodiodes):
@@ -120,12 +119,12 @@ def test_photodiodes_show_their_area_and_are_told_apart(scene, folder, session):
         place = np.column_stack([plan, (column == 0).argmax(axis=1)])
         ways = np.tile([[0.0], [0.0], [1.0]], len(place))
         rows = np.concatenate([np.ones((1, len(place))), np.full((media, len(place)), 2.0), place.T, ways])
-        which, paths = run_pmcx.kept(session, rows)
+        which, paths = run_session.detected(session, rows)
         flat = np.linalg.norm(face.normal[:, 2]) / np.sqrt(len(face.normal))
         assert (which == k).sum() * (spacing * SIDE_MM) ** 2 == pytest.approx(face.area_mm2 * flat, rel=0.02)
         assert paths.shape == (len(which), media - 1) and (paths == 2.0 * SIDE_MM).all()
         rows[-1] = -1.0
-        assert len(run_pmcx.kept(session, rows)[0]) == 0
+        assert len(run_session.detected(session, rows)[0]) == 0
         sphere = session["Optode"]["Detector"][k]
         assert (np.linalg.norm(corners - sphere["Pos"], axis=1) < sphere["R"]).all()
         expected.append(len(which))

@@ -10,7 +10,7 @@ import pytest
 
 import nailoptics
 from nailoptics.assets import data_dir
-from nailoptics.exports.carried import as_seen
+from nailoptics.exports.compatibility import as_seen
 from nailoptics.geometry import build
 from nailoptics.light import backend, optics
 from nailoptics.light.reference.integrate import stock_mitsuba

@@ -11,7 +11,7 @@ import pytest
 import nailoptics
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
-from nailoptics.exports import run_pmmc
+from nailoptics.exports import run_session
 from nailoptics.exports.mmc import CONES, cones
 from nailoptics.geometry import build
 from nailoptics.light import optics
@@ -106,13 +106,13 @@ def test_the_runner_finds_the_photodiode_of_each_place(oximeter, folder):
     places = np.concatenate([quad.mean(axis=0) + random.normal(0, 0.2, (200, 3)) for quad in faces] + [middle[None]])
     regions = geometry.region_at(places)
     expected = [next((i for i, f in enumerate(geometry.photodiodes) if f.region == r), -1) for r in regions]
-    assert run_pmmc.photodiode_at(session, places).tolist() == expected
+    assert run_session.photodiode_at(session, places).tolist() == expected
     assert len(set(expected)) > 1
 
 
 def test_keywords_are_those_of_pmmc(folder):
     session = read_session(folder, 2)
-    found = run_pmmc.config(session, source=3, photons=10, seed=5, threads=2)
+    found = run_session.mmc_config(session, source=3, photons=10, seed=5, threads=2)
     assert found["elem"].min() == 1 and found["elem"].max() == len(found["node"])
     assert found["elemprop"].max() == len(found["prop"]) - 1
     assert found["srcpos"] == session["nailoptics"]["sources"][3]["position_mm"]

@@ -2,15 +2,18 @@
 
 import json
 import math
-import tracemalloc
+import runpy
+import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import nailoptics
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
-from nailoptics.exports.other_program import MOST_UNPACKED, OtherDetection, compared, read_detected
+from nailoptics.exports.other_program import OtherDetection, compared, read_detected
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.scene import load_scene, to_toml
 
@@ -111,12 +114,27 @@ def test_another_file_is_refused_in_one_line(tmp_path, content, capfd):
     assert capfd.readouterr().err.count("\n") == 3
 
 
-def test_an_archive_that_unpacks_to_gigabytes_is_refused_before_it_is(scene, tmp_path):
-    path, size = tmp_path / "detected.npz", MOST_UNPACKED // 4 + 1
-    np.savez_compressed(path, photodiode=np.zeros(size, np.float32))
-    assert path.stat().st_size < 1_000_000
-    tracemalloc.start()
-    with pytest.raises(InputError, match="250 MB unpacked, of at most 250"):
-        read_detected(path)
-    assert tracemalloc.get_traced_memory()[1] < 10_000_000
-    tracemalloc.stop()
+@pytest.mark.parametrize(("format", "program"), [("mmc", "pmmc"), ("mcx", "pmcxcl")])
+def test_what_a_runner_saves_is_read(scene, tmp_path, monkeypatch, format, program):
+    """A program of the test's own detects one photon in the middle of the second photodiode, and one elsewhere."""
+    paths = nailoptics.export(scene, tmp_path / "out", format=format, **({"voxel_mm": 0.5} if format == "mcx" else {}))
+    session = json.loads(paths["led_1"].read_text(encoding="utf-8"))
+    # The middle of facets lies off them, by micrometres.
+    place = np.array(session["Optode"]["Detector"][1]["Pos"]) + [0.0, 0.0, 0.01 if format == "mmc" else 0.0]
+    media = len(session["Domain"]["Media"]) - 1
+
+    def run(**how):
+        paths_mm = np.tile(np.arange(1.0, 1 + media), (2, 1)).T
+        scatterings = np.zeros((media if format == "mmc" else 0, 2))
+        where, way = np.column_stack([place, place - 1e3]), np.tile([[0.0], [0.0], [1.0]], 2)
+        return {"detp": np.vstack([np.ones((1, 2)), scatterings, paths_mm, where, way, np.ones((1, 2))])}
+
+    monkeypatch.setitem(sys.modules, program, SimpleNamespace(run=run))
+    options = ["--photons", "64", "--opencl", "-o", str(tmp_path / "detected.npz")]
+    monkeypatch.setattr(sys, "argv", ["run", str(paths["led_1"]), *options])
+    runpy.run_path(str(paths["run"]), run_name="__main__")
+    detection = read_detected(tmp_path / "detected.npz")
+    assert detection.program == program and detection.trace.photons == 64
+    assert (detection.trace.photodiode == 1).all() and len(detection.trace.photodiode) == (64 if format == "mmc" else 1)
+    path_mm = session["Domain"].get("LengthUnit", 1.0) * np.arange(1.0, 1 + len(session["nailoptics"]["absorbers"]))
+    assert detection.trace.path_mm == pytest.approx(np.tile(path_mm, (len(detection.trace.photodiode), 1)))

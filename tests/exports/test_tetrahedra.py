@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nailoptics.assets import data_dir
-from nailoptics.exports.tetrahedra import FLAT_MM3, tetrahedra
+from nailoptics.exports.mmc import FLAT_MM3, tetrahedra
 from nailoptics.geometry import Geometry, build
 from nailoptics.geometry.grid import unique_rows
 from nailoptics.scene import load_scene

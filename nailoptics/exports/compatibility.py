@@ -1,0 +1,167 @@
+"""What of a scene another program can take and what it cannot, and the folder that says so beside every export."""
+
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..geometry import Geometry
+from ..io import make_folder, write_bytes, write_text
+from ..light import optics
+from ..scene import Scene, to_toml
+
+# Something of a scene that an export leaves out or changes: what in the scene's words, what it is in nailoptics, and
+# what the other program gets in its place, or what that does to a reading.
+Row = tuple[str, str, str]
+
+
+def as_seen(scene: Scene, *, reflecting: bool) -> Scene:
+    """The scene as another program gets it, at rest: what it lacks is taken out, so that readings can be compared.
+
+    reflecting : whether its opaque parts reflect light.
+    """
+    plain = {"fwhm_nm": 0.0, "pattern": "lambertian", "pattern_deg": None, "pattern_relative": None}
+    update: dict[str, object] = {"leds": tuple(led.model_copy(update=plain) for led in scene.leds)}
+    if not reflecting:
+        update["board"] = scene.board.model_copy(update={"opaque_reflectance": 0.0})
+    return scene.model_copy(update=update)
+
+
+def compatibility(scene: Scene, geometry: Geometry, *, own: Sequence[Row], reflecting: bool = False) -> list[Row]:
+    """What no other program takes of a scene.
+
+    own : what else the program at hand does not.
+    reflecting : whether its opaque parts reflect light.
+    """
+    rows = [*own]
+    for led in scene.leds:
+        if led.fwhm_nm:
+            there = f"one wavelength, {led.wavelength_nm:g} nm"
+            rows.append((f"line width of LED {led.name}", f"{led.fwhm_nm:g} nm", there))
+        if led.pattern == "measured":
+            rows.append((f"pattern of LED {led.name}", "a measured table", "Lambertian"))
+    for one in scene.photodiodes:
+        if one.angular_response:
+            there = "a flat face, which takes all alike"
+            rows.append((f"angular response of photodiode {one.name}", "rows over the angle", there))
+    edges = ", ".join(f"{edge:g}" for edge in scene.zone_edges_mm)
+    zones = f"{len(scene.zone_edges_mm) + 1} zones that pass into each other over {scene.zone_width_mm:g} mm"
+    electronics = "flux, line and responsivity, amplifier, converter, noise"
+    touch = "touch and what it does to the blood", f'"{scene.touch.profile}", over time'
+    rows += [
+        ("zones of blood", f"{zones} at {edges} mm", "blood at rest, alike in all zones"),
+        (*touch, "rest; read paths at other absorption instead"),
+        ("electronics", electronics, "nothing: readings are fractions of the light that the LED emits"),
+    ]
+    if scene.light.left_out:
+        there = "the same: `light.left_out = []` brings them back"
+        rows.append((", ".join(scene.light.left_out), "take the optics of what they lie in", there))
+    if not reflecting and (share := scene.board.opaque_reflectance):
+        rows.append(("barrier, rim and cover", f"reflect {share:.0%} of the light diffusely", "swallow it"))
+    if not reflecting and (shares := _refracted(scene, geometry)):
+        most = f"at most {max(shares.values()):.1e} of light that comes straight"
+        there = f"reflect as if they had the epoxy's index: {most}"
+        names = ", ".join(shares)
+        rows.append((f"faces of opaque parts on {names}", "swallow all light that is not reflected back", there))
+    return rows
+
+
+def _refracted(scene: Scene, geometry: Geometry) -> dict[str, float]:
+    """Regions on faces of opaque parts, and what these reflect more or less where they have the epoxy's index."""
+    shares: dict[str, float] = {}
+    for led in scene.leds:
+        media = optics.finger_media(scene, geometry.regions, led.wavelength_nm)
+        epoxy = epoxy_index(scene, geometry, led.wavelength_nm)
+        for one, other in geometry.interfaces():
+            for clear, opaque in ((one, other), (other, one)):
+                name, n = geometry.regions[clear], float(media.n[clear])
+                if media.opaque[opaque] and not media.opaque[clear] and name != "air" and n != epoxy:
+                    shares[name] = max(shares.get(name, 0.0), ((n - epoxy) / (n + epoxy)) ** 2)
+    return shares
+
+
+def epoxy_index(scene: Scene, geometry: Geometry, wavelength_nm: float) -> float:
+    """Refractive index of the clear epoxy, in which LEDs and photodiodes lie."""
+    media = optics.finger_media(scene, geometry.regions, wavelength_nm)
+    return float(media.n[geometry.regions.index("epoxy")])
+
+
+def absorber_of(scene: Scene, geometry: Geometry, middles_mm: np.ndarray, region: np.ndarray) -> np.ndarray:
+    """Which of the scene's absorbers a place in a region belongs to, from 1 on, (n,) int; 0 in what is opaque, or air.
+
+    A place between two zones of blood counts as in the one that it is more in.
+
+    middles_mm : (n, 3) float. [mm]
+    region : (n,) int.
+    """
+    number = np.zeros(len(geometry.regions), int)
+    for i, absorber in enumerate(optics.absorbing(scene), start=1):
+        if not absorber.zone:
+            number[geometry.regions.index(absorber.region)] = i
+    labels = number[region]
+    bed = region == geometry.regions.index("bed")
+    labels[bed] += optics.zones(scene).weights(middles_mm[bed, 1]).argmax(-1)
+    return labels
+
+
+def media_table(scene: Scene, geometry: Geometry, led: int) -> np.ndarray:
+    """mu_a, mu_s [mm^-1], g and n of every absorber at an LED's wavelength, with blood at rest, (r, 4) float."""
+    wavelength = scene.leds[led].wavelength_nm
+    media = optics.finger_media(scene, geometry.regions, wavelength)
+    rows = [geometry.regions.index(absorber.region) for absorber in optics.absorbing(scene)]
+    return np.column_stack([getattr(media, name)[rows] for name in ("mu_a", "mu_s", "g", "n")])
+
+
+def led_file(scene: Scene, led: int, ending: str) -> str:
+    """Name of the file of one LED in an export's folder."""
+    return f"{led + 1}_{scene.leds[led].name}{ending}"
+
+
+def session_of(scene: Scene, led: int, **own: Any) -> dict[str, Any]:
+    """What all sessions say of an LED's light under "nailoptics", beside what is a program's own."""
+    names = {"absorbers": list(optics.absorbers(scene)), "photodiodes": list(scene.layout.photodiode_names)}
+    return {"led": led, "wavelength_nm": scene.leds[led].wavelength_nm, **own, **names, "scene": to_toml(scene)}
+
+
+def medium(row: Iterable[float]) -> dict[str, float]:
+    """mu_a, mu_s [mm^-1], g and n under the names of MCX and MMC."""
+    return dict(zip(("mua", "mus", "g", "n"), map(float, row), strict=True))
+
+
+def write_folder(
+    folder: Path,
+    scene: Scene,
+    sessions: dict[str, Any],
+    *,
+    title: str,
+    text: Iterable[str],
+    rows: Iterable[Row],
+    runner: str | None = None,
+    binary: dict[str, bytes] | None = None,
+) -> dict[str, Path]:
+    """Write an export: files of the LEDs by name, a runner, binary files, the scene and a README with its table.
+
+    sessions : bytes, or what becomes JSON, by the file's name.
+    text : lines of the README.
+
+    Returns: paths by what they are.
+    """
+    make_folder(folder)
+    paths = {"readme": folder / "README.md", "scene": folder / "scene.toml"}
+    for k, (name, session) in enumerate(sessions.items(), start=1):
+        paths[f"led_{k}"] = folder / name
+        data = session if isinstance(session, bytes) else json.dumps(session, separators=(",", ":")).encode()
+        write_bytes(paths[f"led_{k}"], data)
+    for name, data in (binary or {}).items():
+        paths[Path(name).stem] = folder / name
+        write_bytes(folder / name, data)
+    if runner:
+        paths["run"] = folder / runner
+        write_text(paths["run"], Path(__file__).with_name("run_session.py").read_text(encoding="utf-8"))
+    write_text(paths["scene"], to_toml(scene))
+    table = ["| of the scene | here | there |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
+    page = [f"# {title}", "", *text, "", "## What does not carry over", "", *table, ""]
+    write_text(paths["readme"], "\n".join(page))
+    return paths
