@@ -234,6 +234,9 @@ THEIRS = {
     "detected.npz",
     "finger/1_ir.json",
     "finger/run_pmmc.py",
+    "cubes/run_pmcx.py",
+    "run_pmmc.py",
+    "run_pmcx.py",
     "scene.toml",
 }
 THEIRS |= {
