@@ -1,16 +1,15 @@
 """One trace for many scenes: what shares it, and that what is read from it is what a trace of the scene gives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import nailoptics as nail
 from nailoptics.batch import run_batch
 from nailoptics.light.identity import light_digest, light_scene, traced_absorption
-from nailoptics.light.tracing import LedTrigger, batch_photons, extend, photons_engine, trigger
-from nailoptics.light.tracing.store import LedSource, LightStore, made_of
 from nailoptics.light.tracing.trigger import check_schedule
-from nailoptics.light.transfer import Transfer, rest_state
-from nailoptics.scene import Accuracy, load_scene, parse_scene
+from nailoptics.scene import load_scene, parse_scene
 from nailoptics.scene.placement import Placement
 
 from .conftest import bits, phantoms
@@ -58,53 +57,11 @@ def test_what_changes_the_light_changes_its_digest():
     assert len({light_digest(s) for s in [scene, *other]}) == 1 + len(other)
 
 
-def grown(scene, *, asked, stored=(), seed=0):
-    kind = photons_engine(scene, "auto")
-    traced: list[int] = []
-
-    class Counting(kind):
-        def batch(self, led, *, photons, seed):
-            traced.append(photons)
-            return super().batch(led, photons=photons, seed=seed)
-
-    engine = Counting(light_scene(scene))
-    rule = LedTrigger(scene, 0, asked, engine.mu_a(0), full=batch_photons(scene))
-    source = LedSource(lambda: engine, 0, engine.mu_a(0), photodiodes=1, seed=seed, stored=stored)
-    batches = extend(source, [rule], stop=lambda: False)
-    sizes, met = rule.accepted_batches(batches.pieces)
-    assert met
-    return batches, sizes, traced
-
-
-def rest_of(scene):
-    return rest_state(scene, 0)
-
-
-@pytest.mark.jit
-@pytest.mark.parametrize("which", ["phantom", "finger"])
-def test_a_trace_for_many_is_the_trace_of_one_bit_for_bit(jit_backend, tmp_path, which):
-    """A scene whose blood is the reference's: nail.trace walks the same photons with the same seeds."""
-    if which == "phantom":
-        scene, photons = phantoms(tmp_path, 2).scenes[0], 700_000
-    else:
-        scene, photons = prototype(), 8_000
-    batches, sizes, _ = grown(scene, asked=Accuracy(photons=photons), seed=5)
-    trace = batches.trace(sizes, seed=5, led=0, rest=rest_of(scene))
-    mine = Transfer(scene, (trace,), jit_backend.name)
-    theirs = nail.trace(scene, photons=photons, seed=5)
-    assert mine.photodiodes == theirs.photodiodes and mine.absorbers == theirs.absorbers
-    for name in ("photodiode", "weight", "path_mm"):
-        assert np.array_equal(getattr(mine.traces[0], name), getattr(theirs.traces[0], name))
-    assert mine.traces[0].energy == theirs.traces[0].energy and mine.traces[0].seeds == theirs.traces[0].seeds
-
-
 @pytest.mark.slow
 @pytest.mark.jit
 def test_another_state_read_from_the_shared_trace_meets_its_own_trace(jit_backend):
     scene = changed(changed(prototype(), "blood", so2=0.75, rest_blood_fraction=0.05), "finger", melanin_fraction=0.1)
-    batches, sizes, _ = grown(scene, asked=Accuracy(photons=1 << 19))
-    trace = batches.trace(sizes, seed=0, led=0, rest=rest_of(scene))
-    shared = Transfer(scene, (trace,), jit_backend.name).at()
+    shared = replace(nail.trace(prototype(), photons=1 << 19), scene=scene).at()
     own = nail.trace(scene, photons=1 << 19, seed=99).at()
     off = (shared.detected_fraction - own.detected_fraction) / np.hypot(
         shared.detected_fraction_stderr, own.detected_fraction_stderr
@@ -112,20 +69,6 @@ def test_another_state_read_from_the_shared_trace_meets_its_own_trace(jit_backen
     assert float(abs(off).max()) < 4
     total, error = float(own.detected_fraction.sum()), np.linalg.norm(own.detected_fraction_stderr.values)
     assert error < 0.04 * total
-
-
-@pytest.mark.long
-@pytest.mark.jit
-def test_a_tighter_error_continues_from_stored_light(jit_backend, tmp_path):
-    scene = phantoms(tmp_path, 2).scenes[0]
-    stored = [LightStore(tmp_path / "store").light(made_of(scene, 0, seed=0, backend=jit_backend.name))]
-    coarse, coarse_sizes, _ = grown(scene, asked=Accuracy(relative_error=0.004), stored=stored)
-    fine, fine_sizes, more = grown(scene, asked=Accuracy(relative_error=0.0015), stored=stored)
-    fresh, fresh_sizes, every = grown(scene, asked=Accuracy(relative_error=0.0015))
-    assert len(coarse_sizes) < len(fine_sizes) == len(fresh_sizes)
-    assert len(more) == len(fine_sizes) - len(coarse.pieces) and len(every) == len(fresh_sizes)
-    one, two = (b.trace(fine_sizes, seed=0, led=0, rest=rest_of(scene)) for b in (fine, fresh))
-    assert np.array_equal(one.weight, two.weight) and one.energy == two.energy and one.seeds == two.seeds
 
 
 def test_errors_are_checked_seldom_and_at_fixed_numbers():
@@ -138,28 +81,6 @@ def test_the_light_of_a_scene_is_its_own_light():
     for scene in (prototype(), parse_scene(nail.scene.to_toml(prototype()))):
         once = light_scene(scene)
         assert light_scene(once) == once
-
-
-@pytest.mark.long
-@pytest.mark.jit
-def test_a_photodiode_that_no_light_reaches_ends_the_trace_with_a_word(jit_backend, tmp_path, monkeypatch):
-    """However many other scenes go on tracing, and seen or not by their photons later."""
-    monkeypatch.setattr(trigger, "UNLIT_PHOTONS", 1_000_000)
-    scene = phantoms(tmp_path, 2, path="photodiodes.p.position_mm[0]", high=500.0).scenes[1]
-    kind = photons_engine(scene, "auto")
-    mu_a = kind(light_scene(scene)).mu_a(0)
-    far, more = (
-        LedTrigger(scene, 0, asked, mu_a, full=batch_photons(scene))
-        for asked in (Accuracy(relative_error=0.01), Accuracy(photons=1 << 22))
-    )
-    engine = kind(light_scene(scene))
-    stored = [LightStore(tmp_path / "store").light(made_of(scene, 0, seed=0, backend=jit_backend.name))]
-    source = LedSource(lambda: engine, 0, mu_a, photodiodes=1, seed=0, stored=stored)
-    batches = extend(source, [far], stop=lambda: False)
-    assert sum(size for _, size in batches.pieces) < 2_000_000 and 'none reached photodiode "p"' in far.unlit
-    again = LedTrigger(scene, 0, Accuracy(relative_error=0.01), mu_a, full=batch_photons(scene))
-    assert len(extend(source, [again, more], stop=lambda: False).pieces) == 8
-    assert again.unlit == far.unlit and not more.unlit
 
 
 @pytest.mark.jit

@@ -12,9 +12,11 @@ import nailoptics as nail
 from nailoptics import tissue
 from nailoptics.light import Transfer, optics, read_rest
 from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
-from nailoptics.light.tracing import LedTrigger, extend, trace_scene
+from nailoptics.light.tracing import trace_scene
 from nailoptics.light.tracing.store import LedSource
-from nailoptics.light.transfer.records import Batch, LedTrace, joined
+from nailoptics.light.tracing.trace_scene import take_batches
+from nailoptics.light.tracing.trigger import LedTrigger
+from nailoptics.light.transfer.records import Batch, LedRecords, LedTrace, joined
 from nailoptics.light.transfer.series import read_replicates, readings_over_states
 from nailoptics.light.walk.finger import FingerTracer
 from nailoptics.paper.reduced_optics import fit_curve
@@ -211,10 +213,10 @@ def stopped(seed: int, target: float) -> tuple[float, float]:
     """Relative departure from the truth, and relative standard error, of a run that stops at a tolerance."""
     urn = Urn()
     rule = LedTrigger(urn.scene, 0, Accuracy(relative_error=target), urn.mu_a(0), full=urn.batch_photons)
-    batches = extend(LedSource(lambda: urn, 0, urn.mu_a(0), photodiodes=1, seed=seed), [rule], stop=lambda: False)
-    sizes, met = rule.accepted_batches(batches.pieces)
-    assert met
-    trace = batches.trace(sizes, seed=seed, led=0, rest=rule.rest)
+    records = LedRecords(urn.mu_a(0), rule.rest, seed=seed, led=0)
+    take_batches(LedSource(lambda: urn, 0, urn.mu_a(0), photodiodes=1, seed=seed), rule, records)
+    assert rule.met
+    trace = records.trace()
     total = trace.weight.sum()
     error = stderr_of_mean(total, (trace.weight**2).sum(), trace.photons) * trace.photons / total
     return float(total / trace.photons / Urn.truth - 1), float(error)

@@ -1,5 +1,6 @@
 """Traces a scene: batches of each LED until its trigger is met, from what is already stored."""
 
+import itertools
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any, Unpack
@@ -14,7 +15,7 @@ from .. import backend as backends
 from .. import optics
 from ..identity import light_scene
 from ..transfer import Transfer, photodiode_names
-from ..transfer.records import FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS, Batch, LedBatches, LedRecords
+from ..transfer.records import FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS, LedRecords
 from .driver import Ending, ProgressCallback, run_until
 from .store import LedSource, LightStore, made_of
 from .trigger import LedTrigger, share_of_time
@@ -50,15 +51,15 @@ def trace(
     required = accuracy(scene, options)
     engine = LightEngine(traced or scene, chosen, with_faces=with_faces, escaping=traced is not None)
     if stores is None:
-        stores = [own] if options.store and (own := LightStore.of_user()) else []
-    sources = led_sources(scene, engine, stores, seed=options.seed, backend=chosen.name)
+        stores = [store] if options.store and (store := LightStore.of_user()) else []
     start, cpu = time.perf_counter(), time.process_time()
-    traces, events, complaint, interrupted = [], 0, None, False
-    for led, source in enumerate(sources):
-        trigger = LedTrigger(scene, led, required, source.mu_a, full=engine.full)
-        trigger.seconds = share_of_time(required.max_seconds, start + engine.wall_seconds, len(scene.leds) - led)
+    traces, events, reused, complaint, interrupted = [], 0, 0, None, False
+    for led in range(len(scene.leds)):
+        source = led_source(scene, led, engine, stores, seed=options.seed)
+        seconds = share_of_time(required.max_seconds, start + engine.wall_seconds, len(scene.leds) - led)
+        trigger = LedTrigger(scene, led, required, source.mu_a, full=engine.full, seconds=seconds)
         records = LedRecords(source.mu_a, trigger.rest, seed=options.seed, led=led)
-        ending = take_batches(source, [trigger], records.add, progress=progress, opening=lambda: engine.wall_seconds)
+        ending = take_batches(source, trigger, records, progress=progress, opening=lambda: engine.wall_seconds)
         reason = trigger.unmet_reason()
         if ending is Ending.INTERRUPTED:
             interrupted = True
@@ -68,7 +69,7 @@ def trace(
             # What is there is of use only with something from every LED: one batch each, then the end.
             required = Accuracy(photons=engine.full)
         complaint = complaint or reason
-        events += records.events
+        events, reused = events + records.events, reused + source.reused
         traces.append(records.trace())
     for store in stores:
         store.close()
@@ -80,7 +81,7 @@ def trace(
         wall_seconds=time.perf_counter() - start - engine.wall_seconds,
         events=events,
         setup_seconds=cpu - begin + engine.cpu_seconds,
-        reused_photons=sum(source.reused for source in sources),
+        reused_photons=reused,
     )
     if complaint:
         raise NotReachedError(complaint, result=result, interrupted=interrupted)
@@ -100,11 +101,6 @@ def photons_engine(scene: Scene, backend: str) -> Any:
     from ..walk.finger import FingerTracer
 
     return FingerTracer
-
-
-def batch_photons(scene: Scene) -> int:
-    """Photons of a full batch of a scene's light."""
-    return FINGER_BATCH_PHOTONS if scene.phantom is None else PHANTOM_BATCH_PHOTONS
 
 
 class LightEngine:
@@ -127,7 +123,7 @@ class LightEngine:
             self.more["with_faces"] = faces
         if escaping:
             self.more["escaping"] = True
-        self.full = batch_photons(scene)
+        self.full = FINGER_BATCH_PHOTONS if scene.phantom is None else PHANTOM_BATCH_PHOTONS
         self.cpu_seconds = self.wall_seconds = 0.0
         self._opened: Any = None
 
@@ -141,20 +137,20 @@ class LightEngine:
         return self._opened
 
 
-def led_sources(
-    scene: Scene, engine: LightEngine, stores: Sequence[LightStore | None], *, seed: int, backend: str
-) -> list[LedSource]:
-    """Where the batches of each LED of a scene come from; new ones go to the first store."""
-    found, layers = [], [layer.name for layer in scene.phantom.layers] if scene.phantom else []
-    for led, source in enumerate(scene.leds):
-        mu_a = optics.absorption(engine.scene, source.wavelength_nm)[0]
-        read_mu_a = optics.absorption(scene, source.wavelength_nm)[0] if "escaping" in engine.more else None
-        made = made_of(engine.scene, led, seed=seed, backend=backend) | engine.more
-        stored = [store.light(made) for store in stores if store is not None]
-        photodiodes = len(photodiode_names(scene))
-        more: dict[str, Any] = {"stored": stored, "layers": layers, "read_mu_a": read_mu_a}
-        found.append(LedSource(engine, led, mu_a, photodiodes=photodiodes, seed=seed, **more))
-    return found
+def led_source(scene: Scene, led: int, engine: LightEngine, stores: Sequence[LightStore], *, seed: int) -> LedSource:
+    """Where the batches of an LED come from; new ones go to the first store."""
+    made = made_of(engine.scene, led, seed=seed, backend=engine.backend.name) | engine.more
+    wavelength_nm = scene.leds[led].wavelength_nm
+    return LedSource(
+        engine,
+        led,
+        optics.absorption(engine.scene, wavelength_nm)[0],
+        photodiodes=len(photodiode_names(scene)),
+        seed=seed,
+        stored=[store.light(made) for store in stores],
+        layers=[layer.name for layer in scene.phantom.layers] if scene.phantom else [],
+        read_mu_a=optics.absorption(scene, wavelength_nm)[0] if "escaping" in engine.more else None,
+    )
 
 
 def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
@@ -164,9 +160,9 @@ def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
     required = scene.accuracy
     if given:
         # Requesting photons alone sets the scene's tolerance aside; a time limit alone keeps it.
-        kept = {} if {"photons", "relative_error"} & given.keys() else scene.accuracy.model_dump(exclude_none=True)
+        base = {} if {"photons", "relative_error"} & given.keys() else scene.accuracy.model_dump(exclude_none=True)
         try:
-            required = Accuracy(**(kept | given))
+            required = Accuracy(**(base | given))
         except ValidationError as error:
             raise InputError(checks.explain(error, Accuracy)) from None
     if not required.model_dump(exclude_none=True):
@@ -174,66 +170,42 @@ def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
     return required
 
 
-def extend(source: LedSource, triggers: Sequence[LedTrigger], *, stop: Callable[[], bool]) -> LedBatches:
-    """The batches of one LED, stored and new ones, until every trigger is met or out of time, or `stop` says so.
-
-    triggers : of all scenes that will be read; they must not have taken in any batch yet.
-    """
-    pieces: dict[tuple[int, int], Batch] = {}
-
-    def collect(number: int, batch: Batch) -> None:
-        pieces[number, batch.photons] = batch
-
-    if take_batches(source, triggers, collect, stop=stop) is Ending.INTERRUPTED:
-        raise KeyboardInterrupt
-    return LedBatches(source.mu_a, pieces)
-
-
 def take_batches(
     source: LedSource,
-    triggers: Sequence[LedTrigger],
-    collect: Callable[[int, Batch], object],
+    trigger: LedTrigger,
+    records: LedRecords,
     *,
-    stop: Callable[[], bool] = lambda: False,
     progress: ProgressCallback | None = None,
     opening: Callable[[], float] = lambda: 0.0,
 ) -> Ending:
-    """Take the batches of one LED, those that are stored and new ones, until every trigger is met or out of time.
+    """Take the batches of one LED, those that are stored and new ones, until its trigger is met or out of time.
 
-    collect : called with each batch and its number.
-    stop : whether nothing more is to be traced; what is stored is taken even then, and when time is over.
-    progress : called after every batch with how far the first trigger is.
+    What is stored is taken even when time is over.
+
+    progress : called after every batch.
     opening : what opening the engine has taken so far, which is no part of the time for tracing. [s]
     """
-    begin, full = time.perf_counter() - opening(), triggers[0].full
+    begin = time.perf_counter() - opening()
 
     def seconds() -> float:
         return time.perf_counter() - opening() - begin
 
     def needed() -> Iterator[tuple[int, int]]:
-        number = 0
-        while any(trigger.needs_batch(number) for trigger in triggers):
-            yield number, full
-            number += 1
-        last = [(len(sizes) - 1, sizes[-1]) for trigger in triggers if (sizes := trigger.sizes())]
-        yield from dict.fromkeys(piece for piece in last if piece[1] != full)
+        for number in itertools.count():
+            if not (photons := trigger.next_batch()):
+                return
+            yield number, photons
 
-    def is_late(piece: tuple[int, int]) -> bool:
-        if source.has(*piece):
-            return False
-        waiting = [trigger for trigger in triggers if trigger.needs_batch(piece[0])] or triggers
-        return stop() or (piece[0] > 0 and seconds() >= max(trigger.seconds for trigger in waiting))
+    def is_late(batch: tuple[int, int]) -> bool:
+        return not source.has(*batch) and batch[0] > 0 and seconds() >= trigger.seconds
 
-    def sample(piece: tuple[int, int]) -> None:
-        batch = source.batch(*piece)
-        collect(piece[0], batch)
-        for trigger in triggers:
-            # Of several triggers only one needs a last, smaller batch.
-            if piece[1] == full or len(triggers) == 1:
-                trigger.add(batch)
+    def sample(numbered: tuple[int, int]) -> None:
+        batch = source.batch(*numbered)
+        records.add(numbered[0], batch)
+        trigger.add(batch)
 
     def report() -> None:
         if progress:
-            progress(triggers[0].progress(seconds()))
+            progress(trigger.progress(seconds()))
 
     return run_until(needed(), sample, is_late=is_late, report=report)

@@ -9,7 +9,6 @@ References: Romano et al. 2015, Ann. Nucl. Energy 82, 90 (OpenMC's tally trigger
 
 import math
 import time
-from collections.abc import Container
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,70 +65,51 @@ class LedTrigger:
     very many photons of which some photodiode has seen none, which no number of photons will mend.
     """
 
-    def __init__(self, scene: Scene, led: int, required: Accuracy, mu_a: np.ndarray, *, full: int) -> None:
+    def __init__(
+        self, scene: Scene, led: int, required: Accuracy, mu_a: np.ndarray, *, full: int, seconds: float = math.inf
+    ) -> None:
         """mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
 
         full : photons of a full batch.
+        seconds : for this LED. [s]
         """
-        self.led, self.required, self.full = led, required, full
+        self.required, self.full, self.seconds = required, full, seconds
         self.name, self.photodiodes = scene.leds[led].name, photodiode_names(scene)
-        # For this LED. [s]
-        self.seconds = required.max_seconds / len(scene.leds) if required.max_seconds else math.inf
         self.rest, self._mu_a = rest_state(scene, led), mu_a
         # Weights of all batches and their squares by photodiode.
         self._total = np.zeros((2, len(self.photodiodes)))
-        self.photons = 0
-        self.errors: list[float] = []
+        self.photons = self.batches = 0
+        # The largest relative standard error so far, and whether that is small enough.
+        self.error, self.met = math.inf, False
         # Why no number of photons will do.
         self.unlit = ""
-        self._batches: int | None = None
-
-    @property
-    def error(self) -> float:
-        """The largest relative standard error so far."""
-        return self.errors[-1] if self.errors else math.inf
 
     def add(self, batch: Batch) -> None:
         """Take in the next batch."""
         weight = batch.weight * transmission(batch.path_mm, self.rest.mu_a - self._mu_a, self.rest.share)
         count = len(self.photodiodes)
         self._total += [np.bincount(batch.photodiode, weight**k, minlength=count) for k in (1, 2)]
-        self.photons += batch.photons
-        self.errors.append(float(_largest_error(self._total, self.photons)))
-        target = None if self.required.photons is not None else self.required.relative_error
-        due = self._batches is None and check_schedule(len(self.errors))
-        if due and target is not None and self.error <= target:
-            self._batches = len(self.errors)
-        endless = self.required.photons is None and math.isinf(self.seconds)
-        if endless and not self.unlit and self.photons >= UNLIT_PHOTONS and not self._total[0].all():
+        self.photons, self.batches = self.photons + batch.photons, self.batches + 1
+        self.error = _largest_error(self._total, self.photons)
+        if self.required.photons is not None:
+            return
+        target = self.required.relative_error
+        self.met = target is not None and self.error <= target and check_schedule(self.batches)
+        if math.isinf(self.seconds) and self.photons >= UNLIT_PHOTONS and not self._total[0].all():
             self.unlit = unlit(self.name, self.photodiodes[int(np.argmin(self._total[0]))], self.photons)
 
-    def sizes(self) -> list[int] | None:
-        """Photons of the batches that meet the requirement; None while that is not known."""
+    def next_batch(self) -> int:
+        """Photons of the next batch; 0 where no more are needed."""
         if self.required.photons is not None:
-            whole, rest = divmod(self.required.photons, self.full)
-            return [self.full] * whole + ([rest] if rest else [])
-        return None if self._batches is None else [self.full] * self._batches
-
-    def needs_batch(self, number: int) -> bool:
-        """Whether the full batch of this number is needed."""
-        sizes = self.sizes()
-        return (sizes is None and not self.unlit) or (sizes or [])[number : number + 1] == [self.full]
-
-    def accepted_batches(self, pieces: Container[tuple[int, int]]) -> tuple[list[int], bool]:
-        """Photons of the batches to read, and whether they meet the requirement; all that there are if they do not."""
-        sizes = self.sizes()
-        if sizes is not None and all(piece in pieces for piece in enumerate(sizes)):
-            return sizes, True
-        timed = self.required.photons is None and self.required.relative_error is None
-        return [self.full] * len(self.errors), timed
+            return min(self.full, self.required.photons - self.photons)
+        return 0 if self.met or self.unlit else self.full
 
     def unmet_reason(self) -> str | None:
         """Why what was traced falls short of what is required, if it does."""
         target, photons = self.required.relative_error, self.required.photons
         if self.unlit:
             return self.unlit
-        if photons is None and target is None or self._batches or (target and self.error <= target):
+        if (target and self.error <= target) or (photons is None and target is None):
             return None
         if photons is not None and self.photons >= photons:
             return None

@@ -238,25 +238,6 @@ def _differ(a: RestState | None, b: RestState | None) -> bool:
     return not (np.array_equal(a.mu_a, b.mu_a) and np.array_equal(a.share, b.share))
 
 
-@dataclass(frozen=True)
-class LedBatches:
-    """The traced batches of one LED, each by itself, so that a scene can be read from those that it needs alone.
-
-    mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
-    pieces : batch by its number and its photons; both, with the seed, determine its bits.
-    """
-
-    mu_a: np.ndarray
-    pieces: Mapping[tuple[int, int], Batch]
-
-    def trace(self, sizes: Sequence[int], *, seed: int, led: int, rest: RestState) -> LedTrace:
-        """The batches of these sizes as one trace, exact at rest however many records it keeps."""
-        found = LedRecords(self.mu_a, rest, seed=seed, led=led)
-        for number, size in enumerate(sizes):
-            found.add(number, self.pieces[number, size])
-        return found.trace()
-
-
 class LedRecords:
     """Records of one LED as its batches come in; memory stays bounded however many there are."""
 
