@@ -15,9 +15,10 @@ import sys
 import tempfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cache
+from glob import glob
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
@@ -40,6 +41,7 @@ VOLPATH_ADVICE = (
     "faster install libLLVM 17 or newer (Debian, Ubuntu: apt install libllvm19), or set DRJIT_LIBLLVM_PATH to one"
 )
 PROBE_TIMEOUT_S = 120.0
+CACHE = "backends.json"
 LLVM_FILE = re.compile(r"libLLVM(?:-.*)?\.so|libLLVM.*\.dylib$")
 FOLDERS = ("/usr/lib", "/usr/lib64", "/lib", "/lib64", "/usr/local/lib", "/usr/local/lib64")
 
@@ -133,10 +135,7 @@ def findings() -> list[Backend]:
 
 
 def activate(backend: Backend, variants: Mapping[Name, str] = VARIANTS) -> Any:
-    """Mitsuba with the backend's variant set.
-
-    Raises: InputError where mitsuba cannot be imported.
-    """
+    """Mitsuba with the backend's variant set; raises InputError where it cannot be imported."""
     if backend.name == "llvm" and backend.library:
         os.environ["DRJIT_LIBLLVM_PATH"] = backend.library
     try:
@@ -205,7 +204,7 @@ def _cuda_libraries() -> list[str]:
     return [str(file.resolve()) for file in files if file.is_file()][:1]
 
 
-def _system_folders() -> list[str | Path]:
+def _system_folders() -> list[str]:
     machine = f"{platform.machine()}-linux-gnu"
     return [*FOLDERS, *(f"{root}/{machine}" for root in ("/usr/lib", "/lib", "/usr/local/lib"))]
 
@@ -219,22 +218,13 @@ def _llvm_libraries(folders: Iterable[str | Path] | None = None) -> list[str]:
     if chosen := os.environ.get("DRJIT_LIBLLVM_PATH"):
         return [chosen]
     if folders is None:
-        folders = [*_system_folders(), Path(sys.prefix) / "lib"]
+        folders = [*_system_folders(), f"{sys.prefix}/lib"]
         for root in ("/usr/lib", "/usr/lib64", "/usr/local/opt", "/opt/homebrew/opt"):
-            folders += sorted(Path(root).glob("llvm*/lib*"))
+            folders += sorted(glob(f"{root}/llvm*/lib*"))
+    files = (Path(name) for folder in folders for name in glob(f"{folder}/libLLVM*"))
     # Many names lead to one file.
-    distinct = {os.path.realpath(folder) for folder in folders}
-    found = {Path(folder, name).resolve() for folder in distinct for name in _names(folder) if LLVM_FILE.match(name)}
-    files = sorted(str(file) for file in found if file.is_file())
-    return sorted(files, key=_major_version, reverse=True)
-
-
-def _names(folder: str | Path) -> list[str]:
-    """What lies in a folder; nothing in one that is not there or that may not be read."""
-    try:
-        return os.listdir(folder)
-    except OSError:
-        return []
+    distinct = {str(file.resolve()) for file in files if LLVM_FILE.match(file.name) and file.is_file()}
+    return sorted(sorted(distinct), key=_major_version, reverse=True)
 
 
 def _major_version(path: str) -> int:
@@ -260,11 +250,9 @@ def _works(name: Name, library: str) -> tuple[tuple[str, ...], str]:
 
 def _key(name: Name, library: str) -> str:
     """What the answer depends on: the library's file, the packages and the machine."""
-    try:
-        stat = Path(library).stat()
-        file: list[Any] = [stat.st_mtime_ns, stat.st_size]
-    except OSError:
-        file = []
+    file: list[Any] = []
+    with suppress(OSError):
+        file = [Path(library).stat().st_mtime_ns, Path(library).stat().st_size]
     versions = [*_packages(), platform.python_version(), platform.machine()]
     seen = [os.environ.get("CUDA_VISIBLE_DEVICES"), platform.node(), *_devices()] if name == "cuda" else []
     return json.dumps([name, library, file, versions, seen, zlib.crc32(PROBE.encode())])
@@ -304,11 +292,14 @@ def _probe(name: Name, library: str) -> tuple[tuple[str, ...], str, bool]:
     engines = tuple(engine for engine in ENGINES if engine in answered)
     if run.returncode == 0 and engines == ENGINES:
         return engines, "works", True
-    ended = f"({_signal_name(-run.returncode)})" if run.returncode < 0 else f"(code {run.returncode})"
-    if engines:
-        return engines, f"works for photons; a kernel of volpath's ends the process {ended}", True
+    code = f"(code {run.returncode})"
     if run.returncode < 0:
-        return (), f"kills the process at its first kernel {ended}", True
+        names = {one.value: one.name for one in signal.Signals}
+        code = f"({names.get(-run.returncode, f'signal {-run.returncode}')})"
+    if engines:
+        return engines, f"works for photons; a kernel of volpath's ends the process {code}", True
+    if run.returncode < 0:
+        return (), f"kills the process at its first kernel {code}", True
     # Dr.Jit's own words come first; the exception that follows them only says that there is no backend.
     refusal = re.search(r"jit_(?:llvm|cuda)\w*\(\): (.+?)(?:, shutting down|[.\n]|$)", said)
     why = refusal.group(1) if refusal else _last_line(said)
@@ -316,37 +307,24 @@ def _probe(name: Name, library: str) -> tuple[tuple[str, ...], str, bool]:
     return (), f"refused: {why}" if why else f"ended with code {run.returncode}", not missing
 
 
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"
-
-
 def _last_line(text: str) -> str:
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     return lines[-1][:200].rstrip(".") if lines else ""
 
 
-def _cache_file() -> Path:
-    """The file of answers; raises RuntimeError for a user without a home."""
-    return cache_folder() / "backends.json"
-
-
 def _read_cache() -> dict[str, Any]:
-    try:
-        answers = json.loads(_cache_file().read_text(encoding="utf-8"))
-    except (OSError, ValueError, RuntimeError):
-        return {}
-    return answers if isinstance(answers, dict) else {}
+    with suppress(OSError, ValueError, RuntimeError):
+        answers = json.loads((cache_folder() / CACHE).read_text(encoding="utf-8"))
+        return answers if isinstance(answers, dict) else {}
+    return {}
 
 
 def _remember(key: str, engines: tuple[str, ...], why: str) -> None:
     """Add an answer to the user's cache; without one the next process probes again."""
     try:
-        make_folder(_cache_file().parent)
+        make_folder(cache_folder())
         answers = _read_cache() | {key: {"engines": engines, "why": why}}
-        write_bytes(_cache_file(), json.dumps(answers, indent=1).encode())
+        write_bytes(cache_folder() / CACHE, json.dumps(answers, indent=1).encode())
     except (RuntimeError, WriteError) as error:
         log.debug("backends are not remembered: %s", error)
 

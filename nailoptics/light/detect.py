@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from .. import geometry
-from ..errors import InputError, NotReachedError
+from ..errors import InputError, NotReachedError, as_far_as_reached
 from ..geometry import Geometry
 from ..options import Requested, TraceOptions
 from ..scene import Led, Scene
@@ -64,39 +64,38 @@ class DetectedLight:
 class RestReadings:
     """Readings of every LED and photodiode at rest, and where the light went (None by volpath).
 
-    The standard error of a reading is NaN where it rests on fewer than 25 effective photons.
+    The standard error of a reading is NaN where it rests on fewer than 25 effective photons. Seconds count everything,
+    from the scene to its readings.
+
+    reused : whether all photons came from the store.
     """
 
     readings: list[dict[str, Any]]
     energy: dict[str, dict[str, float]] | None
-    # Seconds count everything, from the scene to its readings.
     photons: int
     engine: str
     backend: str
     cpu_seconds: float
     wall_seconds: float
-    # Whether all photons came from the store.
     reused: bool = False
     transfer: Transfer | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything but the transfer, but of it where in the scene the absorbed light ended."""
-        found = {name: value for name, value in vars(self).items() if name != "transfer"}
-        if self.transfer is None:
-            return found
-        return found | {"absorbed": self.transfer.absorbed(), "note": self.note} | self._correlation
+        """Everything but the transfer, and of it where in the scene the absorbed light ended.
 
-    @property
-    def _correlation(self) -> dict[str, Any]:
-        """Correlation of the errors of an LED's readings, by photodiodes, where a phantom makes them share it."""
-        if not self.note or self.transfer is None:
-            return {}
-        names = self.transfer.photodiodes
-        by_led = {
-            led: {name: dict(zip(names, row, strict=True)) for name, row in zip(names, rows, strict=True)}
-            for led, rows in zip(self.transfer.leds, self.transfer.error_correlation().tolist(), strict=True)
-        }
-        return {"error_correlation": by_led}
+        Where photodiodes of a phantom share their error, also its correlation, by LED and two photodiodes.
+        """
+        summary = {name: value for name, value in vars(self).items() if name != "transfer"}
+        if self.transfer is None:
+            return summary
+        summary |= {"absorbed": self.transfer.absorbed(), "note": self.note}
+        if self.note:
+            names, rows = self.transfer.photodiodes, self.transfer.error_correlation().tolist()
+            summary["error_correlation"] = {
+                led: {name: dict(zip(names, row, strict=True)) for name, row in zip(names, of_led, strict=True)}
+                for led, of_led in zip(self.transfer.leds, rows, strict=True)
+            }
+        return summary
 
     @property
     def note(self) -> str:
@@ -117,25 +116,33 @@ def open_light(
     options, engine = _options(scene, requested)
     if engine == "volpath":
         return _light_by_volpath(scene, np.asarray(states, float), options, progress)
-
-    def read(transfer: Transfer) -> DetectedLight:
-        rest = transfer.at()
-        unknown = "detected no light or too few photons to estimate a standard error"
-        _warn_of_few_photons(transfer, rest, unknown)
-        return light_of(transfer, rest=rest)
-
-    return _traced(scene, read, progress, options)
+    transfer, unmet = as_far_as_reached(trace, scene, progress=progress, **options.fields)
+    rest = transfer.at()
+    _warn_of_few_photons(rest, "detected no light or too few photons to estimate a standard error")
+    return _unless(unmet, light_of(transfer, rest=rest))
 
 
 def read_rest(
     scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]
 ) -> RestReadings:
     """Trace a scene and read it at rest; raises NotReachedError with the RestReadings so far as result."""
-    begin = time.process_time(), time.perf_counter()
+    cpu, begin = time.process_time(), time.perf_counter()
     options, engine = _options(scene, requested)
     if engine == "volpath":
-        return _rest_by_volpath(scene, options, progress, begin)
-    return _traced(scene, partial(_rest_of, begin=begin), progress, options)
+        result, unmet = _rest_by_volpath(scene, options, progress)
+    else:
+        transfer, unmet = as_far_as_reached(trace, scene, progress=progress, **options.fields)
+        result = _rest_of(transfer)
+    cpu, begin = time.process_time() - cpu, time.perf_counter() - begin
+    return _unless(unmet, replace(result, cpu_seconds=cpu, wall_seconds=begin))
+
+
+def _unless(unmet: NotReachedError | None, result: T) -> T:
+    """A result; raises the reason with it where it falls short of what is required."""
+    if unmet is None:
+        return result
+    unmet.result = result
+    raise unmet
 
 
 def _options(scene: Scene, requested: Requested) -> tuple[TraceOptions, str]:
@@ -167,15 +174,15 @@ def engine_for(scene: Scene, chosen: backends.Backend) -> str:
 def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None) -> DetectedLight:
     """A Transfer as the light of a finger scene; rest is the transfer's readings at rest, if they are there."""
     rest = transfer.at() if rest is None else rest
-    blind = np.isnan(rest.detected_fraction_stderr.values)
+    unknown = np.isnan(rest.detected_fraction_stderr.values)
     with np.errstate(invalid="ignore", divide="ignore"):
         relative = rest.detected_fraction_stderr.values / rest.detected_fraction.values
 
     def readings_at(states: np.ndarray) -> ReadingSeries:
-        seen = readings_over_states(transfer, states, weight_by_responsivity=True)
+        readings = readings_over_states(transfer, states, weight_by_responsivity=True)
         # A sum of no photons, or of one, has no spread, which is not the same as no error.
-        seen.stderr[blind] = seen.change_stderr[blind] = np.nan
-        return seen
+        readings.stderr[unknown] = readings.change_stderr[unknown] = np.nan
+        return readings
 
     return DetectedLight(
         readings_at=readings_at,
@@ -192,23 +199,11 @@ def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None) -> DetectedL
     )
 
 
-def _traced(scene: Scene, read: Callable[[Transfer], T], progress: ProgressCallback | None, options: TraceOptions) -> T:
-    """What is read from a scene's trace, or from as much of it as there is when it falls short."""
-    try:
-        transfer = trace(scene, progress=progress, **options.fields)
-    except NotReachedError as error:
-        if isinstance(error.result, Transfer):
-            error.result = read(error.result)
-        raise
-    return read(transfer)
-
-
-def _warn_of_few_photons(transfer: Transfer, rest: xr.Dataset, what: str) -> None:
+def _warn_of_few_photons(rest: xr.Dataset, what: str) -> None:
     """Warn of readings that have too few photons for a standard error."""
-    few = np.isnan(rest.detected_fraction_stderr.values)
+    few = np.isnan(rest.detected_fraction_stderr.values).any(0)
     if few.any():
-        names = sorted({transfer.photodiodes[j] for j in np.nonzero(few)[1]})
-        log.warning("%s %s; trace more photons", ", ".join(names), what)
+        log.warning("%s %s; trace more photons", ", ".join(sorted(rest.photodiode.values[few])), what)
 
 
 def _reached(relative: np.ndarray) -> str:
@@ -228,33 +223,27 @@ def section(scene: Scene, light: DetectedLight, options: TraceOptions) -> xr.Dat
     """
     if light.transfer is None:
         return _section(scene, options, geometry.build(scene))
-    found = _stored_section(scene, replace(options, backend=backends.choose(options.backend).name))
+    options = replace(options, backend=backends.choose(options.backend).name)
+    store, result = LightStore.of_user() if options.store else None, None
+    if store is not None:
+        made = made_of(scene, 0, seed=options.seed, backend=options.backend, what="section")
+        stored = store.light(made | {"leds": [led_digest(scene, led) for led in range(len(scene.leds))]})
+
+        def build(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> xr.Dataset:
+            section = from_record(header, arrays)
+            pixels = section.section_region.shape
+            check_arrays(arrays, {"section_region": pixels, "path_density": (len(scene.leds), *pixels)})
+            return section
+
+        result = stored.read("section", build)
+    if result is None:
+        result = _section(light_scene(scene), options)
+        if store is not None:
+            stored.write("section", *to_record(result))
+            store.close()
     # Its light knows no names.
-    found.section_region.attrs["regions"] = json.dumps(geometry.region_names(scene.layout))
-    return found
-
-
-def _stored_section(scene: Scene, options: TraceOptions) -> xr.Dataset:
-    """The section with the light of a scene, from the store if it is there."""
-    store = LightStore.of_user() if options.store else None
-    if store is None:
-        return _section(light_scene(scene), options)
-    made = made_of(scene, 0, seed=options.seed, backend=options.backend, what="section")
-    stored = store.light(made | {"leds": [led_digest(scene, led) for led in range(len(scene.leds))]})
-
-    def build(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> xr.Dataset:
-        section = from_record(header, arrays)
-        pixels = section.section_region.shape
-        check_arrays(arrays, {"section_region": pixels, "path_density": (len(scene.leds), *pixels)})
-        return section
-
-    found = stored.read("section", build)
-    if found is not None:
-        return found
-    traced = _section(light_scene(scene), options)
-    stored.write("section", *to_record(traced))
-    store.close()
-    return traced
+    result.section_region.attrs["regions"] = json.dumps(geometry.region_names(scene.layout))
+    return result
 
 
 def _section(scene: Scene, options: TraceOptions, finger: Geometry | None = None) -> xr.Dataset:
@@ -329,21 +318,19 @@ def _light_by_volpath(
             "accuracy_reached": _reached(relative) + "; three blood states traced, Beer-Lambert (8) between them",
         },
     )
-    return _unless_short(light, traced)
+    return _unless(_unmet(traced), light)
 
 
-def _unless_short(result: T, traced: Sequence[StateReadings]) -> T:
-    """What was made of volpath's readings; raises NotReachedError with it if some fall short of what is required."""
-    unmet = next((one for one in traced if one.unmet_reason), None)
-    if unmet and unmet.unmet_reason:
-        raise NotReachedError(unmet.unmet_reason, result=result, interrupted=unmet.interrupted)
-    return result
+def _unmet(traced: Sequence[StateReadings]) -> NotReachedError | None:
+    """Why volpath's readings fall short of what is required, if they do."""
+    short = (NotReachedError(one.unmet_reason, interrupted=one.interrupted) for one in traced if one.unmet_reason)
+    return next(short, None)
 
 
-def _rest_of(transfer: Transfer, *, begin: tuple[float, float]) -> RestReadings:
+def _rest_of(transfer: Transfer) -> RestReadings:
     """The readings of a trace at rest."""
     rest = transfer.at()
-    _warn_of_few_photons(transfer, rest, "detected too few photons to estimate a standard error")
+    _warn_of_few_photons(rest, "detected too few photons to estimate a standard error")
     rows = []
     for i, led in enumerate(transfer.scene.leds):
         for j, photodiode in enumerate(transfer.photodiodes):
@@ -354,22 +341,16 @@ def _rest_of(transfer: Transfer, *, begin: tuple[float, float]) -> RestReadings:
                 paths = zip(transfer.absorbers, rest[name][at].values.tolist(), strict=True)
                 row[name.replace("_mm_stderr", "_stderr_mm")] = dict(paths)
             rows.append(row)
-    return RestReadings(
-        readings=rows,
-        energy=transfer.energy(),
-        photons=transfer.photons,
-        engine=transfer.engine,
-        backend=transfer.backend,
-        cpu_seconds=time.process_time() - begin[0],
-        wall_seconds=time.perf_counter() - begin[1],
-        reused=transfer.reused,
-        transfer=transfer,
-    )
+    made = {
+        name: getattr(transfer, name)
+        for name in ("photons", "engine", "backend", "cpu_seconds", "wall_seconds", "reused")
+    }
+    return RestReadings(rows, transfer.energy(), **made, transfer=transfer)
 
 
 def _rest_by_volpath(
-    scene: Scene, options: TraceOptions, progress: ProgressCallback | None, begin: tuple[float, float]
-) -> RestReadings:
+    scene: Scene, options: TraceOptions, progress: ProgressCallback | None
+) -> tuple[RestReadings, NotReachedError | None]:
     """The readings of a scene at rest, traced by volpath."""
     if scene.phantom is not None:
         read = partial(volpath.phantom_readings, scene, progress)
@@ -385,16 +366,9 @@ def _rest_by_volpath(
     for led, one in zip(scene.leds, traced, strict=True):
         values = zip(photodiode_names(scene), one.fraction[:, 0], one.fraction_stderr[:, 0], strict=True)
         rows += [_row(led, *value, one.paths) for value in values]
-    result = RestReadings(
-        readings=rows,
-        energy=mean_of_leds([one.energy for one in traced if one.energy]) if scene.phantom is not None else None,
-        photons=sum(one.paths for one in traced),
-        engine="volpath",
-        backend=options.backend,
-        cpu_seconds=time.process_time() - begin[0],
-        wall_seconds=time.perf_counter() - begin[1],
-    )
-    return _unless_short(result, traced)
+    energy = mean_of_leds([one.energy for one in traced if one.energy]) if scene.phantom is not None else None
+    photons = sum(one.paths for one in traced)
+    return RestReadings(rows, energy, photons, "volpath", options.backend, 0.0, 0.0), _unmet(traced)
 
 
 def _row(led: Led, photodiode: str, fraction: Any, stderr: Any, photons: int) -> dict[str, Any]:
