@@ -16,7 +16,7 @@ from nailoptics.light.tracing import trace_scene
 from nailoptics.light.tracing.store import LedSource
 from nailoptics.light.tracing.trace_scene import take_batches
 from nailoptics.light.tracing.trigger import LedTrigger
-from nailoptics.light.transfer.records import Batch, LedRecords, LedTrace, joined
+from nailoptics.light.transfer.records import LedRecords, LedTrace, joined
 from nailoptics.light.transfer.series import read_replicates, readings_over_states
 from nailoptics.light.walk.finger import FingerTracer
 from nailoptics.paper.reduced_optics import fit_curve
@@ -80,9 +80,7 @@ def small_traces(
     """Many small traces of a scene's first LED, and all of them as one."""
     engine, traces = tracer(scene), []
     for seed in range(runs):
-        batch = engine.batch(0, photons=photons, seed=1000 + seed)
-        kept = {name: getattr(batch, name) for name in ("photodiode", "weight", "path_mm", "energy")}
-        traces.append(LedTrace(photons=photons, mu_a=engine.mu_a(0), seeds=(seed,), **kept))
+        traces.append(engine.batch(0, photons=photons, seed=1000 + seed))
     small = [Transfer(scene, (trace,), backend) for trace in traces]
     return small, Transfer(scene, (joined(traces),), backend)
 
@@ -202,18 +200,19 @@ class Urn:
     def mu_a(self, led: int) -> np.ndarray:
         return np.zeros(1)
 
-    def batch(self, led: int, *, photons: int, seed: int) -> Batch:
+    def batch(self, led: int, *, photons: int, seed: int) -> LedTrace:
         rng = np.random.default_rng(seed)
         count = int(rng.binomial(photons, self.probability))
         weight = rng.random(count) ** 3
-        return Batch(photons, np.zeros(count, np.uint16), weight, np.zeros((count, 1), np.float32), {}, 0)
+        path_mm = np.zeros((count, 1), np.float32)
+        return LedTrace(photons, np.zeros(1), np.zeros(count, np.uint16), weight, path_mm, {}, (seed,))
 
 
 def stopped(seed: int, target: float) -> tuple[float, float]:
     """Relative departure from the truth, and relative standard error, of a run that stops at a tolerance."""
     urn = Urn()
     rule = LedTrigger(urn.scene, 0, Accuracy(relative_error=target), urn.mu_a(0), full=urn.batch_photons)
-    records = LedRecords(urn.mu_a(0), rule.rest, seed=seed, led=0)
+    records = LedRecords(rule.rest)
     take_batches(LedSource(lambda: urn, 0, urn.mu_a(0), photodiodes=1, seed=seed), rule, records)
     assert rule.met
     trace = records.trace()

@@ -8,7 +8,6 @@ from small_scenes import phantom
 
 import nailoptics as nail
 from nailoptics.light import Transfer
-from nailoptics.light.transfer.records import LedTrace
 from nailoptics.light.walk.layered import LayeredTracer, arc_share, walk_layers
 from nailoptics.light.walk.sampling import TOP
 from nailoptics.scene import Scene, parse_scene
@@ -349,9 +348,7 @@ def test_the_errors_of_readings_are_correlated_as_told(jit_backend):
     scene = parse_scene(phantom({"thickness_mm": 2.0, "mu_a_per_mm": 0.1, "g": 0.5}, photodiodes=squares))
     engine, runs, told, values = LayeredTracer(scene), 300, [], []
     for seed in range(runs):
-        batch = engine.batch(0, photons=4096, seed=seed)
-        kept = {name: value for name, value in vars(batch).items() if name != "events"}
-        read = Transfer(scene, (LedTrace(**kept, mu_a=engine.mu_a(0), seeds=(seed,)),), "llvm").at()
+        read = Transfer(scene, (engine.batch(0, photons=4096, seed=seed),), "llvm").at()
         assert read.error_correlation.dims == ("led", "photodiode", "other_photodiode")
         told.append(read.error_correlation.values[0])
         values.append(read.detected_fraction.values[0])

@@ -281,12 +281,9 @@ def test_intervals_of_95_percent_hold_for_few_photons(jit_backend):
     """Readings, mean paths and derivatives of 200 traces so short that some photodiodes see a handful of photons."""
     scene = two_layers(upper=0.3, photodiodes=4)
     tracer, count, low, high, known = LayeredTracer(scene), 200, 0, 0, 0
-    fields = ("photons", "photodiode", "weight", "path_mm", "energy")
     runs = []
     for seed in range(count):
-        batch = tracer.batch(0, photons=1 << 11, seed=seed)
-        own = {name: getattr(batch, name) for name in fields}
-        trace = LedTrace(**own, mu_a=tracer.mu_a(0), seeds=(seed,))
+        trace = replace(tracer.batch(0, photons=1 << 11, seed=seed), pairs={})
         runs.append(Transfer(scene, (trace,), "llvm", versions={"nailoptics": "0"}))
     merged = runs[0]
     for run in runs[1:]:

@@ -24,7 +24,7 @@ from ...scene import Scene
 from ...statistics import seed_of
 from ..identity import led_digest, usual_layer_name
 from ..transfer import current_versions
-from ..transfer.records import SUMS, Batch, check_records, read_escaping
+from ..transfer.records import SUMS, LedTrace, read_escaping
 
 T = TypeVar("T")
 
@@ -213,7 +213,7 @@ class LedSource:
     """The batches of one LED by number and photons: those that are stored, and new ones, which are stored as they come.
 
     mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
-    reused, traced : photons that were taken from the store, and that were traced.
+    reused : photons that were taken from the store.
     """
 
     def __init__(
@@ -238,30 +238,29 @@ class LedSource:
         self.engine, self.led, self.mu_a, self.seed, self.stored = engine, led, mu_a, seed, stored
         self.photodiodes, self.read_mu_a = photodiodes, read_mu_a
         self.names = {usual_layer_name(i): name for i, name in enumerate(layers)}
-        self.reused = self.traced = 0
+        self.reused = 0
 
     def has(self, number: int, photons: int) -> bool:
         """Whether a batch is stored."""
         return any(os.path.exists(one.path(f"{number}-{photons}")) for one in self.stored)
 
-    def batch(self, number: int, photons: int) -> Batch:
+    def batch(self, number: int, photons: int) -> LedTrace:
         """The batch of a number and its photons; both, with the light and the seed, determine its bits."""
-        name = f"{number}-{photons}"
+        name, seed = f"{number}-{photons}", seed_of(self.seed, self.led, number)
 
-        def build(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> Batch:
+        def build(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> LedTrace:
             columns: dict[str, Any] = {column: arrays[column] for column in _COLUMNS}
             columns |= {one: {part: (a, b) for part, (a, b) in about[one].items()} for one in SUMS}
-            batch = Batch(photons=photons, events=int(about["events"]), **columns)
+            batch = LedTrace(photons=photons, mu_a=self.mu_a, seeds=(seed,), events=int(about["events"]), **columns)
             ends = 0 if self.read_mu_a is None else 2
-            check_records(batch, photodiodes=self.photodiodes + ends, absorbers=len(self.mu_a))
+            batch.check(photodiodes=self.photodiodes + ends, absorbers=len(self.mu_a))
             return batch
 
-        batch = next((found for one in self.stored if (found := one.read(name, build))), None)
+        batch = next((batch for one in self.stored if (batch := one.read(name, build))), None)
         if batch:
             self.reused += photons
         else:
-            batch = self.engine().batch(self.led, photons=photons, seed=seed_of(self.seed, self.led, number))
-            self.traced += photons
+            batch = self.engine().batch(self.led, photons=photons, seed=seed)
             if self.stored:
                 about = {"events": batch.events} | {one: getattr(batch, one) for one in SUMS}
                 self.stored[0].write(name, about, {column: getattr(batch, column) for column in _COLUMNS})

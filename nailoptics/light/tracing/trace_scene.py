@@ -53,12 +53,12 @@ def trace(
     if stores is None:
         stores = [store] if options.store and (store := LightStore.of_user()) else []
     start, cpu = time.perf_counter(), time.process_time()
-    traces, events, reused, complaint, interrupted = [], 0, 0, None, False
+    traces, reused, complaint, interrupted = [], 0, None, False
     for led in range(len(scene.leds)):
         source = led_source(scene, led, engine, stores, seed=options.seed)
         seconds = share_of_time(required.max_seconds, start + engine.wall_seconds, len(scene.leds) - led)
         trigger = LedTrigger(scene, led, required, source.mu_a, full=engine.full, seconds=seconds)
-        records = LedRecords(source.mu_a, trigger.rest, seed=options.seed, led=led)
+        records = LedRecords(trigger.rest)
         ending = take_batches(source, trigger, records, progress=progress, opening=lambda: engine.wall_seconds)
         reason = trigger.unmet_reason()
         if ending is Ending.INTERRUPTED:
@@ -69,7 +69,7 @@ def trace(
             # What is there is of use only with something from every LED: one batch each, then the end.
             required = Accuracy(photons=engine.full)
         complaint = complaint or reason
-        events, reused = events + records.events, reused + source.reused
+        reused += source.reused
         traces.append(records.trace())
     for store in stores:
         store.close()
@@ -79,7 +79,7 @@ def trace(
         chosen.name,
         cpu_seconds=time.process_time() - cpu - engine.cpu_seconds,
         wall_seconds=time.perf_counter() - start - engine.wall_seconds,
-        events=events,
+        events=sum(one.events for one in traces),
         setup_seconds=cpu - begin + engine.cpu_seconds,
         reused_photons=reused,
     )
@@ -201,7 +201,7 @@ def take_batches(
 
     def sample(numbered: tuple[int, int]) -> None:
         batch = source.batch(*numbered)
-        records.add(numbered[0], batch)
+        records.add(batch)
         trigger.add(batch)
 
     def report() -> None:

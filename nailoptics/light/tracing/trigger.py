@@ -16,7 +16,7 @@ import numpy as np
 from ...scene import Accuracy, Scene
 from ...statistics import stderr_of_mean
 from ..transfer import MIN_EFFECTIVE_PHOTONS, photodiode_names, rest_state
-from ..transfer.records import Batch
+from ..transfer.records import LedTrace
 from ..transfer.reweight import transmission
 from .driver import TraceProgress
 
@@ -84,7 +84,7 @@ class LedTrigger:
         # Why no number of photons will do.
         self.unlit = ""
 
-    def add(self, batch: Batch) -> None:
+    def add(self, batch: LedTrace) -> None:
         """Take in the next batch."""
         weight = batch.weight * transmission(batch.path_mm, self.rest.mu_a - self._mu_a, self.rest.share)
         count = len(self.photodiodes)

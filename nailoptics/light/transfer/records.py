@@ -4,16 +4,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import add
+from typing import Any
 
 import numpy as np
 
 from ...errors import InputError
 from ...io import CorruptError
-from ...statistics import FEW_TERMS, Z95, effective_count, seed_of, stderr_of_mean, upper_limit_95
+from ...statistics import FEW_TERMS, Z95, effective_count, stderr_of_mean, upper_limit_95
 from .moments import Moments, RestState, moments_of, moments_of_sample
 from .reweight import attenuation, transmission
 
-# What is kept of each detected photon.
+# What is recorded of each detected photon.
 COLUMNS = ("photodiode", "weight", "path_mm", "draw")
 # Sums over all photons, of weights and of their squares, by name.
 SUMS = ("energy", "absorbed", "pairs")
@@ -21,43 +22,8 @@ SUMS = ("energy", "absorbed", "pairs")
 ENERGY = ("reflected", "transmitted", "absorbed", "lost")
 # Photons of a full batch: enough to keep a processor's lanes busy.
 FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS = 1 << 18, 1 << 19
-# Photons kept per LED; of more, each is kept with one probability, and sums over all of them at rest.
+# Photons recorded per LED; of more, each is recorded with one probability, and sums over all of them at rest.
 MAX_RECORDS = 8_000_000
-
-
-@dataclass(frozen=True)
-class Batch:
-    """What one batch left behind: detected photons, and sums of weights and their squares by where light went.
-
-    absorbed : of the light that was absorbed, how much where.
-    pairs : by two photodiodes, "i j" with i < j: sum over photons of the product of their weights in both, and of its
-        square; those that no photon reaches both of are left out.
-    """
-
-    photons: int
-    photodiode: np.ndarray
-    weight: np.ndarray
-    path_mm: np.ndarray
-    energy: dict[str, tuple[float, float]]
-    events: int
-    absorbed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    pairs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-
-
-def read_escaping(batch: Batch, photodiodes: int, mu_a: np.ndarray) -> Batch:
-    """A batch of a phantom that also holds all light that left its top and bottom, as of two more photodiodes, without
-    these, but with the energy at another absorption that they give; where light is absorbed is then not known.
-
-    mu_a : (r,) float. Absorption, less that for which the weights hold. [mm^-1]
-    """
-    end = batch.photodiode.astype(int) - photodiodes
-    weight = batch.weight * attenuation(batch.path_mm, mu_a)
-    energy = {name: (weight[end == i].sum(), (weight[end == i] ** 2).sum()) for i, name in enumerate(ENERGY[:2])}
-    total, square = (sum(sums) for sums in zip(*energy.values(), strict=True))
-    lost = batch.energy["lost"]
-    energy |= {"absorbed": (batch.photons - total - lost[0], batch.photons - 2 * total + square), "lost": lost}
-    detected = {name: getattr(batch, name)[end < 0] for name in ("photodiode", "weight", "path_mm")}
-    return replace(batch, **detected, energy=energy, absorbed={})
 
 
 def check_arrays(arrays: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> None:
@@ -74,39 +40,25 @@ def check_arrays(arrays: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[in
         raise CorruptError("its arrays differ in length")
 
 
-def check_records(of: "Batch | LedTrace", *, photodiodes: int, absorbers: int) -> None:
-    """Raise CorruptError unless the records and sums that a file held can be those of traced photons."""
-    check_arrays(vars(of), {"photodiode": (-1,), "weight": (-1,), "path_mm": (-1, absorbers)})
-    if of.photodiode.dtype.kind != "u" or (of.photodiode >= photodiodes).any():
-        raise CorruptError("it names a photodiode that there is not")
-    # Paths in neighbouring zones of the bed are differences, so that one may round to below 0.
-    if (of.weight < 0).any() or (of.path_mm < -1e-3).any():
-        raise CorruptError("a weight or path is negative")
-    sums = np.array([pair for name in SUMS for pair in getattr(of, name).values()], float).reshape(-1, 2)
-    if not np.isfinite(sums).all() or (sums[:, 1] < 0).any() or of.energy.keys() != {*ENERGY}:
-        raise CorruptError("its sums are none of light")
-    known = {f"{i} {j}" for i in range(photodiodes) for j in range(i + 1, photodiodes)} if of.pairs else set()
-    if not of.pairs.keys() <= known or not (isinstance(of.photons, int) and of.photons > 0):
-        raise CorruptError("its counts are none of photons")
-
-
 @dataclass(frozen=True)
 class LedTrace:
-    """All that one LED's photons left behind.
+    """All that one LED's photons left behind, of one batch or of many.
 
     photons : How many were emitted.
     mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
-    photodiode : (n,) int. Which photodiode each kept photon reached.
+    photodiode : (n,) unsigned int. Which photodiode each recorded photon reached.
     weight : (n,) float. Its weight there, of 1 at emission, divided by `keep`.
     path_mm : (n, r) float32. Its path in each absorber. [mm]
     energy : for reflected, transmitted, absorbed, lost: sum of weights and sum of their squares.
     seeds : seeds of the batches.
     draw : (n,) float32 in 0-1. A random number per photon, which decides when it is dropped; if not given, drawn.
-    keep : Probability with which each detected photon was kept; those whose draw is below it were.
-    rest : The state in which sums over all photons are kept when records are dropped; without one none are.
+    keep : Probability with which each detected photon was recorded; those whose draw is below it were.
+    rest : The state in which sums over all photons are taken when records are dropped; without one none are.
     full : These sums, once a record was dropped.
     absorbed : as energy, of the light that was absorbed: how much where.
-    pairs : as of a batch, in the state for which the weights hold.
+    pairs : by two photodiodes, "i j" with i < j: sum over photons of the product of their weights in both, and of its
+        square, in the state for which the weights hold; those that no photon reaches both of are left out.
+    events : scatterings.
     """
 
     photons: int
@@ -122,6 +74,7 @@ class LedTrace:
     full: Moments | None = None
     absorbed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     pairs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    events: int = 0
 
     def __post_init__(self) -> None:
         if self.draw is None:
@@ -131,10 +84,22 @@ class LedTrace:
 
     def check(self, *, photodiodes: int, absorbers: int) -> None:
         """Raise CorruptError unless what a file held can be such a trace."""
-        check_records(self, photodiodes=photodiodes, absorbers=absorbers)
-        sums = {} if self.full is None else {"full": self.full.as_array}
-        shapes: dict[str, tuple[int, ...]] = {"weight": (-1,), "draw": (-1,), "mu_a": (absorbers,)}
-        check_arrays(vars(self) | sums, shapes | dict.fromkeys(sums, (photodiodes, 3 + 3 * absorbers)))
+        columns: dict[str, tuple[int, ...]] = {"mu_a": (absorbers,), "path_mm": (-1, absorbers)}
+        columns |= dict.fromkeys(("photodiode", "weight", "draw"), (-1,))
+        check_arrays(vars(self), columns)
+        if self.full is not None:
+            check_arrays({"full": self.full.as_array}, {"full": (photodiodes, 3 + 3 * absorbers)})
+        if self.photodiode.dtype.kind != "u" or (self.photodiode >= photodiodes).any():
+            raise CorruptError("it names a photodiode that there is not")
+        # Paths in neighbouring zones of the bed are differences, so that one may round to below 0.
+        if (self.weight < 0).any() or (self.path_mm < -1e-3).any():
+            raise CorruptError("a weight or path is negative")
+        sums = np.array([pair for name in SUMS for pair in getattr(self, name).values()], float).reshape(-1, 2)
+        if not np.isfinite(sums).all() or (sums[:, 1] < 0).any() or self.energy.keys() != {*ENERGY}:
+            raise CorruptError("its sums are none of light")
+        known = {f"{i} {j}" for i in range(photodiodes) for j in range(i + 1, photodiodes)} if self.pairs else set()
+        if not self.pairs.keys() <= known or not (isinstance(self.photons, int) and self.photons > 0):
+            raise CorruptError("its counts are none of photons")
         if not 0 < self.keep <= 1 or (self.draw >= self.keep).any() or any(not isinstance(s, int) for s in self.seeds):
             raise CorruptError("its probabilities or seeds are none")
 
@@ -168,12 +133,12 @@ class LedTrace:
 
         Of what rests on fewer than 25 effective photons it is at least that of the upper limit of what none showed.
         """
-        found, least = {}, upper_limit_95(self.photons) / Z95
+        fractions, least = {}, upper_limit_95(self.photons) / Z95
         for name, (total, square) in sums.items():
             stderr = float(stderr_of_mean(total, square, self.photons))
             few = effective_count(total, square) < FEW_TERMS
-            found[name] = (total / self.photons, max(stderr, least) if few and self.photons > 1 else stderr)
-        return found
+            fractions[name] = (total / self.photons, max(stderr, least) if few and self.photons > 1 else stderr)
+        return fractions
 
     @property
     def weight_at_rest(self) -> np.ndarray:
@@ -196,35 +161,30 @@ def joined(traces: Sequence[LedTrace]) -> LedTrace:
         raise InputError(f"these traces share {shared} seed(s), so they are not independent; use different seeds.")
     if any(not np.array_equal(trace.mu_a, traces[0].mu_a) for trace in traces):
         raise InputError("these traces were made at different absorption; trace both at the same blood state.")
-    if any(_differ(trace.rest, traces[0].rest) for trace in traces):
+    if len({trace.rest and (trace.rest.mu_a.tobytes(), trace.rest.share.tobytes()) for trace in traces}) > 1:
         raise InputError("these traces are of scenes that differ at rest; merge traces of one scene.")
-    keep, full = _common_keep(traces), None
-    if keep < 1:
-        traces = [trace.thinned(keep) for trace in traces]
-        sums = [trace.full for trace in traces if trace.full is not None]
-        full = reduce(add, sums) if len(sums) == len(traces) else None
-    return LedTrace(
+    traces = _bounded(traces)
+    sums = [trace.full for trace in traces if trace.full is not None]
+    together: dict[str, Any] = {name: np.concatenate([getattr(trace, name) for trace in traces]) for name in COLUMNS}
+    together |= {name: _added([getattr(trace, name) for trace in traces]) for name in SUMS}
+    return replace(
+        traces[0],
         photons=sum(trace.photons for trace in traces),
-        mu_a=traces[0].mu_a,
-        energy=_added([trace.energy for trace in traces]),
-        absorbed=_added([trace.absorbed for trace in traces]),
-        pairs=_added([trace.pairs for trace in traces]),
         seeds=tuple(seeds),
-        keep=keep,
-        rest=traces[0].rest,
-        full=full,
-        **{name: np.concatenate([getattr(trace, name) for trace in traces]) for name in COLUMNS},
+        full=reduce(add, sums) if len(sums) == len(traces) else None,
+        events=sum(trace.events for trace in traces),
+        **together,
     )
 
 
-def _common_keep(traces: Sequence[LedTrace]) -> float:
-    """The probability with which photons of all traces are kept, low enough that there are not too many."""
+def _bounded(traces: Sequence[LedTrace]) -> list[LedTrace]:
+    """The traces with a probability for the photons of all that is low enough that there are not too many records."""
     # One probability for all: had records of earlier batches another, few of them would carry most of a reading.
     keep = min(trace.keep for trace in traces)
     if sum(len(trace.weight) for trace in traces) > MAX_RECORDS:
         while sum(np.count_nonzero(trace.draw < keep) for trace in traces) > MAX_RECORDS:
             keep /= 2
-    return keep
+    return [trace.thinned(keep) for trace in traces]
 
 
 def _added(sums: Sequence[Mapping[str, tuple[float, float]]]) -> dict[str, tuple[float, float]]:
@@ -232,29 +192,34 @@ def _added(sums: Sequence[Mapping[str, tuple[float, float]]]) -> dict[str, tuple
     return {name: (sum(s.get(name, none)[0] for s in sums), sum(s.get(name, none)[1] for s in sums)) for name in names}
 
 
-def _differ(a: RestState | None, b: RestState | None) -> bool:
-    if a is None or b is None:
-        return a is not b
-    return not (np.array_equal(a.mu_a, b.mu_a) and np.array_equal(a.share, b.share))
+def read_escaping(batch: LedTrace, photodiodes: int, mu_a: np.ndarray) -> LedTrace:
+    """A batch of a phantom that also holds all light that left its top and bottom, as of two more photodiodes, without
+    these, but with the energy at another absorption that they give; where light is absorbed is then not known.
+
+    mu_a : (r,) float. Absorption, less that for which the weights hold. [mm^-1]
+    """
+    end = batch.photodiode.astype(int) - photodiodes
+    weight = batch.weight * attenuation(batch.path_mm, mu_a)
+    energy = {name: (weight[end == i].sum(), (weight[end == i] ** 2).sum()) for i, name in enumerate(ENERGY[:2])}
+    total, square = (sum(sums) for sums in zip(*energy.values(), strict=True))
+    lost = batch.energy["lost"]
+    energy |= {"absorbed": (batch.photons - total - lost[0], batch.photons - 2 * total + square), "lost": lost}
+    return replace(batch.select(end < 0), energy=energy, absorbed={})
 
 
 class LedRecords:
-    """Records of one LED as its batches come in; memory stays bounded however many there are."""
+    """The batches of one LED as they come in; memory stays bounded however many there are.
 
-    def __init__(self, mu_a: np.ndarray, rest: RestState | None, *, seed: int, led: int) -> None:
-        self.mu_a, self.rest, self.seed, self.led, self.events = mu_a, rest, seed, led, 0
+    rest : the state in which sums over all photons are taken when records are dropped.
+    """
+
+    def __init__(self, rest: RestState | None) -> None:
+        self.rest = rest
         self._batches: list[LedTrace] = []
-        self._keep = 1.0
 
-    def add(self, number: int, batch: Batch) -> None:
-        """Add the batch of a number, which with the seed decided its random numbers."""
-        self.events += batch.events
-        kept = {name: value for name, value in vars(batch).items() if name != "events"}
-        seeds = (seed_of(self.seed, self.led, number),)
-        self._batches.append(LedTrace(**kept, mu_a=self.mu_a, seeds=seeds, rest=self.rest).thinned(self._keep))
-        keep = _common_keep(self._batches)
-        if keep < self._keep:
-            self._keep, self._batches = keep, [trace.thinned(keep) for trace in self._batches]
+    def add(self, batch: LedTrace) -> None:
+        """Add the next batch."""
+        self._batches = _bounded([*self._batches, replace(batch, rest=self.rest)])
 
     def trace(self) -> LedTrace:
         """All batches so far as one."""

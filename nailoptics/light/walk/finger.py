@@ -13,7 +13,7 @@ from ... import geometry as finger_geometry
 from ...geometry import SPACING_MM, DistanceGrid, Face, Geometry
 from ...scene import Scene
 from .. import optics
-from ..transfer.records import FINGER_BATCH_PHOTONS, Batch
+from ..transfer.records import FINGER_BATCH_PHOTONS, LedTrace
 from .acceptance import Acceptance, acceptance_of
 from .interfaces import DETECTED, Emitter, FingerPhoton, Interfaces, Medium, Regions, ZoneEdges, off_surface
 from .sampling import (
@@ -82,7 +82,7 @@ class FingerTracer:
         """Absorption for which the weights hold, (r,) float. [mm^-1]"""
         return optics.absorption(self.scene, self.scene.leds[led].wavelength_nm)[0]
 
-    def batch(self, led: int, *, photons: int, seed: int) -> Batch:
+    def batch(self, led: int, *, photons: int, seed: int) -> LedTrace:
         """Trace some photons of one LED."""
         if led not in self.reach:
             self.reach[led] = Reach(self.geometry, self.geometry.leds[led])
@@ -91,8 +91,10 @@ class FingerTracer:
         walked = self.walk(led, photons=photons, seed=seed, splitting=splitting, acceptance=acceptance)
         energy, absorbed = walked.energy(self.regions[led].absorbing, self.regions[led].swallows)
         detected, photodiode, weight = splitting.records()
-        return Batch(
+        return LedTrace(
             photons=photons,
+            mu_a=self.mu_a(led),
+            seeds=(seed,),
             photodiode=photodiode.astype(np.uint16),
             weight=weight,
             path_mm=self.by_zone(walked.path_mm[:, detected]),

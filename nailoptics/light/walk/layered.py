@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...scene import Led, Phantom, Scene
-from ..transfer.records import Batch
+from ..transfer.records import LedTrace
 from .arithmetic import maximum, minimum, safe_sqrt
 from .sampling import (
     ABSORBED,
@@ -54,7 +54,7 @@ class LayeredTracer:
         """Absorption for which the weights hold, (layers,) float. [mm^-1]"""
         return np.array([layer.mu_a_per_mm for layer in self.phantom.layers])
 
-    def batch(self, led: int, *, photons: int, seed: int) -> Batch:
+    def batch(self, led: int, *, photons: int, seed: int) -> LedTrace:
         """Trace some photons of one LED."""
         walked, start, shift = walk_layers(self.phantom, self.scene.leds[led], photons=photons, seed=seed)
         energy, absorbed = walked.energy([layer.name for layer in self.phantom.layers])
@@ -73,8 +73,10 @@ class LayeredTracer:
             photodiode.append(np.full(len(left), i, np.uint16))
             weight.append(walked.weight[left])
             path.append(walked.path_mm[:, left].T)
-        return Batch(
+        return LedTrace(
             photons=photons,
+            mu_a=self.mu_a(led),
+            seeds=(seed,),
             photodiode=np.concatenate([np.zeros(0, np.uint16), *photodiode]),
             weight=np.concatenate([np.zeros(0), *weight]),
             path_mm=np.ascontiguousarray(np.concatenate([np.zeros((0, len(self.phantom.layers)), np.float32), *path])),
