@@ -84,24 +84,18 @@ class NailReflectance:
 
     def __init__(self, scene: Scene, *, backend: str = "auto", stores: Sequence[LightStore] = ()) -> None:
         """backend : what walks the rays. stores : where rays may be stored; new ones go to the first."""
-        self.scene = as_seen(scene)
-        self.backend, self.stores = backend, stores
+        self.scene, self.backend, self.stores = as_seen(scene), backend, stores
         self.zones = optics.zones(scene)
-        self.paths = len(optics.TISSUES) + len(self.zones.edges_mm)
 
     @cached_property
     def geometry(self) -> Geometry:
         """The finger's shape."""
-        return self._shape[0]
+        return _built(finger_geometry.shaping(self.scene))[0]
 
     @cached_property
     def interfaces(self) -> Interfaces:
         """What the rays meet."""
-        return Interfaces(*self._shape)
-
-    @cached_property
-    def _shape(self) -> tuple[Geometry, DistanceGrid]:
-        return _built(finger_geometry.shaping(self.scene))
+        return Interfaces(*_built(finger_geometry.shaping(self.scene)))
 
     def reflect(
         self,
@@ -118,8 +112,9 @@ class NailReflectance:
         least_mu_a_per_mm : (r,) float. Absorption to trace, the least that will be read. [mm^-1]
         photons : Rays in all; rounded up, so that each patch has its share in every group.
         """
+        least_mu_a_per_mm = np.asarray(least_mu_a_per_mm, float)
         parameters = {"patches": [[*one.center_mm, *one.size_mm, one.share] for one in patches]}
-        parameters["least_mu_a_per_mm"] = [[float(mu_a) for mu_a in least_mu_a_per_mm]]
+        parameters["least_mu_a_per_mm"] = [least_mu_a_per_mm.tolist()]
         made = made_by("colour", bare_digest(self.scene), wavelength_nm, seed=seed, backend=self.backend) | parameters
         lights = [store.light(made) for store in self.stores]
         name, absorbers = f"{groups}-{photons}", len(least_mu_a_per_mm)
@@ -127,66 +122,55 @@ class NailReflectance:
         def build(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> ReflectedLight:
             shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("patch", "group", "weight", "cosine", "gloss"), (-1,))
             check_arrays(arrays, shapes | {"path_mm": (-1, absorbers), "rays": (len(patches),), "mu_a": (absorbers,)})
-            found = ReflectedLight(**arrays)
-            if (found.patch >= len(patches)).any() or (found.group >= groups).any() or (found.rays < 1).any():
+            stored = ReflectedLight(**arrays)
+            if (stored.patch >= len(patches)).any() or (stored.group >= groups).any() or (stored.rays < 1).any():
                 raise CorruptError("it names a patch or group that there is not")
-            return found
+            return stored
 
         for light in lights:
-            if found := light.read(name, build):
-                return found
-        new = self._reflect(
-            wavelength_nm, patches, least_mu_a_per_mm=least_mu_a_per_mm, photons=photons, seed=seed, groups=groups
-        )
-        if lights:
-            lights[0].write(name, {}, vars(new))
-        return new
-
-    def _reflect(
-        self,
-        wavelength_nm: float,
-        patches: Sequence[Patch],
-        *,
-        least_mu_a_per_mm: np.ndarray,
-        photons: int,
-        seed: int,
-        groups: int,
-    ) -> ReflectedLight:
-        media = optics.finger_media(self.scene, self.geometry.regions, wavelength_nm)
-        absorbers = [absorber.region for absorber in optics.absorbing(self.scene)]
-        least = dict(zip(absorbers, least_mu_a_per_mm, strict=True))
-        mu_a = np.array([least.get(name, 0.0) for name in self.geometry.regions])
-        regions = Regions(self.geometry, replace(media, mu_a=mu_a))
+            if stored := light.read(name, build):
+                return stored
         table = np.repeat(np.arange(len(patches)), [patch.share for patch in patches])
         cycle = len(table) * groups
+        regions = self._regions(wavelength_nm, least_mu_a_per_mm)
         beam = _Beam(patches, table, float(self.geometry.bounds_mm[1, 2]) + ABOVE_MM, regions.air)
-        batch = max(BATCH // cycle, 1) * cycle
-        parts = []
+        batch, total, parts = max(BATCH // cycle, 1) * cycle, 0, []
         for number in range(-(-photons // batch)):
             count = min(batch, -(-(photons - number * batch) // cycle) * cycle)
             parts.append(self._batch(regions, beam, count, seed_of(seed, number)))
-        index, weight, path, cosine = (np.concatenate([part[i] for part in parts]) for i in range(4))
-        total = sum(part[4] for part in parts)
-        return ReflectedLight(
+            total += count
+        index, weight, path, cosine = (np.concatenate(one) for one in zip(*parts, strict=True))
+        new = ReflectedLight(
             rays=np.bincount(table, minlength=len(patches)) * (total // len(table)),
             patch=table[index % len(table)].astype(np.uint16),
             group=(index // len(table) % groups).astype(np.uint8),
             weight=weight.astype(np.float32),
             path_mm=path,
-            mu_a=np.asarray(least_mu_a_per_mm, float),
+            mu_a=least_mu_a_per_mm,
             cosine=cosine,
             gloss=np.asarray(path.max(1) == 0),
         )
+        if lights:
+            lights[0].write(name, {}, vars(new))
+        return new
+
+    def _regions(self, wavelength_nm: float, least_mu_a_per_mm: np.ndarray) -> Regions:
+        media = optics.finger_media(self.scene, self.geometry.regions, wavelength_nm)
+        absorbers = [absorber.region for absorber in optics.absorbing(self.scene)]
+        least = dict(zip(absorbers, least_mu_a_per_mm, strict=True))
+        mu_a = np.array([least.get(name, 0.0) for name in self.geometry.regions])
+        return Regions(self.geometry, replace(media, mu_a=mu_a))
 
     def _batch(self, regions: Regions, beam: "_Beam", count: int, seed: int) -> tuple[np.ndarray, ...]:
-        """Index, weight, paths and cosine of the rays that came back, and how many were sent."""
-        ends = _Exits(count, paths=self.paths, media=len(regions.absorbing))
+        """Index, weight, paths and cosine of the rays that came back."""
+        paths = len(optics.TISSUES) + len(self.zones.edges_mm)
+        ends = _Exits(count, paths=paths, media=len(regions.absorbing))
         walk = FingerWalk(self.interfaces, regions, ZoneEdges(self.zones), beam, ends)
         rng, each = lanes(count, seed)
         walked = ends.evaluated(walk.run(rng, each, dr.arange(mi.UInt32, dr.width(each))))
         back = np.flatnonzero(walked.outcome == TOP)
         path = FingerTracer.by_zone(walked.path_mm[:, back]).astype(np.float16)
-        return back, walked.weight[back], path, np.array(ends.cosine)[back], np.array(count)
+        return back, walked.weight[back], path, np.array(ends.cosine)[back]
 
 
 class _Exits(PhotonEnds):
