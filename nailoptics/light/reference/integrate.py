@@ -52,19 +52,14 @@ def stock_mitsuba(backend: Backend | None) -> Iterator[Any]:
 
 def _render(mi: Any, scene: Any, *, paths: int, seed: int) -> NDArray[np.float64]:
     """Mean of each colour over some paths, (3,) float."""
-    return np.asarray(_pixels(mi, scene, paths=paths, seed=seed).mean(axis=0))
-
-
-def _pixels(mi: Any, scene: Any, *, paths: int, seed: int) -> NDArray[np.float64]:
-    """Each colour in every pixel over some paths, (PIXELS, 3) float."""
     spp = max(1, math.ceil(paths / PIXELS))
     if spp > MAX_SPP:
         raise ValueError(f"{paths} paths in one batch lose counts in float32; at most {MAX_SPP * PIXELS}")
     image = np.array(mi.render(scene, spp=spp, seed=seed % SEEDS), dtype=np.float64)
-    pixels = image.reshape(-1, image.shape[-1])
-    if not np.isfinite(pixels).all():
-        raise FloatingPointError(f"volpath gave {pixels.mean(axis=0)}")
-    return np.asarray(pixels)
+    mean = image.reshape(-1, image.shape[-1]).mean(axis=0)
+    if not np.isfinite(mean).all():
+        raise FloatingPointError(f"volpath gave {mean}")
+    return np.asarray(mean)
 
 
 def phantom_fractions(
@@ -133,12 +128,6 @@ class FingerPaths:
         with stock_mitsuba(self._backend) as mi:
             # Irradiance E under radiance 1 gives a throughput E A; a Lambertian die of radiance 1 emits pi A.
             return _render(mi, self._scene, paths=paths, seed=seed)[: self.channels] / math.pi
-
-    def spread(self, *, paths: int, seed: int) -> NDArray[np.float64]:
-        """What `batch` gives, and its standard error from the spread over the pixels of the film, (2, channels)."""
-        with stock_mitsuba(self._backend) as mi:
-            pixels = _pixels(mi, self._scene, paths=paths, seed=seed)[:, : self.channels] / math.pi
-        return np.stack([pixels.mean(axis=0), pixels.std(axis=0, ddof=1) / math.sqrt(len(pixels))])
 
     def paths_for(self, seconds: float) -> int:
         """How many paths take about this long; measured, and rounded to whole samples per pixel."""

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -92,46 +92,46 @@ def finger_states(
     """
     check_pattern(scene.leds[led])
     check_flat(scene.photodiodes, "volpath")
-    backend = choose(options.backend, volpath=True)
-    tracer = partial(FingerPaths, geometry, media, led=led, backend=backend)
-    batches = _Batches(tracer, bed, geometry, led, options, progress)
+    tracer = partial(FingerPaths, geometry, media, led=led, backend=choose(options.backend, volpath=True))
+    names = [face.name for face in geometry.photodiodes]
+    batches = _Batches(tracer, bed, geometry.leds[led].name, names, options, progress, seed_of(options.seed, led))
     ratio, ratio_stderr = batches.settle_ratios()
     reason = batches.settle_levels()
     mean = np.array([np.mean(values) for values in batches.level])
     relative = np.array([relative_stderr(values) for values in batches.level])
     fraction = mean[:, None] * ratio
     error = np.full_like(fraction, math.inf)
-    seen = mean > 0
-    error[seen] = fraction[seen] * np.hypot(relative[seen, None], ratio_stderr[seen] / ratio[seen])
-    paths = batches.done * batches.paths
-    readings = StateReadings(fraction, error, ratio, ratio_stderr, batches.done, paths, reason)
-    return replace(readings, interrupted=batches.interrupted)
+    lit = mean > 0
+    error[lit] = fraction[lit] * np.hypot(relative[lit, None], ratio_stderr[lit] / ratio[lit])
+    paths, interrupted = batches.done * batches.paths, batches.interrupted
+    return StateReadings(fraction, error, ratio, ratio_stderr, batches.done, paths, reason, interrupted=interrupted)
 
 
+@dataclass
 class _Batches:
     """The batches of one LED as they come, all of one size, so that all weigh the same.
 
-    level : Of each photodiode, its readings in the first state, batch by batch.
     done, paths : How many batches there are, and the paths of each.
+    level : Of each photodiode, its readings in the first state, batch by batch.
+    start : of the performance counter. [s]
     """
 
-    def __init__(
-        self,
-        tracer: Callable[..., FingerPaths],
-        bed: BedAbsorption,
-        geometry: Geometry,
-        led: int,
-        options: TraceOptions,
-        progress: ProgressCallback | None,
-    ) -> None:
-        self.tracer, self.bed, self.progress = tracer, bed, progress
-        self.led, self.photodiodes = geometry.leds[led].name, [face.name for face in geometry.photodiodes]
-        self.target, self.max_seconds = options.relative_error or 0.0, options.max_seconds or math.inf
-        self.seed = seed_of(options.seed, led)
-        self.start, self.done, self.paths = time.perf_counter(), 0, 0
+    tracer: Callable[..., FingerPaths]
+    bed: BedAbsorption
+    led: str
+    photodiodes: list[str]
+    options: TraceOptions
+    progress: ProgressCallback | None
+    seed: int
+    interrupted: bool = False
+    done: int = 0
+    paths: int = 0
+    start: float = field(default_factory=time.perf_counter)
+
+    def __post_init__(self) -> None:
+        self.target, self.max_seconds = self.options.relative_error or 0.0, self.options.max_seconds or math.inf
         self.level: list[list[float]] = [[] for _ in self.photodiodes]
         self.trigger = Trigger(target=self.target, first=LEAST_BATCHES, margin=1.05, growth=ROUND_FACTOR - 1)
-        self.interrupted = False
 
     def settle_ratios(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Each state's reading over that of the first state, and its standard error, (photodiodes, states) float."""
@@ -275,16 +275,24 @@ def phantom_readings(scene: Scene, progress: ProgressCallback | None, led: int, 
     begin, rounds, sizes = time.perf_counter(), list[np.ndarray](), list[int]()
     # Without a tolerance or a number the time alone ends it.
     trigger = Trigger(target=target or 0.0, first=FIRST_ROUND, growth=1.0)
+    windows = [*([Window(p.position_mm, p.size_mm)] for p in scene.photodiodes), LEAVING]
+    made: dict[str, Any] = {"led": led, "batches": ROUND_BATCHES, "backend": choose(options.backend, volpath=True)}
 
-    def pooled() -> list[tuple[float, float]]:
-        """Row by row: photodiodes, light reflected, transmitted, both of these."""
-        return [_pooled(list(row), sizes) for row in zip(*rounds, strict=True)]
+    def pooled() -> np.ndarray:
+        """Mean and standard error of photodiodes, light reflected, transmitted, both of these, (p + 3, 2) float."""
+        weight = np.array(sizes) / sum(sizes)
+        mean = np.mean(rounds, -1)
+        stderr = np.std(rounds, -1, ddof=1) / math.sqrt(ROUND_BATCHES)
+        return np.array([[weight @ m, np.linalg.norm(weight * e)] for m, e in zip(mean.T, stderr.T, strict=True)])
 
     def worst() -> float:
-        return max((stderr / value if value > 0 else math.inf for value, stderr in pooled()[:-3]), default=0.0)
+        return max((stderr / value if value > 0 else math.inf for value, stderr in pooled()[:-3].tolist()), default=0.0)
 
     def paths() -> int:
         return ROUND_BATCHES * sum(sizes)
+
+    def seconds() -> float:
+        return time.perf_counter() - begin
 
     def needed() -> Iterator[int]:
         while more := max(options.photons - paths(), 0) if options.photons else trigger.needed(paths(), worst()):
@@ -292,21 +300,27 @@ def phantom_readings(scene: Scene, progress: ProgressCallback | None, led: int, 
 
     def sample(more: int) -> None:
         size = min(math.ceil(more / ROUND_BATCHES), MAX_BATCH_PATHS)
-        rounds.append(_phantom_round(scene, led, len(rounds), size, options))
+        *apertures, leaving = (
+            phantom_fractions(
+                scene, some, seed=seed_of(options.seed, led, len(rounds), k), paths_per_batch=size, **made
+            )
+            for k, some in enumerate(windows)
+        )
+        rounds.append(np.stack([*(batches[:, 0] for batches in apertures), *leaving.T, leaving.sum(1)]))
         sizes.append(size)
 
     def report() -> None:
         if progress:
-            error, seconds = worst(), time.perf_counter() - begin
+            error = worst()
             share = paths() / options.photons if options.photons else trigger.share_done(error)
-            share = min(1.0, max(share, seconds / max_seconds))
-            progress(TraceProgress(name, paths(), error, target, share, seconds))
+            share = min(1.0, max(share, seconds() / max_seconds))
+            progress(TraceProgress(name, paths(), error, target, share, seconds()))
 
-    late = lambda more: bool(rounds) and time.perf_counter() - begin >= max_seconds  # noqa: E731
-    ending = run_until(needed(), sample, is_late=late, report=report)
-    *values, reflected, transmitted, out = pooled()
+    ending = run_until(needed(), sample, is_late=lambda _: bool(rounds) and seconds() >= max_seconds, report=report)
+    *values, reflected, transmitted, out = pooled().tolist()
     met = ending is Ending.MET or not (options.photons or target)
     fraction, fraction_stderr = np.array(values).reshape(-1, 2, 1).swapaxes(0, 1)
+    energy = {"reflected": reflected, "transmitted": transmitted, "absorbed": [1 - out[0], out[1]], "lost": [0.0, 0.0]}
     return StateReadings(
         fraction=fraction,
         fraction_stderr=fraction_stderr,
@@ -316,33 +330,8 @@ def phantom_readings(scene: Scene, progress: ProgressCallback | None, led: int, 
         paths=paths(),
         unmet_reason=None if met else out_of_time(name, f"relative error {worst():.3g}"),
         interrupted=ending is Ending.INTERRUPTED,
-        energy={
-            "reflected": reflected,
-            "transmitted": transmitted,
-            "absorbed": (1 - out[0], out[1]),
-            "lost": (0.0, 0.0),
-        },
+        energy={part: (value, stderr) for part, (value, stderr) in energy.items()},
     )
-
-
-def _phantom_round(scene: Scene, led: int, number: int, size: int, options: TraceOptions) -> np.ndarray:
-    """One round of batches: photodiodes, light reflected, transmitted, and both of these, (p + 3, batches) float."""
-    windows = [*([Window(p.position_mm, p.size_mm)] for p in scene.photodiodes), LEAVING]
-    made: dict[str, Any] = {"led": led, "batches": ROUND_BATCHES, "paths_per_batch": size}
-    made["backend"] = choose(options.backend, volpath=True)
-    *apertures, leaving = (
-        phantom_fractions(scene, some, seed=seed_of(options.seed, led, number, k), **made)
-        for k, some in enumerate(windows)
-    )
-    return np.stack([*(batches[:, 0] for batches in apertures), *leaving.T, leaving.sum(1)])
-
-
-def _pooled(rounds: list[np.ndarray], sizes: list[int]) -> tuple[float, float]:
-    """Mean and standard error of rounds of batches, each round weighed by the paths in a batch of it."""
-    weight = np.array(sizes) / sum(sizes)
-    mean = [float(np.mean(batches)) for batches in rounds]
-    stderr = [float(np.std(batches, ddof=1) / math.sqrt(len(batches))) for batches in rounds]
-    return float(weight @ mean), float(np.linalg.norm(weight * stderr))
 
 
 def corner_states(states: np.ndarray) -> np.ndarray:
