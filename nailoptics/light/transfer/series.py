@@ -1,7 +1,7 @@
 """One trace read in many states: over a course of the blood, and with and without each group of its photons."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,56 +57,39 @@ def readings_over_states(
     Warns: ReweightWarning where fewer than 400 effective photons stand behind a reading of some state, or fewer than 25
     behind the standard error of one that is brighter than the traced state.
     """
-    found = _readings(transfer, blood_fraction, so2, weight_by_responsivity)
-    effective = np.empty(found.fraction.shape[:2])
+    states = np.asarray(blood_fraction)
+    states = states if states.dtype == np.float32 else states.astype(float, copy=False)
+    count, blood = optics.zones(transfer.scene).count, transfer.scene.blood
+    if states.ndim != 2 or states.shape[1] != count or not len(states):
+        raise InputError(f"blood_fraction has shape {states.shape}; give (states, {count}), one value for each zone.")
+    course = _Course(transfer, states, so2, weight_by_responsivity)
+    # Absorption bends where venous blood begins to pool: between nodes on one side of that it is smooth.
+    pools = so2 is None and blood.venous_so2 is not None
+    sides, side = np.unique(states > (blood.rest_blood_fraction if pools else 1.0), axis=0, return_inverse=True)
+    for k in range(len(sides)):
+        course.read(np.flatnonzero(side == k))
+    fraction, stderr, _, _ = course.out
+    effective = np.empty(fraction.shape[:2])
     with np.errstate(invalid="ignore", divide="ignore"):
         # Of n equal photons the relative error is 1 / sqrt(n).
         for pair in np.ndindex(*effective.shape):
-            each = np.square(found.fraction[pair] / found.stderr[pair])
-            effective[pair] = np.nan_to_num(each, nan=np.inf).min()
+            effective[pair] = np.nan_to_num(np.square(fraction[pair] / stderr[pair]), nan=np.inf).min()
     # Where there is least blood, single long paths weigh most.
-    least_absorbing = transfer.moments_at(np.min(blood_fraction, 0), so2)
-    transfer.warn_if_thin(effective, least_absorbing)
-    return found
+    transfer.warn_if_thin(effective, transfer.moments_at(np.min(blood_fraction, 0), so2))
+    return ReadingSeries(*course.out)
 
 
-def _readings(
-    transfer: Transfer, blood_fraction: np.ndarray, so2: float | None, weight_by_responsivity: bool
-) -> ReadingSeries:
-    states = np.asarray(blood_fraction)
-    states = states if states.dtype == np.float32 else states.astype(float, copy=False)
-    count = optics.zones(transfer.scene).count
-    if states.ndim != 2 or states.shape[1] != count or not len(states):
-        raise InputError(f"blood_fraction has shape {states.shape}; give (states, {count}), one value for each zone.")
-    blood, first = transfer.scene.blood, checks.fraction("blood_fraction", states)[0].copy()
-    shape = (len(transfer.traces), len(transfer.photodiodes), len(states))
-    reading = _Reading(
-        transfer, states, first, so2, weight_by_responsivity, [np.empty(shape, states.dtype) for _ in range(4)]
-    )
-    if so2 is not None or blood.venous_so2 is None:
-        _read(reading, np.arange(len(states)))
-        return ReadingSeries(*reading.out)
-    # Absorption bends where blood begins to pool: between nodes on one side of that it is smooth.
-    sides, side = np.unique(states > blood.rest_blood_fraction, axis=0, return_inverse=True)
-    for k in range(len(sides)):
-        _read(reading, np.flatnonzero(side == k))
-    return ReadingSeries(*reading.out)
+class _Course:
+    """States to read, (t, K), and `out`, what was read in them: the four arrays of a `ReadingSeries`."""
 
+    def __init__(self, transfer: Transfer, states: np.ndarray, so2: float | None, weight_by_responsivity: bool) -> None:
+        self.transfer, self.states, self.so2, self.weighted = transfer, states, so2, weight_by_responsivity
+        self.first = checks.fraction("blood_fraction", states)[0]
+        self.out = np.empty((4, len(transfer.traces), len(transfer.photodiodes), len(states)), states.dtype)
 
-@dataclass(frozen=True)
-class _Reading:
-    """States to read, (t, K), the first one, from which changes count, and the arrays of a `ReadingSeries`."""
-
-    transfer: Transfer
-    states: np.ndarray
-    first: np.ndarray
-    so2: float | None
-    weight_by_responsivity: bool
-    out: list[np.ndarray]
-
-    def sums(self, states: np.ndarray, line: tuple[np.ndarray, np.ndarray] | None = None) -> tuple[np.ndarray, ...]:
+    def sums(self, states: np.ndarray, line: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
         """The four arrays in other states, from the photons."""
-        return _sums(self.transfer, states, self.first, self.so2, self.weight_by_responsivity, line=line)
+        return _sums(self.transfer, states, self.first, self.so2, self.weighted, line=line)
 
     def blocks(self, which: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Some of the states, as many at once as leave the memory alone: their numbers and themselves."""
@@ -114,55 +97,39 @@ class _Reading:
             part = which[start : start + STATES_AT_ONCE]
             yield part, self.states[part].astype(float, copy=False)
 
-    def put(self, part: np.ndarray, values: Sequence[np.ndarray]) -> None:
-        """Keep what was read in some of the states."""
-        for whole, value in zip(self.out, values, strict=True):
-            whole[..., part] = value
-
-
-def _read(reading: _Reading, which: np.ndarray) -> None:
-    """Read those states, by their numbers (n,), between which absorption is linear in the blood."""
-    ends = np.array([(block.min(0), block.max(0)) for _, block in reading.blocks(which)])
-    low, high = ends[:, 0].min(0), ends[:, 1].max(0)
-    if not (high - low > 1e-12).any():
-        reading.put(which, reading.sums(reading.states[which[:1]].astype(float)))
-        return
-    centre, directions = _principal(reading, which)
-    places = np.array([(at.min(0), at.max(0)) for at in _places(reading, which, centre, directions)])
-    nearest, farthest = places[:, 0].min(0), places[:, 1].max(0)
-    spans = farthest - nearest
-    counts = [_nodes_needed(reading.transfer, *each, reading.so2) for each in zip(directions.T, spans, strict=True)]
-    if min(len(which), math.prod(counts)) > NODES_AT_ONCE:
-        # Half of them lie in far fewer directions: a short piece of a course is nearly straight.
-        middle = nearest[0] + spans[0] / 2
-        upper = np.concatenate([at[:, 0] > middle for at in _places(reading, which, centre, directions)])
-        for half in (which[~upper], which[upper]):
-            _read(reading, half)
-        return
-    if len(which) <= math.prod(counts):
-        reading.put(which, reading.sums(reading.states[which].astype(float)))
-        return
-    box = ChebyshevBox(nearest, farthest, counts)
-    fraction, stderr, change, change_stderr = reading.sums(centre + box.nodes @ directions.T, (low, high))
-    of_nodes = fraction, stderr**2, change, change_stderr**2
-    for part, block in reading.blocks(which):
-        weights = box.weights((block - centre) @ directions).T
-        values = [one @ weights for one in of_nodes]
-        reading.put(part, [np.sqrt(np.maximum(one, 0)) if k % 2 else one for k, one in enumerate(values)])
-
-
-def _places(reading: _Reading, which: np.ndarray, centre: np.ndarray, directions: np.ndarray) -> Iterator[np.ndarray]:
-    """Where states lie along directions, block by block, (n, d) float each."""
-    for _, block in reading.blocks(which):
-        yield (block - centre) @ directions
-
-
-def _principal(reading: _Reading, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The mean of states and orthonormal directions along which they spread, the widest first, in columns (K, K): a
-    touch moves all zones along few of them."""
-    centre = sum(block.sum(0) for _, block in reading.blocks(which)) / len(which)
-    spread = sum((block - centre).T @ (block - centre) for _, block in reading.blocks(which))
-    return centre, np.asarray(np.linalg.eigh(spread)[1][:, ::-1])
+    def read(self, which: np.ndarray) -> None:
+        """Read those states, by their numbers (n,), between which absorption is linear in the blood."""
+        ends = np.array([(block.min(0), block.max(0)) for _, block in self.blocks(which)])
+        low, high = ends[:, 0].min(0), ends[:, 1].max(0)
+        if not (high - low > 1e-12).any():
+            self.out[..., which] = self.sums(self.states[which[:1]].astype(float))
+            return
+        # Orthonormal directions along which states spread, in columns, the widest first: a touch moves all zones along
+        # few of them.
+        centre = sum(block.sum(0) for _, block in self.blocks(which)) / len(which)
+        spread = sum((block - centre).T @ (block - centre) for _, block in self.blocks(which))
+        directions = np.linalg.eigh(spread)[1][:, ::-1]
+        along = [(block - centre) @ directions for _, block in self.blocks(which)]
+        nearest, farthest = (np.array([end(at, 0) for at in along]) for end in (np.min, np.max))
+        nearest, farthest = nearest.min(0), farthest.max(0)
+        spans = farthest - nearest
+        counts = [_nodes_needed(self.transfer, *one, self.so2) for one in zip(directions.T, spans, strict=True)]
+        if min(len(which), math.prod(counts)) > NODES_AT_ONCE:
+            # Half of them lie in far fewer directions: a short piece of a course is nearly straight.
+            upper = np.concatenate([at[:, 0] > nearest[0] + spans[0] / 2 for at in along])
+            self.read(which[~upper])
+            self.read(which[upper])
+        elif len(which) <= math.prod(counts):
+            self.out[..., which] = self.sums(self.states[which].astype(float))
+        else:
+            box = ChebyshevBox(nearest, farthest, counts)
+            # What is interpolated of an error is its square.
+            nodes = self.sums(centre + box.nodes @ directions.T, (low, high))
+            nodes[1::2] **= 2
+            for (part, _), at in zip(self.blocks(which), along, strict=True):
+                values = nodes @ box.weights(at).T
+                values[1::2] = np.sqrt(np.maximum(values[1::2], 0))
+                self.out[..., part] = values
 
 
 def _nodes_needed(transfer: Transfer, direction: np.ndarray, span: float, so2: float | None) -> int:
@@ -194,48 +161,44 @@ def _sums(
     weight_by_responsivity: bool,
     *,
     line: tuple[np.ndarray, np.ndarray] | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Fraction, its error, change from a first state and its error, (led, photodiode, states) each.
+) -> np.ndarray:
+    """Fraction, its error, change from a first state and its error, (4, led, photodiode, states) float.
 
     line : two states on the line through which absorption lies, for states beyond what blood can be.
     """
-    shape = (len(transfer.traces), len(transfer.photodiodes), len(states))
-    out = tuple(np.zeros(shape) for _ in range(4))
+    count = len(transfer.photodiodes)
+    out = np.zeros((4, len(transfer.traces), count, len(states)))
     for i, (trace, led) in enumerate(zip(transfer.traces, transfer.scene.leds, strict=True)):
         wavelength, share = optics.spectrum(led)
         if weight_by_responsivity:
             share = share * wavelength / led.wavelength_nm
         mu_a = _absorption(transfer, wavelength, np.vstack([first, states]), so2, line) - trace.mu_a
-        sums, full = np.zeros((4, *shape[1:])), trace.full
+        sums, full = np.zeros((4, count, len(states))), trace.full
         # Of a sample of the photons: sums at rest and of their products with the values, to hold them against all.
-        rest, rest_square, products = np.zeros(shape[1]), np.zeros(shape[1]), np.zeros((2, *shape[1:]))
+        rest, products = np.zeros((2, count, 1)), np.zeros((2, count, len(states)))
         at_rest = trace.weight_at_rest if full is not None else None
         order = np.argsort(trace.photodiode, kind="stable")
-        edges = np.searchsorted(trace.photodiode[order], np.arange(shape[1] + 1))
-        pieces = [(p, at) for p in range(shape[1]) for at in range(edges[p], edges[p + 1], CHUNK)]
-        for j, start in pieces:
+        edges = np.searchsorted(trace.photodiode[order], np.arange(count + 1))
+        for j, start in [(p, at) for p in range(count) for at in range(edges[p], edges[p + 1], CHUNK)]:
             chunk = order[start : min(start + CHUNK, edges[j + 1])]
             weight = transmissions(trace.path_mm[chunk], mu_a, share) * trace.weight[chunk, None]
-            change = weight[:, 1:] - weight[:, :1]
-            weight = weight[:, 1:]
+            weight, change = weight[:, 1:], weight[:, 1:] - weight[:, :1]
             for total, values in zip(sums, (weight, weight**2, change, change**2), strict=True):
                 total[j] += values.sum(0)
             if at_rest is not None:
                 own = at_rest[chunk]
-                rest[j] += own.sum()
-                rest_square[j] += own @ own
-                products[0, j] += own @ weight
-                products[1, j] += own @ change
+                rest[:, j, 0] += own.sum(), own @ own
+                products[:, j] += own @ weight, own @ change
         for k, unseen in ((0, 1.0), (2, 0.0)):
             total, square = sums[k], sums[k + 1]
             if full is not None:
-                slope = slope_of(products[k // 2], rest_square[:, None], unseen)
-                total = slope * full.weight[:, None] + (total - slope * rest[:, None])
+                slope = slope_of(products[k // 2], rest[1], unseen)
+                total = slope * full.weight[:, None] + (total - slope * rest[0])
                 left = np.maximum(square - slope * products[k // 2], 0)
                 square = slope**2 * full.square[:, None] + left
-            out[k][i] = total / trace.photons
-            out[k + 1][i] = stderr_of_mean(total, square, trace.photons)
-    return out  # type: ignore[return-value]
+            out[k, i] = total / trace.photons
+            out[k + 1, i] = stderr_of_mean(total, square, trace.photons)
+    return out
 
 
 def _absorption(
