@@ -250,8 +250,9 @@ def compare(
     """
     from .report.result_files import COMPARISON, write_comparison
     from .report.summaries import comparison_summary as summary
+    from .report.terminal_text import verdict_line
     from .studies.comparison.compare import compare as study
-    from .studies.comparison.verdict import verdict
+    from .studies.comparison.compare import verdict
 
     loaded, _ = _load(scene, options)
     if require is not None and not 0 < require < math.inf:
@@ -262,14 +263,14 @@ def compare(
     judged = verdict(result, 0.05 if require is None else require, model=model)
     missed = require is not None and judged.outcome == "missed"
     try:
-        _finish(summary(result) | {"verdict": vars(judged)}, [judged], paths, json_, unmet, folder)
+        _finish(summary(result) | {"verdict": vars(judged)}, [verdict_line(judged)], paths, json_, unmet, folder)
     except NotReachedError:
         if not missed:
             raise
     if missed:
-        raise RequirementError(f"{judged}")
+        raise RequirementError(verdict_line(judged))
     if require is not None and judged.outcome == "undecided":
-        raise NotReachedError(f"{judged}")
+        raise NotReachedError(verdict_line(judged))
 
 
 @app.command

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ..light import RestReadings
+    from ..studies.comparison.compare import Verdict
 
 
 def simulation_lines(summary: dict[str, Any]) -> list[str]:
@@ -71,6 +72,21 @@ def check_lines(report: dict[str, Any]) -> list[str]:
             "end elsewhere than loading began; simulate follows them, steady states are the wider of the two"
         )
     return lines
+
+
+def verdict_line(judged: "Verdict") -> str:
+    """Whether a model holds over a sweep, how sure that is, and its largest error."""
+    largest, low, high = (f"{100 * x:.3g}" for x in (judged.worst_error, judged.worst_low, judged.worst_high))
+    name = {"taylor": "Taylor (9)", "beer_lambert": "Beer-Lambert (8)"}[judged.model]
+    of = f"{100 * judged.tolerance:g} % of the swing of all {judged.readings} readings over the {judged.sweep}"
+    confidence = "over 99.9" if judged.sure > 0.999 else f"{100 * judged.sure:.3g}"
+    words = {
+        "met": f"{name} stays within {of} ({confidence} % confidence)",
+        "missed": f"{name} does not stay within {of} ({confidence} % confidence)",
+        "undecided": f"Whether {name} stays within {of} is undecided; trace more photons",
+    }
+    where = f"LED {judged.led}, photodiode {judged.photodiode}"
+    return f"{words[judged.outcome]}. Largest error: {largest} % (95 % interval {low} to {high} %), {where}."
 
 
 def oximeter_lines(summary: dict[str, Any]) -> list[str]:

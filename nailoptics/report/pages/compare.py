@@ -9,12 +9,13 @@ import xarray as xr
 
 from ...io import write_text
 from ...statistics import Z95
-from ...studies.comparison.verdict import verdict
+from ...studies.comparison.compare import verdict
 from .. import style
 from ..html import document, escaped, figure, section, small, table
 from ..numbers import significant, with_error
 from ..readings import led_name
 from ..summaries import paper_claim
+from ..terminal_text import verdict_line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,7 +47,7 @@ def write_comparison(result: xr.Dataset, path: Path) -> None:
     text = document(
         kicker="reduced optics against traced light",
         title=f"Taylor (9) holds to 5 % for {met} of {total} readings over the whole {over}",
-        lead=str(judged),
+        lead=verdict_line(judged),
         cards=_cards(result),
         body=[_led_section(result, led) for led in range(result.sizes["led"])],
         attributes=result.attrs,

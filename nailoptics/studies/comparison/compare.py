@@ -1,10 +1,10 @@
-"""Where Taylor (9) and Beer-Lambert (8) hold against traced light, and what each of them leaves out."""
+"""Where Taylor (9) and Beer-Lambert (8) hold against traced light, what each leaves out, and the verdict on one."""
 
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Unpack
+from dataclasses import dataclass, replace
+from typing import Literal, Unpack
 
 import numpy as np
 import xarray as xr
@@ -17,7 +17,7 @@ from ...light.transfer.series import read_replicates
 from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...scene.files import scene_of
-from ...statistics import seed_of
+from ...statistics import Z95, seed_of
 from ...variables import Variables, variable
 from .formula_errors import MODELS, PARTS, TOLERANCES, WAYS, Over, StateSweep, TracedSweep, formula_errors
 
@@ -26,8 +26,8 @@ POINTS = 41
 LARGEST_BLOOD_FRACTION, LEAST_SO2 = 0.1, 0.5
 # The bed's scattering is traced at these factors, with this share of the photons, for the slope of ln reading.
 SCATTERING_FACTORS, SCATTERING_SHARE = (0.7, 1.4), 0.25
-# Photons of the trace that shows how long it takes before the first of them.
-OPENING_PHOTONS = 1024
+# A verdict is given with this probability.
+SURE = 0.95
 
 
 def compare(
@@ -61,11 +61,13 @@ def compare(
         if results and time.perf_counter() > deadline:
             unmet = f"max_seconds ended the comparison after {k} of {len(scenes)} traced wavelengths."
             break
-        limited, opening_s = _share(one, options, deadline, len(scenes) - k)
+        # A quarter of the photons twice, for the scattering, is half as much again.
+        limit_s = (deadline - time.perf_counter()) / (len(scenes) - k) / (1 + 2 * SCATTERING_SHARE)
+        limited = replace(options, max_seconds=None if math.isinf(deadline) else max(limit_s, 1e-3))
         transfer, why = as_far_as_reached(trace, one, progress=progress, **limited.fields)
         unmet = unmet or (str(why) if why else None)
         slopes = np.full((2, len(one.leds), len(transfer.photodiodes)), np.nan)
-        if time.perf_counter() + opening_s < deadline:
+        if time.perf_counter() < deadline:
             slopes = _scattering_slopes(transfer, limited, progress)
         elif not unmet:
             unmet = "max_seconds ended the comparison before the bed's scattering was traced; its part is not known."
@@ -76,19 +78,6 @@ def compare(
         result.attrs["cut_off"] = unmet
         raise NotReachedError(unmet, result=result)
     return result
-
-
-def _share(scene: Scene, options: TraceOptions, deadline: float, scenes: int) -> tuple[TraceOptions, float]:
-    """The options with a scene's share of the time that is left, and how long a trace takes before its first photon."""
-    if math.isinf(deadline):
-        return options, 0.0
-    begin = time.perf_counter()
-    trace(scene, photons=OPENING_PHOTONS, seed=options.seed, backend=options.backend, store=False)
-    now = time.perf_counter()
-    # The scene's own geometry is there now; those with other scattering have theirs to make.
-    left = (deadline - now) / scenes - 2 * (now - begin)
-    # A quarter of the photons twice, for the scattering, is half as much again.
-    return replace(options, max_seconds=max(left / (1 + 2 * SCATTERING_SHARE), 1e-3)), now - begin
 
 
 def state_sweep(scene: Scene, over: Over) -> StateSweep:
@@ -160,11 +149,20 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
                 data |= variable(f"{name}_{end}", dims, gathered[f"{name}_{end}"], words, units=units)
     settings, text = [s.setting for s in sweeps], "what is swept: force in N, blood fraction, or saturation"
     data |= variable("setting", ("sweep", "point"), settings, text)
-    of_sweeps = np.array(["N" if s.over == "force" else "1" for s in sweeps])
-    data["setting_units"] = (("sweep",), of_sweeps, {"long_name": "units of what is swept, and of its limits"})
-    for name in ("setting", *(name for name in data if name in _OF_SETTING)):
+    of_sweeps = ["N" if s.over == "force" else "1" for s in sweeps]
+    data["setting_units"] = (
+        ("sweep",),
+        np.array(of_sweeps),
+        {"long_name": "units of what is swept, and of its limits"},
+    )
+    # CF: a variable has one unit; where it has another in each sweep, it says where to look.
+    comment = "each sweep in the unit that setting_units has for it"
+    about = {"ancillary_variables": "setting_units", "comment": comment}
+    if len(set(of_sweeps)) == 1:
+        about = {"units": of_sweeps[0]}
+    for name in ("setting", "limit", "limit_low", "limit_high"):
         del data[name][2]["units"]
-        data[name][2].update(_units_of_sweeps(of_sweeps))
+        data[name][2].update(about)
     blood, text = [s.blood.T for s in sweeps], "blood fraction of the nail bed"
     data |= variable("blood_fraction", ("sweep", "zone", "point"), blood, text)
     data |= variable("zone_of_photodiode", "photodiode", zone, "blood zone above which it lies, 0 proximal")
@@ -213,16 +211,6 @@ _VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
 }
 
 
-_OF_SETTING = ("limit", "limit_low", "limit_high")
-
-
-def _units_of_sweeps(units: np.ndarray) -> dict[str, str]:
-    """CF's attribute for what has a unit in each sweep; where they differ, which no unit can say, where to look."""
-    if len(set(units)) == 1:
-        return {"units": str(units[0])}
-    return {"ancillary_variables": "setting_units", "comment": "each sweep in the unit that setting_units has for it"}
-
-
 def _led_errors(
     transfer: Transfer, led: int, sweep: StateSweep, zone: np.ndarray, slopes: np.ndarray, seed: int
 ) -> dict[str, np.ndarray]:
@@ -258,3 +246,77 @@ def _absorption(transfer: Transfer, wavelength: np.ndarray, sweep: StateSweep) -
     columns = np.arange(mu_a.shape[-1])
     alone = [np.where(columns == column, mu_a, mu_a[:1]) for column in optics.bed_columns(transfer.scene)]
     return np.concatenate([mu_a, *alone])
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a fitted model stays within a tolerance for every LED and photodiode over a whole sweep.
+
+    sure : probability with which it does so, or does not, by the traces' noise; readings : how many were judged.
+    surely_within : how many of these stay within it, each with a probability of 95 %.
+    worst_error, worst_stderr : of the reading that is furthest off, in parts of its swing.
+    worst_low, worst_high : what the largest error of all readings lies between, 95 % sure.
+    """
+
+    outcome: Literal["met", "missed", "undecided"]
+    model: str
+    tolerance: float
+    worst_error: float
+    worst_stderr: float
+    worst_low: float
+    worst_high: float
+    led: str
+    photodiode: str
+    sweep: str
+    sure: float
+    readings: int
+    surely_within: int
+
+
+def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> Verdict:
+    """Judge a fitted model over the force, or over the first sweep where the force was not swept.
+
+    Met if even the error that is nearest to the tolerance lies below it, with a probability of 95 %; missed if one lies
+    above it, with that probability after Bonferroni's correction: of many readings some lie above it by chance.
+    """
+    from scipy.special import ndtr
+
+    sweep = "force" if "force" in result.sweep.values else str(result.sweep.values[0])
+    end = result.sel(sweep=sweep, way="fitted", model=model).isel(point=-1)
+    error, stderr = end.range_error.values, end.range_error_stderr.values
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Of a photodiode that saw nothing nothing is known.
+        below = np.where(np.isfinite(error), ndtr((tolerance - error) / stderr), 0.5)
+    met, missed = float(below.min()), max(0.0, 1 - float(error.size * below.min()))
+    outcome: Literal["met", "missed", "undecided"] = "met" if met >= SURE else "undecided"
+    if missed >= SURE:
+        outcome = "missed"
+    i, j = np.unravel_index(int(np.where(np.isfinite(error), error, -np.inf).argmax()), error.shape)
+    low, high = _worst(error, stderr)
+    return Verdict(
+        outcome=outcome,
+        model=model,
+        tolerance=tolerance,
+        worst_error=float(error[i, j]),
+        worst_stderr=float(stderr[i, j]),
+        worst_low=low,
+        worst_high=high,
+        led=str(result.led.values[i]),
+        photodiode=str(result.photodiode.values[j]),
+        sweep=sweep,
+        sure=max(met, missed),
+        readings=error.size,
+        surely_within=int(np.sum(below >= SURE)),
+    )
+
+
+def _worst(error: np.ndarray, stderr: np.ndarray) -> tuple[float, float]:
+    """Between what the largest of some errors lies, which are 0 or more; nothing is known where one is not.
+
+    Of many readings one lies above the largest error by chance, so that the lower end has Bonferroni's correction.
+    """
+    from scipy.special import ndtri
+
+    low, high = error - float(ndtri(1 - (1 - SURE) / 2 / error.size)) * stderr, error + Z95 * stderr
+    known = np.isfinite(low)
+    return float(np.max(low, where=known, initial=0.0)), float(np.max(high)) if known.all() else float("inf")

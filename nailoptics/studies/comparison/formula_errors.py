@@ -66,21 +66,18 @@ def formula_errors(one: TracedSweep, sweep: StateSweep) -> dict[str, np.ndarray]
     part, part_stderr = _parts(one, readings)
     replicates = {
         "reading": one.traced,
-        "swing": one.swing,
-        "relative_swing": one.swing / one.traced[:, :1],
+        "swing": one.swing[:, 0],
+        "relative_swing": one.swing[:, 0] / one.traced[:, 0],
         "error": np.moveaxis((readings - one.traced) / one.swing, 2, 0),
         "range_error": np.moveaxis(_range_errors(one, readings), 2, 0),
         "alpha_d2": one.path_mm[:, one.own, None] * one.own_mu_a,
         "bed_alpha_d2": one.path_mm @ one.mu_a.T,
-        "path_mm": one.path_mm,
+        "path_mm": one.path_mm[:, one.own],
         "path_fitted_mm": fit.curvature_of_replicates(x, one.traced),
     }
     out = {name: values[0] for name, values in replicates.items()}
     out |= {f"{name}_stderr": jackknife(values) for name, values in replicates.items()}
     out |= {"model_reading": readings[:, :, 0], "part_error": part, "part_error_stderr": part_stderr}
-    picked = {"swing": 0, "relative_swing": 0, "path_mm": one.own}
-    for end in ("", "_stderr"):
-        out |= {f"{name}{end}": out[f"{name}{end}"][k] for name, k in picked.items()}
     return out | _limits(out, sweep, one.own)
 
 

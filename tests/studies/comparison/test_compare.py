@@ -18,12 +18,18 @@ from nailoptics.options import TraceOptions
 from nailoptics.report.pages import compare as compare_page
 from nailoptics.report.pages.compare import write_comparison
 from nailoptics.report.summaries import comparison_summary as summary
+from nailoptics.report.terminal_text import verdict_line
 from nailoptics.scene import Scene
 from nailoptics.statistics import Z95, jackknife
 from nailoptics.studies.comparison import formula_errors
-from nailoptics.studies.comparison.compare import _scattering_slopes, compare, compare_transfer, state_sweep
+from nailoptics.studies.comparison.compare import (
+    _scattering_slopes,
+    compare,
+    compare_transfer,
+    state_sweep,
+    verdict,
+)
 from nailoptics.studies.comparison.formula_errors import Over
-from nailoptics.studies.comparison.verdict import verdict
 
 NO_SCATTERING = np.zeros((2, 1, 8))
 
@@ -234,7 +240,7 @@ def test_the_verdict_needs_all_readings(tolerance, outcome):
     for within in (tolerance, largest, 2 * largest):
         one = verdict(result, within)
         assert (one.surely_within == one.readings) == (one.outcome == "met")
-        assert f" {100 * within:g} % of the swing" in str(one)
+        assert f" {100 * within:g} % of the swing" in verdict_line(one)
 
 
 def test_a_verdict_on_many_readings_errs_as_seldom_as_it_says():
