@@ -238,13 +238,11 @@ def _checked(diameter_m: ArrayLike, volts: ArrayLike) -> tuple[Array, Array, flo
 
 def _in_ranges(x: Array, y: Array) -> tuple[Array, Array, Array]:
     """Readings with their weights; of very many the means in narrow ranges of x, each weighing as all of them do."""
-    if x.size <= MOST_READINGS:
+    if x.size <= MOST_READINGS or not np.ptp(x):
         return x, y, np.ones_like(x)
-    low, span = x.min(), np.ptp(x)
-    where = np.minimum((x - low) * (RANGES / (span or 1.0)), RANGES - 1).astype(np.intp)
-    count = np.bincount(where, minlength=RANGES)
+    count, edges = np.histogram(x, RANGES)
     there = count > 0
-    x, y = (np.bincount(where, values, RANGES)[there] / count[there] for values in (x, y))
+    x, y = (np.histogram(x, edges, weights=values)[0][there] / count[there] for values in (x, y))
     return x, y, count[there].astype(float)
 
 

@@ -1,23 +1,16 @@
-"""What vessels do under the touches of the paper's figures, for a set of parameters: steady states and over time.
-
-For one set the library's own solvers are used; for thousands of sets at once (the search) a coarse stepper that works
-on arrays. Both give the same `Responses`, so the claims are judged by one code.
-"""
+"""What vessels do under the touches of the paper's figures, for a set of parameters: steady states and over time."""
 
 import dataclasses
 from collections.abc import Callable
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..hemodynamics.parameters import Parameters
 from ..hemodynamics.respond import respond
-from ..hemodynamics.rosenbrock import step
-from ..hemodynamics.steady import solve_walls, steady_state
+from ..hemodynamics.steady import steady_state
 from ..hemodynamics.touch import PAPER_ZONES, Zones
-from ..hemodynamics.walls import Walls, build_walls
 from .protocols import CURVE_PA, FINGER_ZONES, N_PER_CM2, PHASE_S, Protocol, cycle, one_sided, press, steps
 
 # Steady widths from the (S,) proximal and distal pressures, and widths over time from a touch: (N+1, *B, S) or
@@ -60,7 +53,7 @@ def simulate_responses(parameters: Parameters) -> Responses:
         state = steady_state(parameters, proximal_pressure_pa=proximal, distal_pressure_pa=distal, zones=zones)
         return np.vstack([state.capillary_diameter_m, state.vein_diameter_m[None]])
 
-    return _responses(steady, lambda touch, zones: _follow(parameters, touch, zones))
+    return responses_of(steady, lambda touch, zones: _follow(parameters, touch, zones))
 
 
 def _follow(parameters: Parameters, touch: Protocol, zones: Zones) -> np.ndarray:
@@ -77,28 +70,6 @@ def _follow(parameters: Parameters, touch: Protocol, zones: Zones) -> np.ndarray
 def pressed(parameters: Parameters, time_s: ArrayLike, force_n: ArrayLike) -> np.ndarray:
     """The proximal reading with a force over time there alone, and the distal one with it there alone, (2, T). [1]"""
     return _own_readings(_follow(parameters, one_sided(time_s, force_n), FINGER_ZONES), FINGER_ZONES)
-
-
-def simulate_responses_of_many(values: dict[str, np.ndarray]) -> Responses:
-    """The responses of many sets at once, coarsely: (B,) float values of every field of `Parameters` by name."""
-    # Each constant of the walls becomes a column of sets, beside which pressures are rows.
-    columns = {name: np.asarray(value)[:, None] for name, value in values.items()}
-    given = cast(Parameters, SimpleNamespace(**columns))
-    high, low = columns["arterial_pressure_pa"], columns["venous_pressure_pa"]
-
-    def steady(proximal: np.ndarray, distal: np.ndarray, zones: Zones) -> np.ndarray:
-        outside = zones.on_walls(np.stack([proximal, distal]))[:, None]
-        each = np.broadcast_shapes(high.shape, outside.shape[1:])
-        pressures = np.broadcast_to(high, each), np.broadcast_to(low, each)
-        return solve_walls(build_walls(given, zones), outside, *pressures, tolerance=1e-9)[0]
-
-    def follow_all(touch: Protocol, zones: Zones) -> np.ndarray:
-        none = np.zeros(touch.proximal_pa.shape[0])
-        rest = steady(none[:1], none[:1], zones).repeat(none.size, axis=-1)
-        outside = zones.on_walls(np.stack([touch.proximal_pa, touch.distal_pa]))[:, None]
-        return _march(build_walls(given, zones), rest, touch.time_s, outside, high, low)
-
-    return _responses(steady, follow_all)
 
 
 def _readings(width: np.ndarray, rest: np.ndarray, zones: Zones) -> np.ndarray:
@@ -119,7 +90,8 @@ def _own_readings(width: np.ndarray, zones: Zones) -> np.ndarray:
     return np.stack([both[0, ..., 0, :], both[1, ..., 1, :]])
 
 
-def _responses(steady: Steady, follow: Follow) -> Responses:
+def responses_of(steady: Steady, follow: Follow) -> Responses:
+    """What every figure shows, by a solver of steady states and one over time."""
     fields: dict[str, np.ndarray] = {}
     size = PHASE_S.size
     for name, proximal, distal in (("proximal", 1.0, 0.0), ("distal", 0.0, 1.0), ("both", 1.0, 1.0)):
@@ -144,17 +116,3 @@ def _branches(course: np.ndarray) -> np.ndarray:
     loading = np.mean([course[..., i : i + branch + 1] for i in turns], axis=0)
     unloading = np.mean([course[..., i + branch : i + 2 * branch + 1] for i in turns], axis=0)
     return np.stack([loading, unloading[..., ::-1]], axis=-2)
-
-
-def _march(
-    walls: Walls, start: np.ndarray, time_s: np.ndarray, outside: np.ndarray, high: np.ndarray, low: np.ndarray
-) -> np.ndarray:
-    """Diameters over time, (N+1, B, S, T) float, in one step from each instant to the next.
-
-    outside : (N+1, 1, S, T) float. Touch pressure on each wall. [Pa]
-    """
-    path = [start]
-    for i, step_s in enumerate(np.diff(time_s)):
-        here, change = outside[..., i], outside[..., i + 1] - outside[..., i]
-        path.append(step(walls, path[-1], here, high, low, step_s=step_s, outside_change=change))
-    return np.stack(path, axis=-1)

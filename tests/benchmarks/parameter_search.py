@@ -5,13 +5,20 @@ import logging
 import math
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics.parameters import Parameters, bounds
+from nailoptics.hemodynamics.rosenbrock import step
+from nailoptics.hemodynamics.steady import solve_walls
+from nailoptics.hemodynamics.touch import Zones
+from nailoptics.hemodynamics.walls import Walls, build_walls
 from nailoptics.paper.claims import RULES
-from nailoptics.paper.responses import Responses, simulate_responses_of_many
+from nailoptics.paper.protocols import Protocol
+from nailoptics.paper.responses import Responses, responses_of
 
 _LOG = logging.getLogger(__name__)
 
@@ -196,3 +203,39 @@ def values_of(logarithms: np.ndarray) -> dict[str, np.ndarray]:
     size = logarithms.shape[1]
     values = {name: np.full(size, value) for name, value in Parameters().as_dict().items()}
     return values | {name: 10.0**row for name, row in zip(SEARCHED, logarithms, strict=True)}
+
+
+def simulate_responses_of_many(values: dict[str, np.ndarray]) -> Responses:
+    """The responses of many sets at once, coarsely: (B,) float values of every field of `Parameters` by name."""
+    # Each constant of the walls becomes a column of sets, beside which pressures are rows.
+    columns = {name: np.asarray(value)[:, None] for name, value in values.items()}
+    given = cast(Parameters, SimpleNamespace(**columns))
+    high, low = columns["arterial_pressure_pa"], columns["venous_pressure_pa"]
+
+    def steady(proximal: np.ndarray, distal: np.ndarray, zones: Zones) -> np.ndarray:
+        outside = zones.on_walls(np.stack([proximal, distal]))[:, None]
+        each = np.broadcast_shapes(high.shape, outside.shape[1:])
+        pressures = np.broadcast_to(high, each), np.broadcast_to(low, each)
+        return solve_walls(build_walls(given, zones), outside, *pressures, tolerance=1e-9)[0]
+
+    def follow_all(touch: Protocol, zones: Zones) -> np.ndarray:
+        none = np.zeros(touch.proximal_pa.shape[0])
+        rest = steady(none[:1], none[:1], zones).repeat(none.size, axis=-1)
+        outside = zones.on_walls(np.stack([touch.proximal_pa, touch.distal_pa]))[:, None]
+        return march(build_walls(given, zones), rest, touch.time_s, outside, high, low)
+
+    return responses_of(steady, follow_all)
+
+
+def march(
+    walls: Walls, start: np.ndarray, time_s: np.ndarray, outside: np.ndarray, high: np.ndarray, low: np.ndarray
+) -> np.ndarray:
+    """Diameters over time, (N+1, B, S, T) float, in one step from each instant to the next.
+
+    outside : (N+1, 1, S, T) float. Touch pressure on each wall. [Pa]
+    """
+    path = [start]
+    for i, step_s in enumerate(np.diff(time_s)):
+        here, change = outside[..., i], outside[..., i + 1] - outside[..., i]
+        path.append(step(walls, path[-1], here, high, low, step_s=step_s, outside_change=change))
+    return np.stack(path, axis=-1)

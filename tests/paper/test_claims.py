@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.parameter_search import SEARCHED, loss, misses, search
+from benchmarks.parameter_search import SEARCHED, loss, misses, search, simulate_responses_of_many
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import NAMES, bounds, parameters
 from nailoptics.paper.claims import RULES, as_rows, as_text, judge
 from nailoptics.paper.protocols import CURVE_PA, N_PER_CM2, RELAXATION_S, cycle, one_sided, press, steps, subject_force
-from nailoptics.paper.responses import pressed, simulate_responses, simulate_responses_of_many
+from nailoptics.paper.responses import pressed, simulate_responses
 
 V_P2_LEVEL = "pressure at which 95 % of V_P2's change has come"
 
