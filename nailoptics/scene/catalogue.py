@@ -1,6 +1,7 @@
 """Parts by name: LED dies, photodiodes and modules of both from files, the user's own before the shipped ones."""
 
 import re
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -30,6 +31,10 @@ def _pattern(value: object) -> object:
     return tuple(map(tuple, rows.tolist()))
 
 
+# What of a part, or of one in a module, a scene has under no name, or another.
+NOT_IN_SCENE = {"kind", "name", "position_mm"}
+
+
 class LedPart(Table):
     """An LED die: spectrum, power and angular pattern."""
 
@@ -53,104 +58,98 @@ class LedPart(Table):
 
     def scene_fields(self) -> dict[str, Any]:
         """The part under the names that an LED has in a scene."""
-        fields = self.model_dump(by_alias=True, exclude={"kind"})
+        fields = self.model_dump(by_alias=True, exclude=NOT_IN_SCENE)
         if self.pattern == "lambertian":
             return fields
         angle_deg, relative = zip(*self.pattern, strict=True)
         return fields | {"pattern": "measured", "pattern_deg": angle_deg, "pattern_relative": relative}
 
 
-class PhotodiodePart(Table):
-    """A photodiode, or a row of equal elements along the nail (v)."""
+class PhotodiodeElements(Table):
+    """A row of equal elements along the nail (v), in a part as in a scene."""
 
-    kind: Literal["photodiode", "photodiode_array"]
     elements: Annotated[int, Field(ge=1, le=MOST_PHOTODIODES)] = 1
-    """Number of elements."""
-    element_size_mm: Annotated[Size, Field(serialization_alias="size_mm")]
-    """Size of the sensitive area of an element across the nail (u) and along it (v). [mm]"""
+    """Number of elements in a row along v."""
     pitch_mm: Positive | None = None
-    """Pitch, centre to centre, along v; the elements' size if not given. [mm]"""
+    """Pitch of the elements, centre to centre; their size along v if not given. [mm]"""
+    height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
+    """Height by which the sensitive face protrudes from the board's underside. [um]"""
     quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.85
     """Electrons per incident photon."""
     responsivity: tuple[tuple[Positive, NonNegative], ...] | None = None
     """Rows [wavelength_nm, A/W], instead of one quantum efficiency; linear interpolation, zero outside."""
     angular_response: tuple[tuple[Annotated[float, Field(ge=0, le=90)], NonNegative], ...] | None = None
     """Rows [angle_deg, relative], for a collimated beam of one irradiance; the cosine if not given."""
-    dark_current_na: NonNegative
+    dark_current_na: NonNegative = 0.1
     """Dark current of one element. [nA]"""
     dark_current_doubling_k: Positive | None = None
     """Temperature rise that doubles the dark current, given at 25 degrees Celsius; constant if not given. [K]"""
-    shunt_ohm: Positive = 1e9
-    """Shunt resistance of one element. [ohm]"""
     capacitance_pf: NonNegative = 0.0
     """Capacitance of one element, in addition to that of the amplifier's input. [pF]"""
-    height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
-    """Height by which the sensitive face protrudes from the board's underside. [um]"""
 
     @model_validator(mode="after")
-    def _rows_are_physical(self) -> Self:
-        check_responsivity(self.responsivity)
-        check_angular_response(self.angular_response)
+    def _responsivity_is_physical(self) -> Self:
+        rows = self.responsivity
+        if rows is not None and (len(rows) < 2 or any(b <= a for (a, _), (b, _) in pairwise(rows))):
+            raise ValueError("responsivity needs two rows [wavelength_nm, A/W] or more, wavelengths rising")
+        for nm, value in rows or ():
+            if value > nm / PHOTON_NM_PER_V * (1 + 1e-9):
+                raise ValueError(
+                    f"responsivity = {value:g} A/W at {nm:g} nm is more than one electron per photon, "
+                    f"{nm / PHOTON_NM_PER_V:.3g} A/W; correct it"
+                )
         return self
+
+    @model_validator(mode="after")
+    def _angular_response_is_physical(self) -> Self:
+        rows = self.angular_response
+        if rows is None:
+            return self
+        if len(rows) < 2 or rows[0] != (0, 1) or any(b <= a for (a, _), (b, _) in pairwise(rows)):
+            raise ValueError(
+                "angular_response needs two rows [angle_deg, relative] or more, from [0, 1] on, angles rising"
+            )
+        if rows[-1][0] == 90 and rows[-1][1] > 0:
+            raise ValueError(f"angular_response = {rows[-1][1]:g} at 90 degrees, where no light meets the face; give 0")
+        return self
+
+
+class PhotodiodePart(PhotodiodeElements):
+    """A photodiode, or a row of equal elements along the nail (v)."""
+
+    kind: Literal["photodiode", "photodiode_array"]
+    element_size_mm: Annotated[Size, Field(serialization_alias="size_mm")]
+    """Size of the sensitive area of an element across the nail (u) and along it (v). [mm]"""
+    dark_current_na: NonNegative
+    """Dark current of one element. [nA]"""
+    shunt_ohm: Positive = 1e9
+    """Shunt resistance of one element. [ohm]"""
 
     def scene_fields(self) -> dict[str, Any]:
         """The part under the names that a photodiode has in a scene."""
-        fields = self.model_dump(by_alias=True, exclude={"kind", "shunt_ohm"}, exclude_none=True)
+        fields = self.model_dump(by_alias=True, exclude={*NOT_IN_SCENE, "shunt_ohm"}, exclude_none=True)
         return fields | {"shunt_mohm": self.shunt_ohm / 1e6}
 
 
-def check_responsivity(rows: tuple[tuple[float, float], ...] | None) -> None:
-    """Raise ValueError unless rows [wavelength_nm, A/W] rise along wavelength, two or more, and stay physical."""
-    if rows is None:
-        return
-    wavelengths = [nm for nm, _ in rows]
-    if len(rows) < 2 or any(b <= a for a, b in zip(wavelengths, wavelengths[1:], strict=False)):
-        raise ValueError("responsivity needs two rows [wavelength_nm, A/W] or more, wavelengths rising")
-    for nm, value in rows:
-        if value > nm / PHOTON_NM_PER_V * (1 + 1e-9):
-            raise ValueError(
-                f"responsivity = {value:g} A/W at {nm:g} nm is more than one electron per photon, "
-                f"{nm / PHOTON_NM_PER_V:.3g} A/W; correct it"
-            )
+class InModule(Table):
+    """Where an LED or a photodiode is in its module."""
+
+    name: Name
+    """Its name, after that of the module."""
+    position_mm: Point
+    """Position of its centre relative to that of the package, oriented as in the footprint. [mm]"""
 
 
-def check_angular_response(rows: tuple[tuple[float, float], ...] | None) -> None:
-    """Raise ValueError unless rows [angle_deg, relative] begin with [0, 1], rise in angle, and end with 0 at 90."""
-    if rows is None:
-        return
-    angles = [angle for angle, _ in rows]
-    if len(rows) < 2 or rows[0] != (0, 1) or any(b <= a for a, b in zip(angles, angles[1:], strict=False)):
-        raise ValueError("angular_response needs two rows [angle_deg, relative] or more, from [0, 1] on, angles rising")
-    if rows[-1][0] == 90 and rows[-1][1] > 0:
-        raise ValueError(f"angular_response = {rows[-1][1]:g} at 90 degrees, where no light meets the face; give 0")
-
-
-class ModuleLed(LedPart):
+class ModuleLed(LedPart, InModule):
     """An LED in a module, at its position in the package."""
 
     kind: Literal["led"] = "led"
-    name: Name
-    """Name of the LED, after that of the module."""
-    position_mm: Point
-    """Position of the die relative to the centre of the package, oriented as in the footprint. [mm]"""
-
-    def scene_fields(self) -> dict[str, Any]:
-        """The part under the names that an LED has in a scene."""
-        return {name: value for name, value in super().scene_fields().items() if name not in ("name", "position_mm")}
 
 
-class ModulePhotodiode(PhotodiodePart):
+class ModulePhotodiode(PhotodiodePart, InModule):
     """A photodiode in a module, at its position in the package."""
 
     kind: Literal["photodiode"] = "photodiode"
-    name: Name
-    """Name of the photodiode, after that of the module."""
-    position_mm: Point
-    """Position of its centre relative to that of the package. [mm]"""
-
-    def scene_fields(self) -> dict[str, Any]:
-        """The part under the names that a photodiode has in a scene."""
-        return {name: value for name, value in super().scene_fields().items() if name not in ("name", "position_mm")}
 
 
 class ModulePart(Table):

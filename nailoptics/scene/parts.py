@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationInfo, model_validator
 
 from ..errors import InputError
-from .base import MOST_PHOTODIODES, Fraction, Name, NonNegative, Point, Positive, Size, Table
-from .catalogue import LedPart, ModulePart, PhotodiodePart, check_angular_response, check_responsivity, load_part
+from .base import Fraction, Name, NonNegative, Point, Positive, Size, Table
+from .catalogue import LedPart, ModulePart, PhotodiodeElements, PhotodiodePart, load_part
 from .importers.positions import FileUnit
 
 Wavelength = Annotated[float, Field(ge=200, le=3000)]
@@ -100,7 +100,7 @@ class Led(Table):
         return self
 
 
-class Photodiode(Table):
+class Photodiode(PhotodiodeElements):
     """A photodiode, an array of them, or (phantom) an aperture that counts all light through it."""
 
     name: Name
@@ -113,10 +113,6 @@ class Photodiode(Table):
     """Old name of part."""
     wired: tuple[Annotated[int, Field(ge=0)], ...] | None = None
     """Wired elements of the array, counted from 0 at the proximal end; all if not given."""
-    elements: Annotated[int, Field(ge=1, le=MOST_PHOTODIODES)] = 1
-    """Number of elements in a row along v."""
-    pitch_mm: Positive | None = None
-    """Pitch of the elements; their size along v if not given. [mm]"""
     aperture: bool = False
     """Counts all light that leaves the top face of a phantom through it, at every angle."""
     position_mm: Point
@@ -125,22 +121,8 @@ class Photodiode(Table):
     """Size of one element (u, v). [mm]"""
     rotation_deg: Rotation = 0.0
     """Rotation on the board around its centre, of an array as a whole, counterclockwise. [deg]"""
-    height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
-    """Height by which the sensitive face protrudes from the board's underside. [um]"""
-    quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.85
-    """Electrons per incident photon."""
-    responsivity: tuple[tuple[Positive, NonNegative], ...] | None = None
-    """Rows [wavelength_nm, A/W], instead of one quantum efficiency; linear interpolation, zero outside."""
-    angular_response: tuple[tuple[Annotated[float, Field(ge=0, le=90)], NonNegative], ...] | None = None
-    """Rows [angle_deg, relative], for a collimated beam of one irradiance; the cosine if not given."""
-    dark_current_na: NonNegative = 0.1
-    """Dark current of one element. [nA]"""
-    dark_current_doubling_k: Positive | None = None
-    """Temperature rise that doubles the dark current, given at 25 degrees Celsius; constant if not given. [K]"""
     shunt_mohm: Positive = 1000.0
     """Shunt resistance of one element. [Mohm]"""
-    capacitance_pf: NonNegative = 0.0
-    """Capacitance of one element, in addition to that of the amplifier's input. [pF]"""
 
     def dark_current_a(self, temperature_k: float) -> float:
         """Dark current of one element at a temperature. [A]"""
@@ -161,8 +143,6 @@ class Photodiode(Table):
 
     @model_validator(mode="after")
     def _wiring_exists(self) -> Self:
-        check_responsivity(self.responsivity)
-        check_angular_response(self.angular_response)
         if self.aperture and self.angular_response:
             raise ValueError("an aperture counts light at every angle; leave angular_response out")
         if self.wired == ():
@@ -198,19 +178,16 @@ def check_flat(photodiodes: Iterable[Photodiode], what: str) -> None:
             )
 
 
-class Board(Table):
-    """The flexible board bent onto the nail, and the layers below it."""
+class BoardFile(Table):
+    """A layout program's file that places the parts of a board, and how it is read."""
 
-    size_mm: Size | None = None
-    """Size of the board (u, v) around its origin; if not given large enough for its parts. [mm]"""
-    center_mm: Point = (0.0, 0.0)
-    """Position of the board's origin relative to the nail's centre (u, v). [mm]"""
     kicad: str | None = None
-    """A KiCad board in the scene's folder; its parts are mapped by [board.parts], its outline is used."""
+    """A KiCad board in the scene's folder; its parts are mapped by parts, its outline is used."""
     positions: str | None = None
     """A position file of KiCad or an assembler in the scene's folder, instead of a KiCad board."""
     parts: dict[str, dict[str, Any]] | None = None
-    """Map from the file's references to parts, such as D1 = { led = "led_660" } or U2 = { photodiode = "bpw34" }."""
+    """Map from the file's references to parts, such as D1 = { led = "led_660" } or U2 = { photodiode = "bpw34" };
+    candidates without it have that of [board]."""
     origin: Literal["auxiliary", "grid", "outline"] | Point | None = None
     """Point of the file that is the board's origin: the auxiliary origin of drill and position files, the grid's, the
     outline's centre, or (x, y) as shown by the layout program; if not given the first of these that exists, except the
@@ -224,7 +201,22 @@ class Board(Table):
     positions_unit: FileUnit | None = None
     """Unit of a position file that does not state it, such as KiCad's CSV; mm if not given."""
     unmapped: tuple[str, ...] | None = None
-    """References of the file that parts does not name; filled from it."""
+    """References of the file that are no part of the scene; filled from it."""
+
+    @model_validator(mode="after")
+    def _parts_are_of_a_file(self) -> Self:
+        if self.parts is not None:
+            raise ValueError("parts says what a file's references are; give kicad or positions, the file that has them")
+        return self
+
+
+class Board(BoardFile):
+    """The flexible board bent onto the nail, and the layers below it."""
+
+    size_mm: Size | None = None
+    """Size of the board (u, v) around its origin; if not given large enough for its parts. [mm]"""
+    center_mm: Point = (0.0, 0.0)
+    """Position of the board's origin relative to the nail's centre (u, v). [mm]"""
     outline_mm: tuple[Point, ...] | None = None
     """Corners of the outline, from the board's origin; filled from kicad. [mm]"""
     outline_holes_mm: tuple[tuple[Point, ...], ...] = ()
@@ -258,11 +250,7 @@ class Board(Table):
         return (self.clear_epoxy_um + self.adhesive_um + (self.air_gap_um or 0.0)) * 1e-3
 
     @model_validator(mode="after")
-    def _parts_are_of_a_file(self) -> Self:
-        if self.parts is not None:
-            raise ValueError(
-                "parts says what a board's references are; give kicad or positions, the file that has them"
-            )
+    def _has_an_outline(self) -> Self:
         if self.outline_mm is not None and len(self.outline_mm) < 3:
             raise ValueError("outline_mm needs three corners or more")
         return self

@@ -1,7 +1,7 @@
 """What a search for a layout may do: candidates, outline, clearances, and the fingers it must serve."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Literal, Self, get_args
 
 from pydantic import Field, ValidationInfo, model_validator
 
@@ -11,36 +11,20 @@ from .finger import DermisAbsorption
 from .importers.board_files import read_board_file
 from .importers.outlines import is_point, middle, read_outline
 from .importers.positions import UNITS_MM, FileUnit, check_each_once, read_positions, reading_of, warn_of_mirrored
-from .parts import Led, Photodiode, Rotation
+from .parts import BoardFile, Led, Photodiode, Rotation
 
 # What layouts can be ranked by, and which of these may be combined.
 Aim = Literal["worst", "mean", "share", "oxygen"]
 
 
-class Candidate(Table):
-    """One layout: positions of the LEDs and photodiodes on the flat board, relative to the nail's centre."""
+class Candidate(BoardFile):
+    """One layout: positions of the LEDs and photodiodes on the flat board, relative to the nail's centre.
+
+    Of a position file without parts, references such as D1 or LED1 are LEDs, PD1 photodiodes, others are ignored.
+    """
 
     name: Name
     """Name of the layout."""
-    positions: str | None = None
-    """Position file of KiCad or an assembler in the scene's folder; without parts, references such as D1 or LED1 are
-    LEDs, PD1 photodiodes, and others are ignored."""
-    kicad: str | None = None
-    """A KiCad board in the scene's folder, instead of a position file."""
-    parts: dict[str, dict[str, Any]] | None = None
-    """Map from the file's references to parts, as in [board.parts], which is used if not given."""
-    origin: Literal["auxiliary", "grid", "outline"] | Point | None = None
-    """As in [board]."""
-    faces_nail: Literal["top", "bottom"] | None = None
-    """As in [board]."""
-    turn_deg: Rotation = 0.0
-    """As in [board]. [deg]"""
-    unmapped: tuple[str, ...] | None = None
-    """References of the file that are neither LED nor photodiode; filled from it."""
-    negate_x_on_bottom: bool = False
-    """The position file was written with "negate bottom side X"; undo that."""
-    positions_unit: FileUnit | None = None
-    """As in [board]."""
     leds_mm: tuple[Point, ...] = ()
     """Positions of the LEDs (u, v), in the order of the scene; filled from positions. [mm]"""
     photodiodes_mm: tuple[Point, ...] = ()
@@ -92,8 +76,6 @@ class Candidate(Table):
 
     @model_validator(mode="after")
     def _has_parts(self) -> Self:
-        if self.parts is not None:
-            raise ValueError("parts says what a file's references are; give positions or kicad, the file that has them")
         if not (self.leds_mm or self.leds) or not (self.photodiodes_mm or self.photodiodes):
             raise ValueError(
                 "a candidate needs leds_mm and photodiodes_mm, or a file that has both: LEDs as D1 or LED1 and "

@@ -162,7 +162,7 @@ def test_where_nothing_is_mapped_a_map_is_proposed(tmp_path):
         ('led = "led_660"', "led = 3", "parts.D1.led must be the name of a part"),
         ("x.kicad_pcb", "y.kicad_pcb", "y.kicad_pcb: cannot be read"),
         ("x.kicad_pcb", "mine.toml", "mine.toml: is no KiCad board"),
-        ('kicad = "x.kicad_pcb"', "", "parts says what a board's references are"),
+        ('kicad = "x.kicad_pcb"', "", "parts says what a file's references are"),
         ('kicad = "x.kicad_pcb"', 'kicad = "x.kicad_pcb"\npositions = "x.csv"', "give one of them"),
         ("barrier = false", "barrier = false\nclear_epoxy_mu = 3", "board.clear_epoxy_mu is not a known field"),
     ],
