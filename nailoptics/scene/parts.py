@@ -50,15 +50,28 @@ def with_part(data: object, kind: Any, info: ValidationInfo) -> object:
     return fields | data
 
 
-class Led(Table):
-    """A light-emitting die, or a beam on a phantom."""
+class Mounted(Table):
+    """What an LED and a photodiode have on a board."""
 
     name: Name
-    """Name of the LED, unique in the scene."""
+    """Name, unique in the scene; the elements of an array are called name.0, name.1 and so on."""
     reference: str | None = None
     """Its reference in the board's file and in exported boards; filled from kicad or positions."""
     part: str | None = None
     """A part from assets/parts or the scene's folder; fills the fields that are not given."""
+    position_mm: Point
+    """Centre of the die, photodiode or array. [mm]"""
+    rotation_deg: Rotation = 0.0
+    """Rotation on the board around its centre, of an array as a whole, counterclockwise. [deg]"""
+    height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
+    """Height by which its face protrudes from the board's underside. [um]"""
+
+
+class Led(Mounted):
+    """A light-emitting die, or a beam on a phantom."""
+
+    position_mm: Point = (0.0, 0.0)
+    """Centre of the die. [mm]"""
     wavelength_nm: Wavelength
     """Peak wavelength. [nm]"""
     fwhm_nm: NonNegative = 0.0
@@ -71,14 +84,8 @@ class Led(Table):
     """Angles from the normal of a measured pattern. [deg]"""
     pattern_relative: tuple[NonNegative, ...] | None = None
     """Relative radiant intensity at those angles."""
-    position_mm: Point = (0.0, 0.0)
-    """Centre of the die. [mm]"""
     size_mm: Size = (0.25, 0.25)
     """Size of the die (u, v); a pencil beam has none. [mm]"""
-    rotation_deg: Rotation = 0.0
-    """Rotation of the die on the board, counterclockwise. [deg]"""
-    height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
-    """Height by which the die protrudes from the board's underside. [um]"""
 
     @model_validator(mode="before")
     @classmethod
@@ -100,27 +107,17 @@ class Led(Table):
         return self
 
 
-class Photodiode(PhotodiodeElements):
+class Photodiode(PhotodiodeElements, Mounted):
     """A photodiode, an array of them, or (phantom) an aperture that counts all light through it."""
 
-    name: Name
-    """Name, unique in the scene; the elements of an array are called name.0, name.1 and so on."""
-    reference: str | None = None
-    """Its reference in the board's file and in exported boards; filled from kicad or positions."""
-    part: str | None = None
-    """A photodiode from assets/parts or the scene's folder; fills the fields that are not given."""
     array: str | None = None
     """Old name of part."""
     wired: tuple[Annotated[int, Field(ge=0)], ...] | None = None
     """Wired elements of the array, counted from 0 at the proximal end; all if not given."""
     aperture: bool = False
     """Counts all light that leaves the top face of a phantom through it, at every angle."""
-    position_mm: Point
-    """Centre of the photodiode or array. [mm]"""
     size_mm: Size = (1.0, 1.0)
     """Size of one element (u, v). [mm]"""
-    rotation_deg: Rotation = 0.0
-    """Rotation on the board around its centre, of an array as a whole, counterclockwise. [deg]"""
     shunt_mohm: Positive = 1000.0
     """Shunt resistance of one element. [Mohm]"""
 
