@@ -85,7 +85,6 @@ def _part(
     params = mi.traverse(shape)
     params["vertex_positions"] = points.astype(np.float32).ravel()
     params["faces"] = flat.reshape(-1, 3).astype(np.uint32).ravel()
-    params["vertex_normals"] = _normals(points, flat.reshape(-1, 3)).astype(np.float32).ravel()
     params.update()
     return shape
 
@@ -101,15 +100,6 @@ def _surface(mi: Any, kind: str) -> Any:
         }
     )
     return props
-
-
-def _normals(points: Array, triangles: np.ndarray) -> Array:
-    """Normals of the vertices, those of the triangles around them by area."""
-    a, b, c = (points[triangles[:, i]] for i in range(3))
-    own, normals = np.cross(b - a, c - a), np.zeros_like(points)
-    for i in range(3):
-        np.add.at(normals, triangles[:, i], own)
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
 
 
 def _render(mi: Any, shapes: list[Any], size: tuple[int, int], samples: int, camera_mm: Point) -> NDArray[np.uint8]:

@@ -126,35 +126,31 @@ class Transfer:
             change = [name for name in readings[0] if name not in ("wavelength_nm", "error_correlation")]
             return xr.concat(readings, "state", data_vars=change, coords="minimal", compat="override", join="override")
         moments = self.moments_at(blood_fraction, so2, mu_a_per_mm)
-        effective, fraction, stderr = (
-            np.array([getattr(m, name) for m in moments]) for name in ("effective_photons", "fraction", "stderr")
+        effective, fraction, stderr, path, slope = (
+            np.array([getattr(m, name) for m in moments])
+            for name in ("effective_photons", "fraction", "stderr", "mean_path", "derivative")
         )
-        path, path_stderr = (np.array(both) for both in zip(*(m.mean_path for m in moments), strict=True))
-        slope, slope_stderr = (np.array(both) for both in zip(*(m.derivative for m in moments), strict=True))
         self.warn_if_thin(effective, moments)
         pairs = ("led", "photodiode")
-        each = (*pairs, "absorber")
+        paths = (*pairs, "absorber")
+        names = {"led": list(self.leds), "photodiode": list(self.photodiodes), "absorber": list(self.absorbers)}
         text = "detected fraction of the emitted power"
         data = variable("detected_fraction", pairs, fraction, text, stderr=stderr)
         if self.scene.phantom is not None and len(self.photodiodes) > 1:
             data["detected_fraction_stderr"][2]["comment"] = SHARED_ERROR
             text = "correlation of the errors of two readings, at the absorption that was traced"
             data |= variable("error_correlation", (*pairs, "other_photodiode"), self.error_correlation(), text)
+            names["other_photodiode"] = list(self.photodiodes)
         data |= variable("effective_photons", pairs, effective, "effective number of detected photons")
         limits = np.array([[upper_limit_95(trace.photons)] for trace in self.traces])
-        limit = np.where(fraction == 0, limits, np.nan)
-        data |= variable(
-            "upper_limit_95", pairs, limit, "95 % upper limit of a detected fraction of which none was seen"
-        )
+        text = "95 % upper limit of a detected fraction of which none was seen"
+        data |= variable("upper_limit_95", pairs, np.where(fraction == 0, limits, np.nan), text)
         text = "mean path of the detected light in the absorber"
-        data |= variable("mean_path_mm", each, path, text, units="mm", stderr=path_stderr)
+        data |= variable("mean_path_mm", paths, path[:, 0], text, units="mm", stderr=path[:, 1])
         text = "derivative of the detected fraction to the absorber's mu_a"
-        data |= variable("derivative_mm", each, slope, text, units="mm", stderr=slope_stderr)
+        data |= variable("derivative_mm", paths, slope[:, 0], text, units="mm", stderr=slope[:, 1])
         wavelength = [led.wavelength_nm for led in self.scene.leds]
         data |= variable("wavelength_nm", "led", wavelength, "peak wavelength", units="nm")
-        names = {"led": list(self.leds), "photodiode": list(self.photodiodes), "absorber": list(self.absorbers)}
-        if "error_correlation" in data:
-            names["other_photodiode"] = list(self.photodiodes)
         return xr.Dataset(data, names, self.attributes())
 
     def error_correlation(self) -> np.ndarray:
@@ -203,25 +199,23 @@ class Transfer:
     def energy_by_led(self) -> xr.Dataset:
         """Where each LED's light went, in all and, of what was absorbed, by region, as fractions of its power."""
         data: Variables = {}
-        texts = {"energy": "light by where it went", "absorbed": "light absorbed in a region or by its surface"}
-        axes = {"energy": "where the light went", "absorbed": "region that absorbs light"}
-        for name, axis in (("energy", "part"), ("absorbed", "region")):
-            each = [t.fractions(getattr(t, name)) for t in self.traces]
-            places = list(dict.fromkeys(place for one in each for place in one))
+        for name, axis, text, about in (
+            ("energy", "part", "light by where it went", "where the light went"),
+            ("absorbed", "region", "light absorbed in a region or by its surface", "region that absorbs light"),
+        ):
+            by_led = [t.fractions(getattr(t, name)) for t in self.traces]
+            places = list(dict.fromkeys(place for one in by_led for place in one))
             # A region that absorbs nothing at an LED's wavelength has no tally there.
-            value, stderr = np.array([[one.get(place, (0.0, 0.0)) for place in places] for one in each]).T.swapaxes(
-                1, 2
-            )
-            text = f"{texts[name]}, per emitted power"
-            data |= variable(f"{name}_fraction", ("led", axis), value, text, stderr=stderr)
-            data[axis] = ((axis,), np.array(places), {"long_name": axes[name]})
+            value, stderr = np.transpose([[one.get(place, (0.0, 0.0)) for place in places] for one in by_led], (2, 0, 1))
+            data |= variable(f"{name}_fraction", ("led", axis), value, f"{text}, per emitted power", stderr=stderr)
+            data[axis] = ((axis,), np.array(places), {"long_name": about})
         return xr.Dataset(data, {"led": list(self.leds)})
 
     def merge(self, other: "Transfer") -> "Transfer":
         """This trace and another of the same light as one; raises InputError if they differ or share a seed."""
         # What reads the light is one scene's, too.
-        kept, merged = ((light_digest(t.scene), t.scene.leds, t.scene.photodiodes, t.engine) for t in (self, other))
-        if kept != merged:
+        ours, theirs = ((light_digest(t.scene), t.scene.leds, t.scene.photodiodes, t.engine) for t in (self, other))
+        if ours != theirs:
             raise InputError("these traces are of different scenes or engines; merge traces of one scene.")
         return replace(
             self,
@@ -257,21 +251,13 @@ class Transfer:
             check_arrays({"mu_a": arrays["mu_a_per_mm"]}, {"mu_a": (len(scene.leds), count["absorbers"])})
             traces, first = [], np.cumsum([0, *(led["records"] for led in header["leds"])])
             for i, led in enumerate(header["leds"]):
-                sums, columns = arrays["full"][i], {name: arrays[name][first[i] : first[i + 1]] for name in COLUMNS}
-                made_of: dict[str, Any] = {
-                    name: {part: (a, b) for part, (a, b) in led[name].items()} for name in SUMS
-                } | columns
-                one = LedTrace(
-                    photons=led["photons"],
-                    mu_a=arrays["mu_a_per_mm"][i],
-                    seeds=tuple(led["seeds"]),
-                    keep=led["keep"],
-                    rest=rest_state(scene, i),
-                    full=None if np.isnan(sums).all() else Moments.from_array(sums, led["photons"]),
-                    **made_of,
-                )
-                one.check(**count)
-                traces.append(one)
+                content: dict[str, Any] = {name: arrays[name][first[i] : first[i + 1]] for name in COLUMNS}
+                content |= {name: {part: (a, b) for part, (a, b) in led[name].items()} for name in SUMS}
+                content |= {name: led[name] for name in ("photons", "keep")} | {"seeds": tuple(led["seeds"])}
+                if not np.isnan(arrays["full"][i]).all():
+                    content["full"] = Moments.from_array(arrays["full"][i], led["photons"])
+                traces.append(LedTrace(mu_a=arrays["mu_a_per_mm"][i], rest=rest_state(scene, i), **content))
+                traces[-1].check(**count)
             made = {name: header[name] for name in ("engine", "backend", *EFFORT)}
             return Transfer(scene, tuple(traces), versions=dict(header["version_table"]), **made)
         except (OSError, io.CorruptError, LookupError, AttributeError, TypeError, ValueError) as error:
@@ -309,21 +295,21 @@ class Transfer:
             there, both the reading and its error come out too small.
         """
         for led, left, bright, traced in zip(self.leds, effective, least_absorbing, self._traced, strict=True):
-            self._warn(led, "reading", left, traced.effective_photons, least=MIN_EFFECTIVE_PHOTONS)
             behind = np.where(bright.weight > traced.weight, bright.error_photons, np.inf)
-            self._warn(led, "error", behind, traced.error_photons, least=FEW_TERMS)
-
-    def _warn(self, led: str, what: str, left: np.ndarray, traced: np.ndarray, *, least: float) -> None:
-        """Warn of the photodiode with the fewest effective photons, (photodiode,) float, if they are too few."""
-        thin = (left < least) & (left < 0.5 * traced)
-        if thin.any():
-            i = int(np.argmin(np.where(thin, left, np.inf)))
-            warnings.warn(
-                f'LED "{led}", photodiode "{self.photodiodes[i]}": this state is so far from the traced one that only '
-                f"{left[i]:.1f} effective photons of {traced[i]:.0f} bear its {what}; trace nearer or more photons",
-                ReweightWarning,
-                stacklevel=4,
-            )
+            for what, few, of, least in (
+                ("reading", left, traced.effective_photons, MIN_EFFECTIVE_PHOTONS),
+                ("error", behind, traced.error_photons, FEW_TERMS),
+            ):
+                thin = (few < least) & (few < 0.5 * of)
+                if thin.any():
+                    i = int(np.argmin(np.where(thin, few, np.inf)))
+                    warnings.warn(
+                        f'LED "{led}", photodiode "{self.photodiodes[i]}": this state is so far from the traced one '
+                        f"that only {few[i]:.1f} effective photons of {of[i]:.0f} bear its {what}; trace nearer or "
+                        "more photons",
+                        ReweightWarning,
+                        stacklevel=3,
+                    )
 
     def attributes(self) -> dict[str, Any]:
         """What a result carries about its making: scene, digest, engine, backend, versions, photons."""
