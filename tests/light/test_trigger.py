@@ -88,7 +88,7 @@ def test_the_driver_ends_when_met_late_or_interrupted():
 
 def test_the_pace_is_that_of_the_second_call(monkeypatch):
     now = [0.0]
-    monkeypatch.setattr("nailoptics.light.tracing.driver.time.perf_counter", lambda: now[0])
+    monkeypatch.setattr("nailoptics.light.tracing.trigger.time.perf_counter", lambda: now[0])
 
     def sample(count: int) -> None:
         now[0] += 0.5 * count + (10.0 if now[0] == 0 else 0.0)

@@ -16,9 +16,8 @@ from .. import optics
 from ..identity import light_scene
 from ..transfer import Transfer, photodiode_names
 from ..transfer.records import FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS, LedRecords
-from .driver import Ending, ProgressCallback, run_until
 from .store import LedSource, LightStore, made_of
-from .trigger import LedTrigger, share_of_time
+from .trigger import Ending, LedTrigger, ProgressCallback, run_until, share_of_time
 
 DEFAULT_PHOTONS = 1_000_000
 PHOTONS_ENGINE = "the photons engine"

@@ -206,7 +206,9 @@ class Transfer:
             by_led = [t.fractions(getattr(t, name)) for t in self.traces]
             places = list(dict.fromkeys(place for one in by_led for place in one))
             # A region that absorbs nothing at an LED's wavelength has no tally there.
-            value, stderr = np.transpose([[one.get(place, (0.0, 0.0)) for place in places] for one in by_led], (2, 0, 1))
+            value, stderr = np.transpose(
+                [[one.get(place, (0.0, 0.0)) for place in places] for one in by_led], (2, 0, 1)
+            )
             data |= variable(f"{name}_fraction", ("led", axis), value, f"{text}, per emitted power", stderr=stderr)
             data[axis] = ((axis,), np.array(places), {"long_name": about})
         return xr.Dataset(data, {"led": list(self.leds)})

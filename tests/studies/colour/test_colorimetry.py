@@ -7,7 +7,7 @@ import pytest
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import white_band_mm
-from nailoptics.light.tracing import driver
+from nailoptics.light.tracing import StageProgress
 from nailoptics.options import TraceOptions
 from nailoptics.studies.colour import adaptive_sampling
 from nailoptics.studies.colour.adaptive_sampling import stderr_of_colour
@@ -109,7 +109,7 @@ def test_refill_is_the_time_until_no_eye_sees_a_difference():
 def test_parts_of_rays_fit_into_what_is_left_of_the_time(monkeypatch, pace_s):
     """Expected: rays end within the time, which the first, of unknown pace, leave a tenth of at least."""
     clock = SimpleNamespace(now=0.0)
-    monkeypatch.setattr(driver, "time", SimpleNamespace(perf_counter=lambda: clock.now))
+    monkeypatch.setattr("nailoptics.light.tracing.trigger.time", SimpleNamespace(perf_counter=lambda: clock.now))
 
     def walk_colour(*_, photons, **__):
         clock.now += photons * pace_s
@@ -120,10 +120,10 @@ def test_parts_of_rays_fit_into_what_is_left_of_the_time(monkeypatch, pace_s):
 
     monkeypatch.setattr(adaptive_sampling, "walk_colour", walk_colour)
     limit_s = 10 * adaptive_sampling.PILOT * pace_s
-    walk = adaptive_sampling._Sampling(None, TraceOptions(), driver.StageProgress(None, limit_s))
+    walk = adaptive_sampling._Sampling(None, TraceOptions(), StageProgress(None, limit_s))
     walk.add((), 10**8)
     assert 0.9 * limit_s < clock.now < 1.2 * limit_s
     # Without a limit all are walked.
-    walk = adaptive_sampling._Sampling(None, TraceOptions(), driver.StageProgress(None))
+    walk = adaptive_sampling._Sampling(None, TraceOptions(), StageProgress(None))
     walk.add((), 3 * adaptive_sampling.MOST_AT_ONCE)
     assert walk.rays.photons == 3 * adaptive_sampling.MOST_AT_ONCE and walk.parts == 3

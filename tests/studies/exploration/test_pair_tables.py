@@ -9,7 +9,7 @@ from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.light.pair_kernel import PairProjection, RadialFunction, pair_basis
-from nailoptics.light.tracing import driver
+from nailoptics.light.tracing import StageProgress
 from nailoptics.scene import Scene, load_scene
 from nailoptics.scene.rectangles import Rectangle
 from nailoptics.studies.exploration import explore as study
@@ -137,13 +137,13 @@ def test_the_command_refuses_in_one_line(arguments, what, capsys, tmp_path, monk
 def test_photons_of_a_wavelength_end_with_its_time_or_with_their_least(monkeypatch, pace_s, limit_s):
     """Expected: at most one batch later, and most of the time used; in no time one least batch of each group."""
     clock, sent = SimpleNamespace(now=0.0), []
-    monkeypatch.setattr(driver, "time", SimpleNamespace(perf_counter=lambda: clock.now))
+    monkeypatch.setattr("nailoptics.light.tracing.trigger.time", SimpleNamespace(perf_counter=lambda: clock.now))
 
     def trace(photons):
         sent.append(photons)
         clock.now += photons * pace_s
 
-    report, led = driver.StageProgress(None, limit_s), scene().leds[0]
+    report, led = StageProgress(None, limit_s), scene().leds[0]
     each = study._fitting(limit_s, pace_s)
     study._trace(SimpleNamespace(trace=trace), each, 10**6, led, report, begin=0.0, end=1.0)
     least = BLOCKS * study.LEAST_BATCH
