@@ -13,7 +13,7 @@ from .. import geometry as finger_geometry
 from ..errors import InputError
 from ..scene import Scene
 from .backend import choose
-from .reference.integrate import stock_mitsuba
+from .reference.mitsuba_scene import stock_mitsuba
 from .walk.nail_reflectance import as_seen
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ import nailoptics as nail
 from nailoptics import geometry
 from nailoptics.assets import data_dir
 from nailoptics.light import backend, optics
-from nailoptics.light.reference.integrate import BedAbsorption, FingerPaths
+from nailoptics.light.reference.mitsuba_scene import BedAbsorption, FingerPaths
 
 GROUPS = ((0, 1, 2), (3, 4), (5, 6, 7))
 PATHS = 11264

@@ -45,8 +45,7 @@ def modulation(scene: nail.Scene, walk: nail.Transfer) -> None:
     shape, zones = geometry.build(scene), optics.zones(scene)
     led = scene.leds[0].wavelength_nm
     v = np.linspace(-15, 10, 501)
-    from nailoptics.light.reference.integrate import FingerPaths
-    from nailoptics.light.reference.mitsuba_scene import BedAbsorption
+    from nailoptics.light.reference.mitsuba_scene import BedAbsorption, FingerPaths
 
     means, variances, cpu = [], [], 0.0
     for k, state in enumerate(states):

@@ -7,7 +7,7 @@ import nailoptics as nail
 from nailoptics import geometry
 from nailoptics.assets import data_dir
 from nailoptics.light import backend, optics
-from nailoptics.light.reference import integrate, mitsuba_scene, readings
+from nailoptics.light.reference import mitsuba_scene, readings
 from nailoptics.light.walk.finger import FingerTracer
 from nailoptics.light.walk.tallies import Section
 from nailoptics.options import TraceOptions
@@ -85,7 +85,7 @@ def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_finger(jit_bac
     shape = geometry.build(scene)
     found = optics.finger_media(scene, shape.regions, 800.0)
     v = np.linspace(*(np.asarray(shape.bounds_mm)[:, 1] + [-0.2, 0.2]), 101)
-    paths = integrate.FingerPaths(
+    paths = mitsuba_scene.FingerPaths(
         shape,
         found,
         bed=mitsuba_scene.BedAbsorption(v, np.full((1, len(v)), found.mu_a[shape.regions.index("bed")])),

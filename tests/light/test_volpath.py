@@ -10,7 +10,7 @@ from nailoptics import geometry
 from nailoptics.errors import InputError
 from nailoptics.light import backend
 from nailoptics.light.optics import finger_media
-from nailoptics.light.reference import integrate, mitsuba_scene, readings
+from nailoptics.light.reference import mitsuba_scene, readings
 from nailoptics.light.reference.mitsuba_scene import EVERYTHING, LEAVING, BedAbsorption, Window
 from nailoptics.options import TraceOptions
 from nailoptics.scene import parse_scene
@@ -56,7 +56,7 @@ def test_a_slab_at_each_wavelength_meets_adding_doubling(wavelength, n, engine):
     mu_s = reduced / (1 - g)
     exact = iadpython.Sample(a=mu_s / (mu_a + mu_s), b=mu_a + mu_s, g=g, n=n, quad_pts=20).rt()[:2]
     scene = slab(mu_a=mu_a, mu_s=mu_s, g=g, n=n, led={"wavelength_nm": wavelength})
-    batches = integrate.phantom_fractions(scene, LEAVING, batches=16, paths_per_batch=4096, seed=1, backend=engine)
+    batches = mitsuba_scene.phantom_fractions(scene, LEAVING, batches=16, paths_per_batch=4096, seed=1, backend=engine)
     mean, stderr = statistics(batches)
     assert np.all(abs(mean - exact) < 4 * stderr)
     assert np.all(stderr < 0.01 * mean)
@@ -67,7 +67,7 @@ def test_a_lambertian_die_meets_adding_doubling(engine):
     iadpython = pytest.importorskip("iadpython")
     exact = iadpython.Sample(a=0.99, b=10, g=0.8, n=1.4, quad_pts=20).rt()[2:]
     scene = slab(mu_a=0.1, mu_s=9.9, g=0.8, n=1.4, led={"pattern": "lambertian", "size_mm": [0.25, 0.25]})
-    batches = integrate.phantom_fractions(scene, LEAVING, batches=16, paths_per_batch=4096, seed=2, backend=engine)
+    batches = mitsuba_scene.phantom_fractions(scene, LEAVING, batches=16, paths_per_batch=4096, seed=2, backend=engine)
     mean, stderr = statistics(batches)
     assert np.all(abs(mean - exact) < 4 * stderr)
     assert np.all(stderr < 0.01 * mean)
@@ -77,7 +77,7 @@ def test_a_lambertian_die_meets_adding_doubling(engine):
 def test_without_absorption_all_light_comes_out(led, engine):
     """R + T = 1 path by path, also where the index below differs: radiance over n squared is what is reciprocal."""
     scene = slab(mu_a=0.0, mu_s=8.0, g=0.5, n=1.5, n_below=1.33, led=led)
-    batches = integrate.phantom_fractions(scene, LEAVING, batches=2, paths_per_batch=4096, seed=3, backend=engine)
+    batches = mitsuba_scene.phantom_fractions(scene, LEAVING, batches=2, paths_per_batch=4096, seed=3, backend=engine)
     assert np.allclose(batches.sum(axis=1), 1, atol=1e-3)
     assert np.all(batches > 0.1)
 
@@ -87,7 +87,7 @@ def test_three_blood_states_of_one_medium_meet_adding_doubling(engine):
     iadpython = pytest.importorskip("iadpython")
     states, mu_s, g = np.array([0.05, 0.1, 0.2]), 12.0, 0.8
     exact = [iadpython.Sample(a=mu_s / (m + mu_s), b=m + mu_s, g=g, n=1.4, quad_pts=20).rt()[0] for m in states]
-    with integrate.stock_mitsuba(engine) as mi:
+    with mitsuba_scene.stock_mitsuba(engine) as mi:
         scene = slab(mu_a=0.05, mu_s=mu_s, g=g, n=1.4)
         made = mitsuba_scene.phantom_scene(mi, scene.phantom, scene.leds[0], [Window((0.0, 0.0), EVERYTHING)])
         bed = BedAbsorption(np.array([-80.0, 0.0, 80.0]), np.repeat(states[:, None], 3, axis=1))
@@ -95,7 +95,7 @@ def test_three_blood_states_of_one_medium_meet_adding_doubling(engine):
         made["medium_0"] = mitsuba_scene.bed_medium(mi, bed, mu_s=mu_s, g=g, bounds_mm=box)
         made["window_0"]["emitter"] = mitsuba_scene.emitter([1.0, 1.0, 1.0])
         loaded = mi.load_dict(made, optimize=False)
-        batches = np.stack([integrate._render(mi, loaded, paths=4096, seed=seed) for seed in range(12)])
+        batches = np.stack([mitsuba_scene._render(mi, loaded, paths=4096, seed=seed) for seed in range(12)])
     mean, stderr = statistics(batches)
     assert np.all(abs(mean - exact) < 4 * stderr)
     assert np.all(stderr < 0.01 * mean)
@@ -105,7 +105,7 @@ def test_three_blood_states_of_one_medium_meet_adding_doubling(engine):
 def test_a_photodiode_sized_reading(engine):
     """8.977(9)e-3 through a 1 x 1 mm square 2 mm from a beam on 10 mm of matched medium: pmmc, MCX and plain C."""
     scene = slab(mu_a=0.05, mu_s=10, g=0.9, n=1, thickness=10, photodiodes=[SQUARE])
-    batches = integrate.phantom_fractions(
+    batches = mitsuba_scene.phantom_fractions(
         scene, THROUGH_SQUARE, batches=20, paths_per_batch=5120, seed=4, backend=engine
     )
     mean, stderr = statistics(batches)
@@ -116,7 +116,9 @@ def test_same_seed_same_bits_and_the_variant_is_given_back(engine):
     mi = backend.activate(backend.choose("scalar"))
     scene = slab(mu_a=0.1, mu_s=1, g=0, n=1.3, photodiodes=[SQUARE])
     first, second, other = (
-        integrate.phantom_fractions(scene, THROUGH_SQUARE, batches=2, paths_per_batch=512, seed=seed, backend=engine)
+        mitsuba_scene.phantom_fractions(
+            scene, THROUGH_SQUARE, batches=2, paths_per_batch=512, seed=seed, backend=engine
+        )
         for seed in (5, 5, 6)
     )
     assert np.array_equal(first, second) and not np.array_equal(first, other)
@@ -133,12 +135,12 @@ def test_what_stock_mitsuba_cannot_do_is_said():
         photodiodes=[SQUARE],
     )
     with pytest.raises(InputError, match="measured"):
-        integrate.phantom_fractions(
+        mitsuba_scene.phantom_fractions(
             scene, THROUGH_SQUARE, batches=1, paths_per_batch=256, seed=1, backend=backend.choose("scalar")
         )
     plain = slab(mu_a=0.1, mu_s=1, g=0, n=1, photodiodes=[SQUARE])
     with pytest.raises(ValueError, match="float32"):
-        integrate.phantom_fractions(
+        mitsuba_scene.phantom_fractions(
             plain, THROUGH_SQUARE, batches=1, paths_per_batch=10**8, seed=1, backend=backend.choose("scalar")
         )
     for places, values in (([0, 1], [0.1, 0.2]), ([0, 1, 3], [[0.1] * 3]), ([0, 1], [[0.1] * 2] * 4)):
@@ -212,7 +214,7 @@ def prepare(text):
 
 def read(finger, engine, *, seed, batches, keep=slice(None), optics=None):
     scene, shape, media, bed = finger
-    paths = integrate.FingerPaths(
+    paths = mitsuba_scene.FingerPaths(
         shape,
         optics or media,
         bed=BedAbsorption(bed.v_mm, bed.mu_a_per_mm[keep]),
@@ -263,7 +265,7 @@ size_mm = [1.0, 1.0]
     scalar = backend.choose("scalar")
 
     def trace(photodiodes, seed):
-        paths = integrate.FingerPaths(shape, media, bed=rest, led=0, photodiodes=photodiodes, backend=scalar)
+        paths = mitsuba_scene.FingerPaths(shape, media, bed=rest, led=0, photodiodes=photodiodes, backend=scalar)
         return statistics(np.stack([paths.batch(paths=1024, seed=100 * seed + k) for k in range(6)]))
 
     together, error = trace((0, 1), 1)
@@ -272,7 +274,7 @@ size_mm = [1.0, 1.0]
         assert abs(alone[0] - together[i]) < 4 * np.hypot(alone_error[0], error[i])
         assert alone_error[0] < 0.3 * alone[0]
     with pytest.raises(ValueError, match="not both"):
-        integrate.FingerPaths(shape, media, bed=bed, led=0, photodiodes=(0, 1), backend=scalar)
+        mitsuba_scene.FingerPaths(shape, media, bed=bed, led=0, photodiodes=(0, 1), backend=scalar)
 
 
 @pytest.mark.long

@@ -9,7 +9,7 @@ import pytest
 from nailoptics import geometry
 from nailoptics.light import backend, optics
 from nailoptics.light.board_map import Arrivals, BoardTracer
-from nailoptics.light.reference import integrate, mitsuba_scene
+from nailoptics.light.reference import mitsuba_scene
 from nailoptics.scene import parse_scene
 from nailoptics.sensor.ambient import SOURCES, Ambient, collecting_area_mm2, photocurrents_a
 
@@ -77,12 +77,17 @@ def test_a_sky_of_the_other_engine_brings_what_reciprocity_foretells(jit_backend
     low, high = np.asarray(shape.bounds_mm)[:, 1]
     v = np.linspace(low - 0.2, high + 0.2, 101)
     bed = mitsuba_scene.BedAbsorption(v, np.full((1, len(v)), found.mu_a[shape.regions.index("bed")]))
-    with integrate.stock_mitsuba(backend.choose("auto", volpath=True)) as mi, tempfile.TemporaryDirectory() as folder:
+    with (
+        mitsuba_scene.stock_mitsuba(backend.choose("auto", volpath=True)) as mi,
+        tempfile.TemporaryDirectory() as folder,
+    ):
         sensor = shape.photodiodes[0].region
         made = mitsuba_scene.finger_scene(mi, shape, found, bed, sensor=sensor, emitters={}, folder=Path(folder))
         made["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}
         loaded = mi.load_dict(made, optimize=False)
-        theirs = np.array([integrate._render(mi, loaded, paths=1 << 14, seed=s)[0] for s in range(30)]) * area / np.pi
+        theirs = (
+            np.array([mitsuba_scene._render(mi, loaded, paths=1 << 14, seed=s)[0] for s in range(30)]) * area / np.pi
+        )
     spread = theirs.std(ddof=1) / np.sqrt(len(theirs))
     assert abs(theirs.mean() - ours) < 4 * np.hypot(error, spread), (theirs.mean(), spread, ours, error)
     assert error < 0.05 * ours and spread < 0.05 * ours

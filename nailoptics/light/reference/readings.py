@@ -19,8 +19,7 @@ from .. import optics
 from ..backend import choose
 from ..tracing import Ending, ProgressCallback, TraceProgress, Trigger, out_of_time, run_until, share_of_time, unlit
 from ..transfer.series import ReadingSeries
-from .integrate import BedAbsorption, FingerPaths, phantom_fractions
-from .mitsuba_scene import LEAVING, Window, check_pattern
+from .mitsuba_scene import LEAVING, BedAbsorption, FingerPaths, Window, check_pattern, phantom_fractions
 
 # Batches per photodiode that settle how its states differ; their noise is shared, so few do.
 RATIO_BATCHES = 16
