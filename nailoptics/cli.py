@@ -5,7 +5,7 @@ import math
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -24,7 +24,7 @@ from .errors import (
     exit_message,
 )
 from .interrupts import counted
-from .io import check_writable, leave_dask_out, make_folder
+from .io import check_writable, leave_dask_out, make_folder, write_text
 from .options import TraceOptions
 from .terminal import (
     batch_progress,
@@ -40,6 +40,7 @@ from .terminal import (
 )
 
 if TYPE_CHECKING:
+    from .report.files import Report
     from .scene import Scene
 
 # Of --max-seconds, the part that is left for starting and for writing the results; the rest bounds the tracing.
@@ -60,13 +61,29 @@ app = App(
 )
 
 ScenePath = Annotated[str, Parameter(help="A scene file (TOML), or the name of a shipped one such as prototype.")]
+Output = Parameter(name=["--output", "-o"])
+Flag = Annotated[bool, Parameter(negative="")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print one JSON object on stdout, nothing else.")]
-Options = Annotated[TraceOptions, Parameter(name="*")]
-USUAL = TraceOptions()
-Folder = Annotated[
-    Path | None, Parameter(name=["--output", "-o"], help="Folder for the results; results/SCENE if not given.")
-]
-File = Annotated[Path | None, Parameter(name=["--output", "-o"], help="File to write.")]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Traced(TraceOptions):
+    """Options of every command that traces light."""
+
+    json: Json = False
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Study(Traced):
+    """Options of every command that leaves its results in a folder."""
+
+    output: Annotated[Path | None, Output] = None
+    """Folder for the results; results/SCENE if not given."""
+
+
+TRACED, STUDY = Traced(), Study()
 
 
 def main() -> None:
@@ -102,110 +119,97 @@ def run(arguments: list[str]) -> int:
 
 
 @app.command
-def simulate(
-    scene: ScenePath,
-    *,
-    output: Folder = None,
-    recording: Annotated[
-        Path | None, Parameter(help="Write what a worn sensor would record, noise included, to this CSV file, too.")
-    ] = None,
-    json_: Json = False,
-    options: Options = USUAL,
-) -> None:
+def simulate(scene: ScenePath, *, recording: Path | None = None, options: Study = STUDY) -> None:
     """Simulate a touch: force to volts over time, traced light beside the paper's Taylor (9) and Beer-Lambert (8).
 
     Writes result.nc and report.html.
+
+    Args:
+        recording: Write what a worn sensor would record, noise included, to this CSV file, too.
     """
-    from .report.result_files import SIMULATION, write_recording, write_simulation
-    from .report.summaries import simulation_summary
-    from .report.terminal_text import simulation_lines
+    from .report.pages.simulate import SIMULATION
+    from .scene.importers.sensor_recordings import recording_csv
     from .studies.force.virtual_recording import record
     from .studies.simulate import simulate as study
 
     loaded, _ = _load(scene, options)
-    folder = _results(output, scene, SIMULATION)
-    _check_file(recording)
+    folder = _results(options.output, scene, SIMULATION, recording)
     result, unmet = _traced(study, loaded, picture=True, options=options)
-    paths = write_simulation(result, folder)
+    paths = SIMULATION.write(result, folder)
     if recording is not None:
-        paths |= write_recording(record(loaded, result, seed=options.seed), recording)
-    summary = simulation_summary(result)
-    _finish(summary, simulation_lines(summary), paths, json_, unmet, folder)
+        paths["recording"] = _write(recording, recording_csv(record(loaded, result, seed=options.seed)))
+    _show(SIMULATION, result, paths, options.json, unmet, folder)
 
 
 @app.command
-def trace(scene: ScenePath, *, output: File = None, json_: Json = False, options: Options = USUAL) -> None:
-    """Trace the light only: readings at the scene's rest state, and with -o the transfer for any other."""
+def trace(scene: ScenePath, *, output: Annotated[Path | None, Output] = None, options: Traced = TRACED) -> None:
+    """Trace the light only: readings at the scene's rest state, and with -o the transfer for any other.
+
+    Args:
+        output: File to write.
+    """
     from .light import read_rest
-    from .report.terminal_text import rest_lines
+    from .report.readings import rest_lines
 
     loaded, engine = _load(scene, options)
     if output is not None and engine == "volpath":
         raise InputError(f"{output}: volpath traces readings, not a transfer that could be saved; leave -o out.")
-    _check_file(output)
+    _check_files(output)
     rest, unmet = _traced(read_rest, loaded, options=options)
     if output is not None and rest.transfer is not None:
         rest.transfer.save(output)
-    _finish(rest.as_dict(), rest_lines(rest), {}, json_, unmet, output)
+    _finish(rest.as_dict(), rest_lines(rest), {}, options.json, unmet, output)
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """How the colour of a nail is seen, in place of what the scene's [colour] says."""
+
+    forces_n: Annotated[tuple[float, ...] | None, Parameter(name="--force", negative="")] = None
+    """Held forces, the first to compare with. May be repeated. [N]"""
+    illuminant: Literal["D65", "A", "LED-B3"] | None = None
+    """Daylight, an incandescent lamp, or a white LED."""
+    observer: Literal["2", "10"] | None = None
+    """Field of the standard observer, in degrees."""
+    lit_by: Annotated[Literal["sky", "lamp"] | None, Parameter(name="--light")] = None
+    """From all sides, or at 45 degrees all round."""
+    gloss: bool | None = None
+    """Include the light that the surface mirrors."""
+    tolerance: float | None = None
+    """Standard error of every place's colour (CIEDE2000)."""
+    change_tolerance: float | None = None
+    """Standard error of every change by force (CIEDE2000)."""
 
 
 @app.command
 def colour(
     scene: ScenePath,
     *,
-    output: Folder = None,
-    force: Annotated[
-        tuple[float, ...] | None,
-        Parameter(negative="", help="Held forces, the first to compare with. May be repeated. [N]"),
-    ] = None,
-    illuminant: Annotated[
-        Literal["D65", "A", "LED-B3"] | None, Parameter(help="Daylight, an incandescent lamp, or a white LED.")
-    ] = None,
-    observer: Annotated[
-        Literal["2", "10"] | None, Parameter(help="Field of the standard observer, in degrees.")
-    ] = None,
-    light: Annotated[
-        Literal["sky", "lamp"] | None, Parameter(help="From all sides, or at 45 degrees all round.")
-    ] = None,
-    gloss: Annotated[bool | None, Parameter(help="Include the light that the surface mirrors.")] = None,
-    photograph: Annotated[
-        bool | None,
-        Parameter(
-            help="Render the finger at rest and pressed (half a minute); by default unless --max-seconds is given."
-        ),
-    ] = None,
-    tolerance: Annotated[float | None, Parameter(help="Standard error of every place's colour (CIEDE2000).")] = None,
-    change_tolerance: Annotated[
-        float | None, Parameter(help="Standard error of every change by force (CIEDE2000).")
-    ] = None,
-    json_: Json = False,
-    options: Options = USUAL,
+    view: Annotated[View, Parameter(name="*")] = View(),  # noqa: B008
+    photograph: bool | None = None,
+    options: Study = STUDY,
 ) -> None:
     """Trace the colour of the bare nail and the skin around it under force, as in the paper's Fig. 2.
 
     Defaults are those of the scene's [colour]. Writes colour.nc, colour.html, the strip of nails, photographs at rest
     and pressed, and a press as an animation.
+
+    Args:
+        photograph: Render the finger at rest and pressed (half a minute); by default unless --max-seconds is given.
     """
-    from .report.result_files import COLOUR, write_colour
-    from .report.summaries import colour_summary
-    from .report.terminal_text import colour_lines
+    from .report.pages.colour import COLOUR
     from .studies.colour.nail_colour import colour as study
 
     loaded, _ = _load(scene, options)
-    folder = _results(output, scene, COLOUR)
-    view: dict[str, Any] = {"illuminant": illuminant, "observer": observer, "lit_by": light, "gloss": gloss}
-    view |= {"forces_n": force, "tolerance": tolerance, "change_tolerance": change_tolerance}
-    result, unmet = _traced(study, loaded, **view, options=options)
+    folder = _results(options.output, scene, COLOUR)
+    result, unmet = _traced(study, loaded, **vars(view), options=options)
     pictures: list[Any] = []
     try:
         if options.max_seconds is None if photograph is None else photograph:
             pictures = [] if unmet else _photographs(loaded, result, options)
     except KeyboardInterrupt:
         unmet = NotReachedError("interrupted; photographs are left out.")
-    assert loaded.finger is not None
-    paths = write_colour(result, folder, photographs=pictures, width_mm=loaded.finger.nail_width_mm)
-    summary = colour_summary(result)
-    _finish(summary, colour_lines(summary), paths, json_, unmet, folder)
+    _show(COLOUR, result, COLOUR.write(result, folder, photographs=pictures), options.json, unmet, folder)
 
 
 def _photographs(scene: "Scene", result: Any, options: TraceOptions) -> list[Any]:
@@ -225,45 +229,43 @@ def _photographs(scene: "Scene", result: Any, options: TraceOptions) -> list[Any
 def compare(
     scene: ScenePath,
     *,
-    output: Folder = None,
-    over: Annotated[
-        tuple[Literal["force", "blood", "saturation"], ...],
-        Parameter(help="What is swept: force, blood fraction 0-10 %, saturation 1-0.5. May be repeated."),
-    ] = ("force", "blood"),
-    wavelength_nm: Annotated[
-        tuple[float, ...], Parameter(help="Trace every LED at this wavelength too. May be repeated. [nm]")
-    ] = (),
-    require: Annotated[
-        float | None,
-        Parameter(help="Exit with 4 unless the fitted model stays within this part of every reading's swing."),
-    ] = None,
-    model: Annotated[
-        Literal["taylor", "beer_lambert"],
-        Parameter(help="The model that --require judges: Taylor (9) or Beer-Lambert (8)."),
-    ] = "taylor",
-    json_: Json = False,
-    options: Options = USUAL,
+    over: tuple[Literal["force", "blood", "saturation"], ...] = ("force", "blood"),
+    wavelength_nm: tuple[float, ...] = (),
+    require: float | None = None,
+    model: Literal["taylor", "beer_lambert"] = "taylor",
+    options: Study = STUDY,
 ) -> None:
     """Compare traced light with the paper's Taylor (9) and Beer-Lambert (8): where they hold, and why not further.
 
     Writes compare.nc and compare.html.
+
+    Args:
+        over: What is swept: force, blood fraction 0-10 %, saturation 1-0.5. May be repeated.
+        wavelength_nm: Trace every LED at this wavelength too. May be repeated. [nm]
+        require: Exit with 4 unless the fitted model stays within this part of every reading's swing.
+        model: The model that --require judges: Taylor (9) or Beer-Lambert (8).
     """
-    from .report.result_files import COMPARISON, write_comparison
-    from .report.summaries import comparison_summary as summary
-    from .report.terminal_text import verdict_line
+    from .report.pages.compare import COMPARISON, verdict_line
     from .studies.comparison.compare import compare as study
     from .studies.comparison.compare import verdict
 
     loaded, _ = _load(scene, options)
     if require is not None and not 0 < require < math.inf:
         raise InputError(f"--require {require:g} must be a part of the swing above 0, such as 0.05.")
-    folder = _results(output, scene, COMPARISON)
+    folder = _results(options.output, scene, COMPARISON)
     result, unmet = _traced(study, loaded, over=over, wavelengths_nm=wavelength_nm, options=options)
-    paths = write_comparison(result, folder)
+    paths = COMPARISON.write(result, folder)
     judged = verdict(result, 0.05 if require is None else require, model=model)
     missed = require is not None and judged.outcome == "missed"
     try:
-        _finish(summary(result) | {"verdict": vars(judged)}, [verdict_line(judged)], paths, json_, unmet, folder)
+        _finish(
+            COMPARISON.summary(result) | {"verdict": vars(judged)},
+            [verdict_line(judged)],
+            paths,
+            options.json,
+            unmet,
+            folder,
+        )
     except NotReachedError:
         if not missed:
             raise
@@ -274,182 +276,169 @@ def compare(
 
 
 @app.command
-def place(
-    scene: ScenePath,
-    *,
-    output: Folder = None,
-    negate_x_on_bottom: Annotated[
-        bool, Parameter(negative="", help="Write the position file with X negated on the bottom side.")
-    ] = False,
-    json_: Json = False,
-    options: Options = USUAL,
-) -> None:
+def place(scene: ScenePath, *, negate_x_on_bottom: Flag = False, options: Study = STUDY) -> None:
     """Rank layouts of LEDs and photodiodes by the force that they resolve; search better ones.
 
     Writes place.nc, ranking.csv, place.html, and the best layout as best.toml, best.csv (KiCad), outline and best.glb.
+
+    Args:
+        negate_x_on_bottom: Write the position file with X negated on the bottom side.
     """
-    from .report.result_files import PLACEMENT, write_placement
-    from .report.summaries import placement_summary
-    from .report.terminal_text import placement_lines
+    from .report.pages.placement import PLACEMENT
     from .studies.placement.place import place as study
 
     loaded, _ = _load(scene, options)
-    folder = _results(output, scene, PLACEMENT)
+    folder = _results(options.output, scene, PLACEMENT)
     result, unmet = _traced(study, loaded, options=options)
-    paths = write_placement(result, folder, negate_x_on_bottom=negate_x_on_bottom)
-    summary = placement_summary(result) | {"folder": str(folder)}
-    _finish(summary, placement_lines(summary), paths, json_, unmet, folder)
+    paths = PLACEMENT.write(result, folder, negate_x_on_bottom=negate_x_on_bottom)
+    _show(PLACEMENT, result, paths, options.json, unmet, folder, folder=str(folder))
 
 
 @app.command
 def explore(
     scene: ScenePath,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Page to write.")] = Path("explore.html"),
-    json_: Json = False,
-    options: Options = USUAL,
+    output: Annotated[Path, Output] = Path("explore.html"),
+    options: Traced = TRACED,
 ) -> None:
     """Make a page on which LEDs and photodiodes are dragged and every reading follows, from light traced once.
 
     It is one file, which any browser opens from disk. Photons are those of each of the scene's wavelengths.
+
+    Args:
+        output: Page to write.
     """
     from .report.pages.explore.page import write_exploration
     from .studies.exploration.explore import explore as study
 
-    if output.suffix != ".html":
-        raise InputError(f"{output}: a page ends in .html; rename it.")
+    _check_suffix(output, ".html", "a page")
     loaded, _ = _load(scene, options)
-    _check_file(output)
+    _check_files(output)
     found, unmet = _traced(study, loaded, options=options)
     make_folder(output.parent)
     write_exploration(found, output)
     summary = {name: found.attributes[name] for name in ("photons", "cpu_seconds", "wall_seconds")}
     summary["bytes"] = size = output.stat().st_size
     line = f"{summary['photons']} photons at {len(found.colours)} wavelengths, {size / 1e6:.1f} MB"
-    _finish(summary, [line], {"page": output}, json_, unmet, output)
+    _finish(summary, [line], {"page": output}, options.json, unmet, output)
 
 
 @app.command
 def batch(
-    sweep: Annotated[Path, Parameter(help="A sweep file (TOML); with --status, the folder of a batch.")],
+    sweep: Path,
     *,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="Folder of the batch.")] = None,
-    workers: Annotated[int | None, Parameter(help="Processes on this machine; one per core if not given.")] = None,
-    scheduler: Annotated[str | None, Parameter(help="Dask scheduler in their place, such as tcp://host:8786.")] = None,
-    shard: Annotated[str | None, Parameter(help="I/N: run only the I-th of N parts, for job arrays.")] = None,
-    dry_run: Annotated[bool, Parameter(negative="", help="Estimate processor time and disk, and exit.")] = False,
-    retry_failed: Annotated[bool, Parameter(negative="", help="Retry the scenes that failed before.")] = False,
-    status: Annotated[bool, Parameter(negative="", help="Show the batch's progress and exit.")] = False,
-    json_: Json = False,
-    options: Options = USUAL,
+    output: Annotated[Path | None, Output] = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    shard: str | None = None,
+    dry_run: Flag = False,
+    retry_failed: Flag = False,
+    status: Flag = False,
+    options: Traced = TRACED,
 ) -> None:
     """Run the remaining scenes of a sweep; a run that was killed is resumed where it was.
 
     Writes table.csv and report.html beside the results; nailoptics.open_results(DIR) opens them in Python.
+
+    Args:
+        sweep: A sweep file (TOML); with --status, the folder of a batch.
+        output: Folder of the batch.
+        workers: Processes on this machine; one per core if not given.
+        scheduler: Dask scheduler in their place, such as tcp://host:8786.
+        shard: I/N: run only the I-th of N parts, for job arrays.
+        dry_run: Estimate processor time and disk, and exit.
+        retry_failed: Retry the scenes that failed before.
+        status: Show the batch's progress and exit.
     """
     from . import batch as batches
-    from .report.result_files import write_sweep
+    from .report.pages.sweep import write_sweep
 
     if status:
-        found = batches.status(output or sweep)
-        return _finish(vars(found) | {"left": found.left}, [found], {}, json_)
+        now = batches.status(output or sweep)
+        return _finish(vars(now) | {"left": now.left}, [now], {}, options.json)
     planned = batches.load_sweep(sweep)
     if dry_run:
         cost = batches.estimate(planned, **options.fields)
-        return _finish(vars(cost), [cost], {}, json_)
+        return _finish(vars(cost), [cost], {}, options.json)
     if output is None:
         raise InputError("batch needs -o DIR, a folder for its results.")
     how: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "shard": shard, "retry_failed": retry_failed}
     unmet = None
     try:
-        with batch_progress() as progress:
-            how |= {"progress": progress, **_limited(options).fields}
-            outcome, unmet = as_far_as_reached(batches.run_batch, planned, output, **how)
+        outcome, unmet = _traced(batches.run_batch, planned, output, **how, options=options, shown=batch_progress)
         paths = write_sweep(batches.open_results(output), output, failures=outcome.failed)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"interrupted; finished scenes are in {output}, run again to resume.") from None
     except InputError as error:  # a full disk ended the batch, too, which said so
         raise unmet or error from None
     line = f"{len(outcome.done)} scenes done, {len(outcome.kept)} were there before; {outcome.lights} traces for all"
-    _finish(vars(outcome) | {"results": str(output)}, [line], paths, json_, unmet)
+    _finish(vars(outcome) | {"results": str(output)}, [line], paths, options.json, unmet)
 
 
 @app.command
 def explain(
     scene: ScenePath,
     *,
-    output: Annotated[
-        Path | None,
-        Parameter(
-            name=["--output", "-o"], help="TOML file for the scene with only what it requires; a page beside it."
-        ),
-    ] = None,
-    tolerance: Annotated[
-        float | None, Parameter(help="Relative change of a reading that matters; the scene's error if not given.")
-    ] = None,
-    json_: Json = False,
-    options: Options = USUAL,
+    output: Annotated[Path | None, Output] = None,
+    tolerance: float | None = None,
+    options: Traced = TRACED,
 ) -> None:
-    """Explain what a scene models and what it leaves out, and measure how far each of these moves the readings."""
-    from .report.model_errors import explanation_lines, explanation_summary
-    from .report.result_files import write_explanation
+    """Explain what a scene models and what it leaves out, and measure how far each of these moves the readings.
+
+    Args:
+        output: TOML file for the scene with only what it requires; a page beside it.
+        tolerance: Relative change of a reading that matters; the scene's error if not given.
+    """
+    from .report.pages.explain import EXPLANATION, write_explanation
     from .studies.model_error.explain import explain as study
 
-    if output is not None and output.suffix != ".toml":
-        raise InputError(f"{output}: a scene file ends in .toml; rename it.")
+    _check_suffix(output, ".toml", "a scene file")
     loaded, _ = _load(scene, options)
     if output is not None:
-        check_writable(output.parent, output.name, output.with_suffix(".html").name)
+        _check_files(output, output.with_suffix(".html"))
     found, unmet = _traced(study, loaded, tolerance=tolerance, options=options)
     paths = write_explanation(found, output) if output else {}
-    _finish({"scene": None} | explanation_summary(found), explanation_lines(found), paths, json_, unmet)
+    _show(EXPLANATION, found, paths, options.json, unmet)
 
 
 @app.command
-def tradeoff(
-    scene: ScenePath,
-    *,
-    output: Folder = None,
-    tolerance: Annotated[float, Parameter(help="Largest error of the worst photodiode.")] = 0.02,
-    simultaneous: Annotated[
-        bool,
-        Parameter(negative="", help="Hold all readings and signals to it at once, with 95 % probability."),
-    ] = False,
-    json_: Json = False,
-    options: Options = USUAL,
-) -> None:
+def tradeoff(scene: ScenePath, *, tolerance: float = 0.02, simultaneous: Flag = False, options: Study = STUDY) -> None:
     """Measure error against processor time for every level of model; the fastest answer within a tolerance.
 
     Writes tradeoff.json, tradeoff.nc and tradeoff.html, tradeoff.png for a README, and scene.toml: the scene at that
     level.
+
+    Args:
+        tolerance: Largest error of the worst photodiode.
+        simultaneous: Hold all readings and signals to it at once, with 95 % probability.
     """
-    from .report.model_errors import tradeoff_lines, tradeoff_summary
-    from .report.result_files import TRADEOFF, write_tradeoff
+    from .report.pages.tradeoff import TRADEOFF
     from .studies.model_error.tradeoff import tradeoff as study
 
     loaded, _ = _load(scene, options)
-    folder = _results(output, scene, TRADEOFF)
+    folder = _results(options.output, scene, TRADEOFF)
     found, unmet = _traced(study, loaded, tolerance=tolerance, simultaneous=simultaneous, options=options)
-    paths = write_tradeoff(found, folder)
-    _finish(tradeoff_summary(found), tradeoff_lines(found), paths, json_, unmet, folder)
+    _show(TRADEOFF, found, TRADEOFF.write(found, folder), options.json, unmet, folder)
 
 
 @app.command
 def check(
     scene: ScenePath,
     *,
-    verbose: Annotated[
-        bool, Parameter(name=["--verbose", "-v"], negative="", help="Test the geometry with random rays, too.")
-    ] = False,
+    verbose: Annotated[bool, Parameter(name=["--verbose", "-v"], negative="")] = False,
     json_: Json = False,
 ) -> None:
-    """Check a scene: what was read, what is lit, distances, what is ignored, and what any command would refuse."""
-    from .report.scene_description import blood_words, body_words, touch_words
-    from .report.terminal_text import check_lines
+    """Check a scene: what was read, what is lit, distances, what is ignored, and what any command would refuse.
+
+    Args:
+        verbose: Test the geometry with random rays, too.
+    """
+    from .report.scene_description import blood_words, body_words, check_lines, touch_words
+    from .scene import load_scene
     from .studies.scene_check import check_scene
 
     with collected_warnings() as warnings:
-        loaded = _scene(scene)
+        loaded = load_scene(scene)
     try:
         report: dict[str, Any] = {"scene": scene, "valid": True, **check_scene(loaded)}
         report["warnings"] = warnings + report["warnings"]
@@ -474,22 +463,25 @@ def check(
 def export(
     scene: ScenePath,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="File, or folder where a format needs several.")],
-    format_: Annotated[
-        Literal["glb", "ply", "mmc", "mcx", "mitsuba"] | None,
-        Parameter(name="--format", help="What to write, unless the ending of the file's name says it."),
-    ] = None,
-    voxel_mm: Annotated[float | None, Parameter(help="Side of mcx's voxels; 0.1 if not given. [mm]")] = None,
+    output: Annotated[Path, Output],
+    format_: Annotated[Literal["glb", "ply", "mmc", "mcx", "mitsuba"] | None, Parameter(name="--format")] = None,
+    voxel_mm: float | None = None,
     json_: Json = False,
 ) -> None:
     """Write the finger and the board for another program: a mesh (glb, ply), or what it needs to trace the light.
 
     A folder holds a README with what of the scene does not carry over.
+
+    Args:
+        output: File, or folder where a format needs several.
+        format_: What to write, unless the ending of the file's name says it.
+        voxel_mm: Side of mcx's voxels; 0.1 if not given. [mm]
     """
     from .exports.formats import export as write
+    from .scene import load_scene
 
     try:
-        paths = write(_scene(scene), output, format=format_, voxel_mm=voxel_mm)
+        paths = write(load_scene(scene), output, format=format_, voxel_mm=voxel_mm)
     except WriteError:
         raise
     except InputError as error:
@@ -498,44 +490,47 @@ def export(
 
 
 @app.command
-def compare_with(
-    file: Annotated[Path, Parameter(help="What the runner of an export wrote, such as detected.npz.")],
-    *,
-    json_: Json = False,
-    options: Options = USUAL,
-) -> None:
+def compare_with(file: Path, *, options: Traced = TRACED) -> None:
     """Compare what another program detected of an exported scene with our own trace of it, with chi^2.
 
     Readings, their change with the blood and mean paths, each with its standard error and the z score of the
     difference.
+
+    Args:
+        file: What the runner of an export wrote, such as detected.npz.
     """
     from .exports.other_program import compare_with as study
 
     found, unmet = _traced(study, file, options=options)
-    _finish(found.as_dict(), found.lines(), {}, json_, unmet)
+    _finish(found.as_dict(), found.lines(), {}, options.json, unmet)
 
 
 @app.command
 def figures(
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder for the pictures.")],
-    sets: Annotated[
-        tuple[str, ...], Parameter(name="--set", negative="", help="Named parameter sets; all if not given.")
-    ] = (),
-    touch: Annotated[
-        Path | None, Parameter(help="Recorded touch for Figs. 16, 18, a CSV with time_s, force_n; else the subjects'.")
-    ] = None,
-    colour: Annotated[bool, Parameter(help="Trace Fig. 2, the nail under force, some seconds a set.")] = True,
+    output: Annotated[Path, Output],
+    sets: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    touch: Path | None = None,
+    colour: bool = True,
     json_: Json = False,
 ) -> None:
-    """Draw the paper's Fig. 4, and Figs. 2, 10-12 and 15-18 from parameter sets, and judge its claims."""
+    """Draw the paper's Fig. 4, and Figs. 2, 10-12 and 15-18 from parameter sets, and judge its claims.
+
+    Args:
+        output: Folder for the pictures.
+        sets: Named parameter sets; all if not given.
+        touch: Recorded touch for Figs. 16, 18, a CSV with time_s, force_n; else the subjects'.
+        colour: Trace Fig. 2, the nail under force, some seconds a set.
+    """
     import numpy as np
 
     from . import hemodynamics
+    from .light import backend as backends
     from .paper.claims import as_rows, as_text, judge
     from .paper.responses import pressed, simulate_responses
     from .report.pages.colour import draw_fig2
     from .report.pages.paper import draw, draw_haemoglobins
+    from .scene import load_scene
     from .scene.touch import read_recording
 
     course = None if touch is None else [np.asarray(column) for column in read_recording(touch)]
@@ -548,13 +543,10 @@ def figures(
         pictures += draw(output, responses, name=name, recorded=recorded)
         judged[name] = judge(responses)
     pictures.append(draw_haemoglobins(output))
-    if colour:
-        from .light import backend as backends
-
-        if backends.choose("auto").jit:
-            pictures += [draw_fig2(_scene("nail_colour"), output, name=name) for name in named]
-        else:
-            say("Fig. 2 is left out: it needs a backend that compiles kernels (nailoptics doctor).")
+    if colour and backends.choose("auto").jit:
+        pictures += [draw_fig2(load_scene("nail_colour"), output, name=name) for name in named]
+    elif colour:
+        say("Fig. 2 is left out: it needs a backend that compiles kernels (nailoptics doctor).")
     claims = {"claims": as_rows(judged), "pictures": list(map(str, pictures))}
     _finish(claims, [*as_text(judged).splitlines(), *pictures], {}, json_)
 
@@ -562,71 +554,57 @@ def figures(
 @app.command
 def calibrate(
     scene: ScenePath,
-    recordings: Annotated[list[Path], Parameter(help="Recordings of a known force (CSV), one or more.")],
+    recordings: list[Path],
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Subject file to write.")] = Path("subject.toml"),
-    model: Annotated[
-        Literal["network", "paper"],
-        Parameter(
-            help="network: the person's vessels on traced light; paper: offset and scale of (9), time constants."
-        ),
-    ] = "network",
-    json_: Json = False,
-    options: Options = USUAL,
+    output: Annotated[Path, Output] = Path("subject.toml"),
+    model: Literal["network", "paper"] = "network",
+    options: Traced = TRACED,
 ) -> None:
     """Calibrate a person's sensor with recordings of a known force: gains, offsets, vessels, with their errors.
 
     A recording has columns time_s, force_n, one of volts for each reading, and site (proximal, distal or even). Writes
     the subject file and a page beside it. --max-seconds bounds the trace; the fit to the recordings follows.
+
+    Args:
+        recordings: Recordings of a known force (CSV), one or more.
+        output: Subject file to write.
+        model: network: the person's vessels on traced light; paper: offset and scale of (9), time constants.
     """
-    from .report.result_files import write_calibration
-    from .report.summaries import calibration_summary
+    from .report.pages.force import CALIBRATION, write_calibration
     from .studies.force.calibrate import calibrate as study
 
-    if output.suffix != ".toml":
-        raise InputError(f"{output}: a subject file ends in .toml; rename it.")
+    _check_suffix(output, ".toml", "a subject file")
     loaded, _ = _load(scene, options)
-    check_writable(output.parent, output.name, output.with_suffix(".html").name)
+    _check_files(output, output.with_suffix(".html"))
     result, unmet = _traced(study, loaded, recordings, model=model, options=options)
-    summary = calibration_summary(result)
-    for line in summary["warnings"]:
-        say(line)
-    text = [
-        f"rms error on the calibration recordings {1e3 * summary['rms_n']:.0f} mN; "
-        f"95 % interval of a touch {_half_width(summary['half_width_n'])}"
-    ]
-    _finish(summary, text, write_calibration(result, output), json_, unmet, output)
-
-
-def _half_width(half_width_n: float) -> str:
-    """Half the width of most intervals in words."""
-    return f"+- {1e3 * half_width_n:.0f} mN (median)" if math.isfinite(half_width_n) else "mostly without upper bound"
+    _show(CALIBRATION, result, write_calibration(result, output), options.json, unmet, output)
 
 
 @app.command
 def predict(
-    subject: Annotated[Path, Parameter(help="Subject file that calibrate wrote.")],
-    readings: Annotated[
-        str,
-        Parameter(help="Recording (CSV), or - for lines that come one by one on stdin.", allow_leading_hyphen=True),
-    ],
+    subject: Path,
+    readings: Annotated[str, Parameter(allow_leading_hyphen=True)],
     *,
-    output: Annotated[
-        Path | None, Parameter(name=["--output", "-o"], help="Folder for the results; results/READINGS if not given.")
-    ] = None,
-    press: Annotated[float, Parameter(help="Force at which the virtual switch closes. [N]")] = 0.5,
-    release: Annotated[float, Parameter(help="Force below which it opens. [N]")] = 0.3,
-    smooth: Annotated[bool, Parameter(help="Use the samples after each as well, not only those before it.")] = False,
+    output: Annotated[Path | None, Output] = None,
+    press: float = 0.5,
+    release: float = 0.3,
+    smooth: bool = False,
     json_: Json = False,
 ) -> None:
     """Estimate force over time, with its 95 % interval, from a calibrated person's readings.
 
     Writes predict.csv, predict.nc, predict.html and predict.png; with - each line is answered at once on stdout.
+
+    Args:
+        subject: Subject file that calibrate wrote.
+        readings: Recording (CSV), or - for lines that come one by one on stdin.
+        output: Folder for the results; results/READINGS if not given.
+        press: Force at which the virtual switch closes. [N]
+        release: Force below which it opens. [N]
+        smooth: Use the samples after each as well, not only those before it.
     """
-    from .report.result_files import PREDICTION, write_prediction
-    from .report.summaries import prediction_summary
+    from .report.pages.force import PREDICTION
     from .studies.force.live import live
-    from .studies.force.predict import TOUCH_N
     from .studies.force.predict import predict as study
     from .studies.force.subject import read_subject
 
@@ -644,79 +622,56 @@ def predict(
         return
     folder = _results(output, readings, PREDICTION)
     result = study(calibrated, readings, press_n=press, release_n=release, smooth=smooth)
-    summary, paths = prediction_summary(result), write_prediction(result, folder)
-    upper = f"no upper bound above {summary['open_above_n']:.2f} N (vessels closed)"
-    lines = [f"{result.sizes['time']} samples; {upper}"]
-    if math.isfinite(summary["rms_n"]):
-        lines.append(f"rms {1e3 * summary['rms_n']:.0f} mN, {summary['coverage_95']:.0%} inside their 95 % interval")
-    if math.isfinite(summary["touch_rms_n"]):
-        lines.append(
-            f"touches of {TOUCH_N:g} N or more: rms {1e3 * summary['touch_rms_n']:.0f} mN, "
-            f"{summary['touch_coverage_95']:.0%} inside; interval {_half_width(summary['half_width_n'])}"
-        )
-    for line in summary["warnings"]:
-        say(line)
-    if not summary["consistent"]:
-        say(f"the readings are inconsistent with this subject: {summary['misfit']}.")
-    _finish(summary, lines, paths, json_)
+    _show(PREDICTION, result, PREDICTION.write(result, folder), json_)
 
 
 @app.command
 def oximeter(
     scene: ScenePath,
     *,
-    output: Folder = None,
-    readings: Annotated[
-        Path | None, Parameter(help="A recording (CSV): estimate its oxygen over time, by the scene's curve.")
-    ] = None,
-    recording: Annotated[
-        Path | None, Parameter(help="Write what the oximeter would record, noise included, to this CSV file, too.")
-    ] = None,
-    json_: Json = False,
-    options: Options = USUAL,
+    readings: Path | None = None,
+    recording: Path | None = None,
+    options: Study = STUDY,
 ) -> None:
     """Simulate a pulse oximeter: R against saturation, SpO2 with its error, what disturbs it; or read a recording.
 
     The relative error that is requested is that of R on the best photodiode. Writes oximeter.nc, oximeter.html and
     oximeter.png, and of a recording oxygen.nc, oxygen.csv and oxygen.html. A recording has time_s and columns
     LED:PHOTODIODE, or time_s, slot and a column for each photodiode, in volts.
+
+    Args:
+        readings: A recording (CSV): estimate its oxygen over time, by the scene's curve.
+        recording: Write what the oximeter would record, noise included, to this CSV file, too.
     """
-    from .report.result_files import (
-        OXIMETER,
-        OXYGEN,
-        write_oximeter_recording,
-        write_oximeter_result,
-        write_oxygen,
-    )
-    from .report.summaries import oximeter_summary, recording_summary
-    from .report.terminal_text import oximeter_lines, oxygen_lines
+    from .report.pages.oximeter import OXIMETER, OXYGEN
+    from .scene.importers.sensor_recordings import oximeter_csv
     from .studies.oximetry.oxygen import oximeter as study
     from .studies.oximetry.recording import read_for, simulated, spo2_over_time
 
     loaded, _ = _load(scene, options)
     given = None if readings is None else read_for(loaded, readings)
-    folder = _results(output, scene, OXIMETER if given is None else (*OXIMETER, *OXYGEN))
-    _check_file(recording)
+    folder = _results(options.output, scene, OXIMETER, recording)
     result, unmet = _traced(study, loaded, options=options)
-    for line in result.attrs["warnings"]:
-        say(line)
-    summary, paths = oximeter_summary(result), write_oximeter_result(result, folder)
-    lines = oximeter_lines(summary)
+    paths = OXIMETER.write(result, folder)
     if recording is not None:
+        red, infrared = map(str, result.led.values)
         made = simulated(loaded, result, seed=options.seed)
-        paths |= write_oximeter_recording(made, (str(result.led.values[0]), str(result.led.values[1])), recording)
-    if given is not None:
-        oxygen = spo2_over_time(given, result, loaded)
-        summary |= {"recording": recording_summary(oxygen)}
-        lines, paths = oxygen_lines(summary["recording"]), paths | write_oxygen(oxygen, folder)
-    _finish(summary, lines, paths, json_, unmet, folder)
+        paths["recording_file"] = _write(recording, oximeter_csv(made, (red, infrared)))
+    if given is None:
+        return _show(OXIMETER, result, paths, options.json, unmet, folder)
+    oxygen = spo2_over_time(given, result, loaded)
+    summary, found = OXIMETER.summary(result), OXYGEN.summary(oxygen)
+    paths |= OXYGEN.write(oxygen, folder)
+    _finish(summary | {"recording": found}, OXYGEN.lines(oxygen, found), paths, options.json, unmet, folder)
 
 
 @app.command
-def schema(
-    *, of: Annotated[Literal["scene", "sweep"], Parameter(help="Which file the schema is for.")] = "scene"
-) -> None:
-    """Print the JSON Schema of scene files, or of sweep files, for editors."""
+def schema(*, of: Literal["scene", "sweep"] = "scene") -> None:
+    """Print the JSON Schema of scene files, or of sweep files, for editors.
+
+    Args:
+        of: Which file the schema is for.
+    """
     from . import scene
     from .scene.sweep import sweep_json_schema
 
@@ -727,28 +682,33 @@ def schema(
 @app.command(name="store")
 def show_store(
     *,
-    list_: Annotated[
-        bool, Parameter(name="--list", negative="", help="List what is stored, longest unused first.")
-    ] = False,
-    clear: Annotated[bool, Parameter(negative="", help="Remove all of it.")] = False,
+    list_: Annotated[bool, Parameter(name="--list", negative="")] = False,
+    clear: Flag = False,
     json_: Json = False,
 ) -> None:
-    """Show the folder and size of the cache of traced light; NAILOPTICS_STORE names another folder, or off."""
+    """Show the folder and size of the cache of traced light; NAILOPTICS_STORE names another folder, or off.
+
+    Args:
+        list_: List what is stored, longest unused first.
+        clear: Remove all of it.
+    """
     from .light.tracing.store import VARIABLE, LightStore, entries, remove
 
     store = LightStore.of_user()
     if store is None:
         raise InputError(f"{VARIABLE} = off: no light is stored; unset it, or set it to a folder.")
-    found = entries(store)
+    stored = entries(store)
     if clear:
         for folder in store.folders():
             remove(folder)
-    size = sum(entry.bytes for entry in found)
-    summary = {"folder": str(store.root), "lights": len(found), "bytes": size, "most_bytes": int(store.most_bytes)}
-    shown = [vars(entry) for entry in found] if list_ else []
-    line = f"{store.root}: {len(found)} lights, {size / 1e6:.1f} MB of at most {store.most_bytes / 1e6:.0f}"
-    lines = [*(found if list_ else []), line + (", removed" if clear else "")]
-    _finish(summary | ({"entries": shown} if list_ else {}) | {"cleared": clear}, lines, {}, json_)
+    size = sum(entry.bytes for entry in stored)
+    summary: dict[str, Any] = {"folder": str(store.root), "lights": len(stored), "bytes": size}
+    summary |= {"most_bytes": int(store.most_bytes), "cleared": clear}
+    line = f"{store.root}: {len(stored)} lights, {size / 1e6:.1f} MB of at most {store.most_bytes / 1e6:.0f}"
+    line += ", removed" if clear else ""
+    if list_:
+        summary["entries"] = [vars(entry) for entry in stored]
+    _finish(summary, [*(stored if list_ else []), line], {}, json_)
 
 
 @app.command
@@ -756,24 +716,24 @@ def doctor(*, json_: Json = False) -> None:
     """Show the backends of this machine, the engines that each can run, and why each was or was not selected."""
     from .light import backend as backends
 
-    chosen, stock, findings = backends.choose("auto"), backends.choose("auto", volpath=True), backends.findings()
-    summary: dict[str, Any] = {"backend": chosen.name, "library": chosen.library, "advice": chosen.advice}
-    summary["engines"] = {"photons": chosen.name if chosen.jit else None, "volpath": stock.name}
-    summary["findings"], lines = [], []
-    for f in findings:
-        row = {name: getattr(f, name) for name in ("library", "usable", "engines", "why")}
-        summary["findings"].append({"backend": f.name} | row)
+    chosen, stock = backends.choose("auto"), backends.choose("auto", volpath=True)
+    rows, lines = [], []
+    for f in backends.findings():
+        rows.append({"backend": f.name, "library": f.library, "usable": f.usable, "engines": f.engines, "why": f.why})
         selected = "selected" if (f.name, f.library) == (chosen.name, chosen.library) else ""
         engines = ", ".join(f.engines) or "not usable"
         lines.append(f"  {f.name:<7} {engines:<17} {selected:<9}{f.library or ''} {f.why}".rstrip())
+    summary: dict[str, Any] = {"backend": chosen.name, "library": chosen.library, "advice": chosen.advice}
+    summary["engines"] = {"photons": chosen.name if chosen.jit else None, "volpath": stock.name}
+    summary["findings"] = rows
     photons = f"photons runs on {chosen.name}" if chosen.jit else "photons cannot run here"
     lines = [
         f"{photons}: the engine of every command",
         f"volpath runs on {stock.name}: stock Mitsuba, the reference of simulate, trace and batch",
         "backends found on this machine, and the engines that each can run:",
         *lines,
+        *dict.fromkeys(one.advice for one in (chosen, stock) if one.advice),
     ]
-    lines += dict.fromkeys(one.advice for one in (chosen, stock) if one.advice)
     _finish(summary, lines, {}, json_)
 
 
@@ -781,45 +741,68 @@ def _load(name: str, options: TraceOptions) -> "tuple[Scene, str]":
     """A scene and the engine that will trace it; says in one line what would be faster if it is the slow one."""
     from .light import backend as backends
     from .light.detect import engine_for
+    from .scene import load_scene
 
-    scene, chosen = _scene(name), backends.choose(options.backend)
+    scene, chosen = load_scene(name), backends.choose(options.backend)
     if chosen.name == "scalar" and chosen.advice and options.backend == "auto":
         say(chosen.advice)
     return scene, engine_for(scene, chosen)
 
 
-def _scene(name: str) -> "Scene":
-    """The scene at a path, or the shipped one of that name."""
-    from .scene import load_scene
-
-    return load_scene(name)
-
-
-def _results(output: Path | None, scene: str, files: tuple[str, ...]) -> Path:
-    """The folder for the results of a scene; raises WriteError where these files cannot be written in it."""
+def _results(output: Path | None, scene: str, report: "Report", *others: Path | None) -> Path:
+    """The folder for the results of a scene; raises WriteError where they, or other files, cannot be written."""
     folder = output or Path("results") / Path(scene).stem
-    check_writable(folder, *files)
+    check_writable(folder, *report.files)
+    _check_files(*others)
     return folder
 
 
-def _check_file(path: Path | None) -> None:
+def _check_files(*paths: Path | None) -> None:
     """Raise WriteError where a file, if there is to be one, cannot be written."""
-    if path is not None:
-        check_writable(path.parent, path.name)
+    for path in paths:
+        if path is not None:
+            check_writable(path.parent, path.name)
+
+
+def _check_suffix(path: Path | None, suffix: str, what: str) -> None:
+    if path is not None and path.suffix != suffix:
+        raise InputError(f"{path}: {what} ends in {suffix}; rename it.")
+
+
+def _write(path: Path, text: str) -> Path:
+    make_folder(path.parent)
+    write_text(path, text)
+    return path
 
 
 def _traced(
-    study: Callable[..., Any], *arguments: Any, options: TraceOptions, **parameters: Any
+    study: Callable[..., Any],
+    *arguments: Any,
+    options: TraceOptions,
+    shown: Callable[[], Any] = trace_progress,
+    **parameters: Any,
 ) -> tuple[Any, NotReachedError | None]:
     """The result of a study as far as it was reached, and why not all of it, with its progress on the terminal."""
-    with trace_progress() as progress:
-        return as_far_as_reached(study, *arguments, progress=progress, **parameters, **_limited(options).fields)
+    if options.max_seconds is not None:
+        options = replace(options, max_seconds=(1 - RESERVE) * options.max_seconds)
+    with shown() as progress:
+        return as_far_as_reached(study, *arguments, progress=progress, **parameters, **options.fields)
 
 
-def _limited(options: TraceOptions) -> TraceOptions:
-    """The options with the part of max_seconds that bounds the tracing."""
-    limit_s = options.max_seconds
-    return options if limit_s is None else replace(options, max_seconds=(1 - RESERVE) * limit_s)
+def _show(
+    report: "Report",
+    result: Any,
+    paths: Mapping[str, Path],
+    as_json: bool,
+    unmet: NotReachedError | None = None,
+    where: Path | None = None,
+    **more: Any,
+) -> None:
+    """Print a result by its kind's summary, with its warnings on stderr."""
+    summary = report.summary(result)
+    for line in summary.get("warnings", ()):
+        say(line)
+    _finish(summary | more, report.lines(result, summary), paths, as_json, unmet, where)
 
 
 def _finish(
@@ -840,7 +823,7 @@ def _finish(
     else:
         # A study's own table has several lines; a text or a path, and what is called so, one.
         shown = [escaped(str(one), lines=not isinstance(one, str | Path)) for one in (*text, *paths.values())]
-        if unmet and not shown[0].startswith("Cut off: "):
+        if unmet:
             shown.insert(0, escaped(f"Cut off: {unmet}"))
         print(*shown, sep="\n")
     if unmet:

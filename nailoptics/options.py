@@ -64,4 +64,4 @@ class TraceOptions:
     @property
     def fields(self) -> Requested:
         """The options as keyword arguments."""
-        return cast(Requested, dict(vars(self)))
+        return cast(Requested, {name: getattr(self, name) for name in Requested.__annotations__})

@@ -627,6 +627,6 @@ def test_photographs_are_made_unless_there_is_a_time_limit(options, made, monkey
 
     monkeypatch.setattr(cli, "as_far_as_reached", lambda *_, **__: (None, None))
     monkeypatch.setattr(cli, "_photographs", lambda *_: calls.append(1))
-    monkeypatch.setattr("nailoptics.report.result_files.write_colour", ended)
+    monkeypatch.setattr("nailoptics.report.files.Report.write", ended)
     assert run(["colour", "nail_colour", "--backend", "scalar", *options]) == 2
     assert len(calls) == made

@@ -15,16 +15,13 @@ from pathlib import Path
 import pytest
 
 import nailoptics
-from nailoptics.report.result_files import (
-    COLOUR,
-    COMPARISON,
-    OXIMETER,
-    OXYGEN,
-    PLACEMENT,
-    PREDICTION,
-    SIMULATION,
-    TRADEOFF,
-)
+from nailoptics.report.pages.colour import COLOUR
+from nailoptics.report.pages.compare import COMPARISON
+from nailoptics.report.pages.force import PREDICTION
+from nailoptics.report.pages.oximeter import OXIMETER, OXYGEN
+from nailoptics.report.pages.placement import PLACEMENT
+from nailoptics.report.pages.simulate import SIMULATION
+from nailoptics.report.pages.tradeoff import TRADEOFF
 
 PACKAGE = Path(__file__).parents[1] / "nailoptics"
 # Rooms in one entry do not import each other.
@@ -116,7 +113,7 @@ def test_a_module_imports_only_from_rooms_before_its_own(path):
         ("from .. import light", "nailoptics.tissue.blood_zones", False, ["light"]),
         ("from ..light.transfer import Transfer", "nailoptics.scene.files", False, ["light"]),
         (
-            "def f():\n    import nailoptics.report.pages.simulate.page",
+            "def f():\n    import nailoptics.report.pages.simulate",
             "nailoptics.light.finger_walk",
             False,
             ["report"],
@@ -209,6 +206,7 @@ ROOT = PACKAGE.parent
 FILE = re.compile(
     r"(?<![\w/.*-])(?:[\w.-]+/)*[\w-]+\.(?:py|toml|csv|md|nc|npz|html|css|png|json|glb|ply|dxf|dat|yml)(?![\w.(/])"
 )
+KINDS = (COLOUR, SIMULATION, COMPARISON, PLACEMENT, TRADEOFF, PREDICTION, OXIMETER, OXYGEN)
 # What users have or make.
 THEIRS = {
     "a.toml",
@@ -240,14 +238,7 @@ THEIRS = {
     "scene.toml",
 }
 THEIRS |= {
-    *COLOUR,
-    *SIMULATION,
-    *COMPARISON,
-    *PLACEMENT,
-    *TRADEOFF,
-    *PREDICTION,
-    *OXIMETER,
-    *OXYGEN,
+    *(name for kind in KINDS for name in kind.files),
     "table.csv",
     "contact_sheet.png",
     "_fig10.png",

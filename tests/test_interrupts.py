@@ -11,7 +11,7 @@ import xarray as xr
 from interrupted import ENVIRONMENT, interrupted_at
 from small_scenes import SMALL_FINGER_BEST
 
-from nailoptics.report.result_files import SIMULATION
+from nailoptics.report.pages.simulate import SIMULATION
 from nailoptics.studies.colour.adaptive_sampling import PILOT
 from nailoptics.studies.colour.reflectance import NODES
 
@@ -56,9 +56,9 @@ def test_explore_keeps_the_wavelengths_that_it_knows(folder, chosen_jit):
 
 @pytest.mark.jit
 def test_an_interrupt_between_two_results_leaves_the_first_whole(folder, chosen_jit, store):
-    ended = interrupted_at("nailoptics.report.pages.simulate.page:write_report", *SIMULATE)
-    assert ended.code == 130 and written(folder / "out") == {SIMULATION[0]} and ended.said == [COMPLETE]
-    assert xr.load_dataset(folder / "out" / SIMULATION[0]).sizes["time"] > 0
+    ended = interrupted_at("nailoptics.report.pages.simulate:page", *SIMULATE)
+    assert ended.code == 130 and written(folder / "out") == {SIMULATION.files[0]} and ended.said == [COMPLETE]
+    assert xr.load_dataset(folder / "out" / SIMULATION.files[0]).sizes["time"] > 0
 
 
 @pytest.mark.jit
@@ -129,7 +129,7 @@ def test_a_calibration_is_not_made_of_a_part_of_its_light(folder, chosen_jit, st
 def test_a_command_in_the_background_of_a_script_hears_no_interrupt(folder, chosen_jit, store):
     """A shell lets it ignore SIGINT, which is for the script; expected: it goes on to its end."""
     ended = interrupted_at("nailoptics.light.tracing.trace_scene:take_batches", *SIMULATE, ignored=True)
-    assert ended.code == 0 and written(folder / "out") == set(SIMULATION)
+    assert ended.code == 0 and written(folder / "out") == set(SIMULATION.files)
     assert not [line for line in ended.said if "interrupt" in line or "stopping" in line]
 
 

@@ -6,7 +6,7 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.assets import data_dir
-from nailoptics.report.result_files import write_placement
+from nailoptics.report.pages.placement import PLACEMENT
 from nailoptics.scene import Scene, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.kicad import read_board
 from nailoptics.scene.importers.outlines import read_outline
@@ -35,7 +35,7 @@ def test_every_file_of_place_is_read(jit_backend, tmp_path: Path, name: str):
         result = nail.place(scene, photons=2000, seed=1)
     except nail.NotReachedError as short:
         result = short.result
-    write_placement(result, tmp_path)
+    PLACEMENT.write(result, tmp_path)
     best = load_scene(tmp_path / "best.toml")
     is_read(best)
     assert parse_scene(to_toml(best)) == best

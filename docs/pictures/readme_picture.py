@@ -10,7 +10,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from nailoptics.report import maps, style
-from nailoptics.report.pages.simulate.figures import draw_change
+from nailoptics.report.pages.simulate_figures import draw_change
 from nailoptics.scene import parse_scene
 
 

@@ -1,5 +1,1 @@
-"""PICTURES AND WORDS: figures of a result and one self-contained page of them."""
-
-from .pages.simulate.page import write_report
-
-__all__ = ["write_report"]
+"""PICTURES AND WORDS: figures of a result, one self-contained page of them, its summary and its files."""

@@ -12,7 +12,6 @@ from ..scene import Scene
 from ..scene.rectangles import Rectangle
 from ..tissue.blood_zones import BloodZones
 from . import style
-from .readings import coloured_along_nail, led_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,6 +37,22 @@ DECADES = 3
 BESIDE = style.Room(left=0.55, right=1.25, down=0.7)
 LAYERS = ("plate", "bed", "bone")
 ACROSS, ALONG = "across the nail [mm]", "along the nail, towards the tip [mm]"
+
+
+def led_name(result: xr.Dataset, led: int) -> str:
+    """An LED with its wavelength."""
+    return f"LED {result.led.values[led]}, {float(result.wavelength_nm[led]):g} nm"
+
+
+def order_along_nail(scene: Scene | None, count: int) -> list[int]:
+    """Indices of so many photodiodes from the most proximal to the most distal; as they come where no scene says."""
+    areas = [] if scene is None else scene.layout.photodiode_areas
+    return sorted(range(count), key=lambda j: areas[j].center_mm[1] if areas else 0)
+
+
+def coloured_along_nail(scene: Scene | None, count: int) -> list[tuple[str, int]]:
+    """Colour and index of each of so many photodiodes, from the most proximal to the most distal."""
+    return list(zip(style.place_colours(count), order_along_nail(scene, count), strict=True))
 
 
 def extent(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float]:

@@ -2,9 +2,11 @@
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+# What a terminal without Unicode lacks.
+_ASCII = str.maketrans({"±": "+-", "−": "-", "–": "-", "\u00a0": " ", "×": "x", "µ": "u", "∞": "inf"})
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MINUS = "−"
 TINY = 1e-290  # what is less has no power of ten to divide by
@@ -100,3 +102,27 @@ def quantity(value: float, unit: str, *, digits: int = 3, sign: bool = False) ->
         return fixed(value, 0)
     scale, letter = prefix(value, digits=digits)
     return f"{significant(value / scale, digits, sign=sign)}\u00a0{letter}{unit}"
+
+
+def duration(seconds: float) -> str:
+    """A time in the unit that suits it."""
+    units = (("h", 3600.0, 5400.0), ("min", 60.0, 90.0), ("s", 1.0, 1.0), ("ms", 1e-3, 1e-3), ("us", 1e-6, 0.0))
+    name, size = next((unit, size) for unit, size, least in units if seconds >= least)
+    return f"{seconds / size:.{0 if seconds >= 100 * size else 2}{'f' if seconds >= 100 * size else 'g'}} {name}"
+
+
+def aligned(rows: Sequence[Sequence[str]], *, left: Collection[int] = (0,)) -> list[str]:
+    """Lines of a table for the terminal, in ASCII but for names, with columns as wide as their widest cell.
+
+    left : columns that begin at their left edge; others end at their right. The last cell of a row that is shorter than
+        others is a remark.
+    """
+    rows = [[cell.translate(_ASCII) for cell in row] for row in rows]
+    columns = max(map(len, rows), default=0)
+    cells = [row if len(row) == columns else row[:-1] for row in rows]
+    widths = [max((len(row[k]) for row in cells if k < len(row)), default=0) for k in range(columns)]
+    lines = []
+    for row, full in zip(rows, cells, strict=True):
+        padded = [full[k].ljust(widths[k]) if k in left else full[k].rjust(widths[k]) for k in range(len(full))]
+        lines.append("  ".join([*padded, *row[len(full) :]]).rstrip())
+    return lines

@@ -1,5 +1,7 @@
 """What a scene asks for, in words: its touch, its blood and its body."""
 
+from typing import Any
+
 from ..scene import Scene
 
 _PULP = {1.0: "on the proximal pulp", 0.0: "on the distal pulp", 0.5: "even"}
@@ -63,3 +65,49 @@ def body_words(scene: Scene) -> str:
     if body.motion is not None:
         parts.append("motion of the sensor")
     return ", ".join(parts)
+
+
+def check_lines(report: dict[str, Any]) -> list[str]:
+    """The report of `check` on a scene."""
+    lines = [f"{report['scene']}: the scene is valid"]
+    lines += [_led_line(led) for led in report.get("leds", ())]
+    if "photodiodes" in report:
+        u, v = report["board_mm"]
+        of = f", and {report['not_wired']} that are not wired" if report["not_wired"] else ""
+        lines.append(f"photodiodes: {len(report['photodiodes'])}{of}, on a board of {u:.3g} x {v:.3g} mm")
+        lines += ["  LED to photodiode, place (u, v), distance, reading at rest by layered diffusion (within 40 %):"]
+        places = {one["name"]: "({:.3g}, {:.3g}) mm".format(*one["position_mm"]) for one in report["photodiodes"]}
+        lines += [
+            f"  {one['led']:>10} to {name:<16} {places[name]:<18} {one['distance_mm']:5.2f} mm {one['volts']:8.4f} V"
+            for one in report["pairs"]
+            for name in [one["photodiode"]]
+        ]
+    for one in report.get("candidates", ()):
+        lines.append(f"layout {one['name']}: {one['leds']} LEDs, {one['photodiodes']} photodiodes")
+    lines += [f"{name}: {report[name]}" for name in ("touch", "blood", "body") if report.get(name)]
+    for file, refs in report.get("ignored", {}).items():
+        parts = "part" if len(refs) == 1 else "parts"
+        shown = ", ".join(refs[:8]) + (", ..." if len(refs) > 8 else "")
+        lines.append(f"ignored: {len(refs)} {parts} of {file} ({shown})" if refs else f"ignored: nothing of {file}")
+    if "crossings" in report:
+        names = ", ".join(name for name in report["regions"] if name != "air")
+        lines += [
+            f"geometry: {report['triangles']} triangles between the air and {names}",
+            f"watertight: {'yes' if report['valid'] else 'NO'}; {report['disagreements']} of {report['crossings']} "
+            "surface crossings of random rays enter another region than the surface bounds; volumes by surfaces and "
+            f"by cells agree within {report['volume_error']:.0e} of the whole",
+        ]
+    lines += [f"warning: {line}" for line in report.get("warnings", ())]
+    if report.get("two_balances_n"):
+        low, high = report["two_balances_n"]
+        lines.append(
+            f"warning: between {low:g} and {high:g} N these vessels can rest in two states, so that unloading may "
+            "end elsewhere than loading began; simulate follows them, steady states are the wider of the two"
+        )
+    return lines
+
+
+def _led_line(led: dict[str, Any]) -> str:
+    part = f" ({led['part']})" if "part" in led else ""
+    (u, v), width = led["position_mm"], f", {led['fwhm_nm']:g} nm wide" if led["fwhm_nm"] else ""
+    return f"LED {led['name']}{part}: {led['wavelength_nm']:g} nm{width}, {led['flux_mw']:g} mW, at ({u:g}, {v:g}) mm"

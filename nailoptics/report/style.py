@@ -175,10 +175,10 @@ def spread(places: Sequence[float], gap: float) -> list[float]:
     return result
 
 
-def write_figure(figure: "Figure", path: Path, **options: Any) -> None:
+def write_figure(figure: "Figure", path: Path, *, dpi: int = 120, facecolor: str = "white") -> None:
     """Write a figure, whole or not at all; the suffix of path says which kind (.png, .svg). Raises: WriteError."""
     data = BytesIO()
-    figure.savefig(data, format=path.suffix[1:] or None, **options)
+    figure.savefig(data, format=path.suffix[1:] or None, dpi=dpi, facecolor=facecolor)
     write_bytes(path, data.getbuffer())
 
 

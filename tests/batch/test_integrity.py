@@ -236,6 +236,6 @@ def test_a_second_interrupt_says_where_what_is_done_lies(calm, used, monkeypatch
     def interrupted(*arguments, **more):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("nailoptics.report.result_files.write_sweep", interrupted)
+    monkeypatch.setattr("nailoptics.report.pages.sweep.write_sweep", interrupted)
     assert run(["batch", str(calm.file), "-o", str(used), "--workers", "1"]) == 130
     assert f"finished scenes are in {used}" in capsys.readouterr().err

@@ -12,7 +12,7 @@ from nailoptics.batch import load_sweep, run_batch
 from nailoptics.batch.jobs import Settings, plan
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.options import TraceOptions
-from nailoptics.report.result_files import write_sweep
+from nailoptics.report.pages.sweep import write_sweep
 from nailoptics.studies.colour.reflectance import NODES
 
 from .conftest import Here, bits

@@ -9,7 +9,7 @@ import pytest
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.report.pages import explain
-from nailoptics.report.result_files import write_explanation
+from nailoptics.report.pages.explain import write_explanation
 from nailoptics.studies.model_error.explain import TOGETHER, Effect, Explanation, nothing
 
 

@@ -9,9 +9,10 @@ from hostile_names import HOSTILE, Tags, assert_text_alone
 from matplotlib.figure import Figure
 
 from nailoptics.assets import data_dir
-from nailoptics.report import html, write_report
+from nailoptics.report import html
 from nailoptics.report.pages import force, oximeter, tradeoff
 from nailoptics.report.pages.place import page as place
+from nailoptics.report.pages.simulate import page as touch_page
 from nailoptics.scene import load_scene, to_toml
 
 
@@ -47,7 +48,8 @@ def test_a_browser_runs_and_loads_nothing_of_a_name(browser, make, tmp_path):
     about = dict.fromkeys(("scene", "cut_off", *html.PROVENANCE), name)
     (tmp_path / "parts.html").write_text(html.document(**given, attributes=about), encoding="utf-8")
     result = make(section=False).assign_coords(led=[name], photodiode=[f"{name}{i}" for i in range(8)])
-    write_report(result.assign_attrs(versions=name, seeds=name, backend=name), tmp_path / "touch.html")
+    result = result.assign_attrs(versions=name, seeds=name, backend=name)
+    (tmp_path / "touch.html").write_text(touch_page(result), encoding="utf-8")
     view, heard = browser.new_page(), []
     for event in ("console", "pageerror", "dialog", "request"):
         view.on(event, lambda what, event=event: heard.append((event, getattr(what, "url", what))))
@@ -96,7 +98,7 @@ def test_tables_of_layouts_persons_and_readings_show_a_name_as_text(name):
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_hostile_names_are_text_on_the_page_of_a_calibration(name, tmp_path):
+def test_hostile_names_are_text_on_the_page_of_a_calibration(name, monkeypatch):
     over = ("reading", "sample")
     volts = 1.0 + np.linspace(0.0, 1e-3, 8)[None]
     profile = ("factor", "step")
@@ -111,12 +113,12 @@ def test_hostile_names_are_text_on_the_page_of_a_calibration(name, tmp_path):
     factor = {"value": 1.0, "stderr": 0.1, "prior": name, "informed": True, "what": name}
     summary = {"rms_n": 0.1, "chi2_per_dof": 1.0, "widening": 1.0, "warnings": [name]}
     summary |= {"parameters": {name: factor}, "readings": {name: dict.fromkeys(numbers, 1.0)}}
-    force.write_calibration_page(result, summary, tmp_path / "page.html")
-    assert_text_alone((tmp_path / "page.html").read_text(encoding="utf-8"), name)
+    monkeypatch.setattr(force, "calibration_summary", lambda _: summary)
+    assert_text_alone(force.calibration_page(result), name)
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_hostile_names_are_text_on_the_page_of_a_prediction(name, tmp_path):
+def test_hostile_names_are_text_on_the_page_of_a_prediction(name, monkeypatch):
     numbers = ["force_n", "force_low_n", "force_high_n", "force_linear_n", "known_force_n", "surprise"]
     numbers += ["proximal_share", "proximal_share_low", "proximal_share_high", "arterial_change_pa"]
     data = {one: ("time", np.linspace(0.1, 1.0, 8)) for one in numbers} | {"outlier": ("time", np.zeros(8, bool))}
@@ -124,5 +126,5 @@ def test_hostile_names_are_text_on_the_page_of_a_prediction(name, tmp_path):
     summary = {"warnings": [name], "consistent": False, "misfit": name, "open_above_n": 1.0, "rms_n": 0.1}
     summary |= {"coverage_95": 0.9, "baseline_rms_n": {"linear": 0.1, "components": 0.1}}
     summary |= {"events": [{"kind": name, "time_s": 1.0, "latency_s": 0.1}]}
-    force.write_prediction_page(result, summary, tmp_path / "page.html")
-    assert_text_alone((tmp_path / "page.html").read_text(encoding="utf-8"), name)
+    monkeypatch.setattr(force, "prediction_summary", lambda _: summary)
+    assert_text_alone(force.prediction_page(result), name)

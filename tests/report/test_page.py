@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from nailoptics.errors import InputError
-from nailoptics.report import style, write_report
-from nailoptics.report.pages.simulate.page import _light_ends, page
+from nailoptics.report import style
+from nailoptics.report.pages.simulate import SIMULATION, page
 
 VOID = {"meta", "br"}
 
@@ -216,22 +216,19 @@ def test_signs_are_judged_by_where_a_zone_lies_whatever_its_name(undrawn, make):
     assert "<b>7 of 8</b>" in page(result)
 
 
-def test_where_the_light_ends_is_shown_where_it_is_known(make, monkeypatch):
-    result = make(leds=2)
-    assert _light_ends(result) == ""
+def test_where_the_light_ends_is_shown_where_it_is_known(make):
+    result = make(leds=2, section=False)
+    assert "Where the light of each LED ends" not in page(result)
     energy, absorbed = {"reflected": 0.1, "transmitted": 0.02, "absorbed": 0.88, "lost": 0.0}, [0.5, 0.3799, 0.00009]
     for name, axis, values in (("energy", "part", [*energy.values()]), ("absorbed", "region", absorbed)):
         result[f"{name}_fraction"] = (("led", axis), np.array([values, values]))
         result[f"{name}_fraction_stderr"] = (("led", axis), np.full((2, len(values)), 1e-3))
     result = result.assign_coords(part=list(energy), region=["bed", "barrier", "bone"])
-    ends = _light_ends(result)
+    ends = page(result)
     assert 'aria-label="Where the light of each LED ends' in ends
     for words, count in (("50.00 ± 0.10 %", 2), ("37.99 ± 0.10 %", 2), ("10.00 ± 0.10 %", 2), ("leaves to the air", 1)):
         assert ends.count(words) == count, words
     assert "barrier, opaque epoxy" in ends and ">bone<" not in ends
-    # The page has that figure; its others need not be drawn to see it.
-    monkeypatch.setattr(style, "to_svg", lambda figure, **_: "<svg></svg>")
-    assert "Where the light of each LED ends" in page(result)
 
 
 def test_a_scene_that_cannot_be_read_costs_the_drawing_of_the_board_only(undrawn, make, caplog):
@@ -240,20 +237,20 @@ def test_a_scene_that_cannot_be_read_costs_the_drawing_of_the_board_only(undrawn
     assert len(parsed.tables["readings"]) == 9 and "cannot be read" in caplog.text
 
 
-def test_it_is_written_whole_or_not_at_all(undrawn, make, tmp_path, monkeypatch):
-    path = tmp_path / "report.html"
-    result = make(section=False)
-    write_report(result, path)
-    before = path.read_text(encoding="utf-8")
-    assert before.endswith("</html>\n")
-    monkeypatch.setattr("nailoptics.report.pages.simulate.page.page", lambda _: "another")
-    assert os.listdir(tmp_path) == ["report.html"]
-    monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+def test_a_page_that_cannot_be_written_leaves_the_old_one(undrawn, make, tmp_path, monkeypatch):
+    result, path = make(section=False), tmp_path / "report.html"
+    path.write_text("old", encoding="utf-8")
+    replace = os.replace
+
+    def refuse(source, target):
+        if target == path:
+            raise OSError(28, "No space left on device")
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", refuse)
     with pytest.raises(InputError, match="No space left"):
-        write_report(result, path)
-    assert path.read_text(encoding="utf-8") == before and os.listdir(tmp_path) == ["report.html"]
-    with pytest.raises(InputError, match="cannot be written"):
-        write_report(result, tmp_path / "nowhere" / "report.html")
+        SIMULATION.write(result, tmp_path)
+    assert path.read_text(encoding="utf-8") == "old" and sorted(os.listdir(tmp_path)) == ["report.html", "result.nc"]
 
 
 def test_the_picture_for_the_readme_is_small(make, tmp_path):

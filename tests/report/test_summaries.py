@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from nailoptics.report.readings import hold_end, photodiode_readings
-from nailoptics.report.summaries import simulation_summary
-from nailoptics.report.terminal_text import check_lines, simulation_lines
+from nailoptics.report.readings import hold_end, photodiode_readings, simulation_lines, simulation_summary
+from nailoptics.report.scene_description import check_lines
 from nailoptics.report.uncertainty_section import conclusions
 
 

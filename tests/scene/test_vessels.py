@@ -8,7 +8,7 @@ from small_scenes import SMALL_FINGER_BEST
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import Parameters, parameters
 from nailoptics.hemodynamics.for_scene import blood_over_touch, forces_with_two_balances_n, vessels
-from nailoptics.report.terminal_text import check_lines
+from nailoptics.report.scene_description import check_lines
 from nailoptics.scene import Tuning, parse_scene
 
 DISTAL = """profile = "hold"

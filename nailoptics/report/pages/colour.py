@@ -1,6 +1,7 @@
 """The page of a nail's colour under force, its figures, and its animation."""
 
 import base64
+from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from ...io import write_text
 from ...scene import Scene, parse_scene
 from ...statistics import Z95
 from ...studies.colour.colorimetry import measured_colours
 from .. import style
+from ..files import Report
 from ..html import document, escaped, figure, section, small, table
 from ..numbers import significant, with_error
 
@@ -25,13 +26,11 @@ A_PICTURE = (
 )
 
 
-def write_colour_page(result: xr.Dataset, photographs: list[bytes], press: bytes | None, path: Path) -> None:
-    """Write the page of a colour's result, whole or not at all; raises WriteError.
+def page(result: xr.Dataset, photographs: list[bytes], press: bytes | None) -> str:
+    """The page of a nail's colours.
 
     photographs : the finger at rest and pressed, as PNG; press : the animation, as GIF.
     """
-    finger = parse_scene(result.attrs["scene"], name="the stored scene").finger
-    assert finger is not None
     most = float(result.force_n.max())
     middle = result.sizes["place"] // 2
     lab = result.lab.values[middle, 0]
@@ -50,8 +49,9 @@ def write_colour_page(result: xr.Dataset, photographs: list[bytes], press: bytes
         cells = [with_error(float(result.lab[p, 0, k]), float(result.lab_stderr[p, 0, k])) for k in range(3)]
         change = with_error(float(result.delta_e_2000[p, -1]), float(result.delta_e_2000_stderr[p, -1]))
         rows.append([f"{v_mm:+.1f} mm, {place}", *cells, change])
-    width = finger.nail_width_mm
-    shown = figure(strip_figure(result, width_mm=width), "strip", "The nail under each force, each held.")
+    shown = figure(
+        strip_figure(result, width_mm=_nail_width_mm(result)), "strip", "The nail under each force, each held."
+    )
     photos = "".join(
         _image(data, "png", words) for data, words in zip(photographs, ("At rest.", f"{most:g} N."), strict=False)
     )
@@ -75,7 +75,7 @@ def write_colour_page(result: xr.Dataset, photographs: list[bytes], press: bytes
             table(["Place", "L*", "a*", "b*", f"Difference at {result.force_n.values[-1]:g} N, CIEDE2000"], rows),
         ),
     ]
-    text = document(
+    return document(
         kicker="colour",
         title="The colour of the nail under force",
         lead=f"Seen by {seen_by(result)}; the nail is bare, without its board.",
@@ -83,7 +83,12 @@ def write_colour_page(result: xr.Dataset, photographs: list[bytes], press: bytes
         body=body,
         attributes=result.attrs,
     )
-    write_text(path, text)
+
+
+def _nail_width_mm(result: xr.Dataset) -> float:
+    finger = parse_scene(result.attrs["scene"], name="the stored scene").finger
+    assert finger is not None
+    return finger.nail_width_mm
 
 
 def _beat(result: xr.Dataset) -> str:
@@ -328,3 +333,86 @@ def animation(result: xr.Dataset, *, width_mm: float) -> bytes:
     each = round(1000 / FRAMES_PER_S)
     frames[0].save(data, format="GIF", save_all=True, append_images=frames[1:], duration=each, loop=0)
     return data.getvalue()
+
+
+def summary(result: xr.Dataset) -> dict[str, Any]:
+    """Colours by force and place, with the largest standard errors, refill and spread over priors."""
+    states = []
+    for s, force_n in enumerate(result.force_n.values):
+        one = result.isel(state=s)
+        places = [
+            {
+                "v_mm": float(one.v_mm[p]),
+                "lab": one.lab.values[p].tolist(),
+                "lab_stderr": one.lab_stderr.values[p].tolist(),
+                "srgb": one.srgb.values[p].tolist(),
+                "delta_e_2000": float(one.delta_e_2000[p]),
+                "delta_e_2000_stderr": float(one.delta_e_2000_stderr[p]),
+            }
+            for p in range(result.sizes["place"])
+        ]
+        band = {"white_band_mm": float(one.white_band_mm), "white_band_stderr_mm": float(one.white_band_mm_stderr)}
+        states.append({"force_n": float(force_n), "places": places, **band})
+    found: dict[str, Any] = {
+        "illuminant": result.attrs["illuminant"],
+        "observer": result.attrs["observer"],
+        "states": states,
+        "lab_stderr": result.lab_stderr.max(("place", "state")).values.tolist(),
+        "colour_stderr": float(result.colour_stderr.max()),
+        "change_stderr": float(result.delta_e_2000_stderr.max()),
+    }
+    found["refill_s"] = found["refill_stderr_s"] = None
+    if "refill_s" in result and not np.isnan(result.refill_s).all():
+        slowest = result.isel(place=int(np.nanargmax(result.refill_s)))
+        found |= {"refill_s": float(slowest.refill_s), "refill_stderr_s": float(slowest.refill_s_stderr)}
+    if "beat_delta_e_2000" in result:
+        moved = result.isel(place=int(np.argmax(result.beat_delta_e_2000.values)))
+        found["beat_delta_e_2000"] = float(moved.beat_delta_e_2000)
+        found["beat_delta_e_2000_stderr"] = float(moved.beat_delta_e_2000_stderr)
+    if "lab_spread" in result:
+        spread = result.lab_spread.transpose("site", "band").values.tolist()
+        found["lab_spread"] = dict(zip(result.site.values.tolist(), spread, strict=True))
+    return found | {name: result.attrs[name] for name in ("photons", "backend", "cpu_seconds", "wall_seconds")}
+
+
+def lines(summary: dict[str, Any]) -> list[str]:
+    """The same in a few lines for a terminal: the middle of the nail under each force."""
+    lines = ["force [N]  L*     a*     b*     difference to rest  white band [mm]"]
+    for state in summary["states"]:
+        middle = state["places"][len(state["places"]) // 2]
+        lab = "  ".join(f"{value:5.1f}" for value in middle["lab"])
+        most = max(place["delta_e_2000"] for place in state["places"])
+        lines.append(f"{state['force_n']:<9g}  {lab}  {most:<18.1f}  {state['white_band_mm']:.1f}")
+    errors = summary["colour_stderr"], summary["change_stderr"]
+    lines.append("standard error of a place's colour at most {:.2g}, of a change {:.2g} (CIEDE2000)".format(*errors))
+    if summary["refill_s"] is not None:
+        lines.append(f"colour as at rest {summary['refill_s']:.3g} +- {summary['refill_stderr_s']:.1g} s after release")
+    if "lab_spread" in summary:
+        each = "  ".join(f"{value:.1f}" for value in summary["lab_spread"]["nail"])
+        lines.append(f"standard deviation of the nail's L*, a*, b* over the priors of the finger: {each}")
+    return lines
+
+
+def png(picture: np.ndarray) -> bytes:
+    """A picture (height, width, 3) uint8 as a PNG file."""
+    from PIL import Image
+
+    data = BytesIO()
+    Image.fromarray(picture).save(data, format="PNG")
+    return data.getvalue()
+
+
+def _files(result: xr.Dataset, *, photographs: Sequence[np.ndarray] = ()) -> tuple[Any, ...]:
+    """Contents of the files; photographs : at rest and pressed, (height, width, 3) uint8 each."""
+    pictures, width_mm = [png(one) for one in photographs], _nail_width_mm(result)
+    press = animation(result, width_mm=width_mm) if "press_lab" in result else None
+    html, strip = lambda _: page(result, pictures, press), lambda _: strip_figure(result, width_mm=width_mm)
+    return result, html, strip, *[*pictures, None, None][:2], press
+
+
+COLOUR = Report(
+    ("colour.nc", "colour.html", "strip.png", "rest.png", "pressed.png", "press.gif"),
+    _files,
+    summary,
+    lambda result, summary: lines(summary),
+)

@@ -1,21 +1,18 @@
 """The page of a comparison: how far Beer-Lambert (8) and Taylor (9) hold on a scene, and why not further."""
 
 from itertools import product
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
-from ...io import write_text
 from ...statistics import Z95
-from ...studies.comparison.compare import verdict
+from ...studies.comparison.compare import Verdict, verdict
 from .. import style
+from ..files import Report
 from ..html import document, escaped, figure, section, small, table
+from ..maps import led_name
 from ..numbers import significant, with_error
-from ..readings import led_name
-from ..summaries import paper_claim
-from ..terminal_text import verdict_line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,12 +36,12 @@ ALPHA = (
 )
 
 
-def write_comparison(result: xr.Dataset, path: Path) -> None:
-    """Write the page, whole or not at all; raises WriteError."""
+def page(result: xr.Dataset) -> str:
+    """The page of a comparison."""
     judged = verdict(result, 0.05)
     met, total, sweep = judged.surely_within, judged.readings, judged.sweep
     over = "range of saturation" if sweep == "saturation" else f"{sweep} range"
-    text = document(
+    return document(
         kicker="reduced optics against traced light",
         title=f"Taylor (9) holds to 5 % for {met} of {total} readings over the whole {over}",
         lead=verdict_line(judged),
@@ -52,7 +49,6 @@ def write_comparison(result: xr.Dataset, path: Path) -> None:
         body=[_led_section(result, led) for led in range(result.sizes["led"])],
         attributes=result.attrs,
     )
-    write_text(path, text)
 
 
 def _led_section(result: xr.Dataset, led: int) -> str:
@@ -302,3 +298,87 @@ def _changes_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
         axes.set_ylabel("change [%]")
     style.legend_above(figure, grid[0, 0], ncols=4)
     return figure
+
+
+def summary(result: xr.Dataset) -> dict[str, Any]:
+    """A comparison: readings by sweep, LED and photodiode, and the paper's claim."""
+    places = np.ndindex(*(result.sizes[name] for name in _COMPARISON_DIMS))
+    rows = [_comparison_row(result.isel(dict(zip(_COMPARISON_DIMS, at, strict=True)))) for at in places]
+    kept = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest")
+    found = {"comparisons": rows, "claim": paper_claim(result), "cut_off": result.attrs.get("cut_off")}
+    found |= {"reused": bool(result.attrs.get("reused", 0))}
+    return found | {name: result.attrs[name] for name in kept}
+
+
+_COMPARISON_DIMS = ("sweep", "led", "photodiode")
+
+
+_ALPHA_D2 = ("alpha_d2", "bed_alpha_d2")
+
+
+def _comparison_row(one: xr.Dataset) -> dict[str, Any]:
+    """One photodiode under one LED over one sweep."""
+    row: dict[str, Any] = {name: str(one[name].values) for name in _COMPARISON_DIMS}
+    row |= {"swing_of_reading": float(one.swing / one.reading[0]), "path_mm": _with_stderr(one, "path_mm")}
+    for name in _ALPHA_D2:
+        row |= {f"{name}_{end}": _with_stderr(one.isel(point=at), name) for end, at in (("start", 0), ("end", -1))}
+    for way in (str(w) for w in one.way.values):
+        for model in (str(m) for m in one.model.values):
+            here = one.sel(way=way, model=model)
+            error = _with_stderr(here.isel(point=-1), "range_error")
+            limits = {f"{within:g}": _comparison_limit(here.sel(within=within)) for within in one.within.values}
+            row[f"{model}_{way}"] = {"error_of_swing": error, "holds_to": limits}
+        worst = int(np.abs(one.error.sel(way=way, model="taylor").values).argmax())
+        parts = one.sel(way=way).isel(point=worst)
+        row[f"parts_{way}"] = {str(p): _with_stderr(parts.sel(part=p), "part_error") for p in one.part.values}
+    return row
+
+
+def _comparison_limit(here: xr.Dataset) -> dict[str, Any]:
+    """Up to where a model holds, in every measure."""
+    limits: dict[str, Any] = {"ends_within_sweep": bool(here.limit_ends)}
+    for name in ("setting", "blood_fraction", *_ALPHA_D2):
+        limit = "limit" if name == "setting" else f"limit_{name}"
+        limits[name] = {"value": float(here[limit])} | {end: float(here[f"{limit}_{end}"]) for end in ("low", "high")}
+    return limits
+
+
+def paper_claim(result: xr.Dataset) -> dict[str, Any]:
+    """How large alpha D^2 is over the first sweep, beside the paper's 1e-2."""
+    first = result.isel(sweep=0)
+    found: dict[str, Any] = {"paper": 0.01, "sweep": str(result.sweep.values[0])}
+    for name in _ALPHA_D2:
+        start, error = first[name].isel(point=0), first[f"{name}_stderr"].isel(point=0)
+        found[name] = {
+            "at_start": {"least": float(start.min()), "largest": float(start.max()), "stderr": float(error.max())},
+            "over_sweep": {"least": float(first[name].min()), "largest": float(first[name].max())},
+        }
+    return found
+
+
+def _with_stderr(one: xr.Dataset, name: str) -> dict[str, float]:
+    """A value and its standard error."""
+    return {"value": float(one[name]), "stderr": float(one[f"{name}_stderr"])}
+
+
+def verdict_line(judged: Verdict) -> str:
+    """Whether a model holds over a sweep, how sure that is, and its largest error."""
+    largest, low, high = (f"{100 * x:.3g}" for x in (judged.worst_error, judged.worst_low, judged.worst_high))
+    name = {"taylor": "Taylor (9)", "beer_lambert": "Beer-Lambert (8)"}[judged.model]
+    of = f"{100 * judged.tolerance:g} % of the swing of all {judged.readings} readings over the {judged.sweep}"
+    confidence = "over 99.9" if judged.sure > 0.999 else f"{100 * judged.sure:.3g}"
+    words = {
+        "met": f"{name} stays within {of} ({confidence} % confidence)",
+        "missed": f"{name} does not stay within {of} ({confidence} % confidence)",
+        "undecided": f"Whether {name} stays within {of} is undecided; trace more photons",
+    }
+    where = f"LED {judged.led}, photodiode {judged.photodiode}"
+    return f"{words[judged.outcome]}. Largest error: {largest} % (95 % interval {low} to {high} %), {where}."
+
+
+COMPARISON = Report(
+    ("compare.nc", "compare.html"),
+    lambda result: (result, lambda _: page(result)),
+    summary,
+    lambda result, summary: [],
+)

@@ -2,18 +2,17 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...io import write_text
 from ...statistics import Z95
 from ...studies.model_error.changes import lines_of, merged
 from ...studies.model_error.explain import Effect, Explanation
 from .. import style
+from ..files import Report, scene_text, write_files
 from ..html import document, escaped, figure, section, small, table
-from ..model_errors import effect_name
-from ..numbers import significant, with_error
+from ..numbers import aligned, significant, with_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,22 +36,37 @@ NOTE = (
 )
 
 
-def write_explanation_page(found: Explanation, path: Path) -> None:
-    """Write the page, whole or not at all; raises WriteError."""
+def _files(found: Explanation) -> tuple[Any, ...]:
+    return scene_text(found.required, found.attributes), lambda _: page(found)
+
+
+def write_explanation(found: Explanation, path: Path) -> dict[str, Path]:
+    """Write the scene with only what it requires, and the page beside it; returns their paths. Raises WriteError."""
+    return write_files(path.parent, dict(zip((path.name, path.with_suffix(".html").name), _files(found), strict=True)))
+
+
+def page(found: Explanation) -> str:
+    """The page of an explanation."""
     known = [one for one in found.effects if math.isfinite(one.change)]
-    text = document(
+    head = ["Effect", "In scene", "Change of reading<br>[%]", "of", "Upper bound<br>[%]", "Signal, upper<br>bound [%]"]
+    rows = [[escaped(cell) for cell in _cells(one)] for one in _all(found)]
+    effects = table([*head, "Matters", "Changed to"], rows, kind="effects dense") + small(NOTE)
+    required = [
+        f"<p>{escaped(text)}</p>" + (f"<pre>{escaped(lines)}</pre>" if lines else "")
+        for text, lines in _requires(found)
+    ]
+    return document(
         kicker="effects on the readings",
         title=_title(known),
         lead=f"Each of {len(found.effects)} parts, effects and unknown parameters was changed by itself, with "
         f"common random numbers. Changes of a reading by more than {100 * found.tolerance:g} % matter.",
         cards=_cards(found, known),
         body=[
-            section("Effects on the readings", figure(draw(found), "effects", CAPTION) if known else "", _table(found)),
-            section("What the scene requires", *_requires(found)),
+            section("Effects on the readings", figure(draw(found), "effects", CAPTION) if known else "", effects),
+            section("What the scene requires", *required),
         ],
         attributes=found.attributes,
     )
-    write_text(path, text)
 
 
 def _title(known: list[Effect]) -> str:
@@ -111,35 +125,60 @@ def draw(found: Explanation) -> "Figure":
     return drawing
 
 
-def _table(found: Explanation) -> str:
-    """All effects, the largest first."""
-    head = ["Effect", "In scene", "Change of reading<br>[%]", "of", "Upper bound<br>[%]", "Signal, upper<br>bound [%]"]
-    rows = [_row(one) for one in (*found.effects, *([found.together] if found.together else []))]
-    return table([*head, "Matters", "Changed to"], rows, kind="effects dense") + small(NOTE)
+def _all(found: Explanation) -> list[Effect]:
+    """All effects, the largest first, and what leaving out all that is not needed does."""
+    return [*found.effects, *([found.together] if found.together else [])]
 
 
-def _row(one: Effect) -> list[str]:
-    known = math.isfinite(one.change)
+def _cells(one: Effect) -> list[str]:
+    """An effect in the columns of the table, on the page and in the terminal."""
     signal = "–" if one.modulation_bound is None else significant(100 * one.modulation_bound, 2)
-    of = escaped(one.photodiode) + (" (signal)" if one.of == "signal" else "")
-    change = [_change(one), of] if known else ["not known", "–"]
+    of = one.photodiode + (" (signal)" if one.of == "signal" else "")
+    change = [_change(one), of] if math.isfinite(one.change) else ["not known", "–"]
     modelled = "unknown" if one.unknown else "yes" if one.modelled else "no"
     most = significant(100 * one.bound, 2) if math.isfinite(one.bound) else "–"
-    return [escaped(one.name), modelled, *change, most, signal, one.matters, escaped(one.changed_to)]
+    return [one.name, modelled, *change, most, signal, one.matters, one.changed_to]
 
 
-def _requires(found: Explanation) -> list[str]:
-    """What can be left out, what is missing, and what needs more photons."""
-    out = ["<p>All that the scene models matters, or may matter.</p>"]
+def _requires(found: Explanation) -> list[tuple[str, str]]:
+    """What can be left out, what is missing, and what needs more photons: sentences, and lines of a scene with them."""
+    out = [("All that the scene models matters, or may matter.", "")]
     if found.needless:
-        lines = "\n".join(escaped(line) for line in lines_of(merged(found.needless)))
-        out = [f"<p>Not needed, each by itself; these lines leave all of it out:</p><pre>{lines}</pre>"]
+        lines = "\n".join(lines_of(merged(found.needless)))
+        out = [("Not needed, each by itself; these lines leave all of it out:", lines)]
     if found.together:
         most = significant(100 * found.together.bound, 2)
-        out.append(f"<p>Leaving all of it out at once changes no reading by more than {most} % (95 % confidence).</p>")
+        out.append((f"Leaving all of it out at once changes no reading by more than {most} % (95 % confidence).", ""))
     if found.missing:
-        names = escaped(", ".join(map(effect_name, found.missing)))
-        out.append(f"<p>Left out, though it matters: {names}.</p>")
+        names = (one.name + (" (of the signal)" if one.of == "signal" else "") for one in found.missing)
+        out.append((f"Left out, though it matters: {', '.join(names)}.", ""))
     if unsure := [one.name for one in found.effects if one.matters == "cannot tell"]:
-        out.append(f"<p>Undecided, more photons are needed: {escaped(', '.join(unsure))}.</p>")
+        out.append((f"Undecided, more photons are needed: {', '.join(unsure)}.", ""))
     return out
+
+
+def summary(found: Explanation) -> dict[str, Any]:
+    """Everything, ready for JSON."""
+
+    def row(effect: Effect) -> dict[str, Any]:
+        return vars(effect) | {"matters": effect.matters, "lines": effect.lines}
+
+    return {
+        "effects": [row(e) for e in found.effects],
+        "not_needed": [e.name for e in found.needless],
+        "missing": [e.name for e in found.missing],
+        "together": found.together and row(found.together),
+    } | {name: getattr(found, name) for name in ("tolerance", "photons", "backend", "wall_seconds", "cut_off")}
+
+
+def lines(found: Explanation) -> list[str]:
+    """The table of effects and what the scene requires, for the terminal."""
+    head = ["effect", "in scene", "change of reading [%]", "of", "at most [%]", "signal [%]", "matters", "changed to"]
+    out = [f"Changes of a reading by more than {100 * found.tolerance:g} % matter."]
+    out += aligned([head, *map(_cells, _all(found))], left=(0, 1, 3, 6, 7))
+    for text, scene_lines in _requires(found):
+        out += [text, *(f"  {line}" for line in scene_lines.splitlines())]
+    return out
+
+
+EXPLANATION = Report(("required.toml", "required.html"), _files, summary, lambda found, _: lines(found))

@@ -1,15 +1,18 @@
 """Pages of a calibration and of a prediction, and their figures: volts beside their fit, force over time."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
-from ...io import write_text
 from ...scene import parse_scene
 from ...statistics import Z95
+from ...studies.force.predict import TOUCH_N, csv_rows
+from ...studies.force.subject import parse_subject
 from .. import style
+from ..files import Report, write_files
 from ..html import document, escaped, figure, section, small, table
 from ..numbers import significant, with_error
 
@@ -31,11 +34,9 @@ SHARE = (
 )
 
 
-def write_calibration_page(result: xr.Dataset, summary: dict[str, Any], path: Path) -> None:
-    """Write the page of a calibration, whole or not at all; raises WriteError.
-
-    summary : what `calibration_summary` says of the result.
-    """
+def calibration_page(result: xr.Dataset) -> str:
+    """The page of a calibration."""
+    summary = calibration_summary(result)
     cards = [
         (f"{significant(1e3 * summary['rms_n'], 2)} mN", "rms error of the force on the calibration recordings"),
         (significant(summary["chi2_per_dof"], 2), "chi-squared per degree of freedom"),
@@ -51,7 +52,7 @@ def write_calibration_page(result: xr.Dataset, summary: dict[str, Any], path: Pa
         "Residuals of each reading, coloured from proximal (warm) to distal (cool). Noise and heartbeat are expected "
         "in them; residuals correlated with the touch are model error, by which intervals are widened."
     )
-    text = document(
+    return document(
         kicker="calibration",
         title="A person's sensor, calibrated",
         lead=f"{len(result.attrs['recordings'])} recordings of a known force, "
@@ -81,7 +82,6 @@ def write_calibration_page(result: xr.Dataset, summary: dict[str, Any], path: Pa
         ],
         attributes=result.attrs,
     )
-    write_text(path, text)
 
 
 def _profiles(result: xr.Dataset) -> list[str]:
@@ -128,11 +128,9 @@ def _readings_table(result: xr.Dataset, summary: dict[str, Any]) -> str:
     return table(["Reading", "Gain", "Offset [mV]", "Residual, rms [mV]", "Noise, rms [µV]", most], rows)
 
 
-def write_prediction_page(result: xr.Dataset, summary: dict[str, Any], path: Path) -> None:
-    """Write the page of a prediction, whole or not at all; raises WriteError.
-
-    summary : what `prediction_summary` says of the result.
-    """
+def prediction_page(result: xr.Dataset) -> str:
+    """The page of a prediction."""
+    summary = prediction_summary(result)
     warnings = list(summary["warnings"])
     if not summary["consistent"]:
         warnings.append(
@@ -156,7 +154,7 @@ def write_prediction_page(result: xr.Dataset, summary: dict[str, Any], path: Pat
         section("Place, body and fit", figure(_share_figure(result), "share", SHARE)),
         section("The virtual switch", table(["Event", "At [s]", "After the known force [ms]"], rows)) if rows else "",
     ]
-    text = document(
+    return document(
         kicker="prediction",
         title="Force from volts",
         lead=f"{result.sizes['time']} samples; the interval has no upper bound in {100 * is_open:.0f} % of them.",
@@ -165,7 +163,6 @@ def write_prediction_page(result: xr.Dataset, summary: dict[str, Any], path: Pat
         body=body,
         attributes=result.attrs | {"digest": result.attrs["scene_digest"]},
     )
-    write_text(path, text)
 
 
 def _methods(summary: dict[str, Any]) -> str:
@@ -296,3 +293,83 @@ def _share_figure(result: xr.Dataset) -> "Figure":
     fits.set_title("Normalized innovation squared [1]; outliers are dots")
     fits.set_xlabel("time [s]")
     return figure
+
+
+def write_calibration(result: xr.Dataset, subject: Path) -> dict[str, Path]:
+    """Write a subject file and, beside it, its page; returns their paths. Raises WriteError."""
+    page = subject.with_suffix(".html")
+    texts = {subject.name: result.attrs["subject"], page.name: lambda _: calibration_page(result)}
+    write_files(subject.parent, texts)
+    return {"subject": subject, "report": page}
+
+
+def calibration_summary(result: xr.Dataset) -> dict[str, Any]:
+    """Readings, factors, fit and warnings of a calibration."""
+    subject = parse_subject(result.attrs["subject"])
+    bent = set(result.attrs["bent_factors"])
+    return {
+        "readings": subject.readings(),
+        "parameters": {name: one | {"quadratic": name not in bent} for name, one in subject.factors().items()},
+        "chi2_per_dof": subject.chi2_per_dof,
+        "rms_n": subject.rms_n,
+        "half_width_n": result.attrs["half_width_n"],
+        "widening": subject.coverage_factor,
+        "warnings": list(result.attrs["warnings"]),
+    }
+
+
+def prediction_summary(result: xr.Dataset) -> dict[str, Any]:
+    """Errors, coverage, consistency and events of a prediction."""
+    names = ["rms_n", "coverage_95", "chi2_per_dof", "open_above_n", "outliers", "misfit"]
+    names += ["touch_rms_n", "touch_coverage_95", "half_width_n", "touch_open_above"]
+    return {name: result.attrs[name] for name in names} | {
+        "open_above_by_side_n": {side: float(result.attrs[f"open_above_{side}_n"]) for side in ("proximal", "distal")},
+        "consistent": bool(result.attrs["consistent"]),
+        "warnings": list(result.attrs["warnings"]),
+        "baseline_rms_n": {name: result.attrs[f"rms_{name}_n"] for name in ("linear", "components")},
+        "events": [
+            {"time_s": float(time), "kind": str(kind), "latency_s": float(latency)}
+            for time, kind, latency in zip(
+                result.event_time_s.values, result.event_kind.values, result.event_latency_s.values, strict=True
+            )
+        ],
+    }
+
+
+def _half_width(half_width_n: float) -> str:
+    """Half the width of most intervals in words."""
+    return f"+- {1e3 * half_width_n:.0f} mN (median)" if math.isfinite(half_width_n) else "mostly without upper bound"
+
+
+def _calibration_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
+    rms = f"rms error on the calibration recordings {1e3 * summary['rms_n']:.0f} mN"
+    return [f"{rms}; 95 % interval of a touch {_half_width(summary['half_width_n'])}"]
+
+
+def _prediction_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
+    upper = f"no upper bound above {summary['open_above_n']:.2f} N (vessels closed)"
+    lines = [f"{result.sizes['time']} samples; {upper}"]
+    if math.isfinite(summary["rms_n"]):
+        lines.append(f"rms {1e3 * summary['rms_n']:.0f} mN, {summary['coverage_95']:.0%} inside their 95 % interval")
+    if math.isfinite(summary["touch_rms_n"]):
+        lines.append(
+            f"touches of {TOUCH_N:g} N or more: rms {1e3 * summary['touch_rms_n']:.0f} mN, "
+            f"{summary['touch_coverage_95']:.0%} inside; interval {_half_width(summary['half_width_n'])}"
+        )
+    if not summary["consistent"]:
+        lines.append(f"the readings are inconsistent with this subject: {summary['misfit']}.")
+    return lines
+
+
+def _prediction_files(result: xr.Dataset) -> tuple[Any, ...]:
+    table = "".join(f"{row}\n" for row in csv_rows(result))
+    return result, table, lambda _: prediction_page(result), lambda _: force_figure(result)
+
+
+CALIBRATION = Report((), lambda result: (), calibration_summary, _calibration_lines)
+PREDICTION = Report(
+    ("predict.nc", "predict.csv", "predict.html", "predict.png"),
+    _prediction_files,
+    prediction_summary,
+    _prediction_lines,
+)

@@ -1,17 +1,17 @@
 """Pages of an oximeter, forward from a scene and back from a recording, and their figures."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
 from ...errors import InputError
-from ...io import write_text
 from ...scene import parse_scene
 from ...statistics import Z95
 from ...studies.oximetry.ratio import MEASURED, TEXTBOOK
+from ...studies.oximetry.recording import spo2_rows
 from .. import maps, style
+from ..files import Report
 from ..html import document, escaped, figure, section, small, table
 from ..numbers import polynomial, significant, with_error
 
@@ -33,13 +33,8 @@ DISTURB = (
 )
 
 
-def write_oximeter(result: xr.Dataset, path: Path) -> None:
-    """Write the page of an oximeter, whole or not at all; raises WriteError."""
-    write_text(path, page_of_oximeter(result))
-
-
-def page_of_oximeter(result: xr.Dataset) -> str:
-    """The page as text."""
+def oximeter_page(result: xr.Dataset) -> str:
+    """The page of an oximeter."""
     best = result.sel(photodiode=result.attrs["best"])
     a, b = best.linear.values
     cards = [
@@ -146,11 +141,9 @@ def _melanin(result: xr.Dataset) -> str:
     )
 
 
-def write_oxygen_recording(result: xr.Dataset, summary: dict[str, Any], path: Path) -> None:
-    """Write the page of a recording that was read, whole or not at all; raises WriteError.
-
-    summary : what `recording_summary` says of the result.
-    """
+def recording_page(result: xr.Dataset) -> str:
+    """The page of a recording that was read."""
+    summary = recording_summary(result)
     best = summary["readings"][summary["best"]]
     cards = [("unknown", "SpO2: no window without motion")]
     if best["spo2"] is not None:
@@ -174,7 +167,7 @@ def write_oxygen_recording(result: xr.Dataset, summary: dict[str, Any], path: Pa
     ]
     head = ["Photodiode", "SpO2 [%]", "±", "R", "Perfusion, red [%]", "infrared [%]", "Still windows"]
     moved = f"motion in {100 * best['motion']:.0f} % of the time"
-    text = document(
+    return document(
         kicker="pulse oximeter",
         title="Oxygen from a recording",
         lead=f"{result.sizes['time']} windows of {result.attrs['window_s']:g} s; {moved}.",
@@ -193,7 +186,6 @@ def write_oxygen_recording(result: xr.Dataset, summary: dict[str, Any], path: Pa
         ],
         attributes=result.attrs,
     )
-    write_text(path, text)
 
 
 RED, INFRARED = "#c0303b", "#6b4fa0"
@@ -317,3 +309,120 @@ def _over_time_figure(result: xr.Dataset) -> "Figure":
     moved.set_ylabel("moved [%]")
     moved.set_xlabel("middle of the window [s]")
     return figure
+
+
+def oximeter_summary(result: xr.Dataset) -> dict[str, Any]:
+    """Calibration and errors of an oximeter; so2 in parts of 1, everything called SpO2 in percent."""
+    scene_so2, leds = float(result.attrs["so2"]), [str(name) for name in result.led.values]
+    readings = {}
+    for name in result.photodiode.values:
+        one = result.sel(photodiode=name)
+        terms, errors = one.linear.values.tolist(), one.linear_stderr.values.tolist()
+        readings[str(name)] = {
+            "so2": one.so2.values.tolist(),
+            "ratio": one.ratio.values.tolist(),
+            "ratio_stderr": one.ratio_stderr.values.tolist(),
+            "ratio_at_rest": {
+                "so2": scene_so2,
+                "value": float(one.ratio_at_rest),
+                "stderr": float(one.ratio_at_rest_stderr),
+            },
+            "fit": {"intercept": terms[0], "slope": terms[1], "intercept_stderr": errors[0], "slope_stderr": errors[1]}
+            | {"miss": float(one.linear_miss), "quadratic": one.quadratic.values.tolist()},
+            "perfusion_index": dict(zip(leds, one.perfusion_index.values.tolist(), strict=True)),
+            "perfusion_index_stderr": dict(zip(leds, one.perfusion_index_stderr.values.tolist(), strict=True)),
+            "path_ratio": float(one.path_ratio),
+            "path_ratio_stderr": float(one.path_ratio_stderr),
+            "spo2_stderr": float(one.spo2_stderr),
+            "spo2_stderr_beat": float(one.spo2_stderr_beat),
+            "spo2_stderr_by_cause": dict(
+                zip(map(str, one.cause.values), one.spo2_stderr_by_cause.values.tolist(), strict=True)
+            ),
+            "saturated": bool(one.saturated),
+            "melanin_bound": float(one.melanin_bound),
+            "disturbances": {
+                key: {
+                    "values": one[key].values.tolist(),
+                    "spo2_off": one[f"off_by_{key}"].values.tolist(),
+                    "stderr": one[f"off_by_{key}_stderr"].values.tolist(),
+                }
+                for key in result.attrs["disturbances"]
+            },
+        }
+    kept = ("best", "warnings", "photons", "engine", "backend", "cpu_seconds", "wall_seconds", "digest")
+    return {"readings": readings} | {name: result.attrs[name] for name in kept}
+
+
+def recording_summary(result: xr.Dataset) -> dict[str, Any]:
+    """Medians over the windows without motion of an oximeter's recording, SpO2 in percent."""
+    readings = {}
+    for name in result.photodiode.values:
+        one = result.sel(photodiode=name)
+        there = np.isfinite(one.spo2.values)
+        row = {"windows": int(one.sizes["time"]), "still": int(there.sum()), "motion": float(one.motion.mean())}
+        for key in ("ratio", "ratio_stderr", "spo2", "spo2_stderr", "spo2_low", "spo2_high", "rate_per_min"):
+            values = one[key].values[np.isfinite(one[key].values)]
+            row[key] = float(np.median(values)) if len(values) else None  # type: ignore[assignment]
+        index = {k: one[f"perfusion_index_{k}"].values[there] for k in ("red", "infrared")}
+        readings[str(name)] = row | {
+            "perfusion_index": {k: float(np.nanmedian(v)) if len(v) else None for k, v in index.items()}
+        }
+    best = result.attrs["best"]
+    return {
+        "readings": readings,
+        "best": best,
+        **{k: readings[best][k] for k in ("spo2", "spo2_low", "spo2_high", "rate_per_min")},
+    }
+
+
+def oximeter_lines(summary: dict[str, Any]) -> list[str]:
+    """An oximeter's calibration and its error, photodiode by photodiode."""
+    lines = [
+        f"{'photodiode':<14} {'SpO2 in percent':<20} {'R at rest':>9} {'+-':>7} {'path ratio':>10} {'error, 8 s':>10}"
+    ]
+    for name, one in summary["readings"].items():
+        fit, rest = one["fit"], one["ratio_at_rest"]
+        line = f"{fit['intercept']:.1f} - {-fit['slope']:.1f} R"
+        lines.append(
+            f"{name:<14} {line:<20} {rest['value']:9.4f} {rest['stderr']:7.4f} {one['path_ratio']:10.3f} "
+            f"{one['spo2_stderr']:8.2f} %"
+        )
+    best = summary["readings"][summary["best"]]
+    index = ", ".join(f"{led} {100 * value:.3f} %" for led, value in best["perfusion_index"].items())
+    lines.append(f"best photodiode: {summary['best']}; perfusion index {index}")
+    for name, one in best["disturbances"].items():
+        worst = max(one["spo2_off"], key=abs)
+        lines.append(f"  {name} from {one['values'][0]:g} to {one['values'][-1]:g}: bias at most {worst:+.2f} %")
+    return lines
+
+
+def oxygen_lines(summary: dict[str, Any]) -> list[str]:
+    """SpO2, pulse rate and motion of an oximeter's recording, photodiode by photodiode."""
+    lines = []
+    for name, one in summary["readings"].items():
+        spo2 = "SpO2 unknown"
+        if one["spo2"] is not None:
+            spo2 = f"SpO2 {one['spo2']:.1f} % ({one['spo2_low']:.1f} to {one['spo2_high']:.1f})"
+        rate = "rate unknown" if one["rate_per_min"] is None else f"{one['rate_per_min']:.1f} beats a minute"
+        motion = f"motion in {100 * one['motion']:.0f} % of the time"
+        lines.append(f"{name:<14} {spo2}, {rate}, {motion}{', best' if name == summary['best'] else ''}")
+    return lines
+
+
+def _oxygen_files(result: xr.Dataset) -> tuple[Any, ...]:
+    table = "".join(f"{row}\n" for row in spo2_rows(result))
+    return result, table, lambda _: recording_page(result)
+
+
+OXIMETER = Report(
+    ("oximeter.nc", "oximeter.html", "oximeter.png"),
+    lambda result: (result, lambda _: oximeter_page(result), lambda _: overview_figure(result)),
+    oximeter_summary,
+    lambda result, summary: oximeter_lines(summary),
+)
+OXYGEN = Report(
+    ("oxygen.nc", "oxygen.csv", "oxygen.html"),
+    _oxygen_files,
+    recording_summary,
+    lambda result, summary: oxygen_lines(summary),
+)

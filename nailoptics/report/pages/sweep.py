@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from ...batch import write_table
 from ...io import write_text
 from .. import style
 from ..html import document, escaped, figure, section, small, table
@@ -21,23 +22,32 @@ FIGURES, LINES = 6, 12
 _QUANTITIES = ("volts_change_peak", "volts_start", "detected_fraction_rest", "ratio")
 
 
-def write_sweep_page(results: xr.Dataset, path: Path, *, failures: Mapping[str, str]) -> None:
-    """Write the page of a sweep, whole or not at all; raises WriteError.
+def write_sweep(results: xr.Dataset, folder: Path, *, failures: Mapping[str, str]) -> dict[str, Path]:
+    """Write the table and the page of what `batch.open_results` returns, and its photographs; raises WriteError."""
+    paths = {"report": folder / "report.html", "table": folder / "table.csv"}
+    write_table(results, paths["table"])
+    write_text(paths["report"], page(results, failures=failures))
+    if "photograph" in results:
+        paths["contact_sheet"] = folder / "contact_sheet.png"
+        style.write_figure(contact_sheet(results), paths["contact_sheet"], dpi=200)
+    return paths
 
-    results : what `batch.open_results` returns.
+
+def page(results: xr.Dataset, *, failures: Mapping[str, str]) -> str:
+    """The page of what `batch.open_results` returns.
+
     failures : why scenes failed, by digest.
     """
     states, counts = np.unique(results.state.values, return_counts=True)
     rows = [[escaped(digest[:12]), escaped(why)] for digest, why in failures.items()]
     failed = section(f"{len(failures)} failed", table(["Scene", "Why"], rows)) if rows else ""
-    text = document(
+    return document(
         kicker="sweep",
         title=str(results.attrs["title"]).removeprefix("nailoptics: "),
         lead=f"{counts.sum()} scenes: {', '.join(f'{n} {s}' for s, n in zip(states, counts, strict=True))}.",
         body=[section("The axes", _axes_table(results)), _photographs(results), _figures(results), failed],
         attributes=results.attrs,
     )
-    write_text(path, text)
 
 
 def _photographs(results: xr.Dataset) -> str:

@@ -1,25 +1,18 @@
 """The page and the picture of a tradeoff: error of every level of model against the time that its answer takes."""
 
+import math
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...io import write_text
-from ...studies.model_error.tradeoff import Bias, Level, Tradeoff
+from ...io import to_json
+from ...studies.model_error.tradeoff import OWN, REFERENCE, Answer, Bias, Level, Tradeoff
 from .. import style
+from ..files import Report, scene_text
 from ..html import document, escaped, figure, section, small, table
-from ..model_errors import (
-    ERRORS,
-    chosen_line,
-    duration,
-    meaning,
-    sentence,
-    simultaneous_line,
-    time_within,
-)
-from ..numbers import significant, with_error
+from ..numbers import aligned, duration, significant, with_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,34 +25,37 @@ GRID = np.geomspace(LEAST, MOST, 200)
 NO_TIMES = 0.01, 1000.0
 # Names lie so many decades apart.
 APART = 0.17
+# Errors for which the fastest answer is reported, and those that the sentence for a designer names.
+ERRORS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.001)
+SENTENCE_ERRORS = (0.2, 0.05, 0.01, 0.001)
+CAPTION = (
+    "Error of the worst photodiode against processor time to the answer. A level's error falls with its photons to its "
+    "bias; dots are levels without photons. Strong line: the least error that any level has in a time."
+)
+NOTE = (
+    "Bias: mean over the photodiodes, weighted by the reference's errors, ± its standard error; upper bound: not "
+    "exceeded by any photodiode's, with 95 % confidence each. The signal is the change by touch, as a part of the "
+    "largest change of any photodiode. The tolerance: {}; the bound on a bias counts in full."
+)
 
 
-def write_tradeoff(found: Tradeoff, drawing: "Figure", path: Path) -> None:
-    """Write the page around what `draw` drew, whole or not at all; raises WriteError."""
+def page(found: Tradeoff, drawing: "Figure") -> str:
+    """The page around what `draw` drew."""
     choice = found.chosen
-    lines = "<br>".join(escaped(line) for line in found.lines) or escaped(choice.level.call) or "none is needed"
-    caption = (
-        "Error of the worst photodiode against processor time to the answer. A level's error falls with its photons to "
-        "its bias; dots are levels without photons. Strong line: the least error that any level has in a time."
-    )
-    note = (
-        "Bias: mean over the photodiodes, weighted by the reference's errors, ± its standard error; upper bound: not "
-        "exceeded by any photodiode's, with 95 % confidence each. The signal is the change by touch, as a part of the "
-        f"largest change of any photodiode. The tolerance: {meaning(found)}; the bound on a bias counts in full."
-    )
+    selected = "<br>".join(map(escaped, found.lines)) or escaped(choice.level.call) or "none is needed"
     body = section(
         "Error against time",
-        figure(drawing, "time", caption),
+        figure(drawing, "time", CAPTION),
         _levels(found),
-        small(escaped(note)),
-        f"<p>{escaped(chosen_line(found))} What selects it: <code>{lines}</code></p>",
+        small(escaped(NOTE.format(meaning(found)))),
+        f"<p>{escaped(chosen_line(found))} What selects it: <code>{selected}</code></p>",
         f"<p>{escaped(simultaneous_line(found))}</p>",
         "<h3>What each level needs</h3>",
         _needs(found),
         "<h3>The fastest answer within an error</h3>",
         _within(found),
     )
-    text = document(
+    return document(
         kicker="speed against accuracy",
         title=f"Within {100 * found.tolerance:g} %: {choice.level.name}",
         lead=f"{sentence(found)} Every level of model on this scene, against the full one, measured in "
@@ -68,7 +64,6 @@ def write_tradeoff(found: Tradeoff, drawing: "Figure", path: Path) -> None:
         body=[body],
         attributes=found.attributes,
     )
-    write_text(path, text)
 
 
 @style.drawing()
@@ -139,12 +134,19 @@ def _levels(found: Tradeoff) -> str:
     head = ["Level", "Bias of reading<br>[%]", "upper bound<br>[%]", "Bias of signal<br>[%]", "upper bound<br>[%]"]
     rows = []
     for one in found.levels:
-        name = escaped(one.name) + (" <b>✓</b>" if one.name == found.chosen.level.name else "")
-        rows.append([name, *_cells(one.reading), *_cells(one.signal), time_within(found, one)])
+        name, *cells = _cells(found, one)
+        name = escaped(name) + (" <b>✓</b>" if one.name == found.chosen.level.name else "")
+        rows.append([name, *cells])
     return table([*head, "Answer within<br>the tolerance"], rows)
 
 
-def _cells(bias: Bias | None) -> list[str]:
+def _cells(found: Tradeoff, level: Level) -> list[str]:
+    """A level in the columns of the table, on the page and in the terminal: its biases, and its answer's time."""
+    answer = level.within(found.tolerance, found.coverage)
+    return [level.name, *_bias(level.reading), *_bias(level.signal), duration(answer.seconds) if answer else "–"]
+
+
+def _bias(bias: Bias | None) -> list[str]:
     """Bias with its error, and its bound. [%]"""
     if bias is None:
         return ["not measured", "–"]
@@ -172,3 +174,98 @@ def _within(found: Tradeoff) -> str:
         rows.append(row)
     head = ["Error<br>[%]", "One standard error of<br>the worst photodiode", "", "All at once,<br>95 % sure", ""]
     return table(head, rows)
+
+
+def meaning(found: Tradeoff) -> str:
+    """What the tolerance is the error of, in words."""
+    part = f"{100 * found.tolerance:g} %"
+    if found.simultaneous:
+        return f"all readings at rest and all changes by touch, of the largest, within {part} with 95 % probability"
+    of = "of the reading at rest, or of the change by touch as a part of the largest change of any photodiode"
+    return f"{part} as one standard error of the worst photodiode, {of}"
+
+
+def sentence(found: Tradeoff) -> str:
+    """What a designer needs: how long each error takes."""
+    answers = [found.fastest(error) for error in SENTENCE_ERRORS]
+    every = f"For {100 * SENTENCE_ERRORS[0]:g} %"
+    full = all(answer and answer.level.name in (OWN, REFERENCE) for answer in answers)
+    parts: list[str] = []
+    for error, answer in zip(SENTENCE_ERRORS, answers, strict=True):
+        how = "no level" if not answer else duration(answer.seconds) + ("" if full else f" ({answer.level.name})")
+        parts.append(f"{every if not parts else f'for {100 * error:g} %'} {how}")
+    start = "Time is photons: no simpler level is faster at any of these errors. " if full else ""
+    return f"{start}{', '.join(parts)}."
+
+
+def simultaneous_line(found: Tradeoff) -> str:
+    """What it takes to hold all readings and changes to the tolerance at once; empty where it is that already."""
+    other = found.fastest(found.tolerance, simultaneous=True)
+    if found.simultaneous or other is None or not other.photon_seconds:
+        return ""
+    part = f"All readings and changes within {100 * found.tolerance:g} % at once, with 95 % probability"
+    times = f"{found.coverage_factor**2:.1f} times the photons of one standard error"
+    return f"{part} ({times}): {duration(other.seconds)}, {other.level.name}."
+
+
+def chosen_line(found: Tradeoff) -> str:
+    """The level to take."""
+    if math.isinf(found.chosen.error):
+        return f"Too few photons to judge any level: take {found.chosen.level.name}."
+    answer = f"{found.chosen.level.name}, {duration(found.chosen.seconds)} of processor time"
+    return f"Fastest within the tolerance: {answer}."
+
+
+def summary(found: Tradeoff) -> dict[str, Any]:
+    """Everything, ready for JSON."""
+    names = ("tolerance", "simultaneous", "wall_seconds", "cut_off", "lines", "coverage_factor")
+    return (
+        {name: getattr(found, name) for name in names}
+        | {name: found.attributes[name] for name in ("digest", "photons")}
+        | {"chosen": found.chosen.level.name, "answer": _answer(found.chosen), "sentence": sentence(found)}
+        | {"levels": [_level(found, one) for one in found.levels]}
+        | {"fastest_within": {str(error): _answer(found.fastest(error)) for error in ERRORS}}
+    )
+
+
+def _answer(answer: Answer | None) -> dict[str, Any] | None:
+    if answer is None:
+        return None
+    names = {"photon_seconds": answer.photon_seconds, "error": answer.error, "first_seconds": answer.seconds}
+    return {"level": answer.level.name, **names, "relative_error": answer.relative_error}
+
+
+def _level(found: Tradeoff, level: Level) -> dict[str, Any]:
+    row = asdict(level) | {"lines": level.lines, "changes": level.changes or {}}
+    row["first"] = {"fixed": row.pop("setup_seconds"), "per_second": float(level.traces)}
+    return row | {"within_tolerance": _answer(level.within(found.tolerance, found.coverage))}
+
+
+def lines(found: Tradeoff) -> list[str]:
+    """The table of levels and the one to take, for the terminal."""
+    head = ["level", "bias of reading [%]", "at most", "of signal [%]", "at most", "answer", "must be known"]
+    out = aligned([head, *([*_cells(found, one), one.beforehand] for one in found.levels)], left=(0, 6))
+    out += [f"Tolerance: {meaning(found)}.", chosen_line(found), sentence(found)]
+    out += filter(None, [simultaneous_line(found)])
+    if found.chosen.level.call:
+        return [*out, f"No line of a scene selects it: {found.chosen.level.call} gives it."]
+    if found.lines:
+        return [*out, "Scene lines that select it:", *(f"  {line}" for line in found.lines)]
+    return [*out, "The scene is that already: no line needs to change."]
+
+
+def _files(found: Tradeoff) -> tuple[Any, ...]:
+    drawing = draw(found)
+    text = page(found, drawing)
+    # Once is enough to find room for the labels.
+    drawing.set_layout_engine("none")
+    data = to_json(summary(found)) + "\n", found.dataset()
+    return *data, text, drawing, scene_text(found.scene, found.attributes)
+
+
+TRADEOFF = Report(
+    ("tradeoff.json", "tradeoff.nc", "tradeoff.html", "tradeoff.png", "scene.toml"),
+    _files,
+    summary,
+    lambda found, _: lines(found),
+)

@@ -14,7 +14,7 @@ from nailoptics.light import optics
 from nailoptics.light.photograph import photograph
 from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
-from nailoptics.report.summaries import colour_summary
+from nailoptics.report.pages.colour import summary as colour_summary
 from nailoptics.scene import load_scene, parse_scene
 from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000, measured_colours
 from nailoptics.studies.colour.nail_colour import colour

@@ -16,9 +16,7 @@ from nailoptics.light.transfer.records import LedTrace
 from nailoptics.light.transfer.series import GROUPS, read_replicates
 from nailoptics.options import TraceOptions
 from nailoptics.report.pages import compare as compare_page
-from nailoptics.report.pages.compare import write_comparison
-from nailoptics.report.summaries import comparison_summary as summary
-from nailoptics.report.terminal_text import verdict_line
+from nailoptics.report.pages.compare import page, summary, verdict_line
 from nailoptics.scene import Scene
 from nailoptics.statistics import Z95, jackknife
 from nailoptics.studies.comparison import formula_errors
@@ -345,7 +343,6 @@ def test_the_page_shows_names_that_attack_a_browser_as_text(tmp_path):
     rng = np.random.default_rng(1)
     result = judged(made_up(rng.uniform(1, 6, 400), rng.uniform(0, 3, 400)), "force", "blood")
     names = [f"{HOSTILE[i % len(HOSTILE)]}{i}" for i in range(result.sizes["photodiode"])]
-    write_comparison(result.assign_coords(led=[HOSTILE[0]], photodiode=names), tmp_path / "page.html")
-    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    text = page(result.assign_coords(led=[HOSTILE[0]], photodiode=names))
     for name in names:
         assert_text_alone(text, name)

@@ -10,7 +10,7 @@ from made_sensor import on_rigid_pulp
 from nailoptics import hemodynamics, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
-from nailoptics.report.summaries import calibration_summary, prediction_summary
+from nailoptics.report.pages.force import calibration_summary, prediction_summary
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording, recording_csv
 from nailoptics.studies.force.body_noise import MOVED_ERROR
 from nailoptics.studies.force.calibrate import PAPER_FACTORS, _checked, _warnings, calibrate_with

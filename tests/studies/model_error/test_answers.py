@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from nailoptics.report.model_errors import percent
 from nailoptics.studies.model_error.tradeoff import OWN, REFERENCE, Bias, Level, fastest
 
 
@@ -65,17 +64,3 @@ def test_the_usual_level_stays_unless_another_is_cheaper_beyond_the_noise_of_cos
     assert fastest([near, FULL], 0.02).level is FULL
     assert fastest([near, cheap, FULL], 0.02).level is cheap
     assert fastest([near, FULL, own], 0.02).level is own
-
-
-@pytest.mark.parametrize(
-    ("value", "stderr", "words"),
-    [
-        (-0.402, 0.0338, "-40.2 +- 3.4%"),
-        (-7.4e-5, 1.8e-5, "-0.0074 +- 0.0018%"),
-        (0.31, 1.2, "+31 +- 120%"),
-        (0.01, math.inf, "+1.00 +- inf%"),
-        (0.0, 0.0, "0%"),
-    ],
-)
-def test_no_error_is_rounded_to_none(value, stderr, words):
-    assert percent(value, stderr) == words

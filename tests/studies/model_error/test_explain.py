@@ -13,7 +13,7 @@ from nailoptics.errors import InputError, NotReachedError
 from nailoptics.light import Transfer, optics
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.options import TraceOptions
-from nailoptics.report.model_errors import explanation_lines
+from nailoptics.report.pages.explain import lines as explanation_lines
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.statistics import Z95, farther_end
 from nailoptics.studies.model_error import explain as effects

@@ -10,9 +10,11 @@ import pytest
 from nailoptics import cli, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
-from nailoptics.report import result_files
-from nailoptics.report.model_errors import duration, sentence, tradeoff_lines, tradeoff_summary
+from nailoptics.report.numbers import duration
 from nailoptics.report.pages import tradeoff as tradeoff_page
+from nailoptics.report.pages.tradeoff import lines as tradeoff_lines
+from nailoptics.report.pages.tradeoff import sentence
+from nailoptics.report.pages.tradeoff import summary as tradeoff_summary
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.studies.model_error.changes import changes_between, lines_of
 from nailoptics.studies.model_error.tradeoff import (
@@ -98,12 +100,11 @@ def test_json_and_dataset_hold_the_same(tmp_path):
     data.to_netcdf(tmp_path / "tradeoff.nc")
 
 
-def test_the_picture_names_every_level_and_the_page_says_what_each_needs(tmp_path):
+def test_the_picture_names_every_level_and_the_page_says_what_each_needs():
     found = made(DIFFUSION, level("biased", 0.05))
     (axes,) = tradeoff_page.draw(found).axes
     assert sorted(t.get_text() for t in axes.texts) == ["biased", "diffusion", REFERENCE]
-    tradeoff_page.write_tradeoff(found, tradeoff_page.draw(found), tmp_path / "tradeoff.html")
-    page = (tmp_path / "tradeoff.html").read_text(encoding="utf-8")
+    page = tradeoff_page.page(found, tradeoff_page.draw(found))
     assert sentence(found) in page and "model(scene)" in page and "relative_error = 0.02" in page
 
 
@@ -212,7 +213,7 @@ def test_the_command_writes_and_prints_what_was_measured(found, monkeypatch, tmp
     assert cli.run(["tradeoff", "prototype", "-o", str(tmp_path), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["chosen"] == found.chosen.level.name == json.loads((tmp_path / "tradeoff.json").read_text())["chosen"]
-    assert {path.name for path in tmp_path.iterdir()} == set(result_files.TRADEOFF)
+    assert {path.name for path in tmp_path.iterdir()} == set(tradeoff_page.TRADEOFF.files)
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import pytest
 from nailoptics import explain, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.options import TraceOptions
-from nailoptics.report.model_errors import explanation_lines, explanation_summary
+from nailoptics.report.pages import explain as explain_page
 from nailoptics.scene import Priors
 from nailoptics.studies.model_error.changes import changes_of, lines_of, revised
 from nailoptics.studies.model_error.paired import PairedTracer, difference
@@ -44,10 +44,10 @@ def test_unknowns_are_ranked_beside_parts_and_are_never_left_out(chosen_jit, sce
     assert scatters.how == "retraced" and scatters.change > 0.2
     assert not {effect.name for effect in found.needless + found.missing} & {plate.name, scatters.name}
     assert found.required.finger == scene.finger and found.required.blood == scene.blood
-    shown = explanation_lines(found)
+    shown = explain_page.lines(found)
     assert sum("unknown" in line.split("  ")[-1] or " unknown " in line for line in shown) == len(fields) + 2
     assert by_name["height of dies"].unknown and by_name["height of dies"].how == "retraced"
-    rows = {row["name"]: row for row in explanation_summary(found)["effects"]}
+    rows = {row["name"]: row for row in explain_page.summary(found)["effects"]}
     assert rows[plate.name]["unknown"] is True and rows["bone"]["unknown"] is False
     order = [effect.name for effect in found.effects]
     assert all(order.index(plate.name) < order.index(e.name) for e in found.effects if e.matters == "no")

@@ -14,9 +14,8 @@ from nailoptics.errors import InputError
 from nailoptics.io import to_json, write_dataset
 from nailoptics.light import Transfer
 from nailoptics.options import TraceOptions
-from nailoptics.report.pages.oximeter import page_of_oximeter
-from nailoptics.report.result_files import OXIMETER
-from nailoptics.report.summaries import oximeter_summary as summary
+from nailoptics.report.pages.oximeter import OXIMETER, oximeter_page
+from nailoptics.report.pages.oximeter import oximeter_summary as summary
 from nailoptics.scene import Scene
 from nailoptics.statistics import jackknife
 from nailoptics.studies.oximetry import oxygen, ratio
@@ -71,7 +70,7 @@ def test_the_shipped_oximeter_is_one(found, tmp_path):
         assert {"touch_force_n", "rest_blood_fraction", "sunlight_lux"} <= set(one["disturbances"])
     assert "null" not in to_json(told)
     write_dataset(found, tmp_path / "oximeter.nc")
-    page = page_of_oximeter(found)
+    page = oximeter_page(found)
     assert page.count("<figure") == 4 and "textbook" in page and "epidermis" in page
 
 
@@ -80,7 +79,7 @@ def test_the_command_writes_and_prints_what_was_found(found, monkeypatch, tmp_pa
     worn, folder = tmp_path / "worn.csv", tmp_path / "out"
     assert run(["oximeter", "pulse_oximeter", "-o", str(folder), "--recording", str(worn), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["best"] == found.attrs["best"]
-    assert {path.name for path in folder.iterdir()} == set(OXIMETER) and len(worn.read_text().splitlines()) > 1000
+    assert {path.name for path in folder.iterdir()} == set(OXIMETER.files) and len(worn.read_text().splitlines()) > 1000
 
 
 def test_the_pulse_dims_infrared_more_than_red(found):

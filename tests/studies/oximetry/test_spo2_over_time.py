@@ -10,7 +10,7 @@ from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import cardiac_pressure
-from nailoptics.report.summaries import recording_summary
+from nailoptics.report.pages.oximeter import recording_summary
 from nailoptics.scene.importers.sensor_recordings import OximeterRecording, oximeter_csv
 from nailoptics.studies.oximetry.recording import read_for, spo2_over_time, spo2_rows
 from nailoptics.variables import variable

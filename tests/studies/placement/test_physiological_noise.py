@@ -9,7 +9,7 @@ from small_scenes import TWO_LAYOUTS
 from nailoptics import hemodynamics
 from nailoptics.hemodynamics.for_scene import blood_by_arterial_pressure, steady_blood_at, touch_pressures_pa
 from nailoptics.hemodynamics.waves import pressure_lines
-from nailoptics.report import summaries, terminal_text
+from nailoptics.report.pages import placement
 from nailoptics.report.pages.place.page import write_placement
 from nailoptics.scene import Placement, parse_scene
 from nailoptics.sensor import information
@@ -262,9 +262,9 @@ def test_a_placement_with_a_body_is_ranked_by_its_noise(found):
     assert sorted(row["electronics_rank"] for row in rows) == list(range(1, len(rows) + 1))
     fresh, foretold = found.attrs["checked_resolution_n"], float(found.finger_resolution_n[0, 0])
     assert fresh == pytest.approx(foretold, rel=0.05)
-    assert terminal_text.placement_lines(summaries.placement_summary(found))[0].count("mN") == 2
+    assert "electronics alone [mN]" in placement.lines(placement.summary(found))[0]
     assert [row["layout"] for row in rows if row["roughly_known"]] == ["far"]
-    assert any("Roughly known" in line for line in terminal_text.placement_lines(summaries.placement_summary(found)))
+    assert any("Roughly known" in line for line in placement.lines(placement.summary(found)))
 
 
 @pytest.mark.long

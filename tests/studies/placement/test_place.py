@@ -16,8 +16,8 @@ from nailoptics.light.board_map import Arrivals, PhotonMap
 from nailoptics.light.tracing import StageProgress
 from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.finger import FingerTracer
-from nailoptics.report import result_files
 from nailoptics.report.pages.place.page import write_placement
+from nailoptics.report.pages.placement import PLACEMENT
 from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.outlines import Outline, read_outline, write_outline
 from nailoptics.scene.importers.positions import read_positions
@@ -489,7 +489,7 @@ def test_the_command_writes_what_other_programs_read(chosen_jit, tmp_path, capsy
     assert run([*asked, "--negate-x-on-bottom"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert {row["layout"] for row in told["ranking"]} == {"mine", "paper"}
-    assert {path.name for path in out.iterdir()} == set(result_files.PLACEMENT)
+    assert {path.name for path in out.iterdir()} == set(PLACEMENT.files)
     best = load_scene(out / "best.toml")
     areas = list(best.layout.photodiode_areas)
     back = [part for part in read_positions(out / "best.csv", negate_x_on_bottom=True) if not part.is_led]

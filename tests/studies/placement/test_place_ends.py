@@ -7,7 +7,7 @@ from small_scenes import TWO_LAYOUTS as SCENE
 
 from nailoptics.errors import NotReachedError
 from nailoptics.light.tracing import StageProgress
-from nailoptics.report import result_files
+from nailoptics.report.pages.placement import PLACEMENT
 from nailoptics.scene import FingerCase, Scene, parse_scene
 from nailoptics.studies.placement import boards, place, scores, search, verification
 
@@ -76,7 +76,7 @@ def test_time_that_is_over_leaves_the_layouts_that_were_traced_and_says_so(chose
     found = caught.value.result
     assert set(found.layout.values) == {"near", "far"} and found.attrs["cut_off"] == str(caught.value)
     assert "checked_fraction" not in found and found.attrs["photons"] == scores.JUDGE_PHOTONS
-    result_files.write_placement(found, tmp_path)
+    PLACEMENT.write(found, tmp_path)
     head = (tmp_path / "place.html").read_text(encoding="utf-8").split("</header>")[0]
     assert "max_seconds ended with 2 of 3 layouts traced" in head
     best = (tmp_path / "best.toml").read_text()

@@ -9,7 +9,7 @@ from ....scene import Scene
 from ....scene.layout import Rectangle
 from ....statistics import Z95
 from ... import maps, style
-from ...readings import coloured_along_nail
+from ...maps import coloured_along_nail
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

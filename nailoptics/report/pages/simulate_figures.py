@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from ....scene import Scene
-from ... import style
-from ...numbers import prefix, significant, with_error
-from ...readings import coloured_along_nail, hold_end, led_name, order_along_nail
+from ...scene import Scene
+from ...studies.simulate import hold_end
+from .. import style
+from ..maps import coloured_along_nail, led_name, order_along_nail
+from ..numbers import prefix, significant, with_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -2,45 +2,71 @@
 
 import logging
 import math
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import xarray as xr
 
-from ....errors import InputError
-from ....io import write_text
-from ....scene import Scene, parse_scene
-from ....tissue import bed_zone_name
-from ... import maps, style
-from ...html import document, escaped, figure, number, section, small, table
-from ...numbers import prefix, quantity, significant, with_error
-from ...readings import Reading, hold_end, photodiode_readings
-from ...scene_description import blood_words, body_words
-from ...uncertainty_section import spread_section
-from . import figures
+from ...errors import InputError
+from ...scene import Scene, parse_scene
+from ...tissue import bed_zone_name
+from .. import maps, style
+from ..files import Report
+from ..html import document, escaped, figure, number, section, small, table
+from ..numbers import prefix, quantity, significant, with_error
+from ..readings import Reading, hold_end, photodiode_readings, simulation_lines, simulation_summary
+from ..scene_description import blood_words, body_words
+from ..uncertainty_section import spread_section
+from . import simulate_figures as figures
 
 TOUCH = "Force over time, and the pressures that it exerts on the vessels."
 VESSELS = (
     "Pressure on the pulp's veins obstructs the return of blood, which pools in the capillaries under the nail; "
     "pressure on the distal capillaries expels it from them."
 )
+OVERVIEW = (
+    "Change of every photodiode from rest while the finger is pressed. Warm colours lie proximal, cool ones distal. "
+    "The dotted line marks the end of the hold, at which the table below is read."
+)
+READINGS = (
+    "± is one standard error of the light tracing; the z score is the change in standard errors. Both states of a "
+    "change are read from one trace, so its error is far below that of a level. Noise is that of the electronics and "
+    "the converter in one sample; the resolution is the force that equals it, by the mean slope from rest to the end "
+    "of the hold."
+)
+BOARD = (
+    "The board on the nail, from above and rolled flat. The tint of the nail shows which blood lies below; between the "
+    "dotted lines one passes into the other."
+)
+SECTION = "The section along the middle of the nail."
+PATHS = (
+    " On it, the paths of all the light that the LED emits, summed over the finger's width, on a logarithmic scale: "
+    "half of them lie within the solid line, 90 % within the dashed one. Above, the photodiodes in their colours and "
+    "the LED (triangle) where they lie along the nail."
+)
+ENDS = (
+    "Where the light of each LED ends, in percent of what it emits, with its standard error: what absorbs it, and what "
+    "leaves the finger. Regions that take less than 0.01 % of it are left out."
+)
+MODELS = (
+    "<p>Each photodiode's traced volts with Beer–Lambert (8), V = V<sub>0</sub> + V<sub>1</sub> exp(−αD²), and Taylor "
+    "(9), V = V′<sub>0</sub> − V′<sub>1</sub>D², fitted to them over the capillary diameter D of the photodiode's own "
+    "zone. Below each, the residuals (model minus traced light), on one scale for all, with the noise of one sample in "
+    "grey.</p>"
+)
+VOLTS = (
+    "Volts over time: proximal photodiodes on the left, distal ones on the right. Where no band is seen it is thinner "
+    "than the line."
+)
+MEAN_PATH = (
+    "<p>Mean path, at rest, of the light that reaches each photodiode, in place of the single path length L of the "
+    "reduced optics. A reading falls by this fraction per mm⁻¹ of absorption.</p>"
+)
 log = logging.getLogger(__name__)
 
 
-def write_report(result: xr.Dataset, path: Path) -> None:
-    """Write the page of a simulated touch, whole or not at all.
-
-    result : what `studies.simulate` returns; path density and section may be missing.
-    path : the HTML file, replaced if it exists.
-
-    Raises: WriteError where the file cannot be written.
-    """
-    write_text(Path(path), page(result))
-
-
 def page(result: xr.Dataset) -> str:
-    """The page as text."""
+    """The page of what `studies.simulate` returns; path density and section may be missing."""
     scene = _scene(result)
     found = photodiode_readings(result, scene)
     touch = figure(figures.touch(result), "touch", TOUCH)
@@ -53,7 +79,7 @@ def page(result: xr.Dataset) -> str:
         cards=_cards(found, result),
         body=[
             _readings_section(result, scene, found),
-            section("The touch and the blood", touch, vessels, *_bed(result, scene)),
+            section("The touch and the blood", touch, vessels, _bed(result, scene)),
             _space_section(result, scene),
             _models_section(result, scene, found),
             spread_section(result),
@@ -62,76 +88,35 @@ def page(result: xr.Dataset) -> str:
     )
 
 
-def _bed(result: xr.Dataset, scene: Scene | None) -> list[str]:
+def _bed(result: xr.Dataset, scene: Scene | None) -> str:
     """The blood along the nail, where it has more zones than a figure over time can show."""
     if scene is None or scene.finger is None or "white_band_mm" not in result or result.sizes["time"] < 2:
-        return []
+        return ""
     text = "Zones of the nail bed over time. Above the dashed line: the white band, with less than half of its blood."
-    return [figure(figures.bed(result, scene), "bed", text)]
+    return figure(figures.bed(result, scene), "bed", text)
 
 
 def _readings_section(result: xr.Dataset, scene: Scene | None, found: list[Reading]) -> str:
     return section(
         "Readings of the photodiodes",
-        figure(
-            figures.overview(result, scene),
-            "overview",
-            "Change of every photodiode from rest while the finger is pressed. Warm colours lie proximal, cool ones "
-            "distal. The dotted line marks the end of the hold, at which the table below is read.",
-        ),
+        figure(figures.overview(result, scene), "overview", OVERVIEW),
         _readings_table(found, float(result.time[hold_end(result)])),
-        small(
-            "± is one standard error of the light tracing; the z score is the change in standard errors. Both states "
-            "of a change are read from one trace, so its error is far below that of a level. Noise is that of the "
-            "electronics and the converter in one sample; the resolution is the force that equals it, by the mean "
-            "slope from rest to the end of the hold."
-        ),
+        small(READINGS),
     )
 
 
 def _space_section(result: xr.Dataset, scene: Scene | None) -> str:
-    board = ""
-    if scene is not None:
-        text = (
-            "The board on the nail, from above and rolled flat. The tint of the nail shows which blood lies below; "
-            "between the dotted lines one passes into the other."
-        )
-        board = figure(maps.top_view(scene), "top", text, narrow=True)
-    cut = small("The section of the finger was not computed.")
+    board = "" if scene is None else figure(maps.top_view(scene), "top", BOARD, narrow=True)
+    cut, ends = small("The section of the finger was not computed."), ""
     if "section_region" in result:
-        text = "The section along the middle of the nail."
-        if "path_density" in result:
-            text += (
-                " On it, the paths of all the light that the LED emits, summed over the finger's width, on a "
-                "logarithmic scale: half of them lie within the solid line, 90 % within the dashed one. Above, the "
-                "photodiodes in their colours and the LED (triangle) where they lie along the nail."
-            )
-        cut = figure(maps.section(scene, result), "section", text)
-    return section("The sensor on the finger", board, cut, _light_ends(result))
-
-
-def _light_ends(result: xr.Dataset) -> str:
-    """Where the light of each LED ends; empty where the engine keeps no such sums."""
-    if "absorbed_fraction" not in result:
-        return ""
-    text = (
-        "Where the light of each LED ends, in percent of what it emits, with its standard error: what absorbs it, and "
-        "what leaves the finger. Regions that take less than 0.01 % of it are left out."
-    )
-    return figure(figures.light_ends(result), "ends", text)
+        cut = figure(maps.section(scene, result), "section", SECTION + (PATHS if "path_density" in result else ""))
+    if "absorbed_fraction" in result:
+        ends = figure(figures.light_ends(result), "ends", ENDS)
+    return section("The sensor on the finger", board, cut, ends)
 
 
 def _models_section(result: xr.Dataset, scene: Scene | None, found: list[Reading]) -> str:
-    lines = [
-        "<p>Each photodiode's traced volts with Beer–Lambert (8), V = V<sub>0</sub> + V<sub>1</sub> exp(−αD²), and "
-        "Taylor (9), V = V′<sub>0</sub> − V′<sub>1</sub>D², fitted to them over the capillary diameter D of the "
-        "photodiode's own zone. Below each, the residuals (model minus traced light), on one scale for all, with the "
-        "noise of one sample in grey.</p>",
-    ]
-    text = (
-        "Volts over time: proximal photodiodes on the left, distal ones on the right. Where no band is seen it is "
-        "thinner than the line."
-    )
+    lines, text = [MODELS], VOLTS
     if result.sizes["photodiode"] > figures.PANELS:
         text += f" {figures.PANELS} of {result.sizes['photodiode']} are shown, evenly spaced."
     for i, led in enumerate(result.led.values):
@@ -139,14 +124,8 @@ def _models_section(result: xr.Dataset, scene: Scene | None, found: list[Reading
             lines.append(f"<h3>LED {escaped(led)}, {significant(float(result.wavelength_nm[i]))} nm</h3>")
         lines.append(figure(figures.volts(result, scene, led=i), f"volts{i}", text))
     lines += ["<h3>Constants of Beer–Lambert (8) and Taylor (9)</h3>", _fit_table(result, found)]
-    paths = _path_table(result, found)
-    if paths:
-        lines += [
-            "<h3>Mean path of the detected light</h3>",
-            "<p>Mean path, at rest, of the light that reaches each photodiode, in place of the single path length L of "
-            "the reduced optics. A reading falls by this fraction per mm⁻¹ of absorption.</p>",
-            paths,
-        ]
+    if paths := _path_table(result, found):
+        lines += ["<h3>Mean path of the detected light</h3>", MEAN_PATH, paths]
     return section("Traced light beside the reduced optics", *lines)
 
 
@@ -190,31 +169,30 @@ def _sentence(scene: Scene | None, result: xr.Dataset) -> str:
 def _cards(found: Sequence[Reading], result: xr.Dataset) -> list[tuple[str, str]]:
     """Key figures as (number, words)."""
     lines: list[tuple[str, str]] = []
-    several = result.sizes["led"] > 1
     found = [r for r in found if not r.saturated]
-
-    def name(r: Reading) -> str:
-        return f"{r.photodiode} under {r.led}" if several else r.photodiode
-
+    name = {id(r): f"{r.photodiode} under {r.led}" if result.sizes["led"] > 1 else r.photodiode for r in found}
     for sign, word in ((-1, "fall"), (1, "rise")):
-        moved = [r for r in found if sign * r.change_v > 0]
-        if moved:
+        if moved := [r for r in found if sign * r.change_v > 0]:
             r = max(moved, key=lambda r: abs(r.change_v))
             ratio = f"signal-to-noise ratio {significant(r.signal_to_noise)}"
-            words = f"largest {word}: {name(r)}, {significant(r.change_percent, sign=True)} %, {ratio}"
+            words = f"largest {word}: {name[id(r)]}, {significant(r.change_percent, sign=True)} %, {ratio}"
             lines.append((quantity(r.change_v, "V", sign=True), words))
-    resolved = [r for r in found if math.isfinite(r.resolution_n) and r.resolution_n > 0]
-    if resolved:
+    if resolved := [r for r in found if 0 < r.resolution_n < math.inf]:
         r = min(resolved, key=lambda r: r.resolution_n)
-        words = f"best force resolution of one sample (noise / slope): {name(r)}"
+        words = f"best force resolution of one sample (noise / slope): {name[id(r)]}"
         lines.append((quantity(r.resolution_n, "N"), words))
     if any(r.change_v for r in found):
         lines.append(_signs(found, result))
     if "white_band_mm" in result:
         words = "width of the white band at the tip at the end of the hold, with less than half its blood"
         lines.append((f"{float(result.white_band_mm[hold_end(result)]):.1f}\u00a0mm", words))
-    lines.append(_models(found, result))
-    return lines
+    # How far the models are from the traced light at worst, beside the noise.
+    usable = ~result.saturated.any("time")
+    worst = [float(result[f"{model}_residual_rms_v"].where(usable).max()) for model in ("beer_lambert", "taylor")]
+    noise_v = max((r.noise_rms_v for r in found), default=0.0)
+    exact, taylor, noise = (quantity(value, "V", digits=2) for value in (*worst, noise_v))
+    words = f"largest rms residual of Beer–Lambert (8); Taylor (9): {taylor}; noise of one sample: {noise}"
+    return [*lines, (exact, words)]
 
 
 def _warnings(found: Sequence[Reading], result: xr.Dataset) -> list[str]:
@@ -245,15 +223,6 @@ def _signs(found: Sequence[Reading], result: xr.Dataset) -> tuple[str, str]:
     return f"{len(right)} of {len(found)}", words
 
 
-def _models(found: Sequence[Reading], result: xr.Dataset) -> tuple[str, str]:
-    """How far Beer-Lambert (8) and Taylor (9) are from the traced light at worst, beside the noise."""
-    usable = ~result.saturated.any("time")
-    worst = [float(result[f"{model}_residual_rms_v"].where(usable).max()) for model in ("beer_lambert", "taylor")]
-    noise = max((r.noise_rms_v for r in found), default=0.0)
-    one, other, limit = (quantity(value, "V", digits=2) for value in (*worst, noise))
-    return one, f"largest rms residual of Beer–Lambert (8); Taylor (9): {other}; noise of one sample: {limit}"
-
-
 def _list(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]
 
@@ -268,35 +237,34 @@ LEAST_PATH_MM = 1e-3
 
 def _readings_table(found: Sequence[Reading], hold_s: float) -> str:
     """The readings of every photodiode, LED by LED."""
-    volts, letter = prefix(max((abs(r.rest_v) for r in found), default=0.0))
-    change, change_letter = prefix(max((abs(r.peak_v) for r in found), default=0.0))
-    noise, noise_letter = prefix(max((r.noise_rms_v for r in found), default=0.0))
-    head = ["Photodiode", "Blood<br>zone", "Distance<br>to LED [mm]", f"At rest<br>[{letter}V]"]
-    head += [f"Change at<br>{significant(hold_s)} s [{change_letter}V]", "Change<br>[%]", "z score<br>[σ]"]
-    head += [f"Largest<br>change [{change_letter}V]"]
-    spread = any(math.isfinite(r.rest_spread) for r in found)
-    head += ["Prior spread<br>at rest [%]", "Prior spread<br>of change [%]"] if spread else []
-    head += [f"Noise,<br>rms [{noise_letter}V]", "SNR<br>[1]", "Resolution<br>[mN]"]
+    largest = (max((abs(getattr(r, name)) for r in found), default=0.0) for name in ("rest_v", "peak_v", "noise_rms_v"))
+    (volts, letter), (change, change_letter), (noise, noise_letter) = map(prefix, largest)
+    columns: dict[str, Callable[[Reading], tuple[float, str]]] = {
+        f"At rest<br>[{letter}V]": lambda r: (r.rest_v, with_error(r.rest_v / volts, r.rest_stderr_v / volts)),
+        f"Change at<br>{significant(hold_s)} s [{change_letter}V]": lambda r: (
+            r.change_v,
+            with_error(r.change_v / change, r.change_stderr_v / change, sign=True),
+        ),
+        "Change<br>[%]": lambda r: (r.change_percent, significant(r.change_percent, 3, sign=True)),
+        "z score<br>[σ]": lambda r: (r.sigmas, significant(r.sigmas, 2)),
+        f"Largest<br>change [{change_letter}V]": lambda r: (r.peak_v, significant(r.peak_v / change, 3, sign=True)),
+        "Prior spread<br>at rest [%]": lambda r: (r.rest_spread, significant(100 * r.rest_spread, 2)),
+        "Prior spread<br>of change [%]": lambda r: (r.change_spread, significant(100 * r.change_spread, 2)),
+        f"Noise,<br>rms [{noise_letter}V]": lambda r: (r.noise_rms_v, significant(r.noise_rms_v / noise)),
+        "SNR<br>[1]": lambda r: (r.signal_to_noise, significant(r.signal_to_noise)),
+        "Resolution<br>[mN]": lambda r: (r.resolution_n, significant(r.resolution_n * 1e3)),
+    }
+    if not any(math.isfinite(r.rest_spread) for r in found):
+        columns = {name: cell for name, cell in columns.items() if not name.startswith("Prior")}
     rows = []
     for r, name in zip(found, _names(found), strict=True):
-        distance = number(r.distance_mm, significant(r.distance_mm, 3))
+        cells = [escaped(r.zone), number(r.distance_mm, significant(r.distance_mm))]
         if r.saturated:
             at_limit = number(r.rest_v, significant(r.rest_v / volts))
-            rows.append([name + SATURATED, escaped(r.zone), distance, at_limit, *["–"] * (len(head) - 4)])
-            continue
-        cells = [
-            distance,
-            number(r.rest_v, with_error(r.rest_v / volts, r.rest_stderr_v / volts)),
-            number(r.change_v, with_error(r.change_v / change, r.change_stderr_v / change, sign=True)),
-            number(r.change_percent, significant(r.change_percent, 3, sign=True)),
-            number(r.sigmas, significant(r.sigmas, 2)),
-            number(r.peak_v, significant(r.peak_v / change, 3, sign=True)),
-            *(number(x, significant(100 * x, 2)) for x in (r.rest_spread, r.change_spread) if spread),
-            number(r.noise_rms_v, significant(r.noise_rms_v / noise)),
-            number(r.signal_to_noise, significant(r.signal_to_noise, 3)),
-            number(r.resolution_n, significant(r.resolution_n * 1e3, 3)),
-        ]
-        rows.append([name, escaped(r.zone), *cells])
+            rows.append([name + SATURATED, *cells, at_limit, *["–"] * (len(columns) - 1)])
+        else:
+            rows.append([name, *cells, *(number(*cell(r)) for cell in columns.values())])
+    head = ["Photodiode", "Blood<br>zone", "Distance<br>to LED [mm]", *columns]
     return table(head, rows, kind="readings dense", groups=_groups(found))
 
 
@@ -376,3 +344,11 @@ def _names(found: Sequence[Reading]) -> list[str]:
     colours = dict(zip(order, style.place_colours(len(order)), strict=True))
     swatch = '<span class="swatch" style="background:{}"></span>'
     return [swatch.format(colours[r.photodiode_index]) + escaped(r.photodiode) for r in found]
+
+
+SIMULATION = Report(
+    ("result.nc", "report.html"),
+    lambda result: (result, lambda _: page(result)),
+    simulation_summary,
+    lambda result, summary: simulation_lines(summary),
+)

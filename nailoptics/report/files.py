@@ -1,0 +1,65 @@
+"""How a kind of result is given out: the files in its folder, its summary as JSON, and lines for the terminal."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from ..io import turn, write_bytes, write_dataset, write_text
+from ..scene import Scene, to_toml
+from .style import write_figure
+
+# What commands call their files, by their endings; of several, the first.
+ROLES = {".html": "report", ".nc": "result", ".toml": "scene", ".csv": "csv"}
+
+
+@dataclass(frozen=True)
+class Report:
+    """A kind of result.
+
+    files : names of its files.
+    contents : of the files of a result, in their order, as `write_files` takes them.
+    summary : of a result, as plain numbers and texts.
+    lines : of a result and its summary, for the terminal.
+    """
+
+    files: tuple[str, ...]
+    contents: Callable[..., Sequence[Any]]
+    summary: Callable[[Any], dict[str, Any]]
+    lines: Callable[[Any, dict[str, Any]], Iterable[object]]
+
+    def write(self, result: Any, folder: Path, **options: Any) -> dict[str, Path]:
+        """Write a result into a folder; returns the main paths by their role. Raises WriteError."""
+        contents = self.contents(result, **options)
+        return write_files(folder, dict(zip(self.files, contents, strict=True)))
+
+
+def write_files(folder: Path, contents: Mapping[str, Any]) -> dict[str, Path]:
+    """Write files, each whole, and none of another result between them; returns the main paths by their role.
+
+    contents : by name: a text, bytes, a dataset or a figure, or a function that makes it or writes it at a path, so
+        that the fault of a page does not cost the data before it; None is left out.
+    """
+    written: dict[str, Path] = {}
+    with turn(folder):
+        for name, content in contents.items():
+            path = folder / name
+            made = content(path) if callable(content) else content
+            if isinstance(made, xr.Dataset):
+                write_dataset(made, path)
+            elif isinstance(made, str):
+                write_text(path, made)
+            elif isinstance(made, bytes):
+                write_bytes(path, made)
+            elif hasattr(made, "savefig"):
+                write_figure(made, path)
+            if content is not None:
+                written.setdefault(ROLES.get(path.suffix, ""), path)
+    return {role: written[role] for role in ROLES.values() if role in written}
+
+
+def scene_text(scene: Scene, attributes: Mapping[Any, Any]) -> str:
+    """A scene as TOML; one of a study that ended too early to be sure of it says so in its first line."""
+    return (f"# Cut off: {attributes['cut_off']}\n" if attributes.get("cut_off") else "") + to_toml(scene)

@@ -1,1 +1,0 @@
-"""The report of simulate: readings over the touch, its figures and tables."""
