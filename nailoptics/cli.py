@@ -256,23 +256,17 @@ def compare(
     result, unmet = _traced(study, loaded, over=over, wavelengths_nm=wavelength_nm, options=options)
     paths = COMPARISON.write(result, folder)
     judged = verdict(result, 0.05 if require is None else require, model=model)
-    missed = require is not None and judged.outcome == "missed"
+    missed, line = require is not None and judged.outcome == "missed", verdict_line(judged)
+    summary = COMPARISON.summary(result) | {"verdict": vars(judged)}
     try:
-        _finish(
-            COMPARISON.summary(result) | {"verdict": vars(judged)},
-            [verdict_line(judged)],
-            paths,
-            options.json,
-            unmet,
-            folder,
-        )
+        _finish(summary, [line], paths, options.json, unmet, folder)
     except NotReachedError:
         if not missed:
             raise
     if missed:
-        raise RequirementError(verdict_line(judged))
+        raise RequirementError(line)
     if require is not None and judged.outcome == "undecided":
-        raise NotReachedError(verdict_line(judged))
+        raise NotReachedError(line)
 
 
 @app.command
