@@ -10,7 +10,7 @@ from force_scores import VirtualPerson, asked_of
 from record import TOUCHES, Site, touch_of
 
 from nailoptics.hemodynamics import cardiac_pressure
-from nailoptics.hemodynamics.for_scene import arterial_waveform
+from nailoptics.hemodynamics.for_scene import blood_model
 from nailoptics.hemodynamics.steady import solve_walls
 from nailoptics.hemodynamics.waves import CardiacOscillator, DampedOscillator
 from nailoptics.scene import Scene
@@ -72,7 +72,7 @@ def modelled(subject: Subject, scene: Scene, touch: Recording, *, seed: int) -> 
     assert touch.force_n is not None and touch.site is not None and scene.body is not None
     body = scene.model_copy(update={"body": scene.body.model_copy(update={"seed": seed})})
     who, time_s = subject.person(), touch.time_s
-    high = arterial_waveform(body)
+    high = blood_model(body).arterial_waveform()
     arterial_pa = who.arterial_pa + (0.0 if high is None else high.at(time_s) - high.at(time_s).mean())
     pressure = who.pressures(touch.force_n, touch.site)
     blood = who.blood(widths_over(who, time_s, pressure, arterial_pa=np.broadcast_to(arterial_pa, time_s.shape)))

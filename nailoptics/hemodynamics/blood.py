@@ -1,5 +1,6 @@
 """Eq. (7): blood fraction of the nail bed from capillary diameters, and the tissue volume that it implies."""
 
+import functools
 import math
 
 import numpy as np
@@ -7,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from ..checks import finite, number
 from ..errors import InputError
+from ..scene import Blood
 from ..scene.base import USUAL_BLOOD_FRACTION
 from .parameters import Parameters
 from .steady import steady_state
@@ -41,25 +43,22 @@ def blood_fraction(
     return result
 
 
-def saturation(
-    blood_fraction: ArrayLike, *, rest_blood_fraction: float, arterial_so2: float, venous_so2: float
-) -> np.ndarray:
+def saturation(blood: Blood, blood_fraction: ArrayLike) -> np.ndarray:
     """The oxygen saturation of the blood in a zone of the bed, from how much blood flowed in that did not flow out.
 
+    blood : of a scene: saturation of the blood that flows in and, if given, out. In a finger at rest they are some 0.08
+        apart (Nitzan 2000, J. Biomed. Opt. 5:155).
     blood_fraction : any shape, float. Blood in the zone. [1]
-    rest_blood_fraction : without touch. [1]
-    arterial_so2, venous_so2 : of the blood that flows in and out. In a finger at rest they are some 0.08 apart (Nitzan
-        2000, J. Biomed. Opt. 5:155). [1]
 
     At rest blood gives off its oxygen evenly along a capillary: the zone has the mean of both. A touch that shuts the
     veins lets the arteries pool fresh blood in it (the paper's section II): what is there beyond rest is arterial. What
     is squeezed out is blood as it was. Tissue needs minutes to use up what pooled; that is left out.
     """
     fraction = np.asarray(blood_fraction, dtype=float)
-    at_rest = 0.5 * (arterial_so2 + venous_so2)
-    pooled = np.maximum(fraction - rest_blood_fraction, 0.0)
+    at_rest = blood.rest_so2
+    pooled = np.maximum(fraction - blood.rest_blood_fraction, 0.0)
     part = np.divide(pooled, fraction, out=np.zeros_like(fraction), where=fraction > 0.0)
-    return at_rest + (arterial_so2 - at_rest) * part
+    return at_rest + (blood.so2 - at_rest) * part
 
 
 def white_band_mm(v_mm: np.ndarray, part: np.ndarray, *, ends_mm: tuple[float, float]) -> np.ndarray:
@@ -91,6 +90,7 @@ def tissue_volume_m3(parameters: Parameters, *, rest_blood_fraction: float = USU
     return blood / _rest_fraction(rest_blood_fraction)
 
 
+@functools.lru_cache(64)
 def _rest_diameter(parameters: Parameters) -> float:
     return float(steady_state(parameters).capillary_diameter_m[0])
 

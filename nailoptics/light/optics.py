@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from .. import checks, tissue
 from ..errors import InputError
 from ..geometry import AROUND
-from ..hemodynamics.for_scene import zone_so2
+from ..hemodynamics.blood import saturation as so2_of_zones
 from ..scene import Led, Scene
 
 # Regions of a finger's geometry that light scatters in or passes; all others are opaque, but for the air.
@@ -126,7 +126,7 @@ def absorption(
             f"blood_fraction has shape {fraction.shape}; its last axis needs one value for each of the {count} zones."
         )
     saturation = np.asarray(scene.blood.rest_so2 if so2 is None else so2, float)[..., None]
-    pooled = zone_so2(scene, fraction) if so2 is None and scene.blood.venous_so2 is not None else None
+    pooled = so2_of_zones(scene.blood, fraction) if so2 is None and scene.blood.venous_so2 is not None else None
     columns = []
     shape = np.broadcast_shapes(fraction.shape[:-1], saturation.shape[:-1])
     for absorber in absorbing(scene):

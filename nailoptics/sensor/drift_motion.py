@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, NotReachedError, as_far_as_reached
 from ..light import DetectedLight, ProgressCallback, open_light
+from ..light.tracing import accuracy
 from ..light.transfer.series import ReadingSeries
-from ..options import Requested
+from ..options import Requested, TraceOptions
 from ..scene import Board, Scene
 from ..scene.body import Motion
 from ..statistics import seed_of
@@ -40,23 +41,36 @@ class MovedLight:
     light: DetectedLight
 
 
-def motion_traces(
+@dataclass(frozen=True)
+class WornLight:
+    """The light under a sensor in its place, and where the body moves it."""
+
+    light: DetectedLight
+    moved: tuple[MovedLight, ...]
+
+
+def worn_light(
     scene: Scene, *, states: Array, progress: ProgressCallback | None = None, **requested: Unpack[Requested]
-) -> tuple[tuple[MovedLight, ...], NotReachedError | None]:
-    """The light under the scene's sensor, lifted and slid as its body asks; nothing where it does not move.
+) -> WornLight:
+    """The light under the scene's sensor in its place, and lifted and slid where its body moves it.
 
-    states : (t, zones) float. The blood states that will be read.
+    states : (t, zones) float. The blood states that will be read. A limit in seconds holds for all traces together.
 
-    Returns also why some of it is less accurate than requested, if it is.
+    Raises: NotReachedError, whose result is the light, where some of it is less accurate than requested.
     """
-    found: list[MovedLight] = []
-    unmet: NotReachedError | None = None
-    for name, distance_um, board in moved_boards(scene):
-        moved = scene.model_copy(update={"board": board})
-        light, short = as_far_as_reached(open_light, moved, states=states, progress=progress, **requested)
-        found.append(MovedLight(name, distance_um, light))
-        unmet = unmet or short
-    return tuple(found), unmet
+    moves = moved_boards(scene)
+    limit = accuracy(scene, TraceOptions(**requested)).max_seconds
+    if moves and limit is not None:
+        requested = requested | Requested(max_seconds=limit / (1 + len(moves)))
+    boards = (scene.board, *(board for _, _, board in moves))
+    given = {"states": states, "progress": progress, **requested}
+    traced = [as_far_as_reached(open_light, scene.model_copy(update={"board": board}), **given) for board in boards]
+    moved = tuple(MovedLight(name, um, light) for (name, um, _), (light, _) in zip(moves, traced[1:], strict=True))
+    worn = WornLight(traced[0][0], moved)
+    for _, unmet in traced:
+        if unmet:
+            raise NotReachedError(str(unmet), result=worn)
+    return worn
 
 
 def moved_boards(scene: Scene) -> list[tuple[str, float, Board]]:

@@ -8,14 +8,13 @@ import numpy as np
 import xarray as xr
 
 from ..errors import InputError, NotReachedError, as_far_as_reached
-from ..hemodynamics.for_scene import blood_over_touch, zones_of_photodiodes
-from ..light import DetectedLight, ProgressCallback, Transfer, open_light, optics, section
-from ..light.tracing import accuracy
+from ..hemodynamics.for_scene import blood_over_touch
+from ..light import DetectedLight, ProgressCallback, Transfer, optics, section
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import OpticsFit, fit_beer_lambert, fit_taylor
 from ..scene import Scene
 from ..sensor import electronics
-from ..sensor.drift_motion import MovedLight, drift_and_motion, motion_artefact, motion_traces, moved_boards
+from ..sensor.drift_motion import MovedLight, drift_and_motion, motion_artefact, worn_light
 from ..variables import Variables, variable
 from .prior_uncertainty import read_by_groups, readings_over_priors
 
@@ -68,13 +67,9 @@ def simulate(
         raise InputError("simulate needs a [finger] scene; a [phantom] has no blood, use trace for its light.")
     course = blood_over_touch(scene)
     states = course.blood_fraction.values.T
-    traces = 1 + len(moved_boards(scene))
-    if traces > 1 and (limit := accuracy(scene, options).max_seconds) is not None:
-        requested = requested | Requested(max_seconds=limit / traces)
-    light, unmet = as_far_as_reached(open_light, scene, states=states, progress=progress, **requested)
-    moved, short = motion_traces(scene, states=states, progress=progress, **requested)
-    unmet = unmet or short
-    result = simulate_from(scene, light, course=course, seed=options.seed, moved=moved)
+    worn, unmet = as_far_as_reached(worn_light, scene, states=states, progress=progress, **requested)
+    light: DetectedLight = worn.light
+    result = simulate_from(scene, light, course=course, seed=options.seed, moved=worn.moved)
     if light.transfer is not None:
         result = result.merge(light.transfer.energy_by_led())
     if picture:
@@ -95,8 +90,7 @@ def simulate_from(
 
     moved : the light under the sensor elsewhere, where the scene's body moves it.
     """
-    worn = drift_and_motion(scene, course.time.values)
-    result = course.merge(worn).merge(_read_volts(scene, light, course.blood_fraction.values.T, worn, moved))
+    result = course.merge(_read_volts(scene, light, course, moved))
     result = result.merge(_fit_reduced(result, light.transfer, seed))
     for name, text in COORDINATES.items():
         result[name].attrs = {"long_name": text} | result[name].attrs
@@ -129,11 +123,14 @@ def hold_end(result: xr.Dataset) -> int:
     return int(np.flatnonzero(departure >= 0.995 * departure.max())[-1])
 
 
-def _read_volts(
-    scene: Scene, light: DetectedLight, blood: np.ndarray, worn: xr.Dataset, moved: Sequence[MovedLight]
-) -> xr.Dataset:
-    """Detected fractions and volts over the course, with standard errors and noise."""
+def _read_volts(scene: Scene, light: DetectedLight, course: xr.Dataset, moved: Sequence[MovedLight]) -> xr.Dataset:
+    """Detected fractions and volts over the course, with standard errors and noise, and the sensor's drift and motion.
+
+    moved : as for `simulate_from`.
+    """
+    blood = course.blood_fraction.values.T
     readings = light.readings_at(blood)
+    worn = drift_and_motion(scene, course.time.values)
     motion, about_motion = motion_artefact(worn, readings, moved, blood)
     # Only the light that arrives is moved light; what an LED or amplifier makes of it comes after.
     gain = worn.get("reading_drift", xr.DataArray([[[1.0]]])).values
@@ -156,6 +153,7 @@ def _read_volts(
         volts_stderr[i, j] = stderr[i, j] * per_fraction_v
         change_stderr[i, j] = np.hypot(change_stderr[i, j], scaled[i, j] * stderr[i, j]) * per_fraction_v
         responsivity_a_per_w[i, j] = electronics.photodiode_responsivity_a_per_w(diode, led.wavelength_nm)
+    absorbers = list(optics.absorbers(scene))
     pair = ("led", "photodiode")
     over, paths = (*pair, "time"), (*pair, "absorber")
     text = "detected fraction of the emitted power"
@@ -169,12 +167,10 @@ def _read_volts(
     data |= variable("responsivity_a_per_w", pair, responsivity_a_per_w, text, units="A W-1")
     text, error = "mean path of the light detected at rest", light.mean_path_stderr
     data |= variable("mean_path_mm", paths, light.mean_path, text, units="mm", stderr=error)
-    text, zones = "blood zone above which it lies, 0 proximal", zones_of_photodiodes(scene)
-    data |= variable("zone_of_photodiode", "photodiode", zones, text)
     wavelength_nm = np.array([led.wavelength_nm for led in scene.leds])
     data |= variable("wavelength_nm", "led", wavelength_nm, "peak wavelength", units="nm")
     names = {"led": [led.name for led in scene.leds], "photodiode": list(scene.layout.photodiode_names)}
-    return xr.Dataset(data, names | {"absorber": list(optics.absorbers(scene))})
+    return xr.Dataset(data, names | {"absorber": absorbers}).merge(worn)
 
 
 def _fit_reduced(result: xr.Dataset, transfer: Transfer | None, seed: int) -> xr.Dataset:

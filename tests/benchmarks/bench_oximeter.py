@@ -6,8 +6,8 @@ import numpy as np
 
 from nailoptics import load_scene, trace
 from nailoptics.assets import data_dir
+from nailoptics.hemodynamics.for_scene import beat_at
 from nailoptics.studies.oximetry.ratio import SaturationCurve, estimate
-from nailoptics.studies.pulsatile_blood import beat_at
 
 PHOTONS = 1 << 20
 

@@ -8,6 +8,7 @@ import nailoptics as nail
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import PAPER_ZONES, zones
 from nailoptics.hemodynamics.for_scene import (
+    blood_model,
     blood_over_touch,
     capillary_zones,
     largest_force_n,
@@ -15,7 +16,6 @@ from nailoptics.hemodynamics.for_scene import (
     steady_blood_at,
     touch_pressures_pa,
     vessels,
-    white_band_mm,
     zones_of_photodiodes,
 )
 from nailoptics.light.identity import light_digest
@@ -184,7 +184,7 @@ def test_the_white_band_ends_where_half_of_the_blood_is_left():
     part = np.array([[1.0, 1.0, 0.4, 0.9], [1.0, 0.8, 0.4, 0.4], [1.0, 0.4, 0.4, 0.3], [1.0, 0.0, 0.4, 0.6]])
     # Middles lie at -4.5, -1.5, 1.5 and 4.5 mm; from 0.8 to 0.4 half is passed at three quarters of the way.
     expected = [0.0, 6.0 - (-1.5 + 0.75 * 3.0), 12.0, 0.0]
-    assert white_band_mm(scene, 0.03 * part) == pytest.approx(expected)
+    assert blood_model(scene).white_band_mm(0.03 * part) == pytest.approx(expected)
 
 
 def test_shear_is_a_third_pressure_that_steady_states_at_two_pressures_leave_out():

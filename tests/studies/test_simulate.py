@@ -322,7 +322,7 @@ def test_both_engines_give_the_same_volts_over_time(chosen_jit):
 
 
 def test_what_cannot_be_simulated_is_refused_before_any_light_is_traced(monkeypatch):
-    monkeypatch.setattr("nailoptics.studies.simulate.open_light", None)
+    monkeypatch.setattr("nailoptics.sensor.drift_motion.open_light", None)
     with pytest.raises(InputError, match="finger"):
         simulate(parse_scene(phantom({})))
     for seed in (-1, 2**63):

@@ -7,12 +7,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from ...hemodynamics.for_scene import blood_over_touch
+from ...hemodynamics.for_scene import beat_at, blood_over_touch
 from ...light.photograph import photograph
 from ...scene import Scene, Touch, Viewing
 from ...statistics import jackknife
 from ...variables import variable
-from ..pulsatile_blood import beat_at
 from .adaptive_sampling import Places, view
 from .colorimetry import Viewer, delta_e_2000, linear
 from .reflectance import ColourRays

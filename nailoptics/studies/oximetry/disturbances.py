@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import tissue
+from ...hemodynamics.for_scene import BloodBeat, beat_at, red_and_infrared, rest_beat
 from ...light import Transfer, optics
 from ...light.board_map import BoardTracer
 from ...light.diffusion import DiffusionModel
@@ -18,7 +19,6 @@ from ...sensor.front_end import SampledFrontEnd
 from ...statistics import Z95, jackknife, seed_of
 from ...variables import Variables, variable
 from ..prior_uncertainty import at_value
-from ..pulsatile_blood import BloodBeat, beat_at, red_and_infrared, rest_beat
 from .ratio import MEASURED, TEXTBOOK, Pulsation, estimate, evaluate, read_pulsations, saturation_of
 
 Array = NDArray[np.float64]

@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ...errors import NotReachedError, as_far_as_reached
+from ...hemodynamics.for_scene import BloodBeat, heart_rate_per_min, oximeter_leds, rest_beat
 from ...light import ProgressCallback, Transfer, trace
 from ...light.tracing import accuracy
 from ...light.tracing.store import LightStore
@@ -18,7 +19,6 @@ from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_ends_o
 from ...statistics import jackknife, seed_of
 from ...variables import Variables, estimated, variable
 from ..prior_uncertainty import at_value
-from ..pulsatile_blood import BloodBeat, heart_rate_per_min, oximeter_leds, rest_beat
 from .disturbances import (
     SUN_LUX,
     CalibratedOximeter,

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ... import tissue
 from ...errors import InputError, NotReachedError, as_far_as_reached
+from ...hemodynamics.for_scene import BloodBeat
 from ...light import ProgressCallback, Transfer, optics, trace
 from ...light.tracing import Ending, Trigger, accuracy, run_until
 from ...light.transfer.interpolation import ChebyshevBox
@@ -16,7 +17,6 @@ from ...light.transfer.series import read_replicates
 from ...options import TraceOptions
 from ...scene import Scene
 from ...statistics import jackknife, seed_of
-from ..pulsatile_blood import BloodBeat
 
 Array = NDArray[np.float64]
 

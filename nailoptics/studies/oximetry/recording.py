@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...commit import code_attributes
 from ...errors import InputError
 from ...hemodynamics.beat_detection import BAND_HZ, LEAST_BEATS, Beats, Marks, band, find_beats, resampled
-from ...hemodynamics.for_scene import blood_over_touch
+from ...hemodynamics.for_scene import blood_over_touch, oximeter_leds
 from ...light import Transfer
 from ...light.transfer.interpolation import ChebyshevBox
 from ...scene import Oximeter, Scene
@@ -20,7 +20,6 @@ from ...sensor import electronics
 from ...sensor.front_end import AVERAGE_S, front_ends_of
 from ...statistics import Z95, seed_of
 from ...variables import variable
-from ..pulsatile_blood import oximeter_leds
 from .ratio import read_states, saturation_of
 
 Array = NDArray[np.float64]

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ... import tissue
 from ...errors import InputError
+from ...hemodynamics.for_scene import beat_at, oximeter_leds
 from ...scene import FingerCase, Oximeter, Placement, Scene
 from ...scene.oximeter import two_leds
 from ...sensor.front_end import AVERAGE_S
@@ -19,7 +20,6 @@ from ...sensor.information import (
     over_fingers,
     share_resolution,
 )
-from ..pulsatile_blood import beat_at, oximeter_leds
 from . import boards
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ import pytest
 from force_floor import exactly_known, modelled
 from record import SIDES, Site, load_person, steps, touch_of
 
-from nailoptics.hemodynamics.for_scene import force_course
+from nailoptics.hemodynamics.for_scene import touch_course
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording
 from nailoptics.scene.touch import value_at
 from nailoptics.studies.force.predict import predict
@@ -31,7 +31,8 @@ def test_the_future_makes_force_better_and_intervals_stay_true(subject: Subject,
     person = load_person("person_8")
     person = person.model_copy(update={"touch": touch_of(person, steps(FORCES_N), side, rate_hz=25.0)})
     time_s = person.touch.times_s()
-    force_n = value_at(*force_course(person), time_s)
+    course = touch_course(person.touch)
+    force_n = value_at(course.time_s, course.force_n, time_s)
     touch = Recording(
         "made", subject.table.names, time_s, np.zeros((8, time_s.size)), force_n, np.full(time_s.shape, SITES[side])
     )

@@ -11,6 +11,7 @@ from nailoptics import load_scene, trace
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
+from nailoptics.hemodynamics.for_scene import BloodBeat, beat_at
 from nailoptics.io import to_json, write_dataset
 from nailoptics.light import Transfer
 from nailoptics.options import TraceOptions
@@ -28,7 +29,6 @@ from nailoptics.studies.oximetry.ratio import (
     with_saturation,
 )
 from nailoptics.studies.oximetry.recording import simulated, spo2_over_time
-from nailoptics.studies.pulsatile_blood import BloodBeat, beat_at
 
 pytestmark = pytest.mark.jit
 SEED = 11
