@@ -112,6 +112,22 @@ def noise_budget(
     )
 
 
+def stage_noise(current_a: ArrayLike, photodiode: Photodiode, amplifier: Electronics) -> NoiseBudget:
+    """The noise of a photodiode's stage at a photocurrent, without its dark current. [A]"""
+    return noise_budget(
+        current_a,
+        amplifier,
+        dark_current_na=1e9 * photodiode.dark_current_a(amplifier.temperature_k),
+        shunt_ohm=1e6 * photodiode.shunt_mohm,
+        capacitance_pf=photodiode.capacitance_pf,
+    )
+
+
+def converted(amplified_v: Array, amplifier: Electronics) -> tuple[Array, NDArray[np.bool_]]:
+    """What the converter reads of the stage's output [V], and where it is at its limit; of any shape."""
+    return np.asarray(np.minimum(amplified_v, amplifier.adc_range_v)), np.asarray(amplified_v >= limit_v(amplifier))
+
+
 def read(
     detected_fraction: ArrayLike,
     led: Led,
@@ -131,16 +147,10 @@ def read(
     power_w = not_negative("detected_fraction", detected_fraction) * led.flux_mw * 1e-3
     current = power_w * photodiode_responsivity_a_per_w(photodiode, led.wavelength_nm)
     current = current + not_negative("ambient_a", ambient_a)
-    dark_a = photodiode.dark_current_a(amplifier.temperature_k)
-    stage = {"dark_current_na": 1e9 * dark_a, "shunt_ohm": 1e6 * photodiode.shunt_mohm}
-    budget = noise_budget(current, amplifier, **stage, capacitance_pf=photodiode.capacitance_pf)
-    amplified = (current + dark_a) * amplifier.feedback_ohm
-    return Output(
-        amplified_v=np.asarray(amplified),
-        volts=np.asarray(np.minimum(amplified, amplifier.adc_range_v)),
-        noise_v2=np.asarray(sum(budget)),
-        saturated=np.asarray(amplified >= limit_v(amplifier)),
-    )
+    amplified = np.asarray((current + photodiode.dark_current_a(amplifier.temperature_k)) * amplifier.feedback_ohm)
+    volts, saturated = converted(amplified, amplifier)
+    noise_v2 = np.asarray(sum(stage_noise(current, photodiode, amplifier)))
+    return Output(amplified_v=amplified, volts=volts, noise_v2=noise_v2, saturated=saturated)
 
 
 def volts_per_fraction(led: Led, photodiode: Photodiode, amplifier: Electronics) -> float:

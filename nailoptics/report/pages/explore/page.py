@@ -267,20 +267,7 @@ def _readout(one: Photodiode, leds: list[dict[str, Any]], scene: Scene) -> dict[
     """What makes volts and noise of a photodiode's light: the variance is linear in the current."""
     stage, dark_a = scene.electronics, one.dark_current_a(scene.electronics.temperature_k)
     wavelengths = [kind["fields"]["wavelength_nm"] for kind in leds]
-    noise_v2 = [
-        float(
-            sum(
-                electronics.noise_budget(
-                    current,
-                    stage,
-                    dark_current_na=1e9 * dark_a,
-                    shunt_ohm=1e6 * one.shunt_mohm,
-                    capacitance_pf=one.capacitance_pf,
-                )
-            )
-        )
-        for current in (0.0, TEST_CURRENT_A)
-    ]
+    noise_v2 = [float(sum(electronics.stage_noise(current, one, stage))) for current in (0.0, TEST_CURRENT_A)]
     return {
         "title": one.part or one.name,
         "fields": one.model_dump(mode="json", exclude_none=True, exclude=PLACED),
