@@ -155,10 +155,10 @@ def _colour(scene: Scene, options: TraceOptions, stores: Sequence[LightStore], t
     pictures = photographs(scene, result, states=range(result.sizes["state"]), backend=options.backend)
     names = [name for name, one in result.variables.items() if not {"time", "beat_time", "tile"} & set(one.dims)]
     # Forces and places are the scene's own, and "state" is what a batch calls its progress with a scene.
-    found = result[names].reset_coords(["force_n", "v_mm"]).rename_dims(state="force")
+    answer = result[names].reset_coords(["force_n", "v_mm"]).rename_dims(state="force")
     dims = ("force", "row", "column", "channel")
-    found = found.assign(variable("photograph", dims, pictures, "photograph of the finger, sRGB", units="1"))
-    return found.assign_attrs(result.attrs), int(result.attrs["photons"]), not unmet
+    answer = answer.assign(variable("photograph", dims, pictures, "photograph of the finger, sRGB", units="1"))
+    return answer.assign_attrs(result.attrs), int(result.attrs["photons"]), not unmet
 
 
 def _excess_of_colours(dataset: xr.Dataset, scene: Scene, options: TraceOptions) -> float:
@@ -174,8 +174,8 @@ def _oximeter(scene: Scene, options: TraceOptions, stores: Sequence[LightStore],
     result, unmet = as_far_as_reached(oximeter, scene, **options.fields)
     names = [name for name, one in result.data_vars.items() if set(one.dims) <= {"photodiode", "led", "cause"}]
     at = result[["ratio", "ratio_stderr"]].interp(so2=scene.blood.so2).reset_coords(drop=True)
-    found = result[names].drop_dims([d for d in ("so2", "time", "beat_time") if d in result[names].dims])
-    return found.assign(at.data_vars), int(result.attrs["photons"]), not unmet
+    answer = result[names].drop_dims([d for d in ("so2", "time", "beat_time") if d in result[names].dims])
+    return answer.assign(at.data_vars), int(result.attrs["photons"]), not unmet
 
 
 def _excess_of_ratio(dataset: xr.Dataset, scene: Scene, options: TraceOptions) -> float:

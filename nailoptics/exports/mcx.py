@@ -119,10 +119,12 @@ def _paint(made: Voxels, face: Face, epoxy: int, *, back: float, beside: float) 
 
 def write_mcx(scene: Scene, folder: Path, *, voxel_mm: float = USUAL_VOXEL_MM) -> dict[str, Path]:
     """Write labels, a session for each LED, a runner and a README to a folder; returns their paths by what they are."""
-    seen = as_seen(scene, reflecting=False)
-    geometry = build(seen)
+    exported = as_seen(scene, reflecting=False)
+    geometry = build(exported)
     made = voxels(geometry, voxel_mm)
-    sessions = {led_file(seen, i, ".json"): mcx_session(seen, geometry, made, i) for i in range(len(seen.leds))}
+    sessions = {
+        led_file(exported, i, ".json"): mcx_session(exported, geometry, made, i) for i in range(len(exported.leds))
+    }
     cubes = f"cubes of {made.side_mm:g} mm: faces lie along the axes, with more area and other normals (table above)"
     behind = f"shine from there; swallow light {DIE_BACK * made.side_mm:.3f} mm or more behind"
     own = [
@@ -132,9 +134,9 @@ def write_mcx(scene: Scene, folder: Path, *, voxel_mm: float = USUAL_VOXEL_MM) -
         ("faces of photodiodes", "where they are", "in whole voxels as all faces; their edges are exact"),
     ]
     rows, text = compatibility(scene, geometry, own=own), _readme(scene, geometry, made, [*sessions])
-    binary = {LABELS: labels(seen, geometry, made).tobytes(order="F")}
+    binary = {LABELS: labels(exported, geometry, made).tobytes(order="F")}
     return write_folder(
-        folder, seen, sessions, title="For MCX", text=text, rows=rows, runner="run_pmcx.py", binary=binary
+        folder, exported, sessions, title="For MCX", text=text, rows=rows, runner="run_pmcx.py", binary=binary
     )
 
 
@@ -144,12 +146,12 @@ def labels(scene: Scene, geometry: Geometry, made: Voxels) -> np.ndarray:
     # Only the bed's media change along the nail, and with nothing else.
     middles = made.origin_mm[1] + made.side_mm * (np.arange(made.region.shape[1]) + 0.5)
     places = np.column_stack([np.zeros_like(middles), middles, np.zeros_like(middles)])
-    found = np.empty(made.region.shape, np.uint8)
+    labelled = np.empty(made.region.shape, np.uint8)
     for region in range(len(geometry.regions)):
         row = absorber_of(scene, geometry, places, np.full(len(places), region))
         row = np.full(len(places), len(names) + 1) if geometry.regions[region] == "air" else row
-        np.copyto(found, row.astype(np.uint8)[None, :, None], where=made.region == region)
-    return found
+        np.copyto(labelled, row.astype(np.uint8)[None, :, None], where=made.region == region)
+    return labelled
 
 
 def mcx_session(scene: Scene, geometry: Geometry, made: Voxels, led: int) -> dict[str, Any]:

@@ -22,24 +22,24 @@ MESHES = "meshes"
 
 def write_mitsuba(scene: Scene, folder: Path) -> dict[str, Path]:
     """Write a scene for each LED, the meshes and a README to a folder; returns their paths by what they are."""
-    seen = as_seen(scene, reflecting=True)
-    geometry = build(seen)
+    exported = as_seen(scene, reflecting=True)
+    geometry = build(exported)
     names, files = [face.name for face in geometry.photodiodes], {}
     # Which photodiode emits which colour is a parameter of the file.
     colours: dict[int, Any] = {f.region: f"$photodiode_{k + 1}" for k, f in enumerate(geometry.photodiodes)}
-    for i, led in enumerate(seen.leds):
-        meshes, sensor = folder / MESHES / led_file(seen, i, ""), geometry.leds[i].region
+    for i, led in enumerate(exported.leds):
+        meshes, sensor = folder / MESHES / led_file(exported, i, ""), geometry.leds[i].region
         make_folder(meshes)
-        media = optics.finger_media(seen, geometry.regions, led.wavelength_nm)
+        media = optics.finger_media(exported, geometry.regions, led.wavelength_nm)
         made = finger_scene(None, geometry, media, None, sensor=sensor, emitters=colours, folder=meshes)
-        files[led_file(seen, i, ".xml")] = _document(made, names, folder)
+        files[led_file(exported, i, ".xml")] = _document(made, names, folder)
     own = [
         ("emission of the LEDs", "Lambertian, from the whole die", "the same, backwards"),
         ("sides of dies and photodiodes in the film", "those of photodiodes detect, too", "black"),
         ("paths in the tissue", "recorded for every photon", "none: render again for other absorption"),
     ]
     rows = compatibility(scene, geometry, own=own, reflecting=True)
-    return write_folder(folder, seen, files, title="For Mitsuba", text=_readme([*files], names), rows=rows)
+    return write_folder(folder, exported, files, title="For Mitsuba", text=_readme([*files], names), rows=rows)
 
 
 def _document(made: dict[str, Any], photodiodes: list[str], folder: Path) -> bytes:

@@ -73,14 +73,14 @@ def tetrahedra(geometry: Geometry) -> TetMesh:
 
 def write_mmc(scene: Scene, folder: Path) -> dict[str, Path]:
     """Write a session for each LED, a runner and a README to a folder; returns their paths by what they are."""
-    seen = as_seen(scene, reflecting=False)
-    geometry = build(seen)
+    exported = as_seen(scene, reflecting=False)
+    geometry = build(exported)
     mesh = tetrahedra(geometry)
-    sessions = {led_file(seen, i, ".json"): session(seen, geometry, mesh, i) for i in range(len(seen.leds))}
+    sessions = {led_file(exported, i, ".json"): session(exported, geometry, mesh, i) for i in range(len(exported.leds))}
     there = f"{CONES} cones from {CONES} places of the die, of equal weight: the nearest to it that MMC has"
     own = [("emission of the LEDs", "Lambertian, from the whole die", there)]
     rows, text = compatibility(scene, geometry, own=own), _readme(scene, mesh, [*sessions])
-    return write_folder(folder, seen, sessions, title="For MMC", text=text, rows=rows, runner="run_pmmc.py")
+    return write_folder(folder, exported, sessions, title="For MMC", text=text, rows=rows, runner="run_pmmc.py")
 
 
 def session(scene: Scene, geometry: Geometry, mesh: TetMesh, led: int) -> dict[str, Any]:

@@ -136,11 +136,11 @@ def compare_with(
     """
     theirs = read_detected(Path(path))
     transfer, unmet = as_far_as_reached(light.trace, theirs.scene, progress=progress, **requested)
-    found = compared(transfer.traces[theirs.led], theirs)
+    comparison = compared(transfer.traces[theirs.led], theirs)
     if unmet:
-        unmet.result = found
+        unmet.result = comparison
         raise unmet
-    return found
+    return comparison
 
 
 def read_detected(path: Path) -> OtherDetection:

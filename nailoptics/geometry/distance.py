@@ -147,9 +147,9 @@ def _add_planes(grid: DistanceGrid, cells: NDArray[np.int64], corners: Array, of
     plane = np.abs(normals @ places + PLANE_STEP_MM * offset[:, None]) - PLANE_STEP_MM * slack[:, None]
     center = grid.distance_mm[tuple(cells.T)][:, None] - np.linalg.norm(places, axis=0)
     better = plane.clip(0).sum(axis=1) > center.clip(0).sum(axis=1)
-    kept = better & (np.abs(offset) < 128) & (slack < 256)
-    at = tuple(cells[kept].T)
-    grid.slack_steps[at], grid.offset_steps[at], grid.normal_steps[at] = slack[kept], offset[kept], plan[kept]
+    used = better & (np.abs(offset) < 128) & (slack < 256)
+    at = tuple(cells[used].T)
+    grid.slack_steps[at], grid.offset_steps[at], grid.normal_steps[at] = slack[used], offset[used], plan[used]
 
 
 def _tree(points: Array) -> Any:
@@ -186,11 +186,11 @@ def _samples(corners: Array, radius: float) -> Array:
 def _lattice(corners: Array, pieces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
     """Corners (k, 3) of the equal parts of triangles (m, 3, 3) whose edges are cut in so many pieces, (m,), and the
     triangle of each, (k,)."""
-    found, triangles = [], []
+    points, triangles = [], []
     for n in np.unique(pieces):
         i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
         inside = i + j <= n
         weights = np.stack([i[inside], j[inside], n - i[inside] - j[inside]], axis=1) / n
-        found.append(np.einsum("sc,tcx->tsx", weights, corners[pieces == n]).reshape(-1, 3))
+        points.append(np.einsum("sc,tcx->tsx", weights, corners[pieces == n]).reshape(-1, 3))
         triangles.append(np.repeat(np.flatnonzero(pieces == n), len(weights)))
-    return np.concatenate(found), np.concatenate(triangles)
+    return np.concatenate(points), np.concatenate(triangles)

@@ -62,11 +62,11 @@ MOST_PHOTODIODES = 1024
 
 def check_unique(names: Sequence[str], what: str) -> None:
     """Raise ValueError where a name is used twice."""
-    seen: set[str] = set()
+    earlier: set[str] = set()
     for name in names:
-        if name in seen:
+        if name in earlier:
             raise ValueError(f'{what}: the name "{name}" is used twice; give each its own')
-        seen.add(name)
+        earlier.add(name)
 
 
 Positive = Annotated[float, Field(gt=0)]

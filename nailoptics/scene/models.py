@@ -194,16 +194,16 @@ class Scene(Table):
         if not all(isinstance(data.get(name, ()), tuple) for name in ("leds", "photodiodes")):
             return data
         try:
-            found = read_board_file(board, (info.context or {}).get("folder"))
+            mounted = read_board_file(board, (info.context or {}).get("folder"))
         except InputError as error:
             raise ValueError(f"board: {str(error).rstrip('.')}") from None
         except ValueError as error:
             raise ValueError(f"board: {error}") from None
         data = data | {"placement": _with_map(data.get("placement"), board.get("parts"))}
-        filled: dict[str, object] = {"parts": None, "unmapped": found.ignored}
-        if found.outline is not None and "outline_mm" not in board:
-            filled |= {"outline_mm": found.outline.corners_mm, "outline_holes_mm": found.outline.holes_mm}
-        leds, photodiodes = ((*data.get(name, ()), *getattr(found, name)) for name in ("leds", "photodiodes"))
+        filled: dict[str, object] = {"parts": None, "unmapped": mounted.ignored}
+        if mounted.outline is not None and "outline_mm" not in board:
+            filled |= {"outline_mm": mounted.outline.corners_mm, "outline_holes_mm": mounted.outline.holes_mm}
+        leds, photodiodes = ((*data.get(name, ()), *getattr(mounted, name)) for name in ("leds", "photodiodes"))
         return data | {"board": board | filled, "leds": leds, "photodiodes": photodiodes}
 
     @model_validator(mode="after")

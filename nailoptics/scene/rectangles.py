@@ -80,13 +80,13 @@ class Rectangle:
             return (self,)
         lines = STRIP_MM * np.arange(math.floor(self.v_min / STRIP_MM), math.ceil(self.v_max / STRIP_MM) + 1)
         lines = np.clip(lines, self.v_min, self.v_max)
-        found = []
+        strips = []
         for low, high in zip(lines, lines[1:], strict=False):
             piece = _between(_between(self.corners_mm, float(low), 1), -float(high), -1)
             if high > low and (area := _area(piece)) > 0:
                 middle, half = _center_u(piece, area), area / (high - low) / 2
-                found.append(Rectangle(self.name, middle - half, middle + half, float(low), float(high)))
-        return tuple(found)
+                strips.append(Rectangle(self.name, middle - half, middle + half, float(low), float(high)))
+        return tuple(strips)
 
     @staticmethod
     def around(name: str, center: Point, size: Point, rotation_deg: float = 0.0) -> "Rectangle":
@@ -103,14 +103,14 @@ class Rectangle:
 
 def _between(corners: Sequence[Point], low: float, sign: int) -> list[Point]:
     """What of a convex polygon has sign times v of at least low."""
-    kept: list[Point] = []
+    inside: list[Point] = []
     for (a, b), (c, d) in zip(corners, (*corners[1:], *corners[:1]), strict=True):
         if sign * b >= low:
-            kept.append((a, b))
+            inside.append((a, b))
         if (sign * b >= low) != (sign * d >= low):
             share = (sign * low - b) / (d - b)
-            kept.append((a + share * (c - a), sign * low))
-    return kept
+            inside.append((a + share * (c - a), sign * low))
+    return inside
 
 
 def _area(corners: Sequence[Point]) -> float:

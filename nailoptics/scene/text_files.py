@@ -70,14 +70,14 @@ def read_bytes(path: Path, expected: str, *, shown: str | None = None) -> bytes:
 def _check_size(path: Path, expected: str, name: str) -> None:
     """Raise InputError unless the path is an ordinary file of bounded size; OSError where it cannot be examined."""
     try:
-        found = path.stat()
+        status = path.stat()
     except ValueError:  # a path with a character that none may have
         raise InputError(f"{short(repr(name))}: is no path; give {expected}.") from None
-    if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
+    if not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode):
         # A pipe would be waited for without end.
         raise InputError(f"{name}: is no ordinary file; give {expected}.")
-    if found.st_size > MOST_BYTES:
-        raise InputError(f"{name}: has {found.st_size / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:g}; shorten it.")
+    if status.st_size > MOST_BYTES:
+        raise InputError(f"{name}: has {status.st_size / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:g}; shorten it.")
 
 
 def is_there(path: Path) -> bool:

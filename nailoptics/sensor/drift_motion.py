@@ -138,11 +138,11 @@ def drift_and_motion(scene: Scene, time_s: Array) -> xr.Dataset:
 
 
 def motion_artefact(
-    worn: xr.Dataset, seen: ReadingSeries, moved: Sequence[MovedLight], blood: Array
+    worn: xr.Dataset, in_place: ReadingSeries, moved: Sequence[MovedLight], blood: Array
 ) -> tuple[Array, Variables]:
     """What the sensor's motion makes of its readings: a factor on each, and how it comes about.
 
-    worn : the scene's `drift_and_motion`. seen : what is read with the sensor in its place, over blood (t, zones).
+    worn : the scene's `drift_and_motion`. in_place : what is read with the sensor in its place, over blood (t, zones).
     moved : the light under the sensor elsewhere. Between both the logarithm of a reading goes with the distance.
 
     Returns: the factor, (led, photodiode, t) or, where nothing moves, (1, 1, 1) float.
@@ -162,8 +162,8 @@ def motion_artefact(
         one = traced[name]
         there = one.light.readings_at(blood)
         with np.errstate(divide="ignore", invalid="ignore"):
-            per_um = np.log(there.fraction / seen.fraction) / one.distance_um
-            stderr = np.hypot(there.stderr / there.fraction, seen.stderr / seen.fraction) / one.distance_um
+            per_um = np.log(there.fraction / in_place.fraction) / one.distance_um
+            stderr = np.hypot(there.stderr / there.fraction, in_place.stderr / in_place.fraction) / one.distance_um
         exponent = exponent + np.where(np.isfinite(per_um), per_um, 0.0) * worn[f"sensor_{name}_um"].values
         text = f"change of a reading at the start by a {name} of the sensor, relative"
         over = ("led", "photodiode")

@@ -150,6 +150,6 @@ def test_a_scene_that_kills_every_worker_of_a_cluster_fails_alone(jit_backend, c
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_is_not_there_is_told(tmp_path, jit_backend, monkeypatch):
+def test_a_scheduler_that_cannot_be_reached_is_an_error(tmp_path, jit_backend, monkeypatch):
     with pytest.raises(InputError, match="cannot be reached"):
         run_batch(phantoms(tmp_path, 2), tmp_path / "b", scheduler="tcp://127.0.0.1:9")

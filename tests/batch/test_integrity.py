@@ -104,7 +104,7 @@ def test_without_its_plan_a_folder_serves_no_other_seeds_results(calm, used, dam
     ],
     ids=str,
 )
-def test_a_plan_that_is_json_but_no_plan_is_told(used, change):
+def test_a_plan_with_wrong_fields_is_refused(used, change):
     plan = used / "plan.json"
     plan.write_text(json.dumps(json.loads(plan.read_text()) | change))
     with pytest.raises(InputError, match=r"plan\.json"):
@@ -112,7 +112,7 @@ def test_a_plan_that_is_json_but_no_plan_is_told(used, change):
 
 
 @pytest.mark.parametrize("text", ["[]", "5", "null", '"plan"'])
-def test_a_plan_that_is_no_table_is_told_in_plain_words(used, text):
+def test_a_plan_that_is_no_table_is_refused(used, text):
     (used / "plan.json").write_text(text)
     for question in (status, nail.open_results):
         with pytest.raises(InputError, match="it holds no table"):
@@ -196,7 +196,7 @@ def test_another_sweep_is_refused_and_one_that_grew_goes_on(calm, used, tmp_path
         again(calm, used)
 
 
-def test_a_batch_of_another_version_is_told_and_not_gone_on_with(calm, used, caplog):
+def test_a_batch_of_another_version_opens_but_does_not_resume(calm, used, caplog):
     """Its results are whole, so that they are opened; a run would mix them with others."""
     assert status(used).other_versions == "" and nail.open_results(used) is not None and not caplog.text
     plan = json.loads((used / "plan.json").read_text())

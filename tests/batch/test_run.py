@@ -293,7 +293,7 @@ def test_without_a_jit_backend_volpath_does_the_scenes_and_resumes(here, tmp_pat
     assert bits(tmp_path / "b") == before
 
 
-def test_what_volpath_answered_as_well_as_it_can_is_not_asked_again():
+def test_what_volpath_reached_at_best_is_not_run_again():
     """It holds a finger to 5 % at best, and counts no photons there."""
     header = {"reached": True, "relative_error": 0.049, "photons_per_led": 700, "asked": {"relative_error": 0.01}}
     assert meets(header, Accuracy(relative_error=0.01)) and not meets(header, Accuracy(relative_error=0.02))
@@ -354,7 +354,7 @@ def test_shards_are_all_scenes_once_and_never_split_a_light(fingers, tmp_path):
 
 
 @pytest.mark.parametrize("shard", ["0/3", "4/3", "1", "a/b", "1/0"])
-def test_a_wrong_shard_is_told(shard):
+def test_a_wrong_shard_is_refused(shard):
     with pytest.raises(InputError, match="--shard"):
         parse_shard(shard)
 

@@ -97,7 +97,7 @@ def test_all_of_the_die_shines_from_the_epoxy_and_nothing_stands_before_it(scene
         assert (made["vol"][tuple(at.T)] == epoxy).all()
 
 
-def test_photodiodes_show_their_area_and_are_told_apart(scene, folder, session):
+def test_photodiodes_show_their_area_and_are_distinguished(scene, folder, session):
     """Rationale: photons that come straight to the board end where its opaque voxels begin, as they do in MCX.
 
     Expected: the photodiode in whose face that place lies, for as large an area as each has; no photodiode where the
@@ -152,7 +152,7 @@ def test_mcx_for_opencl_ends_photons_at_opaque_parts(session):
     assert ((rows[0] - epoxy) / (rows[0] + epoxy)) ** 2 < 1e-10 and rows[0] > epoxy
 
 
-def test_the_error_of_the_staircase_is_told_and_volumes_converge(geometry, folder):
+def test_the_readme_has_the_error_of_the_staircase_which_falls(geometry, folder):
     assert "| plate, epoxy |" in (folder / "README.md").read_text(encoding="utf-8")
     worst = []
     for side_mm in (0.4, 0.1):

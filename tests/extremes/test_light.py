@@ -217,7 +217,7 @@ def test_no_blood_and_much_of_it_at_both_ends_of_saturation(finger, blood, so2):
 
 @pytest.mark.long
 @jit
-def test_a_bed_of_pure_blood_read_from_a_trace_at_rest_is_that_of_a_fresh_trace(finger):
+def test_pure_blood_read_from_a_trace_at_rest_is_that_of_a_new_one(finger):
     read = finger.at(blood_fraction=[1.0, 1.0])
     fresh = nail.trace(prototype_with(blood={"rest_blood_fraction": 1.0}), photons=400_000, seed=3).at()
     error = np.hypot(read.detected_fraction_stderr, fresh.detected_fraction_stderr)

@@ -86,7 +86,7 @@ def test_planes_hold_in_the_plate_and_tell_more_than_centres(geometry, spacing, 
 
 @pytest.mark.jit
 @pytest.mark.parametrize("barrier", [True, False])
-def test_what_light_is_told_is_never_too_long_and_seldom_much_too_short(jit_backend, sensor, barrier):
+def test_distances_are_never_too_long_and_seldom_too_short(jit_backend, sensor, barrier):
     from nailoptics.light.walk.interfaces import Interfaces, mi
 
     geometry = build(sensor(board=f"barrier = {str(barrier).lower()}"))

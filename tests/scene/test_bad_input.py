@@ -101,7 +101,7 @@ def test_an_unknown_field_is_named_with_what_it_may_mean(text, words):
     ],
     ids=lambda value: value if isinstance(value, str) and len(value) < 40 else "",
 )
-def test_a_value_out_of_range_is_told_with_its_field_and_rule(text, field, value):
+def test_a_value_out_of_range_names_its_field_and_rule(text, field, value):
     line = complaint(text)
     assert f"bad.toml: {field} = {value}: must " in line, line
 
@@ -122,7 +122,7 @@ def test_a_value_out_of_range_is_told_with_its_field_and_rule(text, field, value
         (FINGER + "[touch]\nforce_n = 1" + 400 * "0", "touch.force_n"),
     ],
 )
-def test_a_value_of_the_wrong_kind_is_told_with_its_field(text, field):
+def test_a_value_of_the_wrong_kind_names_its_field(text, field):
     assert f": {field} = " in complaint(text)
 
 
@@ -145,7 +145,7 @@ def test_only_the_last_layers_thickness_may_be_infinite_and_none_nan():
     )
 
 
-def test_an_led_inside_a_photodiode_is_told_with_the_depth():
+def test_an_led_inside_a_photodiode_names_the_depth():
     # Element 7 of 16 spans v from -0.25 to 0 mm, the die at 0.1 spans v from -0.125 to 0.125.
     line = complaint(FINGER.replace("-1.2", "0.1"))
     assert 'leds "ir": position_mm lies 0.125 mm inside photodiode "pd_array_4x1.7"' in line
@@ -260,7 +260,7 @@ def test_an_impossible_pattern_is_refused(fields, words):
 
 
 @pytest.mark.parametrize("text", ["x = ", "= 1", "[finger", "a = " + 5000 * "[", '"\x00" = 1'])
-def test_what_is_not_toml_is_told_as_such(text):
+def test_what_is_not_toml_is_refused_as_such(text):
     assert "is not " in complaint(text)
 
 

@@ -193,7 +193,7 @@ def dxf(*entities: tuple[str, ...]) -> str:
     ],
     ids=["line", "arc", "circle", "empty"],
 )
-def test_what_a_dxf_lacks_is_told(tmp_path, text, words):
+def test_what_a_dxf_lacks_is_named(tmp_path, text, words):
     (tmp_path / "o.dxf").write_text(text)
     with pytest.raises(InputError, match=words):
         read_outline(tmp_path / "o.dxf")
@@ -214,12 +214,12 @@ def test_what_a_dxf_lacks_is_told(tmp_path, text, words):
     ],
     ids=["digits", "hexadecimal", "deep", "deeper", "tables", "keys", "quoted", "long", "name"],
 )
-def test_toml_beyond_all_bounds_is_told(tmp_path, text, words):
+def test_toml_beyond_all_bounds_is_refused(tmp_path, text, words):
     (tmp_path / "s.toml").write_text(text)
     assert words in one_line_or_nothing(load_scene, tmp_path / "s.toml")
 
 
-def test_names_that_are_no_names_are_told(tmp_path):
+def test_names_that_are_no_names_are_refused(tmp_path):
     sweep = 'schema_version = 1\nbase = "prototype"\n[[axes]]\npath = "leds.x.flux_mw"\nvalues = [1.0]\n'
     base = tomllib.loads(sweep) | {"base": PROTOTYPE | {"leds": [{"name": ["a", "list"]}, {"name": "ir"}]}}
     (tmp_path / "s.toml").write_bytes(toml(base))
@@ -228,7 +228,7 @@ def test_names_that_are_no_names_are_told(tmp_path):
     assert "cannot be read" in one_line_or_nothing(load_sweep, tmp_path / "t.toml")
 
 
-def test_a_cell_over_128_kb_is_told(tmp_path):
+def test_a_cell_over_128_kb_is_refused(tmp_path):
     (tmp_path / "t.csv").write_text("time_s,force_n\n0," + "1" * 140_000 + "\n")
     for read in (read_touch, read_outline, read_positions):
         assert one_line_or_nothing(read, tmp_path / "t.csv")
@@ -279,6 +279,6 @@ def test_a_board_of_anything(tmp_path_factory, items, more):
 
 
 @pytest.mark.parametrize("text", ["", "(", "(" * 5000 + ")" * 5000, "(kicad_pcb " + "(a " * 900 + ")" * 901, "\0"])
-def test_a_board_beyond_all_bounds_is_told(tmp_path, text):
+def test_a_board_beyond_all_bounds_is_refused(tmp_path, text):
     (tmp_path / "b.kicad_pcb").write_text(text)
     one_line_or_nothing(read_board, tmp_path / "b.kicad_pcb")

@@ -36,7 +36,7 @@ def away_deg(angle):
 
 
 @pytest.mark.parametrize("version", [6, 9])
-def test_a_board_is_read_as_kicad_was_told_to_make_it(version):
+def test_a_board_is_read_as_kicad_made_it(version):
     found = read_board(FILES / f"version_{version}.kicad_pcb")
     assert {part.ref for part in found.footprints} == set(PARTS) and found.auxiliary_mm == ORIGIN
     for part in found.footprints:

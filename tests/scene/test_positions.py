@@ -55,7 +55,7 @@ BOTH = [(10.0, "top"), (20.0, "top"), (-12.0, "bottom"), (-18.0, "bottom")]
         (BOTH, {"negate_x_on_bottom": False}, ""),
     ],
 )
-def test_x_that_may_be_negated_is_told_where_the_scene_does_not_say(caplog, places, said, words):
+def test_x_that_may_be_negated_is_a_warning(caplog, places, said, words):
     found = [PlacedPart(f"PD{i}", "", "", (x, 0.0), 0.0, side) for i, (x, side) in enumerate(places)]
     warn_of_mirrored({"positions": "pos.csv"} | said, found, found)
     assert words in caplog.text and bool(words) == ("negate_x_on_bottom = true" in caplog.text)
@@ -110,7 +110,7 @@ def test_a_wrong_position_file_is_refused_in_one_line(tmp_path, text, words):
     assert len(str(caught.value).splitlines()) == 1 and "pos.csv" in str(caught.value)
 
 
-def test_a_reference_that_is_there_twice_is_refused_where_it_is_asked_for(tmp_path):
+def test_a_reference_that_is_there_twice_is_refused(tmp_path):
     path = tmp_path / "pos.csv"
     path.write_text(POSITIONS.replace('"LED2"', '"D1"') + "REF**,,,1,1,0,top\nREF**,,,2,1,0,top\n")
     parts = read_positions(path)

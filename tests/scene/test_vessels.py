@@ -41,7 +41,7 @@ def test_tuned_vessels_answer_a_touch_in_their_own_way():
     assert dammed[1] < 0.9 * dammed[0]
 
 
-def test_forces_with_two_balances_are_told():
+def test_forces_with_two_balances_are_reported():
     """Strong feedback on soft capillaries: few of them, with walls that give way."""
     listed = SMALL_FINGER_BEST.replace("best", "listed")
     soft = listed + "[blood.tuning]\ncapillary_count = 1e3\ncapillary_stiffness_n_per_m = 1.5e4\n[touch]\n" + DISTAL

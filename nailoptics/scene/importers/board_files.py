@@ -69,14 +69,14 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     uses = table.get("parts") or {}
     board = read_board(path) if table.get("kicad") is not None else None
     if board is None:
-        found = read_positions(path, **reading_of(table))
+        placed = read_positions(path, **reading_of(table))
     else:
-        found = board.footprints
+        placed = board.footprints
     if not uses:
-        raise ValueError(f"{name}: nothing says what its parts are; choose from this and add it: {proposal(found)}")
-    mapped = _mapped(found, uses, name)
+        raise ValueError(f"{name}: nothing says what its parts are; choose from this and add it: {proposal(placed)}")
+    mapped = _mapped(placed, uses, name)
     if board is None:
-        warn_of_mirrored(table, found, mapped)
+        warn_of_mirrored(table, placed, mapped)
     whole, origin = _outline(board, mapped, name), table.get("origin")
     view = View(
         _origin(origin, board, whole, name),
@@ -91,7 +91,7 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     if whole is not None:
         corners, *holes = (tuple(map(view.place, line)) for line in (whole.corners_mm, *whole.holes_mm))
         outline = Outline(corners, tuple(holes), whole.ignored)
-    ignored = tuple(part.ref for part in found if part.ref not in uses)
+    ignored = tuple(part.ref for part in placed if part.ref not in uses)
     return OnNail(tuple(tables["led"]), tuple(tables["photodiode"]), ignored, outline)
 
 
@@ -112,8 +112,8 @@ def _check_kinds(table: Mapping[str, Any]) -> None:
                 raise ValueError(f"parts.{ref}.rotation_deg must be a number")
 
 
-def _mapped(found: Sequence[PlacedPart], uses: Mapping[str, Any], name: str) -> list[PlacedPart]:
-    refs = [part.ref for part in found]
+def _mapped(placed: Sequence[PlacedPart], uses: Mapping[str, Any], name: str) -> list[PlacedPart]:
+    refs = [part.ref for part in placed]
     for ref, use in uses.items():
         if not isinstance(use, Mapping) or len(set(use) & set(KINDS)) != 1:
             raise ValueError(f'parts.{ref} must say what it is: one of led, photodiode, module = "PART"')
@@ -123,7 +123,7 @@ def _mapped(found: Sequence[PlacedPart], uses: Mapping[str, Any], name: str) -> 
             known = ", ".join(sorted(set(filter(None, refs)))[:SHOWN])
             there = f"{count} times" if count else f"not; it has {known}"
             raise ValueError(f"parts.{ref} names a part that {name} has {there}")
-    return [part for part in found if part.ref in uses]
+    return [part for part in placed if part.ref in uses]
 
 
 def _outline(board: KicadBoard | None, mapped: Sequence[PlacedPart], name: str) -> Outline | None:
@@ -197,12 +197,12 @@ def _tables(
     return [(kind, table(str(own.pop("name", part.ref)), part.ref, offset, own))]
 
 
-def proposal(found: Sequence[PlacedPart]) -> str:
+def proposal(placed: Sequence[PlacedPart]) -> str:
     """A map of the parts that look like LEDs and photodiodes, by library and reference, as a line of a scene file."""
     shipped = sorted(path.stem for path in (data_dir("assets") / "parts").glob("*.toml"))
-    lines = [f"{part.ref} = {{ {use} }}" for part in found if part.ref and (use := _looks_like(part, shipped))]
+    lines = [f"{part.ref} = {{ {use} }}" for part in placed if part.ref and (use := _looks_like(part, shipped))]
     if not lines:
-        refs = ", ".join(part.ref for part in found if part.ref)
+        refs = ", ".join(part.ref for part in placed if part.ref)
         return f'parts = {{ REF = {{ led = "PART" }} }}, with REF one of {refs}'
     return f"parts = {{ {', '.join(lines)} }}"
 

@@ -123,9 +123,9 @@ def check_header(header: Sequence[str], name: str) -> None:
         raise InputError(f"{name}: has no reading; add a column of volts for each photodiode.")
 
 
-def check_known(found: Sequence[str], names: Sequence[str], label: str) -> None:
-    """Raise InputError unless the readings that were found are just those of a board."""
-    missing, unknown = [n for n in names if n not in found], [n for n in found if n not in names]
+def check_known(titles: Sequence[str], names: Sequence[str], label: str) -> None:
+    """Raise InputError unless the readings of a recording are just those of a board."""
+    missing, unknown = [n for n in names if n not in titles], [n for n in titles if n not in names]
     if missing:
         raise InputError(
             f"{label}: has no column {missing[0]!r}; this board's readings are {', '.join(names)}; "
