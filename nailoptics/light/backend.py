@@ -108,13 +108,13 @@ def choose(requested: str = "auto", *, volpath: bool = False) -> Backend:
     failures: list[str] = []
     for name in (name for name in NAMES if requested in ("auto", name)):
         failed = []
-        for found in _look(name):
-            if found.usable:
-                if volpath and "volpath" not in found.engines:
-                    return replace(choose("scalar"), why=f"{name} {found.why}", advice=VOLPATH_ADVICE)
+        for candidate in _look(name):
+            if candidate.usable:
+                if volpath and "volpath" not in candidate.engines:
+                    return replace(choose("scalar"), why=f"{name} {candidate.why}", advice=VOLPATH_ADVICE)
                 why = "requested" if requested == name else "; ".join(failures) or "the fastest that there is"
-                return replace(found, why=why, advice=ADVICE if requested == "auto" and not found.jit else None)
-            failed.append(f"{found.library}: {found.why}" if found.library else found.why)
+                return replace(candidate, why=why, advice=ADVICE if requested == "auto" and not candidate.jit else None)
+            failed.append(f"{candidate.library}: {candidate.why}" if candidate.library else candidate.why)
         failures.append(f"{name} is not usable ({'; '.join(failed)})")
     raise InputError(f"backend {failures[0]}; use --backend auto, or see nailoptics doctor.")
 
@@ -123,14 +123,14 @@ def findings() -> list[Backend]:
     """Every candidate of every backend, in the order they are tried, and why it is selected or not."""
     candidates: list[Backend] = []
     taken: Backend | None = None
-    for found in (one for name in NAMES for one in _look(name)):
-        if found.usable:
+    for candidate in (one for name in NAMES for one in _look(name)):
+        if candidate.usable:
             what = f"not needed, {taken.name} ({taken.library}) comes first" if taken else "selected"
-            if taken and found.name == "scalar" and "volpath" not in taken.engines:
+            if taken and candidate.name == "scalar" and "volpath" not in taken.engines:
                 what = "selected for volpath"
-            found = replace(found, why=f"{found.why}; {what}")
-            taken = taken or found
-        candidates.append(found)
+            candidate = replace(candidate, why=f"{candidate.why}; {what}")
+            taken = taken or candidate
+        candidates.append(candidate)
     return candidates
 
 
@@ -170,7 +170,7 @@ def activate_jit(requested: str, what: str) -> Backend:
 def _quiet_stderr() -> Iterator[None]:
     """Nothing that compiled code says reaches stderr meanwhile."""
     try:
-        kept = os.dup(2)
+        stderr = os.dup(2)
     except OSError:  # there is no stderr
         yield
         return
@@ -179,8 +179,8 @@ def _quiet_stderr() -> Iterator[None]:
             os.dup2(nowhere.fileno(), 2)
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(stderr, 2)
+        os.close(stderr)
 
 
 def _look(name: Name) -> Iterator[Backend]:
@@ -254,8 +254,8 @@ def _key(name: Name, library: str) -> str:
     with suppress(OSError):
         file = [Path(library).stat().st_mtime_ns, Path(library).stat().st_size]
     versions = [*_packages(), platform.python_version(), platform.machine()]
-    seen = [os.environ.get("CUDA_VISIBLE_DEVICES"), platform.node(), *_devices()] if name == "cuda" else []
-    return json.dumps([name, library, file, versions, seen, zlib.crc32(PROBE.encode())])
+    devices = [os.environ.get("CUDA_VISIBLE_DEVICES"), platform.node(), *_devices()] if name == "cuda" else []
+    return json.dumps([name, library, file, versions, devices, zlib.crc32(PROBE.encode())])
 
 
 @cache

@@ -159,8 +159,8 @@ class DiffusionModel:
         self._cells = _Cells(layout)
         height = scene.board.height_mm
         dies, areas = layout.leds, layout.photodiode_areas
-        self._emitted = [np.fft.rfft2(self._cells.seen(die, height) / die.area_mm2) for die in dies]
-        self._seen = np.stack([np.fft.rfft2(self._cells.seen(area, height)) for area in areas])
+        self._emitted = [np.fft.rfft2(self._cells.view_factor(die, height) / die.area_mm2) for die in dies]
+        self._detected = np.stack([np.fft.rfft2(self._cells.view_factor(area, height)) for area in areas])
         self._stacks = [self._stack(led.wavelength_nm) for led in scene.leds]
         self.zone_share = np.stack([self._zone_share(i) for i in range(len(dies))])
 
@@ -204,7 +204,7 @@ class DiffusionModel:
         scattered = stack.mu_s_reduced_per_mm[0] * stack.mean_path_mm
         escaping = stack.escape(self._cells.tabulated_per_mm, MEAN_COSINE * stack.mean_path_mm)[0]
         light = self._emitted[led] * self._cells.between(scattered * escaping)
-        return np.array([self._cells.overlap(light, seen) for seen in self._seen])
+        return np.array([self._cells.overlap(light, detected) for detected in self._detected])
 
     def _zone_share(self, led: int) -> Array:
         """The part of each blood zone in the derivative of each reading to the bed's absorption, (photodiodes, zones).
@@ -219,10 +219,10 @@ class DiffusionModel:
         # Up from the source the fluence falls to nothing at the extrapolated boundary.
         over, up = (np.exp(-2 * decay * length) for length in (stack.extrapolated_mm, source + stack.extrapolated_mm))
         entered = np.exp(decay * source) * (1 - up) / (1 + over) / decay
-        share = np.zeros((len(self._seen), len(cells.v_mm)))
+        share = np.zeros((len(self._detected), len(cells.v_mm)))
         for escape, part in zip(stack.escape(cells.tabulated_per_mm, depths), weight, strict=True):
             lit = cells.field(self._emitted[led] * cells.between(entered * escape))
-            sees = cells.field(self._seen * cells.between(escape))
+            sees = cells.field(self._detected * cells.between(escape))
             share += part * np.einsum("uv,puv->pv", lit, sees)
         by_zone = share @ optics.zones(self.scene).weights(cells.v_mm)
         return np.asarray(by_zone / by_zone.sum(1, keepdims=True))
@@ -261,17 +261,17 @@ class _Cells:
         total = np.einsum("uv,uv,v->", spectrum, other.conj(), self._counted).real
         return float(total) * (CELL_MM / self.count) ** 2
 
-    def seen(self, face: Rectangle, height_mm: float) -> np.ndarray:
+    def view_factor(self, face: Rectangle, height_mm: float) -> np.ndarray:
         """The part of Lambertian light from each cell of the nail that falls on a face on the board, (u, v) float.
 
         By reciprocity, divided by the face's area, it is the irradiance of the nail by a Lambertian die there.
         """
-        seen = np.zeros((len(self.u_mm), len(self.v_mm)))
+        factor = np.zeros((len(self.u_mm), len(self.v_mm)))
         for part in face.strips():
             left, right = part.u_min - self.u_mm[:, None], part.u_max - self.u_mm[:, None]
             near, far = part.v_min - self.v_mm, part.v_max - self.v_mm
-            seen += _corner(right, far, height_mm) - _corner(left, far, height_mm)
-            seen += _corner(left, near, height_mm) - _corner(right, near, height_mm)
+            factor += _corner(right, far, height_mm) - _corner(left, far, height_mm)
+            factor += _corner(left, near, height_mm) - _corner(right, near, height_mm)
         outline = self.layout.outline
         low_u, high_u, low_v, high_v = outline.u_min, outline.u_max, outline.v_min, outline.v_max
         # A wall from the board to the nail hides all that lies behind it.
@@ -282,7 +282,7 @@ class _Cells:
             else:
                 high_v = min(high_v, wall.v_min) if face.v_max <= wall.v_min else high_v
                 low_v = max(low_v, wall.v_max) if face.v_min >= wall.v_max else low_v
-        return np.asarray(seen * _covered(self.u_mm, low_u, high_u)[:, None] * _covered(self.v_mm, low_v, high_v))
+        return np.asarray(factor * _covered(self.u_mm, low_u, high_u)[:, None] * _covered(self.v_mm, low_v, high_v))
 
 
 def _corner(x: np.ndarray, y: np.ndarray, height_mm: float) -> np.ndarray:

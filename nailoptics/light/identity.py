@@ -65,7 +65,7 @@ def traced_absorption(scenes: Sequence[Scene]) -> list[Scene | None]:
             clear = tuple(layer.model_copy(update={"mu_a_per_mm": 0.0}) for layer in scene.phantom.layers)
             phantom = scene.phantom.model_copy(update={"layers": clear})
             groups.setdefault(light_digest(scene.model_copy(update={"phantom": phantom})), []).append(i)
-    found: list[Scene | None] = [None] * len(scenes)
+    traced: list[Scene | None] = [None] * len(scenes)
     for group in groups.values():
         mu_a = np.array([[layer.mu_a_per_mm for layer in scenes[i].phantom.layers] for i in group])  # type: ignore[union-attr]
         least = np.min(mu_a, 0, where=mu_a > 0, initial=np.inf)
@@ -76,8 +76,8 @@ def traced_absorption(scenes: Sequence[Scene]) -> list[Scene | None]:
             lowest = np.flatnonzero((mu_a[members] == mu_a[members].min(0)).all(1))
             if len(lowest) and np.ptp(mu_a[members], 0).any():
                 for member in members:
-                    found[group[member]] = scenes[group[members[lowest[0]]]]
-    return found
+                    traced[group[member]] = scenes[group[members[lowest[0]]]]
+    return traced
 
 
 def usual_layer_name(layer: int) -> str:

@@ -45,8 +45,7 @@ def photograph(
     on_nail : (t,) bool. Which of them lie on the nail.
     colours : (pictures, t, 3) float in 0-1. Linear red, green and blue of each tile, as a diffuse albedo.
     """
-    seen = as_seen(scene)
-    mesh = finger_geometry.build(seen, board=False, resolution=2.0)
+    mesh = finger_geometry.build(as_seen(scene), board=False, resolution=2.0)
     camera_mm = scene.colour.camera_mm
     if mesh.regions[int(mesh.region_at(np.array([camera_mm]))[0])] != "air":
         place = ", ".join(f"{value:g}" for value in camera_mm)

@@ -135,7 +135,7 @@ def test_readings_are_sums_over_the_nail():
     die, area = layout.leds[0], layout.photodiode_areas[2]
     depth, height = diffusion.MEAN_COSINE * stack.mean_path_mm, 0.45
     place = np.stack(np.meshgrid(cells.u_mm, cells.v_mm, indexing="ij"), -1)
-    emitted, seen = cells.seen(die, height) / die.area_mm2, cells.seen(area, height)
+    emitted, seen = cells.view_factor(die, height) / die.area_mm2, cells.view_factor(area, height)
     assert emitted.sum() * diffusion.CELL_MM**2 == pytest.approx(0.75, abs=0.25)
     distance = np.linspace(0, 25, 2000)
     spread = reflectance(stack, distance, depth)

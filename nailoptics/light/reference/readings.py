@@ -50,7 +50,7 @@ class StateReadings:
     """Readings of every photodiode in a few blood states.
 
     fraction, fraction_stderr : (photodiodes, states) float. Detected fraction of the LED's power; the error is infinite
-        where nothing was seen.
+        where nothing was detected.
     ratio, ratio_stderr : (photodiodes, states) float. Reading over that of the first state; far less noisy than either.
     batches, paths : How many in all.
     unmet_reason : Why some fraction does not have the relative error that was required; None if all have.
@@ -134,7 +134,7 @@ class _Batches:
 
     def settle_ratios(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Each state's reading over that of the first state, and its standard error, (photodiodes, states) float."""
-        found = []
+        ratios = []
         for i in range(len(self.level)):
             traced, rows = self.tracer(bed=self.bed, photodiodes=(i,)), []
             share = RATIO_SHARE * self.max_seconds / (RATIO_BATCHES * len(self.level))
@@ -142,8 +142,8 @@ class _Batches:
             for _ in range(RATIO_BATCHES):
                 rows.append(self._trace(traced, (i,)))
                 self._report()
-            found.append(ratio_to_first(np.stack(rows)))
-        ratio, stderr = np.reshape(found, (len(found), 2, -1)).swapaxes(0, 1)
+            ratios.append(ratio_to_first(np.stack(rows)))
+        ratio, stderr = np.reshape(ratios, (len(ratios), 2, -1)).swapaxes(0, 1)
         return ratio, stderr
 
     def settle_levels(self) -> str | None:
@@ -212,7 +212,7 @@ def ratio_to_first(batches: NDArray[np.float64]) -> tuple[NDArray[np.float64], N
 
     batches : (b, k) float.
 
-    Returns two (k,) floats; ones with infinite errors where nothing was seen.
+    Returns two (k,) floats; ones with infinite errors where nothing was detected.
     """
     mean = batches.mean(axis=0)
     if not mean[0] > 0:
@@ -222,7 +222,7 @@ def ratio_to_first(batches: NDArray[np.float64]) -> tuple[NDArray[np.float64], N
 
 
 def relative_stderr(values: list[float]) -> float:
-    """Relative standard error of a mean; infinite while nothing was seen."""
+    """Relative standard error of a mean; infinite while nothing was detected."""
     mean = float(np.mean(values)) if values else 0.0
     return float(np.std(values, ddof=1)) / math.sqrt(len(values)) / mean if mean > 0 and len(values) > 1 else math.inf
 
@@ -369,7 +369,7 @@ def between(
     The errors of the zones' ratios share noise of unknown sign, so they are added, which is an upper bound.
     """
     x = (blood - corners[0]) / (np.diagonal(corners[1:]) - corners[0])
-    # Where nothing was seen the errors are infinite, and what comes of them is not a number.
+    # Where nothing was detected the errors are infinite, and what comes of them is not a number.
     with np.errstate(invalid="ignore", divide="ignore"):
         of_rest = np.exp(np.log(ratio[..., 1:]) @ x.T)
         each = ratio_stderr[..., 1:] / ratio[..., 1:]

@@ -24,7 +24,7 @@ from ...scene import Scene
 from ...statistics import seed_of
 from ..identity import led_digest, usual_layer_name
 from ..transfer import current_versions
-from ..transfer.records import SUMS, LedTrace, read_escaping
+from ..transfer.records import COLUMNS, SUMS, LedTrace, read_escaping
 
 T = TypeVar("T")
 
@@ -40,17 +40,16 @@ WRITE_ATTEMPTS = 5
 # What decides a photon's way beside the scene, so that no other program's light passes for this one's.
 _ROOMS = ("light", "geometry", "tissue", "scene")
 _KEY = 32
-_COLUMNS = ("photodiode", "weight", "path_mm")
 
 
 @cache
 def program_digest() -> str:
     """Digest of the code and the spectra that decide a photon's way; versions alone miss changes between releases."""
-    package, found = Path(__file__).parents[2], hashlib.sha256()
+    package, digest = Path(__file__).parents[2], hashlib.sha256()
     code = [path for room in _ROOMS for path in package.glob(f"{room}/**/*.py")]
     for path in (package / "statistics.py", *sorted(code), *sorted((data_dir("assets") / "spectra").glob("*.csv"))):
-        found.update(path.read_bytes())
-    return found.hexdigest()[:_KEY]
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:_KEY]
 
 
 def made_of(scene: Scene, led: int, *, seed: int, backend: str, what: str = "photons") -> dict[str, Any]:
@@ -209,36 +208,28 @@ class StoredLight:
         self.store.write(self.path(name), io.pack({"made": self.made, "name": name, "about": about}, arrays))
 
 
+@dataclass
 class LedSource:
     """The batches of one LED by number and photons: those that are stored, and new ones, which are stored as they come.
 
+    engine : makes the engine; called only if something has to be traced.
     mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
+    photodiodes : how many there are.
+    stored : where batches may lie; new ones go to the first.
+    layers : names of a phantom's layers, which its light does not know.
+    read_mu_a : (r,) float. Absorption at which a phantom's energy is read, if its batches hold all escaping light.
     reused : photons that were taken from the store.
     """
 
-    def __init__(
-        self,
-        engine: Callable[[], Any],
-        led: int,
-        mu_a: np.ndarray,
-        *,
-        photodiodes: int,
-        seed: int,
-        stored: Sequence[StoredLight] = (),
-        layers: Sequence[str] = (),
-        read_mu_a: np.ndarray | None = None,
-    ) -> None:
-        """engine : makes the engine; called only if something has to be traced.
-
-        photodiodes : how many there are.
-        stored : where batches may lie; new ones go to the first.
-        layers : names of a phantom's layers, which its light does not know.
-        read_mu_a : (r,) float. Absorption at which a phantom's energy is read, if its batches hold all escaping light.
-        """
-        self.engine, self.led, self.mu_a, self.seed, self.stored = engine, led, mu_a, seed, stored
-        self.photodiodes, self.read_mu_a = photodiodes, read_mu_a
-        self.names = {usual_layer_name(i): name for i, name in enumerate(layers)}
-        self.reused = 0
+    engine: Callable[[], Any]
+    led: int
+    mu_a: np.ndarray
+    photodiodes: int
+    seed: int
+    stored: Sequence[StoredLight] = ()
+    layers: Sequence[str] = ()
+    read_mu_a: np.ndarray | None = None
+    reused: int = 0
 
     def has(self, number: int, photons: int) -> bool:
         """Whether a batch is stored."""
@@ -249,7 +240,7 @@ class LedSource:
         name, seed = f"{number}-{photons}", seed_of(self.seed, self.led, number)
 
         def build(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> LedTrace:
-            columns: dict[str, Any] = {column: arrays[column] for column in _COLUMNS}
+            columns: dict[str, Any] = {column: arrays[column] for column in COLUMNS[:3]}
             columns |= {one: {part: (a, b) for part, (a, b) in about[one].items()} for one in SUMS}
             batch = LedTrace(photons=photons, mu_a=self.mu_a, seeds=(seed,), events=int(about["events"]), **columns)
             ends = 0 if self.read_mu_a is None else 2
@@ -263,10 +254,11 @@ class LedSource:
             batch = self.engine().batch(self.led, photons=photons, seed=seed)
             if self.stored:
                 about = {"events": batch.events} | {one: getattr(batch, one) for one in SUMS}
-                self.stored[0].write(name, about, {column: getattr(batch, column) for column in _COLUMNS})
+                self.stored[0].write(name, about, {column: getattr(batch, column) for column in COLUMNS[:3]})
         if self.read_mu_a is not None:
             return read_escaping(batch, self.photodiodes, self.read_mu_a - self.mu_a)
-        absorbed = {self.names.get(place, place): sums for place, sums in batch.absorbed.items()}
+        names = {usual_layer_name(i): name for i, name in enumerate(self.layers)}
+        absorbed = {names.get(place, place): sums for place, sums in batch.absorbed.items()}
         return replace(batch, absorbed=absorbed)
 
 
@@ -296,25 +288,16 @@ class StoredEntry:
 
 def entries(store: LightStore) -> list[StoredEntry]:
     """What the store holds, the longest unused first; what cannot be read is left out."""
-    found, now = [], time.time()
+    result, now = [], time.time()
     for folder in store.folders():
         with suppress(OSError, io.CorruptError, KeyError, TypeError, ValueError, StopIteration):
-            first = next(folder.glob("*.dat"))
-            made = io.unpack(first.read_bytes(), arrays=False)[0]["made"]
+            made = io.unpack(next(folder.glob("*.dat")).read_bytes(), arrays=False)[0]["made"]
             sizes = [path.stem.partition("-")[2] for path in folder.glob("*.dat")]
-            photons = sum(int(size) for size in sizes if size.isdigit())
-            own = {name: made[name] for name in ("what", "wavelength_nm", "seed", "backend")}
-            found.append(
-                StoredEntry(
-                    key=folder.name,
-                    **own,
-                    version=made["versions"]["nailoptics"],
-                    photons=photons,
-                    bytes=_size(folder),
-                    used_s_ago=now - folder.stat().st_mtime,
-                )
-            )
-    return sorted(found, key=lambda entry: -entry.used_s_ago)
+            what, wavelength_nm, seed, backend = (made[k] for k in ("what", "wavelength_nm", "seed", "backend"))
+            photons, age_s = sum(int(size) for size in sizes if size.isdigit()), now - folder.stat().st_mtime
+            version, size = made["versions"]["nailoptics"], _size(folder)
+            result.append(StoredEntry(folder.name, what, wavelength_nm, seed, backend, version, photons, size, age_s))
+    return sorted(result, key=lambda entry: -entry.used_s_ago)
 
 
 def remove(folder: Path) -> None:
@@ -339,10 +322,9 @@ def user_folder() -> Path | None:
 
 def _most_bytes(root: Path) -> float:
     """The user's bound, less where the disk is nearly full."""
-    there = next((path for path in (root, *root.parents) if os.path.exists(path)), None)
-    with suppress(OSError):
-        if there is not None:
-            return min(MOST_BYTES, MOST_OF_FREE * shutil.disk_usage(there).free)
+    with suppress(OSError, StopIteration):
+        there = next(path for path in (root, *root.parents) if os.path.exists(path))
+        return min(MOST_BYTES, MOST_OF_FREE * shutil.disk_usage(there).free)
     return MOST_BYTES
 
 

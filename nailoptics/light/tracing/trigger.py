@@ -85,7 +85,7 @@ def seconds_per_sample(sample: Callable[[int], object], first: int, count: Calla
 class TraceProgress:
     """How far a trace is.
 
-    relative_error is the largest over the LED's photodiodes, inf while one of them has seen nothing; with a unit, it is
+    relative_error is the largest over the LED's photodiodes, inf while one has detected nothing; with a unit, it is
     an error in that unit. Of studies `led` may name a stage, which may have no error.
     """
 
@@ -192,7 +192,7 @@ class LedTrigger:
     """When the trace of one LED may end: what a scene requires of it, held against the batches as they come.
 
     photons, or the relative standard error of every photodiode at rest, checked by `check_schedule`; or the time; or
-    very many photons of which some photodiode has seen none, which no number of photons will mend.
+    very many photons of which some photodiode has detected none, which no number of photons will mend.
     """
 
     def __init__(

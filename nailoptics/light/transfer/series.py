@@ -256,12 +256,12 @@ def read_replicates(
         for start in range(0, len(mine), GROUP_CHUNK):
             chunk = mine[start : start + GROUP_CHUNK]
             lengths = trace.path_mm[chunk].astype(float)
-            own, slope = np.zeros((len(chunk), len(mu_a))), np.zeros(len(chunk))
+            weights, slope = np.zeros((len(chunk), len(mu_a))), np.zeros(len(chunk))
             for q, part in enumerate(share):
-                seen = part * attenuation(lengths, mu_a[:, q] - trace.mu_a) * trace.weight[chunk, None]
-                own += seen
-                slope += seen[:, 0] * blood_per_mm[q] / mean
-            weight[j] += _by_group(groups[chunk], own)
+                part_weight = part * attenuation(lengths, mu_a[:, q] - trace.mu_a) * trace.weight[chunk, None]
+                weights += part_weight
+                slope += part_weight[:, 0] * blood_per_mm[q] / mean
+            weight[j] += _by_group(groups[chunk], weights)
             path[j] += _by_group(groups[chunk], slope[:, None] * lengths[:, zones])
     total, by_path = (left_out(np.moveaxis(sums, 1, 0) * (GROUPS / trace.photons)) for sums in (weight, path))
     with np.errstate(invalid="ignore", divide="ignore"):

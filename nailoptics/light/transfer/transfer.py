@@ -143,7 +143,7 @@ class Transfer:
             names["other_photodiode"] = list(self.photodiodes)
         data |= variable("effective_photons", pairs, effective, "effective number of detected photons")
         limits = np.array([[upper_limit_95(trace.photons)] for trace in self.traces])
-        text = "95 % upper limit of a detected fraction of which none was seen"
+        text = "95 % upper limit of a detected fraction of which none was detected"
         data |= variable("upper_limit_95", pairs, np.where(fraction == 0, limits, np.nan), text)
         text = "mean path of the detected light in the absorber"
         data |= variable("mean_path_mm", paths, path[:, 0], text, units="mm", stderr=path[:, 1])
@@ -157,9 +157,9 @@ class Transfer:
         """Correlation of the errors of every two readings of an LED, as traced, (led, photodiode, photodiode) float.
 
         It hardly depends on the state that is read. Of a finger's readings it is nearly 0, since a photon counts for
-        one photodiode alone. NaN where a photodiode saw nothing.
+        one photodiode alone. NaN where a photodiode detected nothing.
         """
-        found = []
+        correlation = []
         for trace, traced in zip(self.traces, self._traced, strict=True):
             products = np.diag(traced.square)
             for pair, (total, _) in trace.pairs.items():
@@ -169,8 +169,8 @@ class Transfer:
             covariance = (products / count - np.outer(mean, mean)) / max(count - 1, 1)
             error = np.sqrt(np.diag(covariance))
             with np.errstate(invalid="ignore", divide="ignore"):
-                found.append(np.clip(covariance / np.outer(error, error), -1.0, 1.0))
-        return np.array(found)
+                correlation.append(np.clip(covariance / np.outer(error, error), -1.0, 1.0))
+        return np.array(correlation)
 
     def moments_at(
         self, blood_fraction: ArrayLike | None, so2: ArrayLike | None, mu_a_per_mm: Mapping[str, float] | None = None

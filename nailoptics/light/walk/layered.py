@@ -62,11 +62,11 @@ class LayeredTracer:
         photodiode, weight, path, photon = [], [], [], []
         for i, aperture in enumerate(self.apertures):
             share = arc_share(shift[top], start[top], aperture)
-            seen = np.flatnonzero(share)
-            photodiode.append(np.full(len(seen), i, np.uint16))
-            weight.append(share[seen] * walked.weight[top[seen]])
-            path.append(walked.path_mm[:, top[seen]].T)
-            photon.append(seen)
+            detected = np.flatnonzero(share)
+            photodiode.append(np.full(len(detected), i, np.uint16))
+            weight.append(share[detected] * walked.weight[top[detected]])
+            path.append(walked.path_mm[:, top[detected]].T)
+            photon.append(detected)
         pairs = pair_sums(photon, weight)
         for i, end in enumerate((TOP, BOTTOM) if self.escaping else (), len(self.apertures)):
             left = np.flatnonzero(walked.outcome == end)
@@ -92,13 +92,13 @@ def pair_sums(photon: Sequence[np.ndarray], weight: Sequence[np.ndarray]) -> dic
 
     photon, weight : of each photodiode, the photons that count in it, (n,) int rising, and their weights, (n,) float.
     """
-    found = {}
+    sums = {}
     for (i, one), (j, other) in combinations(enumerate(photon), 2):
         both, here, there = np.intersect1d(one, other, assume_unique=True, return_indices=True)
         if len(both):
             product = weight[i][here] * weight[j][there]
-            found[f"{i} {j}"] = float(product.sum()), float((product**2).sum())
-    return found
+            sums[f"{i} {j}"] = float(product.sum()), float((product**2).sum())
+    return sums
 
 
 def walk_layers(phantom: Phantom, led: Led, *, photons: int, seed: int) -> tuple[WalkedPhotons, np.ndarray, np.ndarray]:
