@@ -185,19 +185,6 @@ def test_nothing_outside_the_store_is_removed_through_a_link(tmp_path, store, ca
     assert (outside / "mine.dat").read_bytes() == b"x" * 5000
 
 
-def test_a_folder_that_another_process_removes_is_written_again(tmp_path, monkeypatch):
-    light, written = LightStore(tmp_path, optional=True).light({"light": 1}), io.write_bytes
-
-    def after_a_rival(path, data, **more):
-        monkeypatch.setattr(io, "write_bytes", written)
-        path.parent.rmdir()
-        written(path, data, **more)
-
-    monkeypatch.setattr(io, "write_bytes", after_a_rival)
-    light.write("0-1", {}, {"x": np.zeros(3)})
-    assert light.path("0-1").exists() and not light.store.closed
-
-
 def _made(folder) -> str:
     from nailoptics.io import unpack
 
