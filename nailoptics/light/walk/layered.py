@@ -11,26 +11,9 @@ import numpy as np
 
 from ...scene import Led, Phantom, Scene
 from ..transfer.records import LedTrace
+from . import sampling
 from .arithmetic import maximum, minimum, safe_sqrt
-from .sampling import (
-    ABSORBED,
-    BOTTOM,
-    FAR,
-    TOP,
-    Photon,
-    PhotonEnds,
-    WalkedPhotons,
-    emission_cosine,
-    emission_table,
-    free_absorption_length,
-    fresnel,
-    henyey_greenstein,
-    lanes,
-    remaining,
-    rotate_direction,
-    roulette,
-    starts,
-)
+from .sampling import Photon, PhotonEnds, WalkedPhotons, remaining, starts
 
 # Of a cosine, or in mm: keeps a division by what may be 0 finite, and is lost in any number that is not.
 TINY = 1e-12
@@ -58,7 +41,7 @@ class LayeredTracer:
         """Trace some photons of one LED."""
         walked, start, shift = walk_layers(self.phantom, self.scene.leds[led], photons=photons, seed=seed)
         energy, absorbed = walked.energy([layer.name for layer in self.phantom.layers])
-        top = np.flatnonzero(walked.outcome == TOP)
+        top = np.flatnonzero(walked.outcome == sampling.TOP)
         photodiode, weight, path, photon = [], [], [], []
         for i, aperture in enumerate(self.apertures):
             share = arc_share(shift[top], start[top], aperture)
@@ -68,7 +51,7 @@ class LayeredTracer:
             path.append(walked.path_mm[:, top[detected]].T)
             photon.append(detected)
         pairs = pair_sums(photon, weight)
-        for i, end in enumerate((TOP, BOTTOM) if self.escaping else (), len(self.apertures)):
+        for i, end in enumerate((sampling.TOP, sampling.BOTTOM) if self.escaping else (), len(self.apertures)):
             left = np.flatnonzero(walked.outcome == end)
             photodiode.append(np.full(len(left), i, np.uint16))
             weight.append(walked.weight[left])
@@ -109,7 +92,7 @@ def walk_layers(phantom: Phantom, led: Led, *, photons: int, seed: int) -> tuple
 
     Returns: the photons; where each entered, and its lateral displacement from there, (n, 2) float. [mm]
     """
-    rng, count = lanes(photons, seed)
+    rng, count = sampling.lanes(photons, seed)
     ends = PhotonEnds(photons, paths=len(phantom.layers) + 4, media=len(phantom.layers))
     walked = ends.evaluated(_walk(_Layers(phantom, led), rng, count, ends))
     *path, u, v, x, y = walked.path_mm
@@ -132,8 +115,8 @@ class _Layers:
         self.mu_a = mi.Float([layer.mu_a_per_mm for layer in layers])
         self.mu_s = mi.Float([layer.mu_s_per_mm for layer in layers])
         self.g = mi.Float([layer.g for layer in layers])
-        self.thickness = mi.Float([min(layer.thickness_mm, FAR) for layer in layers])
-        self.emission = mi.Float(emission_table(led))
+        self.thickness = mi.Float([min(layer.thickness_mm, sampling.FAR) for layer in layers])
+        self.emission = mi.Float(sampling.emission_table(led))
         dr.make_opaque(self.n, self.mu_a, self.mu_s, self.g, self.thickness, self.emission)
 
 
@@ -191,8 +174,8 @@ def arc_share(shift_mm: np.ndarray, start_mm: np.ndarray, aperture: tuple[float,
 def _launch(layers: _Layers, rng: Any, index: Any) -> _LayeredPhoton:
     """A new photon on the die, mirrored at the top face or on its way in."""
     u, v = rng.next_float32(), rng.next_float32()
-    cos = emission_cosine(layers.emission, rng.next_float32())
-    reflectance, cos_in, eta = fresnel(
+    cos = sampling.emission_cosine(layers.emission, rng.next_float32())
+    reflectance, cos_in, eta = sampling.fresnel(
         cos, n_in=dr.gather(mi.Float, layers.n, 0), n_out=dr.gather(mi.Float, layers.n, 1)
     )
     sin_phi, cos_phi = dr.sincos(2 * dr.pi * rng.next_float32())
@@ -202,7 +185,7 @@ def _launch(layers: _Layers, rng: Any, index: Any) -> _LayeredPhoton:
         index=index,
         rng=rng,
         w=mi.Vector3f(sin * cos_phi, sin * sin_phi, -cos_in),
-        absorption_optical_depth=free_absorption_length(rng.next_float32()),
+        absorption_optical_depth=sampling.free_absorption_length(rng.next_float32()),
         path=[mi.Float(0) for _ in range(layers.count)],
         u=u,
         v=v,
@@ -223,15 +206,15 @@ def _walk(layers: _Layers, rng: Any, count: Any, ends: PhotonEnds) -> Any:
     while dr.hint(active, label="layered walk"):
         up, meets = _step(photon, layers, active)
         u = photon.rng.next_float32()
-        cos = henyey_greenstein(dr.gather(mi.Float, layers.g, photon.layer, active), u)
+        cos = sampling.henyey_greenstein(dr.gather(mi.Float, layers.g, photon.layer, active), u)
         w, layer = mi.Vector3f(photon.w), mi.UInt32(photon.layer)
-        photon.w = mi.Vector3f(rotate_direction(w, cos, 2 * dr.pi * photon.rng.next_float32()))
+        photon.w = mi.Vector3f(sampling.rotate_direction(w, cos, 2 * dr.pi * photon.rng.next_float32()))
         leaves = _meet_face(photon, w, layers, up, meets & ~photon.bounced, u, ends)
         events += dr.select(meets, mi.UInt32(0), mi.UInt32(1))
-        left = dr.select(up, mi.UInt32(TOP), mi.UInt32(BOTTOM))
+        left = dr.select(up, mi.UInt32(sampling.TOP), mi.UInt32(sampling.BOTTOM))
         absorbed = photon.tau > photon.absorption_optical_depth
-        photon.outcome = dr.select(absorbed, mi.UInt32(ABSORBED), dr.select(leaves, left, 0))
-        roulette(photon, 1, 1)
+        photon.outcome = dr.select(absorbed, mi.UInt32(sampling.ABSORBED), dr.select(leaves, left, 0))
+        sampling.roulette(photon, 1, 1)
         if photon.outcome > 0:
             ends.record(photon, layer, True)
             ends.record_path(photon, photon.u, photon.v, photon.x, photon.y)
@@ -246,12 +229,12 @@ def _walk(layers: _Layers, rng: Any, count: Any, ends: PhotonEnds) -> Any:
 def _step(photon: _LayeredPhoton, layers: _Layers, active: Any) -> tuple[Any, Any]:
     """Move photons to their next scattering or to the face of their layer; returns which go up, and which meet it."""
     mu_s = dr.gather(mi.Float, layers.mu_s, photon.layer, active)
-    free = dr.select(mu_s > 0, -dr.log(1 - photon.rng.next_float32()) * dr.rcp(mu_s), FAR)
+    free = dr.select(mu_s > 0, -dr.log(1 - photon.rng.next_float32()) * dr.rcp(mu_s), sampling.FAR)
     up = (photon.w.z > 0) | photon.bounced
     thickness = dr.gather(mi.Float, layers.thickness, photon.layer, active)
     room, cos = dr.select(up, photon.depth, thickness - photon.depth), dr.abs(photon.w.z)
     meets = free * cos >= room
-    step = dr.select(meets, minimum(room * dr.rcp(maximum(cos, TINY)), FAR), free)
+    step = dr.select(meets, minimum(room * dr.rcp(maximum(cos, TINY)), sampling.FAR), free)
     step = dr.select(photon.bounced, 0, step)
     photon.x = dr.fma(step, photon.w.x, photon.x)
     photon.y = dr.fma(step, photon.w.y, photon.y)
@@ -269,7 +252,7 @@ def _meet_face(photon: _LayeredPhoton, w: Any, layers: _Layers, up: Any, meets: 
     if meets:
         here = dr.gather(mi.Float, layers.n, photon.layer + 1)
         there = dr.gather(mi.Float, layers.n, dr.select(up, photon.layer, photon.layer + 2))
-        reflectance, cos_out, eta = fresnel(dr.abs(w.z), n_in=here, n_out=there)
+        reflectance, cos_out, eta = sampling.fresnel(dr.abs(w.z), n_in=here, n_out=there)
         reflected = u < reflectance
         leaves = ~reflected & dr.select(up, photon.layer == 0, photon.layer == layers.count - 1)
         moves = ~reflected & ~leaves
