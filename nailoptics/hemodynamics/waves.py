@@ -2,7 +2,7 @@
 
 `WAVES` lists them, and all studies take them from there: `simulate` and `oximeter` their pressure over time, `place`
 their spectral lines, `predict` the band in which a recording shows them and the oscillator by which its filter follows
-them. A further wave is one more entry here; what users set of it is a table and a name in `WAVES` of scene/body.py.
+them. A further wave is one more entry here; what users set of it is a `WaveTable` in scene/body.py.
 """
 
 from collections.abc import Callable
@@ -206,8 +206,8 @@ WAVES = (HEARTBEAT, BREATHING, VASOMOTION)
 
 def waves_of(body: Body) -> list[tuple[Wave, dict[str, Any]]]:
     """The waves that a scene's body has, each with the fields of its table."""
-    tables = [(wave, getattr(body, wave.name)) for wave in WAVES]
-    return [(wave, table.model_dump(exclude={"mean_pressure_pa"})) for wave, table in tables if table is not None]
+    tables = body.waves
+    return [(wave, tables[wave.name].model_dump(exclude={"mean_pressure_pa"})) for wave in WAVES if wave.name in tables]
 
 
 def fastest_hz(body: Body) -> float:

@@ -54,12 +54,9 @@ def body_words(scene: Scene) -> str:
     parts = []
     if body.recorded_time_s is not None:
         parts.append(f"arterial pressure recorded in {body.file}")
-    if body.heartbeat is not None:
-        parts.append(f"heartbeat, {body.heartbeat.rate_per_min:g} a minute")
-    if body.breathing is not None:
-        parts.append(f"breathing, {body.breathing.rate_per_min:g} a minute")
-    if body.vasomotion is not None:
-        parts.append("vasomotion")
+    for name, wave in body.waves.items():
+        rate = getattr(wave, "rate_per_min", None)
+        parts.append(name if rate is None else f"{name}, {rate:g} a minute")
     if body.drift is not None:
         parts.append("drift")
     if body.motion is not None:

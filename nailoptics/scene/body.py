@@ -9,7 +9,11 @@ from .base import NonNegative, Positive, Table
 from .importers.recordings import check_columns, read_columns
 
 
-class Heartbeat(Table):
+class WaveTable(Table):
+    """What users set of a wave of the arterial pressure; `WAVES` of hemodynamics.waves has its physics by its name."""
+
+
+class Heartbeat(WaveTable):
     """The heart's beat in the arterial pressure."""
 
     mean_pressure_pa: float | None = None
@@ -25,7 +29,7 @@ class Heartbeat(Table):
     """Standard deviation of the interval from beat to beat, relative to its mean."""
 
 
-class Breathing(Table):
+class Breathing(WaveTable):
     """The breath in the arterial pressure, a sine."""
 
     # Adults at rest breathe 12 to 20 times a minute; the systolic pressure in their fingers follows by 2 to 4 mmHg
@@ -36,7 +40,7 @@ class Breathing(Table):
     """Amplitude of the pressure, half of top to bottom. [Pa]"""
 
 
-class Vasomotion(Table):
+class Vasomotion(WaveTable):
     """The slow, irregular waves of the vessels' tone (Mayer waves), as arterial pressure."""
 
     # Variance 14 to 39 mmHg^2 in healthy adults, 0.05 to 0.15 Hz (Taylor 1998, Am. J. Physiol. 274:H1194); waves of
@@ -79,10 +83,6 @@ class Motion(Table):
     """Time in which it forgets where it was (a factor e). [s]"""
 
 
-# Tables of the waves that hemodynamics.waves knows.
-WAVES = ("heartbeat", "breathing", "vasomotion")
-
-
 class Body(Table):
     """What moves readings beside the touch: the arterial pressure P_H, and the sensor itself; what is not given is
     still."""
@@ -123,12 +123,16 @@ class Body(Table):
             return self
         columns = {"time_s": self.recorded_time_s, "arterial_pressure_pa": self.recorded_arterial_pressure_pa}
         check_columns(columns, "body.file")
-        for name in WAVES:
-            if getattr(self, name) is not None:
-                raise ValueError(f"file holds the whole pressure; leave out [body.{name}], or file")
+        for name in self.waves:
+            raise ValueError(f"file holds the whole pressure; leave out [body.{name}], or file")
         return self
+
+    @property
+    def waves(self) -> dict[str, WaveTable]:
+        """The waves of the arterial pressure that are given, by name."""
+        return {name: table for name, table in self if isinstance(table, WaveTable)}
 
     @property
     def moves(self) -> bool:
         """Whether the arterial pressure changes over time at all."""
-        return self.recorded_time_s is not None or any(getattr(self, name) is not None for name in WAVES)
+        return self.recorded_time_s is not None or bool(self.waves)

@@ -53,14 +53,6 @@ class AxisTable(Table):
         _steps(path)
         return path
 
-    @field_validator("linspace", "logspace", "range", mode="before")
-    @classmethod
-    def _has_ends(cls, numbers: object, info: Any) -> object:
-        form = "[low, high]" if info.field_name == "range" else "[low, high, count]"
-        if not isinstance(numbers, tuple) or len(numbers) != form.count(",") + 1:
-            raise ValueError(f"must be {form}")
-        return numbers
-
     @model_validator(mode="after")
     def _is_an_axis(self) -> Self:
         if len([key for key in _GIVEN if getattr(self, key) is not None]) != 1:
@@ -77,19 +69,19 @@ class AxisTable(Table):
         last = self.path.rpartition(".")[2]
         return re.sub(r"\W+", "_", last).strip("_") if self.name is None else self.name
 
-    def spaced_values(self) -> tuple[Any, ...]:
-        """The values of an axis of a product or zip."""
-        if self.linspace is not None:
-            with np.errstate(all="ignore"):  # what overflows is no value of any field, which says so
+    def values_at(self, quantiles: np.ndarray | None = None) -> tuple[Any, ...]:
+        """The values of the axis; at quantiles (samples,) in 0 to 1 of a Latin hypercube."""
+        with np.errstate(all="ignore"):  # what overflows is no value of any field, which says so
+            if self.linspace is not None:
                 return tuple(np.linspace(*self.linspace).tolist())
-        return tuple(np.geomspace(*self.logspace).tolist()) if self.logspace is not None else self.values or ()
-
-    def sampled_values(self, quantiles: np.ndarray) -> tuple[Any, ...]:
-        """The values at quantiles (samples,) in 0 to 1 of an axis of a Latin hypercube."""
+            if self.logspace is not None:
+                return tuple(np.geomspace(*self.logspace).tolist())
+        values = self.values or ()
+        if quantiles is None:
+            return values
         if self.range is not None:
             low, high = self.range
             return tuple((low + (high - low) * quantiles).tolist())
-        values = self.values or ()
         return tuple(values[int(x * len(values))] for x in quantiles)
 
 
@@ -147,7 +139,7 @@ class SweepFile(Table):
                     f"axes[{i}]: a Latin hypercube takes range = [low, high] or values; "
                     'linspace and logspace are for "product" and "zip"'
                 )
-        counts = {axis.axis_name: len(axis.spaced_values()) for axis in self.axes if self.combine == "zip"}
+        counts = {axis.axis_name: len(axis.values_at()) for axis in self.axes if self.combine == "zip"}
         for (first, count), (other, another) in itertools.pairwise(counts.items()):
             if another != count:
                 raise ValueError(
@@ -217,14 +209,14 @@ def _build(file: SweepFile, path: Path) -> Sweep:
 
 
 def _axes(file: SweepFile) -> tuple[Axis, ...]:
-    values = [axis.spaced_values() for axis in file.axes]
+    quantiles: list[np.ndarray | None] = [None] * len(file.axes)
     if file.combine == "latin_hypercube" and file.axes:
         from scipy.stats import qmc
 
         sampler = qmc.LatinHypercube(d=len(file.axes), rng=np.random.default_rng(file.seed or 0))
-        columns = sampler.random(file.samples).T
-        values = [axis.sampled_values(column) for axis, column in zip(file.axes, columns, strict=True)]
-    return tuple(Axis(axis.axis_name, axis.path, own) for axis, own in zip(file.axes, values, strict=True))
+        quantiles = list(sampler.random(file.samples).T)
+    pairs = zip(file.axes, quantiles, strict=True)
+    return tuple(Axis(axis.axis_name, axis.path, axis.values_at(column)) for axis, column in pairs)
 
 
 def _base(base: Any, path: Path) -> tuple[str, dict[str, Any], Path]:
@@ -260,27 +252,17 @@ def _scene(name: str, tables: dict[str, Any], folder: Path, axes: tuple[Axis, ..
 
 
 def _with(item: Any, steps: list[str | int], value: Any, path: str) -> Any:
-    """A copy of tables and arrays with a value at a place."""
+    """A copy of tables and arrays with a value at a place, in arrays by number or name."""
     if not steps:
         return value
     step, *rest = steps
     if isinstance(item, dict) and isinstance(step, str):
         return item | {step: _with(item.get(step, {}) if rest else None, rest, value, path)}
-    i = _place(item, step, path)
-    return (*item[:i], _with(item[i], rest, value, path), *item[i + 1 :])
-
-
-def _place(items: Any, step: str | int, path: str) -> int:
-    """The index of an item of an array, by number or by its name."""
-    if not isinstance(items, tuple):
+    if not isinstance(item, tuple):
         raise InputError(f'axis path "{path}" goes on at {step!r} where the base scene has a value; correct the path.')
-    names = [
-        item.get("name", item.get("part", item.get("array"))) if isinstance(item, dict) else None for item in items
-    ]
-    if isinstance(step, int) and step < len(items):
-        return step
-    if step in names:
-        return names.index(step)
-    named = [name for name in names if isinstance(name, str)]
-    known = f"0 to {len(items) - 1}" + (f" or {', '.join(named)}" if named else "")
-    raise InputError(short(f'axis path "{path}": there is no item {step} here; known: {known}', 300) + ".")
+    names = [one.get("name", one.get("part", one.get("array"))) if isinstance(one, dict) else None for one in item]
+    if step not in names and not (isinstance(step, int) and step < len(item)):
+        known = ", ".join([f"0 to {len(item) - 1}", *(name for name in names if isinstance(name, str))])
+        raise InputError(short(f'axis path "{path}": there is no item {step} here; known: {known}', 300) + ".")
+    i = step if isinstance(step, int) else names.index(step)
+    return (*item[:i], _with(item[i], rest, value, path), *item[i + 1 :])

@@ -75,6 +75,9 @@ def test_a_damped_oscillator_keeps_its_power_and_loses_its_phase():
 def test_every_waves_lines_have_the_variance_of_its_pressure():
     body = Body(heartbeat=Heartbeat(rate_variability=0.0), breathing=Breathing(), vasomotion=Vasomotion())
     time_s = np.arange(0.0, 1200.0, 0.02)
+    assert (
+        [wave.name for wave, _ in waves.waves_of(body)] == list(body.waves) == ["heartbeat", "breathing", "vasomotion"]
+    )
     for wave, fields in waves.waves_of(body):
         pressure_pa = wave.pressure_pa(time_s, seed=1, **fields)
         frequency_hz, variance_pa2 = wave.lines(**fields)

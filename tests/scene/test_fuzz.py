@@ -223,7 +223,7 @@ def test_names_that_are_no_names_are_refused(tmp_path):
     sweep = 'schema_version = 1\nbase = "prototype"\n[[axes]]\npath = "leds.x.flux_mw"\nvalues = [1.0]\n'
     base = tomllib.loads(sweep) | {"base": PROTOTYPE | {"leds": [{"name": ["a", "list"]}, {"name": "ir"}]}}
     (tmp_path / "s.toml").write_bytes(toml(base))
-    assert "there is no item x here; known: 0 to 1 or ir" in one_line_or_nothing(load_sweep, tmp_path / "s.toml")
+    assert "there is no item x here; known: 0 to 1, ir" in one_line_or_nothing(load_sweep, tmp_path / "s.toml")
     (tmp_path / "t.toml").write_text(sweep.replace("prototype", "x" * 5000))
     assert "cannot be read" in one_line_or_nothing(load_sweep, tmp_path / "t.toml")
 

@@ -121,7 +121,7 @@ def test_shipped_sweeps_name_and_meet_the_schema(path):
         (BASE + '[[axes]]\npath = "leds.red.flux_mw"\nvalues = [0.5]', "no item red"),
         (BASE + '[[axes]]\npath = "leds[4].flux_mw"\nvalues = [0.5]', "no item 4"),
         (BASE + '[[axes]]\npath = "blood.so2.deep"\nvalues = [0.5]', "goes on at"),
-        (BASE + '[[axes]]\npath = "blood.so2"\nlinspace = [0.5, 1]', "low, high, count"),
+        (BASE + '[[axes]]\npath = "blood.so2"\nlinspace = [0.5, 1]', "axes[0].linspace[2] is missing"),
         (BASE + '[[axes]]\npath = "blood.so2"\nlogspace = [0, 1, 3]', "above 0"),
         (BASE + '[[axes]]\npath = "blood.so2"\nrange = [0, 1]', "Latin hypercube"),
         (BASE + 'combine = "latin_hypercube"\n[[axes]]\npath = "blood.so2"\nrange = [0, 1]', "samples"),
