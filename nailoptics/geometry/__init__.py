@@ -2,9 +2,8 @@
 
 from .build import build, shaping, underside
 from .distance import SPACING_MM, DistanceGrid, distance_grid
-from .model import Face, Geometry
+from .model import Face, Geometry, check_watertight
 from .regions import AROUND, region_names
-from .watertight import check_watertight
 
 __all__ = [
     "AROUND",
