@@ -1,4 +1,4 @@
-"""What a geometry is: interfaces that know both sides, faces that emit and read, and the proof that it is watertight."""
+"""A geometry: interfaces that know both sides, faces that emit and read, and the proof that it is watertight."""
 
 from dataclasses import dataclass, field
 
