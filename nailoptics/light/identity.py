@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..scene import Accuracy, Priors, Scene, digest
+from ..scene import Scene, digest
 from ..scene.finger import ABSORBING
 from ..scene.parts import ELECTRICAL
 
@@ -28,21 +28,12 @@ def light_scene(scene: Scene) -> Scene:
         )
         for i, p in enumerate(scene.photodiodes)
     )
-    update: dict[str, Any] = {
-        "blood": blood,
-        "touch": type(scene.touch)(),
-        "body": None,
-        "oximeter": None,
-        "colour": type(scene.colour)(),
-        "priors": Priors(),
-        "electronics": type(scene.electronics)(),
-        "accuracy": Accuracy(),
-        "light": scene.light.model_copy(update={"engine": "auto"}),
-        "leds": leds,
-        "photodiodes": photodiodes,
-        "placement": None,
-        "board": scene.board.model_copy(update={"kicad": None, "positions": None, "unmapped": None}),
-    }
+    plain = ("touch", "colour", "electronics", "accuracy", "priors")
+    update: dict[str, Any] = {name: type(getattr(scene, name))() for name in plain}
+    update |= dict.fromkeys(("body", "oximeter", "placement"))
+    update |= {"blood": blood, "leds": leds, "photodiodes": photodiodes}
+    update["light"] = scene.light.model_copy(update={"engine": "auto"})
+    update["board"] = scene.board.model_copy(update=dict.fromkeys(("kicad", "positions", "unmapped")))
     if scene.finger is not None:
         update["finger"] = scene.finger.with_usual(("digit", *ABSORBING))
     if scene.phantom is not None:
