@@ -259,7 +259,7 @@ class BoardTracer:
 
     def _accepted(self, photodiode: int, cos: np.ndarray) -> np.ndarray:
         """What a photodiode makes of light at angles of these cosines, (n,) float."""
-        from .walk.acceptance import accepted
+        from .walk.sampling import accepted
 
         return accepted(self.scene.layout.photodiodes[photodiode].photodiode, cos)
 
@@ -289,8 +289,8 @@ class BoardTracer:
     def _detected(
         self, led: int, point: "BloodPoint", *, photons: int, seed: int, cells: "VoxelGrid"
     ) -> tuple[np.ndarray, np.ndarray]:
-        from .walk.acceptance import acceptance_of
         from .walk.interfaces import DETECTED
+        from .walk.sampling import acceptance_of
         from .walk.tallies import SensitivityTally
 
         backends.activate(self.backend)

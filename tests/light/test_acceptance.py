@@ -47,10 +47,9 @@ def test_a_face_under_even_radiance_collects_what_theory_says(jit_backend, power
     import drjit as dr
     import mitsuba as mi
 
-    from nailoptics.light.walk.acceptance import acceptance_of
     from nailoptics.light.walk.finger import FingerTracer, FingerWalk
     from nailoptics.light.walk.interfaces import Emitter, ZoneEdges
-    from nailoptics.light.walk.sampling import LAMBERTIAN, PhotonEnds, lanes
+    from nailoptics.light.walk.sampling import LAMBERTIAN, PhotonEnds, acceptance_of, lanes
     from nailoptics.light.walk.splitting import Reach, Splitting
 
     scene = with_response(None, power_of_cosine(power))

@@ -14,15 +14,16 @@ from ...geometry import SPACING_MM, DistanceGrid, Face, Geometry
 from ...scene import Scene
 from .. import optics
 from ..transfer.records import FINGER_BATCH_PHOTONS, LedTrace
-from .acceptance import Acceptance, acceptance_of
 from .interfaces import DETECTED, Emitter, FingerPhoton, Interfaces, Medium, Regions, ZoneEdges, off_surface
 from .sampling import (
     ABSORBED,
     LAMBERTIAN,
     LOST,
     TOP,
+    Acceptance,
     PhotonEnds,
     WalkedPhotons,
+    acceptance_of,
     emission_table,
     free_absorption_length,
     fresnel,
