@@ -285,6 +285,8 @@ def phantom_readings(scene: Scene, progress: ProgressCallback | None, led: int, 
         return np.array([[weight @ m, np.linalg.norm(weight * e)] for m, e in zip(mean.T, stderr.T, strict=True)])
 
     def worst() -> float:
+        if not rounds:
+            return math.inf
         return max((stderr / value if value > 0 else math.inf for value, stderr in pooled()[:-3].tolist()), default=0.0)
 
     def paths() -> int:
