@@ -59,10 +59,6 @@ class Voxels:
         """Points in voxels from the lowest corner, as the voxels' own program counts them."""
         return np.asarray((points_mm - self.origin_mm) / self.side_mm)
 
-    def at(self, points_mm: Array) -> np.ndarray:
-        """Region of the voxel that each point (n, 3) lies in, (n,) int; the points must be inside."""
-        return np.asarray(self.region[tuple(np.floor(self.place(points_mm)).astype(int).T)])
-
     def area_mm2(self, one: int, other: int) -> float:
         """Area of the staircase between two regions. [mm^2]"""
         faces = 0

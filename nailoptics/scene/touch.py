@@ -101,7 +101,9 @@ class Touch(Table):
             return data
         if isinstance(data.get("file"), str) and "recorded_time_s" not in data:
             folder = (info.context or {}).get("folder") or Path()
-            columns = read_touch(Path(folder) / data["file"])
+            known = ("force_n", *PRESSURES, "shear_n")
+            path = Path(folder) / data["file"]
+            columns = read_columns(path, "touch.file", known, either=(("force_n",), PRESSURES))
             data = data | {f"recorded_{name}": column for name, column in columns.items()}
         if data.get("profile") == "cycle":
             data = CYCLE | data
@@ -186,11 +188,6 @@ class Touch(Table):
         shape = 1 - np.abs(2 * (turns % 1) - 1) if per_period == 2 else np.sin(np.pi * (turns % 1)) ** 2
         return list(zip((self.start_s + period_s * turns).tolist(), (self.force_n * shape).tolist(), strict=True))
 
-    def force_at(self, time_s: np.ndarray) -> np.ndarray:
-        """Force at the given times, (t,) float; at a jump that after it. [N]"""
-        time_s = np.asarray(time_s, float)
-        return value_at(*self.corners(), time_s)
-
 
 def value_at(corner_s: np.ndarray, values: np.ndarray, time_s: np.ndarray) -> np.ndarray:
     """What is linear between corners, at times; at a jump the value after it, outside the corners the nearest."""
@@ -213,11 +210,6 @@ def _duration_of(data: dict[str, Any]) -> dict[str, float]:
     except (TypeError, KeyError, IndexError, ValueError, AttributeError):
         pass  # the fields' own rules say what is wrong
     return {}
-
-
-def read_touch(path: Path) -> dict[str, tuple[float, ...]]:
-    """Columns of a recorded touch: time_s, force_n or both pressures, and shear_n if it is there."""
-    return read_columns(path, "touch.file", ("force_n", *PRESSURES, "shear_n"), either=(("force_n",), PRESSURES))
 
 
 def read_recording(path: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:

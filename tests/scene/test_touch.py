@@ -6,22 +6,26 @@ from pydantic import ValidationError
 
 from nailoptics.errors import InputError
 from nailoptics.scene import Touch
-from nailoptics.scene.touch import ForceStep
+from nailoptics.scene.touch import ForceStep, value_at
+
+
+def force_at(touch, time_s):
+    return value_at(*touch.corners(), np.asarray(time_s, float))
 
 
 def test_a_step_begins_at_start_and_ends_at_release():
     touch = Touch(force_n=2.0, start_s=0.25, release_s=2.25)
-    assert touch.force_at(np.array([0.0, 0.2499, 0.25, 1.0, 2.2499, 2.25, 4.0])).tolist() == [0, 0, 2, 2, 2, 0, 0]
+    assert force_at(touch, np.array([0.0, 0.2499, 0.25, 1.0, 2.2499, 2.25, 4.0])).tolist() == [0, 0, 2, 2, 2, 0, 0]
 
 
 def test_a_ramp_has_linear_edges_of_equal_length():
     touch = Touch(profile="ramp", force_n=2.0, start_s=0.5, ramp_s=1.0, release_s=2.0)
     expected = [0, 0, 1, 2, 2, 2, 1, 0, 0]
-    assert touch.force_at(np.array([0, 0.5, 1, 1.5, 1.75, 2, 2.5, 3, 4])) == pytest.approx(expected, abs=1e-12)
+    assert force_at(touch, np.array([0, 0.5, 1, 1.5, 1.75, 2, 2.5, 3, 4])) == pytest.approx(expected, abs=1e-12)
 
 
 def test_a_hold_is_constant():
-    assert Touch(profile="hold", force_n=3.0).force_at(np.linspace(0, 4, 5)).tolist() == [3.0] * 5
+    assert force_at(Touch(profile="hold", force_n=3.0), np.linspace(0, 4, 5)).tolist() == [3.0] * 5
 
 
 def test_samples_span_the_duration_without_drift():
@@ -39,7 +43,7 @@ def recorded(tmp_path, text, **fields):
 def test_a_recording_is_followed_between_its_samples(tmp_path):
     touch = recorded(tmp_path, "# pressed by hand\ntime_s,force_n\n1.0,0\n2.0,4\n4.0,0\n", sample_rate_hz=2.0)
     assert touch.times_s().tolist() == [1, 1.5, 2, 2.5, 3, 3.5, 4]
-    assert touch.force_at(touch.times_s()) == pytest.approx([0, 2, 4, 3, 2, 1, 0])
+    assert force_at(touch, touch.times_s()) == pytest.approx([0, 2, 4, 3, 2, 1, 0])
 
 
 def test_a_recording_may_have_other_columns_and_a_byte_order_mark(tmp_path):
@@ -57,17 +61,17 @@ def test_a_cycle_reaches_its_force_the_requested_number_of_times():
         touch = Touch(profile="cycle", force_n=2.0, start_s=1.0, period_s=4.0, cycles=2, waveform=waveform)
         assert touch.duration_s == 9.0
         times = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 9.0])
-        assert touch.force_at(times) == pytest.approx([0, 0, quarter, 2, quarter, 0, 2, 0], abs=1e-12)
+        assert force_at(touch, times) == pytest.approx([0, 0, quarter, 2, quarter, 0, 2, 0], abs=1e-12)
     usual = Touch(profile="cycle")
     assert (usual.period_s, usual.cycles, usual.waveform) == (20.0, 3, "sine") and usual.duration_s == 60.25
     fine = np.linspace(0.25, 20.25, 5001)
-    assert np.abs(usual.force_at(fine) - np.sin(np.pi * (fine - 0.25) / 20) ** 2).max() < 5e-5
+    assert np.abs(force_at(usual, fine) - np.sin(np.pi * (fine - 0.25) / 20) ** 2).max() < 5e-5
 
 
 def test_a_list_of_steps_holds_each_force_until_the_next():
     touch = Touch(profile="steps", steps=(ForceStep(start_s=0.5, force_n=1.0), ForceStep(start_s=1.5, force_n=0.25)))
     assert touch.duration_s == 3.5
-    assert touch.force_at(np.array([0, 0.499, 0.5, 1.4, 1.5, 3.5])).tolist() == [0, 0, 1, 1, 0.25, 0.25]
+    assert force_at(touch, np.array([0, 0.499, 0.5, 1.4, 1.5, 3.5])).tolist() == [0, 0, 1, 1, 0.25, 0.25]
 
 
 def test_corners_are_where_the_force_bends_or_jumps():

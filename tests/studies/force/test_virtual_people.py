@@ -18,6 +18,7 @@ from untraced_light import untraced
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
+from nailoptics.scene.touch import value_at
 
 
 def test_eight_people_differ_in_all_that_the_papers_did():
@@ -58,12 +59,12 @@ def test_touches_are_those_of_the_paper():
     person = load_person("person_1")
     slow, steps = (touch_of(person, TOUCHES[kind], "distal") for kind in ("calibration", "steps"))
     time_s = slow.times_s()
-    force_n = slow.force_at(time_s)
+    force_n = value_at(*slow.corners(), time_s)
     assert force_n.max() == pytest.approx(CALIBRATION_N[0], abs=1e-4) and force_n[-1] == 0 == force_n[:200].max()
     # Three cycles at 0.05 Hz: three maxima 20 s apart.
     peaks = time_s[1:-1][(np.diff(force_n)[:-1] > 0) & (np.diff(force_n)[1:] <= 0)]
     assert np.diff(peaks) == pytest.approx([20.0, 20.0], abs=0.02)
-    force_n = steps.force_at(steps.times_s())
+    force_n = value_at(*steps.corners(), steps.times_s())
     assert set(STEPS_N) <= set(force_n.round(9)) and slow.proximal_share == 0.0
     time_s = steps.times_s()
     rise = time_s[(force_n > 0) & (force_n < STEPS_N[0]) & (time_s < 3.0)]
