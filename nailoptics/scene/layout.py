@@ -97,28 +97,18 @@ def _side_by_side(parts: list[tuple[str, Rectangle]]) -> Iterator[tuple[tuple[st
 
 def _outline(board: Board, parts: list[tuple[str, Rectangle]], finger: Finger) -> Rectangle:
     """The board's edges: its size, its file's outline as far as the nail goes, or enough for its parts."""
-    rectangles, margin = [r for _, r in parts], BOARD_MARGIN_MM
-    if board.size_mm is None and board.outline_mm is not None:
-        # What reaches beyond the nail, such as the tail to a connector, ends at its edge.
-        half = [size / 2 - NAIL_MARGIN_MM for size in (finger.nail_width_mm, finger.nail_length_mm)]
-        lows, highs = zip(
-            *(
-                (max(min(x) + c, -most), min(max(x) + c, most))
-                for x, c, most in zip(zip(*board.outline_mm, strict=True), board.center_mm, half, strict=True)
-            ),
-            strict=True,
-        )
-        outline = Rectangle("board", lows[0], highs[0], lows[1], highs[1])
-    elif board.size_mm is None:
-        outline = Rectangle(
-            "board",
-            min(r.u_min for r in rectangles) - margin,
-            max(r.u_max for r in rectangles) + margin,
-            min(r.v_min for r in rectangles) - margin,
-            max(r.v_max for r in rectangles) + margin,
-        )
-    else:
+    if board.size_mm is not None:
         outline = Rectangle.around("board", board.center_mm, board.size_mm)
+    else:
+        if board.outline_mm is not None:
+            # What reaches beyond the nail, such as the tail to a connector, ends at its edge.
+            half = np.array([finger.nail_width_mm, finger.nail_length_mm]) / 2 - NAIL_MARGIN_MM
+            corners = np.clip(np.add(board.outline_mm, board.center_mm), -half, half)
+        else:
+            boxes = np.array([(r.u_min, r.v_min, r.u_max, r.v_max) for _, r in parts]).reshape(-1, 2)
+            corners = np.concatenate([boxes - BOARD_MARGIN_MM, boxes + BOARD_MARGIN_MM])
+        (u_min, v_min), (u_max, v_max) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+        outline = Rectangle("board", u_min, u_max, v_min, v_max)
     for name, r in parts:
         across = min(r.u_min - outline.u_min, outline.u_max - r.u_max)
         if min(across, r.v_min - outline.v_min, outline.v_max - r.v_max) < ROUNDING_MM:

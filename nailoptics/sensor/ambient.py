@@ -3,16 +3,15 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import tissue
+from ..checks import Array
 from ..light import optics
 from ..light.board_map import Arrivals
 from ..light.transfer.reweight import attenuation
 from ..scene import Photodiode, Scene
 from . import electronics
-
-Array = NDArray[np.float64]
 
 LUMENS_PER_WATT = 683.0
 PHOTOPIC_OBSERVER = "CIE 1924 Photopic Standard Observer"

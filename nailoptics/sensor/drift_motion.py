@@ -6,8 +6,8 @@ from typing import Unpack
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
+from ..checks import Array
 from ..errors import InputError, NotReachedError, as_far_as_reached
 from ..light import DetectedLight, ProgressCallback, open_light
 from ..light.tracing import accuracy
@@ -17,8 +17,6 @@ from ..scene import Board, Scene
 from ..scene.body import Motion
 from ..statistics import seed_of
 from ..variables import Variables, variable
-
-Array = NDArray[np.float64]
 
 # Random walks are drawn at so many knots in a second, whatever the rate of the samples, and are linear between them.
 KNOTS_PER_S = 20.0

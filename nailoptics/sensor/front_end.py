@@ -6,11 +6,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..checks import Array
 from ..scene import Oximeter, Photodiode, Scene, Slot
 from ..scene.oximeter import DARK
 from . import electronics
-
-Array = NDArray[np.float64]
 
 # A usual oximeter averages over so long. [s]
 AVERAGE_S = 8.0

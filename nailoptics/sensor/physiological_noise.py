@@ -3,14 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..checks import Array
 from ..hemodynamics.for_scene import blood_by_arterial_pressure
 from ..hemodynamics.waves import pressure_lines
 from ..scene import Scene
 from ..scene.body import Drift
-
-Array = NDArray[np.float64]
 
 # By how much all readings of a board change with a micrometre more between it and the nail. On the prototype, traced,
 # those 1.5 mm from the LED fall by 0.0014 (+- 0.0002), those beyond 2 mm by less than 0.0005; here all alike. [1/um]

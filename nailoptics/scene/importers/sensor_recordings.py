@@ -7,14 +7,12 @@ from io import StringIO
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...checks import Array
 from ...errors import InputError
 from ..oximeter import DARK
 from ..text_files import Rows, number_columns, read_rows
 from .recordings import PRESSURES, check_columns, unloaded
-
-Array = NDArray[np.float64]
 
 SITES = {"proximal": 1.0, "distal": 0.0, "even": np.nan}
 # A converter's counts are whole numbers far above any voltage of a photodiode's stage.
