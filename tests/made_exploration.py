@@ -2,18 +2,18 @@
 
 import numpy as np
 
-from nailoptics.light.pair_kernel import RadialFunction, pair_basis
 from nailoptics.scene import Scene
 from nailoptics.sensor.ambient import SOURCES
-from nailoptics.studies.exploration.blood_ratio import BloodPolynomial, ratio_basis
-from nailoptics.studies.exploration.colour_table import BLOCKS, ColourTable
 from nailoptics.studies.exploration.explore import (
+    AMBIENT_CELLS,
+    BLOCKS,
+    ColourTable,
     Exploration,
     colours,
     explored_board,
-    fluence_edges,
     touch_table,
 )
+from nailoptics.studies.exploration.pair_table import BloodPolynomial, RadialFunction, pair_basis
 
 
 def made_exploration(scene: Scene, *, seed: int = 0) -> Exploration:
@@ -21,25 +21,20 @@ def made_exploration(scene: Scene, *, seed: int = 0) -> Exploration:
     rng, base = np.random.default_rng(seed), explored_board(scene)
     layout = base.layout
     basis = pair_basis(layout.outline, layout.barriers[0] if layout.barriers else None)
-    ratio = ratio_basis(basis)
-    distance_mm = np.geomspace(0.2, 20, 30)
-    radial = RadialFunction(np.log(distance_mm), -distance_mm - 1.0)
+    radial = RadialFunction(np.array([-0.3, -2.0, -5.5]))
     polynomial, touch = BloodPolynomial((0.0, 0.1), (0.7, 1.0)), touch_table(base)
-    rings, depths = fluence_edges(base)
-    fluence = np.exp(-(rings[:-1, None] + depths[None, :-1]))
     tables = []
     for led in colours(base):
-        at_rest = 0.01 * rng.uniform(0.8, 1.2, basis.size)
-        blocks = at_rest * rng.normal(1.0, 0.05, (BLOCKS, basis.size))
-        zones = rng.uniform(2.0, 4.0, (ratio.size, 2))
+        at_rest = rng.uniform(0.8, 1.2, (basis.size, 1))
+        zones = rng.uniform(2.0, 4.0, (basis.size, 2))
         blood, so2 = polynomial.states[:, :2] - base.blood.rest_blood_fraction, polynomial.states[:, 2]
-        parts = np.exp(-zones @ blood.T) * (1 + so2) / (1 + base.blood.so2)
-        ratios = parts @ polynomial.coefficients.T
-        ratio_blocks = -zones * rng.normal(1.0, 0.05, (BLOCKS, ratio.size, 1))
-        light = at_rest, 0.2 * at_rest, blocks, ratios, ratio_blocks, fluence
-        tables.append(ColourTable(led, *light, photons=1000))
-    nodes = (np.linspace(layout.outline.u_min, layout.outline.u_max, 4), basis.coarse_along_mm)
-    ambient = 1e-9 * rng.uniform(1, 2, (len(SOURCES), *(len(axis) for axis in nodes)))
-    return Exploration(
-        base, basis, ratio, radial, polynomial, tables, touch, nodes, ambient, {"photons": 1000, "seed": seed}
-    )
+        readings = at_rest * np.exp(-zones @ blood.T) * (1 + so2) / (1 + base.blood.so2)
+        blocks = at_rest * np.column_stack([np.ones(basis.size), -zones])
+        blocks = blocks * rng.normal(1.0, 0.05, (BLOCKS, basis.size, 1))
+        coefficients = readings @ polynomial.coefficients.T
+        tables.append(ColourTable(led, coefficients, 0.2 * at_rest[:, 0], blocks, photons=1000))
+    r = layout.outline
+    nodes = tuple(np.linspace(*ends, AMBIENT_CELLS) for ends in ((r.u_min, r.u_max), (r.v_min, r.v_max)))
+    ambient = 1e-9 * rng.uniform(1, 2, (len(SOURCES), AMBIENT_CELLS, AMBIENT_CELLS))
+    made = {"photons": 1000, "seed": seed}
+    return Exploration(base, basis, radial, polynomial, tables, touch, (nodes[0], nodes[1]), ambient, made)

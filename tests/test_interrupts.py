@@ -15,7 +15,7 @@ from nailoptics.report.pages.simulate import SIMULATION
 from nailoptics.studies.colour.adaptive_sampling import PILOT
 from nailoptics.studies.colour.reflectance import NODES
 
-BATCH = "nailoptics.studies.exploration.colour_table:ColourSums.trace"
+BATCH = "nailoptics.studies.exploration.explore:ColourSums.add"
 EXPLORE = ("explore", "prototype", "--photons", "49152", "-o", "page.html")
 SIMULATE = ("simulate", "prototype", "--photons", "20000", "-o", "out")
 COMPLETE = "nailoptics: interrupted; every file that was written is complete."
@@ -34,24 +34,24 @@ def written(folder: Path) -> set[str]:
 
 @pytest.mark.jit
 def test_explore_ends_within_a_batch_and_writes_no_page_of_too_little(folder, chosen_jit):
-    """Twelve batches of each wavelength tell its errors: at the third of the scene's own nothing can be shown."""
+    """A batch of every group of each wavelength gives its errors: at the third of the first nothing can be shown."""
     ended = interrupted_at(BATCH, *EXPLORE, call=3)
     assert (ended.code, ended.later) == (130, 0) and not written(folder)
-    assert ended.said[-1].startswith("nailoptics: interrupted: 800 nm has 3 of 12 batches, 660 nm none, 940 nm none. ")
+    assert ended.said[-1].startswith("nailoptics: interrupted with 12288 of 147456 photons. ")
     assert "No page was written." in ended.said[-1]
 
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_explore_keeps_the_wavelengths_that_it_knows(folder, chosen_jit):
-    """Expected: at the second batch of the third wavelength a page of the first two, which says so."""
-    ended = interrupted_at(BATCH, *EXPLORE, call=26)
+def test_explore_keeps_what_it_has_of_every_wavelength(folder, chosen_jit):
+    """Expected: in the second round of batches a page of all three, which says so."""
+    ended = interrupted_at(BATCH, *EXPLORE[:3], "98304", *EXPLORE[4:], call=38)
     assert (ended.code, ended.later) == (3, 0) and written(folder) == {"page.html"}
-    why = "interrupted: 940 nm has 2 of 12 batches."
+    why = "interrupted with 155648 of 196608 photons."
     assert ended.said[-1] == f"nailoptics: {why} What was reached is in page.html."
     page = Path("page.html").read_text(encoding="utf-8")
     assert why in page.split("</header>")[0]
-    assert "2 wavelengths" in ended.out and ended.out.startswith(f"Cut off: {why}")
+    assert "3 wavelengths" in ended.out and ended.out.startswith(f"Cut off: {why}")
 
 
 @pytest.mark.jit

@@ -24,7 +24,6 @@ class Face:
     quads : (k, 4, 3) float. Planar rectangles, corners counter-clockwise seen from the nail side. [mm]
     normal : (k, 3) float. Unit normals of the quads, into the epoxy and towards the nail.
     area_mm2 : Area of all quads. [mm^2]
-    density : (k,) float. How densely photons start on each quad of what shines, to any scale; alike if not given.
     """
 
     name: str
@@ -32,7 +31,6 @@ class Face:
     quads: Array
     normal: Array
     area_mm2: float
-    density: Array | float = 1.0
 
     @property
     def areas_mm2(self) -> Array:

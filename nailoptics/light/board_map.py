@@ -199,43 +199,20 @@ class BoardTracer:
 
         return self._stored(led, f"back{photodiode}_{seed}-{photons}", trace, build)
 
-    def everywhere(
-        self, led: int, *, photons: int, seed: int, density: Callable[[np.ndarray], np.ndarray] | None = None
-    ) -> tuple[np.ndarray, Arrivals, Arrivals, Arrivals]:
+    def everywhere(self, led: int, *, photons: int, seed: int) -> tuple[np.ndarray, Arrivals, Arrivals, Arrivals]:
         """Trace light of one LED's wavelength, Lambertian, from all over the bare underside.
-
-        density : how densely photons start at places (k, 2) float [mm], (k,) float to any scale; those of a strip along
-            the nail as at its middle. Where they start more densely each counts for less. Even if not given.
 
         Returns: where each photon starts, (photons, 2) float [mm]; light that arrives on the board, as a photodiode
         like the scene's counts it there; the same as such a photodiode counts it where it starts, of an LED where it
         arrives; and light that leaves into the air, as it counts where it starts.
         """
         check_one_response(self.scene.photodiodes)
-        geometry = self.tracer.geometry
-        face = underside(geometry)
-        dense = np.ones(len(face.quads)) if density is None else density(geometry.on_board(face.quads.mean(1)))
-        face = replace(face, density=dense)
-        starts, sent, quad = self.tracer.starts(face, photons=photons, seed=seed)
+        face = underside(self.tracer.geometry)
+        starts, sent = self.tracer.starts(face, photons=photons, seed=seed)
         arrived, cos, left = self._onto_board(led, face, photons, seed)
-        counts = (np.average(dense, weights=face.areas_mm2) / dense)[quad]
-        arrived = arrived.reweighted(counts[arrived.photon])
         sent = self._accepted(0, sent)
-        back, left = arrived.reweighted(sent[arrived.photon]), left.reweighted((counts * sent)[left.photon])
+        back, left = arrived.reweighted(sent[arrived.photon]), left.reweighted(sent[left.photon])
         return starts, arrived.reweighted(self._accepted(0, cos)), back, left
-
-    def fluence(self, led: int, radius_mm: np.ndarray, depth_mm: np.ndarray, *, photons: int, seed: int) -> np.ndarray:
-        """How an LED's light spreads below it: its fluence rate per emitted power on rings around it, by depth below
-        the nail plate's outer face, (radius, depth) float. [mm^-2]
-
-        radius_mm, depth_mm : edges, evenly spaced. [mm]
-        """
-        from .walk.tallies import FluenceTally
-
-        backends.activate(self.backend)
-        tally = FluenceTally(self.tracer.geometry, self.scene.layout.leds[led].center_mm, radius_mm, depth_mm)
-        self.tracer.walk(led, photons=photons, seed=seed, section=tally)
-        return tally.density(photons)
 
     def _onto_board(
         self, led: int, face: Face | None, photons: int, seed: int

@@ -232,20 +232,3 @@ def test_a_turned_rectangle_of_a_map_holds_what_came_within_its_edges():
     assert np.all(np.abs(found - inside) < 2 * error)
     alone = np.stack([summed.over([one]).mean(0)[0] for one in turned])
     assert np.allclose(alone, found)
-
-
-def test_photons_that_start_more_densely_in_places_tell_the_same_light(chosen_jit, scene):
-    """Four times as densely on one half: light that arrives and that leaves, by the half where it starts."""
-    tracer, photons = BoardTracer(scene, spacing_mm=0.3), 1 << 15
-    even = tracer.everywhere(0, photons=photons, seed=1)
-    dense = tracer.everywhere(0, photons=photons, seed=2, density=lambda places: np.where(places[:, 0] < 0, 4.0, 1.0))
-    sums = []
-    for starts, *ways in (even, dense):
-        here = starts[:, 0] < 0
-        each = [np.bincount(one.photon, one.weight, minlength=photons) for one in ways]
-        halves = np.stack([one * half for one in each for half in (here, ~here)])
-        sums.append((np.mean(here), halves.mean(1), halves.std(1) / photons**0.5))
-    (by_area, mean, error), (densely, other, spread) = sums
-    assert densely == pytest.approx(4 * by_area / (3 * by_area + 1), abs=0.02)
-    assert np.all(np.abs(other - mean) < 4 * np.hypot(error, spread))
-    assert np.all(np.hypot(error, spread) < 0.1 * mean)

@@ -22,7 +22,7 @@ from nailoptics.scene.importers.positions import read_positions
 from nailoptics.sensor import electronics
 from nailoptics.sensor.information import Response, force_resolution_n, operating_point, total_information
 from nailoptics.statistics import jackknife
-from nailoptics.studies.exploration.explore import Exploration
+from nailoptics.studies.exploration.explore import KERNEL_ERROR, Exploration
 from nailoptics.studies.placement.result import kicad_parts
 
 
@@ -107,20 +107,18 @@ def reading(explored: Exploration, colour: int, die: Any, area: Any, state: list
         nodes.append((turned + one["at"], np.outer(weight_x, weight_y).ravel() / 4))
     (x, wx), (y, wy) = nodes
     pairs = np.repeat(x, len(y), 0), np.tile(y, (len(x), 1))
-    at, value = explored.basis.at(*pairs)
     weights = np.outer(wx, wy).ravel() * area["size"][0] * area["size"][1] * explored.radial(*pairs)
-    scale = np.sqrt(np.mean(table.coefficients**2))
-    at_rest = weights * (value * (scale * half(table.coefficients / scale))[at]).sum(1)
-    ratios = half(table.ratios) @ explored.polynomial.monomials(np.array([state]))[0]
-    edge_mm = explored.scene.zone_edges_mm[0]
-    return float(at_rest @ (explored.ratio.matrix(*pairs, edge_mm) @ ratios))
+    coefficients = half(table.coefficients) @ explored.polynomial.monomials(np.array([state]))[0]
+    return float(weights @ (explored.basis.matrix(*pairs) @ coefficients))
 
 
 def test_readings_are_pythons_at_random_places_sizes_turns_and_states(shown: Any, explored: Exploration):
-    rng, basis = np.random.default_rng(1), explored.basis
+    rng, board = np.random.default_rng(1), explored.scene.layout.outline
+    sides = [(board.u_min, board.u_max)] * 2
+    if explored.basis.wall_mm is not None:
+        sides = [(axis[0], axis[-1]) for axis in explored.basis.axes[:2]]
     for _ in range(20):
-        x = [rng.uniform(axis[0] + 1, axis[-1] - 1) for axis in (basis.first_mm, basis.coarse_along_mm)]
-        y = [rng.uniform(axis[0] + 1, axis[-1] - 1) for axis in (basis.second_mm, basis.coarse_along_mm)]
+        x, y = ([rng.uniform(low + 1, high - 1), rng.uniform(board.v_min + 1, board.v_max - 1)] for low, high in sides)
         if np.hypot(x[0] - y[0], x[1] - y[1]) < 1.0:
             continue
         size, turn = rng.uniform(0.2, 1.2, 2).round(3).tolist(), float(rng.uniform(0, 180))
@@ -135,7 +133,7 @@ def test_readings_are_pythons_at_random_places_sizes_turns_and_states(shown: Any
             [colour, x, y, size, turn, state],
         )
         assert shown_fraction == pytest.approx(reading(explored, colour, die, area, state), rel=1e-6)
-        # Beside kinks of the tables a few points miss some.
+        # Beside kinks of the table a few points miss some.
         assert shown_fraction == pytest.approx(reading(explored, colour, die, area, state, points=12), rel=0.02)
 
 
@@ -236,7 +234,7 @@ def test_what_the_page_calls_buildable_is_a_scene(shown: Any):
 def test_errors_are_those_of_the_groups_of_photons(shown: Any, explored: Exploration):
     """All coefficients of a group are uneven by 5 % each by itself, so that a reading's error is a part of that."""
     first = rows(shown)[0]
-    counted = np.sqrt((first["restError"] / first["fractionRest"]) ** 2 - explored.kernel_error**2)
+    counted = np.sqrt((first["restError"] / first["fractionRest"]) ** 2 - KERNEL_ERROR**2)
     assert 0.05 / np.sqrt(12) / 10 < counted < 0.05 / np.sqrt(12)
 
 

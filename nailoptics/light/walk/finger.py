@@ -35,7 +35,7 @@ from .sampling import (
     roulette,
 )
 from .splitting import Reach, Splitting
-from .tallies import BoardTally, FluenceTally, Section, SensitivityTally
+from .tallies import BoardTally, Section, SensitivityTally
 
 # Scatterings without a ray before lanes wait for each other; more leave lanes idle, fewer cast rays for few lanes.
 FREE_EVENTS = 6
@@ -128,15 +128,15 @@ class FingerTracer:
         walk = FingerWalk(self.interfaces, self.regions[led], ZoneEdges(self.zones), emitter, ends, **to)
         return ends.evaluated(walk.run(rng, count, first))
 
-    def starts(self, face: Face, *, photons: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where on the flat board the photons start that `walk` sends from a face of it, (photons, 2) float [mm], the
-        cosines of their angles to it, (photons,) float, and on which of its quads, (photons,) int."""
+    def starts(self, face: Face, *, photons: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        """Where on the flat board the photons start that `walk` sends from a face of it, (photons, 2) float [mm], and
+        the cosines of their angles to it, (photons,) float."""
         (rng, _), index = lanes(photons, seed), dr.arange(mi.UInt32, photons)
         lane, own = index % dr.width(rng.state), mi.PCG32(size=photons)  # type: ignore[operator]
         own.inc = dr.gather(mi.UInt64, rng.inc, lane) if dr.width(rng.inc) > 1 else rng.inc
         own.state = loop_state(dr.gather(mi.UInt64, rng.state, lane), index)
-        p, _, cos, facet = Emitter(face, LAMBERTIAN, mi.UInt32(0)).emit_at_angle(own)
-        return self.geometry.on_board(np.array(p).T), np.array(cos).astype(float), np.array(facet)
+        p, _, cos = Emitter(face, LAMBERTIAN, mi.UInt32(0)).emit_at_angle(own)
+        return self.geometry.on_board(np.array(p).T), np.array(cos).astype(float)
 
     @staticmethod
     def by_zone(paths: np.ndarray) -> np.ndarray:
@@ -180,7 +180,7 @@ class FingerWalk:
         emitter: Any,
         ends: PhotonEnds,
         *,
-        section: Section | SensitivityTally | FluenceTally | None = None,
+        section: Section | SensitivityTally | None = None,
         board: BoardTally | None = None,
         splitting: Splitting | None = None,
         acceptance: Acceptance | None = None,

@@ -178,7 +178,7 @@ class Emitter:
     def __init__(self, face: Face, emission: np.ndarray, region: Any) -> None:
         self.region = region
         quads = np.asarray(face.quads)
-        share = face.areas_mm2 * face.density
+        share = face.areas_mm2
         self.cumulative_share = mi.Float(np.cumsum(share) / share.sum())
         self.corners = mi.Float(quads.astype(np.float32).ravel())
         self.normal = mi.Float(np.asarray(face.normal, np.float32).ravel())
@@ -186,11 +186,11 @@ class Emitter:
 
     def emit(self, rng: Any, index: Any) -> tuple[Any, Any]:
         """Place and direction of a new photon, whichever of the batch it is."""
-        p, w, _, _ = self.emit_at_angle(rng)
+        p, w, _ = self.emit_at_angle(rng)
         return p, w
 
-    def emit_at_angle(self, rng: Any) -> tuple[Any, Any, Any, Any]:
-        """Place and direction of a new photon, the cosine of its angle to the face, and its facet."""
+    def emit_at_angle(self, rng: Any) -> tuple[Any, Any, Any]:
+        """Place and direction of a new photon, and the cosine of its angle to the face."""
         pick, facet = rng.next_float32(), mi.UInt32(0)
         for i in range(dr.width(self.cumulative_share) - 1):
             facet += dr.select(pick >= dr.gather(mi.Float, self.cumulative_share, i), mi.UInt32(1), mi.UInt32(0))
@@ -200,7 +200,7 @@ class Emitter:
         p = dr.lerp(dr.lerp(a, b, u), dr.lerp(d, c, u), v)
         cos = emission_cosine(self.emission, rng.next_float32())
         w = rotate_direction(normal, cos, 2 * dr.pi * rng.next_float32())
-        return mi.Point3f(off_surface(p, normal)), mi.Vector3f(w), cos, facet
+        return mi.Point3f(off_surface(p, normal)), mi.Vector3f(w), cos
 
 
 class ZoneEdges:

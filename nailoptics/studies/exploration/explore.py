@@ -1,48 +1,39 @@
-"""Tables of a board's light from which a page reads any layout at once.
+"""A table of a board's light from which a page reads any layout at once.
 
-What a photodiode reads of an LED is a function of both their places, of their sizes and turns, of the wavelength, the
-blood of two zones and its saturation: some ten numbers. It factors. The light between two places is a smooth kernel
-(`light.pair_kernel`) of some 1200 coefficients for each wavelength; integrals over die and photodiode are sums over a
-few Gauss points of each; and what blood makes of a reading at rest is smooth over pairs of places (`blood_ratio`, some
-4000 nodes), a polynomial of 31 terms in blood and saturation at each (`BloodPolynomial`). In half precision, with the
-groups of photons that tell the standard errors, that is 0.6 MB for a wavelength.
+What a photodiode reads of an LED depends on both their places, sizes and turns, on the wavelength, the blood of two
+zones and its saturation. The light between two places is a table of some 3000 coefficients for each wavelength
+(`pair_table`), each a polynomial of 31 terms in blood and saturation; integrals over die and photodiode are sums over a
+few Gauss points of each. A grid of LED places with a photon map each would need ...
 
-Places of LEDs by reciprocity or a grid of traces: both are one here, as photons start all over the board and count both
-ways. A grid of LED places 1 mm apart, on the prototype's side of the wall some 60, each to 1 %, would take an hour at
-the 61 s that one takes; one trace from each photodiode the other way tells every place of the LED, but only for
-photodiodes that stay where they are. The kernel knows pairs of places on the prototype's board, 1.5 to 2.7 mm apart,
-to 2 to 5 % by its photons, and farther ones less well, after two and a half minutes of processor time for three
-wavelengths.
-
-What it holds fixed: the outline, the wall, the cover, epoxy and finger; that LEDs are Lambertian and faces flush with
-the board's underside. What it leaves out: that a photodiode swallows the few percent that the bare board would send
-back, and what lies between the nodes; `kernel_error` stands for both in readings, `KERNEL_CHANGE_ERROR` in their
-change, `kernel_resolution_error` in the force that they resolve.
+Held fixed: the outline, the wall, the cover, epoxy and finger; LEDs are Lambertian and faces flush with the board's
+underside. Left out: that a photodiode absorbs the few percent that the bare board would reflect, and what lies between
+the nodes; `kernel_error` stands for both in readings, `KERNEL_CHANGE_ERROR` in their change.
 """
 
 import math
 import time
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError, NotReachedError
+from ...geometry import underside
 from ...hemodynamics.for_scene import largest_force_n, touch_areas_mm2, touch_pressures_pa
 from ...light import ProgressCallback
-from ...light.board_map import BoardTracer
-from ...light.pair_kernel import PairBasis, PairProjection, RadialFunction, pair_basis
-from ...light.tracing import Ending, StageProgress, run_until, seconds_per_sample
-from ...options import BackendName, Requested, TraceOptions
+from ...light.board_map import Arrivals, BloodPoint, BoardTracer, blood_point
+from ...light.tracing import Ending, StageProgress, run_until
+from ...light.transfer.reweight import transmissions
+from ...options import Requested, TraceOptions
 from ...scene import Led, Scene, digest, to_toml
+from ...sensor.ambient import SOURCES, photocurrents_a
 from ...sensor.information import PRIOR_PA, operating_point
 from ...sensor.physiological_noise import LIFT_PER_UM
 from ...statistics import seed_of
 from ..placement import boards, candidates
-from ..placement.photon_maps import QUICK_DISTANCE_MM
-from .blood_ratio import BloodPolynomial, RatioBasis, ratio_basis
-from .colour_table import BLOCKS, ColourSums, ColourTable
+from .pair_table import BloodPolynomial, PairBasis, PairProjection, RadialFunction, pair_basis
 
 Array = NDArray[np.float64]
 
@@ -51,26 +42,37 @@ Array = NDArray[np.float64]
 WALL_PHOTONS, OPEN_PHOTONS = 5 << 20, 1 << 21
 # Wavelengths that every page offers beside its scene's own, but for those nearer to one of these than this. [nm]
 FURTHER_LEDS, SAME_NM = ("led_660", "led_940"), 8.0
-# Batches have so many photons at least.
-LEAST_BATCH = 1 << 12
-# Under a limit of time, batches are such that each group has its first within this part of what is left for their
-# wavelength, by the pace of so many photons.
-FIRST_ROUND, PACE_PHOTONS = 0.5, 1 << 15
-# Relative error of readings by the kernel's nodes and the bare board, rms. With a wall: what is left on the prototype's
-# board of 16 readings of two layouts beside traces of their own, errors of both by their photons taken off. Without a
-# wall: of 188 photodiodes of 1 x 1 mm, 1.2 to 4.5 mm from four places of an LED on the bare board of
-# scenes/placement.toml, 2 million photons of the table; their mean is off by -0.1(2) %. Nodes across that are 1.1 mm
-# apart, in place of 1.9, or four times the pairs of places for M make it no smaller.
-KERNEL_ERROR, OPEN_KERNEL_ERROR = 0.03, 0.045
-# Of their change under a touch, rms, in parts of what either zone's blood changes by itself, added up: 46 photodiodes
-# of 1 x 1 mm under four places of the prototype's LED, three forces, beside a million photons of each place; 5.2
-# million photons of the table. Errors by the photons of both are taken off.
-KERNEL_CHANGE_ERROR = 0.026
+# Groups of photons, whose scatter gives standard errors; photons of their first batches, of which each later one has
+# twice as many; and of the pilot from which the fall with the distance is fitted.
+BLOCKS, LEAST_BATCH, PILOT_PHOTONS = 12, 1 << 12, 1 << 18
+# Relative error of readings by the table's nodes and the bare board, rms, and of their change under a touch, in parts
+# of what either zone's blood changes by itself, added up. Beside a million photons of each of four places of the
+# prototype's LED and of four on the board of placement.toml without a wall: 160 photodiodes of 1 x 1 mm, 1.2 to 3.6 mm
+# away, errors by the photons of both taken off.
+KERNEL_ERROR, KERNEL_CHANGE_ERROR = 0.045, 0.04
 # The blood at rest can be chosen from half to twice the scene's, the saturation down to here.
 BLOOD_RANGE, LEAST_SO2 = (0.5, 2.0), 0.7
-FLUENCE_PHOTONS, RING_MM, DEPTH_STEP_MM, FLUENCE_RADIUS_MM, BELOW_BED_MM = 1 << 16, 0.2, 0.1, 10.0, 2.0
-# Stream of random numbers.
-FLUENCE = 12
+# Cells of the ambient light's table across and along the board; cells of the distances that the walk looks up. [mm]
+AMBIENT_CELLS, DISTANCE_MM = 6, 0.1
+# Streams of random numbers.
+EVERYWHERE, PILOT = 11, 13
+
+
+@dataclass
+class ColourTable:
+    """What is known of one wavelength.
+
+    led : what has this wavelength.
+    coefficients : (size, monomials) float. The kernel over g, over blood and saturation.
+    direct : (size,) float. Its part never in the bed, at rest.
+    blocks : (blocks, size, 3) float. At rest the kernel and its change with either blood, by single groups of photons.
+    """
+
+    led: Led
+    coefficients: Array
+    direct: Array
+    blocks: Array
+    photons: int
 
 
 @dataclass
@@ -83,7 +85,6 @@ class Exploration:
 
     scene: Scene
     basis: PairBasis
-    ratio: RatioBasis
     radial: RadialFunction
     polynomial: BloodPolynomial
     colours: list[ColourTable]
@@ -92,26 +93,100 @@ class Exploration:
     ambient_a_per_mm2: Array
     attributes: dict[str, Any] = field(default_factory=dict)
 
-    @property
-    def kernel_error(self) -> float:
-        """Relative error of readings beyond that by photons, rms."""
-        return OPEN_KERNEL_ERROR if self.basis.one_side else KERNEL_ERROR
+
+class ColourSums:
+    """Arrivals of one wavelength summed over the functions of a pair of places."""
+
+    def __init__(
+        self, lit: Scene, number: int, basis: PairBasis, polynomial: BloodPolynomial, options: TraceOptions
+    ) -> None:
+        """lit : the bare board. number : of the wavelength."""
+        self.number, self.seed, self.basis, self.polynomial = number, options.seed, basis, polynomial
+        self.tracer = BoardTracer(lit, backend=options.backend, spacing_mm=DISTANCE_MM)
+        self.rest = blood_point(lit, 0)
+        self.points = [_state_point(lit, *map(float, state)) for state in polynomial.states]
+        self.sums = np.zeros((basis.size, len(polynomial.exponents) + 1))
+        self.blocks, self.photons = np.zeros((BLOCKS, basis.size, 3)), np.zeros(BLOCKS)
+        self.weight = self.arrivals = 0.0
+        self.ambient_a = np.zeros((len(SOURCES), AMBIENT_CELLS, AMBIENT_CELLS))
 
     @property
-    def kernel_resolution_error(self) -> float:
-        """Of the force resolved, which goes as the slopes of the readings: as much as all that moves a slope."""
-        return math.hypot(self.kernel_error, KERNEL_CHANGE_ERROR)
+    def area_mm2(self) -> float:
+        """Area on which photons start. [mm^2]"""
+        return underside(self.tracer.tracer.geometry).area_mm2
+
+    def traced(self, photons: int, *seed: int) -> tuple[Arrivals, Array, Array, Arrivals]:
+        """Photons that start anywhere: light between LEDs' places x and photodiodes' y; and light that leaves, with
+        the place where it started."""
+        starts, arrived, back, left = self.tracer.everywhere(0, photons=photons, seed=seed_of(self.seed, *seed))
+        begin, end = starts[arrived.photon], arrived.place_mm
+        passed, forth = self.basis.passed(begin, end)
+        x, y = np.where(forth[:, None], begin, end)[passed], np.where(forth[:, None], end, begin)[passed]
+        # Both ways are the same K: without a wall either end may be the photodiode, with one it is y.
+        ways = np.where(forth, arrived.weight, back.weight), np.where(forth, back.weight, arrived.weight)
+        weight = 0.5 * (sum(ways) if self.basis.wall_mm is None else ways[0])
+        left = replace(left, place_mm=starts[left.photon])
+        return replace(arrived, weight=weight).select(passed), x, y, left
+
+    def add(self, block: int, photons: int) -> None:
+        """Trace one batch more for one group of photons."""
+        arrivals, x, y, left = self.traced(photons, EVERYWHERE, self.number, block, int(self.photons[block]))
+        functions, values = self.basis.matrix(x, y).T, self._values(arrivals)
+        self.sums += functions @ values[:, :-3]
+        self.blocks[block] += functions @ values[:, -3:]
+        self.weight, self.arrivals = self.weight + arrivals.weight.sum(), self.arrivals + len(x)
+        self.photons[block] += photons
+        if self.number == 0:
+            self._add_ambient(left)
+
+    def _values(self, arrivals: Arrivals) -> Array:
+        """What each arrival adds: to each monomial, to the direct part, to the reading at rest and its two changes."""
+        rest = self.rest.values(arrivals)
+        mu_a = np.stack([point.mu_a for point in self.points]) - self.points[0].traced
+        states = transmissions(arrivals.path_mm, mu_a, self.points[0].share) * arrivals.weight[:, None]
+        return np.column_stack([states @ self.polynomial.coefficients.T, rest[:, [1, 0]], rest[:, 2:]])
+
+    def table(self, led: Led, projection: PairProjection) -> ColourTable:
+        """The table from all that was summed."""
+        per_photon, weight = self.area_mm2 / self.photons.sum(), self.weight / self.arrivals
+        blocks = np.concatenate(self.blocks * (self.photons.sum() / self.photons)[:, None, None], axis=1)
+        solved = projection.solve(np.column_stack([self.sums, blocks]) * per_photon, weight=weight * per_photon)
+        count = len(self.polynomial.exponents)
+        blocks = solved[:, count + 1 :].reshape(len(solved), BLOCKS, 3).transpose(1, 0, 2)
+        return ColourTable(led, solved[:, :count], solved[:, count], blocks, int(self.photons.sum()))
+
+    def _add_ambient(self, left: Arrivals) -> None:
+        """Add light that leaves, as that from outside comes in, to the cell of the board from which it started."""
+        scene = self.tracer.scene
+        nm, diode = scene.leds[0].wavelength_nm, scene.layout.photodiodes[0].photodiode
+        for k, source in enumerate(SOURCES):
+            each = photocurrents_a(left, scene, source, traced_nm=nm, photodiode=diode, area_mm2=self.area_mm2)
+            self.ambient_a[k] += np.histogram2d(
+                *left.place_mm.T, list(self._ambient_edges), weights=each * left.photons
+            )[0]
+
+    @property
+    def _ambient_edges(self) -> tuple[Array, Array]:
+        r = self.tracer.scene.layout.outline
+        return np.linspace(r.u_min, r.u_max, AMBIENT_CELLS + 1), np.linspace(r.v_min, r.v_max, AMBIENT_CELLS + 1)
+
+    def ambient(self) -> tuple[tuple[Array, Array], Array]:
+        """Middles (u, v) of cells, (a,), (b,) float [mm], and the photocurrent there by light from outside, per area,
+        (sources, a, b) float. [A/mm^2]"""
+        u, v = self._ambient_edges
+        area_mm2 = np.outer(np.diff(u), np.diff(v))
+        return ((u[1:] + u[:-1]) / 2, (v[1:] + v[:-1]) / 2), self.ambient_a / (area_mm2 * self.photons.sum())
 
 
 def explore(scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> Exploration:
     """Trace what a page needs to show any layout on a finger scene's board.
 
     photons : of each of the scene's wavelengths; further ones get half as many.
-    max_seconds : wall time after which tracing ends with what there is, twelve batches of each wavelength or more. [s]
+    max_seconds : wall time after which tracing ends with what there is, one batch of each group or more. [s]
 
     Raises: InputError where the scene has no finger, several walls, LEDs that are not Lambertian, or other than two
     blood zones; NotReachedError, whose result is the Exploration as far as it was made, if interrupted;
-    KeyboardInterrupt if the scene's own wavelengths are not known by then.
+    KeyboardInterrupt if a wavelength has no photons by then.
     """
     options, cpu = TraceOptions(**requested), time.process_time()
     if options.relative_error is not None:
@@ -121,96 +196,63 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
     base = explored_board(scene)
     basis = pair_basis(base.layout.outline, base.layout.barriers[0] if base.layout.barriers else None)
     touch = touch_table(base)
-    polynomial = _polynomial(base, touch)
-    first, tables, cut_off = _traced(base, basis, polynomial, options, report)
+    bare, sources, polynomial = boards.bare_board(base), colours(base), _polynomial(base, touch)
+    own = len({(led.wavelength_nm, led.fwhm_nm) for led in base.leds})
+    usual = options.photons or base.accuracy.photons or (OPEN_PHOTONS if basis.wall_mm is None else WALL_PHOTONS)
+    sums = [
+        ColourSums(bare.model_copy(update={"leds": (_as(bare.leds[0], led),)}), k, basis, polynomial, options)
+        for k, led in enumerate(sources)
+    ]
+    photons = [max(BLOCKS * LEAST_BATCH, usual if k < own else usual // 2) for k in range(len(sums))]
+    cut_off = _trace(sums, photons, report)
+    there, x, y, _ = sums[0].traced(min(usual, PILOT_PHOTONS), PILOT)
+    radial = RadialFunction.of_arrivals(basis, x, y, there.weight * (sums[0].area_mm2 / there.photons))
+    projection = PairProjection(basis, radial)
+    tables = [one.table(led, projection) for one, led in zip(sums, sources, strict=True)]
     attributes: dict[str, Any] = {"seed": options.seed, "photons": sum(one.photons for one in tables)}
-    attributes |= {"backend": first.tracer.backend.name, "scene": to_toml(scene), "digest": digest(scene)}
+    attributes |= {"backend": sums[0].tracer.backend.name, "scene": to_toml(scene), "digest": digest(scene)}
     attributes |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": report.seconds}
-    nodes, currents = first.ambient()
-    found = Exploration(
-        base,
-        basis,
-        ratio_basis(basis),
-        first.known_radial,
-        polynomial,
-        tables,
-        touch,
-        nodes,
-        currents,
-        attributes=attributes,
-    )
+    found = Exploration(base, basis, radial, polynomial, tables, touch, *sums[0].ambient(), attributes)
     if cut_off:
         attributes["cut_off"] = cut_off
         raise NotReachedError(cut_off, result=found)
     return found
 
 
-def _traced(
-    base: Scene, basis: PairBasis, polynomial: BloodPolynomial, options: TraceOptions, report: StageProgress
-) -> tuple[ColourSums, list[ColourTable], str]:
-    """The sums of the first wavelength, the tables of all, and what the user's interrupt left out of them, if it did.
+def _trace(sums: list[ColourSums], photons: list[int], report: StageProgress) -> str:
+    """Trace rounds of a batch for every group of every wavelength, each round twice the last, until there are so many
+    photons or the next would end late. Returns: why it was interrupted, if it was.
 
-    Raises: KeyboardInterrupt where the scene's own wavelengths are not known by then.
-    """
-    bare, sources = boards.bare_board(base), colours(base)
-    own = len({(led.wavelength_nm, led.fwhm_nm) for led in base.leds})
-    usual = options.photons or base.accuracy.photons or (OPEN_PHOTONS if basis.one_side else WALL_PHOTONS)
-    how: dict[str, Any] = {"backend": options.backend, "seed": options.seed}
-    tables: list[ColourTable] = []
-    first: ColourSums | None = None
-    pace_s, cut_off = 0.0, ""
-    for number, led in enumerate(sources):
-        lit = bare.model_copy(update={"leds": tuple(_as(die, led) for die in bare.leds)})
-        sums = ColourSums(lit, number, basis, polynomial, **how, radial=first.radial if first else None)
-        end, most = (number + 1) / len(sources), usual if number < own else usual // 2
-        each = min(sums.tracer.batch_photons, max(LEAST_BATCH, most // BLOCKS))
-        if not math.isinf(report.limit_s):
-            pilot = ColourSums(lit, number, basis, polynomial, **how, radial=None)
-            pace_s = pace_s or seconds_per_sample(pilot.trace, LEAST_BATCH, lambda first_s: PACE_PHOTONS)
-            each = min(each, _fitting(end * report.limit_s - report.seconds, pace_s))
-        batches = max(BLOCKS, round(most / each))
-        _trace(sums, each, batches, led, report, begin=number / len(sources), end=end)
-        others = sources[number + 1 :]
-        is_known = sums.batches >= BLOCKS
-        if report.interrupted and (sums.batches < batches or others):
-            cut_off = f"interrupted: {led.wavelength_nm:g} nm has {sums.batches} of {batches} batches"
-            cut_off += "".join(f", {other.wavelength_nm:g} nm none" for other in others) + "."
-            if number + is_known < own:
-                raise KeyboardInterrupt(f"{cut_off} No page was written.")
-        if not is_known:
-            break
-        if first is None:
-            first, projection = sums, PairProjection(basis, sums.known_radial)
-        fluence = _fluence(base, led, seed=seed_of(options.seed, FLUENCE, number), backend=options.backend)
-        tables.append(sums.table(led, projection, fluence))
-        if cut_off:
-            break
-    assert first is not None
-    return first, tables, cut_off
-
-
-def _fitting(left_s: float, pace_s: float) -> int:
-    """Photons of a batch such that each group has its first well within a time, by their pace. [s]"""
-    return max(LEAST_BATCH, int(FIRST_ROUND * left_s / (BLOCKS * pace_s)))
-
-
-def _trace(
-    sums: ColourSums, each: int, batches: int, led: Led, report: StageProgress, *, begin: float, end: float
-) -> None:
-    """Add batches of so many photons to the sums of one colour, which has the time between two parts of all of it.
-
-    An interrupt of the user ends it, whatever it has.
+    Raises: KeyboardInterrupt where the first round is not complete.
     """
 
-    def is_late(k: int) -> bool:
-        return report.interrupted or (k >= BLOCKS and report.is_late(end))
+    def batches() -> Iterator[tuple[ColourSums, int, int]]:
+        each, round_s = LEAST_BATCH, 0.0
+        while each == LEAST_BATCH or report.seconds + 2 * round_s < report.limit_s:
+            begin_s = report.seconds
+            sizes = [
+                min(each, one.tracer.batch_photons, math.ceil(most / BLOCKS - one.photons[0]))
+                for one, most in zip(sums, photons, strict=True)
+            ]
+            if max(sizes) <= 0:
+                return
+            for one, size in zip(sums, sizes, strict=True):
+                yield from ((one, block, size) for block in range(BLOCKS) if size > 0)
+            each, round_s = 2 * each, report.seconds - begin_s
 
-    def sample(k: int) -> None:
-        sums.trace(each)
-        report(f"{led.wavelength_nm:g} nm", begin + (end - begin) * (k + 1) / batches)
+    def sample(batch: tuple[ColourSums, int, int]) -> None:
+        one, block, size = batch
+        one.add(block, size)
+        done = sum(each.photons.sum() for each in sums) / sum(photons)
+        report(f"{one.tracer.scene.leds[0].wavelength_nm:g} nm", done)
 
-    if run_until(range(batches), sample, is_late=is_late) is Ending.INTERRUPTED:
-        report.interrupted = True
+    ending = run_until(batches(), sample, is_late=lambda _: report.interrupted)
+    if not report.interrupted and ending is not Ending.INTERRUPTED:
+        return ""
+    cut_off = f"interrupted with {sum(one.photons.sum() for one in sums):.0f} of {sum(photons)} photons."
+    if any((one.photons == 0).any() for one in sums):
+        raise KeyboardInterrupt(f"{cut_off} No page was written.")
+    return cut_off
 
 
 def _check(scene: Scene) -> None:
@@ -275,20 +317,12 @@ def _polynomial(base: Scene, touch: dict[str, Any]) -> BloodPolynomial:
     return BloodPolynomial((0.0, highest), (min(LEAST_SO2, base.blood.so2), 1.0))
 
 
-def fluence_edges(scene: Scene) -> tuple[Array, Array]:
-    """Edges of the rings and of the depths of the fluence's table. [mm]"""
-    assert scene.finger is not None
-    deepest = scene.finger.nail_thickness_mm + scene.finger.bed_thickness_mm + BELOW_BED_MM
-    return np.arange(0.0, FLUENCE_RADIUS_MM + RING_MM / 2, RING_MM), np.arange(0.0, deepest, DEPTH_STEP_MM)
-
-
-def _fluence(base: Scene, led: Led, *, seed: int, backend: BackendName) -> Array:
-    """How the light of a die in the middle of a board without a wall spreads, (radius, depth) float. [mm^-2]"""
-    board = base.board.model_copy(update={"barrier": False, "barrier_gap_mm": None})
-    die = _as(base.leds[0], led).model_copy(update={"position_mm": (0.0, 0.0), "rotation_deg": 0.0})
-    scene = boards.bare_board(base.model_copy(update={"board": board, "leds": (die,)}))
-    tracer = BoardTracer(scene, backend=backend, spacing_mm=QUICK_DISTANCE_MM)
-    return tracer.fluence(0, *fluence_edges(base), photons=FLUENCE_PHOTONS, seed=seed)
+def _state_point(scene: Scene, one: float, two: float, so2: float) -> BloodPoint:
+    """The absorption of a blood state; venous blood stays as far below arterial as in the scene."""
+    venous = scene.blood.venous_so2
+    below = None if venous is None else max(0.0, so2 - (scene.blood.so2 - venous))
+    blood = scene.blood.model_copy(update={"so2": so2, "venous_so2": below})
+    return blood_point(scene.model_copy(update={"blood": blood}), 0, traced=scene, blood_fraction=[one, two])
 
 
 # Forces at which the blood is computed, denser where it changes more, up to this or a quarter beyond the scene's touch.

@@ -8,22 +8,31 @@ import pytest
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
-from nailoptics.light.pair_kernel import PairProjection, RadialFunction, pair_basis
 from nailoptics.light.tracing import StageProgress
 from nailoptics.scene import Scene, load_scene
 from nailoptics.scene.rectangles import Rectangle
 from nailoptics.studies.exploration import explore as study
-from nailoptics.studies.exploration.blood_ratio import BloodPolynomial
-from nailoptics.studies.exploration.colour_table import BLOCKS
-from nailoptics.studies.exploration.explore import explore, explored_board
+from nailoptics.studies.exploration.explore import BLOCKS, explore, explored_board
+from nailoptics.studies.exploration.pair_table import BloodPolynomial, PairProjection, RadialFunction, pair_basis
 
 BOARD = Rectangle("board", -4.0, 4.0, -5.0, 5.0)
 WALL = Rectangle("left", -0.9, -0.7, -5.0, 5.0)
-RADIAL = RadialFunction(np.log([0.2, 20.0]), np.log([3.0, 0.03]))
+RADIAL = RadialFunction(np.array([-1.0, -0.5]))
 
 
 def scene() -> Scene:
     return load_scene(data_dir("scenes") / "prototype.toml")
+
+
+def places(basis, rng, count):
+    """Pairs of places at random, the second beyond the wall if there is one, and the area squared in which they lie."""
+    low, high = np.array([BOARD.u_min, BOARD.v_min]), np.array([BOARD.u_max, BOARD.v_max])
+    lows, highs = np.array([low, low]), np.array([high, high])
+    if basis.wall_mm is not None:
+        for k, axis in enumerate(basis.axes[:2]):
+            lows[k, basis.across], highs[k, basis.across] = axis[0], axis[-1]
+    x, y = (rng.uniform(one, other, (count, 2)) for one, other in zip(lows, highs, strict=True))
+    return x, y, np.prod(highs - lows)
 
 
 @pytest.mark.parametrize(
@@ -37,18 +46,15 @@ def scene() -> Scene:
 def test_a_kernel_of_its_form_is_found_from_photons_drawn_from_it(wall):
     """Photons at pairs of places at random, each with the kernel's weight there."""
     basis, rng = pair_basis(BOARD, wall), np.random.default_rng(0)
-    x, y, volume = basis.places(rng.random((200_000, 4)))
 
     def truth(x, y):
-        return RADIAL(x, y) * (1.5 + 0.1 * x[:, 0] + 0.1 * y[:, 0] + 0.05 * np.abs(x[:, 1] - y[:, 1]))
+        return RADIAL(x, y) * (1.5 + 0.1 * (x + y).sum(1) + 0.05 * np.abs(x[:, 1] - y[:, 1]))
 
-    # Each photon counts for both ways: half of those that go one way alone, so that these weigh twice.
-    forth = 1.0 if basis.one_side else 2.0
-    sums = basis.sums(x, y, (forth * volume * truth(x, y))[:, None])
-    kernel = PairProjection(basis, RADIAL).solve(sums)[:, 0]
-    x, y, _ = basis.places(rng.random((2000, 4)))
-    at, value = basis.at(x, y)
-    found = RADIAL(x, y) * (value * kernel[at]).sum(1)
+    x, y, area2 = places(basis, rng, 200_000)
+    weight = area2 / len(x) * truth(x, y)
+    kernel = PairProjection(basis, RADIAL).solve(basis.matrix(x, y).T @ weight[:, None], weight=weight.mean())[:, 0]
+    x, y, _ = places(basis, rng, 2000)
+    found = RADIAL(x, y) * (basis.matrix(x, y) @ kernel)
     # The photons' places are random, so that their number at each pair of nodes is; their weights are exact.
     assert np.sqrt(np.mean((found / truth(x, y) - 1) ** 2)) < 0.1
     assert np.mean(found / truth(x, y)) == pytest.approx(1.0, abs=0.01)
@@ -62,11 +68,9 @@ def test_photons_through_a_wall_are_turned_to_go_from_leds_to_photodiodes(name):
     starts, arrivals = rng.uniform([-4, -5], [4, 5], (2, 1000, 2))
     axis, middle = (1, 1.1) if along else (0, -0.8)
     low = name in ("left", "below")
-    went, forth, x, y = basis.between(starts, arrivals)
-    assert (x[forth] == starts[went][forth]).all() and (y[~forth] == starts[went][~forth]).all()
-    assert (went == ((starts[:, axis] < middle) != (arrivals[:, axis] < middle))).all()
-    assert ((x[:, axis] < middle) == low).all()
-    assert ((y[:, axis] > middle) == low).all()
+    passed, forth = basis.passed(starts, arrivals)
+    assert (passed == ((starts[:, axis] < middle) != (arrivals[:, axis] < middle))).all()
+    assert (forth == ((starts[:, axis] < middle) == low)).all()
 
 
 def test_a_polynomial_in_blood_and_saturation_follows_attenuation():
@@ -134,18 +138,20 @@ def test_the_command_refuses_in_one_line(arguments, what, capsys, tmp_path, monk
 
 
 @pytest.mark.parametrize(("pace_s", "limit_s"), [(5e-6, 60.0), (5e-5, 60.0), (5e-6, 6.0), (5e-5, 0.001)])
-def test_photons_of_a_wavelength_end_with_its_time_or_with_their_least(monkeypatch, pace_s, limit_s):
-    """Expected: at most one batch later, and most of the time used; in no time one least batch of each group."""
-    clock, sent = SimpleNamespace(now=0.0), []
+def test_rounds_end_with_the_time_or_with_the_first(monkeypatch, pace_s, limit_s):
+    """Expected: the time is kept and a third of it used; in no time one least batch of each group."""
+    clock, sent = SimpleNamespace(now=0.0), np.zeros((2, BLOCKS))
     monkeypatch.setattr("nailoptics.light.tracing.trigger.time", SimpleNamespace(perf_counter=lambda: clock.now))
 
-    def trace(photons):
-        sent.append(photons)
-        clock.now += photons * pace_s
+    def colour(k):
+        def add(block, photons):
+            sent[k, block] += photons
+            clock.now += photons * pace_s
 
-    report, led = StageProgress(None, limit_s), scene().leds[0]
-    each = study._fitting(limit_s, pace_s)
-    study._trace(SimpleNamespace(trace=trace), each, 10**6, led, report, begin=0.0, end=1.0)
-    least = BLOCKS * study.LEAST_BATCH
-    assert 0.5 * limit_s < clock.now < max(limit_s + each * pace_s, least * pace_s * 1.001)
-    assert len(sent) >= BLOCKS and (sum(sent) == least or sum(sent) > 1.5 * least)
+        lit = scene()
+        return SimpleNamespace(add=add, photons=sent[k], tracer=SimpleNamespace(scene=lit, batch_photons=1 << 17))
+
+    assert study._trace([colour(0), colour(1)], [10**8, 10**8], StageProgress(None, limit_s)) == ""
+    least_s = sent.size * study.LEAST_BATCH * pace_s
+    assert (sent == sent[0, 0]).all() and sent[0, 0] >= study.LEAST_BATCH
+    assert min(0.3 * limit_s, least_s) <= clock.now <= max(limit_s, least_s) * 1.001

@@ -17,22 +17,12 @@ function unpackHalf(text) {
 }
 
 const colours = tables.colours.map((colour) => ({
-  ...colour,
-  coefficients: unpackHalf(colour.coefficients),
-  direct: unpackHalf(colour.direct),
-  blocks: unpackHalf(colour.blocks),
-  ratios: unpackHalf(colour.ratios),
-  ratioBlocks: unpackHalf(colour.ratioBlocks),
-  fluence: unpackHalf(colour.logFluence),
+  ...colour, coefficients: unpackHalf(colour.coefficients), direct: unpackHalf(colour.direct), blocks: unpackHalf(colour.blocks),
 }));
 const basis = tables.basis;
 const monomialCount = tables.polynomial.exponents.length;
 const blockCount = tables.blocks;
-const fineSize = basis.fine.reduce((n, axis) => n * axis.length, 1);
-const size = fineSize + basis.coarse.reduce((n, axis) => n * axis.length, 1);
-const ratioSize = basis.ratio.reduce((n, axis) => n * axis.length, 1);
-// Nodes and weights of Gauss quadrature on -1 to 1, by how many there are.
-const GAUSS = tables.gauss;
+const size = basis.axes.reduce((n, axis) => n * axis.length, 1);
 
 /** Index of the node before x and the part of the way to the next; what lies outside counts as on the edge. */
 function lineNode(axis, x) {
@@ -44,39 +34,32 @@ function lineNode(axis, x) {
   return [low, Math.min(1, Math.max(0, (x - axis[low]) / (axis[low + 1] - axis[low])))];
 }
 
-/**
- * Add the products of the hats around a point of several coordinates to sums, the last counting fastest.
- * Returns what a function with these values at the nodes adds up to.
- */
-function addHats(axes, point, weight, sums, offset, values = null) {
-  let total = 0;
-  const nodes = axes.map((axis, k) => lineNode(axis, point[k]));
-  for (let corner = 0; corner < 1 << axes.length; corner++) {
+/** Add the table's functions at a pair of places, times a weight, to sums. */
+function addFunctions(x, y, weight, sums) {
+  const a = basis.across, b = 1 - a, nodes = [], half = (k) => [Math.abs(x[k] - y[k]), (x[k] + y[k]) / 2];
+  const point = [...(basis.walled ? [x[a], y[a]] : half(a)), ...half(b)];
+  for (let k = 0; k < 4; k++) nodes.push(lineNode(basis.axes[k], point[k]));
+  for (let corner = 0; corner < 16; corner++) {
     let index = 0, product = weight;
-    for (let k = 0; k < axes.length; k++) {
+    for (let k = 0; k < 4; k++) {
       const up = (corner >> k) & 1;
-      index = index * axes[k].length + nodes[k][0] + up;
+      index = index * basis.axes[k].length + nodes[k][0] + up;
       product *= up ? nodes[k][1] : 1 - nodes[k][1];
     }
-    if (product === 0) continue;
-    sums[offset + index] += product;
-    if (values) total += product * values[offset + index];
+    if (product !== 0) sums[index] += product;
   }
-  return total;
 }
 
 /** g: how light falls with the distance between two places. [mm] */
 function radial(distance) {
-  const { logMm, logValue, nearestMm } = tables.radial;
-  const at = Math.log(Math.max(distance, nearestMm / 2));
-  const [i, part] = lineNode(logMm, at);
-  return Math.exp(logValue[i] + part * (logValue[i + 1] - logValue[i]));
+  const at = Math.log(Math.max(distance, basis.nearestMm));
+  return Math.exp(basis.radial.reduce((sum, c) => sum * at + c, 0));
 }
 
 /** Gauss points of a turned rectangle: [u, v, part of its area]. */
 function points(rectangle, spacingMm) {
   const { u, v, width, length, turn } = rectangle, cos = Math.cos(turn), sin = Math.sin(turn), nodes = [];
-  const rule = (extent) => GAUSS[Math.min(GAUSS.length - 1, Math.max(1, Math.ceil(extent / spacingMm)))];
+  const rule = (extent) => tables.gauss[Math.min(tables.gauss.length - 1, Math.max(1, Math.ceil(extent / spacingMm)))];
   for (const [a, wa] of rule(width)) {
     for (const [b, wb] of rule(length)) {
       const x = (a * width) / 2, y = (b * length) / 2;
@@ -91,32 +74,16 @@ function points(rectangle, spacingMm) {
  * of photons the reading and its change with the blood of either zone at rest. Parts of the LED's light.
  */
 function readPair(led, element, colour) {
-  const sums = new Float64Array(size), ratioSums = new Float64Array(ratioSize), a = basis.across, b = 1 - a;
-  const area = element.width * element.length, onLed = points(led, 0.25), onElement = points(element, 0.25);
-  for (const x of onLed) {
-    for (const y of onElement) {
-      const weight = x[2] * y[2] * area * colour.scale * radial(Math.hypot(x[0] - y[0], x[1] - y[1]));
-      const light = addHats(basis.fine, [x[a], y[a], Math.abs(x[b] - y[b])], weight, sums, 0, colour.coefficients)
-        + addHats(basis.coarse, [x[a], x[b], y[a], y[b]], weight, sums, fineSize, colour.coefficients);
-      const middle = [(x[0] + y[0]) / 2, (x[1] + y[1]) / 2 - tables.board.zoneEdgeMm];
-      addHats(basis.ratio, [Math.abs(x[0] - y[0]), Math.abs(x[1] - y[1]), middle[1], middle[0]], light, ratioSums, 0);
-    }
-  }
-  const light = new Float64Array(blockCount), ratio = new Float64Array(2 * blockCount);
+  const sums = new Float64Array(size), area = element.width * element.length, onElement = points(element, 0.25);
+  for (const x of points(led, 0.25)) for (const y of onElement) addFunctions(x, y, x[2] * y[2] * area * radial(Math.hypot(x[0] - y[0], x[1] - y[1])), sums);
   const coefficients = new Float64Array(monomialCount), blocks = new Float64Array(3 * blockCount);
-  let direct = 0, rest = 0;
+  let direct = 0;
   for (let k = 0; k < size; k++) {
     if (sums[k] === 0) continue;
-    for (let m = 0; m < blockCount; m++) light[m] += sums[k] * colour.blocks[k * blockCount + m];
+    for (let m = 0; m < monomialCount; m++) coefficients[m] += sums[k] * colour.coefficients[k * monomialCount + m];
+    for (let m = 0; m < blocks.length; m++) blocks[m] += sums[k] * colour.blocks[k * blocks.length + m];
     direct += sums[k] * colour.direct[k];
-    rest += sums[k] * colour.coefficients[k];
   }
-  for (let k = 0; k < ratioSize; k++) {
-    if (ratioSums[k] === 0) continue;
-    for (let m = 0; m < monomialCount; m++) coefficients[m] += ratioSums[k] * colour.ratios[k * monomialCount + m];
-    for (let m = 0; m < 2 * blockCount; m++) ratio[m] += (ratioSums[k] / rest) * colour.ratioBlocks[k * 2 * blockCount + m];
-  }
-  for (let m = 0; m < blockCount; m++) blocks.set([light[m], light[m] * ratio[2 * m], light[m] * ratio[2 * m + 1]], 3 * m);
   return { coefficients, blocks, direct };
 }
 
@@ -352,19 +319,6 @@ function overlap(one, other) {
     if (Math.max(...pa) <= Math.min(...pb) + 1e-6 || Math.max(...pb) <= Math.min(...pa) + 1e-6) return false;
   }
   return true;
-}
-
-/** Place of x among the middles of n cells: the cell before it and the part of the way to the next. */
-function cellAt(x, step, n) {
-  const y = Math.min(n - 1.001, Math.max(0, x / step - 0.5)), i = Math.floor(y);
-  return [i, y - i];
-}
-
-/** Logarithm of the fluence rate around a source at a distance, at all depths, linear between the middles of cells. */
-function logFluence(colour, radius) {
-  const { ringMm, rings, depths } = tables.fluence, [i, a] = cellAt(radius, ringMm, rings), values = new Float64Array(depths);
-  for (let j = 0; j < depths; j++) values[j] = (1 - a) * colour.fluence[i * depths + j] + a * colour.fluence[(i + 1) * depths + j];
-  return values;
 }
 
 // ---------------------------------------------------------------------------------------------------- the layout

@@ -2,6 +2,7 @@
 
 import base64
 import json
+import math
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from ....io import FORMULA, write_text
-from ....light.pair_kernel import NEAREST_MM
 from ....scene import Led, Photodiode, Scene
 from ....scene.base import MOST_PHOTODIODES
 from ....scene.rectangles import Rectangle
@@ -20,10 +20,12 @@ from ....studies.exploration.explore import (
     BLOCKS,
     BLOOD_RANGE,
     KERNEL_CHANGE_ERROR,
+    KERNEL_ERROR,
     SAME_NM,
+    ColourTable,
     Exploration,
-    fluence_edges,
 )
+from ....studies.exploration.pair_table import NEAREST_MM
 from ...html import document, escaped, section
 
 # What of a part is its place in a layout, and not the part.
@@ -99,16 +101,15 @@ def _half(values: np.ndarray) -> str:
 
 def _tables(found: Exploration) -> dict[str, Any]:
     scene, basis, polynomial = found.scene, found.basis, found.polynomial
-    fine, coarse, ratio = ([axis.tolist() for axis in axes] for axes in (*basis.axes, found.ratio.axes))
-    rings, depths = fluence_edges(scene)
     leds, diodes = _led_kinds(found), _photodiode_kinds(scene)
     nodes_u, nodes_v = found.ambient_nodes
     return {
         "scene": json.loads(json.dumps(scene.model_dump(mode="json", exclude_none=True, exclude={"placement"}))),
-        "basis": {"across": basis.across, "fine": fine, "coarse": coarse, "ratio": ratio},
-        "radial": {
-            "logMm": found.radial.log_mm.tolist(),
-            "logValue": found.radial.log_value.tolist(),
+        "basis": {
+            "across": basis.across,
+            "walled": basis.wall_mm is not None,
+            "axes": [axis.tolist() for axis in basis.axes],
+            "radial": found.radial.log_coefficients.tolist(),
             "nearestMm": NEAREST_MM,
         },
         "gauss": [_rule(n) for n in range(MOST_POINTS + 1)],
@@ -118,9 +119,10 @@ def _tables(found: Exploration) -> dict[str, Any]:
             "so2": polynomial.so2,
         },
         "blocks": BLOCKS,
-        "kernelError": found.kernel_error,
+        "kernelError": KERNEL_ERROR,
         "kernelChangeError": KERNEL_CHANGE_ERROR,
-        "kernelResolutionError": found.kernel_resolution_error,
+        # The force resolved goes as the slopes of the readings.
+        "kernelResolutionError": math.hypot(KERNEL_ERROR, KERNEL_CHANGE_ERROR),
         "fewRelative": FEW_TERMS**-0.5,
         "sameNm": SAME_NM,
         "restRange": _rest_range(scene),
@@ -142,12 +144,6 @@ def _tables(found: Exploration) -> dict[str, Any]:
             "nodesU": nodes_u.tolist(),
             "nodesV": nodes_v.tolist(),
             "aPerMm2": found.ambient_a_per_mm2.tolist(),
-        },
-        "fluence": {
-            "ringMm": float(rings[1]),
-            "stepMm": float(depths[1]),
-            "rings": len(rings) - 1,
-            "depths": len(depths) - 1,
         },
     }
 
@@ -221,20 +217,13 @@ def _rule(points: int) -> list[list[float]]:
     return [] if points == 0 else np.stack(np.polynomial.legendre.leggauss(points), -1).tolist()
 
 
-def _colour(one: Any) -> dict[str, Any]:
-    # Half precision reaches from 6e-5 to 6e4.
-    scale = float(np.sqrt(np.mean(one.coefficients**2)))
-    fluence = np.log(np.maximum(one.fluence, one.fluence[one.fluence > 0].min()))
+def _colour(one: ColourTable) -> dict[str, Any]:
     return {
         "nm": one.led.wavelength_nm,
         "photons": one.photons,
-        "scale": scale,
-        "coefficients": _half(one.coefficients / scale),
-        "direct": _half(one.direct / scale),
-        "blocks": _half(one.blocks.T / scale),
-        "ratios": _half(one.ratios),
-        "ratioBlocks": _half(one.ratio_blocks.transpose(1, 0, 2)),
-        "logFluence": _half(fluence),
+        "coefficients": _half(one.coefficients),
+        "direct": _half(one.direct),
+        "blocks": _half(one.blocks.transpose(1, 0, 2)),
     }
 
 
@@ -305,9 +294,6 @@ def _board(scene: Scene) -> dict[str, Any]:
         "center": list(board.center_mm),
         "nailMm": [finger.nail_width_mm, finger.nail_length_mm],
         "zoneEdgeMm": scene.zone_edges_mm[0],
-        "epoxyMm": board.height_mm,
-        "plateMm": finger.nail_thickness_mm,
-        "bedMm": finger.bed_thickness_mm,
         "covered": board.cover_um > 0,
     }
 

@@ -196,77 +196,6 @@ function drawReadings() {
   }
 }
 
-// ---- the section: fluence of the LED times that of a photodiode as a source, which is the sensitivity to absorption
-
-// Of three decades, in steps that no eye sees.
-const SCALE = (() => {
-  const stops = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
-  return Array.from({ length: 256 }, (_, n) => {
-    const t = (n / 256) * (stops.length - 1), k = Math.floor(t);
-    return stops[k].map((from, c) => from + (t - k) * (stops[k + 1][c] - from));
-  });
-})();
-
-/** Paint the sensitivity of a pair's reading to absorption, three decades of it, on cells of three pixels. */
-function paintLight(context, colour, separation, { left, right, deep, x, y }) {
-  const columns = Math.max(2, Math.round((x(right) - x(left)) / 3)), rows = Math.max(2, Math.round((y(deep) - y(0)) / 3));
-  const small = new OffscreenCanvas(columns, rows), picture = new ImageData(columns, rows), values = new Float64Array(columns * rows);
-  const depths = Array.from({ length: rows }, (_, j) => ((j + 0.5) / rows) * deep);
-  const cells = depths.map((depth) => cellAt(depth, tables.fluence.stepMm, tables.fluence.depths));
-  let most = -Infinity;
-  for (let i = 0; i < columns; i++) {
-    const s = left + ((i + 0.5) / columns) * (right - left), one = logFluence(colour, Math.abs(s)), other = logFluence(colour, Math.abs(s - separation));
-    for (let j = 0; j < rows; j++) {
-      const [k, b] = cells[j], value = (1 - b) * (one[k] + other[k]) + b * (one[k + 1] + other[k + 1]);
-      values[j * columns + i] = value;
-      if (depths[j] > tables.board.plateMm && value > most) most = value;
-    }
-  }
-  for (let n = 0; n < values.length; n++) {
-    const part = 1 + (values[n] - most) / Math.log(1e3), rgb = SCALE[Math.min(255, Math.max(0, Math.floor(256 * part)))];
-    for (let c = 0; c < 3; c++) picture.data[4 * n + c] = rgb[c];
-    picture.data[4 * n + 3] = 255;
-  }
-  small.getContext("2d").putImageData(picture, 0, 0);
-  context.drawImage(small, x(left), y(0), x(right) - x(left), y(deep) - y(0));
-}
-
-function drawSection() {
-  const canvas = $("section"), context = canvas.getContext("2d"), row = workbench.result.rows[workbench.chosen.row];
-  const style = getComputedStyle(document.documentElement), ink = style.getPropertyValue("--ink"), paper = style.getPropertyValue("--panel");
-  context.fillStyle = paper;
-  context.fillRect(0, 0, canvas.width, canvas.height);
-  if (!row) return;
-  const led = workbench.layout.leds[row.led], separation = Math.hypot(led.u - row.element.u, led.v - row.element.v);
-  const { board, fluence } = tables, deep = fluence.depths * fluence.stepMm, top = board.epoxyMm + 0.6;
-  const perMm = Math.min(canvas.height / (deep + top), canvas.width / (separation + 2)), span = canvas.width / perMm;
-  const left = (separation - span) / 2, right = left + span, x = (s) => (s - left) * perMm, y = (depth) => (depth + top) * perMm;
-  paintLight(context, colours[tables.ledKinds[led.kind].colour], separation, { left, right, deep, x, y });
-  context.strokeStyle = "#ffffffb0";
-  context.lineWidth = 1.5;
-  context.font = "15px system-ui, sans-serif";
-  for (const [depth, name] of [[board.plateMm, "plate"], [board.plateMm + board.bedMm, "bed"]]) {
-    context.beginPath();
-    context.moveTo(x(left), y(depth));
-    context.lineTo(x(right), y(depth));
-    context.stroke();
-    context.fillStyle = "#ffffffd0";
-    context.fillText(name, x(left) + 6, y(depth) - 6);
-  }
-  context.fillStyle = ink;
-  context.fillText("epoxy", x(left) + 6, y(-board.epoxyMm / 2) + 5);
-  const drawDie = (s, width, variable, text) => {
-    context.fillStyle = style.getPropertyValue(variable);
-    context.fillRect(x(s - width / 2), y(-board.epoxyMm) - 6, width * perMm, 8);
-    context.textAlign = "center";
-    context.fillText(text, x(s), y(-board.epoxyMm) - 12);
-    context.textAlign = "left";
-  };
-  drawDie(0, 0.25, "--led", led.name);
-  drawDie(separation, Math.min(row.element.width, row.element.length), "--diode", row.element.name);
-  $("section-words").textContent = `Section through ${led.name} and ${row.element.name}, source-detector separation ${separation.toFixed(2)} mm: sensitivity of this reading to absorption, over three decades (the product of the fluence of both, as in the middle of a board without a wall).`;
-}
-
 // ---- over force
 
 const plots = {};
@@ -562,7 +491,6 @@ function draw() {
   drawCards();
   drawProperties();
   drawReadings();
-  drawSection();
   drawPlots();
   workbench.milliseconds = performance.now() - begin;
 }
