@@ -12,7 +12,7 @@ from ..light.diffusion import DiffusionModel
 from ..scene import Scene
 from ..sensor import electronics
 from .oximetry.disturbances import warnings_without_light
-from .placement import boards, candidates, search_space
+from .placement import boards, candidates
 
 # Layered diffusion predicts a reading within about 40 %: from this part of the range on it may be full.
 MAY_BE_FULL = 0.6
@@ -101,7 +101,7 @@ def _pairs(scene: Scene, blood_fraction: np.ndarray) -> tuple[list[dict[str, Any
 def _candidates(scene: Scene) -> list[dict[str, Any]]:
     """The layouts that a search would rank; raises InputError for what it would refuse."""
     base, rules, found = boards.base_board(scene), boards.rules(scene), []
-    search_space.check_search(base, rules)
+    boards.check_search(base, rules)
     for i, one in enumerate(rules.candidates):
         try:
             layout = candidates.candidate(one.name, candidates.candidate_scene(base, one), "given").scene.layout

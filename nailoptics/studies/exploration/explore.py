@@ -124,7 +124,7 @@ class ColourSums:
         x, y = np.where(forth[:, None], begin, end)[passed], np.where(forth[:, None], end, begin)[passed]
         # Both ways are the same K: without a wall either end may be the photodiode, with one it is y.
         ways = np.where(forth, arrived.weight, back.weight), np.where(forth, back.weight, arrived.weight)
-        weight = 0.5 * (sum(ways) if self.basis.wall_mm is None else ways[0])
+        weight = 0.5 * (ways[0] + ways[1] if self.basis.wall_mm is None else ways[0])
         left = replace(left, place_mm=starts[left.photon])
         return replace(arrived, weight=weight).select(passed), x, y, left
 
@@ -159,23 +159,18 @@ class ColourSums:
         """Add light that leaves, as that from outside comes in, to the cell of the board from which it started."""
         scene = self.tracer.scene
         nm, diode = scene.leds[0].wavelength_nm, scene.layout.photodiodes[0].photodiode
+        r, (u, v) = scene.layout.outline, left.place_mm.T
+        edges = [[r.u_min, r.u_max], [r.v_min, r.v_max]]
         for k, source in enumerate(SOURCES):
             each = photocurrents_a(left, scene, source, traced_nm=nm, photodiode=diode, area_mm2=self.area_mm2)
-            self.ambient_a[k] += np.histogram2d(
-                *left.place_mm.T, list(self._ambient_edges), weights=each * left.photons
-            )[0]
-
-    @property
-    def _ambient_edges(self) -> tuple[Array, Array]:
-        r = self.tracer.scene.layout.outline
-        return np.linspace(r.u_min, r.u_max, AMBIENT_CELLS + 1), np.linspace(r.v_min, r.v_max, AMBIENT_CELLS + 1)
+            self.ambient_a[k] += left.photons * np.histogram2d(u, v, AMBIENT_CELLS, edges, weights=each)[0]
 
     def ambient(self) -> tuple[tuple[Array, Array], Array]:
         """Middles (u, v) of cells, (a,), (b,) float [mm], and the photocurrent there by light from outside, per area,
         (sources, a, b) float. [A/mm^2]"""
-        u, v = self._ambient_edges
-        area_mm2 = np.outer(np.diff(u), np.diff(v))
-        return ((u[1:] + u[:-1]) / 2, (v[1:] + v[:-1]) / 2), self.ambient_a / (area_mm2 * self.photons.sum())
+        r, middles = self.tracer.scene.layout.outline, (np.arange(AMBIENT_CELLS) + 0.5) / AMBIENT_CELLS
+        nodes = r.u_min + (r.u_max - r.u_min) * middles, r.v_min + (r.v_max - r.v_min) * middles
+        return nodes, self.ambient_a * (AMBIENT_CELLS**2 / (r.area_mm2 * self.photons.sum()))
 
 
 def explore(scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> Exploration:

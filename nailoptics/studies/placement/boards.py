@@ -1,17 +1,25 @@
-"""The board of a search or a given layout: on every finger, with its outline and wall spelled out, and bare."""
+"""The board of a search or a given layout: on every finger, with its outline and wall spelled out, and bare; and what
+a search may move on it."""
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 from ...errors import InputError
 from ...scene import Board, Finger, FingerCase, Led, Photodiode, Placement, Scene
 from ...scene.base import Point
 from ...scene.finger import ABSORBING, SCATTERING
+from ...scene.layout import lay_elements
+from ...scene.parts import check_one_response
+
+PartT = TypeVar("PartT", Led, Photodiode)
 
 NAIL_MARGIN_MM = 0.1
 # No board that bears an LED and a photodiode is narrower.
 LEAST_BOARD_MM = 1.0
 # A bare board carries one photodiode, because every scene has one; this one is too small to matter.
 SPECK_MM = 0.05
+# LEDs that a search places together.
+MOST_LEDS = 4
 # One die in place of an array.
 SINGLE = {"reference": None, "part": None, "wired": None, "elements": 1, "pitch_mm": None}
 FAR_SIDE = {"left": (1, 0), "right": (-1, 0), "below": (0, 1), "above": (0, -1)}
@@ -146,3 +154,50 @@ def bare_board(scene: Scene, *, side: str | None = None) -> Scene:
     speck = SINGLE | {"name": "speck", "position_mm": place, "size_mm": (SPECK_MM, SPECK_MM)}
     photodiodes = (scene.photodiodes[0].model_copy(update=speck),)
     return scene.model_copy(update={"photodiodes": photodiodes, "board": board})
+
+
+def check_search(base: Scene, placement: Placement) -> None:
+    """Raise InputError where a search cannot place what the scene has."""
+    names = [*(led.name for led in base.leds), *(photodiode.name for photodiode in base.photodiodes)]
+    for name in placement.fixed:
+        if name not in names:
+            raise InputError(
+                f'placement.fixed: "{name}" is no LED or photodiode of the scene; it has {", ".join(names)}.'
+            )
+    check_one_response(base.photodiodes)
+    if not placement.search:
+        return
+    if len(base.leds) > MOST_LEDS:
+        raise InputError(
+            f"placement.search places up to {MOST_LEDS} LEDs, the scene has {len(base.leds)}; set search = false and "
+            "give candidates."
+        )
+    loose, requested = loose_photodiodes(base, placement), placement.photodiodes
+    kept = tuple(one for one in base.photodiodes if one.name in placement.fixed)
+    fixed = len(lay_elements(base.board, kept)[0])
+    if fixed > requested:
+        raise InputError(f"placement.photodiodes = {requested}, but fixed has {fixed} of them; ask for more.")
+    if placement.wire and requested - fixed > (most := sum(photodiode.elements for photodiode in loose)):
+        raise InputError(
+            f"placement.wire: the scene has {most} elements to choose from, fewer than the {requested - fixed} that "
+            "photodiodes asks for; ask for fewer."
+        )
+
+
+def loose_photodiodes(base: Scene, placement: Placement) -> list[Photodiode]:
+    """The scene's photodiodes that are not fixed."""
+    return [photodiode for photodiode in base.photodiodes if photodiode.name not in placement.fixed]
+
+
+def searchable_board(base: Scene, placement: Placement) -> Scene:
+    """The board whose parts, those aside that stay where they are, lie along or across the nail."""
+    stay = {*placement.fixed, *((one.name for one in base.photodiodes) if placement.wire else ())}
+    leds = tuple(one if one.name in stay else straightened(one) for one in base.leds)
+    photodiodes = tuple(one if one.name in stay else straightened(one) for one in base.photodiodes)
+    return base.model_copy(update={"leds": leds, "photodiodes": photodiodes})
+
+
+def straightened(part: PartT) -> PartT:
+    """A part that lies along or across the nail, whichever is nearer."""
+    across = round(part.rotation_deg / 90) % 2
+    return part.model_copy(update={"rotation_deg": 0.0, "size_mm": part.size_mm[:: -1 if across else 1]})

@@ -13,8 +13,7 @@ from ...scene import Candidate, Led, Photodiode, Placement, Scene
 from ...scene.parts import check_one_response
 from ...scene.rectangles import Rectangle
 from . import boards
-from .boards import SINGLE
-from .search_space import loose_photodiodes, straightened
+from .boards import SINGLE, loose_photodiodes, straightened
 
 Places = Sequence[tuple[float, float]]
 

@@ -19,7 +19,7 @@ from ...light.tracing.store import LightStore
 from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, load_scene
 from ...sensor.information import operating_point
-from . import boards, candidates, search, search_space
+from . import boards, candidates, search
 from .candidates import CandidateLayout
 from .objective import Objective, spo2_objective
 from .photon_maps import FingerCondition, PhotonMapCache
@@ -85,7 +85,7 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
         verified = verify_layout(layouts[0].scene, conditions[0], **limits, **closer)
     report_progress("check", 1.0, scores[0].relative_error)
     if not report_progress.is_late(1.0):
-        over = resolution_vs_count(layouts[0], search_space.searchable_board(base, rules), judging, objective)
+        over = resolution_vs_count(layouts[0], boards.searchable_board(base, rules), judging, objective)
     if scene.priors.spread and report_progress.seconds_left > CHECK_S:
         over = over.merge(resolution_over_priors(layouts, rules, judging, stop=closer["stop"]))
     if store is not None:
@@ -121,12 +121,12 @@ def _candidates(
     report_progress: StageProgress,
 ) -> tuple[list[CandidateLayout], list[search.SearchedSite]]:
     """All layouts to judge, given, searched and the paper's, and every site of the LEDs that the search tried."""
-    search_space.check_search(base, rules)
+    boards.check_search(base, rules)
     # The paper's layout has one LED, which tells no oxygen.
     layouts = given(base, rules)
     paper = None if "oxygen" in rules.weights else _paper_layout(base, cache.conditions)
-    straight = search_space.searchable_board(base, rules)
-    searched = search.search(straight, rules, objective, cache, report_progress) if rules.search else []
+    straight = boards.searchable_board(base, rules)
+    searched = search.Search(straight, rules, objective, cache).run(report_progress) if rules.search else []
     if rules.search and not searched and not report_progress.is_over(search.SEARCH_SHARE):
         log.warning(
             "the search found no room for %d LEDs and %d photodiodes; make the board larger, placement.led_step_mm "

@@ -15,12 +15,11 @@ from ...sensor import information
 from ...sensor.information import OperatingPoint, Response
 from ...statistics import FEW_TERMS, jackknife, left_out
 from ...variables import Variables, variable
-from .boards import rules
+from .boards import rules, straightened
 from .candidates import CandidateLayout
 from .photon_maps import FingerCondition
 from .scores import LayoutScore, resolution_stderr_n
 from .search import SearchedSite
-from .search_space import straightened
 
 # Spacing of the places at which one more photodiode is tried.
 PLACES_MM = 0.2

@@ -23,7 +23,7 @@ from ...sensor.information import (
 from ...statistics import Z95, jackknife, left_out
 from ...variables import variable
 from ..prior_uncertainty import PriorSensitivity, at_value, nodes_of, only_absorbs, prior_variables
-from . import boards, search_space
+from . import boards
 from .candidates import CandidateLayout
 from .coordinate_exchange import coordinate_exchange
 from .objective import Objective
@@ -56,7 +56,7 @@ class _Read:
             information[:, :free],
             self.places.centers_mm,
             count=more,
-            spacing_mm=self.places.apart_mm,
+            spacing_mm=self.places.spacing_mm,
             score=objective.force_n,
             given=information[:, free:].sum(1),
         )
@@ -106,7 +106,7 @@ def _read(layout: CandidateLayout, base: Scene, cache: PhotonMapCache, objective
     own = (
         base
         if layout.origin == "searched"
-        else search_space.searchable_board(boards.with_explicit_walls(layout.scene, layout.name), rules)
+        else boards.searchable_board(boards.with_explicit_walls(layout.scene, layout.name), rules)
     )
     sites = Sites(own, rules)
     places = sites.photodiode_places(board.barriers, board.leds)

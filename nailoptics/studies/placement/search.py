@@ -7,18 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...light.board_map import PhotonMap
 from ...light.tracing import StageProgress
 from ...scene import Placement, Scene
 from ...scene.base import Point
 from ...scene.rectangles import Rectangle
 from ...sensor.information import responses
-from . import candidates, search_space
+from . import boards, candidates
 from .candidates import CandidateLayout
 from .coordinate_exchange import Arrangement, DesignTables
 from .objective import Objective
 from .photon_maps import PhotonMapCache
-from .sites import LedRow, LedSite, PhotodiodePlaces, Sites
+from .sites import SIDES, LedRow, LedSite, PhotodiodePlaces, Sites
 
 log = logging.getLogger(__name__)
 
@@ -42,187 +41,172 @@ REFINED, FINEST = 2, 4
 
 @dataclass(frozen=True)
 class SearchedSite:
-    """The best photodiodes for a site of the LEDs: where they lie, what is reached, less being better, the force that
-    they resolve, and the photons of each LED behind it. [mm], [N]"""
+    """The best photodiodes for a site of the LEDs: where they lie, their score, less being better, the force that they
+    resolve, and the photons of each LED behind it. [mm], [N]"""
 
     site: LedSite
     photodiodes: tuple[Rectangle, ...]
-    reached: float
+    score: float
     resolution_n: float
     photons: int
 
 
 @dataclass
 class _Row:
-    """A row of LEDs with what was traced of it: by LED and place (fingers, photodiodes, c)."""
+    """A row of LEDs with what was traced of it: by LED and place (fingers, photodiodes and those that stay, c)."""
 
     row: LedRow
     places: PhotodiodePlaces
     columns: list[dict[Point, np.ndarray]]
-    stay: list[dict[Point, np.ndarray]]
-    waiting: list[list[Point]]
 
 
 class Search:
     """A search as far as it is.
 
-    found : every site of the LEDs that was given photodiodes.
+    results : every site of the LEDs that was given photodiodes.
     """
 
     def __init__(self, base: Scene, rules: Placement, objective: Objective, cache: PhotonMapCache) -> None:
         """base : a board whose parts lie straight. Raises: InputError for what a search cannot place."""
-        search_space.check_search(base, rules)
+        boards.check_search(base, rules)
         self.base, self.rules, self.objective, self.cache = base, rules, objective, cache
         self.sites = Sites(base, rules)
-        self.found: dict[LedSite, SearchedSite] = {}
+        self.results: dict[LedSite, SearchedSite] = {}
         self._rows: dict[LedRow, _Row] = {}
         # Boards whose maps are held.
         self._mapped: dict[tuple[LedRow, int, Point], Scene] = {}
 
     def run(self, report_progress: StageProgress) -> list[SearchedSite]:
-        """Search on the grid, then around the best on finer ones, until time is over; what was found, in that order."""
+        """Search on the grid, then around the best on finer ones, until time is over; the sites in that order."""
         step, start = self.rules.led_step_mm, report_progress.seconds
         available = max(SEARCH_SHARE * report_progress.limit_s - start, 1e-9)
         waiting = self.sites.rows(step)
         while waiting and step >= self.rules.led_step_mm / FINEST:
             for i, (row, places) in enumerate(waiting.items()):
-                one = self._row(row, places)
-                for done in self._trace(one, report_progress):
+                for done in self._trace(self._row(row, places), places, report_progress):
                     part = (report_progress.seconds - start) / available
                     by_count = (i + done) / len(waiting) / 2
                     report_progress("search", part if math.isfinite(available) else by_count)
-                self._evaluate(one)
+                self._evaluate(self._rows[row])
                 if report_progress.is_over(SEARCH_SHARE):
                     why = "was interrupted" if report_progress.interrupted else "ran out of time"
-                    log.warning("the search for LED places %s after %d of them", why, len(self.found))
-                    return list(self.found.values())
+                    log.warning("the search for LED places %s after %d of them", why, len(self.results))
+                    return list(self.results.values())
             step /= 2
             waiting = self._around_the_best(step)
-        for best in ranked(self.found.values())[:SHORTLIST]:
+        for best in ranked(self.results.values())[:SHORTLIST]:
             if report_progress.is_over(SEARCH_SHARE):
                 break
             self._choose_again(best.site)
-        return list(self.found.values())
+        return list(self.results.values())
 
     def _row(self, row: LedRow, places: list[list[Point]]) -> _Row:
-        """A row with places to trace, those that it has aside."""
-        count = len(self.base.leds)
+        """A row, as far as it is traced."""
         if row not in self._rows:
+            count = len(self.base.leds)
             walls = self.sites.board_at(0, places[0][0], row).layout.barriers
             fixed = [self.sites.die(i, self.sites.place_of(i)) for i in range(count) if self.sites.is_fixed[i]]
-            free = self.sites.photodiode_places(walls, fixed)
-            self._rows[row] = _Row(row, free, [{} for _ in range(count)], [{} for _ in range(count)], [])
-        one = self._rows[row]
-        one.waiting = [[p for p in each if p not in had] for each, had in zip(places, one.columns, strict=True)]
-        return one
+            self._rows[row] = _Row(row, self.sites.photodiode_places(walls, fixed), [{} for _ in range(count)])
+        return self._rows[row]
 
-    def _trace(self, row: _Row, report_progress: StageProgress) -> Iterable[float]:
-        """Trace every LED at its places, place by place, and yield the part that is done."""
+    def _trace(self, row: _Row, places: list[list[Point]], report_progress: StageProgress) -> Iterable[float]:
+        """Trace every LED at its new places, place by place, and yield the part that is done."""
         if len(row.places.areas) + len(row.places.stay) < self.rules.photodiodes:
             return
-        longest = max(map(len, row.waiting))
+        waiting = [[p for p in each if p not in had] for each, had in zip(places, row.columns, strict=True)]
+        longest = max(map(len, waiting))
         for k in range(longest):
             if report_progress.is_over(SEARCH_SHARE):
                 return
-            self._trace_at(row, [(i, each[k]) for i, each in enumerate(row.waiting) if k < len(each)], FIRST_PHOTONS)
+            self._trace_at(row, [(i, each[k]) for i, each in enumerate(waiting) if k < len(each)], FIRST_PHOTONS)
             yield (k + 1) / longest
 
     def _trace_at(self, row: _Row, places: Sequence[tuple[int, Point]], photons: int) -> None:
         """Trace LEDs by number, each at a place of a row, unless there is no time."""
-        boards_at = [(i, place, self.sites.board_at(i, place, row.row)) for i, place in places]
-        count = len(row.places.areas)
-        for i, place, board in boards_at:
+        for i, place, board in [(i, place, self.sites.board_at(i, place, row.row)) for i, place in places]:
             if (had := self.cache.photons_of(board)) < photons:
                 self.cache.extend(board, photons - had)
             if self.cache.photons_of(board) > had or had >= photons:
-                each = self._columns(i, board, row.places)
-                row.columns[i][place], row.stay[i][place] = each[:, :count], each[:, count:]
+                row.columns[i][place] = self._columns(i, board, row.places)
             self.cache.forget_tracer(board)
             self._mapped[row.row, i, place] = board
 
     def _choose_again(self, site: LedSite) -> None:
         """Choose a site's photodiodes once more, by more photons."""
-        had = self._rows[site.row]
-        count = len(self.base.leds)
-        row = _Row(site.row, had.places, [{} for _ in range(count)], [{} for _ in range(count)], [])
+        row = _Row(site.row, self._rows[site.row].places, [{} for _ in self.base.leds])
         self._trace_at(row, list(enumerate(site.places_mm)), SEARCH_PHOTONS)
         if all(row.columns):
             tables = self._tables(row, starts=LAST_STARTS)
             best = tables.best_photodiodes(site.places_mm, self.rules.photodiodes - len(row.places.stay))
             if best is not None:
-                self._keep(row, tables, best, SEARCH_PHOTONS)
+                self._store(row, tables, best, SEARCH_PHOTONS)
 
     def _columns(self, led: int, board: Scene, places: PhotodiodePlaces) -> np.ndarray:
-        """What an LED brings to photodiodes at all places and to those that stay, (fingers, m, c) float."""
+        """What an LED brings to photodiodes at all places and to those that stay, (fingers, m + s, c) float."""
         areas = [*places.areas, *places.stay]
         photodiodes, amplifier = self.sites.kinds(places), self.base.electronics
-
-        def columns_of(finger: int, one: PhotonMap) -> np.ndarray:
-            point, values = self.cache.conditions[finger].point, one.over(areas).mean(0)
-            read = responses(values, self.base.leds[led], photodiodes, amplifier, point, number=led)
-            return self.objective.columns(finger, led, read)
-
-        return np.stack([columns_of(k, by_led[0]) for k, by_led in enumerate(self.cache.maps(board))])
+        columns = []
+        for finger, ((light, *_), condition) in enumerate(
+            zip(self.cache.maps(board), self.cache.conditions, strict=True)
+        ):
+            values = light.over(areas).mean(0)
+            read = responses(values, self.base.leds[led], photodiodes, amplifier, condition.point, number=led)
+            columns.append(self.objective.columns(finger, led, read))
+        return np.stack(columns)
 
     def _evaluate(self, row: _Row) -> None:
-        """Give every arrangement of a row's LEDs its photodiodes, as far as its light is traced."""
+        """Give every arrangement of a row's LEDs its photodiodes, as far as its light is traced, and free the maps that
+        nothing will be added to."""
         if not all(row.columns):
             return
         tables = self._tables(row)
-        known = [one.site.places_mm for one in ranked(self.found.values()) if one.site.row == row.row]
+        known = [one.site.places_mm for one in ranked(self.results.values()) if one.site.row == row.row]
         for one in tables.search(self.rules.photodiodes - len(row.places.stay), known):
-            self._keep(row, tables, one, FIRST_PHOTONS)
-        self._forget_all_but_the_best()
-
-    def _forget_all_but_the_best(self) -> None:
-        """Free the maps that nothing will be added to."""
-        sites = [one.site for one in ranked(self.found.values())[:SHORTLIST]]
+            self._store(row, tables, one, FIRST_PHOTONS)
+        sites = [one.site for one in ranked(self.results.values())[:SHORTLIST]]
         held = {(site.row, i, place) for site in sites for i, place in enumerate(site.places_mm)}
         for key in self._mapped.keys() - held:
             self.cache.forget(self._mapped.pop(key))
 
-    def _tables(self, row: _Row, *, starts: int = 1) -> DesignTables[Point]:
-        centers = row.places.centers_mm
-        is_walled, everywhere = row.row.side is not None, np.ones(len(centers), bool)
+    def _tables(self, row: _Row, *, starts: int = 1) -> DesignTables:
+        places, sites = row.places, self.sites
 
-        def beside(leds: tuple[Point, ...]) -> np.ndarray:
-            if is_walled:
-                return everywhere
-            dies = [self.sites.die(i, place) for i, place in enumerate(leds)]
-            return np.array([self.sites.is_beside(area, dies) for area in row.places.areas], bool)
+        def allowed(leds: tuple[Point, ...]) -> np.ndarray:
+            if row.row.side is not None:
+                return np.ones(len(places.areas), bool)
+            dies = [sites.die(i, place) for i, place in enumerate(leds)]
+            return np.array([sites.is_beside(area, dies) for area in places.areas], bool)
 
-        objective, apart = self.objective, row.places.apart_mm
-        how = (objective.together, objective.score, centers, apart, self.sites.go_together, beside)
-        return DesignTables(row.columns, row.stay, *how, starts=starts)
+        how = (self.objective.together, self.objective.score, places.centers_mm, places.spacing_mm)
+        return DesignTables(row.columns, *how, sites.go_together, allowed, starts=starts)
 
-    def _keep(self, row: _Row, tables: DesignTables[Point], one: Arrangement[Point], photons: int) -> None:
-        """Keep what was found for an arrangement of LEDs."""
+    def _store(self, row: _Row, tables: DesignTables, one: Arrangement, photons: int) -> None:
+        """Store the result of an arrangement of LEDs."""
         site = LedSite(one.leds, row.row)
         photodiodes = tuple(row.places.areas[k] for k in one.photodiodes)
-        force_n = float(self.objective.force_of(tables.total(one.leds, list(one.photodiodes))))
-        self.found[site] = SearchedSite(site, photodiodes, one.reached, force_n, photons)
+        force_n = float(self.objective.force_of(tables.total(one.leds, one.photodiodes)))
+        self.results[site] = SearchedSite(site, photodiodes, one.score, force_n, photons)
 
     def _around_the_best(self, step_mm: float) -> dict[LedRow, list[list[Point]]]:
         """Places beside those of the best sites: along their rows, beside another LED, and rows beside theirs."""
         requested: dict[LedRow, list[dict[Point, None]]] = {}
 
-        def want(row: LedRow, led: int, place: Point) -> None:
-            rounded = (round(place[0], 4), round(place[1], 4))
-            fixed = self.sites.is_fixed[led]
+        def request(row: LedRow, led: int, place: Point) -> None:
+            fixed, rounded = self.sites.is_fixed[led], (round(place[0], 4), round(place[1], 4))
             if fixed or self.sites.may_lie(led, rounded):
-                each = requested.setdefault(row, [{} for _ in self.base.leds])
-                each[led][place if fixed else rounded] = None
+                by_led = requested.setdefault(row, [{} for _ in self.base.leds])
+                by_led[led][place if fixed else rounded] = None
 
-        for best in ranked(self.found.values())[:REFINED]:
+        for best in ranked(self.results.values())[:REFINED]:
             site = best.site
             for i, place in enumerate(site.places_mm):
-                want(site.row, i, place)
+                request(site.row, i, place)
                 for other in self._beside(site, i, step_mm):
-                    want(site.row, i, other)
+                    request(site.row, i, other)
             for row in self._rows_beside(site.row, step_mm):
                 for i, place in enumerate(site.places_mm):
                     along = place[1 if row.side in ("left", "right") else 0]
-                    want(row, i, place if self.sites.is_fixed[i] else self.sites.in_row(i, row, along))
+                    request(row, i, place if self.sites.is_fixed[i] else self.sites.in_row(i, row, along))
         complete = {row: [list(one) for one in each] for row, each in requested.items() if all(each)}
         return {row: each for row, each in complete.items() if self._has_new(row, each) and self.sites.leaves_room(row)}
 
@@ -231,26 +215,23 @@ class Search:
         return any(place not in one for one, each in zip(had, places, strict=True) for place in each)
 
     def _beside(self, site: LedSite, led: int, step_mm: float) -> list[Point]:
-        """Places of one LED a step along its row (on a board without walls: or across), or right beside another LED."""
+        """Places of one LED a step along its row (on a board without walls: or across), or right beside another LED, at
+        the clearance; in a row it stays in its own line."""
         if self.sites.is_fixed[led]:
             return []
-        (u, v), found = site.places_mm[led], []
-        axes = {"left": (1,), "right": (1,), "below": (0,), "above": (0,), None: (0, 1)}[site.row.side]
-        for axis in axes:
+        place, die, places = site.places_mm[led], self.sites.die(led, (0.0, 0.0)), []
+        side = site.row.side
+        for axis in (0, 1) if side is None else (1 - SIDES[side][0],):
+            half = (die.u_max, die.v_max)[axis] + self.rules.clearance_mm
             for sign in (-1, 1):
-                found.append((u, v + sign * step_mm) if axis else (u + sign * step_mm, v))
+                beside = [(place, place[axis] + sign * step_mm)]
                 for k, other in enumerate(site.places_mm):
                     if k != led:
-                        found.append(self._right_beside(led, k, other, axis, sign, (u, v), site.row))
-        return found
-
-    def _right_beside(self, led: int, other: int, at: Point, axis: int, sign: int, own: Point, row: LedRow) -> Point:
-        """An LED's place right beside another, at the clearance, along one axis; in a row it stays in its own line."""
-        die, beside = self.sites.die(led, (0.0, 0.0)), self.sites.die(other, at)
-        half = (die.v_max if axis else die.u_max) + self.rules.clearance_mm
-        edge = (beside.v_max if sign > 0 else beside.v_min) if axis else (beside.u_max if sign > 0 else beside.u_min)
-        line = at if row.side is None else own
-        return (line[0], edge + sign * half) if axis else (edge + sign * half, line[1])
+                        r = self.sites.die(k, other)
+                        edge = ((r.u_min, r.u_max), (r.v_min, r.v_max))[axis][sign > 0]
+                        beside.append((other if side is None else place, edge + sign * half))
+                places += [(line[0], along) if axis else (along, line[1]) for line, along in beside]
+        return places
 
     def _rows_beside(self, row: LedRow, step_mm: float) -> list[LedRow]:
         if row.side is None or row.face_mm is None or all(self.sites.is_fixed):
@@ -259,27 +240,16 @@ class Search:
         return [one for one in rows if self.sites.is_before_fixed(one)]
 
 
-def search(
-    base: Scene, rules: Placement, objective: Objective, cache: PhotonMapCache, report_progress: StageProgress
-) -> list[SearchedSite]:
-    """Every site of the LEDs that was tried, with its best photodiodes; raises InputError as `check_search`."""
-    return Search(base, rules, objective, cache).run(report_progress)
-
-
-def ranked(found: Iterable[SearchedSite]) -> list[SearchedSite]:
+def ranked(results: Iterable[SearchedSite]) -> list[SearchedSite]:
     """The best first."""
-    return sorted(found, key=lambda one: one.reached)
+    return sorted(results, key=lambda one: one.score)
 
 
-def top_ranked(found: Iterable[SearchedSite]) -> list[SearchedSite]:
-    """Those to be judged, the best first: of few photons sites look better than they are, and come after the others."""
-    return sorted(found, key=lambda one: (-one.photons, one.reached))[:SHORTLIST]
-
-
-def shortlist(base: Scene, rules: Placement, found: Sequence[SearchedSite]) -> list[CandidateLayout]:
-    """The best layouts of a search, to be judged with photons of their own."""
+def shortlist(base: Scene, rules: Placement, results: Sequence[SearchedSite]) -> list[CandidateLayout]:
+    """The best layouts of a search, to be judged with photons of their own: those of few photons look better than they
+    are, and come after the others."""
     layouts = []
-    for one in top_ranked(found):
+    for one in sorted(results, key=lambda one: (-one.photons, one.score))[:SHORTLIST]:
         name = one.site.name
         scene = candidates.searched(base, rules, one.site.places_mm, one.photodiodes, side=one.site.row.side, name=name)
         layouts.append(candidates.candidate(name, scene, "searched"))

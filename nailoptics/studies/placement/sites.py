@@ -11,14 +11,22 @@ from ...scene.base import Point
 from ...scene.importers.outlines import has_room
 from ...scene.layout import lay_elements
 from ...scene.rectangles import Rectangle
-from . import boards, search_space
+from . import boards
 
 # A wall that leaves less than this part of the board to the photodiodes is not tried.
 LEAST_ROOM = 0.4
 # The layout asks for so much between the wall and what lies behind it.
 WALL_ROOM_MM = 0.02
 ROUNDING_MM = 1e-9
-SIDES = ("left", "right", "below", "above")
+# Sides of the photodiodes on which LEDs may lie: the axis across their wall, and which way the photodiodes lie.
+SIDES = {"left": (0, 1), "right": (0, -1), "below": (1, 1), "above": (1, -1)}
+
+
+def span_mm(area: Rectangle, side: str) -> tuple[float, float]:
+    """The edges of a part along the way from LEDs on a side to their photodiodes: the near one, then the far one."""
+    axis, way = SIDES[side]
+    low, high = (area.v_min, area.v_max) if axis else (area.u_min, area.u_max)
+    return (low, high) if way > 0 else (-high, -low)
 
 
 @dataclass(frozen=True)
@@ -49,12 +57,12 @@ class LedSite:
 
 @dataclass(frozen=True)
 class PhotodiodePlaces:
-    """Where a photodiode may lie beside those that stay: areas (m,) of one each, their centres (m, 2), and by how much
-    two of them lie apart at least, across or along. [mm]"""
+    """Where a photodiode may lie beside those that stay: areas (m,) of one each, their centres (m, 2), and the least
+    spacing of two of them, across or along. [mm]"""
 
     areas: tuple[Rectangle, ...]
     stay: tuple[Rectangle, ...]
-    apart_mm: Point
+    spacing_mm: Point
 
     @cached_property
     def centers_mm(self) -> np.ndarray:
@@ -84,22 +92,19 @@ class Sites:
     @cached_property
     def stay(self) -> tuple[Rectangle, ...]:
         """Photodiodes that stay and are read."""
-        return tuple(element.area for element in lay_elements(self.base.board, self._kept)[0])
-
-    @cached_property
-    def _kept(self) -> tuple[Photodiode, ...]:
-        return tuple(one for one in self.base.photodiodes if one.name in self.rules.fixed)
+        fixed = tuple(one for one in self.base.photodiodes if one.name in self.rules.fixed)
+        return tuple(element.area for element in lay_elements(self.base.board, fixed)[0])
 
     @cached_property
     def elements(self) -> tuple[Rectangle, ...]:
         """Of which the search wires some: all elements of the scene's photodiodes that are not fixed."""
-        loose = search_space.loose_photodiodes(self.base, self.rules) if self.rules.wire else []
-        return _all_elements(self.base, loose)
+        return _all_elements(self.base, boards.loose_photodiodes(self.base, self.rules)) if self.rules.wire else ()
 
     @cached_property
-    def in_the_way(self) -> tuple[Rectangle, ...]:
+    def obstacles(self) -> tuple[Rectangle, ...]:
         """Everything of photodiodes that stays, read or not."""
-        return (*_all_elements(self.base, self._kept), *self.elements)
+        fixed = tuple(one for one in self.base.photodiodes if one.name in self.rules.fixed)
+        return (*_all_elements(self.base, fixed), *self.elements)
 
     def die(self, led: int, place_mm: Point) -> Rectangle:
         """An LED's die at a place."""
@@ -118,7 +123,7 @@ class Sites:
         inside = min(die.u_min - o.u_min, o.u_max - die.u_max, die.v_min - o.v_min, o.v_max - die.v_max)
         if inside < edge - ROUNDING_MM or not has_room_for(die, self.rules):
             return False
-        return all(-die.overlap_mm(other) >= self.rules.bond_wire_mm - ROUNDING_MM for other in self.in_the_way)
+        return all(-die.overlap_mm(other) >= self.rules.bond_wire_mm - ROUNDING_MM for other in self.obstacles)
 
     def go_together(self, places_mm: Sequence[Point]) -> bool:
         """Whether LEDs at these places, in the scene's order, leave their clearance to each other."""
@@ -146,26 +151,20 @@ class Sites:
         """Rows on a grid, each with the places in it of every LED. The blood zones follow each other along the nail, so
         walls along it promise most and come first."""
         count = len(self.base.leds)
-        if all(self.is_fixed):
-            us = vs = np.zeros(0)
-        else:
-            us, vs = self.grid(step_mm)
+        us, vs = (np.zeros(0), np.zeros(0)) if all(self.is_fixed) else self.grid(step_mm)
+        # Of several LEDs only all together have a mirror image.
         half_us = us[us <= 1e-6] if self._is_symmetric else us
         if not self.base.board.barrier:
-            # Of several LEDs only all together have a mirror image.
-            one_by_one = half_us if count == 1 else us
-            places = [(float(u), float(v)) for u in one_by_one for v in vs]
+            places = [(float(u), float(v)) for u in (half_us if count == 1 else us) for v in vs]
             return self._with_room({LedRow(): [places] * count})
-        found: dict[LedRow, list[list[Point]]] = {}
-        for side in SIDES:
-            across, (rows, along) = side in ("left", "right"), (half_us, vs)
-            if not across:
-                rows, along = vs, half_us if count == 1 else self._room_for_all(us, 0, step_mm)
-            elif count > 1:
-                along = self._room_for_all(vs, 1, step_mm)
-            for row in self._rows_at(side, rows):
-                found[row] = [[self.in_row(i, row, float(x)) for x in along] for i in range(count)]
-        return self._with_room(found)
+        rows: dict[LedRow, list[list[Point]]] = {}
+        for side, (axis, _) in SIDES.items():
+            middles, along = (vs, half_us) if axis else (half_us, vs)
+            if count > 1:
+                along = self._room_for_all(us if axis else vs, 1 - axis, step_mm)
+            for row in self._rows_at(side, middles):
+                rows[row] = [[self.in_row(i, row, float(x)) for x in along] for i in range(count)]
+        return self._with_room(rows)
 
     def _room_for_all(self, along: np.ndarray, axis: int, step_mm: float) -> np.ndarray:
         """Places along a row, on a grid so fine that as many LEDs as there are have room in it side by side."""
@@ -177,52 +176,54 @@ class Sites:
 
     def _rows_at(self, side: str, middles: np.ndarray) -> Iterator[LedRow]:
         """Rows of a side with the first free LED's middle at each place, and one at the edge of what is fixed."""
-        top_ranked = self._foremost(side)
-        faces = [] if top_ranked is None else [top_ranked]
+        fixed, way = self._fixed_face(side), SIDES[side][1]
+        faces = [] if fixed is None else [way * fixed]
         if len(middles):
             first = self.die(self.is_fixed.index(False), (0.0, 0.0))
-            faces += [float(x) + _edge(first, side) for x in middles]
+            faces += [float(x) + way * span_mm(first, side)[1] for x in middles]
         yield from (row for row in (LedRow(side, face) for face in dict.fromkeys(faces)) if self.is_before_fixed(row))
 
-    def _foremost(self, side: str) -> float | None:
-        """Of the LEDs that stay, the edge that is nearest to photodiodes; None if none does. [mm]"""
-        edges = [_edge(self.die(i, self.place_of(i)), side) for i, fixed in enumerate(self.is_fixed) if fixed]
-        return max(edges, key=lambda x: search_space.way_of(side) * x) if edges else None
+    def _fixed_face(self, side: str) -> float | None:
+        """Of the LEDs that stay, the edge that is nearest to photodiodes, as `span_mm`; None if none does."""
+        dies = [self.die(i, self.place_of(i)) for i, fixed in enumerate(self.is_fixed) if fixed]
+        return max((span_mm(die, side)[1] for die in dies), default=None)
 
     def is_before_fixed(self, row: LedRow) -> bool:
         """Whether no LED that stays lies nearer to the photodiodes than a row."""
-        if row.side is None or row.face_mm is None or (top_ranked := self._foremost(row.side)) is None:
+        if row.side is None or row.face_mm is None or (fixed := self._fixed_face(row.side)) is None:
             return True
-        return search_space.way_of(row.side) * (row.face_mm - top_ranked) >= -ROUNDING_MM
+        return SIDES[row.side][1] * row.face_mm - fixed >= -ROUNDING_MM
 
-    def _with_room(self, found: dict[LedRow, list[list[Point]]]) -> dict[LedRow, list[list[Point]]]:
+    def _with_room(self, rows: dict[LedRow, list[list[Point]]]) -> dict[LedRow, list[list[Point]]]:
         """The rows whose wall leaves room, with the places where each LED may lie; a fixed one lies where it is."""
         left: dict[LedRow, list[list[Point]]] = {}
-        for row, places in found.items():
-            each = [
+        for row, places in rows.items():
+            by_led = [
                 [self.place_of(i)] if self.is_fixed[i] else [p for p in one if self.may_lie(i, p)]
                 for i, one in enumerate(places)
             ]
-            if all(each) and self.leaves_room(row):
-                left[row] = each
+            if all(by_led) and self.leaves_room(row):
+                left[row] = by_led
         return left
 
     def in_row(self, led: int, row: LedRow, along_mm: float) -> Point:
         """An LED's place in a row with a wall: its edge at the row's face."""
         assert row.side is not None and row.face_mm is not None
-        across = row.face_mm - _edge(self.die(led, (0.0, 0.0)), row.side)
-        return (across, along_mm) if row.side in ("left", "right") else (along_mm, across)
+        axis, way = SIDES[row.side]
+        across = row.face_mm - way * span_mm(self.die(led, (0.0, 0.0)), row.side)[1]
+        return (along_mm, across) if axis else (across, along_mm)
 
     def leaves_room(self, row: LedRow) -> bool:
         """Whether a row's wall leaves photodiodes enough of the board, and lies before all that stay."""
         if row.side is None or row.face_mm is None:
             return True
-        o, way, far = self.outline, search_space.way_of(row.side), _far_edge(self.outline, row.side)
-        size = o.size_mm[0 if row.side in ("left", "right") else 1]
-        if way * (far - row.face_mm) <= LEAST_ROOM * size and not self.in_the_way:
+        axis, way = SIDES[row.side]
+        face = way * row.face_mm
+        room = span_mm(self.outline, row.side)[1] - face
+        if room <= LEAST_ROOM * self.outline.size_mm[axis] and not self.obstacles:
             return False
-        behind = row.face_mm + way * (self._gap_mm + self.base.board.barrier_um * 1e-3 + WALL_ROOM_MM)
-        return all(way * (_near_edge(one, row.side) - behind) >= -ROUNDING_MM for one in self.in_the_way)
+        behind = face + self._gap_mm + self.base.board.barrier_um * 1e-3 + WALL_ROOM_MM
+        return all(span_mm(one, row.side)[0] - behind >= -ROUNDING_MM for one in self.obstacles)
 
     @property
     def _gap_mm(self) -> float:
@@ -233,7 +234,7 @@ class Sites:
         """The bare board with one of its LEDs at a place, and the wall of its row."""
         (du, dv), board, gap = self.base.board.center_mm, self.base.board, self._gap_mm
         if row.side is not None and row.face_mm is not None:
-            gap += search_space.way_of(row.side) * (row.face_mm - _edge(self.die(led, place_mm), row.side))
+            gap += SIDES[row.side][1] * row.face_mm - span_mm(self.die(led, place_mm), row.side)[1]
             board = board.model_copy(update={"barrier_gap_mm": gap})
         # LEDs that shine alike share their light, whatever their names.
         update = {"position_mm": (place_mm[0] - du, place_mm[1] - dv), "name": "led"}
@@ -244,14 +245,14 @@ class Sites:
         """The places that walls and, where there are none, LEDs leave to photodiodes."""
         gap, walled = self.rules.clearance_mm, bool(walls)
         if self.rules.wire:
-            areas, apart = list(self.elements), (0.0, 0.0)
+            areas, spacing = list(self.elements), (0.0, 0.0)
         else:
             size = self._size_mm
-            areas, apart = list(self._grid_areas), (size[0] + gap, size[1] + gap)
+            areas, spacing = list(self._grid_areas), (size[0] + gap, size[1] + gap)
             for wall in walls:
-                way, far, room = search_space.way_of(wall.name), _far_edge(wall, wall.name), max(gap, WALL_ROOM_MM)
-                areas = [a for a in areas if way * (_near_edge(a, wall.name) - far) >= room - ROUNDING_MM]
-        return PhotodiodePlaces(tuple(a for a in areas if walled or self.is_beside(a, leds)), self.stay, apart)
+                behind = span_mm(wall, wall.name)[1] + max(gap, WALL_ROOM_MM)
+                areas = [a for a in areas if span_mm(a, wall.name)[0] >= behind - ROUNDING_MM]
+        return PhotodiodePlaces(tuple(a for a in areas if walled or self.is_beside(a, leds)), self.stay, spacing)
 
     def kinds(self, places: PhotodiodePlaces) -> list[Photodiode]:
         """What a photodiode at each place would be, and what those are that stay."""
@@ -273,13 +274,13 @@ class Sites:
             axes.append(first + step * np.arange(int((last - first) / step + 1e-6) + 1))
         areas = (Rectangle.around("", (float(u), float(v)), size_mm) for u in axes[0] for v in axes[1])
         gap = self.rules.clearance_mm - ROUNDING_MM
-        clear = (area for area in areas if all(_gap_mm(area, one) >= gap for one in self.in_the_way))
+        clear = (area for area in areas if all(_gap_mm(area, one) >= gap for one in self.obstacles))
         return tuple(area for area in clear if has_room_for(area, self.rules))
 
     @property
     def _size_mm(self) -> Point:
         """Size of the photodiodes that are placed, which lie straight: that of the scene's first. [mm]"""
-        return search_space.straightened(self.base.photodiodes[0]).size_mm
+        return boards.straightened(self.base.photodiodes[0]).size_mm
 
 
 def has_room_for(area: Rectangle, rules: Placement) -> bool:
@@ -305,18 +306,3 @@ def _gap_mm(one: Rectangle, other: Rectangle) -> float:
     """The gap between the bounds of two parts, the larger of that across and that along. [mm]"""
     across = max(one.u_min - other.u_max, other.u_min - one.u_max)
     return max(across, one.v_min - other.v_max, other.v_min - one.v_max)
-
-
-def _edge(die: Rectangle, side: str) -> float:
-    """Of an LED on a side of the photodiodes the edge that faces them."""
-    return {"left": die.u_max, "right": die.u_min, "below": die.v_max, "above": die.v_min}[side]
-
-
-def _near_edge(area: Rectangle, side: str) -> float:
-    """The edge of a photodiode that faces LEDs on a side of it."""
-    return {"left": area.u_min, "right": area.u_max, "below": area.v_min, "above": area.v_max}[side]
-
-
-def _far_edge(area: Rectangle, side: str) -> float:
-    """The edge that faces away from LEDs on a side of it."""
-    return _edge(area, side)

@@ -11,7 +11,7 @@ from nailoptics.light.board_map import PhotonMap
 from nailoptics.light.tracing import StageProgress
 from nailoptics.scene import FingerCase, Placement, Scene, digest, parse_scene
 from nailoptics.sensor import information
-from nailoptics.studies.placement import boards, search, search_space
+from nailoptics.studies.placement import boards, search
 from nailoptics.studies.placement.coordinate_exchange import STARTS, DesignTables
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.photon_maps import FingerCondition
@@ -74,7 +74,7 @@ class MadeLight:
 def searched(scene: Scene) -> tuple[search.Search, list[search.SearchedSite]]:
     rules = boards.rules(scene)
     cache = MadeLight([FingerCondition(FingerCase(name="one"), AT)])
-    base = search_space.searchable_board(boards.base_board(scene), rules)
+    base = boards.searchable_board(boards.base_board(scene), rules)
     one = search.Search(base, rules, Objective(rules, [AT]), cache)
     return one, one.run(StageProgress(None))
 
@@ -100,7 +100,6 @@ def test_exchange_of_leds_and_photodiodes_finds_the_best_of_all_layouts(seed):
     columns = [{at: told(led, at) for at in range(5)} for led in range(3)]
     rules = Placement(rank_by={"worst": 2.0, "share": 1.0} if seed % 2 else "worst")
     objective = Objective(rules, [AT])
-    stay = [{at: np.zeros((1, 0, 3)) for at in range(5)} for _ in range(3)]
     apart = (0.1, 1.0)
 
     def go_together(leds: tuple[int, ...]) -> bool:
@@ -108,7 +107,7 @@ def test_exchange_of_leds_and_photodiodes_finds_the_best_of_all_layouts(seed):
 
     everywhere = np.ones(10, bool)
     tables = DesignTables(
-        columns, stay, objective.together, objective.score, places, apart, go_together, lambda leds: everywhere, 10
+        columns, objective.together, objective.score, places, apart, go_together, lambda leds: everywhere, 10
     )
     arrangements = [leds for leds in product(range(5), repeat=3) if go_together(leds)]
     assert len(arrangements) > STARTS
@@ -118,9 +117,9 @@ def test_exchange_of_leds_and_photodiodes_finds_the_best_of_all_layouts(seed):
         for chosen in combinations(range(10), 3)
         if min(places[b, 1] - places[a, 1] for a, b in combinations(chosen, 2)) >= 1.0
     )
-    found = min(tables.search(3), key=lambda one: one.reached)
-    assert found.reached == pytest.approx(best, rel=1e-9)
-    assert found.reached == pytest.approx(float(objective.score(tables.total(found.leds, list(found.photodiodes)))))
+    found = min(tables.search(3), key=lambda one: one.score)
+    assert found.score == pytest.approx(best, rel=1e-9)
+    assert found.score == pytest.approx(float(objective.score(tables.total(found.leds, list(found.photodiodes)))))
 
 
 @pytest.mark.parametrize("barrier", [True, False])
@@ -148,10 +147,10 @@ def test_the_search_of_two_leds_is_no_worse_than_every_layout_on_its_grid(barrie
                 tables.append(one._columns(i, own, places))
             told = one.objective.together(tables)[0]
             for a, b in combinations(range(len(places.areas)), 2):
-                if np.any(np.abs(places.centers_mm[a] - places.centers_mm[b]) >= np.array(places.apart_mm) - 1e-9):
+                if np.any(np.abs(places.centers_mm[a] - places.centers_mm[b]) >= np.array(places.spacing_mm) - 1e-9):
                     every.append(float(one.objective.score((told[a] + told[b])[None])))
     assert len(every) > 100
-    assert best.reached <= min(every) * (1 + 1e-9)
+    assert best.score <= min(every) * (1 + 1e-9)
     for layout in search.shortlist(one.base, one.rules, found):
         dies, areas = layout.scene.layout.leds, layout.scene.layout.photodiode_areas
         assert [led.name for led in layout.scene.leds] == ["ir", "red"] and len(areas) == 2
@@ -170,7 +169,7 @@ def test_as_many_leds_as_may_be_find_room_in_a_row_on_a_coarse_grid():
     )
     scene = two_leds("photodiodes = 2\nled_step_mm = 4.0\nphotodiode_step_mm = 2.0\n", photodiodes=more)
     one, found = searched(scene)
-    assert len(scene.leds) == search_space.MOST_LEDS and len(one.sites.grid(4.0)[1]) < len(scene.leds)
+    assert len(scene.leds) == boards.MOST_LEDS and len(one.sites.grid(4.0)[1]) < len(scene.leds)
     assert found and all(len(set(site.site.places_mm)) == 4 for site in found)
     assert all(one.sites.go_together(site.site.places_mm) for site in found)
 
@@ -219,7 +218,7 @@ def test_wiring_chooses_elements_where_they_are():
 def test_what_a_search_cannot_do_is_one_line(rules, words):
     scene = two_leds(rules)
     with pytest.raises(InputError, match=words) as caught:
-        search_space.check_search(boards.base_board(scene), boards.rules(scene))
+        boards.check_search(boards.base_board(scene), boards.rules(scene))
     assert "\n" not in str(caught.value)
 
 
