@@ -4,7 +4,7 @@ References: Meyer, Nachtsheim 1995, Technometrics 37, 60.
 """
 
 import math
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, islice, product
 from typing import Any
@@ -111,7 +111,7 @@ class DesignTables:
     starts : as of `coordinate_exchange`.
     """
 
-    columns: Sequence[Mapping[Hashable, np.ndarray]]
+    columns: Sequence[Mapping[Any, np.ndarray]]
     together: Callable[[Sequence[np.ndarray]], np.ndarray]
     score: Callable[[np.ndarray], np.ndarray]
     places_mm: np.ndarray
