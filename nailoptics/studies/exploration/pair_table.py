@@ -34,6 +34,7 @@ MIDDLE_STEP_MM = 2.5
 # The strength of the penalty: expected change of C from node to node, and its deviation from a straight line, rms, on
 # each of so many lines of nodes.
 DIFFERENCE, BEND, LINES = 7.5, 1.5, 500
+MIDDLE_SOFTER = 1.0
 # Pairs of places at which M is summed, low in discrepancy, and the shortest distance that g distinguishes. [mm]
 PAIRS, NEAREST_MM = 1 << 19, 0.2
 # Degrees in the blood of both zones together, in the saturation, and in all.
@@ -129,7 +130,8 @@ class PairBasis:
             before, after = (math.prod(map(len, part)) for part in (self.axes[:k], self.axes[k + 1 :]))
             step, width = np.diff(np.eye(len(axis)), axis=0), np.diff(axis)
             bend = np.diff(step / width[:, None], axis=0) * width.mean()
-            own = (step.T @ step / DIFFERENCE**2 + bend.T @ bend / BEND**2) * (LINES / (before * after))
+            softer = MIDDLE_SOFTER if k == 3 else 1.0
+            own = (step.T @ step / DIFFERENCE**2 + bend.T @ bend / BEND**2) * (LINES / (before * after * softer**2))
             total = total + kron(kron(identity(before), own), identity(after))
         return total.tocsc()
 

@@ -10,12 +10,13 @@ import numpy as np
 
 from ...errors import InputError
 from ...scene import Candidate, Led, Photodiode, Placement, Scene
+from ...scene.base import Point
 from ...scene.parts import check_one_response
 from ...scene.rectangles import Rectangle
 from . import boards
-from .boards import SINGLE, loose_photodiodes, straightened
+from .boards import SINGLE, PartT, loose_photodiodes, straightened
 
-Places = Sequence[tuple[float, float]]
+Places = Sequence[Point]
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,6 @@ def candidate_scene(base: Scene, one: Candidate) -> Scene:
 
     Raises: InputError where the layout is impossible, or its LEDs are not the scene's by name.
     """
-    wanted = [led.name for led in base.leds]
     if not one.leds:
         leds_deg, photodiodes_deg = (
             getattr(one, f"{kind}_deg") or [90.0 * turned for turned in getattr(one, f"{kind}_turned")]
@@ -55,19 +55,26 @@ def candidate_scene(base: Scene, one: Candidate) -> Scene:
             led_refs=[one.led_refs[i][0] for i in order] if one.led_refs else (),
             photodiode_refs=one.photodiode_refs,
         )
-    by_name = {led.name: led for led in one.leds}
-    if set(by_name) != set(wanted):
+    names, by_name = [led.name for led in base.leds], {led.name: led for led in one.leds}
+    if set(by_name) != set(names):
         raise InputError(
-            f'layout "{one.name}" places the LEDs {", ".join(by_name)}, but the scene has {", ".join(wanted)}; give '
+            f'layout "{one.name}" places the LEDs {", ".join(by_name)}, but the scene has {", ".join(names)}; give '
             'each its name in parts, as D1 = { led = "led_660", name = "red" }.'
         )
-    (du, dv), leds = base.board.center_mm, [by_name[name] for name in wanted]
+    leds = [_at(base, by_name[name], by_name[name].position_mm) for name in names]
+    return _laid_out(base, one.name, leds, [_at(base, part, part.position_mm) for part in one.photodiodes])
 
-    def moved(part: Led | Photodiode) -> Led | Photodiode:
-        return part.model_copy(update={"position_mm": (part.position_mm[0] - du, part.position_mm[1] - dv)})
 
-    scene = base.model_copy(update={"leds": tuple(map(moved, leds)), "photodiodes": tuple(map(moved, one.photodiodes))})
-    check(scene, one.name)
+def _at(base: Scene, part: PartT, place_mm: Point, **changes: Any) -> PartT:
+    """A part at a place on the nail. [mm]"""
+    du, dv = base.board.center_mm
+    return part.model_copy(update={"position_mm": (place_mm[0] - du, place_mm[1] - dv)} | changes)
+
+
+def _laid_out(base: Scene, name: str, leds: Sequence[Led], photodiodes: Sequence[Photodiode]) -> Scene:
+    """The board with these parts; raises InputError where the layout is impossible."""
+    scene = base.model_copy(update={"leds": tuple(leds), "photodiodes": tuple(photodiodes)})
+    check(scene, name)
     return scene
 
 
@@ -75,7 +82,7 @@ def _named_as(base: Scene, one: Candidate) -> list[int]:
     """Which of a file's LEDs is each of the scene's: by reference or value, the LED's name or part."""
     if len(base.leds) == len(one.led_refs) == 1:
         return [0]
-    found = []
+    numbers = []
     for led in base.leds:
         names = {led.name.lower(), (led.part or led.name).lower()}
         same = [i for i, ref in enumerate(one.led_refs) if names & {word.lower() for word in ref}]
@@ -86,10 +93,10 @@ def _named_as(base: Scene, one: Candidate) -> list[int]:
                 f'layout "{one.name}": which of its LEDs {refs} is "{led.name}"? Name it so, or say it in parts, as '
                 f'D1 = {{ led = "PART", name = "{led.name}" }}.'
             )
-        found.append(exact[0])
-    if len(found) < len(one.led_refs):
+        numbers.append(exact[0])
+    if len(numbers) < len(one.led_refs):
         raise InputError(f'layout "{one.name}" places {len(one.led_refs)} LEDs, but the scene has {len(base.leds)}.')
-    return found
+    return numbers
 
 
 def with_parts(
@@ -100,7 +107,7 @@ def with_parts(
     name: str,
     leds_deg: Sequence[float] = (),
     photodiodes_deg: Sequence[float] = (),
-    led_refs: Sequence[str] = (),
+    led_refs: Sequence[str | None] = (),
     photodiode_refs: Sequence[str] = (),
 ) -> Scene:
     """The board with its LEDs and photodiodes at places on the nail; photodiodes are all like the scene's first.
@@ -113,24 +120,18 @@ def with_parts(
     """
     if len(leds_mm) != len(base.leds):
         raise InputError(f'layout "{name}" places {len(leds_mm)} LEDs, but the scene has {len(base.leds)}.')
-    du, dv = base.board.center_mm
-
-    def placed(parts: Sequence[Led | Photodiode], places: Places, turned_deg: Sequence[float]) -> tuple[Any, ...]:
-        out = []
-        for i, (part, (u, v)) in enumerate(zip(parts, places, strict=True)):
-            angle = (part.rotation_deg + (turned_deg[i] if turned_deg else 0.0)) % 360
-            out.append(part.model_copy(update={"position_mm": (u - du, v - dv), "rotation_deg": angle}))
-        return tuple(out)
-
-    single = base.photodiodes[0].model_copy(update=SINGLE)
-    names = photodiode_refs or [f"PD{i + 1}" for i in range(len(photodiodes_mm))]
-    named = [single.model_copy(update={"name": one, "reference": one if photodiode_refs else None}) for one in names]
-    refs: Sequence[str | None] = led_refs or [led.reference for led in base.leds]
-    lit = [led.model_copy(update={"reference": ref}) for led, ref in zip(base.leds, refs, strict=True)]
-    leds, photodiodes = placed(lit, leds_mm, leds_deg), placed(named, photodiodes_mm, photodiodes_deg)
-    scene = base.model_copy(update={"leds": leds, "photodiodes": photodiodes})
-    check(scene, name)
-    return scene
+    led_refs = led_refs or [led.reference for led in base.leds]
+    leds = [
+        _at(base, led, place, rotation_deg=(led.rotation_deg + turned) % 360, reference=ref)
+        for led, place, turned, ref in zip(base.leds, leds_mm, leds_deg or [0.0] * len(leds_mm), led_refs, strict=True)
+    ]
+    like, names = base.photodiodes[0].model_copy(update=SINGLE), [f"PD{i + 1}" for i in range(len(photodiodes_mm))]
+    photodiodes = []
+    for i, (place, one) in enumerate(zip(photodiodes_mm, photodiode_refs or names, strict=True)):
+        angle = (like.rotation_deg + (photodiodes_deg[i] if photodiodes_deg else 0.0)) % 360
+        ref = one if photodiode_refs else None
+        photodiodes.append(_at(base, like, place, name=one, reference=ref, rotation_deg=angle))
+    return _laid_out(base, name, leds, photodiodes)
 
 
 def searched(
@@ -147,27 +148,21 @@ def searched(
     photodiodes : areas of new ones, or where elements are wired, those by name.
     side : of the photodiodes on which the LEDs lie behind their wall; None without a wall.
     """
-    du, dv = base.board.center_mm
-    leds = tuple(
-        led.model_copy(update={"position_mm": (u - du, v - dv)}) for led, (u, v) in zip(base.leds, leds_mm, strict=True)
-    )
-    kept = [one for one in base.photodiodes if one.name in placement.fixed]
+    leds = [_at(base, led, place) for led, place in zip(base.leds, leds_mm, strict=True)]
+    parts = [one for one in base.photodiodes if one.name in placement.fixed]
     if placement.wire:
-        wanted = {area.name for area in photodiodes}
+        names = {area.name for area in photodiodes}
         for one in loose_photodiodes(base, placement):
-            wired = tuple(i for i, element in enumerate(one.element_names()) if element in wanted)
+            wired = tuple(i for i, element in enumerate(one.element_names()) if element in names)
             if wired:
-                kept.append(one.model_copy(update={"wired": wired if len(wired) < one.elements else None}))
+                parts.append(one.model_copy(update={"wired": wired if len(wired) < one.elements else None}))
     else:
         like = straightened(base.photodiodes[0]).model_copy(update=SINGLE)
         areas = sorted(photodiodes, key=lambda area: area.center_mm[::-1])
-        for area, (name, ref) in zip(areas, _named(base, placement, areas), strict=True):
-            place = (area.center_mm[0] - du, area.center_mm[1] - dv)
-            kept.append(like.model_copy(update={"name": name, "reference": ref, "position_mm": place}))
+        for area, (new, ref) in zip(areas, _named(base, placement, areas), strict=True):
+            parts.append(_at(base, like, area.center_mm, name=new, reference=ref))
     board = base.board.model_copy(update={"barrier_side": side})
-    scene = base.model_copy(update={"leds": leds, "photodiodes": tuple(kept), "board": board})
-    check(scene, name)
-    return scene
+    return _laid_out(base.model_copy(update={"board": board}), name, leds, parts)
 
 
 def _named(base: Scene, placement: Placement, areas: Sequence[Rectangle]) -> list[tuple[str, str | None]]:

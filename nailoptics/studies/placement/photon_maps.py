@@ -10,7 +10,7 @@ from ...geometry import SPACING_MM
 from ...light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point
 from ...light.identity import light_digest, light_scene
 from ...light.tracing.store import LightStore
-from ...scene import FingerCase, Led, Scene, digest
+from ...scene import FingerCase, Scene, digest
 from ...scene.rectangles import Rectangle
 from ...sensor.information import OperatingPoint, Response, responses
 from ...statistics import left_out, seed_of
@@ -24,6 +24,10 @@ QUICK_DISTANCE_MM = 0.3
 def batch_seed(seed: int, stream: int, traced: Scene, led: int, batch: int) -> int:
     """The seed of a batch of photons, from what decides the light: it depends neither on those before nor on blood."""
     return seed_of(seed, stream, int(light_digest(traced)[:8], 16), led, batch)
+
+
+class Stopped(Exception):
+    """There was no time to finish."""
 
 
 @dataclass(frozen=True)
@@ -68,15 +72,12 @@ class PhotonMapCache:
         """Maps of a bare board by finger and LED."""
         return self._maps[digest(board)]
 
-    def is_traced(self, board: Scene) -> bool:
-        """Whether there is light of every LED on every finger."""
-        maps = self._maps.get(digest(board))
-        return maps is not None and all(one.photons for by_led in maps for one in by_led)
-
     def photons_of(self, board: Scene) -> int:
         """How many photons of every LED were traced on every finger."""
-        maps = self._maps.get(digest(board), [])
-        return min((one.photons for by_led in maps for one in by_led), default=0)
+        return self._photons_of(digest(board))
+
+    def _photons_of(self, key: str) -> int:
+        return min((one.photons for by_led in self._maps.get(key, []) for one in by_led), default=0)
 
     def keep(self, board: Scene, areas: Sequence[Rectangle]) -> None:
         """From now on keep the light that arrives on these areas of a board, for `kept`."""
@@ -89,7 +90,7 @@ class PhotonMapCache:
     @property
     def has_traced(self) -> bool:
         """Whether there is light of every LED on every finger of some board."""
-        return any(all(one.photons for by_led in maps for one in by_led) for maps in self._maps.values())
+        return any(map(self._photons_of, self._maps))
 
     def extend(self, board: Scene, photons: int) -> None:
         """Trace so many photons more, per LED and finger, of a bare board; fewer where it has to stop."""
@@ -115,10 +116,10 @@ class PhotonMapCache:
         self, key: str, tracer: BoardTracer, board: Scene, led: int, members: list[int], photons: int
     ) -> None:
         """Trace one LED on one digit and add its light to the maps of all conditions of that digit."""
-        points, digit = [], self.conditions[members[0]].case.digit
-        for condition in (self.conditions[i] for i in members):
-            scene, blood = boards.worn_on(board, condition.case), condition.point.blood_fraction
-            points.append(blood_point(scene, led, traced=tracer.scene, blood_fraction=blood))
+        points, digit = {}, self.conditions[members[0]].case.digit
+        for i in members:
+            scene, blood = boards.worn_on(board, self.conditions[i].case), self.conditions[i].point.blood_fraction
+            points[i] = blood_point(scene, led, traced=tracer.scene, blood_fraction=blood)
         each = self.batch_photons or tracer.batch_photons
         first = self._maps[key][members[0]][led].photons // each
         for batch in range(first, first + max(1, round(photons / each))):
@@ -131,7 +132,7 @@ class PhotonMapCache:
                 u, v = arrivals.place_mm.T
                 inside = np.any([area.holds(u, v) for area in areas], axis=0)
                 self._kept.setdefault((key, digit, led), []).append(arrivals.select(inside))
-            for i, point in zip(members, points, strict=True):
+            for i, point in points.items():
                 self._maps[key][i][led].add(arrivals, point.values(arrivals))
 
     def forget(self, board: Scene) -> None:
@@ -148,13 +149,18 @@ class PhotonMapCache:
         """Responses of a layout, by finger and LED, each (1 + blocks, photodiodes): by all photons, then without each
         block of them."""
         areas, photodiodes = layout.layout.photodiode_areas, [one.photodiode for one in layout.layout.photodiodes]
-        amplifier = layout.electronics
-
-        def read(one: PhotonMap, led: Led, point: OperatingPoint, number: int) -> Response:
-            values = left_out(one.over(areas))
-            return responses(values, led, photodiodes, amplifier, point, number=number, replicates=True)
-
         return [
-            [read(one, led, condition.point, k) for k, (led, one) in enumerate(zip(layout.leds, by_led, strict=True))]
+            [
+                responses(
+                    left_out(one.over(areas)),
+                    led,
+                    photodiodes,
+                    layout.electronics,
+                    condition.point,
+                    number=k,
+                    replicates=True,
+                )
+                for k, (led, one) in enumerate(zip(layout.leds, by_led, strict=True))
+            ]
             for condition, by_led in zip(self.conditions, self.maps(board), strict=True)
         ]

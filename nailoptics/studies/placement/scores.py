@@ -1,13 +1,13 @@
 """How finely layouts resolve force: a layout's score from traced light, and more light where the best is undecided."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...errors import NotReachedError
-from ...light.tracing import Ending, StageProgress, Trigger, run_until
+from ...light.tracing import StageProgress, Trigger
 from ...scene import digest
 from ...sensor.information import (
     Response,
@@ -155,44 +155,32 @@ def score_layouts(
     """
     traced = {layout.name: 0 for layout in layouts}
     first = JUDGE_PHOTONS if report_progress.interrupted else photons or JUDGE_PHOTONS
-    complete = _extend(layouts, cache, set(traced), first, traced, report_progress)
-    every, layouts = len(layouts), [layout for layout in layouts if cache.is_traced(layout.board)]
+    every, more = len(layouts), (set(traced), first)
+    complete = _extend(layouts, cache, *more, traced, report_progress)
+    layouts = [layout for layout in layouts if cache.photons_of(layout.board)]
     if not layouts:
         raise NotReachedError(f"{report_progress.why} before one layout was traced on every finger; allow more time.")
     trigger = Trigger(target=relative_error, first=JUDGE_PHOTONS, least=JUDGE_PHOTONS, growth=0.5)
-    scores: list[LayoutScore] = []
-    left = ""
-
-    def needed() -> Iterator[tuple[set[str], int]]:
-        nonlocal scores, left
-        while True:
-            scores = [score_layout(layout, cache, objective) for layout in layouts]
-            highest = min(scores, key=lambda score: float(score.ranked[0])).ranked_interval[1]
-            by_name = {layout.name: score for layout, score in zip(layouts, scores, strict=True)}
-            tied = {
-                name: score.relative_error for name, score in by_name.items() if score.ranked_interval[0] <= highest
-            }
-            worst = max(tied.values())
-            report_progress("judge", trigger.share_done(worst) if len(tied) > 1 else 1.0, worst, relative_error)
-            left = f"{len(tied)} layouts tied at relative error {worst:.3g}, {relative_error:g} requested"
-            if photons or len(tied) == 1 or worst <= relative_error:
-                return
-            undecided = {name for name, error in tied.items() if error > relative_error}
-            yield undecided, trigger.needed(max(traced[name] for name in undecided), worst)
-
-    def sample(more: tuple[set[str], int]) -> None:
-        nonlocal complete
+    while True:
+        scores = [score_layout(layout, cache, objective) for layout in layouts]
+        highest = min(scores, key=lambda score: float(score.ranked[0])).ranked_interval[1]
+        tied = {
+            layout.name: score.relative_error
+            for layout, score in zip(layouts, scores, strict=True)
+            if score.ranked_interval[0] <= highest
+        }
+        worst = max(tied.values())
+        report_progress("judge", trigger.share_done(worst) if len(tied) > 1 else 1.0, worst, relative_error)
+        left = f"{len(tied)} layouts tied at relative error {worst:.3g}, {relative_error:g} requested"
+        if report_progress.interrupted:
+            return layouts, scores, f"interrupted: {len(layouts)} of {every} layouts traced, {left}."
+        if not complete or len(layouts) < every:
+            return layouts, scores, f"max_seconds ended with {len(layouts)} of {every} layouts traced, {left}."
+        if photons or len(tied) == 1 or worst <= relative_error:
+            return layouts, scores, None
+        undecided = {name for name, error in tied.items() if error > relative_error}
+        more = undecided, trigger.needed(max(traced[name] for name in undecided), worst)
         complete = _extend(layouts, cache, *more, traced, report_progress)
-
-    def is_late(more: tuple[set[str], int]) -> bool:
-        return report_progress.interrupted or not complete or len(layouts) < every
-
-    ending = run_until(needed(), sample, is_late=is_late)
-    if report_progress.interrupted or ending is Ending.INTERRUPTED:
-        return layouts, scores, f"interrupted: {len(layouts)} of {every} layouts traced, {left}."
-    if not complete or len(layouts) < every:
-        return layouts, scores, f"max_seconds ended with {len(layouts)} of {every} layouts traced, {left}."
-    return layouts, scores, None
 
 
 def _extend(

@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,11 @@ from ...light.identity import light_scene
 from ...light.tracing.store import LightStore
 from ...scene import Photodiode, Scene
 from ...sensor.ambient import SOURCES, photocurrents_a
-from ...sensor.information import Response, force_resolution_n, responses, total_information
+from ...sensor.information import OperatingPoint, Response, force_resolution_n, responses, total_information
 from ...statistics import FEW_TERMS, Z95, jackknife, left_out, seed_of, stderr_of_mean
 from ...variables import Variables, variable
 from . import boards
-from .photon_maps import FingerCondition
+from .photon_maps import FingerCondition, Stopped
 
 LEAST_BATCHES = 8
 # The fresh trace has this part of a full batch's photons in each of its batches at least.
@@ -41,45 +42,182 @@ COVERS = ("covered", "uncovered")
 FORWARD, BACK, OPEN_BOARD = 2, 3, 4
 
 
-class _Stopped(Exception):
-    """There was no time to finish."""
-
-
 @dataclass(frozen=True)
-class _Setup:
+class _Verification:
     """One layout on one finger with what traces and reads it."""
 
     scene: Scene
-    condition: FingerCondition
+    point: OperatingPoint
     tracer: BoardTracer
-    points: tuple[BloodPoint, ...]
+    blood: tuple[BloodPoint, ...]
     seed: int
     stop: Callable[[], bool]
 
     def check(self) -> None:
-        """Raise `_Stopped` where there is no time for one batch more."""
+        """Raise `Stopped` where there is no time for one batch more."""
         if self.stop():
-            raise _Stopped
+            raise Stopped
 
-    @property
+    @cached_property
     def photodiodes(self) -> list[Photodiode]:
         """What each photodiode of the layout is."""
         return [one.photodiode for one in self.scene.layout.photodiodes]
 
-    @property
+    @cached_property
     def areas_mm2(self) -> np.ndarray:
         """Areas of the photodiodes. [mm^2]"""
         return np.array([area.area_mm2 for area in self.scene.layout.photodiode_areas])
 
     def response(self, led: int, values: np.ndarray, ambient_a: Any = 0.0, *, replicates: bool = False) -> Response:
         """What the photodiodes read of one LED, (..., photodiodes, 4) float; as the `response` of any."""
-        amplifier, point = self.scene.electronics, self.condition.point
         how = {"number": led, "ambient_a": ambient_a, "replicates": replicates}
-        return responses(values, self.scene.leds[led], self.photodiodes, amplifier, point, **how)
+        return responses(values, self.scene.leds[led], self.photodiodes, self.scene.electronics, self.point, **how)
 
     def force_resolution_n(self, responses: Sequence[Response]) -> np.ndarray:
         """Force resolution from what the photodiodes read of all LEDs. [N]"""
-        return force_resolution_n(total_information(responses), self.condition.point)
+        return force_resolution_n(total_information(responses), self.point)
+
+    def fresh_trace(self, batches: int, photons: int, deadline: float) -> tuple[list[np.ndarray], Variables]:
+        """Values of each LED, (1 + batches, photodiodes, 4) float, by all batches and without each; and the variables
+        of the fresh trace."""
+        cells, count = self.tracer.cells(), 0
+        blocks: list[list[np.ndarray]] = [[] for _ in self.blood]
+        total, square = (np.zeros((len(self.blood), len(self.areas_mm2), *cells.shape)) for _ in range(2))
+        by_depth: list[list[np.ndarray]] = [[] for _ in self.blood]
+        volume = cells.volume_mm3[0, 0]
+        while count < LEAST_BATCHES or (count < batches and time.perf_counter() < deadline):
+            for i, blood in enumerate(self.blood):
+                self.check()
+                seed = seed_of(self.seed, FORWARD, i, count)
+                means, sensitivity = self.tracer.detected(i, blood, photons=photons, seed=seed, cells=cells)
+                blocks[i].append(means)
+                total[i] += sensitivity
+                square[i] += sensitivity**2
+                by_depth[i].append((sensitivity * volume).sum((1, 2)))
+            count += 1
+        values = [left_out(np.stack(each)) for each in blocks]
+        pair, cell = ("led", "best_photodiode"), ("under_u", "under_v", "depth")
+        fraction, errors = [v[0, :, 0] for v in values], [jackknife(v[..., 0]) for v in values]
+        text = "part of an LED's light on each photodiode, by a fresh trace of the best layout"
+        data = variable("checked_fraction", pair, fraction, text, stderr=errors)
+        text = "fall of a photodiode's reading by absorption at a place under the nail, per volume there"
+        mean, error = ((total / count).astype(np.float32), stderr_of_mean(total, square, count).astype(np.float32))
+        data |= variable("depth_sensitivity", (*pair, *cell), mean, text, units="mm-2", stderr=error)
+        data |= _middles("under_u", cells.u_mm, "across the nail, as on the board")
+        data |= _middles("under_v", cells.v_mm, "along the nail, towards the tip")
+        data |= _middles("depth", cells.depth_mm, "below the nail plate's outer face")
+        text = "volume of a cell under the nail at its depth"
+        data |= variable("cell_volume_mm3", "depth", volume, text, units="mm3")
+        with np.errstate(invalid="ignore", divide="ignore"):
+            weights = [left_out(np.stack(each)) for each in by_depth]
+            middle = [each @ data["depth"][1] / each.sum(-1) for each in weights]
+        depth_mm, errors = [each[0] for each in middle], [jackknife(each) for each in middle]
+        text = "mean depth at which absorption makes a photodiode's reading fall"
+        return values, data | variable("mean_depth_mm", pair, depth_mm, text, units="mm", stderr=errors)
+
+    def back(self, rounds: int, deadline: float, values: list[np.ndarray]) -> Variables:
+        """Light from each photodiode: what an LED at each place would bring it, and what comes from outside."""
+        layout, photodiodes = self.scene.layout, range(len(self.areas_mm2))
+        new = partial(PhotonMap, layout.outline, values=4, spacing_mm=LED_SPACING_MM, blocks=BLOCKS)
+        maps = [[new() for _ in photodiodes] for _ in self.blood]
+        # Means and variances, summed; of what comes from outside with the cover and without it.
+        on_die = np.zeros((2, len(self.blood), len(photodiodes)))
+        outside = np.zeros((2, len(COVERS), len(SOURCES), len(photodiodes)))
+        uncovered = self.scene.board.model_copy(update={"cover_um": 0.0})
+        how: dict[str, Any] = {
+            "backend": self.tracer.backend.name,
+            "store": self.tracer.store,
+            "seed": self.tracer.seed,
+        }
+        bare = self.tracer.scene.model_copy(update={"board": uncovered})
+        self.check()
+        tracer = BoardTracer(bare, spacing_mm=OPEN_DISTANCE_MM, **how)
+        for j in photodiodes:
+            self.check()
+            _, left = tracer.back(j, 0, photons=OPEN_PHOTONS, seed=seed_of(self.seed, OPEN_BOARD, j))
+            outside[:, 1, :, j] = self._from_outside(left, j)
+        done = 0
+        while done == 0 or (done < rounds and time.perf_counter() < deadline):
+            for j in photodiodes:
+                for i, blood in enumerate(self.blood):
+                    self.check()
+                    seed = seed_of(self.seed, BACK, i, j, done)
+                    arrived, left = self.tracer.back(j, i, photons=BACK_PHOTONS, seed=seed)
+                    light = blood.values(arrived)
+                    maps[i][j].add(arrived, light)
+                    mean, error = readings(arrived, light[:, :1], [layout.leds[i]])
+                    on_die[:, i, j] += mean[0, 0], error[0, 0] ** 2
+                    if i == 0:
+                        outside[:, 0, :, j] += self._from_outside(left, j)
+            done += 1
+        for one, count in ((on_die, done), (outside[:, 0], done), (outside[:, 1], 1)):
+            one[0] /= count
+            one[1] = np.sqrt(one[1]) / count
+        data = self._ambient(values, *outside)
+        # Where an LED shines otherwise than a photodiode sees, the way back is another.
+        if all(led.pattern == "lambertian" for led in self.scene.leds):
+            data |= self._led_places(maps, *on_die)
+        return data
+
+    def _from_outside(self, left: Arrivals, photodiode: int) -> np.ndarray:
+        """Photocurrent by light from outside and its variance, (2, sources) float. [A], [A^2]"""
+        sums, scene = [], self.scene
+        how: dict[str, Any] = {"traced": self.tracer.scene, "traced_nm": scene.leds[0].wavelength_nm}
+        how |= {"photodiode": self.photodiodes[photodiode], "area_mm2": float(self.areas_mm2[photodiode])}
+        for source in SOURCES:
+            each = photocurrents_a(left, scene, source, **how)
+            # Most photons did not leave: each of them counts 0.
+            sums.append((each.sum(), (each**2).sum() - each.sum() ** 2 / left.photons))
+        return np.array(sums).T
+
+    def _ambient(self, values: list[np.ndarray], current: np.ndarray, error: np.ndarray) -> Variables:
+        """What light from outside adds to each photodiode, and what it leaves of the force resolution."""
+        dims, sources = ("cover", "ambient", "best_photodiode"), np.array([source.name for source in SOURCES])
+        data: Variables = {"cover": (("cover",), np.array(COVERS), {}), "ambient": (("ambient",), sources, {})}
+        text = "photocurrent by light from outside, from all sides"
+        data |= variable("ambient_a", dims, current, text, units="A", stderr=error)
+        high = current + Z95 * error
+        data |= variable("ambient_high_a", dims, high, f"upper end of the 95 % interval: {text}", units="A")
+        read = [self.response(i, each[0], high) for i, each in enumerate(values)]
+        most, noise = np.max([r.volts for r in read], axis=0), np.max([r.noise_v for r in read], axis=0)
+        limit_v = self.scene.electronics.adc_range_v
+        text = f"largest output with light from outside at its bound; the converter ends at {limit_v:g} V"
+        data |= variable("ambient_volts", dims, most, text, units="V")
+        text = "noise of one sample with light from outside at its bound, rms"
+        data |= variable("ambient_noise_v", dims, noise, text, units="V")
+        text = "force resolution of the best layout with light from outside at its bound: its noise and saturation"
+        return data | variable("ambient_resolution_n", dims[:2], self.force_resolution_n(read), text, units="N")
+
+    def _led_places(self, maps: list[list[PhotonMap]], mean: np.ndarray, error: np.ndarray) -> Variables:
+        """What each photodiode would read of an LED at each place of the board, and the force that this resolves."""
+        area, dies = self.areas_mm2, np.array([r.area_mm2 for r in self.scene.layout.leds])[:, None]
+        pair, places = ("led", "best_photodiode"), ("led_u", "led_v")
+        text = "part of an LED's light on each photodiode, by light from the photodiode to the LED"
+        data = variable("reciprocal_fraction", pair, mean * area / dies, text, stderr=error * area / dies)
+        fraction, resolution = [], []
+        for i, by_photodiode in enumerate(maps):
+            each = np.stack([a * one.blocks_per_mm2() for a, one in zip(area, by_photodiode, strict=True)])
+            # From (photodiodes, values, blocks, u, v) to (blocks, u, v, photodiodes, values).
+            each = left_out(np.moveaxis(each, (2, 0, 1), (0, -2, -1)))
+            fraction.append(np.moveaxis(each[..., 0], -1, 1))
+            # Where hardly any light comes only the prior remains, the same by every group of photons.
+            all_light = each[..., 0].sum(-1)
+            is_lit = jackknife(all_light) ** 2 < all_light[0] ** 2 / FEW_TERMS
+            resolved = self.force_resolution_n([self.response(i, each, replicates=True)])
+            unread = self.force_resolution_n([self.response(i, np.zeros_like(each))])
+            resolution.append(np.where(is_lit & (resolved[0] < KNOWN_BEFORE * unread[0]), resolved, np.nan))
+        text = "part of the light of an LED at this place on each photodiode, by reciprocity"
+        value, errors = [f[0] for f in fraction], [jackknife(f) for f in fraction]
+        data |= variable("led_place_fraction", (*pair, *places), value, text, stderr=errors)
+        text = "force resolution with this LED alone at this place and the photodiodes where they are"
+        value, errors = [r[0] for r in resolution], [r[0] * jackknife(np.log(r)) for r in resolution]
+        data |= variable("led_place_resolution_n", ("led", *places), value, text, units="N", stderr=errors)
+        data |= _middles("led_u", maps[0][0].u_mm, "place of the LED, across the nail")
+        return data | _middles("led_v", maps[0][0].v_mm, "place of the LED, along the nail")
+
+
+def _middles(name: str, edges: np.ndarray, text: str) -> Variables:
+    return variable(name, name, (edges[1:] + edges[:-1]) / 2, text, units="mm")
 
 
 def verify_layout(
@@ -100,186 +238,31 @@ def verify_layout(
     stop : whether there is no time at all for one batch more; then the Dataset is empty.
     store : where light is looked for, and kept.
     """
-    begin = time.perf_counter()
+    begin, point = time.perf_counter(), condition.point
     scene = boards.worn_on(best, condition.case)
     tracer = BoardTracer(light_scene(scene), backend=backend, store=store, seed=seed)
-    at: dict[str, Any] = {"traced": tracer.scene, "blood_fraction": condition.point.blood_fraction}
-    points = tuple(blood_point(scene, led, **at) for led in range(len(scene.leds)))
-    setup = _Setup(scene, condition, tracer, points, seed, stop)
+    at: dict[str, Any] = {"traced": tracer.scene, "blood_fraction": point.blood_fraction}
+    blood = tuple(blood_point(scene, led, **at) for led in range(len(scene.leds)))
+    verification = _Verification(scene, point, tracer, blood, seed, stop)
     batches = max(LEAST_BATCHES, photons // tracer.batch_photons)
     # As many photons as judged the layout; where time is short, the batches that must be are small ones.
     least = round(LEAST_PART * tracer.batch_photons)
     each = least if max_seconds <= LEAST_BATCHES * SHORT_S else max(least, photons // batches)
     try:
-        values, found = _fresh_trace(setup, batches, each, begin + max_seconds / 2)
-        found |= _back(setup, max(1, batches // BATCHES_PER_ROUND), begin + max_seconds, values)
-    except _Stopped:
+        values, data = verification.fresh_trace(batches, each, begin + max_seconds / 2)
+        data |= verification.back(max(1, batches // BATCHES_PER_ROUND), begin + max_seconds, values)
+    except Stopped:
         return xr.Dataset()
-    resolution = setup.force_resolution_n([setup.response(i, each, replicates=True) for i, each in enumerate(values)])
+    read = [verification.response(i, each, replicates=True) for i, each in enumerate(values)]
+    resolution = verification.force_resolution_n(read)
     error = resolution[0] * jackknife(np.log(resolution))
     attributes = {"checked_resolution_n": float(resolution[0]), "checked_resolution_n_stderr": float(error)}
-    if "reciprocal_fraction" in found:
-        attributes |= _reciprocity(found)
-    names = {"led": [led.name for led in scene.leds], "best_photodiode": list(scene.layout.photodiode_names)}
-    return xr.Dataset(found, coords=names, attrs=attributes)
-
-
-def _middles(name: str, edges: np.ndarray, text: str) -> Variables:
-    return variable(name, name, (edges[1:] + edges[:-1]) / 2, text, units="mm")
-
-
-def _fresh_trace(setup: _Setup, batches: int, photons: int, deadline: float) -> tuple[list[np.ndarray], Variables]:
-    """Values of each LED, (1 + batches, photodiodes, 4) float, by all batches and without each; and what to keep."""
-    tracer, cells, count = setup.tracer, setup.tracer.cells(), 0
-    blocks: list[list[np.ndarray]] = [[] for _ in setup.points]
-    total, square = (np.zeros((len(setup.points), len(setup.areas_mm2), *cells.shape)) for _ in range(2))
-    by_depth: list[list[np.ndarray]] = [[] for _ in setup.points]
-    volume = cells.volume_mm3[0, 0]
-    while count < LEAST_BATCHES or (count < batches and time.perf_counter() < deadline):
-        for i, point in enumerate(setup.points):
-            setup.check()
-            seed = seed_of(setup.seed, FORWARD, i, count)
-            means, sensitivity = tracer.detected(i, point, photons=photons, seed=seed, cells=cells)
-            blocks[i].append(means)
-            total[i] += sensitivity
-            square[i] += sensitivity**2
-            by_depth[i].append((sensitivity * volume).sum((1, 2)))
-        count += 1
-    values = [left_out(np.stack(each)) for each in blocks]
-    pair, cell = ("led", "best_photodiode"), ("under_u", "under_v", "depth")
-    fraction, errors = [v[0, :, 0] for v in values], [jackknife(v[..., 0]) for v in values]
-    text = "part of an LED's light on each photodiode, by a fresh trace of the best layout"
-    found = variable("checked_fraction", pair, fraction, text, stderr=errors)
-    text = "fall of a photodiode's reading by absorption at a place under the nail, per volume there"
-    mean, error = ((total / count).astype(np.float32), stderr_of_mean(total, square, count).astype(np.float32))
-    found |= variable("depth_sensitivity", (*pair, *cell), mean, text, units="mm-2", stderr=error)
-    found |= _middles("under_u", cells.u_mm, "across the nail, as on the board")
-    found |= _middles("under_v", cells.v_mm, "along the nail, towards the tip")
-    found |= _middles("depth", cells.depth_mm, "below the nail plate's outer face")
-    text = "volume of a cell under the nail at its depth"
-    found |= variable("cell_volume_mm3", "depth", volume, text, units="mm3")
-    with np.errstate(invalid="ignore", divide="ignore"):
-        weights = [left_out(np.stack(each)) for each in by_depth]
-        middle = [each @ found["depth"][1] / each.sum(-1) for each in weights]
-    depth_mm, errors = [each[0] for each in middle], [jackknife(each) for each in middle]
-    text = "mean depth at which absorption makes a photodiode's reading fall"
-    return values, found | variable("mean_depth_mm", pair, depth_mm, text, units="mm", stderr=errors)
-
-
-def _back(setup: _Setup, rounds: int, deadline: float, values: list[np.ndarray]) -> Variables:
-    """Light from each photodiode: what an LED at each place would bring it, and what comes from outside."""
-    photodiodes, leds = range(len(setup.areas_mm2)), range(len(setup.points))
-    outline, die_areas = setup.scene.layout.outline, setup.scene.layout.leds
-    maps = [[PhotonMap(outline, values=4, spacing_mm=LED_SPACING_MM, blocks=BLOCKS) for _ in photodiodes] for _ in leds]
-    on_die = np.zeros((2, len(leds), len(photodiodes)))
-    outside = np.zeros((2, len(COVERS), len(SOURCES), len(photodiodes)))
-    outside[:, COVERS.index("uncovered")] = _through_open_board(setup)
-    done = 0
-    while done == 0 or (done < rounds and time.perf_counter() < deadline):
-        for j in photodiodes:
-            for i, point in enumerate(setup.points):
-                setup.check()
-                seed = seed_of(setup.seed, BACK, i, j, done)
-                arrived, left = setup.tracer.back(j, i, photons=BACK_PHOTONS, seed=seed)
-                each = point.values(arrived)
-                maps[i][j].add(arrived, each)
-                mean, error = readings(arrived, each[:, :1], [die_areas[i]])
-                on_die[:, i, j] += mean[0, 0], error[0, 0] ** 2
-                if i == 0:
-                    outside[:, COVERS.index("covered"), :, j] += _from_outside(setup, left, j)
-        done += 1
-    for one in (on_die, outside[:, COVERS.index("covered")]):
-        one[0] /= done
-        one[1] = np.sqrt(one[1]) / done
-    found = _ambient(setup, values, *outside)
-    # Where an LED shines otherwise than a photodiode sees, the way back is another.
-    if all(led.pattern == "lambertian" for led in setup.scene.leds):
-        found |= _led_places(setup, maps, *on_die)
-    return found
-
-
-def _through_open_board(setup: _Setup) -> np.ndarray:
-    """Photocurrent by light from outside on a board without a cover and its standard error, (2, sources, photodiodes)
-    float. [A]"""
-    setup.check()
-    usual, board = setup.tracer, setup.scene.board.model_copy(update={"cover_um": 0.0})
-    how: dict[str, Any] = {"backend": usual.backend.name, "store": usual.store, "seed": usual.seed}
-    tracer = BoardTracer(usual.scene.model_copy(update={"board": board}), spacing_mm=OPEN_DISTANCE_MM, **how)
-    found = []
-    for j in range(len(setup.areas_mm2)):
-        setup.check()
-        _, left = tracer.back(j, 0, photons=OPEN_PHOTONS, seed=seed_of(setup.seed, OPEN_BOARD, j))
-        current, variance = _from_outside(setup, left, j)
-        found.append((current, np.sqrt(variance)))
-    return np.stack(found, -1)
-
-
-def _from_outside(setup: _Setup, left: Arrivals, photodiode: int) -> np.ndarray:
-    """Photocurrent by light from outside and its variance, (2, sources) float. [A], [A^2]"""
-    scene, area_mm2, sums = setup.scene, float(setup.areas_mm2[photodiode]), []
-    nm, diode = scene.leds[0].wavelength_nm, setup.photodiodes[photodiode]
-    for source in SOURCES:
-        each = photocurrents_a(
-            left, scene, source, traced=setup.tracer.scene, traced_nm=nm, photodiode=diode, area_mm2=area_mm2
-        )
-        # Most photons did not leave: each of them counts 0.
-        sums.append((each.sum(), (each**2).sum() - each.sum() ** 2 / left.photons))
-    return np.array(sums).T
-
-
-def _ambient(setup: _Setup, values: list[np.ndarray], current: np.ndarray, error: np.ndarray) -> Variables:
-    """What light from outside adds to each photodiode, and what it leaves of the force resolution."""
-    dims, sources = ("cover", "ambient", "best_photodiode"), np.array([source.name for source in SOURCES])
-    found: Variables = {"cover": (("cover",), np.array(COVERS), {}), "ambient": (("ambient",), sources, {})}
-    text = "photocurrent by light from outside, from all sides"
-    found |= variable("ambient_a", dims, current, text, units="A", stderr=error)
-    high = current + Z95 * error
-    found |= variable("ambient_high_a", dims, high, f"upper end of the 95 % interval: {text}", units="A")
-    read = [setup.response(i, each[0], high) for i, each in enumerate(values)]
-    most, noise = np.max([r.volts for r in read], axis=0), np.max([r.noise_v for r in read], axis=0)
-    limit_v = setup.scene.electronics.adc_range_v
-    text = f"largest output with light from outside at its bound; the converter ends at {limit_v:g} V"
-    found |= variable("ambient_volts", dims, most, text, units="V")
-    text = "noise of one sample with light from outside at its bound, rms"
-    found |= variable("ambient_noise_v", dims, noise, text, units="V")
-    resolution = setup.force_resolution_n(read)
-    text = "force resolution of the best layout with light from outside at its bound: its noise and saturation"
-    return found | variable("ambient_resolution_n", dims[:2], resolution, text, units="N")
-
-
-def _led_places(setup: _Setup, maps: list[list[PhotonMap]], mean: np.ndarray, error: np.ndarray) -> Variables:
-    """What each photodiode would read of an LED at each place of the board, and the force that this resolves."""
-    area, dies = setup.areas_mm2, np.array([r.area_mm2 for r in setup.scene.layout.leds])[:, None]
-    pair, places = ("led", "best_photodiode"), ("led_u", "led_v")
-    text = "part of an LED's light on each photodiode, by light from the photodiode to the LED"
-    found = variable("reciprocal_fraction", pair, mean * area / dies, text, stderr=error * area / dies)
-    fraction, resolution = [], []
-    for i, by_photodiode in enumerate(maps):
-        each = np.stack([a * one.blocks_per_mm2() for a, one in zip(area, by_photodiode, strict=True)])
-        # From (photodiodes, values, blocks, u, v) to (blocks, u, v, photodiodes, values).
-        each = left_out(np.moveaxis(each, (2, 0, 1), (0, -2, -1)))
-        fraction.append(np.moveaxis(each[..., 0], -1, 1))
-        # Where hardly any light comes only the prior remains, the same by every group of photons.
-        all_light = each[..., 0].sum(-1)
-        seen = jackknife(all_light) ** 2 < all_light[0] ** 2 / FEW_TERMS
-        resolved = setup.force_resolution_n([setup.response(i, each, replicates=True)])
-        unread = setup.force_resolution_n([setup.response(i, np.zeros_like(each))])
-        resolution.append(np.where(seen & (resolved[0] < KNOWN_BEFORE * unread[0]), resolved, np.nan))
-    text = "part of the light of an LED at this place on each photodiode, by reciprocity"
-    value, errors = [f[0] for f in fraction], [jackknife(f) for f in fraction]
-    found |= variable("led_place_fraction", (*pair, *places), value, text, stderr=errors)
-    text = "force resolution with this LED alone at this place and the photodiodes where they are"
-    value, errors = [r[0] for r in resolution], [r[0] * jackknife(np.log(r)) for r in resolution]
-    found |= variable("led_place_resolution_n", ("led", *places), value, text, units="N", stderr=errors)
-    one = maps[0][0]
-    found |= _middles("led_u", one.u_mm, "place of the LED, across the nail")
-    return found | _middles("led_v", one.v_mm, "place of the LED, along the nail")
-
-
-def _reciprocity(found: Variables) -> dict[str, float]:
-    """Light of the first LED on all photodiodes, by light the other way over that of the fresh trace."""
-    names = ("reciprocal_fraction", "checked_fraction")
-    back, fresh = (float(found[name][1][0].sum()) for name in names)
-    back_error, fresh_error = (float(np.linalg.norm(found[f"{name}_stderr"][1][0])) for name in names)
-    error = math.hypot(back_error / back, fresh_error / fresh)
-    return {"reciprocity_ratio": back / fresh, "reciprocity_ratio_stderr": back / fresh * error}
+    if "reciprocal_fraction" in data:
+        # Light of the first LED on all photodiodes, by light the other way over that of the fresh trace.
+        names = ("reciprocal_fraction", "checked_fraction")
+        back, fresh = (float(data[name][1][0].sum()) for name in names)
+        errors = [float(np.linalg.norm(data[f"{name}_stderr"][1][0])) for name in names]
+        attributes["reciprocity_ratio"] = ratio = back / fresh
+        attributes["reciprocity_ratio_stderr"] = ratio * math.hypot(errors[0] / back, errors[1] / fresh)
+    coordinates = {"led": [led.name for led in scene.leds], "best_photodiode": list(scene.layout.photodiode_names)}
+    return xr.Dataset(data, coords=coordinates, attrs=attributes)
