@@ -32,9 +32,8 @@ DISTANCE_MM = (0.0, 0.3, 0.7, 1.2, 1.8, 2.5, 3.5, 5.0, 7.0)
 # Nodes of the middle along lie no farther apart than this. [mm]
 MIDDLE_STEP_MM = 2.5
 # The strength of the penalty: expected change of C from node to node, and its deviation from a straight line, rms, on
-# each of so many lines of nodes.
-DIFFERENCE, BEND, LINES = 7.5, 1.5, 500
-MIDDLE_SOFTER = 1.0
+# each of so many lines of nodes; both so much larger over the middle along, where one zone of blood follows another.
+DIFFERENCE, BEND, LINES, ALONG = 7.5, 1.5, 500, 5.0
 # Pairs of places at which M is summed, low in discrepancy, and the shortest distance that g distinguishes. [mm]
 PAIRS, NEAREST_MM = 1 << 19, 0.2
 # Degrees in the blood of both zones together, in the saturation, and in all.
@@ -130,8 +129,8 @@ class PairBasis:
             before, after = (math.prod(map(len, part)) for part in (self.axes[:k], self.axes[k + 1 :]))
             step, width = np.diff(np.eye(len(axis)), axis=0), np.diff(axis)
             bend = np.diff(step / width[:, None], axis=0) * width.mean()
-            softer = MIDDLE_SOFTER if k == 3 else 1.0
-            own = (step.T @ step / DIFFERENCE**2 + bend.T @ bend / BEND**2) * (LINES / (before * after * softer**2))
+            precision = LINES / (before * after) / (ALONG**2 if k == len(self.axes) - 1 else 1.0)
+            own = precision * (step.T @ step / DIFFERENCE**2 + bend.T @ bend / BEND**2)
             total = total + kron(kron(identity(before), own), identity(after))
         return total.tocsc()
 

@@ -1,6 +1,7 @@
 """How far the best layout stays the best: with fewer and more photodiodes, and over the priors of the finger."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -127,28 +128,25 @@ def resolution_over_priors(
     untraced = [one for one in priors if not (only_absorbs(scene, one) or scene.priors.own_traces)]
     evaluated = priors[: len(priors) - len(untraced)]
     chosen = [i for i, one in enumerate(layouts) if i < TOP_RANKED or one.name == "paper"]
-    results: list[PriorSensitivity] = []
+    results: list[tuple[np.ndarray, np.ndarray]] = []
     for i in chosen:
-        answer = _LogResolution(layouts[i], rules, judged, points, stop)
+        resolution = _Resolution(layouts[i], rules, judged, points, stop)
         try:
             if stop():
                 raise Stopped
-            results.append(over_priors(layouts[i].board, evaluated, answer))
+            results.append(resolution.over_priors(evaluated))
         except Stopped:
             break
     if not results:
         return xr.Dataset()
     chosen = chosen[: len(results)]
-    own = np.full((*results[0].own.shape, len(layouts)), np.nan)
-    nodes = np.full((*results[0].nodes.shape, len(layouts)), np.nan)
-    own[..., chosen], nodes[..., chosen] = (
-        np.stack([getattr(one, n) for one in results], -1) for n in ("own", "nodes")
-    )
+    nodes, own = (np.full((*one.shape, len(layouts)), np.nan) for one in results[0])
+    nodes[..., chosen], own[..., chosen] = (np.stack(one, -1) for one in zip(*results, strict=True))
     return _dataset(PriorSensitivity(tuple(evaluated), nodes, own), chosen, untraced, scene)
 
 
-class _LogResolution:
-    """Logarithm of a layout's score on its board with another finger, by all blocks and without each."""
+class _Resolution:
+    """Force resolution of a layout on other fingers, by all blocks of photons and without each."""
 
     def __init__(
         self,
@@ -163,9 +161,16 @@ class _LogResolution:
         # Scenes whose light goes the same way share a trace, whatever finger or change they are.
         self.light: dict[tuple[str, int], Arrivals] = {}
 
-    def __call__(self, board: Scene) -> np.ndarray:
-        resolution = np.stack([self._resolution_n(boards.worn_on(board, case), case) for case in self.judged.cases])
-        return np.log(over_fingers(resolution, self.rules.over_fingers))
+    def over_priors(self, priors: Sequence[Prior]) -> tuple[np.ndarray, np.ndarray]:
+        """Logarithm of the score at the nodes of every prior, (priors, 3, 1 + blocks) float, and of the scene's own,
+        (1 + blocks,) float."""
+        by_case = [
+            over_priors(boards.worn_on(self.layout.board, case), priors, partial(self._resolution_n, case=case))
+            for case in self.judged.cases
+        ]
+        over = self.rules.over_fingers
+        nodes, own = (np.stack([getattr(one, name) for one in by_case]) for name in ("nodes", "own"))
+        return np.log(over_fingers(nodes, over)), np.log(over_fingers(own, over))
 
     def _resolution_n(self, scene: Scene, case: FingerCase) -> np.ndarray:
         """Force resolution on one finger, (1 + blocks,) float. [N]"""
