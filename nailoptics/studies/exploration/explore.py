@@ -33,7 +33,7 @@ from ...sensor.information import PRIOR_PA, operating_point
 from ...sensor.physiological_noise import LIFT_PER_UM
 from ...statistics import seed_of
 from ..placement import boards, candidates
-from .pair_table import BloodPolynomial, PairBasis, PairProjection, RadialFunction, pair_basis
+from .pair_table import ZONES, BloodPolynomial, PairBasis, PairProjection, RadialFunction, pair_basis
 
 Array = NDArray[np.float64]
 
@@ -148,12 +148,20 @@ class ColourSums:
 
     def table(self, led: Led, projection: PairProjection) -> ColourTable:
         """The table from all that was summed."""
-        per_photon, weight = self.area_mm2 / self.photons.sum(), self.weight / self.arrivals
-        blocks = np.concatenate(self.blocks * (self.photons.sum() / self.photons)[:, None, None], axis=1)
-        solved = projection.solve(np.column_stack([self.sums, blocks]) * per_photon, weight=weight * per_photon)
-        count = len(self.polynomial.exponents)
-        blocks = solved[:, count + 1 :].reshape(len(solved), BLOCKS, 3).transpose(1, 0, 2)
-        return ColourTable(led, solved[:, :count], solved[:, count], blocks, int(self.photons.sum()))
+        per_photon, count = self.area_mm2 / self.photons.sum(), len(self.polynomial.exponents)
+        weight, rest = self.weight / self.arrivals * per_photon, self.blocks[..., 0].sum(0)
+        blocks = self.blocks * (self.area_mm2 / self.photons)[:, None, None]
+        # The reading at rest, and beside it what blood changes, of which the first monomial is constant.
+        at_rest = np.column_stack([rest * per_photon, self.sums[:, count] * per_photon, blocks[..., 0].T])
+        changes = self.sums[:, :count] * per_photon
+        changes[:, 0] -= rest * per_photon
+        at_rest = projection.solve(at_rest, weight=weight)
+        changes = np.column_stack([changes, *blocks[..., 1:]])
+        changes = projection.solve(changes, weight=weight, softer=ZONES)
+        changes[:, 0] += at_rest[:, 0]
+        slopes = changes[:, count:].reshape(len(changes), BLOCKS, 2)
+        groups = np.concatenate([at_rest[:, 2:, None], slopes], -1).transpose(1, 0, 2)
+        return ColourTable(led, changes[:, :count], at_rest[:, 1], groups, int(self.photons.sum()))
 
     def _add_ambient(self, left: Arrivals) -> None:
         """Add light that leaves, as that from outside comes in, to the cell of the board from which it started."""

@@ -14,7 +14,6 @@ photons' noise, and groups of photons give the standard errors.
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -32,8 +31,9 @@ DISTANCE_MM = (0.0, 0.3, 0.7, 1.2, 1.8, 2.5, 3.5, 5.0, 7.0)
 # Nodes of the middle along lie no farther apart than this. [mm]
 MIDDLE_STEP_MM = 2.5
 # The strength of the penalty: expected change of C from node to node, and its deviation from a straight line, rms, on
-# each of so many lines of nodes; both so much larger over the middle along, where one zone of blood follows another.
-DIFFERENCE, BEND, LINES, ALONG = 7.5, 1.5, 500, 5.0
+# each of so many lines of nodes; of changes by blood both are so much larger over the middle along, where one zone of
+# blood follows another.
+DIFFERENCE, BEND, LINES, ZONES = 5.0, 1.0, 500, 8.0
 # Pairs of places at which M is summed, low in discrepancy, and the shortest distance that g distinguishes. [mm]
 PAIRS, NEAREST_MM = 1 << 19, 0.2
 # Degrees in the blood of both zones together, in the saturation, and in all.
@@ -119,9 +119,11 @@ class PairBasis:
             weight = (weight[:, :, None] * np.stack([1 - part, part], -1)[:, None]).reshape(count, -1)
         return csr_matrix((weight.ravel(), at.ravel(), 16 * np.arange(count + 1)), shape=(count, self.size))
 
-    @cached_property
-    def penalty(self) -> Any:
-        """R: the expected curvature of C between nodes as a precision, sparse (size, size)."""
+    def penalty(self, softer: float) -> Any:
+        """R: the expected curvature of C between nodes as a precision, sparse (size, size).
+
+        softer : so many times is it larger over the middle along.
+        """
         from scipy.sparse import identity, kron
 
         total: Any = 0
@@ -129,7 +131,7 @@ class PairBasis:
             before, after = (math.prod(map(len, part)) for part in (self.axes[:k], self.axes[k + 1 :]))
             step, width = np.diff(np.eye(len(axis)), axis=0), np.diff(axis)
             bend = np.diff(step / width[:, None], axis=0) * width.mean()
-            precision = LINES / (before * after) / (ALONG**2 if k == len(self.axes) - 1 else 1.0)
+            precision = LINES / (before * after) / (softer**2 if k == len(self.axes) - 1 else 1.0)
             own = precision * (step.T @ step / DIFFERENCE**2 + bend.T @ bend / BEND**2)
             total = total + kron(kron(identity(before), own), identity(after))
         return total.tocsc()
@@ -240,11 +242,11 @@ class PairProjection:
             values = basis.matrix(x[part], y[part])
             self.moments = self.moments + values.T @ diags(volume[part] * radial(x[part], y[part])) @ values
 
-    def solve(self, sums: Array, *, weight: float) -> Array:
+    def solve(self, sums: Array, *, weight: float, softer: float = 1.0) -> Array:
         """The coefficients (size, q) of K / g from sums of weights (size, q), per photon and area of its start [mm^2].
 
-        weight : likewise, of a typical arrival; it sets how much the penalty counts.
+        weight : likewise, of a typical arrival; it sets how much the penalty counts. softer : as of the penalty.
         """
         from scipy.sparse.linalg import splu
 
-        return np.asarray(splu((self.moments + weight * self.basis.penalty).tocsc()).solve(sums))
+        return np.asarray(splu((self.moments + weight * self.basis.penalty(softer)).tocsc()).solve(sums))
