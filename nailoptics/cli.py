@@ -129,7 +129,7 @@ def simulate(scene: ScenePath, *, recording: Path | None = None, options: Study 
     """
     from .report.pages.simulate import SIMULATION
     from .scene.importers.sensor_recordings import recording_csv
-    from .studies.force.virtual_recording import record
+    from .studies.force.reading_table import record
     from .studies.simulate import simulate as study
 
     loaded, _ = _load(scene, options)
@@ -598,7 +598,7 @@ def predict(
         smooth: Use the samples after each as well, not only those before it.
     """
     from .report.pages.force import PREDICTION
-    from .studies.force.live import live
+    from .studies.force.predict import live
     from .studies.force.predict import predict as study
     from .studies.force.subject import read_subject
 

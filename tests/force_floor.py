@@ -11,14 +11,13 @@ from record import TOUCHES, Site, touch_of
 
 from nailoptics.hemodynamics import cardiac_pressure
 from nailoptics.hemodynamics.for_scene import blood_model
-from nailoptics.hemodynamics.steady import solve_walls
 from nailoptics.hemodynamics.waves import CardiacOscillator, DampedOscillator
 from nailoptics.scene import Scene
 from nailoptics.scene.body import Heartbeat
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording
 from nailoptics.sensor.drift_motion import drift_and_motion
 from nailoptics.studies.force.body_noise import HARMONICS, HEIGHT_SPREAD, pressure_to_blood_gain
-from nailoptics.studies.force.person import Person, touch_on_walls, widths_over
+from nailoptics.studies.force.person import Person
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject
 from nailoptics.studies.force.uncertainty import no_correction
@@ -34,23 +33,24 @@ def exactly_known(subject: Subject, scene: Scene) -> Subject:
     body, noise = scene.body, subject.noise
     assert body is not None
     slow, breath, drift = body.vasomotion, body.breathing, body.drift
-    rhythms = []
+    waves = []
     if slow is not None:
-        rhythms.append(DampedOscillator(sum(slow.band_hz) / 2, SLOW_COHERENCE_S, slow.amplitude_pa))
+        waves.append(DampedOscillator(sum(slow.band_hz) / 2, SLOW_COHERENCE_S, slow.amplitude_pa))
     if breath is not None:
         rms_pa = breath.amplitude_pa / np.sqrt(2)
-        rhythms.append(DampedOscillator(breath.rate_per_min / 60.0, BREATH_COHERENCE_S, rms_pa))
+        waves.append(DampedOscillator(breath.rate_per_min / 60.0, BREATH_COHERENCE_S, rms_pa))
     own = replace(
         noise,
-        rhythms=tuple(rhythms),
-        beat=None if body.heartbeat is None else _beat(body.heartbeat, subject.person()),
+        waves=tuple(waves),
+        beat=None if body.heartbeat is None else _beat(body.heartbeat, subject.person),
         drift_per_min=drift.reading_per_rt_min if drift else 1e-6,
         led_drift_per_min=drift.led_per_rt_min if drift else 1e-6,
         moved_error=0.0,
         held_error=0.0,
     )
     nothing = np.zeros_like(subject.covariance)
-    return replace(subject, noise=own, covariance=nothing, correction=no_correction(), coverage_factor=1.0)
+    quality = replace(subject.quality, coverage_factor=1.0)
+    return replace(subject, noise=own, covariance=nothing, correction=no_correction(), quality=quality)
 
 
 def _beat(heart: Heartbeat, who: Person) -> CardiacOscillator:
@@ -71,17 +71,17 @@ def modelled(subject: Subject, scene: Scene, touch: Recording, *, seed: int) -> 
     """
     assert touch.force_n is not None and touch.site is not None and scene.body is not None
     body = scene.model_copy(update={"body": scene.body.model_copy(update={"seed": seed})})
-    who, time_s = subject.person(), touch.time_s
+    who, time_s = subject.person, touch.time_s
     high = blood_model(body).arterial_waveform()
     arterial_pa = who.arterial_pa + (0.0 if high is None else high.at(time_s) - high.at(time_s).mean())
     pressure = who.pressures(touch.force_n, touch.site)
-    blood = who.blood(widths_over(who, time_s, pressure, arterial_pa=np.broadcast_to(arterial_pa, time_s.shape)))
-    volts = subject.offset_v[:, None] + subject.gain[:, None] * subject.table.volts(blood)
+    blood = who.blood(who.widths_over(time_s, pressure, arterial_pa=np.broadcast_to(arterial_pa, time_s.shape)))
+    volts = subject.readings.offset_v[:, None] + subject.readings.gain[:, None] * subject.light.volts(blood)
     worn = drift_and_motion(body, time_s)
     if "led_drift" in worn:
         volts = volts * (worn.led_drift.values[:, None] * worn.reading_drift.values).reshape(volts.shape)
     noise = np.random.default_rng(seed).normal(size=volts.shape)
-    return replace(touch, volts=volts + subject.noise.reading_v[:, None] * noise)
+    return replace(touch, volts=volts + subject.readings.noise_v[:, None] * noise)
 
 
 def floor_n(subject: Subject, person: VirtualPerson, kind: str, site: Site, *, seed: int = 3) -> list[float]:
@@ -97,24 +97,20 @@ def floor_n(subject: Subject, person: VirtualPerson, kind: str, site: Site, *, s
 def one_sample_n(subject: Subject, site: Site, force_n: float) -> float:
     """Standard error of a held touch told from one sample (Cramer-Rao), the person known exactly. [N]
 
-    Its noise is that of the readings, half a minute of drift, and the slow rhythms of the arterial pressure as the
+    Its noise is that of the readings, half a minute of drift, and the slow waves of the arterial pressure as the
     calibration saw them: a heartbeat is averaged out. Only samples before and after can tell the touch better.
     """
-    who, one, noise = subject.person(), subject.sensor, subject.noise
+    who, rest_v, gain = subject.person, subject.rest_v, subject.readings.gain
     held = np.append(who.pressures(np.array([force_n]), np.array([SITES[site]]))[:, 0], 0.0)
     places = np.repeat(held[:, None], 6, axis=1)
     places[range(3), range(3)] += STEPS
     places[range(3), range(3, 6)] -= STEPS
     places[:2] = np.maximum(places[:2], 0.0)
-    outside = touch_on_walls(places[:2], who.distal_reach)
-    width, _ = solve_walls(who.walls, outside, who.arterial_pa + places[2], np.full(6, who.venous_pa))
-    volts = one.gain[:, None] * one.table.volts(who.blood(width / who.rest_m[:, None]))
+    volts = gain[:, None] * subject.light.volts(who.blood(who.steady_widths(places[:2], places[2])))
     slopes = (volts[:, :3] - volts[:, 3:]) / (places[range(3), range(3)] - places[range(3), range(3, 6)])
-    rest_v = one.gain * one.table.volts(who.blood(np.ones((2, 1))))[:, 0]
-    led = one.table.same_led() * rest_v[:, None]
-    drift = noise.drift_per_min**2 * np.diag(rest_v**2) + noise.led_drift_per_min**2 * led @ led.T
-    information = slopes.T @ np.linalg.solve(np.diag(noise.reading_v**2) + 0.5 * drift, slopes)
-    slow2_pa2 = sum(rhythm.rms_pa**2 for rhythm in noise.rhythms)
+    drift = np.outer(rest_v, rest_v) * subject.drift_covariance
+    information = slopes.T @ np.linalg.solve(np.diag(subject.readings.noise_v**2) + 0.5 * drift, slopes)
+    slow2_pa2 = sum(wave.rms_pa**2 for wave in subject.noise.waves)
     known = np.linalg.inv(information + np.diag([TOUCH_SPREAD**-2, TOUCH_SPREAD**-2, 1.0 / slow2_pa2]))
     area_cm2 = float(who.area_cm2 * (who.proximal_area if site == "proximal" else 1.0))
     return area_cm2 * float(np.sqrt(known[0, 0] if site == "proximal" else known[1, 1]))

@@ -26,7 +26,6 @@ from nailoptics.studies.force.kalman import KalmanFilter
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.reading_table import ReadingTable
 from nailoptics.studies.force.subject import Model, Subject
-from nailoptics.studies.force.virtual_recording import record_touch
 
 KINDS = ("slow", "steps")
 # What people are calibrated on: slow cycles alone, or quick steps, too.
@@ -200,13 +199,13 @@ def presses_at_rest(subject: Subject, person: VirtualPerson, rest_s: float) -> i
     """Presses that the virtual switch tells while nobody touches."""
     corners = (np.array([0.0, rest_s]), np.zeros(2))
     untouched = record.touch_of(person.scene, corners, "proximal", rate_hz=REST_RATE_HZ)
-    still = record_touch(person.scene, person.light, untouched, seed=77)
+    still = record.record_touch(person.scene, person.light, untouched, seed=77)
     return sum(str(kind) == "press" for kind in predict(subject, still).event_kind.values)
 
 
 def seconds_per_sample(subject: Subject, recording: Recording) -> float:
     """Median processor time of one sample, read alone. [s]"""
-    observer, spent = KalmanFilter(subject.sensor, subject.noise), []
+    observer, spent = KalmanFilter(subject), []
     for k, volts in enumerate(recording.volts.T[:500]):
         begin = time.process_time()
         observer.update_sample(volts, 0.01 if k else None)

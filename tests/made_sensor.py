@@ -1,16 +1,17 @@
 """A worn sensor whose light is a formula: recordings of the prototype's readings in a second, without a trace."""
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
-from nailoptics.hemodynamics import parameters
+from nailoptics.hemodynamics.parameters import Parameters, parameters
 from nailoptics.scene import Scene
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording
 from nailoptics.studies.force.calibrate import calibrate_with
-from nailoptics.studies.force.person import RIGID_PULP, Pulp, person, widths_over
+from nailoptics.studies.force.person import RIGID_PULP, NominalFinger, Pulp
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable, reading_names
 
 STEP_S = 0.02
@@ -39,14 +40,19 @@ def table() -> ReadingTable:
     coefficients[:, POWERS.index((1, 0))] = slopes[:, 0] * MOST_BLOOD
     coefficients[:, POWERS.index((0, 1))] = slopes[:, 1] * MOST_BLOOD
     return ReadingTable(
-        names=names,
-        coefficients=coefficients,
+        ln_volts=dict(zip(names, coefficients, strict=True)),
         dark_v=np.full(len(names), 1e-4),
-        most_blood=MOST_BLOOD,
+        most_blood_fraction=MOST_BLOOD,
         slope_stderr=0.01 * np.abs(slopes),
         noise_v=np.full(len(names), 5e-5),
         range_v=5.0,
     )
+
+
+def nominal_finger(vessels: Parameters, **changes: Any) -> NominalFinger:
+    """A finger whose pulp is rigid, and whose two zones share no pressure, but for some changes."""
+    usual = {"rest_blood_fraction": 0.03, "contact_area_cm2": 1.0, "proximal_share": 0.5, "distal_reach": 0.0}
+    return NominalFinger(**usual | {"pulp": RIGID_PULP, "vessels": vessels} | changes)
 
 
 @cache
@@ -67,7 +73,7 @@ def record(force_n: np.ndarray, site: str, *, seed: int, pulp: Pulp = RIGID_PULP
     """What the sensor records of a force that begins untouched, with noise, on a pulp."""
     own, light = scene(), table()
     time_s, where = STEP_S * np.arange(force_n.size), np.full(force_n.shape, SITES[site])
-    who = person(parameters(own.blood.parameters), {}, rest_blood=0.03, area_cm2=1.0, share=0.5, pulp=pulp)
-    volts = light.volts(who.blood(widths_over(who, time_s, who.pressures(force_n, where))))
+    who = nominal_finger(parameters(own.blood.parameters), pulp=pulp).person()
+    volts = light.volts(who.blood(who.widths_over(time_s, who.pressures(force_n, where))))
     noise = np.random.default_rng(seed).normal(size=volts.shape)
     return Recording("made", light.names, time_s, volts + light.noise_v[:, None] * noise, force_n, where)

@@ -42,10 +42,9 @@ def untraced_table(scene: Scene) -> ReadingTable:
     coefficients[:, POWERS.index((1, 0))] = SLOPES[:, 0] * MOST_BLOOD
     coefficients[:, POWERS.index((0, 1))] = SLOPES[:, 1] * MOST_BLOOD
     return ReadingTable(
-        names=scene.layout.photodiode_names,
-        coefficients=coefficients,
+        ln_volts=dict(zip(scene.layout.photodiode_names, coefficients, strict=True)),
         dark_v=np.full(len(LEVEL), 1e-4),
-        most_blood=MOST_BLOOD,
+        most_blood_fraction=MOST_BLOOD,
         slope_stderr=0.01 * np.abs(SLOPES),
         noise_v=np.full(len(LEVEL), 1e-4),
         range_v=scene.electronics.adc_range_v,

@@ -29,13 +29,15 @@ from numpy.typing import NDArray
 
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
+from nailoptics.hemodynamics.for_scene import blood_over_touch
 from nailoptics.io import write_text
 from nailoptics.light import DetectedLight, trace
 from nailoptics.light.detect import light_of
 from nailoptics.light.transfer import Transfer
 from nailoptics.scene import Scene, Touch, digest, load_scene
 from nailoptics.scene.importers.sensor_recordings import Recording, recording_csv
-from nailoptics.studies.force.virtual_recording import record_touch
+from nailoptics.studies.force.reading_table import record
+from nailoptics.studies.simulate import simulate_from
 
 Array = NDArray[np.float64]
 Corners = tuple[Array, Array]
@@ -54,6 +56,8 @@ CALIBRATION_N, SLOW_N = (2.0, 2.0, 2.0), (0.4, 1.0, 2.0)
 STEPS_N, HOLD_S, EDGE_S, CORNERS_PER_EDGE = (0.5, 0.15, 1.0, 0.3, 0.75), 2.0, 0.16, 16
 # Other steps, for calibrations that are to tell how fast the vessels refill. [N]
 QUICK_N = (0.8, 0.2, 1.2, 0.4, 0.6)
+# Allowed error of a step of the vessels' equations, of a diameter. It adds up to 1e-5, below the converter's steps.
+RTOL = 1e-3
 
 
 def people() -> tuple[str, ...]:
@@ -123,6 +127,20 @@ def _untouched(scene: Scene) -> Scene:
     """The scene without what moves its blood: it shares light with every other touch of the person."""
     blood = scene.blood.model_copy(update={"parameters": "listed", "tuning": None, "decay_length": None})
     return scene.model_copy(update={"touch": Touch(), "body": None, "blood": blood})
+
+
+def record_touch(
+    scene: Scene, light: DetectedLight, touch: Touch, *, seed: int, model: Literal["massless", "inertial"] = "massless"
+) -> Recording:
+    """What a worn sensor records of one more touch by a person whose light is traced.
+
+    light : what `open_light` returned for the scene, whatever its touch. seed : of pulse, drift and noise.
+    model : the equations of the vessels, as for `hemodynamics.respond`.
+    """
+    body = scene.body.model_copy(update={"seed": seed}) if scene.body else None
+    touched = scene.model_copy(update={"touch": touch, "body": body})
+    course = blood_over_touch(touched, model=model, rtol=RTOL)
+    return record(touched, simulate_from(touched, light, course=course, seed=seed), seed=seed)
 
 
 def record_person(

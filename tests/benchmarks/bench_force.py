@@ -180,8 +180,8 @@ class Bench:
             subject, cpu_s = self.subject(name, "network")
             per_sample_s = seconds_per_sample(subject, person.recording("steps", "proximal", seed=1))
             yield (
-                f"{name}: calibrated in {cpu_s:.0f} s of processor time, rms {subject.rms_n:.3f} N, intervals widened "
-                f"{subject.coverage_factor:.2f} times; {1e3 * per_sample_s:.2f} ms a sample"
+                f"{name}: calibrated in {cpu_s:.0f} s of processor time, rms {subject.quality.rms_n:.3f} N, "
+                f"intervals widened {subject.quality.coverage_factor:.2f} times; {1e3 * per_sample_s:.2f} ms a sample"
             )
 
     def sample(self) -> Iterator[str]:

@@ -308,12 +308,12 @@ def calibration_summary(result: xr.Dataset) -> dict[str, Any]:
     subject = parse_subject(result.attrs["subject"])
     bent = set(result.attrs["bent_factors"])
     return {
-        "readings": subject.readings(),
-        "parameters": {name: one | {"quadratic": name not in bent} for name, one in subject.factors().items()},
-        "chi2_per_dof": subject.chi2_per_dof,
-        "rms_n": subject.rms_n,
+        "readings": subject.reading_table(),
+        "parameters": {name: one | {"quadratic": name not in bent} for name, one in subject.factor_table().items()},
+        "chi2_per_dof": subject.quality.chi2_per_dof,
+        "rms_n": subject.quality.rms_n,
         "half_width_n": result.attrs["half_width_n"],
-        "widening": subject.coverage_factor,
+        "widening": subject.quality.coverage_factor,
         "warnings": list(result.attrs["warnings"]),
     }
 

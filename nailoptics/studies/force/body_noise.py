@@ -1,7 +1,6 @@
-"""What moves a person's readings beside the touch, learned from what a fit leaves over."""
+"""What moves a person's readings beside the touch, estimated from the residuals of a fit."""
 
-import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -14,11 +13,9 @@ from ...hemodynamics.beat_detection import beats_per_second
 from ...hemodynamics.steady import linear_response
 from ...hemodynamics.waves import HARMONIC_BAND, WAVES, CardiacOscillator, DampedOscillator, resolved_harmonics
 from ...scene.importers.sensor_recordings import Recording
-from .person import Person, widths_over
+from .person import Array, Person
 from .reading_table import ReadingTable
-from .state_space import Noise
-
-Array = NDArray[np.float64]
+from .subject import Noise
 
 # Harmonics of the beat that carry a pulse's shape; a beat weaker than this is none. [Pa]
 HARMONICS, LEAST_BEAT_PA = 5, 40.0
@@ -26,14 +23,14 @@ HARMONICS, LEAST_BEAT_PA = 5, 40.0
 HEIGHT_SPREAD = 0.1
 # The highest part of a spectrum, where all is noise of the readings.
 NOISE_FROM = 0.75
-# A step of arterial pressure by which its effect is found. [Pa]
+# A step of arterial pressure by which its effect is computed. [Pa]
 STEP_PA = 100.0
-# How far the arterial pressure and an LED's light wander at most, rms: where readings do not part them, a little of
+# How far the arterial pressure and an LED's light wander at most, rms: where readings do not separate them, a little of
 # both is likelier than much of both, one against the other. [Pa, 1]
 PRESSURE_SPREAD_PA, LIGHT_SPREAD = 3000.0, 0.03
-# A rhythm with less gain than this is not seen well enough to be scaled by it.
+# Readings show too little of a wave with less gain than this to be scaled by it.
 LEAST_GAIN = 0.05
-# A finger rests below this force. Drift is seen from one rest to a later one: touches leave the model's own misfit. [N]
+# A finger rests below this force. Drift is taken from one rest to a later one: touches leave the model's misfit. [N]
 REST_FORCE_N = 0.05
 # Drift in a minute of a reading and of an LED where a recording has one rest only, and the least that is believed.
 USUAL_DRIFT, USUAL_LED_DRIFT, LEAST_DRIFT = 1e-3, 2e-3, 1e-4
@@ -41,14 +38,6 @@ USUAL_DRIFT, USUAL_LED_DRIFT, LEAST_DRIFT = 1e-3, 2e-3, 1e-4
 MISFIT_DEGREE = 4
 # Spectra are of windows as long as two of the slowest waves. [s]
 WINDOW_S = 40.0
-# How fast touches are expected to change: a force that wanders by this in a second, and ten times as much while it
-# steps. Chosen on the virtual people: three times as fast takes more of the body's waves for touches.
-# [N/cm^2 / sqrt(s)]
-TOUCH_RATE = 0.1
-# Nobody's readings quite follow the blood of two zones: while it moves they are off by so much of every change, while a
-# touch is held by so much of their distance from rest. Chosen on the virtual people, and on light known to 2 %: without
-# the first a touch let go past closure leads the filter far astray, without the second one that was held stays. [1]
-MOVED_ERROR, HELD_ERROR = 0.03, 0.01
 
 
 def arterial_response(person: Person, table: ReadingTable, gain: Array, recording: Recording) -> Array:
@@ -56,8 +45,8 @@ def arterial_response(person: Person, table: ReadingTable, gain: Array, recordin
     assert recording.force_n is not None and recording.site is not None
     high = person.arterial_pa + STEP_PA * np.array([-0.5, 0.5])
     pressure = np.repeat(person.pressures(recording.force_n, recording.site)[:, None], 2, axis=1)
-    start = replace(person, rest_m=np.repeat(person.rest_m[:, None], 2, axis=1))
-    blood = person.blood(widths_over(start, recording.time_s, pressure, arterial_pa=high[:, None]))
+    both = replace(person, rest_m=np.repeat(person.rest_m[:, None], 2, axis=1))
+    blood = person.blood(both.widths_over(recording.time_s, pressure, arterial_pa=high[:, None]))
     volts = gain[:, None, None] * table.volts(blood)
     return np.asarray((volts[:, 1] - volts[:, 0]) / STEP_PA)
 
@@ -73,53 +62,47 @@ def pressure_to_blood_gain(person: Person, frequency_hz: float) -> float:
     return float(fast / slow)
 
 
-def learn_noise(
+def estimate_noise(
     person: Person,
     table: ReadingTable,
     gain: Array,
     recordings: Sequence[Recording],
     residual_v: Sequence[Array],
     rest_v: Array,
-) -> Noise:
-    """Noise of each reading, drift, and the rhythms of the arterial pressure, from the residuals (R, T) of recordings.
+) -> tuple[Array, Noise]:
+    """White noise of each reading (R,) [V]; drift and waves of the arterial pressure. From residuals (R, T) each.
 
     rest_v : (R,) float. Readings at rest. [V]
     """
-    white = np.maximum(np.median([_white(one) for one in residual_v], axis=0), gain * table.noise_v)
+    white_v = np.maximum(np.median([_white(one) for one in residual_v], axis=0), gain * table.noise_v)
     leds = table.same_led() * rest_v[:, None]
-    spectra, own2, led2, spans, rates_hz = [], [], [], [], []
+    spectra, reading_drift2, led_drift2, rates_hz = [], [], [], []
     for recording, residual in zip(recordings, residual_v, strict=True):
+        time_s, force_n = recording.time_s, np.asarray(recording.force_n)
         response = arterial_response(person, table, gain, recording)
-        step = float(np.median(np.diff(recording.time_s)))
-        pressure, light, left = _decompose(response, leds, residual, white**2 + (1e-3 * rest_v) ** 2)
+        pressure, light, left = _decompose(response, leds, residual, white_v**2 + (1e-3 * rest_v) ** 2)
         # What follows the force is the model's misfit, not the body's.
-        force_n = np.asarray(recording.force_n)
         degree = min(MISFIT_DEGREE, len(np.unique(force_n)) - 1)
         pressure -= np.polynomial.Polynomial.fit(force_n, pressure, degree)(force_n)
-        window = min(len(pressure), round(WINDOW_S / step))
-        spectra.append(signal.welch(pressure, fs=1.0 / step, nperseg=window, detrend="constant"))
-        spans.append(len(pressure))
+        step_s = float(np.median(np.diff(time_s)))
+        window = min(len(pressure), round(WINDOW_S / step_s))
+        spectra.append(signal.welch(pressure, fs=1.0 / step_s, nperseg=window, detrend="constant"))
         with suppress(InputError):  # no heartbeat in it
-            rates_hz.append(beats_per_second(recording.time_s, pressure))
+            rates_hz.append(beats_per_second(time_s, pressure))
         # A reading's own drift lies where neither pressure nor LED took it along.
-        seen = len(left) / max(len(left) - 1 - leds.shape[1], 1)
+        share = len(left) / max(len(left) - 1 - leds.shape[1], 1)
         untouched = force_n < REST_FORCE_N
-        own2 += [seen * one for one in _random_walk_variance(left / rest_v[:, None], recording.time_s, untouched)]
-        led2 += _random_walk_variance(light, recording.time_s, untouched)
-    frequency = spectra[int(np.argmax(spans))][0]
+        reading_drift2.append(share * _random_walk_variance(left / rest_v[:, None], time_s, untouched))
+        led_drift2.append(_random_walk_variance(light, time_s, untouched))
+    frequency = spectra[int(np.argmax([len(one.time_s) for one in recordings]))][0]
     power = np.mean([np.interp(frequency, *one) for one in spectra], axis=0)
     power = np.maximum(power - np.median(power[frequency > NOISE_FROM * frequency[-1]]), 0.0)
-    drift, led_drift = (
-        max(float(np.sqrt(np.mean(one))), LEAST_DRIFT) if one else usual
-        for one, usual in ((own2, USUAL_DRIFT), (led2, USUAL_LED_DRIFT))
+    return white_v, Noise(
+        drift_per_min=_drift(reading_drift2, USUAL_DRIFT),
+        led_drift_per_min=_drift(led_drift2, USUAL_LED_DRIFT),
+        waves=tuple(_slow_waves(person, frequency, power)),
+        beat=_cardiac_oscillator(float(np.median(rates_hz)), frequency, power) if rates_hz else None,
     )
-    slow = [
-        # What was seen is what the vessels passed on.
-        replace(one, rms_pa=one.rms_pa / max(pressure_to_blood_gain(person, one.frequency_hz), LEAST_GAIN))
-        for one in _rhythms(frequency, power)
-    ]
-    beat = _cardiac_oscillator(float(np.median(rates_hz)), frequency, power) if rates_hz else None
-    return Noise(white, drift, led_drift, beat, tuple(slow), TOUCH_RATE, MOVED_ERROR, HELD_ERROR)
 
 
 def _decompose(response: Array, leds: Array, residual: Array, noise_v2: Array) -> tuple[Array, Array, Array]:
@@ -132,23 +115,26 @@ def _decompose(response: Array, leds: Array, residual: Array, noise_v2: Array) -
     weighted = design / noise_v2[:, None]
     normal = np.einsum("trp,trq->tpq", weighted, design)
     strength = normal[:, 0, 0]
-    # Where a touch has all but shut the vessels the arterial pressure is not seen: there it is taken for none.
+    # Where a touch has all but shut the vessels readings do not depend on the arterial pressure: it is taken for none.
     normal[:, 0, 0] += np.where(strength > 0.01 * strength.max(), PRESSURE_SPREAD_PA**-2, 1e9 * strength.max())
     light = np.arange(1, design.shape[2])
     normal[:, light, light] += LIGHT_SPREAD**-2
-    found = np.linalg.solve(normal, np.einsum("trp,rt->tp", weighted, filled)[..., None])[..., 0]
-    return found[:, 0], found[:, 1:].T, filled - np.einsum("trp,tp->rt", design, found)
+    parts = np.linalg.solve(normal, np.einsum("trp,rt->tp", weighted, filled)[..., None])[..., 0]
+    return parts[:, 0], parts[:, 1:].T, filled - np.einsum("trp,tp->rt", design, parts)
 
 
-def _random_walk_variance(drifting: Array, time_s: Array, untouched: NDArray[np.bool_]) -> list[float]:
-    """Variances that random walks (N, T) gain in a minute, from each rest to the next."""
+def _random_walk_variance(drifting: Array, time_s: Array, untouched: NDArray[np.bool_]) -> Array:
+    """Mean variances that random walks (N, T) gain in a minute, from each rest to the next, (rests - 1,) float."""
     ends = np.flatnonzero(np.diff(np.r_[False, untouched, False]))
     rests = [slice(start, stop) for start, stop in ends.reshape(-1, 2) if stop - start > 1]
-    means = [(time_s[rest].mean(), drifting[:, rest].mean(1)) for rest in rests]
-    return [
-        float(np.mean((later - before) ** 2) * 60.0 / (end - start))
-        for (start, before), (end, later) in itertools.pairwise(means)
-    ]
+    means = np.array([drifting[:, rest].mean(1) for rest in rests]).reshape(len(rests), len(drifting))
+    return np.asarray((np.diff(means, axis=0) ** 2).mean(1) * 60.0 / np.diff([time_s[rest].mean() for rest in rests]))
+
+
+def _drift(variances: Sequence[Array], usual: float) -> float:
+    """Standard deviation of a drift in a minute, of variances by recording; the usual one where there are none."""
+    all_of_them = np.concatenate(variances)
+    return max(float(np.sqrt(all_of_them.mean())), LEAST_DRIFT) if all_of_them.size else usual
 
 
 def _cardiac_oscillator(rate_hz: float, frequency: Array, power: Array) -> CardiacOscillator | None:
@@ -164,17 +150,16 @@ def _cardiac_oscillator(rate_hz: float, frequency: Array, power: Array) -> Cardi
     return CardiacOscillator(rate_hz, tuple(max(one, 0.01 * max(heights)) for one in heights), HEIGHT_SPREAD)
 
 
-def _rhythms(frequency: Array, power: Array) -> tuple[DampedOscillator, ...]:
+def _slow_waves(person: Person, frequency: Array, power: Array) -> Iterator[DampedOscillator]:
     """Oscillators with the power of the slow waves' bands in a spectrum of the arterial pressure [Pa^2/Hz]."""
-    width, rhythms = frequency[1] - frequency[0], []
     for wave in WAVES:
-        if wave.coherence_s is None:
-            continue
         near = (frequency >= wave.band_hz[0]) & (frequency < wave.band_hz[1])
-        if near.any() and power[near].sum() > 0:
-            middle = float((frequency[near] * power[near]).sum() / power[near].sum())
-            rhythms.append(DampedOscillator(middle, wave.coherence_s, float(np.sqrt(power[near].sum() * width))))
-    return tuple(rhythms)
+        if wave.coherence_s is not None and (total := power[near].sum()) > 0:
+            middle_hz = float((frequency[near] * power[near]).sum() / total)
+            rms_pa = float(np.sqrt(total * (frequency[1] - frequency[0])))
+            # Readings show what the vessels passed on.
+            gain = max(pressure_to_blood_gain(person, middle_hz), LEAST_GAIN)
+            yield DampedOscillator(middle_hz, wave.coherence_s, rms_pa / gain)
 
 
 def _white(residual: Array) -> Array:

@@ -1,6 +1,6 @@
 """Calibrate a person's sensor with recordings of a known force."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Unpack
@@ -8,39 +8,39 @@ from typing import Any, Unpack
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from pydantic import BaseModel, ValidationError
 
+from ...checks import explain
 from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...hemodynamics import steady_state
 from ...hemodynamics.for_scene import vessels
+from ...hemodynamics.parameters import Parameters
 from ...light import ProgressCallback, open_light
 from ...light.tracing import StageProgress
 from ...options import Requested
-from ...scene import Scene, Touch, digest, to_toml
+from ...scene import Scene, digest, to_toml
 from ...scene.importers.sensor_recordings import SATURATED, SITES, Recording, read_sensor_recording
 from ...variables import variable
-from .baselines import Regression, component_regression, linear_regression, whole_samples
-from .body_noise import learn_noise
+from .body_noise import REST_FORCE_N, estimate_noise
 from .fit import Fit, Fitted, Profile, profile_of
-from .kalman import KalmanFilter, PressureEstimate
-from .person import NAMES, PRIORS, RIGID_PULP, USUAL_DISTAL_REACH, USUAL_PULP, Person, Pulp, vessel_closure
+from .kalman import estimate_pressures
+from .person import N_PER_CM2, NAMES, RIGID_PULP, USUAL_DISTAL_REACH, USUAL_PULP, Array, NominalFinger, Pulp
 from .predict import TOUCH_N
-from .reading_table import ReadingTable, nodes_of, paper_table, reading_names, reading_table
+from .reading_table import ReadingTable, nodes_of, paper_table, reading_names, reading_table, site_of
 from .state_space import touch_pressure
-from .subject import Model, Subject, subject_toml
-from .uncertainty import Correction, fit_correction, no_correction
-
-Array = NDArray[np.float64]
+from .subject import Correction, Model, Quality, Readings, Regression, Subject, subject_toml
+from .uncertainty import ForceInterval, fit_curve, no_correction
 
 # The table of light reaches so far beyond the scene's blood at rest: pooling doubles it, people differ by two more.
 MOST_OVER_REST = 5.0
-# Recordings must begin or pause untouched, at less than this force, for so long in all. [N, s]
-REST_FORCE_N, REST_S = 0.05, 1.0
+# Recordings must begin or pause untouched for so long in all. [s]
+REST_S = 1.0
 # And they must press so hard at least and at most. [N]
 LEAST_TOUCH_N, MOST_TOUCH_N = 0.2, 20.0
 # Samples that lie further apart do not show how the vessels move; a longer pause is a recording's end. [s]
 LONGEST_STEP_S, LONGEST_PAUSE_S = 0.5, 60.0
-# A reading must be there in so many samples at rest, and in this part of all.
-LEAST_AT_REST, LEAST_SEEN = 10, 0.1
+# A reading must have so many samples at rest, and in this part of all.
+LEAST_AT_REST, LEAST_PART = 10, 0.1
 # This part of the samples of the calibration's touches lies within intervals as they are, or, as such touches are few,
 # within so many times as much by chance; where more is needed the model misses something, and they are made wider.
 COVERED, BY_CHANCE = 0.95, 1.2
@@ -48,6 +48,8 @@ COVERED, BY_CHANCE = 0.95, 1.2
 FITTED, PROFILED = 0.4, 0.5
 # A touch that ends within this time shows how fast the vessels refill. [s]
 QUICKLY_S = 0.2
+# Principal components that hold this part of the readings' variance are regressed on.
+COMPONENT_VARIANCE = 0.999
 # What the paper tunes by hand beside offset and scale: time constants.
 PAPER_FACTORS = ("vein_damping", "capillary_damping")
 NO_SUBJECT = "interrupted; no subject was written."
@@ -121,45 +123,22 @@ def calibrate_with(
     progress: ProgressCallback | None = None,
 ) -> xr.Dataset:
     """What `calibrate` returns, from a table of light that is already there and recordings that were checked."""
-    report = _reporter(progress)
-    usual = {
-        "rest_blood": scene.blood.rest_blood_fraction,
-        "area_cm2": scene.touch.contact_area_mm2 / 100.0,
-        "share": scene.touch.proximal_share,
-        # The paper's two zones do not share the distal pressure.
-        "distal_reach": USUAL_DISTAL_REACH if model == "network" else 0.0,
-    }
-    pulp = _pulp(scene.touch, model)
-    fit = Fit(recordings, table, vessels(scene), free=_free(scene.touch, recordings, model), pulp=pulp, **usual)
-    fitted = fit.solve(lambda done: report(FITTED * done))
-    profile = profile_of(fit, fitted.factors_ln[fit.free], lambda done: report(FITTED + PROFILED * done))
-    who, rest_v = fit.person(fitted.factors_ln), _rest_volts(recordings)
-    noise = learn_noise(who, fitted.table, fitted.gain, recordings, fitted.residual_v, rest_v)
-    subject = Subject(
-        scene_digest=digest(scene),
-        model=model,
-        table=fitted.table,
-        base=fit.base,
-        factors_ln=fitted.factors_ln,
-        gain=fitted.gain,
-        offset_v=fitted.offset_v,
-        covariance=fitted.covariance,
-        residual_rms_v=np.sqrt(np.nanmean(np.concatenate(fitted.residual_v, axis=1) ** 2, axis=1)),
-        noise=noise,
-        correction=no_correction(),
-        coverage_factor=1.0,
-        most_force_n=_most_force(recordings),
-        chi2_per_dof=fitted.chi2_per_dof,
-        rms_n=float("nan"),
-        baselines=_baselines(recordings),
-        pulp=pulp,
-        **usual,
-    )
+    stage = StageProgress(progress)
+
+    def report(done: float) -> None:
+        stage("fit", done)
+        if stage.interrupted:
+            raise KeyboardInterrupt(NO_SUBJECT)
+
     try:
-        subject.check()
-    except ValueError as error:
+        fit = Fit(recordings, table, _nominal_finger(scene, model), free=_free(scene, recordings, model))
+        fitted = fit.solve(lambda done: report(FITTED * done))
+        profile = profile_of(fit, fitted.factors_ln[fit.free], lambda done: report(FITTED + PROFILED * done))
+        subject = _subject(scene, model, fit, fitted)
+    except (ValidationError, InputError) as error:
+        why = explain(error, BaseModel) if isinstance(error, ValidationError) else str(error)
         raise InputError(
-            f"{recordings[0].name}: is no recording of this scene's board ({error}); check units, columns and scene."
+            f"{recordings[0].name}: is no recording of this scene's board ({why}) Check units, columns and scene."
         ) from None
     subject, half_width_n = _judged(subject, recordings)
     report(1.0)
@@ -175,90 +154,133 @@ def calibrate_with(
     )
 
 
-def _reporter(progress: ProgressCallback | None) -> Callable[[float], None]:
-    """Reports the part of a calibration that is done, and ends it where the user interrupted."""
-    stage = StageProgress(progress)
-
-    def report(done: float) -> None:
-        stage("fit", done)
-        if stage.interrupted:
-            raise KeyboardInterrupt(NO_SUBJECT)
-
-    return report
-
-
-def _free(touch: Touch, recordings: Sequence[Recording], model: Model) -> NDArray[np.bool_]:
-    """Which factors are searched, (P,) bool: what the scene states of the pulp is known."""
-    even = any(one.site is not None and np.isnan(one.site).any() for one in recordings)
-    searched = PAPER_FACTORS if model == "paper" else NAMES
-    stated = {"creep": touch.creep, "distal_recovery": touch.distal_relaxation_s}
-    fixed = {name for name, value in stated.items() if value is not None} | (set() if even else {"proximal_share"})
-    return np.array([name in searched and name not in fixed for name in NAMES])
-
-
-def _pulp(touch: Touch, model: Model) -> Pulp:
-    """What the scene states of the pulp, else what is usual; the paper's model has none."""
-    if model == "paper":
-        return RIGID_PULP
-    creep, recovery_s = touch.creep, touch.distal_relaxation_s
-    return Pulp(
-        creep=USUAL_PULP.creep if creep is None else creep,
-        creep_s=touch.creep_s,
-        recovery_s=USUAL_PULP.recovery_s if recovery_s is None else recovery_s,
+def _nominal_finger(scene: Scene, model: Model) -> NominalFinger:
+    """The scene's finger, with the usual pulp where the scene states none; the paper's model has no pulp."""
+    touch, pulp = scene.touch, USUAL_PULP
+    creep = pulp.creep if touch.creep is None else touch.creep
+    recovery_s = pulp.recovery_s if touch.distal_relaxation_s is None else touch.distal_relaxation_s
+    return NominalFinger(
+        rest_blood_fraction=scene.blood.rest_blood_fraction,
+        contact_area_cm2=touch.contact_area_mm2 / 100.0,
+        proximal_share=touch.proximal_share,
+        # The paper's two zones do not share the distal pressure.
+        distal_reach=USUAL_DISTAL_REACH if model == "network" else 0.0,
+        pulp=RIGID_PULP if model == "paper" else Pulp(creep=creep, creep_s=touch.creep_s, recovery_s=recovery_s),
+        vessels=vessels(scene),
     )
+
+
+def _free(scene: Scene, recordings: Sequence[Recording], model: Model) -> NDArray[np.bool_]:
+    """Which factors are searched, (P,) bool: what the scene states of the pulp is known."""
+    fixed = set() if model == "network" else set(NAMES) - set(PAPER_FACTORS)
+    fixed |= set() if scene.touch.creep is None else {"creep"}
+    fixed |= set() if scene.touch.distal_relaxation_s is None else {"distal_recovery"}
+    even = any(one.site is not None and np.isnan(one.site).any() for one in recordings)
+    return np.array([name not in fixed and (even or name != "proximal_share") for name in NAMES])
+
+
+def _subject(scene: Scene, model: Model, fit: Fit, fitted: Fitted) -> Subject:
+    """The subject as fitted, before its own force was estimated; raises ValidationError or InputError."""
+    recordings, person = fit.recordings, fit.finger.person(fitted.factors_ln)
+    volts = np.concatenate([one.volts for one in recordings], axis=1)
+    force_n = np.concatenate([np.asarray(one.force_n) for one in recordings])
+    rest_v = np.nanmedian(volts[:, force_n < REST_FORCE_N], axis=1)
+    noise_v, noise = estimate_noise(person, fitted.table, fitted.gain, recordings, fitted.residual_v, rest_v)
+    residual_rms_v = np.sqrt(np.nanmean(np.concatenate(fitted.residual_v, axis=1) ** 2, axis=1))
+    sites = np.concatenate([np.asarray(one.site) for one in recordings])
+    at_site = {"proximal": sites == 1.0, "distal": sites == 0.0, "even": np.isnan(sites)}
+    most_n = {name: float(force_n[at].max()) for name, at in at_site.items() if at.any()}
+    bridged = np.concatenate([_bridged(one.volts) for one in recordings], axis=1)
+    complete = np.isfinite(bridged).all(0)
+    return Subject(
+        model=model,
+        scene_digest=digest(scene),
+        quality=Quality(fitted.chi2_per_dof, rms_n=np.nan, coverage_factor=1.0, most_force_n=most_n),
+        factors=np.exp(fitted.factors_ln),
+        readings=Readings(fitted.gain, fitted.offset_v, residual_rms_v, noise_v),
+        noise=noise,
+        correction=no_correction(),
+        baselines=regressions(bridged[:, complete], force_n[complete]),
+        scene=fit.finger,
+        light=fitted.table,
+        covariance=fitted.covariance,
+    )
+
+
+def _bridged(volts: Array) -> Array:
+    """Volts (R, T) whose gaps are bridged where no sample is complete, as where LEDs are lit in turn."""
+    valid = np.isfinite(volts)
+    if valid.all(0).any():
+        return volts
+    samples = np.arange(volts.shape[1])
+    return np.array([np.interp(samples, samples[at], one[at]) for one, at in zip(volts, valid, strict=True)])
+
+
+def regressions(volts: Array, force_n: Array) -> dict[str, Regression]:
+    """What the literature does without a model: least squares on (R, T) volts, and on their principal components.
+
+    References: Grieve, Hollerbach, Mascaro 2015, which takes components for fingernail images.
+    """
+
+    def fitted(columns: Array) -> tuple[float, Array]:
+        design = np.column_stack([np.ones(volts.shape[1]), columns.T])
+        intercept, *weights = np.linalg.lstsq(design, force_n, rcond=None)[0].tolist()
+        return intercept, np.array(weights)
+
+    mean = volts.mean(1)
+    vectors, sizes, _ = np.linalg.svd(volts - mean[:, None], full_matrices=False)
+    count = int(np.searchsorted(np.cumsum(sizes**2) / (sizes**2).sum(), COMPONENT_VARIANCE)) + 1
+    intercept_n, by_component = fitted(vectors[:, :count].T @ (volts - mean[:, None]))
+    weights = vectors[:, :count] @ by_component
+    return {
+        "linear": Regression(*fitted(volts)),
+        "components": Regression(intercept_n - float(weights @ mean), weights),
+    }
 
 
 def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
     """What a user should know of a calibration before trusting it."""
-    warnings = []
-    closure = vessel_closure(subject.person())
-    who = subject.person()
-    distal_cm2, proximal_cm2 = float(who.area_cm2), float(who.area_cm2 * who.proximal_area)
-    for side, shut, area_cm2 in (("proximal", closure.proximal, proximal_cm2), ("distal", closure.distal, distal_cm2)):
-        most = subject.most_force_n.get(side, subject.most_force_n.get("even", 0.0))
-        reach = shut * area_cm2
-        if most == 0:
+    warnings, who, quality = [], subject.person, subject.quality
+    reach_n = who.closure() * who.area_cm2 * np.array([float(who.proximal_area), 1.0])
+    for side, closed_n in zip(("proximal", "distal"), reach_n, strict=True):
+        most_n = quality.most_force_n.get(side, quality.most_force_n.get("even", 0.0))
+        if most_n == 0:
             warnings.append(f"no {side} touch was recorded: its estimates rely on priors.")
-        elif most < 0.8 * reach:
+        elif most_n < 0.8 * closed_n:
             warnings.append(
-                f"{side} touches reach {most:.2g} N, the vessels close at {reach:.2g} N: record harder ones."
+                f"{side} touches reach {most_n:.2g} N, the vessels close at {closed_n:.2g} N: record harder ones."
             )
     for side, forces_n in _two_balances_n(subject).items():
         warnings.append(
             f"{side} touches of {forces_n.min():.2g} to {forces_n.max():.2g} N could hold the vessels in two states: "
             "the same force may read differently as it grows and as it falls."
         )
-    factors = subject.factors()
+    factors = subject.factor_table()
     if not any(factors[name]["informed"] for name in PAPER_FACTORS):
         advice = f"record some that are released within {QUICKLY_S:g} s, too"
-        if any(_let_go_quickly(one) for one in recordings):
+        if any(_released_quickly(one) for one in recordings):
             advice = "those that are released quickly do not identify it, either; record more of them"
         warnings.append(
             f"the refill rate of the vessels is not identifiable, estimates of quick touches rely on priors: {advice}."
         )
-    if subject.is_wrong:
-        linear_n = _linear_rms_n(subject, recordings)
+    if quality.is_wrong:
+        linear = subject.baselines["linear"]
+        off = np.concatenate([linear.force_n(one.volts) - np.asarray(one.force_n) for one in recordings])
+        linear_n = np.sqrt(np.nanmean(off**2))
         warnings.append(
-            f"the force of the calibration's own touches is {1e3 * subject.rms_n:.0f} mN off (rms; linear regression "
+            f"the force of the calibration's own touches is {1e3 * quality.rms_n:.0f} mN off (rms; linear regression "
             f"{1e3 * linear_n:.0f} mN): this subject does not fit them; check scene, sites and units."
         )
-    if subject.coverage_factor > 2:
+    if quality.coverage_factor > 2:
         warnings.append(
-            f"intervals had to be made {subject.coverage_factor:.1f} times as wide to cover the calibration's own "
+            f"intervals had to be made {quality.coverage_factor:.1f} times as wide to cover the calibration's own "
             "touches: the model misses something."
         )
     return warnings
 
 
-def _linear_rms_n(subject: Subject, recordings: Sequence[Recording]) -> float:
-    """Rms error of linear regression on its own recordings. [N]"""
-    linear = subject.baselines["linear"]
-    off = np.concatenate([linear.force_n(one.volts) - np.asarray(one.force_n) for one in recordings])
-    return float(np.sqrt(np.nanmean(off**2)))
-
-
-def _let_go_quickly(recording: Recording) -> bool:
-    """Whether a touch of the recording is let go within `QUICKLY_S`."""
+def _released_quickly(recording: Recording) -> bool:
+    """Whether a touch of the recording is released within `QUICKLY_S`."""
     time_s, force_n = recording.time_s, np.asarray(recording.force_n)
     before_n = np.interp(time_s - QUICKLY_S, time_s, force_n)
     return bool(((before_n >= LEAST_TOUCH_N) & (force_n < REST_FORCE_N)).any())
@@ -266,16 +288,15 @@ def _let_go_quickly(recording: Recording) -> bool:
 
 def _two_balances_n(subject: Subject) -> dict[str, Array]:
     """Forces at which the person's vessels could rest in two states, by the sites of touches that reach them."""
-    factors = dict(zip(NAMES, np.exp(subject.factors_ln), strict=True))
-    own = {field: getattr(subject.base, field) * factors[name] for name in NAMES for field in PRIORS[name].fields}
-    found = {}
-    for side, most_n in subject.most_force_n.items():
+    constants = {name: float(value) for name, value in subject.scene.vessels_of(subject.factors_ln).items()}
+    forces = {}
+    for side, most_n in subject.quality.most_force_n.items():
         forces_n = np.linspace(0.0, most_n, 101)
-        proximal, distal = 1e4 * subject.person().pressures(forces_n, np.full(101, SITES[side]))
-        state = steady_state(subject.base.replace(**own), proximal_pressure_pa=proximal, distal_pressure_pa=distal)
+        proximal, distal = N_PER_CM2 * subject.person.pressures(forces_n, np.full(101, SITES[side]))
+        state = steady_state(Parameters(**constants), proximal_pressure_pa=proximal, distal_pressure_pa=distal)
         if state.two_branches.any():
-            found[side] = forces_n[state.two_branches]
-    return found
+            forces[side] = forces_n[state.two_branches]
+    return forces
 
 
 def _judged(subject: Subject, recordings: Sequence[Recording]) -> tuple[Subject, float]:
@@ -283,141 +304,87 @@ def _judged(subject: Subject, recordings: Sequence[Recording]) -> tuple[Subject,
 
     And the median half width of these intervals over touches, infinite where most have no upper bound. [N]
     """
-    estimates = []
-    for one in recordings:
-        kalman = KalmanFilter(subject.sensor, subject.noise)
-        since = [None, *np.diff(one.time_s)]
-        estimates.append([kalman.update_sample(volts, dt) for volts, dt in zip(one.volts.T, since, strict=True)])
-    subject = replace(subject, correction=_correction(subject.person(), recordings, estimates))
-    interval = subject.force_interval()
-    errors, ratios, widths = [], [], []
-    for one, of_one in zip(recordings, estimates, strict=True):
-        estimate, force = interval.of(of_one), np.asarray(one.force_n)
-        # At rest an interval ends at 0, wherever the estimate lies: that says nothing of its width.
-        judged = np.isfinite(estimate.high_n) & (force >= REST_FORCE_N)
-        widths.append((estimate.high_n - estimate.low_n)[force >= TOUCH_N])
-        error = (estimate.force_n - force)[judged]
-        above, below = estimate.high_n - estimate.force_n, estimate.force_n - estimate.low_n
-        half = np.where(error < 0, above[judged], below[judged])
-        errors.append(error)
-        ratios.append(np.abs(error)[half > 0] / half[half > 0])
-    half_width_n = 0.5 * float(np.median(np.concatenate(widths)))
-    if not (error := np.concatenate(errors)).size:
+    estimates = [estimate for one in recordings for estimate in estimate_pressures(subject, one.time_s, one.volts)]
+    closure, time_s = subject.person.closure(), np.concatenate([one.time_s for one in recordings])
+    force_n = np.concatenate([np.asarray(one.force_n) for one in recordings])
+    site = np.concatenate([np.asarray(one.site) for one in recordings])
+    estimated = touch_pressure(np.array([one.touch for one in estimates]).T)
+    applied = subject.person.pressures(force_n, site)
+    curves = []
+    for side, at in enumerate((site == 1.0, site == 0.0)):
+        curves.append(fit_curve(closure[side], time_s[at], estimated[side, at], applied[side, at]))
+    subject = replace(subject, correction=Correction(*curves))
+    force = ForceInterval(subject).of(estimates)
+    half_width_n = 0.5 * float(np.median((force.high_n - force.low_n)[force_n >= TOUCH_N]))
+    # At rest an interval ends at 0, wherever the estimate lies: that says nothing of its width.
+    judged = np.isfinite(force.high_n) & (force_n >= REST_FORCE_N)
+    if not judged.any():
         return subject, half_width_n
-    ratio = np.concatenate(ratios)
+    error = (force.force_n - force_n)[judged]
+    half = np.where(error < 0, (force.high_n - force.force_n)[judged], (force.force_n - force.low_n)[judged])
+    ratio = np.abs(error)[half > 0] / half[half > 0]
     factor = max(1.0, float(np.quantile(ratio, COVERED)) / BY_CHANCE) if ratio.size else 1.0
-    rms_n = float(np.sqrt(np.mean(error**2)))
-    return replace(subject, rms_n=rms_n, coverage_factor=factor), half_width_n * factor
-
-
-def _correction(
-    who: Person, recordings: Sequence[Recording], estimates: Sequence[Sequence[PressureEstimate]]
-) -> Correction:
-    """The curve from the estimated pressures of one-sided touches to those applied."""
-    sides = []
-    for side, site in enumerate((1.0, 0.0)):
-        time_s, estimated, applied = [np.empty(0)], [np.empty(0)], [np.empty(0)]
-        for one, of_one in zip(recordings, estimates, strict=True):
-            at = np.asarray(one.site) == site
-            time_s.append(one.time_s[at])
-            estimated.append(touch_pressure(np.array([estimate.touch[side] for estimate in of_one]))[at])
-            applied.append(who.pressures(np.asarray(one.force_n), np.asarray(one.site))[side][at])
-        sides.append((np.concatenate(time_s), np.concatenate(estimated), np.concatenate(applied)))
-    return fit_correction(vessel_closure(who), sides)
+    quality = replace(subject.quality, rms_n=float(np.sqrt(np.mean(error**2))), coverage_factor=factor)
+    return replace(subject, quality=quality), half_width_n * factor
 
 
 def _checked(recording: Recording, scene: Scene) -> Recording:
-    """The recording, if it can calibrate: force and site known, a time of rest, no reading at the converter's limit."""
-    name = recording.name
-    if recording.force_n is None:
-        raise InputError(f"{name}: has no column force_n; calibrating needs the force in newtons.")
-    if np.isnan(recording.force_n).any():
-        line = int(np.flatnonzero(np.isnan(recording.force_n))[0]) + 2
-        raise InputError(f"{name} line {line}: force_n is empty; calibrating needs it in every row.")
-    if np.ptp(recording.force_n) == 0:
-        raise InputError(f"{name}: force_n is constant at {recording.force_n[0]:g} N; press the finger.")
-    most_n = float(recording.force_n.max())
-    if not LEAST_TOUCH_N <= most_n <= MOST_TOUCH_N:
-        raise InputError(
-            f"{name}: force_n reaches {most_n:.3g} N; press up to 1 N or more, {MOST_TOUCH_N:g} N at most, "
+    """The recording with its site; raises InputError unless it can calibrate."""
+    fault = next(_faults(recording, scene.electronics.adc_range_v), None)
+    if fault:
+        raise InputError(f"{recording.name}{fault}")
+    if recording.site is not None:
+        return recording
+    return replace(recording, site=np.full(recording.time_s.shape, site_of(scene)))
+
+
+def _faults(recording: Recording, limit_v: float) -> Iterator[str]:
+    """Why a recording cannot calibrate: no force, no rest, times too far apart, readings saturated or missing."""
+    force_n, steps_s = recording.force_n, np.diff(recording.time_s)
+    if force_n is None:
+        yield ": has no column force_n; calibrating needs the force in newtons."
+        return
+    if np.isnan(force_n).any():
+        line = int(np.flatnonzero(np.isnan(force_n))[0]) + 2
+        yield f" line {line}: force_n is empty; calibrating needs it in every row."
+    if np.ptp(force_n) == 0:
+        yield f": force_n is constant at {force_n[0]:g} N; press the finger."
+    if not LEAST_TOUCH_N <= force_n.max() <= MOST_TOUCH_N:
+        yield (
+            f": force_n reaches {force_n.max():.3g} N; press up to 1 N or more, {MOST_TOUCH_N:g} N at most, "
             "and give it in newtons."
         )
-    untouched = recording.force_n < REST_FORCE_N
-    rest_s = float(np.diff(recording.time_s)[untouched[1:]].sum())
-    if rest_s < REST_S:
-        raise InputError(
-            f"{name}: the finger rests (force_n below {REST_FORCE_N:g} N) for {rest_s:.2g} s; "
+    untouched = force_n < REST_FORCE_N
+    if (rest_s := float(steps_s[untouched[1:]].sum())) < REST_S:
+        yield (
+            f": the finger rests (force_n below {REST_FORCE_N:g} N) for {rest_s:.2g} s; "
             f"record at least {REST_S:g} s without a touch."
         )
-    _check_times(recording)
-    _check_readings(recording, untouched, scene.electronics.adc_range_v)
-    if recording.site is None:
-        share = scene.touch.proximal_share
-        site = {1.0: 1.0, 0.0: 0.0}.get(share, np.nan)
-        return replace(recording, site=np.full(recording.time_s.shape, site))
-    return recording
-
-
-def _check_times(recording: Recording) -> None:
-    """Raise InputError where samples lie too far apart, or are too few at an even rate."""
-    name, steps_s = recording.name, np.diff(recording.time_s)
     usual_s, longest = float(np.median(steps_s)), int(np.argmax(steps_s))
     if usual_s > LONGEST_STEP_S:
-        raise InputError(
-            f"{name}: samples lie {usual_s:.2g} s apart; record at {1 / LONGEST_STEP_S:g} Hz or faster, "
+        yield (
+            f": samples lie {usual_s:.2g} s apart; record at {1 / LONGEST_STEP_S:g} Hz or faster, "
             "with time_s in seconds."
         )
     if steps_s[longest] > LONGEST_PAUSE_S:
-        raise InputError(
-            f"{name}: nothing was recorded for {steps_s[longest]:.3g} s after time_s = {recording.time_s[longest]:g}; "
+        yield (
+            f": nothing was recorded for {steps_s[longest]:.3g} s after time_s = {recording.time_s[longest]:g}; "
             "split the recording there."
         )
     if usual_s * len(steps_s) < 0.5 * steps_s.sum():
-        raise InputError(
-            f"{name}: {len(steps_s) + 1} samples, mostly {usual_s:.2g} s apart, span {steps_s.sum():.3g} s; "
+        yield (
+            f": {len(steps_s) + 1} samples, mostly {usual_s:.2g} s apart, span {steps_s.sum():.3g} s; "
             "record at an even rate (empty cells are gaps)."
         )
-
-
-def _check_readings(recording: Recording, untouched: NDArray[np.bool_], limit_v: float) -> None:
-    """Raise InputError for a reading that is at its converter's limit, or hardly there."""
-    name = recording.name
     for title, volts in zip(recording.names, recording.volts, strict=True):
-        at_limit, seen = int(np.sum(volts >= SATURATED * limit_v)), np.isfinite(volts)
+        at_limit, valid = int(np.sum(volts >= SATURATED * limit_v)), np.isfinite(volts)
         if at_limit > 0.01 * len(volts):
-            raise InputError(
-                f"{name}: column {title!r} is saturated ({limit_v:g} V) in {at_limit} samples; lower the LED's power."
+            yield f": column {title!r} is saturated ({limit_v:g} V) in {at_limit} samples; lower the LED's power."
+        if valid.mean() < LEAST_PART or valid[untouched].sum() < LEAST_AT_REST:
+            yield (
+                f": column {title!r} has {int(valid.sum())} of {len(volts)} samples, "
+                f"{int(valid[untouched].sum())} of them without a touch; record it throughout."
             )
-        if seen.mean() < LEAST_SEEN or seen[untouched].sum() < LEAST_AT_REST:
-            raise InputError(
-                f"{name}: column {title!r} has {int(seen.sum())} of {len(volts)} samples, "
-                f"{int(seen[untouched].sum())} of them without a touch; record it throughout."
-            )
-
-
-def _rest_volts(recordings: Sequence[Recording]) -> Array:
-    """Median of every reading while the finger rests. [V]"""
-    still = [one.volts[:, np.asarray(one.force_n) < REST_FORCE_N] for one in recordings]
-    return np.asarray(np.nanmedian(np.concatenate(still, axis=1), axis=1))
-
-
-def _most_force(recordings: Sequence[Recording]) -> dict[str, float]:
-    """The largest force by site."""
-    most: dict[str, float] = {}
-    for one in recordings:
-        assert one.force_n is not None and one.site is not None
-        for name, at in (("proximal", one.site == 1.0), ("distal", one.site == 0.0), ("even", np.isnan(one.site))):
-            if at.any():
-                most[name] = max(most.get(name, 0.0), float(one.force_n[at].max()))
-    return most
-
-
-def _baselines(recordings: Sequence[Recording]) -> dict[str, Regression]:
-    volts = np.concatenate([whole_samples(one.volts) for one in recordings], axis=1)
-    force = np.concatenate([np.asarray(one.force_n) for one in recordings])
-    whole = np.isfinite(volts).all(0)
-    found = {"linear": linear_regression, "components": component_regression}
-    return {name: fit(volts[:, whole], force[whole]) for name, fit in found.items()}
 
 
 def _dataset(recordings: Sequence[Recording], fitted: Fitted, profile: Profile) -> xr.Dataset:

@@ -13,7 +13,6 @@ J. Econometrics 60:1.
 """
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -23,12 +22,13 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.linalg import cho_factor, cho_solve
 
-from .person import LONGEST_STEP_S
-from .state_space import ACTING, LEAST_WIDTH, PULP, TOUCH, WIDTHS, CalibratedSensor, Noise, StateSpace, touch_pressure
+from .person import LONGEST_STEP_S, Array
+from .state_space import ACTING, LEAST_WIDTH, PULP, TOUCH, WIDTHS, StateSpace, touch_pressure
+from .subject import Subject
 
-Array = NDArray[np.float64]
-Sample = tuple[Array, float | None]
-
+# How fast touches are expected to change: a force that wanders by this in a second. Chosen on the virtual people: three
+# times as fast takes more of the body's waves for touches. [N/cm^2 / sqrt(s)]
+TOUCH_RATE = 0.1
 # Modes: random walks of the touch of these times the usual rate, each kept for so long on average. [1, s]
 MODE_RATE, MODE_DURATION_S = np.array([1.0, 10.0]), np.array([2.0, 0.3])
 # Correlation time of the error of readings that follows the blood's movement. [s]
@@ -89,19 +89,19 @@ class KalmanFilter:
 
     state, covariance : merged over modes. mode_probability : (M,) float.
     mode_covariance : (M, size, size) float. Predicted, of each mode.
-    crept : (2,) float. Pressures as the pulp has crept under them. [N/cm^2]
+    creep : (2,) float. Pressures that the creeping pulp has followed so far. [N/cm^2]
     """
 
-    def __init__(self, sensor: CalibratedSensor, noise: Noise) -> None:
-        self.model = StateSpace(sensor, noise)
+    def __init__(self, subject: Subject) -> None:
+        self.subject, self.model = subject, StateSpace(subject)
         self.restart()
 
     def restart(self) -> None:
         """Start anew, from an untouched finger."""
         self.state, self.covariance = self.model.initial()
-        self.crept = np.zeros(2)
+        self.creep = np.zeros(2)
         # Part of the readings that the blood makes, and how far it has just moved. [V]
-        self._blood_v, self._moved_v = self.model.measurement(self.state)[0], np.zeros(len(self.model.gain))
+        self._blood_v, self._moved_v = self.model.measurement(self.state)[0], np.zeros(len(self.subject.rest_v))
         self.mode_probability = np.full(len(MODE_RATE), 1.0 / len(MODE_RATE))
         self.mode_covariance = np.repeat(self.covariance[None], len(MODE_RATE), axis=0)
 
@@ -138,11 +138,11 @@ class KalmanFilter:
     def _predict_step(self, step_s: float) -> Array:
         """Predict state and covariance of each mode by one step of the network; returns its transition F."""
         variance = np.einsum("m,mii->i", self.mode_probability, self.mode_covariance)[:ACTING]
-        after, transition, noise = self.model.process(self.state, np.sqrt(variance), self.crept, step_s)
-        pulp = self.model.person.pulp
-        self.crept = pulp.creep_step(self.crept, touch_pressure(self.state[TOUCH]), step_s)
+        after, transition, noise = self.model.process(self.state, np.sqrt(variance), self.creep, step_s)
+        pressure = touch_pressure(self.state[TOUCH])
+        self.creep = pressure + (self.creep - pressure) * np.exp(-step_s / self.model.person.creep_s)
         before = self.mode_covariance.copy()
-        before[:, [3, 4], [3, 4]] += (step_s * (self.model.noise.touch_rate * MODE_RATE) ** 2)[:, None]
+        before[:, [3, 4], [3, 4]] += (step_s * (TOUCH_RATE * MODE_RATE) ** 2)[:, None]
         self.mode_covariance = transition @ before @ transition.T + noise
         self.state = after
         return transition
@@ -152,10 +152,10 @@ class KalmanFilter:
         valid = np.isfinite(volts)
         nis = self._update(volts, valid, self._measurement_variance(since_s))
         self._update_zero(min(since_s or 0.0, LONGEST_GAP_S))
-        blood_v = self.model.measurement(self.state)[0] - self.model.rest_v * self.state[self.model.drift]
+        blood_v = self.model.measurement(self.state)[0] - self.subject.rest_v * self.state[self.model.drift]
         self._moved_v, self._blood_v = self._moved_v + blood_v - self._blood_v, blood_v
         return PressureEstimate(
-            touch=self.model.sensed_touch(self.state, self.crept),
+            touch=self.model.sensed_touch(self.state, self.creep),
             covariance=self.covariance[TOUCH, TOUCH].copy(),
             arterial_pa=self.model.arterial_pa(self.state),
             nis=nis,
@@ -165,12 +165,12 @@ class KalmanFilter:
 
     def _measurement_variance(self, since_s: float | None) -> Array:
         """Measurement noise of each reading, (R,) float: white noise, and what the model misses of the blood. [V^2]"""
-        noise = self.model.noise
+        noise, readings = self.subject.noise, self.subject.readings
         # Samples within the correlation time count as one.
         correlated = max(1.0, READING_CORRELATION_S / since_s) if since_s else 1.0
-        held_v = self._blood_v - self.model.offset_v - self.model.rest_v
+        held_v = self._blood_v - readings.offset_v - self.subject.rest_v
         misfit_v2 = (noise.moved_error * self._moved_v) ** 2 + (noise.held_error * held_v) ** 2
-        return np.asarray(noise.reading_v**2 + correlated * misfit_v2)
+        return np.asarray(readings.noise_v**2 + correlated * misfit_v2)
 
     def _update(self, volts: Array, valid: NDArray[np.bool_], variance: Array) -> float:
         """Iterated update of all modes by the valid readings, merged; returns the normalized innovation squared."""
@@ -217,6 +217,17 @@ class KalmanFilter:
         self.covariance = self.covariance - gain @ self.covariance[TOUCH]
 
 
+def estimate_pressures(
+    subject: Subject, time_s: Array, volts: Array, *, smooth: bool = False
+) -> list[PressureEstimate]:
+    """Estimates of samples (T,) from volts (R, T); smooth : each from all of them, not only from those before."""
+    kalman = KalmanFilter(subject)
+    samples = zip(volts.T, [None, *np.diff(time_s)], strict=True)
+    if smooth:
+        return _smoothed_estimates(kalman, [_forward_step(kalman, *sample) for sample in samples])
+    return [kalman.update_sample(*sample) for sample in samples]
+
+
 class FilterStep(NamedTuple):
     """A sample of the forward pass.
 
@@ -236,33 +247,6 @@ class FilterStep(NamedTuple):
     predicted_probability: Array
 
 
-Smoothed = tuple[Array, Array, Array]
-
-
-def smoothed_estimates(kalman: KalmanFilter, samples: Iterable[Sample]) -> list[PressureEstimate]:
-    """Estimates of samples (volts and time from the sample before), each from all of them: fixed-interval smoothing.
-
-    A backward pass over the linearised steps. The covariance predicted for a sample is no less than what the step made
-    of that before it, so that a difference shrinks on its way back: the pass is stable.
-    """
-    steps = [_forward_step(kalman, volts, since_s) for volts, since_s in samples]
-    estimates: list[PressureEstimate] = []
-    later, smoothed = None, (np.empty(0),) * 3
-    for one in reversed(steps):
-        if later is None or later.transition is None:
-            smoothed = one.state, one.covariance, one.probability
-        else:
-            state, covariance, probability = rts_step(one, later, smoothed)
-            smoothed = kalman.model.bound_touch(state, covariance), covariance, probability
-        later = one
-        touch = one.estimate.touch + smoothed[0][TOUCH] - one.state[TOUCH]
-        arterial_pa = kalman.model.arterial_pa(smoothed[0])
-        estimates.append(
-            replace(one.estimate, touch=touch, covariance=smoothed[1][TOUCH, TOUCH].copy(), arterial_pa=arterial_pa)
-        )
-    return estimates[::-1]
-
-
 def _forward_step(kalman: KalmanFilter, volts: Array, since_s: float | None) -> FilterStep:
     transition = None if since_s is None else kalman.predict(since_s)
     predicted = kalman.state, kalman.mode_covariance, kalman.mode_probability
@@ -271,15 +255,36 @@ def _forward_step(kalman: KalmanFilter, volts: Array, since_s: float | None) -> 
     return FilterStep(estimate, *updated, transition, since_s or 0.0, *predicted)
 
 
-def rts_step(one: FilterStep, later: FilterStep, smoothed: Smoothed) -> Smoothed:
+def _smoothed_estimates(kalman: KalmanFilter, steps: list[FilterStep]) -> list[PressureEstimate]:
+    """Fixed-interval smoothing: a backward pass over the linearised steps.
+
+    The covariance predicted for a sample is no less than what the step made of that before it, so that a difference
+    shrinks on its way back: the pass is stable.
+    """
+    model, estimates, later = kalman.model, list[PressureEstimate](), None
+    for one in reversed(steps):
+        if later is None or later.transition is None:
+            state, covariance, probability = one.state, one.covariance, one.probability
+        else:
+            state, covariance, probability = _rts_step(one, later, later.transition, (state, covariance, probability))
+            state = model.bound_touch(state, covariance)
+        later = one
+        touch = one.estimate.touch + state[TOUCH] - one.state[TOUCH]
+        own, arterial_pa = covariance[TOUCH, TOUCH].copy(), model.arterial_pa(state)
+        estimates.append(replace(one.estimate, touch=touch, covariance=own, arterial_pa=arterial_pa))
+    return estimates[::-1]
+
+
+def _rts_step(
+    one: FilterStep, later: FilterStep, transition: Array, smoothed: tuple[Array, Array, Array]
+) -> tuple[Array, Array, Array]:
     """Smoothed state, covariance and mode probabilities of a sample from those of the sample after it."""
     later_state, later_covariance, later_probability = smoothed
-    assert later.transition is not None
     predicted_covariance = np.einsum("m,mij->ij", later_probability, later.mode_covariance)
     # In standard deviations: pascals and widths lie far apart.
     scale = np.sqrt(np.diag(predicted_covariance))
     correlation = predicted_covariance / np.outer(scale, scale) + ROUNDING * np.eye(len(scale))
-    gain = cho_solve(cho_factor(correlation), (later.transition @ one.covariance) / scale[:, None]).T / scale
+    gain = cho_solve(cho_factor(correlation), (transition @ one.covariance) / scale[:, None]).T / scale
     state = one.state + gain @ (later_state - later.predicted)
     covariance = one.covariance + gain @ (later_covariance - predicted_covariance) @ gain.T
     ratio = later_probability / np.maximum(later.predicted_probability, 1e-300)

@@ -4,26 +4,26 @@ The vessels are the paper's network of two zones, in steps of 10 ms from sample 
 and vessels: it creeps under a held touch, and its distal part recovers slowly.
 """
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import NamedTuple, cast
+from typing import Annotated, Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, ConfigDict, Field, PlainSerializer, PlainValidator
+from pydantic.dataclasses import dataclass as checked_dataclass
 
 from ...hemodynamics import creeping_pressure, spreading_pressure
-from ...hemodynamics.parameters import Parameters
+from ...hemodynamics.parameters import Parameters, parameters
 from ...hemodynamics.rosenbrock import step
 from ...hemodynamics.steady import solve_walls
 from ...hemodynamics.touch import PAPER_ZONES
 from ...hemodynamics.walls import Walls, build_walls
+from ...scene.base import Fraction
 
 Array = NDArray[np.float64]
 
-# A time constant of this or less is none. [s]
-SHORTEST_S = 1e-9
 # Samples further apart are walked in as many steps of at most this length. [s]
 LONGEST_STEP_S = 0.05
 # A touch past which less than this part of the change by pressure is left cannot be distinguished from a harder one.
@@ -32,42 +32,64 @@ LEFT_AT_CLOSURE = 0.05
 SEARCHED = np.linspace(0.0, 4.0, 401)
 # Pressures of either side at which a beat's effect is computed, and the change of arterial pressure by which. [Pa]
 PULSED, STEP_PA = 9, 200.0
+# No calibration gives more: gains of readings, and constants of the vessels over those listed, either way.
+MOST_GAIN = 1e4
+# 1 N/cm^2, the paper's unit of pressure. [Pa]
+N_PER_CM2 = 1e4
+
+# Tables of a subject file; it also holds what is for its reader alone.
+TABLE = ConfigDict(extra="ignore", allow_inf_nan=False, arbitrary_types_allowed=True)
 
 
-@dataclass(frozen=True)
+def _numbers(values: Any) -> Array:
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{str(values)[:40]} must be numbers") from None
+    if not np.isfinite(array).all():
+        raise ValueError("holds a number that is not finite")
+    return array
+
+
+Numbers = Annotated[Array, PlainValidator(_numbers), PlainSerializer(np.ndarray.tolist)]
+"""An array of finite numbers, of a subject file's lists."""
+
+
+def within(least: float, most: float, size: Callable[[Array], Array] = np.abs) -> AfterValidator:
+    """The rule that the absolute values of an array, or what else is their size, lie within bounds."""
+
+    def check(values: Array) -> Array:
+        wrong = ~((size(values) >= least) & (size(values) <= most))
+        if wrong.any():
+            raise ValueError(f"{size(values)[wrong].flat[0]:g} must lie within {least:g} to {most:g}")
+        return values
+
+    return AfterValidator(check)
+
+
+def _plausible(vessels: Parameters) -> Parameters:
+    for name, listed in parameters("listed").as_dict().items():
+        value = abs(getattr(vessels, name))
+        # A mass is not used, and a gauge pressure may be 0, or below.
+        least = 0.0 if "mass" in name else abs(listed) / MOST_GAIN
+        most = MOST_GAIN * (max(abs(listed), 1.0) if name == "venous_pressure_pa" else abs(listed))
+        if not least <= value <= most:
+            raise ValueError(f"{name} = {value:g} must lie within {least:g} to {most:g}")
+    return vessels
+
+
+@checked_dataclass(frozen=True, config=TABLE)
 class Pulp:
-    """What lies between a touch and the vessels, of one person or of many (arrays of shape S in place of numbers).
+    """What lies between a touch and the vessels.
 
-    creep : S float. Part of its pressure that a held touch loses in the end. [1]
-    creep_s : float. Time constant of that loss. [s]
-    recovery_s : S float. Time constant with which the distal pulp recovers where a touch presses less. [s]
+    creep : part of its pressure that a held touch loses in the end. [1]
+    creep_s : time constant of that loss. [s]
+    recovery_s : time constant with which the distal pulp recovers where a touch presses less. [s]
     """
 
-    creep: Array | float
-    creep_s: float
-    recovery_s: Array | float
-
-    def response(self, time_s: Array, pressure: Array) -> Array:
-        """What is left for the vessels of both touch pressures, (2, *S, T) float, linear between times (T,)."""
-        spread = spreading_pressure(time_s, pressure, part=self.creep, time_constant_s=self.creep_s)
-        return np.stack([spread[0], creeping_pressure(time_s, spread[1], relaxation_s=self.recovery_s)])
-
-    def redistribute(self, pressure: Array, crept: Array) -> Array:
-        """The pressures (2, *S) of a touch that the pulp has spread under.
-
-        crept : (2,) float. What `creep_step` has made of the pressures so far.
-        """
-        lost = self.creep * crept
-        return np.asarray(np.maximum(pressure - lost.reshape((2,) + (1,) * (pressure.ndim - 1)), 0.0))
-
-    def creep_step(self, crept: Array, pressure: Array, step_s: float) -> Array:
-        """The pressures as the pulp follows them, a step later."""
-        return np.asarray(pressure + (crept - pressure) * np.exp(-step_s / self.creep_s))
-
-    def recovery_step(self, left: Array, pressure: Array, step_s: float) -> Array:
-        """The pressure that is left in the distal pulp a step later, of that before and that of the touch."""
-        remaining = np.exp(-step_s / np.maximum(self.recovery_s, SHORTEST_S))
-        return np.asarray(np.maximum(pressure, pressure + (left - pressure) * remaining))
+    creep: Fraction
+    creep_s: Annotated[float, Field(ge=1e-3, le=MOST_GAIN)]
+    recovery_s: Annotated[float, Field(ge=0, le=MOST_GAIN)]
 
 
 # The pressure in the pulp falls off from the tip, by a factor e in a third to a half of the nail bed: of a distal
@@ -79,8 +101,6 @@ USUAL_PULP = Pulp(creep=0.1, creep_s=2.0, recovery_s=0.15)
 # No held touch loses more of its pressure than this.
 MOST_CREEP = 0.9
 RIGID_PULP = Pulp(creep=0.0, creep_s=2.0, recovery_s=0.0)
-# 1 N/cm^2, the paper's unit of pressure. [Pa]
-N_PER_CM2 = 1e4
 
 
 class FactorPrior(NamedTuple):
@@ -114,12 +134,13 @@ PRIORS: dict[str, FactorPrior] = {
     "distal_recovery": FactorPrior(2.0, (), "time in which the distal pulp recovers"),
 }
 NAMES = tuple(PRIORS)
+NOMINAL_LN = np.zeros(len(NAMES))
 SPREAD_LN = np.log([prior.spread for prior in PRIORS.values()])
 
 
 @dataclass(frozen=True)
 class Person:
-    """The network, contact and blood of one person, or of many side by side (arrays of shape S in place of numbers).
+    """The network, contact, pulp and blood of one person, or of many side by side (arrays of shape S for numbers).
 
     walls : constants of the two zones' network.
     rest_m : (3, *S) float. Diameters of the untouched finger. [m]
@@ -129,7 +150,7 @@ class Person:
     distal_reach : S float. Part of P_F2 that acts on the proximal capillaries, too.
     share : S float. Part of an even touch's force that presses proximally.
     arterial_pa, venous_pa : P_H and P_L at rest. [Pa]
-    pulp : what lies between the touch and the vessels.
+    creep, creep_s, recovery_s : of the `Pulp`, S float, float and S float.
     """
 
     walls: Walls
@@ -141,7 +162,9 @@ class Person:
     share: Array
     arterial_pa: float
     venous_pa: float
-    pulp: Pulp
+    creep: Array
+    creep_s: float
+    recovery_s: Array
 
     def blood(self, width: Array) -> Array:
         """Blood fraction of both zones, (2, *S), from diameters over those at rest."""
@@ -158,71 +181,107 @@ class Person:
         proximal = even * share / np.maximum(share, 0.5) / np.asarray(self.proximal_area)[..., None]
         return np.stack([proximal, even * (1 - share) / np.maximum(1 - share, 0.5)])
 
+    def force(self, pressure: Array) -> tuple[Array, Array]:
+        """Force [N] and its proximal share from both pressures (2, ...) in N/cm^2: the inverse of `pressures`."""
+        pressure = np.stack([pressure[0] * self.proximal_area, pressure[1]])
+        larger = pressure.max(0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratio = np.where(larger > 0, pressure.min(0) / larger, 1.0)
+        return self.area_cm2 * larger, np.where(pressure[0] >= pressure[1], 1.0 - ratio / 2.0, ratio / 2.0)
 
-def force_of(pressure: Array, area_cm2: Array | float, proximal_area: Array | float) -> tuple[Array, Array]:
-    """Force [N] and proximal share from both pressures (2, *S) in N/cm^2, the inverse of `Person.pressures`."""
-    pressure = np.stack([pressure[0] * proximal_area, pressure[1]])
-    larger = pressure.max(0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.where(larger > 0, pressure.min(0) / larger, 1.0)
-    share = np.where(pressure[0] >= pressure[1], 1.0 - ratio / 2.0, ratio / 2.0)
-    return area_cm2 * larger, share
+    def steady_widths(self, pressure: Array, higher_pa: Array | float = 0.0) -> Array:
+        """Diameters over those at rest, (3, n), under held pressures (2, n) [N/cm^2], of one person or of n.
+
+        higher_pa : n float. By how much P_H lies above the person's. [Pa]
+        """
+        rest_m = self.rest_m.reshape(3, -1)
+        pressure = np.broadcast_to(pressure, (2, max(pressure.shape[1], rest_m.shape[1])))
+        outside = touch_on_walls(pressure, self.distal_reach)
+        high = np.full(outside.shape[1], self.arterial_pa) + higher_pa
+        return solve_walls(self.walls, outside, high, np.full(high.shape, self.venous_pa))[0] / rest_m
+
+    def closure(self) -> Array:
+        """Proximal and distal pressure (2,) past which one person's readings stay as they are. [N/cm^2]"""
+        ends = []
+        for side in range(2):
+            blood = self.steady_widths(SEARCHED * np.eye(2)[side][:, None])[side] ** 2
+            change = np.abs(blood - blood[0])
+            left = change < (1 - LEFT_AT_CLOSURE) * change.max()
+            ends.append(SEARCHED[min(int(np.flatnonzero(left).max(initial=0)) + 1, SEARCHED.size - 1)])
+        return np.array(ends)
+
+    def widths_over(
+        self,
+        time_s: Array,
+        pressure: Array,
+        *,
+        arterial_pa: Array | None = None,
+        longest_step_s: float = LONGEST_STEP_S,
+    ) -> Array:
+        """Diameters over those at rest, (3, *S, T) float, of a finger that rests before the first sample.
+
+        pressure : (2, *S, T) float. P_F1 and P_F2, linear between samples. [N/cm^2]
+        arterial_pa : (*S, T) float, or (*S, 1) where it stays. P_H in place of the person's. [Pa]
+        longest_step_s : samples further apart are walked in several steps. [s]
+        """
+        spread = spreading_pressure(time_s, pressure, part=self.creep, time_constant_s=self.creep_s)
+        spread = np.stack([spread[0], creeping_pressure(time_s, spread[1], relaxation_s=self.recovery_s)])
+        outside = touch_on_walls(spread, np.asarray(self.distal_reach)[..., None])
+        mean_pa = np.full(self.rest_m.shape[1:] + (1,), self.arterial_pa)
+        high = np.broadcast_to(mean_pa if arterial_pa is None else arterial_pa, mean_pa.shape[:-1] + time_s.shape)
+        width, out = self.rest_m, np.empty(self.rest_m.shape + time_s.shape)
+        out[..., 0] = width
+        for k, sample_s in enumerate(np.diff(time_s)):
+            count = max(1, int(np.ceil(sample_s / longest_step_s - 1e-9)))
+            change, step_s = (outside[..., k + 1] - outside[..., k]) / count, sample_s / count
+            for i in range(count):
+                start, ends = outside[..., k] + i * change, (high[..., k], self.venous_pa)
+                width = step(self.walls, width, start, *ends, step_s=step_s, outside_change=change)
+            out[..., k + 1] = width
+        return out / self.rest_m[..., None]
 
 
-def person(
-    base: Parameters,
-    factors: Mapping[str, Array | float],
-    *,
-    rest_blood: float,
-    area_cm2: float,
-    share: float,
-    distal_reach: float = 0.0,
-    pulp: Pulp = RIGID_PULP,
-) -> Person:
-    """A person whose constants are a scene's times factors; arrays of factors make many people.
+@checked_dataclass(frozen=True, config=TABLE)
+class NominalFinger:
+    """The vessels, contact, pulp and blood of a scene, which a person's factors multiply."""
 
-    base : the scene's constants. rest_blood, area_cm2, share : of the scene.
-    distal_reach : part of a distal pressure on the proximal capillaries; 0 in the paper's two zones.
-    pulp : what lies between the touch and the vessels, which the factors change; nothing if not given.
-    factors : by NAMES; 1 where one is missing.
-    """
-    scaled = {name: np.asarray(value, dtype=float) for name, value in base.as_dict().items()}
-    for name, prior in PRIORS.items():
-        for field in prior.fields:
-            scaled[field] = scaled[field] * factors.get(name, 1.0)
-    shape = np.broadcast_shapes(*(np.shape(value) for value in factors.values()))
-    walls = build_walls(cast(Parameters, SimpleNamespace(**scaled)), PAPER_ZONES)
-    high, low = np.full(shape, base.arterial_pressure_pa), np.full(shape, base.venous_pressure_pa)
-    rest_m, _ = solve_walls(walls, np.zeros((3, *shape)), high, low, tolerance=1e-12)
-    odds = (
-        share / (1.0 - share) * np.asarray(factors.get("proximal_share", 1.0))
-        if 0.0 < share < 1.0
-        else math.inf * share
-    )
-    return Person(
-        walls=walls,
-        rest_m=rest_m,
-        rest_blood=np.asarray(rest_blood * np.asarray(factors.get("rest_blood", 1.0))),
-        area_cm2=np.asarray(area_cm2 * np.asarray(factors.get("contact_area", 1.0))),
-        proximal_area=np.asarray(factors.get("proximal_area", 1.0), dtype=float),
-        distal_reach=np.asarray(distal_reach * np.asarray(factors.get("distal_reach", 1.0))),
-        share=np.asarray(odds / (1.0 + odds)) if share not in (0.0, 1.0) else np.asarray(share),
-        arterial_pa=base.arterial_pressure_pa,
-        venous_pa=base.venous_pressure_pa,
-        pulp=replace(
-            pulp,
-            creep=np.minimum(pulp.creep * np.asarray(factors.get("creep", 1.0)), MOST_CREEP),
-            recovery_s=pulp.recovery_s * np.asarray(factors.get("distal_recovery", 1.0)),
-        ),
-    )
+    rest_blood_fraction: Annotated[float, Field(ge=1e-6, le=1)]
+    contact_area_cm2: Annotated[float, Field(ge=1e-3, le=1e3)]
+    proximal_share: Fraction
+    distal_reach: Fraction
+    """Part of a distal pressure on the proximal capillaries; 0 in the paper's two zones."""
+    pulp: Pulp
+    vessels: Annotated[Parameters, AfterValidator(_plausible)]
 
+    def vessels_of(self, factors_ln: Array) -> dict[str, Array]:
+        """The constants of the network by name, each S float, of factors whose logarithms (P, *S) are given."""
+        scaled = {name: np.asarray(value, dtype=float) for name, value in self.vessels.as_dict().items()}
+        for factor, prior in zip(np.exp(factors_ln), PRIORS.values(), strict=True):
+            scaled |= {field: scaled[field] * factor for field in prior.fields}
+        return scaled
 
-@dataclass(frozen=True)
-class VesselClosure:
-    """Pressures past which readings stay as they are: proximal and distal. [N/cm^2]"""
-
-    proximal: float
-    distal: float
+    def person(self, factors_ln: Array = NOMINAL_LN) -> Person:
+        """The person of factors whose logarithms (P, *S) are given, by NAMES; many side by side with arrays."""
+        factor = dict(zip(NAMES, np.exp(factors_ln), strict=True))
+        walls = build_walls(cast(Parameters, SimpleNamespace(**self.vessels_of(factors_ln))), PAPER_ZONES)
+        arterial_pa, venous_pa = self.vessels.arterial_pressure_pa, self.vessels.venous_pressure_pa
+        shape = np.shape(factors_ln)[1:]
+        ends = np.full(shape, arterial_pa), np.full(shape, venous_pa)
+        proximal = self.proximal_share * factor["proximal_share"]
+        return Person(
+            walls=walls,
+            rest_m=solve_walls(walls, np.zeros((3, *shape)), *ends, tolerance=1e-12)[0],
+            rest_blood=np.asarray(self.rest_blood_fraction * factor["rest_blood"]),
+            area_cm2=np.asarray(self.contact_area_cm2 * factor["contact_area"]),
+            proximal_area=np.asarray(factor["proximal_area"]),
+            distal_reach=np.asarray(self.distal_reach * factor["distal_reach"]),
+            share=np.asarray(proximal / (proximal + 1.0 - self.proximal_share)),
+            arterial_pa=arterial_pa,
+            venous_pa=venous_pa,
+            creep=np.minimum(self.pulp.creep * factor["creep"], MOST_CREEP),
+            creep_s=self.pulp.creep_s,
+            recovery_s=np.asarray(self.pulp.recovery_s * factor["distal_recovery"]),
+        )
 
 
 def touch_on_walls(pressure: Array, distal_reach: Array | float) -> Array:
@@ -233,83 +292,29 @@ def touch_on_walls(pressure: Array, distal_reach: Array | float) -> Array:
     return N_PER_CM2 * np.stack([distal_reach * pressure[1], pressure[1], pressure[0]])
 
 
-def widths_over(
-    person: Person,
-    time_s: Array,
-    pressure: Array,
-    *,
-    arterial_pa: Array | None = None,
-    longest_step_s: float = LONGEST_STEP_S,
-) -> Array:
-    """Diameters over those at rest, (3, *S, T) float, of walls that are in balance with the first pressures' absence.
-
-    pressure : (2, *S, T) float. P_F1 and P_F2, linear between samples. [N/cm^2]
-    arterial_pa : (*S, T) float, or (*S, 1) where it stays. P_H in place of the person's. [Pa]
-    longest_step_s : samples further apart are walked in several steps. [s]
-    """
-    outside = touch_on_walls(person.pulp.response(time_s, pressure), np.asarray(person.distal_reach)[..., None])
-    mean_pa = np.full(person.rest_m.shape[1:] + (1,), person.arterial_pa)
-    high = np.broadcast_to(mean_pa if arterial_pa is None else arterial_pa, mean_pa.shape[:-1] + time_s.shape)
-    width, out = person.rest_m, np.empty(person.rest_m.shape + time_s.shape)
-    out[..., 0] = width
-    for k, sample_s in enumerate(np.diff(time_s)):
-        count = max(1, int(np.ceil(sample_s / longest_step_s - 1e-9)))
-        change = (outside[..., k + 1] - outside[..., k]) / count
-        for i in range(count):
-            width = step(
-                person.walls,
-                width,
-                outside[..., k] + i * change,
-                high[..., k],
-                person.venous_pa,
-                step_s=sample_s / count,
-                outside_change=change,
-            )
-        out[..., k + 1] = width
-    return out / person.rest_m[..., None]
-
-
-def vessel_closure(person: Person) -> VesselClosure:
-    """Where a proximal and a distal touch have done all but a part of what they can, held for long."""
-    ends = []
-    for side in range(2):
-        pressure = np.zeros((2, SEARCHED.size))
-        pressure[side] = SEARCHED
-        full = np.full(SEARCHED.size, 1.0)
-        outside = touch_on_walls(pressure, person.distal_reach)
-        rest, _ = solve_walls(person.walls, outside, person.arterial_pa * full, person.venous_pa * full)
-        blood = rest[side] ** 2
-        change = np.abs(blood - blood[0])
-        left = change < (1 - LEFT_AT_CLOSURE) * change.max()
-        ends.append(float(SEARCHED[min(int(np.flatnonzero(left).max(initial=0)) + 1, SEARCHED.size - 1)]))
-    return VesselClosure(*ends)
-
-
 class PulsatileGain:
     """By how much a beat of the arterial pressure moves the blood of both zones, under any touch.
 
-    It is taken to reach the blood at once, as a slow change of the pressure does in the end: what is seen of a beat at
-    rest says how strong it is, whether vessels follow within one or not.
+    It is taken to reach the blood at once, as a slow change of the pressure does in the end: the beat that readings
+    show at rest says how strong it is, whether vessels follow within one or not.
 
-    highest : (2,) float. Touch pressures up to which it is found; it stays beyond. [N/cm^2]
+    highest : (2,) float. Touch pressures up to which it is computed; it stays beyond. [N/cm^2]
     """
 
     def __init__(self, person: Person, highest: Array) -> None:
-        self._bends = [np.linspace(0.0, end, PULSED) for end in highest]
-        touch = np.stack(np.meshgrid(*self._bends, indexing="ij")).reshape(2, -1)
-        outside = touch_on_walls(np.repeat(touch, 2, axis=1), person.distal_reach)
-        high = person.arterial_pa + STEP_PA * np.tile([1.0, -1.0], touch.shape[1])
-        held, _ = solve_walls(person.walls, outside, high, np.full(high.shape, person.venous_pa))
-        blood = person.blood(held / person.rest_m[:, None]).reshape(2, PULSED, PULSED, 2)
-        self._part = (blood[..., 0] - blood[..., 1]) / STEP_PA / (blood[..., 0] + blood[..., 1])
+        self._steps = highest / (PULSED - 1)
+        touch = np.stack(np.meshgrid(*np.linspace(0.0, highest, PULSED).T, indexing="ij")).reshape(2, -1)
+        higher_pa = STEP_PA * np.tile([1.0, -1.0], touch.shape[1])
+        blood = person.blood(person.steady_widths(np.repeat(touch, 2, axis=1), higher_pa))
+        higher, lower = np.moveaxis(blood.reshape(2, PULSED, PULSED, 2), -1, 0)
+        self._part = (higher - lower) / STEP_PA / (higher + lower)
 
     def at(self, touch: Array) -> tuple[Array, Array]:
         """Part (2,) by which the blood grows under a touch (2,) in N/cm^2, [1/Pa], and its slopes (2, 2) by that."""
-        steps = np.array([bends[1] for bends in self._bends])
-        place = np.clip(touch / steps, 0.0, PULSED - 1.001)
+        place = np.clip(touch / self._steps, 0.0, PULSED - 1.001)
         (i, j), (x, y) = place.astype(int), place % 1.0
         here = self._part[:, i : i + 2, j : j + 2]
         across, along = np.array([1.0 - x, x]), np.array([1.0 - y, y])
         rise = np.array([-1.0, 1.0])
-        by_touch = np.column_stack([rise @ (here @ along).T, across @ (here @ rise).T]) / steps
+        by_touch = np.column_stack([rise @ (here @ along).T, across @ (here @ rise).T]) / self._steps
         return across @ (here @ along).T, by_touch

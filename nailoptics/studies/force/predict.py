@@ -1,6 +1,7 @@
-"""Tell force over time from a calibrated person's readings, with intervals, events, and what does not fit."""
+"""Force over time from a calibrated person's readings: of a recording, or of lines that come one by one."""
 
-from collections.abc import Iterator
+import csv
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,14 +12,20 @@ from numpy.typing import NDArray
 
 from ...commit import code_attributes
 from ...errors import InputError
-from ...scene.importers.sensor_recordings import SATURATED, Recording, read_sensor_recording
+from ...scene.importers.sensor_recordings import (
+    MOST_VOLTS,
+    SATURATED,
+    Recording,
+    check_header,
+    check_known,
+    read_sensor_recording,
+    reading_columns,
+)
 from ...variables import variable
-from .kalman import KalmanFilter, PressureEstimate, smoothed_estimates
-from .state_space import StateSpace
+from .kalman import KalmanFilter, PressureEstimate, estimate_pressures
+from .person import N_PER_CM2, Array
 from .subject import Subject, read_subject
-from .uncertainty import ForceEstimate
-
-Array = NDArray[np.float64]
+from .uncertainty import ForceEstimate, ForceInterval
 
 # A recording does not fit its subject if more of its samples than this are outliers, or if all others are on average
 # further off their predictions than this, in variances.
@@ -32,6 +39,8 @@ TOUCH_N = 0.15
 REGRESSIONS = {"linear": "linear in the readings", "components": "on their principal components"}
 # Patterns of a misfit are named where they explain this part of it.
 EXPLAINED = 0.8
+# What messages call readings that come line by line.
+STDIN = "stdin"
 
 
 def predict(
@@ -44,7 +53,7 @@ def predict(
 ) -> xr.Dataset:
     """Force over time from readings.
 
-    subject : what `calibrate` found, or its file.
+    subject : what `calibrate` returned, parsed, or its file.
     readings : a recording, or its file; its force, where known, is what the result is judged by.
     press_n, release_n : the virtual switch closes above the first force and opens below the second. [N]
     smooth : use the samples after each as well, not only those before it.
@@ -59,20 +68,16 @@ def predict(
         raise InputError(f"release = {release_n:g} N must lie above 0 and below press = {press_n:g} N.")
     subject = subject if isinstance(subject, Subject) else read_subject(subject)
     recording = readings if isinstance(readings, Recording) else read_sensor_recording(readings)
-    recording, warnings = _without_saturated(subject, recording.of(subject.table.names))
-    kalman = KalmanFilter(subject.sensor, subject.noise)
-    samples = zip(recording.volts.T, [None, *np.diff(recording.time_s)], strict=True)
-    if smooth:
-        estimates = smoothed_estimates(kalman, samples)
-    else:
-        estimates = [kalman.update_sample(volts, since_s) for volts, since_s in samples]
-    interval = subject.force_interval()
-    forces, above_n = interval.of(estimates), interval.saturated_above_n
-    result = _dataset(subject, recording, kalman, estimates, forces, press_n=press_n, release_n=release_n)
+    recording, warnings = _without_saturated(subject, recording.of(subject.light.names))
+    estimates = estimate_pressures(subject, recording.time_s, recording.volts, smooth=smooth)
+    interval = ForceInterval(subject)
+    result = _dataset(subject, recording, estimates, interval.of(estimates), press_n=press_n, release_n=release_n)
+    above_n = interval.saturated_above_n
     by_side = {f"open_above_{side}_n": force_n for side, force_n in above_n.items()}
-    if subject.is_wrong:
+    if subject.quality.is_wrong:
         warnings.append(
-            f"the calibration itself was {1e3 * subject.rms_n:.0f} mN off on its own touches (rms): calibrate again."
+            f"the calibration itself was {1e3 * subject.quality.rms_n:.0f} mN off on its own touches (rms): "
+            "calibrate again."
         )
     if result.attrs["touch_open_above"] > 0.5:
         warnings.append(
@@ -82,17 +87,69 @@ def predict(
     return result.assign_attrs(by_side, open_above_n=min(above_n.values()), warnings=warnings)
 
 
+def live(subject: Subject, lines: Iterable[str]) -> Iterator[str]:
+    """The lines of predict.csv for lines of a recording that come one by one: each is answered before the next is read.
+
+    Empty lines and comments (#) are skipped; a last line that ends in its midst, as of a sensor that was unplugged, is
+    left out.
+
+    Raises: InputError for a header that lacks a reading, or a line that is none.
+    """
+    rows = (
+        (number, line)
+        for number, line in enumerate(lines, start=1)
+        if line.strip() and not line.lstrip("\ufeff").lstrip().startswith("#")
+    )
+    number, first = next(rows, (1, ""))
+    header = [cell.strip() for cell in _cells(first.removeprefix("\ufeff"), number)]
+    check_header(header, STDIN)
+    check_known(reading_columns(header), subject.light.names, STDIN)
+    columns = [header.index(name) for name in ("time_s", *subject.light.names)]
+    yield ",".join(CSV_COLUMNS)
+    kalman, interval, last_s = KalmanFilter(subject), ForceInterval(subject), None
+    for number, line in rows:
+        cells = _cells(line, number)
+        if len(cells) <= max(columns) and not line.endswith("\n"):
+            return
+        time_s, volts = _sample(cells, columns, f"{STDIN} line {number}: {line.strip()[:60]!r}")
+        if last_s is not None and time_s <= last_s:
+            raise InputError(f"{STDIN}: time_s = {time_s:.15g} does not come after {last_s:.15g}; times must rise.")
+        # A converter at its limit holds no information.
+        volts = np.where(volts >= SATURATED * subject.light.range_v, np.nan, volts)
+        estimate = kalman.update_sample(volts, None if last_s is None else time_s - last_s)
+        last_s, force = time_s, interval.of([estimate])
+        yield _csv_row(time_s, *(float(one[0]) for one in force.columns()), estimate.outlier)
+
+
+def _cells(line: str, number: int) -> list[str]:
+    try:
+        return next(csv.reader([line.rstrip("\r\n")]), [])
+    except csv.Error:
+        raise InputError(f"{STDIN} line {number}: is no line of a CSV.") from None
+
+
+def _sample(cells: list[str], columns: list[int], shown: str) -> tuple[float, Array]:
+    """Time and volts of a line; empty cells are gaps."""
+    try:
+        values = np.array([float(cells[column].strip() or "nan") for column in columns])
+    except (ValueError, IndexError):
+        raise InputError(f"{shown} holds no number where one belongs.") from None
+    named = [cells[column].strip().lower() for column in columns]
+    if not np.isfinite(values[0]) or np.isinf(values).any() or "nan" in named:
+        raise InputError(f"{shown} needs a time and finite volts; an empty cell is a gap.")
+    if np.nanmax(np.abs(values[1:]), initial=0.0) > MOST_VOLTS:
+        raise InputError(f"{shown} looks like a converter's counts; convert it to volts.")
+    return float(values[0]), values[1:]
+
+
 def events(time_s: Array, force_n: Array, *, press_n: float, release_n: float) -> list[tuple[float, str]]:
     """Times at which a switch with hysteresis closes and opens."""
-    found, closed = [], False
-    for time, force in zip(time_s, force_n, strict=True):
-        if not closed and force > press_n:
-            closed = True
-            found.append((float(time), "press"))
-        elif closed and force < release_n:
-            closed = False
-            found.append((float(time), "release"))
-    return found
+    switched, closed = [], False
+    for time, force in zip(time_s.tolist(), force_n, strict=True):
+        if force < release_n if closed else force > press_n:
+            closed = not closed
+            switched.append((time, "press" if closed else "release"))
+    return switched
 
 
 CSV_COLUMNS = (
@@ -111,26 +168,21 @@ CSV_COLUMNS = (
 def csv_rows(result: xr.Dataset) -> Iterator[str]:
     """The lines of predict.csv; an upper bound that is open is left empty."""
     yield ",".join(CSV_COLUMNS)
-    columns = [result.time.values, *(result[name].values for name in ("force_n", "force_low_n", "force_high_n"))]
-    columns += [result[name].values for name in CSV_COLUMNS[5:]]
-    for row in zip(*columns, strict=True):
-        yield csv_row(*row)
+    columns = (name for name in CSV_COLUMNS[1:] if name != "open_above")
+    for row in zip(result.time.values, *(result[name].values for name in columns), strict=True):
+        yield _csv_row(*row)
 
 
-def csv_row(
-    time_s: float, force_n: float, low_n: float, high_n: float, share: float, low: float, high: float, outlier: bool
-) -> str:
-    """One line of predict.csv."""
-    bound, is_open = ("", 1) if np.isinf(high_n) else (f"{high_n:.4f}", 0)
-    return (
-        f"{float(time_s)!r},{force_n:.4f},{low_n:.4f},{bound},{is_open},{share:.3f},{low:.3f},{high:.3f},{int(outlier)}"
-    )
+def _csv_row(time_s: float, *columns: float) -> str:
+    """One line of predict.csv; columns : those of `ForceEstimate`, and whether the sample is an outlier."""
+    force_n, low_n, high_n, share, low, high, outlier = columns
+    bound = ",1" if np.isinf(high_n) else f"{high_n:.4f},0"
+    return f"{float(time_s)!r},{force_n:.4f},{low_n:.4f},{bound},{share:.3f},{low:.3f},{high:.3f},{int(outlier)}"
 
 
 def _dataset(
     subject: Subject,
     recording: Recording,
-    kalman: KalmanFilter,
     estimates: list[PressureEstimate],
     estimate: ForceEstimate,
     *,
@@ -138,31 +190,32 @@ def _dataset(
     release_n: float,
 ) -> xr.Dataset:
     time_s, over = recording.time_s, "time"
-    data = variable("force_n", over, estimate.force_n, "force, estimated from the readings", units="N")
-    data |= variable("force_low_n", over, estimate.low_n, "lower bound of the force, 95 %", units="N")
-    bound = "upper bound of the force, 95 %; infinite where the vessels are closed"
-    data |= variable("force_high_n", over, estimate.high_n, bound, units="N")
-    data |= variable("proximal_share", over, estimate.share, "proximal share of the force")
-    data |= variable("proximal_share_low", over, estimate.share_low, "lower bound of the proximal share, 95 %")
-    data |= variable("proximal_share_high", over, estimate.share_high, "upper bound of the proximal share, 95 %")
+    named = {
+        "force_n": ("force, estimated from the readings", "N"),
+        "force_low_n": ("lower bound of the force, 95 %", "N"),
+        "force_high_n": ("upper bound of the force, 95 %; infinite where the vessels are closed", "N"),
+        "proximal_share": ("proximal share of the force", "1"),
+        "proximal_share_low": ("lower bound of the proximal share, 95 %", "1"),
+        "proximal_share_high": ("upper bound of the proximal share, 95 %", "1"),
+    }
+    data = dict[str, Any]()
+    for (name, (text, units)), values in zip(named.items(), estimate.columns(), strict=True):
+        data |= variable(name, over, values, text, units=units)
     for k, side in enumerate(("proximal", "distal")):
-        values, error = 1e4 * estimate.pressure[k], 1e4 * estimate.pressure_stderr[k]
+        values, error = N_PER_CM2 * estimate.pressure[k], N_PER_CM2 * estimate.pressure_stderr[k]
         data |= variable(f"{side}_pressure_pa", over, values, f"{side} touch pressure", units="Pa", stderr=error)
-    arterial = np.array([one.arterial_pa for one in estimates])
+    arterial = [one.arterial_pa for one in estimates]
     data |= variable("arterial_change_pa", over, arterial, "arterial pressure less its mean", units="Pa")
-    nis = np.array([one.nis for one in estimates])
+    nis, outlier = (np.array([getattr(one, name) for one in estimates]) for name in ("nis", "outlier"))
     data |= variable("surprise", over, nis, "normalized innovation squared of the readings (NIS)")
-    outlier = np.array([one.outlier for one in estimates])
     data |= variable("outlier", over, outlier, "NIS too large to be chance")
     forces = {name: one.force_n(recording.volts) for name, one in subject.baselines.items()}
     for name, force in forces.items():
         data |= variable(f"force_{name}_n", over, force, f"force by regression, {REGRESSIONS[name]}", units="N")
     known = np.full(time_s.shape, np.nan) if recording.force_n is None else recording.force_n
     data |= variable("known_force_n", over, known, "known force", units="N")
-    found = events(time_s, estimate.force_n, press_n=press_n, release_n=release_n)
-    true = events(time_s, np.nan_to_num(known), press_n=press_n, release_n=release_n)
-    data |= _event_variables(found, true if recording.force_n is not None else None)
-    consistent, misfit = _consistency(subject, recording, kalman, estimates, estimate.force_n)
+    data |= _event_variables(time_s, estimate.force_n, known, press_n=press_n, release_n=release_n)
+    misfit = _misfit(subject, recording, estimates, estimate.force_n)
     inside = (known >= estimate.low_n) & (known <= estimate.high_n)
     judged = np.isfinite(known)
     touching = (estimate.force_n if recording.force_n is None else known) >= TOUCH_N
@@ -176,7 +229,7 @@ def _dataset(
         "touch_open_above": _mean(np.isinf(half_width)),
         "chi2_per_dof": float(nis.sum() / max(sum(one.count for one in estimates), 1)),
         "outliers": float(outlier.mean()),
-        "consistent": int(consistent),
+        "consistent": int(not misfit),
         "misfit": misfit,
         "scene_digest": subject.scene_digest,
         "title": "force from volts",
@@ -185,22 +238,26 @@ def _dataset(
     return xr.Dataset(data, variable("time", over, time_s, "time", units="s"), attributes)
 
 
-def _event_variables(found: list[tuple[float, str]], true: list[tuple[float, str]] | None) -> dict[str, Any]:
-    latency = []
-    for time, kind in found:
-        before = [t for t, other in true or [] if other == kind and t <= time]
-        latency.append(time - before[-1] if before else np.nan)
-    data = variable("event_time_s", "event", np.array([t for t, _ in found], float), "when the switch acts", units="s")
-    data |= variable("event_kind", "event", np.array([kind for _, kind in found], dtype=str), "press or release")
-    return data | variable(
-        "event_latency_s", "event", np.array(latency, float), "time from the known force to the switch", units="s"
+def _event_variables(
+    time_s: Array, force_n: Array, known_n: Array, *, press_n: float, release_n: float
+) -> dict[str, Any]:
+    """When the switch acts on the estimated force, and how long after it would on the known one."""
+    switched, true = (
+        events(time_s, force, press_n=press_n, release_n=release_n) for force in (force_n, np.nan_to_num(known_n))
     )
+    latency = [
+        time - max((t for t, other in true if other == kind and t <= time), default=np.nan) for time, kind in switched
+    ]
+    data = variable(
+        "event_time_s", "event", np.array([t for t, _ in switched], float), "when the switch acts", units="s"
+    )
+    data |= variable("event_kind", "event", np.array([kind for _, kind in switched], dtype=str), "press or release")
+    text = "time from the known force to the switch"
+    return data | variable("event_latency_s", "event", np.array(latency, float), text, units="s")
 
 
-def _consistency(
-    subject: Subject, recording: Recording, kalman: KalmanFilter, estimates: list[PressureEstimate], force_n: Array
-) -> tuple[bool, str]:
-    """Whether the readings fit the subject; else in one word what it looks like."""
+def _misfit(subject: Subject, recording: Recording, estimates: list[PressureEstimate], force_n: Array) -> str:
+    """The likely cause where readings do not fit the subject; empty where they do."""
     outlier = np.array([one.outlier for one in estimates])
     before_n = np.interp(recording.time_s - SETTLING_S, recording.time_s, force_n)
     still = np.abs(force_n - before_n) < STILL_N
@@ -208,16 +265,11 @@ def _consistency(
     usual = [one for one in estimates if not one.outlier]
     chi2 = sum(one.nis for one in usual) / max(sum(one.count for one in usual), 1)
     if outliers <= MOST_OUTLIERS and chi2 <= MOST_CHI2:
-        return True, ""
-    return False, _pattern(recording, kalman.model)
-
-
-def _pattern(recording: Recording, model: StateSpace) -> str:
-    """The likely cause of a misfit: more light on all alike, less of all in proportion, or neither."""
-    off = np.nanmedian(recording.volts, axis=1) - (model.offset_v + model.rest_v)
+        return ""
+    off = np.nanmedian(recording.volts, axis=1) - (subject.readings.offset_v + subject.rest_v)
     patterns = {
         "ambient light, or another person": np.ones_like(off),
-        "a lifted sensor or other gain, or another person": model.rest_v,
+        "a lifted sensor or other gain, or another person": subject.rest_v,
     }
     for name, shape in patterns.items():
         along = (off @ shape) ** 2 / ((shape @ shape) * max(float(off @ off), 1e-30))
@@ -228,15 +280,14 @@ def _pattern(recording: Recording, model: StateSpace) -> str:
 
 def _without_saturated(subject: Subject, recording: Recording) -> tuple[Recording, list[str]]:
     """The recording with gaps where a converter was at its limit, and warnings of them."""
-    saturated = recording.volts >= SATURATED * subject.table.range_v
-    found = []
+    saturated, warnings = recording.volts >= SATURATED * subject.light.range_v, []
     for name, volts, full in zip(recording.names, recording.volts, saturated, strict=True):
-        seen = int(np.isfinite(volts).sum())
-        if full.sum() == seen:
+        valid = int(np.isfinite(volts).sum())
+        if full.sum() == valid:
             raise InputError(f"{recording.name}: column {name!r} is saturated throughout; lower the LED's power.")
         if full.any():
-            found.append(f"{name} is saturated in {int(full.sum())} of {seen} samples, which count as gaps.")
-    return replace(recording, volts=np.where(saturated, np.nan, recording.volts)), found
+            warnings.append(f"{name} is saturated in {int(full.sum())} of {valid} samples, which count as gaps.")
+    return replace(recording, volts=np.where(saturated, np.nan, recording.volts)), warnings
 
 
 def _mean(values: NDArray[np.bool_]) -> float:
@@ -244,5 +295,5 @@ def _mean(values: NDArray[np.bool_]) -> float:
 
 
 def _rms(off: Array) -> float:
-    there = np.isfinite(off)
-    return float(np.sqrt(np.mean(off[there] ** 2))) if there.any() else float("nan")
+    valid = np.isfinite(off)
+    return float(np.sqrt(np.mean(off[valid] ** 2))) if valid.any() else float("nan")

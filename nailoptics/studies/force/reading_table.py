@@ -1,82 +1,113 @@
 """Volts of every reading over the blood in both zones: polynomials fitted to one trace, read in microseconds."""
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import cached_property
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
+import xarray as xr
+from pydantic import AfterValidator, Field
+from pydantic.dataclasses import dataclass
 
 from ...errors import InputError
 from ...hemodynamics.for_scene import zones_of_photodiodes
 from ...light import DetectedLight
 from ...scene import Scene
+from ...scene.importers.sensor_recordings import MOST_VOLTS, SITES, Recording
 from ...sensor import electronics
-
-Array = NDArray[np.float64]
+from ...statistics import seed_of
+from .person import MOST_GAIN, TABLE, Array, Numbers, within
 
 # The logarithm of a reading is nearly linear in blood: polynomials of this degree in both zones' blood together.
 DEGREE = 3
 POWERS = tuple(p for p in itertools.product(range(DEGREE + 1), repeat=2) if sum(p) <= DEGREE)
-# Blood that the table reaches to, over the largest that is expected; and points along each zone's blood.
+# Points along each zone's blood at which light is read for the table.
 NODES = 12
+# Which stream of random numbers the noise of a recording takes, beside those of the light and the body.
+_NOISE = 11
 
 
-@dataclass(frozen=True)
+def _same(powers: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, ...], ...]:
+    if powers != POWERS:
+        raise ValueError("must be those of this version")
+    return powers
+
+
+@dataclass(frozen=True, config=TABLE)
 class ReadingTable:
     """The volts of R readings where two zones hold some blood, as the electronics of a scene show them.
 
-    names : (R,) str. Photodiode, or LED:photodiode where there are several LEDs.
-    coefficients : (R, P) float. Of ln volts without dark current, over POWERS of blood / most_blood.
+    ln_volts : (P,) float by reading, named by photodiode, or LED:photodiode where there are several LEDs. Coefficients
+        of ln volts without dark current, over POWERS of blood / most_blood_fraction.
     dark_v : (R,) float. Volts by the photodiode's dark current.
-    most_blood : float. Blood fraction up to which the table holds. [1]
+    most_blood_fraction : blood up to which the table holds. [1]
     slope_stderr : (R, 2) float. Standard error of d ln volts / d blood of each zone at rest, of the trace.
     noise_v : (R,) float. Noise of the electronics at rest, rms. [V]
-    range_v : float. The converter's full scale. [V]
+    range_v : the converter's full scale. [V]
     """
 
-    names: tuple[str, ...]
-    coefficients: Array
-    dark_v: Array
-    most_blood: float
-    slope_stderr: Array
-    noise_v: Array
-    range_v: float
+    ln_volts: Annotated[dict[str, Annotated[Numbers, within(0, MOST_GAIN)]], Field(min_length=1)]
+    dark_v: Annotated[Numbers, within(0, MOST_VOLTS, np.positive)]
+    most_blood_fraction: Annotated[float, Field(ge=1e-6, le=1)]
+    slope_stderr: Annotated[Numbers, within(0, MOST_GAIN, np.positive)]
+    noise_v: Annotated[Numbers, within(1e-12, MOST_VOLTS, np.positive)]
+    range_v: Annotated[float, Field(ge=1e-3, le=MOST_VOLTS)]
+    powers: Annotated[tuple[tuple[int, ...], ...], AfterValidator(_same)] = POWERS
+
+    def __post_init__(self) -> None:
+        count = len(self.ln_volts)
+        shapes = {"coefficients": (count, len(POWERS)), "dark_v": (count,), "noise_v": (count,)}
+        shapes["slope_stderr"] = (count, 2)
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"{name} has shape {getattr(self, name).shape}, not {shape}")
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the readings."""
+        return tuple(self.ln_volts)
+
+    @cached_property
+    def coefficients(self) -> Array:
+        """Those of ln volts, (R, P) float."""
+        return np.stack(list(self.ln_volts.values()))
 
     def volts(self, blood: Array) -> Array:
         """Volts, (R, *S) float, for (2, *S) blood fractions; blood beyond the table counts as its end."""
-        return self.dark_v.reshape((-1,) + (1,) * (blood.ndim - 1)) + self._light_v(self._powers(blood))
+        x = np.clip(blood / self.most_blood_fraction, 0.0, 1.0)
+        ladder = x[:, None] ** np.arange(DEGREE + 1).reshape((-1,) + (1,) * (blood.ndim - 1))
+        powers = np.stack([ladder[0, i] * ladder[1, j] for i, j in POWERS])
+        light_v = np.exp(np.tensordot(self.coefficients, powers, axes=1))
+        return self.dark_v.reshape((-1,) + (1,) * (blood.ndim - 1)) + light_v
 
     def slopes(self, blood: Array) -> tuple[Array, Array]:
         """Volts (R,) and their derivatives by the blood of each zone (R, 2), for blood (2,)."""
-        x = np.clip(blood / self.most_blood, 0.0, 1.0)
+        x = np.clip(blood / self.most_blood_fraction, 0.0, 1.0)
         rows = [
             [x[0] ** i * x[1] ** j, i * x[0] ** max(i - 1, 0) * x[1] ** j, j * x[0] ** i * x[1] ** max(j - 1, 0)]
             for i, j in POWERS
         ]
         value, by_first, by_second = (self.coefficients @ np.array(rows)).T
         light = np.exp(value)
-        return self.dark_v + light, light[:, None] * np.stack([by_first, by_second], 1) / self.most_blood
+        return self.dark_v + light, light[:, None] * np.stack([by_first, by_second], 1) / self.most_blood_fraction
 
     def steeper(self, by_blood: Array, rest_blood: float) -> "ReadingTable":
         """The table whose ln volts have an additional slope (R, 2) by each zone's blood, the same at rest."""
         changed = self.coefficients.copy()
-        changed[:, POWERS.index((1, 0))] += by_blood[:, 0] * self.most_blood
-        changed[:, POWERS.index((0, 1))] += by_blood[:, 1] * self.most_blood
+        changed[:, POWERS.index((1, 0))] += by_blood[:, 0] * self.most_blood_fraction
+        changed[:, POWERS.index((0, 1))] += by_blood[:, 1] * self.most_blood_fraction
         changed[:, POWERS.index((0, 0))] -= rest_blood * by_blood.sum(1)
-        return replace(self, coefficients=changed)
+        return self.with_coefficients(changed)
+
+    def with_coefficients(self, coefficients: Array) -> "ReadingTable":
+        """The table of the same readings with other coefficients of ln volts, (R, P) float."""
+        return replace(self, ln_volts=dict(zip(self.names, coefficients, strict=True)))
 
     def same_led(self) -> Array:
         """Which LED each reading is of, (R, L) float: 1 or 0."""
         leds = [name.rpartition(":")[0] for name in self.names]
         return np.array([[float(led == one) for one in dict.fromkeys(leds)] for led in leds])
-
-    def _powers(self, blood: Array) -> Array:
-        x = np.clip(blood / self.most_blood, 0.0, 1.0)
-        ladder = x[:, None] ** np.arange(DEGREE + 1).reshape((-1,) + (1,) * (blood.ndim - 1))
-        return np.stack([ladder[0, i] * ladder[1, j] for i, j in POWERS])
-
-    def _light_v(self, powers: Array) -> Array:
-        return np.exp(np.tensordot(self.coefficients, powers, axes=1))
 
 
 def reading_names(scene: Scene) -> tuple[str, ...]:
@@ -85,6 +116,30 @@ def reading_names(scene: Scene) -> tuple[str, ...]:
     if len(scene.leds) == 1:
         return tuple(photodiodes)
     return tuple(f"{led.name}:{photodiode}" for led in scene.leds for photodiode in photodiodes)
+
+
+def record(scene: Scene, result: xr.Dataset, *, seed: int) -> Recording:
+    """What a worn sensor would record of a simulated touch: volts with noise and the converter's steps.
+
+    result : what `simulate` returned for the scene.
+    """
+    names = reading_names(scene)
+    volts = result.volts.values.reshape(len(names), -1)
+    noise = result.volts_noise_rms.values.reshape(volts.shape)
+    # The converter's own steps are applied below, not drawn.
+    lsb = electronics.lsb_v(scene.electronics)
+    analog = np.sqrt(np.maximum(noise**2 - lsb**2 / 12, 0.0))
+    volts = volts + analog * np.random.default_rng(seed_of(seed, _NOISE)).normal(size=volts.shape)
+    volts = np.clip(np.round(volts / lsb) * lsb, 0.0, scene.electronics.adc_range_v)
+    return Recording(
+        "simulated", names, result.time.values, volts, result.force_n.values, np.full(volts.shape[1], site_of(scene))
+    )
+
+
+def site_of(scene: Scene) -> float:
+    """Where the scene's touch presses: 1 proximal, 0 distal, NaN even."""
+    touch = scene.touch
+    return SITES[touch.site] if touch.site else {1.0: 1.0, 0.0: 0.0}.get(touch.proximal_share, np.nan)
 
 
 def nodes_of(most_blood: float) -> Array:
@@ -99,44 +154,37 @@ def reading_table(scene: Scene, light: DetectedLight, most_blood: float) -> Read
 
     Raises: InputError where a photodiode sees no light, or a converter is at its limit at rest.
     """
-    nodes, rest = nodes_of(most_blood), scene.blood.rest_blood_fraction
-    step = 0.5 * rest
-    around = np.array([[rest, rest], [rest + step, rest], [rest, rest + step]])
-    found, near = light.readings_at(nodes), light.readings_at(around)
+    rest = scene.blood.rest_blood_fraction
+    step, stage = 0.5 * rest, scene.electronics
+    near = light.readings_at(np.array([[rest, rest], [rest + step, rest], [rest, rest + step]]))
     diodes = [element.photodiode for element in scene.layout.photodiodes]
     pairs = [(led, diode) for led in scene.leds for diode in diodes]
-    per_fraction = np.array([electronics.volts_per_fraction(led, diode, scene.electronics) for led, diode in pairs])
-    read = [
-        electronics.read(part, led, diode, scene.electronics)
-        for part, (led, diode) in zip(near.fraction[..., 0].ravel(), pairs, strict=True)
-    ]
-    names = reading_names(scene)
-    for name, one, part in zip(names, read, near.fraction[..., 0].ravel(), strict=True):
+    names, noise_v = reading_names(scene), []
+    for name, part, pair in zip(names, near.fraction[..., 0].ravel(), pairs, strict=True):
         if not part > 0:
             raise InputError(f"{name}: sees no light in this scene; trace more photons or leave it out.")
-        if one.saturated:
+        read = electronics.read(part, *pair, stage)
+        if read.saturated:
             raise InputError(
-                f"{name}: its converter is at its limit ({scene.electronics.adc_range_v:g} V) at rest; "
-                "lower flux_mw or feedback_ohm."
+                f"{name}: its converter is at its limit ({stage.adc_range_v:g} V) at rest; lower flux_mw or "
+                "feedback_ohm."
             )
-    fraction = found.fraction.reshape(len(names), -1)
+        noise_v.append(float(read.volts_noise_rms))
+    nodes = nodes_of(most_blood)
+    fraction = light.readings_at(nodes).fraction.reshape(len(names), -1)
+    volts = fraction * np.array([[electronics.volts_per_fraction(*pair, stage)] for pair in pairs])
     x = nodes.T / most_blood
     design = np.stack([x[0] ** i * x[1] ** j for i, j in POWERS], 1)
-    coefficients = np.linalg.lstsq(design, np.log(fraction * per_fraction[:, None]).T, rcond=None)[0].T
+    coefficients = np.linalg.lstsq(design, np.log(volts).T, rcond=None)[0].T
     rest_fraction = near.fraction.reshape(len(names), -1)[:, :1]
+    dark_v = [diode.dark_current_a(stage.temperature_k) * stage.feedback_ohm for _, diode in pairs]
     return ReadingTable(
-        names=names,
-        coefficients=coefficients,
-        dark_v=np.array(
-            [
-                diode.dark_current_a(scene.electronics.temperature_k) * scene.electronics.feedback_ohm
-                for _, diode in pairs
-            ]
-        ),
-        most_blood=most_blood,
+        ln_volts=dict(zip(names, coefficients, strict=True)),
+        dark_v=np.array(dark_v),
+        most_blood_fraction=most_blood,
         slope_stderr=near.change_stderr.reshape(len(names), -1)[:, 1:] / rest_fraction / step,
-        noise_v=np.array([float(one.volts_noise_rms) for one in read]),
-        range_v=scene.electronics.adc_range_v,
+        noise_v=np.array(noise_v),
+        range_v=stage.adc_range_v,
     )
 
 
@@ -146,15 +194,14 @@ def paper_table(scene: Scene, table: ReadingTable) -> ReadingTable:
     Offset and scale of every reading are left to the calibration, so that any line does; this one loses a tenth of the
     reading from no blood to twice that at rest.
     """
-    zones = np.tile(zones_of_photodiodes(scene), len(scene.leds))
-    own = np.zeros_like(table.coefficients)
-    blood = table.most_blood * (np.arange(NODES) + 0.5) / NODES
-    line = np.log(1.0 - 0.05 * blood / scene.blood.rest_blood_fraction)
-    by_power = np.polynomial.polynomial.polyfit(blood / table.most_blood, line, DEGREE)
-    for reading, zone in enumerate(zones):
+    rest = scene.blood.rest_blood_fraction
+    blood = table.most_blood_fraction * (np.arange(NODES) + 0.5) / NODES
+    line = np.log(1.0 - 0.05 * blood / rest)
+    by_power = np.polynomial.polynomial.polyfit(blood / table.most_blood_fraction, line, DEGREE)
+    coefficients = np.zeros_like(table.coefficients)
+    for reading, zone in enumerate(np.tile(zones_of_photodiodes(scene), len(scene.leds))):
         for k, power in enumerate(POWERS):
             if power[1 - zone] == 0:
-                own[reading, k] = by_power[power[zone]]
-    level = table.volts(np.full((2, 1), scene.blood.rest_blood_fraction))[:, 0]
-    own[:, POWERS.index((0, 0))] += np.log(level)
-    return replace(table, coefficients=own, slope_stderr=np.zeros_like(table.slope_stderr))
+                coefficients[reading, k] = by_power[power[zone]]
+    coefficients[:, POWERS.index((0, 0))] += np.log(table.volts(np.full((2, 1), rest))[:, 0])
+    return replace(table.with_coefficients(coefficients), slope_stderr=np.zeros_like(table.slope_stderr))

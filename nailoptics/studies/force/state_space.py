@@ -5,19 +5,12 @@ bends to 0; what is left of the distal pressure in the pulp; heartbeat and slow 
 relative drift of each reading. Process: the network of vessels, one step at a time. Measurement: volts of all readings.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
 from ...hemodynamics.rosenbrock import step
-from ...hemodynamics.waves import CardiacOscillator, DampedOscillator
-from .person import NAMES, Person, PulsatileGain, touch_on_walls, vessel_closure
-from .reading_table import ReadingTable
-
-Array = NDArray[np.float64]
+from .person import NAMES, Array, PulsatileGain, touch_on_walls
+from .subject import Subject
 
 # Below this a pressure bends smoothly to 0, so that the filter always has a slope to follow. [N/cm^2]
 SOFTNESS = 0.002
@@ -37,60 +30,16 @@ SPEED_ERROR = 0.2
 SPEED_CORRELATION_S = 0.3
 # Process noise of the distal pulp. [N/cm^2 / sqrt(s)]
 PULP_NOISE = 0.05
-# Parameters that are calibrated of each reading: gain, offset and an added slope by the blood of either zone.
-LINEAR = 4
 # Standard deviations of a state of which nothing is known but that the finger rests: diameters [1], pressures [N/cm^2].
 INITIAL_WIDTH, INITIAL_PRESSURE = 1e-2, 0.1
 # Least diameter over rest that the measurement takes.
 LEAST_WIDTH = 1e-3
-# Linear parts of the process that are kept, by the step.
-CACHED_STEPS = 64
+# A time constant of this or less is none. [s]
+SHORTEST_S = 1e-9
 
 WIDTHS, TOUCH, PULP, FIRST_WAVE = slice(0, 3), slice(3, 5), 5, 6
 # The states that the network's step depends on, each with a step up and down in the Jacobian; P_H has two more.
 ACTING = FIRST_WAVE
-
-
-@dataclass(frozen=True)
-class Noise:
-    """What moves readings beside the touch: measurement noise and process noise.
-
-    reading_v : (R,) float. White noise of each reading, rms. [V]
-    drift_per_min : float. Random walk of each reading in a minute, of its volts. [1]
-    led_drift_per_min : float. That of all readings of an LED together.
-    beat : the heart's; None where none was detected.
-    rhythms : of the arterial pressure, beside the beat.
-    touch_rate : float. Random walk of each touch pressure. [N/cm^2 / sqrt(s)]
-    moved_error, held_error : float. Errors of readings beyond the model, of how far they have just moved with the blood
-        and of how far they are from rest. [1]
-    """
-
-    reading_v: Array
-    drift_per_min: float
-    led_drift_per_min: float
-    beat: CardiacOscillator | None
-    rhythms: tuple[DampedOscillator, ...]
-    touch_rate: float
-    moved_error: float
-    held_error: float
-
-
-@dataclass(frozen=True)
-class CalibratedSensor:
-    """A person's sensor as calibrated, with the covariance of the calibration.
-
-    make : gives the person, or many, of logarithms of the factors (P, *S).
-    factors_ln : (P,) float. Logarithms of the factors by NAMES.
-    gain, offset_v : (R,) float. Volts of a reading are offset + gain * the table's.
-    covariance : (P + 4 R, P + 4 R) float. Of the factors' logarithms, gains, offsets [V], and added slopes by blood.
-    """
-
-    make: Callable[[Array], Person]
-    table: ReadingTable
-    factors_ln: Array
-    gain: Array
-    offset_v: Array
-    covariance: Array
 
 
 def touch_pressure(coordinate: Array) -> Array:
@@ -101,81 +50,81 @@ def touch_pressure(coordinate: Array) -> Array:
 class StateSpace:
     """Process and measurement of one person's sensor; holds no estimate.
 
-    size : number of states. beat, waves, drift : slices of the state.
+    person : the calibrated one. size : number of states. beat, waves, drift : slices of the state.
     touch_bounds : the least and the largest coordinates of both pressures, (2,) float each. [N/cm^2]
-    rest_v : (R,) float. Readings at rest, less the offset. [V]
     """
 
-    def __init__(self, sensor: CalibratedSensor, noise: Noise) -> None:
-        self.table, self.noise, self.gain, self.offset_v = sensor.table, noise, sensor.gain, sensor.offset_v
-        readings, beat = len(self.gain), noise.beat.size if noise.beat else 0
+    def __init__(self, subject: Subject) -> None:
+        self.subject, self.person, noise = subject, subject.person, subject.noise
+        beat = noise.beat.size if noise.beat else 0
         self.beat = slice(FIRST_WAVE, FIRST_WAVE + beat)
-        self.waves = slice(self.beat.stop, self.beat.stop + 2 * len(noise.rhythms))
-        self.drift = slice(self.waves.stop, self.waves.stop + readings)
+        self.waves = slice(self.beat.stop, self.beat.stop + 2 * len(noise.waves))
+        self.drift = slice(self.waves.stop, self.waves.stop + len(subject.rest_v))
         self.size = self.drift.stop
-        led = self.table.same_led()
-        self._drift_per_min = noise.drift_per_min**2 * np.eye(readings) + noise.led_drift_per_min**2 * led @ led.T
         # Their products with the state are the pressure of the beat and that of all slower waves.
         self.beat_weights, self.wave_weights = np.zeros(self.size), np.zeros(self.size)
         self.beat_weights[self.beat.start + 1 : self.beat.stop : 2] = 1.0
         self.wave_weights[self.waves.start : self.waves.stop : 2] = 1.0
         self._linear: dict[float, tuple[Array, Array]] = {}
-        self.person = sensor.make(sensor.factors_ln)
-        closure = vessel_closure(self.person)
-        highest = PAST_CLOSURE * np.array([closure.proximal, closure.distal])
+        highest = PAST_CLOSURE * self.person.closure()
         self.touch_bounds = np.full(2, LOWEST), highest
         self._pulsatile_gain = PulsatileGain(self.person, highest)
-        self.rest_v = self.gain * self.table.slopes(self.person.blood(np.ones(2)))[0]
-        self._level = self._level_covariance(sensor.covariance)
         # One network for each of the steps of the Jacobian.
-        many = sensor.make(np.repeat(sensor.factors_ln[:, None], 3 + 2 * ACTING, axis=1))
-        self._walls, self._rest_m, self._reach = many.walls, many.rest_m, many.distal_reach
-        closed_m = (np.asarray(one, dtype=float) for one in many.walls.closed)
-        self._closed_m = np.stack(np.broadcast_arrays(*closed_m, many.rest_m[0])[:3])
+        self._many = subject.scene.person(np.repeat(subject.factors_ln[:, None], 3 + 2 * ACTING, axis=1))
+        self._closed_m = self._many.walls.with_axes(2).closed
 
     def initial(self) -> tuple[Array, Array]:
         """State and covariance of an untouched finger, as far as is known."""
-        state, covariance = np.zeros(self.size), np.zeros((self.size, self.size))
+        subject, state, covariance = self.subject, np.zeros(self.size), np.zeros((self.size, self.size))
         state[WIDTHS] = 1.0
         variance = np.einsum("ii->i", covariance)
         variance[WIDTHS] = INITIAL_WIDTH**2
         variance[TOUCH] = variance[PULP] = INITIAL_PRESSURE**2
-        if self.noise.beat:
-            variance[self.beat] = self.noise.beat.initial_variance()
-        variance[self.waves] = np.repeat([one.rms_pa**2 for one in self.noise.rhythms], 2)
-        covariance[self.drift, self.drift] = self._level + self._drift_per_min
+        if subject.noise.beat:
+            variance[self.beat] = subject.noise.beat.initial_variance()
+        variance[self.waves] = np.repeat([one.rms_pa**2 for one in subject.noise.waves], 2)
+        # Readings at rest are known as well as they were calibrated.
+        count, factors, blood = len(subject.rest_v), len(NAMES), self.person.blood(np.ones(2))
+        volts, by_blood = subject.light.slopes(blood)
+        jacobian = np.zeros((count, len(subject.covariance)))
+        jacobian[:, NAMES.index("rest_blood")] = subject.readings.gain * (by_blood @ blood)
+        jacobian[:, factors : factors + count] = np.diag(volts)
+        jacobian[:, factors + count : factors + 2 * count] = np.eye(count)
+        jacobian /= subject.rest_v[:, None]
+        covariance[self.drift, self.drift] = jacobian @ subject.covariance @ jacobian.T + subject.drift_covariance
         return state, covariance
 
     def resolve_harmonics(self, since_s: float) -> None:
         """Leave out the heart's harmonics that samples so far apart do not show."""
-        if self.noise.beat:
-            weights = self.noise.beat.resolved_harmonics(since_s)
-            self.beat_weights[self.beat.start + 1 : self.beat.stop : 2] = weights
+        if beat := self.subject.noise.beat:
+            self.beat_weights[self.beat.start + 1 : self.beat.stop : 2] = beat.resolved_harmonics(since_s)
 
     def arterial_pa(self, state: Array) -> float:
         """By how much P_H is off its mean. [Pa]"""
         return float((self.beat_weights + self.wave_weights) @ state)
 
-    def process(self, state: Array, stderr: Array, crept: Array, step_s: float) -> tuple[Array, Array, Array]:
+    def process(self, state: Array, stderr: Array, creep: Array, step_s: float) -> tuple[Array, Array, Array]:
         """State after a step, its Jacobian F and the process noise Q, that of the touch left out.
 
-        stderr : (6,) float. Standard deviations of the states that act on the walls. crept : (2,) float. Of
-        `Pulp.creep_step`.
+        stderr : (6,) float. Standard deviations of the states that act on the walls.
+        creep : (2,) float. Pressures that the creeping pulp has followed so far. [N/cm^2]
         """
-        (transition, noise), pulp = self._linear_process(step_s), self.person.pulp
-        high = self.person.arterial_pa + self.wave_weights @ state
+        (transition, noise), many, person = self._linear_process(step_s), self._many, self.person
+        high = person.arterial_pa + self.wave_weights @ state
         step_by = np.clip(stderr, SMALLEST_STEP, LARGEST_STEP)
-        count, first = self._rest_m.shape[1], 1 + 2 * ACTING
+        count, first = many.rest_m.shape[1], 1 + 2 * ACTING
         around = np.repeat(state[:ACTING, None], count, axis=1)
         around[range(ACTING), range(1, 1 + ACTING)] += step_by
         around[range(ACTING), range(1 + ACTING, first)] -= step_by
         highs = np.full(count, high)
         highs[first : first + 2] += ARTERIAL_STEP_PA * np.array([1.0, -1.0])
-        touch = pulp.redistribute(touch_pressure(around[TOUCH]), crept)
-        touch[1] = pulp.recovery_step(around[PULP], touch[1], step_s)
-        before_m = np.maximum(around[WIDTHS] * self._rest_m, self._closed_m)
-        outside_pa = touch_on_walls(touch, self._reach)
-        widths = step(self._walls, before_m, outside_pa, highs, self.person.venous_pa, step_s=step_s) / self._rest_m
+        touch = np.maximum(touch_pressure(around[TOUCH]) - (person.creep * creep)[:, None], 0.0)
+        # The distal pulp follows a touch at once where it presses more, else slowly.
+        remaining = np.exp(-step_s / np.maximum(person.recovery_s, SHORTEST_S))
+        touch[1] = np.maximum(touch[1], touch[1] + (around[PULP] - touch[1]) * remaining)
+        before_m = np.maximum(around[WIDTHS] * many.rest_m, self._closed_m)
+        outside_pa = touch_on_walls(touch, many.distal_reach)
+        widths = step(many.walls, before_m, outside_pa, highs, person.venous_pa, step_s=step_s) / many.rest_m
         moved = np.vstack([widths, touch[1]])
         driven = [0, 1, 2, PULP]
         transition[driven, :ACTING] = (moved[:, 1 : 1 + ACTING] - moved[:, 1 + ACTING : first]) / (2 * step_by)
@@ -185,24 +134,24 @@ class StateSpace:
         after[driven] = moved[:, 0]
         speed_error = SPEED_ERROR * (widths[:, 0] - state[WIDTHS])
         noise[range(3), range(3)] += speed_error**2 * SPEED_CORRELATION_S / step_s
-        if self.noise.beat:
-            beat = self.noise.beat.propagate(state[self.beat], step_s)
-            after[self.beat], transition[self.beat, self.beat], noise[self.beat, self.beat] = beat
+        if beat := self.subject.noise.beat:
+            at = self.beat, self.beat
+            after[self.beat], transition[at], noise[at] = beat.propagate(state[self.beat], step_s)
         return after, transition, noise
 
     def measurement(self, state: Array) -> tuple[Array, Array]:
         """Volts of every reading (R,) and their Jacobian H (R, size)."""
-        width = np.maximum(state[:2], LEAST_WIDTH)
+        subject, own, width = self.subject, self.subject.readings, np.maximum(state[:2], LEAST_WIDTH)
         pulsatile, by_touch = self._pulsatile_gain.at(touch_pressure(state[TOUCH]))
         beat_pa, blood = self.beat_weights @ state, self.person.blood(width)
-        volts, by_blood = self.table.slopes(blood * (1.0 + pulsatile * beat_pa))
-        by_blood = self.gain[:, None] * by_blood
+        volts, by_blood = subject.light.slopes(blood * (1.0 + pulsatile * beat_pa))
+        by_blood = own.gain[:, None] * by_blood
         jacobian, readings = np.zeros((len(volts), self.size)), np.arange(len(volts))
         jacobian[:, :2] = by_blood * (1.0 + pulsatile * beat_pa) * (2 * blood / width)
         jacobian[:, TOUCH] = by_blood @ (blood[:, None] * by_touch) * beat_pa * expit(state[TOUCH] / SOFTNESS)
         jacobian += np.outer(by_blood @ (blood * pulsatile), self.beat_weights)
-        jacobian[readings, self.drift.start + readings] = self.rest_v
-        return self.offset_v + self.gain * volts + self.rest_v * state[self.drift], jacobian
+        jacobian[readings, self.drift.start + readings] = subject.rest_v
+        return own.offset_v + own.gain * volts + subject.rest_v * state[self.drift], jacobian
 
     def bound_touch(self, state: Array, covariance: Array) -> Array:
         """The likeliest state whose touch lies within its bounds and whose drift is the given one's.
@@ -220,36 +169,19 @@ class StateSpace:
         moved[self.drift] = state[self.drift]
         return np.asarray(moved)
 
-    def sensed_touch(self, state: Array, crept: Array) -> Array:
+    def sensed_touch(self, state: Array, creep: Array) -> Array:
         """Coordinates of the touch where vessels feel it; 0 where the pulp has crept by more than it presses."""
-        lost = np.maximum(self.person.pulp.creep * crept, 1e-9)
+        lost = np.maximum(self.person.creep * creep, 1e-9)
         return np.asarray(state[TOUCH] - lost * np.clip(2.0 - state[TOUCH] / lost, 0.0, 1.0))
-
-    def _level_covariance(self, covariance: Array) -> Array:
-        """Covariance of the readings at rest, over themselves, by that of the calibration."""
-        count, factors = len(self.gain), len(NAMES)
-        blood = self.person.blood(np.ones(2))
-        volts, by_blood = self.table.slopes(blood)
-        jacobian = np.zeros((count, len(covariance)))
-        jacobian[:, factors + count : factors + 2 * count] = np.eye(count)
-        jacobian[:, factors : factors + count] = np.diag(volts)
-        jacobian[:, NAMES.index("rest_blood")] = self.gain * (by_blood @ blood)
-        jacobian /= self.rest_v[:, None]
-        return jacobian @ covariance @ jacobian.T
 
     def _linear_process(self, step_s: float) -> tuple[Array, Array]:
         """Transition and noise of all that is linear, over a step."""
-        if step_s not in self._linear:
-            transition, variance = np.eye(self.size), np.zeros(self.size)
-            variance[WIDTHS] = WALL_NOISE**2
-            variance[PULP] = PULP_NOISE**2 * step_s
-            for k, rhythm in enumerate(self.noise.rhythms):
-                at = slice(self.waves.start + 2 * k, self.waves.start + 2 * k + 2)
-                transition[at, at], variance[at] = rhythm.propagate(step_s)
-            noise = np.diag(variance)
-            noise[self.drift, self.drift] = self._drift_per_min * step_s / 60.0
-            if len(self._linear) > CACHED_STEPS:
-                self._linear.clear()
-            self._linear[step_s] = transition, noise
-        transition, noise = self._linear[step_s]
-        return transition.copy(), noise.copy()
+        transition, variance = np.eye(self.size), np.zeros(self.size)
+        variance[WIDTHS] = WALL_NOISE**2
+        variance[PULP] = PULP_NOISE**2 * step_s
+        for k, wave in enumerate(self.subject.noise.waves):
+            at = slice(self.waves.start + 2 * k, self.waves.start + 2 * k + 2)
+            transition[at, at], variance[at] = wave.propagate(step_s)
+        noise = np.diag(variance)
+        noise[self.drift, self.drift] = self.subject.drift_covariance * step_s / 60.0
+        return transition, noise

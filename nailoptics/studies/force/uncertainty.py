@@ -3,19 +3,15 @@
 The interval has no upper bound where the vessels are closed.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
-from ...hemodynamics.steady import solve_walls
 from .kalman import PressureEstimate, rest_odds
-from .person import NAMES, Person, VesselClosure, force_of, touch_on_walls, vessel_closure
-from .state_space import CalibratedSensor, Noise, touch_pressure
-
-Array = NDArray[np.float64]
+from .person import NAMES, Array, Person
+from .state_space import touch_pressure
+from .subject import Correction, Curve, Subject
 
 # The curve bends at these parts of the pressure at closure.
 BENDS = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0])
@@ -27,41 +23,18 @@ SPREAD, SMOOTHNESS = 0.3, 0.15
 NOISE, CORRELATION_S = 0.1, 1.0
 
 
-@dataclass(frozen=True)
-class Correction:
-    """What a fitted network gets wrong of a touch: a curve from estimated to applied pressure for each side.
-
-    estimated, applied : (2, K) float. Proximal and distal, rising from 0; straight between them. [N/cm^2]
-    """
-
-    estimated: Array
-    applied: Array
-
-    def apply(self, estimated: Array) -> Array:
-        """Corrected pressures (2, *S) of estimated ones. [N/cm^2]"""
-        sides = zip(estimated, self.estimated, self.applied, strict=True)
-        # Past its end the curve goes on in proportion.
-        return np.stack([np.interp(one, bends, ends) * np.maximum(one / bends[-1], 1.0) for one, bends, ends in sides])
-
-
 def no_correction() -> Correction:
     """The curve of a network that is exact."""
-    return Correction(np.tile(BENDS, (2, 1)), np.tile(BENDS, (2, 1)))
+    return Correction(Curve(BENDS, BENDS), Curve(BENDS, BENDS))
 
 
-def fit_correction(closure: VesselClosure, sides: Sequence[tuple[Array, Array, Array]]) -> Correction:
-    """The curve from touches of one side each.
+def fit_curve(closure: float, time_s: Array, estimated: Array, applied: Array) -> Curve:
+    """The curve of one side from touches there: least squares on its factors at the bends, held to 1 and to be smooth.
 
-    sides : proximal and distal: times [s], estimated and applied pressures [N/cm^2], (T,) each; none without samples.
+    closure : pressure that closes the vessels. [N/cm^2]
+    time_s, estimated, applied : (T,) float, of no samples where there was no touch. [s], [N/cm^2]
     """
-    curves = [_curve(closed, *side) for closed, side in zip((closure.proximal, closure.distal), sides, strict=True)]
-    return Correction(*(np.stack(one) for one in zip(*curves, strict=True)))
-
-
-def _curve(closure: float, time_s: Array, estimated: Array, applied: Array) -> tuple[Array, Array]:
-    """One side's curve: least squares on its factors at the bends, held to 1 and to be smooth."""
-    bends = closure * BENDS
-    ones = np.eye(BENDS.size)
+    bends, ones = closure * BENDS, np.eye(BENDS.size)
     rows = [ones / SPREAD, np.diff(ones, axis=0) / SMOOTHNESS]
     target = [np.full(BENDS.size, 1 / SPREAD), np.zeros(BENDS.size - 1)]
     if time_s.size > 1:
@@ -73,7 +46,7 @@ def _curve(closure: float, time_s: Array, estimated: Array, applied: Array) -> t
         target.append(applied[below] / NOISE / np.sqrt(correlated))
     factor = np.linalg.lstsq(np.concatenate(rows), np.concatenate(target), rcond=None)[0]
     # A harder touch is never estimated as a softer one.
-    return bends, np.maximum.accumulate(np.maximum(factor, 0.1) * bends)
+    return Curve(bends, np.maximum.accumulate(np.maximum(factor, 0.1) * bends))
 
 
 # Held touches of either side at which the error is found, in parts of closure.
@@ -92,15 +65,13 @@ class CalibrationUncertainty:
     them best, beside drift and noise, are off by so much.
     """
 
-    def __init__(self, sensor: CalibratedSensor, noise: Noise) -> None:
-        self._sensor = sensor
-        closure = vessel_closure(sensor.make(sensor.factors_ln))
-        self._bends = np.array([closure.proximal, closure.distal])[:, None] * PARTS
-        rest_v = sensor.gain * sensor.table.slopes(sensor.make(sensor.factors_ln).blood(np.ones(2)))[0]
-        led = sensor.table.same_led() * rest_v[:, None]
-        drift = noise.drift_per_min**2 * np.diag(rest_v**2) + noise.led_drift_per_min**2 * led @ led.T
-        self._information = np.linalg.inv(drift + np.diag(noise.reading_v**2))
-        values, vectors = np.linalg.eigh(sensor.covariance)
+    def __init__(self, subject: Subject) -> None:
+        self._subject, noise_v2 = subject, np.diag(subject.readings.noise_v**2)
+        self._bends = subject.person.closure()[:, None] * PARTS
+        self._information = np.linalg.inv(
+            np.outer(subject.rest_v, subject.rest_v) * subject.drift_covariance + noise_v2
+        )
+        values, vectors = np.linalg.eigh(subject.covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         sides = [[self._jacobian(side, pressure) @ root for pressure in self._bends[side]] for side in range(2)]
         self._root = np.array(sides)
@@ -113,44 +84,36 @@ class CalibrationUncertainty:
             at = np.interp(pressure.sum(0), self._bends[side], np.arange(PARTS.size))
             low = np.minimum(at.astype(int), PARTS.size - 2)
             between = (at - low)[:, None, None]
-            found = self._root[side, low] * (1 - between) + self._root[side, low + 1] * between
-            root += weight[:, None, None] * found
+            here = self._root[side, low] * (1 - between) + self._root[side, low + 1] * between
+            root += weight[:, None, None] * here
         return np.asarray(root @ np.moveaxis(root, 1, 2))
 
     def _jacobian(self, side: int, pressure: float) -> Array:
         """Derivatives (4, P + 4 R) of the estimate of a held touch by all parameters of the calibration."""
-        sensor, factors = self._sensor, np.repeat(self._sensor.factors_ln[:, None], 2 * len(NAMES), axis=1)
-        k = np.arange(len(NAMES))
-        factors[k, k] += STEP_LN
-        factors[k, k + len(NAMES)] -= STEP_LN
-        held = np.zeros(2)
-        held[side] = pressure
-        moved, _ = self._risen_v(sensor.make(factors), held[:, None])
-        by_factor = (moved[:, : len(NAMES)] - moved[:, len(NAMES) :]) / (2 * STEP_LN)
-        around = np.maximum(
-            held[:, None] + STEP * np.array([[1.0, 0.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, -1.0, 0.0]]), 0
-        )
-        near, steeper = self._risen_v(sensor.make(np.repeat(sensor.factors_ln[:, None], 5, axis=1)), around)
+        subject, count = self._subject, len(NAMES)
+        held = np.where(np.arange(2) == side, pressure, 0.0)[:, None]
+        steps = STEP_LN * np.hstack([np.eye(count), -np.eye(count)])
+        moved, _ = self._risen_v(subject.scene.person(subject.factors_ln[:, None] + steps), held)
+        by_factor = (moved[:, :count] - moved[:, count:]) / (2 * STEP_LN)
+        around = np.maximum(held + STEP * np.array([[1.0, 0.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, -1.0, 0.0]]), 0)
+        near, steeper = self._risen_v(subject.person, around)
         slopes = (near[:, :2] - near[:, 2:4]) / np.diag(around[:, :2] - around[:, 2:4])
+        by_gain = np.diag(near[:, 4] / subject.readings.gain)
         by_slope = [np.diag(zone[:, 4]) for zone in steeper]
-        by_gain, by_offset = np.diag(near[:, 4] / sensor.gain), np.zeros((len(sensor.gain),) * 2)
-        by_parameter = np.column_stack([by_factor, by_gain, by_offset, *by_slope])
-        weighed = slopes.T @ self._information
-        by_touch = -np.linalg.solve(weighed @ slopes + np.eye(2) / PRESSURE_PRIOR**2, weighed @ by_parameter)
+        by_parameter = np.column_stack([by_factor, by_gain, np.zeros_like(by_gain), *by_slope])
+        weighted = slopes.T @ self._information
+        by_touch = -np.linalg.solve(weighted @ slopes + np.eye(2) / PRESSURE_PRIOR**2, weighted @ by_parameter)
         return np.vstack([by_touch, np.eye(by_parameter.shape[1])[AREAS]])
 
     def _risen_v(self, who: Person, pressure: Array) -> tuple[Array, Array]:
-        """Volts of every reading over those at rest, (R, S), of many people under held pressures (2, S).
+        """Volts of every reading over those at rest, (R, S), of one or many people under held pressures (2, S).
 
         And what steeper slopes by the blood of either zone add to them, (2, R, S).
         """
-        shape = who.rest_m.shape[1:]
-        outside = touch_on_walls(np.broadcast_to(pressure, (2, *shape)), who.distal_reach)
-        full = np.ones(shape)
-        held, _ = solve_walls(who.walls, outside, who.arterial_pa * full, who.venous_pa * full)
-        blood, rest = who.blood(held / who.rest_m), who.blood(np.ones_like(held))
-        volts = self._sensor.table.volts(blood)
-        risen = self._sensor.gain[:, None] * (volts - self._sensor.table.volts(rest))
+        width, light = who.steady_widths(pressure), self._subject.light
+        blood, rest = who.blood(width), who.blood(np.ones_like(width))
+        volts = light.volts(blood)
+        risen = self._subject.readings.gain[:, None] * (volts - light.volts(rest))
         return risen, volts * (blood - rest)[:, None]
 
 
@@ -184,26 +147,24 @@ class ForceEstimate:
     pressure: Array
     pressure_stderr: Array
 
+    def columns(self) -> tuple[Array, ...]:
+        """Force and share, each with its bounds: the columns of predict.csv."""
+        return self.force_n, self.low_n, self.high_n, self.share, self.share_low, self.share_high
+
 
 class ForceInterval:
-    """Forces with 95 % intervals of the filter's estimates, for one sample or many.
+    """Forces with 95 % intervals of the filter's estimates, for one sample or many."""
 
-    coverage_factor : how much wider than usual intervals are.
-    """
-
-    def __init__(
-        self, sensor: CalibratedSensor, noise: Noise, *, correction: Correction, coverage_factor: float
-    ) -> None:
-        person = sensor.make(sensor.factors_ln)
-        self.areas_cm2 = float(person.area_cm2) * np.array([float(person.proximal_area), 1.0])
-        self.person, self.correction = person, correction
-        self.scale = INTERVAL_SCALE * coverage_factor
-        closure = vessel_closure(person)
-        self._closed = self.correction.apply(np.array([[closure.proximal], [closure.distal]]))
-        self._calibration = CalibrationUncertainty(sensor, noise)
+    def __init__(self, subject: Subject) -> None:
+        self.person, self.correction = subject.person, subject.correction
+        self.areas_cm2 = float(self.person.area_cm2) * np.array([float(self.person.proximal_area), 1.0])
+        self.scale = INTERVAL_SCALE * subject.quality.coverage_factor
+        closure = self.person.closure()
+        self._closed = self.correction.apply(closure[:, None])
+        self._calibration = CalibrationUncertainty(subject)
         self._points = norm.ppf(qmc.Sobol(2, scramble=True, seed=0).random(POINTS)).T
-        ends = np.diag([closure.proximal, closure.distal])
-        part = np.sqrt(np.einsum("tii->ti", self._calibration_covariance(ends)[0]).diagonal()) / ends.diagonal()
+        covariance = self._calibration_covariance(np.diag(closure))[0]
+        part = np.sqrt(np.einsum("tii->ti", covariance).diagonal()) / closure
         # The least force that closes the vessels on either side. [N]
         self._least_closing_n = self.areas_cm2 * self._closed[:, 0] * np.exp(-2 * part)
 
@@ -222,12 +183,11 @@ class ForceInterval:
         root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
         cloud = np.einsum("tij,jp->itp", root, self._points)
         pressures = self.correction.apply(touch_pressure(touch.T[:, :, None] + cloud))
-        area_cm2, proximal_area = float(self.person.area_cm2), float(self.person.proximal_area)
-        force, share = force_of(pressures, area_cm2, proximal_area)
+        force, share = self.person.force(pressures)
         low, high = np.quantile(force, QUANTILES, axis=1)
         share_low, share_high = np.quantile(share, QUANTILES, axis=1)
         pressure = self.correction.apply(touch_pressure(touch.T))
-        middle, middle_share = force_of(pressure, area_cm2, proximal_area)
+        middle, middle_share = self.person.force(pressure)
         closed = self._closed
         highest = np.quantile(pressures, QUANTILES[1], axis=2)
         saturated = (highest >= closed).any(0)

@@ -193,7 +193,7 @@ def test_readings_that_are_there_every_other_sample_calibrate(folder: Path, tmp_
     (tmp_path / "turns.csv").write_text(text)
     _calibrated(tmp_path / "turns.csv", tmp_path / "me.toml")
     whole, turns = (parse_subject((at / "me.toml").read_text()) for at in (folder, tmp_path))
-    assert np.allclose(turns.noise.reading_v, whole.noise.reading_v, rtol=0.5)
+    assert np.allclose(turns.readings.noise_v, whole.readings.noise_v, rtol=0.5)
 
 
 QUICK = settings(

@@ -8,6 +8,7 @@ import pytest
 
 from nailoptics.studies.force.kalman import KalmanFilter, PressureEstimate
 from nailoptics.studies.force.subject import parse_subject
+from nailoptics.studies.force.uncertainty import ForceInterval
 
 SAMPLES, BEFORE_TOUCH = 200, slice(40, 50)
 
@@ -20,7 +21,7 @@ def at_rest_n(touches: int) -> Iterator[float]:
     rest_v = volts[:, :40].mean(1, keepdims=True)
     unlike = np.where(np.arange(len(volts)) < len(volts) // 2, 0.9, 1.1)[:, None]
     volts = rest_v + (volts - rest_v) * unlike
-    observer, interval = KalmanFilter(subject.sensor, subject.noise), subject.force_interval()
+    observer, interval = KalmanFilter(subject), ForceInterval(subject)
     for touch in range(touches):
         estimates: list[PressureEstimate] = []
         for k, sample_v in enumerate(volts.T):

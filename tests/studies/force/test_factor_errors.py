@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from record import SIDES, TOUCHES, load_person, touch_of
+from made_sensor import nominal_finger
+from record import SIDES, TOUCHES, load_person, record_touch, touch_of
 from untraced_light import untraced, untraced_table
 
 from nailoptics import load_scene
@@ -12,7 +13,6 @@ from nailoptics.scene import Scene
 from nailoptics.statistics import Z95
 from nailoptics.studies.force.fit import Fit
 from nailoptics.studies.force.person import NAMES, PRIORS, SPREAD_LN
-from nailoptics.studies.force.virtual_recording import record_touch
 
 PEOPLE = 24
 # Nobody's share or reach is searched: the touches are one-sided, and the scene's two zones share no pressure. These
@@ -59,11 +59,13 @@ def test_factors_lie_within_their_stated_errors() -> None:
         fit = Fit(
             recordings,
             untraced_table(usual),
-            vessels(usual),
+            nominal_finger(
+                vessels(usual),
+                rest_blood_fraction=usual.blood.rest_blood_fraction,
+                contact_area_cm2=usual.touch.contact_area_mm2 / 100.0,
+                proximal_share=usual.touch.proximal_share,
+            ),
             free=FREE,
-            rest_blood=usual.blood.rest_blood_fraction,
-            area_cm2=usual.touch.contact_area_mm2 / 100.0,
-            share=usual.touch.proximal_share,
         )
         fitted = fit.solve()
         stderr = np.sqrt(np.diag(fitted.covariance))[: len(NAMES)]

@@ -1,33 +1,33 @@
 """Force from volts: the person is found from recordings of a known force, and the force from the person's readings."""
 
+import re
 from dataclasses import replace
 
 import made_sensor
 import numpy as np
 import pytest
-from made_sensor import on_rigid_pulp
+from made_sensor import nominal_finger, on_rigid_pulp
 
 from nailoptics import hemodynamics, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.report.pages.force import calibration_summary, prediction_summary
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording, recording_csv
-from nailoptics.studies.force.body_noise import MOVED_ERROR
 from nailoptics.studies.force.calibrate import PAPER_FACTORS, _checked, _warnings, calibrate_with
 from nailoptics.studies.force.fit import Fit
 from nailoptics.studies.force.kalman import DIVERGED, READING_CORRELATION_S, WIDTHS, KalmanFilter
-from nailoptics.studies.force.live import live
-from nailoptics.studies.force.person import NAMES, PRIORS, force_of, person
-from nailoptics.studies.force.predict import csv_rows, events, predict
+from nailoptics.studies.force.person import NAMES
+from nailoptics.studies.force.predict import csv_rows, events, live, predict
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
-from nailoptics.studies.force.subject import Subject, parse_subject
+from nailoptics.studies.force.subject import MOVED_ERROR, Subject, parse_subject, subject_toml
 
 # Four readings whose logarithm falls in a line with both zones' blood, as traced light does but for a few percent.
 SLOPES = np.array([[-16.0, -2.5], [-6.0, -1.6], [-1.9, -6.2], [-2.8, -17.0]])
 REST = 0.03
 NAMES_OF_READINGS = ("a", "b", "c", "d")
 # A person unlike the scene's, whose sensor has other gains and offsets.
-TRUTH = dict.fromkeys(NAMES, 1.0) | {"vein_stiffness": 0.8, "capillary_stiffness": 1.25, "rest_blood": 1.15}
+TRUTH = {"vein_stiffness": 0.8, "capillary_stiffness": 1.25, "rest_blood": 1.15}
+TRUTH_LN = np.log([TRUTH.get(name, 1.0) for name in NAMES])
 GAIN, OFFSET_V = np.array([0.9, 1.1, 1.05, 0.95]), np.array([2e-3, -1e-3, 0.0, 1e-3])
 VESSELS = hemodynamics.parameters("listed").replace(
     capillary_stiffness_n_per_m=2.69e5,
@@ -52,10 +52,9 @@ def table() -> ReadingTable:
     coefficients[:, POWERS.index((1, 0))] = SLOPES[:, 0] * most
     coefficients[:, POWERS.index((0, 1))] = SLOPES[:, 1] * most
     return ReadingTable(
-        names=NAMES_OF_READINGS,
-        coefficients=coefficients,
+        ln_volts=dict(zip(NAMES_OF_READINGS, coefficients, strict=True)),
         dark_v=np.full(4, 1e-4),
-        most_blood=most,
+        most_blood_fraction=most,
         slope_stderr=0.01 * np.abs(SLOPES),
         noise_v=np.full(4, 5e-5),
         range_v=5.0,
@@ -65,8 +64,8 @@ def table() -> ReadingTable:
 def _record(table: ReadingTable, force_n: np.ndarray, site: str, *, seed: int, pulse_pa: float = 0.0) -> Recording:
     """What the true person's sensor records: by the library's own integrator, with noise and a heartbeat."""
     time_s = STEP_S * np.arange(force_n.size)
-    who = person(VESSELS, TRUTH, rest_blood=REST, area_cm2=1.0, share=0.5)
-    own = VESSELS.replace(**{f: getattr(VESSELS, f) * TRUTH[name] for name in NAMES for f in PRIORS[name].fields})
+    finger = nominal_finger(VESSELS)
+    who, own = finger.person(TRUTH_LN), VESSELS.replace(**finger.vessels_of(TRUTH_LN))
     where = np.full(time_s.shape, SITES[site])
     proximal, distal = 1e4 * who.pressures(force_n, where)
     beat = hemodynamics.cardiac_pressure(time_s, mean_pressure_pa=own.arterial_pressure_pa, pulse_pressure_pa=pulse_pa)
@@ -115,13 +114,13 @@ def subject(table: ReadingTable) -> Subject:
 
 def test_the_person_is_found_within_the_stated_errors(subject: Subject) -> None:
     spread = subject.stderr[: len(NAMES)]
-    off = (subject.factors_ln - np.log([TRUTH[name] for name in NAMES])) / spread
+    off = (subject.factors_ln - TRUTH_LN) / spread
     # The true person's proximal capillaries feel nothing of a distal touch: no factor says that.
     reach = NAMES.index("distal_reach")
     assert subject.factors_ln[reach] < np.log(0.3)
     assert (np.abs(np.delete(off, reach)) < 3.5).all(), dict(zip(NAMES, off.round(2), strict=True))
     # The two that the recordings show best are known far better than before.
-    known = subject.factors()
+    known = subject.factor_table()
     assert known["vein_stiffness"]["informed"]
     assert known["capillary_stiffness"]["informed"]
     assert not known["proximal_share"]["informed"]
@@ -160,7 +159,7 @@ def test_a_calibration_that_is_wrong_of_its_own_touches_says_so_here_and_later(
 ) -> None:
     recorded = _record(table, _cycle(2.0), "proximal", seed=0)
     assert not any("off" in one for one in _warnings(subject, [recorded]))
-    wrong = replace(subject, rms_n=0.238)
+    wrong = replace(subject, quality=replace(subject.quality, rms_n=0.238))
     said = "calibration's own touches is 238 mN off (rms; linear regression"
     assert any(said in one for one in _warnings(wrong, [recorded]))
     assert any("the calibration itself was 238 mN off" in one for one in predict(wrong, recorded).attrs["warnings"])
@@ -231,14 +230,14 @@ def test_quick_touches_are_asked_for_where_there_are_none(let_go_s: float, advic
     force = np.interp(time_s, [1.0, 1.5, 2.0, 2.0 + let_go_s], [0.0, 0.5, 0.5, 0.0])
     known = parse_subject(made_sensor.subject())
     subject = replace(known, covariance=np.eye(len(known.covariance)))
-    assert not any(subject.factors()[name]["informed"] for name in PAPER_FACTORS)
+    assert not any(subject.factor_table()[name]["informed"] for name in PAPER_FACTORS)
     [warning] = [one for one in _warnings(subject, [made_sensor.record(force, "distal", seed=1)]) if "refill" in one]
     assert warning.endswith(f"{advice}.")
 
 
 def test_a_filter_that_ran_away_starts_anew_and_its_readings_are_flagged(subject: Subject, table: ReadingTable) -> None:
     recorded = _record(table, _steps(), "proximal", seed=13)
-    fresh, kalman = (KalmanFilter(subject.sensor, subject.noise) for _ in range(2))
+    fresh, kalman = (KalmanFilter(subject) for _ in range(2))
     for volts in recorded.volts.T[:150]:
         kalman.update_sample(volts, STEP_S)
     # Past closure a soft vein is hardly known: the filter goes on nonetheless.
@@ -296,10 +295,11 @@ def test_the_virtual_switch_has_hysteresis() -> None:
 
 
 def test_force_and_place_follow_from_pressures_as_pressures_from_them() -> None:
-    who = person(VESSELS, {"proximal_area": np.array(0.8)}, rest_blood=REST, area_cm2=1.3, share=0.4)
+    factors_ln = np.where(np.array(NAMES) == "proximal_area", np.log(0.8), 0.0)
+    who = nominal_finger(VESSELS, contact_area_cm2=1.3, proximal_share=0.4).person(factors_ln)
     for site, share in ((1.0, 1.0), (0.0, 0.0), (np.nan, 0.4)):
         pressure = who.pressures(np.array([0.7]), np.array([site]))
-        force, found = force_of(pressure, 1.3, 0.8)
+        force, found = who.force(pressure)
         assert force[0] == pytest.approx(0.7)
         assert found[0] == pytest.approx(share)
 
@@ -326,10 +326,10 @@ def test_readings_that_know_one_zone_alone_as_in_the_papers_optics_are_calibrate
     coefficients = table.coefficients.copy()
     for zone, power in enumerate(((1, 0), (0, 1))):
         coefficients[:, POWERS.index(power)] *= alone[:, zone]
-    own = replace(table, coefficients=coefficients, slope_stderr=np.zeros((4, 2)))
+    own = replace(table.with_coefficients(coefficients), slope_stderr=np.zeros((4, 2)))
     free = np.array([name in PAPER_FACTORS for name in NAMES])
     recording = _record(own, _steps()[: round(8.0 / STEP_S)], "proximal", seed=2)
-    found = Fit([recording], own, VESSELS, rest_blood=REST, area_cm2=1.0, share=0.5, free=free).solve()
+    found = Fit([recording], own, nominal_finger(VESSELS), free=free).solve()
     searched = found.factors_ln != 0
     assert (searched == free).all()
     assert np.isfinite(found.covariance).all() and np.isfinite(found.gain).all()
@@ -343,8 +343,42 @@ def test_a_contact_three_times_that_of_the_scene_is_found(table: ReadingTable) -
     once = _cycle(2.0)[: round(12.0 / STEP_S)]
     recordings = [_record(table, once, site, seed=seed) for seed, site in enumerate(("proximal", "distal"))]
     free = np.array([name not in ("proximal_share", "distal_reach") for name in NAMES])
-    found = Fit(recordings, table, VESSELS, rest_blood=REST, area_cm2=0.33, share=0.5, free=free).solve()
+    found = Fit(recordings, table, nominal_finger(VESSELS, contact_area_cm2=0.33), free=free).solve()
     assert np.exp(found.factors_ln[NAMES.index("contact_area")]) == pytest.approx(1.0 / 0.33, rel=0.1)
+
+
+def test_a_subject_file_of_version_0_2_is_read(subject: Subject) -> None:
+    text = subject_toml(subject)
+    for new, old in (
+        ("coverage_factor", "widening"),
+        ("estimated_n_per_cm2", "told_n_per_cm2"),
+        ("applied_n_per_cm2", "pressed_n_per_cm2"),
+        ("waves = ", "rhythms = "),
+        ("[noise]", "[noise]\ntouch_rate_n_per_cm2_rt_s = 0.1\nmoved_error = 0.03\nheld_error = 0.01"),
+    ):
+        assert new in text
+        text = text.replace(new, old)
+    assert subject_toml(parse_subject(text)) == subject_toml(subject)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("schema_version = 4", "schema_version = 4: must be 3."),
+        ('model = "none"', "model = \"none\": must be 'network' or 'paper'."),
+        ("coverage_factor = -1.0", "quality.coverage_factor = -1.0: must be greater than or equal to 0.001."),
+        ("creep = 2.0", "scene.pulp.creep = 2.0: must be less than or equal to 1."),
+        ("vein_count = 1e9", "scene.vessels: vein_count = 1e+09 must lie within 0.01 to 1e+06."),
+        ("gain = 1e9", "readings.gain: 1e+09 must lie within 0.0001 to 10000."),
+        ("dark_v = [1.0]", "light: dark_v has shape (1,), not (4,)."),
+    ],
+)
+def test_a_number_that_no_calibration_gives_is_named(subject: Subject, line: str, message: str) -> None:
+    key = line.partition(" ")[0]
+    text = re.sub(rf"^{key} = (\[[^]]*\]|.*)$", line, subject_toml(subject), flags=re.M)
+    with pytest.raises(InputError) as caught:
+        parse_subject(text, name="me.toml")
+    assert str(caught.value) == f"me.toml: is not a valid subject file: {message} Calibrate again."
 
 
 def test_a_damaged_subject_file_is_refused(subject: Subject) -> None:

@@ -2,22 +2,21 @@
 
 import numpy as np
 import pytest
+from made_sensor import nominal_finger
 
 from nailoptics.hemodynamics import parameters
-from nailoptics.hemodynamics.steady import solve_walls
-from nailoptics.studies.force.person import PulsatileGain, person, touch_on_walls
+from nailoptics.studies.force.person import NAMES, PulsatileGain
 
 
 @pytest.mark.parametrize("touch", [(0.0, 0.0), (0.25, 0.0), (0.0, 0.4), (0.13, 0.31)])
 def test_a_beat_moves_the_blood_as_a_slow_change_of_the_pressure_does(touch: tuple[float, float]) -> None:
-    who = person(parameters("best"), {"distal_reach": 1.5}, rest_blood=0.03, area_cm2=1.0, share=0.5, distal_reach=0.2)
+    factors_ln = np.where(np.array(NAMES) == "distal_reach", np.log(1.5), 0.0)
+    who = nominal_finger(parameters("best"), distal_reach=0.2).person(factors_ln)
     highest = np.array([1.0, 2.0])
     pulsed, held = PulsatileGain(who, highest), np.array(touch)
 
     def blood(touch: np.ndarray, higher_pa: float) -> np.ndarray:
-        outside = touch_on_walls(touch[:, None], who.distal_reach)
-        width, _ = solve_walls(who.walls, outside, np.array([who.arterial_pa + higher_pa]), np.array([who.venous_pa]))
-        return who.blood(width / who.rest_m[:, None])[:, 0]
+        return who.blood(who.steady_widths(touch[:, None], higher_pa))[:, 0]
 
     part, by_touch = pulsed.at(held)
     # Straight between pressures an eighth of the highest apart.

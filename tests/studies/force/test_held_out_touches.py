@@ -2,14 +2,13 @@
 
 import pytest
 from force_scores import PROTOTYPE
-from record import SIDES, TOUCHES, Corners, Site, load_person, slow_cycles, touch_of
+from record import SIDES, TOUCHES, Corners, Site, load_person, record_touch, slow_cycles, touch_of
 from untraced_light import untraced, untraced_table
 
 from nailoptics import load_scene
 from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject, parse_subject
-from nailoptics.studies.force.virtual_recording import record_touch
 
 PERSON = "person_4"
 

@@ -11,8 +11,7 @@ import pytest
 
 from nailoptics.errors import InputError
 from nailoptics.scene.importers.sensor_recordings import recording_csv
-from nailoptics.studies.force.live import live
-from nailoptics.studies.force.predict import csv_rows, predict
+from nailoptics.studies.force.predict import csv_rows, live, predict
 from nailoptics.studies.force.subject import Subject, parse_subject
 from nailoptics.terminal import text_lines
 

@@ -23,8 +23,7 @@ def fit() -> Fit:
     scene = made_sensor.scene()
     recordings = [made_sensor.record(made_sensor.cycle(1.5), site, seed=k) for k, site in enumerate(("distal",))]
     free = np.array([name in FREE for name in NAMES])
-    fit = Fit(recordings, made_sensor.table(), vessels(scene), free=free, rest_blood=0.03, area_cm2=1.0, share=0.5)
-    return fit
+    return Fit(recordings, made_sensor.table(), made_sensor.nominal_finger(vessels(scene)), free=free)
 
 
 @pytest.mark.long

@@ -22,7 +22,7 @@ def test_calibration_finds_the_pulp_that_the_scene_does_not_state(creep: float, 
     # The distal pulp, which recovers slowly, is felt by a distal touch alone.
     recording = made_sensor.record(made_sensor.cycle(1.5), "distal", seed=1, pulp=pulp)
     subject = parse_subject(calibrate_with(scene, made_sensor.table(), [recording]).attrs["subject"])
-    found, spread = subject.person().pulp, {name: one["stderr"] for name, one in subject.factors().items()}
+    found, spread = subject.person, {name: one["stderr"] for name, one in subject.factor_table().items()}
     # A factor on what is usual reaches no further down than an eighth.
     least = 1 / 8
     reached, usual = max(creep, least * USUAL_PULP.creep), USUAL_PULP
@@ -35,8 +35,8 @@ def test_calibration_finds_the_pulp_that_the_scene_does_not_state(creep: float, 
 
 def test_what_the_scene_states_of_the_pulp_is_kept() -> None:
     scene, subject = made_sensor.scene(), parse_subject(made_sensor.subject())
-    assert subject.person().pulp.creep == scene.touch.creep
-    assert subject.person().pulp.recovery_s == scene.touch.distal_relaxation_s
+    assert subject.person.creep == scene.touch.creep
+    assert subject.person.recovery_s == scene.touch.distal_relaxation_s
 
 
 @pytest.mark.parametrize("value", ["[]", "[1.0, 2.0]"])

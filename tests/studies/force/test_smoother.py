@@ -34,7 +34,7 @@ def test_the_future_makes_force_better_and_intervals_stay_true(subject: Subject,
     course = touch_course(person.touch)
     force_n = value_at(course.time_s, course.force_n, time_s)
     touch = Recording(
-        "made", subject.table.names, time_s, np.zeros((8, time_s.size)), force_n, np.full(time_s.shape, SITES[side])
+        "made", subject.light.names, time_s, np.zeros((8, time_s.size)), force_n, np.full(time_s.shape, SITES[side])
     )
     off, covered = {}, {}
     for smooth in (False, True):
