@@ -294,9 +294,7 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
         ("digest", plan.scenes, "digest of the scene"),
     ):
         joined[label] = _SCENE, list(texts), {"long_name": text}
-    dataset = xr.Dataset(
-        coords={name: one for name, one in joined.coords.items() if name != _SCENE} | _coordinates(plan)
-    )
+    dataset = xr.Dataset(coords=_coordinates(plan) | {n: one for n, one in joined.coords.items() if n != _SCENE})
     for name, one in joined.data_vars.items():
         values = one.transpose(_SCENE, ...).values.reshape(*dims.values(), *one.isel({_SCENE: 0}).shape)
         dataset[name] = (*dims, *one.isel({_SCENE: 0}).dims), values, one.attrs

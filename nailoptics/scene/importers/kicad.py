@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ...errors import InputError
 from ...io import write_text
 from ..base import Point, Polygon
@@ -168,16 +170,10 @@ def _arc_through(start: Point, middle: Point, end: Point) -> Polygon:
 
 
 def _bezier(handles: Sequence[Point]) -> Polygon:
-    a, b, c, d = handles
-    shares = [i / (CURVE_POINTS - 1) for i in range(CURVE_POINTS)]
-    weights = [((1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t * t * (1 - t), t**3) for t in shares]
-    return tuple(
-        (
-            sum(w * p[0] for w, p in zip(row, (a, b, c, d), strict=True)),
-            sum(w * p[1] for w, p in zip(row, (a, b, c, d), strict=True)),
-        )
-        for row in weights
-    )
+    a, b, c, d = np.array(handles)
+    t = np.linspace(0.0, 1.0, CURVE_POINTS)[:, None]
+    points = (1 - t) ** 3 * a + 3 * t * (1 - t) ** 2 * b + 3 * t * t * (1 - t) * c + t**3 * d
+    return tuple((x, y) for x, y in points.tolist())
 
 
 def write_board(path: Path, parts: Sequence[PlacedPart], sizes_mm: Sequence[Point], outline: Outline) -> None:
