@@ -38,7 +38,7 @@ def nail_picture(folder: Path, readings: xr.Dataset, path: Path) -> None:
         axes = right.subplots()
         draw_change(axes, readings, parse_scene(str(readings.attrs["scene"])), led=0)
         axes.set_title("Photodiode readings during the press")
-        style.write_figure(figure, path, dpi=110, facecolor="white")
+        style.write_figure(figure, path, dpi=110)
 
 
 if __name__ == "__main__":

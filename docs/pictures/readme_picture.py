@@ -28,7 +28,7 @@ def readme_picture(result: xr.Dataset, path: Path) -> None:
         axes["board"].set_title("The board on the nail")
         axes["section"].set_title("Light in the finger, lengthwise section")
         axes["change"].set_title("Photodiode readings during the press")
-        style.write_figure(figure, path, dpi=110, facecolor="white")
+        style.write_figure(figure, path, dpi=110)
 
 
 if __name__ == "__main__":

@@ -73,7 +73,7 @@ def draw(path: Path) -> None:
             xlabel="traced minus reference [% of reference], 95 % interval", title="Slabs: validation of traced light"
         )
         axes.invert_yaxis()
-        style.write_figure(figure, path, dpi=110, facecolor="white")
+        style.write_figure(figure, path, dpi=110)
 
 
 if __name__ == "__main__":

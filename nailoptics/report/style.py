@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..io import write_bytes
+from ..statistics import Z95
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -116,6 +117,35 @@ def longest_in(words: Iterable[object], *, size_pt: float = 8.5) -> float:
     return max((len(str(one)) for one in words), default=0) * 0.6 * size_pt / 72
 
 
+def estimate(
+    axes: "Axes",
+    x: Any,
+    value: Any,
+    stderr: Any,
+    *,
+    color: Any,
+    label: str | None = None,
+    alpha: float = 0.2,
+    **look: Any,
+) -> None:
+    """A line with the band of its 95 % interval."""
+    value, half = np.asarray(value), Z95 * np.asarray(stderr)
+    axes.fill_between(x, value - half, value + half, color=color, alpha=alpha, linewidth=0)
+    axes.plot(x, value, color=color, label=label, **look)
+
+
+def tiles(
+    count: int, columns: int, width_in: float, row_in: float, *, extra_in: float = 0.0, **how: Any
+) -> "tuple[Figure, list[Axes]]":
+    """A figure of so many panels in rows, and the panels; places that are left over stay empty."""
+    columns = min(count, columns)
+    rows = -(-count // columns)
+    figure, grid = panels(width_in, row_in * rows + extra_in, rows, columns, squeeze=False, **how)
+    for axes in grid.flat[count:]:
+        axes.set_axis_off()
+    return figure, list(grid.flat[:count])
+
+
 def legend_above(figure: "Figure", axes: "Axes", *, ncols: int, **look: Any) -> None:
     """One legend above all panels of a figure, for the lines in one of them."""
     handles, labels = axes.get_legend_handles_labels()
@@ -175,10 +205,10 @@ def spread(places: Sequence[float], gap: float) -> list[float]:
     return result
 
 
-def write_figure(figure: "Figure", path: Path, *, dpi: int = 120, facecolor: str = "white") -> None:
+def write_figure(figure: "Figure", path: Path, *, dpi: int = 140) -> None:
     """Write a figure, whole or not at all; the suffix of path says which kind (.png, .svg). Raises: WriteError."""
     data = BytesIO()
-    figure.savefig(data, format=path.suffix[1:] or None, dpi=dpi, facecolor=facecolor)
+    figure.savefig(data, format=path.suffix[1:] or None, dpi=dpi, facecolor="white")
     write_bytes(path, data.getbuffer())
 
 

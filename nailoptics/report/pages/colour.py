@@ -32,8 +32,7 @@ def page(result: xr.Dataset, photographs: list[bytes], press: bytes | None) -> s
     photographs : the finger at rest and pressed, as PNG; press : the animation, as GIF.
     """
     most = float(result.force_n.max())
-    middle = result.sizes["place"] // 2
-    lab = result.lab.values[middle, 0]
+    lab = result.lab.values[result.sizes["place"] // 2, 0]
     band = result.white_band_mm.values[-1], result.white_band_mm_stderr.values[-1]
     cards = [
         (" / ".join(significant(value, 3) for value in lab), "L*, a*, b* in the middle of the nail at rest"),
@@ -45,29 +44,25 @@ def page(result: xr.Dataset, photographs: list[bytes], press: bytes | None) -> s
         cards.append((f"{significant(refill, 2)} s", f"after {most:g} N until no eye sees a difference to rest"))
     rows = []
     for p, v_mm in enumerate(result.v_mm.values):
+        here = result.isel(place=p)
         place = "skin" if p in (0, result.sizes["place"] - 1) else "nail"
-        cells = [with_error(float(result.lab[p, 0, k]), float(result.lab_stderr[p, 0, k])) for k in range(3)]
-        change = with_error(float(result.delta_e_2000[p, -1]), float(result.delta_e_2000_stderr[p, -1]))
-        rows.append([f"{v_mm:+.1f} mm, {place}", *cells, change])
-    shown = figure(
-        strip_figure(result, width_mm=_nail_width_mm(result)), "strip", "The nail under each force, each held."
-    )
+        lab = [with_error(*pair) for pair in zip(here.lab.values[0], here.lab_stderr.values[0], strict=True)]
+        change = with_error(float(here.delta_e_2000[-1]), float(here.delta_e_2000_stderr[-1]))
+        rows.append([f"{v_mm:+.1f} mm, {place}", *lab, change])
+    strip = strip_figure(result, width_mm=_nail_width_mm(result))
     photos = "".join(
         _image(data, "png", words) for data, words in zip(photographs, ("At rest.", f"{most:g} N."), strict=False)
     )
-    moving = _image(press, "gif", f"A press of {most:g} N and its release.") if press else ""
+    press_parts = []
+    if "press_lab" in result:
+        press_parts = [figure(_press_figure(result), "press", "Redness over a press; the touch acts at once.")]
+        press_parts += [_image(press, "gif", f"A press of {most:g} N and its release.")] if press else []
     body = [
-        section("The nail under force", shown),
+        section("The nail under force", figure(strip, "strip", "The nail under each force, each held.")),
         section("As a photograph", f"<div class='scroll'>{photos}</div>", small(escaped(A_PICTURE))) if photos else "",
         section("Along the nail", figure(_along_figure(result), "along", "Colour along the nail; bands: 95 %.")),
         section("Over force", figure(_over_force_figure(result), "force", "What an eye sees; bars: 95 %.")),
-        section(
-            "A press",
-            figure(_press_figure(result), "press", "Redness over a press; the touch acts at once."),
-            moving,
-        )
-        if "press_lab" in result
-        else "",
+        section("A press", *press_parts) if press_parts else "",
         _beat(result),
         _unknowns(result),
         section(
@@ -227,7 +222,7 @@ def draw_fig2(scene: Scene, directory: Path, *, name: str) -> Path:
     quick = scene.model_copy(update=update)
     path = directory / f"hemodynamics_{name}_fig2.png"
     drawn = strip_figure(colour(quick, photons=FIG2_PHOTONS), width_mm=scene.finger.nail_width_mm)
-    style.write_figure(drawn, path, dpi=140, facecolor="white")
+    style.write_figure(drawn, path)
     return path
 
 
@@ -238,17 +233,12 @@ def _along_figure(result: xr.Dataset) -> "Figure":
 
     figure, axes = style.panels(7.2, 5.6, 3, sharex=True)
     forces = result.force_n.values
-    for s, force in enumerate(forces):
-        colour = colormaps["viridis"](0.9 * s / max(len(forces) - 1, 1))
-        for k, panel in enumerate(axes):
-            value, error = result.lab.values[:, s, k], Z95 * result.lab_stderr.values[:, s, k]
-            panel.plot(result.v_mm, value, color=colour, label=f"{force:g} N")
-            panel.fill_between(result.v_mm, value - error, value + error, color=colour, alpha=0.15, linewidth=0)
-    for k, (panel, words) in enumerate(
-        zip(axes, ("lightness L* [1]", "redness a* [1]", "yellowness b* [1]"), strict=True)
-    ):
+    for k, (panel, words) in enumerate(zip(axes, ("lightness L*", "redness a*", "yellowness b*"), strict=True)):
+        for s, force in enumerate(forces):
+            colour, one = colormaps["viridis"](0.9 * s / max(len(forces) - 1, 1)), result.isel(state=s, band=k)
+            style.estimate(panel, one.v_mm, one.lab, one.lab_stderr, color=colour, label=f"{force:g} N", alpha=0.15)
         panel.plot(result.v_mm, result.lab_without_blood.values[:, k], ":", color=style.MUTED, label="no blood")
-        panel.set_title(words)
+        panel.set_title(f"{words} [1]")
     axes[-1].set_xlabel("place along the nail, towards the tip [mm]; the outermost two are skin")
     style.legend_above(figure, axes[0], ncols=len(forces) + 1)
     return figure
@@ -257,18 +247,15 @@ def _along_figure(result: xr.Dataset) -> "Figure":
 @style.drawing()
 def _over_force_figure(result: xr.Dataset) -> "Figure":
     """Difference to rest and the white band, over force."""
-
     figure, (change, band) = style.panels(7.2, 2.8, 1, 2)
     nail = range(*_nail(result).indices(result.sizes["place"]))
     for p, colour in zip(nail, style.place_colours(len(nail)), strict=True):
         error = Z95 * result.delta_e_2000_stderr[p]
         change.errorbar(result.force_n, result.delta_e_2000[p], error, color=colour, linewidth=1.0)
-    change.set_title("Difference to rest, CIEDE2000")
     error = Z95 * result.white_band_mm_stderr
     band.errorbar(result.force_n, result.white_band_mm, error, color=style.INK, marker="o", markersize=3)
-    band.set_title("White band [mm]")
-    change.set_xlabel("force [N]; warm: proximal, cool: distal")
-    band.set_xlabel("force [N]")
+    change.set(title="Difference to rest, CIEDE2000", xlabel="force [N]; warm: proximal, cool: distal")
+    band.set(title="White band [mm]", xlabel="force [N]")
     return figure
 
 
@@ -337,38 +324,28 @@ def animation(result: xr.Dataset, *, width_mm: float) -> bytes:
 
 def summary(result: xr.Dataset) -> dict[str, Any]:
     """Colours by force and place, with the largest standard errors, refill and spread over priors."""
-    states = []
-    for s, force_n in enumerate(result.force_n.values):
+    names, states = ("v_mm", "lab", "lab_stderr", "srgb", "delta_e_2000", "delta_e_2000_stderr"), []
+    for s, force_n in enumerate(result.force_n.values.tolist()):
         one = result.isel(state=s)
-        places = [
-            {
-                "v_mm": float(one.v_mm[p]),
-                "lab": one.lab.values[p].tolist(),
-                "lab_stderr": one.lab_stderr.values[p].tolist(),
-                "srgb": one.srgb.values[p].tolist(),
-                "delta_e_2000": float(one.delta_e_2000[p]),
-                "delta_e_2000_stderr": float(one.delta_e_2000_stderr[p]),
-            }
-            for p in range(result.sizes["place"])
-        ]
+        columns = [one[name].values.tolist() for name in names]
+        places = [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
         band = {"white_band_mm": float(one.white_band_mm), "white_band_stderr_mm": float(one.white_band_mm_stderr)}
-        states.append({"force_n": float(force_n), "places": places, **band})
+        states.append({"force_n": force_n, "places": places, **band})
     found: dict[str, Any] = {
-        "illuminant": result.attrs["illuminant"],
-        "observer": result.attrs["observer"],
+        **{name: result.attrs[name] for name in ("illuminant", "observer")},
         "states": states,
         "lab_stderr": result.lab_stderr.max(("place", "state")).values.tolist(),
         "colour_stderr": float(result.colour_stderr.max()),
         "change_stderr": float(result.delta_e_2000_stderr.max()),
+        "refill_s": None,
+        "refill_stderr_s": None,
     }
-    found["refill_s"] = found["refill_stderr_s"] = None
     if "refill_s" in result and not np.isnan(result.refill_s).all():
         slowest = result.isel(place=int(np.nanargmax(result.refill_s)))
         found |= {"refill_s": float(slowest.refill_s), "refill_stderr_s": float(slowest.refill_s_stderr)}
     if "beat_delta_e_2000" in result:
         moved = result.isel(place=int(np.argmax(result.beat_delta_e_2000.values)))
-        found["beat_delta_e_2000"] = float(moved.beat_delta_e_2000)
-        found["beat_delta_e_2000_stderr"] = float(moved.beat_delta_e_2000_stderr)
+        found |= {name: float(moved[name]) for name in ("beat_delta_e_2000", "beat_delta_e_2000_stderr")}
     if "lab_spread" in result:
         spread = result.lab_spread.transpose("site", "band").values.tolist()
         found["lab_spread"] = dict(zip(result.site.values.tolist(), spread, strict=True))

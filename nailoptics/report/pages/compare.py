@@ -139,6 +139,8 @@ WAY_TITLES = {
 }
 FORMULAS = {"taylor": "Taylor (9)", "beer_lambert": "Beer–Lambert (8)"}
 _FLOOR, _CEILING = 0.01, 150.0
+# Panels side by side.
+COLUMNS = 4
 
 
 def _display_scale(sweep: str) -> float:
@@ -270,10 +272,7 @@ def _limits_of_taylor(axes: "Axes", fails: xr.Dataset, y: float, *, labelled: bo
 @style.drawing()
 def _changes_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     """Every photodiode's traced change over a sweep beside the models, in percent of its reading at the start."""
-    places = _photodiode_order(result)
-    columns = min(4, len(places))
-    rows = -(-len(places) // columns)
-    one = result.sel(sweep=sweep).isel(led=led)
+    places, one = _photodiode_order(result), result.sel(sweep=sweep).isel(led=led)
     x = one.setting.values * _display_scale(sweep)
     models = (
         ("predicted", "beer_lambert", style.MUTED, (0, (1, 1.5)), "Beer–Lambert (8), no fit, own zone"),
@@ -281,60 +280,54 @@ def _changes_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
         ("fitted", "taylor", style.INK, (0, (4, 2)), "Taylor (9), fitted"),
     )
     room = style.Room(left=0.65, top=0.6, across=0.45, down=0.3)
-    figure, grid = style.panels(9.6, 0.6 + 2.0 * rows, rows, columns, room_in=room, sharex=True, squeeze=False)
-    for axes, j, colour in zip(grid.flat, places, style.place_colours(len(places)), strict=False):
+    figure, panels = style.tiles(len(places), COLUMNS, 9.6, 2.0, extra_in=0.6, room_in=room, sharex=True)
+    for k, (axes, j, colour) in enumerate(zip(panels, places, style.place_colours(len(places)), strict=True)):
         traced = one.reading.values[j]
         axes.plot(x, 100 * (traced / traced[0] - 1), color=colour, lw=3, alpha=0.8, label="traced")
         for way, model, ink, dashes, label in models:
             values = one.sel(way=way, model=model).model_reading.values[j]
             axes.plot(x, 100 * (values / traced[0] - 1), color=ink, ls=dashes, lw=1.2, label=label)
         axes.set(title=style.plain(result.photodiode.values[j]), xlim=(x[0], x[-1]))
+        axes.set(
+            xlabel=X_LABELS[sweep] if k + COLUMNS >= len(places) else "", ylabel="" if k % COLUMNS else "change [%]"
+        )
         style.remark(axes, f"swing {significant(100 * float(one.swing[j] / traced[0]), 2)} %")
-    for axes in grid.flat[len(places) :]:
-        axes.set_visible(False)
-    for axes in grid[-1]:
-        axes.set_xlabel(X_LABELS[sweep])
-    for axes in grid[:, 0]:
-        axes.set_ylabel("change [%]")
-    style.legend_above(figure, grid[0, 0], ncols=4)
+    style.legend_above(figure, panels[0], ncols=4)
     return figure
+
+
+_DIMS = ("sweep", "led", "photodiode")
+_ALPHA_D2 = ("alpha_d2", "bed_alpha_d2")
 
 
 def summary(result: xr.Dataset) -> dict[str, Any]:
     """A comparison: readings by sweep, LED and photodiode, and the paper's claim."""
-    places = np.ndindex(*(result.sizes[name] for name in _COMPARISON_DIMS))
-    rows = [_comparison_row(result.isel(dict(zip(_COMPARISON_DIMS, at, strict=True)))) for at in places]
-    kept = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest")
+    places = np.ndindex(*(result.sizes[name] for name in _DIMS))
+    rows = [_row(result.isel(dict(zip(_DIMS, at, strict=True)))) for at in places]
+    names = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest")
     found = {"comparisons": rows, "claim": paper_claim(result), "cut_off": result.attrs.get("cut_off")}
     found |= {"reused": bool(result.attrs.get("reused", 0))}
-    return found | {name: result.attrs[name] for name in kept}
+    return found | {name: result.attrs[name] for name in names}
 
 
-_COMPARISON_DIMS = ("sweep", "led", "photodiode")
-
-
-_ALPHA_D2 = ("alpha_d2", "bed_alpha_d2")
-
-
-def _comparison_row(one: xr.Dataset) -> dict[str, Any]:
+def _row(one: xr.Dataset) -> dict[str, Any]:
     """One photodiode under one LED over one sweep."""
-    row: dict[str, Any] = {name: str(one[name].values) for name in _COMPARISON_DIMS}
+    row: dict[str, Any] = {name: str(one[name].values) for name in _DIMS}
     row |= {"swing_of_reading": float(one.swing / one.reading[0]), "path_mm": _with_stderr(one, "path_mm")}
     for name in _ALPHA_D2:
         row |= {f"{name}_{end}": _with_stderr(one.isel(point=at), name) for end, at in (("start", 0), ("end", -1))}
-    for way in (str(w) for w in one.way.values):
-        for model in (str(m) for m in one.model.values):
-            here = one.sel(way=way, model=model)
-            error = _with_stderr(here.isel(point=-1), "range_error")
-            limits = {f"{within:g}": _comparison_limit(here.sel(within=within)) for within in one.within.values}
-            row[f"{model}_{way}"] = {"error_of_swing": error, "holds_to": limits}
+    for way, model in product(map(str, one.way.values), map(str, one.model.values)):
+        here = one.sel(way=way, model=model)
+        limits = {f"{within:g}": _limit(here.sel(within=within)) for within in one.within.values}
+        row[f"{model}_{way}"] = {"error_of_swing": _with_stderr(here.isel(point=-1), "range_error"), "holds_to": limits}
+    for way in map(str, one.way.values):
         worst = int(np.abs(one.error.sel(way=way, model="taylor").values).argmax())
         parts = one.sel(way=way).isel(point=worst)
         row[f"parts_{way}"] = {str(p): _with_stderr(parts.sel(part=p), "part_error") for p in one.part.values}
     return row
 
 
-def _comparison_limit(here: xr.Dataset) -> dict[str, Any]:
+def _limit(here: xr.Dataset) -> dict[str, Any]:
     """Up to where a model holds, in every measure."""
     limits: dict[str, Any] = {"ends_within_sweep": bool(here.limit_ends)}
     for name in ("setting", "blood_fraction", *_ALPHA_D2):
@@ -348,16 +341,15 @@ def paper_claim(result: xr.Dataset) -> dict[str, Any]:
     first = result.isel(sweep=0)
     found: dict[str, Any] = {"paper": 0.01, "sweep": str(result.sweep.values[0])}
     for name in _ALPHA_D2:
-        start, error = first[name].isel(point=0), first[f"{name}_stderr"].isel(point=0)
-        found[name] = {
-            "at_start": {"least": float(start.min()), "largest": float(start.max()), "stderr": float(error.max())},
-            "over_sweep": {"least": float(first[name].min()), "largest": float(first[name].max())},
-        }
+        ends = {}
+        for key, values in (("at_start", first[name].isel(point=0)), ("over_sweep", first[name])):
+            ends[key] = {"least": float(values.min()), "largest": float(values.max())}
+        ends["at_start"]["stderr"] = float(first[f"{name}_stderr"].isel(point=0).max())
+        found[name] = ends
     return found
 
 
 def _with_stderr(one: xr.Dataset, name: str) -> dict[str, float]:
-    """A value and its standard error."""
     return {"value": float(one[name]), "stderr": float(one[f"{name}_stderr"])}
 
 

@@ -23,6 +23,17 @@ FORCE = (
     "Force estimated from the readings, with its 95 % interval. Where the vessels are closed, readings do not depend "
     "on the force: the interval has no upper bound, which the bar at the top shows."
 )
+COVERAGE = "coverage factor: width of intervals relative to nominal, from these recordings"
+FIT = "Each reading less its start: recorded (wide, coloured) and fitted (thin, dark), a column for each recording."
+RESIDUALS = (
+    "Residuals of each reading, coloured from proximal (warm) to distal (cool). Noise and heartbeat are expected in "
+    "them; residuals correlated with the touch are model error, by which intervals are widened."
+)
+KNOWN = (
+    "Known by the recording is a factor whose spread fell to less than 0.7 of what it was before; any other keeps its "
+    "prior, and its error is carried into intervals."
+)
+GAINS = "Gain and offset are over what the scene's own light and electronics would read."
 PROFILES = (
     "Profile likelihood: squared residuals beyond those of the best fit with one factor held and all others refitted "
     "(coloured), and their quadratic approximation (grey); the crossings with the line bound the 95 % interval."
@@ -40,18 +51,11 @@ def calibration_page(result: xr.Dataset) -> str:
     cards = [
         (f"{significant(1e3 * summary['rms_n'], 2)} mN", "rms error of the force on the calibration recordings"),
         (significant(summary["chi2_per_dof"], 2), "chi-squared per degree of freedom"),
-        (
-            f"× {significant(summary['widening'], 2)}",
-            "coverage factor: width of intervals relative to nominal, from these recordings",
-        ),
+        (f"× {significant(summary['widening'], 2)}", COVERAGE),
     ]
-    caption = (
-        "Each reading less its start: recorded (wide, coloured) and fitted (thin, dark), a column for each recording."
-    )
-    rest = (
-        "Residuals of each reading, coloured from proximal (warm) to distal (cool). Noise and heartbeat are expected "
-        "in them; residuals correlated with the touch are model error, by which intervals are widened."
-    )
+    fits = figure(_fit_figure(result), "fit", FIT), figure(_residual_figure(result), "left", RESIDUALS)
+    person = _factors_table(summary), *_profiles(result), small(KNOWN)
+    readings = _readings_table(result, summary), small(GAINS)
     return document(
         kicker="calibration",
         title="A person's sensor, calibrated",
@@ -60,25 +64,9 @@ def calibration_page(result: xr.Dataset) -> str:
         warnings=summary["warnings"],
         cards=cards,
         body=[
-            section(
-                "Recorded and fitted",
-                figure(_fit_figure(result), "fit", caption),
-                figure(_residual_figure(result), "left", rest),
-            ),
-            section(
-                "The person",
-                _factors_table(summary),
-                *_profiles(result),
-                small(
-                    "Known by the recording is a factor whose spread fell to less than 0.7 of what it was before; any "
-                    "other keeps its prior, and its error is carried into intervals."
-                ),
-            ),
-            section(
-                "The readings",
-                _readings_table(result, summary),
-                small("Gain and offset are over what the scene's own light and electronics would read."),
-            ),
+            section("Recorded and fitted", *fits),
+            section("The person", *person),
+            section("The readings", *readings),
         ],
         attributes=result.attrs,
     )
@@ -188,25 +176,28 @@ def _thinned(count: int) -> slice:
     return slice(None, None, max(1, count // POINTS))
 
 
+def _recordings(result: xr.Dataset) -> list[xr.Dataset]:
+    """The samples of each recording, thinned for a figure."""
+    which = result.recording.values
+    parts = [result.isel(sample=np.flatnonzero(which == one)) for one in np.unique(which)]
+    return [part.isel(sample=_thinned(part.sizes["sample"])) for part in parts]
+
+
 @style.drawing()
 def _fit_figure(result: xr.Dataset) -> "Figure":
     """Every reading over the calibration, recorded and fitted, less its start."""
-    readings = [str(name) for name in result.reading.values]
-    recordings = np.unique(result.recording.values)
-    figure, axes = style.panels(
-        7.2, 0.9 * len(readings) + 0.6, len(readings), len(recordings), sharex="col", squeeze=False
-    )
-    for column, which in enumerate(recordings):
-        part = result.isel(sample=np.flatnonzero(result.recording.values == which))
-        part = part.isel(sample=_thinned(part.sizes["sample"]))
-        for row, (name, colour) in enumerate(zip(readings, style.place_colours(len(readings)), strict=True)):
-            panel, recorded = axes[row, column], part.volts.values[row]
+    readings, parts = result.reading.values, _recordings(result)
+    size = 7.2, 0.9 * len(readings) + 0.6, len(readings), len(parts)
+    figure, axes = style.panels(*size, sharex="col", squeeze=False)
+    for part, column in zip(parts, axes.T, strict=True):
+        for row, (panel, colour) in enumerate(zip(column, style.place_colours(len(readings)), strict=True)):
+            recorded = part.volts.values[row]
             start = np.nanmedian(recorded[: max(3, len(recorded) // 50)])
             panel.plot(part.time_s, 1e3 * (recorded - start), color=colour, linewidth=3.0, alpha=0.55, label="recorded")
             fitted = 1e3 * (part.volts_fitted.values[row] - start)
             panel.plot(part.time_s, fitted, color=style.INK, linewidth=0.8, label="fitted")
-            style.remark(panel, style.plain(name))
-        axes[-1, column].set_xlabel("time [s]")
+            style.remark(panel, style.plain(readings[row]))
+        column[-1].set_xlabel("time [s]")
     axes[len(readings) // 2, 0].set_ylabel("change of the reading [mV]")
     return figure
 
@@ -214,12 +205,9 @@ def _fit_figure(result: xr.Dataset) -> "Figure":
 @style.drawing()
 def _residual_figure(result: xr.Dataset) -> "Figure":
     """What the fit leaves of every reading, all in one panel for each recording."""
-    recordings = np.unique(result.recording.values)
-    figure, axes = style.panels(7.2, 2.4, 1, len(recordings), sharey=True, squeeze=False)
-    colours = style.place_colours(result.sizes["reading"])
-    for panel, which in zip(axes[0], recordings, strict=True):
-        part = result.isel(sample=np.flatnonzero(result.recording.values == which))
-        part = part.isel(sample=_thinned(part.sizes["sample"]))
+    parts, colours = _recordings(result), style.place_colours(result.sizes["reading"])
+    figure, axes = style.panels(7.2, 2.4, 1, len(parts), sharey=True, squeeze=False)
+    for panel, part in zip(axes[0], parts, strict=True):
         for k, colour in enumerate(colours):
             panel.plot(part.time_s, 1e3 * (part.volts - part.volts_fitted).values[k], color=colour, linewidth=0.7)
         panel.set_xlabel("time [s]")
@@ -231,20 +219,16 @@ def _residual_figure(result: xr.Dataset) -> "Figure":
 def profiles_figure(result: xr.Dataset) -> "Figure":
     """Profile likelihoods of the factors in which the fit is not quadratic, a panel each."""
     names = list(result.attrs["bent_factors"])
-    columns = min(len(names), PROFILES_PER_ROW)
-    rows = -(-len(names) // columns)
-    figure, axes = style.panels(7.2, 1.9 * rows + 0.3, rows, columns, squeeze=False)
-    for panel, name in zip(axes.flat, names, strict=False):
+    figure, panels = style.tiles(len(names), PROFILES_PER_ROW, 7.2, 1.9, extra_in=0.3)
+    for panel, name in zip(panels, names, strict=True):
         one = result.sel(factor=name)
         panel.plot(one.profile_factor, one.profile_quadratic, color=style.MUTED, linewidth=1.0)
         panel.plot(one.profile_factor, one.profile_deviance, ".-", color=style.ZONES[1])
         panel.axhline(Z95**2, color=style.INK, linewidth=0.7)
-        panel.set_ylim(0.0, MOST_DEVIANCE)
-        panel.set_title(style.plain(name.replace("_", " ")))
-        panel.set_xlabel("factor on the scene's [1]")
-    for panel in axes.flat[len(names) :]:
-        panel.set_axis_off()
-    axes[0, 0].set_ylabel("squared residuals [1]")
+        panel.set(
+            ylim=(0.0, MOST_DEVIANCE), title=style.plain(name.replace("_", " ")), xlabel="factor on the scene's [1]"
+        )
+    panels[0].set_ylabel("squared residuals [1]")
     return figure
 
 
@@ -264,9 +248,7 @@ def force_figure(result: xr.Dataset) -> "Figure":
     if np.isfinite(known).any():
         axes.plot(part.time, known, color=style.INK, linewidth=1.1, label="measured")
         axes.plot(part.time, part.force_linear_n, color=style.MUTED, linewidth=0.7, label="linear regression")
-    axes.set_ylim(-0.02 * top, 1.03 * top)
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("force [N]")
+    axes.set(ylim=(-0.02 * top, 1.03 * top), xlabel="time [s]", ylabel="force [N]")
     style.legend_above(figure, axes, ncols=5)
     return figure
 
@@ -280,8 +262,7 @@ def _share_figure(result: xr.Dataset) -> "Figure":
     place.fill_between(part.time, low, high, color=style.ZONES[0], alpha=0.18, linewidth=0)
     identified = np.where(high - low < 0.9, part.proximal_share, np.nan)
     place.plot(part.time, identified, color=style.ZONES[0])
-    place.set_ylim(-0.05, 1.05)
-    place.set_title("Proximal share of the force [1]; blank where not identifiable")
+    place.set(ylim=(-0.05, 1.05), title="Proximal share of the force [1]; blank where not identifiable")
     body.plot(part.time, part.arterial_change_pa, color=style.VEIN)
     # A body that is still is no noise to look into.
     body.set_ylim(min(body.get_ylim()[0], -10.0), max(body.get_ylim()[1], 10.0))
@@ -289,9 +270,7 @@ def _share_figure(result: xr.Dataset) -> "Figure":
     fits.plot(part.time, part.surprise, color=style.MUTED, linewidth=0.6)
     outlier = part.outlier.values.astype(bool)
     fits.plot(part.time[outlier], part.surprise[outlier], ".", color=style.ZONES[0], markersize=3)
-    fits.set_yscale("log")
-    fits.set_title("Normalized innovation squared [1]; outliers are dots")
-    fits.set_xlabel("time [s]")
+    fits.set(yscale="log", title="Normalized innovation squared [1]; outliers are dots", xlabel="time [s]")
     return figure
 
 

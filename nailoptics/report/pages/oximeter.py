@@ -13,7 +13,7 @@ from ...studies.oximetry.recording import spo2_rows
 from .. import maps, style
 from ..files import Report
 from ..html import document, escaped, figure, section, small, table
-from ..numbers import polynomial, significant, with_error
+from ..numbers import aligned, polynomial, significant, with_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,6 +83,12 @@ _ERRORS = (
 )
 
 
+_CALIBRATION = (
+    "Lines are fitted from 70 to 100 %. The path ratio is the red light's mean path in the pulsatile blood over the "
+    "infrared's: R is in proportion to it."
+)
+
+
 def _board(result: xr.Dataset) -> list[str]:
     try:
         scene = parse_scene(str(result.attrs["scene"]))
@@ -93,43 +99,26 @@ def _board(result: xr.Dataset) -> list[str]:
 
 
 def _calibrations(result: xr.Dataset) -> str:
+    at = f"R({result.attrs['so2']:g})"
+    head = ["Photodiode", "Intercept", "Slope", "Residual [%]", "Quadratic", "Residual [%]", at, "Path ratio"]
     rows = []
     for name in result.photodiode.values:
         one = result.sel(photodiode=name)
-        pairs = zip(one.linear.values, one.linear_stderr.values, strict=True)
-        rows.append(
-            [
-                escaped(name),
-                *(with_error(float(value), float(error)) for value, error in pairs),
-                significant(float(one.linear_miss), 2),
-                polynomial(one.quadratic.values, "R"),
-                significant(float(one.quadratic_miss), 2),
-                with_error(float(one.ratio_at_rest), float(one.ratio_at_rest_stderr)),
-                with_error(float(one.path_ratio), float(one.path_ratio_stderr)),
-            ]
-        )
-    at = f"R({result.attrs['so2']:g})"
-    head = ["Photodiode", "Intercept", "Slope", "Residual [%]", "Quadratic", "Residual [%]", at, "Path ratio"]
-    return table(head, rows) + small(
-        "Lines are fitted from 70 to 100 %. The path ratio is the red light's mean path in the pulsatile blood over "
-        "the infrared's: R is in proportion to it."
-    )
+        line = [with_error(*pair) for pair in zip(one.linear.values, one.linear_stderr.values, strict=True)]
+        misses = [significant(float(one[key]), 2) for key in ("linear_miss", "quadratic_miss")]
+        ratios = [with_error(float(one[key]), float(one[f"{key}_stderr"])) for key in ("ratio_at_rest", "path_ratio")]
+        rows.append([escaped(name), *line, misses[0], polynomial(one.quadratic.values, "R"), misses[1], *ratios])
+    return table(head, rows) + small(_CALIBRATION)
 
 
 def _errors(result: xr.Dataset) -> str:
-    head = [
-        "Photodiode",
-        *(f"{escaped(cause)} [%]" for cause in result.cause.values),
-        "All, 8 s [%]",
-        "All, one beat [%]",
-    ]
+    causes = [f"{escaped(cause)} [%]" for cause in result.cause.values]
     rows = []
     for name in result.photodiode.values:
         one = result.sel(photodiode=name)
-        each = [significant(float(x), 2) for x in one.spo2_stderr_by_cause.values]
-        total = [significant(float(one[key]), 2) for key in ("spo2_stderr", "spo2_stderr_beat")]
-        rows.append([escaped(name), *each, *total])
-    return table(head, rows)
+        values = [*one.spo2_stderr_by_cause.values, one.spo2_stderr, one.spo2_stderr_beat]
+        rows.append([escaped(name), *(significant(float(value), 2) for value in values)])
+    return table(["Photodiode", *causes, "All, 8 s [%]", "All, one beat [%]"], rows)
 
 
 def _melanin(result: xr.Dataset) -> str:
@@ -153,19 +142,14 @@ def recording_page(result: xr.Dataset) -> str:
         ]
     if best["rate_per_min"] is not None:
         cards.append((significant(best["rate_per_min"], 3), "beats a minute"))
-    rows = [
-        [
-            escaped(name),
-            *(significant(one[key], 3) if one[key] is not None else "–" for key in ("spo2", "spo2_stderr", "ratio")),
-            *(
-                significant(100 * one["perfusion_index"][k], 2) if one["perfusion_index"][k] is not None else "–"
-                for k in ("red", "infrared")
-            ),
-            f"{one['still']} of {one['windows']}",
-        ]
-        for name, one in summary["readings"].items()
-    ]
+    rows = []
+    for name, one in summary["readings"].items():
+        values = [(one[key], 3) for key in ("spo2", "spo2_stderr", "ratio")]
+        values += [(part and 100 * part, 2) for part in one["perfusion_index"].values()]
+        cells = ["–" if value is None else significant(value, digits) for value, digits in values]
+        rows.append([escaped(name), *cells, f"{one['still']} of {one['windows']}"])
     head = ["Photodiode", "SpO2 [%]", "±", "R", "Perfusion, red [%]", "infrared [%]", "Still windows"]
+    caption = f"Photodiode {result.attrs['best']}. Windows with motion for more than half of the time are left out."
     moved = f"motion in {100 * best['motion']:.0f} % of the time"
     return document(
         kicker="pulse oximeter",
@@ -173,15 +157,7 @@ def recording_page(result: xr.Dataset) -> str:
         lead=f"{result.sizes['time']} windows of {result.attrs['window_s']:g} s; {moved}.",
         cards=cards,
         body=[
-            section(
-                "Over time",
-                figure(
-                    _over_time_figure(result),
-                    "time",
-                    f"Photodiode {result.attrs['best']}. Windows with motion for more than half of the time "
-                    "are left out.",
-                ),
-            ),
+            section("Over time", figure(_over_time_figure(result), "time", caption)),
             section("Photodiodes", table(head, rows)),
         ],
         attributes=result.attrs,
@@ -211,22 +187,15 @@ def _draw_pulse(panel: "Axes", result: xr.Dataset, photodiode: int) -> None:
     """Both LEDs' readings of one photodiode over a beat, into axes that are there."""
     for k, colour in enumerate((RED, INFRARED)):
         change, error = (1e3 * result[key].values[k, photodiode] for key in ("volts_pulse", "volts_pulse_stderr"))
-        low, high = change - Z95 * error, change + Z95 * error
-        panel.fill_between(result.beat_time, low, high, color=colour, alpha=0.2, linewidth=0)
-        panel.plot(result.beat_time, change, color=colour, label=style.plain(result.led.values[k]))
+        style.estimate(panel, result.beat_time, change, error, color=colour, label=style.plain(result.led.values[k]))
     panel.set_xlabel("time [s]")
 
 
 @style.drawing()
-def _calibration_figure(result: xr.Dataset) -> "Figure":
+def _calibration_figure(result: xr.Dataset, axes: "Axes | None" = None) -> "Figure":
     """SpO2 over R of every photodiode with its interval, the textbook's line and that measured on fingers."""
-    figure, axes = style.panels(7.2, 4.2)
-    _draw_calibration(axes, result)
-    return figure
-
-
-def _draw_calibration(axes: "Axes", result: xr.Dataset) -> None:
-    """The same into axes that are there."""
+    axes = axes or style.panels(7.2, 4.2)[1]
+    assert axes is not None
     percent = 100 * result.so2.values
     for name, colour in zip(result.photodiode.values, style.place_colours(result.sizes["photodiode"]), strict=True):
         one = result.sel(photodiode=name)
@@ -237,10 +206,9 @@ def _draw_calibration(axes: "Axes", result: xr.Dataset) -> None:
     for (a, b), label, dashes in ((TEXTBOOK, "textbook", (4, 3)), (MEASURED, "measured on fingers", (1, 2))):
         text = f"{label}: {a:g} − {-b:g} R"
         axes.plot(ratio, a + b * ratio, color=style.INK, linewidth=1.1, linestyle=(0, dashes), label=text)
-    axes.set_ylim(48, 102)
-    axes.set_xlabel("ratio of ratios R [1]")
-    axes.set_ylabel("arterial saturation [%]")
+    axes.set(ylim=(48, 102), xlabel="ratio of ratios R [1]", ylabel="arterial saturation [%]")
     axes.legend(loc="upper right")
+    return axes.figure  # type: ignore[return-value]
 
 
 @style.drawing()
@@ -249,40 +217,32 @@ def overview_figure(result: xr.Dataset) -> "Figure":
     figure, (beat, curve, force) = style.panels(12.0, 4.0, 1, 3, width_ratios=[1, 1.4, 1])
     best = [str(name) for name in result.photodiode.values].index(result.attrs["best"])
     _draw_pulse(beat, result, best)
-    beat.set_title("A beat on the best photodiode")
-    beat.set_ylabel("change over a beat [mV]")
+    beat.set(title="A beat on the best photodiode", ylabel="change over a beat [mV]")
     beat.legend()
-    _draw_calibration(curve, result)
+    _calibration_figure(result, curve)
     curve.set_title("Saturation from the ratio of ratios")
     _disturbance(force, result, "touch_force_n", style.place_colours(result.sizes["photodiode"]))
-    force.set_title("Effect of a touch")
-    force.set_ylabel("bias of SpO2 [%]")
+    force.set(title="Effect of a touch", ylabel="bias of SpO2 [%]")
     return figure
 
 
 @style.drawing()
 def _disturbances_figure(result: xr.Dataset) -> "Figure":
     """What is shown less what is true over everything that disturbs, a panel for each."""
-    names = [str(name) for name in result.attrs["disturbances"]]
-    rows = -(-len(names) // COLUMNS)
-    figure, axes = style.panels(7.2, 2.1 * rows, rows, COLUMNS, squeeze=False)
-    colours = style.place_colours(result.sizes["photodiode"])
-    for panel, name in zip(axes.flat, names, strict=False):
+    names, colours = result.attrs["disturbances"], style.place_colours(result.sizes["photodiode"])
+    figure, panels = style.tiles(len(names), COLUMNS, 7.2, 2.1)
+    for k, (panel, name) in enumerate(zip(panels, names, strict=True)):
         _disturbance(panel, result, name, colours)
-    for panel in axes.flat[len(names) :]:
-        panel.set_axis_off()
-    for row in axes:
-        row[0].set_ylabel("bias of SpO2 [%]")
-    style.legend_above(figure, axes[0, 0], ncols=len(colours))
+        panel.set_ylabel("" if k % COLUMNS else "bias of SpO2 [%]")
+    style.legend_above(figure, panels[0], ncols=len(colours))
     return figure
 
 
 def _disturbance(panel: "Axes", result: xr.Dataset, name: str, colours: list[str]) -> None:
     for j, colour in enumerate(colours):
         off, error = (result[key].values[j] for key in (f"off_by_{name}", f"off_by_{name}_stderr"))
-        label = style.plain(result.photodiode.values[j])
-        panel.fill_between(result[name], off - Z95 * error, off + Z95 * error, color=colour, alpha=0.2, linewidth=0)
-        panel.plot(result[name], off, color=colour, marker=".", markersize=4, linewidth=1.2, label=label)
+        look: dict[str, Any] = {"color": colour, "marker": ".", "markersize": 4, "linewidth": 1.2}
+        style.estimate(panel, result[name], off, error, label=style.plain(result.photodiode.values[j]), **look)
     units = result[name].attrs["units"]
     panel.axhline(0.0, color=style.MUTED, linewidth=0.7)
     # Below this a curve is flat for every purpose.
@@ -303,54 +263,47 @@ def _over_time_figure(result: xr.Dataset) -> "Figure":
     oxygen.set_ylabel("SpO2 [%]")
     style.legend_above(figure, oxygen, ncols=2)
     rate.plot(one.time, one.rate_per_min, color=style.INK, marker=".")
-    rate.set_ylabel("pulse [1/min]")
+    rate.set(ylabel="pulse [1/min]")
     moved.fill_between(one.time, 0.0, 100 * one.motion, color=style.MUTED, alpha=0.5, step="mid", linewidth=0)
-    moved.set_ylim(0, 100)
-    moved.set_ylabel("moved [%]")
-    moved.set_xlabel("middle of the window [s]")
+    moved.set(ylim=(0, 100), ylabel="moved [%]", xlabel="middle of the window [s]")
     return figure
 
 
 def oximeter_summary(result: xr.Dataset) -> dict[str, Any]:
     """Calibration and errors of an oximeter; so2 in parts of 1, everything called SpO2 in percent."""
-    scene_so2, leds = float(result.attrs["so2"]), [str(name) for name in result.led.values]
+    leds, causes = list(map(str, result.led.values)), list(map(str, result.cause.values))
     readings = {}
-    for name in result.photodiode.values:
+    for name in map(str, result.photodiode.values):
         one = result.sel(photodiode=name)
-        terms, errors = one.linear.values.tolist(), one.linear_stderr.values.tolist()
-        readings[str(name)] = {
-            "so2": one.so2.values.tolist(),
-            "ratio": one.ratio.values.tolist(),
-            "ratio_stderr": one.ratio_stderr.values.tolist(),
-            "ratio_at_rest": {
-                "so2": scene_so2,
-                "value": float(one.ratio_at_rest),
-                "stderr": float(one.ratio_at_rest_stderr),
-            },
-            "fit": {"intercept": terms[0], "slope": terms[1], "intercept_stderr": errors[0], "slope_stderr": errors[1]}
-            | {"miss": float(one.linear_miss), "quadratic": one.quadratic.values.tolist()},
-            "perfusion_index": dict(zip(leds, one.perfusion_index.values.tolist(), strict=True)),
-            "perfusion_index_stderr": dict(zip(leds, one.perfusion_index_stderr.values.tolist(), strict=True)),
-            "path_ratio": float(one.path_ratio),
-            "path_ratio_stderr": float(one.path_ratio_stderr),
-            "spo2_stderr": float(one.spo2_stderr),
-            "spo2_stderr_beat": float(one.spo2_stderr_beat),
-            "spo2_stderr_by_cause": dict(
-                zip(map(str, one.cause.values), one.spo2_stderr_by_cause.values.tolist(), strict=True)
-            ),
-            "saturated": bool(one.saturated),
-            "melanin_bound": float(one.melanin_bound),
-            "disturbances": {
-                key: {
-                    "values": one[key].values.tolist(),
-                    "spo2_off": one[f"off_by_{key}"].values.tolist(),
-                    "stderr": one[f"off_by_{key}_stderr"].values.tolist(),
-                }
-                for key in result.attrs["disturbances"]
-            },
+        (intercept, slope), (intercept_stderr, slope_stderr) = (
+            one.linear.values.tolist(),
+            one.linear_stderr.values.tolist(),
+        )
+        row: dict[str, Any] = {key: one[key].values.tolist() for key in ("so2", "ratio", "ratio_stderr")}
+        rest = {"value": float(one.ratio_at_rest), "stderr": float(one.ratio_at_rest_stderr)}
+        row["ratio_at_rest"] = {"so2": float(result.attrs["so2"]), **rest}
+        row["fit"] = {"intercept": intercept, "slope": slope, "intercept_stderr": intercept_stderr}
+        row["fit"] |= {
+            "slope_stderr": slope_stderr,
+            "miss": float(one.linear_miss),
+            "quadratic": one.quadratic.values.tolist(),
         }
-    kept = ("best", "warnings", "photons", "engine", "backend", "cpu_seconds", "wall_seconds", "digest")
-    return {"readings": readings} | {name: result.attrs[name] for name in kept}
+        for key, labels in (
+            ("perfusion_index", leds),
+            ("perfusion_index_stderr", leds),
+            ("spo2_stderr_by_cause", causes),
+        ):
+            row[key] = dict(zip(labels, one[key].values.tolist(), strict=True))
+        for key in ("path_ratio", "path_ratio_stderr", "spo2_stderr", "spo2_stderr_beat", "melanin_bound"):
+            row[key] = float(one[key])
+        row["saturated"] = bool(one.saturated)
+        row["disturbances"] = {}
+        for key in result.attrs["disturbances"]:
+            columns = {"values": key, "spo2_off": f"off_by_{key}", "stderr": f"off_by_{key}_stderr"}
+            row["disturbances"][key] = {field: one[column].values.tolist() for field, column in columns.items()}
+        readings[name] = row
+    names = ("best", "warnings", "photons", "engine", "backend", "cpu_seconds", "wall_seconds", "digest")
+    return {"readings": readings} | {name: result.attrs[name] for name in names}
 
 
 def recording_summary(result: xr.Dataset) -> dict[str, Any]:
@@ -377,16 +330,12 @@ def recording_summary(result: xr.Dataset) -> dict[str, Any]:
 
 def oximeter_lines(summary: dict[str, Any]) -> list[str]:
     """An oximeter's calibration and its error, photodiode by photodiode."""
-    lines = [
-        f"{'photodiode':<14} {'SpO2 in percent':<20} {'R at rest':>9} {'+-':>7} {'path ratio':>10} {'error, 8 s':>10}"
-    ]
+    rows = [["photodiode", "SpO2 in percent", "R at rest", "+-", "path ratio", "error, 8 s"]]
     for name, one in summary["readings"].items():
         fit, rest = one["fit"], one["ratio_at_rest"]
-        line = f"{fit['intercept']:.1f} - {-fit['slope']:.1f} R"
-        lines.append(
-            f"{name:<14} {line:<20} {rest['value']:9.4f} {rest['stderr']:7.4f} {one['path_ratio']:10.3f} "
-            f"{one['spo2_stderr']:8.2f} %"
-        )
+        cells = [f"{fit['intercept']:.1f} - {-fit['slope']:.1f} R", f"{rest['value']:.4f}", f"{rest['stderr']:.4f}"]
+        rows.append([name, *cells, f"{one['path_ratio']:.3f}", f"{one['spo2_stderr']:.2f} %"])
+    lines = aligned(rows, left=(0, 1))
     best = summary["readings"][summary["best"]]
     index = ", ".join(f"{led} {100 * value:.3f} %" for led, value in best["perfusion_index"].items())
     lines.append(f"best photodiode: {summary['best']}; perfusion index {index}")

@@ -58,7 +58,7 @@ def draw(
         text = f"Fig. {number}: {title} (set “{name}”)"
         figure.suptitle(text, x=0.02, ha="left", fontsize=11, fontweight="bold")
         paths.append(Path(directory, f"hemodynamics_{name}_fig{number}.png"))
-        style.write_figure(figure, paths[-1], dpi=140, facecolor=style.PAPER)
+        style.write_figure(figure, paths[-1])
     return paths
 
 
@@ -167,7 +167,7 @@ def draw_haemoglobins(directory: Path) -> Path:
     """Draw the figure into a folder, which is made if it is not there, and return its path: haemoglobin_fig4.png."""
     make_folder(directory)
     path = directory / "haemoglobin_fig4.png"
-    style.write_figure(haemoglobins(), path, dpi=140, facecolor=style.PAPER)
+    style.write_figure(haemoglobins(), path)
     return path
 
 

@@ -66,17 +66,14 @@ def lines(summary: dict[str, Any]) -> list[str]:
     ranking = summary["ranking"]
     if "share" not in summary["rank_by"]:
         del columns["share [%]"]
-    shown = {
-        head: one for head, one in columns.items() if any(math.isfinite(row.get(one[0], math.nan)) for row in ranking)
-    }
+    shown = {head: one for head, one in columns.items() if any(_known(row, one[0]) for row in ranking)}
     by = ["electronics_rank"] if "electronics_rank" in ranking[0] else []
     table = [["rank", "layout", *shown, *("rank by electronics" for _ in by), ""]]
     for row in ranking:
-        cells = [
-            f"{s * row.get(n, math.nan):.3f} +- {s * row.get(f'{n}_stderr', math.nan):.3f}" for n, s in shown.values()
-        ]
-        cells += [str(row[name]) for name in by]
-        table.append([str(row["rank"]), row["layout"], *cells, "tied" if row["tied"] else ""])
+        pairs = [(_known(row, n), s * row.get(n, 0), s * row.get(f"{n}_stderr", 0)) for n, s in shown.values()]
+        cells = [f"{value:.3f} +- {error:.3f}" if known else "-" for known, value, error in pairs]
+        tied = "tied" if row["tied"] else ""
+        table.append([str(row["rank"]), row["layout"], *cells, *(str(row[name]) for name in by), tied])
     out = aligned(table, left=(1,))
     if better := summary["gain_over_paper"]:
         tied = sum(row["tied"] for row in ranking)
@@ -85,6 +82,10 @@ def lines(summary: dict[str, Any]) -> list[str]:
         out.append(f"force resolution better than the paper's layout: {times}{beside}")
     out += filter(None, [rough_words(ranking)])
     return [*out, *summary.get("conclusions", [])]
+
+
+def _known(row: dict[str, Any], name: str) -> bool:
+    return math.isfinite(row.get(name, math.nan))
 
 
 PLACEMENT = Report(
