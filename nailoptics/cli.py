@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
-from . import __version__
+from . import __version__, terminal
 from .commit import commit
 from .errors import (
     InputError,
@@ -26,18 +26,7 @@ from .errors import (
 from .interrupts import counted
 from .io import check_writable, leave_dask_out, make_folder, write_text
 from .options import TraceOptions
-from .terminal import (
-    batch_progress,
-    collected_warnings,
-    escaped,
-    interruptible,
-    plain_messages,
-    print_json,
-    say,
-    silence_stdout,
-    text_lines,
-    trace_progress,
-)
+from .terminal import say
 
 if TYPE_CHECKING:
     from .report.files import Report
@@ -61,7 +50,9 @@ app = App(
 )
 
 ScenePath = Annotated[str, Parameter(help="A scene file (TOML), or the name of a shipped one such as prototype.")]
-Output = Parameter(name=["--output", "-o"])
+_Output = Parameter(name=["--output", "-o"])
+Output = Annotated[Path, _Output]
+File = Annotated[Path | None, _Output]
 Flag = Annotated[bool, Parameter(negative="")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print one JSON object on stdout, nothing else.")]
 
@@ -79,7 +70,7 @@ class Traced(TraceOptions):
 class Study(Traced):
     """Options of every command that leaves its results in a folder."""
 
-    output: Annotated[Path | None, Output] = None
+    output: File = None
     """Folder for the results; results/SCENE if not given."""
 
 
@@ -99,20 +90,20 @@ def main() -> None:
 
 def run(arguments: list[str]) -> int:
     """Run one command and return its exit code; errors are one line on stderr."""
-    with plain_messages(), counted() as interrupts:
+    with terminal.plain_messages(), counted() as interrupts:
         try:
             app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
             if sys.stdout:
                 sys.stdout.flush()
             return 0
         except BrokenPipeError:
-            silence_stdout()
+            terminal.silence_stdout()
             return 0
         except (KeyboardInterrupt, Exception) as error:
             if isinstance(error, CycloptsError):
                 error = InputError(f"{error} (nailoptics --help lists commands and options)")
             elif isinstance(error, OSError):
-                silence_stdout()
+                terminal.silence_stdout()
             line, code = exit_message(error, interrupted=bool(interrupts))
         say(line)
         return code
@@ -142,7 +133,7 @@ def simulate(scene: ScenePath, *, recording: Path | None = None, options: Study 
 
 
 @app.command
-def trace(scene: ScenePath, *, output: Annotated[Path | None, Output] = None, options: Traced = TRACED) -> None:
+def trace(scene: ScenePath, *, output: File = None, options: Traced = TRACED) -> None:
     """Trace the light only: readings at the scene's rest state, and with -o the transfer for any other.
 
     Args:
@@ -161,6 +152,7 @@ def trace(scene: ScenePath, *, output: Annotated[Path | None, Output] = None, op
     _finish(rest.as_dict(), rest_lines(rest), {}, options.json, unmet, output)
 
 
+@Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class View:
     """How the colour of a nail is seen, in place of what the scene's [colour] says."""
@@ -181,14 +173,11 @@ class View:
     """Standard error of every change by force (CIEDE2000)."""
 
 
+VIEW = View()
+
+
 @app.command
-def colour(
-    scene: ScenePath,
-    *,
-    view: Annotated[View, Parameter(name="*")] = View(),  # noqa: B008
-    photograph: bool | None = None,
-    options: Study = STUDY,
-) -> None:
+def colour(scene: ScenePath, *, view: View = VIEW, photograph: bool | None = None, options: Study = STUDY) -> None:
     """Trace the colour of the bare nail and the skin around it under force, as in the paper's Fig. 2.
 
     Defaults are those of the scene's [colour]. Writes colour.nc, colour.html, the strip of nails, photographs at rest
@@ -217,7 +206,7 @@ def _photographs(scene: "Scene", result: Any, options: TraceOptions) -> list[Any
     from .studies.colour.views import photographs
 
     pictures: list[Any] = []
-    with interruptible() as check:
+    with terminal.interruptible() as check:
         for state in dict.fromkeys((0, -1 % result.sizes["state"])) if result.sizes["tile"] > 0 else ():
             check()
             pictures += photographs(scene, result, states=[state], backend=options.backend)
@@ -289,12 +278,7 @@ def place(scene: ScenePath, *, negate_x_on_bottom: Flag = False, options: Study 
 
 
 @app.command
-def explore(
-    scene: ScenePath,
-    *,
-    output: Annotated[Path, Output] = Path("explore.html"),
-    options: Traced = TRACED,
-) -> None:
+def explore(scene: ScenePath, *, output: Output = Path("explore.html"), options: Traced = TRACED) -> None:
     """Make a page on which LEDs and photodiodes are dragged and every reading follows, from light traced once.
 
     It is one file, which any browser opens from disk. Photons are those of each of the scene's wavelengths.
@@ -321,7 +305,7 @@ def explore(
 def batch(
     sweep: Path,
     *,
-    output: Annotated[Path | None, Output] = None,
+    output: File = None,
     workers: int | None = None,
     scheduler: str | None = None,
     shard: str | None = None,
@@ -359,7 +343,9 @@ def batch(
     how: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "shard": shard, "retry_failed": retry_failed}
     unmet = None
     try:
-        outcome, unmet = _traced(batches.run_batch, planned, output, **how, options=options, shown=batch_progress)
+        outcome, unmet = _traced(
+            batches.run_batch, planned, output, **how, options=options, shown=terminal.batch_progress
+        )
         paths = write_sweep(batches.open_results(output), output, failures=outcome.failed)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"interrupted; finished scenes are in {output}, run again to resume.") from None
@@ -370,13 +356,7 @@ def batch(
 
 
 @app.command
-def explain(
-    scene: ScenePath,
-    *,
-    output: Annotated[Path | None, Output] = None,
-    tolerance: float | None = None,
-    options: Traced = TRACED,
-) -> None:
+def explain(scene: ScenePath, *, output: File = None, tolerance: float | None = None, options: Traced = TRACED) -> None:
     """Explain what a scene models and what it leaves out, and measure how far each of these moves the readings.
 
     Args:
@@ -431,7 +411,7 @@ def check(
     from .scene import load_scene
     from .studies.scene_check import check_scene
 
-    with collected_warnings() as warnings:
+    with terminal.collected_warnings() as warnings:
         loaded = load_scene(scene)
     try:
         report: dict[str, Any] = {"scene": scene, "valid": True, **check_scene(loaded)}
@@ -457,7 +437,7 @@ def check(
 def export(
     scene: ScenePath,
     *,
-    output: Annotated[Path, Output],
+    output: Output,
     format_: Annotated[Literal["glb", "ply", "mmc", "mcx", "mitsuba"] | None, Parameter(name="--format")] = None,
     voxel_mm: float | None = None,
     json_: Json = False,
@@ -502,7 +482,7 @@ def compare_with(file: Path, *, options: Traced = TRACED) -> None:
 @app.command
 def figures(
     *,
-    output: Annotated[Path, Output],
+    output: Output,
     sets: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
     touch: Path | None = None,
     colour: bool = True,
@@ -550,7 +530,7 @@ def calibrate(
     scene: ScenePath,
     recordings: list[Path],
     *,
-    output: Annotated[Path, Output] = Path("subject.toml"),
+    output: Output = Path("subject.toml"),
     model: Literal["network", "paper"] = "network",
     options: Traced = TRACED,
 ) -> None:
@@ -579,7 +559,7 @@ def predict(
     subject: Path,
     readings: Annotated[str, Parameter(allow_leading_hyphen=True)],
     *,
-    output: Annotated[Path | None, Output] = None,
+    output: File = None,
     press: float = 0.5,
     release: float = 0.3,
     smooth: bool = False,
@@ -611,7 +591,7 @@ def predict(
                 "predict -: answers line by line on stdout; leave out --json and -o, and --smooth, or give a recording."
             )
         with suppress(KeyboardInterrupt):
-            for line in live(calibrated, text_lines(sys.stdin)):
+            for line in live(calibrated, terminal.text_lines(sys.stdin)):
                 print(line, flush=True)
         return
     folder = _results(output, readings, PREDICTION)
@@ -653,6 +633,8 @@ def oximeter(
         paths["recording_file"] = _write(recording, oximeter_csv(made, (red, infrared)))
     if given is None:
         return _show(OXIMETER, result, paths, options.json, unmet, folder)
+    for line in result.attrs["warnings"]:
+        say(line)
     oxygen = spo2_over_time(given, result, loaded)
     summary, found = OXIMETER.summary(result), OXYGEN.summary(oxygen)
     paths |= OXYGEN.write(oxygen, folder)
@@ -670,7 +652,7 @@ def schema(*, of: Literal["scene", "sweep"] = "scene") -> None:
     from .scene.sweep import sweep_json_schema
 
     # As scenes/scene.schema.json is, byte for byte.
-    print_json(sweep_json_schema() if of == "sweep" else scene.json_schema(), indent=1)
+    terminal.print_json(sweep_json_schema() if of == "sweep" else scene.json_schema(), indent=1)
 
 
 @app.command(name="store")
@@ -773,7 +755,7 @@ def _traced(
     study: Callable[..., Any],
     *arguments: Any,
     options: TraceOptions,
-    shown: Callable[[], Any] = trace_progress,
+    shown: Callable[[], Any] = terminal.trace_progress,
     **parameters: Any,
 ) -> tuple[Any, NotReachedError | None]:
     """The result of a study as far as it was reached, and why not all of it, with its progress on the terminal."""
@@ -813,12 +795,12 @@ def _finish(
     """
     cut_off = {"cut_off": str(unmet)} if unmet else {}
     if as_json:
-        print_json({**summary, **cut_off, **{name: str(path) for name, path in paths.items()}})
+        terminal.print_json({**summary, **cut_off, **{name: str(path) for name, path in paths.items()}})
     else:
         # A study's own table has several lines; a text or a path, and what is called so, one.
-        shown = [escaped(str(one), lines=not isinstance(one, str | Path)) for one in (*text, *paths.values())]
+        shown = [terminal.escaped(str(one), lines=not isinstance(one, str | Path)) for one in (*text, *paths.values())]
         if unmet:
-            shown.insert(0, escaped(f"Cut off: {unmet}"))
+            shown.insert(0, terminal.escaped(f"Cut off: {unmet}"))
         print(*shown, sep="\n")
     if unmet:
         raise NotReachedError(

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from io import TextIOWrapper
-from typing import TYPE_CHECKING, Any, Protocol, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from .errors import InputError
 from .interrupts import after_batch
@@ -125,12 +125,8 @@ def collected_warnings() -> Iterator[list[str]]:
         collected += lines
 
 
-class _Show(Protocol):
-    """Shows how far something is; news is a line that stays."""
-
-    def __call__(
-        self, name: str, text: str, fraction: float, seconds: float, seconds_left: float | None, news: str = ""
-    ) -> None: ...
+# Shows how far something is: its name, a text, the fraction done, seconds passed and left, and a line that stays.
+_Show = Callable[[str, str, float, float, float | None, str], None]
 
 
 @contextmanager
@@ -146,7 +142,7 @@ def trace_progress() -> "Iterator[Callable[[TraceProgress], None]]":
             name, text = (p.led if p.is_stage else f"LED {p.led}"), error + target
             if p.is_stage and not (known or p.target):
                 text = f"{p.fraction_done:.0%} done"
-            show(name, text, p.fraction_done, p.seconds, p.seconds_left)
+            show(name, text, p.fraction_done, p.seconds, p.seconds_left, "")
             check()
 
         yield report_progress
@@ -174,20 +170,18 @@ def batch_progress() -> "Iterator[Callable[[BatchProgress], None]]":
 def _display() -> Iterator[_Show]:
     """Shows progress: bars on a terminal, a line every ten seconds and one at the end elsewhere."""
     if sys.stderr and sys.stderr.isatty():
-        with _bars() as show:
-            yield show
+        with _bars() as draw:
+            yield draw
         return
     logged: dict[str, float] = {}
 
-    def log_line(
-        name: str, text: str, fraction: float, seconds: float, seconds_left: float | None, news: str = ""
-    ) -> None:
+    def log_line(name: str, text: str, fraction: float, seconds: float, left_s: float | None, news: str) -> None:
         if news:
             say(news)
         done, last = fraction >= 1, logged.get(name, 0.0)
         if not math.isinf(last) and (done or seconds - last >= LOG_EVERY_S):
             logged[name] = math.inf if done else seconds
-            say(f"{name}, {text}{_left(fraction, seconds_left)}" + (f", {seconds:.0f} s" if done else ""))
+            say(f"{name}, {text}{_left(fraction, left_s)}" + (f", {seconds:.0f} s" if done else ""))
 
     yield log_line
 
@@ -201,12 +195,10 @@ def _bars() -> Iterator[_Show]:
     with Progress(*columns, console=Console(stderr=True, soft_wrap=True)) as bars:
         tasks: dict[str, Any] = {}
 
-        def draw(
-            name: str, text: str, fraction: float, seconds: float, seconds_left: float | None, news: str = ""
-        ) -> None:
+        def draw(name: str, text: str, fraction: float, seconds: float, left_s: float | None, news: str) -> None:
             if name not in tasks:
                 tasks[name] = bars.add_task(name, total=1.0, words="")
-            bars.update(tasks[name], completed=fraction, words=text + _left(fraction, seconds_left))
+            bars.update(tasks[name], completed=fraction, words=text + _left(fraction, left_s))
             if news:
                 bars.console.print(f"nailoptics: {escaped(news)}", markup=False, highlight=False)
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from nailoptics.assets import data_dir
 from nailoptics.report import html
-from nailoptics.report.pages import force, oximeter, tradeoff
+from nailoptics.report.pages import force, oximeter, sweep, tradeoff
 from nailoptics.report.pages.place import page as place
 from nailoptics.report.pages.simulate import page as touch_page
 from nailoptics.scene import load_scene, to_toml
@@ -39,25 +39,30 @@ def test_what_nobody_sees_is_written_out_on_a_page():
     assert not any(c in text for c in "\x1b\u202e\udcff")
 
 
-def test_a_browser_runs_and_loads_nothing_of_a_name(browser, make, tmp_path):
-    """In every slot, table and figure of a page, and on the page of a touch: no dialog, no complaint, no request."""
+def test_a_browser_runs_and_loads_nothing_of_a_name(browser, make, monkeypatch, tmp_path):
+    """In every slot, table and figure, and on pages of a touch, a prediction and a sweep: no dialog, no request."""
     name, drawing = "".join(HOSTILE), Figure()
     drawing.subplots().set_title(name.replace("$", r"\$"))
     body = [html.table([html.escaped(name)], [[html.escaped(name)]], groups=[name]), html.figure(drawing, "one", name)]
     given = {"kicker": name, "title": name, "lead": name, "warnings": name, "cards": [(name, name)], "body": body}
     about = dict.fromkeys(("scene", "cut_off", *html.PROVENANCE), name)
-    (tmp_path / "parts.html").write_text(html.document(**given, attributes=about), encoding="utf-8")
     result = make(section=False).assign_coords(led=[name], photodiode=[f"{name}{i}" for i in range(8)])
     result = result.assign_attrs(versions=name, seeds=name, backend=name)
-    (tmp_path / "touch.html").write_text(touch_page(result), encoding="utf-8")
+    pages = {"touch.html": touch_page(result), "predict.html": hostile_prediction(name, monkeypatch)}
+    pages |= {
+        "sweep.html": hostile_sweep(HOSTILE[0].partition("$")[0]),
+        "parts.html": html.document(**given, attributes=about),
+    }
+    for page, text in pages.items():
+        (tmp_path / page).write_text(text, encoding="utf-8")
     view, heard = browser.new_page(), []
     for event in ("console", "pageerror", "dialog", "request"):
         view.on(event, lambda what, event=event: heard.append((event, getattr(what, "url", what))))
-    for page in ("parts.html", "touch.html"):
+    for page in pages:
         view.goto((tmp_path / page).as_uri())
-        assert "alert(1)" in view.inner_text("h1" if page == "parts.html" else "table")
+        assert "alert(1)" in view.inner_text("main")
         assert view.evaluate("document.querySelectorAll('script, img, [onerror], [onload]').length") == 0
-    assert heard == [("request", (tmp_path / page).as_uri()) for page in ("parts.html", "touch.html")]
+    assert heard == [("request", (tmp_path / page).as_uri()) for page in pages]
     view.close()
 
 
@@ -117,8 +122,8 @@ def test_hostile_names_are_text_on_the_page_of_a_calibration(name, monkeypatch):
     assert_text_alone(force.calibration_page(result), name)
 
 
-@pytest.mark.parametrize("name", HOSTILE)
-def test_hostile_names_are_text_on_the_page_of_a_prediction(name, monkeypatch):
+def hostile_prediction(name, monkeypatch) -> str:
+    """The page of a prediction in which everything is called so."""
     numbers = ["force_n", "force_low_n", "force_high_n", "force_linear_n", "known_force_n", "surprise"]
     numbers += ["proximal_share", "proximal_share_low", "proximal_share_high", "arterial_change_pa"]
     data = {one: ("time", np.linspace(0.1, 1.0, 8)) for one in numbers} | {"outlier": ("time", np.zeros(8, bool))}
@@ -127,4 +132,20 @@ def test_hostile_names_are_text_on_the_page_of_a_prediction(name, monkeypatch):
     summary |= {"coverage_95": 0.9, "baseline_rms_n": {"linear": 0.1, "components": 0.1}}
     summary |= {"events": [{"kind": name, "time_s": 1.0, "latency_s": 0.1}]}
     monkeypatch.setattr(force, "prediction_summary", lambda _: summary)
-    assert_text_alone(force.prediction_page(result), name)
+    return force.prediction_page(result)
+
+
+def hostile_sweep(name) -> str:
+    """The page of a sweep in which everything is called so."""
+    shape, dims, about = (2, 1, 1), ("base", "led", "photodiode"), {"long_name": name, "units": "V"}
+    data = {f"volts_start{end}": (dims, np.ones(shape), about) for end in ("", "_stderr")}
+    coords = {"base": ("base", [name, f"{name}1"], {"long_name": name}), "led": [name], "photodiode": [name]}
+    attrs = {"title": f"nailoptics: {name}", "versions": name, "seed": name, "backend": name}
+    return sweep.page(
+        xr.Dataset(data | {"state": ("base", [name, "done"])}, coords, attrs), failures={name: "".join(HOSTILE)}
+    )
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_names_are_text_on_the_page_of_a_prediction(name, monkeypatch):
+    assert_text_alone(hostile_prediction(name, monkeypatch), name)
