@@ -187,9 +187,7 @@ class Scene(Table):
     @classmethod
     def _read_the_board_file(cls, data: object, info: ValidationInfo) -> object:
         board = data.get("board") if isinstance(data, dict) else None
-        if not isinstance(data, dict) or not isinstance(board, dict) or "unmapped" in board:
-            return data
-        if not (isinstance(board.get("kicad"), str) or isinstance(board.get("positions"), str)):
+        if not isinstance(data, dict) or not isinstance(board, dict) or not Board.is_to_be_read(board):
             return data
         if not all(isinstance(data.get(name, ()), tuple) for name in ("leds", "photodiodes")):
             return data

@@ -3,11 +3,12 @@
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, model_validator
 
 from ..errors import InputError
 from .base import Fraction, Name, NonNegative, Point, Positive, Size, Table
 from .catalogue import LedPart, ModulePart, PhotodiodeElements, PhotodiodePart, load_part
+from .importers.outlines import is_point
 from .importers.positions import FileUnit
 
 Wavelength = Annotated[float, Field(ge=200, le=3000)]
@@ -175,6 +176,12 @@ def check_flat(photodiodes: Iterable[Photodiode], what: str) -> None:
             )
 
 
+def _origin(value: object) -> object:
+    if value in (None, "auxiliary", "grid", "outline") or is_point(value):
+        return value
+    raise ValueError('must be "auxiliary", "grid", "outline" or [x, y]')
+
+
 class BoardFile(Table):
     """A layout program's file that places the parts of a board, and how it is read."""
 
@@ -185,7 +192,7 @@ class BoardFile(Table):
     parts: dict[str, dict[str, Any]] | None = None
     """Map from the file's references to parts, such as D1 = { led = "led_660" } or U2 = { photodiode = "bpw34" };
     candidates without it have that of [board]."""
-    origin: Literal["auxiliary", "grid", "outline"] | Point | None = None
+    origin: Annotated[Literal["auxiliary", "grid", "outline"] | Point | None, BeforeValidator(_origin)] = None
     """Point of the file that is the board's origin: the auxiliary origin of drill and position files, the grid's, the
     outline's centre, or (x, y) as shown by the layout program; if not given the first of these that exists, except the
     grid's. [mm]"""
@@ -199,6 +206,18 @@ class BoardFile(Table):
     """Unit of a position file that does not state it, such as KiCad's CSV; mm if not given."""
     unmapped: tuple[str, ...] | None = None
     """References of the file that are no part of the scene; filled from it."""
+
+    @staticmethod
+    def is_to_be_read(table: object) -> bool:
+        """Whether a table names a file that has not been read, and its fields are valid; if not, these say so."""
+        if not isinstance(table, dict) or "unmapped" in table or not isinstance(table.get("parts"), dict | None):
+            return False
+        given = {name: table[name] for name in BoardFile.model_fields.keys() & table.keys() - {"parts"}}
+        try:
+            file = BoardFile.model_validate(given)
+        except ValidationError:
+            return False
+        return file.kicad is not None or file.positions is not None
 
     @model_validator(mode="after")
     def _parts_are_of_a_file(self) -> Self:

@@ -49,10 +49,7 @@ class Candidate(BoardFile):
     @model_validator(mode="before")
     @classmethod
     def _read_the_positions(cls, data: object, info: ValidationInfo) -> object:
-        files = {"positions", "kicad"}
-        if not isinstance(data, dict) or {"photodiodes_mm", "unmapped"} & data.keys():
-            return data
-        if not any(isinstance(data.get(name), str) for name in files):
+        if not isinstance(data, dict) or "photodiodes_mm" in data or not cls.is_to_be_read(data):
             return data
         folder = (info.context or {}).get("folder")
         if data.get("parts") or data.get("kicad") is not None:

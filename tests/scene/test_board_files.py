@@ -122,7 +122,10 @@ def test_a_position_file_without_a_unit_is_read_in_that_of_the_scene(tmp_path, c
     path.write_text(path.read_text().replace('kicad = "x.kicad_pcb"', 'positions = "pos.csv"'))
     assert load_scene(path).leds[0].position_mm == pytest.approx((2.54, 0.0))  # the top faces the nail: mirrored
     path.write_text(path.read_text().replace('"inch"', '"cubit"'))
-    assert run(["check", str(path)]) == 2 and "positions_unit must be mm, mil or inch" in capsys.readouterr().err
+    assert (
+        run(["check", str(path)]) == 2
+        and "positions_unit = \"cubit\": must be 'mm', 'mil' or 'inch'" in capsys.readouterr().err
+    )
 
 
 def test_candidates_are_files_with_their_own_parts_matched_by_name(tmp_path):
@@ -155,9 +158,9 @@ def test_where_nothing_is_mapped_a_map_is_proposed(tmp_path):
         ("barrier = false", 'barrier = false\norigin = "grid"', "x.kicad_pcb has no such origin"),
         ("barrier = false", 'barrier = false\nfaces_nail = "top"', "parts.D1 lies on the bottom, but the top"),
         ("barrier = false", "barrier = false\norigin = [0.0, 0.0]", "reaches over the board's edge or the nail's"),
-        ("barrier = false", "barrier = false\norigin = [0.0]", "origin must be"),
-        ("barrier = false", "barrier = false\nturn_deg = []", "turn_deg must be a number"),
-        ("[board.parts]", "parts = 3\n[finger.x]", "parts must be a table"),
+        ("barrier = false", "barrier = false\norigin = [0.0]", 'board.origin: must be "auxiliary"'),
+        ("barrier = false", "barrier = false\nturn_deg = []", "board.turn_deg = .*: must be a valid number"),
+        ("[board.parts]", "parts = 3\n[electronics]", "board.parts = 3: must be a"),
         ('led = "led_660"', 'led = "led_660", offset_mm = 3', "parts.D1.offset_mm must be"),
         ('led = "led_660"', "led = 3", "parts.D1.led must be the name of a part"),
         ("x.kicad_pcb", "y.kicad_pcb", "y.kicad_pcb: cannot be read"),

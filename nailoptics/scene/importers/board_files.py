@@ -63,7 +63,6 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     """
     if table.get("kicad") is not None and table.get("positions") is not None:
         raise ValueError("kicad and positions both place the parts; give one of them")
-    _check_kinds(table)
     name = str(table.get("kicad") or table.get("positions"))
     path = Path(folder or Path()) / name
     uses = table.get("parts") or {}
@@ -95,28 +94,15 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     return OnNail(tuple(tables["led"]), tuple(tables["photodiode"]), ignored, outline)
 
 
-def _check_kinds(table: Mapping[str, Any]) -> None:
-    """Raise ValueError where a field is not of the kind that is read here, before the scene's model sees it."""
-    origin, turn, parts = table.get("origin"), table.get("turn_deg", 0.0), table.get("parts")
-    if origin is not None and not isinstance(origin, str) and not is_point(origin):
-        raise ValueError('origin must be "auxiliary", "grid", "outline" or [x, y]')
-    if not is_number(turn):
-        raise ValueError("turn_deg must be a number")
-    if parts is not None and not isinstance(parts, Mapping):
-        raise ValueError('parts must be a table such as { D1 = { led = "led_660" } }')
-    for ref, use in (parts or {}).items():
-        if isinstance(use, Mapping):
-            if not is_point(use.get("offset_mm", (0.0, 0.0))):
-                raise ValueError(f"parts.{ref}.offset_mm must be [x, y]")
-            if not is_number(use.get("rotation_deg", 0.0)):
-                raise ValueError(f"parts.{ref}.rotation_deg must be a number")
-
-
 def _mapped(placed: Sequence[PlacedPart], uses: Mapping[str, Any], name: str) -> list[PlacedPart]:
     refs = [part.ref for part in placed]
     for ref, use in uses.items():
         if not isinstance(use, Mapping) or len(set(use) & set(KINDS)) != 1:
             raise ValueError(f'parts.{ref} must say what it is: one of led, photodiode, module = "PART"')
+        if not is_point(use.get("offset_mm", (0.0, 0.0))):
+            raise ValueError(f"parts.{ref}.offset_mm must be [x, y]")
+        if not is_number(use.get("rotation_deg", 0.0)):
+            raise ValueError(f"parts.{ref}.rotation_deg must be a number")
         if "position_mm" in use:
             raise ValueError(f"parts.{ref}.position_mm is the file's; give offset_mm, from there, in the part's frame")
         if (count := refs.count(ref)) != 1:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from ...errors import InputError
 from ...io import of_plain_cell, plain_cell, write_text
@@ -109,11 +109,8 @@ def read_positions(path: Path, *, negate_x_on_bottom: bool = False, unit: str = 
 
 
 def reading_of(table: Mapping[str, Any]) -> dict[str, Any]:
-    """What a scene's table that names a position file says of how it is to be read; raises ValueError."""
-    unit = table.get("positions_unit")
-    if unit is not None and unit not in get_args(FileUnit):
-        raise ValueError(f"positions_unit must be mm, mil or inch, not {unit!r}")
-    return {"unit": unit or "mm", "negate_x_on_bottom": bool(table.get("negate_x_on_bottom", False))}
+    """What a scene's table that names a position file says of how it is to be read."""
+    return {"unit": table.get("positions_unit") or "mm", "negate_x_on_bottom": table.get("negate_x_on_bottom", False)}
 
 
 def check_each_once(parts: Iterable[PlacedPart], path: Path) -> None:
