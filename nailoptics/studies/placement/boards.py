@@ -48,8 +48,8 @@ def worn_on(scene: Scene, case: FingerCase, *, light_only: bool = False) -> Scen
     light_only : change what decides where light goes, sizes, and leave what only dims it.
     """
     assert scene.finger is not None
-    kept = {name: getattr(scene.finger, name) for name in (*ABSORBING, *SCATTERING)}
-    finger = scene.finger if case.digit is None else Finger(digit=case.digit, **kept)
+    optics = {name: getattr(scene.finger, name) for name in (*ABSORBING, *SCATTERING)}
+    finger = scene.finger if case.digit is None else Finger(digit=case.digit, **optics)
     if light_only:
         return scene.model_copy(update={"finger": finger})
     blood = {"rest_blood_fraction": case.rest_blood_fraction, "so2": case.so2}
@@ -66,9 +66,9 @@ def base_board(scene: Scene) -> Scene:
     The outline is that of [placement], else of [board], else the smallest of the fingers' nails.
     """
     placement, board = rules(scene), scene.board
-    own = scene.placement.outline_mm if scene.placement else None
-    if own is not None:
-        center, size = _on_the_nail(own, _smallest_nail_mm(scene))
+    outline = scene.placement.outline_mm if scene.placement else None
+    if outline is not None:
+        center, size = _on_the_nail(outline, _smallest_nail_mm(scene))
     elif board.size_mm is None and board.outline_mm is not None:
         # What of the board's own file lies on the nail.
         center, size = scene.layout.outline.center_mm, scene.layout.outline.size_mm
@@ -173,8 +173,8 @@ def check_search(base: Scene, placement: Placement) -> None:
             "give candidates."
         )
     loose, requested = loose_photodiodes(base, placement), placement.photodiodes
-    kept = tuple(one for one in base.photodiodes if one.name in placement.fixed)
-    fixed = len(lay_elements(base.board, kept)[0])
+    staying = tuple(one for one in base.photodiodes if one.name in placement.fixed)
+    fixed = len(lay_elements(base.board, staying)[0])
     if fixed > requested:
         raise InputError(f"placement.photodiodes = {requested}, but fixed has {fixed} of them; ask for more.")
     if placement.wire and requested - fixed > (most := sum(photodiode.elements for photodiode in loose)):

@@ -1,4 +1,4 @@
-"""Layouts to rank: given ones and what a search found, as scenes on the board."""
+"""Layouts to rank: given ones and those of a search, as scenes on the board."""
 
 import math
 from collections.abc import Sequence
@@ -143,7 +143,7 @@ def searched(
     side: str | None,
     name: str,
 ) -> Scene:
-    """The board with its LEDs at places on the nail, and what a search found beside the photodiodes that are fixed.
+    """The board with its LEDs at places on the nail, and the search's photodiodes beside those that are fixed.
 
     photodiodes : areas of new ones, or where elements are wired, those by name.
     side : of the photodiodes on which the LEDs lie behind their wall; None without a wall.
@@ -172,8 +172,8 @@ def _named(base: Scene, placement: Placement, areas: Sequence[Rectangle]) -> lis
     loose, like, (du, dv) = loose_photodiodes(base, placement), base.photodiodes[0], base.board.center_mm
     same = (1, like.part, like.size_mm)
     alike = [one for one in loose if one.reference and (one.elements, one.part, one.size_mm) == same]
-    kept = [one for one in base.photodiodes if one not in loose]
-    taken = {word for one in (*kept, *alike) for word in (one.name, one.reference)}
+    fixed = [one for one in base.photodiodes if one not in loose]
+    taken = {word for one in (*fixed, *alike) for word in (one.name, one.reference)}
     apart = np.array(
         [[math.dist(area.center_mm, np.add(one.position_mm, (du, dv))) for one in alike] for area in areas]
     )

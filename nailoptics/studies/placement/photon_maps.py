@@ -44,7 +44,7 @@ class PhotonMapCache:
 
     distance_mm : cells of the distances that the walk asks for.
     batch_photons : of one batch; as the tracer's if not given.
-    store : where light is looked for, and kept.
+    store : the cache of traced light.
     stop : whether nothing more is to be traced, tested before every batch.
     """
 
@@ -61,7 +61,7 @@ class PhotonMapCache:
     _maps: dict[str, list[list[PhotonMap]]] = field(default_factory=dict, init=False)
     _tracers: dict[tuple[str, str | None], BoardTracer] = field(default_factory=dict, init=False)
     _areas: dict[str, list[Rectangle]] = field(default_factory=dict, init=False)
-    _kept: dict[tuple[str, str | None, int], list[Arrivals]] = field(default_factory=dict, init=False)
+    _recorded: dict[tuple[str, str | None, int], list[Arrivals]] = field(default_factory=dict, init=False)
 
     @property
     def cases(self) -> list[FingerCase]:
@@ -79,13 +79,13 @@ class PhotonMapCache:
     def _photons_of(self, key: str) -> int:
         return min((one.photons for by_led in self._maps.get(key, []) for one in by_led), default=0)
 
-    def keep(self, board: Scene, areas: Sequence[Rectangle]) -> None:
-        """From now on keep the light that arrives on these areas of a board, for `kept`."""
+    def record(self, board: Scene, areas: Sequence[Rectangle]) -> None:
+        """Record the light that arrives on these areas of a board from now on, for `recorded`."""
         self._areas.setdefault(digest(board), []).extend(areas)
 
-    def kept(self, board: Scene, digit: str | None, led: int) -> list[Arrivals]:
-        """Light of an LED on a finger's digit that arrived where it was to be kept, batch by batch."""
-        return self._kept.get((digest(board), digit, led), [])
+    def recorded(self, board: Scene, digit: str | None, led: int) -> list[Arrivals]:
+        """Light of an LED on a finger's digit that arrived on the areas to record, batch by batch."""
+        return self._recorded.get((digest(board), digit, led), [])
 
     @property
     def has_traced(self) -> bool:
@@ -131,7 +131,7 @@ class PhotonMapCache:
             if areas := self._areas.get(key):
                 u, v = arrivals.place_mm.T
                 inside = np.any([area.holds(u, v) for area in areas], axis=0)
-                self._kept.setdefault((key, digit, led), []).append(arrivals.select(inside))
+                self._recorded.setdefault((key, digit, led), []).append(arrivals.select(inside))
             for i, point in points.items():
                 self._maps[key][i][led].add(arrivals, point.values(arrivals))
 

@@ -50,7 +50,7 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     Returns: Dataset over layout (best first), finger, photodiode and, for the best, the plane of the board.
 
     Raises: InputError; NotReachedError, with the Dataset as result, where time ran out or the user interrupted before
-    the best was distinguished from the others or the tolerance was met; interrupted, what was found is finished
+    the best was distinguished from the others or the tolerance was met; interrupted, the layouts so far are judged
     roughly.
     """
     _check_scene(scene)
@@ -73,7 +73,7 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     target = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
     how: dict[str, Any] = {"objective": objective, "relative_error": target, "report_progress": report_progress}
     for layout in layouts:
-        judging.keep(layout.board, layout.scene.layout.photodiode_areas)
+        judging.record(layout.board, layout.scene.layout.photodiode_areas)
     layouts, scores, unmet = score_layouts(layouts, judging, photons=photons, **how)
     order = np.argsort([score.ranked[0] for score in scores], kind="stable")
     layouts, scores = [layouts[i] for i in order], [scores[i] for i in order]
@@ -129,7 +129,7 @@ def _candidates(
     searched = search.Search(straight, rules, objective, cache).run(report_progress) if rules.search else []
     if rules.search and not searched and not report_progress.is_over(search.SEARCH_SHARE):
         log.warning(
-            "the search found no room for %d LEDs and %d photodiodes; make the board larger, placement.led_step_mm "
+            "the search has no room for %d LEDs and %d photodiodes; make the board larger, placement.led_step_mm "
             "smaller, or ask for fewer",
             len(base.leds),
             rules.photodiodes,
@@ -141,18 +141,18 @@ def _candidates(
     if not layouts:
         raise InputError(
             f"placement: {len(base.leds)} LEDs and {rules.photodiodes} photodiodes of {base.photodiodes[0].size_mm} mm "
-            "find no room beside each other; make the board larger, ask for fewer, or fix and keep out less."
+            "have no room beside each other; make the board larger, ask for fewer, or fix and keep out less."
         )
     return layouts, searched
 
 
-def _judged_enough(cache: PhotonMapCache, found: bool, report_progress: StageProgress) -> bool:
+def _judged_enough(cache: PhotonMapCache, searched: bool, report_progress: StageProgress) -> bool:
     """Whether judging ends: time is over, or the user has interrupted.
 
-    found : whether a search found a layout; that one is judged in any case, and so is one where the user interrupts.
+    searched : whether a search has a layout; that one is judged in any case, and so is one where the user interrupts.
     """
     over = report_progress.is_over(JUDGE_SHARE)
-    return over and (cache.has_traced or not (found or report_progress.interrupted))
+    return over and (cache.has_traced or not (searched or report_progress.interrupted))
 
 
 def _objective(base: Scene, rules: Placement, conditions: Sequence[FingerCondition]) -> Objective:
@@ -180,8 +180,8 @@ def given(base: Scene, rules: Placement) -> list[CandidateLayout]:
 def _paper_layout(base: Scene, conditions: Sequence[FingerCondition]) -> CandidateLayout | None:
     """The paper's layout on the same finger with the same electronics; None where it does not fit every nail."""
     prototype = load_scene(data_dir("scenes") / "prototype.toml")
-    kept = ("finger", "blood", "touch", "body", "electronics", "light", "priors")
-    scene = prototype.model_copy(update={name: getattr(base, name) for name in kept})
+    shared = ("finger", "blood", "touch", "body", "electronics", "light", "priors")
+    scene = prototype.model_copy(update={name: getattr(base, name) for name in shared})
     try:
         for condition in conditions:
             candidates.check(boards.worn_on(scene, condition.case, light_only=True), "paper")

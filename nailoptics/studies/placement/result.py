@@ -1,4 +1,4 @@
-"""What a placement found, as a Dataset, as rows of a table, and the best layout as a scene and as KiCad parts."""
+"""What a placement resolves, as a Dataset, as rows of a table, and the best layout as a scene and as KiCad parts."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -83,36 +83,36 @@ def _ranking(
     value = of_all_photons("score_n")
     error = [resolution_stderr_n(score.score_n, score.noise_floor_n) for score in scores]
     text = "force resolution of one sample, rms, whatever the split of the force, over the fingers"
-    found = variable("force_resolution_n", one, value, text, units="N", stderr=error)
-    found |= variable("force_resolution_low_n", one, low, "lower end of its 95 % interval", units="N")
-    found |= variable("force_resolution_high_n", one, high, "upper end of its 95 % interval", units="N")
+    data = variable("force_resolution_n", one, value, text, units="N", stderr=error)
+    data |= variable("force_resolution_low_n", one, low, "lower end of its 95 % interval", units="N")
+    data |= variable("force_resolution_high_n", one, high, "upper end of its 95 % interval", units="N")
     tied = np.array([score.ranked_interval[0] <= scores[0].ranked_interval[1] for score in scores])
-    found |= variable("tied", one, tied, "whether its interval overlaps that of the best")
+    data |= variable("tied", one, tied, "whether its interval overlaps that of the best")
     value, errors = of_all_photons("share"), [jackknife(score.share) for score in scores]
     text = "resolution of the part of the force that presses proximally, one sample, rms, worst finger"
-    found |= variable("share_resolution", one, value, text, stderr=errors)
+    data |= variable("share_resolution", one, value, text, stderr=errors)
     if all(score.spo2_percent is not None for score in scores):
         value, text = of_all_photons("spo2_percent"), "standard error of SpO2 over 8 s, electronics alone, worst finger"
         errors = [jackknife(score.spo2_percent) for score in scores if score.spo2_percent is not None]
-        found |= variable("spo2_error_percent", one, value, text, units="percent", stderr=errors)
+        data |= variable("spo2_error_percent", one, value, text, units="percent", stderr=errors)
     origin, scenes = [layout.origin for layout in layouts], [to_toml(layout.scene) for layout in layouts]
-    found["origin"] = (one, np.array(origin), {"long_name": "given, searched or the paper's"})
-    found["scene"] = (one, np.array(scenes), {"long_name": "the layout as a scene"})
+    data["origin"] = (one, np.array(origin), {"long_name": "given, searched or the paper's"})
+    data["scene"] = (one, np.array(scenes), {"long_name": "the layout as a scene"})
     value, text = of_all_photons("resolution_n"), "force resolution on each finger"
     floors_n = np.array([information.physiological_noise_force_n(condition.point) for condition in conditions])
     errors = [resolution_stderr_n(score.resolution_n, floors_n) for score in scores]
-    found |= variable("finger_resolution_n", both, value, text, units="N", stderr=errors)
+    data |= variable("finger_resolution_n", both, value, text, units="N", stderr=errors)
     per_pa2, text = of_all_photons("information_per_pa2"), "force resolution if the split of the force is known"
     fixed = [information.fixed_ratio_resolution_n(per_pa2[:, k], one.point) for k, one in enumerate(conditions)]
-    found |= variable("fixed_ratio_resolution_n", both, np.stack(fixed, 1), text, units="N")
+    data |= variable("fixed_ratio_resolution_n", both, np.stack(fixed, 1), text, units="N")
     value, text = information.pressure_resolution_pa(per_pa2), "resolution of each pressure"
-    found |= variable("pressure_resolution_pa", pressures, value, text, units="Pa")
+    data |= variable("pressure_resolution_pa", pressures, value, text, units="Pa")
     value = per_pa2[..., [[0, 1], [1, 2]]]
     text = "Fisher information of the two pressures in one sample of all readings"
-    found |= variable("fisher_information_per_pa2", (*pressures, "pressure_too"), value, text, units="Pa-2")
+    data |= variable("fisher_information_per_pa2", (*pressures, "pressure_too"), value, text, units="Pa-2")
     numbers = [[max(map(information.condition_number, by_led)) for by_led in score.responses] for score in scores]
     text = "condition number of the matrix of readings by blood zones"
-    return found | variable("condition_number", both, numbers, text)
+    return data | variable("condition_number", both, numbers, text)
 
 
 def _still(scores: Sequence[LayoutScore], conditions: Sequence[FingerCondition]) -> Variables:
@@ -120,17 +120,17 @@ def _still(scores: Sequence[LayoutScore], conditions: Sequence[FingerCondition])
     value = np.array([score.electronics_score_n[0] for score in scores])
     errors = [resolution_stderr_n(score.electronics_score_n) for score in scores]
     text = "force resolution of one sample by the noise of the electronics alone, over the fingers"
-    found = variable("electronics_resolution_n", "layout", value, text, units="N", stderr=errors)
+    data = variable("electronics_resolution_n", "layout", value, text, units="N", stderr=errors)
     low, high = np.array([score.electronics_interval_n for score in scores]).T
-    found |= variable("electronics_resolution_low_n", "layout", low, "lower end of its 95 % interval", units="N")
-    found |= variable("electronics_resolution_high_n", "layout", high, "upper end of its 95 % interval", units="N")
+    data |= variable("electronics_resolution_low_n", "layout", low, "lower end of its 95 % interval", units="N")
+    data |= variable("electronics_resolution_high_n", "layout", high, "upper end of its 95 % interval", units="N")
     each = [score.electronics_resolution_n[0] for score in scores]
     text, over = "force resolution by the noise of the electronics alone on each finger", ("layout", "finger")
     by_finger = [resolution_stderr_n(score.electronics_resolution_n) for score in scores]
-    found |= variable("finger_electronics_resolution_n", over, each, text, units="N", stderr=by_finger)
+    data |= variable("finger_electronics_resolution_n", over, each, text, units="N", stderr=by_finger)
     floors_n = [information.physiological_noise_force_n(condition.point) for condition in conditions]
     text = "false force, rms, by waves of the arterial pressure: the noise floor of every layout"
-    return found | variable("physiological_noise_force_n", "finger", floors_n, text, units="N")
+    return data | variable("physiological_noise_force_n", "finger", floors_n, text, units="N")
 
 
 def _extremes(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore]) -> Variables:
@@ -141,12 +141,12 @@ def _extremes(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore])
     least, most = ([pick([r.volts[0] for r in each]) for each in reads] for pick in (np.min, np.max))
     snr = [np.min([r.volts[0] / r.noise_v[0] for r in each]) for each in reads]
     shunted = [np.max([r.shunted_fraction[0] for r in each]) for each in reads]
-    found = variable("least_volts", "layout", least, "least reading of a photodiode over fingers", units="V")
-    found |= variable("most_volts", "layout", most, "largest reading of a photodiode over fingers", units="V")
-    found |= variable("adc_headroom", "layout", full_v / most, "full scale over the largest reading; 1 is saturated")
-    found |= variable("least_snr", "layout", snr, "least reading over its noise in one sample")
+    data = variable("least_volts", "layout", least, "least reading of a photodiode over fingers", units="V")
+    data |= variable("most_volts", "layout", most, "largest reading of a photodiode over fingers", units="V")
+    data |= variable("adc_headroom", "layout", full_v / most, "full scale over the largest reading; 1 is saturated")
+    data |= variable("least_snr", "layout", snr, "least reading over its noise in one sample")
     text = "largest part of a photodiode's light that was never in the bed"
-    return found | variable("shunted_fraction", "layout", shunted, text)
+    return data | variable("shunted_fraction", "layout", shunted, text)
 
 
 def _sites(searched: Sequence[SearchedSite]) -> Variables:
@@ -156,13 +156,13 @@ def _sites(searched: Sequence[SearchedSite]) -> Variables:
     places = np.array([one.site.places_mm for one in searched]).reshape(len(searched), leds, 2)
     sides = np.array([one.site.row.side or "" for one in searched], str)
     reached = np.array([one.resolution_n for one in searched], float)
-    text = "force resolution that the search found there"
-    found = variable(
+    text = "force resolution that the search there"
+    data = variable(
         "led_site_mm", ("led_site", "searched_led", "axis"), places, "LED places tried together", units="mm"
     )
-    found |= variable("led_site_resolution_n", "led_site", reached, text, units="N")
+    data |= variable("led_site_resolution_n", "led_site", reached, text, units="N")
     about = {"long_name": "side of the photodiodes where the LEDs lie"}
-    return found | {"led_site_side": (("led_site",), sides, about)}
+    return data | {"led_site_side": (("led_site",), sides, about)}
 
 
 def _predicted(by_led: Sequence[Response]) -> Variables:
@@ -170,7 +170,7 @@ def _predicted(by_led: Sequence[Response]) -> Variables:
 
     Of fewer than 25 effective photons no standard error is known.
     """
-    found: Variables = {}
+    data: Variables = {}
     dims = ("led", "best_photodiode")
     for name, over, units, text in (
         ("volts", dims, "V", "volts by the map"),
@@ -182,9 +182,9 @@ def _predicted(by_led: Sequence[Response]) -> Variables:
         # Where no photon came the dark current alone is read, the same by every group of them.
         known = (errors > ROUNDING * np.abs(values)) & (FEW_TERMS * errors**2 <= values**2)
         errors = np.where(known, errors, np.nan)
-        found |= variable(f"predicted_{name}", over, values, text, units=units, stderr=errors)
+        data |= variable(f"predicted_{name}", over, values, text, units=units, stderr=errors)
     noise, text = [read.noise_v[0] for read in by_led], "noise of one sample by the map, rms"
-    return found | variable("predicted_noise_v", dims, noise, text, units="V")
+    return data | variable("predicted_noise_v", dims, noise, text, units="V")
 
 
 def _photodiode_anywhere(scene: Scene, maps: Sequence[PhotonMap], point: OperatingPoint) -> xr.Dataset:

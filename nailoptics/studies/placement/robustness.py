@@ -117,7 +117,7 @@ def resolution_over_priors(
     """Uncertainty of the force resolution of the top-ranked layouts over the priors, and which is the best where.
 
     layouts : best first, of one scene's priors; the paper's counts as one of them, too.
-    judged : has kept the light of every layout, by which all changes are read that only absorb.
+    judged : has recorded the light of every layout, by which all changes are read that only absorb.
     stop : whether there is no time for one layout, or one batch, more.
 
     Returns: Dataset over layout, prior and node; NaN of layouts that were not read, and empty where none was.
@@ -194,7 +194,7 @@ class _Resolution:
         key, judged = (light_digest(scene), led), self.judged
         if key not in self.light:
             most = OWN_BATCHES if self.layout.board.priors.own_traces else None
-            batches = judged.kept(self.layout.board, case.digit, led)[:most]
+            batches = judged.recorded(self.layout.board, case.digit, led)[:most]
             own, usual = light_scene(scene), light_scene(boards.worn_on(self.layout.board, case, light_only=True))
             if own != usual:
                 how: dict[str, Any] = {"backend": judged.backend, "store": judged.store, "seed": judged.seed}

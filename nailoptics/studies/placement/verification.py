@@ -236,7 +236,7 @@ def verify_layout(
     photons : from each LED in the fresh trace, unless time runs out; some are traced in any case.
     max_seconds : half of it for the fresh trace, the rest for light the other way. [s]
     stop : whether there is no time at all for one batch more; then the Dataset is empty.
-    store : where light is looked for, and kept.
+    store : the cache of traced light.
     """
     begin, point = time.perf_counter(), condition.point
     scene = boards.worn_on(best, condition.case)

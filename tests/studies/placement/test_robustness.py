@@ -42,7 +42,7 @@ def ranked(chosen_jit):
     conditions = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
     judged = PhotonMapCache(conditions, seed=1, stream=1, backend="auto", blocks=16)
     for layout in layouts:
-        judged.keep(layout.board, layout.scene.layout.photodiode_areas)
+        judged.record(layout.board, layout.scene.layout.photodiode_areas)
     # One board, whose light is traced once for both.
     judged.extend(layouts[0].board, 1 << 19)
     found = resolution_over_priors(layouts, rules, judged, stop=lambda: False)
@@ -81,7 +81,7 @@ def test_a_node_is_what_a_placement_of_that_finger_finds(ranked):
 def test_what_holds_is_said_in_words_and_on_the_page(ranked):
     *_, found = ranked
     lines = conclusions(found)
-    assert "near stays the best at 6 of 6 values" in lines[0] and "none of them" in lines[0]
+    assert "near remains the best at 6 of 6 values" in lines[0] and "none of them" in lines[0]
     assert "most by plate absorption" in lines[1] or "most by bloodless bed absorption" in lines[1]
     assert "bed scattering" in lines[-1] and "own_traces" in lines[-1]
     assert "Uncertainty over the priors" in spread_section(found)
@@ -106,7 +106,7 @@ def test_light_that_goes_otherwise_is_traced_by_itself(ranked):
     own = PriorRange(field=scatters.field, low=0.98 * middle, high=1.02 * middle)
     priors = layouts[0].board.priors.model_copy(update={"own_traces": True, "ranges": (own,)})
     layout = replace(layouts[0], board=layouts[0].board.model_copy(update={"priors": priors}))
-    judged.keep(layout.board, layout.scene.layout.photodiode_areas)
+    judged.record(layout.board, layout.scene.layout.photodiode_areas)
     judged.extend(layout.board, 1 << 19)
     found = resolution_over_priors([layout], rules, judged, stop=lambda: False)
     told = found.isel(prior=found.prior_field.values.tolist().index(FIELDS[2]), layout=0)
