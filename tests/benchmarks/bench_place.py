@@ -16,8 +16,8 @@ import xarray as xr
 import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.errors import NotReachedError
-from nailoptics.studies.placement import boards, candidates, photon_maps, place, result, scores
-from nailoptics.studies.placement.objective import Objective
+from nailoptics.studies.placement import boards, candidates, photon_maps, place, result
+from nailoptics.studies.placement.objective import Objective, score_layout
 
 CANDIDATES = 20
 
@@ -59,7 +59,7 @@ def further(scene: nail.Scene, found: xr.Dataset) -> float:
         begin = time.perf_counter()
         moved = [(u, v + 0.01 * i) for u, v in places]
         layout = candidates.with_parts(base, [r.center_mm for r in best.layout.leds], moved, name="one")
-        scores.score_layout(candidates.CandidateLayout("one", layout, board, "given"), cache, objective)
+        score_layout(candidates.CandidateLayout("one", layout, board, "given"), cache, objective)
         spent.append(time.perf_counter() - begin)
     return statistics.median(spent[1:])
 

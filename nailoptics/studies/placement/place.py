@@ -21,11 +21,10 @@ from ...scene import FingerCase, Placement, Scene, load_scene
 from ...sensor.information import operating_point
 from . import boards, candidates, search
 from .candidates import CandidateLayout
-from .objective import Objective, spo2_objective
+from .objective import JUDGE_SHARE, Objective, score_layouts, spo2_objective
 from .photon_maps import FingerCondition, PhotonMapCache
 from .result import as_dataset
 from .robustness import resolution_over_priors, resolution_vs_count
-from .scores import JUDGE_SHARE, score_layouts
 from .verification import verify_layout
 
 log = logging.getLogger(__name__)

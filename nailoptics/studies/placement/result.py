@@ -17,8 +17,8 @@ from ...statistics import FEW_TERMS, jackknife, left_out
 from ...variables import Variables, variable
 from .boards import rules, straightened
 from .candidates import CandidateLayout
+from .objective import LayoutScore, resolution_stderr_n
 from .photon_maps import FingerCondition
-from .scores import LayoutScore, resolution_stderr_n
 from .search import SearchedSite
 
 # Spacing of the places at which one more photodiode is tried.

@@ -15,8 +15,8 @@ from nailoptics.scene import Placement, parse_scene
 from nailoptics.sensor import information
 from nailoptics.sensor.physiological_noise import PhysiologicalNoise, physiological_noise
 from nailoptics.statistics import left_out
-from nailoptics.studies.placement import place, result, scores
-from nailoptics.studies.placement.objective import Objective
+from nailoptics.studies.placement import place, result
+from nailoptics.studies.placement.objective import LayoutScore, Objective, score_layout
 
 SCENE = TWO_LAYOUTS.replace("[board]", "[body.heartbeat]\n[body.breathing]\n[body.vasomotion]\n[board]")
 BLOOD_PER_PA = np.array([[1.5e-6, -2e-7], [1.8e-6, -3e-6]])
@@ -222,10 +222,10 @@ def test_intervals_through_the_body_hold_the_truth_as_often_as_they_say():
     mean = np.column_stack([light, 0.3 * light, -light[:, None] * blood])
     layout = SimpleNamespace(scene=scene, board=scene)
 
-    def judged(blocks: np.ndarray) -> scores.LayoutScore:
+    def judged(blocks: np.ndarray) -> LayoutScore:
         read = information.response(left_out(blocks), scene.leds[0], scene.photodiodes[0], scene.electronics, point)
         cache = SimpleNamespace(read=lambda *_: [[read]], conditions=[SimpleNamespace(point=point)])
-        return scores.score_layout(layout, cache, Objective(Placement(), [point]))
+        return score_layout(layout, cache, Objective(Placement(), [point]))
 
     true_n = float(judged(np.repeat(mean[None], 2, axis=0)).score_n[0])
     assert true_n < 1.1 * information.physiological_noise_force_n(point)

@@ -31,11 +31,10 @@ from nailoptics.studies.placement import (
     photon_maps,
     place,
     result,
-    scores,
     search,
     sites,
 )
-from nailoptics.studies.placement.objective import Objective
+from nailoptics.studies.placement.objective import Objective, resolution_interval_n, score_layout
 from nailoptics.tissue import BloodZones
 
 AT = information.OperatingPoint(
@@ -323,7 +322,7 @@ def test_each_photodiode_reads_as_what_it_is(scene, body):
 def test_intervals_allow_for_errors_that_few_blocks_tell():
     """Four Gaussian blocks, whose normal interval would hold 86 % of 95."""
     groups = np.random.default_rng(0).normal(0.0, 0.01, (2000, 4))
-    held = [low <= 1.0 <= high for low, high in map(scores.resolution_interval_n, np.exp(left_out(groups.T)).T)]
+    held = [low <= 1.0 <= high for low, high in map(resolution_interval_n, np.exp(left_out(groups.T)).T)]
     assert 0.935 < np.mean(held) < 0.965
 
 
@@ -344,7 +343,7 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
     for seed in range(20):
         cache = photon_map_cache(conditions, seed=seed, stream=1, blocks=32)
         cache.extend(layouts[0].board, 1 << 20)
-        judged.append([scores.score_layout(layout, cache, worst) for layout in layouts])
+        judged.append([score_layout(layout, cache, worst) for layout in layouts])
     score = np.log([[float(one.score_n[0]) for one in row] for row in judged])
     error = np.array([[one.relative_error for one in row] for row in judged])
     # 19 degrees of freedom know a variance to 32 %; the layouts share photons, so that they count as one.
@@ -397,11 +396,11 @@ def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene
     assert layouts[0].board == layouts[1].board
     cache.extend(layouts[0].board, 1 << 18)
     worst = Objective(boards.rules(scene), [condition.point for condition in conditions])
-    scores.score_layout(layouts[0], cache, worst)
+    score_layout(layouts[0], cache, worst)
     spent = []
     for _ in range(5):
         begin = time.perf_counter()
-        judged = scores.score_layout(layouts[1], cache, worst)
+        judged = score_layout(layouts[1], cache, worst)
         spent.append(time.perf_counter() - begin)
     assert min(spent) < 0.05 and np.all(np.isfinite(judged.score_n))
 

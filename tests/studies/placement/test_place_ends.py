@@ -9,7 +9,8 @@ from nailoptics.errors import NotReachedError
 from nailoptics.light.tracing import StageProgress
 from nailoptics.report.pages.placement import PLACEMENT
 from nailoptics.scene import FingerCase, Scene, parse_scene
-from nailoptics.studies.placement import boards, place, scores, search, verification
+from nailoptics.studies.placement import boards, place, search, verification
+from nailoptics.studies.placement.objective import JUDGE_PHOTONS
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +46,7 @@ def test_an_interrupt_of_the_search_leaves_its_best_after_one_batch_more(chosen_
     found = caught.value.result
     assert len(reports) == 1 and found.sizes["led_site"] == 1 and found.sizes["layout"] == 1
     assert str(found.origin.values[0]) == "searched"
-    assert found.attrs["photons"] == search.FIRST_PHOTONS + scores.JUDGE_PHOTONS
+    assert found.attrs["photons"] == search.FIRST_PHOTONS + JUDGE_PHOTONS
 
 
 @pytest.mark.slow
@@ -75,7 +76,7 @@ def test_time_that_is_over_leaves_the_layouts_that_were_traced_and_says_so(chose
         place.place(scene, max_seconds=5)
     found = caught.value.result
     assert set(found.layout.values) == {"near", "far"} and found.attrs["cut_off"] == str(caught.value)
-    assert "checked_fraction" not in found and found.attrs["photons"] == scores.JUDGE_PHOTONS
+    assert "checked_fraction" not in found and found.attrs["photons"] == JUDGE_PHOTONS
     PLACEMENT.write(found, tmp_path)
     head = (tmp_path / "place.html").read_text(encoding="utf-8").split("</header>")[0]
     assert "max_seconds ended with 2 of 3 layouts traced" in head

@@ -12,11 +12,10 @@ from nailoptics.report.uncertainty_section import conclusions, spread_section
 from nailoptics.scene import Placement, Priors
 from nailoptics.scene.priors import PriorRange
 from nailoptics.studies.placement import boards, candidates
-from nailoptics.studies.placement.objective import Objective
+from nailoptics.studies.placement.objective import Objective, score_layout
 from nailoptics.studies.placement.photon_maps import PhotonMapCache
 from nailoptics.studies.placement.place import finger_condition
 from nailoptics.studies.placement.robustness import resolution_over_priors
-from nailoptics.studies.placement.scores import score_layout
 from nailoptics.studies.prior_uncertainty import at_value, nodes_of
 
 pytestmark = pytest.mark.slow
