@@ -281,25 +281,23 @@ function box(parts) {
   return { uMin: Math.min(...us), uMax: Math.max(...us), vMin: Math.min(...vs), vMax: Math.max(...vs) };
 }
 
-/** Free width between each LED and the photodiodes on their four sides, as a scene's layout takes it. */
-function gapsOf(led, diodes) {
-  const die = box([dieOf(led)]);
-  return { left: diodes.uMin - die.uMax, right: die.uMin - diodes.uMax, below: diodes.vMin - die.vMax, above: die.vMin - diodes.vMax };
+/** Edges of a box along the way from LEDs on a side to their photodiodes: the near one, then the far one. */
+function span(area, side) {
+  const [low, high] = side === "left" || side === "right" ? [area.uMin, area.uMax] : [area.vMin, area.vMax];
+  return side === "left" || side === "below" ? [low, high] : [-high, -low];
 }
+
+/** Free width between an LED and the wall, or what else lies on that side of it, as a scene's layout takes it. */
+const gapTo = (area, led, side) => span(area, side)[0] - span(box([dieOf(led)]), side)[1];
 
 function wallProblems(layout) {
   const wall = tables.board.wall, diodes = box(layout.photodiodes.flatMap((pd) => elementsOf(pd, false))), violations = [];
-  const face = { left: wall.uMin, right: wall.uMax, below: wall.vMin, above: wall.vMax }[wall.side];
   for (const led of layout.leds) {
-    const die = box([dieOf(led)]), gaps = gapsOf(led, diodes);
-    const toWall = { left: face - die.uMax, right: die.uMin - face, below: face - die.vMax, above: die.vMin - face }[wall.side];
-    if (toWall < 0.02) violations.push(`${led.name} is on the wall or behind it`);
-    else if (Object.keys(gaps).some((side) => gaps[side] > gaps[wall.side] + 1e-9)) {
-      violations.push(`${led.name} lies ${Object.keys(gaps).sort((a, b) => gaps[b] - gaps[a])[0]} all photodiodes, where a scene would put its wall`);
-    }
+    const widest = ["left", "right", "below", "above"].reduce((a, b) => (gapTo(diodes, led, b) > gapTo(diodes, led, a) ? b : a));
+    if (gapTo(wall, led, wall.side) < 0.02) violations.push(`${led.name} is on the wall or behind it`);
+    else if (gapTo(diodes, led, widest) > gapTo(diodes, led, wall.side) + 1e-9) violations.push(`${led.name} lies ${widest} all photodiodes, where a scene would put its wall`);
   }
-  const beyond = { left: diodes.uMin - wall.uMax, right: wall.uMin - diodes.uMax, below: diodes.vMin - wall.vMax, above: wall.vMin - diodes.vMax }[wall.side];
-  if (beyond < 0.02) violations.push("a photodiode is on the wall or before it");
+  if (span(diodes, wall.side)[0] - span(wall, wall.side)[1] < 0.02) violations.push("a photodiode is on the wall or before it");
   return violations;
 }
 
@@ -372,14 +370,7 @@ function toScene(layout) {
     return fields;
   });
   const wall = tables.board.wall;
-  if (wall) {
-    const face = { left: wall.uMin, right: wall.uMax, below: wall.vMin, above: wall.vMax }[wall.side];
-    const gaps = layout.leds.map((led) => {
-      const die = box([dieOf(led)]);
-      return { left: face - die.uMax, right: die.uMin - face, below: face - die.vMax, above: die.vMin - face }[wall.side];
-    });
-    scene.board.barrier_gap_mm = round(Math.min(...gaps));
-  }
+  if (wall) scene.board.barrier_gap_mm = round(Math.min(...layout.leds.map((led) => gapTo(wall, led, wall.side))));
   scene.blood.rest_blood_fraction = layout.rest;
   if (scene.blood.venous_so2 !== undefined) scene.blood.venous_so2 = round(Math.max(0, layout.so2 - (scene.blood.so2 - scene.blood.venous_so2)));
   scene.blood.so2 = layout.so2;

@@ -268,20 +268,13 @@ def _readout(one: Photodiode, leds: list[dict[str, Any]], scene: Scene) -> dict[
 
 
 def _touch(table: dict[str, Any]) -> dict[str, Any]:
-    names = {
-        "force_n": "forceN",
-        "blood": "blood",
-        "blood_per_pa": "bloodPerPa",
-        "waves": "waves",
-        "force_per_pa": "forcePerPa",
-        "pressure_per_n": "pressurePerN",
-        "prior_pa": "priorPa",
-        "has_body": "hasBody",
-        "led_drift": "ledDrift",
-        "reading_drift": "readingDrift",
-        "lift": "lift",
-    }
-    return {names[key]: value.tolist() if isinstance(value, np.ndarray) else value for key, value in table.items()}
+    """The table of the touch, its keys in JavaScript's manner."""
+
+    def camel(key: str) -> str:
+        first, *others = key.split("_")
+        return first + "".join(map(str.capitalize, others))
+
+    return {camel(key): value.tolist() if isinstance(value, np.ndarray) else value for key, value in table.items()}
 
 
 def _board(scene: Scene) -> dict[str, Any]:
