@@ -356,11 +356,12 @@ def write_table(results: xr.Dataset, path: str | Path) -> Path:
     """
     for dim in ("absorber", "band"):
         for name in [str(n) for n, v in results.data_vars.items() if dim in v.dims] if dim in results.coords else ():
-            columns = {f"{name}_{item}": results[name].sel({dim: item}, drop=True) for item in results[dim].values}
-            results = results.drop_vars(name).assign(columns)
+            items = {f"{name}_{item}": results[name].sel({dim: item}, drop=True) for item in results[dim].values}
+            results = results.drop_vars(name).assign(items)
     study = STUDIES.get(results.attrs.get("study", ""))
-    rows = {*results.state.dims, *(study.rows if study else ("led", "photodiode"))}
-    table = results[[n for n, v in results.data_vars.items() if set(v.dims) <= rows]].to_dataframe().reset_index()
+    rows = [*results.state.dims, *(study.rows if study else ("led", "photodiode"))]
+    columns = results[[n for n, v in results.data_vars.items() if set(v.dims) <= {*rows}]]
+    table = columns.to_dataframe(dim_order=[dim for dim in rows if dim in columns.dims]).reset_index()
     texts = [name for name in table if table[name].dtype.kind not in "biuf"]
     table[texts] = table[texts].map(plain_cell)
     write_text(Path(path), table.rename(columns=plain_cell).to_csv(index=False))

@@ -196,10 +196,11 @@ class Estimate:
 
     def __str__(self) -> str:
         saved = self.cpu_seconds_without_sharing / self.cpu_seconds if self.cpu_seconds else 1.0
+        seconds = (self.cpu_seconds, self.cpu_seconds_without_sharing)
+        shared, alone = (f"{s:.2g} s" if s < 99.5 else f"{s / 60:.3g} min" for s in seconds)
         return (
             f"{self.scenes} scenes, light traced {'once' if self.lights == 1 else f'{self.lights} times'}\n"
-            f"about {self.cpu_seconds / 60:.2g} min of processor time ({self.cpu_seconds_without_sharing / 60:.2g} min "
-            f"if every scene were traced: {saved:.1f} times as much)\n"
+            f"about {shared} of processor time ({alone} if every scene were traced: {saved:.1f} times as much)\n"
             f"about {self.disk_bytes / 1e6:.1f} MB of disk"
         )
 

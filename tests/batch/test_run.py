@@ -15,7 +15,17 @@ import numpy as np
 import pytest
 
 import nailoptics as nail
-from nailoptics.batch import BatchProgress, Outcome, Sweep, estimate, load_sweep, run_batch, status, studies
+from nailoptics.batch import (
+    BatchProgress,
+    Outcome,
+    Sweep,
+    estimate,
+    load_sweep,
+    run_batch,
+    status,
+    studies,
+    write_table,
+)
 from nailoptics.batch.folder import Folder, meets
 from nailoptics.batch.jobs import Settings, jobs_of, of_shard, parse_shard, plan, plan_of
 from nailoptics.batch.work import JobReport, work
@@ -196,6 +206,11 @@ def test_scenes_of_one_light_trace_it_once(jit_backend, here, fingers, tmp_path)
     assert (outcome.lights, outcome.total) == (1, 4)
     assert len(list((tmp_path / "b" / "light").iterdir())) == 1
     results = nail.open_results(tmp_path / "b", course=True)
+    table = write_table(results, tmp_path / "table.csv").read_text().splitlines()
+    assert table[0].startswith("so2,feedback_ohm,photons,led,photodiode,") and table[1].split(",")[3:5] == [
+        "ir",
+        "proximal.6",
+    ]
     assert {"so2", "feedback_ohm"} <= set(results.volts.dims) and results.so2.values.tolist() == [0.75, 0.97]
     volts = results.volts.sel(so2=0.97).squeeze("photons", drop=True)
     assert volts.dims == ("feedback_ohm", "led", "photodiode", "time")
