@@ -73,74 +73,52 @@ def sample_until_tolerance(
 
     With photons requested, so many go to the places, each alike; else each place gets what it needs.
     """
-    sampling = _Sampling(nail, options, stage)
+    rays: ColourRays | None = None
+    error, pace_s, parts, goal = math.inf, math.inf, 0, 0
+
+    def of_round(patches: Sequence[Patch], count: int) -> Iterator[tuple[Sequence[Patch], int]]:
+        """So many more rays, part by part, none larger than what is left of the time is enough for."""
+        nonlocal goal
+        goal = count + (rays.photons if rays else 0)
+        while (left := goal - (rays.photons if rays else 0)) > 0:
+            affordable = max(stage.seconds_left, 0.0) / pace_s if math.isfinite(stage.limit_s) else math.inf
+            yield patches, int(min(left, MOST_AT_ONCE, max(PILOT, affordable)))
 
     def needed() -> Iterator[tuple[Sequence[Patch], int]]:
-        yield places.patches, options.photons or PILOT
+        nonlocal error
+        yield from of_round(places.patches, options.photons or PILOT)
         while True:
-            assert sampling.rays is not None
-            error, change = errors_of(sampling.rays, places, states, viewer, viewing)
-            sampling.error = float(error.max())
-            rounds = np.maximum((error / viewing.tolerance) ** 2, (change / viewing.change_tolerance) ** 2)
-            if options.photons is not None or rounds.max() <= 1:
+            assert rays is not None
+            errors, changes = errors_of(rays, places, states, viewer, viewing)
+            error = float(errors.max())
+            more = np.maximum((errors / viewing.tolerance) ** 2, (changes / viewing.change_tolerance) ** 2)
+            if options.photons is not None or more.max() <= 1:
                 return
-            shares, rays = _allocated(sampling.rays, places, rounds)
-            sampling.target = viewing.tolerance
-            yield [replace(one, share=n) for one, n in zip(places.patches, shares, strict=True)], rays
+            shares, count = _allocated(rays, places, more)
+            yield from of_round([replace(one, share=n) for one, n in zip(places.patches, shares, strict=True)], count)
 
-    def is_late(round: tuple[Sequence[Patch], int]) -> bool:
-        return sampling.rays is not None and (stage.interrupted or stage.is_late(1.0))
+    def sample(part: tuple[Sequence[Patch], int]) -> None:
+        nonlocal rays, pace_s, parts
+        done, begin_s = rays.photons if rays else 0, stage.seconds
 
-    ending = run_until(needed(), lambda round: sampling.add(*round), is_late=is_late)
-    assert sampling.rays is not None
-    short = f"{sampling.error:.2g} (CIEDE2000), {viewing.tolerance:g} requested"
-    if stage.interrupted or ending is Ending.INTERRUPTED:
-        return sampling.rays, f"interrupted at a standard error of {short}."
-    return sampling.rays, "" if ending is Ending.MET else f"max_seconds ended the rays at a standard error of {short}."
+        def report(photons: int) -> None:
+            stage("colour", (done + photons) / goal, error, viewing.tolerance if math.isfinite(error) else None)
+            if stage.interrupted and rays:  # the part at work is discarded
+                raise KeyboardInterrupt
 
+        patches, count = part
+        walked = walk_colour(nail, patches, photons=count, seed=seed_of(options.seed, parts), progress=report)
+        # Of the first part with the compilation of its kernels.
+        pace_s = (stage.seconds - begin_s) / walked.photons
+        rays, parts = rays.with_more(walked) if rays else walked, parts + 1
 
-@dataclass
-class _Sampling:
-    """Rays that grow, a part at a time."""
-
-    nail: NailReflectance
-    options: TraceOptions
-    stage: StageProgress
-    rays: ColourRays | None = None
-    parts: int = 0
-    error: float = math.inf
-    target: float | None = None
-    # Of each ray in the part before, the first with the compilation of its kernels. [s]
-    pace_s: float = math.inf
-
-    def add(self, patches: Sequence[Patch], rays_needed: int) -> None:
-        """Trace so many more rays, fewer where time ends or the user interrupts: the part at work is discarded."""
-        begun = done = self.rays.photons if self.rays else 0
-        while done < begun + rays_needed and not (self.rays and self.stage.is_over(1.0)):
-
-            def report(photons: int, base: int = done) -> None:
-                self.stage("colour", (base + photons) / (begun + rays_needed), self.error, self.target)
-                if self.stage.interrupted and self.rays:
-                    raise KeyboardInterrupt
-
-            seed, count = seed_of(self.options.seed, self.parts), min(begun + rays_needed - done, self._most())
-            before_s = self.stage.seconds
-            try:
-                more = walk_colour(self.nail, patches, photons=count, seed=seed, progress=report)
-            except KeyboardInterrupt:
-                if not (self.stage.interrupted and self.rays):
-                    raise
-                return
-            self.pace_s = (self.stage.seconds - before_s) / more.photons
-            self.rays = more if self.rays is None else self.rays.with_more(more)
-            done, self.parts = self.rays.photons, self.parts + 1
-
-    def _most(self) -> int:
-        """Most rays of the next part: no more than what is left of the time is enough for, but for the least."""
-        if math.isinf(self.stage.limit_s):
-            return MOST_AT_ONCE
-        left = max(self.stage.seconds_left, 0.0) / self.pace_s
-        return min(MOST_AT_ONCE, max(PILOT, int(left)))
+    ending = run_until(needed(), sample, is_late=lambda part: rays is not None and stage.is_over(1.0))
+    assert rays is not None
+    if ending is Ending.MET and not stage.interrupted:
+        return rays, ""
+    error = float(errors_of(rays, places, states, viewer, viewing)[0].max())
+    why = "interrupted" if stage.interrupted or ending is Ending.INTERRUPTED else "max_seconds ended the rays"
+    return rays, f"{why} at a standard error of {error:.2g} (CIEDE2000), {viewing.tolerance:g} requested."
 
 
 def errors_of(rays: ColourRays, places: Places, states: Array, viewer: Viewer, viewing: Viewing) -> tuple[Array, Array]:

@@ -16,6 +16,7 @@ from ...errors import InputError, NotReachedError
 from ...hemodynamics import white_band_mm
 from ...hemodynamics.for_scene import steady_blood
 from ...light import ProgressCallback, backend
+from ...light.identity import light_digest
 from ...light.tracing import StageProgress
 from ...light.tracing.store import LightStore
 from ...light.transfer import provenance
@@ -23,18 +24,21 @@ from ...light.walk.nail_reflectance import NailReflectance
 from ...options import Requested, TraceOptions
 from ...scene import Scene, Viewing
 from ...scene.models import Illuminant, LightFrom, Observer
-from ...statistics import jackknife
-from ...variables import variable
+from ...statistics import seed_of
+from ...variables import estimated, variable
+from ..prior_uncertainty import only_absorbs, over_priors
 from .adaptive_sampling import TILE_MM, Places, places_of, sample_until_tolerance, stderr_of_colour, view
 from .colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
-from .colour_spread import spread_of_colours
-from .reflectance import ColourRays
+from .reflectance import ColourRays, walk_colour
 from .views import beat, press_and_release
 
 Array = NDArray[np.float64]
 
 # Of the time, after which no spread over unknown fingers begins, which takes as long as 150 000 rays or so.
 SPREAD_BEGINS = 0.8
+# Rays of all nodes for each value of what needs rays of its own, such as scattering.
+OWN_PHOTONS = 24_000
+_SPREAD = 61
 
 
 def colour(
@@ -160,8 +164,9 @@ def _redness_left(redness: Array, pale: Array) -> Array:
 
     redness : (..., p, s) float. a* of each state; the first is at rest. pale : (..., p) float. a* without blood.
     """
+    by_blood = redness - pale[..., None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        part = (redness - pale[..., None]) / (redness[..., :1] - pale[..., None])
+        part = by_blood / by_blood[..., :1]
     return np.where(np.isfinite(part), part, 1.0)
 
 
@@ -187,15 +192,15 @@ def _dataset(
     each = ("place", "state")
     text = "reflectance factor, seen from above"
     reflected = read[:, : places.along, :-1]
-    data = variable("reflectance", (*each, "wavelength"), reflected[0], text, stderr=jackknife(reflected))
-    data |= variable("lab", (*each, "band"), middle[0], "CIE 1976 L*a*b*", stderr=jackknife(middle))
+    data = estimated("reflectance", (*each, "wavelength"), reflected, text)
+    data |= estimated("lab", (*each, "band"), middle, "CIE 1976 L*a*b*")
     data |= variable("lab_without_blood", ("place", "band"), pale[0], "L*a*b* of a bed without blood")
     data |= variable("colour_stderr", each, stderr_of_colour(middle), "standard error of the colour, as CIEDE2000")
     data |= variable("srgb", (*each, "channel"), viewer.srgb(reflected[0]), "colour on a screen")
     text = "colour difference to the first state, CIEDE2000"
-    data |= variable("delta_e_2000", each, change[0], text, stderr=jackknife(change))
+    data |= estimated("delta_e_2000", each, change, text)
     text = "width of the band before the free edge that has lost more than half of its blood's redness"
-    data |= variable("white_band_mm", "state", band[0], text, units="mm", stderr=jackknife(band))
+    data |= estimated("white_band_mm", "state", band, text, units="mm")
     data |= variable("blood_fraction", ("zone", "state"), states.T, "blood fraction of the nail bed")
     data |= variable("tile_srgb", ("tile", "state", "channel"), viewer.srgb(tiles), "colour on a screen, of a tile")
     centers = np.array([patch.center_mm for patch in places.patches[places.along :]]).reshape(-1, 2)
@@ -205,3 +210,45 @@ def _dataset(
     coordinates |= variable("wavelength", "wavelength", WAVELENGTHS_NM, "wavelength", units="nm")
     names = {"band": ["L*", "a*", "b*"], "channel": ["red", "green", "blue"], "axis": ["u", "v"]}
     return xr.Dataset(data, coordinates | names)
+
+
+def spread_of_colours(
+    nail: NailReflectance, rays: ColourRays, places: Places, viewer: Viewer, viewing: Viewing, *, seed: int
+) -> xr.Dataset:
+    """Standard deviation of L*, a* and b* over each prior of the scene, and over all together.
+
+    On the middle of the nail and on the skin behind it, at the first of the forces. What only absorbs is reread from
+    the rays; what scatters is walked anew, with the same random numbers at each of its values. The thickness of the bed
+    is left out.
+    """
+    scene, sites = nail.scene, (places.along // 2, 0)
+    priors = [prior for prior in scene.priors.of_finger() if prior.field != "finger.bed_thickness_mm"]
+    priors.sort(key=lambda prior: not only_absorbs(scene, prior))
+    own = light_digest(scene)
+
+    def lab(light: ColourRays, one: Scene, chosen: tuple[int, ...]) -> Array:
+        states = steady_blood(one, viewing.forces_n[:1])
+        read = light.reflectance(states, **view(viewing), scene=one, patches=chosen)
+        return np.asarray(viewer.lab(read)[:, :, 0])
+
+    def walked(one: Scene) -> Array:
+        other = NailReflectance(one, backend=nail.backend, stores=nail.stores)
+        patches = [places.patches[site] for site in sites]
+        light = walk_colour(other, patches, photons=OWN_PHOTONS, seed=seed_of(seed, _SPREAD))
+        return lab(light, one, (0, 1))
+
+    base = lab(rays, scene, sites)
+    twin = walked(scene)
+
+    def answer(one: Scene) -> Array:
+        return lab(rays, one, sites) if light_digest(one) == own else base + walked(one) - twin
+
+    found = over_priors(scene, priors, answer)
+    over = ("site", "band")
+    data = found.variables("lab", over, "L*a*b* at the first force")
+    text = "L*a*b* at the low, middle and high node of a prior"
+    data |= variable("prior_lab", ("prior", "node", *over), found.nodes[:, :, 0], text)
+    ends = [[p.low, p.high] for p in priors]
+    data |= variable("prior_range", ("prior", "end"), ends, "ends of the range that holds with 95 %")
+    names = {"prior": [p.name for p in priors], "site": ["nail", "skin"], "node": ["low", "middle", "high"]}
+    return xr.Dataset(data, names)

@@ -6,6 +6,7 @@ the absorption of every wavelength, and between the nodes of scattering reflecta
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,20 +33,19 @@ LAMP_COSINES = (np.cos(np.radians(50.0)), np.cos(np.radians(40.0)))
 CHUNK = 8192
 
 
-def log_wavelengths(count: int = NODES) -> ChebyshevBox:
-    """Nodes in the logarithm of the wavelength, at which rays are walked and between which they are interpolated."""
+def _log_wavelengths(count: int) -> ChebyshevBox:
     low, high = np.log(WAVELENGTHS_NM[[0, -1]])
     return ChebyshevBox([low], [high], [count])
 
 
 def nodes_nm(count: int = NODES) -> Array:
     """The wavelengths at which rays are walked, rising. [nm]"""
-    return np.asarray(np.exp(log_wavelengths(count).nodes[::-1, 0]))
+    return np.asarray(np.exp(_log_wavelengths(count).nodes[::-1, 0]))
 
 
 def interpolation(count: int, wavelength_nm: Array) -> Array:
     """Weight of each of so many nodes at each wavelength, (nodes, q) float."""
-    return log_wavelengths(count).weights(np.log(wavelength_nm))[:, ::-1].T
+    return _log_wavelengths(count).weights(np.log(wavelength_nm))[:, ::-1].T
 
 
 @dataclass(frozen=True)
@@ -92,8 +92,8 @@ class ColourRays:
         absorbing = self.scene if scene is None else scene
         mu_a = optics.absorption(absorbing, WAVELENGTHS_NM, blood_fraction=states)
         weights = interpolation(len(self.light), WAVELENGTHS_NM)
-        wanted = np.arange(len(self.patches)) if patches is None else np.asarray(patches)
-        sums = [_sums(_seen(one, lit_by, gloss), mu_a, wanted) for one in self.light]
+        chosen = np.arange(len(self.patches)) if patches is None else np.asarray(patches)
+        sums = [_sums(_weighted(one, lit_by, gloss), mu_a, chosen) for one in self.light]
         return left_out(sum(one * weight for one, weight in zip(sums, weights, strict=True)))
 
 
@@ -105,7 +105,7 @@ def _thinned(light: ReflectedLight, part: int) -> ReflectedLight:
     return replace(thin, weight=thin.weight * np.float32(part))
 
 
-def _seen(light: ReflectedLight, lit_by: LightFrom, gloss: bool) -> ReflectedLight:
+def _weighted(light: ReflectedLight, lit_by: LightFrom, gloss: bool) -> ReflectedLight:
     """The rays that go back to where light comes from, in proportion to those from a white surface."""
     weight = np.where(light.gloss, np.float32(gloss), np.float32(1)) * light.weight
     if lit_by == "lamp":
@@ -153,18 +153,10 @@ def walk_colour(
     # The same for all fingers of one shape, whatever they absorb, so that they share their rays.
     usual, none = light_scene(nail.scene), np.zeros(nail.zones.count)
     palest = optics.absorption(usual, WAVELENGTHS_NM, blood_fraction=none).min(0)
-    found = []
+    # All nodes take the same random numbers, so that their errors hardly change the hue.
+    how: dict[str, Any] = {"photons": photons // NODES, "seed": seed, "groups": GROUPS, "least_mu_a_per_mm": palest}
+    lights = []
     for wavelength_nm in nodes_nm():
-        # All nodes take the same random numbers, so that their errors hardly change the hue.
-        found.append(
-            nail.reflect(
-                float(wavelength_nm),
-                patches,
-                least_mu_a_per_mm=palest,
-                photons=photons // NODES,
-                seed=seed,
-                groups=GROUPS,
-            )
-        )
-        progress(int(found[-1].rays.sum()))
-    return ColourRays(nail.scene, tuple(patches), tuple(found))
+        lights.append(nail.reflect(float(wavelength_nm), patches, **how))
+        progress(int(lights[-1].rays.sum()))
+    return ColourRays(nail.scene, tuple(patches), tuple(lights))

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from ...hemodynamics.for_scene import beat_at, blood_over_touch
 from ...light.photograph import photograph
 from ...scene import Scene, Touch, Viewing
-from ...statistics import jackknife
-from ...variables import variable
+from ...variables import estimated, variable
 from .adaptive_sampling import Places, view
 from .colorimetry import Viewer, delta_e_2000, linear
 from .reflectance import ColourRays
@@ -48,14 +47,13 @@ def press_and_release(scene: Scene, rays: ColourRays, places: Places, viewer: Vi
     lab, time_s = viewer.lab(read), moments.time.values
     over = ("place", "time")
     text = "L*a*b* over a press"
-    data = variable("press_lab", (*over, "band"), lab[0], text, stderr=jackknife(lab))
+    data = estimated("press_lab", (*over, "band"), lab, text)
     data |= variable("press_srgb", (*over, "channel"), viewer.srgb(read[0]), "colour on a screen, over a press")
     data |= variable("press_force_n", "time", moments.force_n.values, "force of the press", units="N")
     text = "capillary refill time: from release until the colour differs less from rest than an eye sees"
     refill = np.array([capillary_refill_s(time_s, one) for one in lab])
     with np.errstate(invalid="ignore"):  # a place that never returns, or whose change no eye sees
-        error = jackknife(refill)
-    data |= variable("refill_s", "place", refill[0], text, units="s", stderr=error)
+        data |= estimated("refill_s", "place", refill, text, units="s")
     return xr.Dataset(data, variable("time", "time", time_s, "time", units="s"))
 
 
@@ -92,11 +90,11 @@ def beat(scene: Scene, rays: ColourRays, places: Places, viewer: Viewer, viewing
     palest = lab[0, ..., 1].mean(0).argmin()
     moved = delta_e_2000(lab, lab[:, :, palest, None])
     text = "colour over a beat, L*a*b*"
-    data = variable("beat_lab", ("place", "beat_time", "band"), lab[0], text, stderr=jackknife(lab))
+    data = estimated("beat_lab", ("place", "beat_time", "band"), lab, text)
     text = "largest colour difference over a beat, CIEDE2000"
     most = moved[0].argmax(1)
     largest = np.take_along_axis(moved, most[None, :, None], 2)[..., 0]
-    data |= variable("beat_delta_e_2000", "place", largest[0], text, stderr=jackknife(largest))
+    data |= estimated("beat_delta_e_2000", "place", largest, text)
     return xr.Dataset(data, variable("beat_time", "beat_time", blood.time_s[which], "time", units="s"))
 
 

@@ -273,8 +273,8 @@ def tradeoff(
     simpler |= {name: revised(full, changes) for name, changes in CHEAPER.items()}
     tracer = PairedTracer(1 + len(simpler) + len(others), options, progress)
     base = tracer.trace(full)
+    light = base.transfer
     for led, photodiode in np.argwhere(~(base.level > 0)):
-        light = base.transfer
         raise NotReachedError(unlit(light.leds[led], light.photodiodes[photodiode], light.traces[led].photons))
 
     def measure() -> Iterator[Level]:
@@ -296,10 +296,9 @@ def tradeoff(
             levels.append(level)
     except (NotReachedError, KeyboardInterrupt) as error:
         unmet = f"{str(error).rstrip('.') or 'interrupted'}; {len(levels)} levels were measured before."
-    about = base.transfer.attributes() | ({"cut_off": unmet} if unmet else {})
-    unjudged = Answer(levels[0], base.transfer.cpu_seconds, math.inf)
-    result = Tradeoff(tuple(levels), tolerance, simultaneous, unjudged, scene, time.perf_counter() - start, about)
-    result = _chosen(result)
+    about = light.attributes() | ({"cut_off": unmet} if unmet else {})
+    unjudged, seconds = Answer(levels[0], light.cpu_seconds, math.inf), time.perf_counter() - start
+    result = _chosen(Tradeoff(tuple(levels), tolerance, simultaneous, unjudged, scene, seconds, about))
     if unmet:
         raise NotReachedError(unmet, result=result)
     return result

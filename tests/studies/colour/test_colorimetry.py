@@ -9,6 +9,7 @@ from nailoptics.errors import InputError
 from nailoptics.hemodynamics import white_band_mm
 from nailoptics.light.tracing import StageProgress
 from nailoptics.options import TraceOptions
+from nailoptics.scene import Viewing
 from nailoptics.studies.colour import adaptive_sampling
 from nailoptics.studies.colour.adaptive_sampling import stderr_of_colour
 from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
@@ -111,19 +112,29 @@ def test_parts_of_rays_fit_into_what_is_left_of_the_time(monkeypatch, pace_s):
     clock = SimpleNamespace(now=0.0)
     monkeypatch.setattr("nailoptics.light.tracing.trigger.time", SimpleNamespace(perf_counter=lambda: clock.now))
 
+    parts = []
+
     def walk_colour(*_, photons, **__):
         clock.now += photons * pace_s
+        parts.append(photons)
         return walked(photons)
 
     def walked(photons):
         return SimpleNamespace(photons=photons, with_more=lambda more: walked(photons + more.photons))
 
+    def sampled(photons, **limit):
+        stage = StageProgress(None, **limit)
+        options, places = TraceOptions(photons=photons), adaptive_sampling.Places(())
+        return adaptive_sampling.sample_until_tolerance(None, places, None, None, Viewing(), options, stage)
+
     monkeypatch.setattr(adaptive_sampling, "walk_colour", walk_colour)
+    monkeypatch.setattr(adaptive_sampling, "errors_of", lambda *_: (np.ones(1), np.ones(1)))
     limit_s = 10 * adaptive_sampling.PILOT * pace_s
-    walk = adaptive_sampling._Sampling(None, TraceOptions(), StageProgress(None, limit_s))
-    walk.add((), 10**8)
-    assert 0.9 * limit_s < clock.now < 1.2 * limit_s
+    _, why = sampled(10**8, limit_s=limit_s)
+    assert 0.9 * limit_s < clock.now < 1.2 * limit_s and why.startswith(
+        "max_seconds ended the rays at a standard error"
+    )
     # Without a limit all are walked.
-    walk = adaptive_sampling._Sampling(None, TraceOptions(), StageProgress(None))
-    walk.add((), 3 * adaptive_sampling.MOST_AT_ONCE)
-    assert walk.rays.photons == 3 * adaptive_sampling.MOST_AT_ONCE and walk.parts == 3
+    parts.clear()
+    rays, why = sampled(3 * adaptive_sampling.MOST_AT_ONCE)
+    assert rays.photons == 3 * adaptive_sampling.MOST_AT_ONCE and len(parts) == 3 and why == ""

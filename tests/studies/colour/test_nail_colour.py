@@ -126,7 +126,7 @@ def test_a_stored_colour_is_the_same_and_walks_no_ray(jit_backend, tmp_path, mon
     stores = [LightStore(tmp_path / "light")]
     quiet = without_spread(SCENE)
     first = colour(quiet, forces_n=(0.0, 4.0), photons=8_000, seed=4, stores=stores)
-    monkeypatch.setattr(NailReflectance, "_reflect", None)
+    monkeypatch.setattr(NailReflectance, "_batch", None)
     again = colour(quiet, forces_n=(0.0, 4.0), photons=8_000, seed=4, stores=stores)
     assert np.array_equal(first.lab.values, again.lab.values)
     # Another skin, other blood and another lamp see by the same rays.

@@ -10,6 +10,7 @@ from nailoptics.errors import InputError
 from nailoptics.geometry import DistanceGrid, Geometry
 from nailoptics.geometry.regions import BARRIER, BED, CUT, PLATE, REGIONS
 from nailoptics.light import backend, optics
+from nailoptics.light.walk.interfaces import Interfaces
 from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
 from nailoptics.scene import parse_scene
 from nailoptics.statistics import jackknife, seed_of
@@ -53,8 +54,12 @@ class FlatStack(NailReflectance):
         self.flat = shape, DistanceGrid(*unknown, np.zeros((1, 1, 1, 2), np.int8), np.zeros(3), 1.0, 1.0)
 
     @property
-    def _shape(self):
-        return self.flat
+    def geometry(self):
+        return self.flat[0]
+
+    @property
+    def interfaces(self):
+        return Interfaces(*self.flat)
 
 
 def by_adding_doubling(wavelength_nm: float, n: float) -> float:
