@@ -202,10 +202,7 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
     bare, sources, polynomial = boards.bare_board(base), colours(base), _polynomial(base, touch)
     own = len({(led.wavelength_nm, led.fwhm_nm) for led in base.leds})
     usual = options.photons or base.accuracy.photons or (OPEN_PHOTONS if basis.wall_mm is None else WALL_PHOTONS)
-    sums = [
-        ColourSums(bare.model_copy(update={"leds": (_as(bare.leds[0], led),)}), k, basis, polynomial, options)
-        for k, led in enumerate(sources)
-    ]
+    sums = [ColourSums(lit_by(bare, led), k, basis, polynomial, options) for k, led in enumerate(sources)]
     photons = [max(BLOCKS * LEAST_BATCH, usual if k < own else usual // 2) for k in range(len(sums))]
     cut_off = _trace(sums, photons, report)
     there, x, y, _ = sums[0].traced(min(usual, PILOT_PHOTONS), PILOT)
@@ -300,17 +297,18 @@ def explored_board(scene: Scene) -> Scene:
 
 def colours(base: Scene) -> list[Led]:
     """An LED of each wavelength that the page knows: the scene's own first, then further ones."""
-    found = list({(led.wavelength_nm, led.fwhm_nm): led for led in base.leds}.values())
+    leds = list({(led.wavelength_nm, led.fwhm_nm): led for led in base.leds}.values())
     for part in FURTHER_LEDS:
         led = Led.model_validate({"name": part, "part": part})
-        if all(abs(led.wavelength_nm - other.wavelength_nm) >= SAME_NM for other in found):
-            found.append(led)
-    return found
+        if all(abs(led.wavelength_nm - other.wavelength_nm) >= SAME_NM for other in leds):
+            leds.append(led)
+    return leds
 
 
-def _as(die: Led, led: Led) -> Led:
-    """A die with the light of an LED."""
-    return die.model_copy(update={name: getattr(led, name) for name in ("part", "wavelength_nm", "fwhm_nm")})
+def lit_by(bare: Scene, led: Led) -> Scene:
+    """A bare board whose dies, which its wall goes by, have the light of an LED."""
+    light = {name: getattr(led, name) for name in ("part", "wavelength_nm", "fwhm_nm")}
+    return bare.model_copy(update={"leds": tuple(die.model_copy(update=light) for die in bare.leds)})
 
 
 def _polynomial(base: Scene, touch: dict[str, Any]) -> BloodPolynomial:

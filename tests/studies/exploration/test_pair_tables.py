@@ -14,6 +14,7 @@ from nailoptics.scene.rectangles import Rectangle
 from nailoptics.studies.exploration import explore as study
 from nailoptics.studies.exploration.explore import BLOCKS, explore, explored_board
 from nailoptics.studies.exploration.pair_table import BloodPolynomial, PairProjection, RadialFunction, pair_basis
+from nailoptics.studies.placement import boards
 
 BOARD = Rectangle("board", -4.0, 4.0, -5.0, 5.0)
 WALL = Rectangle("left", -0.9, -0.7, -5.0, 5.0)
@@ -92,6 +93,21 @@ def test_the_board_that_is_explored_keeps_the_parts_and_the_wall():
     assert explored.layout.photodiode_names == given.layout.photodiode_names
     assert explored.layout.barriers[0].u_min == pytest.approx(given.layout.barriers[0].u_min)
     assert explored.layout.outline.area_mm2 > given.layout.outline.area_mm2
+
+
+def test_every_wavelength_has_the_wall_of_the_board():
+    """The wall keeps its gap to the nearest of two LEDs, whichever comes first."""
+    one = scene()
+    u, v = one.leds[0].position_mm
+    near, far = (
+        one.leds[0].model_copy(update={"name": n, "position_mm": (u - d, v)}) for n, d in (("n", 0), ("f", 1.5))
+    )
+    for leds in ((near, far), (far, near)):
+        base = explored_board(one.model_copy(update={"leds": leds}))
+        for colour in study.colours(base):
+            lit = study.lit_by(boards.bare_board(base), colour)
+            assert lit.layout.barriers[0] == base.layout.barriers[0]
+            assert {led.wavelength_nm for led in lit.leds} == {colour.wavelength_nm}
 
 
 @pytest.mark.parametrize(
