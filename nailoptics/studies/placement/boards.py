@@ -22,7 +22,8 @@ SPECK_MM = 0.05
 MOST_LEDS = 4
 # One die in place of an array.
 SINGLE = {"reference": None, "part": None, "wired": None, "elements": 1, "pitch_mm": None}
-FAR_SIDE = {"left": (1, 0), "right": (-1, 0), "below": (0, 1), "above": (0, -1)}
+# Sides of the photodiodes on which LEDs may lie: the axis across their wall, and which way the photodiodes lie.
+SIDES = {"left": (0, 1), "right": (0, -1), "below": (1, 1), "above": (1, -1)}
 
 
 def rules(scene: Scene) -> Placement:
@@ -148,8 +149,8 @@ def bare_board(scene: Scene, *, side: str | None = None) -> Scene:
         # The corner that is farthest from the LED.
         place = (-reach[0] if led[0] > 0 else reach[0], -reach[1] if led[1] > 0 else reach[1])
     else:
-        across, along = FAR_SIDE[side]
-        place = (across * reach[0] if across else led[0], along * reach[1] if along else led[1])
+        axis, way = SIDES[side]
+        place = (led[0], way * reach[1]) if axis else (way * reach[0], led[1])
     board = scene.board.model_copy(update={"barrier_side": side})
     speck = SINGLE | {"name": "speck", "position_mm": place, "size_mm": (SPECK_MM, SPECK_MM)}
     photodiodes = (scene.photodiodes[0].model_copy(update=speck),)

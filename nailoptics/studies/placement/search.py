@@ -13,11 +13,12 @@ from ...scene.base import Point
 from ...scene.rectangles import Rectangle
 from ...sensor.information import responses
 from . import boards, candidates
+from .boards import SIDES
 from .candidates import CandidateLayout
 from .coordinate_exchange import Arrangement, DesignTables
 from .objective import Objective
 from .photon_maps import PhotonMapCache
-from .sites import SIDES, LedRow, LedSite, PhotodiodePlaces, Sites
+from .sites import LedRow, LedSite, PhotodiodePlaces, Sites
 
 log = logging.getLogger(__name__)
 

@@ -12,14 +12,13 @@ from ...scene.importers.outlines import has_room
 from ...scene.layout import lay_elements
 from ...scene.rectangles import Rectangle
 from . import boards
+from .boards import SIDES
 
 # A wall that leaves less than this part of the board to the photodiodes is not tried.
 LEAST_ROOM = 0.4
 # The layout asks for so much between the wall and what lies behind it.
 WALL_ROOM_MM = 0.02
 ROUNDING_MM = 1e-9
-# Sides of the photodiodes on which LEDs may lie: the axis across their wall, and which way the photodiodes lie.
-SIDES = {"left": (0, 1), "right": (0, -1), "below": (1, 1), "above": (1, -1)}
 
 
 def span_mm(area: Rectangle, side: str) -> tuple[float, float]:
